@@ -1,0 +1,222 @@
+"""From text that people write to validated models, with every error at its place.
+
+Mission and fleet files share this border: YAML 1.2, bounded size, no duplicate keys, unknown keys
+refused, NaN and infinities refused. Errors read ``file: key.path: expected …, got …``.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.nodes import ScalarNode
+from ruamel.yaml.resolver import VersionedResolver
+
+from swarm.errors import InputError, Problem
+
+LARGEST_FILE = 1_000_000
+"""Characters that a mission or fleet file may have; more is not something a person wrote."""
+
+DEEPEST_NESTING = 64
+"""How deep brackets may nest; the parser recurses, and a hostile file must not end it."""
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class Section(BaseModel):
+    """Base of every section of a file: immutable, no unknown keys, finite numbers only."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def number(
+    default: Any,
+    unit: str,
+    sentence: str,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    kind: str = "a number",
+    auto: bool = False,
+) -> Any:
+    """Declare a numeric key with its unit, range and the sentence that the schema shows.
+
+    ``above`` is an exclusive lower bound, ``least`` and ``most`` are inclusive; ``kind`` is what
+    error messages call it; ``auto`` says that the word ``auto`` is taken too (the key's type then
+    carries the range, since a word has none).
+    """
+    bounds = [
+        *([f"> {above:g}"] if above is not None else []),
+        *([f">= {least:g}"] if least is not None else []),
+        *([f"<= {most:g}"] if most is not None else []),
+    ]
+    words = " ".join([kind, *([" and ".join(bounds)] if bounds else [])])
+    if unit:
+        words += f" in {unit}"
+    if auto:
+        words = f"auto or {words}"
+    return Field(
+        default,
+        gt=None if auto else above,
+        ge=None if auto else least,
+        le=None if auto else most,
+        description=sentence,
+        json_schema_extra={"unit": unit, "expected": words},
+    )
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """Parse YAML 1.2 text from a stranger.
+
+    Raises :class:`InputError` with line and column on a syntax error or a repeated key, and on
+    text that is too large or nests too deeply.
+    """
+    if len(text) > LARGEST_FILE:
+        raise InputError([Problem(source, f"expected at most {LARGEST_FILE} characters")])
+    loader = YAML(typ="safe", pure=True)
+    loader.Resolver = _KnotNameResolver
+    try:
+        _refuse_deep_nesting(loader, text, source)
+        return loader.load(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f"{source}:{mark.line + 1}:{mark.column + 1}" if mark else source
+        problem = str(error.problem or error.context or "not YAML").strip().splitlines()[0]
+        raise InputError([Problem(place, f"not valid YAML: {problem}")]) from None
+    except (YAMLError, ValueError) as error:
+        raise InputError([Problem(source, f"not valid YAML: {error}")]) from None
+
+
+class _KnotNameResolver(VersionedResolver):  # type: ignore[misc]
+    """Plain scalars with an underscore are words: ``3_1`` is a knot, not thirty-one."""
+
+    def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
+        if kind is ScalarNode and implicit[0] and "_" in value:
+            return self.DEFAULT_SCALAR_TAG
+        return super().resolve(kind, value, implicit)
+
+
+def _refuse_deep_nesting(loader: YAML, text: str, source: str) -> None:
+    depth = 0
+    for event in loader.parse(text):
+        name = type(event).__name__
+        if name == "AliasEvent":
+            raise InputError([Problem(source, "YAML aliases are not used here")])
+        depth += name.endswith("StartEvent") - name.endswith("EndEvent")
+        if depth > DEEPEST_NESTING:
+            raise InputError([Problem(source, f"nested more than {DEEPEST_NESTING} deep")])
+
+
+def apply_overrides(document: Any, overrides: Iterable[str]) -> Any:
+    """Return the document with ``key.path=value`` overrides applied; values are YAML.
+
+    Raises :class:`InputError` naming every override that cannot be applied.
+    """
+    result = document
+    problems: list[Problem] = []
+    for override in overrides:
+        path, equals, value = override.partition("=")
+        keys = [key.strip() for key in path.split(".")]
+        if not equals or not all(keys):
+            problems.append(Problem("--set", f"expected key.path=value, got {override!r}"))
+            continue
+        try:
+            result = _replaced(result, keys, parse_yaml(value, f"--set {path}"))
+        except InputError as error:
+            problems.extend(error.problems)
+    if problems:
+        raise InputError(problems)
+    return result
+
+
+def _replaced(document: Any, keys: list[str], value: Any) -> Any:
+    if not keys:
+        return value
+    head, *rest = keys
+    if document is None:
+        document = {}
+    if not isinstance(document, Mapping):
+        document = {}  # the model says what was expected here
+    return {**document, head: _replaced(document.get(head), rest, value)}
+
+
+def validate(model: type[Model], document: Any, source: str) -> Model:
+    """Validate a parsed document against a model.
+
+    Raises :class:`InputError` with every problem, each at ``source: key.path``.
+    """
+    if not isinstance(document, Mapping):
+        raise InputError([Problem(source, f"expected a mapping of keys, got {_shown(document)}")])
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        problems = [_problem(model, dict(item), source) for item in error.errors()]
+        raise InputError(list(dict.fromkeys(problems))) from None
+
+
+def _problem(model: type[BaseModel], item: dict[str, Any], source: str) -> Problem:
+    keys, field = _named_field(model, item["loc"])
+    place = ": ".join(part for part in (source, ".".join(keys)) if part)
+    match item["type"]:
+        case "extra_forbidden":
+            return Problem(place, f"unknown key, got {_shown(item['input'])}")
+        case "missing":
+            purpose = f" ({field.description})" if field and field.description else ""
+            return Problem(place, f"expected this key{purpose}, got nothing")
+        case "value_error":
+            return Problem(place, str(item["ctx"]["error"]))
+        case _:
+            return Problem(place, f"expected {_expected(field, item)}, got {_shown(item['input'])}")
+
+
+def _named_field(
+    model: type[BaseModel], location: tuple[int | str, ...]
+) -> tuple[list[str], FieldInfo | None]:
+    """Key path of an error without pydantic's union tags, and the innermost field on it."""
+    keys: list[str] = []
+    field: FieldInfo | None = None
+    inside: Any = model
+    for part in location:
+        if isinstance(part, int):
+            keys.append(str(part))
+        elif isinstance(inside, type) and issubclass(inside, BaseModel):
+            keys.append(part)
+            if part not in inside.model_fields:
+                return keys, None
+            field = inside.model_fields[part]
+            inside = _section_of(field.annotation)
+    return keys, field
+
+
+def _section_of(annotation: Any) -> Any:
+    """Return the model that an annotation holds (bare, optional or as a list's element)."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in getattr(annotation, "__args__", ()):
+        found = _section_of(argument)
+        if found is not None:
+            return found
+    return None
+
+
+def _expected(field: FieldInfo | None, item: dict[str, Any]) -> str:
+    extra = field.json_schema_extra if field else None
+    if isinstance(extra, dict) and "expected" in extra:
+        return str(extra["expected"])
+    match item["type"]:
+        case "literal_error":
+            return str(item["ctx"]["expected"]).replace("'", "")
+        case "model_type" | "dict_type":
+            return "a mapping of keys"
+        case "string_type":
+            return "text"
+        case _:
+            return str(item["msg"]).removeprefix("Input should be ")
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

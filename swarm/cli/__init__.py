@@ -1,0 +1,1 @@
+"""The command line: reads files, wires it all, turns errors into exit codes."""

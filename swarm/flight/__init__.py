@@ -1,0 +1,1 @@
+"""The group in flight: one mission clock, gates, holds and failures (sans-IO)."""

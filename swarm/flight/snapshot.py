@@ -1,0 +1,44 @@
+"""What the flight looks like at one moment: the only thing that views and records are shown."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The team at one moment, as the ground station knows it.
+
+    ``time`` is seconds since the flight's record began, ``mission_time`` and ``rate`` the mission
+    clock. ``position``, ``velocity`` and ``setpoint`` (n, 3) are of grip points in mission ENU,
+    NaN where unknown; ``battery`` (n,) is a share 0…1, ``link_age`` (n,) seconds since a vehicle
+    was last heard. ``modes`` and ``states`` are words per vehicle.
+    """
+
+    time: float
+    mission_time: float
+    rate: float
+    phase: str
+    waiting_for: str | None
+    position: Floats
+    velocity: Floats
+    setpoint: Floats
+    modes: tuple[str, ...]
+    states: tuple[str, ...]
+    armed: tuple[bool, ...]
+    gripped: tuple[bool, ...]
+    battery: Floats
+    link_age: Floats
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened: seconds since the record began, kind, words, and the vehicle."""
+
+    time: float
+    kind: str
+    message: str
+    vehicle: int | None = None

@@ -1,0 +1,1 @@
+"""How the team gets to the knot: layout, path, schedule."""

@@ -1,0 +1,1 @@
+"""Bytes and one vehicle: the ground station's side of MAVLink, sans-IO."""

@@ -1,0 +1,234 @@
+"""The mission: what to tie, in which cable, with which vehicles, under which margins.
+
+Text in, a frozen :class:`Mission` out; every error with its key path. Reading the file is the
+shell's work.
+"""
+
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, StringConstraints, model_validator
+
+from swarm.borders import Section, apply_overrides, number, parse_yaml, validate
+
+Auto = Literal["auto"]
+Number = Annotated[float, Field(strict=True)]
+Positive = Annotated[float, Field(strict=True, gt=0)]
+NotNegative = Annotated[float, Field(strict=True, ge=0)]
+Text = Annotated[str, StringConstraints(min_length=1, max_length=20_000)]
+Point2 = tuple[Number, Number]
+
+
+def _length(default: Any, sentence: str, **bounds: Any) -> Any:
+    return number(default, "metres", sentence, kind="a length", **(bounds or {"above": 0}))
+
+
+class Knot(Section):
+    """Which knot: one of a name, a Gauss code, a DT code, a PD code or a grid diagram."""
+
+    name: Text | None = Field(
+        None, description="A knot's name: overhand, figure-eight, 8_18, torus(2,5), 3_1#m3_1."
+    )
+    gauss: Text | None = Field(
+        None, description='A Gauss code: "1- 2+ 3- 1+ 2- 3+", + passes over, - passes under.'
+    )
+    dt: tuple[int, ...] | None = Field(None, description="A Dowker-Thistlethwaite code.")
+    pd: tuple[tuple[int, int, int, int], ...] | None = Field(
+        None, description="A planar diagram code, four strands per crossing."
+    )
+    grid: tuple[tuple[int, int], ...] | None = Field(
+        None, description="A grid diagram: the two rows of each column; columns pass over."
+    )
+    chirality: Literal["left", "right", "either"] | None = Field(
+        None,
+        description="Which mirror image to tie. Must be said where the knot is chiral and the "
+        "code does not fix it.",
+    )
+
+    @model_validator(mode="after")
+    def _one_description(self) -> Self:
+        given = [key for key in ("name", "gauss", "dt", "pd", "grid") if getattr(self, key)]
+        if len(given) != 1:
+            raise ValueError(
+                "expected exactly one of name, gauss, dt, pd or grid, got "
+                + (" and ".join(given) or "none")
+            )
+        return self
+
+
+class Cable(Section):
+    """The cable."""
+
+    mass_per_length: Number = number(0.012, "kg/m", "Mass of a metre of cable.", above=0)
+    diameter: Number = _length(0.006, "Thickness of the cable.")
+    length_tolerance: Number = _length(
+        0.01, "How far a segment's length may be off, each.", least=0
+    )
+    length: Number | None = _length(
+        None, "Total length of the cable at hand; the layout is rescaled to use it."
+    )
+    breaking_load: Number = number(200.0, "newtons", "Load at which the cable breaks.", above=0)
+
+
+class Vehicles(Section):
+    """What every vehicle of the team can do, and how well."""
+
+    radius: Number = _length(0.25, "From the vehicle's axis to its rotor tips.")
+    grip_offset: Number = _length(
+        0.6, "Height of the vehicle's centre above its grip point.", least=0
+    )
+    max_speed: Number = number(2.0, "m/s", "Largest planned speed.", above=0)
+    max_acceleration: Number = number(2.0, "m/s²", "Largest planned acceleration.", above=0)
+    braking_acceleration: Number = number(
+        1.0, "m/s²", "Part of the acceleration kept for stopping along the path.", above=0
+    )
+    payload: Number = number(0.4, "kg", "Mass that a vehicle can carry beside itself.", above=0)
+    mass: Number = number(1.5, "kg", "Mass of a vehicle.", above=0)
+    tracking: Number = _length(
+        0.1, "Radius of the ball around the setpoint within which a grip point stays.", least=0
+    )
+    endurance: Number = number(600.0, "s", "Flight time on one battery, with load.", above=0)
+    breakaway: Number | None = number(
+        None, "newtons", "Pull at which a tied-on cable lets go (grab: attached).", above=0
+    )
+
+    @model_validator(mode="after")
+    def _reserve(self) -> Self:
+        if self.braking_acceleration >= self.max_acceleration:
+            raise ValueError(
+                "expected braking_acceleration below max_acceleration "
+                f"({self.max_acceleration:g} m/s²), got {self.braking_acceleration:g}"
+            )
+        return self
+
+
+class Layout(Section):
+    """Where the knot's corners lie in space: numbers as they are, or ``auto``."""
+
+    cell: Positive | Auto = _length("auto", "Width of a grid cell.", above=0, auto=True)
+    sag_over: Positive | Auto = _length(
+        "auto", "Sag of the segments that pass over.", above=0, auto=True
+    )
+    sag_under: Positive | Auto = _length(
+        "auto", "Sag of the segments that pass under.", above=0, auto=True
+    )
+    lane_over: NotNegative | Auto = _length(
+        "auto", "Height of the over lanes above the knot's plane.", least=0, auto=True
+    )
+    lane_under: NotNegative | Auto = _length(
+        "auto", "Depth of the under lanes below the knot's plane.", least=0, auto=True
+    )
+    height: Positive | Auto = _length(
+        "auto", "Height of the knot's plane above the floor.", above=0, auto=True
+    )
+    corners: tuple[Point2, ...] | None = Field(
+        None, description="Corners in plan view in order along the cable, instead of a grid's."
+    )
+    sags: tuple[Number, ...] | None = Field(
+        None, description="One sag per segment in metres, with `corners`."
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.sags is not None and self.corners is None:
+            raise ValueError("expected sags only together with corners")
+        if self.corners is not None:
+            if len(self.corners) < 3:
+                raise ValueError(f"expected at least 3 corners, got {len(self.corners)}")
+            if self.sags is None or len(self.sags) != len(self.corners) - 1:
+                got = "none" if self.sags is None else str(len(self.sags))
+                raise ValueError(f"expected {len(self.corners) - 1} sags, got {got}")
+            if any(sag <= 0 for sag in self.sags):
+                raise ValueError("expected every sag > 0 in metres")
+        return self
+
+
+class Clearance(Section):
+    """Distances to keep, whatever the tracking errors within the ball do."""
+
+    cable: Number = _length(0.15, "Between strands, surface to surface.")
+    vehicle: Number = _length(1.0, "Between vehicles horizontally, centre to centre, or …")
+    downwash: Number = _length(1.5, "… between vehicles vertically, centre to centre.")
+    vehicle_cable: Number = _length(0.3, "Between a vehicle and other segments' cable.")
+    floor: Number = _length(0.5, "Between cable aloft and the floor.", least=0)
+
+
+class Wind(Section):
+    """The wind that the flight must withstand."""
+
+    steady: Number = number(0.0, "m/s", "Steady wind, from any direction.", least=0, kind="a speed")
+    gust: Number = number(0.0, "m/s", "Gusts on top of it.", least=0, kind="a speed")
+
+
+class Workspace(Section):
+    """Where the team may fly."""
+
+    ceiling: Number = _length(30.0, "Largest height of a vehicle above the floor.")
+    fence: tuple[Point2, ...] | None = Field(
+        None, description="Corners of the geofence in plan view (x east, y north, metres)."
+    )
+
+    @model_validator(mode="after")
+    def _polygon(self) -> Self:
+        if self.fence is not None and len(self.fence) < 3:
+            raise ValueError(f"expected a fence of at least 3 corners, got {len(self.fence)}")
+        return self
+
+
+class Fold(Section):
+    """How the team gets to the knot."""
+
+    method: Literal["certified", "paper"] = Field(
+        "certified", description="Our planner, or the published trajectory for comparison."
+    )
+    delay: Number | None = number(
+        None, "s", "Constant delay between vehicles (method: paper).", above=0
+    )
+
+
+class Mission(Section):
+    """A mission file, validated."""
+
+    schema_version: Literal[1] = Field(alias="schema", description="Version of this format.")
+    name: Text = Field(description="What the flight's record is called.")
+    knot: Knot = Field(description="Which knot to tie.")
+    cable: Cable = Field(Cable(), description="The cable.")
+    vehicles: Vehicles = Field(Vehicles(), description="The vehicles.")
+    layout: Layout = Field(Layout(), description="Where the knot lies in space.")
+    clearance: Clearance = Field(Clearance(), description="Distances to keep.")
+    wind: Wind = Field(Wind(), description="The wind to withstand.")
+    workspace: Workspace = Field(Workspace(), description="Where to fly.")
+    fold: Fold = Field(Fold(), description="How to get there.")
+    start: Literal["line", "serpentine"] = Field(
+        "line", description="How the cable lies on the floor."
+    )
+    grab: Literal["floor", "attached"] = Field(
+        "floor", description="Pick the cable up from the floor, or have it tied on by hand."
+    )
+    finish: Literal["release", "unfold", "tighten", "hold"] = Field(
+        "release", description="What happens once the knot hangs folded."
+    )
+
+
+def parse_mission(text: str, source: str, overrides: Iterable[str] = ()) -> Mission:
+    """Turn a mission file's text into a :class:`Mission`.
+
+    ``source`` names the file in errors, ``overrides`` are ``key.path=value`` strings applied to
+    the document before it is validated. Raises :class:`swarm.errors.InputError` with every
+    problem at once.
+    """
+    return validate(Mission, apply_overrides(parse_yaml(text, source), overrides), source)
+
+
+def mission_for_knot(knot: str, overrides: Iterable[str] = ()) -> Mission:
+    """Return the default mission for a knot's name, with overrides applied.
+
+    A chiral knot is tied right-handed unless an override says otherwise.
+    """
+    document = {"schema": 1, "name": knot, "knot": {"name": knot, "chirality": "right"}}
+    return validate(Mission, apply_overrides(document, overrides), knot)
+
+
+def mission_schema() -> dict[str, Any]:
+    """Return the JSON schema of mission files, for editors."""
+    return Mission.model_json_schema(by_alias=True)

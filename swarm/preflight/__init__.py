@@ -1,0 +1,1 @@
+"""Proof before flight: a plan's findings, its certificate and its limits."""

@@ -1,0 +1,1 @@
+"""Pictures: Rerun, terminal, plots. Nothing here can stop a flight."""
