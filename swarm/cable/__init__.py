@@ -1,0 +1,1 @@
+"""Statics of a hanging cable: catenaries, chains of them, and distances between strands."""

@@ -1,0 +1,353 @@
+"""Batches of catenaries: an inextensible, perfectly flexible cable hung between two points.
+
+In the plane of ``up`` (against the effective gravity) and ``heading`` (the horizontal direction
+from start to end) the strand is ``a·(θ, cosh θ)`` up to a shift, where θ runs over an interval of
+length ``2x`` whose middle is ``artanh(rise / length)`` and ``x`` solves
+``sinh(x) / x = √(length² − rise²) / span``. ``sinh θ`` is the slope, ``a·cosh θ`` the tension per
+weight of a metre, ``a·sinh θ`` the arc length from the lowest point (Routh, *Statics*, § 443).
+
+Everything is computed from differences that do not cancel, so that nearly taut and deeply slack
+strands are as exact as the rest. A vertical strand is the limit of a vanishing span, taken at a
+span of ``1e-80`` lengths.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from swarm.errors import SwarmError
+
+Floats = NDArray[np.float64]
+
+STANDARD_GRAVITY = 9.80665
+"""m/s²; what turns a mass per length into a weight."""
+
+_VERTICAL = 1e-80
+"""Smallest span per length: below it a strand is vertical to any accuracy."""
+
+_TAUT = 1e-100
+"""Smallest half angle: a strand without any slack gets this, and a tension beyond all numbers."""
+
+_ROUNDING = 1e-12
+"""A chord may exceed the length by this share: it is rounding of the coordinates, not stretch."""
+
+
+class OverStretched(SwarmError):  # noqa: N818 - reads as what happened to the cable
+    """A chord is longer than its cable, which does not stretch; names every such segment.
+
+    ``segments`` are the indices in the batch (one tuple each), ``chords`` and ``lengths`` metres.
+    """
+
+    def __init__(self, segments: list[tuple[int, ...]], chords: Floats, lengths: Floats) -> None:
+        self.segments, self.chords, self.lengths = segments, chords, lengths
+        shown = [
+            f"segment {', '.join(map(str, segment)) or '0'}: "
+            f"its ends are {chord:.6g} m apart, its cable is {length:.6g} m"
+            for segment, chord, length in zip(segments[:10], chords, lengths, strict=False)
+        ]
+        if len(segments) > 10:
+            shown.append(f"and {len(segments) - 10} more")
+        super().__init__("over-stretched cable: " + "; ".join(shown))
+
+
+@dataclass(frozen=True, eq=False)
+class Catenaries:
+    """A batch of hanging strands, as solved by :func:`hang`.
+
+    Vectors are (…, 3), scalars (…,), metres. Horizontal and vertical mean across and along
+    ``down``, which is vertical only in still air and without acceleration.
+    """
+
+    start: Floats
+    end: Floats
+    length: Floats
+    down: Floats
+    """Unit vector of the effective gravity."""
+    heading: Floats
+    """Unit vector, horizontally from start to end; zero where one is straight above the other."""
+    span: Floats
+    """Horizontal distance of the ends."""
+    rise: Floats
+    """How much higher the end is than the start."""
+    half_angle: Floats
+    """x = span / 2a: from nothing (taut) over 1 (sag of a quarter of the span) upwards (slack)."""
+    parameter: Floats
+    """a, metres: horizontal tension over the weight of a metre; huge where taut."""
+    slope: Floats
+    """sinh θ at the start: rise per horizontal metre there (negative: the strand goes down)."""
+
+    def points(self, fractions: ArrayLike) -> Floats:
+        """Points at the given fractions (k,) of the arc length of every strand: (…, k, 3)."""
+        along, up = _offsets(self, _floats(fractions))
+        return (
+            self.start[..., None, :]
+            + along[..., None] * self.heading[..., None, :]
+            - up[..., None] * self.down[..., None, :]
+        )
+
+    def points_at(self, fraction: ArrayLike) -> Floats:
+        """One point per strand, at its own fraction (…,) of its arc length: (…, 3)."""
+        fraction = _floats(fraction)[..., None]
+        along, up = _offsets(self, fraction)
+        return self.start + along * self.heading - up * self.down
+
+    def at_span(self, fraction: ArrayLike) -> Floats:
+        """The point of each strand above or below a fraction (…,) of its horizontal span: (…, 3).
+
+        This is how heights at a crossing of the plan view are found. A strand between two ends
+        that are straight above another has no such point; one of its points is returned.
+        """
+        fraction = _floats(fraction)
+        turned = self.half_angle * fraction
+        start_angle = np.arcsinh(self.slope)
+        up = 2.0 * self.parameter * np.sinh(turned) * np.sinh(start_angle + turned)
+        along = self.span * fraction
+        return self.start + along[..., None] * self.heading - up[..., None] * self.down
+
+    @cached_property
+    def lowest_fraction(self) -> Floats:
+        """Where each strand is lowest, as a fraction (…,) of its arc length."""
+        fraction: Floats = np.clip(-self.slope * (self.parameter / self.length), 0.0, 1.0)
+        return fraction
+
+    def lowest(self) -> Floats:
+        """The lowest point of each strand: (…, 3). It is an end where the strand never turns."""
+        return self.points_at(self.lowest_fraction)
+
+    def sag(self) -> Floats:
+        """How far each strand hangs below its chord at the deepest, along ``down``: (…,) metres."""
+        return self._span * _sag_per_span(self.half_angle, self.rise / self._span)
+
+    def tension(
+        self, mass_per_length: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
+    ) -> tuple[Floats, Floats, Floats]:
+        """Tension (…,) in newtons: its horizontal part, at the start, and at the end.
+
+        ``mass_per_length`` in kg/m; ``gravity`` is the size of the effective gravity, m/s².
+        Where a strand is taut to the last digit the figure is huge and means just that.
+        """
+        weight = _floats(mass_per_length) * _floats(gravity)
+        horizontal = weight * self.parameter
+        return (
+            horizontal,
+            horizontal * np.hypot(1.0, self.slope),
+            horizontal * np.hypot(1.0, self._end_slope),
+        )
+
+    def end_forces(
+        self, mass_per_length: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
+    ) -> tuple[Floats, Floats]:
+        """Force (…, 3) of each strand on what holds its start, and on what holds its end; newtons.
+
+        Together they are the weight of the strand. Arguments as for :meth:`tension`.
+        """
+        weight = _floats(mass_per_length) * _floats(gravity)
+        horizontal = (weight * self.parameter)[..., None]
+        at_start = horizontal * (self.heading - self.slope[..., None] * self.down)
+        at_end = -horizontal * (self.heading - self._end_slope[..., None] * self.down)
+        return at_start, at_end
+
+    @property
+    def _end_slope(self) -> Floats:
+        return self.slope + self.length / self.parameter
+
+    @property
+    def _span(self) -> Floats:
+        return np.maximum(self.span, _VERTICAL * self.length)
+
+
+def hang(
+    start: ArrayLike, end: ArrayLike, length: ArrayLike, *, down: ArrayLike = (0.0, 0.0, -1.0)
+) -> Catenaries:
+    """Hang cables of the given lengths between the given ends.
+
+    ``start``, ``end`` and ``down`` are (…, 3), ``length`` is (…,), metres; they broadcast. ``down``
+    is the direction (of any size) of the effective gravity: tilt it for steady wind drag or for a
+    constant acceleration.
+
+    Raises :class:`OverStretched` where a chord is longer than its cable.
+    """
+    start, end, length, down = _floats(start), _floats(end), _floats(length), _floats(down)
+    shape = np.broadcast_shapes(start.shape[:-1], end.shape[:-1], length.shape, down.shape[:-1])
+    start = np.broadcast_to(start, (*shape, 3))
+    end = np.broadcast_to(end, (*shape, 3))
+    length = np.broadcast_to(length, shape)
+    down = np.broadcast_to(down / np.linalg.norm(down, axis=-1, keepdims=True), (*shape, 3))
+
+    chord_vector = end - start
+    rise = -_dot(chord_vector, down)
+    across = chord_vector + rise[..., None] * down
+    span = _norm(across)
+    chord = np.hypot(span, rise)
+    _require_reach(chord, length)
+
+    wide = np.maximum(span, _VERTICAL * length)
+    excess = np.maximum(length - chord, 0.0) * (length + chord)
+    half_angle = np.maximum(_half_angle(0.5 * np.log1p(excess / wide**2)), _TAUT)
+    middle = np.arcsinh(rise / np.sqrt(excess + wide**2))
+    return Catenaries(
+        start=start,
+        end=end,
+        length=length,
+        down=down,
+        heading=across / wide[..., None],
+        span=span,
+        rise=rise,
+        half_angle=half_angle,
+        parameter=wide / (2.0 * half_angle),
+        slope=np.sinh(middle - half_angle),
+    )
+
+
+def sag_for_length(span: ArrayLike, length: ArrayLike, rise: ArrayLike = 0.0) -> Floats:
+    """Deepest vertical distance (…,) of a strand below its chord, for its length; metres.
+
+    ``span`` is the horizontal and ``rise`` the vertical distance of its ends. Raises
+    :class:`OverStretched`.
+    """
+    end = np.stack(np.broadcast_arrays(_floats(span), 0.0, _floats(rise)), axis=-1)
+    return hang(np.zeros(3), end, length).sag()
+
+
+def length_for_sag(span: ArrayLike, sag: ArrayLike, rise: ArrayLike = 0.0) -> Floats:
+    """Length (…,) of the strand that hangs ``sag`` below its chord; metres.
+
+    At level ends this is ℓ = 2a·sinh(s/a) = 2√((h + a)² − a²) with h/a = cosh(s/a) − 1, s half the
+    span and h the sag (paper eq. 2; its printed length √(s² − a²) is a misprint). ``span`` must be
+    positive and ``sag`` not negative.
+    """
+    span, sag, rise = np.broadcast_arrays(_floats(span), _floats(sag), _floats(rise))
+    if not (np.all(span > 0.0) and np.all(sag >= 0.0)):
+        raise ValueError("a span must be positive, a sag not negative")
+    gradient = rise / span
+    x = _half_angle_for_sag(sag / span, gradient)
+    length: Floats = np.hypot(rise, span * np.exp(log_sinhc(x)))
+    return length
+
+
+def _require_reach(chord: Floats, length: Floats) -> None:
+    if not (np.all(length > 0.0) and np.all(np.isfinite(length)) and np.all(np.isfinite(chord))):
+        raise ValueError("cable lengths must be positive, and the ends finite")
+    over = chord > length * (1.0 + _ROUNDING)
+    if np.any(over):
+        segments = [tuple(int(i) for i in index) for index in np.argwhere(over)]
+        raise OverStretched(segments, chord[over], length[over])
+
+
+def _offsets(strands: Catenaries, fractions: Floats) -> tuple[Floats, Floats]:
+    """Horizontal and vertical offset from the start, (…, k), at fractions (…, k) of arc length.
+
+    With slopes A at the start and B at the point, and C = √(1 + slope²):
+    tanh(Δθ/2) = (B − A)/(C_A + C_B), and the height is arc · (A + B)/(C_A + C_B). Neither cancels.
+    """
+    first = strands.slope[..., None]
+    turned = fractions * (strands.length / strands.parameter)[..., None]
+    slope = first + turned
+    cosh_first = np.sqrt(1.0 + first * first)
+    cosh = np.sqrt(1.0 + slope * slope)
+    total = cosh_first + cosh
+    ratio = _exponential(slope, cosh) / _exponential(first, cosh_first)
+    angle = np.log1p(turned / total * (1.0 + ratio))
+    arc = fractions * strands.length[..., None]
+    return strands.parameter[..., None] * angle, arc * ((first + slope) / total)
+
+
+def _exponential(slope: Floats, cosh: Floats) -> Floats:
+    """exp θ from sinh θ and cosh θ, without cancellation for either sign."""
+    size = np.abs(slope) + cosh
+    return np.where(slope < 0.0, 1.0 / size, size)
+
+
+def _half_angle(stretch: Floats) -> Floats:
+    """Solve log(sinh(x) / x) = stretch for x ≥ 0.
+
+    Below 1e-4 the reverted power series is exact to rounding; elsewhere it, or the asymptote
+    x − log 2x, starts two Halley steps.
+    """
+    series = np.sqrt(stretch * (6.0 + stretch * (1.2 + stretch * (4.0 / 175.0))))
+    late = stretch + np.log(2.0 * (stretch + np.log(2.0 * stretch + 4.0)))
+    x = np.where(stretch < 4.0, series, late)
+    refine = stretch > 1e-4
+    x = np.where(refine, x, 1.0)
+    for _ in range(3):
+        value = log_sinhc(x) - stretch
+        first = 1.0 / np.tanh(x) - 1.0 / x
+        second = 1.0 / (x * x) - 1.0 / np.sinh(np.minimum(x, 300.0)) ** 2
+        x = x - value * first / (first * first - 0.5 * value * second)
+    return np.where(refine, x, series)
+
+
+def log_sinhc(x: Floats) -> Floats:
+    """log(sinh(x) / x), exact to rounding for every x ≥ 0."""
+    u = np.minimum(x * x, 1.0)
+    term = np.ones_like(u)
+    for k in (18, 16, 14, 12, 10, 8, 6, 4):
+        term = 1.0 + u / (k * (k + 1)) * term
+    wide = np.maximum(x, 1.0)
+    return np.where(
+        x < 1.0,
+        np.log1p(u / 6.0 * term),
+        wide + np.log1p(-np.exp(-2.0 * wide)) - np.log(2.0 * wide),
+    )
+
+
+def _sag_per_span(x: Floats, gradient: Floats) -> Floats:
+    """Sag over span of a strand of half angle x whose chord rises by ``gradient`` per metre.
+
+    The curve is farthest below the chord where it is parallel to it, at θ* = arsinh(gradient),
+    δ = θ* − θ_start along from the start.
+    """
+    stretch = log_sinhc(x)
+    at_middle = gradient * np.exp(-stretch)
+    middle = np.arcsinh(at_middle)
+    ratio = -gradient * np.expm1(-stretch)
+    ratio = ratio / (np.hypot(1.0, gradient) + np.hypot(1.0, at_middle))
+    delta = x + np.where(
+        np.abs(ratio) < 0.5,
+        2.0 * np.arctanh(np.clip(ratio, -0.5, 0.5)),
+        np.arcsinh(gradient) - middle,
+    )
+    u = np.minimum(delta * delta, 1.0)
+    term = np.ones_like(u)
+    for k in (16, 14, 12, 10, 8, 6, 4):
+        term = 1.0 + u / (k * (k + 1)) * term
+    sinh_less_delta = np.where(delta < 1.0, delta * u / 6.0 * term, np.sinh(delta) - delta)
+    near = (
+        2.0 * np.hypot(1.0, gradient) * np.sinh(0.5 * np.minimum(delta, 1.0)) ** 2
+        - gradient * sinh_less_delta
+    )
+    far = gradient * delta - np.hypot(1.0, gradient) + np.cosh(middle - x)
+    return np.where(delta < 1.0, near, far) / (2.0 * x)
+
+
+def _half_angle_for_sag(sag_per_span: Floats, gradient: Floats) -> Floats:
+    """Invert :func:`_sag_per_span` for x by Newton's method in logarithms."""
+    taut = sag_per_span == 0.0
+    target = np.where(taut, 1.0, sag_per_span)
+    x = np.arcsinh(4.0 * target / np.hypot(1.0, gradient))
+    for _ in range(40):
+        value = _sag_per_span(x, gradient)
+        middle = np.arcsinh(gradient / np.exp(log_sinhc(x)))
+        turning = np.tanh(middle) * (1.0 / x - 1.0 / np.tanh(x)) - 1.0
+        growth = 0.5 * turning * (np.sinh(middle - x) - gradient) / value - 1.0
+        change = np.log(target / value) / growth
+        x = x * np.exp(np.clip(change, -1.0, 1.0))
+        if np.all(np.abs(change) < 1e-13):
+            break
+    return np.where(taut, _TAUT, x)
+
+
+def _floats(value: ArrayLike) -> Floats:
+    return np.asarray(value, dtype=np.float64)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    product: Floats = np.einsum("...i,...i->...", a, b)
+    return product
+
+
+def _norm(a: Floats) -> Floats:
+    length: Floats = np.hypot(np.hypot(a[..., 0], a[..., 1]), a[..., 2])
+    return length
