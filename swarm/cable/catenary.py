@@ -227,6 +227,29 @@ def length_for_sag(span: ArrayLike, sag: ArrayLike, rise: ArrayLike = 0.0) -> Fl
     return length
 
 
+def sag_for_drop(
+    span: ArrayLike, drop: ArrayLike, fraction: ArrayLike, rise: ArrayLike = 0.0
+) -> Floats:
+    """Sag (…,) of the strand that passes ``drop`` below its chord at a fraction of its span.
+
+    ``fraction`` lies strictly between 0 and 1; ``drop`` is positive; metres. A longer cable hangs
+    lower everywhere, so there is just one such strand.
+    """
+    span, drop, fraction, rise = np.broadcast_arrays(
+        _floats(span), _floats(drop), _floats(fraction), _floats(rise)
+    )
+    if not (np.all(span > 0.0) and np.all(drop > 0.0) and np.all((fraction > 0) & (fraction < 1))):
+        raise ValueError("a span and a drop must be positive, a fraction between 0 and 1")
+    gradient = rise / span
+    target = np.log(drop / span)
+    low, high = np.full(drop.shape, -25.0), np.full(drop.shape, 6.0)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        short = np.log(_drop_per_span(np.exp(middle), fraction, gradient)) < target
+        low, high = np.where(short, middle, low), np.where(short, high, middle)
+    return span * _sag_per_span(np.exp(0.5 * (low + high)), gradient)
+
+
 def _require_reach(chord: Floats, length: Floats) -> None:
     if not (np.all(length > 0.0) and np.all(np.isfinite(length)) and np.all(np.isfinite(chord))):
         raise ValueError("cable lengths must be positive, and the ends finite")
@@ -320,6 +343,20 @@ def _sag_per_span(x: Floats, gradient: Floats) -> Floats:
     )
     far = gradient * delta - np.hypot(1.0, gradient) + np.cosh(middle - x)
     return np.where(delta < 1.0, near, far) / (2.0 * x)
+
+
+def _drop_per_span(x: Floats, fraction: Floats, gradient: Floats) -> Floats:
+    """Distance below the chord at a fraction of the span, over the span.
+
+    The chord's height minus the catenary's. The first term is what a level strand drops, the
+    second vanishes with the gradient and in the middle of the span.
+    """
+    side = 2.0 * fraction - 1.0
+    at_middle = gradient * np.exp(-log_sinhc(x))
+    level = np.sinh(x * fraction) * np.sinh(x * (1.0 - fraction)) / x
+    tilt = side - np.sinh(x * side) / np.sinh(x)
+    drop: Floats = level * np.hypot(1.0, at_middle) + 0.5 * gradient * tilt
+    return drop
 
 
 def _half_angle_for_sag(sag_per_span: Floats, gradient: Floats) -> Floats:
