@@ -192,7 +192,7 @@ class Mission(Section):
     schema_version: Literal[1] = Field(alias="schema", description="Version of this format.")
     name: Text = Field(description="What the flight's record is called.")
     knot: Knot = Field(description="Which knot to tie.")
-    cable: Cable = Field(Cable(), description="The cable.")
+    cable: Cable = Field(Cable(), description="The cable to tie it in.")
     vehicles: Vehicles = Field(Vehicles(), description="The vehicles.")
     layout: Layout = Field(Layout(), description="Where the knot lies in space.")
     clearance: Clearance = Field(Clearance(), description="Distances to keep.")

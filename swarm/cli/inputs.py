@@ -1,0 +1,82 @@
+"""What commands are given: mission files, knot names, overrides; and progress while they work."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+
+from swarm.borders import LARGEST_FILE
+from swarm.errors import InputError, Problem
+from swarm.mission import Mission, mission_for_knot, parse_mission
+
+MISSION = click.argument("mission", metavar="MISSION")
+SET = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY.PATH=VALUE",
+    help="Override a key of the mission file; may be given many times.",
+)
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object for scripts.")
+
+
+def read_text(path: Path) -> str:
+    """Read a text file of bounded size; raises :class:`InputError` when it cannot be read."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            return file.read(LARGEST_FILE + 1)
+    except UnicodeDecodeError:
+        raise InputError([Problem(str(path), "expected UTF-8 text")]) from None
+    except OSError as error:
+        reason = (error.strerror or "cannot be read").lower()
+        raise InputError([Problem(str(path), reason)]) from None
+
+
+def load_mission(mission: str, overrides: tuple[str, ...]) -> Mission:
+    """Return the mission of a file, or the default mission of a knot's name.
+
+    A file is what exists as one, or is written like one (ends in .yaml or .yml, or has a slash).
+    """
+    path = Path(mission)
+    if path.is_file() or path.suffix in {".yaml", ".yml"} or "/" in mission:
+        return parse_mission(read_text(path), mission, overrides)
+    return mission_for_knot(mission, overrides)
+
+
+@contextmanager
+def progress_bar(console: Console) -> Iterator[Callable[[str, float], None]]:
+    """Show long work as ``progress(stage, share done)``; silent where nobody watches."""
+    with Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=30),
+        TextColumn("{task.percentage:>3.0f} %"),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as bar:
+        task = bar.add_task("planning", total=1.0)
+
+        def show(stage: str, share: float) -> None:
+            bar.update(task, description=stage, completed=share)
+
+        yield show
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file that the user asked for; raises :class:`InputError` when that fails."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        reason = (error.strerror or "cannot be written").lower()
+        raise InputError([Problem(str(path), reason)]) from None
+
+
+def print_json(value: Any) -> None:
+    """Print one JSON object; numbers that are not finite never leave this program as JSON."""
+    click.echo(json.dumps(value, indent=2, allow_nan=False))
