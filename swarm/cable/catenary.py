@@ -185,7 +185,7 @@ def hang(
 
     wide = np.maximum(span, _VERTICAL * length)
     excess = np.maximum(length - chord, 0.0) * (length + chord)
-    half_angle = np.maximum(_half_angle(0.5 * np.log1p(excess / wide**2)), _TAUT)
+    half_angle = np.maximum(half_angle_for_stretch(0.5 * np.log1p(excess / wide**2)), _TAUT)
     middle = np.arcsinh(rise / np.sqrt(excess + wide**2))
     return Catenaries(
         start=start,
@@ -283,17 +283,16 @@ def _exponential(slope: Floats, cosh: Floats) -> Floats:
     return np.where(slope < 0.0, 1.0 / size, size)
 
 
-def _half_angle(stretch: Floats) -> Floats:
-    """Solve log(sinh(x) / x) = stretch for x ≥ 0.
+def half_angle_for_stretch(stretch: Floats) -> Floats:
+    """Solve log(sinh(x) / x) = stretch (…,) for x ≥ 0, exact to rounding.
 
-    Below 1e-4 the reverted power series is exact to rounding; elsewhere it, or the asymptote
-    x − log 2x, starts two Halley steps.
+    ``sinh(x) / x`` is length over chord of a level strand. Below 1e-4 the reverted power series is
+    exact; elsewhere it, or the asymptote of x − log 2x, starts Halley's method.
     """
     series = np.sqrt(stretch * (6.0 + stretch * (1.2 + stretch * (4.0 / 175.0))))
     late = stretch + np.log(2.0 * (stretch + np.log(2.0 * stretch + 4.0)))
-    x = np.where(stretch < 4.0, series, late)
     refine = stretch > 1e-4
-    x = np.where(refine, x, 1.0)
+    x = np.where(refine, np.where(stretch < 4.0, series, late), 1.0)
     for _ in range(3):
         value = log_sinhc(x) - stretch
         first = 1.0 / np.tanh(x) - 1.0 / x
