@@ -1,0 +1,186 @@
+"""Showing and recording a flight in Rerun without ever delaying it.
+
+Every sink, the file and the live viewer, is a process of its own. It is fed through a queue that
+drops its oldest snapshots when the process does not keep up, by a thread that is the only one to
+wait for it. A viewer that stalls, or that nobody opens, holds up nothing else.
+"""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Final, Literal, cast
+
+from swarm.errors import InputError, Problem
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.plans import Plan
+from swarm.view.viewers import free_port, has_display, proxy_url, web_url
+
+Live = Literal["native", "web"]
+
+NEWEST_SNAPSHOTS: Final = 100
+"""Snapshots that wait for a slow sink, five seconds' worth; older ones are dropped."""
+
+NEWEST_EVENTS: Final = 10_000
+"""Events that wait; they are few, and none should be lost."""
+
+
+@dataclass(frozen=True)
+class SinkOptions:
+    """Where a sink's process puts what it is fed: a file, or a server on loopback for viewers."""
+
+    path: str | None = None
+    live: Live | None = None
+    port: int = 0
+    web_port: int | None = None
+
+
+class Viewer:
+    """A flight's recording and live view. Offering to it never blocks and never raises."""
+
+    def __init__(self, feeds: list["Feed"], message: str | None) -> None:
+        self._feeds = feeds
+        self.message: Final = message
+        """One line for the user: where to look, or why there is nothing to look at."""
+
+    @property
+    def dropped(self) -> int:
+        """Number of snapshots dropped so far because a sink did not keep up."""
+        return sum(feed.dropped for feed in self._feeds)
+
+    def offer(self, item: Snapshot | Event) -> None:
+        """Hand over what happened; returns at once whatever the viewer does."""
+        for feed in self._feeds:
+            feed.offer(item)
+
+    def close(self, timeout: float = 10.0) -> bool:
+        """Write out what is still waiting and end the processes; an open window stays.
+
+        What has not been written after ``timeout`` seconds is given up. Returns whether
+        everything that was not dropped before has been written.
+        """
+        until = time.monotonic() + timeout
+        for feed in self._feeds:
+            feed.finish()
+        written = [feed.join(until) for feed in self._feeds]
+        return all(written)
+
+
+def start(plan: Plan, path: Path | None, live: Live | None) -> Viewer:
+    """Start recording a flight to ``path`` (.rrd) and showing it ``live``; either may be None.
+
+    ``native`` opens a window, ``web`` serves a page on loopback. Without a display ``native``
+    shows nothing: :attr:`Viewer.message` says so, and the file is written all the same. Raises
+    :class:`InputError` where the file cannot be written.
+    """
+    feeds: list[Feed] = []
+    message = None
+    if path is not None:
+        _require_writable(path)
+        feeds.append(Feed(plan, SinkOptions(path=str(path))))
+    if live == "native" and not has_display():
+        later = f"; open {path} later with: swarm view {path}" if path else ""
+        message = f"no display here, so no window{later}"
+    elif live is not None:
+        port = free_port()
+        web_port = free_port() if live == "web" else None
+        feeds.append(Feed(plan, SinkOptions(live=live, port=port, web_port=web_port)))
+        message = (
+            f"live view: {web_url(web_port, port)}"
+            if web_port is not None
+            else f"live view is opening; another one: rerun --connect {proxy_url(port)}"
+        )
+    return Viewer(feeds, message)
+
+
+def _require_writable(path: Path) -> None:
+    try:
+        path.open("wb").close()
+    except OSError as error:
+        reason = (error.strerror or "cannot be written").lower()
+        raise InputError([Problem(str(path), reason)]) from None
+
+
+class Feed:
+    """One sink's process, the queue before it and the thread between them."""
+
+    def __init__(self, plan: Plan, options: SinkOptions) -> None:
+        self.dropped = 0
+        self._snapshots: deque[Snapshot] = deque(maxlen=NEWEST_SNAPSHOTS)
+        self._events: deque[Event] = deque(maxlen=NEWEST_EVENTS)
+        self._waiting = threading.Event()
+        self._finished = False
+        # In a session of its own: an interrupt from the keyboard ends the flight, and the record
+        # must still be completed after that.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "swarm.view.rerun_sink"],
+            stdin=subprocess.PIPE,
+            bufsize=0,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self._pipe = cast("IO[bytes]", self._process.stdin)
+        self._thread = threading.Thread(
+            target=self._pump, args=(plan, options), name="view", daemon=True
+        )
+        self._thread.start()
+
+    def offer(self, item: Snapshot | Event) -> None:
+        """Queue an item; the oldest snapshot makes room when the queue is full."""
+        if isinstance(item, Event):
+            self._events.append(item)
+        else:
+            self.dropped += len(self._snapshots) == NEWEST_SNAPSHOTS
+            self._snapshots.append(item)
+        self._waiting.set()
+
+    def finish(self) -> None:
+        """Say that nothing more will come."""
+        self._finished = True
+        self._waiting.set()
+
+    def join(self, until: float) -> bool:
+        """Wait for the process until a moment of the monotonic clock, then end it by force.
+
+        Returns whether it ended by itself with everything written.
+        """
+        self._thread.join(max(0.0, until - time.monotonic()))
+        try:
+            return self._process.wait(max(0.0, until - time.monotonic())) == 0
+        except subprocess.TimeoutExpired:
+            self._kill()
+            return False
+
+    def _kill(self) -> None:
+        if hasattr(os, "killpg"):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        else:
+            self._process.kill()
+        self._process.wait()
+
+    def _pump(self, plan: Plan, options: SinkOptions) -> None:
+        try:
+            self._send((plan, options))
+            while not (self._finished and not self._events and not self._snapshots):
+                self._waiting.wait()
+                self._waiting.clear()
+                while self._events or self._snapshots:
+                    self._send((self._events or self._snapshots).popleft())
+        except OSError:
+            # The sink is gone (killed, or its disk is full); the flight goes on without it.
+            self._events.clear()
+            self._snapshots.clear()
+        finally:
+            self._pipe.close()
+
+    def _send(self, item: object) -> None:
+        rest = memoryview(pickle.dumps(item))
+        while rest:
+            rest = rest[self._pipe.write(rest) :]

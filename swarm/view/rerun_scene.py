@@ -1,0 +1,256 @@
+"""Plans and flights as Rerun entities: one batch per quantity, whatever the number of vehicles.
+
+Timelines: ``time`` is seconds since the record began, ``mission_time`` the mission clock. What a
+plan says of a moment lives under ``plan/``, what was flown under ``flight/``.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.plans import Plan
+from swarm.view import scene
+
+Floats = npt.NDArray[np.float64]
+
+POINTS_PER_SEGMENT: Final = 25
+PATH_COLOUR: Final = (150, 140, 210)
+GHOST_COLOUR: Final = (235, 235, 245)
+PLAN_COLOUR: Final = (150, 160, 180)
+OFTEN: Final = 0.2
+SELDOM: Final = 1.0
+ALARMS: Final = ("error", "failure", "refused", "lost")
+
+
+def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
+    """Log what does not move: floor frame, fence, pads, path, folded knot and its crossings."""
+
+    def static(entity: str, *what: rr.AsComponents) -> None:
+        stream.log(entity, *what, static=True)
+
+    vehicles = plan.mission.vehicles
+    static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    fence = scene.fence_lines(plan)
+    if fence:
+        static("fence", rr.LineStrips3D(fence, radii=0.015, colors=(200, 90, 60)))
+    pads = plan.motion.at(plan.motion.times[0])[0] * [1.0, 1.0, 0.0]
+    static(
+        "pads",
+        rr.Cylinders3D(
+            centers=pads,
+            radii=[1.2 * vehicles.radius] * len(pads),
+            lengths=[0.01] * len(pads),
+            colors=(95, 105, 125),
+            fill_mode="solid",
+        ),
+    )
+    if len(plan.path) > 1:
+        static("plan/path", rr.LineStrips3D([plan.path], radii=0.012, colors=PATH_COLOUR))
+    knot = scene.strands(plan.layout.corners, plan.layout.lengths, POINTS_PER_SEGMENT)
+    static("plan/knot", rr.LineStrips3D(knot, radii=0.012, colors=PLAN_COLOUR))
+    found = scene.crossings(plan.layout)
+    static(
+        "plan/crossings",
+        rr.LineStrips3D(
+            [[crossing.lower, crossing.upper] for crossing in found],
+            radii=0.01,
+            colors=(255, 255, 255),
+            labels=[f"{c.over} over {c.under}: {c.distance:.2f} m" for c in found],
+            show_labels=True,
+        ),
+    )
+
+
+def quadrotor(radius: float, grip_offset: float) -> rr.Mesh3D:
+    """Return a small quadrotor about its centre: arms, four rotors, and the dropper to its grip."""
+    angles = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
+    rim = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(16)])
+    fan = np.stack([np.zeros(16, int), 1 + np.arange(16), 1 + (np.arange(16) + 1) % 16], axis=1)
+    points: list[Floats] = []
+    triangles: list[npt.NDArray[np.int_]] = []
+    colours: list[npt.NDArray[np.uint8]] = []
+
+    def add(vertices: Floats, faces: npt.NDArray[np.int_], colour: tuple[int, int, int]) -> None:
+        triangles.append(faces + sum(len(p) for p in points))
+        points.append(vertices)
+        colours.append(np.tile(np.array(colour, np.uint8), (len(vertices), 1)))
+
+    box = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    sides = np.array(faces)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    for turn in np.pi / 4 + np.pi / 2 * np.arange(4):
+        hub = 0.6 * radius * np.array([np.cos(turn), np.sin(turn), 0.0])
+        disc = np.vstack([[np.zeros(3)], rim]) * 0.4 * radius + hub + [0.0, 0.0, 0.05 * radius]
+        add(disc, fan, (205, 212, 225))
+        if turn < np.pi:
+            across = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+            arm = box * [1.2 * radius, 0.1 * radius, 0.08 * radius]
+            arm[:, :2] = arm[:, :2] @ across.T
+            add(arm, sides, (90, 96, 110))
+    if grip_offset > 0:
+        rod = box * [0.06 * radius, 0.06 * radius, grip_offset] - [0.0, 0.0, 0.5 * grip_offset]
+        add(rod, sides, (150, 156, 170))
+    return rr.Mesh3D(
+        vertex_positions=np.concatenate(points),
+        triangle_indices=np.concatenate(triangles),
+        vertex_colors=np.concatenate(colours),
+        face_rendering="DoubleSided",
+    )
+
+
+class Recorder:
+    """Logs a flight as it happens; a tick costs the same dozen calls for any number of vehicles."""
+
+    def __init__(self, stream: rr.RecordingStream, plan: Plan) -> None:
+        self._stream = stream
+        self._plan = plan
+        self._limit = plan.mission.vehicles.tracking
+        self._above = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
+        self._held = scene.resting_places(plan)
+        self._gripped = np.zeros(plan.vehicles, dtype=bool)
+        self._trail = np.full((plan.vehicles, 3), np.nan)
+        self._look: object = None
+        self._cable_look: object = None
+        self._words: dict[str, str] = {}
+        self._next: dict[float, float] = {}
+        log_plan(stream, plan)
+        self._log_styles()
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Log the team at one moment, at its own time.
+
+        What moves is logged each time, colours of the cable, trails and slow figures less often.
+        """
+        self._stream.set_time("time", duration=snapshot.time)
+        self._stream.set_time("mission_time", duration=snapshot.mission_time)
+        often = self._due(OFTEN, snapshot.time)
+        self._log_vehicles(snapshot)
+        self._log_cable(snapshot, colours=often)
+        self._stream.log("plots/error", rr.Scalars(scene.tracking_errors(snapshot)))
+        if often:
+            self._log_trails(snapshot)
+            self._stream.log("plots/rate", rr.Scalars(snapshot.rate))
+            self._stream.log("plots/link", rr.Scalars(snapshot.link_age))
+        if self._due(SELDOM, snapshot.time):
+            self._stream.log("plots/battery", rr.Scalars(100.0 * snapshot.battery))
+            self._stream.log("plots/error/limit", rr.Scalars(self._limit))
+            self._stream.log("plots/link/limit", rr.Scalars(scene.LOST_AFTER))
+        self._say("states/phase", snapshot.phase)
+        self._say("states/waiting", snapshot.waiting_for or "–")
+
+    def event(self, event: Event) -> None:
+        """Log something that happened."""
+        self._stream.set_time("time", duration=event.time)
+        level = "ERROR" if event.kind in ALARMS else "WARN" if event.kind == "warning" else "INFO"
+        who = "" if event.vehicle is None else f"vehicle {event.vehicle}: "
+        words = event.message
+        if who and f"vehicle {event.vehicle}" in words:
+            who = ""
+        self._stream.log("log", rr.TextLog(f"{event.kind}: {who}{words}", level=level))
+
+    def _log_styles(self) -> None:
+        n = self._plan.vehicles
+        vehicles = self._plan.mission.vehicles
+        names = [f"vehicle {i + 1}" for i in range(n)]
+        colours = vehicle_colours(n)
+        log = self._stream.log
+        log("flight/vehicles", quadrotor(vehicles.radius, vehicles.grip_offset), static=True)
+        dome = rr.Points3D.from_fields(radii=[0.35 * vehicles.radius], show_labels=True)
+        log("flight/marks", dome, static=True)
+        ghost = rr.Points3D.from_fields(radii=[0.05], colors=[GHOST_COLOUR])
+        log("flight/setpoints", ghost, static=True)
+        log("flight/cable", rr.LineStrips3D.from_fields(radii=[0.025]), static=True)
+        for quantity in ("error", "battery", "link"):
+            log(
+                f"plots/{quantity}",
+                rr.SeriesLines(names=names, colors=colours, widths=[1.5] * n),
+                static=True,
+            )
+        limits = (
+            ("error/limit", f"tracking ball {self._limit:g} m"),
+            ("link/limit", f"lost after {scene.LOST_AFTER:g} s"),
+        )
+        for entity, name in limits:
+            log(
+                f"plots/{entity}",
+                rr.SeriesLines(names=name, colors=(255, 80, 80), widths=2.0),
+                static=True,
+            )
+        log(
+            "plots/rate",
+            rr.SeriesLines(names="mission clock rate", colors=(120, 200, 255), widths=2.0),
+            static=True,
+        )
+        states = rr.StateConfiguration(
+            values=list(scene.STATE_COLOURS),
+            colors=[(*colour, 255) for colour in scene.STATE_COLOURS.values()],
+        )
+        for i in range(n):
+            log(lane("vehicles", i, n), states, static=True)
+
+    def _due(self, period: float, now: float) -> bool:
+        due = now >= self._next.get(period, -np.inf)
+        if due:
+            self._next[period] = now + 0.99 * period
+        return due
+
+    def _log_vehicles(self, snapshot: Snapshot) -> None:
+        log = self._stream.log
+        states = scene.vehicle_states(snapshot, self._limit)
+        known = np.isfinite(snapshot.position).all(axis=-1)
+        aimed = known & np.isfinite(snapshot.setpoint).all(axis=-1)
+        centres = (snapshot.position + self._above)[known]
+        log("flight/vehicles", rr.InstancePoses3D(translations=centres))
+        log("flight/marks", rr.Points3D.from_fields(positions=centres))
+        ghosts = (snapshot.setpoint + self._above)[aimed]
+        log("flight/setpoints", rr.Points3D.from_fields(positions=ghosts))
+        look = (states, known.tolist())
+        if look != self._look:
+            self._look = look
+            colours = np.array([scene.STATE_COLOURS[state] for state in states], np.uint8)
+            labels = [str(i + 1) for i in np.flatnonzero(known)]
+            log("flight/marks", rr.Points3D.from_fields(colors=colours[known], labels=labels))
+        for i, (mode, state) in enumerate(zip(snapshot.modes, states, strict=True)):
+            self._say(lane("vehicles", i, len(states)), state)
+            self._say(lane("modes", i, len(states)), mode or "unknown")
+
+    def _log_trails(self, snapshot: Snapshot) -> None:
+        pair = np.stack([self._trail, snapshot.position], axis=1)
+        moved = np.isfinite(pair).all(axis=(1, 2))
+        colours = vehicle_colours(len(moved))[moved]
+        self._stream.log("flight/trails", rr.LineStrips3D(pair[moved], colors=colours, radii=0.012))
+        self._trail = snapshot.position
+
+    def _log_cable(self, snapshot: Snapshot, colours: bool) -> None:
+        lengths = self._plan.layout.lengths
+        self._held, self._gripped = scene.held_points(self._held, self._gripped, snapshot)
+        strips = scene.strands(self._held, lengths, POINTS_PER_SEGMENT)
+        self._stream.log("flight/cable", rr.LineStrips3D.from_fields(strips=strips))
+        if colours:
+            tints = scene.tautness_colours(scene.tautness(self._held, lengths))
+            self._stream.log("flight/cable", rr.LineStrips3D.from_fields(colors=tints))
+
+    def _say(self, entity: str, word: str) -> None:
+        if self._words.get(entity) != word:
+            self._words[entity] = word
+            self._stream.log(entity, rr.StateChange(state=word))
+
+
+def lane(kind: str, vehicle: int, count: int) -> str:
+    """Return the lane of a vehicle's states; numbers are padded so that lanes are in order."""
+    return f"states/{kind}/{vehicle + 1:0{len(str(count))}d}"
+
+
+def vehicle_colours(count: int) -> npt.NDArray[np.uint8]:
+    """Return one colour per vehicle (count, 3) for curves: neighbours along the cable differ."""
+    hue = np.mod(np.arange(count, dtype=np.float64) * 0.61803398875, 1.0)
+    return _hsv(hue, 0.55, 0.95)
+
+
+def _hsv(hue: Floats, saturation: float, value: float) -> npt.NDArray[np.uint8]:
+    k = np.mod(np.array([5.0, 3.0, 1.0]) + 6.0 * hue[:, None], 6.0)
+    mixed = value - value * saturation * np.clip(np.minimum(k, 4.0 - k), 0.0, 1.0)
+    return (255.0 * mixed).astype(np.uint8)

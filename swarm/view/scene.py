@@ -1,0 +1,209 @@
+"""What pictures show, as plain arrays: the cable's strands, crossings, fence and colours.
+
+Nothing here decides anything. Pictures must be drawn of bad data too, so a strand that is
+stretched beyond its length is drawn straight, and one of unknown ends is left out.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.cable.catenary import hang
+from swarm.flight.snapshot import Snapshot
+from swarm.plans import Layout, Phase, Plan
+
+Floats = npt.NDArray[np.float64]
+Colours = npt.NDArray[np.uint8]
+
+TAUT: Final = 0.985
+"""Chord over length beyond which a segment counts as taut."""
+
+LOST_AFTER: Final = 2.0
+"""Seconds without a word after which a vehicle is drawn as lost."""
+
+STATE_COLOURS: Final[dict[str, tuple[int, int, int]]] = {
+    "idle": (120, 128, 140),
+    "armed": (94, 196, 120),
+    "holding": (86, 160, 255),
+    "off track": (255, 140, 40),
+    "lost": (235, 60, 140),
+}
+"""States of a vehicle in pictures, from calm to alarming, and their colours."""
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """One crossing of the folded cable: the strands' points there (3,) and their segments, from 1.
+
+    ``distance`` is how far the over strand is above the under strand (negative: below), metres.
+    """
+
+    over: int
+    under: int
+    upper: Floats
+    lower: Floats
+
+    @property
+    def distance(self) -> float:
+        """Height of the over strand above the under strand, metres."""
+        return float(self.upper[2] - self.lower[2])
+
+
+def strands(grips: Floats, lengths: Floats, points: int = 25) -> Floats:
+    """Return the cable between grip points (…, n, 3) as polylines (…, n − 1, points, 3).
+
+    Every segment is the catenary of its length (n − 1,), laid flat where it would pass below the
+    floor (z = 0), straight where its chord is longer than its cable, NaN where an end is unknown.
+    """
+    start, end = grips[..., :-1, :], grips[..., 1:, :]
+    known = np.isfinite((start + end).sum(axis=-1, keepdims=True))
+    start, end = np.where(known, start, 0.0), np.where(known, end, 0.0)
+    chord = np.linalg.norm(end - start, axis=-1)
+    drawn = hang(start, end, np.maximum(lengths, chord * (1 + 1e-9)))
+    shape = drawn.points(np.linspace(0.0, 1.0, points))
+    shape[..., 2] = np.maximum(shape[..., 2], 0.0)
+    return np.where(known[..., None], shape, np.nan)
+
+
+def tautness(grips: Floats, lengths: Floats) -> Floats:
+    """Return chord over length (…, n − 1) of every segment; 1 is taut, NaN unknown."""
+    ratio: Floats = np.linalg.norm(np.diff(grips, axis=-2), axis=-1) / lengths
+    return ratio
+
+
+def tautness_colours(ratio: Floats) -> Colours:
+    """Return colours (…, 3): teal while slack, yellow from 0.9, red where taut; grey if unknown."""
+    stops = np.array([0.0, 0.7, 0.9, TAUT, 1.0])
+    colours = np.array(
+        [[70, 200, 190], [70, 200, 190], [245, 205, 80], [235, 60, 60], [235, 60, 60]], float
+    )
+    known = np.where(np.isfinite(ratio), ratio, 0.0)
+    mixed = np.stack([np.interp(known, stops, colours[:, k]) for k in range(3)], axis=-1)
+    mixed[~np.isfinite(ratio)] = 128
+    return mixed.astype(np.uint8)
+
+
+def vehicle_states(snapshot: Snapshot, tracking: float) -> list[str]:
+    """Return each vehicle's state in pictures, a key of :data:`STATE_COLOURS`: the worst it is in.
+
+    A vehicle is off track beyond the ``tracking`` ball (metres), lost when not heard of.
+    """
+    error = tracking_errors(snapshot)
+    held = [
+        "holding" if gripped else "armed" if armed else "idle"
+        for gripped, armed in zip(snapshot.gripped, snapshot.armed, strict=True)
+    ]
+    return [
+        "lost" if not age <= LOST_AFTER else "off track" if off > tracking > 0 and armed else state
+        for state, age, off, armed in zip(
+            held, snapshot.link_age, error, snapshot.armed, strict=True
+        )
+    ]
+
+
+def tracking_errors(snapshot: Snapshot) -> Floats:
+    """Return the distance (n,) of every grip point to its setpoint in metres, NaN if unknown."""
+    errors: Floats = np.linalg.norm(snapshot.position - snapshot.setpoint, axis=-1)
+    return errors
+
+
+def resting_places(plan: Plan) -> Floats:
+    """Return where the grip points of the cable lie (n, 3) before anybody holds it."""
+    places = plan.motion.at(_rest_time(plan))[0]
+    return places * [1.0, 1.0, 0.0] if _phase(plan, "grab") else places
+
+
+def held_points(
+    before: Floats, was_gripped: npt.NDArray[np.bool_], snapshot: Snapshot
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Follow the cable's grip points (n, 3): with a vehicle while gripped, else on the floor.
+
+    What is let go of is drawn flat below the place where it was let go; the cable's free fall is
+    not modelled.
+    """
+    gripped = np.asarray(snapshot.gripped, dtype=bool)
+    known = np.isfinite(snapshot.position).all(axis=-1)
+    moved = np.where((gripped & known)[:, None], snapshot.position, before)
+    dropped = was_gripped & ~gripped
+    moved[dropped, 2] = 0.0
+    return moved, gripped
+
+
+def planned_grip(plan: Plan, times: Floats) -> npt.NDArray[np.bool_]:
+    """Return whether the plan has the cable gripped at mission times (k,): (k,)."""
+    grab, finish = _phase(plan, "grab"), _phase(plan, "finish")
+    free = next((phase.start for phase in plan.phases if phase.cable == "free"), np.inf)
+    begins = grab.end if grab else -np.inf
+    ends = max(free, finish.start) if finish else free
+    return (times >= begins) & (times < ends)
+
+
+def planned_cable(plan: Plan, times: Floats) -> Floats:
+    """Return the cable's grip points (k, n, 3) at mission times (k,), as :func:`held_points`."""
+    position = plan.motion.at(times)[0]
+    gripped = planned_grip(plan, times)
+    held = np.where(gripped[:, None, None], position, resting_places(plan))
+    if gripped.any():
+        last = times[gripped][-1]
+        held[times > last] = plan.motion.at(last)[0] * [1.0, 1.0, 0.0]
+    return held
+
+
+def crossings(layout: Layout) -> list[Crossing]:
+    """Return the crossings of the folded cable, with the strands' heights there."""
+    found = []
+    for over, under in layout.crossings:
+        share = _meeting(layout.corners[:, :2], over, under)
+        points = [
+            hang(layout.corners[k], layout.corners[k + 1], layout.lengths[k]).at_span(s)
+            for k, s in zip((over, under), share, strict=True)
+        ]
+        found.append(Crossing(over + 1, under + 1, points[0], points[1]))
+    return found
+
+
+def fence_lines(plan: Plan) -> list[Floats]:
+    """Return the geofence as line strips: on the floor, at the ceiling, and its posts."""
+    fence = plan.mission.workspace.fence
+    if fence is None:
+        return []
+    corners = np.array(fence, dtype=np.float64)
+    top = plan.mission.workspace.ceiling
+    ring = np.vstack([corners, corners[:1]])
+    posts = [np.array([[*corner, 0.0], [*corner, top]]) for corner in corners]
+    return [
+        np.column_stack([ring, np.zeros(len(ring))]),
+        np.column_stack([ring, np.full(len(ring), top)]),
+        *posts,
+    ]
+
+
+def thrust_quaternions(acceleration: Floats) -> Floats:
+    """Return the shortest rotations (…, 4), xyzw, from upright to the thrust of accelerations."""
+    thrust = acceleration + np.array([0.0, 0.0, 9.80665])
+    thrust = thrust / np.linalg.norm(thrust, axis=-1, keepdims=True)
+    turned = np.stack(
+        [-thrust[..., 1], thrust[..., 0], np.zeros_like(thrust[..., 0]), 1.0 + thrust[..., 2]],
+        axis=-1,
+    )
+    unit: Floats = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+    return unit
+
+
+def _meeting(corners: Floats, first: int, second: int) -> tuple[float, float]:
+    """Shares of two chords' spans at which they meet in plan view."""
+    a, b = corners[first], corners[second]
+    u, w = corners[first + 1] - a, corners[second + 1] - b
+    share = np.linalg.solve(np.column_stack([u, -w]), b - a)
+    return float(share[0]), float(share[1])
+
+
+def _phase(plan: Plan, name: str) -> Phase | None:
+    return next((phase for phase in plan.phases if phase.name == name), None)
+
+
+def _rest_time(plan: Plan) -> float:
+    grab = _phase(plan, "grab")
+    return grab.end if grab else plan.phases[0].start
