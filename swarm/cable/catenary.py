@@ -33,6 +33,9 @@ _TAUT = 1e-100
 _ROUNDING = 1e-12
 """A chord may exceed the length by this share: it is rounding of the coordinates, not stretch."""
 
+_PORTION = 32_768
+"""Points computed in one go, so that what lies between stays in the processor's cache."""
+
 
 class OverStretched(SwarmError):  # noqa: N818 - reads as what happened to the cable
     """A chord is longer than its cable, which does not stretch; names every such segment.
@@ -80,18 +83,23 @@ class Catenaries:
 
     def points(self, fractions: ArrayLike) -> Floats:
         """Points at the given fractions (k,) of the arc length of every strand: (…, k, 3)."""
-        along, up = _offsets(self, _floats(fractions))
-        return (
-            self.start[..., None, :]
-            + along[..., None] * self.heading[..., None, :]
-            - up[..., None] * self.down[..., None, :]
-        )
+        fractions = _floats(fractions)
+        points = np.empty((self.span.size, fractions.size, 3))
+        flat = [v.reshape(-1, 1) for v in (self.length, self.parameter, self.slope)]
+        start, heading, down = (v.reshape(-1, 1, 3) for v in (self.start, self.heading, self.down))
+        step = max(1, _PORTION // max(1, fractions.size))
+        for begin in range(0, self.span.size, step):
+            part = slice(begin, begin + step)
+            along, up = _offsets(fractions, *(v[part] for v in flat))
+            for axis in range(3):
+                across = along * heading[part, :, axis] - up * down[part, :, axis]
+                np.add(start[part, :, axis], across, out=points[part, :, axis])
+        return points.reshape(*self.span.shape, fractions.size, 3)
 
     def points_at(self, fraction: ArrayLike) -> Floats:
         """One point per strand, at its own fraction (…,) of its arc length: (…, 3)."""
-        fraction = _floats(fraction)[..., None]
-        along, up = _offsets(self, fraction)
-        return self.start + along * self.heading - up * self.down
+        along, up = _offsets(_floats(fraction), self.length, self.parameter, self.slope)
+        return self.start + along[..., None] * self.heading - up[..., None] * self.down
 
     def at_span(self, fraction: ArrayLike) -> Floats:
         """The point of each strand above or below a fraction (…,) of its horizontal span: (…, 3).
@@ -259,28 +267,29 @@ def _require_reach(chord: Floats, length: Floats) -> None:
         raise OverStretched(segments, chord[over], length[over])
 
 
-def _offsets(strands: Catenaries, fractions: Floats) -> tuple[Floats, Floats]:
-    """Horizontal and vertical offset from the start, (…, k), at fractions (…, k) of arc length.
+def _offsets(
+    fractions: Floats, length: Floats, parameter: Floats, first: Floats
+) -> tuple[Floats, Floats]:
+    """Horizontal and vertical offset from the start at fractions of the arc length; broadcasts.
 
-    With slopes A at the start and B at the point, and C = √(1 + slope²):
-    tanh(Δθ/2) = (B − A)/(C_A + C_B), and the height is arc · (A + B)/(C_A + C_B). Neither cancels.
+    With slopes A at the start and B at the point, and C = √(1 + slope²): tanh(Δθ/2) =
+    (B − A)/(C_A + C_B), and the height is arc · (A + B)/(C_A + C_B). Neither cancels.
     """
-    first = strands.slope[..., None]
-    turned = fractions * (strands.length / strands.parameter)[..., None]
+    turned = fractions * (length / parameter)
     slope = first + turned
     cosh_first = np.sqrt(1.0 + first * first)
     cosh = np.sqrt(1.0 + slope * slope)
-    total = cosh_first + cosh
+    per_total = 1.0 / (cosh_first + cosh)
     ratio = _exponential(slope, cosh) / _exponential(first, cosh_first)
-    angle = np.log1p(turned / total * (1.0 + ratio))
-    arc = fractions * strands.length[..., None]
-    return strands.parameter[..., None] * angle, arc * ((first + slope) / total)
+    angle = np.log1p(turned * per_total * (1.0 + ratio))
+    return parameter * angle, fractions * length * ((first + slope) * per_total)
 
 
 def _exponential(slope: Floats, cosh: Floats) -> Floats:
     """exp θ from sinh θ and cosh θ, without cancellation for either sign."""
-    size = np.abs(slope) + cosh
-    return np.where(slope < 0.0, 1.0 / size, size)
+    size = np.asarray(np.abs(slope) + cosh)
+    np.divide(1.0, size, out=size, where=slope < 0.0)
+    return size
 
 
 def half_angle_for_stretch(stretch: Floats) -> Floats:
@@ -293,10 +302,11 @@ def half_angle_for_stretch(stretch: Floats) -> Floats:
     late = stretch + np.log(2.0 * (stretch + np.log(2.0 * stretch + 4.0)))
     refine = stretch > 1e-4
     x = np.where(refine, np.where(stretch < 4.0, series, late), 1.0)
-    for _ in range(3):
+    for _ in range(2):
         value = log_sinhc(x) - stretch
-        first = 1.0 / np.tanh(x) - 1.0 / x
-        second = 1.0 / (x * x) - 1.0 / np.sinh(np.minimum(x, 300.0)) ** 2
+        fading, inverse = np.exp(-2.0 * x), 1.0 / x
+        first = (1.0 + fading) / (1.0 - fading) - inverse
+        second = inverse * inverse - 4.0 * fading / (1.0 - fading) ** 2
         x = x - value * first / (first * first - 0.5 * value * second)
     return np.where(refine, x, series)
 
