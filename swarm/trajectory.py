@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 Floats = npt.NDArray[np.float64]
 
@@ -74,3 +75,132 @@ def joined(first: Motion, second: Motion) -> Motion:
         np.concatenate([first.times, shifted[1:]]),
         np.concatenate([first.coefficients, second.coefficients]),
     )
+
+
+def followed(first: Motion, *others: Motion) -> Motion:
+    """Return motions one after the other, as :func:`joined` for any number of them."""
+    result = first
+    for other in others:
+        result = joined(result, other)
+    return result
+
+
+def at_rest(place: Floats, duration: float) -> Motion:
+    """Stay at (n, 3) for a while."""
+    coefficients = np.zeros((1, 6, *place.shape))
+    coefficients[0, 0] = place
+    return Motion(np.array([0.0, duration]), coefficients)
+
+
+def leg(start: Floats, end: Floats, max_speed: float, max_acceleration: float) -> Motion:
+    """Go from rest to rest along straight lines, all (n, 3) at once and within the limits."""
+    return staggered(start, end, np.zeros(len(start)), max_speed, max_acceleration)
+
+
+def staggered(
+    start: Floats, end: Floats, delays: Floats, max_speed: float, max_acceleration: float
+) -> Motion:
+    """As :func:`leg`, each vehicle leaving after its own delay (n,) in seconds."""
+    distance = float(np.linalg.norm(end - start, axis=1).max())
+    duration = rest_to_rest_time(distance, max_speed, max_acceleration)
+    times = np.unique(np.concatenate([[0.0], delays, delays + duration]).round(9))
+    share = np.clip((times[:, None] - delays) / duration, 0.0, 1.0)
+    step = end - start
+    s = share[:, :, None]
+    position = start + step * (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
+    velocity = step * (30.0 * s**2 * (1.0 - s) ** 2) / duration
+    acceleration = step * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)) / duration**2
+    return through_states(times, position, velocity, acceleration)
+
+
+def rest_to_rest_time(distance: float, max_speed: float, max_acceleration: float) -> float:
+    """Least duration of a rest-to-rest quintic over a distance, in seconds (at least 1)."""
+    by_speed = 1.875 * distance / max_speed
+    by_acceleration = float(np.sqrt(10.0 / np.sqrt(3.0) * distance / max_acceleration))
+    return max(1.0, by_speed, by_acceleration)
+
+
+def timed(
+    parameter: Floats,
+    position: Floats,
+    first: Floats,
+    second: Floats,
+    *,
+    max_speed: float,
+    max_acceleration: float,
+    piece: float = 0.2,
+) -> Motion:
+    """Fly a path of the team as fast as the limits allow, C².
+
+    ``parameter`` (k,) is evenly spaced; ``position``, ``first`` and ``second`` (k, n, 3) are the
+    path and its derivatives by the parameter, which must all be at rest at both ends (vanishing
+    derivatives). The parameter's rate follows from limits on speed and acceleration of every
+    vehicle at every sample; ``piece`` is about the duration of a polynomial, in seconds.
+
+    The squared rate w obeys |q″|·w + |q′|·|w′|/2 ≤ a (Verscheure 2009 for the substitution); it is
+    found by two sweeps, smoothed below its bound, and tightened where a sample still exceeds.
+    """
+    step = parameter[1] - parameter[0]
+    slope = np.linalg.norm(first, axis=2).max(axis=1)
+    bend = np.linalg.norm(second, axis=2).max(axis=1)
+    tiny = 1e-12
+    fastest = 4.0 * (max_speed / max(float(np.percentile(slope, 90)), tiny)) ** 2
+    bound = np.minimum(max_speed**2 / np.maximum(slope, tiny) ** 2, fastest)
+    bound = np.minimum(bound, 0.8 * max_acceleration / np.maximum(bend, tiny))
+    share = np.full(len(parameter), 0.6)
+    for _ in range(12):
+        growth = 2.0 * share * max_acceleration / np.maximum(slope, tiny) * step
+        rate_squared = _smoothed(_reachable(bound, growth), 1.0 / step)
+        change = 0.5 * np.gradient(rate_squared, step)
+        acceleration = second * rate_squared[:, None, None] + first * change[:, None, None]
+        excess = np.linalg.norm(acceleration, axis=2).max(axis=1) / max_acceleration
+        if excess.max() <= 1.0:
+            break
+        over = _spread(np.maximum(excess, 1.0), 1.0 / step)
+        bound = np.where(over > 1.0, np.minimum(bound, rate_squared / over), bound)
+        share = np.where(over > 1.0, share / np.sqrt(over), share)
+    rate = np.sqrt(rate_squared)
+    times = np.concatenate([[0.0], np.cumsum(2.0 * step / (rate[1:] + rate[:-1]))])
+    wanted = np.linspace(0.0, times[-1], int(np.ceil(times[-1] / piece)) + 1)
+    chosen = np.unique(np.searchsorted(times, wanted - 1e-9).clip(0, len(times) - 1))
+    speed = first * rate[:, None, None]
+    motion = through_states(times[chosen], position[chosen], speed[chosen], acceleration[chosen])
+    return slowed(motion, max_speed, max_acceleration)
+
+
+def slowed(motion: Motion, max_speed: float, max_acceleration: float) -> Motion:
+    """Stretch time evenly until dense samples keep the limits; unchanged where they do."""
+    times = np.linspace(motion.times[0], motion.times[-1], 8 * len(motion.times))
+    _, velocity, acceleration = motion.at(times)
+    stretch = max(
+        1.0,
+        float(np.linalg.norm(velocity, axis=2).max()) / max_speed,
+        float(np.sqrt(np.linalg.norm(acceleration, axis=2).max() / max_acceleration)),
+    )
+    if stretch == 1.0:
+        return motion
+    scale = (stretch * 1.0005) ** -np.arange(6.0)
+    return Motion(motion.times * stretch * 1.0005, motion.coefficients * scale[:, None, None])
+
+
+def _reachable(bound: Floats, growth: Floats) -> Floats:
+    """Largest profile under a bound that neither rises nor falls faster than ``growth``."""
+    total = np.cumsum(growth)
+    forward = total + np.minimum.accumulate(bound - total)
+    back = total[::-1]
+    result: Floats = (-back + np.minimum.accumulate(forward[::-1] + back))[::-1]
+    return result
+
+
+def _smoothed(profile: Floats, width: float) -> Floats:
+    """A smooth profile that stays below the given one, by a running minimum and two means."""
+    half = max(2, round(width))
+    lowest = minimum_filter1d(profile, 2 * half + 1, mode="nearest")
+    once = uniform_filter1d(lowest, half + 1 - half % 2, mode="nearest")
+    result: Floats = uniform_filter1d(once, half + 1 - half % 2, mode="nearest")
+    return result
+
+
+def _spread(values: Floats, width: float) -> Floats:
+    result: Floats = maximum_filter1d(values, 2 * max(1, round(width)) + 1, mode="nearest")
+    return result

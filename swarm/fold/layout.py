@@ -1,0 +1,62 @@
+"""Where the knot hangs: corners, sags, segment lengths and lanes from a diagram and the limits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.cable.chain import least_sags, segment_lengths
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Everything about a layout that may be chosen, in metres.
+
+    ``cell`` scales the corners; ``gap`` is the height between strands at their crossings and
+    ``minimum_sag`` the least sag of any segment; lanes are heights over or under the corners.
+    """
+
+    cell: float
+    gap: float
+    minimum_sag: float
+    lane_over: float
+    lane_under: float
+
+
+@dataclass(frozen=True, eq=False)
+class Hanging:
+    """A layout at height 0: corners (n, 3), and sag, length and lane (n − 1,) per segment."""
+
+    corners: Floats
+    sags: Floats
+    lengths: Floats
+    lanes: Floats
+    crossings: tuple[tuple[int, int], ...]
+    cell: float
+
+
+def hanging(corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape: Shape) -> Hanging:
+    """Hang a diagram: ``corners`` (n, 2) in cells, crossings as (over, under) segments.
+
+    The first edge is turned to point along +x, with the first corner at the origin. Segments that
+    cross nothing are flown at the height of the corners.
+
+    Raises :class:`swarm.errors.Refused` where no sags serve the crossings.
+    """
+    plan = np.asarray(corners, dtype=np.float64)
+    first = (plan[1] - plan[0]) / np.linalg.norm(plan[1] - plan[0])
+    turn = np.array([[first[0], first[1]], [-first[1], first[0]]])
+    flat = ((plan - plan[0]) @ turn.T) * shape.cell
+    placed = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
+    pairs = np.asarray(crossings, dtype=np.intp).reshape(-1, 2)
+    sags = least_sags(placed, pairs, shape.gap, minimum_sag=shape.minimum_sag)
+    lanes = np.zeros(len(placed) - 1)
+    lanes[pairs[:, 0]] = shape.lane_over
+    lanes[pairs[:, 1]] = -shape.lane_under
+    lengths = segment_lengths(placed, sags)
+    return Hanging(
+        placed, sags, lengths, lanes, tuple((int(a), int(b)) for a, b in pairs), shape.cell
+    )

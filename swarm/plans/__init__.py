@@ -1,0 +1,26 @@
+"""The plan, and how it is made from a mission."""
+
+from swarm.plans.make import candidates, make_plan
+from swarm.plans.plan import (
+    CableState,
+    Condition,
+    Gate,
+    KnotSummary,
+    Layout,
+    Phase,
+    PhaseName,
+    Plan,
+)
+
+__all__ = [
+    "CableState",
+    "Condition",
+    "Gate",
+    "KnotSummary",
+    "Layout",
+    "Phase",
+    "PhaseName",
+    "Plan",
+    "candidates",
+    "make_plan",
+]
