@@ -1,0 +1,148 @@
+import io
+from dataclasses import replace
+
+import numpy as np
+from rich.console import Console
+
+from swarm.flight.snapshot import Event
+from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
+from swarm.view.terminal import FlightScreen, plan_summary, team_table
+from swarm.view.words import clip_rows, clock, metres, seconds
+from tests.view.synthetic import snapshot_at, trefoil_plan
+
+PLAN = trefoil_plan()
+
+
+def assessment(*findings: Finding) -> Assessment:
+    return Assessment(
+        findings,
+        Tightest(0.21, 0.15, 51.3, ("segment 3", "segment 5")),
+        Tightest(1.2, 1.0, 44.0, ("vehicle 5", "vehicle 7")),
+        Tightest(np.inf, 0.3, 0.0, ("", "")),
+        "3_1",
+        "right",
+        "1- 2+ 3- 1+ 2- 3+",
+        Robustness(tracking=0.14),
+    )
+
+
+def plain(width: int = 100) -> Console:
+    return Console(file=io.StringIO(), width=width)
+
+
+def screen(width: int = 100, height: int = 30) -> Console:
+    return Console(file=io.StringIO(), width=width, height=height, force_terminal=True)
+
+
+def printed(console: Console) -> str:
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def test_summary_of_a_cleared_plan() -> None:
+    console = plain()
+    plan_summary(PLAN, assessment(), console)
+    lines = [line.rstrip() for line in printed(console).splitlines()]
+    assert lines[0] == "overhand: knot 3_1, right-handed"
+    assert "  Layout          5×5 grid, cell 1.20 m" in lines
+    assert "  Cable           33.97 m in 8 segments of 3.00 m to 5.54 m" in lines
+    assert "  Tracking error  certified for 0.10 m, would hold up to 0.14 m" in lines
+    assert "  cable to cable      0.21 m    0.15 m  51.3 s  segment 3 and segment 5" in lines
+    assert "  vehicle to cable         –    0.30 m       –  –" in lines
+    assert lines[-1] == "Cleared: certified in the quasi-static cable model."
+
+
+def test_errors_are_printed_first_and_refuse() -> None:
+    console = plain()
+    remark = Finding("info", "budget", "nothing to add")
+    error = Finding("error", "certificate", "segments [3] and [5] touch", 51.3, (0.0, 0.0, 4.0))
+    plan_summary(PLAN, assessment(remark, error), console)
+    text = printed(console)
+    assert text.index("segments [3] and [5] touch") < text.index("nothing to add")
+    assert "51.3 s" in text
+    assert text.rstrip().endswith("Refused: 1 error.")
+
+
+def test_a_planned_cable_of_another_knot_is_said_in_the_first_line() -> None:
+    console = plain()
+    plan_summary(PLAN, replace(assessment(), knot="0_1", chirality="none"), console)
+    assert printed(console).splitlines()[0] == (
+        "overhand: knot 3_1, right-handed; the planned cable is 0_1, none"
+    )
+
+
+def test_nothing_is_wider_than_the_terminal() -> None:
+    for width in (60, 80, 120):
+        console = plain(width)
+        long = Finding("warning", "limits", "a long sentence about something " * 6)
+        plan_summary(PLAN, assessment(long), console)
+        assert max(map(len, printed(console).splitlines())) <= width
+
+
+def test_flight_in_a_pipe_is_plain_lines() -> None:
+    console = plain()
+    with FlightScreen(PLAN, console) as shown:
+        shown.countdown(3)
+        for time in (0.0, 0.05, 6.0, 6.05, 17.0):
+            shown.show(snapshot_at(PLAN, time))
+        shown.event(Event(17.2, "warning", "lags [by] 0.2 m", 4))
+    assert printed(console).splitlines() == [
+        "-0:03.0 take-off in 3 s",
+        "0:00.0 phase takeoff",
+        "0:06.0 phase grab, waiting for: gripped",
+        "0:17.0 phase contract",
+        "0:17.2 vehicle 4: lags [by] 0.2 m",
+    ]
+
+
+def test_flight_on_a_screen_shows_team_and_events() -> None:
+    console = screen()
+    with FlightScreen(PLAN, console) as shown:
+        shown.event(Event(40.0, "phase", "fold begins"))
+        shown.show(snapshot_at(PLAN, 50.0))
+    text = printed(console)
+    assert "clock × 0.40" in text
+    assert text.count("OFFBOARD") >= 9
+    assert "fold begins" in text
+
+
+def test_what_is_wrong_with_a_vehicle_shows_in_its_row() -> None:
+    good = snapshot_at(PLAN, 50.0)
+    position = good.position.copy()
+    position[1] += 1.0
+    position[2] = np.nan
+    age = good.link_age.copy()
+    age[3], age[4] = 7.0, np.inf
+    battery = good.battery.copy()
+    battery[5] = np.nan
+    bad = replace(good, position=position, link_age=age, battery=battery)
+    console = plain()
+    console.print(team_table(bad, PLAN, 20))
+    rows = [line.split() for line in printed(console).splitlines()[1:]]
+    assert rows[1][1:3] == ["off", "track"]
+    assert rows[2][-1] == "–"
+    assert rows[3][1] == "lost"
+    assert "7.0" in rows[3]
+    assert rows[4][1] == "lost"
+    assert "never" in rows[4]
+    assert rows[5][4] == "–"
+
+
+def test_with_many_vehicles_the_worst_are_listed() -> None:
+    errors = np.linspace(0.0, 0.5, 50)
+    age = np.full(50, 0.1)
+    age[7] = 9.0
+    assert clip_rows(errors, age, 5) == [7, 47, 48, 49]
+    assert clip_rows(errors[:4], age[:4], 5) == [0, 1, 2, 3]
+
+
+def test_words() -> None:
+    assert (metres(1.234), metres(float("nan"))) == ("1.23 m", "–")
+    assert (seconds(61.26), seconds(float("inf"))) == ("61.3 s", "–")
+    assert [clock(t) for t in (0.0, -0.04, -3.0, 59.96, 65.2)] == [
+        "0:00.0",
+        "0:00.0",
+        "-0:03.0",
+        "1:00.0",
+        "1:05.2",
+    ]
