@@ -1,0 +1,99 @@
+"""Command line of the emulator: ``python -m sitl``."""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+
+def _arguments() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="swarm sitl",
+        description="Emulated vehicles (PX4-like or ArduPilot-like), tied to one cable if the "
+        "world has one. Without --target they speak on the ports of the real simulators.",
+    )
+    world = parser.add_mutually_exclusive_group()
+    world.add_argument("--world", type=Path, metavar="FILE", help="world file (YAML or JSON)")
+    world.add_argument("-n", "--count", type=int, default=1, help="that many vehicles, no cable")
+    parser.add_argument(
+        "--autopilot",
+        default="px4",
+        help="px4, ardupilot or a list of them to take in turn (with -n)",
+    )
+    parser.add_argument("--scenario", type=Path, metavar="FILE", help="faults to inject (YAML)")
+    parser.add_argument("--speed", type=float, default=1.0, help="times real time")
+    parser.add_argument("--seed", type=int, help="instead of the world's")
+    parser.add_argument("--host", default="127.0.0.1", help="address to bind (loopback)")
+    parser.add_argument("--target", metavar="HOST:PORT", help="send everything to this UDP address")
+    parser.add_argument("--port-step", type=int, help="PX4: vehicle i to UDP 14540 + i·STEP")
+    parser.add_argument("--truth", type=Path, metavar="FILE", help="write ground truth, JSON lines")
+    parser.add_argument("--json", action="store_true", help="say what is ready as one JSON line")
+    parser.add_argument("--follow-parent", action="store_true", help="end when the parent ends")
+    parser.add_argument("--schema", action="store_true", help="print the world file's JSON schema")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the emulator; return the exit code (0 done, 2 usage or bad file, 3 sockets)."""
+    parent = os.getppid()
+    parser = _arguments()
+    given = parser.parse_args(arguments)
+
+    from sitl import server
+    from sitl.emulator import Emulator
+    from sitl.world import WorldError, default_world, load_world, schema
+
+    if given.schema:
+        import json
+
+        sys.stdout.write(json.dumps(schema(), indent=2) + "\n")
+        return 0
+    kinds = given.autopilot.split(",")
+    if any(kind not in {"px4", "ardupilot"} for kind in kinds):
+        parser.error(f"--autopilot: expected px4 or ardupilot, got {given.autopilot}")
+    if not 1 <= given.count <= 250:
+        parser.error(f"-n: expected 1 to 250, got {given.count}")
+    if not 0.01 <= given.speed <= 1000.0:
+        parser.error(f"--speed: expected 0.01 to 1000, got {given.speed}")
+    target = None
+    if given.target:
+        host, _, port = given.target.rpartition(":")
+        if not port.isdigit() or not 0 < int(port) < 65536:
+            parser.error(f"--target: expected HOST:PORT, got {given.target}")
+        target = (host or "127.0.0.1", int(port))
+    try:
+        world = load_world(given.world) if given.world else default_world(given.count, kinds)
+        if given.seed is not None:
+            world = world.model_copy(update={"seed": given.seed})
+        faults = _faults(given.scenario)
+    except WorldError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    emulator = Emulator(world, faults)
+    try:
+        if target is not None:
+            running = server.to_target(emulator, target, given.host, given.speed)
+        else:
+            running = server.to_default_ports(emulator, given.host, given.speed, given.port_step)
+        return server.serve(
+            running,
+            given.truth,
+            as_json=given.json,
+            follow_parent=given.follow_parent,
+            parent=parent,
+        )
+    except OSError as error:
+        sys.stderr.write(f"sitl: {error}\n")
+        return 3
+
+
+def _faults(path: Path | None) -> list[object]:
+    if path is None:
+        return []
+    from sitl.faults import load_scenario
+
+    return list(load_scenario(path))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

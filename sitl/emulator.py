@@ -1,0 +1,281 @@
+"""All vehicles, one cable and their links, advanced in virtual time: no sockets, no clock.
+
+`Emulator.receive` takes bytes for a vehicle, `Emulator.step` advances physics and autopilots to a
+time and returns the bytes that they sent, `Emulator.truth` tells what really is. The same world,
+seed and bytes at the same times give the same result. Ground truth never goes over MAVLink.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.ardupilot import ArduPilot
+from sitl.contacts import Contacts
+from sitl.dynamics import GRAVITY, STEP, Array, Bodies
+from sitl.px4 import Px4
+from sitl.rope import Rope
+from sitl.services import default_streams, emit, pump_parameters
+from sitl.vehicle import Geodesy, Link, Surroundings, Vehicle
+from sitl.world import World
+
+_EPOCH = 1_800_000_000.0
+_SLOW_EVERY = 5
+_TICK_EVERY = 2
+_FULL_VOLTAGE, _EMPTY_VOLTAGE = 16.8, 13.2
+_HOVER_CURRENT = 15.0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What really is at ``time`` (world ENU, SI).
+
+    ``position`` (n, 3) are grip points in the file's order of vehicles, ``velocity`` (n, 3),
+    ``tilt`` (n,) radians from upright, ``gripped`` (n,) and the ``grip_arc`` (n,) held (NaN: none),
+    ``cable`` (m, 3) samples along the cable (empty without one), ``tension``, ``chord`` and
+    ``length`` of the spans between grips, ``contacts`` between vehicles or with the ground,
+    ``strikes`` of rotors on cable and all ``events`` since the start.
+    """
+
+    time: float
+    ids: tuple[int, ...]
+    position: Array
+    velocity: Array
+    tilt: Array
+    armed: NDArray[np.bool_]
+    landed: NDArray[np.bool_]
+    gripped: NDArray[np.bool_]
+    grip_arc: Array
+    cable: Array
+    tension: Array
+    chord: Array
+    length: Array
+    charge: Array
+    contacts: tuple[dict[str, Any], ...]
+    strikes: tuple[dict[str, Any], ...]
+    events: tuple[dict[str, Any], ...]
+
+
+class Emulator:
+    """The emulated team; see the module's text for its three calls."""
+
+    def __init__(
+        self, world: World, faults: Sequence[Any] = (), kinds: Sequence[str] = ("onboard",)
+    ) -> None:
+        self.world = world
+        seeds = np.random.SeedSequence(world.seed).spawn(len(world.vehicles) + 1)
+        self.bodies = Bodies(world, np.random.default_rng(seeds[0]))
+        self.time = 0.0
+        self._ticks = 0
+        self.events: list[dict[str, Any]] = []
+        self.rope = (
+            Rope(world.cable, world.floor, np.array(world.wind.steady)) if world.cable else None
+        )
+        self.contacts = Contacts(self.bodies)
+        origin = world.origin
+        self.surroundings = Surroundings(
+            bodies=self.bodies,
+            geodesy=Geodesy.at(origin.latitude, origin.longitude, origin.altitude),
+            grab=self._grab,
+            release=self._release,
+            event=self._event,
+            unix_time=_EPOCH,
+            indoor=world.indoor,
+        )
+        self.vehicles = [
+            Vehicle(i, spec, world, self.surroundings, np.random.default_rng(seeds[i + 1]))
+            for i, spec in enumerate(world.vehicles)
+        ]
+        self.by_id = {vehicle.system: vehicle for vehicle in self.vehicles}
+        for vehicle in self.vehicles:
+            make = Px4 if vehicle.spec.autopilot == "px4" else ArduPilot
+            vehicle.personality = make(vehicle)
+            for kind in kinds:
+                self.open_link(vehicle, kind)
+            if vehicle.global_valid:
+                vehicle.home = np.array(vehicle.estimated())
+        self._links = [(v, link) for v in self.vehicles for link in v.links]
+        self._tie_attached()
+        self._force = np.zeros((self.bodies.count, 3))
+
+    def open_link(self, vehicle: Vehicle, kind: str) -> Link:
+        """Add a connection of a kind ("onboard" or "gcs") with the autopilot's default streams."""
+        link = vehicle.add_link(kind)
+        rates = default_streams(vehicle, link)
+        spread = np.linspace(0.0, 1.0, len(rates) * 7)[1:]
+        for k, (name, rate) in enumerate(rates.items()):
+            phase = float(spread[(k * 3 + vehicle.index) % len(spread)]) / rate
+            link.stream(name, 1.0 / rate, vehicle.now + phase)
+        self._links = [(v, one) for v in self.vehicles for one in v.links]
+        return link
+
+    def close_link(self, vehicle: Vehicle, link: Link) -> None:
+        """Forget a connection."""
+        vehicle.links.remove(link)
+        vehicle.parameter_queue = [
+            entry for entry in vehicle.parameter_queue if entry[0] is not link
+        ]
+        self._links = [(v, one) for v in self.vehicles for one in v.links]
+
+    def _tie_attached(self) -> None:
+        if self.rope is None or self.world.cable is None:
+            return
+        tied = [v for v in self.vehicles if v.spec.gripper == "attached"]
+        for vehicle, arc in zip(tied, self.world.cable.attached or (), strict=True):
+            self.rope.tie(vehicle.index, min(arc, self.rope.length))
+            vehicle.gripped = True
+
+    # The three calls.
+
+    def receive(self, sysid: int, data: bytes, now: float) -> None:
+        """Give bytes from a ground station to one vehicle, at emulated time ``now``."""
+        vehicle = self.by_id.get(sysid)
+        if vehicle is not None:
+            self.deliver(vehicle, vehicle.links[0], data, now)
+
+    def step(self, now: float) -> list[tuple[int, bytes]]:
+        """Advance to ``now`` seconds; return (vehicle, bytes) that were sent meanwhile."""
+        self.advance(now)
+        return [(vehicle.system, data) for vehicle, _, data in self.collect()]
+
+    def deliver(self, vehicle: Vehicle, link: Link, data: bytes, now: float) -> None:
+        """As `receive`, on one of a vehicle's links."""
+        vehicle.now = max(vehicle.now, now)
+        for message in link.receiver.feed(data):
+            vehicle.handle(message, link)
+
+    def advance(self, now: float) -> None:
+        """Advance physics and autopilots to ``now`` seconds; what they say waits in the links."""
+        while (self._ticks + 1) * STEP <= now + 1e-9:
+            self._ticks += 1
+            self.time = self._ticks * STEP
+            self._advance()
+
+    def collect(self) -> list[tuple[Vehicle, Link, bytes]]:
+        """Take what waits in the links."""
+        sent = []
+        for vehicle, link in self._links:
+            if link.outgoing:
+                if not vehicle.frozen and not vehicle.silent:
+                    sent.append((vehicle, link, b"".join(link.outgoing)))
+                link.outgoing.clear()
+        return sent
+
+    def truth(self) -> Truth:
+        """Return ground truth, for tests and the record only."""
+        b = self.bodies
+        rope = self.rope
+        up = np.linalg.norm(b.thrust, axis=1)
+        tilt = np.where(up > 1.0, np.arccos(np.clip(b.thrust[:, 2] / np.maximum(up, 1), -1, 1)), 0)
+        arcs = [rope.arc_of(i) if rope else float("nan") for i in range(b.count)]
+        spans = rope.spans if rope else None
+        empty = np.zeros(0)
+        grips = b.grip_points()
+        return Truth(
+            time=self.time,
+            ids=tuple(v.system for v in self.vehicles),
+            position=grips,
+            velocity=b.velocity.copy(),
+            tilt=tilt,
+            armed=b.armed.copy(),
+            landed=b.landed.copy(),
+            gripped=np.array([v.gripped for v in self.vehicles]),
+            grip_arc=np.array(arcs),
+            cable=rope.follow(grips, 0.0).copy() if rope else np.zeros((0, 3)),
+            tension=spans.tension.copy() if spans else empty,
+            chord=spans.chord.copy() if spans else empty,
+            length=spans.length.copy() if spans else empty,
+            charge=np.array([v.charge for v in self.vehicles]),
+            contacts=tuple(self.contacts.contacts),
+            strikes=tuple(self.contacts.strikes),
+            events=tuple(self.events),
+        )
+
+    # One tick.
+
+    def _advance(self) -> None:
+        now = self.time
+        b = self.bodies
+        if self.rope is not None and self.rope.grips:
+            force = self.rope.pull(b.grip_points(), b.velocity)
+        else:
+            force = self._force
+        hit = b.step(force)
+        if hit is not None:
+            for i in np.nonzero(hit)[0]:
+                self.contacts.contacts.append(
+                    {"time": now, "kind": "crash", "vehicles": [self.vehicles[i].system]}
+                )
+                self._event("crashed", self.vehicles[i].system)
+        if self._ticks % _SLOW_EVERY == 0:
+            self._slow(_SLOW_EVERY * STEP)
+        if self._ticks % _TICK_EVERY == 0:
+            for vehicle in self.vehicles:
+                self._tick(vehicle, now)
+        for vehicle, link in self._links:
+            if link.due and link.due[0][0] <= now + 1e-6:
+                vehicle.now = max(vehicle.now, now)
+                for name in link.take_due(now):
+                    emit(vehicle, name, link)
+
+    def _tick(self, vehicle: Vehicle, now: float) -> None:
+        vehicle.now = max(vehicle.now, now)
+        if vehicle.later:
+            due = [entry for entry in vehicle.later if entry[0] <= now]
+            vehicle.later = [entry for entry in vehicle.later if entry[0] > now]
+            for _, action in due:
+                action()
+        if vehicle.frozen:
+            return
+        if vehicle.pending:
+            vehicle.finish_gripper()
+        if vehicle.parameter_queue:
+            pump_parameters(vehicle)
+        vehicle.personality.tick()
+
+    def _slow(self, interval: float) -> None:
+        b = self.bodies
+        b.wander(interval)
+        self._drain(interval)
+        grips = b.grip_points()
+        cable = self.rope.follow(grips, interval) if self.rope else None
+        self.contacts.look(self.time, [v.system for v in self.vehicles], cable)
+
+    def _drain(self, interval: float) -> None:
+        """Batteries: power goes with thrust to the power of 3/2 (momentum theory)."""
+        b = self.bodies
+        load = (np.maximum(np.linalg.norm(b.thrust, axis=1), 0.0) / GRAVITY) ** 1.5 * b.armed
+        for vehicle, share in zip(self.vehicles, load.tolist(), strict=True):
+            if share > 0.0:
+                vehicle.charge = max(
+                    0.0, vehicle.charge - interval * share / vehicle.spec.endurance
+                )
+            span = _FULL_VOLTAGE - _EMPTY_VOLTAGE
+            vehicle.current = _HOVER_CURRENT * share + 0.3
+            vehicle.voltage = _EMPTY_VOLTAGE + span * vehicle.charge - 0.02 * vehicle.current
+
+    # Hooks for vehicles.
+
+    def _event(self, kind: str, vehicle: int, **details: Any) -> None:
+        self.events.append({"time": self.time, "kind": kind, "vehicle": vehicle, **details})
+
+    def _grab(self, index: int) -> bool:
+        if self.rope is None:
+            return False
+        grips = self.bodies.grip_points()
+        self.rope.follow(grips, 0.0)
+        arc = self.rope.grab(index, grips[index])
+        held = arc is not None
+        self._event("grabbed" if held else "grabbed nothing", self.vehicles[index].system, arc=arc)
+        return held
+
+    def _release(self, index: int) -> bool:
+        if self.rope is None:
+            return False
+        self.rope.follow(self.bodies.grip_points(), 0.0)
+        held = self.rope.let_go(index)
+        if held:
+            self._event("released", self.vehicles[index].system)
+        return held

@@ -1,0 +1,645 @@
+"""PX4 (1.16) as a ground station meets it: modes, arming, offboard, failsafes, landing.
+
+Behaviour from PX4's documentation and source (``commander``: ``UserModeIntention``,
+``failsafe.cpp``, ``HealthAndArmingChecks``; ``mavlink_receiver``), and measurements on its
+software-in-the-loop build. In one place it is milder: a mode's detailed preflight texts are a few.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import common as dialect
+
+from sitl import demand, wire
+from sitl.vehicle import (
+    ACCEPTED,
+    DENIED,
+    IN_PROGRESS,
+    TEMPORARILY_REJECTED,
+    UNSUPPORTED,
+    Link,
+    Vehicle,
+)
+
+FORCE = 21196
+_BOOT_TIME = 12.0
+_LOCAL_NED = 1
+_INFO, _WARNING, _CRITICAL, _EMERGENCY = 6, 4, 2, 0
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One flight mode: its number, its name in texts and what it cannot run without."""
+
+    main: int
+    sub: int
+    label: str
+    needs: frozenset[str]
+    prevents_arming: bool = False
+
+
+def _mode(main: int, sub: int, label: str, *needs: str, prevents_arming: bool = False) -> Mode:
+    return Mode(main, sub, label, frozenset(needs), prevents_arming)
+
+
+MODES: dict[str, Mode] = {
+    "MANUAL": _mode(1, 0, "Manual", "pilot"),
+    "ALTCTL": _mode(2, 0, "Altitude", "pilot"),
+    "POSCTL": _mode(3, 0, "Position", "pilot", "local"),
+    "TAKEOFF": _mode(4, 2, "Takeoff", "local"),
+    "LOITER": _mode(4, 3, "Hold", "local", "global"),
+    "MISSION": _mode(4, 4, "Mission", "local", "global", "mission"),
+    "RTL": _mode(4, 5, "Return", "local", "global", "home", prevents_arming=True),
+    "LAND": _mode(4, 6, "Land", "local", prevents_arming=True),
+    "DESCEND": _mode(4, 6, "Descend", prevents_arming=True),
+    "ACRO": _mode(5, 0, "Acro", "pilot"),
+    "OFFBOARD": _mode(6, 0, "Offboard", "offboard"),
+    "STABILIZED": _mode(7, 0, "Stabilized", "pilot"),
+    "TERMINATION": _mode(1, 0, "Termination", prevents_arming=True),
+}
+_BY_NUMBER = {(mode.main, mode.sub): name for name, mode in MODES.items() if name != "DESCEND"}
+_BY_NUMBER[(1, 0)] = "MANUAL"
+_BY_NUMBER[(4, 6)] = "LAND"
+
+# What each failsafe action falls through to when its mode cannot run (failsafe framework).
+FALLBACK = {"LOITER": "RTL", "RTL": "LAND", "LAND": "DESCEND"}
+
+# COM_OBL_RC_ACT: what follows the loss of the offboard signal; 0–2 need a pilot's sticks.
+OFFBOARD_LOSS = {0: "POSCTL", 1: "ALTCTL", 2: "STABILIZED", 3: "RTL", 4: "LAND", 5: "LOITER",
+                 6: "TERMINATION", 7: "DISARM"}  # fmt: skip
+# NAV_DLL_ACT and NAV_RCL_ACT.
+LINK_LOSS = {0: None, 1: "LOITER", 2: "RTL", 3: "LAND", 5: "TERMINATION", 6: "DISARM"}
+# COM_LOW_BAT_ACT → action when critical, action in an emergency.
+BATTERY: dict[int, tuple[str | None, str | None]] = {
+    0: (None, None),
+    1: ("RTL", "RTL"),
+    2: ("LAND", "LAND"),
+    3: ("RTL", "LAND"),
+}
+
+PARAMETERS: dict[str, float | int] = {
+    "BAT1_CAPACITY": 5000.0, "BAT1_N_CELLS": 4, "BAT_CRIT_THR": 0.07, "BAT_EMERGEN_THR": 0.05,
+    "BAT_LOW_THR": 0.15, "CBRK_FLIGHTTERM": 121212, "CBRK_SUPPLY_CHK": 894281,
+    "COM_ARM_WO_GPS": 1, "COM_DISARM_LAND": 2.0, "COM_DISARM_PRFLT": 10.0, "COM_DL_LOSS_T": 10,
+    "COM_FAIL_ACT_T": 5.0, "COM_FLTT_LOW_ACT": 3, "COM_FLTMODE1": -1, "COM_LOW_BAT_ACT": 0,
+    "COM_OBL_RC_ACT": 0, "COM_OF_LOSS_T": 1.0, "COM_POSCTL_NAVL": 0, "COM_POS_FS_EPH": 5.0,
+    "COM_POS_LOW_ACT": 3, "COM_RCL_EXCEPT": 0, "COM_RC_IN_MODE": 3, "COM_RC_LOSS_T": 0.5,
+    "COM_SPOOLUP_TIME": 1.0, "COM_WIND_MAX_ACT": 0, "COM_DLL_EXCEPT": 0,
+    "EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "EKF2_HGT_REF": 1, "EKF2_AID_MASK": 1,
+    "FD_FAIL_P": 60, "FD_FAIL_R": 60, "GF_ACTION": 2, "GF_MAX_HOR_DIST": 0.0,
+    "GF_MAX_VER_DIST": 0.0, "LNDMC_ROT_MAX": 20.0, "LNDMC_TRIG_TIME": 1.0,
+    "LNDMC_XY_VEL_MAX": 1.5, "LNDMC_Z_VEL_MAX": 0.25, "LND_FLIGHT_T_HI": 0,
+    "MAV_COMP_ID": 1, "MAV_SYS_ID": 1, "MAV_TYPE": 2, "MC_YAWRATE_MAX": 200.0,
+    "MIS_TAKEOFF_ALT": 2.5, "MPC_ACC_DOWN_MAX": 3.0, "MPC_ACC_HOR": 3.0, "MPC_ACC_HOR_MAX": 5.0,
+    "MPC_ACC_UP_MAX": 4.0, "MPC_JERK_AUTO": 4.0, "MPC_LAND_ALT1": 10.0, "MPC_LAND_CRWL": 0.3,
+    "MPC_LAND_SPEED": 0.7, "MPC_THR_HOVER": 0.5, "MPC_THR_MAX": 1.0, "MPC_THR_MIN": 0.12,
+    "MPC_TILTMAX_AIR": 45.0, "MPC_TILTMAX_LND": 12.0, "MPC_TKO_RAMP_T": 3.0,
+    "MPC_TKO_SPEED": 1.5, "MPC_USE_HTE": 1, "MPC_XY_CRUISE": 5.0, "MPC_XY_P": 0.95,
+    "MPC_XY_VEL_D_ACC": 0.2, "MPC_XY_VEL_I_ACC": 0.4, "MPC_XY_VEL_MAX": 12.0,
+    "MPC_XY_VEL_P_ACC": 1.8, "MPC_Z_P": 1.0, "MPC_Z_VEL_D_ACC": 0.0, "MPC_Z_VEL_I_ACC": 2.0,
+    "MPC_Z_VEL_MAX_DN": 1.5, "MPC_Z_VEL_MAX_UP": 3.0, "MPC_Z_VEL_P_ACC": 4.0,
+    "MPC_Z_V_AUTO_DN": 1.5, "MPC_Z_V_AUTO_UP": 3.0, "NAV_ACC_RAD": 10.0, "NAV_DLL_ACT": 0,
+    "NAV_RCL_ACT": 2, "PD_GRIPPER_EN": 1, "PD_GRIPPER_TO": 1.0, "PD_GRIPPER_TYPE": 0,
+    "RTL_DESCEND_ALT": 30.0, "RTL_LAND_DELAY": 0.0, "RTL_RETURN_ALT": 60.0, "RTL_TYPE": 0,
+    "SDLOG_MODE": 0, "SYS_AUTOSTART": 10040, "SYS_HAS_BARO": 1, "SYS_HAS_GPS": 1,
+    "SYS_HAS_MAG": 1, "SYS_FAILURE_EN": 1, "TRIG_MODE": 0, "UAVCAN_ENABLE": 0,
+    "CAL_ACC0_ID": 1310988, "CAL_GYRO0_ID": 1310988, "CAL_MAG0_ID": 197388,
+}  # fmt: skip
+
+# Streams of PX4's onboard and normal MAVLink modes (those that the emulator has), hertz.
+STREAMS: dict[str, dict[str, float]] = {
+    "onboard": {
+        "HEARTBEAT": 1, "LOCAL_POSITION_NED": 30, "ATTITUDE": 50, "ALTITUDE": 10, "ODOMETRY": 30,
+        "ATTITUDE_QUATERNION": 50, "BATTERY_STATUS": 0.5, "ESTIMATOR_STATUS": 1,
+        "EXTENDED_SYS_STATE": 5, "GLOBAL_POSITION_INT": 50, "GPS_GLOBAL_ORIGIN": 1,
+        "GPS_RAW_INT": 5, "HOME_POSITION": 0.5, "NAV_CONTROLLER_OUTPUT": 10,
+        "POSITION_TARGET_LOCAL_NED": 10, "RC_CHANNELS": 20, "SERVO_OUTPUT_RAW": 10,
+        "SYS_STATUS": 5, "SYSTEM_TIME": 1, "VFR_HUD": 10,
+    },
+    "gcs": {
+        "HEARTBEAT": 1, "LOCAL_POSITION_NED": 1, "ATTITUDE": 15, "ALTITUDE": 1,
+        "ATTITUDE_QUATERNION": 10, "BATTERY_STATUS": 0.5, "ESTIMATOR_STATUS": 0.5,
+        "EXTENDED_SYS_STATE": 1, "GLOBAL_POSITION_INT": 5, "GPS_GLOBAL_ORIGIN": 1,
+        "GPS_RAW_INT": 5, "HOME_POSITION": 0.5, "NAV_CONTROLLER_OUTPUT": 1,
+        "POSITION_TARGET_LOCAL_NED": 1.5, "RC_CHANNELS": 5, "SERVO_OUTPUT_RAW": 1,
+        "SYS_STATUS": 1, "VFR_HUD": 4,
+    },
+}  # fmt: skip
+
+
+class Px4:
+    """The commander and navigator of one PX4 vehicle."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.v = vehicle
+        table = dict(PARAMETERS)
+        table["MAV_SYS_ID"] = vehicle.system
+        vehicle.parameters.load(table)
+        self.intended = "LOITER"
+        self.after_disarm = "LOITER"
+        self.state = "LOITER"
+        self.failsafe = False
+        self.landing = False
+        self.offboard_at = -math.inf
+        self.offboard: wire.Setpoint | None = None
+        self.armed_at = 0.0
+        self.flew = False
+        self.landed_at: float | None = None
+        self.goal: Any = None
+        self.stage = ""
+        self.pilot = False
+        self.latched: str | None = None
+        self.delay_until: float | None = None
+        self.delayed: str | None = None
+        self.battery_level = 0
+        self.battery_at_arming = 0
+        self.gcs_seen = False
+        self.target_mask: int | None = None
+        self.ready_at = -math.inf
+        self.apply_gains()
+        vehicle.bodies.land_time[vehicle.index] = 0.9
+
+    # Parameters.
+
+    def apply_gains(self) -> None:
+        """Carry controller parameters into the batch."""
+        p, b, i = self.v.parameters, self.v.bodies, self.v.index
+        xy, z = p["MPC_XY_P"], p["MPC_Z_P"]
+        b.position_gain[i] = (xy, xy, z)
+        xy, z = p["MPC_XY_VEL_P_ACC"], p["MPC_Z_VEL_P_ACC"]
+        b.velocity_gain[i] = (xy, xy, z)
+        xy, z = p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"]
+        b.integral_gain[i] = (xy, xy, z)
+        b.tilt_limit[i] = math.tan(math.radians(min(89.0, max(10.0, p["MPC_TILTMAX_AIR"]))))
+        b.spool_time[i] = max(0.0, p["COM_SPOOLUP_TIME"])
+        b.ramp_time[i] = max(0.1, 0.5 * p["MPC_TKO_RAMP_T"])
+
+    def parameter_changed(self, name: str) -> None:
+        """React to PARAM_SET."""
+        if name.startswith(("MPC_", "COM_SPOOLUP")):
+            self.apply_gains()
+
+    def restart(self) -> None:
+        """Boot: estimator and checks need a while before arming is possible."""
+        parameters = self.v.parameters
+        self.__init__(self.v)  # type: ignore[misc]
+        self.v.parameters = parameters
+        self.apply_gains()
+        self.ready_at = self.v.now + _BOOT_TIME
+        self.v.later.append((self.ready_at, self._found_home))
+
+    def _found_home(self) -> None:
+        if self.v.global_valid:
+            self.v.home = np.array(self.v.estimated())
+        self.v.text(_INFO, "Ready for takeoff!\t")
+
+    # What is possible.
+
+    def offboard_signal(self) -> bool:
+        """Whether the setpoint stream is alive (COM_OF_LOSS_T)."""
+        return self.v.now - self.offboard_at <= self.v.parameters["COM_OF_LOSS_T"]
+
+    def has(self, need: str) -> bool:
+        """Whether one of the things that modes need is there."""
+        v = self.v
+        if need == "offboard":
+            return self.offboard_signal() and v.local_valid
+        if need == "local":
+            return v.local_valid
+        if need == "global":
+            return v.global_valid
+        if need == "home":
+            return v.home is not None
+        if need == "mission":
+            return bool(v.mission[0])
+        return self.pilot
+
+    def can_run(self, mode: str) -> bool:
+        """Whether a mode's needs are met."""
+        return all(self.has(need) for need in MODES[mode].needs)
+
+    def ready(self) -> bool:
+        """The pre-arm bit: health and the intended mode would allow arming now."""
+        return self.refusal() is None
+
+    def refusal(self) -> str | None:
+        """Why arming would be denied now, None if it would not."""
+        v = self.v
+        if v.now < self.ready_at:
+            return "Resolve system health failures first"
+        if v.refuse_arming:
+            return v.refuse_arming
+        if MODES[self.intended].prevents_arming:
+            return f"Mode '{MODES[self.intended].label}' prevents arming"
+        if not self.can_run(self.intended) or v.bodies.crashed[v.index]:
+            return "Resolve system health failures first"
+        if self.battery_level >= 2:
+            return "Resolve system health failures first"
+        return None
+
+    # Numbers in HEARTBEAT.
+
+    def custom_mode(self) -> int:
+        """Main and sub mode of the state that flies, as PX4 packs them."""
+        mode = MODES[self.state]
+        return mode.main << 16 | mode.sub << 24
+
+    def base_mode(self) -> int:
+        """MAV_MODE_FLAG bits of the state that flies."""
+        mode = MODES[self.state]
+        flags = 1 | 16 | (64 if mode.main in {1, 2, 3, 5, 7} else 4 | 8)
+        return flags | (128 if self.v.armed else 0)
+
+    # Commands.
+
+    def command(self, command: int, p: list[float], link: Link, x: int, y: int) -> int | None:
+        """Carry out a command; return its result, None if this autopilot does not know it."""
+        handler = _COMMANDS.get(command)
+        return None if handler is None else handler(self, p, link, x, y)
+
+    def set_mode(self, base: int, custom: int, link: Link) -> int:
+        """Legacy SET_MODE: the custom mode as one number."""
+        return self._change(_BY_NUMBER.get((custom >> 16 & 0xFF, custom >> 24 & 0xFF)))
+
+    def _change(self, name: str | None) -> int:
+        if name is None:
+            return DENIED
+        if self.state == "TERMINATION":
+            return TEMPORARILY_REJECTED
+        if self.v.armed and not self.can_run(name):
+            label = MODES[name].label
+            self.v.text(_CRITICAL, f"Switching to mode '{label}' is currently not possible\t")
+            return TEMPORARILY_REJECTED
+        self.intend(name)
+        return ACCEPTED
+
+    def intend(self, name: str) -> None:
+        """Take a mode as the user's wish; it clears failsafes that wait for a mode change."""
+        self.intended = name
+        self.latched = None
+        self.delay_until = None
+        self.goal = None
+        self.stage = ""
+        if not MODES[name].prevents_arming:
+            self.after_disarm = name
+        self.evaluate()
+
+    def _do_set_mode(self, p: list[float], link: Link, x: int, y: int) -> int:
+        base, main, sub = int(p[0]), int(p[1]), int(p[2])
+        if not base & 1:
+            return DENIED
+        return self._change(_BY_NUMBER.get((main, sub)))
+
+    def _arm_disarm(self, p: list[float], link: Link, x: int, y: int) -> int:
+        v = self.v
+        force = round(p[1]) == FORCE
+        if p[0] not in (0.0, 1.0):
+            return UNSUPPORTED
+        if p[0] == 1.0:
+            return self._arm(force)
+        if not v.armed:
+            return ACCEPTED
+        if not v.landed and not force:
+            v.text(_CRITICAL, "Disarming denied: not landed\t")
+            return TEMPORARILY_REJECTED
+        self.disarm("Disarmed by external command")
+        return ACCEPTED
+
+    def _arm(self, force: bool) -> int:
+        v = self.v
+        if v.armed:
+            return ACCEPTED
+        reason = self.refusal()
+        if reason and not force:
+            v.text(_CRITICAL, f"Arming denied: {reason}\t")
+            return TEMPORARILY_REJECTED
+        v.bodies.armed[v.index] = True
+        v.bodies.landed[v.index] = True
+        self.armed_at = v.now
+        self.flew = False
+        self.landed_at = None
+        self.battery_at_arming = self.battery_level
+        if v.global_valid:
+            v.home = np.array(v.estimated())
+        v.text(_INFO, "Armed by external command\t")
+        v.around.event("armed", v.system)
+        self.state = ""
+        self.evaluate()
+        return ACCEPTED
+
+    def disarm(self, text: str) -> None:
+        """Stop the motors, wherever the vehicle is."""
+        v = self.v
+        if not v.armed:
+            return
+        v.bodies.armed[v.index] = False
+        v.bodies.landed[v.index] = True
+        demand.idle(v)
+        self.intended = self.after_disarm
+        self.latched = None
+        self.delay_until = None
+        v.text(_INFO, f"{text}\t")
+        v.around.event("disarmed", v.system, reason=text)
+        self.evaluate()
+
+    def _takeoff(self, p: list[float], link: Link, x: int, y: int) -> int:
+        v = self.v
+        result = self._change("TAKEOFF")
+        if result == ACCEPTED:
+            ground = float(v.estimated()[2])
+            if math.isfinite(p[6]):
+                height = p[6] - v.around.geodesy.altitude
+            else:
+                height = ground + v.parameters["MIS_TAKEOFF_ALT"]
+            self.goal = np.array([*v.estimated()[:2], max(height, ground)])
+            self.state = ""
+            self.evaluate()
+        return result
+
+    def _land(self, p: list[float], link: Link, x: int, y: int) -> int:
+        return self._change("LAND")
+
+    def _return(self, p: list[float], link: Link, x: int, y: int) -> int:
+        return self._change("RTL")
+
+    def _reposition(self, p: list[float], link: Link, x: int, y: int) -> int:
+        v = self.v
+        result = self._change("LOITER")
+        if result == ACCEPTED:
+            here = v.estimated()
+            place = np.array(here)
+            if x != 2**31 - 1 and y != 2**31 - 1 and (x or y):
+                place[:2] = v.around.geodesy.metres(x * 1e-7, y * 1e-7)
+            if math.isfinite(p[6]):
+                place[2] = p[6] - v.around.geodesy.altitude
+            self.goal = place
+            if math.isfinite(p[3]):
+                v.bodies.goal_yaw[v.index] = math.pi / 2 - p[3]
+            self.state = ""
+            self.evaluate()
+        return result
+
+    def _speed(self, p: list[float], link: Link, x: int, y: int) -> int:
+        if math.isfinite(p[1]) and p[1] > 0:
+            self.v.bodies.speed_limit[self.v.index] = min(p[1], self.v.spec.max_speed)
+        return ACCEPTED
+
+    def _terminate(self, p: list[float], link: Link, x: int, y: int) -> int:
+        if p[0] > 0.5:
+            self.terminate()
+        return ACCEPTED
+
+    def terminate(self) -> None:
+        """Flight termination: motors off, no way back."""
+        v = self.v
+        self.intended = self.state = "TERMINATION"
+        self.failsafe = True
+        v.bodies.armed[v.index] = False
+        v.text(_EMERGENCY, "Flight termination active\t")
+        v.around.event("terminated", v.system)
+
+    # Setpoints.
+
+    def setpoint(self, setpoint: wire.Setpoint, link: Link) -> None:
+        """Take SET_POSITION_TARGET_LOCAL_NED as PX4 does: LOCAL_NED only; NaN is "not given"."""
+        if setpoint.frame != _LOCAL_NED or setpoint.mask & 512:
+            return
+        position = _masked(setpoint.position, setpoint.mask)
+        velocity = _masked(setpoint.velocity, setpoint.mask >> 3)
+        acceleration = _masked(setpoint.acceleration, setpoint.mask >> 6)
+        if not _complete(position, velocity, acceleration):
+            return
+        self.offboard_at = self.v.now
+        self.offboard = setpoint
+        if self.state == "OFFBOARD":
+            self._follow(position, velocity, acceleration)
+            if not setpoint.mask & 1024 and math.isfinite(setpoint.yaw):
+                self.v.bodies.goal_yaw[self.v.index] = math.pi / 2 - setpoint.yaw
+
+    def _follow(self, position: list[float], velocity: list[float], acc: list[float]) -> None:
+        v = self.v
+        b, i = v.bodies, v.index
+        given = [math.isfinite(value) for value in position]
+        moved = [math.isfinite(value) for value in velocity]
+        b.position_axes[i] = (given[1], given[0], given[2])
+        b.velocity_axes[i] = (given[1] or moved[1], given[0] or moved[0], given[2] or moved[2])
+        n, e, d = (value if math.isfinite(value) else 0.0 for value in position)
+        origin = v.origin
+        b.goal_position[i] = (origin[0] + e, origin[1] + n, origin[2] - d)
+        n, e, d = (value if math.isfinite(value) else 0.0 for value in velocity)
+        b.goal_velocity[i] = (e, n, -d)
+        n, e, d = (value if math.isfinite(value) else 0.0 for value in acc)
+        b.goal_acceleration[i] = (e, n, -d)
+        self.target_mask = self.offboard.mask if self.offboard else None
+
+    # What flies.
+
+    def tick(self) -> None:
+        """Look at timers and conditions, twenty-odd times a second."""
+        v = self.v
+        self._battery()
+        if v.armed:
+            self._watch_links()
+        self.evaluate()
+        if not v.armed:
+            return
+        if not v.landed:
+            self.flew = True
+            self.landed_at = None
+            _STEERING.get(self.state, _nothing)(self)
+        elif self.flew:
+            self._after_landing()
+        elif v.now - self.armed_at > v.parameters["COM_DISARM_PRFLT"] > 0:
+            self.disarm("Disarmed by auto preflight disarming")
+
+    def _after_landing(self) -> None:
+        v = self.v
+        if self.landed_at is None:
+            self.landed_at = v.now
+            v.text(_INFO, "Landing detected\t")
+            v.around.event("landed", v.system)
+        wait = v.parameters["COM_DISARM_LAND"]
+        if 0 <= wait < v.now - self.landed_at:
+            self.disarm("Disarmed by landing")
+
+    def _battery(self) -> None:
+        p, v = self.v.parameters, self.v
+        thresholds = (p["BAT_LOW_THR"], p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"])
+        level = sum(v.charge < threshold for threshold in thresholds)
+        if level > self.battery_level:
+            label = ("Low battery level", "Critical battery level", "Dangerous battery level")
+            v.text(_WARNING if level == 1 else _CRITICAL, f"{label[level - 1]}\t")
+            action = BATTERY[p.integer("COM_LOW_BAT_ACT") % 4][max(level - 2, 0)]
+            if v.armed and level >= 2 and action and level > self.battery_at_arming:
+                self._trigger(action)
+        self.battery_level = max(level, self.battery_level if v.armed else 0)
+
+    def _watch_links(self) -> None:
+        v, p = self.v, self.v.parameters
+        latest = max(v.last_heartbeat.values(), default=-math.inf)
+        lost = v.now - latest > p["COM_DL_LOSS_T"]
+        if not lost:
+            self.gcs_seen = True
+        elif self.gcs_seen:
+            self.gcs_seen = False
+            v.text(_WARNING, "Connection to ground station lost\t")
+            action = LINK_LOSS.get(p.integer("NAV_DLL_ACT"))
+            ignored = self.intended == "LAND" or (
+                self.intended == "OFFBOARD" and p.integer("COM_DLL_EXCEPT") & 4
+            )
+            if action and not ignored:
+                self._trigger(action)
+
+    def _trigger(self, action: str) -> None:
+        """Start a failsafe: Hold for COM_FAIL_ACT_T while a pilot could take over, then act."""
+        v = self.v
+        if action == "DISARM":
+            self.disarm("Disarmed by failsafe")
+        elif action == "TERMINATION":
+            self.terminate()
+        elif self.latched != action:
+            wait = v.parameters["COM_FAIL_ACT_T"] if action != "LOITER" else 0.0
+            self.latched = "LOITER" if wait > 0 else action
+            self.delayed = action
+            self.delay_until = v.now + wait
+            v.text(_CRITICAL, f"Failsafe activated: {MODES[action].label}\t")
+
+    def evaluate(self) -> None:
+        """Find the state that flies: the user's mode, or what failsafes make of it."""
+        v = self.v
+        if self.state == "TERMINATION":
+            return
+        if not v.armed:
+            self._enter(self.intended, failsafe=False)
+            return
+        if self.delay_until is not None and v.now >= self.delay_until:
+            self.latched, self.delay_until = self.delayed, None
+        wanted, failsafe = self.intended, False
+        if self.latched and self.intended != "LAND":
+            wanted, failsafe = self.latched, True
+        if "offboard" in MODES[wanted].needs and not self.offboard_signal():
+            wanted = OFFBOARD_LOSS.get(v.parameters.integer("COM_OBL_RC_ACT"), "POSCTL")
+            failsafe = True
+            if wanted == "DISARM":
+                self.disarm("Disarmed by failsafe")
+                return
+            if wanted == "TERMINATION":
+                self.terminate()
+                return
+        while not self.can_run(wanted):
+            failsafe = True
+            wanted = FALLBACK.get(wanted, "DESCEND" if "pilot" in MODES[wanted].needs else "RTL")
+        self._enter(wanted, failsafe)
+
+    def _enter(self, name: str, failsafe: bool) -> None:
+        if name == self.state and failsafe == self.failsafe:
+            return
+        v = self.v
+        if failsafe and not self.failsafe and v.armed:
+            v.text(_CRITICAL, f"Failsafe activated: {MODES[name].label}\t")
+        self.failsafe = failsafe
+        if name == self.state:
+            return
+        self.state = name
+        self.landing = name in {"LAND", "DESCEND"}
+        self.stage = ""
+        v.around.event("mode", v.system, mode=name, failsafe=failsafe)
+        if v.armed:
+            self._begin(name)
+
+    def _begin(self, name: str) -> None:
+        """Set the controller up for a state that has just been entered while armed."""
+        v, p = self.v, self.v.parameters
+        b, i = v.bodies, v.index
+        b.may_lift[i] = name in {"OFFBOARD", "TAKEOFF", "POSCTL", "MISSION"}
+        demand.limits(v, p["MPC_XY_CRUISE"], p["MPC_Z_V_AUTO_UP"], p["MPC_Z_V_AUTO_DN"])
+        self.target_mask = None
+        if name == "OFFBOARD":
+            demand.limits(v, p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"])
+            if self.offboard is not None:
+                self.setpoint(self.offboard, v.links[0]) if self.offboard_signal() else None
+        elif name == "TAKEOFF" and self.goal is not None:
+            demand.limits(v, p["MPC_XY_CRUISE"], p["MPC_TKO_SPEED"], p["MPC_Z_V_AUTO_DN"])
+            demand.go(v, self.goal)
+        elif name == "LOITER" and self.goal is not None:
+            demand.go(v, self.goal)
+        elif name == "LAND":
+            demand.hold(v)
+            demand.sink(v, p["MPC_LAND_SPEED"], steer=True)
+        elif name == "DESCEND":
+            demand.sink(v, p["MPC_LAND_SPEED"], steer=False)
+        elif name != "TERMINATION":
+            demand.hold(v)
+
+    def _steer_takeoff(self) -> None:
+        v = self.v
+        if self.goal is not None and abs(float(v.estimated()[2] - self.goal[2])) < 0.3:
+            self.intended, self.after_disarm = "LOITER", "LOITER"
+            self.goal = np.array(self.goal)
+            self.evaluate()
+
+    def _steer_land(self) -> None:
+        v, p = self.v, self.v.parameters
+        b, i = v.bodies, v.index
+        home = v.home[2] if v.home is not None else v.origin[2]
+        height = float(v.estimated()[2] - home)
+        fast = height > p["MPC_LAND_ALT1"]
+        b.goal_velocity[i, 2] = -(p["MPC_Z_V_AUTO_DN"] if fast else p["MPC_LAND_SPEED"])
+
+    def _steer_return(self) -> None:
+        """Climb to the return altitude, fly home, come down, land."""
+        v, p = self.v, self.v.parameters
+        if v.home is None:
+            return
+        home = v.home
+        here = v.estimated()
+        away = float(np.hypot(*(home - here)[:2]))
+        top = max(float(here[2]), float(home[2]) + min(p["RTL_RETURN_ALT"], 0.5 * away + 5.0))
+        if self.stage == "":
+            self.goal = np.array([here[0], here[1], top if away > 1.0 else here[2]])
+            self.stage = "climb"
+            demand.go(v, self.goal)
+        elif self.stage == "climb" and here[2] > self.goal[2] - 0.5:
+            self.goal = np.array([home[0], home[1], self.goal[2]])
+            self.stage = "home"
+            demand.go(v, self.goal)
+        elif self.stage == "home" and away < 0.5:
+            self.stage = "land"
+            self.landing = True
+            demand.sink(v, p["MPC_LAND_SPEED"], steer=True)
+
+
+def _nothing(_: Px4) -> None:
+    return
+
+
+def _masked(values: tuple[float, float, float], bits: int) -> list[float]:
+    return [math.nan if bits >> k & 1 else value for k, value in enumerate(values)]
+
+
+def _complete(position: list[float], velocity: list[float], acc: list[float]) -> bool:
+    """Every axis has something, x and y alike (PX4 refuses other combinations)."""
+    sets = [[math.isfinite(value) for value in values] for values in (position, velocity, acc)]
+    return all(any(kind[k] for kind in sets) for k in range(3)) and all(
+        kind[0] == kind[1] for kind in sets
+    )
+
+
+_STEERING = {
+    "TAKEOFF": Px4._steer_takeoff,
+    "LAND": Px4._steer_land,
+    "RTL": Px4._steer_return,
+}
+_COMMANDS = {
+    dialect.MAV_CMD_COMPONENT_ARM_DISARM: Px4._arm_disarm,
+    dialect.MAV_CMD_DO_SET_MODE: Px4._do_set_mode,
+    dialect.MAV_CMD_NAV_TAKEOFF: Px4._takeoff,
+    dialect.MAV_CMD_NAV_LAND: Px4._land,
+    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: Px4._return,
+    dialect.MAV_CMD_DO_REPOSITION: Px4._reposition,
+    dialect.MAV_CMD_DO_CHANGE_SPEED: Px4._speed,
+    dialect.MAV_CMD_DO_FLIGHTTERMINATION: Px4._terminate,
+}
+GRIPPER_ACK_FIRST = IN_PROGRESS

@@ -1,0 +1,303 @@
+"""The emulator in real time (or n times that): UDP and TCP sockets on loopback, one loop.
+
+Ports are those of the real simulators, unless every vehicle is to talk to one ``target``.
+"""
+
+import contextlib
+import gc
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+from sitl.dynamics import STEP
+from sitl.emulator import Emulator, Truth
+from sitl.vehicle import Link, Vehicle
+
+HOST = "127.0.0.1"
+OFFBOARD, OFFBOARD_LOCAL, GROUND, GROUND_LOCAL, TCP = 14540, 14580, 14550, 18570, 5760
+_LARGEST_DATAGRAM = 65535
+_LARGEST_LAG = 0.25
+_TRUTH_EVERY = 0.1
+_BUFFER = 1 << 20
+
+
+@dataclass
+class Endpoint:
+    """A socket of one vehicle's link."""
+
+    socket: socket.socket
+    vehicle: Vehicle
+    link: Link
+    peer: tuple[str, int] | None
+    stream: bool = False
+
+
+class Server:
+    """Joins an `Emulator` to sockets and the wall clock."""
+
+    def __init__(self, emulator: Emulator, host: str, speed: float) -> None:
+        self.emulator = emulator
+        self.host = host
+        self.speed = speed
+        self.endpoints: dict[int, Endpoint] = {}
+        self.listeners: dict[int, tuple[socket.socket, Vehicle]] = {}
+        self.by_link: dict[int, Endpoint] = {}
+        self.poll = select.poll()
+        self.stopped = False
+        self.slipped = 0.0
+        self.description: list[dict[str, Any]] = []
+
+    def udp(
+        self, vehicle: Vehicle, link: Link, peer: tuple[str, int] | None, local: int = 0
+    ) -> int:
+        """Give a link a UDP socket that sends to ``peer``; return the local port."""
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        sock.setblocking(False)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        try:
+            sock.bind((self.host, local))
+        except OSError:
+            sock.bind((self.host, 0))
+        self._add(Endpoint(sock, vehicle, link, peer))
+        return int(sock.getsockname()[1])
+
+    def listen(self, vehicle: Vehicle, port: int) -> int | None:
+        """Accept TCP connections to a vehicle; None if the port is taken."""
+        sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            sock.bind((self.host, port))
+        except OSError:
+            sock.close()
+            return None
+        sock.listen(4)
+        sock.setblocking(False)
+        self.listeners[sock.fileno()] = (sock, vehicle)
+        self.poll.register(sock, select.POLLIN)
+        return port
+
+    def _add(self, endpoint: Endpoint) -> None:
+        descriptor = endpoint.socket.fileno()
+        self.endpoints[descriptor] = endpoint
+        self.by_link[id(endpoint.link)] = endpoint
+        self.poll.register(descriptor, select.POLLIN)
+
+    def _accept(self, descriptor: int) -> None:
+        listener, vehicle = self.listeners[descriptor]
+        with contextlib.suppress(OSError):
+            sock, _ = listener.accept()
+            sock.setblocking(False)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            link = self.emulator.open_link(vehicle, "gcs")
+            self._add(Endpoint(sock, vehicle, link, None, stream=True))
+
+    def _drop(self, endpoint: Endpoint) -> None:
+        descriptor = endpoint.socket.fileno()
+        self.poll.unregister(descriptor)
+        del self.endpoints[descriptor]
+        del self.by_link[id(endpoint.link)]
+        endpoint.socket.close()
+        self.emulator.close_link(endpoint.vehicle, endpoint.link)
+
+    def _drain(self, descriptor: int, now: float) -> None:
+        endpoint = self.endpoints.get(descriptor)
+        if endpoint is None:
+            self._accept(descriptor)
+            return
+        while True:
+            try:
+                if endpoint.stream:
+                    data = endpoint.socket.recv(_LARGEST_DATAGRAM)
+                    if not data:
+                        self._drop(endpoint)
+                        return
+                else:
+                    data, endpoint.peer = endpoint.socket.recvfrom(_LARGEST_DATAGRAM)
+            except BlockingIOError:
+                return
+            except ConnectionError:
+                if endpoint.stream:
+                    self._drop(endpoint)
+                    return
+                continue
+            self.emulator.deliver(endpoint.vehicle, endpoint.link, data, now)
+
+    def _flush(self) -> None:
+        for _, link, data in self.emulator.collect():
+            endpoint = self.by_link.get(id(link))
+            if endpoint is None:
+                continue
+            try:
+                if endpoint.stream:
+                    endpoint.socket.send(data)
+                elif endpoint.peer is not None:
+                    endpoint.socket.sendto(data, endpoint.peer)
+            except BlockingIOError:
+                continue
+            except OSError:
+                if endpoint.stream:
+                    self._drop(endpoint)
+
+    def run(self, on_truth: Callable[[Truth], None] | None, parent: int | None) -> None:
+        """Run until `stop` (or until the parent process is another one)."""
+        emulator = self.emulator
+        start = time.monotonic() - emulator.time / self.speed
+        next_truth = 0.0
+        gc.collect()
+        gc.freeze()
+        while not self.stopped:
+            due = start + (emulator.time + STEP) / self.speed
+            wait = due - time.monotonic()
+            if wait > 0:
+                ready = self.poll.poll(wait * 1000.0)
+                if ready:
+                    now = max(emulator.time, (time.monotonic() - start) * self.speed)
+                    for descriptor, _ in ready:
+                        self._drain(descriptor, now)
+                    self._flush()
+                    continue
+            elif wait < -_LARGEST_LAG:
+                start -= wait
+                self.slipped -= wait
+            else:
+                for descriptor, _ in self.poll.poll(0):
+                    self._drain(descriptor, emulator.time)
+            emulator.advance(emulator.time + STEP)
+            self._flush()
+            if on_truth is not None and emulator.time >= next_truth:
+                on_truth(emulator.truth())
+                next_truth = emulator.time + _TRUTH_EVERY - 1e-6
+            if parent is not None and os.getppid() != parent:
+                return
+
+    def stop(self, *_: Any) -> None:
+        """End `run` soon; usable as a signal handler."""
+        self.stopped = True
+
+    def close(self) -> None:
+        """Close every socket."""
+        for endpoint in self.endpoints.values():
+            endpoint.socket.close()
+        for listener, _ in self.listeners.values():
+            listener.close()
+
+
+def to_target(emulator: Emulator, target: tuple[str, int], host: str, speed: float) -> Server:
+    """Every vehicle from its own ephemeral UDP port to one address."""
+    server = Server(emulator, host, speed)
+    for vehicle in emulator.vehicles:
+        local = server.udp(vehicle, vehicle.links[0], target)
+        server.description.append(
+            {
+                "id": vehicle.system,
+                "autopilot": vehicle.spec.autopilot,
+                "udp_local": local,
+                "udp_to": f"{target[0]}:{target[1]}",
+            }
+        )
+    return server
+
+
+def to_default_ports(emulator: Emulator, host: str, speed: float, port_step: int | None) -> Server:
+    """Speak on the ports of the real simulators.
+
+    PX4 number i (from 0) sends to UDP 14540 + i, all beyond the tenth to 14549, or to
+    14540 + i·step; all send to 14550 too. ArduPilot sends to 14550 and listens on TCP 5760 + 10 i.
+    """
+    server = Server(emulator, host, speed)
+    for i, vehicle in enumerate(emulator.vehicles):
+        one: dict[str, Any] = {"id": vehicle.system, "autopilot": vehicle.spec.autopilot}
+        if vehicle.spec.autopilot == "px4":
+            offset = min(i, 9) if port_step is None else i * port_step
+            server.udp(vehicle, vehicle.links[0], (host, OFFBOARD + offset), OFFBOARD_LOCAL + i)
+            one["udp_to"] = f"{host}:{OFFBOARD + offset}"
+            ground = emulator.open_link(vehicle, "gcs")
+            server.udp(vehicle, ground, (host, GROUND), GROUND_LOCAL + i)
+        else:
+            server.udp(vehicle, vehicle.links[0], (host, GROUND))
+            port = server.listen(vehicle, TCP + 10 * i)
+            one["tcp"] = f"{host}:{port}" if port else None
+        one["udp_ground"] = f"{host}:{GROUND}"
+        server.description.append(one)
+    return server
+
+
+def truth_line(truth: Truth) -> str:
+    """One JSON line of ground truth (NaN as null)."""
+    data: dict[str, Any] = {}
+    for name, value in vars(truth).items():
+        if name in {"contacts", "strikes", "events"}:
+            data[name] = len(value)
+        elif hasattr(value, "tolist"):
+            data[name] = value.tolist()
+        else:
+            data[name] = value
+    data["grip_arc"] = [arc if arc == arc else None for arc in data["grip_arc"]]
+    return json.dumps(data)
+
+
+def truth_writer(file: TextIO) -> Callable[[Truth], None]:
+    """Write truth as JSON lines; events, contacts and strikes once each, as they happen."""
+    seen = {"events": 0, "contacts": 0, "strikes": 0}
+
+    def write(truth: Truth) -> None:
+        for kind in seen:
+            items = getattr(truth, kind)
+            for item in items[seen[kind] :]:
+                file.write(json.dumps({"record": kind, **item}) + "\n")
+            seen[kind] = len(items)
+        file.write(truth_line(truth) + "\n")
+        file.flush()
+
+    return write
+
+
+def connect_help(server: Server) -> str:
+    """How to connect the usual clients to what `server` speaks."""
+    lines = [
+        f"{one['id']:>4}  {one['autopilot']:<9}  "
+        + "  ".join(f"{k} {v}" for k, v in one.items() if k not in {"id", "autopilot"} and v)
+        for one in server.description
+    ]
+    px4 = any(one["autopilot"] == "px4" for one in server.description)
+    tcp = [one["tcp"] for one in server.description if one.get("tcp")]
+    lines.append("")
+    if px4:
+        lines.append("MAVSDK          udpin://127.0.0.1:14540 (vehicle 1; 14541 for the next, …)")
+    elif tcp:
+        lines.append(f"MAVSDK          tcpout://{tcp[0]}")
+    first = f"tcp:{tcp[0]}" if tcp else "udpin:127.0.0.1:14550"
+    lines.append(f"MAVProxy        mavproxy.py --master={first}")
+    lines.append("QGroundControl  finds all of them by itself (UDP 14550)")
+    return "\n".join(lines)
+
+
+def serve(
+    server: Server, truth: Path | None, *, as_json: bool, follow_parent: bool, parent: int
+) -> int:
+    """Run a server until a signal ends it; return the exit code."""
+    signal.signal(signal.SIGINT, server.stop)
+    signal.signal(signal.SIGTERM, server.stop)
+    with contextlib.ExitStack() as stack:
+        stack.callback(server.close)
+        writer = None
+        if truth is not None:
+            writer = truth_writer(stack.enter_context(truth.open("w")))
+        if as_json:
+            line = json.dumps(
+                {"ready": True, "speed": server.speed, "vehicles": server.description}
+            )
+        else:
+            line = f"{len(server.description)} emulated vehicles\n{connect_help(server)}"
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+        server.run(writer, parent if follow_parent else None)
+    return 0

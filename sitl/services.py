@@ -1,0 +1,492 @@
+"""What every autopilot answers, whatever it flies: the handlers of `Vehicle.handle`.
+
+Commands, message rates, parameters, missions, logs, file transfer, time.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import common as dialect
+
+from sitl import telemetry, wire
+from sitl.vehicle import (
+    ACCEPTED,
+    DENIED,
+    HANDLERS,
+    IN_PROGRESS,
+    UNSUPPORTED,
+    Link,
+    Vehicle,
+)
+
+NAMES = {number: name for name, number in wire.NUMBERS.items()}
+_MISSION_TIMEOUT = 5.0
+_LARGEST_MISSION = 500
+_PARAMETERS_PER_TICK = 20
+_LARGEST_RATE = 200.0
+
+
+def _addressed(v: Vehicle, message: Any) -> bool:
+    return message.target_system in {0, v.system} and message.target_component in {0, 1}
+
+
+def emit(v: Vehicle, name: str, link: Link) -> bool:
+    """Send one telemetry message now; False if there is nothing to send."""
+    body = telemetry.MESSAGES[name](v)
+    if body is None:
+        return False
+    layout = wire.LAYOUTS[name]
+    ticks = 0
+    if link.sender.signer:
+        ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
+    link.outgoing.append(link.sender.frame(layout.number, body, layout.seed, ticks))
+    return True
+
+
+def _heartbeat(v: Vehicle, message: Any, link: Link) -> None:
+    if message.type == dialect.MAV_TYPE_GCS:
+        v.last_heartbeat[message.get_srcSystem()] = v.now
+
+
+def _command_long(v: Vehicle, message: Any, link: Link) -> None:
+    if not _addressed(v, message):
+        return
+    p = [getattr(message, f"param{k}") for k in range(1, 8)]
+    x, y = _scaled(p[4]), _scaled(p[5])
+    _command(v, message, p, link, x, y)
+
+
+def _scaled(degrees: float) -> int:
+    if not math.isfinite(degrees) or abs(degrees) > 214.0:
+        return 2**31 - 1
+    return round(degrees * 1e7)
+
+
+def _command_int(v: Vehicle, message: Any, link: Link) -> None:
+    if not _addressed(v, message):
+        return
+    p = [message.param1, message.param2, message.param3, message.param4, 0.0, 0.0, message.z]
+    p[4], p[5] = message.x * 1e-7, message.y * 1e-7
+    _command(v, message, p, link, message.x, message.y)
+
+
+def _command(v: Vehicle, message: Any, p: list[float], link: Link, x: int, y: int) -> None:
+    command = message.command
+    system, component = message.get_srcSystem(), message.get_srcComponent()
+    own = COMMANDS.get(command)
+    try:
+        if own is not None:
+            result = own(v, p, link, (system, component))
+        else:
+            result = v.personality.command(command, p, link, x, y)
+    except (ValueError, OverflowError):
+        result = DENIED
+    if result is None:
+        result = UNSUPPORTED
+    if result >= 0:
+        v.acknowledge(command, result, link, system, component)
+        if command == dialect.MAV_CMD_DO_SET_MODE and v.spec.autopilot == "px4":
+            v.acknowledge(command, result, link, system, component)
+
+
+_NO_ANSWER = -1
+
+
+def _request_message(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
+    name = NAMES.get(int(p[0]))
+    if name not in telemetry.MESSAGES or not emit(v, name, link):
+        return DENIED if v.spec.autopilot == "px4" else UNSUPPORTED
+    return ACCEPTED
+
+
+def _set_interval(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
+    name = NAMES.get(int(p[0]))
+    if name not in telemetry.MESSAGES or not math.isfinite(p[1]):
+        return DENIED
+    if p[1] < 0:
+        link.stream(name, None, v.now)
+    elif p[1] == 0:
+        rate = default_streams(v, link).get(name)
+        link.stream(name, 1.0 / rate if rate else None, v.now)
+    else:
+        link.stream(name, max(p[1] * 1e-6, 1.0 / _LARGEST_RATE), v.now)
+    return ACCEPTED
+
+
+def _get_interval(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
+    name = NAMES.get(int(p[0]))
+    interval = link.intervals.get(name) if name else None
+    microseconds = round(interval * 1e6) if interval else -1
+    v.send("MESSAGE_INTERVAL", link, message_id=int(p[0]), interval_us=microseconds)
+    return ACCEPTED
+
+
+def _capabilities(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
+    emit(v, "AUTOPILOT_VERSION", link)
+    return ACCEPTED
+
+
+def _gripper(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
+    if v.spec.gripper != "mavlink":
+        return UNSUPPORTED
+    if p[1] not in (0.0, 1.0):
+        return DENIED
+    delay = float(v.rng.uniform(0.4, 0.7))
+    v.start_gripper(p[1] == 1.0, link, *asker, delay)
+    return IN_PROGRESS if v.spec.autopilot == "px4" else _NO_ANSWER
+
+
+def _home(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
+    return ACCEPTED if emit(v, "HOME_POSITION", link) else DENIED
+
+
+def _set_home(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
+    if not v.global_valid:
+        return DENIED
+    place = np.array(v.estimated())
+    if p[0] != 1.0:
+        if not (math.isfinite(p[4]) and math.isfinite(p[5]) and math.isfinite(p[6])):
+            return DENIED
+        x, y = v.around.geodesy.metres(p[4], p[5])
+        if max(abs(x), abs(y)) > 1e5:
+            return DENIED
+        place = np.array([x, y, p[6] - v.around.geodesy.altitude])
+    v.home = place
+    return ACCEPTED
+
+
+def _reboot(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
+    if p[0] not in (1.0, 3.0):
+        return ACCEPTED if p[0] == 0.0 else DENIED
+    if v.armed:
+        return DENIED
+    v.later.append((v.now + 0.2, v.reboot))
+    return ACCEPTED
+
+
+COMMANDS: dict[int, Callable[[Vehicle, list[float], Link, tuple[int, int]], int]] = {
+    dialect.MAV_CMD_REQUEST_MESSAGE: _request_message,
+    dialect.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
+    dialect.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
+    dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _capabilities,
+    dialect.MAV_CMD_DO_GRIPPER: _gripper,
+    dialect.MAV_CMD_GET_HOME_POSITION: _home,
+    dialect.MAV_CMD_DO_SET_HOME: _set_home,
+    dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
+}
+
+
+def default_streams(v: Vehicle, link: Link) -> dict[str, float]:
+    """Rates (Hz) that this autopilot sends on this kind of link without being asked."""
+    from sitl import ardupilot, px4  # the personalities import this module's constants
+
+    table = px4.STREAMS if v.spec.autopilot == "px4" else ardupilot.STREAMS
+    return table[link.kind]
+
+
+def _set_mode(v: Vehicle, message: Any, link: Link) -> None:
+    if message.target_system == v.system:
+        result = v.personality.set_mode(message.base_mode, message.custom_mode, link)
+        v.acknowledge(
+            dialect.MAVLINK_MSG_ID_SET_MODE,
+            result,
+            link,
+            message.get_srcSystem(),
+            message.get_srcComponent(),
+        )
+
+
+# Parameters.
+
+
+def send_parameter(v: Vehicle, link: Link, name: str) -> None:
+    """Send one PARAM_VALUE."""
+    p = v.parameters
+    body = (
+        p.encode(name)
+        + len(p.names).to_bytes(2, "little")
+        + p.places[name].to_bytes(2, "little")
+        + name.encode().ljust(16, b"\0")
+        + bytes([p.kinds[name]])
+    )
+    layout = wire.LAYOUTS["PARAM_VALUE"]
+    ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
+    link.outgoing.append(link.sender.frame(layout.number, body, layout.seed, ticks))
+
+
+def _param_list(v: Vehicle, message: Any, link: Link) -> None:
+    if _addressed(v, message):
+        v.parameter_queue = [entry for entry in v.parameter_queue if entry[0] is not link]
+        v.parameter_queue += [(link, k) for k in range(len(v.parameters.names))]
+
+
+def pump_parameters(v: Vehicle) -> None:
+    """Send the next few of a requested parameter list (400 a second)."""
+    for link, place in v.parameter_queue[:_PARAMETERS_PER_TICK]:
+        send_parameter(v, link, v.parameters.names[place])
+    del v.parameter_queue[:_PARAMETERS_PER_TICK]
+
+
+def _name(text: Any) -> str:
+    raw = text.encode("utf-8", "replace") if isinstance(text, str) else bytes(text)
+    return raw.split(b"\0")[0].decode("ascii", "replace")
+
+
+def _param_read(v: Vehicle, message: Any, link: Link) -> None:
+    if not _addressed(v, message):
+        return
+    p = v.parameters
+    if message.param_index >= 0:
+        if message.param_index < len(p.names):
+            send_parameter(v, link, p.names[message.param_index])
+        return
+    name = _name(message.param_id)
+    if name in p.values:
+        send_parameter(v, link, name)
+
+
+def _param_set(v: Vehicle, message: Any, link: Link) -> None:
+    if not _addressed(v, message):
+        return
+    name = _name(message.param_id)
+    p = v.parameters
+    if name not in p.values:
+        return
+    body = bytes(message.get_msgbuf())[10:]
+    value = p.decode(name, body[:4].ljust(4, b"\0"), message.param_type)
+    if value is not None:
+        p.values[name] = value
+        v.personality.parameter_changed(name)
+    for target in v.links:
+        send_parameter(v, target, name)
+
+
+# Missions: enough for ground stations to connect, upload and read back.
+
+
+def _mission_request_list(v: Vehicle, message: Any, link: Link) -> None:
+    if _addressed(v, message):
+        kind = message.mission_type
+        v.send(
+            "MISSION_COUNT",
+            link,
+            target_system=message.get_srcSystem(),
+            target_component=message.get_srcComponent(),
+            count=len(v.mission.get(kind, [])),
+            mission_type=kind,
+        )
+
+
+def _mission_item(v: Vehicle, message: Any, link: Link) -> None:
+    if not _addressed(v, message):
+        return
+    items = v.mission.get(message.mission_type, [])
+    if message.seq >= len(items):
+        _mission_ack(v, message, link, dialect.MAV_MISSION_INVALID_SEQUENCE)
+        return
+    item = dict(items[message.seq])
+    item["target_system"], item["target_component"] = (
+        message.get_srcSystem(),
+        message.get_srcComponent(),
+    )
+    if message.get_type() == "MISSION_REQUEST_INT":
+        v.send("MISSION_ITEM_INT", link, **item)
+    else:
+        item["x"], item["y"] = item["x"] * 1e-7, item["y"] * 1e-7
+        v.send("MISSION_ITEM", link, **item)
+
+
+def _mission_ack(v: Vehicle, message: Any, link: Link, result: int) -> None:
+    v.send(
+        "MISSION_ACK",
+        link,
+        target_system=message.get_srcSystem(),
+        target_component=message.get_srcComponent(),
+        type=result,
+        mission_type=message.mission_type,
+    )
+
+
+def _mission_count(v: Vehicle, message: Any, link: Link) -> None:
+    if not _addressed(v, message):
+        return
+    kind = message.mission_type
+    if kind not in v.mission or message.count > _LARGEST_MISSION:
+        _mission_ack(v, message, link, dialect.MAV_MISSION_NO_SPACE)
+    elif message.count == 0:
+        v.mission[kind] = []
+        _mission_ack(v, message, link, dialect.MAV_MISSION_ACCEPTED)
+    else:
+        v.upload = {"kind": kind, "count": message.count, "items": [], "at": v.now}
+        _ask_item(v, message, link)
+
+
+def _ask_item(v: Vehicle, message: Any, link: Link) -> None:
+    v.send(
+        "MISSION_REQUEST_INT",
+        link,
+        target_system=message.get_srcSystem(),
+        target_component=message.get_srcComponent(),
+        seq=len(v.upload["items"]),
+        mission_type=v.upload["kind"],
+    )
+
+
+_ITEM_FIELDS = (
+    "seq", "frame", "command", "current", "autocontinue", "param1", "param2", "param3", "param4",
+    "x", "y", "z", "mission_type",
+)  # fmt: skip
+
+
+def _mission_receive(v: Vehicle, message: Any, link: Link) -> None:
+    if not _addressed(v, message):
+        return
+    upload = v.upload
+    if not upload or v.now - upload["at"] > _MISSION_TIMEOUT:
+        _mission_ack(v, message, link, dialect.MAV_MISSION_ERROR)
+        return
+    if message.seq != len(upload["items"]):
+        _ask_item(v, message, link)
+        return
+    item = {name: getattr(message, name) for name in _ITEM_FIELDS}
+    if message.get_type() == "MISSION_ITEM":
+        item["x"], item["y"] = _scaled(item["x"]), _scaled(item["y"])
+    upload["items"].append(item)
+    upload["at"] = v.now
+    if len(upload["items"]) < upload["count"]:
+        _ask_item(v, message, link)
+        return
+    v.mission[upload["kind"]] = upload["items"]
+    v.upload = {}
+    _mission_ack(v, message, link, dialect.MAV_MISSION_ACCEPTED)
+
+
+def _mission_clear(v: Vehicle, message: Any, link: Link) -> None:
+    if _addressed(v, message):
+        kinds = list(v.mission) if message.mission_type == 255 else [message.mission_type]
+        for kind in kinds:
+            v.mission[kind] = []
+        _mission_ack(v, message, link, dialect.MAV_MISSION_ACCEPTED)
+
+
+# Logs, files, time, position from outside, signing.
+
+
+def _log_list(v: Vehicle, message: Any, link: Link) -> None:
+    if _addressed(v, message):
+        v.send("LOG_ENTRY", link)
+
+
+_FTP_NAK, _FTP_FAIL = 129, 1
+
+
+def _file_transfer(v: Vehicle, message: Any, link: Link) -> None:
+    if not _addressed(v, message):
+        return
+    request = list(message.payload)
+    answer = [0] * 251
+    sequence = (request[0] | request[1] << 8) + 1
+    answer[0], answer[1] = sequence & 0xFF, sequence >> 8 & 0xFF
+    answer[3], answer[4], answer[5], answer[12] = _FTP_NAK, 1, request[3], _FTP_FAIL
+    v.send(
+        "FILE_TRANSFER_PROTOCOL",
+        link,
+        target_system=message.get_srcSystem(),
+        target_component=message.get_srcComponent(),
+        payload=answer,
+    )
+
+
+def _timesync(v: Vehicle, message: Any, link: Link) -> None:
+    if message.tc1 == 0:
+        v.send("TIMESYNC", link, tc1=round(v.clock() * 1e9), ts1=message.ts1)
+
+
+def _ping(v: Vehicle, message: Any, link: Link) -> None:
+    if message.target_system == 0:
+        v.send(
+            "PING",
+            link,
+            time_usec=message.time_usec,
+            seq=message.seq,
+            target_system=message.get_srcSystem(),
+            target_component=message.get_srcComponent(),
+        )
+
+
+def _set_origin(v: Vehicle, message: Any, link: Link) -> None:
+    """PX4 moves its origin when told to; ArduPilot keeps one that it has."""
+    if message.target_system not in {0, v.system} or v.spec.autopilot == "ardupilot":
+        return
+    if abs(message.latitude) > 900_000_000 or abs(message.longitude) > 1_800_000_000:
+        return
+    x, y = v.around.geodesy.metres(message.latitude * 1e-7, message.longitude * 1e-7)
+    if max(abs(x), abs(y)) < 1e5:
+        v.origin = np.array([x, y, message.altitude * 1e-3 - v.around.geodesy.altitude])
+        emit(v, "GPS_GLOBAL_ORIGIN", link)
+
+
+def _vision(v: Vehicle, message: Any, link: Link) -> None:
+    """Indoors the estimator follows what motion capture says (local NED of the shared frame)."""
+    place = (message.x, message.y, message.z)
+    if not v.around.indoor or not all(map(math.isfinite, place)):
+        return
+    told = v.origin + (message.y, message.x, -message.z)
+    correction = told - v.bodies.position[v.index]
+    if float(np.linalg.norm(correction)) < 5.0:
+        v.bodies.bias[v.index] = correction
+        v.vision_at = v.now
+
+
+def _data_stream(v: Vehicle, message: Any, link: Link) -> None:
+    if not _addressed(v, message) or v.spec.autopilot != "ardupilot":
+        return
+    from sitl import ardupilot  # see default_streams
+
+    for name in ardupilot.DATA_STREAMS.get(message.req_stream_id, ()):
+        rate = min(message.req_message_rate, 50)
+        on = message.start_stop == 1 and rate > 0
+        link.stream(name, 1.0 / rate if on else None, v.now)
+
+
+def _setup_signing(v: Vehicle, message: Any, link: Link) -> None:
+    if message.target_system != v.system:
+        return
+    key = bytes(message.secret_key)
+    if any(key):
+        link.receiver.set_key(key)
+        link.sender.signer = wire.Signer(key, 0, int(message.initial_timestamp))
+    else:
+        link.receiver.set_key(None)
+        link.sender.signer = None
+
+
+HANDLERS.update(
+    {
+        "HEARTBEAT": _heartbeat,
+        "COMMAND_LONG": _command_long,
+        "COMMAND_INT": _command_int,
+        "SET_MODE": _set_mode,
+        "PARAM_REQUEST_LIST": _param_list,
+        "PARAM_REQUEST_READ": _param_read,
+        "PARAM_SET": _param_set,
+        "MISSION_REQUEST_LIST": _mission_request_list,
+        "MISSION_REQUEST": _mission_item,
+        "MISSION_REQUEST_INT": _mission_item,
+        "MISSION_COUNT": _mission_count,
+        "MISSION_ITEM": _mission_receive,
+        "MISSION_ITEM_INT": _mission_receive,
+        "MISSION_CLEAR_ALL": _mission_clear,
+        "LOG_REQUEST_LIST": _log_list,
+        "FILE_TRANSFER_PROTOCOL": _file_transfer,
+        "TIMESYNC": _timesync,
+        "PING": _ping,
+        "SET_GPS_GLOBAL_ORIGIN": _set_origin,
+        "VISION_POSITION_ESTIMATE": _vision,
+        "ODOMETRY": _vision,
+        "REQUEST_DATA_STREAM": _data_stream,
+        "SETUP_SIGNING": _setup_signing,
+    }
+)

@@ -1,0 +1,429 @@
+"""What a vehicle says about itself: one function per message, state → payload bytes.
+
+The frequent ones pack their structure directly, in MAVLink's wire order; the rest go by name.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from sitl import wire
+from sitl.vehicle import Vehicle
+
+_CELLS = 4
+_CAPACITY = 5000.0
+_pack_local = wire.LAYOUTS["LOCAL_POSITION_NED"].struct.pack
+_pack_attitude = wire.LAYOUTS["ATTITUDE"].struct.pack
+_pack_quaternion = wire.LAYOUTS["ATTITUDE_QUATERNION"].struct.pack
+_pack_global = wire.LAYOUTS["GLOBAL_POSITION_INT"].struct.pack
+_pack_hud = wire.LAYOUTS["VFR_HUD"].struct.pack
+_LARGEST = 2**32
+
+
+def boot_ms(v: Vehicle) -> int:
+    """Milliseconds since boot by the vehicle's clock."""
+    return int(v.clock() * 1000) % _LARGEST
+
+
+def attitude(v: Vehicle) -> tuple[float, float, float]:
+    """Roll, pitch, yaw (NED, radians) that point the thrust where it points."""
+    fx, fy, fz = v.bodies.thrust[v.index].tolist()
+    yaw = math.pi / 2 - float(v.bodies.yaw[v.index])
+    if fz < 1.0:
+        return 0.0, 0.0, _wrap(yaw)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    forward = fy * cos + fx * sin
+    right = -fy * sin + fx * cos
+    pitch = -math.atan2(forward, fz)
+    roll = math.atan2(right * math.cos(pitch), fz)
+    return roll, pitch, _wrap(yaw)
+
+
+def _wrap(angle: float) -> float:
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
+    """Estimated position and velocity in the vehicle's own NED frame."""
+    x, y, z = (v.estimated() - v.origin).tolist()
+    vx, vy, vz = v.bodies.velocity[v.index].tolist()
+    return y, x, -z, vy, vx, -vz
+
+
+def _local(v: Vehicle) -> bytes:
+    return _pack_local(boot_ms(v), *local_ned(v))
+
+
+def _attitude(v: Vehicle) -> bytes:
+    roll, pitch, yaw = attitude(v)
+    return _pack_attitude(
+        boot_ms(v), roll, pitch, yaw, 0.0, 0.0, -float(v.bodies.yaw_rate[v.index])
+    )
+
+
+def _quaternion(v: Vehicle) -> bytes:
+    roll, pitch, yaw = attitude(v)
+    q = quaternion(roll, pitch, yaw)
+    rate = -float(v.bodies.yaw_rate[v.index])
+    return _pack_quaternion(boot_ms(v), *q, 0.0, 0.0, rate, 0.0, 0.0, 0.0, 0.0)
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Quaternion (w, x, y, z) of roll, pitch, yaw."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def _global(v: Vehicle) -> bytes | None:
+    if not v.global_valid:
+        return None
+    x, y, z = v.estimated().tolist()
+    latitude, longitude, altitude = v.around.geodesy.degrees(x, y, z)
+    vx, vy, vz = v.bodies.velocity[v.index].tolist()
+    home = v.home[2] if v.home is not None else v.origin[2]
+    heading = math.degrees(math.pi / 2 - float(v.bodies.yaw[v.index])) % 360.0
+    return _pack_global(
+        boot_ms(v),
+        round(latitude * 1e7),
+        round(longitude * 1e7),
+        round(altitude * 1e3),
+        round((z - float(home)) * 1e3),
+        _centi(vy),
+        _centi(vx),
+        _centi(-vz),
+        round(heading * 100) % 36000,
+    )
+
+
+def _centi(value: float) -> int:
+    return max(-32767, min(32767, round(value * 100)))
+
+
+def _heartbeat(v: Vehicle) -> bytes:
+    p = v.personality
+    ardupilot = v.spec.autopilot == "ardupilot"
+    status = 4 if v.armed else 3
+    if getattr(p, "failsafe", False):
+        status = 5
+    return wire.payload(
+        "HEARTBEAT",
+        {
+            "type": 2,
+            "autopilot": 3 if ardupilot else 12,
+            "base_mode": p.base_mode(),
+            "custom_mode": p.custom_mode(),
+            "system_status": status,
+            "mavlink_version": 3,
+        },
+    )
+
+
+_GYRO, _ACCEL, _MAG, _PRESSURE, _GPS = 1, 2, 4, 8, 32
+_RATE, _ATTITUDE, _YAW, _Z, _XY, _MOTORS = 1 << 10, 1 << 11, 1 << 12, 1 << 13, 1 << 14, 1 << 15
+_RC, _AHRS, _BATTERY, _PREARM = 1 << 16, 1 << 21, 1 << 25, 1 << 28
+
+
+def _sys_status(v: Vehicle) -> bytes:
+    sensors = _GYRO | _ACCEL | _MAG | _PRESSURE | _AHRS | _BATTERY | _RATE | _ATTITUDE | _YAW
+    sensors |= _Z | _XY | _MOTORS | _PREARM
+    if not v.around.indoor:
+        sensors |= _GPS
+    health = sensors
+    if not v.global_valid:
+        health &= ~_GPS
+    if not v.local_valid:
+        health &= ~(_AHRS | _XY)
+    if not v.personality.ready():
+        health &= ~_PREARM
+    if v.charge < 0.1:
+        health &= ~_BATTERY
+    return wire.payload(
+        "SYS_STATUS",
+        {
+            "onboard_control_sensors_present": sensors,
+            "onboard_control_sensors_enabled": sensors,
+            "onboard_control_sensors_health": health,
+            "load": 350,
+            "voltage_battery": round(v.voltage * 1000),
+            "current_battery": round(v.current * 100),
+            "battery_remaining": max(0, min(100, math.ceil(v.charge * 100))),
+        },
+    )
+
+
+def _battery(v: Vehicle) -> bytes:
+    cell = round(v.voltage * 1000 / _CELLS)
+    return wire.payload(
+        "BATTERY_STATUS",
+        {
+            "type": 1,
+            "temperature": 2500,
+            "voltages": [cell] * _CELLS + [0xFFFF] * (10 - _CELLS),
+            "current_battery": round(v.current * 100),
+            "current_consumed": round((1 - v.charge) * _CAPACITY),
+            "energy_consumed": -1,
+            "battery_remaining": max(0, min(100, math.ceil(v.charge * 100))),
+            "time_remaining": round(v.charge * v.spec.endurance),
+            "charge_state": 1 if v.charge > 0.15 else 2 if v.charge > 0.07 else 3,
+        },
+    )
+
+
+def landed_state(v: Vehicle) -> int:
+    """MAV_LANDED_STATE: 1 on the ground, 2 in air, 3 taking off, 4 landing."""
+    if v.landed:
+        return 1
+    return 4 if getattr(v.personality, "landing", False) else 2
+
+
+def _extended(v: Vehicle) -> bytes:
+    return wire.payload("EXTENDED_SYS_STATE", {"landed_state": landed_state(v)})
+
+
+def _home(v: Vehicle) -> bytes | None:
+    if v.home is None or not v.global_valid:
+        return None
+    latitude, longitude, altitude = v.around.geodesy.degrees(*v.home.tolist())
+    x, y, z = (v.home - v.origin).tolist()
+    return wire.payload(
+        "HOME_POSITION",
+        {
+            "latitude": round(latitude * 1e7),
+            "longitude": round(longitude * 1e7),
+            "altitude": round(altitude * 1e3),
+            "x": y,
+            "y": x,
+            "z": -z,
+            "q": (1.0, 0.0, 0.0, 0.0),
+            "time_usec": round(v.clock() * 1e6),
+        },
+    )
+
+
+def _origin(v: Vehicle) -> bytes | None:
+    if v.around.indoor:
+        return None
+    latitude, longitude, altitude = v.around.geodesy.degrees(*v.origin.tolist())
+    return wire.payload(
+        "GPS_GLOBAL_ORIGIN",
+        {
+            "latitude": round(latitude * 1e7),
+            "longitude": round(longitude * 1e7),
+            "altitude": round(altitude * 1e3),
+            "time_usec": round(v.clock() * 1e6),
+        },
+    )
+
+
+def _gps(v: Vehicle) -> bytes | None:
+    if v.around.indoor:
+        return None
+    x, y, z = v.estimated().tolist()
+    latitude, longitude, altitude = v.around.geodesy.degrees(x, y, z)
+    good = v.global_valid
+    return wire.payload(
+        "GPS_RAW_INT",
+        {
+            "time_usec": round(v.clock() * 1e6),
+            "fix_type": 6 if good else 1,
+            "lat": round(latitude * 1e7) if good else 0,
+            "lon": round(longitude * 1e7) if good else 0,
+            "alt": round(altitude * 1e3) if good else 0,
+            "eph": 60 if good else 9999,
+            "epv": 90 if good else 9999,
+            "vel": 0,
+            "cog": 0xFFFF,
+            "satellites_visible": 18 if good else 2,
+            "h_acc": 15,
+            "v_acc": 25,
+        },
+    )
+
+
+def _hud(v: Vehicle) -> bytes:
+    vx, vy, vz = v.bodies.velocity[v.index].tolist()
+    heading = math.degrees(math.pi / 2 - float(v.bodies.yaw[v.index])) % 360.0
+    altitude = v.around.geodesy.altitude + float(v.estimated()[2])
+    speed = math.hypot(vx, vy)
+    throttle = float(v.bodies.thrust[v.index, 2] / v.bodies.thrust_limit[v.index])
+    return _pack_hud(
+        speed, speed, altitude, vz, int(heading), max(0, min(100, round(throttle * 100)))
+    )
+
+
+def _altitude(v: Vehicle) -> bytes:
+    z = float(v.estimated()[2])
+    home = float(v.home[2]) if v.home is not None else float(v.origin[2])
+    amsl = v.around.geodesy.altitude + z
+    return wire.payload(
+        "ALTITUDE",
+        {
+            "time_usec": round(v.clock() * 1e6),
+            "altitude_monotonic": amsl,
+            "altitude_amsl": amsl,
+            "altitude_local": z - float(v.origin[2]),
+            "altitude_relative": z - home,
+            "altitude_terrain": math.nan,
+            "bottom_clearance": math.nan,
+        },
+    )
+
+
+def _estimator(v: Vehicle) -> bytes:
+    flags = 1 | 4 | 32
+    if v.local_valid:
+        flags |= 2 | 8
+    if v.global_valid:
+        flags |= 16
+    return wire.payload(
+        "ESTIMATOR_STATUS",
+        {
+            "time_usec": round(v.clock() * 1e6),
+            "flags": flags,
+            "vel_ratio": 0.05,
+            "pos_horiz_ratio": 0.05 if v.local_valid else 2.0,
+            "pos_vert_ratio": 0.05,
+            "mag_ratio": 0.05,
+            "pos_horiz_accuracy": 0.05 if v.local_valid else 20.0,
+            "pos_vert_accuracy": 0.05,
+        },
+    )
+
+
+def _system_time(v: Vehicle) -> bytes:
+    unix = v.around.unix_time + v.now + v.unix_offset
+    return wire.payload(
+        "SYSTEM_TIME", {"time_unix_usec": round(unix * 1e6), "time_boot_ms": boot_ms(v)}
+    )
+
+
+def _target(v: Vehicle) -> bytes | None:
+    mask = getattr(v.personality, "target_mask", None)
+    if mask is None:
+        return None
+    b, i = v.bodies, v.index
+    x, y, z = (b.goal_position[i] - v.origin).tolist()
+    vx, vy, vz = b.goal_velocity[i].tolist()
+    ax, ay, az = b.goal_acceleration[i].tolist()
+    return wire.payload(
+        "POSITION_TARGET_LOCAL_NED",
+        {
+            "time_boot_ms": boot_ms(v),
+            "coordinate_frame": 1,
+            "type_mask": mask,
+            "x": y,
+            "y": x,
+            "z": -z,
+            "vx": vy,
+            "vy": vx,
+            "vz": -vz,
+            "afx": ay,
+            "afy": ax,
+            "afz": -az,
+            "yaw": _wrap(math.pi / 2 - float(b.goal_yaw[i])),
+        },
+    )
+
+
+def _odometry(v: Vehicle) -> bytes:
+    x, y, z, vx, vy, vz = local_ned(v)
+    return wire.payload(
+        "ODOMETRY",
+        {
+            "time_usec": round(v.clock() * 1e6),
+            "frame_id": 1,
+            "child_frame_id": 8,
+            "x": x,
+            "y": y,
+            "z": z,
+            "q": quaternion(*attitude(v)),
+            "vx": vx,
+            "vy": vy,
+            "vz": vz,
+            "estimator_type": 3,
+            "quality": 100,
+        },
+    )
+
+
+def _version(v: Vehicle) -> bytes:
+    ardupilot = v.spec.autopilot == "ardupilot"
+    flags = 1 << 1 | 1 << 3 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 11 | 1 << 12 | 1 << 13
+    flags |= 1 << 4 if ardupilot else 1 << 16
+    version = (4, 6, 2) if ardupilot else (1, 16, 0)
+    number = version[0] << 24 | version[1] << 16 | version[2] << 8 | 255
+    return wire.payload(
+        "AUTOPILOT_VERSION",
+        {
+            "capabilities": flags,
+            "flight_sw_version": number,
+            "middleware_sw_version": number,
+            "os_sw_version": 0x0B00_00FF,
+            "flight_custom_version": b"emulated",
+            "uid": 0x5157_0000 + v.system,
+        },
+    )
+
+
+def _nav(v: Vehicle) -> bytes:
+    i, b = v.index, v.bodies
+    roll, pitch, yaw = attitude(v)
+    return wire.payload(
+        "NAV_CONTROLLER_OUTPUT",
+        {
+            "nav_roll": math.degrees(roll),
+            "nav_pitch": math.degrees(pitch),
+            "nav_bearing": round(math.degrees(yaw)),
+            "alt_error": float(b.goal_position[i, 2] - b.position[i, 2]),
+        },
+    )
+
+
+def _channels(v: Vehicle) -> bytes:
+    return wire.payload("RC_CHANNELS", {"time_boot_ms": boot_ms(v), "chancount": 0, "rssi": 255})
+
+
+def _servo(v: Vehicle) -> bytes:
+    share = float(v.bodies.thrust[v.index, 2] / v.bodies.thrust_limit[v.index]) if v.armed else 0.0
+    value = round(1000 + 1000 * max(0.0, min(1.0, share)))
+    fields: dict[str, Any] = {f"servo{k}_raw": value for k in range(1, 5)}
+    return wire.payload(
+        "SERVO_OUTPUT_RAW", {"time_usec": int(v.clock() * 1e6) % _LARGEST, **fields}
+    )
+
+
+def _mission_current(v: Vehicle) -> bytes:
+    return wire.payload("MISSION_CURRENT", {"seq": 0})
+
+
+MESSAGES: dict[str, Callable[[Vehicle], bytes | None]] = {
+    "HEARTBEAT": _heartbeat,
+    "LOCAL_POSITION_NED": _local,
+    "ATTITUDE": _attitude,
+    "ATTITUDE_QUATERNION": _quaternion,
+    "GLOBAL_POSITION_INT": _global,
+    "SYS_STATUS": _sys_status,
+    "BATTERY_STATUS": _battery,
+    "EXTENDED_SYS_STATE": _extended,
+    "HOME_POSITION": _home,
+    "GPS_GLOBAL_ORIGIN": _origin,
+    "GPS_RAW_INT": _gps,
+    "VFR_HUD": _hud,
+    "ALTITUDE": _altitude,
+    "ESTIMATOR_STATUS": _estimator,
+    "SYSTEM_TIME": _system_time,
+    "POSITION_TARGET_LOCAL_NED": _target,
+    "ODOMETRY": _odometry,
+    "AUTOPILOT_VERSION": _version,
+    "NAV_CONTROLLER_OUTPUT": _nav,
+    "RC_CHANNELS": _channels,
+    "SERVO_OUTPUT_RAW": _servo,
+    "MISSION_CURRENT": _mission_current,
+}

@@ -1,0 +1,323 @@
+"""One emulated vehicle's MAVLink side: its links, clock, origin, parameters, gripper and battery.
+
+Sans-IO: messages come in through `Vehicle.handle`, frames go out through `Link.outgoing`. What an
+autopilot does with a command or a setpoint is its personality's (`sitl.px4`, `sitl.ardupilot`).
+"""
+
+import heapq
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from pymavlink.dialects.v20 import common as dialect
+
+from sitl import wire
+from sitl.dynamics import Bodies
+from sitl.parameters import Parameters
+from sitl.world import VehicleSpec, World
+
+ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
+_TEXT_LENGTH = 50
+
+
+@dataclass(frozen=True)
+class Geodesy:
+    """World ENU metres ⇄ degrees near the world's origin (WGS-84 radii of curvature there)."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+    north: float
+    east: float
+
+    @classmethod
+    def at(cls, latitude: float, longitude: float, altitude: float) -> "Geodesy":
+        """Make the local linearisation (good to millimetres within a few hundred metres)."""
+        a, e2 = 6378137.0, 6.69437999014e-3
+        s = math.sin(math.radians(latitude))
+        w = math.sqrt(1 - e2 * s * s)
+        meridian = a * (1 - e2) / w**3 + altitude
+        prime = a / w + altitude
+        return cls(
+            latitude,
+            longitude,
+            altitude,
+            math.radians(1) * meridian,
+            math.radians(1) * prime * math.cos(math.radians(latitude)),
+        )
+
+    def degrees(self, x: float, y: float, z: float) -> tuple[float, float, float]:
+        """Latitude, longitude, altitude of a point given in world ENU."""
+        return self.latitude + y / self.north, self.longitude + x / self.east, self.altitude + z
+
+    def metres(self, latitude: float, longitude: float) -> tuple[float, float]:
+        """World ENU x, y of a geodetic place."""
+        return (longitude - self.longitude) * self.east, (latitude - self.latitude) * self.north
+
+
+@dataclass
+class Link:
+    """One connection of one vehicle: its streams, parser, sequence and what waits to be sent."""
+
+    vehicle: int
+    kind: str
+    sender: wire.Sender
+    receiver: wire.Receiver = field(default_factory=wire.Receiver)
+    intervals: dict[str, float] = field(default_factory=dict)
+    due: list[tuple[float, str]] = field(default_factory=list)
+    outgoing: list[bytes] = field(default_factory=list)
+
+    def stream(self, name: str, interval: float | None, now: float) -> None:
+        """Send a message every ``interval`` seconds, or never again (None)."""
+        if interval is None:
+            self.intervals.pop(name, None)
+            return
+        fresh = name not in self.intervals
+        faster = not fresh and interval < self.intervals[name]
+        self.intervals[name] = interval
+        if fresh or faster:
+            self.due = [entry for entry in self.due if entry[1] != name]
+            heapq.heapify(self.due)
+            heapq.heappush(self.due, (now, name))
+
+    def take_due(self, now: float) -> list[str]:
+        """Return the streams whose time has come, and set their next time."""
+        names = []
+        due, intervals = self.due, self.intervals
+        limit = now + 1e-6
+        while due and due[0][0] <= limit:
+            time, name = due[0]
+            interval = intervals.get(name)
+            if interval is None:
+                heapq.heappop(due)
+                continue
+            following = time + interval
+            heapq.heapreplace(due, (following if following > now - interval else now, name))
+            names.append(name)
+        return names
+
+
+class Personality(Protocol):
+    """What differs between autopilots: modes, commands, setpoints, failsafes."""
+
+    def command(self, command: int, p: list[float], link: Link, x: int, y: int) -> int | None: ...
+    def setpoint(self, setpoint: wire.Setpoint, link: Link) -> None: ...
+    def set_mode(self, base: int, custom: int, link: Link) -> int: ...
+    def tick(self) -> None: ...
+    def custom_mode(self) -> int: ...
+    def base_mode(self) -> int: ...
+    def ready(self) -> bool: ...
+    def parameter_changed(self, name: str) -> None: ...
+    def restart(self) -> None: ...
+
+
+@dataclass
+class Request:
+    """A gripper movement under way: when it ends and who asked."""
+
+    at: float
+    grab: bool
+    link: Link | None
+    system: int
+    component: int
+
+
+@dataclass
+class Surroundings:
+    """What a vehicle shares with the others: the bodies, the place, the hook to the cable."""
+
+    bodies: Bodies
+    geodesy: Geodesy
+    grab: Callable[[int], bool]
+    release: Callable[[int], bool]
+    event: Callable[..., None]
+    unix_time: float
+    indoor: bool
+
+
+class Vehicle:
+    """State and mailbox of one vehicle."""
+
+    def __init__(
+        self,
+        index: int,
+        spec: VehicleSpec,
+        world: World,
+        surroundings: Surroundings,
+        rng: np.random.Generator,
+    ) -> None:
+        self.index = index
+        self.spec = spec
+        self.system = spec.id
+        self.rng = rng
+        self.around = surroundings
+        self.bodies = surroundings.bodies
+        self.now = 0.0
+        self.links: list[Link] = []
+        self.origin = np.array(self.bodies.position[index])
+        self.booted_at = -30.0
+        self.clock_rate = 1.0
+        self.unix_offset = 0.0
+        if world.biases == "default":
+            self.origin = self.origin + rng.uniform(-1.0, 1.0, 3) * (30.0, 30.0, 3.0)
+            self.booted_at = -float(rng.uniform(30.0, 90.0))
+            self.unix_offset = float(rng.normal(0.0, 0.05))
+            self.bodies.bias[index] = rng.normal(0.0, 1.0, 3) * (0.012, 0.012, 0.015)
+            self.bodies.noise_scale[index] = 1.0
+        if world.indoor:
+            self.origin = np.zeros(3)
+        self.home: np.ndarray[Any, Any] | None = None
+        self.charge = 1.0
+        self.voltage = 16.4
+        self.current = 0.0
+        self.local_valid = True
+        self.global_valid = not world.indoor
+        self.frozen = False
+        self.vision_at = -math.inf
+        self.silent = False
+        self.pending: list[Request] = []
+        self.gripped = False
+        self.stuck: str | None = None
+        self.refuse_arming: str | None = None
+        self.last_heartbeat: dict[int, float] = {}
+        self.mission: dict[int, list[dict[str, Any]]] = {0: [], 1: [], 2: []}
+        self.upload: dict[str, Any] = {}
+        self.parameters = Parameters()
+        self.parameter_queue: list[tuple[Link, int]] = []
+        self.text_id = 0
+        self.later: list[tuple[float, Callable[[], None]]] = []
+        self.personality: Personality
+
+    # Frequently used views of the batch.
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors are armed."""
+        return bool(self.bodies.armed[self.index])
+
+    @property
+    def landed(self) -> bool:
+        """Whether the autopilot believes that it stands on the ground."""
+        return bool(self.bodies.landed[self.index])
+
+    def clock(self) -> float:
+        """Seconds since this vehicle's boot, by its own clock."""
+        return (self.now - self.booted_at) * self.clock_rate
+
+    def estimated(self) -> Any:
+        """Estimated world ENU position of the centre (3,)."""
+        i = self.index
+        b = self.bodies
+        return b.position[i] + b.bias[i] + b.noise[i]
+
+    def add_link(self, kind: str) -> Link:
+        """Open one more connection to this vehicle."""
+        link = Link(self.index, kind, wire.Sender(self.system))
+        self.links.append(link)
+        return link
+
+    def send(self, name: str, link: Link | None = None, **fields: Any) -> None:
+        """Send a message on one link, or on all."""
+        ticks = wire.signing_ticks(self.around.unix_time + self.now + self.unix_offset)
+        for target in (link,) if link is not None else self.links:
+            target.outgoing.append(target.sender.pack(name, ticks, **fields))
+
+    def text(self, severity: int, text: str) -> None:
+        """Say something in STATUSTEXT, in chunks of 50 characters where it is longer."""
+        data = text.encode()
+        if len(data) <= _TEXT_LENGTH:
+            self.send("STATUSTEXT", severity=severity, text=data)
+            return
+        self.text_id = self.text_id % 65535 + 1
+        for chunk, start in enumerate(range(0, len(data), _TEXT_LENGTH)):
+            self.send(
+                "STATUSTEXT",
+                severity=severity,
+                text=data[start : start + _TEXT_LENGTH],
+                id=self.text_id,
+                chunk_seq=chunk,
+            )
+
+    def acknowledge(
+        self, command: int, result: int, link: Link, system: int, component: int, progress: int = 0
+    ) -> None:
+        """Answer a command."""
+        self.send(
+            "COMMAND_ACK",
+            link,
+            command=command,
+            result=result,
+            progress=progress,
+            target_system=system,
+            target_component=component,
+        )
+
+    def start_gripper(
+        self, grab: bool, link: Link | None, system: int, component: int, delay: float
+    ) -> None:
+        """Begin to open or close the gripper; its end is in `finish_gripper`."""
+        self.pending = [Request(self.now + delay, grab, link, system, component)]
+
+    def finish_gripper(self) -> None:
+        """Complete gripper movements that are due, and answer them."""
+        due = [request for request in self.pending if request.at <= self.now]
+        if not due:
+            return
+        self.pending = [request for request in self.pending if request.at > self.now]
+        for request in due:
+            done = self.move_gripper(request.grab)
+            if request.link is not None:
+                result = ACCEPTED if done else FAILED
+                self.acknowledge(
+                    dialect.MAV_CMD_DO_GRIPPER,
+                    result,
+                    request.link,
+                    request.system,
+                    request.component,
+                )
+
+    def move_gripper(self, grab: bool) -> bool:
+        """Open or close the jaws now; tell whether the jaw switch says what was asked for."""
+        if self.spec.gripper != "mavlink":
+            return False
+        if grab:
+            if self.stuck == "open" or self.gripped:
+                return self.gripped
+            self.gripped = self.around.grab(self.index)
+            return self.gripped
+        if self.stuck == "shut":
+            return False
+        if self.gripped:
+            self.around.release(self.index)
+        self.gripped = False
+        return True
+
+    def reboot(self) -> None:
+        """Start the autopilot anew: everything that it kept in memory is gone."""
+        b, i = self.bodies, self.index
+        b.armed[i] = False
+        b.landed[i] = True
+        self.booted_at = self.now
+        self.pending.clear()
+        self.parameter_queue.clear()
+        self.last_heartbeat.clear()
+        self.home = None
+        self.around.event("rebooted", self.system)
+        self.personality.restart()
+
+    def handle(self, message: Any, link: Link) -> None:
+        """Take one message from a ground station."""
+        if self.frozen:
+            return
+        if isinstance(message, wire.Setpoint):
+            if message.target_system in {0, self.system} and message.target_component in {0, 1}:
+                self.personality.setpoint(message, link)
+            return
+        handler = HANDLERS.get(message.get_type())
+        if handler is not None:
+            handler(self, message, link)
+
+
+HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {}

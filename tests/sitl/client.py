@@ -1,0 +1,118 @@
+"""A small ground station of the tests' own: pymavlink against the emulator in virtual time."""
+
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import common as dialect
+
+from sitl import Emulator, parse_world
+
+STEP = 0.05
+Setpoints = Callable[[int, float], tuple[float, ...] | None]
+
+
+def world(count: int = 1, cable: str = "", **keys: Any) -> Any:
+    """A world of ``count`` vehicles 3 m apart along x; other keys of all vehicles by name."""
+    common = {"autopilot": "px4", **keys}
+    top = {key: common.pop(key) for key in ("biases", "seed", "indoor", "wind") if key in common}
+    extra = ", ".join(f"{key}: {value}" for key, value in common.items())
+    lines = [f"{key}: {value}" for key, value in {"schema": 1, "biases": "none", **top}.items()]
+    lines.append("vehicles:")
+    lines += [f"  - {{id: {i + 1}, pad: [{3.0 * i}, 0, 0], {extra}}}" for i in range(count)]
+    if cable:
+        lines.append(f"cable: {cable}")
+    return parse_world("\n".join(lines))
+
+
+class Ground:
+    """Sends and receives real MAVLink bytes; time advances only in `run`."""
+
+    def __init__(self, emulator: Emulator) -> None:
+        self.emulator = emulator
+        self.now = 0.0
+        self.ids = [vehicle.id for vehicle in emulator.world.vehicles]
+        self.mav = {i: dialect.MAVLink(None, 255, 190) for i in self.ids}
+        self.log: list[tuple[float, int, Any]] = []
+        self.last: dict[tuple[int, str], Any] = {}
+
+    def send(self, vehicle: int, message: Any) -> None:
+        self.emulator.receive(vehicle, message.pack(self.mav[vehicle]), self.now)
+
+    def command(self, vehicle: int, number: int, *p: float) -> None:
+        values = [*p, *[0.0] * (7 - len(p))]
+        self.send(vehicle, dialect.MAVLink_command_long_message(vehicle, 1, number, 0, *values))
+
+    def setpoint(self, vehicle: int, values: tuple[float, ...], mask: int = 3072) -> None:
+        """Send position, velocity, acceleration in the vehicle's NED (missing ones are zero)."""
+        full = (*values, *[0.0] * (9 - len(values)))
+        self.send(
+            vehicle,
+            dialect.MAVLink_set_position_target_local_ned_message(
+                0, vehicle, 1, 1, mask, *full, 0.0, 0.0
+            ),
+        )
+
+    def run(
+        self, seconds: float, setpoints: Setpoints | None = None, heartbeat: bool = True
+    ) -> None:
+        end = self.now + seconds
+        while self.now < end - 1e-9:
+            self.now = round(self.now + STEP, 6)
+            for vehicle in self.ids:
+                wanted = setpoints(vehicle, self.now) if setpoints else None
+                if wanted is not None:
+                    self.setpoint(vehicle, wanted)
+                if heartbeat and round(self.now / STEP) % 20 == 0:
+                    self.send(vehicle, dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+            for vehicle, data in self.emulator.step(self.now):
+                for message in self.mav[vehicle].parse_buffer(data) or []:
+                    self.log.append((self.now, vehicle, message))
+                    self.last[vehicle, message.get_type()] = message
+
+    def mode(self, vehicle: int) -> int:
+        return int(self.last[vehicle, "HEARTBEAT"].custom_mode)
+
+    def armed(self, vehicle: int) -> bool:
+        return bool(self.last[vehicle, "HEARTBEAT"].base_mode & 128)
+
+    def acks(self, vehicle: int, command: int) -> list[int]:
+        return [
+            message.result
+            for _, who, message in self.log
+            if who == vehicle and message.get_type() == "COMMAND_ACK" and message.command == command
+        ]
+
+    def texts(self, vehicle: int) -> list[str]:
+        return [
+            message.text
+            for _, who, message in self.log
+            if who == vehicle and message.get_type() == "STATUSTEXT"
+        ]
+
+    def origin(self, vehicle: int) -> Any:
+        """The vehicle's estimator origin in world ENU: what a ground station works out by GPS."""
+        return self.emulator.by_id[vehicle].origin
+
+    def toward(self, places: dict[int, tuple[float, float, float]]) -> Setpoints:
+        """Setpoints that keep the vehicles' centres at world ENU places."""
+
+        def wanted(vehicle: int, _: float) -> tuple[float, ...] | None:
+            if vehicle not in places:
+                return None
+            x, y, z = (
+                float(a - b) for a, b in zip(places[vehicle], self.origin(vehicle), strict=True)
+            )
+            return (y, x, -z)
+
+        return wanted
+
+    def px4_offboard(self, places: dict[int, tuple[float, float, float]], seconds: float) -> None:
+        """Stream, mode, arm and fly there, as PX4 wants it."""
+        stream = self.toward(places)
+        self.run(1.0, stream)
+        for vehicle in places:
+            self.command(vehicle, dialect.MAV_CMD_DO_SET_MODE, 1, 6, 0)
+        self.run(0.3, stream)
+        for vehicle in places:
+            self.command(vehicle, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+        self.run(seconds, stream)

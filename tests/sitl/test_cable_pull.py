@@ -1,0 +1,86 @@
+"""The cable in flight: grabbed where it lies, heavy, and felt by the neighbours."""
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as dialect
+
+from sitl import Emulator
+from tests.sitl.client import Ground, world
+
+GRIPPER = dialect.MAV_CMD_DO_GRIPPER
+CABLE = "{mass_per_length: 0.05, points: [[0, 0, 0], [0, 1, 0], [0, 3.25, 0], [0.5, 3.5, 0], [6, 3.5, 0], [6, 0, 0]]}"
+
+
+def hung_team(
+    count: int = 3, integral: float = 0.4, mass: float = 0.05, slack: float = 0.8
+) -> Ground:
+    """Vehicles in the air over their pads, holding one straight cable with some slack."""
+    span = 3.0 + slack
+    cable = f"{{mass_per_length: {mass}, points: [[0, 0, 0], [{span * (count - 1)}, 0, 0]], attached: {[span * i for i in range(count)]}}}"
+    ground = Ground(Emulator(world(count, cable, gripper="attached")))
+    for i in range(count):
+        for name, value in (("MPC_XY_VEL_I_ACC", integral), ("MPC_Z_VEL_I_ACC", 2 * integral)):
+            ground.send(
+                i + 1,
+                dialect.MAVLink_param_set_message(i + 1, 1, name.encode(), value, 9),
+            )
+    ground.px4_offboard({i + 1: (3.0 * i, 0.0, 4.6) for i in range(count)}, 14.0)
+    return ground
+
+
+def test_a_gripper_takes_the_cable_where_it_is_and_nothing_elsewhere() -> None:
+    ground = Ground(Emulator(world(2, "{points: [[-1, 0.05, 0], [2.5, 0.05, 0]]}")))
+    ground.run(0.5)
+    for vehicle in (1, 2):
+        ground.command(vehicle, GRIPPER, 1, 1)
+    ground.run(1.5)
+    assert ground.acks(1, GRIPPER) == [5, 0], "in progress, then accepted"
+    assert ground.acks(2, GRIPPER) == [5, 4], "in progress, then failed: half a metre away"
+    truth = ground.emulator.truth()
+    assert truth.gripped.tolist() == [True, False]
+    assert truth.grip_arc[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_cable_weighs_on_those_who_hold_it() -> None:
+    ground = hung_team(3)
+    truth = ground.emulator.truth()
+    assert not truth.strikes
+    assert np.isfinite(truth.grip_arc).all()
+    force = ground.emulator.rope.pull(ground.emulator.bodies.grip_points(), truth.velocity)
+    assert force[:, 2].sum() == pytest.approx(-7.6 * 0.05 * 9.80665, rel=1e-6)
+    assert abs(force[:, 0].sum()) < 1e-9
+    lengths = np.linalg.norm(np.diff(truth.cable, axis=0), axis=1).sum()
+    assert lengths == pytest.approx(7.6, rel=2e-3)
+
+
+def test_neighbours_of_a_weak_vehicle_shift_by_what_statics_says() -> None:
+    """Without integrators a pull of F newtons moves a vehicle by F / (m · P_velocity · P_position)."""
+    ground = hung_team(3, integral=0.0, mass=0.3)
+    b, rope = ground.emulator.bodies, ground.emulator.rope
+    before = b.position.copy()
+    pull_before = rope.pull(b.grip_points(), b.velocity)
+    b.health[1] = 0.8
+    places = {i + 1: (3.0 * i, 0.0, 4.6) for i in range(3)}
+    ground.run(12.0, ground.toward(places))
+    pull_after = rope.pull(b.grip_points(), b.velocity)
+    moved = b.position - before
+    change = pull_after - pull_before
+    assert moved[1, 2] < -0.3
+    for neighbour in (0, 2):
+        expected = change[neighbour, 0] / (1.5 * 1.8 * 0.95)
+        assert abs(expected) > 0.005
+        assert moved[neighbour, 0] == pytest.approx(expected, rel=0.05)
+        assert moved[neighbour, 2] == pytest.approx(change[neighbour, 2] / (1.5 * 4.0), rel=0.1)
+
+
+def test_a_released_cable_falls_and_a_bare_vehicle_stays() -> None:
+    ground = hung_team(2)
+    ground.emulator.rope.let_go(0)
+    ground.emulator.rope.let_go(1)
+    places = {1: (0.0, 0.0, 4.6), 2: (3.0, 0.0, 4.6)}
+    ground.run(0.3, ground.toward(places))
+    assert ground.emulator.truth().cable[:, 2].max() > 2.0, "it falls; it does not jump"
+    ground.run(4.0, ground.toward(places))
+    truth = ground.emulator.truth()
+    assert truth.cable[:, 2].max() < 0.01
+    assert np.abs(truth.position[:, 2] - 4.0).max() < 0.1
