@@ -155,7 +155,7 @@ def crossings(layout: Layout) -> list[Crossing]:
     """Return the crossings of the folded cable, with the strands' heights there."""
     found = []
     for over, under in layout.crossings:
-        share = _meeting(layout.corners[:, :2], over, under)
+        share = meeting(layout.corners[:, :2], over, under)
         points = [
             hang(layout.corners[k], layout.corners[k + 1], layout.lengths[k]).at_span(s)
             for k, s in zip((over, under), share, strict=True)
@@ -192,7 +192,7 @@ def thrust_quaternions(acceleration: Floats) -> Floats:
     return unit
 
 
-def _meeting(corners: Floats, first: int, second: int) -> tuple[float, float]:
+def meeting(corners: Floats, first: int, second: int) -> tuple[float, float]:
     """Shares of two chords' spans at which they meet in plan view."""
     a, b = corners[first], corners[second]
     u, w = corners[first + 1] - a, corners[second + 1] - b

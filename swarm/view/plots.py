@@ -1,0 +1,246 @@
+"""Figures of a plan: grid diagram, knot diagram in plan view, the folded cable in space, schedule.
+
+Every ``draw_…`` function draws into axes that it is given; ``plot_…`` make a whole picture.
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from swarm.plans import KnotSummary, Layout, Plan
+from swarm.preflight.findings import Tightest
+from swarm.view import scene
+
+Floats = npt.NDArray[np.float64]
+Axes = Any
+"""Matplotlib's axes, flat or in space; its stubs do not tell them apart."""
+
+STYLE: Final[Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#606878",
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+}
+START: Final = np.array([38, 120, 178]) / 255
+END: Final = np.array([214, 96, 40]) / 255
+"""The cable is drawn from blue (vehicle 1) to orange (the last): which end is which shows."""
+
+INK: Final = "#303848"
+FAINT: Final = "#c8cdd6"
+GAP: Final = 0.16
+"""Half of the gap of an under strand, in cells or in shares of a typical span."""
+
+
+def plot_plan(plan: Plan, path: Path) -> None:
+    """Write one PNG with the grid diagram, the plan view and the folded cable in space."""
+    save(plan_figure(plan), path)
+
+
+def plan_figure(plan: Plan) -> Figure:
+    """Return the figure of :func:`plot_plan`; without a grid its first part is left out."""
+    with mpl.rc_context(STYLE):
+        grid = bool(plan.knot.grid_columns)
+        figure = Figure(figsize=(12.0 if grid else 8.5, 4.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        shares = [1.0, 1.15, 1.35][not grid :]
+        cells = figure.add_gridspec(1, len(shares), width_ratios=shares)
+        if grid:
+            draw_grid(figure.add_subplot(cells[0, 0]), plan.knot)
+        draw_plan_view(figure.add_subplot(cells[0, -2]), plan.layout)
+        draw_fold(figure.add_subplot(cells[0, -1], projection="3d"), plan.layout)
+        hand = f", {plan.knot.chirality}-handed" if plan.knot.chirality != "none" else ""
+        figure.suptitle(
+            f"{plan.mission.name}: knot {plan.knot.type}{hand}, {plan.vehicles} vehicles, "
+            f"{plan.layout.lengths.sum():.1f} m of cable"
+        )
+        return figure
+
+
+def plot_schedule(plan: Plan, path: Path) -> None:
+    """Write a PNG of how far every vehicle is along the fold's path over time, and how high."""
+    save(schedule_figure(plan), path)
+
+
+def schedule_figure(plan: Plan) -> Figure:
+    """Return the figure of :func:`plot_schedule`."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.0, 5.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        above, below = figure.subplots(2, 1, sharex=True)
+        draw_schedule(above, plan)
+        draw_heights(below, plan)
+        return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, at a size that is sharp on screens and small on disk."""
+    figure.savefig(path, dpi=130, format="png")
+
+
+def along_colours(count: int) -> Floats:
+    """Return colours (count, 3) that run along the cable."""
+    share = np.linspace(0.0, 1.0, count)[:, None]
+    return (1 - share) * START + share * END
+
+
+def draw_grid(axes: Axes, knot: KnotSummary) -> None:
+    """Draw a grid diagram: columns pass over rows, marks where they meet."""
+    columns = np.sort(np.array(knot.grid_columns), axis=1)
+    size = len(columns)
+    for row in range(size):
+        left, right = np.flatnonzero((columns == row).any(axis=1))
+        across = np.arange(left + 1, right)
+        above = across[(columns[across, 0] < row) & (row < columns[across, 1])]
+        edges = np.concatenate([[left], np.repeat(above, 2), [right]]).astype(float)
+        edges[1:-1] += np.tile([-GAP, GAP], len(above))
+        pieces = np.stack([edges.reshape(-1, 2), np.full((len(above) + 1, 2), row)], axis=-1)
+        axes.add_collection(LineCollection(list(pieces), colors=INK, linewidths=2.2))
+    for column, ends in enumerate(columns):
+        axes.plot([column] * 2, ends, "o-", color=INK, linewidth=2.2, markersize=4.5)
+    for edge in range(size + 1):
+        axes.axhline(edge - 0.5, color=FAINT, linewidth=0.6, zorder=0)
+        axes.axvline(edge - 0.5, color=FAINT, linewidth=0.6, zorder=0)
+    axes.set(xlim=(-0.5, size - 0.5), ylim=(-0.5, size - 0.5), aspect="equal", xticks=[], yticks=[])
+    axes.set_frame_on(False)
+    axes.set_title(f"Grid diagram {size}×{size}")
+
+
+def draw_plan_view(axes: Axes, layout: Layout) -> None:
+    """Draw the cable from above as knot diagrams are drawn: the under strand has a gap."""
+    corners = layout.corners[:, :2]
+    colours = along_colours(len(corners) - 1)
+    for segment, pieces in enumerate(_visible_pieces(layout)):
+        ends = corners[segment] + np.array(pieces)[..., None] * np.diff(
+            corners[segment : segment + 2], axis=0
+        )
+        lines = LineCollection(list(ends), colors=[colours[segment]], linewidths=2.6)
+        lines.set_capstyle("round")
+        axes.add_collection(lines)
+    _label_vehicles(axes, corners)
+    axes.set_aspect("equal")
+    axes.margins(0.12)
+    axes.autoscale_view()
+    axes.set(xlabel="east, m", ylabel="north, m")
+    axes.set_title("Plan view")
+
+
+def _visible_pieces(layout: Layout) -> list[list[tuple[float, float]]]:
+    """Return for each segment the shares of its span that are drawn, gaps left out."""
+    corners = layout.corners[:, :2]
+    spans = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    half = GAP * (layout.cell if layout.cell > 0 else 0.3 * float(np.median(spans)))
+    gaps: list[list[float]] = [[] for _ in spans]
+    for over, under in layout.crossings:
+        gaps[under].append(scene.meeting(corners, over, under)[1])
+    pieces = []
+    for span, at in zip(spans, gaps, strict=True):
+        edges = [0.0]
+        for share in sorted(at):
+            edges += [share - half / span, share + half / span]
+        edges.append(1.0)
+        pieces.append([(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a])
+    return pieces
+
+
+def _label_vehicles(axes: Axes, corners: Floats) -> None:
+    axes.plot(*corners.T, "o", color="white", markeredgecolor=INK, markersize=13, zorder=5)
+    for i, (x, y) in enumerate(corners):
+        axes.text(x, y, str(i + 1), ha="center", va="center_baseline", fontsize=7.5, zorder=6)
+
+
+def draw_fold(axes: Axes, layout: Layout) -> None:
+    """Draw the folded cable in space, every segment a catenary, and its crossings."""
+    strips = scene.strands(layout.corners, layout.lengths, 40)
+    colours = along_colours(len(strips))
+    for strip, colour in zip(strips, colours, strict=True):
+        axes.plot(*strip.T, color=colour, linewidth=2.0)
+    for crossing in scene.crossings(layout):
+        axes.plot(*np.array([crossing.lower, crossing.upper]).T, color=INK, linewidth=0.9)
+        axes.text(*crossing.upper, f" {crossing.distance:.2f}", fontsize=7, color=INK)
+    axes.plot(*layout.corners.T, "o", color=INK, markersize=3.0)
+    low = strips.reshape(-1, 3).min(axis=0)
+    high = strips.reshape(-1, 3).max(axis=0)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(np.maximum(high - low, 0.2 * (high - low).max()), zoom=0.95)
+    axes.view_init(elev=28, azim=-62)
+    axes.set(xlabel="east, m", ylabel="north, m", zlabel="up, m")
+    axes.set_title("Folded cable, distances at crossings in m")
+
+
+def draw_schedule(axes: Axes, plan: Plan) -> None:
+    """Draw each vehicle's place along the path that all follow, over the fold's time."""
+    fold = plan.phase("fold")
+    times = np.linspace(fold.start, fold.end, 400)
+    places = places_along_path(plan, times)
+    corners = places[-1]
+    for i, colour in enumerate(along_colours(plan.vehicles)):
+        axes.axhline(corners[i], color=FAINT, linewidth=0.6, zorder=0)
+        axes.plot(times, places[:, i], color=colour, linewidth=1.4)
+        axes.text(times[-1], corners[i], f" {i + 1}", fontsize=7.5, va="center")
+    axes.set(ylabel="along the path, m", title="Schedule: each vehicle stops at its own corner")
+
+
+def places_along_path(plan: Plan, times: Floats) -> Floats:
+    """Return how far along the fold's path each vehicle is (k, n) at mission times (k,); metres.
+
+    Counted back from its corner by what is left to fly; negative before the path's beginning.
+    """
+    position = plan.motion.at(times)[0]
+    step = np.linalg.norm(np.diff(position, axis=0), axis=-1)
+    left = np.vstack([step[::-1].cumsum(axis=0)[::-1], np.zeros(plan.vehicles)])
+    arc = np.append(0.0, np.linalg.norm(np.diff(plan.path, axis=0), axis=1).cumsum())
+    apart = np.linalg.norm(plan.path[:, None] - plan.layout.corners, axis=-1)
+    places: Floats = arc[apart.argmin(axis=0)] - left
+    return places
+
+
+def draw_heights(axes: Axes, plan: Plan) -> None:
+    """Draw the heights of the grip points over the fold's time."""
+    fold = plan.phase("fold")
+    times = np.linspace(fold.start, fold.end, 400)
+    height = plan.motion.at(times)[0][:, :, 2]
+    for i, colour in enumerate(along_colours(plan.vehicles)):
+        axes.plot(times, height[:, i], color=colour, linewidth=1.4)
+    axes.set(xlabel="mission time, s", ylabel="height, m", title="Heights of the grip points")
+
+
+def draw_over_time(
+    axes: Axes,
+    times: Floats,
+    distance: Floats,
+    required: float,
+    title: str,
+    tightest: Tightest | None = None,
+) -> None:
+    """Draw a clearance (k,) in metres over times (k,) against what is required."""
+    axes.plot(times, distance, color=INK, linewidth=1.4)
+    axes.axhline(required, color="#c03030", linewidth=1.2, linestyle="--")
+    axes.text(
+        times[0],
+        required,
+        f" required {required:.2f} m",
+        color="#c03030",
+        va="bottom",
+        fontsize=7.5,
+    )
+    if tightest is not None and np.isfinite(tightest.distance):
+        axes.plot([tightest.time], [tightest.distance], "v", color="#c03030", markersize=6)
+        axes.annotate(
+            f"certified {tightest.distance:.2f} m\n" + " and ".join(tightest.between),
+            (tightest.time, tightest.distance),
+            textcoords="offset points",
+            xytext=(6, 10),
+            fontsize=7.5,
+        )
+    axes.set(xlabel="mission time, s", ylabel="distance, m", title=title)
+    axes.set_ylim(bottom=0.0)

@@ -1,0 +1,114 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from swarm.view import scene
+from tests.view.synthetic import CROSSINGS, snapshot_at, trefoil_plan
+
+PLAN = trefoil_plan(fence=((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0)))
+
+
+def arc_lengths(strips: np.ndarray) -> np.ndarray:
+    steps: np.ndarray = np.linalg.norm(np.diff(strips, axis=-2), axis=-1)
+    return steps.sum(axis=-1)
+
+
+def test_strands_have_the_cable_s_length_and_end_at_the_grips() -> None:
+    corners, lengths = PLAN.layout.corners, PLAN.layout.lengths
+    strips = scene.strands(corners, lengths, 400)
+    assert arc_lengths(strips) == pytest.approx(lengths, rel=1e-4)
+    np.testing.assert_allclose(strips[:, 0], corners[:-1], atol=1e-9)
+    np.testing.assert_allclose(strips[:, -1], corners[1:], atol=1e-9)
+
+
+def test_cable_lies_on_the_floor_and_never_below() -> None:
+    grips = PLAN.layout.corners * [1.0, 1.0, 0.05]
+    strips = scene.strands(grips, PLAN.layout.lengths)
+    assert strips[..., 2].min() == 0.0
+
+
+def test_bad_data_is_drawn_as_well_as_it_can_be() -> None:
+    grips = np.array([[0, 0, 3], [5, 0, 3], [np.nan, 0, 3], [7, 0, 3], [7, 0, 3.0]])
+    strips = scene.strands(grips, np.array([2.0, 2.0, 2.0, 1.0]), 5)
+    np.testing.assert_allclose(strips[0, :, 0], np.linspace(0, 5, 5), atol=1e-3)
+    np.testing.assert_allclose(strips[0, :, 2], 3.0, atol=1e-3)
+    assert np.isnan(strips[1:3]).all()
+    np.testing.assert_allclose(strips[3, 2], [7, 0, 2.5], atol=1e-6)
+
+
+def test_colours_say_how_taut_a_segment_is() -> None:
+    slack, near, taut, beyond, unknown = scene.tautness_colours(
+        np.array([0.3, 0.9, 0.985, 1.2, np.nan])
+    ).tolist()
+    assert taut == beyond
+    assert len({tuple(c) for c in (slack, near, taut, unknown)}) == 4
+
+
+def test_crossings_are_where_the_strands_cross_in_plan_view() -> None:
+    found = scene.crossings(PLAN.layout)
+    assert [(c.over - 1, c.under - 1) for c in found] == list(CROSSINGS)
+    strips = scene.strands(PLAN.layout.corners, PLAN.layout.lengths, 2000)
+    for crossing in found:
+        np.testing.assert_allclose(crossing.upper[:2], crossing.lower[:2], atol=1e-9)
+        for segment, point in ((crossing.over, crossing.upper), (crossing.under, crossing.lower)):
+            assert np.linalg.norm(strips[segment - 1] - point, axis=1).min() < 5e-3
+        assert crossing.distance > 0
+
+
+def test_state_of_a_vehicle_is_the_worst_it_is_in() -> None:
+    good = snapshot_at(PLAN, 50.0)
+    assert scene.vehicle_states(good, 0.1) == ["holding"] * 9
+    far = good.position + np.array([0.0, 0.0, 0.5])
+    age = np.where(np.arange(9) == 3, np.nan, good.link_age)
+    bad = replace(good, position=far, link_age=age)
+    assert scene.vehicle_states(bad, 0.1) == ["off track"] * 3 + ["lost"] + ["off track"] * 5
+    assert scene.vehicle_states(bad, 0.0)[0] == "holding"  # geometry only: no ball to leave
+    assert scene.vehicle_states(snapshot_at(PLAN, 0.0), 0.1) == ["idle"] * 9
+
+
+def test_cable_goes_with_those_who_hold_it_and_lies_where_it_was_let_go() -> None:
+    held, gripped = scene.resting_places(PLAN), np.zeros(9, dtype=bool)
+    assert (held[:, 2] == 0).all()
+    before = held.copy()
+    one = replace(snapshot_at(PLAN, 50.0), gripped=(True,) + (False,) * 8)
+    held, gripped = scene.held_points(held, gripped, one)
+    np.testing.assert_array_equal(held[0], one.position[0])
+    np.testing.assert_array_equal(held[1:], before[1:])
+    unknown = replace(one, position=np.full((9, 3), np.nan))
+    held, gripped = scene.held_points(held, gripped, unknown)
+    np.testing.assert_array_equal(held[0], one.position[0])
+    dropped = replace(one, gripped=(False,) * 9)
+    held, gripped = scene.held_points(held, gripped, dropped)
+    np.testing.assert_array_equal(held[0], one.position[0] * [1, 1, 0])
+    assert not gripped.any()
+
+
+def test_planned_cable_follows_the_same_rules() -> None:
+    grab, fold, land = PLAN.phase("grab"), PLAN.phase("fold"), PLAN.phase("land")
+    times = np.array([0.0, grab.end - 0.1, fold.end, land.end])
+    held = scene.planned_cable(PLAN, times)
+    np.testing.assert_array_equal(held[0], scene.resting_places(PLAN))
+    np.testing.assert_array_equal(held[1], scene.resting_places(PLAN))
+    np.testing.assert_allclose(held[2], PLAN.layout.corners, atol=1e-9)
+    assert (held[3][:, 2] == 0).all()
+    np.testing.assert_allclose(held[3][:, :2], PLAN.layout.corners[:, :2], atol=0.2)
+
+
+def test_fence_has_floor_ceiling_and_posts() -> None:
+    floor, top, *posts = scene.fence_lines(PLAN)
+    assert len(posts) == 3
+    np.testing.assert_array_equal(floor[0], floor[-1])
+    assert (top[:, 2] == PLAN.mission.workspace.ceiling).all()
+    assert scene.fence_lines(trefoil_plan()) == []
+
+
+@given(st.lists(st.floats(-8, 8), min_size=3, max_size=3))
+def test_thrust_points_against_gravity_and_along_the_acceleration(given_acceleration) -> None:  # type: ignore[no-untyped-def]
+    acceleration = np.array([given_acceleration])
+    up = Rotation.from_quat(scene.thrust_quaternions(acceleration)[0]).apply([0.0, 0.0, 1.0])
+    thrust = acceleration[0] + [0.0, 0.0, 9.80665]
+    np.testing.assert_allclose(up, thrust / np.linalg.norm(thrust), atol=1e-9)
