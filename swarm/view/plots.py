@@ -95,8 +95,9 @@ def along_colours(count: int) -> Floats:
 
 def draw_grid(axes: Axes, knot: KnotSummary) -> None:
     """Draw a grid diagram: columns pass over rows, marks where they meet."""
-    columns = np.sort(np.array(knot.grid_columns), axis=1)
-    size = len(columns)
+    size = len(knot.grid_columns)
+    numbers = np.sort(np.array(knot.grid_columns), axis=1)
+    columns = np.unique(numbers, return_inverse=True)[1].reshape(size, 2)
     for row in range(size):
         left, right = np.flatnonzero((columns == row).any(axis=1))
         across = np.arange(left + 1, right)

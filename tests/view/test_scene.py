@@ -14,7 +14,8 @@ PLAN = trefoil_plan(fence=((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0)))
 
 def arc_lengths(strips: np.ndarray) -> np.ndarray:
     steps: np.ndarray = np.linalg.norm(np.diff(strips, axis=-2), axis=-1)
-    return steps.sum(axis=-1)
+    total: np.ndarray = steps.sum(axis=-1)
+    return total
 
 
 def test_strands_have_the_cable_s_length_and_end_at_the_grips() -> None:
