@@ -1,0 +1,1 @@
+"""Topology only, no metres: codes, diagrams, grid diagrams, invariants, the catalogue."""

@@ -1,0 +1,277 @@
+"""From a knot's name or code to the diagram and the smallest grid diagram to fold it from."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from swarm.knots.diagram import Diagram, diagram_of_pd, diagrams_of_dt, diagrams_of_gauss
+from swarm.knots.draw import UNKNOT, drawn
+from swarm.knots.gauss import KnotError, SignedGauss
+from swarm.knots.grid import Grid, OpenGrid, grid_of_columns, openings, stabilised
+from swarm.knots.grid import mirrored as mirrored_grid
+from swarm.knots.hand import hand_of
+from swarm.knots.invariants import Identification, identify_diagram
+from swarm.knots.jones import jones
+from swarm.knots.layout import compact
+from swarm.knots.names import Named, parse_name, torus_grid
+from swarm.knots.search import minimised, rearranged
+from swarm.knots.simplify import simplified
+from swarm.knots.sums import Factor, named
+from swarm.knots.table import prime, table
+
+__all__ = ["KnotChoice", "choose", "lookup", "more_grids", "names"]
+
+
+@dataclass(frozen=True)
+class KnotChoice:
+    """The knot to tie: what it is, and the diagrams it is tied from.
+
+    ``name`` is KnotInfo's (or a sum's, ``torus(p,q)``, or "unknown"). ``chirality`` is "left",
+    "right", or "none" for a knot that is its own mirror image. ``gauss`` is the Gauss code of
+    ``diagram`` in the paper's notation, as it was given if it was. ``grid`` is a grid diagram of
+    the knot, of minimal size where that is known. ``warnings`` are for the user.
+    """
+
+    name: str
+    chirality: str
+    gauss: str
+    diagram: Diagram
+    grid: Grid
+    crossings: int
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def vehicles(self) -> int:
+        """2N − 1: one vehicle per corner of the opened grid diagram."""
+        return 2 * self.grid.size - 1
+
+    @property
+    def opening(self) -> OpenGrid:
+        """The best opening of the grid diagram."""
+        return openings(self.grid, limit=1)[0]
+
+
+def names() -> tuple[str, ...]:
+    """Names of all prime knots of the table, in its order."""
+    return tuple(table())
+
+
+def lookup(name: str) -> KnotChoice:
+    """The knot of a name, right-handed where it is chiral and the name does not say left."""
+    wanted = parse_name(name)
+    return _of_name(wanted, wanted.chirality)
+
+
+def choose(
+    *,
+    name: str | None = None,
+    gauss: str | None = None,
+    dt: Sequence[int] | None = None,
+    pd: Sequence[Sequence[int]] | None = None,
+    grid: Grid | Sequence[Sequence[int]] | None = None,
+    chirality: str | None = None,
+) -> KnotChoice:
+    """The knot that exactly one of a name, a Gauss, DT or PD code, or a grid diagram describes.
+
+    ``chirality`` is "left", "right", "either" or None. It must be "left" or "right" (or "either",
+    which means right) where the knot is chiral and the description does not say which hand; a
+    description that does say is mirrored if the other hand is asked for.
+
+    Raises KnotError for a wrong code or name, a link, or a hand or summand that is left open.
+    """
+    if chirality not in {None, "left", "right", "either"}:
+        raise KnotError(f'chirality: expected left, right or either, got "{chirality}"')
+    given = [
+        key
+        for key, value in (("name", name), ("gauss", gauss), ("dt", dt), ("pd", pd), ("grid", grid))
+        if value is not None
+    ]
+    if len(given) != 1:
+        raise KnotError(f"expected one of name, gauss, dt, pd or grid, got {', '.join(given)}")
+    if name is not None:
+        return _of_name(parse_name(name), chirality)
+    if grid is not None:
+        shape = grid if isinstance(grid, Grid) else grid_of_columns(grid)
+        return _of_diagrams((Diagram(shape.code),), chirality, shape)
+    if pd is not None:
+        return _of_diagrams((diagram_of_pd(pd),), chirality, None)
+    diagrams = diagrams_of_gauss(gauss) if gauss is not None else diagrams_of_dt(dt or ())
+    return _of_diagrams(diagrams, chirality, None)
+
+
+def _hand(is_chiral: bool, known: str | None, asked: str | None, what: str) -> str:
+    """The hand to tie: "left", "right" or "none". Raises KnotError where it is left open."""
+    if not is_chiral:
+        return "none"
+    if asked in {"left", "right"}:
+        return str(asked)
+    if known is not None:
+        return known
+    if asked == "either":
+        return "right"
+    raise KnotError(
+        f"{what} is chiral and the description fits both its mirror images: "
+        "say chirality: left, right or either"
+    )
+
+
+def _of_name(wanted: Named, asked: str | None) -> KnotChoice:
+    own = wanted.chirality
+    if wanted.factors is not None:
+        name, right = named(wanted.factors)
+        hand = _hand(right != "none", own, asked, name)
+        factors = wanted.factors if hand in {right, "none"} else _mirror(wanted.factors)
+        return _of_factors(factors, ())
+    size, strands = wanted.torus
+    shape = torus_grid(size, strands)
+    name = f"torus({size},{strands})"
+    hand = _hand(is_chiral=True, known=own, asked=asked, what=name)
+    return _searched(name, hand, shape if hand == "right" else mirrored_grid(shape), ())
+
+
+def _mirror(factors: tuple[Factor, ...]) -> tuple[Factor, ...]:
+    return tuple((name, -hand) for name, hand in factors)
+
+
+@lru_cache(maxsize=64)
+def _of_factors(factors: tuple[Factor, ...], warnings: tuple[str, ...]) -> KnotChoice:
+    """A knot of the table, or a sum of such, with these hands."""
+    name, chirality = named(factors)
+    if not factors:
+        return KnotChoice(
+            "0_1",
+            "none",
+            "",
+            Diagram(SignedGauss((), closed=True)),
+            UNKNOT,
+            0,
+            (*warnings, "this is the unknot: the cable will not be knotted"),
+        )
+    diagram = _sum_diagram(factors)
+    shape = factor_grid(factors)
+    crossings = sum(prime(part).crossings for part, _ in factors)
+    return KnotChoice(name, chirality, diagram.code.text(), diagram, shape, crossings, warnings)
+
+
+def _sum_diagram(factors: tuple[Factor, ...]) -> Diagram:
+    passes: list[tuple[int, bool, int]] = []
+    for name, hand in factors:
+        diagram = prime(name).diagram
+        code = diagram.code.mirrored() if hand < 0 else diagram.code
+        base = len(passes) // 2
+        passes += [(base + k, over, sign) for k, over, sign in code.passes]
+    return Diagram(SignedGauss.of(passes, closed=True))
+
+
+def factor_grid(factors: tuple[Factor, ...]) -> Grid:
+    """The table's grid diagram of a prime knot; of a sum, one from a search.
+
+    The arc index of a sum is the sum of its summands' less 2 for every further one (Cromwell
+    1995), so the search knows when it is done.
+    """
+    grids = [
+        mirrored_grid(prime(name).grid) if hand < 0 else prime(name).grid for name, hand in factors
+    ]
+    if len(grids) == 1:
+        return grids[0]
+    target = sum(grid.size for grid in grids) - 2 * (len(grids) - 1)
+    return compact(minimised(drawn(_sum_diagram(factors)), target=target), tries=100)
+
+
+def _searched(name: str, chirality: str, shape: Grid, warnings: tuple[str, ...]) -> KnotChoice:
+    """A knot outside the table, from any grid diagram of it."""
+    small = compact(minimised(shape), tries=100)
+    diagram = simplified(Diagram(small.code), kicks=20)
+    return KnotChoice(
+        name, chirality, diagram.code.text(), diagram, small, diagram.crossings, warnings
+    )
+
+
+def _of_diagrams(
+    diagrams: tuple[Diagram, ...], asked: str | None, shape: Grid | None
+) -> KnotChoice:
+    """The knot of a code: of one diagram, or of all those that the code can mean."""
+    found = [(diagram, identify_diagram(diagram)) for diagram in diagrams]
+    kinds = {known.name if known.known else "unknown" for _, known in found}
+    if len(kinds) > 1:
+        raise KnotError(
+            f"the code can mean any of {', '.join(sorted(kinds))}: give crossing signs or a name"
+        )
+    if not found[0][1].known:
+        return _of_unknown(found, asked, shape)
+    what = found[0][1].name
+    hands = {known.chirality for _, known in found}
+    own = hands.pop() if len(hands) == 1 else None
+    hand = _hand(own != "none", own, asked, what)
+    match = [(diagram, known) for diagram, known in found if known.chirality == hand]
+    if match:
+        diagram, known = match[0]
+    else:
+        diagram = found[0][0].mirrored()
+        known = identify_diagram(diagram)
+        shape = None if shape is None else mirrored_grid(shape)
+    choice = _of_factors(parse_name(known.candidates[0]).factors or (), ())
+    kept = choice.grid
+    if shape is not None and shape.size <= kept.size and openings(shape, limit=1):
+        kept = shape
+    return KnotChoice(
+        choice.name,
+        choice.chirality,
+        diagram.code.text(),
+        diagram,
+        kept,
+        choice.crossings,
+        choice.warnings,
+    )
+
+
+def _of_unknown(
+    found: Sequence[tuple[Diagram, Identification]], asked: str | None, shape: Grid | None
+) -> KnotChoice:
+    """A knot that is not in the table: tied from its own code, its hand by its Jones polynomial."""
+    warnings = [
+        f"this knot is not in the table of knots to ten crossings (at most "
+        f"{found[0][1].crossings} crossings, determinant {found[0][1].invariants['determinant']})"
+    ]
+    hands = [hand_of(jones(diagram)) for diagram, _ in found]
+    diagram = found[0][0]
+    chirality = "none"
+    if any(hands):
+        known = None if len(set(hands)) > 1 else ("right" if hands[0] > 0 else "left")
+        chirality = _hand(is_chiral=True, known=known, asked=asked, what="this knot")
+        sign = 1 if chirality == "right" else -1
+        match = [d for (d, _), hand in zip(found, hands, strict=True) if hand == sign]
+        diagram = match[0] if match else diagram.mirrored()
+        if not match and shape is not None:
+            shape = mirrored_grid(shape)
+    elif len(found) > 1:
+        warnings.append(
+            "its Jones polynomial does not tell its mirror images apart: the hand is open"
+        )
+    choice = _searched(
+        "unknown", chirality, drawn(diagram) if shape is None else shape, tuple(warnings)
+    )
+    return KnotChoice(
+        choice.name,
+        chirality,
+        diagram.code.text(),
+        diagram,
+        choice.grid,
+        choice.crossings,
+        choice.warnings,
+    )
+
+
+def more_grids(choice: KnotChoice, *, larger: int = 0, seed: int = 1) -> Iterator[Grid]:
+    """Other grid diagrams of the same knot that can be opened, without end, each one new.
+
+    They have the size of ``choice.grid`` plus ``larger``. Deterministic for a seed.
+    """
+    shape = choice.grid
+    for step in range(larger):
+        shape = stabilised(shape, 1 + step % shape.size, high=True, right=True, above=True)
+    seen = {choice.grid}
+    for grid in rearranged(shape, seed=seed):
+        if grid not in seen and openings(grid, limit=1):
+            seen.add(grid)
+            yield grid

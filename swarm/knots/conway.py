@@ -1,0 +1,169 @@
+"""Diagrams from Conway's notation (Conway 1970, "An enumeration of knots and links").
+
+A tangle is a part of a diagram with four loose ends at its corners. The tangle n is a row of n
+crossings; ``a b`` is a reflected in its falling diagonal, followed by b; ``a,b,c`` stands for
+``a 0 + b 0 + c 0``. Tangles may be put into the vertices of a basic polyhedron: ``6*`` (mostly left
+out), ``8*``, ``9*`` and ``10*``.
+"""
+
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from swarm.knots.diagram import Diagram, diagram_of_pd
+from swarm.knots.gauss import KnotError
+
+Ends = tuple[int, int, int, int]
+"""Edges at the corners: north-west, north-east, south-east, south-west."""
+
+
+@dataclass(frozen=True)
+class Tangle:
+    """Crossings with the edges at their corners, and whether the rising strand is the upper one.
+
+    ``glue`` lists pairs of edges that are one; ``ends`` are the edges at the tangle's own corners.
+    """
+
+    crossings: tuple[tuple[Ends, bool], ...]
+    glue: tuple[tuple[int, int], ...]
+    ends: Ends
+
+
+class _Edges:
+    """A source of edge numbers that were never used before."""
+
+    def __init__(self) -> None:
+        self._numbers = itertools.count(1)
+
+    def new(self) -> int:
+        return next(self._numbers)
+
+    def integer(self, number: int) -> Tangle:
+        """A row of crossings; 0 is two strands that run from left to right."""
+        if number == 0:
+            top, bottom = self.new(), self.new()
+            return Tangle((), (), (top, top, bottom, bottom))
+        ends = (self.new(), self.new(), self.new(), self.new())
+        result = one = Tangle(((ends, number > 0),), (), ends)
+        for _ in range(abs(number) - 1):
+            ends = (self.new(), self.new(), self.new(), self.new())
+            one = Tangle(((ends, number > 0),), (), ends)
+            result = added(result, one)
+        return result
+
+
+def added(left: Tangle, right: Tangle) -> Tangle:
+    """Two tangles side by side."""
+    return Tangle(
+        left.crossings + right.crossings,
+        (
+            *left.glue,
+            *right.glue,
+            (left.ends[1], right.ends[0]),
+            (left.ends[2], right.ends[3]),
+        ),
+        (left.ends[0], right.ends[1], right.ends[2], left.ends[3]),
+    )
+
+
+def reflected(tangle: Tangle) -> Tangle:
+    """Reflected in the diagonal that falls from north-west to south-east."""
+
+    def turn(ends: Ends) -> Ends:
+        return (ends[0], ends[3], ends[2], ends[1])
+
+    crossings = tuple((turn(ends), rising) for ends, rising in tangle.crossings)
+    return Tangle(crossings, tangle.glue, turn(tangle.ends))
+
+
+def negated(tangle: Tangle) -> Tangle:
+    """With every crossing changed."""
+    crossings = tuple((ends, not rising) for ends, rising in tangle.crossings)
+    return Tangle(crossings, tangle.glue, tangle.ends)
+
+
+def product(left: Tangle, right: Tangle) -> Tangle:
+    """Conway's ``a b``."""
+    return added(reflected(left), right)
+
+
+def diagram_of_conway(notation: str) -> Diagram:
+    """A diagram of the knot that has this Conway notation. Raises KnotError if it is none."""
+    edges = _Edges()
+    text = notation.replace(" ", "")
+    if "*" in text or "." in text or ":" in text:
+        return _polyhedral(text, edges)
+    tangle = _tangle(text, edges)
+    ends = tangle.ends
+    return _closed([tangle], [(ends[0], ends[1]), (ends[3], ends[2])])
+
+
+def _closed(tangles: Sequence[Tangle], joints: Sequence[tuple[int, int]]) -> Diagram:
+    """The diagram of tangles whose ends are joined in pairs."""
+    parent: dict[int, int] = {}
+
+    def root(edge: int) -> int:
+        while edge in parent:
+            edge = parent[edge]
+        return edge
+
+    for one, two in [*joints, *(pair for tangle in tangles for pair in tangle.glue)]:
+        if root(one) != root(two):
+            parent[root(one)] = root(two)
+    pd = []
+    for (nw, ne, se, sw), rising in (item for tangle in tangles for item in tangle.crossings):
+        # Counterclockwise from an end of the lower strand.
+        ring = (nw, sw, se, ne) if rising else (sw, se, ne, nw)
+        pd.append(tuple(root(edge) for edge in ring))
+    return diagram_of_pd(pd)
+
+
+_SIGNS = re.compile(r"[+-]*$")
+
+
+def _tangle(text: str, edges: _Edges) -> Tangle:
+    """An algebraic tangle: ``22``, ``3,21,2-``, ``(3,2)(21,2)``."""
+    parts = _split(text, ",")
+    if len(parts) > 1:
+        tail = _SIGNS.search(parts[-1])
+        signs = tail[0] if tail else ""
+        parts[-1] = parts[-1][: len(parts[-1]) - len(signs)]
+        result = reflected(_tangle(parts[0], edges))
+        for part in parts[1:]:
+            result = added(result, reflected(_tangle(part, edges)))
+        extra = signs.count("+") - signs.count("-")
+        return added(result, edges.integer(extra)) if extra else result
+    if text.startswith("-"):
+        return negated(_tangle(text[1:], edges))
+    factors = re.findall(r"-?\([^()]*\)|-?\d", text)
+    if "".join(factors) != text or not factors:
+        raise KnotError(f'not a tangle in Conway\'s notation: "{text}"')
+    result = _factor(factors[0], edges)
+    for factor in factors[1:]:
+        result = product(result, _factor(factor, edges))
+    return result
+
+
+def _factor(text: str, edges: _Edges) -> Tangle:
+    if text.startswith("-("):
+        return negated(_tangle(text[2:-1], edges))
+    if text.startswith("("):
+        return _tangle(text[1:-1], edges)
+    return edges.integer(int(text))
+
+
+def _split(text: str, mark: str) -> list[str]:
+    """Split at a mark that is not inside brackets."""
+    parts, depth = [""], 0
+    for letter in text:
+        depth += (letter == "(") - (letter == ")")
+        if letter == mark and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return parts
+
+
+def _polyhedral(text: str, edges: _Edges) -> Diagram:
+    raise NotImplementedError

@@ -1,0 +1,295 @@
+"""Planar diagrams of knots: Gauss, DT and PD codes in and out, realisability, mirror images.
+
+A :class:`Diagram` is a closed signed Gauss code of genus 0, that is, one that a curve in the plane
+(or on the sphere) has. Codes that leave the crossing signs open are turned into all the diagrams
+that they can mean: a prime code means two, mirror images of each other; every further summand
+doubles them.
+"""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from swarm.knots.curve import curve_gauss
+from swarm.knots.gauss import GaussText, KnotError, SignedGauss, parse_gauss, same_code
+from swarm.knots.grid import diagram_gauss
+
+__all__ = [
+    "Diagram",
+    "KnotError",
+    "SignedGauss",
+    "curve_gauss",
+    "diagram_gauss",
+    "diagram_of_pd",
+    "diagrams_of_dt",
+    "diagrams_of_gauss",
+    "parse_gauss",
+    "realisations",
+    "same_code",
+]
+
+MOST_REALISATIONS = 64
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """A knot diagram on the sphere. Raises KnotError if no plane curve has this code."""
+
+    code: SignedGauss
+
+    def __post_init__(self) -> None:
+        if not self.code.closed:
+            raise KnotError("a diagram needs a closed code")
+        if len(self.faces) != self.crossings + 2:
+            raise KnotError("no curve in the plane has this signed Gauss code")
+
+    @property
+    def crossings(self) -> int:
+        """Number of crossings."""
+        return self.code.crossings
+
+    @property
+    def writhe(self) -> int:
+        """Sum of the crossing signs."""
+        return self.code.writhe
+
+    @cached_property
+    def faces(self) -> tuple[tuple[int, ...], ...]:
+        """Faces, each as the half edges that have it on their left (``2·edge + backward``).
+
+        Edge k runs from pass k to the next pass. One crossing-free circle has two faces.
+        """
+        return faces(self.code)
+
+    def mirrored(self) -> "Diagram":
+        """The mirror image."""
+        return Diagram(self.code.mirrored())
+
+    def pd(self) -> tuple[tuple[int, int, int, int], ...]:
+        """Planar diagram code: per crossing its edges, counterclockwise from the incoming under.
+
+        Edges are numbered 1…2n along the knot (KnotTheory's convention, also KnotInfo's).
+        """
+        partner = partners(self.code)
+        edges = len(self.code.passes)
+        rows = []
+        for position, (_, over, sign) in enumerate(self.code.passes):
+            if over:
+                continue
+            under_in, under_out = (position - 1) % edges + 1, position + 1
+            over_in, over_out = (partner[position] - 1) % edges + 1, partner[position] + 1
+            if sign > 0:
+                rows.append((under_in, over_out, under_out, over_in))
+            else:
+                rows.append((under_in, over_in, under_out, over_out))
+        return tuple(rows)
+
+    def dt(self) -> tuple[int, ...]:
+        """Dowker–Thistlethwaite code: for odd 1, 3, … the even number at the same crossing.
+
+        An even number is negative where its pass and the code's first pass are alike (both over or
+        both under); an alternating diagram has one sign only. The mirror image has the same code.
+        """
+        partner = partners(self.code)
+        if not partner:
+            return ()
+        first_over = self.code.passes[0][1]
+        return tuple(
+            -(partner[k] + 1) if self.code.passes[partner[k]][1] == first_over else partner[k] + 1
+            for k in range(0, len(partner), 2)
+        )
+
+
+def partners(code: SignedGauss) -> list[int]:
+    """Position of the other pass of each pass's crossing."""
+    where: dict[int, int] = {}
+    partner = [0] * len(code.passes)
+    for position, (label, _, _) in enumerate(code.passes):
+        if label in where:
+            partner[position], partner[where[label]] = where[label], position
+        where[label] = position
+    return partner
+
+
+def faces(code: SignedGauss) -> tuple[tuple[int, ...], ...]:
+    """Faces of the surface that a closed code is drawn on (see :attr:`Diagram.faces`)."""
+    count = len(code.passes)
+    if not count:
+        return ((0,), (1,))
+    partner = partners(code)
+    follows = [0] * (2 * count)
+    for position, (_, over, sign) in enumerate(code.passes):
+        other = partner[position]
+        crosses_to_left = (sign > 0) == over
+        # Arriving forward, the leftmost way on is along the other strand, out or back in.
+        follows[2 * ((position - 1) % count)] = (
+            2 * other if crosses_to_left else 2 * ((other - 1) % count) + 1
+        )
+        follows[2 * position + 1] = 2 * ((other - 1) % count) + 1 if crosses_to_left else 2 * other
+    found = []
+    seen = [False] * (2 * count)
+    for start in range(2 * count):
+        face = []
+        half = start
+        while not seen[half]:
+            seen[half] = True
+            face.append(half)
+            half = follows[half]
+        if face:
+            found.append(tuple(face))
+    return tuple(found)
+
+
+def realisations(passes: Sequence[tuple[int, bool]]) -> tuple[Diagram, ...]:
+    """All diagrams on the sphere that a Gauss code without signs can mean.
+
+    A prime code has two, mirror images; a code made of k indecomposable parts has 2^k. The signs
+    follow from which pairs of crossings interlace (Cairns and Elton 1993, "The planarity problem
+    for signed Gauss words"). The first diagram's first crossing is positive.
+
+    Raises KnotError for wrong labels, or where no plane curve has the code.
+    """
+    listed = tuple(passes)
+    plain = SignedGauss.of(((k, over, 1) for k, over in listed), closed=True)
+    if not listed:
+        return (Diagram(plain),)
+    where: dict[int, list[int]] = {}
+    for position, (label, _, _) in enumerate(plain.passes):
+        where.setdefault(label, []).append(position)
+    ends = np.array([where[label] for label in sorted(where)])
+    unrealisable = KnotError("no curve in the plane has this Gauss code")
+    if np.any((ends[:, 1] - ends[:, 0]) % 2 == 0):
+        label = int(np.flatnonzero((ends[:, 1] - ends[:, 0]) % 2 == 0)[0]) + 1
+        name = listed[ends[label - 1, 0]][0]
+        raise KnotError(
+            f"no curve in the plane has this Gauss code: between the two passes of crossing {name} "
+            "there is an odd number of passes"
+        )
+    turns, part = _turns(ends)
+    if turns is None:
+        raise unrealisable
+    parts = int(part.max()) + 1
+    if 2**parts > MOST_REALISATIONS:
+        raise KnotError(
+            f"the Gauss code consists of {parts} parts, each of either hand: give crossing signs"
+        )
+    found = []
+    for flips in itertools.product((1, -1), repeat=parts):
+        turn = turns * np.array(flips)[part]
+        first_over = np.array([plain.passes[first][1] for first in ends[:, 0]])
+        signs = np.where(first_over, turn, -turn)
+        code = SignedGauss(
+            tuple((k, over, int(signs[k - 1])) for k, over, _ in plain.passes), closed=True
+        )
+        if len(faces(code)) != len(ends) + 2:
+            raise unrealisable
+        found.append(Diagram(code))
+    return tuple(sorted(found, key=lambda d: [-sign for _, _, sign in d.code.passes]))
+
+
+def _turns(ends: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
+    """Direction in which each chord's second pass crosses its first, and the chord's part.
+
+    ``ends`` is (n, 2), positions of the two passes. +1 means from right to left.
+    """
+    count = len(ends)
+    first, second = ends[:, 0], ends[:, 1]
+    inside = (first[None, :] > first[:, None]) & (first[None, :] < second[:, None])
+    crosses = inside & (second[None, :] > second[:, None])
+    crosses = crosses | crosses.T
+    common_odd = (crosses.astype(np.int64) @ crosses.astype(np.int64)) % 2 == 1
+    # With x = turn × (−1)^first position, interlaced chords have equal x exactly where the number
+    # of chords that interlace both is odd.
+    unknown = np.zeros(count, dtype=np.int64)
+    part = np.full(count, -1)
+    parts = 0
+    for root in range(count):
+        if unknown[root]:
+            continue
+        unknown[root], part[root] = 1, parts
+        waiting = [root]
+        while waiting:
+            chord = waiting.pop()
+            for other in np.flatnonzero(crosses[chord]):
+                value = unknown[chord] * (1 if common_odd[chord, other] else -1)
+                if not unknown[other]:
+                    unknown[other], part[other] = value, parts
+                    waiting.append(int(other))
+                elif unknown[other] != value:
+                    return None, part
+        parts += 1
+    return unknown * np.where(first % 2 == 0, 1, -1), part
+
+
+def diagrams_of_gauss(text: str | GaussText) -> tuple[Diagram, ...]:
+    """All diagrams that a written Gauss code can mean; one if it gives signs."""
+    read = parse_gauss(text) if isinstance(text, str) else text
+    signed = read.signed()
+    return realisations(read.passes) if signed is None else (Diagram(signed),)
+
+
+def diagrams_of_dt(dt: Sequence[int]) -> tuple[Diagram, ...]:
+    """All diagrams that a Dowker–Thistlethwaite code can mean.
+
+    A negative entry marks the crossings where the odd pass goes over instead of under.
+    Raises KnotError that names each entry that is odd, missing or repeated.
+    """
+    wrong = [f"entry {k}: expected an even number, got {d}" for k, d in enumerate(dt, 1) if d % 2]
+    count = len(dt)
+    if not count:
+        raise KnotError('the DT code is empty; a cable without a knot is named "unknot"')
+    if not wrong and sorted(abs(d) for d in dt) != list(range(2, 2 * count + 1, 2)):
+        wrong.append(f"expected each of 2, 4, …, {2 * count} once (with either sign)")
+    if wrong:
+        raise KnotError("DT code: " + "; ".join(wrong))
+    passes: list[tuple[int, bool]] = [(0, False)] * (2 * count)
+    for k, even in enumerate(dt):
+        passes[2 * k] = (k + 1, even < 0)
+        passes[abs(even) - 1] = (k + 1, even > 0)
+    try:
+        return realisations(passes)
+    except KnotError as error:
+        raise KnotError(f"DT code: {error}") from None
+
+
+def diagram_of_pd(pd: Iterable[Sequence[int]]) -> Diagram:
+    """The diagram of a planar diagram code (KnotTheory's convention).
+
+    Each crossing lists its four edges counterclockwise from an under edge; edges may have any
+    numbers. Raises KnotError for wrong entries, a link, or a code that no plane curve has.
+    """
+    rows = [tuple(row) for row in pd]
+    if not rows:
+        raise KnotError('the PD code is empty; a cable without a knot is named "unknot"')
+    slots: dict[int, list[tuple[int, int]]] = {}
+    for crossing, row in enumerate(rows):
+        if len(row) != 4:
+            raise KnotError(f"PD code, crossing {crossing + 1}: expected 4 edges, got {len(row)}")
+        for slot, edge in enumerate(row):
+            slots.setdefault(edge, []).append((crossing, slot))
+    wrong = [f"edge {edge} occurs {len(at)} times" for edge, at in slots.items() if len(at) != 2]
+    if wrong:
+        raise KnotError("PD code: " + "; ".join(wrong) + " (expected twice each)")
+    crossing, slot = 0, 0
+    entered: list[tuple[int, int]] = []
+    while (crossing, slot) not in entered[:1]:
+        entered.append((crossing, slot))
+        leaves = (crossing, (slot + 2) % 4)
+        here, there = slots[rows[crossing][leaves[1]]]
+        crossing, slot = there if here == leaves else here
+    if len(entered) != 2 * len(rows):
+        raise KnotError("the PD code is that of a link; one cable has one component")
+    under_slot = {k: slot for k, slot in entered if slot % 2 == 0}
+    passes = []
+    for k, slot in entered:
+        over_slot = slot if slot % 2 else next(s for c, s in entered if c == k and s % 2)
+        # Counterclockwise from the incoming under edge: over leaving first is a positive crossing.
+        sign = -1 if (over_slot - under_slot[k]) % 4 == 1 else 1
+        passes.append((k + 1, slot % 2 == 1, sign))
+    try:
+        return Diagram(SignedGauss.of(passes, closed=True))
+    except KnotError:
+        raise KnotError("no curve in the plane has this PD code") from None

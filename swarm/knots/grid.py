@@ -1,0 +1,347 @@
+"""Grid diagrams (arc presentations): validity, crossings, Cromwell's moves, openings.
+
+A grid diagram of size N has one vertical edge in each of N columns and one horizontal edge in each
+of N rows; verticals pass over horizontals. Columns count from 1 at the left, rows from 1 at the
+bottom. Cromwell's moves (Cromwell 1995, "Embedding knots and links in an open book I") join any two
+grid diagrams of one knot, and none of them changes the knot.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from swarm.knots.gauss import KnotError, SignedGauss
+
+Corner = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A grid diagram of one knot: the (low, high) rows of each column's edge, left to right.
+
+    Raises KnotError that names every wrong column or row, or the number of components of a link.
+    """
+
+    columns: tuple[tuple[int, int], ...]
+
+    def __post_init__(self) -> None:
+        _check(self.columns)
+        reached = len(self.corners)
+        if reached != 2 * self.size:
+            raise KnotError(
+                f"the grid is that of a link: its first component has {reached} of its "
+                f"{2 * self.size} corners; one cable has one component"
+            )
+
+    @property
+    def size(self) -> int:
+        """N, the number of columns and of rows."""
+        return len(self.columns)
+
+    @cached_property
+    def rows(self) -> tuple[tuple[int, int], ...]:
+        """The (left, right) columns of each row's edge, bottom to top."""
+        ends: list[list[int]] = [[] for _ in self.columns]
+        for column, pair in enumerate(self.columns, 1):
+            for row in pair:
+                ends[row - 1].append(column)
+        return tuple((left, right) for left, right in ends)
+
+    @cached_property
+    def corners(self) -> tuple[Corner, ...]:
+        """The corners (column, row) in order, from column 1's low end along its edge."""
+        return _walk(self, 1)
+
+    @cached_property
+    def code(self) -> SignedGauss:
+        """The signed Gauss code of the closed diagram, from column 1's low end on."""
+        return _path_code(self.corners, closed=True)
+
+    @property
+    def crossings(self) -> int:
+        """Number of crossings."""
+        return self.code.crossings
+
+
+@dataclass(frozen=True)
+class OpenGrid:
+    """A grid diagram opened at one corner whose two edges are free of crossings.
+
+    ``corners`` are the other 2N − 1 corners (column, row) in order along the cable. ``crossings``
+    are (over segment, under segment), where segment i joins corners i and i + 1, from 0.
+    """
+
+    grid: Grid
+    removed: Corner
+    corners: tuple[Corner, ...]
+    crossings: tuple[tuple[int, int], ...]
+
+    @property
+    def length(self) -> int:
+        """Total length of the segments in plan, in cells."""
+        pairs = zip(self.corners, self.corners[1:], strict=False)
+        return sum(abs(a - c) + abs(b - d) for (a, b), (c, d) in pairs)
+
+
+def _check(columns: tuple[tuple[int, int], ...]) -> None:
+    size = len(columns)
+    if size < 2:
+        raise KnotError(f"a grid diagram has at least 2 columns, got {size}")
+    wrong = [
+        f"column {column}: expected rows (low, high) with 1 ≤ low < high ≤ {size}, got {pair}"
+        for column, pair in enumerate(columns, 1)
+        if len(pair) != 2 or not 1 <= pair[0] < pair[1] <= size
+    ]
+    if not wrong:
+        ends = Counter(row for pair in columns for row in pair)
+        wrong = [
+            f"row {row}: expected the ends of 2 columns, got {ends[row]}"
+            for row in range(1, size + 1)
+            if ends[row] != 2
+        ]
+    if wrong:
+        raise KnotError("; ".join(wrong))
+
+
+def _walk(grid: Grid, column: int) -> tuple[Corner, ...]:
+    """Corners from a column's low end, up its edge, until the start is reached again."""
+    found: list[Corner] = []
+    row = start = grid.columns[column - 1][0]
+    first = column
+    while True:
+        found.append((column, row))
+        row = sum(grid.columns[column - 1]) - row
+        found.append((column, row))
+        column = sum(grid.rows[row - 1]) - column
+        if (column, row) == (first, start):
+            return tuple(found)
+
+
+def _path_code(corners: tuple[Corner, ...], *, closed: bool) -> SignedGauss:
+    """Signed Gauss code of a path whose edges are alternately vertical and horizontal."""
+    passes = []
+    for segment, place, over, other, sign in _passes(corners, closed=closed):
+        vertical, horizontal = (segment, other) if over else (other, segment)
+        passes.append((segment, place, (vertical, horizontal), over, sign))
+    passes.sort(key=lambda item: item[:2])
+    number = {pair: k for k, pair in enumerate(sorted({item[2] for item in passes}))}
+    return SignedGauss.of(
+        ((number[pair] + 1, over, sign) for _, _, pair, over, sign in passes), closed=closed
+    )
+
+
+def _passes(corners: tuple[Corner, ...], *, closed: bool) -> list[tuple[int, int, bool, int, int]]:
+    """Per pass: segment, distance along it, whether it is on top, the other segment, the sign."""
+    ends = list(zip(corners, corners[1:] + corners[:1], strict=True))
+    if not closed:
+        ends.pop()
+    vertical = [k for k, (a, b) in enumerate(ends) if a[0] == b[0]]
+    horizontal = [k for k, (a, b) in enumerate(ends) if a[1] == b[1]]
+    found = []
+    for v in vertical:
+        (column, r0), (_, r1) = ends[v]
+        for h in horizontal:
+            (c0, row), (c1, _) = ends[h]
+            if min(r0, r1) < row < max(r0, r1) and min(c0, c1) < column < max(c0, c1):
+                # over × under = vertical × horizontal: up × right points down.
+                sign = -1 if (r1 > r0) == (c1 > c0) else 1
+                found.append((v, abs(row - r0), True, h, sign))
+                found.append((h, abs(column - c0), False, v, sign))
+    return found
+
+
+def diagram_gauss(opened: OpenGrid) -> SignedGauss:
+    """The signed Gauss code of an opened grid diagram, from its first corner to its last."""
+    return _path_code(opened.corners, closed=False)
+
+
+def grid_of_columns(columns: object) -> Grid:
+    """A grid from nested lists, row pairs in either order, as written in a mission file."""
+    if not isinstance(columns, list | tuple):
+        raise KnotError(f"a grid is a list of row pairs, one per column, got {columns!r}")
+    pairs = []
+    for number, pair in enumerate(columns, 1):
+        if (
+            not isinstance(pair, list | tuple)
+            or len(pair) != 2
+            or not all(isinstance(row, int) and not isinstance(row, bool) for row in pair)
+        ):
+            raise KnotError(f"column {number}: expected a pair of row numbers, got {pair!r}")
+        pairs.append((min(pair), max(pair)))
+    return Grid(tuple(pairs))
+
+
+# Symmetries
+
+
+def mirrored(grid: Grid) -> Grid:
+    """The mirror image: columns from right to left, verticals still over."""
+    return Grid(grid.columns[::-1])
+
+
+def turned(grid: Grid) -> Grid:
+    """Turned by 180° in its plane: the same knot."""
+    size = grid.size
+    return Grid(tuple((size + 1 - high, size + 1 - low) for low, high in grid.columns[::-1]))
+
+
+def transposed(grid: Grid) -> Grid:
+    """Seen from below along the diagonal: rows become columns and still verticals pass over.
+
+    Reflecting in the diagonal mirrors the knot, exchanging over and under mirrors it back.
+    """
+    return Grid(grid.rows)
+
+
+# Cromwell's moves. Columns and rows are counted from 1.
+
+
+def translated(grid: Grid, columns: int, rows: int) -> Grid:
+    """Shifted to the right and up on the torus: what leaves at one side comes in at the other."""
+    size = grid.size
+    start = -columns % size
+    shifted = grid.columns[start:] + grid.columns[:start]
+    return Grid(tuple(_pair(*((row - 1 + rows) % size + 1 for row in pair)) for pair in shifted))
+
+
+def commuted(grid: Grid, column: int) -> Grid:
+    """Columns ``column`` and ``column + 1`` exchanged (the last one with the first).
+
+    Raises KnotError if their edges interleave or share a row, because that would change the knot.
+    """
+    first, second = column - 1, column % grid.size
+    if not 1 <= column <= grid.size or first == second:
+        raise KnotError(f"there is no column {column} in a grid of size {grid.size}")
+    one, two = grid.columns[first], grid.columns[second]
+    if linked(one, two):
+        raise KnotError(f"columns {first + 1} and {second + 1} cannot be exchanged: {one}, {two}")
+    columns = list(grid.columns)
+    columns[first], columns[second] = two, one
+    return Grid(tuple(columns))
+
+
+def linked(one: tuple[int, int], two: tuple[int, int]) -> bool:
+    """Whether two pairs interleave on a circle, or share an end."""
+    return (one[0] <= two[0] <= one[1]) != (one[0] <= two[1] <= one[1]) or bool({*one} & {*two})
+
+
+def stabilised(grid: Grid, column: int, *, high: bool, right: bool, above: bool) -> Grid:
+    """One column and one row more, at the low or high end of a column.
+
+    That end moves to a corner of a new unit step: a new column of length 1 to the ``right`` or
+    left of it, whose far end (``above`` or below) takes over the row's edge.
+    """
+    if not 1 <= column <= grid.size:
+        raise KnotError(f"there is no column {column} in a grid of size {grid.size}")
+    row = grid.columns[column - 1][1 if high else 0]
+    own, far = (row, row + 1) if above else (row + 1, row)
+
+    def moved(pair: tuple[int, int], here: int) -> tuple[int, int]:
+        return _pair(*(here if r == row else r + (r > row) for r in pair))
+
+    columns = [
+        moved(pair, own if number == column else far) for number, pair in enumerate(grid.columns, 1)
+    ]
+    columns.insert(column if right else column - 1, (row, row + 1))
+    return Grid(tuple(columns))
+
+
+def destabilised(grid: Grid, column: int) -> Grid:
+    """Without a column of length 1 (also across the border), its two rows merged into one.
+
+    Raises KnotError where the column is longer, or the grid too small.
+    """
+    if not 1 <= column <= grid.size:
+        raise KnotError(f"there is no column {column} in a grid of size {grid.size}")
+    low, high = grid.columns[column - 1]
+    if grid.size < 3 or high - low not in {1, grid.size - 1}:
+        raise KnotError(f"column {column} is not of length 1: {(low, high)}")
+    if high - low != 1:
+        grid = translated(grid, 0, 1)
+        low, high = grid.columns[column - 1]
+    columns = grid.columns[: column - 1] + grid.columns[column:]
+    return Grid(tuple(_pair(*(r - (r > low) for r in pair)) for pair in columns))
+
+
+def _pair(one: int, two: int) -> tuple[int, int]:
+    return (one, two) if one < two else (two, one)
+
+
+# Openings
+
+
+def openings(grid: Grid, *, limit: int | None = None) -> tuple[OpenGrid, ...]:
+    """All ways to open a grid diagram for a cable, best first.
+
+    Any of the 2N corners may be taken out, after any translation on the torus and a reflection in
+    the diagonal that both keep the knot, if both its edges are free of crossings; the rest is
+    walked in either direction. Order: fewest crossings, then least total edge length, then a fixed
+    order. ``limit`` keeps only the first so many.
+    """
+    found: list[tuple[tuple[int, int, int, int, int], Grid, Corner]] = []
+    for flip, base in enumerate((grid, transposed(grid))):
+        found += [((*key, flip), shifted, corner) for key, shifted, corner in _free_corners(base)]
+    found.sort(key=lambda item: (item[0], item[2]))
+    result: dict[tuple[Corner, ...], OpenGrid] = {}
+    for _, shifted, corner in found:
+        for opened in _opened(shifted, corner):
+            result.setdefault(opened.corners, opened)
+        if limit is not None and len(result) >= limit:
+            break
+    return tuple(result.values())[:limit]
+
+
+def _free_corners(grid: Grid) -> list[tuple[tuple[int, int, int, int], Grid, Corner]]:
+    """Per translation and corner with crossing-free edges: sort key, translated grid, corner."""
+    size = grid.size
+    columns, rows = np.array(grid.columns) - 1, np.array(grid.rows) - 1
+    right, up = (part.ravel() for part in np.indices((size, size)))
+    # Ends of every edge after every translation, (translations, edges, 2), edges as they were.
+    column_ends = np.sort((columns[None] + up[:, None, None]) % size, axis=2)
+    row_ends = np.sort((rows[None] + right[:, None, None]) % size, axis=2)
+    column_at = (np.arange(size)[None] + right[:, None]) % size
+    row_at = (np.arange(size)[None] + up[:, None]) % size
+    crossed = (
+        (column_ends[:, :, None, 0] < row_at[:, None, :])
+        & (row_at[:, None, :] < column_ends[:, :, None, 1])
+        & (row_ends[:, None, :, 0] < column_at[:, :, None])
+        & (column_at[:, :, None] < row_ends[:, None, :, 1])
+    )
+    total = crossed.sum(axis=(1, 2))
+    on_column, on_row = crossed.sum(axis=2), crossed.sum(axis=1)
+    tall, wide = np.ptp(column_ends, axis=2), np.ptp(row_ends, axis=2)
+    length = tall.sum(axis=1) + wide.sum(axis=1)
+    found = []
+    for column, pair in enumerate(grid.columns):
+        for row in pair:
+            free = (on_column[:, column] == 0) & (on_row[:, row - 1] == 0)
+            for k in np.flatnonzero(free):
+                shift = int(right[k]), int(up[k])
+                corner = int(column_at[k, column]) + 1, int(row_at[k, row - 1]) + 1
+                remaining = int(length[k] - tall[k, column] - wide[k, row - 1])
+                found.append(((int(total[k]), remaining, *shift), shift, corner))
+    grids = {shift: translated(grid, *shift) for shift in {shift for _, shift, _ in found}}
+    return [(key, grids[shift], corner) for key, shift, corner in found]
+
+
+def _opened(grid: Grid, corner: Corner) -> list[OpenGrid]:
+    """The diagram without one corner, walked in both directions."""
+    at = grid.corners.index(corner)
+    path = grid.corners[at + 1 :] + grid.corners[:at]
+    return [
+        OpenGrid(
+            grid,
+            corner,
+            way,
+            tuple(
+                sorted(
+                    (segment, other)
+                    for segment, _, over, other, _ in _passes(way, closed=False)
+                    if over
+                )
+            ),
+        )
+        for way in (path, path[::-1])
+    ]

@@ -1,0 +1,112 @@
+"""The names that knots go by: KnotInfo's, common ones, torus knots, sums and mirror images."""
+
+import math
+import re
+from dataclasses import dataclass
+
+from swarm.knots.gauss import KnotError
+from swarm.knots.grid import Corner, Grid
+from swarm.knots.sums import Factor, named
+from swarm.knots.table import table
+
+COMMON = {
+    "unknot": "0_1",
+    "overhand": "3_1",
+    "overhand knot": "3_1",
+    "trefoil": "3_1",
+    "figure-eight": "4_1",
+    "figure eight": "4_1",
+    "figure-of-eight": "4_1",
+    "flemish": "4_1",
+    "cinquefoil": "5_1",
+    "solomon's seal": "5_1",
+    "double overhand": "5_1",
+    "three-twist": "5_2",
+    "stevedore": "6_1",
+    "miller institute": "6_2",
+    "septafoil": "7_1",
+    "carrick mat": "8_18",
+    "true lover's": "8_19",
+    "true lovers": "8_19",
+    "granny": "3_1#3_1",
+    "square": "3_1#m3_1",
+    "reef": "3_1#m3_1",
+}
+"""Common names, in lower case and without the word knot."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """What a name says: prime factors with hands as written, or a torus knot.
+
+    ``chirality`` is set where the name itself says which hand is meant.
+    """
+
+    factors: tuple[Factor, ...] | None
+    torus: tuple[int, int]
+    chirality: str | None
+
+
+_TORUS = re.compile(r"(m?)(?:torus|t)\(?\s*(-?\d+)\s*[,\s]\s*(-?\d+)\s*\)?")
+_TABLE = re.compile(r"(m?)(\d+)[_\-. ](\d+)")
+
+
+def parse_name(text: str) -> Named:
+    """Read a knot's name. Raises KnotError for one that is not known, with near ones."""
+    plain = re.sub(r"\s+", " ", text.strip().lower().replace("’", "'"))
+    plain = re.sub(r"[ -]?knot$", "", plain) if plain not in COMMON else plain
+    hand = None
+    side = re.match(r"(left|right)(?:[- ]hand(?:ed)?)? (.*)", plain)
+    if side:
+        hand, plain = side[1], side[2]
+    plain = COMMON.get(plain, COMMON.get(plain.replace("-", " "), plain))
+    torus = _TORUS.fullmatch(plain)
+    if torus:
+        return _torus(torus, hand)
+    factors: list[Factor] = []
+    says_left = False
+    for part in plain.split("#"):
+        own, left = _factor(part.strip(), text)
+        factors += own
+        says_left |= left
+    name, chirality = named(tuple(factors))
+    del name
+    written = "left" if chirality == "left" else ("right" if says_left else None)
+    if chirality == "none":
+        written = None
+    return Named(tuple(factors), (0, 0), hand or written)
+
+
+def _factor(part: str, text: str) -> tuple[list[Factor], bool]:
+    """The prime factors of one summand, and whether it is written as a mirror image."""
+    part = COMMON.get(part, part)
+    mirror = part.startswith("m") and (part[1:] in COMMON or _TABLE.fullmatch(part[1:]))
+    if mirror:
+        part = COMMON.get(part[1:], part[1:])
+    if part in {"0_1", "0-1"}:
+        return [], False
+    match = _TABLE.fullmatch(part)
+    name = f"{match[2]}_{int(match[3])}" if match else ""
+    if name not in table():
+        raise KnotError(f'no knot is called "{text}" here; `swarm knots` lists the names')
+    hand = (-1 if mirror else 1) if table()[name].chiral else 0
+    return [(name, hand)], bool(mirror)
+
+
+def _torus(match: re.Match[str], hand: str | None) -> Named:
+    p, q = int(match[2]), int(match[3])
+    if math.gcd(p, q) != 1:
+        raise KnotError(f"torus({p},{q}) is a link of {math.gcd(p, q)} components, not a knot")
+    left = (p * q < 0) != bool(match[1])
+    small, large = sorted((abs(p), abs(q)))
+    if small <= 1:
+        return Named((), (0, 0), None)
+    return Named(None, (small, large), hand or ("left" if left else None))
+
+
+def torus_grid(p: int, q: int) -> Grid:
+    """A grid diagram of the right-handed torus knot, of its arc index p + q (Matsuda 2006)."""
+    size = p + q
+    pairs = (sorted((k, (k + p) % size)) for k in range(size))
+    corners: list[Corner] = [(low + 1, high + 1) for low, high in pairs]
+    return Grid(tuple(corners))

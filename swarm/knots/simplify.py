@@ -1,0 +1,223 @@
+"""Fewer crossings for the same knot: Reidemeister moves and rerouted overpasses.
+
+An overpass (a maximal run of over passes) can be lifted off the diagram and laid down along any
+other way between its two ends, as long as it passes over everything there. The shortest way in the
+dual graph takes the fewest crossings. Underpasses likewise. This undoes Reidemeister 1 and 2 and
+most of what needs Reidemeister 3.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from random import Random
+
+from swarm.knots.diagram import Diagram
+from swarm.knots.gauss import SignedGauss
+
+Pass = tuple[int, bool, int]
+
+
+def simplified(diagram: Diagram, *, kicks: int = 0) -> Diagram:
+    """A diagram of the same knot with as many crossings or fewer. Deterministic.
+
+    After no overpass or underpass can be shortened, up to ``kicks`` of them are laid along another
+    way of the same length, in case that opens a shorter one.
+    """
+    passes = _reduced(list(diagram.code.passes))
+    rng = Random(1)
+    best = passes
+    left = kicks
+    while passes:
+        passes = _unturned(passes)
+        shorter = _rerouted(passes, None)
+        if shorter is None:
+            if len(passes) < len(best):
+                best, left = passes, kicks
+            if not left:
+                break
+            left -= 1
+            shorter = _rerouted(passes, rng)
+            if shorter is None:
+                break
+        passes = _reduced(shorter)
+    if len(passes) < len(best):
+        best = passes
+    return Diagram(SignedGauss.of(best, closed=True))
+
+
+def without_nugatory(diagram: Diagram) -> Diagram:
+    """Without crossings that a circle meets nowhere else: the part beyond is turned over."""
+    passes = _unturned(list(diagram.code.passes))
+    return Diagram(SignedGauss.of(passes, closed=True))
+
+
+def _unturned(passes: list[Pass]) -> list[Pass]:
+    """Nugatory crossings taken out, each by turning what lies between its passes by 180°."""
+    found = True
+    while found:
+        found = False
+        partner = _partners(passes)
+        for here, there in enumerate(partner):
+            if here < there and all(here < partner[k] < there for k in range(here + 1, there)):
+                inside = [(k, not over, sign) for k, over, sign in passes[here + 1 : there]]
+                passes = passes[:here] + inside + passes[there + 1 :]
+                found = True
+                break
+    return passes
+
+
+def _reduced(passes: list[Pass]) -> list[Pass]:
+    """Without every kink and every pair of crossings that Reidemeister 1 and 2 take away.
+
+    Two strands with passes (x, y) next to each other on both, one strand on top at both, can always
+    be pulled apart: the upper one is laid along the lower one's other side.
+    """
+    count = len(passes)
+    after = [*range(1, count), 0] if count else []
+    before = [count - 1, *range(count - 1)] if count else []
+    alive = [True] * count
+    partner = _partners(passes)
+    waiting = list(range(count))
+    remaining = count
+
+    def drop(position: int) -> None:
+        nonlocal remaining
+        for at in (position, partner[position]):
+            alive[at] = False
+            remaining -= 1
+            prior, following = before[at], after[at]
+            after[prior], before[following] = following, prior
+            waiting.extend((prior, following, before[prior]))
+
+    while waiting and remaining > 0:
+        here = waiting.pop()
+        if not alive[here]:
+            continue
+        there = after[here]
+        if partner[here] == there:
+            drop(here)
+        elif passes[here][1] == passes[there][1]:
+            one, two = partner[here], partner[there]
+            if after[one] == two or after[two] == one:
+                drop(here)
+                drop(there)
+    return [item for item, kept in zip(passes, alive, strict=True) if kept]
+
+
+def _partners(passes: list[Pass]) -> list[int]:
+    where: dict[int, int] = {}
+    partner = [0] * len(passes)
+    for position, (label, _, _) in enumerate(passes):
+        if label in where:
+            partner[position], partner[where[label]] = where[label], position
+        where[label] = position
+    return partner
+
+
+def _runs(passes: list[Pass]) -> Iterator[tuple[int, int]]:
+    """(start, length) of each maximal run of passes on one level, longest first."""
+    count = len(passes)
+    starts = [k for k in range(count) if passes[k][1] != passes[k - 1][1]]
+    runs = [
+        (start, (following - start) % count or count)
+        for start, following in zip(starts, starts[1:] + starts[:1], strict=True)
+    ]
+    return iter(sorted(runs, key=lambda run: -run[1]))
+
+
+def _rerouted(passes: list[Pass], rng: Random | None) -> list[Pass] | None:
+    """The first run laid along a shorter way; with ``rng``, one along another way as long."""
+    runs = list(_runs(passes))
+    if rng is not None:
+        rng.shuffle(runs)
+    for start, length in runs:
+        turned = passes[start:] + passes[:start]
+        run, arc = turned[:length], turned[length:]
+        gone = {label for label, _, _ in run}
+        arc = [item for item in arc if item[0] not in gone]
+        way = _shortest_way(arc, length if rng is None else length + 1, rng)
+        if way is None:
+            continue
+        laid = _laid(arc, way, run[0][1])
+        if rng is None or laid != arc + run:
+            return laid
+    return None
+
+
+def _shortest_way(arc: list[Pass], below: int, rng: Random | None) -> list[int] | None:
+    """Half edges crossed (from their left side) from the arc's last edge round to its first.
+
+    Only ways of fewer than ``below`` crossings count. Edge k of the arc leads to its pass k; half
+    edge 2k has the same direction, 2k + 1 the opposite one.
+    """
+    count = len(arc)
+    face_of, on_face = _arc_faces(arc)
+    start, goal = face_of[2 * count], face_of[0]
+    came: dict[int, int] = {start: -1}
+    waiting = deque([(start, 0)])
+    while waiting and goal not in came:
+        face, depth = waiting.popleft()
+        if depth + 1 >= below:
+            break
+        halves = on_face[face]
+        if rng is not None:
+            rng.shuffle(halves)
+        for half in halves:
+            beyond = face_of[half ^ 1]
+            if beyond not in came:
+                came[beyond] = half
+                waiting.append((beyond, depth + 1))
+    if goal not in came:
+        return None
+    way = []
+    face = goal
+    while came[face] >= 0:
+        way.append(came[face])
+        face = face_of[came[face]]
+    return way[::-1]
+
+
+def _arc_faces(arc: list[Pass]) -> tuple[list[int], list[list[int]]]:
+    """The face on the left of each half edge of an open arc's diagram, and each face's edges."""
+    count = len(arc)
+    partner = _partners(arc)
+    follows = [0] * (2 * count + 2)
+    follows[2 * count], follows[1] = 2 * count + 1, 0
+    for position, (_, over, sign) in enumerate(arc):
+        other = partner[position]
+        to_left = (sign > 0) == over
+        # Edge `position` leads into this pass, edge `position + 1` out of it.
+        follows[2 * position] = 2 * (other + 1) if to_left else 2 * other + 1
+        follows[2 * position + 3] = 2 * other + 1 if to_left else 2 * (other + 1)
+    face_of = [-1] * len(follows)
+    on_face: list[list[int]] = []
+    for start in range(len(follows)):
+        if face_of[start] >= 0:
+            continue
+        halves = []
+        half = start
+        while face_of[half] < 0:
+            face_of[half] = len(on_face)
+            halves.append(half)
+            half = follows[half]
+        on_face.append(halves)
+    return face_of, on_face
+
+
+def _laid(arc: list[Pass], way: list[int], over: bool) -> list[Pass]:
+    """The closed code of the arc with a run along ``way``, over or under all that it meets."""
+    label = max((k for k, _, _ in arc), default=0)
+    met: dict[int, Pass] = {}
+    run: list[Pass] = []
+    for half in way:
+        label += 1
+        # From left to right over a strand that runs up: over × under points up.
+        sign = 1 if (half % 2 == 0) == over else -1
+        met[half // 2] = (label, not over, sign)
+        run.append((label, over, sign))
+    result: list[Pass] = []
+    for edge in range(len(arc) + 1):
+        if edge in met:
+            result.append(met[edge])
+        if edge < len(arc):
+            result.append(arc[edge])
+    return result + run

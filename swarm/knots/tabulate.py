@@ -1,0 +1,61 @@
+"""Makes ``table.txt``: ``python -m swarm.knots.tabulate``.
+
+The names and Conway notations in ``conway.txt`` are those of Rolfsen's table (Conway 1970, Rolfsen
+1976) without the second half of Perko's pair, numbered as in KnotInfo. Everything else, the
+diagrams, which mirror image is the right-handed one, the polynomials and the grid diagrams, is
+computed here.
+"""
+
+from importlib import resources
+from pathlib import Path
+
+from swarm.knots.alexander import alexander
+from swarm.knots.conway import diagram_of_conway
+from swarm.knots.diagram import Diagram, diagrams_of_dt
+from swarm.knots.draw import drawn
+from swarm.knots.hand import AMPHICHIRAL, right_handed
+from swarm.knots.jones import jones
+from swarm.knots.layout import compact
+from swarm.knots.search import minimised
+from swarm.knots.table import TableKnot
+
+
+def tabulated(name: str, notation: str, *, tries: int = 30) -> TableKnot:
+    """One line of the table from a knot's Conway notation."""
+    chiral = name not in AMPHICHIRAL
+    dt = diagram_of_conway(notation).dt()
+    diagram = _right(diagrams_of_dt(dt), chiral)
+    grid = compact(minimised(drawn(diagram)), tries=tries)
+    return TableKnot(
+        name=name,
+        chiral=chiral,
+        dt=dt,
+        first_sign=diagram.code.passes[0][2],
+        jones=tuple(jones(diagram).items()),
+        alexander=tuple(alexander(diagram).items()),
+        grid=grid,
+    )
+
+
+def _right(pair: tuple[Diagram, ...], chiral: bool) -> Diagram:
+    """The right-handed one of a mirror pair; the first where the convention leaves it open."""
+    if chiral:
+        for diagram in pair:
+            if right_handed(jones(diagram)):
+                return diagram
+    return pair[0]
+
+
+def main() -> None:
+    """Write the table beside this file."""
+    text = resources.files("swarm.knots").joinpath("conway.txt").read_text(encoding="utf-8")
+    lines = []
+    for entry in text.splitlines():
+        name, notation = entry.split()
+        lines.append(tabulated(name, notation).line())
+    target = Path(__file__).with_name("table.txt")
+    target.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
