@@ -15,6 +15,12 @@ Floats = npt.NDArray[np.float64]
 TAKEOFF_HEIGHT = 2.0
 """Grip points rise this high before they go to stand over the cable, metres."""
 
+GRAB_HEIGHT = 0.02
+"""Grip points grab at this height, metres: higher up, each grip would draw the laid cable in."""
+
+CARRY_HEIGHT = 0.1
+"""Grip points pull in at this height, metres: legs on the floor would stick."""
+
 SETTLING_TIME = 4.0
 """A hanging strand swings for a while after a stop; the hold lasts this long, seconds."""
 
@@ -49,15 +55,21 @@ def whole_flight(mission: Mission, lengths: Floats, fold: Motion) -> Flight:
     side = -1.0 if float(np.mean((folded - contracted[-1]) @ aside)) > 0.0 else 1.0
     pads = grasp + 1.5 * clearance.vehicle * side * aside
     up = np.array([0.0, 0.0, TAKEOFF_HEIGHT])
+    low = np.array([0.0, 0.0, GRAB_HEIGHT])
+    carried = np.array([0.0, 0.0, CARRY_HEIGHT])
+    eased = grasp + 0.15 * (contracted - grasp) + carried
     order = _STAGGER * np.arange(len(pads), dtype=float)
 
     takeoff = followed(
         leg(pads, pads + up, _TOUCHDOWN_SPEED * speed, thrust),
         leg(pads + up, grasp + up, speed, thrust),
     )
-    grab = staggered(grasp + up, grasp, order, min(speed, _TOUCHDOWN_SPEED), thrust)
-    contract = leg(grasp, contracted, min(speed, _TOUCHDOWN_SPEED), thrust)
-    lift = leg(contracted, lifted, 0.5 * speed, 0.5 * thrust)
+    grab = staggered(grasp + up, grasp + low, order, min(speed, _TOUCHDOWN_SPEED), thrust)
+    contract = followed(
+        leg(grasp + low, eased, min(speed, _TOUCHDOWN_SPEED), thrust),
+        leg(eased, contracted + carried, min(speed, _TOUCHDOWN_SPEED), thrust),
+    )
+    lift = leg(contracted + carried, lifted, 0.5 * speed, 0.5 * thrust)
     hold = at_rest(folded, SETTLING_TIME)
     finish, land = _release(mission, folded)
 

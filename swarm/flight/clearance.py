@@ -1,0 +1,45 @@
+"""From a proven plan and an audited team to the only thing that may fly."""
+
+from dataclasses import dataclass
+
+from swarm.errors import Refused
+from swarm.preflight.findings import Finding, ProvenPlan
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What was found out about the team while it stood on the ground.
+
+    ``systems`` are the system ids in order along the cable.
+    """
+
+    systems: tuple[int, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether no finding is an error."""
+        return all(finding.severity != "error" for finding in self.findings)
+
+
+@dataclass(frozen=True)
+class ClearedPlan:
+    """A proven plan together with an audit without errors. Made by :func:`go` alone."""
+
+    proven: ProvenPlan
+    audit: Audit
+
+    def __post_init__(self) -> None:
+        errors = [f for f in self.audit.findings if f.severity == "error"]
+        if len(self.audit.systems) != self.proven.plan.vehicles:
+            raise Refused(
+                f"the plan is for {self.proven.plan.vehicles} vehicles, "
+                f"{len(self.audit.systems)} were audited"
+            )
+        if errors:
+            raise Refused("\n".join(f"{finding.check}: {finding.message}" for finding in errors))
+
+
+def go(proven: ProvenPlan, audit: Audit) -> ClearedPlan:
+    """Return the plan as cleared for flight; raises :class:`Refused` with every error."""
+    return ClearedPlan(proven, audit)

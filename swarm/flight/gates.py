@@ -1,0 +1,137 @@
+"""The gates of a plan: what is asked of the team at each, and when it is passed.
+
+A gate is begun once and then asked every tick. The table :data:`GATES` has one row per condition.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from swarm.plans import Condition
+
+if TYPE_CHECKING:
+    from swarm.flight.conductor import Conductor
+
+STREAM_BEFORE_OFFBOARD = 1.0
+"""Seconds of setpoints before offboard mode is asked for (PX4 wants a stream first)."""
+STREAM_AFTER_TAKEOFF = 0.8
+"""Share of the take-off height at which an autopilot that took off by itself is streamed to."""
+TAKEOFF_HEIGHT = 1.0
+SETTLED_FOR = 1.0
+SETTLED_SPEED = 0.3
+DISARM_AFTER = 5.0
+
+
+class Row(NamedTuple):
+    """What to do when a gate is reached, and how to tell that it is passed."""
+
+    begin: "Callable[[Conductor, float], None]"
+    passed: "Callable[[Conductor, float], bool]"
+
+
+def _nothing(_flight: "Conductor", _now: float) -> None:
+    pass
+
+
+def _armed(flight: "Conductor", now: float) -> bool:
+    """Bring everybody into offboard mode, then arm, then take off where that is needed.
+
+    Every step is taken by all before the next one begins, so that nobody sits armed and waiting
+    longer than its disarm timer allows.
+    """
+    flyers = flight.flyers
+    for k, vehicle in enumerate(flyers):
+        if not vehicle.takes_off:
+            flight.stream(k, now)
+    if now - flight.gate_since < STREAM_BEFORE_OFFBOARD:
+        return False
+    waiting = [vehicle for vehicle in flyers if not vehicle.in_mode("offboard")]
+    if waiting and not any(vehicle.armed for vehicle in flyers):
+        for vehicle in waiting:
+            vehicle.set_mode("offboard")
+        return False
+    unarmed = [vehicle for vehicle in flyers if not vehicle.armed]
+    if unarmed:
+        for vehicle in unarmed:
+            vehicle.arm()
+        return False
+    flight.expect_armed()
+    grounded = False
+    for k, vehicle in enumerate(flyers):
+        if not vehicle.takes_off or flight.streaming[k]:
+            continue
+        height = flight.height_above_start(k)
+        if height >= STREAM_AFTER_TAKEOFF * TAKEOFF_HEIGHT:
+            flight.stream(k, now)
+            continue
+        grounded = True
+        if flight.first_time(k, "takeoff"):
+            vehicle.take_off(TAKEOFF_HEIGHT)
+    return not grounded
+
+
+def _airborne(flight: "Conductor", _now: float) -> bool:
+    return all(v.airborne or v.landed_state == 0 for v in flight.flyers) and bool(
+        np.all(flight.position[:, 2] > 0.3)
+    )
+
+
+def _gripped(flight: "Conductor", _now: float) -> bool:
+    """Close the grippers one after the other, in order along the cable."""
+    for vehicle in flight.flyers:
+        if vehicle.gripped:
+            continue
+        if flight.grips:
+            if vehicle.commands.idle:
+                vehicle.grip(closed=True)
+            return False
+        vehicle.gripped = True
+    return True
+
+
+def _release(flight: "Conductor", _now: float) -> None:
+    for vehicle in flight.flyers:
+        if flight.grips:
+            vehicle.grip(closed=False)
+        else:
+            vehicle.gripped = False
+
+
+def _released(flight: "Conductor", _now: float) -> bool:
+    return not any(vehicle.gripped for vehicle in flight.flyers)
+
+
+def _settled(flight: "Conductor", now: float) -> bool:
+    near = flight.error <= max(flight.budget, 1e-9)
+    slow = np.linalg.norm(flight.velocity, axis=1) <= SETTLED_SPEED
+    if not bool(np.all(near & slow)):
+        flight.settled_since = now
+    return now - flight.settled_since >= SETTLED_FOR
+
+
+def _begin_settling(flight: "Conductor", now: float) -> None:
+    flight.settled_since = now
+
+
+def _land(flight: "Conductor", _now: float) -> None:
+    for vehicle in flight.flyers:
+        vehicle.set_mode("land")
+
+
+def _landed(flight: "Conductor", now: float) -> bool:
+    flight.stop_streams_of_landing()
+    for vehicle in flight.flyers:
+        if vehicle.armed and vehicle.on_ground and now - flight.gate_since > DISARM_AFTER:
+            vehicle.disarm()
+    return not any(vehicle.armed for vehicle in flight.flyers)
+
+
+GATES: Mapping[Condition, Row] = {
+    "armed": Row(_nothing, _armed),
+    "airborne": Row(_nothing, _airborne),
+    "gripped": Row(_nothing, _gripped),
+    "settled": Row(_begin_settling, _settled),
+    "released": Row(_release, _released),
+    "landed": Row(_land, _landed),
+}

@@ -1,0 +1,66 @@
+"""What a flight, real or rehearsed, comes back with."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from swarm.errors import Interrupted, Refused, SwarmError, VehicleError
+from swarm.flight.snapshot import Event
+from swarm.flight.trace import Trace
+
+Word = Literal["done", "refused", "failed", "interrupted"]
+
+_ERRORS: Mapping[Word, type[SwarmError]] = {
+    "refused": Refused,
+    "failed": VehicleError,
+    "interrupted": Interrupted,
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a flight ended: a word, and why."""
+
+    word: Word
+    explanation: str
+
+    @property
+    def exit_code(self) -> int:
+        """The command line's exit code."""
+        return 0 if self.word == "done" else _ERRORS[self.word].exit_code
+
+    def error(self) -> SwarmError | None:
+        """Return the outcome as an error; None where all went well."""
+        return None if self.word == "done" else _ERRORS[self.word](self.explanation)
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a flight cost and how well it was timed.
+
+    Times in seconds: ``lateness`` of setpoints as (median, 99 %), ``command_latency`` until the
+    acknowledgement as (median, largest), ``cpu`` as a share of one core (None in a rehearsal),
+    ``duration`` in flight time, ``round_trip`` per system id. ``lost`` and ``received`` count
+    packets per system id.
+    """
+
+    duration: float
+    setpoints: int
+    command_latency: tuple[float, float] | None
+    received: Mapping[int, int]
+    lost: Mapping[int, int]
+    round_trip: Mapping[int, float]
+    lateness: tuple[float, float] | None = None
+    cpu: float | None = None
+
+
+@dataclass(frozen=True)
+class FlightResult:
+    """A flight: outcome, what was measured, what happened, and where its record is."""
+
+    outcome: Outcome
+    trace: Trace
+    events: tuple[Event, ...]
+    statistics: Statistics
+    record: Path | None = None

@@ -1,0 +1,227 @@
+"""The team on its links, sans-IO: whose packet is it, and where do packets for a vehicle go.
+
+Only vehicles that the fleet file lists are heard and spoken to, each at the address where it was
+first heard.
+"""
+
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from pymavlink.dialects.v20 import common
+
+from swarm.fleet import Fleet
+from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
+from swarm.mavlink.packets import (
+    GROUND_COMPONENT,
+    GROUND_SYSTEM,
+    Decoder,
+    Encoder,
+    Message,
+    SetpointPacker,
+)
+from swarm.mavlink.vehicle import Vehicle
+
+Floats = npt.NDArray[np.float64]
+Address = Hashable
+
+HEARTBEAT_INTERVAL = 1.0
+TIMESYNC_INTERVAL = 2.0
+_ROUTES_PER_VEHICLE = 4
+
+
+@dataclass(frozen=True)
+class Outgoing:
+    """Bytes to send: on which link, to whom (None: the link's only other end)."""
+
+    link: str
+    address: Address | None
+    data: bytes
+
+
+@dataclass
+class Route:
+    """One remote address on one link, with its own sequence numbers."""
+
+    link: str
+    address: Address | None
+    encoder: Encoder = field(default_factory=Encoder)
+    decoder: Decoder = field(default_factory=Decoder)
+
+
+class Team:
+    """Vehicles and the routes to them."""
+
+    def __init__(self, fleet: Fleet, report: Callable[[str, str, int | None], None]) -> None:
+        """``report`` is called with kind, words and system id of what is noticed on the links."""
+        named: dict[str, Autopilot] = {kind.name: kind for kind in AUTOPILOTS.values()}
+        self.vehicles: Mapping[int, Vehicle] = {
+            listed.sysid: Vehicle(listed.sysid, autopilot=named.get(listed.autopilot))
+            for listed in fleet.vehicles
+        }
+        self._allowed = {listed.sysid: listed.links for listed in fleet.vehicles}
+        self._streams = {
+            name for name, url in fleet.links.items() if not url.startswith(("udpin", "udpout"))
+        }
+        self._routes: dict[tuple[str, Address | None], Route] = {}
+        self._ways: dict[int, dict[str, Route]] = {sysid: {} for sysid in self.vehicles}
+        self._most_routes = _ROUTES_PER_VEHICLE * len(self.vehicles) + 16
+        self._report = report
+        self._noticed: set[Hashable] = set()
+        self._strangers: set[int] = set()
+        self._next_heartbeat = 0.0
+        self._next_timesync = 0.0
+        self._packer: SetpointPacker | None = None
+        self._packed: tuple[int, ...] = ()
+        self.rejected = 0
+        for name, url in fleet.links.items():
+            if not url.startswith("udpin"):
+                self._route(name, None)
+
+    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> None:
+        """Take bytes that arrived on a link."""
+        route = self._route(link, address)
+        if route is None:
+            self.rejected += 1
+            return
+        for message in route.decoder.feed(data):
+            vehicle = self._sender(route, message)
+            if vehicle is not None:
+                vehicle.receive(message, now)
+
+    def _route(self, link: str, address: Address | None) -> Route | None:
+        key = (link, address)
+        route = self._routes.get(key)
+        if route is None and len(self._routes) < self._most_routes:
+            route = Route(link, address, decoder=Decoder(stream=link in self._streams))
+            self._routes[key] = route
+        return route
+
+    def _sender(self, route: Route, message: Message) -> Vehicle | None:
+        """Return the vehicle whose message this is, if it may speak from there."""
+        sysid = message.get_srcSystem()
+        vehicle = self.vehicles.get(sysid)
+        if vehicle is None:
+            self._stranger(route, message, sysid)
+            return None
+        ways = self._ways[sysid]
+        known = ways.get(route.link)
+        if known is route:
+            return vehicle
+        if known is not None or route.link not in self._allowed[sysid]:
+            self.rejected += 1
+            self._once(
+                ("address", sysid, route.link, route.address),
+                "security",
+                f"packets of system {sysid} on link {route.link} from another address: dropped",
+                sysid,
+            )
+            return None
+        if message.get_type() != "HEARTBEAT":
+            return None
+        ways[route.link] = route
+        return vehicle
+
+    def _stranger(self, route: Route, message: Message, sysid: int) -> None:
+        self.rejected += 1
+        if message.get_type() != "HEARTBEAT":
+            return
+        self._strangers.add(sysid)
+        if message.type == common.MAV_TYPE_GCS:
+            words = f"another ground station (system {sysid}) on link {route.link}: its heartbeats "
+            words += "defeat the vehicles' link-loss failsafe"
+        else:
+            words = f"system {sysid} on link {route.link} is not in the fleet file: ignored"
+        self._once(("stranger", sysid, route.link), "security", words, None)
+
+    def _once(self, key: Hashable, kind: str, words: str, sysid: int | None) -> None:
+        if key not in self._noticed and len(self._noticed) < 1000:
+            self._noticed.add(key)
+            self._report(kind, words, sysid)
+
+    @property
+    def strangers(self) -> list[int]:
+        """System ids that were heard and are not in the fleet file."""
+        return sorted(
+            {key[1] for key in self._noticed if isinstance(key, tuple) and key[0] == "stranger"}
+        )
+
+    def way_to(self, sysid: int) -> Route | None:
+        """Return the route to a vehicle: its preferred link on which it was heard."""
+        ways = self._ways[sysid]
+        return next((ways[link] for link in self._allowed[sysid] if link in ways), None)
+
+    def tick(self, now: float) -> list[Outgoing]:
+        """Return heartbeats, commands and clock requests that are due."""
+        outgoing: list[Outgoing] = []
+        if now >= self._next_heartbeat:
+            self._next_heartbeat = now + HEARTBEAT_INTERVAL
+            outgoing.extend(self._heartbeats())
+        if now >= self._next_timesync:
+            self._next_timesync = now + TIMESYNC_INTERVAL
+            for sysid, vehicle in self.vehicles.items():
+                # zero would read as "not a request of ours", so the clock starts at one
+                stamp = int(now * 1e9) + 1
+                request = common.MAVLink_timesync_message(0, stamp)
+                self._send(outgoing, sysid, [request])
+        for sysid, vehicle in self.vehicles.items():
+            if vehicle.commands:
+                self._send(outgoing, sysid, vehicle.tick(now))
+        return outgoing
+
+    def _heartbeats(self) -> Iterable[Outgoing]:
+        heartbeat = common.MAVLink_heartbeat_message(
+            common.MAV_TYPE_GCS,
+            common.MAV_AUTOPILOT_INVALID,
+            0,
+            0,
+            common.MAV_STATE_ACTIVE,
+            3,
+        )
+        spoken_to = {id(route) for ways in self._ways.values() for route in ways.values()}
+        for route in self._routes.values():
+            if route.address is None or id(route) in spoken_to:
+                yield Outgoing(route.link, route.address, route.encoder.encode(heartbeat))
+
+    def _send(self, outgoing: list[Outgoing], sysid: int, messages: Iterable[Message]) -> None:
+        route = self.way_to(sysid)
+        if route is not None:
+            for message in messages:
+                data = route.encoder.encode(message)
+                outgoing.append(Outgoing(route.link, route.address, data))
+
+    def setpoints(
+        self,
+        systems: tuple[int, ...],
+        streaming: npt.NDArray[np.bool_],
+        now: float,
+        position: Floats,
+        velocity: Floats,
+        acceleration: Floats,
+        yaw: Floats,
+    ) -> list[Outgoing]:
+        """Return setpoint packets for the vehicles that are streamed to.
+
+        Rows belong to ``systems``, in each vehicle's own NED, SI units and radians.
+        """
+        routes = [
+            self.way_to(sysid) if wanted else None
+            for sysid, wanted in zip(systems, streaming.tolist(), strict=True)
+        ]
+        if not any(routes):
+            return []
+        if self._packer is None or self._packed != systems:
+            components = [self.vehicles[sysid].component for sysid in systems]
+            source = (GROUND_SYSTEM, GROUND_COMPONENT)
+            self._packer, self._packed = SetpointPacker(systems, components, source), systems
+        sequences = [route.encoder.take_sequence() if route else 0 for route in routes]
+        packets = self._packer.pack(
+            sequences, int(now * 1000), position, velocity, acceleration, yaw
+        )
+        raw, length = packets.tobytes(), packets.shape[1]
+        return [
+            Outgoing(route.link, route.address, raw[k * length : (k + 1) * length])
+            for k, route in enumerate(routes)
+            if route is not None
+        ]

@@ -1,0 +1,55 @@
+"""What the emulator must be told so that it can stand in for the team: its neutral world file."""
+
+from typing import Any
+
+import numpy as np
+
+from swarm.fleet import Fleet
+from swarm.plans import Plan
+
+
+def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> dict[str, Any]:
+    """Return the world for a plan: vehicles on their pads, the cable as the plan expects it to lie.
+
+    ENU metres and SI units; nothing of knots or grids is in it. Vehicles are in the fleet's order,
+    the first n of them on the plan's pads.
+    """
+    mission, origin = plan.mission, fleet.origin
+    pads = plan.motion.at(0.0)[0]
+    world: dict[str, Any] = {
+        "schema": 1,
+        "seed": seed,
+        "floor": 0.0,
+        "wind": {"steady": [mission.wind.steady, 0.0, 0.0], "gust": mission.wind.gust},
+        "biases": fleet.emulated.biases if fleet.emulated else "default",
+        "vehicles": [
+            {
+                "id": listed.sysid,
+                "autopilot": listed.autopilot,
+                "pad": [float(x) for x in pads[(listed.pad or place) - 1]],
+                "mass": mission.vehicles.mass,
+                "payload": mission.vehicles.payload,
+                "radius": mission.vehicles.radius,
+                "grip_offset": mission.vehicles.grip_offset,
+                "gripper": "mavlink" if fleet.gripper == "mavlink" else "none",
+            }
+            for place, listed in enumerate(fleet.vehicles[: plan.vehicles], 1)
+        ],
+    }
+    if origin is not None:
+        world["origin"] = {
+            "latitude": origin.latitude,
+            "longitude": origin.longitude,
+            "altitude": origin.altitude if origin.altitude is not None else 0.0,
+        }
+    gripped = next((gate.time for gate in plan.gates if gate.condition == "gripped"), None)
+    if with_cable and gripped is not None:
+        points = plan.motion.at(gripped)[0]
+        points[:, 2] = 0.5 * mission.cable.diameter
+        world["cable"] = {
+            "mass_per_length": mission.cable.mass_per_length,
+            "diameter": mission.cable.diameter,
+            "breaking_load": mission.cable.breaking_load,
+            "points": np.asarray(points, dtype=float).tolist(),
+        }
+    return world

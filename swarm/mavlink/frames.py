@@ -1,0 +1,158 @@
+"""Mission ENU ⇄ each vehicle's own NED, through each vehicle's own origin.
+
+An autopilot's local frame starts where its estimator started. It projects latitude and longitude
+to metres with a formula of its own, which is the frame that setpoints are flown in:
+
+- PX4: azimuthal equidistant on a sphere of 6 371 000 m (its ``MapProjection``);
+- ArduPilot: degrees times a constant, longitudes scaled by the cosine of the latitude
+  (its ``Location``, sphere of 6 378 137 m).
+
+On WGS 84 a metre of theirs is up to 0.6 % off a metre, which over a team's extent is centimetres.
+So mission points go to geodetic coordinates by pymap3d, and from there by the autopilot's formula.
+Over a mission's extent this is affine to well below a millimetre: one matrix per vehicle.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import pymap3d
+
+Floats = npt.NDArray[np.float64]
+Projection = Literal["px4", "ardupilot"]
+
+_REACH = 50.0
+"""Half the distance in metres over which the affine map is measured."""
+
+_NED_OF_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class Origin:
+    """A place on the earth: degrees, and metres above mean sea level."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The affine maps from mission ENU to the NED of n vehicles.
+
+    ``rotation`` (n, 3, 3) and ``translation`` (n, 3): NED = rotation · ENU + translation.
+    """
+
+    rotation: Floats
+    translation: Floats
+
+    def points_to_vehicles(self, points: Floats) -> Floats:
+        """Return the vehicles' points (n, 3), mission ENU, each in its vehicle's NED."""
+        return self.vectors_to_vehicles(points) + self.translation
+
+    def vectors_to_vehicles(self, vectors: Floats) -> Floats:
+        """Return the vehicles' velocities or accelerations (n, 3), each in its vehicle's NED."""
+        rotated: Floats = np.matmul(self.rotation, vectors[:, :, None])[:, :, 0]
+        return rotated
+
+    def points_to_mission(self, points: Floats) -> Floats:
+        """Return points (n, 3), each in its vehicle's NED, in mission ENU."""
+        return self.vectors_to_mission(points - self.translation)
+
+    def vectors_to_mission(self, vectors: Floats) -> Floats:
+        """Return velocities (n, 3), each in its vehicle's NED, in mission ENU."""
+        rotated: Floats = np.matmul(self._inverse, vectors[:, :, None])[:, :, 0]
+        return rotated
+
+    @cached_property
+    def _inverse(self) -> Floats:
+        return np.linalg.inv(self.rotation).astype(np.float64)
+
+    def shifted(self, by: Floats) -> "Frames":
+        """Return the frames after moving each vehicle's mission points by (n, 3) ENU metres."""
+        return replace(self, translation=self.translation - self.vectors_to_vehicles(by))
+
+
+def shared_frames(vehicles: int, heading: float = 0.0) -> Frames:
+    """Return the frames of vehicles that share the mission's origin, as with motion capture.
+
+    ``heading`` turns the mission's x axis from east towards north, in radians.
+    """
+    rotation = _NED_OF_ENU @ _turn(heading)
+    return Frames(np.tile(rotation, (vehicles, 1, 1)), np.zeros((vehicles, 3)))
+
+
+def gps_frames(
+    mission: Origin,
+    heading: float,
+    origins: Sequence[Origin],
+    projections: Sequence[Projection],
+) -> Frames:
+    """Return the frames of vehicles whose local frames start at the given origins.
+
+    ``mission`` is the mission's (0, 0, 0), ``heading`` the angle in radians by which its x axis is
+    turned from east towards north.
+    """
+    axes = _REACH * np.eye(3)
+    samples = np.concatenate([np.zeros((1, 3)), axes, -axes]) @ _turn(heading).T
+    latitude, longitude, altitude = pymap3d.enu2geodetic(
+        *samples.T, mission.latitude, mission.longitude, mission.altitude
+    )
+    rotation, translation = [], []
+    for origin, projection in zip(origins, projections, strict=True):
+        north, east = _project(projection, origin, latitude, longitude)
+        local = np.column_stack([north, east, origin.altitude - altitude])
+        rotation.append((local[1:4] - local[4:7]).T / (2.0 * _REACH))
+        translation.append(local[0])
+    return Frames(np.array(rotation), np.array(translation))
+
+
+def to_local(projection: Projection, origin: Origin, place: Origin) -> tuple[float, float, float]:
+    """Return where an autopilot with this origin says that a place is: NED metres."""
+    north, east = _project(
+        projection, origin, np.array([place.latitude]), np.array([place.longitude])
+    )
+    return float(north[0]), float(east[0]), origin.altitude - place.altitude
+
+
+def to_mission(mission: Origin, heading: float, place: Origin) -> Floats:
+    """Return a place on the earth in mission ENU (3,), heights being differences of altitude."""
+    east, north, _ = pymap3d.geodetic2enu(
+        place.latitude,
+        place.longitude,
+        mission.altitude,
+        mission.latitude,
+        mission.longitude,
+        mission.altitude,
+    )
+    level: Floats = _turn(heading).T @ np.array([float(east), float(north), 0.0])
+    level[2] = place.altitude - mission.altitude
+    return level
+
+
+def _turn(heading: float) -> Floats:
+    """Return the rotation from mission axes to east, north, up."""
+    cosine, sine = np.cos(heading), np.sin(heading)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _project(
+    projection: Projection, origin: Origin, latitude: Floats, longitude: Floats
+) -> tuple[Floats, Floats]:
+    """Return north and east (k,) in metres as the autopilot computes them."""
+    north_angle = np.radians(latitude - origin.latitude)
+    east_angle = np.radians((longitude - origin.longitude + 180.0) % 360.0 - 180.0)
+    if projection == "ardupilot":
+        middle = np.radians((latitude + origin.latitude) / 2.0)
+        return 6_378_137.0 * north_angle, 6_378_137.0 * east_angle * np.cos(middle)
+    at, start = np.radians(latitude), np.radians(origin.latitude)
+    cosine = np.sin(start) * np.sin(at) + np.cos(start) * np.cos(at) * np.cos(east_angle)
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    stretch = np.where(angle > 1e-9, angle / np.maximum(np.sin(angle), 1e-12), 1.0)
+    # cos(start)·sin(at) − sin(start)·cos(at)·cos(east), written without its cancellation
+    north = np.sin(north_angle) + np.sin(start) * np.cos(at) * 2.0 * np.sin(east_angle / 2.0) ** 2
+    east = np.cos(at) * np.sin(east_angle)
+    return 6_371_000.0 * stretch * north, 6_371_000.0 * stretch * east

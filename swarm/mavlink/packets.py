@@ -1,0 +1,219 @@
+"""Bytes and messages: decoding what vehicles send, encoding what we send, setpoints in batches.
+
+Single messages go through pymavlink. Setpoints for the whole team are packed with NumPy: X25 is
+affine over GF(2) at a fixed length, so that the checksum of every packet of a batch is one table
+lookup per byte and an exclusive or.
+"""
+
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pymavlink.dialects.v20 import common
+
+Floats = npt.NDArray[np.float64]
+Bytes = npt.NDArray[np.uint8]
+Message = Any
+"""A pymavlink message; the library has no types of its own worth naming."""
+
+GROUND_SYSTEM = 255
+GROUND_COMPONENT = int(common.MAV_COMP_ID_MISSIONPLANNER)
+
+POSITION_VELOCITY_ACCELERATION_YAW = int(common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE)
+"""Type mask of the setpoints: everything counts but the yaw rate."""
+
+_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
+_SIGNED = 0x01
+_SIGNATURE_LENGTH = 13
+
+
+class Encoder:
+    """Turns messages into packets of one route, which has its own sequence numbers."""
+
+    def __init__(self, system: int = GROUND_SYSTEM, component: int = GROUND_COMPONENT) -> None:
+        self._mav = common.MAVLink(None, srcSystem=system, srcComponent=component)
+
+    @property
+    def sequence(self) -> int:
+        """The sequence number of the next packet."""
+        return int(self._mav.seq)
+
+    def encode(self, message: Message) -> bytes:
+        """Return the message as a packet."""
+        packet = bytes(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return packet
+
+    def take_sequence(self) -> int:
+        """Return the next sequence number for a packet that is made elsewhere."""
+        taken = int(self._mav.seq)
+        self._mav.seq = (taken + 1) % 256
+        return taken
+
+
+@dataclass
+class Decoder:
+    """Turns the bytes of one route into messages.
+
+    Datagrams hold whole packets: what is left at the end of one is dropped and counted. On a
+    ``stream`` (serial, TCP) it is kept for the next call. Packets with a wrong checksum or an
+    unknown message are counted, and never end the flight.
+    """
+
+    stream: bool = False
+    damaged: int = 0
+    unknown: int = 0
+    _mav: Any = field(default_factory=lambda: common.MAVLink(None), repr=False)
+    _kept: bytes = b""
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Return the messages that are complete with these bytes, in order."""
+        if self._kept:
+            data = self._kept + data
+            self._kept = b""
+        messages: list[Message] = []
+        start, end = 0, len(data)
+        while start < end:
+            length = _packet_length(data, start)
+            if length == 0:
+                self.damaged += 1
+                start = _next_start(data, start + 1)
+                continue
+            if length < 0 or start + length > end:
+                if self.stream:
+                    self._kept = data[start:]
+                else:
+                    self.damaged += 1
+                break
+            try:
+                message = self._mav.decode(bytearray(data[start : start + length]))
+            except common.MAVError:
+                self.damaged += 1
+                start = _next_start(data, start + 1)
+                continue
+            start += length
+            if message.get_msgId() < 0 or message.get_type().startswith("UNKNOWN"):
+                self.unknown += 1
+            else:
+                messages.append(message)
+        return messages
+
+
+def _packet_length(data: bytes, start: int) -> int:
+    """Length of the packet that begins here: 0 where none does, negative where it is cut off."""
+    if len(data) - start < 3:
+        return -1
+    if data[start] == _MAGIC_2:
+        if data[start + 2] & ~_SIGNED:
+            return 0
+        return 12 + data[start + 1] + (_SIGNATURE_LENGTH if data[start + 2] & _SIGNED else 0)
+    return 8 + data[start + 1] if data[start] == _MAGIC_1 else 0
+
+
+def _next_start(data: bytes, start: int) -> int:
+    found = [at for at in (data.find(_MAGIC_1, start), data.find(_MAGIC_2, start)) if at >= 0]
+    return min(found, default=len(data))
+
+
+_SETPOINT = common.MAVLink_set_position_target_local_ned_message
+_FRAME = np.dtype(
+    [
+        ("magic", "u1"),
+        ("length", "u1"),
+        ("incompatible", "u1"),
+        ("compatible", "u1"),
+        ("sequence", "u1"),
+        ("system", "u1"),
+        ("component", "u1"),
+        ("message", "u1", 3),
+        ("time", "<u4"),
+        ("position", "<f4", 3),
+        ("velocity", "<f4", 3),
+        ("acceleration", "<f4", 3),
+        ("yaw", "<f4"),
+        ("yaw_rate", "<f4"),
+        ("type_mask", "<u2"),
+        ("target_system", "u1"),
+        ("target_component", "u1"),
+        ("frame", "u1"),
+        ("checksum", "<u2"),
+    ]
+)
+
+
+class SetpointPacker:
+    """Packs SET_POSITION_TARGET_LOCAL_NED for a fixed list of vehicles, all at once.
+
+    The packets are byte for byte pymavlink's. ``frame`` is never zero, so that the last byte of
+    the payload is not truncated away and every packet has the same length.
+    """
+
+    def __init__(
+        self,
+        systems: npt.ArrayLike,
+        components: npt.ArrayLike,
+        source: tuple[int, int] = (GROUND_SYSTEM, GROUND_COMPONENT),
+    ) -> None:
+        targets = np.asarray(systems, dtype=np.uint8)
+        self._frames = np.zeros(len(targets), _FRAME)
+        frames = self._frames
+        frames["magic"] = _MAGIC_2
+        frames["length"] = _FRAME.itemsize - 12
+        frames["system"], frames["component"] = source
+        frames["message"][:, 0] = _SETPOINT.id
+        frames["type_mask"] = POSITION_VELOCITY_ACCELERATION_YAW
+        frames["target_system"] = targets
+        frames["target_component"] = np.asarray(components, dtype=np.uint8)
+        frames["frame"] = common.MAV_FRAME_LOCAL_NED
+        self._bytes = frames.view(np.uint8).reshape(len(targets), _FRAME.itemsize)
+        self._places = np.arange(_FRAME.itemsize - 3)
+
+    def pack(
+        self,
+        sequences: npt.ArrayLike,
+        time_boot_ms: int,
+        position: Floats,
+        velocity: Floats,
+        acceleration: Floats,
+        yaw: Floats,
+    ) -> Bytes:
+        """Return the packets (n, 65) of setpoints given in each vehicle's own NED, SI units.
+
+        ``sequences`` (n,); position, velocity, acceleration (n, 3); yaw (n,) in radians. The
+        array is the packer's own and is overwritten by the next call.
+        """
+        frames = self._frames
+        frames["sequence"] = sequences
+        frames["time"] = time_boot_ms & 0xFFFFFFFF
+        frames["position"] = position
+        frames["velocity"] = velocity
+        frames["acceleration"] = acceleration
+        frames["yaw"] = yaw
+        table, constant = _checksum_table()
+        parts = table[self._places, self._bytes[:, 1:-2]]
+        frames["checksum"] = np.bitwise_xor.reduce(parts, axis=1) ^ constant
+        return self._bytes
+
+
+@cache
+def _checksum_table() -> tuple[npt.NDArray[np.uint16], np.uint16]:
+    """Return what each byte value at each place adds to the X25 checksum, and its value for zeros.
+
+    Places are the bytes of a setpoint packet without magic and checksum, (62, 256).
+    """
+    length = _FRAME.itemsize - 3
+
+    def checksum(data: bytes) -> int:
+        return int(common.x25crc(data + bytes([_SETPOINT.crc_extra])).crc)
+
+    constant = checksum(bytes(length))
+    table = np.zeros((length, 256), np.uint16)
+    for place in range(length):
+        for bit in range(8):
+            single = bytearray(length)
+            single[place] = 1 << bit
+            having = (np.arange(256) >> bit & 1).astype(bool)
+            table[place, having] ^= np.uint16(checksum(bytes(single)) ^ constant)
+    return table, np.uint16(constant)

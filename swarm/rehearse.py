@@ -1,0 +1,93 @@
+"""A flight in virtual time: the conductor and the emulator's step function, no sockets, no clock.
+
+The same seed gives the same flight.
+"""
+
+import json
+from collections.abc import Callable
+from typing import Protocol
+
+from sitl import Emulator
+from sitl.world import parse_world
+from swarm.errors import SwarmError
+from swarm.fleet import Fleet, emulated_fleet
+from swarm.flight.clearance import go
+from swarm.flight.conductor import Conductor
+from swarm.flight.result import FlightResult
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.world import emulated_world
+from swarm.preflight.findings import ProvenPlan
+
+SNAPSHOT_INTERVAL = 0.1
+_LINK = "loopback"
+_LONGEST_WAIT = 600.0
+"""Seconds by which a flight may outlast its plan before it is given up."""
+
+
+class Recorder(Protocol):
+    """What keeps a flight's packets and events."""
+
+    def packet(self, data: bytes, now: float) -> None:
+        """Keep a packet that was sent or received."""
+
+    def event(self, event: Event) -> None:
+        """Keep an event."""
+
+
+def rehearse(
+    proven: ProvenPlan,
+    *,
+    fleet: Fleet | None = None,
+    seed: int = 1,
+    no_cable: bool = False,
+    on_snapshot: Callable[[Snapshot], None] | None = None,
+    on_event: Callable[[Event], None] | None = None,
+    recorder: Recorder | None = None,
+) -> FlightResult:
+    """Fly a proven plan in virtual time against the emulator; returns how it went.
+
+    ``fleet`` is an emulated one, by default of PX4 vehicles; ``on_snapshot`` is called ten times a
+    second of flight time. Raises :class:`swarm.errors.Refused` where the fleet does not fit.
+    """
+    fleet = fleet or emulated_fleet(proven.plan.vehicles, seed=seed)
+    conductor = Conductor(proven, fleet, no_cable=no_cable)
+    world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
+    emulator = Emulator(parse_world(json.dumps(world)))
+    step = 1.0 / fleet.rates.setpoint
+    events: list[Event] = []
+    next_snapshot = 0.0
+    tick = 0
+    while conductor.finished is None:
+        now = tick * step
+        for sysid, data in emulator.step(now):
+            conductor.receive(_LINK, sysid, data, now)
+            if recorder is not None:
+                recorder.packet(data, now)
+        for outgoing in conductor.tick(now):
+            if isinstance(outgoing.address, int):
+                emulator.receive(outgoing.address, outgoing.data, now)
+            if recorder is not None:
+                recorder.packet(outgoing.data, now)
+        if conductor.stage == "ready" and conductor.audit is not None:
+            try:
+                conductor.start(go(proven, conductor.audit))
+            except SwarmError as error:
+                conductor.refuse(str(error))
+        for event in conductor.events():
+            events.append(event)
+            if recorder is not None:
+                recorder.event(event)
+            if on_event is not None:
+                on_event(event)
+        if on_snapshot is not None and now >= next_snapshot:
+            next_snapshot = now + SNAPSHOT_INTERVAL
+            on_snapshot(conductor.snapshot(now))
+        if now > proven.plan.duration + _LONGEST_WAIT:
+            conductor.give_up("the flight does not end")
+        tick += 1
+    return FlightResult(
+        outcome=conductor.finished,
+        trace=conductor.trace(),
+        events=tuple(events),
+        statistics=conductor.statistics(),
+    )
