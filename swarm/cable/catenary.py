@@ -33,6 +33,21 @@ _TAUT = 1e-100
 _ROUNDING = 1e-12
 """A chord may exceed the length by this share: it is rounding of the coordinates, not stretch."""
 
+_REVERTED = (
+    6.0,
+    6 / 5,
+    4 / 175,
+    -2 / 175,
+    676 / 336875,
+    1852 / 65690625,
+    -237976 / 2299171875,
+    2.1262929467491292e-05,
+    1.1422663325531922e-06,
+    -1.503421006869787e-06,
+    2.652176190742275e-07,
+)
+"""x² as a power series in log(sinh(x) / x), from the first power up; by reversion."""
+
 _PORTION = 32_768
 """Points computed in one go, so that what lies between stays in the processor's cache."""
 
@@ -91,15 +106,19 @@ class Catenaries:
         for begin in range(0, self.span.size, step):
             part = slice(begin, begin + step)
             along, up = _offsets(fractions, *(v[part] for v in flat))
+            moved, lowered = np.empty_like(along), np.empty_like(up)
             for axis in range(3):
-                across = along * heading[part, :, axis] - up * down[part, :, axis]
-                np.add(start[part, :, axis], across, out=points[part, :, axis])
+                np.multiply(along, heading[part, :, axis], out=moved)
+                np.multiply(up, down[part, :, axis], out=lowered)
+                np.subtract(moved, lowered, out=moved)
+                np.add(start[part, :, axis], moved, out=points[part, :, axis])
         return points.reshape(*self.span.shape, fractions.size, 3)
 
     def points_at(self, fraction: ArrayLike) -> Floats:
         """One point per strand, at its own fraction (…,) of its arc length: (…, 3)."""
-        along, up = _offsets(_floats(fraction), self.length, self.parameter, self.slope)
-        return self.start + along[..., None] * self.heading - up[..., None] * self.down
+        shapes = (v[..., None] for v in (self.length, self.parameter, self.slope))
+        along, up = _offsets(_floats(fraction)[..., None], *shapes)
+        return self.start + along * self.heading - up * self.down
 
     def at_span(self, fraction: ArrayLike) -> Floats:
         """The point of each strand above or below a fraction (…,) of its horizontal span: (…, 3).
@@ -188,7 +207,7 @@ def hang(
     rise = -_dot(chord_vector, down)
     across = chord_vector + rise[..., None] * down
     span = _norm(across)
-    chord = np.hypot(span, rise)
+    chord = np.sqrt(span * span + rise * rise)
     _require_reach(chord, length)
 
     wide = np.maximum(span, _VERTICAL * length)
@@ -272,43 +291,62 @@ def _offsets(
 ) -> tuple[Floats, Floats]:
     """Horizontal and vertical offset from the start at fractions of the arc length; broadcasts.
 
-    With slopes A at the start and B at the point, and C = √(1 + slope²): tanh(Δθ/2) =
-    (B − A)/(C_A + C_B), and the height is arc · (A + B)/(C_A + C_B). Neither cancels.
+    With slopes A at the start and B at the point, and C = √(1 + slope²): the height is
+    arc · (A + B)/(C_A + C_B), which does not cancel. The angle is arsinh B − arsinh A, or where it
+    is small, from tanh(Δθ/2) = (B − A)/(C_A + C_B).
     """
-    turned = fractions * (length / parameter)
-    slope = first + turned
-    cosh_first = np.sqrt(1.0 + first * first)
-    cosh = np.sqrt(1.0 + slope * slope)
-    per_total = 1.0 / (cosh_first + cosh)
-    ratio = _exponential(slope, cosh) / _exponential(first, cosh_first)
-    angle = np.log1p(turned * per_total * (1.0 + ratio))
-    return parameter * angle, fractions * length * ((first + slope) * per_total)
+    turned: Floats = fractions * (length / parameter)
+    slope = turned + first
+    cosh = slope * slope
+    cosh += 1.0
+    np.sqrt(cosh, out=cosh)
+    angle = np.abs(slope)
+    angle += cosh
+    np.log(angle, out=angle)
+    np.copysign(angle, slope, out=angle)
+    angle -= np.arcsinh(first)
 
+    total = cosh
+    total += np.sqrt(1.0 + first * first)
+    shallow = np.broadcast_to(parameter * 0.04 > length, angle.shape)
+    if np.any(shallow):
+        half = turned[shallow] / total[shallow]
+        u = half * half
+        angle[shallow] = half * (2.0 + u * (2 / 3 + u * (2 / 5 + u * (2 / 7 + u * (2 / 9)))))
+    angle *= parameter
 
-def _exponential(slope: Floats, cosh: Floats) -> Floats:
-    """exp θ from sinh θ and cosh θ, without cancellation for either sign."""
-    size = np.asarray(np.abs(slope) + cosh)
-    np.divide(1.0, size, out=size, where=slope < 0.0)
-    return size
+    up = slope
+    up += first
+    up /= total
+    up *= fractions * length
+    return angle, up
 
 
 def half_angle_for_stretch(stretch: Floats) -> Floats:
     """Solve log(sinh(x) / x) = stretch (…,) for x ≥ 0, exact to rounding.
 
-    ``sinh(x) / x`` is length over chord of a level strand. Below 1e-4 the reverted power series is
-    exact; elsewhere it, or the asymptote of x − log 2x, starts Halley's method.
+    ``sinh(x) / x`` is length over chord of a level strand. Up to 0.16 the reverted power series is
+    exact; beyond, it or the asymptote of x − log 2x starts Halley's method.
     """
-    series = np.sqrt(stretch * (6.0 + stretch * (1.2 + stretch * (4.0 / 175.0))))
-    late = stretch + np.log(2.0 * (stretch + np.log(2.0 * stretch + 4.0)))
-    refine = stretch > 1e-4
-    x = np.where(refine, np.where(stretch < 4.0, series, late), 1.0)
+    near = np.minimum(stretch, 4.0)
+    square = np.full_like(near, _REVERTED[-1])
+    for coefficient in _REVERTED[-2::-1]:
+        square *= near
+        square += coefficient
+    series: Floats = np.sqrt(near * square)
+    if np.all(stretch < 0.16):
+        return series
+    beyond = np.maximum(stretch, 0.16)
+    late = beyond + np.log(2.0 * (beyond + np.log(2.0 * beyond + 4.0)))
+    x = np.where(stretch < 4.0, np.maximum(series, 0.9), late)
     for _ in range(2):
-        value = log_sinhc(x) - stretch
         fading, inverse = np.exp(-2.0 * x), 1.0 / x
+        value = x + np.log1p(-fading) - np.log(2.0 * x) - beyond
         first = (1.0 + fading) / (1.0 - fading) - inverse
         second = inverse * inverse - 4.0 * fading / (1.0 - fading) ** 2
         x = x - value * first / (first * first - 0.5 * value * second)
-    return np.where(refine, x, series)
+    found: Floats = np.where(stretch < 0.16, series, x)
+    return found
 
 
 def log_sinhc(x: Floats) -> Floats:
@@ -316,7 +354,7 @@ def log_sinhc(x: Floats) -> Floats:
     u = np.minimum(x * x, 1.0)
     term = np.ones_like(u)
     for k in (18, 16, 14, 12, 10, 8, 6, 4):
-        term = 1.0 + u / (k * (k + 1)) * term
+        term = 1.0 + u * term / (k * (k + 1))
     wide = np.maximum(x, 1.0)
     return np.where(
         x < 1.0,
@@ -395,5 +433,5 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _norm(a: Floats) -> Floats:
-    length: Floats = np.hypot(np.hypot(a[..., 0], a[..., 1]), a[..., 2])
+    length: Floats = np.sqrt(_dot(a, a))
     return length
