@@ -13,6 +13,7 @@ import rerun as rr
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.plans import Plan
 from swarm.view import scene
+from swarm.view.words import level, sentence
 
 Floats = npt.NDArray[np.float64]
 
@@ -22,7 +23,6 @@ GHOST_COLOUR: Final = (235, 235, 245)
 PLAN_COLOUR: Final = (150, 160, 180)
 OFTEN: Final = 0.2
 SELDOM: Final = 1.0
-ALARMS: Final = ("error", "failure", "refused", "lost")
 
 
 def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
@@ -133,23 +133,22 @@ class Recorder:
         if often:
             self._log_trails(snapshot)
             self._stream.log("plots/rate", rr.Scalars(snapshot.rate))
-            self._stream.log("plots/link", rr.Scalars(snapshot.link_age))
+            self._stream.log(
+                "plots/link",
+                rr.Scalars(np.where(np.isfinite(snapshot.link_age), snapshot.link_age, np.nan)),
+            )
         if self._due(SELDOM, snapshot.time):
             self._stream.log("plots/battery", rr.Scalars(100.0 * snapshot.battery))
             self._stream.log("plots/error/limit", rr.Scalars(self._limit))
-            self._stream.log("plots/link/limit", rr.Scalars(scene.LOST_AFTER))
+            self._stream.log("plots/link/limit", rr.Scalars(scene.SILENT_AFTER))
         self._say("states/phase", snapshot.phase)
         self._say("states/waiting", snapshot.waiting_for or "–")
 
     def event(self, event: Event) -> None:
         """Log something that happened."""
         self._stream.set_time("time", duration=event.time)
-        level = "ERROR" if event.kind in ALARMS else "WARN" if event.kind == "warning" else "INFO"
-        who = "" if event.vehicle is None else f"vehicle {event.vehicle}: "
-        words = event.message
-        if who and f"vehicle {event.vehicle}" in words:
-            who = ""
-        self._stream.log("log", rr.TextLog(f"{event.kind}: {who}{words}", level=level))
+        text = f"{event.kind}: {sentence(event)}"
+        self._stream.log("log", rr.TextLog(text, level=level(event)))
 
     def _log_styles(self) -> None:
         n = self._plan.vehicles
@@ -171,7 +170,7 @@ class Recorder:
             )
         limits = (
             ("error/limit", f"tracking ball {self._limit:g} m"),
-            ("link/limit", f"lost after {scene.LOST_AFTER:g} s"),
+            ("link/limit", f"silent after {scene.SILENT_AFTER:g} s"),
         )
         for entity, name in limits:
             log(

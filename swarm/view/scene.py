@@ -20,15 +20,15 @@ Colours = npt.NDArray[np.uint8]
 TAUT: Final = 0.985
 """Chord over length beyond which a segment counts as taut."""
 
-LOST_AFTER: Final = 2.0
-"""Seconds without a word after which a vehicle is drawn as lost."""
+SILENT_AFTER: Final = 2.0
+"""Seconds without a word after which a vehicle is drawn as silent."""
 
 STATE_COLOURS: Final[dict[str, tuple[int, int, int]]] = {
     "idle": (120, 128, 140),
     "armed": (94, 196, 120),
     "holding": (86, 160, 255),
     "off track": (255, 140, 40),
-    "lost": (235, 60, 140),
+    "silent": (235, 60, 140),
 }
 """States of a vehicle in pictures, from calm to alarming, and their colours."""
 
@@ -88,18 +88,18 @@ def tautness_colours(ratio: Floats) -> Colours:
 def vehicle_states(snapshot: Snapshot, tracking: float) -> list[str]:
     """Return each vehicle's state in pictures, a key of :data:`STATE_COLOURS`: the worst it is in.
 
-    A vehicle is off track beyond the ``tracking`` ball (metres), lost when not heard of.
+    A vehicle is off track beyond the ``tracking`` ball (metres), silent when not heard of.
     """
     error = tracking_errors(snapshot)
     held = [
         "holding" if gripped else "armed" if armed else "idle"
         for gripped, armed in zip(snapshot.gripped, snapshot.armed, strict=True)
     ]
+    silent = ~(snapshot.link_age <= SILENT_AFTER)
+    off = (error > tracking) & (tracking > 0) & np.array(snapshot.armed)
     return [
-        "lost" if not age <= LOST_AFTER else "off track" if off > tracking > 0 and armed else state
-        for state, age, off, armed in zip(
-            held, snapshot.link_age, error, snapshot.armed, strict=True
-        )
+        "silent" if quiet or word == "silent" else "off track" if astray else state
+        for word, state, quiet, astray in zip(snapshot.states, held, silent, off, strict=True)
     ]
 
 

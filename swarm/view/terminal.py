@@ -4,6 +4,7 @@ In a pipe the same is said in plain lines.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Final, Self
 
@@ -19,7 +20,7 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.plans import Plan
 from swarm.preflight.findings import Assessment, Finding, Tightest
 from swarm.view import scene
-from swarm.view.words import clip_rows, clock, metres, seconds
+from swarm.view.words import ROUTINE, clip_rows, clock, level, metres, seconds, sentence
 
 SEVERITY_STYLES: Final = {"error": "bold red", "warning": "yellow", "info": "dim"}
 STATE_STYLES: Final = {
@@ -27,10 +28,12 @@ STATE_STYLES: Final = {
     "armed": "green",
     "holding": "cyan",
     "off track": "bold yellow",
-    "lost": "bold magenta",
+    "silent": "bold magenta",
 }
-ALARM_STYLES: Final = {"error": "bold red", "failure": "bold red", "warning": "yellow"}
+LEVEL_STYLES: Final = {"ERROR": "bold red", "WARN": "yellow", "INFO": "default"}
 LAST_EVENTS: Final = 6
+SAME_WITHIN: Final = 5.0
+"""Seconds within which the same words of several vehicles share a line."""
 
 
 def plan_summary(plan: Plan, assessment: Assessment, console: Console) -> None:
@@ -141,15 +144,16 @@ class FlightScreen:
     """One screen while flying: phase, mission clock, the team, the last events.
 
     Use it as a context manager, :meth:`show` it every snapshot (it redraws a few times a second)
-    and tell it every :meth:`event`. In a pipe it prints events and phases as lines.
+    and tell it every :meth:`event`. In a pipe it prints events and phases as lines. What every
+    vehicle does in every flight (modes, arming, …) is in the table, not among the events.
     """
 
     def __init__(self, plan: Plan, console: Console) -> None:
         self._plan = plan
         self._console = console
-        self._events: deque[Event] = deque(maxlen=LAST_EVENTS)
+        self._events: deque[tuple[Event, list[int]]] = deque(maxlen=LAST_EVENTS)
         self._snapshot: Snapshot | None = None
-        self._said: tuple[str, str | None] | None = None
+        self._said: str | None = None
         self._live = (
             Live(
                 console=console, auto_refresh=True, refresh_per_second=5, get_renderable=self._draw
@@ -180,21 +184,27 @@ class FlightScreen:
 
     def event(self, event: Event) -> None:
         """Show something that happened."""
-        self._events.append(event)
+        if event.kind in ROUTINE:
+            return
         if self._live is None:
             self._console.print(_event_line(event), soft_wrap=True)
+            return
+        for shown, vehicles in self._events:
+            same = (shown.kind, shown.message) == (event.kind, event.message)
+            if same and event.vehicle is not None and event.time - shown.time < SAME_WITHIN:
+                vehicles.append(event.vehicle)
+                return
+        self._events.append((event, []))
 
     def countdown(self, left: int) -> None:
         """Show the seconds that are left before take-off."""
         self.event(Event(-float(left), "countdown", f"take-off in {left} s"))
 
     def _say_phase(self, snapshot: Snapshot) -> None:
-        now = (snapshot.phase, snapshot.waiting_for)
-        if now == self._said:
+        if snapshot.phase == self._said:
             return
-        self._said = now
-        waiting = f", waiting for: {snapshot.waiting_for}" if snapshot.waiting_for else ""
-        line = f"{clock(snapshot.time)} phase {snapshot.phase}{waiting}"
+        self._said = snapshot.phase
+        line = f"{clock(snapshot.time)} phase {snapshot.phase}"
         self._console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def _draw(self) -> RenderableType:
@@ -205,7 +215,7 @@ class FlightScreen:
                 team_table(self._snapshot, self._plan, self._console.height - LAST_EVENTS - 6),
             ]
         parts.append(Rule(style="dim"))
-        parts += [_event_line(event) for event in self._events]
+        parts += [_event_line(event, vehicles) for event, vehicles in list(self._events)]
         return Group(*parts)
 
 
@@ -250,12 +260,9 @@ def team_table(snapshot: Snapshot, plan: Plan, rows: int) -> Table:
 
 
 def _age_style(age: float) -> str:
-    return "" if age <= 1.0 else "yellow" if age <= scene.LOST_AFTER else "bold magenta"
+    return "" if age <= 1.0 else "yellow" if age <= scene.SILENT_AFTER else "bold magenta"
 
 
-def _event_line(event: Event) -> Text:
+def _event_line(event: Event, others: Sequence[int] = ()) -> Text:
     line = Text(f"{clock(event.time)} ", "dim", overflow="ellipsis", no_wrap=True)
-    who = "" if event.vehicle is None else f"vehicle {event.vehicle}: "
-    if who and f"vehicle {event.vehicle}" in event.message:
-        who = ""
-    return line.append(f"{who}{event.message}", ALARM_STYLES.get(event.kind, "default"))
+    return line.append(sentence(event, others), LEVEL_STYLES[level(event)])

@@ -1,9 +1,48 @@
 """Numbers as people read them, the same on screens, in pictures and in reports."""
 
 import math
+from collections.abc import Sequence
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+
+from swarm.flight.snapshot import Event
+
+ROUTINE: Final = frozenset(
+    {"heard", "mode", "armed", "disarmed", "airborne", "landed", "done", "interval"}
+)
+"""Kinds of events that every vehicle has in every flight: for the record, not for the screen."""
+
+ALARMING: Final = frozenset({"failure", "failed", "refused", "rebooted", "error"})
+NOTABLE: Final = frozenset({"hold", "land", "link", "origin", "warning", "timeout"})
+
+
+def level(event: Event) -> Literal["ERROR", "WARN", "INFO"]:
+    """Return how much attention an event asks for."""
+    if event.kind in ALARMING:
+        return "ERROR"
+    if event.kind == "outcome" and not event.message.startswith("done"):
+        return "ERROR"
+    return "WARN" if event.kind in NOTABLE else "INFO"
+
+
+def sentence(event: Event, others: Sequence[int] = ()) -> str:
+    """Return an event's words with the vehicles that they are about, if they do not say so."""
+    vehicles = sorted({*([] if event.vehicle is None else [event.vehicle]), *others})
+    if not vehicles or (len(vehicles) == 1 and f"vehicle {vehicles[0]}" in event.message):
+        return event.message
+    return f"vehicle{'s' if len(vehicles) > 1 else ''} {_ranges(vehicles)}: {event.message}"
+
+
+def _ranges(numbers: list[int]) -> str:
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(f"{r[0]}–{r[-1]}" if len(r) > 1 else str(r[0]) for r in runs)
 
 
 def metres(value: float) -> str:

@@ -66,7 +66,7 @@ def test_state_of_a_vehicle_is_the_worst_it_is_in() -> None:
     far = good.position + np.array([0.0, 0.0, 0.5])
     age = np.where(np.arange(9) == 3, np.nan, good.link_age)
     bad = replace(good, position=far, link_age=age)
-    assert scene.vehicle_states(bad, 0.1) == ["off track"] * 3 + ["lost"] + ["off track"] * 5
+    assert scene.vehicle_states(bad, 0.1) == ["off track"] * 3 + ["silent"] + ["off track"] * 5
     assert scene.vehicle_states(bad, 0.0)[0] == "holding"  # geometry only: no ball to leave
     assert scene.vehicle_states(snapshot_at(PLAN, 0.0), 0.1) == ["idle"] * 9
 

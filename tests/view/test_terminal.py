@@ -7,7 +7,7 @@ from rich.console import Console
 from swarm.flight.snapshot import Event
 from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
 from swarm.view.terminal import FlightScreen, plan_summary, team_table
-from swarm.view.words import clip_rows, clock, metres, seconds
+from swarm.view.words import clip_rows, clock, level, metres, seconds
 from tests.view.synthetic import snapshot_at, trefoil_plan
 
 PLAN = trefoil_plan()
@@ -85,13 +85,16 @@ def test_flight_in_a_pipe_is_plain_lines() -> None:
         shown.countdown(3)
         for time in (0.0, 0.05, 6.0, 6.05, 17.0):
             shown.show(snapshot_at(PLAN, time))
+        shown.event(Event(17.1, "mode", "mode offboard", 4))
         shown.event(Event(17.2, "warning", "lags [by] 0.2 m", 4))
+        shown.event(Event(17.3, "failed", "vehicle 5 dropped out", 5))
     assert printed(console).splitlines() == [
         "-0:03.0 take-off in 3 s",
         "0:00.0 phase takeoff",
-        "0:06.0 phase grab, waiting for: gripped",
+        "0:06.0 phase grab",
         "0:17.0 phase contract",
         "0:17.2 vehicle 4: lags [by] 0.2 m",
+        "0:17.3 vehicle 5 dropped out",
     ]
 
 
@@ -104,6 +107,24 @@ def test_flight_on_a_screen_shows_team_and_events() -> None:
     assert "clock × 0.40" in text
     assert text.count("OFFBOARD") >= 9
     assert "fold begins" in text
+
+
+def test_the_same_words_of_several_vehicles_share_a_line() -> None:
+    console = screen()
+    with FlightScreen(PLAN, console) as shown:
+        for vehicle in (1, 2, 3, 5):
+            shown.event(Event(40.0 + 0.1 * vehicle, "text", "Landing detected", vehicle))
+        shown.event(Event(50.0, "text", "Landing detected", 9))
+    text = printed(console)
+    assert "vehicles 1–3, 5: Landing detected" in text
+    assert "vehicle 9: Landing detected" in text
+
+
+def test_levels_of_events() -> None:
+    assert level(Event(0.0, "failure", "a")) == "ERROR"
+    assert level(Event(0.0, "outcome", "failed: b")) == "ERROR"
+    assert level(Event(0.0, "outcome", "done: tied")) == "INFO"
+    assert level(Event(0.0, "hold", "c")) == "WARN"
 
 
 def test_what_is_wrong_with_a_vehicle_shows_in_its_row() -> None:
@@ -121,9 +142,9 @@ def test_what_is_wrong_with_a_vehicle_shows_in_its_row() -> None:
     rows = [line.split() for line in printed(console).splitlines()[1:]]
     assert rows[1][1:3] == ["off", "track"]
     assert rows[2][-1] == "–"
-    assert rows[3][1] == "lost"
+    assert rows[3][1] == "silent"
     assert "7.0" in rows[3]
-    assert rows[4][1] == "lost"
+    assert rows[4][1] == "silent"
     assert "never" in rows[4]
     assert rows[5][4] == "–"
 
