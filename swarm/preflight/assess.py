@@ -1,0 +1,269 @@
+"""Everything that is checked before a plan may fly, put into findings."""
+
+from collections.abc import Callable, Iterable
+from typing import Literal
+
+import numpy as np
+
+from swarm.errors import SwarmError
+from swarm.knots.gauss import SignedGauss, parse_gauss, same_code
+from swarm.plans import Plan
+from swarm.preflight.certificate import Moment, limits, moments_of, tightest_moments
+from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
+from swarm.preflight.limits import TAUT
+from swarm.preflight.loads import loads, payload_limit
+from swarm.preflight.robustness import holds_in_wind, largest_tracking, largest_wind
+from swarm.preflight.topology import end_code, end_knot, layout_code
+
+Progress = Callable[[str, float], None]
+Chirality = Literal["left", "right", "none"]
+
+TIGHTEST = 5
+_CLEARANCES = (
+    "cable clearance",
+    "neighbouring segments",
+    "reach on the floor",
+    "vehicle clearance",
+    "vehicle-cable clearance",
+    "rotor disc",
+    "floor",
+)
+"""Checks whose moments are distances to compare, for the five that are always reported."""
+
+
+def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = False) -> Assessment:
+    """Check a plan and return everything found out about it.
+
+    ``progress`` is called with a stage's name and the share of it that is done. ``robustness`` asks
+    for e* and w* too, which takes a dozen certificates more.
+    """
+    moments = tightest_moments(plan, progress=progress)
+    findings = [
+        *_meeting(plan, moments),
+        *(_clearance_finding(plan, moment) for moment in _failing(moments)),
+        *_wind_findings(plan),
+        *_limit_findings(plan),
+        *_load_findings(plan),
+        *_endurance_findings(plan),
+    ]
+    knot, chirality, gauss, topology = _topology(plan)
+    findings += topology
+    findings += _tightest_findings(moments)
+    findings.append(_scope(plan))
+    return Assessment(
+        findings=tuple(findings),
+        cable=_tightest(moments, ("cable clearance", "neighbouring segments"), plan),
+        vehicle=_tightest(moments, ("vehicle clearance",), plan),
+        vehicle_cable=_tightest(moments, ("vehicle-cable clearance",), plan),
+        knot=knot,
+        chirality=chirality,
+        gauss=gauss,
+        robustness=Robustness(largest_tracking(plan), largest_wind(plan))
+        if robustness
+        else Robustness(),
+    )
+
+
+def _failing(moments: Iterable[Moment]) -> list[Moment]:
+    return [moment for moment in moments if moment.margin < 0.0]
+
+
+def _clearance_finding(plan: Plan, moment: Moment) -> Finding:
+    tracking = plan.mission.vehicles.tracking
+    one, other = moment.between
+    errors = f" when tracking errs by up to {tracking:g} m" if tracking > 0 else ""
+    if moment.check == "taut":
+        message = f"{one} is {-moment.margin:.3f} m beyond {TAUT:.1%} of its length{errors}"
+    elif moment.check == "rotor disc":
+        message = f"{other} runs into the rotor disc of its own {one}{errors}"
+    elif moment.check in {"ceiling", "fence"}:
+        message = f"{one} crosses {other} by {-moment.margin:.3f} m{errors}"
+    else:
+        distance = (
+            f"can be certified only {moment.distance:.3f} m from"
+            if moment.distance > 0
+            else "can touch"
+        )
+        message = f"{one} {distance} {other}{errors}; {moment.required:g} m are required"
+    return _at("error", moment.check, message, moment)
+
+
+def _at(severity: str, check: str, message: str, moment: Moment) -> Finding:
+    place = ", ".join(f"{value:.2f}" for value in moment.where)
+    return Finding(
+        severity,  # type: ignore[arg-type]
+        check,
+        f"{message} (at {moment.time:.2f} s, near ({place}))",
+        moment.time,
+        moment.where,
+    )
+
+
+def _meeting(plan: Plan, moments: Iterable[Moment]) -> list[Finding]:
+    """Strands that meet even where every vehicle is exactly at its setpoint."""
+    if all(moment.margin >= 0.0 for moment in moments if moment.check == "cable clearance"):
+        return []
+    exact = tightest_moments(plan, tracking=0.0, checks=("cable clearance",))
+    meeting = [moment for moment in exact if moment.distance <= 0.0]
+    return [
+        _at(
+            "error",
+            "strands meet",
+            f"{moment.between[0]} and {moment.between[1]} meet even without tracking errors: "
+            "the cable would entangle",
+            moment,
+        )
+        for moment in meeting
+    ]
+
+
+def _limit_findings(plan: Plan) -> list[Finding]:
+    vehicles = plan.mission.vehicles
+    findings = []
+    for family in limits(plan):
+        for moment in moments_of(family):
+            if moment.margin >= -1e-6:
+                continue
+            if family.check == "speed":
+                asked = f"{vehicles.max_speed - moment.margin:.3f} m/s"
+                allowed = f"{vehicles.max_speed:g} m/s"
+            else:
+                usable = vehicles.max_acceleration - vehicles.braking_acceleration
+                asked = f"{usable - moment.margin:.3f} m/s²"
+                allowed = (
+                    f"{usable:g} m/s² ({vehicles.max_acceleration:g} less "
+                    f"{vehicles.braking_acceleration:g} kept for braking)"
+                )
+            message = f"{moment.between[0]} is asked for up to {asked}; its limit is {allowed}"
+            findings.append(_at("error", family.check, message, moment))
+    return findings
+
+
+def _wind_findings(plan: Plan) -> list[Finding]:
+    steady = plan.mission.wind.steady
+    if steady == 0.0:
+        return []
+    if holds_in_wind(plan, steady):
+        message = f"every clearance holds in a steady wind of {steady:g} m/s from any direction"
+        return [Finding("info", "wind", message)]
+    message = f"the clearances do not hold in the mission's steady wind of {steady:g} m/s"
+    return [Finding("error", "wind", message)]
+
+
+def _load_findings(plan: Plan) -> list[Finding]:
+    found = loads(plan)
+    if not len(found.time):
+        return []
+    findings = []
+    limit = payload_limit(plan)
+    for quantity, values, allowed, name in (
+        ("payload", found.pull, limit, "vehicle"),
+        ("tension", found.tension, plan.mission.cable.breaking_load, "segment"),
+    ):
+        instant, index = np.unravel_index(np.argmax(values), values.shape)
+        worst = float(values[instant, index])
+        message = (
+            f"{name} {index + 1} bears up to {worst:.2f} N of cable; {allowed:.2f} N are allowed"
+        )
+        severity = "error" if worst > allowed else "info"
+        findings.append(Finding(severity, quantity, message, float(found.time[instant])))  # type: ignore[arg-type]
+    return findings
+
+
+def _endurance_findings(plan: Plan) -> list[Finding]:
+    endurance = plan.mission.vehicles.endurance
+    share = plan.duration / endurance
+    message = (
+        f"the plan takes {plan.duration:.0f} s without waiting at gates, {share:.0%} of the "
+        f"vehicles' endurance of {endurance:g} s"
+    )
+    severity = "error" if share > 1.0 else "warning" if share > 0.8 else "info"
+    return [Finding(severity, "endurance", message)]  # type: ignore[arg-type]
+
+
+def _topology(plan: Plan) -> tuple[str, Chirality, str, list[Finding]]:
+    at_time = plan.phase("hold").end
+    try:
+        code = end_code(plan)
+        found = end_knot(plan)
+    except SwarmError as error:
+        message = f"no knot can be read off the end: {error}"
+        return "unknown", "none", "", [Finding("error", "crossing code", message, at_time)]
+    findings = []
+    for what, wanted in _wanted_codes(plan):
+        if isinstance(wanted, str):
+            findings.append(Finding("error", "crossing code", wanted, at_time))
+        elif not same_code(code.as_closed() if wanted.closed else code, wanted):
+            message = f"the cable ends in the crossing code {_shown(code)}, {what} {_shown(wanted)}"
+            findings.append(Finding("error", "crossing code", message, at_time))
+    asked = (plan.knot.type, plan.knot.chirality)
+    if (found.name, found.chirality) != asked:
+        message = f"the cable ends as {found}, but {_knot(*asked)} was asked for"
+        severity = "error" if found.known else "warning"
+        findings.append(Finding(severity, "knot type", message, at_time))  # type: ignore[arg-type]
+    if not findings:
+        message = f"the cable ends as {found}, with the crossing code {_shown(code)}, as asked"
+        findings.append(Finding("info", "crossing code", message, at_time))
+    chirality: Chirality = found.chirality  # type: ignore[assignment]
+    return found.name, chirality, code.signed_text(), findings
+
+
+def _wanted_codes(plan: Plan) -> list[tuple[str, SignedGauss | str]]:
+    wanted: list[tuple[str, SignedGauss | str]] = []
+    try:
+        wanted.append(("but the layout's is", layout_code(plan.layout)))
+        signed = parse_gauss(plan.knot.gauss).signed() if plan.knot.gauss else None
+    except SwarmError as error:
+        return [*wanted, ("", str(error))]
+    if signed is not None:
+        wanted.append(("but the diagram's is", signed))
+    return wanted
+
+
+def _shown(code: SignedGauss) -> str:
+    return f"[{code.signed_text()}]"
+
+
+def _knot(name: str, chirality: str) -> str:
+    return name if chirality == "none" else f"{name}, {chirality}-handed,"
+
+
+def _tightest_findings(moments: Iterable[Moment]) -> list[Finding]:
+    """The tightest moments of all, at most two of one kind, so that kinds can be compared."""
+    ordered = sorted(
+        (moment for moment in moments if moment.check in _CLEARANCES), key=lambda m: m.margin
+    )
+    return [
+        _at(
+            "info",
+            "tightest",
+            f"{number}. {moment.check}: {moment.between[0]} and {moment.between[1]}, "
+            f"certified {moment.distance:.3f} m, required {moment.required:g} m, "
+            f"margin {moment.margin:+.3f} m",
+            moment,
+        )
+        for number, moment in enumerate(ordered[:TIGHTEST], start=1)
+    ]
+
+
+def _tightest(moments: Iterable[Moment], checks: tuple[str, ...], plan: Plan) -> Tightest:
+    chosen = [moment for moment in moments if moment.check in checks]
+    if not chosen:
+        return Tightest(float("inf"), 0.0, float(plan.motion.times[0]), ("", ""))
+    worst = min(chosen, key=lambda moment: moment.margin)
+    return Tightest(max(worst.distance, 0.0), worst.required, worst.time, worst.between)
+
+
+def _scope(plan: Plan) -> Finding:
+    tracking = plan.mission.vehicles.tracking
+    ball = (
+        f"for every tracking error of up to {tracking:g} m"
+        if tracking > 0
+        else "for exact tracking only (vehicles.tracking is 0: geometry only)"
+    )
+    return Finding(
+        "info",
+        "scope",
+        f"certified in the quasi-static cable model, {ball}, from contract to hold; what the cable "
+        "does after its release is outside the model",
+    )

@@ -1,0 +1,169 @@
+"""Lower bounds of what is left to the limits of vehicles, cable and workspace."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.cable.distance import segment_segment
+from swarm.preflight.course import Course
+from swarm.preflight.search import Boxes, Enclosure
+from swarm.preflight.sensitivity import BOTH_ENDS
+from swarm.preflight.strands import HeldCable, Team, hung, pieces
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+
+TAUT = 0.985
+"""Largest share of its cable's length that a chord may reach, whatever tracking errors do."""
+
+
+def _in_time(high: Floats, doubt: Floats, place: Floats) -> Enclosure:
+    nothing = np.zeros_like(high)
+    return Enclosure(high - doubt, high, np.stack([doubt, nothing, nothing], axis=1), place)
+
+
+@dataclass(frozen=True, eq=False)
+class Slack:
+    """What chords are short of ``share`` of their cable, when both ends err away; per segment."""
+
+    cable: HeldCable
+    share: float = TAUT
+
+    def __call__(self, boxes: Boxes) -> Enclosure:
+        """Enclose the margin in each box."""
+        time, half, when = boxes.instants()
+        team = Team.at(self.cable.course, time, half)
+        first, last = boxes.pair, boxes.pair + 1
+        start, end = team.position[when, first], team.position[when, last]
+        allowed = self.share * self.cable.lengths[boxes.pair] - 2.0 * self.cable.tracking
+        growth = team.drift(when, last, team.velocity[when, first]) + team.swerve[when, first]
+        high = allowed - np.linalg.norm(end - start, axis=-1)
+        return _in_time(high, growth, 0.5 * (start + end))
+
+
+@dataclass(frozen=True, eq=False)
+class AboveFloor:
+    """Heights of the lowest points of strands above the floor (z = 0), less what is required."""
+
+    cable: HeldCable
+    diameter: float
+    required: float
+
+    def __call__(self, boxes: Boxes) -> Enclosure:
+        """Enclose the margin in each box."""
+        time, half, when = boxes.instants()
+        team = Team.at(self.cable.course, time, half)
+        segment = boxes.pair
+        level = 0.5 * (team.velocity[when, segment] + team.velocity[when, segment + 1])
+        level[:, 2] = 0.0
+        whole = np.ones(len(boxes), dtype=np.intp)
+        strand = pieces(
+            team, self.cable, when, segment, whole, level,
+            np.full(len(boxes), BOTH_ENDS), np.full(len(boxes), self.cable.tracking),
+            np.zeros(len(boxes)), np.broadcast_to(np.array([0.0, 1.0]), (len(boxes), 2)),
+        )  # fmt: skip
+        strands, which = hung(team, self.cable, when, segment)
+        lowest = strands.lowest()[which]
+        up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(boxes), 3))
+        along = strands.lowest_fraction[which]
+        moved = strand.movement(along, up, self.cable.down)
+        high = lowest[:, 2] - moved[0] - 0.5 * self.diameter - self.required
+        # The whole strand's sensitivity stands for the lowest point's: only time is to be cut.
+        return _in_time(high + (moved[1] - moved[2]), moved[1] - moved[2], lowest)
+
+
+@dataclass(frozen=True, eq=False)
+class BelowCeiling:
+    """Room between vehicles' centres and the ceiling; per vehicle."""
+
+    course: Course
+    tracking: float
+    ceiling: float
+    grip_offset: float
+
+    def __call__(self, boxes: Boxes) -> Enclosure:
+        """Enclose the margin in each box."""
+        time, half, when = boxes.instants()
+        team = Team.at(self.course, time, half)
+        place = team.position[when, boxes.pair]
+        climb = np.abs(team.velocity[when, boxes.pair, 2]) * half[when]
+        climb += team.swerve[when, boxes.pair]
+        high = self.ceiling - self.grip_offset - self.tracking - place[:, 2]
+        return _in_time(high, climb, place)
+
+
+@dataclass(frozen=True, eq=False)
+class InsideFence:
+    """Room between the plan view of things and a fence; negative outside.
+
+    ``fence`` (m, 2). Things are given by the grip points ``first`` and ``last`` (q,) between which
+    they lie straight in plan view (twice the same for a vehicle), and by how far they reach to the
+    side ``reach`` (q,).
+    """
+
+    course: Course
+    tracking: float
+    fence: Floats
+    first: Ints
+    last: Ints
+    reach: Floats
+
+    def __call__(self, boxes: Boxes) -> Enclosure:
+        """Enclose the margin in each box."""
+        time, half, when = boxes.instants()
+        team = Team.at(self.course, time, half)
+        first, last = self.first[boxes.pair], self.last[boxes.pair]
+        ends = np.stack([team.position[when, first], team.position[when, last]], axis=1)
+        ends[..., 2] = 0.0
+        corners = np.pad(self.fence, ((0, 0), (0, 1)))
+        sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+        distance = segment_segment(ends[:, None], sides[None]).distance.min(axis=1)
+        inside = _inside(ends[:, 0], sides) & _inside(ends[:, 1], sides)
+        high = np.where(inside, distance, -distance)
+        still = np.zeros((len(boxes), 3))
+        drift = np.maximum(team.drift(when, first, still), team.drift(when, last, still))
+        return _in_time(high - self.tracking - self.reach[boxes.pair], drift, ends.mean(axis=1))
+
+
+def _inside(point: Floats, sides: Floats) -> npt.NDArray[np.bool_]:
+    """Whether points (b, 3) lie within the polygon with the given sides (m, 2, 3), in plan view."""
+    x, y = point[:, None, 0], point[:, None, 1]
+    (x0, y0), (x1, y1) = sides[:, 0, :2].T, sides[:, 1, :2].T
+    straddles = (y0 > y) != (y1 > y)
+    rise = np.where(y1 == y0, 1.0, y1 - y0)
+    crossed = straddles & (x < x0 + (y - y0) / rise * (x1 - x0))
+    inside: npt.NDArray[np.bool_] = np.count_nonzero(crossed, axis=1) % 2 == 1
+    return inside
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedLeft:
+    """What vehicles' speeds are short of the largest; per vehicle, m/s."""
+
+    course: Course
+    largest: float
+
+    def __call__(self, boxes: Boxes) -> Enclosure:
+        """Enclose the margin in each box."""
+        time, half, when = boxes.instants()
+        position, velocity, _ = self.course.motion.at(time)
+        bound = self.course.acceleration_bound(time - half, time + half)[when, boxes.pair]
+        speed = np.linalg.norm(velocity[when, boxes.pair], axis=-1)
+        return _in_time(self.largest - speed, bound * boxes.half, position[when, boxes.pair])
+
+
+@dataclass(frozen=True, eq=False)
+class AccelerationLeft:
+    """What vehicles' accelerations are short of the largest; per vehicle, m/s²."""
+
+    course: Course
+    largest: float
+
+    def __call__(self, boxes: Boxes) -> Enclosure:
+        """Enclose the margin in each box."""
+        time, half, when = boxes.instants()
+        position, _, acceleration = self.course.motion.at(time)
+        bound = self.course.jerk_bound(time - half, time + half)[when, boxes.pair]
+        size = np.linalg.norm(acceleration[when, boxes.pair], axis=-1)
+        return _in_time(self.largest - size, bound * boxes.half, position[when, boxes.pair])

@@ -1,0 +1,205 @@
+"""The smallest value of many functions of time and place, enclosed by bisection.
+
+A *box* is a pair of things, an interval of mission time, and a dyadic piece of each of the two. An
+evaluator encloses the pair's smallest margin in a box from below, and says what it is somewhere in
+it. Boxes that cannot hold one of the smallest margins any more, but for a tolerance, are put aside
+with their lower bound; the others are cut where they are least certain.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+
+TOLERANCE = 0.004
+"""By how much, in metres, a reported margin may fall short of the true one."""
+
+MOMENTS = 5
+"""How many of the tightest pairs are told exactly; of the others, that they are not tighter."""
+
+_SMALLEST_HALF = 1e-6
+_DEEPEST_PIECE = 2**20
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """m boxes: pair, middle and half width in time, heap number of a piece of each thing."""
+
+    pair: Ints
+    time: Floats
+    half: Floats
+    first: Ints
+    second: Ints
+
+    def __len__(self) -> int:
+        return len(self.pair)
+
+    def taken(self, where: npt.NDArray[np.bool_] | Ints) -> "Boxes":
+        """Return some of them."""
+        return Boxes(
+            self.pair[where],
+            self.time[where],
+            self.half[where],
+            self.first[where],
+            self.second[where],
+        )
+
+    def instants(self) -> tuple[Floats, Floats, Ints]:
+        """Return the different middles, their half widths, and which of them each box has."""
+        time, first, which = np.unique(self.time, return_index=True, return_inverse=True)
+        return time, self.half[first], which
+
+
+@dataclass(frozen=True, eq=False)
+class Enclosure:
+    """Margins of m boxes: none smaller than ``low``; about ``high`` at ``place`` (m, 3).
+
+    ``doubts`` (m, 3) says how much of the difference comes from the width in time, and from the
+    sizes of the first and of the second piece.
+    """
+
+    low: Floats
+    high: Floats
+    doubts: Floats
+    place: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Minima:
+    """Per pair: a lower bound of its margin, the margin found, and when and where (q, 3)."""
+
+    low: Floats
+    high: Floats
+    time: Floats
+    place: Floats
+    boxes: int
+
+    def tightest(self, count: int = MOMENTS) -> Ints:
+        """Return the pairs with the smallest margins, tightest first."""
+        order = np.argsort(self.high, kind="stable")[:count]
+        found: Ints = order[np.isfinite(self.high[order])]
+        return found
+
+
+Evaluator = Callable[[Boxes], Enclosure]
+
+
+def roots(pairs: int, spans: list[tuple[float, float]], width: float) -> Boxes:
+    """Return boxes of at most ``width`` seconds for all pairs over the given spans of time."""
+    middles: list[Floats] = [np.empty(0)]
+    halves: list[Floats] = [np.empty(0)]
+    for start, end in spans:
+        count = max(1, int(np.ceil((end - start) / width)))
+        width = 0.5 * (end - start) / count
+        middles.append(start + width * np.arange(1.0, 2.0 * count, 2.0))
+        halves.append(np.full(count, width))
+    time, half = np.concatenate(middles), np.concatenate(halves)
+    ones = np.ones(pairs * len(time), dtype=np.intp)
+    return Boxes(
+        np.repeat(np.arange(pairs), len(time)), np.tile(time, pairs), np.tile(half, pairs),
+        ones, ones,
+    )  # fmt: skip
+
+
+def smallest(
+    evaluate: Evaluator, pairs: int, boxes: Boxes, *, tolerance: float = TOLERANCE
+) -> Minima:
+    """Enclose every pair's smallest margin over its boxes.
+
+    The MOMENTS tightest pairs are told to ``tolerance``, or to 5 % of the margin (10 % of a
+    shortfall) where that is more; of the others ``low`` is a true lower bound, not below that of
+    the tightest.
+    """
+    low, high = np.full(pairs, np.inf), np.full(pairs, np.inf)
+    time, place = np.full(pairs, np.nan), np.full((pairs, 3), np.nan)
+    count = 0
+    while len(boxes):
+        count += len(boxes)
+        found = evaluate(boxes)
+        _note(boxes, found, high, time, place)
+        limit = np.minimum(high, _nth_smallest(high, MOMENTS))
+        limit -= np.maximum(tolerance, np.maximum(0.05 * limit, -0.1 * high))
+        exhausted = (boxes.half < _SMALLEST_HALF) | (
+            np.maximum(boxes.first, boxes.second) > _DEEPEST_PIECE
+        )
+        done = (found.low >= limit[boxes.pair]) | exhausted
+        np.minimum.at(low, boxes.pair[done], found.low[done])
+        boxes = _cut(boxes.taken(~done), found.doubts[~done])
+    return Minima(low, high, time, place, count)
+
+
+def holds(evaluate: Evaluator, boxes: Boxes) -> bool:
+    """Whether every margin is certified not to be negative; stops at the first that is."""
+    while len(boxes):
+        found = evaluate(boxes)
+        open_yet = found.low < 0.0
+        exhausted = (boxes.half < _SMALLEST_HALF) | (
+            np.maximum(boxes.first, boxes.second) > _DEEPEST_PIECE
+        )
+        narrow = found.doubts.sum(axis=1) < 0.5 * TOLERANCE
+        if np.any(found.high < 0.0) or np.any(open_yet & (exhausted | narrow)):
+            return False
+        boxes = _cut(boxes.taken(open_yet), found.doubts[open_yet])
+    return True
+
+
+def _note(boxes: Boxes, found: Enclosure, high: Floats, time: Floats, place: Floats) -> None:
+    """Remember each pair's smallest margin found, and when and where."""
+    order = np.lexsort((found.high, boxes.pair))
+    pair, index = np.unique(boxes.pair[order], return_index=True)
+    best = order[index]
+    better = found.high[best] < high[pair]
+    pair, best = pair[better], best[better]
+    high[pair], time[pair], place[pair] = found.high[best], boxes.time[best], found.place[best]
+
+
+def _nth_smallest(values: Floats, count: int) -> float:
+    if len(values) <= count:
+        return np.inf
+    return float(np.partition(values, count - 1)[count - 1])
+
+
+def _cut(boxes: Boxes, doubts: Floats) -> Boxes:
+    """Halve every box in all dimensions that matter about as much as its worst."""
+    worst = doubts.max(axis=1)
+    for dimension in range(3):
+        split = doubts[:, dimension] >= 0.5 * worst
+        whole, halved = boxes.taken(~split), boxes.taken(split)
+        doubts = np.concatenate([doubts[~split], doubts[split], doubts[split]])
+        worst = np.concatenate([worst[~split], worst[split], worst[split]])
+        boxes = _joined(whole, *_halves(halved, dimension))
+    return boxes
+
+
+def _halves(boxes: Boxes, dimension: int) -> tuple[Boxes, Boxes]:
+    if dimension == 0:
+        half = 0.5 * boxes.half
+        before, after = boxes.time - half, boxes.time + half
+        return (
+            Boxes(boxes.pair, before, half, boxes.first, boxes.second),
+            Boxes(boxes.pair, after, half, boxes.first, boxes.second),
+        )
+    first, second = (
+        (2 * boxes.first if dimension == 1 else boxes.first),
+        (2 * boxes.second if dimension == 2 else boxes.second),
+    )
+    return (
+        Boxes(boxes.pair, boxes.time, boxes.half, first, second),
+        Boxes(
+            boxes.pair, boxes.time, boxes.half, first + (dimension == 1), second + (dimension == 2)
+        ),
+    )
+
+
+def _joined(*parts: Boxes) -> Boxes:
+    return Boxes(
+        np.concatenate([part.pair for part in parts]),
+        np.concatenate([part.time for part in parts]),
+        np.concatenate([part.half for part in parts]),
+        np.concatenate([part.first for part in parts]),
+        np.concatenate([part.second for part in parts]),
+    )

@@ -1,0 +1,162 @@
+"""How far a strand moves when its grip points do: upper bounds, tabulated.
+
+A point x(f) of a catenary, f a share of its arc length, depends on both ends p₀, p₁ with the
+Jacobians A(f) = ∂x/∂p₀ and B(f) = ∂x/∂p₁, A + B = 1. They depend on the chord as a share ρ of the
+length, on the chord's elevation, and on f; nearest to taut they grow like 1/√(1 − ρ). Ends that
+move by up to D along straight ways move a point by at most D times the mean of ‖A‖ + ‖B‖ on the
+way, and on the way ρ grows at most linearly to ρ + 2D/ℓ. So the tables hold, for every ρ and for
+dyadic pieces of the strand, the largest norm over all chords that are not longer and not steeper,
+and its integral over ρ. Horizontal and vertical movement are kept apart: what tautens, lifts.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.cable.catenary import hang
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+
+BOTH_ENDS, FAR_END, NEAR_END = 0, 1, 2
+"""Which ends move: both by up to D, only the end (start held), only the start (end held)."""
+
+LARGEST_RATIO = 0.999
+"""Beyond this share of the length a strand counts as taut; nothing is certified there."""
+
+_STEP = 0.04
+_CLASSES = np.radians([20.0, 40.0, 60.0, 90.0])
+_DEPTH = 6
+_INFLATION = 1.02
+"""Covers what lies between the samples of elevation; checked adversarially in the tests."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Tables of norms and of their integrals over the chord ratio.
+
+    ``norm`` and ``integral`` have the axes (elevation class, moving ends, horizontal or vertical,
+    ratio bin, piece); a piece is the number of a node in the binary heap of dyadic pieces.
+    """
+
+    norm: Floats
+    integral: Floats
+
+    def largest(
+        self, ratio: Floats, reach: Floats, sine: Floats, ends: Ints, piece: Ints
+    ) -> tuple[Floats, Floats]:
+        """Mean norms on the way, horizontal and vertical, each (…,): movement per metre of D.
+
+        ``ratio`` is chord / length at the nominal ends, ``reach`` the largest growth of that
+        ratio, ``sine`` the largest |rise| / chord on the way (1 if in doubt), ``ends`` one of
+        BOTH_ENDS, FAR_END, NEAR_END, ``piece`` heap numbers of pieces (1 is the whole strand).
+        """
+        steepness = np.searchsorted(np.sin(_CLASSES[:-1]), sine)
+        while np.any(deep := piece >= 2 ** (_DEPTH + 1)):
+            piece = np.where(deep, piece // 2, piece)
+        low = np.clip(ratio, 0.0, LARGEST_RATIO)
+        high = np.clip(ratio + np.maximum(reach, 1e-9), 1e-9, LARGEST_RATIO + 1e-9)
+        low_bin, high_bin = _bin(low), _bin(high)
+        one_bin = low_bin == high_bin
+        found = []
+        for direction in (0, 1):
+            norm, integral = self.norm[:, :, direction], self.integral[:, :, direction]
+            at_high: Floats = norm[steepness, ends, high_bin, piece]
+            at_low: Floats = norm[steepness, ends, low_bin, piece]
+            to_high: Floats = integral[steepness, ends, high_bin, piece]
+            to_low: Floats = integral[steepness, ends, low_bin, piece]
+            to_high = to_high + at_high * (high - _ratio_of(high_bin))
+            to_low = to_low + at_low * (low - _ratio_of(low_bin))
+            mean = (to_high - to_low) / np.maximum(high - low, 1e-12)
+            found.append(np.where(one_bin, at_high, np.minimum(mean, at_high)))
+        return found[0], found[1]
+
+
+def _bin(ratio: Floats) -> Ints:
+    return np.floor(-np.log1p(-ratio) / _STEP).astype(np.intp)
+
+
+def _ratio_of(index: Ints) -> Floats:
+    ratio: Floats = -np.expm1(-_STEP * index)
+    return ratio
+
+
+@cache
+def sensitivity() -> Sensitivity:
+    """Return the tables; computed once, in about 0.2 s."""
+    bins = int(_bin(np.array(LARGEST_RATIO + 1e-9))) + 1
+    upper = _ratio_of(np.arange(1, bins + 1))
+    nearly_plumb = [89.0, 89.8, 89.96, 89.99, 89.999]
+    elevation = np.radians(np.concatenate([np.arange(0.0, 90.0, 4.0), nearly_plumb]))
+    fractions = np.linspace(0.0, 1.0, 2**_DEPTH + 1)
+    start, end = _jacobian_norms(upper[:, None], elevation[None, :], fractions)
+    # A chord that falls is the same strand walked from its other end.
+    both = start + end
+    far = np.maximum(end, start[..., ::-1])
+    both = np.maximum(both, both[..., ::-1])
+    kinds = np.stack([both, far, far[..., ::-1]])  # (kind, direction, bin, elevation, fraction)
+    kinds = np.maximum.accumulate(kinds, axis=2) * _INFLATION
+    by_class = np.stack(
+        [kinds[:, :, :, elevation <= steepest + 0.08].max(axis=3) for steepest in _CLASSES]
+    )
+    norm = _over_pieces(by_class)
+    width = np.diff(np.concatenate([[0.0], upper]))
+    integral = np.zeros_like(norm)
+    integral[..., 1:, :] = np.cumsum(norm * width[:, None], axis=-2)[..., :-1, :]
+    return Sensitivity(norm, integral)
+
+
+def _over_pieces(by_fraction: Floats) -> Floats:
+    """Largest value over every dyadic piece, in heap order; a piece's neighbours count too."""
+    cells = np.maximum(by_fraction[..., :-1], by_fraction[..., 1:])
+    wider = cells.copy()
+    wider[..., 1:] = np.maximum(wider[..., 1:], cells[..., :-1])
+    wider[..., :-1] = np.maximum(wider[..., :-1], cells[..., 1:])
+    count = wider.shape[-1]
+    heap = np.zeros((*wider.shape[:-1], 2 * count))
+    heap[..., count:] = wider
+    for piece in range(count - 1, 0, -1):
+        heap[..., piece] = np.maximum(heap[..., 2 * piece], heap[..., 2 * piece + 1])
+    return heap
+
+
+def _jacobian_norms(ratio: Floats, elevation: Floats, fractions: Floats) -> tuple[Floats, Floats]:
+    """Norms of A and B, each (2, …, k): of their horizontal rows, and of the vertical one.
+
+    The strand has length 1 and parameters (a, s), a the catenary's, s = sinh θ₀ the slope at its
+    start: sinh θ = s + f/a, x = a(θ − θ₀), z = a(cosh θ − cosh θ₀). Both x(f) and the end x(1) are
+    differentiated by (a, s), and B = ∂x(f) (∂x(1))⁻¹ in the strand's plane. Across it, both turn
+    about the start: B = x(f) / x(1).
+    """
+    ratio, elevation = np.broadcast_arrays(ratio, elevation)
+    end = np.stack(
+        [ratio * np.cos(elevation), np.zeros_like(ratio), ratio * np.sin(elevation)], axis=-1
+    )
+    strand = hang(np.zeros(3), end, np.ones_like(ratio))
+    a, slope = strand.parameter[..., None], strand.slope[..., None]
+    first, last = np.arcsinh(slope), np.arcsinh(slope + 1.0 / a)
+    turned = np.arcsinh(slope + fractions / a)
+
+    def by_parameters(theta: Floats, fraction: npt.ArrayLike) -> tuple[Floats, ...]:
+        share = np.asarray(fraction) / a
+        return (
+            (theta - first) - share / np.cosh(theta),
+            a * (1.0 / np.cosh(theta) - 1.0 / np.cosh(first)),
+            np.cosh(theta) - np.cosh(first) - np.tanh(theta) * share,
+            a * (np.tanh(theta) - np.tanh(first)),
+        )
+
+    x_a, x_s, z_a, z_s = by_parameters(turned, fractions)
+    w_a, w_s, v_a, v_s = by_parameters(last, 1.0)
+    determinant = w_a * v_s - w_s * v_a
+    b_xw, b_xv = (x_a * v_s - x_s * v_a) / determinant, (x_s * w_a - x_a * w_s) / determinant
+    b_zw, b_zv = (z_a * v_s - z_s * v_a) / determinant, (z_s * w_a - z_a * w_s) / determinant
+    across = (turned - first) / (last - first)
+    return (
+        np.stack(
+            [np.maximum(np.hypot(1.0 - b_xw, b_xv), 1.0 - across), np.hypot(b_zw, 1.0 - b_zv)]
+        ),
+        np.stack([np.maximum(np.hypot(b_xw, b_xv), across), np.hypot(b_zw, b_zv)]),
+    )
