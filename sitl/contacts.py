@@ -49,6 +49,7 @@ class Contacts:
             if speed > _BREAKING_SPEED:
                 b.health[[i, j]] = 0.0
                 b.crashed[[i, j]] = True
+                b.touch()
             middle = 0.5 * (b.velocity[i] + b.velocity[j])
             b.velocity[i] = middle
             b.velocity[j] = middle

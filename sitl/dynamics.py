@@ -40,45 +40,62 @@ AIR_DENSITY = 1.2
 class Bodies:
     """State of all vehicles and what their autopilots want of them.
 
-    The autopilots write ``goal_*``, the ``*_axes`` masks (1 where an axis is controlled), limits
-    and flags; `step` advances everything by `STEP` seconds.
+    Autopilots set goals through `aim` and `stage`, gains, limits and flags directly, followed by
+    `touch`; `step` advances everything by `STEP` seconds.
     """
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
-        specs = world.vehicles
-        n = self.count = len(specs)
         self.rng = rng
         self.floor = world.floor
-        column = np.array
-        self.mass = column([s.mass for s in specs])
-        self.radius = column([s.radius for s in specs])
-        self.grip_offset = column([s.grip_offset for s in specs])
-        self.thrust_limit = column([2.0 * (s.mass + s.payload) * GRAVITY / s.mass for s in specs])
-        self.max_acceleration = column([s.max_acceleration for s in specs])
-        self.position = column([s.pad for s in specs], dtype=float)
+        self._make_state(world)
+        self._make_goals(world)
+        self._make_flags()
+        self._make_air(world)
+        self.touch()
+
+    def _make_state(self, world: World) -> None:
+        specs = world.vehicles
+        n = self.count = len(specs)
+        self.mass = np.array([s.mass for s in specs])
+        self.radius = np.array([s.radius for s in specs])
+        self.grip_offset = np.array([s.grip_offset for s in specs])
+        self.thrust_limit = np.array([2.0 * (s.mass + s.payload) * GRAVITY / s.mass for s in specs])
+        self.max_acceleration = np.array([s.max_acceleration for s in specs])
+        self.position = np.array([s.pad for s in specs], dtype=float)
         self.position[:, 2] = np.maximum(self.position[:, 2], world.floor) + self.grip_offset
         self.velocity = np.zeros((n, 3))
-        self.acceleration = np.zeros((n, 3))
         self.thrust = np.zeros((n, 3))
         self.thrust_rate = np.zeros((n, 3))
         self.integral = np.zeros((n, 3))
-        self.yaw = np.pi / 2 - column([s.heading for s in specs])
+        self.yaw = np.pi / 2 - np.array([s.heading for s in specs])
         self.yaw_rate = np.zeros(n)
+        self.bias = np.zeros((n, 3))
+        self.noise = np.zeros((n, 3))
+        self.noise_scale = np.zeros((n, 1))
 
-        self.goal_position = self.position.copy()
-        self.goal_velocity = np.zeros((n, 3))
-        self.goal_acceleration = np.zeros((n, 3))
+    def _make_goals(self, world: World) -> None:
+        n = self.count
+        self.goal = np.zeros((n, 9))
+        self.goal_position = self.goal[:, :3]
+        self.goal_velocity = self.goal[:, 3:6]
+        self.goal_acceleration = self.goal[:, 6:]
+        self.goal_position[:] = self.position
         self.goal_yaw = self.yaw.copy()
         self.position_axes = np.zeros((n, 3))
         self.velocity_axes = np.zeros((n, 3))
-        self.speed_limit = column([s.max_speed for s in specs])
+        self.speed_limit = np.array([s.max_speed for s in world.vehicles])
         self.climb_limit = np.full(n, 3.0)
         self.descend_limit = np.full(n, 1.5)
         self.tilt_limit = np.full(n, np.tan(np.deg2rad(45.0)))
         self.position_gain = np.ones((n, 3))
         self.velocity_gain = np.ones((n, 3))
         self.integral_gain = np.zeros((n, 3))
+        self._staged: dict[int, tuple[float, ...]] = {}
+        self._axes: dict[int, tuple[float, ...]] = {}
+        self.velocity_goal = np.zeros((n, 3))
 
+    def _make_flags(self) -> None:
+        n = self.count
         self.armed = np.zeros(n, dtype=bool)
         self.may_lift = np.zeros(n, dtype=bool)
         self.landed = np.ones(n, dtype=bool)
@@ -91,108 +108,170 @@ class Bodies:
         self.cut_time = np.full(n, 0.35)
         self.health = np.ones(n)
         self.crashed = np.zeros(n, dtype=bool)
-        self.drag = np.full(n, 0.20)
+        self.share = np.zeros(n)
 
-        self.bias = np.zeros((n, 3))
-        self.noise = np.zeros((n, 3))
-        self.noise_scale = np.zeros((n, 1))
-        self.estimate_moved = np.zeros((n, 3))
-        self.wind = np.tile(np.array(world.wind.steady, dtype=float), (n, 1))
-        self.steady_wind = self.wind.copy()
+    def _make_air(self, world: World) -> None:
+        n = self.count
+        self.drag = np.full(n, 0.20)
+        self.steady_wind = np.tile(np.array(world.wind.steady, dtype=float), (n, 1))
+        self.wind = self.steady_wind.copy()
         self.gust_intensity = world.wind.gust
         self._gust = np.zeros((n + 1, 3))
         self.wash = np.zeros((n, 3))
-        self.velocity_goal = np.zeros((n, 3))
+
+    # The way in for autopilots.
+
+    def touch(self) -> None:
+        """Renew what is derived from gains, axes, biases and air, after changing any of them."""
+        self._gain = self.position_gain * self.position_axes
+        self._rate_gain = self.velocity_gain * self.velocity_axes
+        self._integral_gain = STEP * self.integral_gain * self.velocity_axes
+        self._offset = self.bias + self.noise
+        self._per_mass = 1.0 / self.mass[:, None]
+        self._drag = self.drag[:, None]
+        self._air = self._drag * (self.wind + self.wash)
+        self._air[:, 2] -= GRAVITY
+        self._least_speed = float(min(self.speed_limit.min(), self.climb_limit.min()))
+        self._least_speed = min(self._least_speed, float(self.descend_limit.min()))
+        self._most_z = 0.9 * float(self.thrust_limit.min())
+        self._least_reach = float(
+            min(self.max_acceleration.min(), self.tilt_limit.min() * 0.5 * GRAVITY)
+        )
+        self._healthy = bool((self.health == 1.0).all())
+        self._highest_stand = self.floor + float(self.grip_offset.max())
+
+    def aim(
+        self,
+        i: int,
+        goal: tuple[float, ...],
+        position_axes: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        velocity_axes: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    ) -> None:
+        """Set one vehicle's goal: position, velocity, acceleration (9 numbers, world ENU)."""
+        self._staged.pop(i, None)
+        self.goal[i] = goal
+        axes = (*position_axes, *velocity_axes)
+        if self._axes.get(i) != axes:
+            self._axes[i] = axes
+            self.position_axes[i] = position_axes
+            self.velocity_axes[i] = velocity_axes
+            self.touch()
+
+    def stage(self, i: int, goal: tuple[float, ...]) -> None:
+        """As `aim` with all axes, which are controlled already: taken up at the next step."""
+        self._staged[i] = goal
+
+    def unstage(self) -> None:
+        """Take up staged goals now, all in one."""
+        if self._staged:
+            self.goal[list(self._staged)] = list(self._staged.values())
+            self._staged.clear()
+
+    # Reading.
 
     def estimated(self) -> Array:
         """Where each vehicle's estimator believes its centre to be, world ENU (n, 3)."""
-        return self.position + self.bias + self.noise
+        estimate: Array = self.position + self._offset
+        return estimate
 
     def grip_points(self) -> Array:
         """Where the grip points are: a stiff dropper along the body's own down axis (n, 3)."""
+        points: Array
         length = np.sqrt(np.einsum("ij,ij->i", self.thrust, self.thrust))
-        flying = length > 1.0
-        if not flying.any():
-            points = self.position.copy()
-            points[:, 2] -= self.grip_offset
+        if length.min() < 1.0:
+            length[length < 1.0] = np.inf
+            standing = np.isinf(length)
+            points = self.position - self.thrust * (self.grip_offset / length)[:, None]
+            points[standing, 2] -= self.grip_offset[standing]
             return points
-        scale = self.grip_offset / np.where(flying, length, 1.0)
-        down = self.thrust * scale[:, None]
-        down[~flying] = 0.0
-        down[~flying, 2] = self.grip_offset[~flying]
-        return self.position - down
+        points = self.position - self.thrust * (self.grip_offset / length)[:, None]
+        return points
+
+    # One step.
 
     def step(self, force: Array) -> Flags | None:
         """Advance by `STEP` under external ``force`` (newtons, (n, 3)).
 
         Returns which vehicles have just hit the ground hard, or None.
         """
+        self.unstage()
         command = self._command()
-        dt = STEP
-        frequency = _THRUST_FREQUENCY
-        self.thrust_rate += dt * (
-            frequency**2 * (command - self.thrust)
-            - 2 * _THRUST_DAMPING * frequency * self.thrust_rate
-        )
-        self.thrust += dt * self.thrust_rate
-        acceleration = self.thrust + force / self.mass[:, None]
-        acceleration -= self.drag[:, None] * (self.velocity - self.wind - self.wash)
-        acceleration[:, 2] -= GRAVITY
-        self.acceleration = acceleration
-        self.velocity += dt * acceleration
-        self.position += dt * self.velocity
-        turn = (self.goal_yaw - self.yaw + np.pi) % (2 * np.pi) - np.pi
-        self.yaw_rate = np.clip(2.0 * turn, -_YAW_RATE, _YAW_RATE) * ~self.landed
-        self.yaw += dt * self.yaw_rate
-        hit = self._ground()
-        self._detect_landing()
-        return hit
+        command -= self.thrust
+        command *= STEP * _THRUST_FREQUENCY**2
+        self.thrust_rate *= 1.0 - 2 * STEP * _THRUST_DAMPING * _THRUST_FREQUENCY
+        self.thrust_rate += command
+        self.thrust += STEP * self.thrust_rate
+        change = self._air - self._drag * self.velocity
+        change += self.thrust
+        change += force * self._per_mass
+        change *= STEP
+        self.velocity += change
+        self.position += STEP * self.velocity
+        if self.position[:, 2].min() <= self._highest_stand:
+            return self._ground()
+        return None
 
     def _command(self) -> Array:
         """Commanded specific thrust after the health of the motors (n, 3)."""
-        error = self.goal_position - self.position - self.bias - self.noise
-        goal = self.position_gain * error
-        goal *= self.position_axes
+        goal = self.goal_position - self.position
+        goal -= self._offset
+        goal *= self._gain
         goal += self.goal_velocity
-        speed = np.hypot(goal[:, 0], goal[:, 1])
-        goal[:, :2] *= (self.speed_limit / np.maximum(speed, self.speed_limit))[:, None]
-        np.clip(goal[:, 2], -self.descend_limit, self.climb_limit, out=goal[:, 2])
+        if abs(goal).max() > self._least_speed:
+            speed = np.hypot(goal[:, 0], goal[:, 1])
+            goal[:, :2] *= (self.speed_limit / np.maximum(speed, self.speed_limit))[:, None]
+            np.clip(goal[:, 2], -self.descend_limit, self.climb_limit, out=goal[:, 2])
         self.velocity_goal = goal
         miss = goal - self.velocity
-        miss *= self.velocity_axes
-        wanted = self.velocity_gain * miss
+        wanted = self._rate_gain * miss
         wanted += self.goal_acceleration
         wanted += self.integral
-        reach = np.hypot(wanted[:, 0], wanted[:, 1])
-        limit = self.max_acceleration
-        wanted[:, :2] *= (limit / np.maximum(reach, limit))[:, None]
-        wanted[:, 2] += GRAVITY
-        airborne = self._lift()
-        self.integral += (STEP * airborne)[:, None] * self.integral_gain * miss
-        np.clip(self.integral, -5.0, 5.0, out=self.integral)
-        self.integral *= (airborne > 0)[:, None]
-        ceiling = airborne * self.thrust_limit
+        if abs(wanted).max() > self._least_reach:
+            reach = np.hypot(wanted[:, 0], wanted[:, 1])
+            limit = self.max_acceleration
+            wanted[:, :2] *= (limit / np.maximum(reach, limit))[:, None]
+            wanted[:, 2] += GRAVITY
+            self._limit_thrust(wanted)
+        else:
+            wanted[:, 2] += GRAVITY
+            if self.share.min() < 1.0:
+                self._limit_thrust(wanted)
+        miss *= self._integral_gain
+        self.integral += miss
+        if not self._healthy:
+            wanted *= self.health[:, None]
+        return wanted
+
+    def _limit_thrust(self, wanted: Array) -> None:
+        """Keep specific thrust within what the motors give and the tilt limit, in place."""
+        share = self.share
+        ceiling = share * self.thrust_limit
         up = wanted[:, 2]
         np.clip(up, np.minimum(_IDLE_THRUST, ceiling), ceiling, out=up)
         reach = np.hypot(wanted[:, 0], wanted[:, 1])
-        limit = self.tilt_limit * up
-        wanted[:, :2] *= (limit / np.maximum(reach, limit + 1e-9))[:, None]
-        wanted *= self.health[:, None]
-        return wanted
+        limit = self.tilt_limit * up + 1e-9
+        wanted[:, :2] *= (limit / np.maximum(reach, limit))[:, None]
+        self.integral *= (share > 0)[:, None]
 
-    def _lift(self) -> Array:
+    def supervise(self, interval: float) -> None:
+        """Take-off ramp, land detector and yaw, every ``interval`` seconds (call at 25 Hz)."""
+        np.clip(self.integral, -5.0, 5.0, out=self.integral)
+        turn = (self.goal_yaw - self.yaw + np.pi) % (2 * np.pi) - np.pi
+        self.yaw_rate = np.clip(2.0 * turn, -_YAW_RATE, _YAW_RATE) * ~self.landed
+        self.yaw += interval * self.yaw_rate
+        self._lift(interval)
+        self._detect_landing(interval)
+
+    def _lift(self, interval: float) -> None:
         """Share of full thrust that each vehicle may use: 0 standing, ramping up on take-off."""
-        self.armed_for = np.where(self.armed, self.armed_for + STEP, 0.0)
+        self.armed_for = np.where(self.armed, self.armed_for + interval, 0.0)
         ready = self.armed & self.may_lift & (self.armed_for > self.spool_time)
         climbing = (self.velocity_goal[:, 2] > _CLIMBING) | (self.goal_acceleration[:, 2] > 1.0)
         started = ready & self.landed & (climbing | (self.lifting > 0))
-        self.lifting = np.where(
-            self.landed, np.where(started, self.lifting + STEP, 0.0), self.lifting + STEP
-        )
+        self.lifting = np.where(started | ~self.landed, self.lifting + interval, 0.0)
         share = np.minimum(self.lifting / self.ramp_time, 1.0)
-        if (self.contact > self.cut_time).any():
-            share = np.where(self.contact > self.cut_time, 0.1, share)
-        return share * self.armed
+        share = np.where(self.contact > self.cut_time, np.minimum(share, 0.1), share)
+        self.share = share * self.armed
 
     def _ground(self) -> Flags | None:
         """Keep the legs above the floor, with friction; tell who came down hard."""
@@ -200,7 +279,7 @@ class Bodies:
         touching = height <= 0.0
         if not touching.any():
             return None
-        hard = touching & (self.velocity[:, 2] < -_CRASH_SPEED) & ~self.crashed
+        hard: Flags = touching & (self.velocity[:, 2] < -_CRASH_SPEED) & ~self.crashed
         self.position[touching, 2] = self.floor + self.grip_offset[touching]
         self.velocity[touching, 2] = np.maximum(self.velocity[touching, 2], 0.0)
         self.velocity[touching, :2] *= 0.5
@@ -209,10 +288,11 @@ class Bodies:
         if hard.any():
             self.crashed |= hard
             self.health[hard] = 0.0
+            self.touch()
             return hard
         return None
 
-    def _detect_landing(self) -> None:
+    def _detect_landing(self, interval: float) -> None:
         """Both autopilots' idea of a landing: told to go down, and not going anywhere.
 
         It is an inference, not a sensor. A vehicle that hangs on its neighbours' cable while told
@@ -226,7 +306,7 @@ class Bodies:
         )
         down = self.velocity_goal[:, 2] < _DESCENDING
         candidate = self.armed & ~self.landed & quiet & down & (self.lifting > 1.0)
-        self.contact = np.where(candidate, self.contact + STEP, 0.0)
+        self.contact = np.where(candidate, self.contact + interval, 0.0)
         left = self.position[:, 2] > self.floor + self.grip_offset + 0.05
         self.landed = (self.landed & ~(left & self.armed)) | (self.contact > self.land_time)
 
@@ -248,6 +328,7 @@ class Bodies:
             self._gust = keep * self._gust + np.sqrt(1 - keep**2) * self.gust_intensity * fresh
             self.wind = self.steady_wind + 0.8 * self._gust[0] + 0.6 * self._gust[1:]
         self._downwash()
+        self.touch()
 
     def _downwash(self) -> None:
         """Air pushed down on vehicles below others, as a vertical wind in their drag.

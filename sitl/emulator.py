@@ -198,11 +198,10 @@ class Emulator:
     def _advance(self) -> None:
         now = self.time
         b = self.bodies
-        if self.rope is not None and self.rope.grips:
-            force = self.rope.pull(b.grip_points(), b.velocity)
-        else:
-            force = self._force
-        hit = b.step(force)
+        rope = self.rope
+        if rope is not None and (rope.taut or self._ticks % _TICK_EVERY):
+            self._force = rope.pull(b.grip_points(), b.velocity)
+        hit = b.step(self._force)
         if hit is not None:
             for i in np.nonzero(hit)[0]:
                 self.contacts.contacts.append(
@@ -212,6 +211,7 @@ class Emulator:
         if self._ticks % _SLOW_EVERY == 0:
             self._slow(_SLOW_EVERY * STEP)
         if self._ticks % _TICK_EVERY == 0:
+            b.supervise(_TICK_EVERY * STEP)
             for vehicle in self.vehicles:
                 self._tick(vehicle, now)
         for vehicle, link in self._links:

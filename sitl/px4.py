@@ -156,10 +156,17 @@ class Px4:
         self.battery_level = 0
         self.battery_at_arming = 0
         self.gcs_seen = False
-        self.target_mask: int | None = None
+        self.all_axes = False
         self.ready_at = -math.inf
         self.apply_gains()
         vehicle.bodies.land_time[vehicle.index] = 0.9
+
+    @property
+    def target_mask(self) -> int | None:
+        """Type mask of POSITION_TARGET_LOCAL_NED; None while nothing is controlled."""
+        if not self.v.armed:
+            return None
+        return self.offboard.mask if self.state == "OFFBOARD" and self.offboard else 0
 
     # Parameters.
 
@@ -175,6 +182,7 @@ class Px4:
         b.tilt_limit[i] = math.tan(math.radians(min(89.0, max(10.0, p["MPC_TILTMAX_AIR"]))))
         b.spool_time[i] = max(0.0, p["COM_SPOOLUP_TIME"])
         b.ramp_time[i] = max(0.1, 0.5 * p["MPC_TKO_RAMP_T"])
+        b.touch()
 
     def parameter_changed(self, name: str) -> None:
         """React to PARAM_SET."""
@@ -402,37 +410,47 @@ class Px4:
 
     # Setpoints.
 
-    def setpoint(self, setpoint: wire.Setpoint, link: Link) -> None:
+    def setpoint(self, setpoint: wire.Setpoint, link: Link | None) -> None:
         """Take SET_POSITION_TARGET_LOCAL_NED as PX4 does: LOCAL_NED only; NaN is "not given"."""
         if setpoint.frame != _LOCAL_NED or setpoint.mask & 512:
             return
-        position = _masked(setpoint.position, setpoint.mask)
-        velocity = _masked(setpoint.velocity, setpoint.mask >> 3)
-        acceleration = _masked(setpoint.acceleration, setpoint.mask >> 6)
-        if not _complete(position, velocity, acceleration):
-            return
+        mask = setpoint.mask
+        values = (*setpoint.position, *setpoint.velocity, *setpoint.acceleration)
+        total = sum(values)
+        if mask & 0x1FF or total - total != 0.0:
+            values = tuple(math.nan if mask >> k & 1 else x for k, x in enumerate(values))
+            if not _complete(values):
+                return
         self.offboard_at = self.v.now
         self.offboard = setpoint
         if self.state == "OFFBOARD":
-            self._follow(position, velocity, acceleration)
-            if not setpoint.mask & 1024 and math.isfinite(setpoint.yaw):
+            self._follow(values)
+            if not mask & 1024 and math.isfinite(setpoint.yaw):
                 self.v.bodies.goal_yaw[self.v.index] = math.pi / 2 - setpoint.yaw
 
-    def _follow(self, position: list[float], velocity: list[float], acc: list[float]) -> None:
+    def _follow(self, values: tuple[float, ...]) -> None:
         v = self.v
-        b, i = v.bodies, v.index
-        given = [math.isfinite(value) for value in position]
-        moved = [math.isfinite(value) for value in velocity]
-        b.position_axes[i] = (given[1], given[0], given[2])
-        b.velocity_axes[i] = (given[1] or moved[1], given[0] or moved[0], given[2] or moved[2])
-        n, e, d = (value if math.isfinite(value) else 0.0 for value in position)
-        origin = v.origin
-        b.goal_position[i] = (origin[0] + e, origin[1] + n, origin[2] - d)
-        n, e, d = (value if math.isfinite(value) else 0.0 for value in velocity)
-        b.goal_velocity[i] = (e, n, -d)
-        n, e, d = (value if math.isfinite(value) else 0.0 for value in acc)
-        b.goal_acceleration[i] = (e, n, -d)
-        self.target_mask = self.offboard.mask if self.offboard else None
+        x, y, z = v.place
+        n, e, d, vn, ve, vd, an, ae, ad = values
+        total = sum(values)
+        if total - total == 0.0:
+            goal = (x + e, y + n, z - d, ve, vn, -vd, ae, an, -ad)
+            if self.all_axes:
+                v.bodies.stage(v.index, goal)
+            else:
+                v.bodies.aim(v.index, goal)
+                self.all_axes = True
+            return
+        self.all_axes = False
+        given = [float(math.isfinite(value)) for value in values]
+        moved = [max(given[k], given[k + 3]) for k in range(3)]
+        n, e, d, vn, ve, vd, an, ae, ad = (u if math.isfinite(u) else 0.0 for u in values)
+        v.bodies.aim(
+            v.index,
+            (x + e, y + n, z - d, ve, vn, -vd, ae, an, -ad),
+            (given[1], given[0], given[2]),
+            (moved[1], moved[0], moved[2]),
+        )
 
     # What flies.
 
@@ -555,11 +573,13 @@ class Px4:
         b, i = v.bodies, v.index
         b.may_lift[i] = name in {"OFFBOARD", "TAKEOFF", "POSCTL", "MISSION"}
         demand.limits(v, p["MPC_XY_CRUISE"], p["MPC_Z_V_AUTO_UP"], p["MPC_Z_V_AUTO_DN"])
-        self.target_mask = None
+        self.all_axes = False
         if name == "OFFBOARD":
             demand.limits(v, p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"])
             if self.offboard is not None:
-                self.setpoint(self.offboard, v.links[0]) if self.offboard_signal() else None
+                received = self.offboard_at
+                self.setpoint(self.offboard, None)
+                self.offboard_at = received
         elif name == "TAKEOFF" and self.goal is not None:
             demand.limits(v, p["MPC_XY_CRUISE"], p["MPC_TKO_SPEED"], p["MPC_Z_V_AUTO_DN"])
             demand.go(v, self.goal)
@@ -586,6 +606,7 @@ class Px4:
         home = v.home[2] if v.home is not None else v.origin[2]
         height = float(v.estimated()[2] - home)
         fast = height > p["MPC_LAND_ALT1"]
+        b.unstage()
         b.goal_velocity[i, 2] = -(p["MPC_Z_V_AUTO_DN"] if fast else p["MPC_LAND_SPEED"])
 
     def _steer_return(self) -> None:
@@ -615,15 +636,12 @@ def _nothing(_: Px4) -> None:
     return
 
 
-def _masked(values: tuple[float, float, float], bits: int) -> list[float]:
-    return [math.nan if bits >> k & 1 else value for k, value in enumerate(values)]
-
-
-def _complete(position: list[float], velocity: list[float], acc: list[float]) -> bool:
+def _complete(values: tuple[float, ...]) -> bool:
     """Every axis has something, x and y alike (PX4 refuses other combinations)."""
-    sets = [[math.isfinite(value) for value in values] for values in (position, velocity, acc)]
-    return all(any(kind[k] for kind in sets) for k in range(3)) and all(
-        kind[0] == kind[1] for kind in sets
+    given = [math.isfinite(value) for value in values]
+    kinds = (given[:3], given[3:6], given[6:])
+    return all(any(kind[k] for kind in kinds) for k in range(3)) and all(
+        kind[0] == kind[1] for kind in kinds
     )
 
 

@@ -10,6 +10,7 @@ With ``h``, ``v`` the level and upward distance between the ends, ``L`` the leng
 ``w (L ∓ v coth z)/2`` (Routh, "Analytical Statics", ch. X; Irvine, "Cable Structures", 1981).
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from sitl.world import CableSpec
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
 REACH = 0.15
 SPACING = 0.1
@@ -27,6 +29,8 @@ _CYLINDER_DRAG = 1.1
 _TAUT = 0.03
 _DAMPING_RATIO = 0.1
 _NODE_MASS = 1.5
+_STIFFEST = 1500.0
+_LEAST, _MOST = 1e-4, 1e4
 _FALL = 9.0
 _TABLE_Z = np.geomspace(_TAUT, 40.0, 3000)
 _TABLE_RATIO = np.log(np.sinh(_TABLE_Z) / _TABLE_Z - 1.0)
@@ -34,13 +38,41 @@ _TABLE_LOG_Z = np.log(_TABLE_Z)
 _TAUT_RATIO = float(np.sinh(_TAUT) / _TAUT)
 
 
-@dataclass
-class Spans:
-    """What the last call of `Rope.pull` found about each span between two grips."""
+@dataclass(frozen=True)
+class Hung:
+    """Every span between two grips, solved: geometry, catenary, tension (arrays over spans)."""
 
+    start: Array
+    stop: Array
+    across: Array
+    direction: Array
+    a: Array
+    low: Array
+    high: Array
+    length_used: Array
+    stretch: Array
+    resting: Flags | None
+    level: Array
     tension: Array
     chord: Array
     length: Array
+
+
+@dataclass(frozen=True)
+class End:
+    """A loose end: who holds it, how long it is, its samples from the grip to the tip."""
+
+    vehicle: int
+    length: float
+    samples: Indices
+    away: Array
+
+
+_EMPTY = np.zeros(0)
+_NONE = Hung(
+    _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, None, _EMPTY, _EMPTY,
+    _EMPTY, _EMPTY,
+)  # fmt: skip
 
 
 class Rope:
@@ -59,7 +91,7 @@ class Rope:
         self.falling = np.zeros(count)
         self.grips: list[tuple[float, int]] = []
         self.breaks: list[float] = []
-        self.spans = Spans(np.zeros(0), np.zeros(0), np.zeros(0))
+        self.spans = _NONE
         self.set_wind(wind)
         self._arrange()
 
@@ -134,25 +166,42 @@ class Rope:
     def _arrange(self) -> None:
         """Work out spans and loose ends after a grip, a release or a break."""
         broken = np.array(self.breaks)
-        spans, ends = [], []
-        for (arc, one), (next_arc, other) in zip(self.grips, self.grips[1:], strict=False):
-            cut = broken[(broken > arc) & (broken < next_arc)] if len(broken) else broken
+        spans: list[tuple[int, int, float, float]] = []
+        ends: list[tuple[int, float, float]] = []
+        for (arc, one), (next_arc, other) in itertools.pairwise(self.grips):
+            cut = broken[(broken > arc) & (broken < next_arc)]
             if len(cut):
-                ends += [(one, float(cut[0] - arc)), (other, float(next_arc - cut[-1]))]
+                ends += [(one, arc, float(cut[0])), (other, next_arc, float(cut[-1]))]
             else:
                 spans.append((one, other, next_arc - arc, arc))
         if self.grips:
             first, last = self.grips[0], self.grips[-1]
             low = max([0.0, *(b for b in self.breaks if b < first[0])])
             high = min([self.length, *(b for b in self.breaks if b > last[0])])
-            ends += [(first[1], first[0] - low), (last[1], high - last[0])]
+            ends += [(first[1], first[0], low), (last[1], last[0], high)]
+        self._ends = [self._end(*end) for end in ends if abs(end[2] - end[1]) > 1e-9]
         self.starts: Indices = np.array([s[0] for s in spans], dtype=np.intp)
         self.stops: Indices = np.array([s[1] for s in spans], dtype=np.intp)
         self.lengths = np.array([s[2] for s in spans])
         self.span_arcs = np.array([s[3] for s in spans])
-        self.end_vehicles: Indices = np.array([e[0] for e in ends], dtype=np.intp)
-        self.end_lengths = np.array([e[1] for e in ends])
+        self._longest = float(self.lengths.max()) if spans else 0.0
         self._parameter = np.full(len(spans), 1.0)
+        self._between = np.zeros(0, dtype=np.intp)
+        if spans:
+            number = np.searchsorted(self.span_arcs, self.arc, side="right") - 1
+            along = self.arc - self.span_arcs[number]
+            held = (number >= 0) & (along >= 0) & (along <= self.lengths[number])
+            self._between = np.nonzero(held)[0]
+            self._span_of = number[held]
+            self._along = along[held]
+        self.taut = True
+
+    def _end(self, vehicle: int, arc: float, tip: float) -> End:
+        low, high = min(arc, tip), max(arc, tip)
+        inside = np.nonzero((self.arc >= low) & (self.arc <= high) & (self.arc != arc))[0]
+        if tip < arc:
+            inside = inside[::-1]
+        return End(vehicle, high - low, inside, np.abs(self.arc[inside] - arc))
 
     def pull(self, grips: Array, velocity: Array) -> Array:
         """Force of the cable on every vehicle (newtons, ENU, (n, 3)).
@@ -160,87 +209,84 @@ class Rope:
         ``grips`` and ``velocity`` are all vehicles' grip points and velocities (n, 3).
         """
         force = np.zeros_like(grips)
-        if not self.grips:
-            self.spans = Spans(np.zeros(0), np.zeros(0), np.zeros(0))
-            return force
+        self.taut = False
         if len(self.starts):
-            on_start, on_stop = self._hang(grips, velocity)
+            hung = self._hang(grips)
+            self.spans = hung
+            weight = self.weight * self.down
+            level = hung.level[:, None] * hung.direction
+            on_start = level + hung.low[:, None] * weight
+            on_stop = hung.high[:, None] * weight - level
+            if hung.stretch.max() > -0.03:
+                self.taut = True
+                self._stretch(hung, velocity, on_start, on_stop)
             force[self.starts] += on_start
             force[self.stops] += on_stop
-        height = np.maximum(grips[self.end_vehicles, 2] - self.floor, 0.0)
-        hanging = np.minimum(height, self.end_lengths) * self.weight
-        np.add.at(force, self.end_vehicles, hanging[:, None] * self.down)
+            if hung.tension.max() > self.spec.breaking_load:
+                self._snap(int(np.argmax(hung.tension)))
+        else:
+            self.spans = _NONE
+        for end in self._ends:
+            hanging = min(max(float(grips[end.vehicle, 2]) - self.floor, 0.0), end.length)
+            force[end.vehicle] += hanging * self.weight * self.down
         return force
 
-    def _hang(self, grips: Array, velocity: Array) -> tuple[Array, Array]:
+    def _hang(self, grips: Array) -> Hung:
+        """Solve every span's catenary, or its two halves where it lies on the floor."""
         start, stop = grips[self.starts], grips[self.stops]
         chord = stop - start
         upward = -(chord @ self.down)
-        level = chord + upward[:, None] * self.down
-        across = np.sqrt(np.einsum("ij,ij->i", level, level))
-        across = np.maximum(across, 1e-4)
-        direction = level / across[:, None]
-        shortest = np.sqrt(upward**2 + (across * _TAUT_RATIO) ** 2)
+        flat = chord + upward[:, None] * self.down
+        across = np.sqrt(np.einsum("ij,ij->i", flat, flat)) + 1e-4
+        direction = flat / across[:, None]
+        shortest = np.hypot(upward, across * _TAUT_RATIO)
         length = np.maximum(self.lengths, shortest)
-        ratio = np.sqrt(np.maximum(length**2 - upward**2, across**2)) / across
-        z = np.exp(np.interp(np.log(np.maximum(ratio - 1.0, 1e-9)), _TABLE_RATIO, _TABLE_LOG_Z))
-        half = 0.5 / z
-        tension = self.weight * across * half
+        ratio = np.sqrt(length**2 - upward**2) / across
+        z = np.exp(np.interp(np.log(ratio - 1.0), _TABLE_RATIO, _TABLE_LOG_Z))
+        a = 0.5 * across / z
         tilt = upward / np.tanh(z)
         low, high = 0.5 * (length - tilt), 0.5 * (length + tilt)
-        self._state = (start, across, direction, upward, across * half, low, length)
-        resting = self._resting(start, stop, across, half * across, low, high)
-        if resting.any():
-            tension, low, high = self._on_floor(start, stop, across, tension, low, high, resting)
-        self._rests = resting
-        down = self.weight * self.down
-        on_start = tension[:, None] * direction + low[:, None] * down
-        on_stop = -tension[:, None] * direction + high[:, None] * down
-        total = tension + self.weight * np.maximum(np.abs(low), np.abs(high))
-        stretch = shortest - self.lengths
-        if (stretch > 0).any():
-            total += self._stretch(chord, stretch, velocity, on_start, on_stop)
-        distance = np.sqrt(across**2 + upward**2)
-        self.spans = Spans(total, distance, self.lengths)
-        if (total > self.spec.breaking_load).any():
-            self._snap(int(np.argmax(total)))
-        return on_start, on_stop
+        resting = None
+        lowest = min(float(start[:, 2].min()), float(stop[:, 2].min()))
+        if lowest - 0.5 * self._longest < self.floor:
+            resting = self._resting(start, stop, a, low, high)
+            if resting is not None:
+                a, low, high = self._on_floor(start, stop, across, a, low, high, resting)
+        level = self.weight * a
+        tension = level + self.weight * np.maximum(np.abs(low), np.abs(high))
+        distance = np.hypot(across, upward)
+        return Hung(
+            start, stop, across, direction, a, low, high, length, shortest - self.lengths, resting,
+            level, tension, distance, self.lengths,
+        )  # fmt: skip
 
-    def _stretch(
-        self, chord: Array, stretch: Array, velocity: Array, on_start: Array, on_stop: Array
-    ) -> Array:
-        """Add the elastic pull of over-stretched spans in place; return it."""
-        reach = np.sqrt(np.einsum("ij,ij->i", chord, chord))
-        along = chord / np.maximum(reach, 1e-9)[:, None]
-        stiffness = self.spec.stiffness / np.maximum(self.lengths, 0.2)
+    def _stretch(self, hung: Hung, velocity: Array, on_start: Array, on_stop: Array) -> None:
+        """Add the elastic pull of over-stretched spans, in place."""
+        chord = hung.stop - hung.start
+        along = chord / np.maximum(hung.chord, 1e-9)[:, None]
+        stiffness = np.minimum(self.spec.stiffness / self.lengths, _STIFFEST)
         opening = np.einsum("ij,ij->i", velocity[self.stops] - velocity[self.starts], along)
         damping = 2 * _DAMPING_RATIO * np.sqrt(stiffness * _NODE_MASS)
-        pull = np.where(stretch > 0, np.maximum(stiffness * stretch + damping * opening, 0.0), 0.0)
+        pull = np.maximum(stiffness * hung.stretch + damping * opening, 0.0)
+        pull *= hung.stretch > 0
         on_start += pull[:, None] * along
         on_stop -= pull[:, None] * along
-        return pull
+        hung.tension[:] += pull
 
     def _resting(
-        self, start: Array, stop: Array, across: Array, a: Array, low: Array, high: Array
-    ) -> NDArray[np.bool_]:
-        """Which spans would hang below the floor at their lowest point."""
-        drop = np.sqrt(low**2 + a**2) - a
-        lowest = np.where(
-            (low > 0) & (high > 0), start[:, 2] - drop, np.minimum(start[:, 2], stop[:, 2])
-        )
-        below: NDArray[np.bool_] = lowest < self.floor - 1e-9
-        return below & (across > 1e-3)
+        self, start: Array, stop: Array, a: Array, low: Array, high: Array
+    ) -> Flags | None:
+        """Which spans would hang below the floor at their lowest point, None if none would."""
+        lowest = np.minimum(start[:, 2], stop[:, 2])
+        bottom = start[:, 2] - (np.hypot(low, a) - a)
+        lowest = np.where((low > 0) & (high > 0), bottom, lowest)
+        below = lowest < self.floor - 1e-9
+        return below if below.any() else None
 
     def _on_floor(
-        self,
-        start: Array,
-        stop: Array,
-        across: Array,
-        tension: Array,
-        low: Array,
-        high: Array,
-        resting: NDArray[np.bool_],
-    ) -> tuple[Array, Array, Array]:
+        self, start: Array, stop: Array, across: Array, a: Array, low: Array, high: Array,
+        resting: Flags,
+    ) -> tuple[Array, Array, Array]:  # fmt: skip
         """Two half catenaries that come down to the floor, and what lies straight between them.
 
         ``L − h = Σ (s_i − x_i)`` with ``s = √(H² + 2Ha)``, ``x = a acosh(1 + H/a)`` fixes ``a``;
@@ -249,23 +295,25 @@ class Rope:
         heights = np.maximum(np.stack([start[:, 2], stop[:, 2]]) - self.floor, 1e-6)
         slack = np.maximum(self.lengths - across, 0.0)
         hangs = slack >= heights.sum(axis=0) * 0.999
-        a = np.clip(self._parameter, 1e-4, 1e4)
-        for _ in range(6):
-            arcs = np.sqrt(heights**2 + 2 * heights * a)
-            angle = np.arccosh(1 + heights / a)
-            value = (arcs - a * angle).sum(axis=0)
-            slope = (2 * heights / arcs - angle).sum(axis=0) * a
-            wanted = np.log(np.maximum(slack, 1e-9)) - np.log(np.maximum(value, 1e-12))
-            update = wanted * value / np.minimum(slope, -1e-12)
-            a = np.clip(a * np.exp(np.clip(update, -1.5, 1.5)), 1e-4, 1e4)
-        a = np.where(hangs, 1e-4, a)
-        self._parameter = np.where(resting, a, 1.0)
-        arcs = np.where(hangs, heights, np.sqrt(heights**2 + 2 * heights * a))
-        self._floor_state = (a, arcs)
-        tension = np.where(resting, self.weight * a, tension)
-        low = np.where(resting, arcs[0], low)
-        high = np.where(resting, arcs[1], high)
-        return tension, low, high
+        guess = np.clip(self._parameter, _LEAST, _MOST)
+        target = np.log(np.maximum(slack, 1e-9))
+        for _ in range(8):
+            arcs = np.sqrt(heights**2 + 2 * heights * guess)
+            angle = np.arccosh(1 + heights / guess)
+            value = np.maximum((arcs - guess * angle).sum(axis=0), 1e-12)
+            slope = np.minimum((2 * heights / arcs - angle).sum(axis=0) * guess, -1e-12)
+            update = np.clip((target - np.log(value)) * value / slope, -1.5, 1.5)
+            guess = np.clip(guess * np.exp(update), _LEAST, _MOST)
+            if abs(update[resting]).max() < 1e-6:
+                break
+        guess = np.where(hangs, _LEAST, guess)
+        self._parameter = np.where(resting & ~hangs, guess, 1.0)
+        arcs = np.where(hangs, heights, np.sqrt(heights**2 + 2 * heights * guess))
+        return (
+            np.where(resting, guess, a),
+            np.where(resting, arcs[0], low),
+            np.where(resting, arcs[1], high),
+        )
 
     def _snap(self, span: int) -> None:
         """Break the cable where it is pulled hardest: just beside one of the two grips."""
@@ -299,94 +347,54 @@ class Rope:
         """Where every sample would be at rest (m, 3)."""
         target = self.shape.copy()
         target[:, 2] = self.floor
-        if not self.grips:
-            return target
-        for span in range(len(self.starts)):
-            low = self.span_arcs[span]
-            high = low + self.lengths[span]
-            inside = (self.arc >= low) & (self.arc <= high)
-            target[inside] = self._span_points(span, grips, self.arc[inside] - low)
-        for arc, vehicle in (self.grips[0], self.grips[-1]):
-            self._end_points(target, grips[vehicle], arc, first=arc == self.grips[0][0])
+        if len(self.starts):
+            target[self._between] = self._span_points(self._hang(grips))
+        for end in self._ends:
+            _hang_end(target, grips[end.vehicle], end, self.floor)
         return target
 
-    def _span_points(self, span: int, grips: Array, along: Array) -> Array:
-        start, stop = grips[self.starts[span]], grips[self.stops[span]]
-        length = float(self.lengths[span])
-        chord = stop - start
-        upward = float(-(chord @ self.down))
-        level = chord + upward * self.down
-        across = max(float(np.linalg.norm(level)), 1e-4)
-        direction = level / across
-        used = max(length, float(np.hypot(upward, across * _TAUT_RATIO)))
-        ratio = np.sqrt(max(used**2 - upward**2, across**2)) / across
-        z = np.exp(np.interp(np.log(max(ratio - 1.0, 1e-9)), _TABLE_RATIO, _TABLE_LOG_Z))
-        a = across / (2 * z)
-        low = 0.5 * (used - upward / np.tanh(z))
-        s = along * (used / length) - low
+    def _span_points(self, hung: Hung) -> Array:
+        k = self._span_of
+        a, low = hung.a[k], hung.low[k]
+        s = self._along * (hung.length_used / self.lengths)[k] - low
         sideways = a * (np.arcsinh(s / a) + np.arcsinh(low / a))
-        drop = np.sqrt(low**2 + a**2) - np.sqrt(s**2 + a**2)
-        points: Array = start + sideways[:, None] * direction + drop[:, None] * self.down
-        if points[:, 2].min() < self.floor:
-            return self._lying_points(start, stop, length, along)
+        drop = np.hypot(low, a) - np.hypot(s, a)
+        points: Array = hung.start[k] + sideways[:, None] * hung.direction[k]
+        points += drop[:, None] * self.down
+        if hung.resting is not None:
+            lying = np.nonzero(hung.resting[k])[0]
+            points[lying] = self._lying_points(hung, k[lying], self._along[lying])
         return points
 
-    def _lying_points(self, start: Array, stop: Array, length: float, along: Array) -> Array:
-        flat = np.array([*(stop - start)[:2], 0.0])
-        across = max(float(np.linalg.norm(flat)), 1e-4)
-        direction = flat / across
-        heights = np.maximum(np.array([start[2], stop[2]]) - self.floor, 1e-6)
-        slack = max(length - across, 0.0)
-        if slack >= heights.sum() * 0.999:
-            a, arcs, reach = 1e-4, heights, np.zeros(2)
-        else:
-            a = _floor_parameter(heights, slack)
-            arcs = np.sqrt(heights**2 + 2 * heights * a)
-            reach = a * np.arccosh(1 + heights / a)
-        points = np.empty((len(along), 3))
-        lying = max(length - arcs.sum(), 1e-9)
-        ground = max(across - reach.sum(), 0.0)
-        x = reach[0] + np.clip((along - arcs[0]) / lying, 0, 1) * ground
-        z = np.full(len(along), self.floor)
-        for end, distance in ((0, along), (1, length - along)):
-            hanging = distance < arcs[end]
-            s = np.maximum(arcs[end] - distance[hanging], 0.0)
-            z[hanging] = self.floor + np.sqrt(s**2 + a**2) - a
-            out = a * np.arcsinh(s / a)
-            x[hanging] = reach[0] - out if end == 0 else across - reach[1] + out
-        points[:] = start + x[:, None] * direction
+    def _lying_points(self, hung: Hung, k: Indices, along: Array) -> Array:
+        """Points of spans that rest on the floor: down one end, along the floor, up the other."""
+        a, arcs = hung.a[k], (hung.low[k], hung.high[k])
+        length = self.lengths[k]
+        reach = [a * np.arcsinh(arc / a) * (a > _LEAST) for arc in arcs]
+        ground = np.maximum(hung.across[k] - reach[0] - reach[1], 0.0)
+        flat = np.maximum(length - arcs[0] - arcs[1], 1e-9)
+        x = reach[0] + np.clip((along - arcs[0]) / flat, 0.0, 1.0) * ground
+        z = np.full(len(k), self.floor)
+        for end, distance in enumerate((along, length - along)):
+            s = np.maximum(arcs[end] - distance, 0.0)
+            z = np.maximum(z, self.floor + np.where(a > _LEAST, np.hypot(s, a) - a, s))
+            out = a * np.arcsinh(s / a) * (a > _LEAST)
+            inward = reach[0] - out if end == 0 else hung.across[k] - reach[1] + out
+            x = np.where(s > 0, inward, x)
+        points: Array = hung.start[k] + x[:, None] * hung.direction[k]
         points[:, 2] = z
         return points
 
-    def _end_points(self, target: Array, grip: Array, arc: float, first: bool) -> None:
-        """A loose end hangs straight down from its grip; what reaches the floor lies in its line."""
-        inside = self.arc < arc if first else self.arc > arc
-        if not inside.any():
-            return
-        away = np.abs(self.arc[inside] - arc)
-        height = max(float(grip[2]) - self.floor, 0.0)
-        hanging = away <= height
-        places = target[inside]
-        tip = places[0] if first else places[-1]
-        flat = np.array([tip[0] - grip[0], tip[1] - grip[1], 0.0])
-        size = float(np.linalg.norm(flat))
-        direction = flat / size if size > 1e-6 else np.zeros(3)
-        moved = np.array(grip) + np.maximum(away - height, 0.0)[:, None] * direction
-        moved[:, 2] = np.where(hanging, grip[2] - away, self.floor)
-        target[inside] = moved
 
-
-def _floor_parameter(heights: Array, slack: float) -> float:
-    """Catenary parameter of a span that lies on the floor in its middle, by bisection in log a."""
-    low, high = np.log(1e-4), np.log(1e4)
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        a = np.exp(middle)
-        value = float(
-            (np.sqrt(heights**2 + 2 * heights * a) - a * np.arccosh(1 + heights / a)).sum()
-        )
-        if value > slack:
-            low = middle
-        else:
-            high = middle
-    return float(np.exp(0.5 * (low + high)))
+def _hang_end(target: Array, grip: Array, end: End, floor: float) -> None:
+    """A loose end hangs straight down from its grip; what reaches the floor lies in its line."""
+    if not len(end.samples):
+        return
+    height = max(float(grip[2]) - floor, 0.0)
+    flat = target[end.samples[-1]] - grip
+    flat[2] = 0.0
+    size = float(np.linalg.norm(flat))
+    direction = flat / size if size > 1e-6 else np.zeros(3)
+    points = grip + np.maximum(end.away - height, 0.0)[:, None] * direction
+    points[:, 2] = np.maximum(grip[2] - end.away, floor)
+    target[end.samples] = points

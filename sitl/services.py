@@ -424,7 +424,7 @@ def _set_origin(v: Vehicle, message: Any, link: Link) -> None:
         return
     x, y = v.around.geodesy.metres(message.latitude * 1e-7, message.longitude * 1e-7)
     if max(abs(x), abs(y)) < 1e5:
-        v.origin = np.array([x, y, message.altitude * 1e-3 - v.around.geodesy.altitude])
+        v.move_origin([x, y, message.altitude * 1e-3 - v.around.geodesy.altitude])
         emit(v, "GPS_GLOBAL_ORIGIN", link)
 
 
@@ -437,6 +437,7 @@ def _vision(v: Vehicle, message: Any, link: Link) -> None:
     correction = told - v.bodies.position[v.index]
     if float(np.linalg.norm(correction)) < 5.0:
         v.bodies.bias[v.index] = correction
+        v.bodies.touch()
         v.vision_at = v.now
 
 

@@ -103,7 +103,7 @@ class Personality(Protocol):
     """What differs between autopilots: modes, commands, setpoints, failsafes."""
 
     def command(self, command: int, p: list[float], link: Link, x: int, y: int) -> int | None: ...
-    def setpoint(self, setpoint: wire.Setpoint, link: Link) -> None: ...
+    def setpoint(self, setpoint: wire.Setpoint, link: Link | None) -> None: ...
     def set_mode(self, base: int, custom: int, link: Link) -> int: ...
     def tick(self) -> None: ...
     def custom_mode(self) -> int: ...
@@ -168,6 +168,7 @@ class Vehicle:
             self.bodies.noise_scale[index] = 1.0
         if world.indoor:
             self.origin = np.zeros(3)
+        self.place: tuple[float, float, float] = tuple(self.origin.tolist())
         self.home: np.ndarray[Any, Any] | None = None
         self.charge = 1.0
         self.voltage = 16.4
@@ -211,6 +212,11 @@ class Vehicle:
         i = self.index
         b = self.bodies
         return b.position[i] + b.bias[i] + b.noise[i]
+
+    def move_origin(self, origin: Any) -> None:
+        """Give the estimator another local origin (world ENU)."""
+        self.origin = np.array(origin, dtype=float)
+        self.place = tuple(self.origin.tolist())
 
     def add_link(self, kind: str) -> Link:
         """Open one more connection to this vehicle."""
