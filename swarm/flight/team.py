@@ -160,7 +160,7 @@ class Team:
             outgoing.extend(self._heartbeats())
         if now >= self._next_timesync:
             self._next_timesync = now + TIMESYNC_INTERVAL
-            for sysid, vehicle in self.vehicles.items():
+            for sysid in self.vehicles:
                 # zero would read as "not a request of ours", so the clock starts at one
                 stamp = int(now * 1e9) + 1
                 request = common.MAVLink_timesync_message(0, stamp)

@@ -1,0 +1,59 @@
+"""The built-in emulator as a process of its own, speaking real UDP on loopback."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from swarm.errors import VehicleError
+
+_STOP_PATIENCE = 3.0
+
+
+class EmulatorProcess:
+    """The emulator's process, ended with :meth:`stop` or with this process."""
+
+    def __init__(self, world: Mapping[str, Any], folder: Path, port: int, speed: float) -> None:
+        """Write the world file and start; ``port`` is where the vehicles shall speak to."""
+        path = folder / "world.json"
+        self._errors = folder / "emulator.txt"
+        try:
+            path.write_text(json.dumps(world, indent=1))
+            errors = self._errors.open("wb")
+        except OSError as error:
+            raise VehicleError(f"the emulator's world cannot be written: {error}") from None
+        command = [sys.executable, "-m", "sitl", "--world", str(path), "--speed", f"{speed:g}"]
+        command += ["--target", f"127.0.0.1:{port}", "--truth", str(folder / "truth.jsonl")]
+        with errors:
+            self._process = subprocess.Popen(  # noqa: S603
+                [*command, "--json", "--follow-parent"],
+                stdin=subprocess.DEVNULL,
+                stdout=errors,
+                stderr=errors,
+                start_new_session=True,
+            )
+
+    @property
+    def pid(self) -> int:
+        """The process id, for those who want to see what happens when it dies."""
+        return self._process.pid
+
+    def ended(self) -> str | None:
+        """Return how the emulator ended, None while it runs."""
+        code = self._process.poll()
+        if code is None:
+            return None
+        how = f"signal {-code}" if code < 0 else f"exit code {code}"
+        said = self._errors.read_text(errors="replace").strip().splitlines()
+        return f"the emulator ended ({how})" + (f": {said[-1]}" if said and code > 0 else "")
+
+    def stop(self) -> None:
+        """End the emulator."""
+        self._process.terminate()
+        try:
+            self._process.wait(_STOP_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

@@ -1,0 +1,216 @@
+"""One flight on real links, from the first heartbeat to the closed record."""
+
+import queue
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from swarm.errors import Refused
+from swarm.fleet import Fleet
+from swarm.flight.clearance import Audit, go
+from swarm.flight.conductor import Conductor
+from swarm.flight.result import FlightResult
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.world import emulated_world
+from swarm.ground.emulator import EmulatorProcess
+from swarm.ground.loop import Loop
+from swarm.ground.record import Record
+from swarm.ground.sockets import open_links
+from swarm.preflight.findings import ProvenPlan
+
+SNAPSHOT_INTERVAL = 0.1
+_MOST_WAITING = 200
+
+Confirm = Callable[[Audit], bool]
+
+
+def fly(
+    proven: ProvenPlan,
+    fleet: Fleet,
+    record_folder: Path,
+    *,
+    speed: float = 1.0,
+    no_cable: bool = False,
+    confirm: Confirm | None = None,
+    on_snapshot: Callable[[Snapshot], None] | None = None,
+    on_event: Callable[[Event], None] | None = None,
+    on_emulator: Callable[[int], None] | None = None,
+) -> FlightResult:
+    """Fly a proven plan; returns how it went, with the record in ``record_folder``.
+
+    ``confirm`` is asked, in a thread of its own, once the team has been audited on the ground; no
+    answer, no flight. Without it a clean audit is enough. ``on_snapshot`` is called about ten times
+    a second, ``on_event`` for every event, both in a thread of their own which may be slow: what it
+    cannot take is dropped. ``on_emulator`` is told the emulator's process id. ``speed`` is for
+    emulated fleets only. The first SIGINT holds and lands the team, the second lands it at once.
+
+    Raises :class:`swarm.errors.VehicleError` where a link cannot be opened, and
+    :class:`swarm.errors.InputError` where the record cannot be written.
+    """
+    if fleet.emulated is None and speed != 1.0:
+        raise Refused("only emulated vehicles fly faster than time")
+    conductor = Conductor(proven, fleet, no_cable=no_cable)
+    links = open_links(fleet.links)
+    emulator: EmulatorProcess | None = None
+    record: Record | None = None
+    events: list[Event] = []
+    try:
+        record = Record(record_folder, began=time.time())
+        record.before(proven, fleet, {"speed": speed, "no_cable": no_cable})
+        if fleet.emulated is not None:
+            seed = fleet.emulated.seed
+            world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
+            port = links.port(next(iter(fleet.links)))
+            emulator = EmulatorProcess(world, record_folder, port, speed)
+            if on_emulator is not None:
+                on_emulator(emulator.pid)
+        with _listener(on_snapshot, on_event) as tell, _interrupts() as interrupts:
+            shell = _Shell(conductor, record, events, tell, interrupts, emulator, confirm)
+            loop = Loop(conductor, links, record, speed, shell.each_tick)
+            loop.run()
+            shell.each_tick(conductor.now)
+        outcome = conductor.finished
+        if outcome is None:
+            raise AssertionError("the loop ends when the conductor has finished")
+        if emulator is not None and outcome.word == "failed" and (how := emulator.ended()):
+            outcome = replace(outcome, explanation=f"{outcome.explanation}; {how}")
+        result = FlightResult(
+            outcome=outcome,
+            trace=conductor.trace(),
+            events=tuple(events),
+            statistics=replace(
+                conductor.statistics(), lateness=loop.lateness_quantiles(), cpu=loop.cpu
+            ),
+            record=record_folder,
+        )
+        record.after(result)
+        return result
+    finally:
+        if emulator is not None:
+            emulator.stop()
+        if record is not None:
+            record.close()
+        links.close()
+
+
+class _Shell:
+    """What happens around every tick: events out, wishes in, clearance."""
+
+    def __init__(
+        self,
+        conductor: Conductor,
+        record: Record,
+        events: list[Event],
+        tell: Callable[[Snapshot | Event], None],
+        interrupts: list[int],
+        emulator: EmulatorProcess | None,
+        confirm: Confirm | None,
+    ) -> None:
+        self._conductor, self._record, self._events = conductor, record, events
+        self._tell, self._interrupts, self._emulator = tell, interrupts, emulator
+        self._confirm = confirm
+        self._next_snapshot = 0.0
+        self._answer: queue.SimpleQueue[bool] | None = None
+
+    def each_tick(self, now: float) -> None:
+        conductor = self._conductor
+        while self._interrupts:
+            self._interrupts.pop()
+            conductor.request("interrupt")
+        if conductor.stage == "ready" and conductor.audit is not None:
+            self._clear(conductor.audit)
+        for event in conductor.events():
+            self._events.append(event)
+            self._record.event(event)
+            self._tell(event)
+        if now >= self._next_snapshot:
+            self._next_snapshot = now + SNAPSHOT_INTERVAL
+            self._tell(conductor.snapshot(now))
+            if conductor.stage in {"listen", "prepare"} and self._emulator is not None:
+                how = self._emulator.ended()
+                if how is not None:
+                    conductor.give_up(how)
+
+    def _clear(self, audit: Audit) -> None:
+        """Ask for the go once, without waiting for the answer, and start when it has come."""
+        if self._answer is None:
+            self._answer = queue.SimpleQueue()
+            if self._confirm is None or not audit.passed:
+                self._answer.put(True)
+            else:
+                asking = threading.Thread(
+                    target=_ask, args=(self._confirm, audit, self._answer), daemon=True
+                )
+                asking.start()
+        with suppress(queue.Empty):
+            if self._answer.get_nowait():
+                try:
+                    self._conductor.start(go(self._conductor.proven, audit))
+                except Refused as error:
+                    self._conductor.refuse(str(error))
+            else:
+                self._conductor.refuse("not confirmed")
+
+
+def _ask(confirm: Confirm, audit: Audit, answer: "queue.SimpleQueue[bool]") -> None:
+    said = False
+    try:
+        said = confirm(audit)
+    finally:
+        answer.put(said)
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Collect SIGINT and SIGTERM instead of being ended by them, where this is the main thread."""
+    caught: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield caught
+        return
+
+    def catch(number: int, _frame: FrameType | None) -> None:
+        caught.append(number)
+
+    before = {number: signal.signal(number, catch) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield caught
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _listener(
+    on_snapshot: Callable[[Snapshot], None] | None, on_event: Callable[[Event], None] | None
+) -> Iterator[Callable[[Snapshot | Event], None]]:
+    """Give snapshots and events to callbacks in a thread that cannot hold the flight up."""
+    waiting: queue.Queue[Any] = queue.Queue(_MOST_WAITING)
+
+    def tell(what: Snapshot | Event) -> None:
+        wanted = on_event if isinstance(what, Event) else on_snapshot
+        if wanted is not None:
+            with suppress(queue.Full):
+                waiting.put_nowait(what)
+
+    def work() -> None:
+        while (what := waiting.get()) is not None:
+            if isinstance(what, Event):
+                if on_event is not None:
+                    on_event(what)
+            elif on_snapshot is not None:
+                on_snapshot(what)
+
+    worker = threading.Thread(target=work, name="listener", daemon=True)
+    worker.start()
+    try:
+        yield tell
+    finally:
+        with suppress(queue.Full):
+            waiting.put(None, timeout=1.0)
+        worker.join(2.0)

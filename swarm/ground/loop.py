@@ -1,0 +1,67 @@
+"""The flight loop: the only place that joins sockets, the clock and the conductor.
+
+Deadlines are absolute; a tick that comes too late is not made up for, so nothing stale is sent.
+Packets are taken as they come in between.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from swarm.flight.conductor import Conductor
+from swarm.ground.record import Record
+from swarm.ground.sockets import Links
+
+
+@dataclass
+class Loop:
+    """Runs a conductor on links in real time, ``speed`` times faster.
+
+    ``each_tick`` is called after every tick with flight time; it must be quick.
+    """
+
+    conductor: Conductor
+    links: Links
+    record: Record | None
+    speed: float
+    each_tick: Callable[[float], None]
+    lateness: list[float] = field(default_factory=list)
+    cpu: float = 0.0
+
+    def run(self) -> None:
+        """Run until the conductor has finished."""
+        conductor, links = self.conductor, self.links
+        interval = 1.0 / (self.conductor.fleet.rates.setpoint * self.speed)
+        began, cpu = time.monotonic(), time.process_time()
+        deadline = began
+        while conductor.finished is None:
+            while (left := deadline - time.monotonic()) > 0.0:
+                self._receive(began, left)
+            self._receive(began, 0.0)
+            moment = time.monotonic()
+            self.lateness.append(moment - deadline)
+            now = (moment - began) * self.speed
+            outgoing = conductor.tick(now)
+            links.send(outgoing)
+            if self.record is not None:
+                for one in outgoing:
+                    self.record.packet(one.data, now)
+            self.each_tick(now)
+            deadline += interval
+            deadline = max(deadline, time.monotonic())
+        elapsed = time.monotonic() - began
+        self.cpu = (time.process_time() - cpu) / max(elapsed, 1e-9)
+
+    def _receive(self, began: float, timeout: float) -> None:
+        for link, address, data in self.links.wait(timeout):
+            now = (time.monotonic() - began) * self.speed
+            self.conductor.receive(link, address, data, now)
+            if self.record is not None:
+                self.record.packet(data, now)
+
+    def lateness_quantiles(self) -> tuple[float, float]:
+        """Return median and 99 % of how late ticks were, in seconds."""
+        late = np.array(self.lateness or [0.0])
+        return float(np.quantile(late, 0.5)), float(np.quantile(late, 0.99))

@@ -1,0 +1,166 @@
+"""A flight's record: a folder that fills while it flies, and never holds the flight up.
+
+Packets and events are handed to a thread that writes them a few times a second; a disk that is
+full or gone costs the record, not the flight.
+"""
+
+import json
+import math
+import os
+import platform
+import struct
+import threading
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarm import __version__
+from swarm.errors import InputError, Problem
+from swarm.fleet import Fleet
+from swarm.flight.archive import plan_document, plan_motion
+from swarm.flight.result import FlightResult
+from swarm.flight.snapshot import Event
+from swarm.preflight.findings import ProvenPlan
+
+WRITE_INTERVAL = 0.25
+_MOST_WAITING = 200_000
+_STAMP = struct.Struct(">Q")
+
+
+class Record:
+    """The record of one flight.
+
+    ``began`` is the wall-clock time in seconds since 1970 at which flight time was zero.
+    """
+
+    def __init__(self, folder: Path, began: float) -> None:
+        """Raise :class:`InputError` where the folder cannot be made or is not empty."""
+        self.folder = folder
+        self._began = began
+        self.problem: str | None = None
+        self.dropped = 0
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if any(folder.iterdir()):
+                raise InputError([Problem(str(folder), "expected an empty or new folder")])
+            self._packets = (folder / "flight.tlog").open("wb", buffering=0)
+            self._events = (folder / "events.jsonl").open("wb", buffering=0)
+        except OSError as error:
+            reason = (error.strerror or "cannot be written").lower()
+            raise InputError([Problem(str(folder), reason)]) from None
+        self._waiting: deque[tuple[Any, bytes]] = deque()
+        self._closing = threading.Event()
+        self._writer = threading.Thread(target=self._write, name="record", daemon=True)
+        self._writer.start()
+
+    def packet(self, data: bytes, now: float) -> None:
+        """Keep a packet that was sent or received, in either direction."""
+        self._keep(self._packets, _STAMP.pack(int((self._began + now) * 1e6)) + data)
+
+    def event(self, event: Event) -> None:
+        """Keep an event."""
+        self._keep(self._events, json.dumps(asdict(event), ensure_ascii=False).encode() + b"\n")
+
+    def _keep(self, file: Any, data: bytes) -> None:
+        if len(self._waiting) < _MOST_WAITING:
+            self._waiting.append((file, data))
+        else:
+            self.dropped += 1
+
+    def _write(self) -> None:
+        while not self._closing.wait(WRITE_INTERVAL):
+            self._write_waiting()
+        self._write_waiting()
+
+    def _write_waiting(self) -> None:
+        parts: dict[Any, list[bytes]] = {self._packets: [], self._events: []}
+        for _ in range(len(self._waiting)):
+            file, data = self._waiting.popleft()
+            parts[file].append(data)
+        for file, chunks in parts.items():
+            data = b"".join(chunks)
+            try:
+                while data:
+                    data = data[file.write(data) :]
+            except OSError as error:
+                self.dropped += len(chunks)
+                self.problem = (error.strerror or "cannot be written").lower()
+
+    def before(self, proven: ProvenPlan, fleet: Fleet, facts: Mapping[str, Any]) -> None:
+        """Write down what is about to be flown, with what."""
+        plan = proven.plan
+        mission = plan.mission.model_dump_json(by_alias=True, indent=1)
+        self._file("mission.json", mission.encode())
+        self._file("fleet.json", fleet.model_dump_json(by_alias=True, indent=1).encode())
+        self._file("plan.json", json.dumps(plan_document(plan), indent=1).encode())
+        self._file("motion.npz", plan_motion(plan))
+        self._file("versions.json", json.dumps({**_versions(), **facts}, indent=1).encode())
+
+    def after(self, result: FlightResult) -> None:
+        """Write the summary and the trace, and close the record."""
+        statistics = asdict(result.statistics)
+        summary = {
+            "outcome": result.outcome.word,
+            "explanation": result.outcome.explanation,
+            "exit_code": result.outcome.exit_code,
+            "statistics": statistics,
+            "record": {"dropped": self.dropped, "problem": self.problem},
+        }
+        self._file("summary.json", json.dumps(_plain(summary), indent=1).encode())
+        trace = result.trace
+        try:
+            np.savez_compressed(
+                self.folder / "trace.npz",
+                time=trace.time,
+                mission_time=trace.mission_time,
+                position=trace.position,
+                setpoint=trace.setpoint,
+                phase=np.array(trace.phase, dtype=np.str_),
+            )
+        except OSError as error:
+            self.problem = (error.strerror or "cannot be written").lower()
+        self.close()
+
+    def close(self) -> None:
+        """Write what is waiting and close the files."""
+        self._closing.set()
+        self._writer.join(5.0)
+        for file in (self._packets, self._events):
+            file.close()
+
+    def _file(self, name: str, data: bytes) -> None:
+        try:
+            (self.folder / name).write_bytes(data)
+        except OSError as error:
+            self.problem = (error.strerror or "cannot be written").lower()
+
+
+def _plain(value: Any) -> Any:
+    """Return a value that JSON can hold: NaN becomes null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _versions() -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "swarm": __version__,
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        "process": os.getpid(),
+    }
+    for name in ("numpy", "pymavlink", "pymap3d", "scipy", "mavsdk"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = None
+    return found
