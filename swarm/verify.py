@@ -1,3 +1,229 @@
-"""What was flown: the knot that the flown positions imply, and the clearances that were kept."""
+"""What was flown: the knot that the flown positions imply, and the clearances that were kept.
 
-from swarm.flight.trace import Trace as Trace
+Implied means: by reported positions and the quasi-static cable model. Whether the cable did tie
+that knot only an eye can tell.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.cable.catenary import hang
+from swarm.cable.distance import strand_strand
+from swarm.errors import SwarmError
+from swarm.flight.trace import Trace
+from swarm.knots.curve import curve_gauss
+from swarm.knots.gauss import same_code
+from swarm.knots.invariants import identify_curve
+from swarm.plans import Plan
+from swarm.preflight.bodies import Body, vehicle_segments
+from swarm.preflight.certificate import segment_name, vehicle_name
+from swarm.preflight.findings import Tightest
+from swarm.preflight.topology import hanging_curve, layout_code
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+Chirality = Literal["left", "right", "none"]
+
+COARSE = 0.2
+"""Seconds between the samples that are looked at first; around the tightest, all are."""
+
+_PIECES = 24
+_TAUT = 0.9999
+
+
+@dataclass(frozen=True)
+class TrackingError:
+    """Distance of a vehicle's grip point from its setpoint in a phase, metres.
+
+    ``vehicle`` is counted from 1, 0 stands for all together; ``phase`` is "" for all phases.
+    """
+
+    phase: str
+    vehicle: int
+    rms: float
+    p999: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What a flight's record implies.
+
+    ``knot``, ``chirality`` and ``gauss`` are of the cable in the cable model between the positions
+    reported last in the hold, "unknown" and "" where there are none; ``as_planned`` says whether
+    the exact crossing code is the layout's and the knot the plan's. Clearances are the smallest at
+    reported positions in the fold and the hold, with mission times; None where nothing is known.
+    ``tightest_chord`` is the largest chord as a share of its cable then.
+    """
+
+    knot: str
+    chirality: Chirality
+    gauss: str
+    as_planned: bool
+    cable: Tightest | None
+    vehicle: Tightest | None
+    vehicle_cable: Tightest | None
+    tightest_chord: float | None
+    tracking: tuple[TrackingError, ...]
+    notes: tuple[str, ...] = ()
+
+
+def judge(plan: Plan, trace: Trace) -> Flown:
+    """Tell from a flight's trace which knot it implies and how close things came."""
+    phase = np.array(trace.phase, dtype=str)
+    known = np.isfinite(trace.position).all(axis=(1, 2))
+    knot, chirality, gauss, as_planned, notes = _knot(
+        plan, trace.position[known & (phase == "hold")]
+    )
+    folding = known & np.isin(phase, ["fold", "hold"])
+    cable = vehicle = vehicle_cable = None
+    tightest_chord = None
+    if folding.any():
+        place, time = trace.position[folding], trace.mission_time[folding]
+        chords = np.linalg.norm(np.diff(place, axis=1), axis=-1) / plan.layout.lengths
+        tightest_chord = float(chords.max())
+        cable = _closest_strands(plan, place, time)
+        vehicle = _closest_vehicles(plan, place, time)
+        vehicle_cable = _closest_vehicle_to_cable(plan, place, time)
+    return Flown(
+        knot=knot,
+        chirality=chirality,
+        gauss=gauss,
+        as_planned=as_planned,
+        cable=cable,
+        vehicle=vehicle,
+        vehicle_cable=vehicle_cable,
+        tightest_chord=tightest_chord,
+        tracking=tracking_errors(trace),
+        notes=notes,
+    )
+
+
+def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[str, ...]]:
+    if not len(held):
+        return "unknown", "none", "", False, ("no positions were reported during the hold",)
+    grip_points, lengths = held[-1], plan.layout.lengths
+    chords = np.linalg.norm(np.diff(grip_points, axis=0), axis=-1)
+    notes = tuple(
+        f"{segment_name(int(i))} was reported {chords[i] / lengths[i]:.1%} of its length apart"
+        for i in np.flatnonzero(chords > _TAUT * lengths)
+    )
+    curve = hanging_curve(grip_points, np.maximum(lengths, chords / _TAUT))
+    try:
+        code, found = curve_gauss(curve), identify_curve(curve)
+        as_planned = same_code(code, layout_code(plan.layout))
+    except SwarmError as error:
+        return "unknown", "none", "", False, (*notes, str(error))
+    chirality: Chirality = found.chirality  # type: ignore[assignment]
+    as_planned &= (found.name, chirality) == (plan.knot.type, plan.knot.chirality)
+    return found.name, chirality, code.signed_text(), as_planned, notes
+
+
+def tracking_errors(trace: Trace) -> tuple[TrackingError, ...]:
+    """Return the tracking error per phase and vehicle, per phase, per vehicle, and altogether."""
+    error = np.linalg.norm(trace.position - trace.setpoint, axis=-1)
+    phase = np.array(trace.phase, dtype=str)
+    found = []
+    for name in ["", *dict.fromkeys(trace.phase)]:
+        rows = error[phase != ""] if name == "" else error[phase == name]
+        for vehicle in range(error.shape[1] + 1):
+            chosen = rows if vehicle == 0 else rows[:, vehicle - 1]
+            values = chosen[np.isfinite(chosen)]
+            if len(values):
+                rms = float(np.sqrt(np.mean(values**2)))
+                p999 = float(np.quantile(values, 0.999))
+                found.append(TrackingError(name, vehicle, rms, p999, float(values.max())))
+    return tuple(found)
+
+
+def _strands(plan: Plan, place: Floats) -> Floats:
+    """Polylines (k, n − 1, m, 3) of the cable at positions (k, n, 3)."""
+    start, end = place[:, :-1], place[:, 1:]
+    chord = np.linalg.norm(end - start, axis=-1)
+    strands = hang(start, end, np.maximum(plan.layout.lengths, chord / _TAUT))
+    return strands.points(np.linspace(0.0, 1.0, _PIECES + 1))
+
+
+def _thinned(time: Floats) -> Ints:
+    """Indices of samples about COARSE apart; mission time may wait or run back."""
+    moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(time)))])
+    _, first = np.unique(np.floor(moved / COARSE), return_index=True)
+    return np.union1d(first, [len(time) - 1])
+
+
+def _around(index: int, chosen: Ints) -> Ints:
+    """All samples between the chosen ones before and after a chosen one."""
+    at = int(np.searchsorted(chosen, index))
+    return np.arange(chosen[max(at - 1, 0)], chosen[min(at + 1, len(chosen) - 1)] + 1)
+
+
+def _closest_strands(plan: Plan, place: Floats, time: Floats) -> Tightest | None:
+    pairs = np.stack(np.triu_indices(plan.vehicles - 1, 2), axis=1)
+    if not len(pairs):
+        return None
+    chosen = _thinned(time)
+    for _ in range(2):
+        distance = strand_strand(_strands(plan, place[chosen]), pairs).distance
+        instant, pair = np.unravel_index(np.argmin(distance), distance.shape)
+        worst, index = float(distance[instant, pair]), int(chosen[instant])
+        chosen = _around(index, chosen) if len(chosen) > 1 else chosen
+    first, second = (int(segment) for segment in pairs[pair])
+    surface = max(worst - plan.mission.cable.diameter, 0.0)
+    between = (segment_name(first), segment_name(second))
+    return Tightest(surface, plan.mission.clearance.cable, float(time[index]), between)
+
+
+def _closest_vehicles(plan: Plan, place: Floats, time: Floats) -> Tightest | None:
+    clearance = plan.mission.clearance
+    first, second = np.triu_indices(plan.vehicles, 1)
+    if not len(first):
+        return None
+    apart = place[:, second] - place[:, first]
+    margin = np.maximum(
+        np.hypot(apart[..., 0], apart[..., 1]) - clearance.vehicle,
+        np.abs(apart[..., 2]) - clearance.downwash,
+    )
+    instant, pair = np.unravel_index(np.argmin(margin), margin.shape)
+    between = (vehicle_name(int(first[pair])), vehicle_name(int(second[pair])))
+    distance = max(float(margin[instant, pair]) + clearance.vehicle, 0.0)
+    return Tightest(distance, clearance.vehicle, float(time[instant]), between)
+
+
+def _closest_vehicle_to_cable(plan: Plan, place: Floats, time: Floats) -> Tightest | None:
+    others, _ = vehicle_segments(plan.vehicles)
+    if not len(others):
+        return None
+    chosen = _thinned(time)
+    for _ in range(2):
+        strands = _strands(plan, place[chosen])
+        grip = place[chosen][:, others[:, 0]]
+        worst, instant, pair = _closest_bodies(plan, strands[:, others[:, 1]] - grip[:, :, None])
+        index = int(chosen[instant])
+        chosen = _around(index, chosen) if len(chosen) > 1 else chosen
+    vehicle, segment = (int(number) for number in others[pair])
+    surface = max(worst - 0.5 * plan.mission.cable.diameter, 0.0)
+    between = (vehicle_name(vehicle), segment_name(segment))
+    return Tightest(surface, plan.mission.clearance.vehicle_cable, float(time[index]), between)
+
+
+def _closest_bodies(plan: Plan, strands: Floats) -> tuple[float, int, int]:
+    """Smallest distance between bodies at the origin and polylines (k, q, m, 3), and its indices.
+
+    Only pieces that can hold it, by the distances of their ends, are measured.
+    """
+    body = Body(plan.mission.vehicles.radius, plan.mission.vehicles.grip_offset)
+    points = strands.reshape(-1, 3)
+    off = np.linalg.norm(points - body.projected(points, np.zeros(len(points))), axis=-1)
+    off = off.reshape(strands.shape[:-1])
+    pieces = np.stack([strands[..., :-1, :], strands[..., 1:, :]], axis=-2)
+    half = 0.5 * np.linalg.norm(pieces[..., 1, :] - pieces[..., 0, :], axis=-1)
+    # A point of a piece is within half its length of one of its ends.
+    likely = np.argwhere(np.minimum(off[..., :-1], off[..., 1:]) - half <= off.min())
+    chords = pieces[tuple(likely.T)]
+    at_strand, _, at_body = body.closest(chords, np.zeros(len(chords)))
+    distance = np.linalg.norm(at_strand - at_body, axis=-1)
+    best = int(np.argmin(distance))
+    return float(distance[best]), int(likely[best, 0]), int(likely[best, 1])

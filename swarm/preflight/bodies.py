@@ -64,8 +64,7 @@ class VehicleStrands:
 
     cable: HeldCable
     pairs: Ints
-    radius: float
-    grip_offset: float
+    body: "Body"
     diameter: float
     required: Floats
 
@@ -90,13 +89,13 @@ class VehicleStrands:
             np.broadcast_to(np.array([0.0, 1.0]), (len(boxes), 2)),
         )
         grip = team.position[when, vehicle]
-        tip = np.where(own, self.grip_offset, 0.0)
-        at_strand, along, at_body = self._closest(strand.ends - grip[:, None], tip)
+        tip = np.where(own, self.body.grip_offset, 0.0)
+        at_strand, along, at_body = self.body.closest(strand.ends - grip[:, None], tip)
         normal = unit(at_strand - at_body)
         reach = np.einsum("bki,bi->bk", strand.ends - grip[:, None], normal).min(axis=1)
         moved = strand.movement(along, normal, self.cable.down)
         shift = np.where(own, 0.0, tracking) + 0.5 * self.diameter + self.required[boxes.pair]
-        low = reach - self._support(normal, tip) - strand.bow - moved[0] - shift
+        low = reach - self.body.support(normal, tip) - strand.bow - moved[0] - shift
         distance = np.linalg.norm(at_strand - at_body, axis=-1)
         high = distance + strand.bow - moved[2] - shift
         size = high - low - (moved[1] - moved[2])
@@ -107,20 +106,28 @@ class VehicleStrands:
             grip + at_strand,
         )
 
-    def _closest(self, chord: Floats, tip: Floats) -> tuple[Floats, Floats, Floats]:
-        """Points of the chords (b, 2, 3) and of the bodies that are nearly closest, by projection.
 
-        Bodies stand at the origin; ``tip`` (b,) is the height of their lowest point.
+@dataclass(frozen=True)
+class Body:
+    """The cone over a rotor disc, its tip at the origin; metres."""
+
+    radius: float
+    grip_offset: float
+
+    def closest(self, chord: Floats, tip: Floats) -> tuple[Floats, Floats, Floats]:
+        """Points of chords (b, 2, 3) and of the body that are nearly closest, by projections.
+
+        ``tip`` (b,) is the height of the body's lowest point: 0, or the grip offset for the disc
+        alone. Returns the chords' points (b, 3), their fractions (b,), the body's points (b, 3).
         """
-        centre = np.array([0.0, 0.0, self.grip_offset])
-        at_body = np.broadcast_to(centre, (len(chord), 3))
+        at_body = np.broadcast_to(np.array([0.0, 0.0, self.grip_offset]), (len(chord), 3))
         for _ in range(_PROJECTIONS):
             along = point_segment(at_body, chord).second
             at_strand = chord[:, 0] + along[:, None] * (chord[:, 1] - chord[:, 0])
-            at_body = self._projected(at_strand, tip)
+            at_body = self.projected(at_strand, tip)
         return at_strand, along, at_body
 
-    def _projected(self, point: Floats, tip: Floats) -> Floats:
+    def projected(self, point: Floats, tip: Floats) -> Floats:
         """Points (b, 3) of the bodies that are closest to the given ones."""
         out = np.hypot(point[:, 0], point[:, 1])
         rim = np.array([self.radius, self.grip_offset])
@@ -140,7 +147,7 @@ class VehicleStrands:
         ratio = closest[:, 0] / np.maximum(out, 1e-12)
         return np.stack([point[:, 0] * ratio, point[:, 1] * ratio, closest[:, 1]], axis=-1)
 
-    def _support(self, normal: Floats, tip: Floats) -> Floats:
+    def support(self, normal: Floats, tip: Floats) -> Floats:
         """How far the bodies reach in the direction of the unit vectors (b, 3)."""
         across = np.hypot(normal[:, 0], normal[:, 1])
         disc = self.radius * across + self.grip_offset * normal[:, 2]

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.plans import Phase, Plan
-from swarm.preflight.bodies import VehiclePairs, VehicleStrands, vehicle_segments
+from swarm.preflight.bodies import Body, VehiclePairs, VehicleStrands, vehicle_segments
 from swarm.preflight.course import Course
 from swarm.preflight.limits import (
     AboveFloor,
@@ -191,7 +191,7 @@ def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
     def bodies(chosen: npt.NDArray[np.intp], check: str, required: float) -> Family:
         names = [(vehicle_name(i), segment_name(j)) for i, j in chosen]
         evaluate = VehicleStrands(
-            cable, chosen, vehicles.radius, vehicles.grip_offset, diameter,
+            cable, chosen, Body(vehicles.radius, vehicles.grip_offset), diameter,
             np.full(len(chosen), required),
         )  # fmt: skip
         return Family(check, names, required, aloft, evaluate)
