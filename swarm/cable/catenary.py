@@ -297,6 +297,7 @@ def _offsets(
     """
     turned: Floats = fractions * (length / parameter)
     slope = turned + first
+    cosh_first = np.sqrt(1.0 + first * first)
     cosh = slope * slope
     cosh += 1.0
     np.sqrt(cosh, out=cosh)
@@ -304,10 +305,10 @@ def _offsets(
     angle += cosh
     np.log(angle, out=angle)
     np.copysign(angle, slope, out=angle)
-    angle -= np.arcsinh(first)
+    angle -= np.copysign(np.log(np.abs(first) + cosh_first), first)
 
     total = cosh
-    total += np.sqrt(1.0 + first * first)
+    total += cosh_first
     shallow = np.broadcast_to(parameter * 0.04 > length, angle.shape)
     if np.any(shallow):
         half = turned[shallow] / total[shallow]

@@ -16,6 +16,9 @@ from swarm.cable.catenary import STANDARD_GRAVITY, Catenaries, hang
 
 Floats = NDArray[np.float64]
 
+_HAIR = 1e-12
+"""Share of the length below which a height or a stretch of cable on the floor is none."""
+
 
 @dataclass(frozen=True, eq=False)
 class FloorStrands:
@@ -45,8 +48,7 @@ class FloorStrands:
 
     @cached_property
     def _heights(self) -> tuple[Floats, Floats]:
-        low, high = self.free.start[..., 2], self.free.end[..., 2]
-        return np.maximum(low - self.floor, 0.0), np.maximum(high - self.floor, 0.0)
+        return _heights(self.free, self.floor)
 
     def points(self, fractions: ArrayLike) -> Floats:
         """Points at the given fractions (k,) of the arc length of every strand: (…, k, 3).
@@ -61,7 +63,7 @@ class FloorStrands:
         down_start, up_start = _branch(a, np.maximum(first - arc, 0.0))
         down_end, up_end = _branch(a, np.maximum(last - from_end, 0.0))
         reach_start, reach_end = _branch(a, first)[0], _branch(a, last)[0]
-        lying = np.maximum(self.lying[..., None], np.finfo(float).tiny)
+        lying = np.maximum(self.lying, _HAIR * self.free.length)[..., None]
         run = np.clip((arc - first) / lying, 0.0, 1.0)
         flat = self.free.span[..., None] - reach_start - reach_end
         along = reach_start - down_start + run * flat + down_end
@@ -113,11 +115,8 @@ def rest_on_floor(
     """
     free = hang(start, end, length)
     floor = np.broadcast_to(np.asarray(floor, dtype=np.float64), free.length.shape)
-    low, high = free.start[..., 2] - floor, free.end[..., 2] - floor
-    if np.any(low < -1e-9) or np.any(high < -1e-9):
-        raise ValueError("an end of a strand is below the floor")
-    low, high = np.maximum(low, 0.0), np.maximum(high, 0.0)
-    touching = free.lowest()[..., 2] < floor
+    low, high = _heights(free, floor)
+    touching = free.lowest()[..., 2] < floor - _HAIR * free.length
     surplus = free.length - free.span
     loose = np.maximum(surplus - low - high, 0.0)
     tight = touching & (loose == 0.0)
@@ -132,6 +131,15 @@ def rest_on_floor(
         lifted_end=_lifted(parameter, high),
         loose=np.where(touching, loose, 0.0),
     )
+
+
+def _heights(free: Catenaries, floor: Floats) -> tuple[Floats, Floats]:
+    """Heights of the ends above the floor; a hair's breadth is none."""
+    low, high = free.start[..., 2] - floor, free.end[..., 2] - floor
+    if np.any(np.minimum(low, high) < -1e-9):
+        raise ValueError("an end of a strand is below the floor")
+    hair = _HAIR * free.length
+    return np.where(low > hair, low, 0.0), np.where(high > hair, high, 0.0)
 
 
 def _parameter(low: Floats, high: Floats, surplus: Floats) -> Floats:
@@ -152,11 +160,11 @@ def _parameter(low: Floats, high: Floats, surplus: Floats) -> Floats:
         log_least = np.where(excess > 0.0, log_a, log_least)
         log_most = np.where(excess > 0.0, log_most, log_a)
         step = log_a - excess / np.where(slope < 0.0, slope, -1.0)
-        inside = (step > log_least) & (step < log_most)
+        inside = (step >= log_least) & (step <= log_most)
         following = np.where(inside, step, 0.5 * (log_least + log_most))
-        settled = np.abs(following - log_a) <= 1e-15 * np.maximum(1.0, np.abs(log_a))
+        settled = np.abs(following - log_a) <= 1e-14 * np.maximum(1.0, np.abs(log_a))
         log_a = following
-        if np.all(settled | (excess == 0.0)):
+        if np.all(settled):
             break
     return np.exp(log_a)
 
