@@ -13,12 +13,15 @@ from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
 from swarm.preflight.limits import TAUT
 from swarm.preflight.loads import loads, payload_limit
 from swarm.preflight.robustness import holds_in_wind, largest_tracking, largest_wind
-from swarm.preflight.topology import end_code, end_knot, layout_code
+from swarm.preflight.topology import end_code, end_knot, end_time, layout_code
 
 Progress = Callable[[str, float], None]
 Chirality = Literal["left", "right", "none"]
 
 TIGHTEST = 5
+LIMIT_TOLERANCE = 0.006
+"""m/s and m/s²: what the enclosure of speeds and accelerations may add to a plan at its limit."""
+
 _CLEARANCES = (
     "cable clearance",
     "neighbouring segments",
@@ -119,23 +122,25 @@ def _meeting(plan: Plan, moments: Iterable[Moment]) -> list[Finding]:
 
 def _limit_findings(plan: Plan) -> list[Finding]:
     vehicles = plan.mission.vehicles
+    usable = vehicles.max_acceleration - vehicles.braking_acceleration
+    reserve = f" ({vehicles.max_acceleration:g} less {vehicles.braking_acceleration:g} to brake)"
     findings = []
     for family in limits(plan):
-        for moment in moments_of(family):
-            if moment.margin >= -1e-6:
-                continue
-            if family.check == "speed":
-                asked = f"{vehicles.max_speed - moment.margin:.3f} m/s"
-                allowed = f"{vehicles.max_speed:g} m/s"
-            else:
-                usable = vehicles.max_acceleration - vehicles.braking_acceleration
-                asked = f"{usable - moment.margin:.3f} m/s²"
-                allowed = (
-                    f"{usable:g} m/s² ({vehicles.max_acceleration:g} less "
-                    f"{vehicles.braking_acceleration:g} kept for braking)"
-                )
-            message = f"{moment.between[0]} is asked for up to {asked}; its limit is {allowed}"
-            findings.append(_at("error", family.check, message, moment))
+        failing = [m for m in moments_of(family) if m.margin < -LIMIT_TOLERANCE]
+        if not failing:
+            continue
+        worst = failing[0]
+        largest, unit, why = (
+            (vehicles.max_speed, "m/s", "")
+            if family.check == "speed"
+            else (usable, "m/s²", reserve)
+        )
+        more = ", and is not the only one" if len(failing) > 1 else ""
+        message = (
+            f"{worst.between[0]} is asked for up to {largest - worst.margin:.3f} {unit}{more}; "
+            f"{largest:g} {unit} are allowed{why}"
+        )
+        findings.append(_at("error", family.check, message, worst))
     return findings
 
 
@@ -182,7 +187,7 @@ def _endurance_findings(plan: Plan) -> list[Finding]:
 
 
 def _topology(plan: Plan) -> tuple[str, Chirality, str, list[Finding]]:
-    at_time = plan.phase("hold").end
+    at_time = end_time(plan)
     try:
         code = end_code(plan)
         found = end_knot(plan)
@@ -197,12 +202,13 @@ def _topology(plan: Plan) -> tuple[str, Chirality, str, list[Finding]]:
             message = f"the cable ends in the crossing code {_shown(code)}, {what} {_shown(wanted)}"
             findings.append(Finding("error", "crossing code", message, at_time))
     asked = (plan.knot.type, plan.knot.chirality)
-    if (found.name, found.chirality) != asked:
+    if plan.knot.type and (found.name, found.chirality) != asked:
         message = f"the cable ends as {found}, but {_knot(*asked)} was asked for"
         severity = "error" if found.known else "warning"
         findings.append(Finding(severity, "knot type", message, at_time))  # type: ignore[arg-type]
     if not findings:
-        message = f"the cable ends as {found}, with the crossing code {_shown(code)}, as asked"
+        as_asked = ", as asked" if plan.knot.type else ""
+        message = f"the cable ends as {found}, with the crossing code {_shown(code)}{as_asked}"
         findings.append(Finding("info", "crossing code", message, at_time))
     chirality: Chirality = found.chirality  # type: ignore[assignment]
     return found.name, chirality, code.signed_text(), findings

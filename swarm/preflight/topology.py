@@ -48,7 +48,7 @@ def hanging_curve(grip_points: Floats, lengths: Floats) -> Floats:
 
 
 def end_code(plan: Plan) -> SignedGauss:
-    """Signed Gauss code of the cable's plan view at the end of the hold.
+    """Signed Gauss code of the cable's plan view when it hangs folded.
 
     Raises :class:`swarm.errors.SwarmError` where strands meet or the cable is over-stretched.
     """
@@ -56,12 +56,17 @@ def end_code(plan: Plan) -> SignedGauss:
 
 
 def end_knot(plan: Plan) -> Identification:
-    """The knot type of the cable's curve in space at the end of the hold, ends closed upwards."""
+    """The knot type of the cable's curve in space when it hangs folded, ends closed upwards."""
     return identify_curve(hanging_curve(_held(plan), plan.layout.lengths))
 
 
+def end_time(plan: Plan) -> float:
+    """Mission time at which the folded cable hangs still: the last moment with it aloft."""
+    return max(phase.end for phase in plan.phases if phase.cable == "aloft")
+
+
 def _held(plan: Plan) -> Floats:
-    return plan.motion.at(plan.phase("hold").end)[0]
+    return plan.motion.at(end_time(plan))[0]
 
 
-__all__ = ["end_code", "end_knot", "hanging_curve", "layout_code", "same_code"]
+__all__ = ["end_code", "end_knot", "end_time", "hanging_curve", "layout_code", "same_code"]

@@ -1,0 +1,114 @@
+"""``swarm certify``: check anybody's trajectories in the cable model."""
+
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from swarm.cli.inputs import JSON, SET, print_json, progress_bar, read_text
+from swarm.errors import InputError, Problem
+from swarm.exports import finding_object, tightest_object
+from swarm.mission import Mission, mission_for_knot, parse_mission
+from swarm.preflight.assess import assess
+from swarm.preflight.findings import Assessment
+from swarm.preflight.motion_file import plan_of_motion, read_lengths, read_motion
+from swarm.view.terminal import findings
+
+LARGEST_MOTION = 500_000_000
+"""Bytes; an hour of a hundred vehicles is less."""
+
+
+@click.command()
+@click.argument("motion", type=click.Path(dir_okay=False, path_type=Path))
+@click.option(
+    "--cable",
+    required=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="SEGMENTS",
+    help="Lengths of the segments in metres: JSON (a list, or a plan's JSON) or CSV.",
+)
+@click.option(
+    "--clearance",
+    "clearances",
+    multiple=True,
+    metavar="KEY=METRES",
+    help="Ask for another clearance: cable, vehicle, downwash, vehicle_cable or floor.",
+)
+@click.option(
+    "--mission",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Take cable, vehicles, clearances, wind and workspace from a mission file.",
+)
+@click.option("--robustness", is_flag=True, help="Find e* and w* too; takes longer.")
+@SET
+@JSON
+@click.pass_context
+def certify(
+    context: click.Context,
+    motion: Path,
+    cable: Path,
+    clearances: tuple[str, ...],
+    mission: Path | None,
+    robustness: bool,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Certify MOTION, a table of every grip point's motion as `swarm plan --export` writes it.
+
+    Says which knot the cable ends in, how close things come for every tracking error within
+    vehicles.tracking, and what fails. Exit code 0 when everything holds, 1 when it does not.
+    """
+    overrides = (*overrides, *(f"clearance.{clearance}" for clearance in clearances))
+    plan = plan_of_motion(
+        read_motion(_read(motion), str(motion)),
+        read_lengths(read_text(cable), str(cable)),
+        _limits(mission, overrides),
+    )
+    with progress_bar(Console(stderr=True)) as progress:
+        assessment = assess(plan, progress=progress, robustness=robustness)
+    if as_json:
+        print_json(_object(assessment))
+    else:
+        findings(assessment, Console())
+    context.exit(0 if assessment.cleared else 1)
+
+
+def _limits(mission: Path | None, overrides: tuple[str, ...]) -> Mission:
+    """Return the mission whose limits are meant; its knot says nothing about the motion."""
+    if mission is not None:
+        return parse_mission(read_text(mission), str(mission), overrides)
+    return mission_for_knot("overhand", overrides)
+
+
+def _read(path: Path) -> str:
+    try:
+        if path.stat().st_size > LARGEST_MOTION:
+            message = f"expected at most {LARGEST_MOTION:,} bytes"
+            raise InputError([Problem(str(path), message)])
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError([Problem(str(path), "expected UTF-8 text")]) from None
+    except OSError as error:
+        reason = (error.strerror or "cannot be read").lower()
+        raise InputError([Problem(str(path), reason)]) from None
+
+
+def _object(assessment: Assessment) -> dict[str, object]:
+    return {
+        "cleared": assessment.cleared,
+        "findings": [finding_object(finding) for finding in assessment.findings],
+        "knot": {
+            "type": assessment.knot,
+            "chirality": assessment.chirality,
+            "gauss": assessment.gauss,
+        },
+        "clearance": {
+            "cable": tightest_object(assessment.cable),
+            "vehicle": tightest_object(assessment.vehicle),
+            "vehicle_cable": tightest_object(assessment.vehicle_cable),
+        },
+        "robustness": {
+            "tracking": assessment.robustness.tracking,
+            "wind": assessment.robustness.wind,
+        },
+    }
