@@ -145,6 +145,10 @@ class Rope:
         self._arrange()
         return True
 
+    def place_of(self, arc: float) -> Array:
+        """Where the cable is now at an arc length."""
+        return np.array([np.interp(arc, self.arc, self.shape[:, i]) for i in range(3)])
+
     def arc_of(self, vehicle: int) -> float:
         """Arc length at which a vehicle holds the cable, NaN if it does not."""
         for arc, holder in self.grips:
@@ -306,7 +310,8 @@ class Rope:
             guess = np.clip(guess * np.exp(update), _LEAST, _MOST)
             if abs(update[resting]).max() < 1e-6:
                 break
-        guess = np.where(hangs, _LEAST, guess)
+        # beyond this chord the cable stretches (_hang, _stretch): statics alone would pull for ever
+        guess = np.where(hangs, _LEAST, np.minimum(guess, 0.5 * across / _TAUT))
         self._parameter = np.where(resting & ~hangs, guess, 1.0)
         arcs = np.where(hangs, heights, np.sqrt(heights**2 + 2 * heights * guess))
         return (

@@ -3,9 +3,12 @@
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm.fleet import Fleet
 from swarm.plans import Plan
+
+Floats = npt.NDArray[np.float64]
 
 
 def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> dict[str, Any]:
@@ -44,12 +47,27 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
         }
     gripped = next((gate.time for gate in plan.gates if gate.condition == "gripped"), None)
     if with_cable and gripped is not None:
-        points = plan.motion.at(gripped)[0]
+        points = _laid(plan.motion.at(gripped)[0], plan.layout.lengths)
         points[:, 2] = 0.5 * mission.cable.diameter
         world["cable"] = {
             "mass_per_length": mission.cable.mass_per_length,
             "diameter": mission.cable.diameter,
             "breaking_load": mission.cable.breaking_load,
-            "points": np.asarray(points, dtype=float).tolist(),
+            "points": points.tolist(),
         }
     return world
+
+
+def _laid(grips: Floats, lengths: Floats) -> Floats:
+    """Return the cable on the floor: through the grasp points (n, 3), in a bow where it has slack.
+
+    Each segment of the cable (n − 1,) keeps its length: its middle lies aside.
+    """
+    chords = np.diff(grips, axis=0)
+    distance = np.linalg.norm(chords, axis=1)
+    aside = 0.5 * np.sqrt(np.maximum(lengths**2 - distance**2, 0.0))
+    across = np.stack([-chords[:, 1], chords[:, 0], np.zeros(len(chords))], axis=1)
+    middles = 0.5 * (grips[:-1] + grips[1:]) + across * (aside / distance)[:, None]
+    points = np.empty((2 * len(grips) - 1, 3))
+    points[::2], points[1::2] = grips, middles
+    return points

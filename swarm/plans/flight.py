@@ -24,6 +24,9 @@ CARRY_HEIGHT = 0.1
 SETTLING_TIME = 4.0
 """A hanging strand swings for a while after a stop; the hold lasts this long, seconds."""
 
+LAID_SHARE = 0.99
+"""Distance of grasp points on the floor over the cable between them: a stretched cable jerks."""
+
 _STAGGER = 1.5
 _TOUCHDOWN_SPEED = 0.7
 
@@ -103,9 +106,9 @@ def whole_flight(mission: Mission, lengths: Floats, fold: Motion) -> Flight:
 
 
 def _laid_out(contracted: Floats, lengths: Floats) -> Floats:
-    """Grasp points on the floor: the line at full length, about the contracted line's middle."""
+    """Grasp points on the floor: almost the full length, about the contracted line's middle."""
     heading = (contracted[-1] - contracted[0]) / np.linalg.norm(contracted[-1] - contracted[0])
-    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    along = np.concatenate([[0.0], np.cumsum(LAID_SHARE * lengths)])
     middle = 0.5 * (contracted[0] + contracted[-1])
     placed: Floats = middle + (along - 0.5 * along[-1])[:, None] * heading
     return placed
