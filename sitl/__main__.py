@@ -1,9 +1,15 @@
 """Command line of the emulator: ``python -m sitl``."""
 
 import argparse
+import json
 import os
 import sys
 from pathlib import Path
+
+from sitl import server
+from sitl.emulator import Emulator
+from sitl.faults import load_scenario
+from sitl.world import WorldError, default_world, load_world, schema
 
 
 def _arguments() -> argparse.ArgumentParser:
@@ -38,14 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
     parent = os.getppid()
     parser = _arguments()
     given = parser.parse_args(arguments)
-
-    from sitl import server
-    from sitl.emulator import Emulator
-    from sitl.world import WorldError, default_world, load_world, schema
-
     if given.schema:
-        import json
-
         sys.stdout.write(json.dumps(schema(), indent=2) + "\n")
         return 0
     kinds = given.autopilot.split(",")
@@ -65,11 +64,11 @@ def main(arguments: list[str] | None = None) -> int:
         world = load_world(given.world) if given.world else default_world(given.count, kinds)
         if given.seed is not None:
             world = world.model_copy(update={"seed": given.seed})
-        faults = _faults(given.scenario)
+        faults = load_scenario(given.scenario) if given.scenario else []
+        emulator = Emulator(world, faults)
     except WorldError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    emulator = Emulator(world, faults)
     try:
         if target is not None:
             running = server.to_target(emulator, target, given.host, given.speed)
@@ -85,14 +84,6 @@ def main(arguments: list[str] | None = None) -> int:
     except OSError as error:
         sys.stderr.write(f"sitl: {error}\n")
         return 3
-
-
-def _faults(path: Path | None) -> list[object]:
-    if path is None:
-        return []
-    from sitl.faults import load_scenario
-
-    return list(load_scenario(path))
 
 
 if __name__ == "__main__":

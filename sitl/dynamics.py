@@ -90,6 +90,7 @@ class Bodies:
         self.position_gain = np.ones((n, 3))
         self.velocity_gain = np.ones((n, 3))
         self.integral_gain = np.zeros((n, 3))
+        self.advance = np.zeros(n)
         self._staged: dict[int, tuple[float, ...]] = {}
         self._axes: dict[int, tuple[float, ...]] = {}
         self.velocity_goal = np.zeros((n, 3))
@@ -108,6 +109,8 @@ class Bodies:
         self.cut_time = np.full(n, 0.35)
         self.health = np.ones(n)
         self.crashed = np.zeros(n, dtype=bool)
+        self.fooled = np.zeros(n, dtype=bool)
+        self.drift = np.zeros((n, 3))
         self.share = np.zeros(n)
 
     def _make_air(self, world: World) -> None:
@@ -223,7 +226,7 @@ class Bodies:
             np.clip(goal[:, 2], -self.descend_limit, self.climb_limit, out=goal[:, 2])
         self.velocity_goal = goal
         miss = goal - self.velocity
-        wanted = self._rate_gain * miss
+        wanted: Array = self._rate_gain * miss
         wanted += self.goal_acceleration
         wanted += self.integral
         if abs(wanted).max() > self._least_reach:
@@ -256,6 +259,9 @@ class Bodies:
     def supervise(self, interval: float) -> None:
         """Take-off ramp, land detector and yaw, every ``interval`` seconds (call at 25 Hz)."""
         np.clip(self.integral, -5.0, 5.0, out=self.integral)
+        if self.advance.any():
+            self.unstage()
+            self.goal_position += (interval * self.advance)[:, None] * self.goal_velocity
         turn = (self.goal_yaw - self.yaw + np.pi) % (2 * np.pi) - np.pi
         self.yaw_rate = np.clip(2.0 * turn, -_YAW_RATE, _YAW_RATE) * ~self.landed
         self.yaw += interval * self.yaw_rate
@@ -268,6 +274,7 @@ class Bodies:
         ready = self.armed & self.may_lift & (self.armed_for > self.spool_time)
         climbing = (self.velocity_goal[:, 2] > _CLIMBING) | (self.goal_acceleration[:, 2] > 1.0)
         started = ready & self.landed & (climbing | (self.lifting > 0))
+        started &= ~self.fooled
         self.lifting = np.where(started | ~self.landed, self.lifting + interval, 0.0)
         share = np.minimum(self.lifting / self.ramp_time, 1.0)
         share = np.where(self.contact > self.cut_time, np.minimum(share, 0.1), share)
@@ -308,7 +315,8 @@ class Bodies:
         candidate = self.armed & ~self.landed & quiet & down & (self.lifting > 1.0)
         self.contact = np.where(candidate, self.contact + interval, 0.0)
         left = self.position[:, 2] > self.floor + self.grip_offset + 0.05
-        self.landed = (self.landed & ~(left & self.armed)) | (self.contact > self.land_time)
+        lifted = left & self.armed & ~self.fooled
+        self.landed = (self.landed & ~lifted) | (self.contact > self.land_time)
 
     def wander(self, interval: float) -> None:
         """Advance estimator noise, gusts and downwash by ``interval`` seconds (call at 10 Hz).
@@ -321,6 +329,7 @@ class Bodies:
         fresh = self.rng.standard_normal((self.count, 3))
         self.noise = keep * self.noise + np.sqrt(1 - keep**2) * NOISE_SIGMA * fresh
         self.noise *= self.noise_scale > 0
+        self.bias += interval * self.drift
         if self.gust_intensity > 0:
             speed = max(1.0, float(np.linalg.norm(self.steady_wind[0])))
             keep = np.exp(-interval * speed / 30.0)

@@ -5,6 +5,7 @@ time and returns the bytes that they sent, `Emulator.truth` tells what really is
 seed and bytes at the same times give the same result. Ground truth never goes over MAVLink.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from sitl.ardupilot import ArduPilot
 from sitl.contacts import Contacts
 from sitl.dynamics import GRAVITY, STEP, Array, Bodies
+from sitl.faults import Fault, Injector
 from sitl.px4 import Px4
 from sitl.rope import Rope
 from sitl.services import default_streams, emit, pump_parameters
@@ -62,10 +64,10 @@ class Emulator:
     """The emulated team; see the module's text for its three calls."""
 
     def __init__(
-        self, world: World, faults: Sequence[Any] = (), kinds: Sequence[str] = ("onboard",)
+        self, world: World, faults: Sequence[Fault] = (), kinds: Sequence[str] = ("onboard",)
     ) -> None:
         self.world = world
-        seeds = np.random.SeedSequence(world.seed).spawn(len(world.vehicles) + 1)
+        seeds = np.random.SeedSequence(world.seed).spawn(len(world.vehicles) + 2)
         self.bodies = Bodies(world, np.random.default_rng(seeds[0]))
         self.time = 0.0
         self._ticks = 0
@@ -98,6 +100,12 @@ class Emulator:
                 vehicle.home = np.array(vehicle.estimated())
         self._links = [(v, link) for v in self.vehicles for link in v.links]
         self._tie_attached()
+        self.injector = Injector(
+            self.vehicles, self.bodies, self.rope, faults, np.random.default_rng(seeds[-1])
+        )
+        for vehicle in self.vehicles:
+            vehicle.inject = functools.partial(self.injector.inject, vehicle)
+            vehicle.simulation_changed = functools.partial(self.injector.simulate, vehicle)
         self._force = np.zeros((self.bodies.count, 3))
 
     def open_link(self, vehicle: Vehicle, kind: str) -> Link:
@@ -142,9 +150,22 @@ class Emulator:
 
     def deliver(self, vehicle: Vehicle, link: Link, data: bytes, now: float) -> None:
         """As `receive`, on one of a vehicle's links."""
+        channel = self.injector.up[vehicle.index]
+        if channel.busy():
+            channel.push((link, data), len(data), now)
+            return
         vehicle.now = max(vehicle.now, now)
         for message in link.receiver.feed(data):
             vehicle.handle(message, link)
+
+    def _arrive(self, now: float) -> None:
+        """Hand over what comes late through a troubled link."""
+        for vehicle, channel in zip(self.vehicles, self.injector.up, strict=True):
+            if channel.queue:
+                vehicle.now = max(vehicle.now, now)
+                for link, data in channel.pop(now):
+                    for message in link.receiver.feed(data):
+                        vehicle.handle(message, link)
 
     def advance(self, now: float) -> None:
         """Advance physics and autopilots to ``now`` seconds; what they say waits in the links."""
@@ -157,10 +178,21 @@ class Emulator:
         """Take what waits in the links."""
         sent = []
         for vehicle, link in self._links:
+            channel = self.injector.down[vehicle.index]
             if link.outgoing:
-                if not vehicle.frozen and not vehicle.silent:
+                if vehicle.frozen:
+                    link.outgoing.clear()
+                    continue
+                if channel.busy():
+                    for frame in link.outgoing:
+                        channel.push((link, frame), len(frame), self.time)
+                else:
                     sent.append((vehicle, link, b"".join(link.outgoing)))
                 link.outgoing.clear()
+        for vehicle, channel in zip(self.vehicles, self.injector.down, strict=True):
+            if channel.queue:
+                for link, frame in channel.pop(self.time):
+                    sent.append((vehicle, link, frame))
         return sent
 
     def truth(self) -> Truth:
@@ -183,7 +215,7 @@ class Emulator:
             landed=b.landed.copy(),
             gripped=np.array([v.gripped for v in self.vehicles]),
             grip_arc=np.array(arcs),
-            cable=rope.follow(grips, 0.0).copy() if rope else np.zeros((0, 3)),
+            cable=rope.follow(self._held()[0], 0.0).copy() if rope else np.zeros((0, 3)),
             tension=spans.tension.copy() if spans else empty,
             chord=spans.chord.copy() if spans else empty,
             length=spans.length.copy() if spans else empty,
@@ -198,9 +230,11 @@ class Emulator:
     def _advance(self) -> None:
         now = self.time
         b = self.bodies
+        self.injector.tick(now)
+        self._arrive(now)
         rope = self.rope
         if rope is not None and (rope.taut or self._ticks % _TICK_EVERY):
-            self._force = rope.pull(b.grip_points(), b.velocity)
+            self._force = rope.pull(*self._held())[: b.count]
         hit = b.step(self._force)
         if hit is not None:
             for i in np.nonzero(hit)[0]:
@@ -219,6 +253,16 @@ class Emulator:
                 vehicle.now = max(vehicle.now, now)
                 for name in link.take_due(now):
                     emit(vehicle, name, link)
+
+    def _held(self) -> tuple[Array, Array]:
+        """Grip points and velocities of all that holds cable: vehicles, then snags."""
+        b = self.bodies
+        grips = b.grip_points()
+        anchors = self.injector.anchors
+        if not anchors:
+            return grips, b.velocity
+        pinned = np.array([place for _, place in anchors])
+        return np.vstack([grips, pinned]), np.vstack([b.velocity, np.zeros_like(pinned)])
 
     def _tick(self, vehicle: Vehicle, now: float) -> None:
         vehicle.now = max(vehicle.now, now)
@@ -239,8 +283,7 @@ class Emulator:
         b = self.bodies
         b.wander(interval)
         self._drain(interval)
-        grips = b.grip_points()
-        cable = self.rope.follow(grips, interval) if self.rope else None
+        cable = self.rope.follow(self._held()[0], interval) if self.rope else None
         self.contacts.look(self.time, [v.system for v in self.vehicles], cable)
 
     def _drain(self, interval: float) -> None:
@@ -265,7 +308,7 @@ class Emulator:
         if self.rope is None:
             return False
         grips = self.bodies.grip_points()
-        self.rope.follow(grips, 0.0)
+        self.rope.follow(self._held()[0], 0.0)
         arc = self.rope.grab(index, grips[index])
         held = arc is not None
         self._event("grabbed" if held else "grabbed nothing", self.vehicles[index].system, arc=arc)
@@ -274,7 +317,7 @@ class Emulator:
     def _release(self, index: int) -> bool:
         if self.rope is None:
             return False
-        self.rope.follow(self.bodies.grip_points(), 0.0)
+        self.rope.follow(self._held()[0], 0.0)
         held = self.rope.let_go(index)
         if held:
             self._event("released", self.vehicles[index].system)

@@ -16,10 +16,9 @@ from sitl import demand, wire
 from sitl.vehicle import (
     ACCEPTED,
     DENIED,
-    IN_PROGRESS,
     TEMPORARILY_REJECTED,
     UNSUPPORTED,
-    Link,
+    Command,
     Vehicle,
 )
 
@@ -262,13 +261,15 @@ class Px4:
 
     # Commands.
 
-    def command(self, command: int, p: list[float], link: Link, x: int, y: int) -> int | None:
+    def command(self, command: Command) -> int | None:
         """Carry out a command; return its result, None if this autopilot does not know it."""
-        handler = _COMMANDS.get(command)
-        return None if handler is None else handler(self, p, link, x, y)
+        handler = _COMMANDS.get(command.number)
+        return None if handler is None else handler(self, command)
 
-    def set_mode(self, base: int, custom: int, link: Link) -> int:
+    def set_mode(self, base: int, custom: int) -> int:
         """Legacy SET_MODE: the custom mode as one number."""
+        if not base & 1:
+            return DENIED
         return self._change(_BY_NUMBER.get((custom >> 16 & 0xFF, custom >> 24 & 0xFF)))
 
     def _change(self, name: str | None) -> int:
@@ -294,13 +295,15 @@ class Px4:
             self.after_disarm = name
         self.evaluate()
 
-    def _do_set_mode(self, p: list[float], link: Link, x: int, y: int) -> int:
+    def _do_set_mode(self, command: Command) -> int:
+        p = command.p
         base, main, sub = int(p[0]), int(p[1]), int(p[2])
         if not base & 1:
             return DENIED
         return self._change(_BY_NUMBER.get((main, sub)))
 
-    def _arm_disarm(self, p: list[float], link: Link, x: int, y: int) -> int:
+    def _arm_disarm(self, command: Command) -> int:
+        p = command.p
         v = self.v
         force = round(p[1]) == FORCE
         if p[0] not in (0.0, 1.0):
@@ -352,7 +355,8 @@ class Px4:
         v.around.event("disarmed", v.system, reason=text)
         self.evaluate()
 
-    def _takeoff(self, p: list[float], link: Link, x: int, y: int) -> int:
+    def _takeoff(self, command: Command) -> int:
+        p = command.p
         v = self.v
         result = self._change("TAKEOFF")
         if result == ACCEPTED:
@@ -366,13 +370,14 @@ class Px4:
             self.evaluate()
         return result
 
-    def _land(self, p: list[float], link: Link, x: int, y: int) -> int:
+    def _land(self, _: Command) -> int:
         return self._change("LAND")
 
-    def _return(self, p: list[float], link: Link, x: int, y: int) -> int:
+    def _return(self, _: Command) -> int:
         return self._change("RTL")
 
-    def _reposition(self, p: list[float], link: Link, x: int, y: int) -> int:
+    def _reposition(self, command: Command) -> int:
+        p, x, y = command.p, command.x, command.y
         v = self.v
         result = self._change("LOITER")
         if result == ACCEPTED:
@@ -389,12 +394,14 @@ class Px4:
             self.evaluate()
         return result
 
-    def _speed(self, p: list[float], link: Link, x: int, y: int) -> int:
+    def _speed(self, command: Command) -> int:
+        p = command.p
         if math.isfinite(p[1]) and p[1] > 0:
             self.v.bodies.speed_limit[self.v.index] = min(p[1], self.v.spec.max_speed)
         return ACCEPTED
 
-    def _terminate(self, p: list[float], link: Link, x: int, y: int) -> int:
+    def _terminate(self, command: Command) -> int:
+        p = command.p
         if p[0] > 0.5:
             self.terminate()
         return ACCEPTED
@@ -410,12 +417,12 @@ class Px4:
 
     # Setpoints.
 
-    def setpoint(self, setpoint: wire.Setpoint, link: Link | None) -> None:
+    def setpoint(self, setpoint: wire.Setpoint) -> None:
         """Take SET_POSITION_TARGET_LOCAL_NED as PX4 does: LOCAL_NED only; NaN is "not given"."""
         if setpoint.frame != _LOCAL_NED or setpoint.mask & 512:
             return
         mask = setpoint.mask
-        values = (*setpoint.position, *setpoint.velocity, *setpoint.acceleration)
+        values: tuple[float, ...] = (*setpoint.position, *setpoint.velocity, *setpoint.acceleration)
         total = sum(values)
         if mask & 0x1FF or total - total != 0.0:
             values = tuple(math.nan if mask >> k & 1 else x for k, x in enumerate(values))
@@ -578,7 +585,7 @@ class Px4:
             demand.limits(v, p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"])
             if self.offboard is not None:
                 received = self.offboard_at
-                self.setpoint(self.offboard, None)
+                self.setpoint(self.offboard)
                 self.offboard_at = received
         elif name == "TAKEOFF" and self.goal is not None:
             demand.limits(v, p["MPC_XY_CRUISE"], p["MPC_TKO_SPEED"], p["MPC_Z_V_AUTO_DN"])
@@ -631,6 +638,15 @@ class Px4:
             self.landing = True
             demand.sink(v, p["MPC_LAND_SPEED"], steer=True)
 
+    def pilot_takes_over(self) -> None:
+        """A pilot's sticks move: Position mode, and the user's intention with it."""
+        self.pilot = True
+        self.intend("POSCTL")
+
+    def leave(self) -> None:
+        """Leave offboard for no reason that anybody sees."""
+        self.intend("LOITER")
+
 
 def _nothing(_: Px4) -> None:
     return
@@ -660,4 +676,3 @@ _COMMANDS = {
     dialect.MAV_CMD_DO_CHANGE_SPEED: Px4._speed,
     dialect.MAV_CMD_DO_FLIGHTTERMINATION: Px4._terminate,
 }
-GRIPPER_ACK_FIRST = IN_PROGRESS

@@ -6,6 +6,7 @@ Ports are those of the real simulators, unless every vehicle is to talk to one `
 import contextlib
 import gc
 import json
+import math
 import os
 import select
 import signal
@@ -240,7 +241,7 @@ def truth_line(truth: Truth) -> str:
             data[name] = value.tolist()
         else:
             data[name] = value
-    data["grip_arc"] = [arc if arc == arc else None for arc in data["grip_arc"]]
+    data["grip_arc"] = [None if math.isnan(arc) else arc for arc in data["grip_arc"]]
     return json.dumps(data)
 
 

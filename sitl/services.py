@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl import telemetry, wire
+from sitl import ardupilot, px4, telemetry, wire
 from sitl.vehicle import (
     ACCEPTED,
     DENIED,
     HANDLERS,
     IN_PROGRESS,
     UNSUPPORTED,
+    Command,
     Link,
     Vehicle,
 )
@@ -45,17 +46,15 @@ def emit(v: Vehicle, name: str, link: Link) -> bool:
     return True
 
 
-def _heartbeat(v: Vehicle, message: Any, link: Link) -> None:
+def _heartbeat(v: Vehicle, message: Any, _: Link) -> None:
     if message.type == dialect.MAV_TYPE_GCS:
         v.last_heartbeat[message.get_srcSystem()] = v.now
 
 
 def _command_long(v: Vehicle, message: Any, link: Link) -> None:
-    if not _addressed(v, message):
-        return
-    p = [getattr(message, f"param{k}") for k in range(1, 8)]
-    x, y = _scaled(p[4]), _scaled(p[5])
-    _command(v, message, p, link, x, y)
+    if _addressed(v, message):
+        p = [getattr(message, f"param{k}") for k in range(1, 8)]
+        _command(v, message, p, (_scaled(p[4]), _scaled(p[5])), link)
 
 
 def _scaled(degrees: float) -> int:
@@ -65,108 +64,116 @@ def _scaled(degrees: float) -> int:
 
 
 def _command_int(v: Vehicle, message: Any, link: Link) -> None:
-    if not _addressed(v, message):
-        return
-    p = [message.param1, message.param2, message.param3, message.param4, 0.0, 0.0, message.z]
-    p[4], p[5] = message.x * 1e-7, message.y * 1e-7
-    _command(v, message, p, link, message.x, message.y)
+    if _addressed(v, message):
+        x, y = message.x, message.y
+        p = [getattr(message, f"param{k}") for k in range(1, 5)]
+        _command(v, message, [*p, x * 1e-7, y * 1e-7, message.z], (x, y), link)
 
 
-def _command(v: Vehicle, message: Any, p: list[float], link: Link, x: int, y: int) -> None:
-    command = message.command
-    system, component = message.get_srcSystem(), message.get_srcComponent()
-    own = COMMANDS.get(command)
+def _command(v: Vehicle, message: Any, p: list[float], xy: tuple[int, int], link: Link) -> None:
+    number, asker = message.command, (message.get_srcSystem(), message.get_srcComponent())
+    command = Command(number, p, *xy, link, *asker)
+    own = COMMANDS.get(number)
     try:
-        if own is not None:
-            result = own(v, p, link, (system, component))
-        else:
-            result = v.personality.command(command, p, link, x, y)
+        result = own(v, command) if own else v.personality.command(command)
     except (ValueError, OverflowError):
         result = DENIED
     if result is None:
         result = UNSUPPORTED
-    if result >= 0:
-        v.acknowledge(command, result, link, system, component)
-        if command == dialect.MAV_CMD_DO_SET_MODE and v.spec.autopilot == "px4":
-            v.acknowledge(command, result, link, system, component)
+    if result != _NO_ANSWER:
+        v.acknowledge(number, result, link, *asker)
+        if number == dialect.MAV_CMD_DO_SET_MODE and v.spec.autopilot == "px4":
+            v.acknowledge(number, result, link, *asker)
 
 
 _NO_ANSWER = -1
+_INJECT_FAILURE = 420
 
 
-def _request_message(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
-    name = NAMES.get(int(p[0]))
-    if name not in telemetry.MESSAGES or not emit(v, name, link):
+def _request_message(v: Vehicle, command: Command) -> int:
+    name = NAMES.get(int(command.p[0]))
+    if name not in telemetry.MESSAGES or not emit(v, name, command.link):
         return DENIED if v.spec.autopilot == "px4" else UNSUPPORTED
     return ACCEPTED
 
 
-def _set_interval(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
-    name = NAMES.get(int(p[0]))
-    if name not in telemetry.MESSAGES or not math.isfinite(p[1]):
+def _set_interval(v: Vehicle, command: Command) -> int:
+    name = NAMES.get(int(command.p[0]))
+    if name not in telemetry.MESSAGES or not math.isfinite(command.p[1]):
         return DENIED
-    if p[1] < 0:
-        link.stream(name, None, v.now)
-    elif p[1] == 0:
-        rate = default_streams(v, link).get(name)
-        link.stream(name, 1.0 / rate if rate else None, v.now)
+    if command.p[1] < 0:
+        command.link.stream(name, None, v.now)
+    elif command.p[1] == 0:
+        rate = default_streams(v, command.link).get(name)
+        command.link.stream(name, 1.0 / rate if rate else None, v.now)
     else:
-        link.stream(name, max(p[1] * 1e-6, 1.0 / _LARGEST_RATE), v.now)
+        command.link.stream(name, max(command.p[1] * 1e-6, 1.0 / _LARGEST_RATE), v.now)
     return ACCEPTED
 
 
-def _get_interval(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
-    name = NAMES.get(int(p[0]))
-    interval = link.intervals.get(name) if name else None
+def _get_interval(v: Vehicle, command: Command) -> int:
+    name = NAMES.get(int(command.p[0]))
+    interval = command.link.intervals.get(name) if name else None
     microseconds = round(interval * 1e6) if interval else -1
-    v.send("MESSAGE_INTERVAL", link, message_id=int(p[0]), interval_us=microseconds)
+    v.send("MESSAGE_INTERVAL", command.link, message_id=int(command.p[0]), interval_us=microseconds)
     return ACCEPTED
 
 
-def _capabilities(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
-    emit(v, "AUTOPILOT_VERSION", link)
+def _capabilities(v: Vehicle, command: Command) -> int:
+    emit(v, "AUTOPILOT_VERSION", command.link)
     return ACCEPTED
 
 
-def _gripper(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
+def _gripper(v: Vehicle, command: Command) -> int:
     if v.spec.gripper != "mavlink":
         return UNSUPPORTED
-    if p[1] not in (0.0, 1.0):
+    if command.p[1] not in (0.0, 1.0):
         return DENIED
     delay = float(v.rng.uniform(0.4, 0.7))
-    v.start_gripper(p[1] == 1.0, link, *asker, delay)
+    v.start_gripper(command.p[1] == 1.0, command.link, command.system, command.component, delay)
     return IN_PROGRESS if v.spec.autopilot == "px4" else _NO_ANSWER
 
 
-def _home(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
-    return ACCEPTED if emit(v, "HOME_POSITION", link) else DENIED
+def _home(v: Vehicle, command: Command) -> int:
+    return ACCEPTED if emit(v, "HOME_POSITION", command.link) else DENIED
 
 
-def _set_home(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
+def _set_home(v: Vehicle, command: Command) -> int:
     if not v.global_valid:
         return DENIED
     place = np.array(v.estimated())
-    if p[0] != 1.0:
-        if not (math.isfinite(p[4]) and math.isfinite(p[5]) and math.isfinite(p[6])):
+    if command.p[0] != 1.0:
+        if not (
+            math.isfinite(command.p[4])
+            and math.isfinite(command.p[5])
+            and math.isfinite(command.p[6])
+        ):
             return DENIED
-        x, y = v.around.geodesy.metres(p[4], p[5])
+        x, y = v.around.geodesy.metres(command.p[4], command.p[5])
         if max(abs(x), abs(y)) > 1e5:
             return DENIED
-        place = np.array([x, y, p[6] - v.around.geodesy.altitude])
+        place = np.array([x, y, command.p[6] - v.around.geodesy.altitude])
     v.home = place
     return ACCEPTED
 
 
-def _reboot(v: Vehicle, p: list[float], link: Link, asker: tuple[int, int]) -> int:
-    if p[0] not in (1.0, 3.0):
-        return ACCEPTED if p[0] == 0.0 else DENIED
+def _inject(v: Vehicle, command: Command) -> int:
+    if v.spec.autopilot == "px4" and not v.parameters["SYS_FAILURE_EN"]:
+        return DENIED
+    known = v.inject is not None and v.inject(int(command.p[0]), int(command.p[1]))
+    return ACCEPTED if known else UNSUPPORTED
+
+
+def _reboot(v: Vehicle, command: Command) -> int:
+    if command.p[0] not in (1.0, 3.0):
+        return ACCEPTED if command.p[0] == 0.0 else DENIED
     if v.armed:
         return DENIED
     v.later.append((v.now + 0.2, v.reboot))
     return ACCEPTED
 
 
-COMMANDS: dict[int, Callable[[Vehicle, list[float], Link, tuple[int, int]], int]] = {
+COMMANDS: dict[int, Callable[[Vehicle, Command], int]] = {
     dialect.MAV_CMD_REQUEST_MESSAGE: _request_message,
     dialect.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
     dialect.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
@@ -174,21 +181,20 @@ COMMANDS: dict[int, Callable[[Vehicle, list[float], Link, tuple[int, int]], int]
     dialect.MAV_CMD_DO_GRIPPER: _gripper,
     dialect.MAV_CMD_GET_HOME_POSITION: _home,
     dialect.MAV_CMD_DO_SET_HOME: _set_home,
+    _INJECT_FAILURE: _inject,
     dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
 }
 
 
 def default_streams(v: Vehicle, link: Link) -> dict[str, float]:
     """Rates (Hz) that this autopilot sends on this kind of link without being asked."""
-    from sitl import ardupilot, px4  # the personalities import this module's constants
-
     table = px4.STREAMS if v.spec.autopilot == "px4" else ardupilot.STREAMS
     return table[link.kind]
 
 
 def _set_mode(v: Vehicle, message: Any, link: Link) -> None:
     if message.target_system == v.system:
-        result = v.personality.set_mode(message.base_mode, message.custom_mode, link)
+        result = v.personality.set_mode(message.base_mode, message.custom_mode)
         v.acknowledge(
             dialect.MAVLINK_MSG_ID_SET_MODE,
             result,
@@ -247,7 +253,7 @@ def _param_read(v: Vehicle, message: Any, link: Link) -> None:
         send_parameter(v, link, name)
 
 
-def _param_set(v: Vehicle, message: Any, link: Link) -> None:
+def _param_set(v: Vehicle, message: Any, _: Link) -> None:
     if not _addressed(v, message):
         return
     name = _name(message.param_id)
@@ -428,12 +434,12 @@ def _set_origin(v: Vehicle, message: Any, link: Link) -> None:
         emit(v, "GPS_GLOBAL_ORIGIN", link)
 
 
-def _vision(v: Vehicle, message: Any, link: Link) -> None:
+def _vision(v: Vehicle, message: Any, _: Link) -> None:
     """Indoors the estimator follows what motion capture says (local NED of the shared frame)."""
     place = (message.x, message.y, message.z)
     if not v.around.indoor or not all(map(math.isfinite, place)):
         return
-    told = v.origin + (message.y, message.x, -message.z)
+    told = v.origin + np.array([message.y, message.x, -message.z])
     correction = told - v.bodies.position[v.index]
     if float(np.linalg.norm(correction)) < 5.0:
         v.bodies.bias[v.index] = correction
@@ -444,8 +450,6 @@ def _vision(v: Vehicle, message: Any, link: Link) -> None:
 def _data_stream(v: Vehicle, message: Any, link: Link) -> None:
     if not _addressed(v, message) or v.spec.autopilot != "ardupilot":
         return
-    from sitl import ardupilot  # see default_streams
-
     for name in ardupilot.DATA_STREAMS.get(message.req_stream_id, ()):
         rate = min(message.req_message_rate, 50)
         on = message.start_stop == 1 and rate > 0

@@ -399,7 +399,7 @@ def _servo(v: Vehicle) -> bytes:
     )
 
 
-def _mission_current(v: Vehicle) -> bytes:
+def _mission_current(_: Vehicle) -> bytes:
     return wire.payload("MISSION_CURRENT", {"seq": 0})
 
 

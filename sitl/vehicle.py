@@ -8,7 +8,7 @@ import heapq
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
@@ -99,18 +99,60 @@ class Link:
         return names
 
 
+class Command(NamedTuple):
+    """A command as received: number, seven parameters, x and y also as 1e-7 degrees, asker."""
+
+    number: int
+    p: list[float]
+    x: int
+    y: int
+    link: Link
+    system: int
+    component: int
+
+
 class Personality(Protocol):
     """What differs between autopilots: modes, commands, setpoints, failsafes."""
 
-    def command(self, command: int, p: list[float], link: Link, x: int, y: int) -> int | None: ...
-    def setpoint(self, setpoint: wire.Setpoint, link: Link | None) -> None: ...
-    def set_mode(self, base: int, custom: int, link: Link) -> int: ...
-    def tick(self) -> None: ...
-    def custom_mode(self) -> int: ...
-    def base_mode(self) -> int: ...
-    def ready(self) -> bool: ...
-    def parameter_changed(self, name: str) -> None: ...
-    def restart(self) -> None: ...
+    def command(self, command: Command) -> int | None:
+        """Carry out a command; return its MAV_RESULT, None if it is not known here."""
+
+    def setpoint(self, setpoint: wire.Setpoint) -> None:
+        """Take a setpoint of position, velocity and acceleration."""
+
+    def set_mode(self, base: int, custom: int) -> int:
+        """Legacy SET_MODE; return the MAV_RESULT."""
+        ...
+
+    def tick(self) -> None:
+        """Look at timers and conditions."""
+
+    def custom_mode(self) -> int:
+        """HEARTBEAT.custom_mode."""
+        ...
+
+    def base_mode(self) -> int:
+        """HEARTBEAT.base_mode."""
+        ...
+
+    def ready(self) -> bool:
+        """Whether arming would be allowed: the pre-arm bit."""
+        ...
+
+    def parameter_changed(self, name: str) -> None:
+        """React to PARAM_SET."""
+
+    def restart(self) -> None:
+        """Boot."""
+
+    def pilot_takes_over(self) -> None:
+        """A pilot's sticks or switch select a manual mode."""
+
+    def leave(self) -> None:
+        """Leave the mode that follows setpoints."""
+
+    def disarm(self, text: str) -> None:
+        """Stop the motors at once."""
 
 
 @dataclass
@@ -177,9 +219,10 @@ class Vehicle:
         self.global_valid = not world.indoor
         self.frozen = False
         self.vision_at = -math.inf
-        self.silent = False
         self.pending: list[Request] = []
         self.gripped = False
+        self.simulation_changed: Callable[[str, float], None] | None = None
+        self.inject: Callable[[int, int], bool] | None = None
         self.stuck: str | None = None
         self.refuse_arming: str | None = None
         self.last_heartbeat: dict[int, float] = {}
@@ -247,7 +290,7 @@ class Vehicle:
             )
 
     def acknowledge(
-        self, command: int, result: int, link: Link, system: int, component: int, progress: int = 0
+        self, command: int, result: int, link: Link, system: int, component: int
     ) -> None:
         """Answer a command."""
         self.send(
@@ -255,7 +298,6 @@ class Vehicle:
             link,
             command=command,
             result=result,
-            progress=progress,
             target_system=system,
             target_component=component,
         )
@@ -319,7 +361,7 @@ class Vehicle:
             return
         if isinstance(message, wire.Setpoint):
             if message.target_system in {0, self.system} and message.target_component in {0, 1}:
-                self.personality.setpoint(message, link)
+                self.personality.setpoint(message)
             return
         handler = HANDLERS.get(message.get_type())
         if handler is not None:

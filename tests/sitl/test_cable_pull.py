@@ -8,7 +8,6 @@ from sitl import Emulator
 from tests.sitl.client import Ground, world
 
 GRIPPER = dialect.MAV_CMD_DO_GRIPPER
-CABLE = "{mass_per_length: 0.05, points: [[0, 0, 0], [0, 1, 0], [0, 3.25, 0], [0.5, 3.5, 0], [6, 3.5, 0], [6, 0, 0]]}"
 
 
 def hung_team(
@@ -16,7 +15,10 @@ def hung_team(
 ) -> Ground:
     """Vehicles in the air over their pads, holding one straight cable with some slack."""
     span = 3.0 + slack
-    cable = f"{{mass_per_length: {mass}, points: [[0, 0, 0], [{span * (count - 1)}, 0, 0]], attached: {[span * i for i in range(count)]}}}"
+    tied = [span * i for i in range(count)]
+    cable = (
+        f"{{mass_per_length: {mass}, points: [[0, 0, 0], [{tied[-1]}, 0, 0]], attached: {tied}}}"
+    )
     ground = Ground(Emulator(world(count, cable, gripper="attached")))
     for i in range(count):
         for name, value in (("MPC_XY_VEL_I_ACC", integral), ("MPC_Z_VEL_I_ACC", 2 * integral)):
@@ -54,7 +56,7 @@ def test_the_cable_weighs_on_those_who_hold_it() -> None:
 
 
 def test_neighbours_of_a_weak_vehicle_shift_by_what_statics_says() -> None:
-    """Without integrators a pull of F newtons moves a vehicle by F / (m · P_velocity · P_position)."""
+    """Without integrators F newtons move a vehicle by F / (m · P_velocity · P_position)."""
     ground = hung_team(3, integral=0.0, mass=0.3)
     b, rope = ground.emulator.bodies, ground.emulator.rope
     before = b.position.copy()
