@@ -4,10 +4,11 @@ from pathlib import Path
 
 import click
 
+from swarm.borders import Section
 from swarm.cli.inputs import print_json, write_text
 from swarm.errors import InputError, Problem
 from swarm.knots.catalog import choose
-from swarm.mission import Mission, Section, mission_for_knot, mission_schema
+from swarm.mission import Mission, mission_for_knot, mission_schema
 
 
 @click.command()

@@ -1,0 +1,149 @@
+"""``swarm fly``: plan, check, count down, fly, and tell what was flown."""
+
+import time
+from contextlib import ExitStack
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+
+import click
+from rich.console import Console
+
+from swarm import api
+from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progress_bar, read_text
+from swarm.cli.outcome import outcome_object, print_outcome
+from swarm.errors import InputError, Problem
+from swarm.fleet import Fleet, emulated_fleet, parse_fleet
+from swarm.flight.clearance import Audit
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.ground.fly import fly as fly_proven
+from swarm.verify import judge
+from swarm.view import rerun_log
+from swarm.view.terminal import FlightScreen, findings_table, plan_summary
+
+COUNTDOWN = 3
+
+
+@click.command()
+@MISSION
+@SET
+@JSON
+@click.option(
+    "--fleet",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The vehicles and their links; without it, the built-in emulator.",
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(0.1, 50.0),
+    default=1.0,
+    show_default=True,
+    help="Times real time; for emulated vehicles only.",
+)
+@click.option("--no-cable", is_flag=True, help="Fly with nothing attached, grips simulated.")
+@click.option(
+    "--view",
+    is_flag=False,
+    flag_value="native",
+    type=click.Choice(["native", "web"]),
+    help="Watch in Rerun while flying: its own viewer, or `web` on this machine's loopback.",
+)
+@click.option("--yes", is_flag=True, help="Do not ask; never passes an error.")
+@click.option(
+    "--record",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for the flight's record; the default is a new one below flights/.",
+)
+@click.pass_context
+def fly(
+    context: click.Context,
+    mission: str,
+    overrides: tuple[str, ...],
+    as_json: bool,
+    fleet: Path | None,
+    speed: float,
+    no_cable: bool,
+    view: Literal["native", "web"] | None,
+    yes: bool,
+    record: Path | None,
+) -> None:
+    """Plan MISSION (a file or a knot's name), check it, and fly it.
+
+    Without --fleet the built-in emulator flies, in a process of its own. Ctrl-C stops the team and
+    lands it together.
+    """
+    loaded = load_mission(mission, overrides)
+    console = Console(quiet=as_json)
+    with progress_bar(Console(stderr=True)) as progress:
+        planned = api.plan(loaded, progress)
+    plan_summary(planned.plan, planned.assessment, console)
+    proven = planned.proven()
+    team = _fleet(fleet, planned.plan.vehicles)
+    folder = record or _record_folder(loaded.name)
+    emulated = team.emulated is not None
+    folder.mkdir(parents=True, exist_ok=True)
+    viewer = rerun_log.start(planned.plan, folder / "flight.rrd", view)
+    screen = FlightScreen(planned.plan, console)
+    try:
+        if viewer.message:
+            console.print(viewer.message)
+        with ExitStack() as shown:
+
+            def confirm(audit: Audit) -> bool:
+                if not (emulated or yes):
+                    console.print(findings_table(audit.findings))
+                    if not click.confirm("Arm and fly?", err=True):
+                        return False
+                    shown.enter_context(screen)
+                for left in range(COUNTDOWN, 0, -1):
+                    screen.countdown(left)
+                    time.sleep(1.0)
+                return True
+
+            def on_snapshot(snapshot: Snapshot) -> None:
+                screen.show(snapshot)
+                viewer.offer(snapshot)
+
+            def on_event(event: Event) -> None:
+                screen.event(event)
+                viewer.offer(event)
+
+            if emulated or yes:
+                shown.enter_context(screen)
+            result = fly_proven(
+                proven,
+                team,
+                folder,
+                speed=speed,
+                no_cable=no_cable,
+                confirm=confirm,
+                on_snapshot=on_snapshot,
+                on_event=on_event,
+            )
+    finally:
+        viewer.close()
+    flown = judge(planned.plan, result.trace)
+    if as_json:
+        print_json(outcome_object(result, flown, planned.assessment))
+    else:
+        print_outcome(planned.plan, result, flown, planned.assessment, console)
+        console.print(f"Record: {folder}", soft_wrap=True, highlight=False)
+    error = result.outcome.error()
+    if error is not None:
+        raise error
+    context.exit(0 if flown.as_planned else 1)
+
+
+def _fleet(path: Path | None, vehicles: int) -> Fleet:
+    if path is None:
+        return emulated_fleet(vehicles)
+    return parse_fleet(read_text(path), str(path))
+
+
+def _record_folder(name: str) -> Path:
+    stem = f"{datetime.now().astimezone():%Y-%m-%dT%H-%M-%S}-{name}".replace("/", "-")
+    for number in range(100):
+        folder = Path("flights") / (f"{stem}-{number}" if number else stem)
+        if not folder.exists():
+            return folder
+    raise InputError([Problem("flights", "expected a free name for the record")])

@@ -1,0 +1,121 @@
+"""What a flight or a dry run comes to, for people and for scripts."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from swarm.exports import tightest_object
+from swarm.flight.result import FlightResult
+from swarm.plans import Plan
+from swarm.preflight.findings import Assessment, Tightest
+from swarm.verify import Flown, TrackingError
+
+
+def outcome_object(result: FlightResult, flown: Flown, assessment: Assessment) -> dict[str, Any]:
+    """Return a flight's outcome as one JSON-ready object, flown beside certified."""
+    statistics = result.statistics
+    return {
+        "outcome": result.outcome.word,
+        "explanation": result.outcome.explanation,
+        "record": str(result.record) if result.record else None,
+        "knot": {
+            "type": flown.knot,
+            "chirality": flown.chirality,
+            "gauss": flown.gauss,
+            "as_planned": flown.as_planned,
+        },
+        "clearance": {
+            name: {
+                "flown": tightest_object(was) if was else None,
+                "certified": tightest_object(certified),
+            }
+            for name, was, certified in _clearances(flown, assessment)
+        },
+        "largest_chord": flown.tightest_chord,
+        "tracking": [
+            {
+                "phase": error.phase,
+                "vehicle": error.vehicle,
+                "rms": error.rms,
+                "p999": error.p999,
+                "max": error.largest,
+            }
+            for error in flown.tracking
+        ],
+        "duration": statistics.duration,
+        "setpoints": statistics.setpoints,
+        "lateness": statistics.lateness,
+        "cpu": statistics.cpu,
+        "command_latency": statistics.command_latency,
+        "lost": {str(sysid): count for sysid, count in statistics.lost.items()},
+        "notes": list(flown.notes),
+    }
+
+
+def print_outcome(
+    plan: Plan, result: FlightResult, flown: Flown, assessment: Assessment, console: Console
+) -> None:
+    """Print what was flown: knot, clearances beside what was certified, tracking, timing."""
+    asked = f"{plan.knot.type} {_hand(plan.knot.chirality)}".strip()
+    implied = f"{flown.knot} {_hand(flown.chirality)}".strip()
+    style = "green" if flown.as_planned else "bold red"
+    console.print(
+        f"Knot implied by the reported positions: [{style}]{implied}[/] (asked for: {asked})"
+    )
+    console.print(_clearance_table(flown, assessment))
+    console.print(_tracking_line(flown.tracking, plan.mission.vehicles.tracking))
+    for note in flown.notes:
+        console.print(f"[yellow]note[/] {note}")
+    statistics = result.statistics
+    line = f"{statistics.duration:.0f} s of flight, {statistics.setpoints} setpoints"
+    if statistics.lateness:
+        line += f", late by {statistics.lateness[0] * 1e3:.2f} ms (median), "
+        line += f"{statistics.lateness[1] * 1e3:.1f} ms (99 %)"
+    if statistics.cpu is not None:
+        line += f", {statistics.cpu:.0%} of a core"
+    console.print(line, style="dim", highlight=False)
+
+
+def _clearances(
+    flown: Flown, assessment: Assessment
+) -> Iterable[tuple[str, Tightest | None, Tightest]]:
+    yield "cable", flown.cable, assessment.cable
+    yield "vehicle", flown.vehicle, assessment.vehicle
+    yield "vehicle_cable", flown.vehicle_cable, assessment.vehicle_cable
+
+
+def _clearance_table(flown: Flown, assessment: Assessment) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    for heading in ("smallest distance", "flown", "certified", "required", "between"):
+        table.add_column(heading, justify="left" if heading in {"smallest distance"} else "right")
+    names = {"cable": "cable to cable", "vehicle": "vehicle to vehicle"}
+    for name, was, certified in _clearances(flown, assessment):
+        enough = was is not None and was.distance >= certified.required
+        table.add_row(
+            names.get(name, "vehicle to cable"),
+            f"[{'green' if enough else 'red'}]{was.distance:.2f} m[/]" if was else "unknown",
+            f"{certified.distance:.2f} m",
+            f"{certified.required:.2f} m",
+            " and ".join(was.between) if was else "",
+        )
+    return table
+
+
+def _tracking_line(errors: tuple[TrackingError, ...], ball: float) -> str:
+    fold = [error for error in errors if error.phase == "fold" and error.vehicle]
+    if not fold:
+        return "Tracking error in the fold: unknown"
+    worst = max(fold, key=lambda error: error.largest)
+    together = [error for error in errors if error.phase == "fold" and error.vehicle == 0]
+    rms = together[0].rms if together else max(error.rms for error in fold)
+    style = "green" if worst.largest <= ball else "red"
+    return (
+        f"Tracking error in the fold: {rms:.3f} m RMS, [{style}]{worst.largest:.3f} m at most[/] "
+        f"(vehicle {worst.vehicle}); certified for {ball:g} m"
+    )
+
+
+def _hand(chirality: str) -> str:
+    return "" if chirality == "none" else f"{chirality}-handed"
