@@ -47,7 +47,7 @@ def plan_summary(plan: Plan, assessment: Assessment, console: Console) -> None:
 def findings(assessment: Assessment, console: Console) -> None:
     """Print what the checks have to say, errors before warnings before remarks."""
     if assessment.findings:
-        console.print(Padding(_findings(assessment.findings), (1, 0, 0, 2), expand=False))
+        console.print(Padding(findings_table(assessment.findings), (1, 0, 0, 2), expand=False))
     errors = sum(finding.severity == "error" for finding in assessment.findings)
     verdict = (
         Text("Cleared: certified in the quasi-static cable model.", "green")
@@ -126,7 +126,8 @@ def _tightest(tightest: Tightest) -> tuple[RenderableType, ...]:
     )
 
 
-def _findings(found: tuple[Finding, ...]) -> Table:
+def findings_table(found: tuple[Finding, ...]) -> Table:
+    """Return a table of findings, errors before warnings before remarks."""
     order = list(SEVERITY_STYLES)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     table.add_column("Finding", no_wrap=True)
