@@ -9,6 +9,7 @@ from swarm.knots.draw import UNKNOT, drawn
 from swarm.knots.gauss import KnotError, SignedGauss
 from swarm.knots.grid import Grid, OpenGrid, grid_of_columns, openings, stabilised
 from swarm.knots.grid import mirrored as mirrored_grid
+from swarm.knots.groups import sum_diagram
 from swarm.knots.hand import hand_of
 from swarm.knots.invariants import Identification, identify_diagram
 from swarm.knots.jones import jones
@@ -147,20 +148,10 @@ def _of_factors(factors: tuple[Factor, ...], warnings: tuple[str, ...]) -> KnotC
             0,
             (*warnings, "this is the unknot: the cable will not be knotted"),
         )
-    diagram = _sum_diagram(factors)
+    diagram = sum_diagram(factors)
     shape = factor_grid(factors)
     crossings = sum(prime(part).crossings for part, _ in factors)
     return KnotChoice(name, chirality, diagram.code.text(), diagram, shape, crossings, warnings)
-
-
-def _sum_diagram(factors: tuple[Factor, ...]) -> Diagram:
-    passes: list[tuple[int, bool, int]] = []
-    for name, hand in factors:
-        diagram = prime(name).diagram
-        code = diagram.code.mirrored() if hand < 0 else diagram.code
-        base = len(passes) // 2
-        passes += [(base + k, over, sign) for k, over, sign in code.passes]
-    return Diagram(SignedGauss.of(passes, closed=True))
 
 
 def factor_grid(factors: tuple[Factor, ...]) -> Grid:
@@ -175,7 +166,7 @@ def factor_grid(factors: tuple[Factor, ...]) -> Grid:
     if len(grids) == 1:
         return grids[0]
     target = sum(grid.size for grid in grids) - 2 * (len(grids) - 1)
-    return compact(minimised(drawn(_sum_diagram(factors)), target=target), tries=100)
+    return compact(minimised(drawn(sum_diagram(factors)), target=target), tries=100)
 
 
 def _searched(name: str, chirality: str, shape: Grid, warnings: tuple[str, ...]) -> KnotChoice:

@@ -77,6 +77,12 @@ def reflected(tangle: Tangle) -> Tangle:
     return Tangle(crossings, tangle.glue, turn(tangle.ends))
 
 
+def turned(tangle: Tangle) -> Tangle:
+    """Turned by 90° as a whole: its north-east end is now its north-west one."""
+    nw, ne, se, sw = tangle.ends
+    return Tangle(tangle.crossings, tangle.glue, (ne, se, sw, nw))
+
+
 def negated(tangle: Tangle) -> Tangle:
     """With every crossing changed."""
     crossings = tuple((ends, not rising) for ends, rising in tangle.crossings)
@@ -165,5 +171,90 @@ def _split(text: str, mark: str) -> list[str]:
     return parts
 
 
+Joint = tuple[tuple[int, int], tuple[int, int]]
+_NW, _NE, _SE, _SW = range(4)
+
+
+@dataclass(frozen=True)
+class _Polyhedron:
+    """A basic polyhedron: which corners of its vertices are joined, and how tangles are put in.
+
+    ``order`` are the vertices in the order of the notation. A tangle is turned by 90° at the
+    vertices in ``turned``, so that crossings alternate, and reflected first at those in ``flipped``
+    (found by which polynomials the notations are known to have).
+    """
+
+    order: tuple[int, ...]
+    joints: tuple[Joint, ...]
+    turned: frozenset[int]
+    flipped: frozenset[int]
+
+
+def _braided(order: Sequence[int], flipped: Sequence[int]) -> _Polyhedron:
+    """A polyhedron that is a closed braid of three strands, crossing in turn above and below."""
+    joints: list[Joint] = []
+    last: list[tuple[int, int] | None] = [None] * 3
+    first: list[tuple[int, int]] = [(-1, 0)] * 3
+    for vertex in range(len(order)):
+        upper = vertex % 2
+        for strand, corner in ((upper, _NW), (upper + 1, _SW)):
+            before = last[strand]
+            if before is None:
+                first[strand] = (vertex, corner)
+            else:
+                joints.append((before, (vertex, corner)))
+        last[upper], last[upper + 1] = (vertex, _NE), (vertex, _SE)
+    joints += [(end, start) for end, start in zip(last, first, strict=True) if end is not None]
+    turned = frozenset(range(1, len(order), 2))
+    return _Polyhedron(tuple(order), tuple(joints), turned, frozenset(flipped))
+
+
+def _prismatic() -> _Polyhedron:
+    """9*: a vertex for each edge of a triangular prism: outer 0–2, upright 3–5, inner 6–8."""
+    joints: list[Joint] = []
+    for k in range(3):
+        following = (k + 1) % 3
+        outer, upright, inner = k, 3 + k, 6 + k
+        joints += [
+            ((outer, _NE), (following, _NW)),
+            ((inner, _SE), (6 + following, _SW)),
+            ((outer, _SW), (upright, _NE)),
+            ((outer, _SE), (3 + following, _NW)),
+            ((inner, _NW), (upright, _SE)),
+            ((inner, _NE), (3 + following, _SW)),
+        ]
+    order = (0, 3, 1, 4, 2, 5, 6, 7, 8)
+    return _Polyhedron(order, tuple(joints), frozenset((3, 4, 5)), frozenset((3, 4, 5)))
+
+
+_POLYHEDRA = {
+    "6*": _braided(range(6), (1, 3, 5)),
+    "6**": _braided((0, 1, 3, 4, 2, 5), (1, 4)),
+    "8*": _braided(range(8), (1, 3, 5, 7)),
+    "9*": _prismatic(),
+    "10*": _braided(range(10), ()),
+}
+
+
 def _polyhedral(text: str, edges: _Edges) -> Diagram:
-    raise NotImplementedError
+    """Tangles in a polyhedron: ``8*2:.20``; a missing tangle is 1; ``:`` stands for ``.1.``.
+
+    Without a polyhedron's name it is 6*, or with a leading dot Conway's other lettering, 6**.
+    """
+    name, star, rest = text.rpartition("*")
+    if not star:
+        name, rest = ("6*", rest[1:]) if rest.startswith(".") else ("6", rest)
+    shape = _POLYHEDRA[name + "*"]
+    written = [part or "1" for part in rest.replace(":", ".1.").split(".")]
+    written += ["1"] * (len(shape.order) - len(written))
+    tangles: dict[int, Tangle] = {}
+    for vertex, part in zip(shape.order, written, strict=True):
+        tangle = _tangle(part, edges)
+        if vertex in shape.flipped:
+            tangle = reflected(tangle)
+        tangles[vertex] = turned(tangle) if vertex in shape.turned else tangle
+    joints = [
+        (tangles[one].ends[corner], tangles[two].ends[other])
+        for (one, corner), (two, other) in shape.joints
+    ]
+    return _closed([tangles[k] for k in sorted(tangles)], joints)

@@ -56,6 +56,12 @@ class Diagram:
         """Sum of the crossing signs."""
         return self.code.writhe
 
+    @property
+    def alternating(self) -> bool:
+        """Whether over and under passes take turns all along."""
+        levels = [over for _, over, _ in self.code.passes]
+        return all(one != two for one, two in itertools.pairwise(levels))
+
     @cached_property
     def faces(self) -> tuple[tuple[int, ...], ...]:
         """Faces, each as the half edges that have it on their left (``2·edge + backward``).

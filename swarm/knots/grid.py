@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarm.knots.gauss import KnotError, SignedGauss
 
@@ -280,21 +281,33 @@ def openings(grid: Grid, *, limit: int | None = None) -> tuple[OpenGrid, ...]:
     walked in either direction. Order: fewest crossings, then least total edge length, then a fixed
     order. ``limit`` keeps only the first so many.
     """
-    found: list[tuple[tuple[int, int, int, int, int], Grid, Corner]] = []
-    for flip, base in enumerate((grid, transposed(grid))):
-        found += [((*key, flip), shifted, corner) for key, shifted, corner in _free_corners(base)]
-    found.sort(key=lambda item: (item[0], item[2]))
+    bases = (grid, transposed(grid))
+    found = np.concatenate([_free_corners(base, flip) for flip, base in enumerate(bases)])
     result: dict[tuple[Corner, ...], OpenGrid] = {}
-    for _, shifted, corner in found:
-        for opened in _opened(shifted, corner):
-            result.setdefault(opened.corners, opened)
+    for _, _, right, up, column, row, flip in found[np.lexsort(found.T[::-1])].tolist():
         if limit is not None and len(result) >= limit:
             break
+        for opened in _opened(translated(bases[flip], right, up), (column, row)):
+            result.setdefault(opened.corners, opened)
     return tuple(result.values())[:limit]
 
 
-def _free_corners(grid: Grid) -> list[tuple[tuple[int, int, int, int], Grid, Corner]]:
-    """Per translation and corner with crossing-free edges: sort key, translated grid, corner."""
+def least_opening(grid: Grid) -> tuple[int, int] | None:
+    """Crossings and total edge length of the best opening; None if there is no opening."""
+    found = _free_corners(grid, 0)
+    return (
+        min((crossings, length) for crossings, length in found[:, :2].tolist())
+        if len(found)
+        else None
+    )
+
+
+def _free_corners(grid: Grid, flip: int) -> NDArray[np.int64]:
+    """Corners with crossing-free edges, after every translation.
+
+    Rows of (crossings, length of the other edges, columns and rows moved by, the corner's column
+    and row, ``flip``).
+    """
     size = grid.size
     columns, rows = np.array(grid.columns) - 1, np.array(grid.rows) - 1
     right, up = (part.ravel() for part in np.indices((size, size)))
@@ -309,21 +322,17 @@ def _free_corners(grid: Grid) -> list[tuple[tuple[int, int, int, int], Grid, Cor
         & (row_ends[:, None, :, 0] < column_at[:, :, None])
         & (column_at[:, :, None] < row_ends[:, None, :, 1])
     )
-    total = crossed.sum(axis=(1, 2))
-    on_column, on_row = crossed.sum(axis=2), crossed.sum(axis=1)
-    tall, wide = np.ptp(column_ends, axis=2), np.ptp(row_ends, axis=2)
-    length = tall.sum(axis=1) + wide.sum(axis=1)
-    found = []
-    for column, pair in enumerate(grid.columns):
-        for row in pair:
-            free = (on_column[:, column] == 0) & (on_row[:, row - 1] == 0)
-            for k in np.flatnonzero(free):
-                shift = int(right[k]), int(up[k])
-                corner = int(column_at[k, column]) + 1, int(row_at[k, row - 1]) + 1
-                remaining = int(length[k] - tall[k, column] - wide[k, row - 1])
-                found.append(((int(total[k]), remaining, *shift), shift, corner))
-    grids = {shift: translated(grid, *shift) for shift in {shift for _, shift, _ in found}}
-    return [(key, grids[shift], corner) for key, shift, corner in found]
+    tall, wide = column_ends[:, :, 1] - column_ends[:, :, 0], row_ends[:, :, 1] - row_ends[:, :, 0]
+    column, row = np.repeat(np.arange(size), 2), columns.ravel()
+    on_column, on_row = np.any(crossed, axis=2), np.any(crossed, axis=1)
+    moved, corner = np.nonzero(~(on_column[:, column] | on_row[:, row]))
+    column, row = column[corner], row[corner]
+    total = crossed.sum(axis=(1, 2))[moved]
+    length = (tall.sum(axis=1) + wide.sum(axis=1))[moved] - tall[moved, column] - wide[moved, row]
+    place = column_at[moved, column] + 1, row_at[moved, row] + 1
+    return np.stack(
+        [total, length, right[moved], up[moved], *place, np.full(len(moved), flip)], axis=1
+    )
 
 
 def _opened(grid: Grid, corner: Corner) -> list[OpenGrid]:

@@ -10,10 +10,11 @@ from random import Random
 
 from swarm.knots.grid import Grid
 
-MOVES = 200_000
-"""Attempted moves before a search is given up: about half a second."""
+MOVES = 100_000
+"""Attempted moves before a search is given up: about a third of a second."""
 
-_PATIENCE = 400
+_PATIENCE = 100
+_APART = 5
 
 
 def minimised(grid: Grid, *, target: int = 2, moves: int = MOVES, seed: int = 1) -> Grid:
@@ -22,18 +23,25 @@ def minimised(grid: Grid, *, target: int = 2, moves: int = MOVES, seed: int = 1)
     Stops early at size ``target``; otherwise after ``moves`` attempted moves.
     """
     walk = _Walk(grid, seed)
-    best = walk.grid() if walk.shrink() else grid
+    walk.shrink()
+    best = walk.grid()
     stuck = 0
+    free = 0
     for _ in range(moves):
         if best.size <= max(target, 2):
             break
-        if walk.commute():
+        moved = walk.commute()
+        if free:
+            free -= 1
+        elif moved:
             walk.shrink()
         if walk.size < best.size:
             best, stuck = walk.grid(), 0
         stuck += 1
         if stuck % _PATIENCE == 0 and walk.size < best.size + 2:
+            # Unless the new edge first gets away from where it was put in, nothing is gained.
             walk.stabilise()
+            free = _APART * walk.size
     return best
 
 

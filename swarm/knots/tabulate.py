@@ -17,15 +17,25 @@ from swarm.knots.hand import AMPHICHIRAL, right_handed
 from swarm.knots.jones import jones
 from swarm.knots.layout import compact
 from swarm.knots.search import minimised
+from swarm.knots.simplify import simplified
+from swarm.knots.sums import order
 from swarm.knots.table import TableKnot
 
+MOVES = 400_000
+"""Attempted moves for a knot whose arc index is not known beforehand."""
 
-def tabulated(name: str, notation: str, *, tries: int = 30) -> TableKnot:
+
+def tabulated(name: str, notation: str, *, moves: int = MOVES, tries: int = 1000) -> TableKnot:
     """One line of the table from a knot's Conway notation."""
     chiral = name not in AMPHICHIRAL
-    dt = diagram_of_conway(notation).dt()
+    drawing = simplified(diagram_of_conway(notation), kicks=500)
+    if drawing.crossings != order(name)[0]:
+        raise RuntimeError(f"{name} came out with {drawing.crossings} crossings")
+    dt = drawing.dt()
     diagram = _right(diagrams_of_dt(dt), chiral)
-    grid = compact(minimised(drawn(diagram)), tries=tries)
+    # The arc index of an alternating knot is known (Bae and Park 2000).
+    target = drawing.crossings + 2 if drawing.alternating else 2
+    grid = compact(minimised(drawn(diagram), target=target, moves=moves), tries=tries)
     return TableKnot(
         name=name,
         chiral=chiral,
