@@ -1,4 +1,4 @@
-"""How a recording opens: one arrangement for flying, one for studying a plan."""
+"""How a recording opens: arrangements for flying, for studying a plan, and for comparing both."""
 
 import numpy as np
 import numpy.typing as npt
@@ -6,25 +6,25 @@ import rerun.blueprint as rrb
 
 from swarm.plans import Plan
 
+Floats = npt.NDArray[np.float64]
+
 TRAIL = 8.0
 """Seconds of trail behind each vehicle."""
 
-WINDOW = 30.0
-"""Seconds of curves shown while flying."""
+BACKGROUND = (22, 26, 34)
+UNLABELLED = "- /plan/crossings/labels"
+FIELD_WITHOUT = ("- /plan/team/**", "- /plan/path", UNLABELLED)
 
 
 def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
     """Return the arrangement for a flight; ``live`` follows the newest moment."""
-    return rrb.Blueprint(
+    return _blueprint(
         rrb.Horizontal(
             rrb.Vertical(
-                _scene(plan, "Scene", "time", "- /plan/team/**"),
-                rrb.Horizontal(
-                    _states(),
-                    rrb.TextLogView(origin="log", name="Log", columns=_log_columns()),
-                    column_shares=[1, 1],
-                ),
-                row_shares=[5, 2],
+                _scene("Knot", "time", _knot_eye(plan), "- /plan/team/**", UNLABELLED),
+                _scene("Field", "time", _field_eye(plan), *FIELD_WITHOUT),
+                rrb.Horizontal(_states(), _log("time"), column_shares=[1, 1]),
+                row_shares=[5, 3, 3],
             ),
             rrb.Vertical(
                 _curves("error", "Tracking error, m"),
@@ -35,11 +35,58 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
             ),
             column_shares=[5, 2],
         ),
-        rrb.TimePanel(
-            timeline="time",
-            state="collapsed",
-            play_state="following" if live else "playing",
+        "time",
+        play_state="following" if live else "paused",
+    )
+
+
+def plan_blueprint(plan: Plan) -> rrb.Blueprint:
+    """Return the arrangement for studying a plan over mission time."""
+    return _blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                _scene("Knot", "mission_time", _knot_eye(plan)),
+                _scene("Field", "mission_time", _field_eye(plan), UNLABELLED),
+                row_shares=[5, 3],
+            ),
+            rrb.Vertical(
+                _curves("plan/clearance", "Distance of strands (sampled), m"),
+                _curves("plan/speed", "Speed, m/s"),
+                _curves("plan/tautness", "Chord over length of the segments"),
+                rrb.StateTimelineView(origin="plan/phase", name="Phase"),
+                row_shares=[2, 2, 2, 1],
+            ),
+            column_shares=[5, 2],
         ),
+        "mission_time",
+    )
+
+
+def comparison_blueprint(plan: Plan) -> rrb.Blueprint:
+    """Return the arrangement that shows planned and flown side by side on the mission clock."""
+    return _blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                _scene("Planned", "mission_time", _knot_eye(plan), "- /flight/**"),
+                _scene("Flown", "mission_time", _knot_eye(plan), "- /plan/team/**", "- /plan/path"),
+            ),
+            rrb.Horizontal(
+                _scene("Field, planned and flown", "mission_time", _field_eye(plan)),
+                _curves("error", "Tracking error, m"),
+                column_shares=[3, 2],
+            ),
+            row_shares=[3, 2],
+        ),
+        "mission_time",
+    )
+
+
+def _blueprint(
+    arrangement: rrb.Horizontal | rrb.Vertical, timeline: str, play_state: str = "paused"
+) -> rrb.Blueprint:
+    return rrb.Blueprint(
+        arrangement,
+        rrb.TimePanel(timeline=timeline, state="collapsed", play_state=play_state),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_layout=False,
@@ -47,21 +94,20 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
     )
 
 
-def _scene(plan: Plan, name: str, timeline: str, *without: str) -> rrb.Spatial3DView:
+def _scene(name: str, timeline: str, eye: rrb.EyeControls3D, *without: str) -> rrb.Spatial3DView:
+    trail = rrb.VisibleTimeRanges(
+        timeline=timeline,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
     return rrb.Spatial3DView(
         origin="/",
-        contents=["+ /**", "- /plots/**", "- /states/**", "- /log", *without],
+        contents=["+ /**", "- /plots/**", "- /states/**", "- /plan/phase", "- /log", *without],
         name=name,
         line_grid=rrb.LineGrid3D(visible=True, spacing=1.0, color=(255, 255, 255, 14)),
-        background=rrb.Background(color=(22, 26, 34)),
-        eye_controls=_eye(plan),
-        overrides={
-            "flight/trails": rrb.VisibleTimeRanges(
-                timeline=timeline,
-                start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL),
-                end=rrb.TimeRangeBoundary.cursor_relative(),
-            )
-        },
+        background=rrb.Background(color=BACKGROUND),
+        eye_controls=eye,
+        overrides={"flight/trails": trail, "plan/team/trails": trail},
     )
 
 
@@ -76,8 +122,9 @@ def _states() -> rrb.Tabs:
     )
 
 
-def _log_columns() -> rrb.TextLogColumns:
-    return rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
+def _log(timeline: str) -> rrb.TextLogView:
+    columns = rrb.TextLogColumns(timeline_columns=[timeline], text_log_columns=["LogLevel", "Body"])
+    return rrb.TextLogView(origin="log", name="Log", columns=columns)
 
 
 def _curves(
@@ -91,16 +138,26 @@ def _curves(
     )
 
 
-def _eye(plan: Plan) -> rrb.EyeControls3D:
-    """Look at the knot from above its south-west, as far away as the lifted line needs."""
-    corners = plan.layout.corners
-    centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    extent = float(np.linalg.norm(np.ptp(corners[:, :2], axis=0)))
-    towards: npt.NDArray[np.float64] = np.array([-0.6, -1.0, 0.62])
-    towards /= np.linalg.norm(towards)
-    target = centre - [0.0, 0.0, 0.3 * centre[2]]
+def _knot_eye(plan: Plan) -> rrb.EyeControls3D:
+    """Look at the knot from above its south-west."""
+    low, high = plan.layout.corners.min(axis=0), plan.layout.corners.max(axis=0)
+    low[2] = high[2] - float(plan.layout.sags.max())
+    extent = float(np.linalg.norm((high - low)[:2]))
+    return _eye((low + high) / 2, np.array([-0.6, -1.0, 0.75]), 0.9 * extent + 3.0)
+
+
+def _field_eye(plan: Plan) -> rrb.EyeControls3D:
+    """Look at everything that is flown, across its longer side."""
+    flown = plan.motion.at(plan.motion.times)[0].reshape(-1, 3)
+    low, high = flown.min(axis=0), flown.max(axis=0)
+    east, north, _ = high - low
+    across = np.array([0.0, -1.0, 0.4]) if east >= north else np.array([1.0, 0.0, 0.4])
+    return _eye((low + high) / 2, across, 0.42 * max(east, north) + 4.0)
+
+
+def _eye(target: Floats, towards: Floats, distance: float) -> rrb.EyeControls3D:
     return rrb.EyeControls3D(
-        position=target + towards * (1.25 * extent + 3.0),
+        position=target + towards / np.linalg.norm(towards) * distance,
         look_target=target,
         eye_up=(0.0, 0.0, 1.0),
     )

@@ -18,9 +18,12 @@ from swarm.view.words import level, sentence
 Floats = npt.NDArray[np.float64]
 
 POINTS_PER_SEGMENT: Final = 25
-PATH_COLOUR: Final = (150, 140, 210)
+PATH_COLOUR: Final = (120, 110, 185)
 GHOST_COLOUR: Final = (235, 235, 245)
-PLAN_COLOUR: Final = (150, 160, 180)
+PLAN_COLOUR: Final = (105, 115, 135)
+CABLE_RADIUS: Final = 0.025
+"""Metres: thicker than cables are, so that it shows in a scene of fifty metres."""
+
 OFTEN: Final = 0.2
 SELDOM: Final = 1.0
 
@@ -52,11 +55,13 @@ def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
     knot = scene.strands(plan.layout.corners, plan.layout.lengths, POINTS_PER_SEGMENT)
     static("plan/knot", rr.LineStrips3D(knot, radii=0.012, colors=PLAN_COLOUR))
     found = scene.crossings(plan.layout)
+    pairs = np.array([[crossing.lower, crossing.upper] for crossing in found]).reshape(-1, 2, 3)
+    static("plan/crossings", rr.LineStrips3D(pairs, radii=0.012, colors=(255, 255, 255)))
     static(
-        "plan/crossings",
-        rr.LineStrips3D(
-            [[crossing.lower, crossing.upper] for crossing in found],
-            radii=0.01,
+        "plan/crossings/labels",
+        rr.Points3D(
+            pairs.mean(axis=1),
+            radii=0.02,
             colors=(255, 255, 255),
             labels=[f"{c.over} over {c.under}: {c.distance:.2f} m" for c in found],
             show_labels=True,
@@ -157,11 +162,9 @@ class Recorder:
         colours = vehicle_colours(n)
         log = self._stream.log
         log("flight/vehicles", quadrotor(vehicles.radius, vehicles.grip_offset), static=True)
-        dome = rr.Points3D.from_fields(radii=[0.35 * vehicles.radius], show_labels=True)
-        log("flight/marks", dome, static=True)
+        log_style(self._stream, "flight", vehicles.radius)
         ghost = rr.Points3D.from_fields(radii=[0.05], colors=[GHOST_COLOUR])
         log("flight/setpoints", ghost, static=True)
-        log("flight/cable", rr.LineStrips3D.from_fields(radii=[0.025]), static=True)
         for quantity in ("error", "battery", "link"):
             log(
                 f"plots/{quantity}",
@@ -206,12 +209,13 @@ class Recorder:
         log("flight/marks", rr.Points3D.from_fields(positions=centres))
         ghosts = (snapshot.setpoint + self._above)[aimed]
         log("flight/setpoints", rr.Points3D.from_fields(positions=ghosts))
-        look = (states, known.tolist())
-        if look != self._look:
-            self._look = look
-            colours = np.array([scene.STATE_COLOURS[state] for state in states], np.uint8)
-            labels = [str(i + 1) for i in np.flatnonzero(known)]
-            log("flight/marks", rr.Points3D.from_fields(colors=colours[known], labels=labels))
+        look = (states, snapshot.modes, known.tolist())
+        if look == self._look:
+            return
+        self._look = look
+        colours = np.array([scene.STATE_COLOURS[state] for state in states], np.uint8)
+        labels = [str(i + 1) for i in np.flatnonzero(known)]
+        log("flight/marks", rr.Points3D.from_fields(colors=colours[known], labels=labels))
         for i, (mode, state) in enumerate(zip(snapshot.modes, states, strict=True)):
             self._say(lane("vehicles", i, len(states)), state)
             self._say(lane("modes", i, len(states)), mode or "unknown")
@@ -236,6 +240,13 @@ class Recorder:
         if self._words.get(entity) != word:
             self._words[entity] = word
             self._stream.log(entity, rr.StateChange(state=word))
+
+
+def log_style(stream: rr.RecordingStream, entity: str, radius: float) -> None:
+    """Log what never changes of a team below ``entity``: sizes of its marks and of its cable."""
+    marks = rr.Points3D.from_fields(radii=[0.35 * radius], show_labels=True)
+    stream.log(f"{entity}/marks", marks, static=True)
+    stream.log(f"{entity}/cable", rr.LineStrips3D.from_fields(radii=[CABLE_RADIUS]), static=True)
 
 
 def lane(kind: str, vehicle: int, count: int) -> str:

@@ -15,6 +15,7 @@ import rerun as rr
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.plans import Plan
 from swarm.view.blueprint import flight_blueprint
+from swarm.view.replay import send_planned
 from swarm.view.rerun_log import SinkOptions
 from swarm.view.rerun_scene import Recorder
 from swarm.view.viewers import open_window, proxy_url, serve
@@ -36,12 +37,16 @@ def main() -> None:
     if options.path is not None:
         stream.save(options.path, default_blueprint=flight_blueprint(plan, live=False))
     else:
+        # Viewers may come late: the server keeps what was logged before. It is no file, so nobody
+        # compares it with the plan, and the plan's motion is left out.
         server = serve(options.port, options.web_port)
         url = proxy_url(options.port)
         stream.connect_grpc(url, default_blueprint=flight_blueprint(plan, live=True))
         if options.live == "native":
             open_window("--connect", url)
     stream.send_recording_name(plan.mission.name)
+    if server is None:
+        send_planned(stream, plan)
     recorder = Recorder(stream, plan)
     for item in _items(source):
         if isinstance(item, Event):

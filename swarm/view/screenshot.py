@@ -2,10 +2,18 @@
 
 import time
 from pathlib import Path
+from typing import Final
 
 from rerun.experimental import ViewerClient
 
 from swarm.view.viewers import Process, free_port, proxy_url, run_viewer
+
+SETTLED: Final = 6.0
+"""Seconds until a loaded recording is drawn and the viewer's own notices have faded."""
+
+
+class NoPicture(Exception):  # noqa: N818 - it says what there is not
+    """The viewer gave no picture, and why."""
 
 
 def screenshot(
@@ -13,16 +21,15 @@ def screenshot(
     picture: Path,
     *,
     at: float | None = None,
-    timeline: str = "time",
     size: tuple[int, int] = (1280, 720),
     view: str | None = None,
     patience: float = 60.0,
 ) -> None:
     """Render a recording to a PNG without a screen.
 
-    ``at`` is the moment in seconds on ``timeline`` (None: the end), ``view`` the name of one view
-    instead of the whole window. Needs a Vulkan driver; Mesa's software one will do. Raises
-    :class:`RuntimeError` when no picture comes within ``patience`` seconds.
+    ``at`` is the moment in seconds on the recording's own timeline (None: the beginning), ``view``
+    the name of one view instead of the whole window. Needs a Vulkan driver; Mesa's software one
+    will do. Raises :class:`NoPicture` where none comes within ``patience`` seconds.
     """
     port = free_port()
     viewer = run_viewer(
@@ -35,21 +42,29 @@ def screenshot(
     try:
         client = _connected(viewer, port, until)
         _wait_loaded(client, until)
-        moment = {} if at is None else {"duration": at}
-        client.set_time(timeline, play_state="paused", **moment)
-        time.sleep(6.0)
-        views = {shown.name: shown.view_id for shown in client.get_state().views}
-        png = client.take_screenshot(None if view is None else views[view])
+        if at is not None:
+            client.set_time(duration=at, play_state="paused")
+        time.sleep(SETTLED)
+        png = client.take_screenshot(_view_id(client, view))
+    except RuntimeError as error:
+        raise NoPicture(f"the viewer gave no picture: {error}") from None
     finally:
         viewer.kill()
         viewer.wait()
     picture.write_bytes(png)
 
 
+def _view_id(client: ViewerClient, name: str | None) -> str | None:
+    if name is None:
+        return None
+    views: dict[str, str] = {shown.name: shown.view_id for shown in client.get_state().views}
+    if name not in views:
+        raise NoPicture(f"expected one of the views {', '.join(sorted(views))}, got {name}")
+    return views[name]
+
+
 def _connected(viewer: Process, port: int, until: float) -> ViewerClient:
-    while time.monotonic() < until:
-        if viewer.poll() is not None:
-            break
+    while time.monotonic() < until and viewer.poll() is None:
         try:
             client = ViewerClient.connect(proxy_url(port))
             client.get_state()
@@ -57,7 +72,10 @@ def _connected(viewer: Process, port: int, until: float) -> ViewerClient:
             time.sleep(0.2)
         else:
             return client
-    raise RuntimeError("the viewer did not start (is a Vulkan driver installed?)")
+    raise NoPicture(
+        "the viewer did not start; without a graphics card it needs a software driver "
+        "(Debian, Ubuntu: mesa-vulkan-drivers)"
+    )
 
 
 def _wait_loaded(client: ViewerClient, until: float) -> None:
@@ -66,4 +84,4 @@ def _wait_loaded(client: ViewerClient, until: float) -> None:
         if state.recordings and state.recordings[0].timelines and not state.loading:
             return
         time.sleep(0.2)
-    raise RuntimeError("the viewer did not load the recording in time")
+    raise NoPicture("the viewer did not load the recording in time")

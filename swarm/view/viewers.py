@@ -68,15 +68,16 @@ def run_viewer(arguments: Sequence[str], *, own_group: bool = False) -> Process:
     )
 
 
-def serve(port: int, web_port: int | None) -> Process:
-    """Start a server that keeps what is logged for viewers that come and go.
+def serve(port: int, web_port: int | None, *files: Path) -> Process:
+    """Start a server that keeps what is logged for viewers that come and go, and given files.
 
     It remembers the newest 256 MiB; with ``web_port`` it also serves the viewer as a page.
     """
     kind = ["--serve-grpc"]
     if web_port is not None:
         kind = ["--serve-web", "--web-viewer-port", str(web_port)]
-    return run_viewer([*kind, "--port", str(port), "--server-memory-limit", "256MiB"])
+    sources = [str(file) for file in files]
+    return run_viewer([*kind, "--port", str(port), "--server-memory-limit", "256MiB", *sources])
 
 
 def open_window(*sources: str) -> Process:

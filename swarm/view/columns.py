@@ -1,0 +1,197 @@
+"""Whole motions in Rerun at once: what a plan moves, and what a flight moved, as columns."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from swarm.cable.distance import strand_strand
+from swarm.flight.trace import Trace
+from swarm.plans import Plan
+from swarm.view import scene
+from swarm.view.rerun_scene import (
+    GHOST_COLOUR,
+    POINTS_PER_SEGMENT,
+    log_style,
+    quadrotor,
+    vehicle_colours,
+)
+
+Floats = npt.NDArray[np.float64]
+
+STEP: Final = 0.1
+"""Seconds between two drawn moments of a plan."""
+
+CLEARANCE_STEP: Final = 0.5
+"""Seconds between two sampled distances; the certificate is continuous, this curve is not."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """What moves, at k moments: centres of the vehicles and grip points of the cable, (k, n, 3).
+
+    ``tilt`` (k, n, 4) are the vehicles' rotations where they are known; ``timelines`` are the
+    same k moments on one or more clocks, in seconds.
+    """
+
+    timelines: dict[str, Floats]
+    centres: Floats
+    cable: Floats
+    tilt: Floats | None = None
+
+
+def planned_course(plan: Plan, step: float = STEP) -> Course:
+    """Return the plan's motion at every ``step`` of mission time."""
+    times = moments(plan, step)
+    position, _, acceleration = plan.motion.at(times)
+    above = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
+    return Course(
+        {"mission_time": times},
+        position + above,
+        scene.planned_cable(plan, times),
+        scene.thrust_quaternions(acceleration),
+    )
+
+
+def moments(plan: Plan, step: float) -> Floats:
+    """Return mission times from the plan's beginning to its end, ``step`` seconds apart."""
+    start, end = float(plan.motion.times[0]), plan.duration
+    return np.linspace(start, end, max(2, round((end - start) / step) + 1))
+
+
+def send_course(stream: rr.RecordingStream, entity: str, plan: Plan, course: Course) -> None:
+    """Send vehicles, marks, trails and cable of a course below ``entity``."""
+    count, n = course.centres.shape[:2]
+    vehicles = plan.mission.vehicles
+    log_style(stream, entity, vehicles.radius)
+    stream.log(f"{entity}/vehicles", quadrotor(vehicles.radius, vehicles.grip_offset), static=True)
+    poses = rr.InstancePoses3D.columns(
+        translations=_flat(course.centres),
+        quaternions=None if course.tilt is None else course.tilt.reshape(-1, 4),
+    )
+    _send(stream, f"{entity}/vehicles", course, poses.partition([n] * count))
+    marks = rr.Points3D.columns(positions=_flat(course.centres))
+    _send(stream, f"{entity}/marks", course, marks.partition([n] * count))
+    labels = rr.Points3D.from_fields(
+        labels=[str(i + 1) for i in range(n)], colors=[GHOST_COLOUR] * n
+    )
+    stream.log(f"{entity}/marks", labels, static=True)
+    _send_trails(stream, entity, course)
+    _send_cable(stream, entity, plan, course)
+
+
+def _send_trails(stream: rr.RecordingStream, entity: str, course: Course) -> None:
+    count, n = course.centres.shape[:2]
+    pairs = np.stack([course.centres[:-1], course.centres[1:]], axis=2)
+    strips = rr.LineStrips3D.columns(strips=pairs.reshape(-1, 2, 3))
+    later = {name: times[1:] for name, times in course.timelines.items()}
+    _send(stream, f"{entity}/trails", later, strips.partition([n] * (count - 1)))
+    style = rr.LineStrips3D.from_fields(colors=vehicle_colours(n), radii=[0.012])
+    stream.log(f"{entity}/trails", style, static=True)
+
+
+def _send_cable(stream: rr.RecordingStream, entity: str, plan: Plan, course: Course) -> None:
+    lengths = plan.layout.lengths
+    shapes = scene.strands(course.cable, lengths, POINTS_PER_SEGMENT)
+    colours = scene.tautness_colours(scene.tautness(course.cable, lengths))
+    strips = rr.LineStrips3D.columns(
+        strips=shapes.reshape(-1, POINTS_PER_SEGMENT, 3), colors=colours.reshape(-1, 3)
+    )
+    _send(stream, f"{entity}/cable", course, strips.partition([len(lengths)] * len(shapes)))
+
+
+def send_plan_curves(stream: rr.RecordingStream, plan: Plan) -> None:
+    """Send what a plan's curves show: speeds, tautness, and sampled distances of strands."""
+    times = moments(plan, STEP)
+    clock = {"mission_time": times}
+    n = plan.vehicles
+    speed = np.linalg.norm(plan.motion.at(times)[1], axis=-1)
+    names = [f"vehicle {i + 1}" for i in range(n)]
+    _curves(stream, "plan/speed", names, clock, speed)
+    _limit(stream, "plan/speed/limit", plan.mission.vehicles.max_speed, "limit", clock)
+    held = scene.planned_grip(plan, times)
+    taut = scene.tautness(scene.planned_cable(plan, times), plan.layout.lengths)
+    taut[~held] = np.nan
+    segments = [f"segment {i + 1}" for i in range(n - 1)]
+    _curves(stream, "plan/tautness", segments, clock, taut)
+    _limit(stream, "plan/tautness/limit", scene.TAUT, "taut", clock)
+    if n < 4:
+        return
+    sampled, distance = strand_distances(plan)
+    clock = {"mission_time": sampled}
+    _curves(stream, "plan/clearance", ["strands that are not neighbours"], clock, distance[:, None])
+    _limit(stream, "plan/clearance/limit", plan.mission.clearance.cable, "required", clock)
+
+
+def send_errors(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None:
+    """Send a trace's tracking errors and the ball within which they should stay."""
+    clocks = {"time": trace.time, "mission_time": trace.mission_time}
+    error = np.linalg.norm(trace.position - trace.setpoint, axis=-1)
+    names = [f"vehicle {i + 1}" for i in range(plan.vehicles)]
+    _curves(stream, "error", names, clocks, error)
+    _limit(stream, "error/limit", plan.mission.vehicles.tracking, "tracking ball", clocks)
+
+
+def strand_distances(plan: Plan, step: float = CLEARANCE_STEP) -> tuple[Floats, Floats]:
+    """Return times (k,) and the smallest surface distance (k,) of strands aloft then, metres.
+
+    A sample of the planned motion without tracking errors, for curves: the certificate is the
+    bound. Neighbouring segments, which meet at a grip point, are left out.
+    """
+    aloft = [phase for phase in plan.phases if phase.cable == "aloft"]
+    start, end = aloft[0].start, aloft[-1].end
+    times = np.linspace(start, end, max(2, round((end - start) / step) + 1))
+    shapes = scene.strands(plan.motion.at(times)[0], plan.layout.lengths, POINTS_PER_SEGMENT)
+    count = plan.vehicles - 1
+    first, second = np.triu_indices(count, 2)
+    pairs = np.column_stack([first, second])
+    closest = strand_strand(shapes, pairs).distance.min(axis=1)
+    return times, closest - plan.mission.cable.diameter
+
+
+def send_phases(stream: rr.RecordingStream, entity: str, plan: Plan) -> None:
+    """Send the plan's phases as a lane of states on the mission clock."""
+    states = rr.StateChange.columns(state=[phase.name for phase in plan.phases])
+    clock = {"mission_time": np.array([phase.start for phase in plan.phases])}
+    _send(stream, entity, clock, states)
+
+
+def _curves(
+    stream: rr.RecordingStream,
+    entity: str,
+    names: Sequence[str],
+    clock: dict[str, Floats],
+    values: Floats,
+) -> None:
+    count = len(names)
+    style = rr.SeriesLines(names=names, colors=vehicle_colours(count), widths=[1.5] * count)
+    stream.log(f"plots/{entity}", style, static=True)
+    columns = rr.Scalars.columns(scalars=values.reshape(-1)).partition([count] * len(values))
+    _send(stream, f"plots/{entity}", clock, columns)
+
+
+def _limit(
+    stream: rr.RecordingStream, entity: str, value: float, name: str, clock: dict[str, Floats]
+) -> None:
+    style = rr.SeriesLines(names=f"{name} {value:g}", colors=(255, 80, 80), widths=2.0)
+    stream.log(f"plots/{entity}", style, static=True)
+    ends = {timeline: times[[0, -1]] for timeline, times in clock.items()}
+    _send(stream, f"plots/{entity}", ends, rr.Scalars.columns(scalars=[value, value]))
+
+
+def _send(
+    stream: rr.RecordingStream,
+    entity: str,
+    when: Course | dict[str, Floats],
+    columns: rr.ComponentColumnList,
+) -> None:
+    clocks = when.timelines if isinstance(when, Course) else when
+    indexes = [rr.TimeColumn(name, duration=times) for name, times in clocks.items()]
+    stream.send_columns(entity, indexes=indexes, columns=columns)
+
+
+def _flat(vectors: Floats) -> Floats:
+    return vectors.reshape(-1, 3)

@@ -1,0 +1,84 @@
+"""Recordings made after the fact: a plan to study, a flight beside its plan."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from swarm.flight.snapshot import Event
+from swarm.flight.trace import Trace
+from swarm.plans import Plan
+from swarm.view import scene
+from swarm.view.blueprint import comparison_blueprint, plan_blueprint
+from swarm.view.columns import (
+    Course,
+    planned_course,
+    send_course,
+    send_errors,
+    send_phases,
+    send_plan_curves,
+)
+from swarm.view.rerun_scene import log_plan
+from swarm.view.words import level, sentence
+
+APPLICATION = "swarm"
+
+
+def write_plan(plan: Plan, path: Path) -> None:
+    """Write a plan as a Rerun recording: its motion, cable, curves and phases over mission time."""
+    stream = _recording(plan)
+    stream.save(path, default_blueprint=plan_blueprint(plan))
+    log_plan(stream, plan)
+    send_planned(stream, plan)
+    send_plan_curves(stream, plan)
+    stream.disconnect()
+
+
+def send_planned(stream: rr.RecordingStream, plan: Plan) -> None:
+    """Send the planned motion below ``plan/team`` and the phases, on the mission clock."""
+    send_course(stream, "plan/team", plan, planned_course(plan))
+    send_phases(stream, "plan/phase", plan)
+
+
+def write_flight(plan: Plan, trace: Trace, events: Iterable[Event], path: Path) -> None:
+    """Write a flight and its plan as one Rerun recording, side by side on the mission clock.
+
+    It has what a trace knows: positions and setpoints. Batteries, modes and links are in the
+    recording that was made in flight.
+    """
+    stream = _recording(plan)
+    stream.save(path, default_blueprint=comparison_blueprint(plan))
+    log_plan(stream, plan)
+    send_planned(stream, plan)
+    send_course(stream, "flight", plan, flown_course(plan, trace))
+    send_errors(stream, plan, trace)
+    for event in events:
+        stream.set_time("time", duration=event.time)
+        stream.log("log", rr.TextLog(f"{event.kind}: {sentence(event)}", level=level(event)))
+    stream.disconnect()
+
+
+def write_comparison(plan: Plan, path: Path) -> None:
+    """Write the blueprint (.rbl) that opens a flight's recording beside its plan."""
+    comparison_blueprint(plan).save(APPLICATION, str(path))
+
+
+def flown_course(plan: Plan, trace: Trace) -> Course:
+    """Return a trace as a course; its cable is held where the plan has it gripped."""
+    above = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
+    gripped = scene.planned_grip(plan, trace.mission_time)[:, None, None]
+    resting = scene.planned_cable(plan, trace.mission_time)
+    return Course(
+        {"time": trace.time, "mission_time": trace.mission_time},
+        trace.position + above,
+        np.where(gripped, trace.position, resting),
+    )
+
+
+def _recording(plan: Plan) -> rr.RecordingStream:
+    stream = rr.RecordingStream(APPLICATION)
+    stream.set_log_tick_enabled(False)
+    stream.set_log_time_enabled(False)
+    stream.send_recording_name(plan.mission.name)
+    return stream

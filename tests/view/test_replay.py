@@ -1,0 +1,80 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from swarm.flight.trace import Trace
+from swarm.view import replay
+from swarm.view.columns import moments, planned_course, strand_distances
+from tests.view.synthetic import events, trefoil_plan
+
+PLAN = trefoil_plan()
+
+
+def timelines(path: Path) -> dict[str, tuple[int, set[str]]]:
+    """Return the rows and timelines of every entity in a recording, without the static ones."""
+    found: dict[str, tuple[int, set[str]]] = {}
+    for chunk in RrdReader(path).stream():
+        names = set(chunk.timeline_names)
+        if names:
+            rows, before = found.get(chunk.entity_path, (0, set()))
+            found[chunk.entity_path] = (rows + chunk.num_rows, before | names)
+    return found
+
+
+def trace(step: float = 0.5) -> Trace:
+    times = moments(PLAN, step)
+    position = PLAN.motion.at(times)[0]
+    position[3, 2] = np.nan
+    phase = tuple(PLAN.phase_at(float(time)).name for time in times)
+    return Trace(times + 2.0, times, position + 0.05, position, phase)
+
+
+def test_a_plan_is_one_recording_over_mission_time(tmp_path: Path) -> None:
+    path = tmp_path / "plan.rrd"
+    replay.write_plan(PLAN, path)
+    found = timelines(path)
+    moments_drawn = len(moments(PLAN, 0.1))
+    for entity in ("vehicles", "marks", "cable"):
+        assert found[f"/plan/team/{entity}"] == (moments_drawn, {"mission_time"})
+    assert found["/plan/team/trails"][0] == moments_drawn - 1
+    assert found["/plan/phase"][0] == len(PLAN.phases)
+    assert {"/plots/plan/clearance", "/plots/plan/speed", "/plots/plan/tautness"} <= set(found)
+
+
+def test_a_flight_is_recorded_beside_its_plan(tmp_path: Path) -> None:
+    path = tmp_path / "flight.rrd"
+    flown = trace()
+    replay.write_flight(PLAN, flown, events(PLAN), path)
+    found = timelines(path)
+    both = {"time", "mission_time"}
+    assert found["/flight/vehicles"] == (len(flown.time), both)
+    assert found["/flight/cable"] == (len(flown.time), both)
+    assert found["/plots/error"] == (len(flown.time), both)
+    assert found["/plan/team/vehicles"][1] == {"mission_time"}
+    assert found["/log"] == (len(events(PLAN)), {"time"})
+
+
+def test_planned_vehicles_are_above_their_grips() -> None:
+    course = planned_course(PLAN, 1.0)
+    times = course.timelines["mission_time"]
+    above = course.centres - PLAN.motion.at(times)[0]
+    np.testing.assert_allclose(above, np.broadcast_to([0, 0, 0.6], above.shape), atol=1e-12)
+    assert course.tilt is not None
+    np.testing.assert_allclose(course.tilt[0], [[0, 0, 0, 1]] * 9, atol=1e-9)
+
+
+def test_distances_of_strands_end_at_the_folded_knot_s() -> None:
+    times, distance = strand_distances(PLAN)
+    assert times[0] == PLAN.phase("fold").start
+    assert times[-1] == PLAN.phase("hold").end
+    # 1.01 m is the smallest vertical distance at a crossing; strands come nearer aslant.
+    assert 0.3 < distance[-1] < 1.01
+    assert distance[-1] == pytest.approx(distance[-2], abs=1e-9)
+
+
+def test_comparison_is_a_blueprint_that_opens_with_a_recording(tmp_path: Path) -> None:
+    path = tmp_path / "comparison.rbl"
+    replay.write_comparison(PLAN, path)
+    assert path.stat().st_size > 1000
