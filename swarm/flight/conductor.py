@@ -310,8 +310,11 @@ class Conductor:
                 self._finish_as("failed" if silent else "refused", words)
             return
         self._standing.append((self.now, _positions_ned(self.flyers)))
-        if self.now - self._standing[0][0] >= STANDING_TIME:
-            self._finish_preparing()
+        if self.now - self._standing[0][0] < STANDING_TIME:
+            return
+        for vehicle in self.flyers:
+            vehicle.quieten(self._stage_since, self.now)
+        self._finish_preparing()
 
     def _finish_preparing(self) -> None:
         measured = np.mean([row for _, row in self._standing], axis=0)

@@ -25,7 +25,7 @@ class EmulatorProcess:
         except OSError as error:
             raise VehicleError(f"the emulator's world cannot be written: {error}") from None
         command = [sys.executable, "-m", "sitl", "--world", str(path), "--speed", f"{speed:g}"]
-        command += ["--target", f"127.0.0.1:{port}", "--truth", str(folder / "truth.jsonl")]
+        command += ["--target", f"127.0.0.1:{port}"]
         with errors:
             self._process = subprocess.Popen(  # noqa: S603
                 [*command, "--json", "--follow-parent"],

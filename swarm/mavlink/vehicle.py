@@ -76,12 +76,14 @@ class Vehicle:
     lost_packets: int = 0
     packets: int = 0
     gripped: bool = False
+    unused: dict[int, int] = field(default_factory=dict)
 
     commands: CommandQueue = field(init=False)
     texts: list[tuple[float, int, str]] = field(default_factory=list)
     _events: list[VehicleEvent] = field(default_factory=list)
     _sequences: dict[int, int] = field(default_factory=dict)
     _chunks: dict[int, list[str]] = field(default_factory=dict)
+    _quietened: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.commands = CommandQueue(self.system, self.component)
@@ -101,6 +103,8 @@ class Vehicle:
         handler = self._HANDLERS.get(header.msgId)
         if handler is not None:
             handler(self, message, now)
+        else:
+            self.unused[header.msgId] = self.unused.get(header.msgId, 0) + 1
 
     def take_events(self) -> list[VehicleEvent]:
         """Return the events since the last call."""
@@ -209,6 +213,16 @@ class Vehicle:
         """Ask for a message at a rate in Hz."""
         name = common.mavlink_map[message].msgname
         self._ask(f"interval of {name}", common.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
+
+    def quieten(self, since: float, now: float) -> None:
+        """Ask for once a second of everything that comes more often and that nobody reads.
+
+        ``since`` is when the vehicle was first heard. It leaves the link to what the flight needs.
+        """
+        for message, count in self.unused.items():
+            if count > 3.0 * (now - since) and message not in self._quietened:
+                self._quietened.add(message)
+                self.request_interval(message, 1.0)
 
     def request_message(self, message: int, reached: Callable[[], bool] | None = None) -> None:
         """Ask for one message."""
