@@ -23,8 +23,8 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
             rrb.Vertical(
                 _scene("Knot", "time", _knot_eye(plan), "- /plan/team/**", UNLABELLED),
                 _scene("Field", "time", _field_eye(plan), *FIELD_WITHOUT),
-                rrb.Horizontal(_states(), _log("time"), column_shares=[1, 1]),
-                row_shares=[5, 3, 3],
+                rrb.Horizontal(_states(), _log(), column_shares=[1, 1]),
+                row_shares=[6, 2.4, 3],
             ),
             rrb.Vertical(
                 _curves("error", "Tracking error, m"),
@@ -47,7 +47,7 @@ def plan_blueprint(plan: Plan) -> rrb.Blueprint:
             rrb.Vertical(
                 _scene("Knot", "mission_time", _knot_eye(plan)),
                 _scene("Field", "mission_time", _field_eye(plan), UNLABELLED),
-                row_shares=[5, 3],
+                row_shares=[6, 2.4],
             ),
             rrb.Vertical(
                 _curves("plan/clearance", "Distance of strands (sampled), m"),
@@ -115,15 +115,17 @@ def _states() -> rrb.Tabs:
     return rrb.Tabs(
         rrb.StateTimelineView(
             origin="states",
-            contents=["+ /states/phase", "+ /states/waiting", "+ /states/vehicles/**"],
+            contents=["+ /states/gate", "+ /states/phase", "+ /states/vehicles/**"],
             name="Phase and vehicles",
         ),
         rrb.StateTimelineView(origin="states/modes", name="Modes"),
     )
 
 
-def _log(timeline: str) -> rrb.TextLogView:
-    columns = rrb.TextLogColumns(timeline_columns=[timeline], text_log_columns=["LogLevel", "Body"])
+def _log() -> rrb.TextLogView:
+    # The words begin with the time: the viewer's own column is too narrow for it.
+    hidden = rrb.encodings.TimelineColumn("time", visible=False)
+    columns = rrb.TextLogColumns(timeline_columns=[hidden], text_log_columns=["LogLevel", "Body"])
     return rrb.TextLogView(origin="log", name="Log", columns=columns)
 
 
@@ -143,7 +145,7 @@ def _knot_eye(plan: Plan) -> rrb.EyeControls3D:
     low, high = plan.layout.corners.min(axis=0), plan.layout.corners.max(axis=0)
     low[2] = high[2] - float(plan.layout.sags.max())
     extent = float(np.linalg.norm((high - low)[:2]))
-    return _eye((low + high) / 2, np.array([-0.6, -1.0, 0.75]), 0.9 * extent + 3.0)
+    return _eye((low + high) / 2, np.array([-0.6, -1.0, 0.75]), 0.7 * extent + 2.5)
 
 
 def _field_eye(plan: Plan) -> rrb.EyeControls3D:
@@ -152,7 +154,7 @@ def _field_eye(plan: Plan) -> rrb.EyeControls3D:
     low, high = flown.min(axis=0), flown.max(axis=0)
     east, north, _ = high - low
     across = np.array([0.0, -1.0, 0.4]) if east >= north else np.array([1.0, 0.0, 0.4])
-    return _eye((low + high) / 2, across, 0.42 * max(east, north) + 4.0)
+    return _eye((low + high) / 2, across, 0.2 * max(east, north) + 4.0)
 
 
 def _eye(target: Floats, towards: Floats, distance: float) -> rrb.EyeControls3D:

@@ -19,8 +19,7 @@ from swarm.view.columns import (
     send_phases,
     send_plan_curves,
 )
-from swarm.view.rerun_scene import log_plan
-from swarm.view.words import level, sentence
+from swarm.view.rerun_scene import log_event, log_plan
 
 APPLICATION = "swarm"
 
@@ -54,8 +53,7 @@ def write_flight(plan: Plan, trace: Trace, events: Iterable[Event], path: Path) 
     send_course(stream, "flight", plan, flown_course(plan, trace))
     send_errors(stream, plan, trace)
     for event in events:
-        stream.set_time("time", duration=event.time)
-        stream.log("log", rr.TextLog(f"{event.kind}: {sentence(event)}", level=level(event)))
+        log_event(stream, event)
     stream.disconnect()
 
 

@@ -13,7 +13,7 @@ import rerun as rr
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.plans import Plan
 from swarm.view import scene
-from swarm.view.words import level, sentence
+from swarm.view.words import clock, level, sentence
 
 Floats = npt.NDArray[np.float64]
 
@@ -147,13 +147,11 @@ class Recorder:
             self._stream.log("plots/error/limit", rr.Scalars(self._limit))
             self._stream.log("plots/link/limit", rr.Scalars(scene.SILENT_AFTER))
         self._say("states/phase", snapshot.phase)
-        self._say("states/waiting", snapshot.waiting_for or "–")
+        self._say("states/gate", snapshot.waiting_for or "–")
 
     def event(self, event: Event) -> None:
         """Log something that happened."""
-        self._stream.set_time("time", duration=event.time)
-        text = f"{event.kind}: {sentence(event)}"
-        self._stream.log("log", rr.TextLog(text, level=level(event)))
+        log_event(self._stream, event)
 
     def _log_styles(self) -> None:
         n = self._plan.vehicles
@@ -240,6 +238,13 @@ class Recorder:
         if self._words.get(entity) != word:
             self._words[entity] = word
             self._stream.log(entity, rr.StateChange(state=word))
+
+
+def log_event(stream: rr.RecordingStream, event: Event) -> None:
+    """Log something that happened, at its own time."""
+    stream.set_time("time", duration=event.time)
+    words = f"{clock(event.time)}  {sentence(event)}"
+    stream.log("log", rr.TextLog(words, level=level(event)))
 
 
 def log_style(stream: rr.RecordingStream, entity: str, radius: float) -> None:

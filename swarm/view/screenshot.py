@@ -1,15 +1,20 @@
 """Pictures of recordings, rendered by Rerun without a screen."""
 
+import io
 import time
 from pathlib import Path
 from typing import Final
 
+from PIL import Image
 from rerun.experimental import ViewerClient
 
 from swarm.view.viewers import Process, free_port, proxy_url, run_viewer
 
 SETTLED: Final = 6.0
 """Seconds until a loaded recording is drawn and the viewer's own notices have faded."""
+
+MENU: Final = 37
+"""Height of the viewer's menu and warnings, which are no part of the picture, in pixels."""
 
 
 class NoPicture(Exception):  # noqa: N818 - it says what there is not
@@ -51,7 +56,11 @@ def screenshot(
     finally:
         viewer.kill()
         viewer.wait()
-    picture.write_bytes(png)
+    shown: Image.Image = Image.open(io.BytesIO(png))
+    if view is None:
+        shown = shown.crop((0, MENU, *shown.size))
+    # A palette of 256 colours: a third of the bytes, and nobody sees it.
+    shown.convert("RGB").quantize(256).save(picture, format="PNG", optimize=True)
 
 
 def _view_id(client: ViewerClient, name: str | None) -> str | None:
