@@ -60,7 +60,7 @@ def names() -> tuple[str, ...]:
 def lookup(name: str) -> KnotChoice:
     """The knot of a name, right-handed where it is chiral and the name does not say left."""
     wanted = parse_name(name)
-    return _of_name(wanted, wanted.chirality)
+    return _of_name(wanted, wanted.chirality or "right")
 
 
 def choose(
@@ -123,11 +123,18 @@ def _of_name(wanted: Named, asked: str | None) -> KnotChoice:
         hand = _hand(right != "none", own, asked, name)
         factors = wanted.factors if hand in {right, "none"} else _mirror(wanted.factors)
         return _of_factors(factors, ())
-    size, strands = wanted.torus
-    shape = torus_grid(size, strands)
-    name = f"torus({size},{strands})"
+    shape = torus_grid(*wanted.torus)
+    diagram = simplified(Diagram(shape.code))
+    known = identify_diagram(diagram)
+    if known.known:
+        return _of_name(parse_name(known.name), asked or own)
+    name = "torus({},{})".format(*wanted.torus)
     hand = _hand(is_chiral=True, known=own, asked=asked, what=name)
-    return _searched(name, hand, shape if hand == "right" else mirrored_grid(shape), ())
+    if hand == "left":
+        shape, diagram = mirrored_grid(shape), diagram.mirrored()
+    crossings = min(p * (q - 1) for p, q in (wanted.torus, wanted.torus[::-1]))
+    grid = compact(shape, tries=100)
+    return KnotChoice(name, hand, diagram.code.text(), diagram, grid, crossings)
 
 
 def _mirror(factors: tuple[Factor, ...]) -> tuple[Factor, ...]:

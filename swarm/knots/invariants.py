@@ -15,9 +15,11 @@ from typing import Any
 from swarm.knots.alexander import alexander
 from swarm.knots.curve import Points
 from swarm.knots.diagram import Diagram
+from swarm.knots.draw import drawn
 from swarm.knots.gauss import SignedGauss
 from swarm.knots.groups import separated
 from swarm.knots.jones import Polynomial, jones
+from swarm.knots.search import minimised, rearranged
 from swarm.knots.shorten import curve_diagram
 from swarm.knots.simplify import simplified
 from swarm.knots.sums import Factor, canonical, mirrored, named, order
@@ -25,6 +27,10 @@ from swarm.knots.table import Laurent, prime, table
 
 MOST_CROSSINGS = 10
 """Every knot with a diagram of this many crossings is in the table, or a sum of its knots."""
+
+_KICKS = 60
+_MOVES = 50_000
+_VIEWS = 60
 
 Sum = tuple[Factor, ...]
 
@@ -73,32 +79,80 @@ def identify_curve(points: Points, *, closed: bool = False) -> Identification:
 
 
 def identify_diagram(diagram: Diagram) -> Identification:
-    """Name the knot of a diagram."""
-    small = simplified(diagram, kicks=20)
-    parts = summands(small)
+    """Name the knot of a diagram. Deterministic."""
+    parts = smallest_parts(diagram)
     found = [_candidates(part) for part in parts]
-    invariants = _report(small)
     sums = {
         canonical(itertools.chain.from_iterable(choice)) for choice in itertools.product(*found)
     }
     listed = sorted(sums, key=lambda one: [(*order(name), -hand) for name, hand in one])
-    certain = all(part.crossings <= MOST_CROSSINGS for part in parts)
-    if certain and len(listed) == 1:
+    invariants = _report(parts)
+    if all(part.crossings <= MOST_CROSSINGS for part in parts) and len(listed) == 1:
         name, chirality = named(listed[0])
         crossings = sum(prime(name).crossings for name, _ in listed[0])
         return Identification(name, chirality, crossings, (_marked(listed[0]),), invariants)
     candidates = tuple(_marked(one) for one in listed)
-    return Identification("unknown", "none", small.crossings, candidates, invariants)
+    crossings = sum(part.crossings for part in parts)
+    return Identification("unknown", "none", crossings, candidates, invariants)
+
+
+def smallest_parts(diagram: Diagram) -> tuple[Diagram, ...]:
+    """The visible summands of a diagram, each made as small as it will go.
+
+    Where a part keeps more than ten crossings, it is also redrawn as grid diagrams, which are
+    rearranged, in case another view of the knot is smaller.
+    """
+    parts = summands(simplified(diagram))
+    result: list[Diagram] = []
+    for part in parts:
+        if part.crossings <= MOST_CROSSINGS:
+            result.append(part)
+        else:
+            result.extend(_smaller(part))
+    return tuple(result)
+
+
+def _smaller(part: Diagram) -> tuple[Diagram, ...]:
+    """A part with more than ten crossings, tried harder."""
+    best = summands(simplified(part, kicks=_KICKS))
+    if max(one.crossings for one in best) <= MOST_CROSSINGS or _is_minimal(best):
+        return best
+    grid = minimised(drawn(part), moves=_MOVES)
+    for other in itertools.islice(rearranged(grid), _VIEWS):
+        view = summands(simplified(Diagram(other.code)))
+        if sum(one.crossings for one in view) < sum(one.crossings for one in best):
+            best = view
+        if all(one.crossings <= MOST_CROSSINGS for one in best) or _is_minimal(best):
+            break
+    return best
+
+
+def _is_minimal(parts: tuple[Diagram, ...]) -> bool:
+    """Whether the diagrams are known to have as few crossings as their knots.
+
+    Reduced alternating diagrams do (Kauffman, Murasugi, Thistlethwaite 1987).
+    """
+    return all(part.alternating for part in parts)
 
 
 def _marked(factors: Sum) -> str:
     return "#".join(f"m{name}" if hand < 0 else name for name, hand in factors) or "0_1"
 
 
-def _report(diagram: Diagram) -> dict[str, Any]:
-    polynomial = alexander(diagram)
-    determinant = abs(sum(c * (-1) ** power for power, c in polynomial.items()))
-    return {"jones": jones(diagram), "alexander": polynomial, "determinant": determinant}
+def _report(parts: tuple[Diagram, ...]) -> dict[str, Any]:
+    of_jones: dict[int, int] = {0: 1}
+    of_alexander: dict[int, int] = {0: 1}
+    for part in parts:
+        of_jones, of_alexander = (
+            _times(of_jones, jones(part)),
+            _times(of_alexander, alexander(part)),
+        )
+    determinant = abs(sum(c * (-1) ** power for power, c in of_alexander.items()))
+    return {
+        "jones": dict(sorted(of_jones.items())),
+        "alexander": dict(sorted(of_alexander.items())),
+        "determinant": determinant,
+    }
 
 
 def summands(diagram: Diagram) -> tuple[Diagram, ...]:
@@ -172,7 +226,7 @@ def polynomials(factors: Sum) -> tuple[Laurent, Laurent]:
     return _key(of_jones), _key(of_alexander)
 
 
-def _times(one: dict[int, int], two: dict[int, int]) -> dict[int, int]:
+def _times(one: Polynomial, two: Polynomial) -> dict[int, int]:
     result: dict[int, int] = {}
     for (p, a), (q, b) in itertools.product(one.items(), two.items()):
         result[p + q] = result.get(p + q, 0) + a * b

@@ -25,6 +25,8 @@ COMMON = {
     "stevedore": "6_1",
     "miller institute": "6_2",
     "septafoil": "7_1",
+    "endless": "7_4",
+    "nonafoil": "9_1",
     "carrick mat": "8_18",
     "true lover's": "8_19",
     "true lovers": "8_19",
