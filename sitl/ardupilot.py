@@ -269,12 +269,12 @@ class ArduPilot:
         p = command.p
         v = self.v
         if p[0] == 1.0:
-            return self._arm(force=round(p[1]) == FORCE_ARM)
+            return self._arm(force=p[1] == FORCE_ARM)
         if p[0] != 0.0:
             return DENIED
         if not v.armed:
             return ACCEPTED
-        if not v.landed and round(p[1]) != FORCE_DISARM:
+        if not v.landed and p[1] != FORCE_DISARM:
             return FAILED
         self.disarm("command")
         return ACCEPTED

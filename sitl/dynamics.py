@@ -129,11 +129,9 @@ class Bodies:
         self._gain = self.position_gain * self.position_axes
         self._rate_gain = self.velocity_gain * self.velocity_axes
         self._integral_gain = STEP * self.integral_gain * self.velocity_axes
-        self._offset = self.bias + self.noise
         self._per_mass = 1.0 / self.mass[:, None]
         self._drag = self.drag[:, None]
-        self._air = self._drag * (self.wind + self.wash)
-        self._air[:, 2] -= GRAVITY
+        self._renew_air()
         self._least_speed = float(min(self.speed_limit.min(), self.climb_limit.min()))
         self._least_speed = min(self._least_speed, float(self.descend_limit.min()))
         self._most_z = 0.9 * float(self.thrust_limit.min())
@@ -142,6 +140,11 @@ class Bodies:
         )
         self._healthy = bool((self.health == 1.0).all())
         self._highest_stand = self.floor + float(self.grip_offset.max())
+
+    def _renew_air(self) -> None:
+        self._offset = self.bias + self.noise
+        self._air = self._drag * (self.wind + self.wash)
+        self._air[:, 2] -= GRAVITY
 
     def aim(
         self,
@@ -337,7 +340,7 @@ class Bodies:
             self._gust = keep * self._gust + np.sqrt(1 - keep**2) * self.gust_intensity * fresh
             self.wind = self.steady_wind + 0.8 * self._gust[0] + 0.6 * self._gust[1:]
         self._downwash()
-        self.touch()
+        self._renew_air()
 
     def _downwash(self) -> None:
         """Air pushed down on vehicles below others, as a vertical wind in their drag.
@@ -352,7 +355,7 @@ class Bodies:
             return
         across = self.position[:, None, :2] - self.position[None, :, :2]
         distance = np.einsum("ijk,ijk->ij", across, across)
-        if not (distance < 4.0).sum() > self.count:
+        if (distance < 4.0).sum() <= self.count:
             return
         below = self.position[None, :, 2] - self.position[:, None, 2]
         jet = (

@@ -26,6 +26,7 @@ from sitl.world import World
 _EPOCH = 1_800_000_000.0
 _SLOW_EVERY = 5
 _TICK_EVERY = 2
+_DRAIN_EVERY = 25
 _FULL_VOLTAGE, _EMPTY_VOLTAGE = 16.8, 13.2
 _HOVER_CURRENT = 15.0
 
@@ -160,6 +161,8 @@ class Emulator:
 
     def _arrive(self, now: float) -> None:
         """Hand over what comes late through a troubled link."""
+        if not self.injector.troubled:
+            return
         for vehicle, channel in zip(self.vehicles, self.injector.up, strict=True):
             if channel.queue:
                 vehicle.now = max(vehicle.now, now)
@@ -178,8 +181,8 @@ class Emulator:
         """Take what waits in the links."""
         sent = []
         for vehicle, link in self._links:
-            channel = self.injector.down[vehicle.index]
             if link.outgoing:
+                channel = self.injector.down[vehicle.index]
                 if vehicle.frozen:
                     link.outgoing.clear()
                     continue
@@ -189,7 +192,8 @@ class Emulator:
                 else:
                     sent.append((vehicle, link, b"".join(link.outgoing)))
                 link.outgoing.clear()
-        for vehicle, channel in zip(self.vehicles, self.injector.down, strict=True):
+        troubled = self.injector.down if self.injector.troubled else ()
+        for vehicle, channel in zip(self.vehicles, troubled, strict=False):
             if channel.queue:
                 for link, frame in channel.pop(self.time):
                     sent.append((vehicle, link, frame))
@@ -282,8 +286,11 @@ class Emulator:
     def _slow(self, interval: float) -> None:
         b = self.bodies
         b.wander(interval)
-        self._drain(interval)
-        cable = self.rope.follow(self._held()[0], interval) if self.rope else None
+        if self._ticks % _DRAIN_EVERY == 0:
+            self._drain(_DRAIN_EVERY * STEP)
+        cable = None
+        if self.rope is not None:
+            cable = self.rope.follow(self._held()[0], interval, solved=True)
         self.contacts.look(self.time, [v.system for v in self.vehicles], cable)
 
     def _drain(self, interval: float) -> None:

@@ -208,6 +208,7 @@ class Injector:
         self.rng = rng
         self.up = [Channel(rng) for _ in vehicles]
         self.down = [Channel(rng) for _ in vehicles]
+        self.troubled = False
         self.drifts: dict[int, float] = {}
         self.anchors: list[tuple[int, np.ndarray[Any, Any]]] = []
         self._agenda: list[tuple[float, int, Callable[[], None]]] = []
@@ -258,6 +259,7 @@ class Injector:
     # Beginnings.
 
     def _link(self, v: Vehicle, fault: Fault) -> None:
+        self.troubled = True
         if fault.direction in {"up", "both"}:
             self.up[v.index].fault = fault
         if fault.direction in {"down", "both"}:

@@ -24,6 +24,7 @@ from sitl.vehicle import (
 
 FORCE = 21196
 _BOOT_TIME = 12.0
+_SLOW_BEAT = 10
 _LOCAL_NED = 1
 _INFO, _WARNING, _CRITICAL, _EMERGENCY = 6, 4, 2, 0
 
@@ -156,6 +157,7 @@ class Px4:
         self.battery_at_arming = 0
         self.gcs_seen = False
         self.all_axes = False
+        self._beat = vehicle.index
         self.ready_at = -math.inf
         self.apply_gains()
         vehicle.bodies.land_time[vehicle.index] = 0.9
@@ -305,7 +307,7 @@ class Px4:
     def _arm_disarm(self, command: Command) -> int:
         p = command.p
         v = self.v
-        force = round(p[1]) == FORCE
+        force = p[1] == FORCE
         if p[0] not in (0.0, 1.0):
             return UNSUPPORTED
         if p[0] == 1.0:
@@ -464,9 +466,14 @@ class Px4:
     def tick(self) -> None:
         """Look at timers and conditions, twenty-odd times a second."""
         v = self.v
-        self._battery()
-        if v.armed:
-            self._watch_links()
+        self._beat += 1
+        if self._beat % _SLOW_BEAT == 0:
+            self._battery()
+            if v.armed:
+                self._watch_links()
+        elif self.state == self.intended == "OFFBOARD" and self.flew and self.latched is None:
+            if self.offboard_signal() and v.local_valid and not v.landed:
+                return
         self.evaluate()
         if not v.armed:
             return

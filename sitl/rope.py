@@ -199,6 +199,7 @@ class Rope:
             self._span_of = number[held]
             self._along = along[held]
         self.taut = True
+        self.spans = _NONE
 
     def _end(self, vehicle: int, arc: float, tip: float) -> End:
         low, high = min(arc, tip), max(arc, tip)
@@ -328,13 +329,13 @@ class Rope:
         self._fall(before != self._pieces())
         self._arrange()
 
-    def follow(self, grips: Array, interval: float) -> Array:
+    def follow(self, grips: Array, interval: float, *, solved: bool = False) -> Array:
         """Move the samples to where the cable is now; return them (m, 3).
 
         What was let go falls towards its new shape no faster than a thing falls; the rest is where
-        statics puts it.
+        statics puts it. ``solved`` takes the spans as the last `pull` found them.
         """
-        target = self._target(grips)
+        target = self._target(grips, solved=solved)
         loose = self.falling > 0
         if loose.any():
             speed = np.minimum(self.falling + GRAVITY * interval, _FALL)
@@ -348,12 +349,14 @@ class Rope:
             self.shape = target
         return self.shape
 
-    def _target(self, grips: Array) -> Array:
+    def _target(self, grips: Array, *, solved: bool) -> Array:
         """Where every sample would be at rest (m, 3)."""
         target = self.shape.copy()
         target[:, 2] = self.floor
         if len(self.starts):
-            target[self._between] = self._span_points(self._hang(grips))
+            fresh = solved and len(self.spans.a) == len(self.starts)
+            hung = self.spans if fresh else self._hang(grips)
+            target[self._between] = self._span_points(hung)
         for end in self._ends:
             _hang_end(target, grips[end.vehicle], end, self.floor)
         return target

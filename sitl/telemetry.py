@@ -366,7 +366,6 @@ def _version(v: Vehicle) -> bytes:
             "flight_sw_version": number,
             "middleware_sw_version": number,
             "os_sw_version": 0x0B00_00FF,
-            "flight_custom_version": b"emulated",
             "uid": 0x5157_0000 + v.system,
         },
     )
