@@ -1,0 +1,230 @@
+"""The certificate against brute force, and against plans that are broken on purpose."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from swarm.preflight.certificate import beyond_shared_vehicle, certified, tightest_moments
+from swarm.trajectory import joined, through_states
+from tests.preflight.oracle import catenary, closest, displaced
+from tests.preflight.synthetic import moving, plan_of, wandering
+
+LENGTHS = [3.4, 3.1, 3.8, 3.3]
+
+
+def tightest(plan, check, **options):
+    return {moment.between: moment for moment in tightest_moments(plan, checks=(check,), **options)}
+
+
+def numbers(between):
+    return [int(name.split()[1]) - 1 for name in between]
+
+
+def times_about(rng, moment, plan, count):
+    """Half of the times near the tightest one, the others anywhere."""
+    start, end = plan.motion.times[[0, -1]]
+    near = moment.time + rng.uniform(-0.05, 0.05, count // 2)
+    return np.clip(np.concatenate([near, rng.uniform(start, end, count - len(near))]), start, end)
+
+
+def strand(plan, places, segment, count=60):
+    start, end = places[..., segment, :], places[..., segment + 1, :]
+    return catenary(start, end, plan.layout.lengths[segment], count)
+
+
+@pytest.mark.parametrize("tracking", [0.0, 0.08])
+@pytest.mark.parametrize("seed", range(4))
+def test_brute_force_never_finds_strands_closer_than_certified(seed, tracking):
+    rng = np.random.default_rng(seed)
+    plan = plan_of(
+        wandering(rng, 5, 4, size=0.25, spacing=2.3), LENGTHS, f"vehicles.tracking={tracking}"
+    )
+    found = tightest(plan, "cable clearance")
+    assert found
+    for between, moment in found.items():
+        i, j = numbers(between)
+        times = times_about(rng, moment, plan, 400)
+        places = displaced(rng, plan.motion.at(times)[0], tracking)
+        sampled = closest(strand(plan, places, i), strand(plan, places, j)) - 0.006
+        assert sampled.min() >= moment.distance
+        if tracking == 0.0:
+            # Points of the polylines are up to a few centimetres off the closest points.
+            assert sampled.min() <= moment.distance + max(0.05, 0.1 * moment.distance)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_brute_force_never_finds_neighbours_closer_than_certified(seed):
+    rng = np.random.default_rng(100 + seed)
+    plan = plan_of(wandering(rng, 5, 4, size=0.3, spacing=2.3), LENGTHS, "vehicles.tracking=0.05")
+    beyond = beyond_shared_vehicle(plan)
+    for between, moment in tightest(plan, "neighbouring segments").items():
+        i, j = numbers(between)
+        times = times_about(rng, moment, plan, 100)
+        places = displaced(rng, plan.motion.at(times)[0], 0.05)
+        first, second = strand(plan, places, i, 100), strand(plan, places, j, 100)
+        arcs_first = _arc(first)[..., -1:] - _arc(first)
+        arcs_second = _arc(second)
+        apart = np.linalg.norm(first[..., :, None, :] - second[..., None, :, :], axis=-1)
+        counts = (arcs_first[..., :, None] >= beyond) | (arcs_second[..., None, :] >= beyond)
+        assert np.where(counts, apart, np.inf).min() - 0.006 >= moment.distance
+
+
+def _arc(points):
+    steps = np.linalg.norm(np.diff(points, axis=-2), axis=-1)
+    return np.concatenate([np.zeros_like(steps[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_brute_force_never_finds_vehicles_closer_than_certified(seed):
+    rng = np.random.default_rng(200 + seed)
+    plan = plan_of(wandering(rng, 5, 4, size=0.5, spacing=2.0), [9.0] * 4)
+    for between, moment in tightest(plan, "vehicle clearance").items():
+        i, j = numbers(between)
+        times = times_about(rng, moment, plan, 20000)
+        places = displaced(rng, plan.motion.at(times)[0], 0.1)
+        apart = places[:, j] - places[:, i]
+        margin = np.maximum(np.hypot(apart[:, 0], apart[:, 1]) - 1.0, np.abs(apart[:, 2]) - 1.5)
+        assert margin.min() >= moment.margin
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_brute_force_never_finds_cable_closer_to_a_vehicle_than_certified(seed):
+    rng = np.random.default_rng(300 + seed)
+    plan = plan_of(wandering(rng, 5, 4, size=0.3, spacing=2.3), LENGTHS, "vehicles.tracking=0.05")
+    rim = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    disc = [[0.0, 0.0, 0.6]] + [
+        [0.25 * share * np.cos(angle), 0.25 * share * np.sin(angle), 0.6]
+        for share in (0.5, 1.0)
+        for angle in rim
+    ]
+    rod = [[0.0, 0.0, height] for height in np.linspace(0.0, 0.6, 7)]
+    for check, body in (("vehicle-cable clearance", disc + rod), ("rotor disc", disc)):
+        for between, moment in tightest(plan, check).items():
+            vehicle, segment = numbers(between)
+            times = times_about(rng, moment, plan, 100)
+            places = displaced(rng, plan.motion.at(times)[0], 0.05)
+            parts = places[:, vehicle, None, :] + np.array(body)
+            sampled = closest(parts, strand(plan, places, segment)) - 0.003
+            assert sampled.min() >= moment.distance
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_brute_force_never_finds_cable_lower_than_certified(seed):
+    rng = np.random.default_rng(400 + seed)
+    plan = plan_of(
+        wandering(rng, 5, 4, size=0.3, spacing=2.3, height=3.0), LENGTHS, "vehicles.tracking=0.05"
+    )
+    for between, moment in tightest(plan, "floor").items():
+        segment = numbers(between[:1])[0]
+        times = times_about(rng, moment, plan, 1000)
+        places = displaced(rng, plan.motion.at(times)[0], 0.05)
+        lowest = strand(plan, places, segment)[..., 2].min() - 0.003
+        assert lowest >= moment.distance
+
+
+def crossing_plan(gap, *overrides):
+    """One strand passes from side to side, ``gap`` above another that hangs still."""
+    still = [[0, -1.5, 6.0], [0, 1.5, 6.0]]
+    far, there = 30.0, [[-1.5, 0, 6.0 + gap], [1.5, 0, 6.0 + gap]]
+    begin = [[x, y - 0.4, z] for x, y, z in there]
+    end = [[x, y + 0.4, z] for x, y, z in there]
+    join = [[0.0, far, 6.0]]
+    places = [[*still, *join, *moving_pair] for moving_pair in (begin, end)]
+    lengths = [3.5, 60.0, 60.0, 3.5]
+    return plan_of(moving([0.0, 12.0], places), lengths, *overrides)
+
+
+def passing(plan, **options):
+    """The pair of the still strand and the one that moves over it."""
+    return tightest(plan, "cable clearance", **options)[("segment 1", "segment 4")]
+
+
+def test_the_certified_distance_is_close_to_the_true_one():
+    plan = crossing_plan(0.3, "vehicles.tracking=0")
+    moment = passing(plan)
+    places = plan.motion.at(np.linspace(0.0, 12.0, 60))[0]
+    true = closest(strand(plan, places, 0, 400), strand(plan, places, 3, 400)).min() - 0.006
+    assert true - 0.012 <= moment.distance <= true
+
+
+def test_strands_that_pass_through_each_other_between_samples_are_caught():
+    """Down through the other strand and up again within a tenth of a second."""
+    plan = crossing_plan(1.0, "vehicles.tracking=0")
+    over = plan.motion.at(np.array([5.9, 6.0, 6.1]))
+    position, velocity, acceleration = (part.copy() for part in over)
+    position[1, 3:, 2] -= 1.2
+    velocity[1, 3:, 2] = 0.0
+    dip = through_states(np.array([5.9, 6.0, 6.1]), position, velocity, acceleration)
+    before = _cut(plan.motion, 0.0, 5.9)
+    after = _cut(plan.motion, 6.1, 12.0)
+    whipped = joined(joined(before, dip), after)
+    broken = plan_of(whipped, plan.layout.lengths, "vehicles.tracking=0")
+    coarse = broken.motion.at(np.arange(0.0, 12.0, 0.2) + 0.1)[0]
+    assert closest(strand(broken, coarse, 0), strand(broken, coarse, 3)).min() > 0.5
+    moment = passing(broken)
+    assert moment.distance <= 0.0
+    assert moment.time == pytest.approx(6.0, abs=0.1)
+
+
+def _cut(motion, start, end):
+    times = np.linspace(start, end, 60)
+    return through_states(times, *motion.at(times))
+
+
+def test_more_tracking_error_never_certifies_more():
+    rng = np.random.default_rng(7)
+    motion = wandering(rng, 5, 3, size=0.2, spacing=2.3)
+    distances = []
+    for tracking in (0.0, 0.03, 0.06, 0.1):
+        plan = plan_of(motion, LENGTHS, f"vehicles.tracking={tracking}")
+        distances.append(min(m.distance for m in tightest(plan, "cable clearance").values()))
+    assert all(after < before for before, after in pairwise(distances))
+
+
+def test_yes_and_no_agree_with_the_measured_margins():
+    rng = np.random.default_rng(11)
+    answers = set()
+    for size in (0.05, 0.1, 0.2, 0.4):
+        plan = plan_of(
+            wandering(rng, 4, 2, size=size, spacing=2.4), [2.9] * 3,
+            "vehicles.tracking=0.01", "clearance.cable=0.05",
+        )  # fmt: skip
+        measured = min(moment.margin for moment in tightest_moments(plan))
+        answer = certified(plan, tracking=0.01)
+        assert answer == (measured >= 0.0) or abs(measured) < 0.01
+        answers.add(answer)
+    assert answers == {True, False}
+
+
+def test_a_chord_nearer_to_taut_than_allowed_is_found_at_its_moment():
+    places = [[[0, 0, 5.0], [2.5, 0, 5.0]], [[0, 0, 5.0], [2.93, 0, 5.0]], [[0, 0, 5], [2.5, 0, 5]]]
+    plan = plan_of(moving([0, 4, 8], places), [3.0], "vehicles.tracking=0.02")
+    moment = tightest(plan, "taut")[("segment 1", "its length")]
+    assert moment.margin == pytest.approx(0.985 * 3.0 - 2.93 - 0.04, abs=0.004)
+    assert moment.time == pytest.approx(4.0, abs=0.1)
+
+
+def test_cable_on_the_floor_may_lie_anywhere_within_reach():
+    lying = [[[x, 0, 0.0] for x in (0, 2.7, 5.4, 8.1)]] * 2
+    plan = plan_of(
+        moving([0, 1], lying), [3.0] * 3, "vehicles.tracking=0.05", name="contract", cable="floor"
+    )
+    moment = tightest(plan, "reach on the floor")[("segment 1", "segment 3")]
+    # Each can reach ½(3 + 0.1 − 2.7) beyond its ends.
+    assert moment.distance == pytest.approx(2.7 - 0.4 - 0.006, abs=0.15)
+    assert moment.distance <= 2.7 - 0.4 - 0.006 + 1e-9
+
+
+def test_fence_and_ceiling():
+    places = [[[0, 0, 5.0], [2.0, 0, 5.0]], [[4.0, 0, 5.0], [6.0, 0, 6.0]]]
+    plan = plan_of(
+        moving([0, 6], places), [3.0], "vehicles.tracking=0.1", "workspace.ceiling=6.0",
+        "workspace.fence=[[-5, -5], [5.5, -5], [5.5, 5], [-5, 5]]",
+    )  # fmt: skip
+    over = tightest(plan, "ceiling")[("vehicle 2", "the ceiling")]
+    assert over.margin == pytest.approx(6.0 - 6.0 - 0.6 - 0.1, abs=0.08)
+    out = tightest(plan, "fence")
+    assert out[("vehicle 2", "the fence")].margin == pytest.approx(-0.5 - 0.25 - 0.1, abs=0.1)
+    assert out[("segment 1", "the fence")].margin < 0.0
+    assert out[("vehicle 1", "the fence")].margin == pytest.approx(1.5 - 0.25 - 0.1, abs=0.1)
