@@ -257,7 +257,7 @@ class Bodies:
         reach = np.hypot(wanted[:, 0], wanted[:, 1])
         limit = self.tilt_limit * up + 1e-9
         wanted[:, :2] *= (limit / np.maximum(reach, limit))[:, None]
-        self.integral *= (share > 0)[:, None]
+        self.integral *= (share >= 1.0)[:, None]
 
     def supervise(self, interval: float) -> None:
         """Take-off ramp, land detector and yaw, every ``interval`` seconds (call at 25 Hz)."""

@@ -83,11 +83,15 @@ class Ground:
         ]
 
     def texts(self, vehicle: int) -> list[str]:
-        return [
-            message.text
-            for _, who, message in self.log
-            if who == vehicle and message.get_type() == "STATUSTEXT"
-        ]
+        """What the vehicle said, chunks put together."""
+        texts: list[str] = []
+        for _, who, message in self.log:
+            if who == vehicle and message.get_type() == "STATUSTEXT":
+                if message.id and message.chunk_seq:
+                    texts[-1] += message.text
+                else:
+                    texts.append(message.text)
+        return texts
 
     def origin(self, vehicle: int) -> Any:
         """The vehicle's estimator origin in world ENU: what a ground station works out by GPS."""
