@@ -12,7 +12,9 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
+from swarm.flight.trace import Trace
 from swarm.plans import KnotSummary, Layout, Plan
 from swarm.preflight.findings import Tightest
 from swarm.view import scene
@@ -36,6 +38,7 @@ END: Final = np.array([214, 96, 40]) / 255
 """The cable is drawn from blue (vehicle 1) to orange (the last): which end is which shows."""
 
 INK: Final = "#303848"
+ALARM: Final = "#c03030"
 FAINT: Final = "#c8cdd6"
 GAP: Final = 0.16
 """Half of the gap of an under strand, in cells or in shares of a typical span."""
@@ -174,6 +177,7 @@ def draw_fold(axes: Axes, layout: Layout) -> None:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(np.maximum(high - low, 0.2 * (high - low).max()), zoom=0.95)
     axes.view_init(elev=28, azim=-62)
+    axes.zaxis.set_major_locator(MaxNLocator(3))
     axes.set(xlabel="east, m", ylabel="north, m", zlabel="up, m")
     axes.set_title("Folded cable, distances at crossings in m")
 
@@ -225,17 +229,17 @@ def draw_over_time(
 ) -> None:
     """Draw a clearance (k,) in metres over times (k,) against what is required."""
     axes.plot(times, distance, color=INK, linewidth=1.4)
-    axes.axhline(required, color="#c03030", linewidth=1.2, linestyle="--")
+    axes.axhline(required, color=ALARM, linewidth=1.2, linestyle="--")
     axes.text(
         times[0],
         required,
         f" required {required:.2f} m",
-        color="#c03030",
+        color=ALARM,
         va="bottom",
         fontsize=7.5,
     )
     if tightest is not None and np.isfinite(tightest.distance):
-        axes.plot([tightest.time], [tightest.distance], "v", color="#c03030", markersize=6)
+        axes.plot([tightest.time], [tightest.distance], "v", color=ALARM, markersize=6)
         axes.annotate(
             f"certified {tightest.distance:.2f} m\n" + " and ".join(tightest.between),
             (tightest.time, tightest.distance),
@@ -245,3 +249,49 @@ def draw_over_time(
         )
     axes.set(xlabel="mission time, s", ylabel="distance, m", title=title)
     axes.set_ylim(bottom=0.0)
+
+
+def draw_errors(axes: Axes, trace: Trace, ball: float) -> None:
+    """Draw every vehicle's tracking error over time against the tracking ball, metres."""
+    errors = np.linalg.norm(trace.position - trace.setpoint, axis=-1)
+    for i, colour in enumerate(along_colours(errors.shape[1])):
+        axes.plot(trace.time, errors[:, i], color=colour, linewidth=0.7)
+    if ball > 0:
+        axes.axhline(ball, color=ALARM, linewidth=1.2, linestyle="--")
+    _shade_phases(axes, trace)
+    axes.set(xlabel="time, s", ylabel="error, m", title="Tracking error")
+    axes.set_ylim(bottom=0.0)
+
+
+def draw_clock(axes: Axes, trace: Trace) -> None:
+    """Draw the mission clock over time: level where it waits, falling where it runs back."""
+    axes.plot(trace.time, trace.mission_time, color=INK, linewidth=1.4)
+    _shade_phases(axes, trace)
+    axes.set(xlabel="time, s", ylabel="mission time, s", title="Mission clock")
+
+
+def draw_flown_view(axes: Axes, plan: Plan, trace: Trace) -> None:
+    """Draw the knot's plan view as planned, and the last positions reported during the hold."""
+    draw_plan_view(axes, plan.layout)
+    held = trace.position[np.array(trace.phase) == "hold"]
+    known = held[np.isfinite(held).all(axis=(1, 2))]
+    if len(known):
+        axes.plot(*known[-1][:, :2].T, "x", color=ALARM, markersize=7, zorder=8)
+    axes.set_title("Plan view; × where the vehicles held it" if len(known) else "Plan view")
+
+
+def _shade_phases(axes: Axes, trace: Trace) -> None:
+    """Shade every second phase, and name those that are long enough to be read."""
+    names = np.array(trace.phase)
+    edges = np.flatnonzero(np.append(True, names[1:] != names[:-1]))
+    span = trace.time[-1] - trace.time[0]
+    for k, begin in enumerate(edges):
+        last = edges[k + 1] if k + 1 < len(edges) else len(names) - 1
+        start, end = trace.time[begin], trace.time[last]
+        if k % 2:
+            axes.axvspan(start, end, color="#f0f2f6", zorder=0, linewidth=0)
+        if end - start > 0.04 * span:
+            axes.text(
+                (start + end) / 2, 1.0, names[begin], transform=axes.get_xaxis_transform(),
+                ha="center", va="top", fontsize=7.5, color="#667085",
+            )  # fmt: skip

@@ -20,7 +20,7 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.plans import Plan
 from swarm.preflight.findings import Assessment, Finding, Tightest
 from swarm.view import scene
-from swarm.view.words import ROUTINE, clip_rows, clock, level, metres, seconds, sentence
+from swarm.view.words import ROUTINE, clip_rows, clock, level, merged, metres, seconds, sentence
 
 SEVERITY_STYLES: Final = {"error": "bold red", "warning": "yellow", "info": "dim"}
 STATE_STYLES: Final = {
@@ -32,8 +32,7 @@ STATE_STYLES: Final = {
 }
 LEVEL_STYLES: Final = {"ERROR": "bold red", "WARN": "yellow", "INFO": "default"}
 LAST_EVENTS: Final = 6
-SAME_WITHIN: Final = 5.0
-"""Seconds within which the same words of several vehicles share a line."""
+RECENT_EVENTS: Final = 200
 
 
 def plan_summary(plan: Plan, assessment: Assessment, console: Console) -> None:
@@ -152,7 +151,7 @@ class FlightScreen:
     def __init__(self, plan: Plan, console: Console) -> None:
         self._plan = plan
         self._console = console
-        self._events: deque[tuple[Event, list[int]]] = deque(maxlen=LAST_EVENTS)
+        self._events: deque[Event] = deque(maxlen=RECENT_EVENTS)
         self._snapshot: Snapshot | None = None
         self._said: str | None = None
         self._live = (
@@ -190,12 +189,7 @@ class FlightScreen:
         if self._live is None:
             self._console.print(_event_line(event), soft_wrap=True)
             return
-        for shown, vehicles in self._events:
-            same = (shown.kind, shown.message) == (event.kind, event.message)
-            if same and event.vehicle is not None and event.time - shown.time < SAME_WITHIN:
-                vehicles.append(event.vehicle)
-                return
-        self._events.append((event, []))
+        self._events.append(event)
 
     def countdown(self, left: int) -> None:
         """Show the seconds that are left before take-off."""
@@ -216,7 +210,7 @@ class FlightScreen:
                 team_table(self._snapshot, self._plan, self._console.height - LAST_EVENTS - 6),
             ]
         parts.append(Rule(style="dim"))
-        parts += [_event_line(event, vehicles) for event, vehicles in list(self._events)]
+        parts += [_event_line(*said) for said in merged(list(self._events))[-LAST_EVENTS:]]
         return Group(*parts)
 
 

@@ -1,7 +1,7 @@
 """Numbers as people read them, the same on screens, in pictures and in reports."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final, Literal
 
 import numpy as np
@@ -15,6 +15,9 @@ ROUTINE: Final = frozenset(
 """Kinds of events that every vehicle has in every flight: for the record, not for the screen."""
 
 ALARMING: Final = frozenset({"failure", "failed", "refused", "rebooted", "error"})
+SAME_WITHIN: Final = 5.0
+"""Seconds within which the same words of several vehicles are one line."""
+
 NOTABLE: Final = frozenset({"hold", "land", "link", "origin", "warning", "timeout"})
 
 
@@ -33,6 +36,23 @@ def sentence(event: Event, others: Sequence[int] = ()) -> str:
     if not vehicles or (len(vehicles) == 1 and f"vehicle {vehicles[0]}" in event.message):
         return event.message
     return f"vehicle{'s' if len(vehicles) > 1 else ''} {_ranges(vehicles)}: {event.message}"
+
+
+def merged(events: Iterable[Event]) -> list[tuple[Event, list[int]]]:
+    """Return events with the other vehicles of which the same was said soon after."""
+    found: list[tuple[Event, list[int]]] = []
+    for event in events:
+        for first, others in reversed(found):
+            if event.time - first.time > SAME_WITHIN:
+                found.append((event, []))
+                break
+            same = (first.kind, first.message) == (event.kind, event.message)
+            if same and event.vehicle is not None and first.vehicle is not None:
+                others.append(event.vehicle)
+                break
+        else:
+            found.append((event, []))
+    return found
 
 
 def _ranges(numbers: list[int]) -> str:

@@ -1,0 +1,304 @@
+"""One page per plan and per flight, to be kept, printed and sent: HTML that needs no network."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from swarm import __version__
+from swarm.flight.snapshot import Event
+from swarm.flight.trace import Trace
+from swarm.plans import Plan
+from swarm.preflight.findings import Assessment, Tightest
+from swarm.view import plots, scene
+from swarm.view.columns import strand_distances
+from swarm.view.page import Html, key_figures, page, picture, pictures, section, table, tag
+from swarm.view.words import ROUTINE, clock, level, merged, metres, seconds, sentence
+
+CERTIFIED: Final = "certified in the quasi-static cable model"
+SEVERITIES: Final = {"error": "bad", "warning": "warn", "info": "dim"}
+CLEARANCES: Final = {
+    "cable": "cable to cable",
+    "vehicle": "vehicle to vehicle",
+    "vehicle_cable": "vehicle to cable",
+}
+LEVELS: Final = {"ERROR": "bad", "WARN": "warn", "INFO": ""}
+
+
+def plan_report(plan: Plan, assessment: Assessment) -> str:
+    """Return the page of a plan: verdict, findings, figures, pictures, tables."""
+    verdict = (
+        tag("div", f"Cleared: {CERTIFIED}.", kind="verdict good")
+        if assessment.cleared
+        else tag("div", f"Refused: {_errors(assessment)}.", kind="verdict bad")
+    )
+    return page(
+        f"Plan: {plan.mission.name}",
+        tag("h1", f"{plan.mission.name}: plan for {_knot(plan.knot.type, plan.knot.chirality)}"),
+        tag("p", f"Gauss code {plan.knot.gauss}", kind="dim"),
+        verdict,
+        key_figures(_plan_figures(plan, assessment)),
+        section("Findings", _findings(assessment)),
+        section("Smallest distances", _certified(assessment)),
+        section("Pictures", pictures(*_plan_pictures(plan, assessment))),
+        *_plan_tables(plan),
+        _footer(),
+    )
+
+
+def flight_report(
+    plan: Plan,
+    assessment: Assessment,
+    outcome: Mapping[str, Any],
+    trace: Trace,
+    events: Iterable[Event],
+) -> str:
+    """Return the page of a flight or of a dry run.
+
+    ``outcome`` is the JSON object that ``swarm fly --json`` prints: word, implied knot, clearances
+    flown and certified, tracking, timing.
+    """
+    done = outcome["outcome"] == "done"
+    implied = _knot(outcome["knot"]["type"], outcome["knot"]["chirality"])
+    as_planned = outcome["knot"]["as_planned"]
+    return page(
+        f"Flight: {plan.mission.name}",
+        tag("h1", f"{plan.mission.name}: flight"),
+        tag("p", f"Asked for {_knot(plan.knot.type, plan.knot.chirality)}", kind="dim"),
+        tag(
+            "div",
+            f"{outcome['outcome'].capitalize()}: {outcome['explanation']}. "
+            f"The reported positions imply {implied} in the cable model"
+            f"{'' if as_planned else ', which is not what was planned'}.",
+            kind="verdict good" if done and as_planned else "verdict bad",
+        ),
+        key_figures(_flight_figures(plan, outcome)),
+        section("Smallest distances", _flown(outcome)),
+        section("Notes", *(tag("p", note) for note in outcome["notes"])),
+        section("Pictures", pictures(*_flight_pictures(plan, trace))),
+        section("Tracking error", _tracking(outcome["tracking"], plan)),
+        section("Events", _events(events)),
+        section("The plan", key_figures(_plan_figures(plan, assessment)), _findings(assessment)),
+        _footer(),
+    )
+
+
+def _errors(assessment: Assessment) -> str:
+    count = sum(finding.severity == "error" for finding in assessment.findings)
+    return f"{count} error{'s' if count > 1 else ''}"
+
+
+def _knot(name: str, chirality: str) -> str:
+    return name if chirality == "none" else f"{name}, {chirality}-handed"
+
+
+def _plan_figures(plan: Plan, assessment: Assessment) -> list[tuple[str, object]]:
+    fold = plan.phase("fold")
+    robustness = assessment.robustness
+    return [
+        ("vehicles", plan.vehicles),
+        ("cable", metres(float(plan.layout.lengths.sum()))),
+        ("fold", seconds(fold.end - fold.start)),
+        ("from take-off to the ground", seconds(plan.duration)),
+        ("tracking error certified for", metres(plan.mission.vehicles.tracking)),
+        ("largest tracking error e*", _or_dash(robustness.tracking, "m")),
+        ("largest steady wind w*", _or_dash(robustness.wind, "m/s")),
+    ]
+
+
+def _or_dash(value: float | None, unit: str) -> str:
+    return "–" if value is None else f"{value:.2f} {unit}"
+
+
+def _findings(assessment: Assessment) -> Html:
+    order = list(SEVERITIES)
+    rows = [
+        (
+            tag("span", finding.severity, kind=SEVERITIES[finding.severity]),
+            finding.check,
+            finding.message,
+            "" if finding.at_time is None else seconds(finding.at_time),
+        )
+        for finding in sorted(assessment.findings, key=lambda found: order.index(found.severity))
+    ]
+    return table(("severity", "check", "says", "at"), rows, frozenset({3}))
+
+
+def _certified(assessment: Assessment) -> Html:
+    rows = [
+        (name, _kept(kept.distance, kept.required), metres(kept.required), *_where(kept))
+        for name, kept in zip(
+            CLEARANCES.values(),
+            (assessment.cable, assessment.vehicle, assessment.vehicle_cable),
+            strict=True,
+        )
+    ]
+    head = ("", "certified", "required", "at", "between")
+    return table(head, rows, frozenset({1, 2, 3}))
+
+
+def _where(kept: Tightest) -> tuple[str, str]:
+    if not np.isfinite(kept.distance):
+        return "–", "–"
+    return seconds(kept.time), " and ".join(kept.between)
+
+
+def _kept(distance: float, required: float) -> Html:
+    return tag("span", metres(distance), kind="good" if distance >= required else "bad")
+
+
+@mpl.rc_context(plots.STYLE)
+def _plan_pictures(plan: Plan, assessment: Assessment) -> list[Html]:
+    found = []
+    if plan.knot.grid_columns:
+        figure, axes = _axes()
+        plots.draw_grid(axes, plan.knot)
+        found.append(picture(figure, "Grid diagram of the knot"))
+    figure, axes = _axes()
+    plots.draw_plan_view(axes, plan.layout)
+    found.append(picture(figure, "The cable from above; under strands have gaps"))
+    figure, axes = _axes(projection="3d")
+    plots.draw_fold(axes, plan.layout)
+    found.append(picture(figure, "The folded cable in space"))
+    if plan.vehicles >= 4:
+        figure, axes = _axes((8.0, 2.8))
+        times, distance = strand_distances(plan)
+        required = plan.mission.clearance.cable
+        title = "Distance of strands that are not neighbours (sampled, without errors)"
+        plots.draw_over_time(axes, times, distance, required, title, assessment.cable)
+        found.append(picture(figure, title, wide=True))
+    schedule = plots.schedule_figure(plan)
+    found.append(picture(schedule, "Schedule and heights of the vehicles", wide=True))
+    return found
+
+
+@mpl.rc_context(plots.STYLE)
+def _flight_pictures(plan: Plan, trace: Trace) -> list[Html]:
+    found = []
+    figure, axes = _axes((8.0, 3.0))
+    plots.draw_errors(axes, trace, plan.mission.vehicles.tracking)
+    found.append(picture(figure, "Tracking error of every vehicle", wide=True))
+    figure, axes = _axes((8.0, 2.2))
+    plots.draw_clock(axes, trace)
+    found.append(picture(figure, "Mission clock over time", wide=True))
+    figure, axes = _axes((5.0, 4.2))
+    plots.draw_flown_view(axes, plan, trace)
+    found.append(picture(figure, "The cable from above as it was held at the end, and as planned"))
+    return found
+
+
+def _axes(
+    size: tuple[float, float] = (4.6, 4.2), projection: str | None = None
+) -> tuple[Figure, plots.Axes]:
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot(projection=projection)
+
+
+def _plan_tables(plan: Plan) -> tuple[Html, ...]:
+    layout = plan.layout
+    chords = np.linalg.norm(np.diff(layout.corners, axis=0), axis=1)
+    segments = [
+        (i + 1, *(f"{value:.2f}" for value in values))
+        for i, values in enumerate(
+            zip(layout.lengths, chords, layout.sags, layout.lanes, strict=True)
+        )
+    ]
+    crossings = [(f"{c.over} over {c.under}", f"{c.distance:.2f}") for c in scene.crossings(layout)]
+    phases = [
+        (phase.name, f"{phase.start:.1f}", f"{phase.end - phase.start:.1f}", phase.cable)
+        for phase in plan.phases
+    ]
+    gates = [(f"{g.time:.1f}", g.condition, f"{g.timeout:.0f}") for g in plan.gates]
+    numbers = frozenset(range(5))
+    head = ("segment", "cable, m", "chord, m", "sag, m", "lane, m")
+    return (
+        section("Segments", table(head, segments, numbers)),
+        section("Crossings", table(("segments", "apart, m"), crossings, frozenset({1}))),
+        section(
+            "Phases", table(("phase", "from, s", "lasts, s", "cable"), phases, frozenset({1, 2}))
+        ),
+        section(
+            "Gates", table(("at, s", "waits until all are", "at most, s"), gates, frozenset({0, 2}))
+        ),
+        section("What the planner says", *(tag("p", note) for note in plan.notes)),
+        section("Mission", tag("pre", plan.mission.model_dump_json(by_alias=True, indent=1))),
+    )
+
+
+def _flight_figures(plan: Plan, outcome: Mapping[str, Any]) -> list[tuple[str, object]]:
+    lateness = outcome["lateness"]
+    worst = max((e["max"] for e in outcome["tracking"] if e["phase"] == "fold"), default=np.nan)
+    chord = outcome["largest_chord"]
+    return [
+        ("vehicles", plan.vehicles),
+        ("of flight", seconds(outcome["duration"])),
+        ("largest tracking error in the fold", metres(worst)),
+        ("chord of the tautest segment", "–" if chord is None else f"{chord:.1%}"),
+        ("setpoints sent", outcome["setpoints"]),
+        ("late by (median, 99 %)", _lateness(lateness)),
+        ("packets lost", sum(outcome["lost"].values())),
+    ]
+
+
+def _lateness(lateness: Sequence[float] | None) -> str:
+    return "–" if not lateness else f"{lateness[0] * 1e3:.1f}, {lateness[1] * 1e3:.1f} ms"
+
+
+def _flown(outcome: Mapping[str, Any]) -> Html:
+    rows = []
+    for name, both in outcome["clearance"].items():
+        was, certified = both["flown"], both["certified"]
+        rows.append(
+            (
+                CLEARANCES[name],
+                "unknown" if was is None else _kept(was["distance"], certified["required"]),
+                metres(certified["distance"]),
+                metres(certified["required"]),
+                "" if was is None else seconds(was["time"]),
+                "" if was is None else " and ".join(was["between"]),
+            )
+        )
+    head = ("", "flown", "certified", "required", "at mission time", "between")
+    return table(head, rows, frozenset({1, 2, 3, 4}))
+
+
+def _tracking(errors: Sequence[Mapping[str, Any]], plan: Plan) -> Html:
+    ball = plan.mission.vehicles.tracking
+    rows = [
+        (
+            error["phase"],
+            f"{error['rms']:.3f}",
+            f"{error['p999']:.3f}",
+            tag(
+                "span",
+                f"{error['max']:.3f}",
+                kind="bad" if error["phase"] == "fold" and error["max"] > ball > 0 else "",
+            ),
+        )
+        for error in errors
+        if error["vehicle"] == 0 and error["phase"]
+    ]
+    head = ("phase, all vehicles", "RMS, m", "99.9 %, m", "largest, m")
+    return table(head, rows, frozenset({1, 2, 3}))
+
+
+def _events(events: Iterable[Event]) -> Html:
+    told = merged(event for event in events if event.kind not in ROUTINE)
+    rows = [
+        (clock(event.time), tag("span", sentence(event, others), kind=LEVELS[level(event)]))
+        for event, others in told
+    ]
+    return table(("time", "event"), rows, frozenset({0}))
+
+
+def _footer() -> Html:
+    return tag(
+        "footer",
+        f"swarm {__version__}. {CERTIFIED.capitalize()} means: for every displacement of every "
+        "grip point within the tracking ball, as long as the cable hangs as catenaries do. It is "
+        "not a proof about the real cable, and no eye has seen the knot.",
+    )

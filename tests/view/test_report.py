@@ -1,0 +1,185 @@
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from functools import cache
+from html import escape
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarm.flight.snapshot import Event
+from swarm.flight.trace import Trace
+from swarm.preflight.findings import Finding
+from swarm.view.page import Html, page, table, tag
+from swarm.view.report import flight_report, plan_report
+from tests.view.synthetic import events, trefoil_plan
+from tests.view.test_terminal import assessment
+
+PLAN = trefoil_plan()
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+VOID = {"meta", "img"}
+
+
+class Reader(HTMLParser):
+    """Collects words and addresses, and checks that every element is closed."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__()
+        self.words = ""
+        self.addresses: list[str] = []
+        self.images = 0
+        self.open: list[str] = []
+        self.feed(source)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        self.images += tag == "img"
+        self.addresses += [value or "" for key, value in attrs if key in {"src", "href"}]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words += data + " "
+
+
+def trace() -> Trace:
+    times = np.linspace(0.0, PLAN.duration, 300)
+    asked = PLAN.motion.at(times)[0]
+    position = asked + 0.02
+    position[:5, 2] = np.nan
+    phase = tuple(PLAN.phase_at(float(time)).name for time in times)
+    return Trace(times + 3.0, times, position, asked, phase)
+
+
+def outcome(**changed: Any) -> dict[str, Any]:
+    kept = {"distance": 0.3, "required": 0.15, "time": 51.0, "between": ["segment 3", "segment 5"]}
+    return {
+        "outcome": "done",
+        "explanation": "all vehicles have landed",
+        "knot": {"type": "3_1", "chirality": "right", "gauss": "", "as_planned": True},
+        "clearance": {
+            "cable": {"flown": kept, "certified": kept},
+            "vehicle": {"flown": None, "certified": kept},
+            "vehicle_cable": {"flown": kept, "certified": kept},
+        },
+        "largest_chord": 0.94,
+        "tracking": [
+            {"phase": "fold", "vehicle": v, "rms": 0.03, "p999": 0.1, "max": 0.17} for v in (0, 1)
+        ],
+        "duration": 92.0,
+        "setpoints": 1000,
+        "lateness": None,
+        "lost": {"1": 2},
+        "notes": ["segment 3 was reported 101 % of its length apart"],
+        **changed,
+    }
+
+
+def test_plan_report_says_what_the_checks_say() -> None:
+    remark = Finding("info", "scope", "from <contract> to hold")
+    refused = assessment(remark, Finding("error", "taut", "segment 2 is over-stretched", 51.3))
+    read = Reader(plan_report(PLAN, refused))
+    assert "Refused: 1 error." in read.words
+    assert "from <contract> to hold" in read.words
+    assert read.words.index("over-stretched") < read.words.index("<contract>")
+    assert read.images == 5
+    cleared = "Cleared: certified in the quasi-static cable model."
+    assert cleared in Reader(cleared_plan_report()).words
+
+
+def test_reports_need_nothing_but_themselves() -> None:
+    for source in (cleared_plan_report(), made_flight_report()):
+        read = Reader(source)
+        assert read.addresses
+        assert all(address.startswith("data:image/png;base64,") for address in read.addresses)
+        assert "http" not in source
+        assert "url(" not in source
+        assert "<script" not in source
+
+
+@cache
+def cleared_plan_report() -> str:
+    return plan_report(PLAN, assessment())
+
+
+def made_flight_report(**changed: Any) -> str:
+    text = [Event(80.0 + 0.1 * v, "text", "Landing detected", v) for v in (1, 2, 3)]
+    happened = [*events(PLAN), *text, Event(81.0, "mode", "mode land", 4)]
+    return flight_report(PLAN, assessment(), outcome(**changed), trace(), happened)
+
+
+def test_flight_report_says_what_was_flown() -> None:
+    read = Reader(made_flight_report())
+    assert "Done: all vehicles have landed." in read.words
+    assert "imply 3_1, right-handed in the cable model." in read.words
+    assert "unknown" in read.words
+    assert "segment 3 was reported 101 % of its length apart" in read.words
+    assert "vehicles 1–3: Landing detected" in read.words
+    assert "mode land" not in read.words
+    assert read.images == 3
+
+
+def test_a_failed_flight_is_not_green() -> None:
+    source = made_flight_report(outcome="failed", explanation="vehicle 4: no answer")
+    assert 'class="verdict bad"' in source
+    assert "Failed: vehicle 4: no answer." in Reader(source).words
+    other = {"type": "0_1", "chirality": "none", "gauss": "", "as_planned": False}
+    source = made_flight_report(knot=other)
+    assert 'class="verdict bad"' in source
+    assert "imply 0_1 in the cable model, which is not what was planned." in Reader(source).words
+
+
+def test_whatever_a_mission_is_called_stays_text() -> None:
+    name = '<img src=x onerror="alert(1)">'
+    plan = replace(PLAN, mission=PLAN.mission.model_copy(update={"name": name}))
+    source = plan_report(plan, assessment())
+    assert "<img src=x" not in source
+    assert name in Reader(source).words
+
+
+def test_pieces_of_html() -> None:
+    assert tag("p", "a < b", Html("<b>c</b>"), kind="dim") == '<p class="dim">a &lt; b<b>c</b></p>'
+    assert table(("a",), []) == ""
+    assert "<title>x &amp; y</title>" in page("x & y")
+
+
+LOOK = """<!doctype html><title>-</title><iframe style="width:%dpx; height:900px; border:0"
+srcdoc="%s"></iframe><script>addEventListener("load", () => {
+  const page = document.querySelector("iframe").contentDocument;
+  const wide = page.documentElement.clientWidth;
+  const out = (e) => !e.closest(".scroll, pre") && e.getBoundingClientRect().right > wide + 1;
+  document.title = JSON.stringify({
+    sideways: page.documentElement.scrollWidth - wide,
+    broken: [...page.images].filter((i) => !(i.complete && i.naturalWidth)).length,
+    outside: [...page.body.querySelectorAll("*")].filter(out).length }) })</script>"""
+
+
+@pytest.mark.skipif(BROWSER is None, reason="needs a Chromium to look with")
+@pytest.mark.parametrize("width", [360, 1000])
+def test_a_browser_shows_it_without_sideways_scrolling(width: int, tmp_path: Path) -> None:
+    for name, source in (
+        ("plan", cleared_plan_report()),
+        ("flight", made_flight_report()),
+    ):
+        file = tmp_path / f"{name}.html"
+        file.write_text(LOOK % (width, escape(source)), encoding="utf-8")
+        seen = subprocess.run(
+            [
+                str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom",
+                f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=5000",
+                file.as_uri(),
+            ],
+            check=True, capture_output=True, text=True, timeout=60,
+        ).stdout  # fmt: skip
+        found = json.loads(seen.split("<title>")[1].split("</title>")[0])
+        assert found == {"sideways": 0, "broken": 0, "outside": 0}
