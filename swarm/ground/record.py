@@ -39,17 +39,17 @@ class Record:
     """
 
     def __init__(self, folder: Path, began: float) -> None:
-        """Raise :class:`InputError` where the folder cannot be made or is not empty."""
+        """Raise :class:`InputError` where the folder cannot be made or holds a flight's record."""
         self.folder = folder
         self._began = began
         self.problem: str | None = None
         self.dropped = 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            if any(folder.iterdir()):
-                raise InputError([Problem(str(folder), "expected an empty or new folder")])
-            self._packets = (folder / "flight.tlog").open("wb", buffering=0)
+            self._packets = (folder / "flight.tlog").open("xb", buffering=0)
             self._events = (folder / "events.jsonl").open("wb", buffering=0)
+        except FileExistsError:
+            raise InputError([Problem(str(folder), "holds the record of a flight")]) from None
         except OSError as error:
             reason = (error.strerror or "cannot be written").lower()
             raise InputError([Problem(str(folder), reason)]) from None
