@@ -88,7 +88,8 @@ def choose(
         if value is not None
     ]
     if len(given) != 1:
-        raise KnotError(f"expected one of name, gauss, dt, pd or grid, got {', '.join(given)}")
+        got = " and ".join(given) or "none"
+        raise KnotError(f"expected one of name, gauss, dt, pd or grid, got {got}")
     if name is not None:
         return _of_name(parse_name(name), chirality)
     if grid is not None:

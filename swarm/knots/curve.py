@@ -6,6 +6,8 @@ lies, the plan is shifted by less than anything physical, several ways, and the 
 all of them agree.
 """
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,35 +18,63 @@ Points = NDArray[np.float64]
 NUDGE = 1e-9
 """Largest shift of a point in a degenerate plan view, as a share of the curve's extent."""
 
-_SHIFTS = 4
+REPEATED = 1e-12
+"""Points that follow each other within this share of the curve's extent are one point."""
+
+_SHIFTS = 2
+_TIE = 1e-11
+"""Crossings closer to each other than this share of a segment have no certain order."""
+
 _ROUNDING = 4e-16
 """Shewchuk's bound for the orientation test, 3.33e-16, rounded up."""
 
 
-def curve_gauss(points: Points, *, closed: bool = False) -> SignedGauss:
+@dataclass(frozen=True)
+class _View:
+    """The plan view of a curve: its corners in plan, and the heights at both ends of segments.
+
+    Corners are (n, 2), the heights (n,): segment k runs from corner k to k + 1 and from ``start``
+    to ``end``. Plumb segments are left out, so ``end`` of one and ``start`` of the next may differ.
+    ``tilt`` is how far the view leans, in plan lengths per height.
+    """
+
+    corners: Points
+    start: Points
+    end: Points
+    closed: bool
+    tilt: tuple[float, float]
+    extent: float
+
+
+def curve_gauss(
+    points: Points, *, closed: bool = False, tilt: tuple[float, float] = (0.0, 0.0)
+) -> SignedGauss:
     """Signed Gauss code of a curve's plan view, seen from above.
 
     ``points`` is (n, 3); consecutive points are joined by straight lines, and the last to the first
-    if ``closed``. Degenerate views (a vertex on another strand, repeated points, plumb segments)
-    are read as the view of any curve within ``NUDGE`` × extent of it.
+    if ``closed``. With a ``tilt`` the view leans: plan = (x, y) + tilt · z. Degenerate views (a
+    vertex on another strand, repeated points, plumb segments) are read as the view of any curve
+    within ``NUDGE`` × extent of it.
 
     Raises KnotError where those differ (strands on top of each other over a length, a strand that
     only touches another, three strands through one point), and where two strands meet in space.
     """
     curve = checked(points, closed=closed)
-    if len(curve) < 3:
+    view = _view(curve, closed, tilt)
+    if len(view.corners) < 3:
         return SignedGauss((), closed)
-    extent = float(np.max(np.ptp(curve, axis=0)))
-    pairs = _candidates(curve, closed, 2 * NUDGE * extent)
-    code = _code(curve, pairs, closed, extent)
+    pairs = _candidates(view)
+    code = _code(view, pairs)
     if code is not None:
         return code
     rng = np.random.default_rng(1)
-    codes = []
-    for _ in range(_SHIFTS // 2):
-        shift = np.zeros_like(curve)
-        shift[:, :2] = rng.uniform(-NUDGE * extent, NUDGE * extent, (len(curve), 2))
-        codes += [_code(curve + way * shift, pairs, closed, extent) for way in (1.0, -1.0)]
+    reach = NUDGE * view.extent
+    shifts = [rng.uniform(-reach, reach, view.corners.shape) for _ in range(_SHIFTS)]
+    codes = [
+        _code(replace(view, corners=view.corners + way * shift), pairs)
+        for shift in shifts
+        for way in (1.0, -1.0)
+    ]
     first = codes[0]
     if first is None or any(c is None or not same_code(first, c) for c in codes):
         raise KnotError(
@@ -52,6 +82,22 @@ def curve_gauss(points: Points, *, closed: bool = False) -> SignedGauss:
             "crossing, or three of them cross at one point"
         )
     return first
+
+
+def _view(curve: Points, closed: bool, tilt: tuple[float, float]) -> _View:
+    plan = curve[:, :2] + np.array(tilt) * curve[:, 2:]
+    extent = float(np.max(np.ptp(np.hstack([plan, curve]), axis=0)))
+    moved = np.max(np.abs(plan - np.roll(plan, 1, axis=0)), axis=1) > REPEATED * extent
+    if closed and moved.any():
+        # Begin at a corner, not in the middle of a plumb line.
+        first = int(np.argmax(moved))
+        plan, curve = np.roll(plan, -first, axis=0), np.roll(curve, -first, axis=0)
+        moved = np.roll(moved, -first)
+    moved[0] = True
+    begins = np.flatnonzero(moved)
+    lasts = np.append(begins[1:], len(plan)) - 1
+    heights = curve[:, 2]
+    return _View(plan[begins], heights[lasts], np.roll(heights[begins], -1), closed, tilt, extent)
 
 
 def checked(points: Points, *, closed: bool) -> Points:
@@ -64,20 +110,22 @@ def checked(points: Points, *, closed: bool) -> Points:
     if not np.all(np.isfinite(curve)):
         row = int(np.flatnonzero(~np.isfinite(curve).all(axis=1))[0])
         raise KnotError(f"point {row + 1} of the curve is not finite")
-    keep = np.concatenate([[True], np.any(np.diff(curve, axis=0) != 0, axis=1)])
-    curve = curve[keep]
-    if closed and len(curve) > 1 and np.array_equal(curve[0], curve[-1]):
+    same = REPEATED * float(np.max(np.ptp(curve, axis=0)))
+    steps = np.max(np.abs(np.diff(curve, axis=0)), axis=1)
+    curve = curve[np.concatenate([[True], steps > same])]
+    if closed and len(curve) > 1 and np.max(np.abs(curve[0] - curve[-1])) <= same:
         return curve[:-1]
     return curve
 
 
-def _candidates(curve: Points, closed: bool, margin: float) -> NDArray[np.int64]:
+def _candidates(view: _View) -> NDArray[np.int64]:
     """Pairs (k, 2) of segments, not neighbours, whose plan boxes overlap."""
-    start = curve[:, :2]
+    start = view.corners
     end = np.roll(start, -1, axis=0)
-    if not closed:
+    if not view.closed:
         start, end = start[:-1], end[:-1]
     count = len(start)
+    margin = 2 * NUDGE * view.extent
     low, high = np.minimum(start, end) - margin, np.maximum(start, end) + margin
     block = max(8, int(np.sqrt(count) / 3))
     edges = np.arange(0, count, block)
@@ -91,7 +139,7 @@ def _candidates(curve: Points, closed: bool, margin: float) -> NDArray[np.int64]
     second = two[:, None, None] * block + offset[None, None, :]
     first, second = (part.ravel() for part in np.broadcast_arrays(first, second))
     valid = (first + 1 < second) & (second < count)
-    if closed:
+    if view.closed:
         valid &= ~((first == 0) & (second == count - 1))
     first, second = first[valid], second[valid]
     overlap = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)
@@ -106,44 +154,40 @@ def _sides(a: Points, b: Points, c: Points) -> tuple[Points, NDArray[np.bool_]]:
     return area, np.abs(area) > _ROUNDING * (np.abs(left) + np.abs(right))
 
 
-def _code(
-    curve: Points, pairs: NDArray[np.int64], closed: bool, extent: float
-) -> SignedGauss | None:
+def _code(view: _View, pairs: NDArray[np.int64]) -> SignedGauss | None:
     """The code, or None where floating point cannot decide it."""
-    after = np.roll(curve, -1, axis=0)
-    a, b = curve[pairs[:, 0]], after[pairs[:, 0]]
-    c, d = curve[pairs[:, 1]], after[pairs[:, 1]]
+    after = np.roll(view.corners, -1, axis=0)
+    a, b = view.corners[pairs[:, 0]], after[pairs[:, 0]]
+    c, d = view.corners[pairs[:, 1]], after[pairs[:, 1]]
     (abc, sure_c), (abd, sure_d) = _sides(a, b, c), _sides(a, b, d)
     (cda, sure_a), (cdb, sure_b) = _sides(c, d, a), _sides(c, d, b)
     apart = (sure_c & sure_d & (abc * abd > 0)) | (sure_a & sure_b & (cda * cdb > 0))
-    sure = sure_a & sure_b & sure_c & sure_d
-    if not np.all(apart | sure):
+    if not np.all(apart | (sure_a & sure_b & sure_c & sure_d)):
         return None
     cross = ~apart
     first, second = pairs[cross].T
     along_first = cda[cross] / (cda[cross] - cdb[cross])
     along_second = abc[cross] / (abc[cross] - abd[cross])
-    height_first = a[cross, 2] + along_first * (b[cross, 2] - a[cross, 2])
-    height_second = c[cross, 2] + along_second * (d[cross, 2] - c[cross, 2])
-    gap = height_first - height_second
-    if np.any(np.abs(gap) <= NUDGE * extent):
-        at = np.flatnonzero(np.abs(gap) <= NUDGE * extent)[0]
-        place = a[cross][at] + along_first[at] * (b[cross][at] - a[cross][at])
-        raise KnotError(
-            f"two strands meet in space at ({place[0]:.6g}, {place[1]:.6g}, {place[2]:.6g})"
-        )
-    number = np.arange(len(first))
+    height = (1 - along_first) * view.start[first] + along_first * view.end[first]
+    gap = height - ((1 - along_second) * view.start[second] + along_second * view.end[second])
+    meeting = np.flatnonzero(np.abs(gap) <= NUDGE * view.extent)
+    if len(meeting):
+        at = meeting[0]
+        plan = a[cross][at] + along_first[at] * (b[cross][at] - a[cross][at])
+        x, y = plan - np.array(view.tilt) * height[at]
+        raise KnotError(f"two strands meet in space at ({x:.6g}, {y:.6g}, {height[at]:.6g})")
     # The first strand's direction × the second's points up where d lies to its left.
     turn = np.where(abd[cross] > 0, 1, -1)
     sign = np.where(gap > 0, turn, -turn)
+    number = np.arange(1, len(first) + 1)
     segment = np.concatenate([first, second])
     along = np.concatenate([along_first, along_second])
     order = np.lexsort((along, segment))
-    if np.any((np.diff(segment[order]) == 0) & (np.diff(along[order]) < 1e-11)):
+    if np.any((np.diff(segment[order]) == 0) & (np.diff(along[order]) < _TIE)):
         return None
-    label = np.concatenate([number, number])[order] + 1
+    label = np.concatenate([number, number])[order]
     over = np.concatenate([gap > 0, gap < 0])[order]
     signs = np.concatenate([sign, sign])[order]
     return SignedGauss.of(
-        zip(label.tolist(), over.tolist(), signs.tolist(), strict=True), closed=closed
+        zip(label.tolist(), over.tolist(), signs.tolist(), strict=True), closed=view.closed
     )

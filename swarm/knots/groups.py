@@ -115,8 +115,8 @@ def _seeded(seeds: Sequence[int], conjugates: Matrices, fixed: Matrices) -> dict
     """Every choice of images of the seeds, arc 0 always being the fixed matrix."""
     others = [arc for arc in seeds if arc]
     count = len(conjugates)
-    chosen = np.indices((count,) * len(others)).reshape(len(others), -1)
-    total = chosen.shape[1] if others else 1
+    total = count ** len(others)
+    chosen = np.indices((count,) * len(others)).reshape(len(others), total)
     images = {0: np.broadcast_to(fixed, (total, 2, 2))}
     for arc, choice in zip(others, chosen, strict=True):
         images[arc] = conjugates[choice]

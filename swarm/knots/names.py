@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 
 from swarm.knots.gauss import KnotError
-from swarm.knots.grid import Corner, Grid
+from swarm.knots.grid import Grid
 from swarm.knots.sums import Factor, named
 from swarm.knots.table import table
 
@@ -110,5 +110,4 @@ def torus_grid(p: int, q: int) -> Grid:
     """A grid diagram of the right-handed torus knot, of its arc index p + q (Matsuda 2006)."""
     size = p + q
     pairs = (sorted((k, (k + p) % size)) for k in range(size))
-    corners: list[Corner] = [(low + 1, high + 1) for low, high in pairs]
-    return Grid(tuple(corners))
+    return Grid(tuple((low + 1, high + 1) for low, high in pairs)[::-1])

@@ -21,12 +21,9 @@ def curve_diagram(points: Points, *, closed: bool = False) -> Diagram:
     if not closed:
         curve = closed_upward(curve)
     reason: KnotError | None = None
-    for east, north in _TILTS:
-        view = curve.copy()
-        view[:, 0] += east * curve[:, 2]
-        view[:, 1] += north * curve[:, 2]
+    for tilt in _TILTS:
         try:
-            return Diagram(curve_gauss(view, closed=True))
+            return Diagram(curve_gauss(curve, closed=True, tilt=tilt))
         except KnotError as error:
             reason = error
     raise KnotError(f"the curve is degenerate from every side: {reason}")

@@ -1,0 +1,124 @@
+"""``swarm knots`` and ``swarm identify`` as a user and as a script meet them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from swarm.cli.knots import identify, knots
+from swarm.cli.main import cli
+from swarm.errors import InputError
+from swarm.knots.catalog import lookup
+from swarm.knots.diagram import Diagram
+from swarm.knots.grid import grid_of_columns
+from swarm.knots.invariants import identify_diagram
+from tests.knots.curves import hung, lifted
+
+
+def run(*arguments: str) -> Result:
+    """Run a command; errors meant for the user come out as they are."""
+    return CliRunner().invoke(cli, list(arguments), catch_exceptions=False, standalone_mode=False)
+
+
+def test_a_knot_as_json() -> None:
+    found = json.loads(run("knots", "8_18", "--json").output)
+    assert list(found) == [
+        "name",
+        "crossings",
+        "arc_index",
+        "vehicles",
+        "gauss",
+        "dt",
+        "chirality",
+        "grid",
+    ]
+    assert (found["name"], found["crossings"], found["arc_index"]) == ("8_18", 8, 10)
+    assert (found["vehicles"], found["chirality"], found["grid"]["size"]) == (19, "none", 10)
+    grid = grid_of_columns(found["grid"]["columns"])
+    assert identify_diagram(Diagram(grid.code)).name == "8_18"
+
+
+def test_the_list_as_json() -> None:
+    found = json.loads(run("knots", "--json").output)
+    assert len(found) == 249
+    assert [one["name"] for one in found[:3]] == ["3_1", "4_1", "5_1"]
+    assert found[0] == json.loads(run("knots", "overhand", "--json").output)
+
+
+def test_the_list_names_common_names() -> None:
+    output = run("knots").output
+    assert "overhand" in output
+    assert "249 prime knots to ten crossings" in output
+
+
+def test_a_knot_in_the_terminal_and_as_png(tmp_path: Path) -> None:
+    picture = tmp_path / "knot.png"
+    output = run("knots", "m3_1", "--plot", str(picture)).output
+    assert "3_1, left-handed; its mirror image is another knot" in output
+    assert "9, with 8 segments of cable" in output
+    choice = lookup("m3_1")
+    drawing = output[output.index("  5  ") :]
+    # Of the two marks of an edge each, one end of the cable and the removed corner show.
+    assert drawing.count("●") == 2
+    assert drawing.count("×") == 1
+    assert sum(drawing.count(bend) for bend in "┌┐└┘") == 2 * choice.grid.size - 3
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_options_that_do_not_go_together() -> None:
+    assert CliRunner().invoke(knots, ["--plot", "x.png"]).exit_code == 2
+    assert CliRunner().invoke(knots, ["3_1", "--table"]).exit_code == 2
+    with pytest.raises(InputError, match='no knot is called "9_50" here'):
+        run("knots", "9_50")
+
+
+def write(path: Path, text: str) -> str:
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def rows(points: np.ndarray, separator: str = ",") -> str:
+    return "\n".join(separator.join(map(repr, point)) for point in points.tolist())
+
+
+def test_curves_are_named(tmp_path: Path) -> None:
+    cable = hung(lookup("10_132").opening)
+    file = write(tmp_path / "open.csv", "# a cable\n" + rows(cable))
+    found = json.loads(run("identify", file, "--json").output)
+    assert list(found) == ["name", "chirality", "crossings", "candidates", "invariants"]
+    assert (found["name"], found["chirality"], found["crossings"]) == ("10_132", "right", 10)
+    assert found["invariants"]["determinant"] == 5
+    other = write(tmp_path / "closed.txt", rows(lifted(cable) * [1, -1, 1], " "))
+    output = run("identify", other, "--closed").output
+    assert "10_132, left-handed" in output
+    assert "Jones polynomial" in output
+
+
+def test_columns_may_be_named_and_more(tmp_path: Path) -> None:
+    cable = hung(lookup("4_1").opening, samples=5)
+    lines = ["time;Z;y;X"] + [f"{k};{z};{y};{x}" for k, (x, y, z) in enumerate(cable.tolist())]
+    file = write(tmp_path / "named.csv", "\ufeff" + "\r\n".join(lines) + "\r\n")
+    assert json.loads(run("identify", file, "--json").output)["name"] == "4_1"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected at least 2 points, got 0"),
+        ("0,0,0\n", "expected at least 2 points, got 1"),
+        ("0,0,0\n1,0\n", "line 2: expected 3 numbers, got 2 entries"),
+        ("0,0,0\n1,nan,0\n", 'line 2: expected finite numbers, got "nan"'),
+        ("0,0,0\n1,one,0\n", 'line 2: expected finite numbers, got "one"'),
+        ("a,b,c\n1,2,3\n", "line 1: expected numbers, or columns called x, y and z, got a, b, c"),
+        ("0 0 0\n1 0 x\n2\n", "line 2: expected finite numbers"),
+    ],
+)
+def test_wrong_files(tmp_path: Path, text: str, message: str) -> None:
+    file = write(tmp_path / "wrong.csv", text)
+    with pytest.raises(InputError) as caught:
+        run("identify", file)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(file)
+    assert CliRunner().invoke(identify, [str(tmp_path / "absent.csv")]).exit_code != 0

@@ -1,0 +1,188 @@
+"""Grid diagrams: what is one, that no move changes the knot, and how they are opened."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarm.knots.alexander import alexander
+from swarm.knots.diagram import Diagram, diagram_gauss
+from swarm.knots.draw import drawn
+from swarm.knots.gauss import KnotError
+from swarm.knots.grid import (
+    Grid,
+    commuted,
+    destabilised,
+    grid_of_columns,
+    mirrored,
+    openings,
+    stabilised,
+    translated,
+    transposed,
+    turned,
+)
+from swarm.knots.jones import jones
+from swarm.knots.search import minimised, rearranged
+from swarm.knots.table import table
+from tests.knots.curves import of_knotinfo, random_diagram
+
+OVERHAND = Grid(((2, 4), (3, 5), (1, 4), (2, 5), (1, 3)))
+
+
+def polynomials(grid: Grid) -> tuple[dict[int, int], dict[int, int]]:
+    """Enough to notice nearly every wrong move, chirality included."""
+    diagram = Diagram(grid.code)
+    return jones(diagram), alexander(diagram)
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ([[1, 2]], "a grid diagram has at least 2 columns, got 1"),
+        (
+            [[1, 3], [2, 2], [1, 3]],
+            "column 2: expected rows (low, high) with 1 ≤ low < high ≤ 3, got (2, 2)",
+        ),
+        (
+            [[1, 3], [1, 2], [1, 3]],
+            "row 1: expected the ends of 2 columns, got 3; "
+            "row 2: expected the ends of 2 columns, got 1",
+        ),
+        (
+            [[1, 2], [1, 2], [3, 4], [3, 4]],
+            "the grid is that of a link: its first component has 4 of its 8 corners; "
+            "one cable has one component",
+        ),
+        ([[1, 2], [1]], "column 2: expected a pair of row numbers, got [1]"),
+        ("1-2", "a grid is a list of row pairs, one per column, got '1-2'"),
+    ],
+)
+def test_what_is_no_grid(columns: object, message: str) -> None:
+    with pytest.raises(KnotError) as caught:
+        grid_of_columns(columns)
+    assert str(caught.value) == message
+
+
+def test_the_papers_grids() -> None:
+    """Both closed grids behind the paper's tables, from their corners (NOTES.md)."""
+    figure_eight = [
+        *[(1, 1), (5, 1), (5, 5), (2, 5), (2, 3), (4, 3)],
+        *[(4, 6), (6, 6), (6, 2), (3, 2), (3, 4), (1, 4)],
+    ]
+    columns = [sorted(r for c, r in figure_eight if c == column) for column in range(1, 7)]
+    assert polynomials(grid_of_columns(columns))[0] == dict(table()["4_1"].jones)
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 10**6), moves=st.lists(st.integers(0, 10**6), max_size=12))
+def test_no_move_changes_the_knot(seed: int, moves: list[int]) -> None:
+    grid = drawn(random_diagram(seed, 9))
+    before = polynomials(grid)
+    for number in moves:
+        rng = np.random.default_rng(number)
+        column = int(rng.integers(1, grid.size + 1))
+        flags = [bool(flag) for flag in rng.integers(0, 2, 3)]
+        kind = number % 6
+        try:
+            if kind == 0:
+                grid = commuted(grid, column)
+            elif kind == 1:
+                grid = transposed(grid)
+            elif kind == 2:
+                grid = translated(grid, int(rng.integers(-9, 9)), int(rng.integers(-9, 9)))
+            elif kind == 3:
+                high, right, above = flags
+                grid = stabilised(grid, column, high=high, right=right, above=above)
+            elif kind == 4:
+                grid = destabilised(grid, column)
+            else:
+                grid = turned(grid)
+        except KnotError:
+            assert kind in {0, 4}
+    assert polynomials(grid) == before
+
+
+@given(column=st.integers(1, 5), flags=st.tuples(st.booleans(), st.booleans(), st.booleans()))
+def test_destabilisation_undoes_stabilisation(column: int, flags: tuple[bool, bool, bool]) -> None:
+    high, right, above = flags
+    larger = stabilised(OVERHAND, column, high=high, right=right, above=above)
+    assert larger.size == 6
+    assert destabilised(larger, column + right) == OVERHAND
+
+
+def test_moves_that_would_change_the_knot_are_refused() -> None:
+    with pytest.raises(KnotError, match="columns 1 and 2 cannot be exchanged"):
+        commuted(OVERHAND, 1)
+    with pytest.raises(KnotError, match=r"column 1 is not of length 1: \(2, 4\)"):
+        destabilised(OVERHAND, 1)
+    for move in (commuted, destabilised):
+        with pytest.raises(KnotError, match="there is no column 6 in a grid of size 5"):
+            move(OVERHAND, 6)
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10**6))
+def test_mirrors_drawings_searches_and_walks(seed: int) -> None:
+    diagram = random_diagram(seed, 10)
+    of_jones, of_alexander = jones(diagram), alexander(diagram)
+    grid = drawn(diagram)
+    assert polynomials(grid) == (of_jones, of_alexander)
+    assert polynomials(mirrored(grid))[0] == {-power: c for power, c in of_jones.items()}
+    small = minimised(grid, moves=3000)
+    assert small.size <= grid.size
+    assert polynomials(small) == (of_jones, of_alexander)
+    for other in itertools.islice(rearranged(small), 3):
+        assert other.size == small.size
+        assert polynomials(other) == (of_jones, of_alexander)
+
+
+@pytest.mark.parametrize("name", ["3_1", "4_1", "8_18", "8_19", "10_132"])
+def test_openings(name: str) -> None:
+    grid = table()[name].grid
+    found = openings(grid)
+    assert found == openings(grid)
+    assert openings(grid, limit=3) == found[:3]
+    assert len({opened.corners for opened in found}) == len(found)
+    keys = [(len(opened.crossings), opened.length) for opened in found]
+    assert keys == sorted(keys)
+    size = grid.size
+    for opened in found:
+        column, row = opened.removed
+        assert len(opened.corners) == 2 * size - 1
+        assert set(opened.corners) | {opened.removed} == set(opened.grid.corners)
+        ends = {opened.corners[0], opened.corners[-1]}
+        assert {c for c, _ in ends} & {column}
+        assert {r for _, r in ends} & {row}
+        assert len(opened.crossings) == opened.grid.crossings
+        for over, under in opened.crossings:
+            assert opened.corners[over][0] == opened.corners[over + 1][0]
+            assert opened.corners[under][1] == opened.corners[under + 1][1]
+            assert abs(over - under) > 1
+    target = dict(table()[name].jones)
+    for opened in found[:: max(1, len(found) // 20)]:
+        # Nothing crosses the two edges taken out, so the ends close without new crossings.
+        assert jones(Diagram(diagram_gauss(opened).as_closed())) == target
+
+
+def test_every_corner_can_be_opened() -> None:
+    """A torus translation brings any corner to the border, where its edges are free (NOTES.md)."""
+    moved_back = set()
+    for opened in openings(OVERHAND):
+        for right, up in itertools.product(range(5), repeat=2):
+            if translated(OVERHAND, right, up) == opened.grid:
+                column, row = opened.removed
+                moved_back.add(((column - 1 - right) % 5 + 1, (row - 1 - up) % 5 + 1))
+    assert moved_back == set(OVERHAND.corners)
+
+
+@pytest.mark.parametrize("name", ["3_1", "7_7", "8_20", "9_42", "10_161"])
+def test_knotinfos_grids_lift_to_their_knots(name: str) -> None:
+    marks = of_knotinfo(name, "grid_notation")
+    columns = [sorted(row for c, row in marks if c == column) for column, _ in marks[::2]]
+    found = jones(Diagram(grid_of_columns(columns).code))
+    assert found in (
+        dict(table()[name].jones),
+        dict(sorted((-power, c) for power, c in table()[name].jones)),
+    )
