@@ -117,7 +117,7 @@ def rest_to_rest_time(distance: float, max_speed: float, max_acceleration: float
     """Least duration of a rest-to-rest quintic over a distance, in seconds (at least 1)."""
     by_speed = 1.875 * distance / max_speed
     by_acceleration = float(np.sqrt(10.0 / np.sqrt(3.0) * distance / max_acceleration))
-    return max(1.0, by_speed, by_acceleration)
+    return max(1.0, 1.001 * by_speed, 1.001 * by_acceleration)
 
 
 def timed(

@@ -41,8 +41,8 @@ class Hanging:
 def hanging(corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape: Shape) -> Hanging:
     """Hang a diagram: ``corners`` (n, 2) in cells, crossings as (over, under) segments.
 
-    The first edge is turned to point along +x, with the first corner at the origin. Segments that
-    cross nothing are flown at the height of the corners.
+    The first edge is turned to point along +x, with the first corner at the origin. Edges that
+    cross nothing are flown between the lanes of those before and after them.
 
     Raises :class:`swarm.errors.Refused` where no sags serve the crossings.
     """
@@ -53,10 +53,19 @@ def hanging(corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape:
     placed = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
     pairs = np.asarray(crossings, dtype=np.intp).reshape(-1, 2)
     sags = least_sags(placed, pairs, shape.gap, minimum_sag=shape.minimum_sag)
-    lanes = np.zeros(len(placed) - 1)
-    lanes[pairs[:, 0]] = shape.lane_over
-    lanes[pairs[:, 1]] = -shape.lane_under
+    lanes = _lanes(len(placed) - 1, pairs, shape)
     lengths = segment_lengths(placed, sags)
     return Hanging(
         placed, sags, lengths, lanes, tuple((int(a), int(b)) for a, b in pairs), shape.cell
     )
+
+
+def _lanes(count: int, pairs: npt.NDArray[np.intp], shape: Shape) -> Floats:
+    lanes = np.zeros(count)
+    if not len(pairs):
+        return lanes
+    lanes[pairs[:, 0]] = shape.lane_over
+    lanes[pairs[:, 1]] = -shape.lane_under
+    crossing = np.unique(pairs)
+    between: Floats = np.interp(np.arange(count), crossing, lanes[crossing])
+    return between

@@ -3,7 +3,8 @@
 The leader flies ahead; then, one after the other back along the cable, each vehicle gets the
 progress that keeps the segment between it and the vehicle ahead clear of everything that is already
 planned. That is a shortest path over (stage, progress), found by sweeps of dynamic programming;
-its lattice is smoothed by a B-spline, and the next vehicle sees the smoothed motion.
+its lattice is smoothed by a B-spline, and the next vehicle sees the smoothed motion. Then vehicles
+that still miss their margins are planned again, with everybody else as they are.
 """
 
 from collections.abc import Callable
@@ -12,50 +13,50 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
+from scipy.ndimage import gaussian_filter1d
 
-from swarm.cable.catenary import hang
-from swarm.cable.distance import polyline_polyline
+from swarm.fold.clear import (
+    Margins,
+    Strands,
+    body_cost,
+    chord_cost,
+    near_bodies,
+    near_strands,
+    neighbour_cost,
+    rotor_cost,
+    sides,
+    strand_cost,
+    strands,
+    vehicle_cost,
+)
 from swarm.fold.path import FoldPath
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
 
-TAUT = 0.985
-"""Largest chord of a held segment aloft, as a share of its cable."""
-
-_STEPS = 4
+_FASTEST = 3
 """A vehicle may advance by up to this many lattice steps in one stage."""
 
-
-@dataclass(frozen=True)
-class Margins:
-    """Distances in metres that the schedule aims at between the nominal motions of things.
-
-    They hold the required clearances and what tracking errors may eat of them. ``tracking`` is the
-    radius of the tracking ball, ``radius`` and ``grip_offset`` describe the vehicle.
-    """
-
-    cable: float
-    vehicle: float
-    downwash: float
-    vehicle_cable: float
-    tracking: float
-    radius: float
-    grip_offset: float
-    spacing: float
-    """Preferred chord of a segment in motion, as a share of its length."""
+_WIDTHS = (4.0, 2.0, 1.0)
+"""Stages over which a vehicle's progress is evened out, widest first, if that does no harm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
     """Progress of n vehicles over a common stage variable, C² and monotone.
 
-    ``splines`` maps stages 0…``last`` to progress (…, n); ``cost`` is how much the planned motion
-    misses the margins, 0 where it keeps them all.
+    ``splines`` maps stages 0…``last`` to progress (…, n); ``missed`` (n,) is how much each
+    vehicle's motion misses the margins, near 0 where it keeps them all.
     """
 
     splines: BSpline
     last: float
-    cost: float
+    missed: Floats
+
+    @property
+    def cost(self) -> float:
+        """How much the whole motion misses its margins."""
+        return float(self.missed.sum())
 
     def progress(self, stage: Floats, derivative: int = 0) -> Floats:
         """Progress (…, n) of every vehicle at stages (…,), or a derivative by stage."""
@@ -69,227 +70,291 @@ def schedule(
     margins: Margins,
     step: float,
     report: Callable[[float], None] | None = None,
+    rounds: int = 2,
 ) -> Schedule:
     """Plan every vehicle's progress, from the leader (the last) back to the first.
 
     ``lengths`` (n − 1,) of the segments; ``step`` is the lattice's step in metres of progress. A
-    stage is a step of the leader.
+    stage is a step of the leader. ``rounds`` says how often vehicles in trouble are replanned.
     """
-    stops = path.stops
-    count = len(stops)
-    begin = np.zeros(count)
-    begin[-1] = stops[0]
+    team = _Team(path, lengths, margins, step)
+    count = len(path.stops)
+    team.move(count - 1, team.leading())
     for i in range(count - 2, -1, -1):
-        begin[i] = begin[i + 1] - margins.spacing * lengths[i]
-    leading = begin[-1] + step * np.arange(int(np.ceil((stops[-1] - begin[-1]) / step)) + 1)
-    leading = np.minimum(leading, stops[-1])
-    extra = int(np.ceil((2.5 * lengths.max()) / step))
-    stages = len(leading) + extra
-    controls = np.empty((stages, count))
-    controls[:, -1] = np.concatenate([leading, np.full(extra, stops[-1])])
-    team = _Team(path, lengths, margins)
-    team.add(count - 1, _smooth(controls[:, -1]))
-    total = 0.0
-    for i in range(count - 2, -1, -1):
-        controls[:, i], cost = _follow(team, i, begin[i], stops[i], step)
-        team.add(i, _smooth(controls[:, i]))
-        total += cost
+        team.move(i, team.planned(i))
         if report:
             report((count - 1 - i) / (count - 1))
-    settled = np.all(controls >= stops - 1e-9, axis=1)
-    used = min(stages, int(np.argmax(settled)) + 4) if settled.any() else stages
-    return Schedule(_spline(controls[:used]), float(used - 1), total)
+    for _ in range(rounds):
+        team.judge()
+        troubled = [int(i) for i in np.argsort(-team.missed) if team.missed[i] > _TROUBLE]
+        if not troubled:
+            break
+        for i in troubled:
+            team.move(i, team.planned(i))
+    team.judge()
+    return team.result()
+
+
+_TROUBLE = 0.5
+"""Missed margins above this make a vehicle be planned again."""
+
+_FORESIGHT = 0.5
+"""Weight of strands that are not planned yet."""
+
+
+class _Team:
+    """The motion planned so far: control points, and places and strands at every half stage."""
+
+    def __init__(self, path: FoldPath, lengths: Floats, margins: Margins, step: float) -> None:
+        self.path, self.lengths, self.margins, self.step = path, lengths, margins, step
+        self.stops = path.stops
+        count = len(self.stops)
+        spaces = margins.spacing * lengths
+        self.begin = self.stops[0] - np.concatenate([np.cumsum(spaces[::-1])[::-1], [0.0]])
+        self.flying = int(np.ceil((self.stops[-1] - self.begin[-1]) / step)) + 1
+        self.stages = self.flying + int(np.ceil(3.0 * lengths.max() / step))
+        self.controls: dict[int, Floats] = {}
+        self.places = np.full((count, 2 * self.stages - 1, 3), np.inf)
+        self.strands = Strands.nowhere(count - 1, 2 * self.stages - 1)
+        self.hanging: set[int] = set()
+        self.missed = np.zeros(count)
+        self.final = strands(path.corners[:-1], path.corners[1:], lengths)
+
+    def leading(self) -> Floats:
+        """The leader's control points: a lattice step per stage, then rest."""
+        lattice = self.begin[-1] + self.step * np.arange(self.stages)
+        controls: Floats = np.minimum(lattice, self.stops[-1])
+        return controls
+
+    def move(self, vehicle: int, controls: Floats) -> None:
+        """Let a vehicle move by these control points."""
+        self.controls[vehicle] = controls
+        self.places[vehicle] = self.path.at(vehicle, _at_half_stages(controls))[0]
+        for segment in (vehicle - 1, vehicle):
+            if segment in self.controls and segment + 1 in self.controls:
+                self.strands[segment] = strands(
+                    self.places[segment], self.places[segment + 1], self.lengths[segment]
+                )
+                self.hanging.add(segment)
+
+    def judge(self) -> None:
+        """Say how much every vehicle misses its margins, with all planned."""
+        every = np.arange(2 * self.stages - 1)
+        for vehicle, controls in self.controls.items():
+            self.missed[vehicle] = self._total(vehicle, every, controls)
+
+    def _total(self, vehicle: int, every: Ints, controls: Floats) -> float:
+        return float(self.costs(vehicle, every, _at_half_stages(controls)).sum())
+
+    def planned(self, vehicle: int) -> Floats:
+        """Find control points for a vehicle, with everybody else as they are."""
+        lattice, chosen = self._swept(vehicle)
+        rough = lattice[chosen]
+        every = np.arange(2 * self.stages - 1)
+        best, least = rough, self._total(vehicle, every, rough)
+        if vehicle in self.controls:
+            before = self._total(vehicle, every, self.controls[vehicle])
+            if before <= least:
+                best, least = self.controls[vehicle], before
+        for width in _WIDTHS:
+            smooth = _evened(rough, width)
+            cost = self._total(vehicle, every, smooth)
+            if cost <= 1.05 * least + 0.04:
+                return smooth
+        return best
+
+    def _swept(self, vehicle: int) -> tuple[Floats, Ints]:
+        """Shortest path over (stage, progress): the lattice and the index chosen at each stage."""
+        begin, stop = self.begin[vehicle], self.stops[vehicle]
+        count = int(np.ceil((stop - begin) / self.step)) + 1
+        lattice: Floats = stop - self.step * np.arange(count - 1.0, -1.0, -1.0)
+        lattice[0] = begin
+        stage, place = np.nonzero(self._worth_trying(vehicle, lattice))
+        cost = np.full((self.stages, count), 1e3)
+        cost[stage, place] = self.costs(vehicle, 2 * stage, lattice[place])
+        passing = self._sides(vehicle, stage, place, lattice)
+        ridge = np.zeros_like(cost)
+        ridge[1:, 1:] = np.minimum(cost[1:, :-1], cost[:-1, 1:])
+        late = np.full(count, 1e-2)
+        late[-1] = 0.0
+
+        best = np.full(count, np.inf)
+        best[0] = 0.0
+        came = np.zeros((self.stages, count), dtype=np.int8)
+        pace = 5e-4 * (np.arange(_FASTEST + 1.0) - 1.0) ** 2
+        options = np.empty((_FASTEST + 1, count))
+        every = np.arange(count)
+        for k in range(1, self.stages):
+            between = np.zeros(count)
+            for s in range(_FASTEST + 1):
+                if s:
+                    between[s - 1 :] = np.maximum(between[s - 1 :], ridge[k, : count - s + 1])
+                options[s, :s] = np.inf
+                options[s, s:] = best[: count - s] + pace[s] + between[s:]
+                if passing is not None:
+                    through = np.any(passing[:, k - 1, : count - s] * passing[:, k, s:] < 0, axis=0)
+                    options[s, s:] += 1e3 * through
+            options[0, -1] -= pace[0]
+            came[k] = np.argmin(options, axis=0)
+            best = options[came[k], every] + cost[k]
+            if k > self.flying:
+                best += late
+        chosen = np.empty(self.stages, dtype=np.intp)
+        chosen[-1] = count - 1
+        for k in range(self.stages - 1, 0, -1):
+            chosen[k - 1] = chosen[k] - came[k, chosen[k]]
+        return lattice, chosen
+
+    def _worth_trying(self, vehicle: int, lattice: Floats) -> npt.NDArray[np.bool_]:
+        """Which states (stage, progress) have chords that the cable spans, in the right order."""
+        places = self.path.at(vehicle, lattice)[0]
+        station = self.path.station(lattice)
+        worth = np.ones((self.stages, len(lattice)), dtype=bool)
+        for other, segment in ((vehicle + 1, vehicle), (vehicle - 1, vehicle - 1)):
+            if other not in self.controls:
+                continue
+            length = self.lengths[segment]
+            progress = _at_stages(self.controls[other])
+            ahead = np.sign(other - vehicle)
+            spacing = ahead * (progress[:, None] - lattice[None, :])
+            apart = ahead * (self.path.station(progress)[:, None] - station[None, :])
+            chord = np.linalg.norm(self.places[other, ::2, None] - places[None], axis=2)
+            worth &= (spacing >= 0.3 * length) & (apart <= 1.5 * length) & (chord <= length)
+        return worth
+
+    def _own(self, vehicle: int, stage: Ints, place: Floats) -> dict[int, Strands]:
+        """Strands that a vehicle at a place would hold at half stages, by segment."""
+        own: dict[int, Strands] = {}
+        if vehicle + 1 in self.controls:
+            ahead = self.places[vehicle + 1, stage]
+            own[vehicle] = strands(place, ahead, self.lengths[vehicle])
+        if vehicle - 1 in self.controls:
+            behind = self.places[vehicle - 1, stage]
+            own[vehicle - 1] = strands(behind, place, self.lengths[vehicle - 1])
+        return own
+
+    def _sides(
+        self, vehicle: int, stage: Ints, place: Ints, lattice: Floats
+    ) -> npt.NDArray[np.int8] | None:
+        """Over or under which strands each state's own ones pass: (pairs, stages, progress)."""
+        own = self._own(vehicle, 2 * stage, self.path.at(vehicle, lattice[place])[0])
+        found = []
+        for number, strand in own.items():
+            for j in self.hanging - {vehicle, vehicle - 1, number - 1, number + 1}:
+                side = sides(strand, self.strands[j, 2 * stage])
+                if side.min(initial=0) < 0 < side.max(initial=0):
+                    full = np.zeros((self.stages, len(lattice)), dtype=np.int8)
+                    full[stage, place] = side
+                    found.append(full)
+        return np.stack(found) if found else None
+
+    def costs(self, vehicle: int, stage: Ints, progress: Floats) -> Floats:
+        """Cost (b,) of a vehicle's being at some progress at half stages, others as they are."""
+        margins = self.margins
+        place = self.path.at(vehicle, progress)[0]
+        own = self._own(vehicle, stage, place)
+        apart = sorted(self.hanging - {vehicle, vehicle - 1})
+        others = self.strands[_rows(apart), stage]
+        cost = np.zeros(len(stage))
+        for number, strand in own.items():
+            far = vehicle + 1 if number == vehicle else vehicle - 1
+            cost += chord_cost(strand, margins) + rotor_cost(place, strand, margins)
+            cost += rotor_cost(self.places[far, stage], strand, margins)
+            for k, j in enumerate(apart):
+                if j == number + 1:
+                    cost += neighbour_cost(strand, others[k], margins)
+                elif j == number - 1:
+                    cost += neighbour_cost(others[k], strand, margins)
+            free = np.array([abs(j - number) > 1 for j in apart], dtype=bool)
+            which, row = near_strands(strand, others[free], margins)
+            found = strand_cost(strand[row], others[free][which, row], margins)
+            cost += np.bincount(row, found, len(stage))
+            bodies = [j for j in self.controls if j not in {vehicle, number, number + 1}]
+            places = self.places[_rows(bodies), stage]
+            which, row = near_bodies(places, strand, margins)
+            found = body_cost(places[which, row], strand[row], margins)
+            cost += np.bincount(row, found, len(stage))
+            if number == vehicle:
+                cost += _FORESIGHT * self._foresight(vehicle, progress, strand)
+        if len(own) == 2:
+            cost += neighbour_cost(own[vehicle - 1], own[vehicle], margins)
+        team = [j for j in self.controls if j != vehicle]
+        cost += vehicle_cost(place, self.places[_rows(team), stage], margins)
+        which, row = near_bodies(place, others, margins)
+        found = body_cost(place[row], others[which, row], margins)
+        return cost + np.bincount(row, found, len(stage))
+
+    def _foresight(self, vehicle: int, progress: Floats, strand: Strands) -> Floats:
+        """Cost (b,) of a strand being in the way of those that follow and are not planned yet.
+
+        Behind a vehicle γ will be full of strands, which on every edge are much like the last one
+        that will hang there.
+        """
+        waiting = [k for k in range(vehicle - 1) if k not in self.hanging]
+        final = self.final[np.array(waiting, dtype=np.intp)][:, None]
+        which, row = near_strands(strand, final, self.margins)
+        behind = self.stops[np.array(waiting, dtype=np.intp)[which] + 1] <= progress[row]
+        which, row = which[behind], row[behind]
+        found = strand_cost(strand[row], final[which, 0], self.margins)
+        cost: Floats = np.bincount(row, found, len(progress)).astype(np.float64)
+        return cost
+
+    def result(self) -> Schedule:
+        """Everybody's progress, up to the stage at which all rest."""
+        controls = np.stack([self.controls[i] for i in range(len(self.stops))], axis=1)
+        settled = np.all(controls >= self.stops - 1e-9, axis=1)
+        used = min(self.stages, int(np.argmax(settled)) + 4) if settled.any() else self.stages
+        return Schedule(_spline(controls[:used]), float(used - 1), self.missed)
+
+
+def _rows(which: list[int]) -> Ints:
+    """Indices as a column, to pick rows and columns of an array at once."""
+    return np.array(which, dtype=np.intp)[:, None]
 
 
 def _extended(controls: Floats) -> Floats:
     """Control points with a straight run before and a rest after, for the spline's borders."""
-    before = controls[:1] + np.arange(-2, 0)[:, None] * (controls[1:2] - controls[:1])
+    before = controls[:1] + np.arange(-2.0, 0.0)[:, None] * (controls[1:2] - controls[:1])
     return np.concatenate([before, controls, np.repeat(controls[-1:], 2, axis=0)])
 
 
 def _spline(controls: Floats) -> BSpline:
     extended = _extended(controls)
-    knots = np.arange(len(extended) + 6) - 5.0 + 0.0
-    return BSpline(knots - 0.0, extended, 5)
+    return BSpline(np.arange(len(extended) + 6.0) - 5.0, extended, 5)
 
 
-def _smooth(controls: Floats) -> Floats:
-    """Values of the spline at the stages themselves."""
-    values: Floats = _spline(controls[:, None])(np.arange(len(controls), dtype=float))[:, 0]
+def _at_stages(controls: Floats) -> Floats:
+    """Values of the spline at the stages themselves: a quintic B-spline's weights."""
+    extended = _extended(controls[:, None])[:, 0]
+    values: Floats = np.convolve(extended, np.array([1.0, 26.0, 66.0, 26.0, 1.0]) / 120.0, "valid")
     return values
 
 
-class _Team:
-    """The motion planned so far: places of vehicles and strands at every stage."""
-
-    def __init__(self, path: FoldPath, lengths: Floats, margins: Margins) -> None:
-        self.path, self.lengths, self.margins = path, lengths, margins
-        self.progress: dict[int, Floats] = {}
-        self.places: dict[int, Floats] = {}
-        self.strands: dict[int, Floats] = {}
-        self.middle: dict[int, Floats] = {}
-        self.reach: dict[int, Floats] = {}
-
-    def add(self, vehicle: int, progress: Floats) -> None:
-        self.progress[vehicle] = progress
-        self.places[vehicle] = self.path.at(vehicle, progress)[0]
-        if vehicle + 1 in self.places:
-            start, end = self.places[vehicle], self.places[vehicle + 1]
-            points = strand_points(start, end, self.lengths[vehicle])
-            self.strands[vehicle] = points
-            low, high = points.min(axis=1), points.max(axis=1)
-            self.middle[vehicle] = 0.5 * (low + high)
-            self.reach[vehicle] = 0.5 * (high - low)
+def _at_half_stages(controls: Floats) -> Floats:
+    """Values of the spline at the stages and half way between them."""
+    extended = _extended(controls[:, None])[:, 0]
+    values = np.empty(2 * len(controls) - 1)
+    values[::2] = _at_stages(controls)
+    between = np.array([1.0, 237.0, 1682.0, 1682.0, 237.0, 1.0]) / 3840.0
+    values[1::2] = np.convolve(extended, between, "valid")[: len(controls) - 1]
+    return values
 
 
-_FRACTIONS = np.linspace(0.0, 1.0, 11)
-
-
-def strand_points(start: Floats, end: Floats, length: float | Floats) -> Floats:
-    """Points (…, 11, 3) of hanging strands; where the chord is too long, of the chord itself."""
-    length = np.broadcast_to(length, start.shape[:-1])
-    chord = np.linalg.norm(end - start, axis=-1)
-    stretched = chord > 0.999 * length
-    return hang(start, end, np.where(stretched, chord * 1.001 + 1e-9, length)).points(_FRACTIONS)
-
-
-def _follow(
-    team: _Team, vehicle: int, begin: float, stop: float, step: float
-) -> tuple[Floats, float]:
-    ahead = team.progress[vehicle + 1]
-    length = team.lengths[vehicle]
-    count = int(np.ceil((stop - begin) / step)) + 1
-    lattice: Floats = stop - step * np.arange(count - 1.0, -1.0, -1.0)
-    lattice[0] = begin
-    spacing = ahead[:, None] - lattice[None, :]
-    apart = team.path.station(ahead)[:, None] - team.path.station(lattice)[None, :]
-    places = team.path.at(vehicle, lattice)[0]
-    chord: Floats = np.linalg.norm(team.places[vehicle + 1][:, None] - places[None], axis=2)
-    inside = (spacing >= 0.3 * length) & (apart <= 1.5 * length) & (chord <= length)
-    stage, place = np.nonzero(inside)
-    cost = np.full(inside.shape, np.inf)
-    cost[stage, place] = _costs(team, vehicle, stage, lattice[place])
-
-    stages = len(ahead)
-    best = np.full(count, np.inf)
-    best[0] = 0.0
-    came = np.zeros((stages, count), dtype=np.int8)
-    advance = _advance_costs()
-    late = np.zeros(count)
-    late[:-1] = 1e-2
-    flying = int(np.argmax(team.progress[len(team.lengths)] >= team.path.stops[-1] - 1e-9))
-    for k in range(1, stages):
-        options = np.full((_STEPS + 1, count), np.inf)
-        for s in range(_STEPS + 1):
-            options[s, s:] = best[: count - s] + advance[s]
-        options[0, -1] = best[-1]
-        came[k] = np.argmin(options, axis=0)
-        best = options[came[k], np.arange(count)] + cost[k] + (late if k > flying else 0.0)
-    chosen = np.empty(stages, dtype=np.intp)
-    chosen[-1] = count - 1
-    for k in range(stages - 1, 0, -1):
-        chosen[k - 1] = chosen[k] - came[k, chosen[k]]
-    if not np.isfinite(best[-1]):
-        return lattice[chosen], np.inf
-    missed = cost[np.arange(stages), chosen].sum()
-    return lattice[chosen], float(missed)
-
-
-def _advance_costs() -> Floats:
-    pace = np.arange(_STEPS + 1.0)
-    cost: Floats = 2e-4 * (pace - 1.0) ** 2
-    return cost
-
-
-def _costs(team: _Team, i: int, stage: npt.NDArray[np.intp], progress: Floats) -> Floats:
-    margins, length = team.margins, team.lengths[i]
-    start = team.path.at(i, progress)[0]
-    end = team.places[i + 1][stage]
-    chord = np.linalg.norm(end - start, axis=1)
-    over = (chord + 2.0 * margins.tracking) / (TAUT * length)
-    cost: Floats = 3e-2 * (chord / length - margins.spacing) ** 2 + 50.0 * np.maximum(over - 1.0, 0.0)
-    cost += 0.3 * np.maximum(over - 0.985, 0.0)
-    held = np.flatnonzero(over < 1.0)
-    points = strand_points(start[held], end[held], length)
-    extra = np.zeros(len(held))
-    low, high = points.min(axis=1), points.max(axis=1)
-    middle, reach = 0.5 * (low + high), 0.5 * (high - low)
-    when = stage[held]
-    for j in team.strands:
-        wanted = 2.0 * margins.cable
-        near = np.all(
-            np.abs(team.middle[j][when] - middle) < team.reach[j][when] + reach + wanted, axis=1
-        )
-        if not near.any():
-            continue
-        other = team.strands[j][when[near]]
-        if j == i + 1:
-            distance = np.minimum(
-                polyline_polyline(points[near][:, :8], other[:, 1:]).distance,
-                polyline_polyline(points[near], other[:, 4:]).distance,
-            )
-        else:
-            distance = polyline_polyline(points[near], other).distance
-        extra[near] += _shortfall(distance, margins.cable)
-    extra += _bodies(team, i, when, start[held], points)
-    cost[held] += extra
-    return cost
-
-
-def _shortfall(distance: Floats, wanted: float) -> Floats:
-    """Cost of being closer than wanted (steep), or than twice as much (slight)."""
-    short = np.maximum(1.0 - distance / wanted, 0.0)
-    slight = np.maximum(2.0 - distance / wanted, 0.0)
-    cost: Floats = 5.0 * short + 10.0 * short**2 + 3e-3 * slight**2
-    return cost
-
-
-def _bodies(
-    team: _Team, i: int, when: npt.NDArray[np.intp], start: Floats, points: Floats
-) -> Floats:
-    """Vehicles against vehicles, vehicles against strands, rotors against their own strands."""
-    margins = team.margins
-    cost: Floats = np.zeros(len(when))
-    fine = _refined(points)
-    for j, places in team.places.items():
-        other = places[when]
-        apart = other - start
-        level = np.hypot(apart[:, 0], apart[:, 1]) / margins.vehicle
-        above = np.abs(apart[:, 2]) / margins.downwash
-        cost += _shortfall(np.maximum(level, above), 1.0)
-        if j > i + 1:
-            cost += _shortfall(_body_distance(other, fine, margins), margins.vehicle_cable)
-    for j, strand in team.strands.items():
-        if j == i:
-            continue
-        distance = _body_distance(start, _refined(strand[when]), margins)
-        cost += _shortfall(distance, margins.vehicle_cable)
-    disc = margins.radius + 2.0 * margins.tracking
-    for body in (start, team.places[i + 1][when]):
-        apart = fine - body[:, None, :]
-        in_disc = disc - np.hypot(apart[..., 0], apart[..., 1])
-        at_height = apart[..., 2] - margins.grip_offset + 2.0 * margins.tracking
-        inside = np.minimum(in_disc, at_height).max(axis=1)
-        cost += 5.0 * np.maximum(inside, 0.0)
-    return cost
-
-
-def _refined(points: Floats) -> Floats:
-    between = 0.5 * (points[:, :-1] + points[:, 1:])
-    fine = np.empty((len(points), 2 * points.shape[1] - 1, 3))
-    fine[:, ::2], fine[:, 1::2] = points, between
-    return fine
-
-
-def _body_distance(place: Floats, points: Floats, margins: Margins) -> Floats:
-    """Distance from a vehicle (rotor disc and dropper) to the points of a strand."""
-    apart = points - place[:, None, :]
-    level = np.hypot(apart[..., 0], apart[..., 1])
-    disc = np.hypot(np.maximum(level - margins.radius, 0.0), apart[..., 2] - margins.grip_offset)
-    below = np.maximum(-apart[..., 2], 0.0) + np.maximum(apart[..., 2] - margins.grip_offset, 0.0)
-    dropper = np.hypot(level, below)
-    closest: Floats = np.minimum(disc, dropper).min(axis=1)
-    return closest
+def _evened(controls: Floats, width: float) -> Floats:
+    """Progress evened out over some stages, from the same begin to the same rest, monotone."""
+    margin = int(4 * width) + 1
+    before = controls[0] - (controls[1] - controls[0]) * np.arange(margin, 0, -1)
+    after = np.full(margin, controls[-1])
+    padded = np.concatenate([before, controls, after])
+    even: Floats = gaussian_filter1d(padded, width)[margin:-margin]
+    even = np.maximum.accumulate(even)
+    even += (controls[0] - even[0]) * np.maximum(1.0 - np.arange(len(even)) / margin, 0.0)
+    reached = np.flatnonzero(controls >= controls[-1] - 1e-9)
+    if len(reached):
+        rest = min(int(reached[0]) + margin, len(even) - 1)
+        even[rest:] = controls[-1]
+    result: Floats = np.maximum.accumulate(np.minimum(even, controls[-1]))
+    return result
 
 
 def team_path(

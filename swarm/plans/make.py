@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.catenary import hang
-from swarm.errors import Refused
+from swarm.fold.clear import Margins, lift, strands
 from swarm.fold.layout import Hanging, Shape, hanging
 from swarm.fold.path import FoldPath
-from swarm.fold.schedule import Margins, schedule, team_path
-from swarm.knots.grid import OpenGrid, diagram_gauss, grid_of_columns, openings
+from swarm.fold.schedule import schedule, team_path
+from swarm.knots.catalog import KnotChoice, choose
+from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
 from swarm.plans.flight import whole_flight
 from swarm.plans.plan import KnotSummary, Layout, Plan
@@ -31,35 +31,52 @@ def make_plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
 
 def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterator[Plan]:
     """Yield plans for a mission, best first, for the certificate to judge."""
-    opened, knot = _knot(mission)
-    shape = Shape(cell=2.4, gap=0.6, minimum_sag=1.6, lane_over=2.8, lane_under=2.2)
+    choice, knot = _knot(mission)
+    opened = _roomy(openings(choice.grid))[0]
+    shape = Shape(cell=3.4, gap=0.8, minimum_sag=1.2, lane_over=3.1, lane_under=3.1)
     yield _planned(mission, opened, knot, shape, progress)
 
 
-def _knot(mission: Mission) -> tuple[OpenGrid, KnotSummary]:
+def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:
+    """The knot to tie, with its grid diagram."""
     asked = mission.knot
-    overhand = asked.gauss == "1- 2+ 3- 1+ 2- 3+" or asked.name in {"overhand", "3_1"}
-    if not overhand or asked.chirality == "left":
-        raise Refused("only the right-handed overhand can be planned so far")
-    grid = grid_of_columns([[1, 4], [3, 5], [2, 4], [1, 3], [2, 5]])
-    opened = openings(grid)
-    found = [o for o in opened if o.corners[0] == (4, 1) and o.corners[1] == (4, 3)]
-    code = diagram_gauss(found[0])
-    return found[0], KnotSummary("3_1", "right", code.signed_text(), grid.columns)
+    choice = choose(
+        name=asked.name,
+        gauss=asked.gauss,
+        dt=asked.dt,
+        pd=asked.pd,
+        grid=asked.grid,
+        chirality=asked.chirality,
+    )
+    summary = KnotSummary(
+        type=choice.name,
+        chirality=choice.chirality,  # type: ignore[arg-type]
+        gauss=choice.gauss,
+        grid_columns=choice.grid.columns,
+    )
+    return choice, summary
+
+
+def _roomy(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
+    """Openings with long edges first: strands around short edges get into each other's way."""
+
+    def shortest(diagram: OpenGrid) -> int:
+        pairs = zip(diagram.corners, diagram.corners[1:], strict=False)
+        return min(abs(a - c) + abs(b - d) for (a, b), (c, d) in pairs)
+
+    return sorted(opened, key=lambda diagram: (len(diagram.crossings), -shortest(diagram)))
 
 
 def _margins(mission: Mission) -> Margins:
     vehicles, clearance = mission.vehicles, mission.clearance
-    error = vehicles.tracking
     return Margins(
-        cable=clearance.cable + mission.cable.diameter + 3.0 * error,
-        vehicle=clearance.vehicle + 2.0 * error,
-        downwash=clearance.downwash + 2.0 * error,
-        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter + 3.0 * error,
-        tracking=error,
+        cable=clearance.cable + mission.cable.diameter,
+        vehicle=clearance.vehicle,
+        downwash=clearance.downwash,
+        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter,
+        tracking=vehicles.tracking,
         radius=vehicles.radius,
         grip_offset=vehicles.grip_offset,
-        spacing=0.85,
     )
 
 
@@ -75,8 +92,8 @@ def _planned(
     path = FoldPath(
         layout.corners,
         layout.lanes,
-        0.9 * shape.cell,
-        0.4 * shape.cell,
+        0.95 * shape.cell,
+        0.5 * shape.cell,
         1.1 * float(layout.lengths.sum()) + 2.0,
     )
 
@@ -128,10 +145,10 @@ def _height(mission: Mission, fold: Motion, lengths: Floats) -> float:
         return mission.layout.height
     times = np.linspace(fold.times[0], fold.times[-1], 3 * len(fold.times))
     places = fold.at(times)[0]
-    chord = np.linalg.norm(np.diff(places, axis=1), axis=2)
-    strands = hang(places[:, :-1], places[:, 1:], np.maximum(lengths, chord))
-    lowest = float(strands.lowest()[..., 2].min())
-    margin = mission.clearance.floor + 3.0 * mission.vehicles.tracking + mission.cable.diameter
+    hanging = strands(places[:, :-1], places[:, 1:], lengths)
+    error = mission.vehicles.tracking * 1.1 * lift(hanging.ratio)
+    lowest = float((hanging.points[..., 2].min(axis=-1) - error).min()) - 0.1
+    margin = mission.clearance.floor + 0.5 * mission.cable.diameter
     return float(np.ceil(10.0 * (margin - lowest)) / 10.0)
 
 

@@ -1,0 +1,328 @@
+"""How much the things of a team miss the distances that they should keep: costs for the planner.
+
+Quick and sampled, for choosing among many motions; what holds for certain is said by the
+certificate alone. All distances are between nominal places, so each asks for what tracking errors
+may eat on top of the clearance. A strand answers its ends the more, the tauter it is.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.cable.catenary import hang
+from swarm.cable.distance import polyline_polyline
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+Index = Any
+
+PIECES = 8
+"""A strand is handled as this many chords."""
+
+_RATIOS = np.array([0.0, 0.3, 0.5, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 1.0])
+_LIFTS = np.array([0.1, 0.15, 0.25, 0.5, 0.75, 1.0, 1.55, 2.3, 3.6, 5.0, 8.0])
+"""What the middle of a level strand moves vertically per metre of both ends, over one, by ratio."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Clearances in metres, and what else the distances of a team depend on.
+
+    ``cable`` counts from axis to axis of two strands, ``vehicle`` and ``downwash`` between
+    vehicles, ``vehicle_cable`` from a vehicle to a strand's axis. ``tracking`` is the radius of the
+    tracking ball; ``radius`` and ``grip_offset`` describe the vehicle. ``spacing`` is the preferred
+    chord of a segment in motion, as a share of its length, and ``taut`` the largest one, less what
+    two tracking errors add.
+    """
+
+    cable: float
+    vehicle: float
+    downwash: float
+    vehicle_cable: float
+    tracking: float
+    radius: float
+    grip_offset: float
+    spacing: float = 0.85
+    taut: float = 0.985
+
+
+@dataclass(frozen=True, eq=False)
+class Strands:
+    """Hanging strands: points (…, PIECES + 1, 3), their boxes, chord per length and length (…,)."""
+
+    points: Floats
+    middle: Floats
+    reach: Floats
+    ratio: Floats
+    length: Floats
+
+    def __getitem__(self, which: Index) -> "Strands":
+        return Strands(
+            self.points[which],
+            self.middle[which],
+            self.reach[which],
+            self.ratio[which],
+            self.length[which],
+        )
+
+    def __setitem__(self, which: Index, value: "Strands") -> None:
+        self.points[which] = value.points
+        self.middle[which] = value.middle
+        self.reach[which] = value.reach
+        self.ratio[which] = value.ratio
+        self.length[which] = value.length
+
+    @staticmethod
+    def nowhere(*shape: int) -> "Strands":
+        """Strands that are not planned yet, far away from everything."""
+        return Strands(
+            np.full((*shape, PIECES + 1, 3), np.inf),
+            np.full((*shape, 3), np.inf),
+            np.zeros((*shape, 3)),
+            np.zeros(shape),
+            np.ones(shape),
+        )
+
+
+def strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Strands:
+    """Hang strands of given lengths between ends (…, 3); over-stretched ones are straight."""
+    chord = np.linalg.norm(end - start, axis=-1)
+    length = np.broadcast_to(np.asarray(length, dtype=np.float64), chord.shape)
+    enough = np.maximum(length, chord * 1.001 + 1e-9)
+    points = hang(start, end, enough).points(np.linspace(0.0, 1.0, PIECES + 1))
+    low, high = points.min(axis=-2), points.max(axis=-2)
+    return Strands(points, 0.5 * (low + high), 0.5 * (high - low), chord / length, length)
+
+
+def near_strands(one: Strands, others: Strands, margins: Margins) -> tuple[Ints, Ints]:
+    """Which strands (b,) may come near which of the others (j, b): indices (q,) of j and of b."""
+    unit = margins.cable + 2.0 * margins.tracking
+    most = margins.cable + unit + margins.tracking * (lift(one.ratio) + lift(others.ratio))
+    gap = np.abs(one.middle - others.middle) - one.reach - others.reach
+    found = np.nonzero(gap.max(axis=-1) < most)
+    return found[0], found[1]
+
+
+def strand_cost(one: Strands, other: Strands, margins: Margins) -> Floats:
+    """Cost (b,) of strands being too close to others, pair by pair; they do not share a vehicle."""
+    unit = margins.cable + 2.0 * margins.tracking
+    return shortfall(_margin(one, other, margins) / unit)
+
+
+def sides(one: Strands, other: Strands) -> npt.NDArray[np.int8]:
+    """Whether strands pass over (+1) or under (−1) others in plan view, 0 where they do not cross.
+
+    A strand hangs in a vertical plane, so from above both are straight.
+    """
+    p, u = one.points[:, 0, :2], one.points[:, -1, :2] - one.points[:, 0, :2]
+    q, w = other.points[:, 0, :2], other.points[:, -1, :2] - other.points[:, 0, :2]
+    area = u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]
+    area = np.where(np.abs(area) < 1e-12, np.inf, area)
+    gap = q - p
+    here = (gap[:, 0] * w[:, 1] - gap[:, 1] * w[:, 0]) / area
+    there = (gap[:, 0] * u[:, 1] - gap[:, 1] * u[:, 0]) / area
+    cross = (here > 0.0) & (here < 1.0) & (there > 0.0) & (there < 1.0) & np.isfinite(area)
+    side = np.zeros(len(p), dtype=np.int8)
+    which = np.flatnonzero(cross)
+    if len(which):
+        above = _height_at(one.points[which], here[which])
+        side[which] = np.sign(above - _height_at(other.points[which], there[which]))
+    return side
+
+
+def _height_at(points: Floats, share: Floats) -> Floats:
+    """Height of strands at shares (b,) of their spans in plan view."""
+    span = points[:, -1, :2] - points[:, 0, :2]
+    along = np.einsum("bkx,bx->bk", points[:, :, :2] - points[:, :1, :2], span)
+    along /= np.maximum(along[:, -1:], 1e-12)
+    piece = np.clip((along <= share[:, None]).sum(axis=1) - 1, 0, points.shape[1] - 2)
+    row = np.arange(len(points))
+    before, after = along[row, piece], along[row, piece + 1]
+    part = (share - before) / np.maximum(after - before, 1e-12)
+    height: Floats = points[row, piece, 2] * (1.0 - part) + points[row, piece + 1, 2] * part
+    return height
+
+
+def neighbour_cost(before: Strands, after: Strands, margins: Margins) -> Floats:
+    """Cost (b,) of two strands that meet at a vehicle (end of the first) folding together.
+
+    What is next to the shared vehicle is in its hand and does not count; the lengths are the same
+    throughout the batch.
+    """
+    if not len(before.points):
+        return np.zeros(0)
+    unit = margins.cable + 2.0 * margins.tracking
+    held = 4.0 * (margins.cable + margins.tracking)
+    free = [max(0.5, 1.0 - held / float(strand.length[0])) for strand in (before, after)]
+    left = _margin(before, after, margins, (0.0, free[0]), 1)
+    right = _margin(after, before, margins, (1.0 - free[1], 1.0), 0)
+    return shortfall(np.minimum(left, right) / unit)
+
+
+def _margin(
+    one: Strands,
+    other: Strands,
+    margins: Margins,
+    part: tuple[float, float] = (0.0, 1.0),
+    shared: int | None = None,
+) -> Floats:
+    """Distance (b,) of strands, less what they should keep.
+
+    ``part`` says between which shares of its length the first one counts, ``shared`` at which of
+    its ends it meets the other: then only their far ends move, by twice as much, seen from there.
+    """
+    points, shares = _cut(one.points, *part)
+    closest = polyline_polyline(points, other.points)
+    if not margins.tracking:
+        return closest.distance - margins.cable
+    apart = _at(points, closest.first) - _at(other.points, closest.second)
+    upright = np.abs(apart[:, 2]) / np.maximum(closest.distance, 1e-9)
+    upright = np.where(closest.distance > 1e-3, np.minimum(upright, 1.0), 1.0)
+    here = np.interp(closest.first, np.arange(len(shares)), shares)
+    there = closest.second / PIECES
+    if shared is None:
+        error = _movement(one.ratio, here, upright) + _movement(other.ratio, there, upright)
+    else:
+        error = _far_movement(one, np.abs(here - shared), upright, margins.tracking)
+        error += _far_movement(other, np.abs(there - (1 - shared)), upright, margins.tracking)
+    return closest.distance - margins.cable - margins.tracking * error
+
+
+def _cut(points: Floats, begin: float, end: float) -> tuple[Floats, Floats]:
+    """Points of strands between two shares of their length, and the shares of these points."""
+    every = np.arange(PIECES + 1) / PIECES
+    inside = np.flatnonzero((every > begin + 1e-9) & (every < end - 1e-9))
+    shares = np.concatenate([[begin], every[inside], [end]])
+    if begin == 0.0 and end == 1.0:
+        return points, every
+    piece = np.minimum((shares * PIECES).astype(np.intp), PIECES - 1)
+    rest = (shares * PIECES - piece)[:, None]
+    return points[:, piece] * (1.0 - rest) + points[:, piece + 1] * rest, shares
+
+
+def _at(points: Floats, place: Floats) -> Floats:
+    piece = np.minimum(place.astype(np.intp), points.shape[1] - 2)
+    row = np.arange(len(points))
+    share = (place - piece)[:, None]
+    found: Floats = (1.0 - share) * points[row, piece] + share * points[row, piece + 1]
+    return found
+
+
+def lift(ratio: Floats) -> Floats:
+    """How far the middle of a level strand moves vertically per metre of both its ends."""
+    moved: Floats = 1.0 + np.interp(ratio, _RATIOS, _LIFTS)
+    return moved
+
+
+def _movement(ratio: Floats, fraction: Floats, upright: Floats) -> Floats:
+    """Movement of a strand's point per metre of its ends, along a direction this much upright."""
+    bulge = 4.0 * fraction * (1.0 - fraction)
+    vertical = 1.0 + (lift(ratio) - 1.0) * bulge
+    level = 1.0 + 0.45 * bulge
+    return _along(level, vertical, upright)
+
+
+def _along(level: Floats, vertical: Floats, upright: Floats) -> Floats:
+    moved: Floats = level * np.sqrt(1.0 - upright**2) + vertical * upright
+    return moved
+
+
+_FROM_GRIP = np.array([0.0, 0.1, 0.17, 0.25, 0.5, 0.75, 1.0])
+_FAR_LEVEL = np.array([0.0, 0.41, 0.55, 0.62, 0.87, 1.0, 1.02])
+_FAR_STEEP = np.array([0.6, 0.9, 0.95, 0.97, 1.0, 1.02, 1.02])
+
+
+def _far_movement(strand: Strands, fraction: Floats, upright: Floats, tracking: float) -> Floats:
+    """As :func:`_movement` where only the far end moves, but twice as far; ``fraction`` is from
+    the grip that rests. Strands between ends far above each other swing more.
+    """
+    rise = np.abs(strand.points[:, -1, 2] - strand.points[:, 0, 2])
+    chord = strand.ratio * strand.length
+    sine = (rise + 2.0 * tracking) / np.maximum(chord - 2.0 * tracking, 1e-9)
+    steep = np.clip((np.arcsin(np.minimum(sine, 1.0)) - 1.05) / 0.52, 0.0, 1.0)
+    level = np.interp(fraction, _FROM_GRIP, _FAR_LEVEL)
+    level += steep * (np.interp(fraction, _FROM_GRIP, _FAR_STEEP) - level)
+    level *= np.minimum(0.4 + 0.75 * strand.ratio, 1.0)
+    vertical = np.minimum(1.05, level * (0.5 + 1.5 * strand.ratio**2))
+    vertical *= np.maximum(1.0, 0.5 * lift(strand.ratio))
+    return 2.0 * _along(level, vertical, upright)
+
+
+def shortfall(margin: Floats) -> Floats:
+    """Cost of margins in units of what is wanted: steep below 0, slight below 1."""
+    short = np.maximum(-margin, 0.0)
+    slight = np.maximum(1.0 - margin, 0.0)
+    cost: Floats = 5.0 * short + 10.0 * short**2 + 5e-3 * slight**2
+    return cost
+
+
+def vehicle_cost(one: Floats, others: Floats, margins: Margins) -> Floats:
+    """Cost (b,) of vehicles at (b, 3) being too close to others (j, b, 3)."""
+    apart = one - others
+    error = 2.0 * margins.tracking
+    level = np.hypot(apart[..., 0], apart[..., 1]) / (margins.vehicle + error)
+    above = np.abs(apart[..., 2]) / (margins.downwash + error)
+    cost: Floats = shortfall(2.0 * (np.maximum(level, above) - 1.0) + 0.2).sum(axis=0)
+    return cost
+
+
+def near_bodies(places: Floats, strand: Strands, margins: Margins) -> tuple[Ints, ...]:
+    """Where vehicles (…, 3) may come near strands (…) that broadcast with them: indices."""
+    reach = 2.0 * margins.vehicle_cable + 5.2 * margins.tracking
+    centre = places + np.array([0.0, 0.0, 0.5 * margins.grip_offset])
+    size = np.array([margins.radius, margins.radius, 0.5 * margins.grip_offset]) + reach
+    return np.nonzero((np.abs(centre - strand.middle) - strand.reach - size).max(axis=-1) < 0.0)
+
+
+def body_cost(places: Floats, strand: Strands, margins: Margins) -> Floats:
+    """Cost (q,) of strands (q,) being too close to vehicles at (q, 3)."""
+    points = _refined(strand.points)
+    fraction = np.linspace(0.0, 1.0, points.shape[1])
+    error = 1.0 + _movement(strand.ratio[:, None], fraction, np.array(0.7))
+    distance = _body_distance(places, points, margins) - margins.tracking * error
+    unit = margins.vehicle_cable + 2.0 * margins.tracking
+    return shortfall((distance.min(axis=1) - margins.vehicle_cable) / unit)
+
+
+def rotor_cost(place: Floats, strand: Strands, margins: Margins) -> Floats:
+    """Cost (b,) of a vehicle's own strand entering its rotor disc."""
+    apart = _refined(strand.points) - place[:, None, :]
+    in_disc = margins.radius + 1.5 * margins.tracking - np.hypot(apart[..., 0], apart[..., 1])
+    at_height = apart[..., 2] - margins.grip_offset + 1.5 * margins.tracking
+    inside = np.minimum(in_disc, at_height).max(axis=1)
+    cost: Floats = 10.0 * np.maximum(inside, 0.0) / (margins.radius + margins.tracking)
+    return cost
+
+
+def chord_cost(strand: Strands, margins: Margins) -> Floats:
+    """Cost (b,) of chords that come near taut (steep) or stray from the preferred share."""
+    over = (strand.ratio + 2.0 * margins.tracking / strand.length) / margins.taut
+    cost: Floats = (
+        3e-2 * (strand.ratio - margins.spacing) ** 2
+        + 0.5 * np.maximum(over - 0.98, 0.0)
+        + 200.0 * np.maximum(over - 0.995, 0.0)
+    )
+    return cost
+
+
+def _refined(points: Floats) -> Floats:
+    between = 0.5 * (points[:, :-1] + points[:, 1:])
+    fine = np.empty((len(points), 2 * points.shape[1] - 1, 3))
+    fine[:, ::2], fine[:, 1::2] = points, between
+    return fine
+
+
+def _body_distance(place: Floats, points: Floats, margins: Margins) -> Floats:
+    """Distances (q, k) from the cone over a vehicle's rotor disc, whose tip is the grip point."""
+    apart = points - place[:, None, :]
+    level, above = np.hypot(apart[..., 0], apart[..., 1]), apart[..., 2]
+    radius, height = margins.radius, margins.grip_offset
+    disc = np.hypot(np.maximum(level - radius, 0.0), above - height)
+    side = radius**2 + height**2
+    share = np.clip((level * radius + above * height) / max(side, 1e-12), 0.0, 1.0)
+    flank = np.hypot(level - share * radius, above - share * height)
+    inside = (above <= height) & (level * height <= above * radius)
+    closest: Floats = np.where(inside, 0.0, np.minimum(disc, flank))
+    return closest
