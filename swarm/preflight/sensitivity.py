@@ -27,7 +27,7 @@ LARGEST_RATIO = 0.999
 """Beyond this share of the length a strand counts as taut; nothing is certified there."""
 
 _STEP = 0.04
-_CLASSES = np.radians([20.0, 40.0, 60.0, 90.0])
+_CLASSES = np.radians([20.0, 40.0, 60.0, 70.0, 80.0, 90.0])
 _DEPTH = 6
 _INFLATION = 1.02
 """Covers what lies between the samples of elevation; checked adversarially in the tests."""
