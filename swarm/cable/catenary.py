@@ -11,6 +11,7 @@ strands are as exact as the rest. A vertical strand is the limit of a vanishing 
 span of ``1e-80`` lengths.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -48,7 +49,7 @@ _REVERTED = (
 )
 """x² as a power series in log(sinh(x) / x), from the first power up; by reversion."""
 
-_PORTION = 32_768
+_PORTION = 65_536
 """Points computed in one go, so that what lies between stays in the processor's cache."""
 
 
@@ -101,24 +102,30 @@ class Catenaries:
         fractions = _floats(fractions)
         points = np.empty((self.span.size, fractions.size, 3))
         flat = [v.reshape(-1, 1) for v in (self.length, self.parameter, self.slope)]
-        start, heading, down = (v.reshape(-1, 1, 3) for v in (self.start, self.heading, self.down))
-        step = max(1, _PORTION // max(1, fractions.size))
-        for begin in range(0, self.span.size, step):
-            part = slice(begin, begin + step)
-            along, up = _offsets(fractions, *(v[part] for v in flat))
-            moved, lowered = np.empty_like(along), np.empty_like(up)
+        vectors = self.start, self._per_angle, self.down
+        start, per_angle, down = (v.reshape(-1, 1, 3) for v in vectors)
+        falls = np.any(self.down.reshape(-1, 3), axis=0)
+        rows = max(1, _PORTION // max(1, fractions.size))
+        scratch = np.empty((4, min(rows, self.span.size), fractions.size))
+        for part in _portions(self.span.size, rows):
+            angle, up, moved, lowered = scratch[:, : len(start[part])]
+            length, parameter, slope = (v[part] for v in flat)
+            _offsets(fractions, length, parameter, slope, angle, up, moved)
             for axis in range(3):
-                np.multiply(along, heading[part, :, axis], out=moved)
-                np.multiply(up, down[part, :, axis], out=lowered)
-                np.subtract(moved, lowered, out=moved)
+                np.multiply(angle, per_angle[part, :, axis], out=moved)
+                if falls[axis]:
+                    moved -= np.multiply(up, down[part, :, axis], out=lowered)
                 np.add(start[part, :, axis], moved, out=points[part, :, axis])
         return points.reshape(*self.span.shape, fractions.size, 3)
 
     def points_at(self, fraction: ArrayLike) -> Floats:
         """One point per strand, at its own fraction (…,) of its arc length: (…, 3)."""
-        shapes = (v[..., None] for v in (self.length, self.parameter, self.slope))
-        along, up = _offsets(_floats(fraction)[..., None], *shapes)
-        return self.start + along * self.heading - up * self.down
+        fraction = _floats(fraction)[..., None]
+        length, parameter, slope = (v[..., None] for v in (self.length, self.parameter, self.slope))
+        angle, up, scratch = np.empty((3, *np.broadcast_shapes(fraction.shape, length.shape)))
+        _offsets(fraction, length, parameter, slope, angle, up, scratch)
+        point: Floats = self.start + angle * self._per_angle - up * self.down
+        return point
 
     def at_span(self, fraction: ArrayLike) -> Floats:
         """The point of each strand above or below a fraction (…,) of its horizontal span: (…, 3).
@@ -181,6 +188,10 @@ class Catenaries:
         return self.slope + self.length / self.parameter
 
     @property
+    def _per_angle(self) -> Floats:
+        return self.parameter[..., None] * self.heading
+
+    @property
     def _span(self) -> Floats:
         return np.maximum(self.span, _VERTICAL * self.length)
 
@@ -213,7 +224,9 @@ def hang(
     wide = np.maximum(span, _VERTICAL * length)
     excess = np.maximum(length - chord, 0.0) * (length + chord)
     half_angle = np.maximum(half_angle_for_stretch(0.5 * np.log1p(excess / wide**2)), _TAUT)
-    middle = np.arcsinh(rise / np.sqrt(excess + wide**2))
+    # sinh and cosh of the middle angle are rise and length over the level length of the same x.
+    level = np.sqrt(excess + wide**2)
+    sinh = half_angle * (level / wide)
     return Catenaries(
         start=start,
         end=end,
@@ -224,7 +237,7 @@ def hang(
         rise=rise,
         half_angle=half_angle,
         parameter=wide / (2.0 * half_angle),
-        slope=np.sinh(middle - half_angle),
+        slope=(rise * np.sqrt(1.0 + sinh * sinh) - length * sinh) / level,
     )
 
 
@@ -287,21 +300,28 @@ def _require_reach(chord: Floats, length: Floats) -> None:
 
 
 def _offsets(
-    fractions: Floats, length: Floats, parameter: Floats, first: Floats
-) -> tuple[Floats, Floats]:
-    """Horizontal and vertical offset from the start at fractions of the arc length; broadcasts.
+    fractions: Floats,
+    length: Floats,
+    parameter: Floats,
+    first: Floats,
+    angle: Floats,
+    up: Floats,
+    scratch: Floats,
+) -> None:
+    """Write angle turned and height gained from the start to fractions of the arc length.
 
     With slopes A at the start and B at the point, and C = √(1 + slope²): the height is
     arc · (A + B)/(C_A + C_B), which does not cancel. The angle is arsinh B − arsinh A, or where it
-    is small, from tanh(Δθ/2) = (B − A)/(C_A + C_B).
+    is small, from tanh(Δθ/2) = (B − A)/(C_A + C_B). Shapes broadcast to those of the last three.
     """
-    turned: Floats = fractions * (length / parameter)
-    slope = turned + first
+    slope, cosh = up, scratch
     cosh_first = np.sqrt(1.0 + first * first)
-    cosh = slope * slope
+    np.multiply(fractions, length / parameter, out=slope)
+    slope += first
+    np.multiply(slope, slope, out=cosh)
     cosh += 1.0
     np.sqrt(cosh, out=cosh)
-    angle = np.abs(slope)
+    np.abs(slope, out=angle)
     angle += cosh
     np.log(angle, out=angle)
     np.copysign(angle, slope, out=angle)
@@ -309,18 +329,16 @@ def _offsets(
 
     total = cosh
     total += cosh_first
-    shallow = np.broadcast_to(parameter * 0.04 > length, angle.shape)
+    shallow = parameter * 1e-3 > length
     if np.any(shallow):
-        half = turned[shallow] / total[shallow]
-        u = half * half
-        angle[shallow] = half * (2.0 + u * (2 / 3 + u * (2 / 5 + u * (2 / 7 + u * (2 / 9)))))
-    angle *= parameter
+        half = fractions * (length / parameter) / total
+        series = half * (2.0 + half * half * (2 / 3 + half * half * (2 / 5)))
+        np.copyto(angle, series, where=shallow)
 
-    up = slope
     up += first
     up /= total
-    up *= fractions * length
-    return angle, up
+    up *= fractions
+    up *= length
 
 
 def half_angle_for_stretch(stretch: Floats) -> Floats:
@@ -329,6 +347,14 @@ def half_angle_for_stretch(stretch: Floats) -> Floats:
     ``sinh(x) / x`` is length over chord of a level strand. Up to 0.16 the reverted power series is
     exact; beyond, it or the asymptote of x − log 2x starts Halley's method.
     """
+    flat = stretch.reshape(-1)
+    found = np.empty_like(flat)
+    for part in _portions(flat.size, _PORTION // 4):
+        found[part] = _half_angles(flat[part])
+    return found.reshape(stretch.shape)
+
+
+def _half_angles(stretch: Floats) -> Floats:
     near = np.minimum(stretch, 4.0)
     square = np.full_like(near, _REVERTED[-1])
     for coefficient in _REVERTED[-2::-1]:
@@ -342,12 +368,17 @@ def half_angle_for_stretch(stretch: Floats) -> Floats:
     x = np.where(stretch < 4.0, np.maximum(series, 0.9), late)
     for _ in range(2):
         fading, inverse = np.exp(-2.0 * x), 1.0 / x
-        value = x + np.log1p(-fading) - np.log(2.0 * x) - beyond
-        first = (1.0 + fading) / (1.0 - fading) - inverse
-        second = inverse * inverse - 4.0 * fading / (1.0 - fading) ** 2
+        left = 1.0 / (1.0 - fading)
+        value = x + np.log((0.5 - 0.5 * fading) * inverse) - beyond
+        first = (1.0 + fading) * left - inverse
+        second = inverse * inverse - 4.0 * fading * left * left
         x = x - value * first / (first * first - 0.5 * value * second)
-    found: Floats = np.where(stretch < 0.16, series, x)
-    return found
+    return np.where(stretch < 0.16, series, x)
+
+
+def _portions(count: int, step: int) -> Iterator[slice]:
+    for begin in range(0, count, max(1, step)):
+        yield slice(begin, begin + max(1, step))
 
 
 def log_sinhc(x: Floats) -> Floats:
