@@ -236,6 +236,7 @@ class Bodies:
             reach = np.hypot(wanted[:, 0], wanted[:, 1])
             limit = self.max_acceleration
             wanted[:, :2] *= (limit / np.maximum(reach, limit))[:, None]
+            miss[reach > limit, :2] = 0.0
             wanted[:, 2] += GRAVITY
             self._limit_thrust(wanted)
         else:

@@ -242,7 +242,7 @@ class Rope:
         chord = stop - start
         upward = -(chord @ self.down)
         flat = chord + upward[:, None] * self.down
-        across = np.sqrt(np.einsum("ij,ij->i", flat, flat)) + 1e-4
+        across = np.maximum(np.sqrt(np.einsum("ij,ij->i", flat, flat)), 1e-4)
         direction = flat / across[:, None]
         shortest = np.hypot(upward, across * _TAUT_RATIO)
         length = np.maximum(self.lengths, shortest)

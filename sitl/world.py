@@ -6,6 +6,7 @@ error is reported at once as ``file: key.path: expected …, got …``.
 
 import json
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,6 +16,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 _LARGEST_FILE = 4_000_000
+_DEEPEST = 50
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -131,6 +133,8 @@ def parse_yaml(text: str, name: str) -> Any:
     """Parse YAML or JSON safely (no tags, bounded size); `WorldError` with line and column."""
     if len(text) > _LARGEST_FILE:
         raise WorldError(f"{name}: expected at most {_LARGEST_FILE} characters, got {len(text)}")
+    if _depth(text) > _DEEPEST:
+        raise WorldError(f"{name}: expected at most {_DEEPEST} nested brackets, got more")
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -145,13 +149,23 @@ def parse_yaml(text: str, name: str) -> Any:
         raise WorldError(f"{name}: expected YAML, got {type(error).__name__}") from None
 
 
+def _depth(text: str) -> int:
+    """How deep brackets nest (those in text too): what keeps a parser from running wild."""
+    depth = deepest = 0
+    for mark in re.findall(r"[\[\]{}]", text):
+        depth += 1 if mark in "[{" else -1
+        deepest = max(deepest, depth)
+    return deepest
+
+
 def explain(error: ValidationError, name: str) -> str:
     """Return every validation error as a line ``name: key.path: expected …, got …``."""
     lines = []
     for one in error.errors():
         place = ".".join(str(part) for part in one["loc"])
         if one["type"] == "value_error":
-            lines.append(f"{name}: {one['msg'].removeprefix('Value error, ')}")
+            where = f"{place}: " if place else ""
+            lines.append(f"{name}: {where}{one['msg'].removeprefix('Value error, ')}")
         elif one["type"] == "extra_forbidden":
             lines.append(f"{name}: {place}: expected a known key, got this one")
         elif one["type"] == "missing":

@@ -8,6 +8,22 @@ from pymavlink.dialects.v20 import common as dialect
 from sitl import Emulator, parse_world
 
 STEP = 0.05
+# PX4's default rates are hundreds of messages a second; what tests wait for comes more slowly.
+_QUIET: dict[str, float | None] = {
+    "LOCAL_POSITION_NED": 0.1,
+    "ATTITUDE": 0.2,
+    "EXTENDED_SYS_STATE": 0.5,
+    "SYS_STATUS": 0.5,
+    "ALTITUDE": None,
+    "ATTITUDE_QUATERNION": None,
+    "ODOMETRY": None,
+    "GLOBAL_POSITION_INT": 0.5,
+    "NAV_CONTROLLER_OUTPUT": None,
+    "POSITION_TARGET_LOCAL_NED": None,
+    "RC_CHANNELS": None,
+    "SERVO_OUTPUT_RAW": None,
+    "VFR_HUD": None,
+}
 Setpoints = Callable[[int, float], tuple[float, ...] | None]
 
 
@@ -27,11 +43,17 @@ def world(count: int = 1, cable: str = "", **keys: Any) -> Any:
 class Ground:
     """Sends and receives real MAVLink bytes; time advances only in `run`."""
 
-    def __init__(self, emulator: Emulator) -> None:
+    def __init__(self, emulator: Emulator, *, quiet: bool = True) -> None:
         self.emulator = emulator
         self.now = 0.0
         self.ids = [vehicle.id for vehicle in emulator.world.vehicles]
         self.mav = {i: dialect.MAVLink(None, 255, 190) for i in self.ids}
+        for mav in self.mav.values():
+            mav.robust_parsing = True
+        if quiet:
+            for vehicle in emulator.vehicles:
+                for name in set(vehicle.links[0].intervals) & set(_QUIET):
+                    vehicle.links[0].stream(name, _QUIET[name], 0.0)
         self.log: list[tuple[float, int, Any]] = []
         self.last: dict[tuple[int, str], Any] = {}
 

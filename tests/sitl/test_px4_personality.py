@@ -1,4 +1,4 @@
-"""PX4's rules, as its documentation and source have them, in transcripts over real MAVLink bytes."""
+"""PX4's rules, as its documentation and source have them, over real MAVLink bytes."""
 
 import math
 

@@ -1,0 +1,177 @@
+"""Flight dynamics: tracking, limits, wind, wash, battery, contacts."""
+
+import numpy as np
+import pytest
+
+from sitl import Emulator
+from sitl.dynamics import GRAVITY, STEP
+from tests.sitl.client import Ground, world
+
+
+def airborne(autopilot: str = "px4", count: int = 1, **keys) -> Ground:
+    """Vehicles at 5 m by the shortest way: put there, armed, in the mode that follows setpoints."""
+    ground = Ground(Emulator(world(count, autopilot=autopilot, **keys)))
+    ground.run(1.0)
+    stream = ground.toward({i: (3.0 * (i - 1), 0.0, 5.0) for i in ground.ids})
+    ground.run(0.5, stream)
+    for i in ground.ids:
+        ground.command(i, 176, 1, 6 if autopilot == "px4" else 4, 0)
+    ground.run(0.2, stream)
+    for i in ground.ids:
+        ground.command(i, 400, 1)
+        if autopilot == "ardupilot":
+            ground.command(i, 22, 0, 0, 0, 0, 0, 0, 5.0)
+            ground.command(i, 511, 32, 1e5)
+    ground.run(7.0, None if autopilot == "ardupilot" else stream)
+    ground.run(3.0, stream)
+    return ground
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize("speed", [1.0, 2.0])
+def test_a_circle_with_full_feed_forward_is_tracked_to_a_decimetre(
+    autopilot: str, speed: float
+) -> None:
+    ground = airborne(autopilot, biases="default")
+    radius = 3.0
+    rate = speed / radius
+    origin = ground.origin(1)
+    start = ground.now
+    errors = []
+
+    def circle(_: int, now: float) -> tuple[float, ...]:
+        turn = rate * (now - start)
+        c, s = np.cos(turn), np.sin(turn)
+        x, y = radius * s, radius * (1 - c)
+        return (
+            y - origin[1], x - origin[0], -(5.0 - origin[2]),
+            speed * s, speed * c, 0.0,
+            speed * rate * c, -speed * rate * s, 0.0,
+        )  # fmt: skip
+
+    while ground.now < start + 15.0:
+        ground.run(0.05, circle)
+        if ground.now > start + 5.0:
+            turn = rate * (ground.now - start)
+            wanted = np.array([radius * np.sin(turn), radius * (1 - np.cos(turn)), 5.0])
+            errors.append(np.linalg.norm(ground.emulator.bodies.position[0] - wanted))
+    rms = float(np.sqrt(np.mean(np.square(errors))))
+    assert 0.01 < rms < 0.15
+
+
+def test_position_alone_lags_by_a_second() -> None:
+    ground = airborne("px4")
+    origin = ground.origin(1)
+    start = ground.now
+
+    def line(_: int, now: float) -> tuple[float, ...]:
+        return (-origin[1], (now - start) - origin[0], -(5.0 - origin[2]))
+
+    ground.run(8.0, line)
+    assert 8.0 - ground.emulator.bodies.position[0, 0] == pytest.approx(1.1, abs=0.3)
+
+
+def test_speed_acceleration_and_tilt_stay_within_limits() -> None:
+    ground = airborne("px4", max_speed=3.0, max_acceleration=2.0)
+    b = ground.emulator.bodies
+    speeds, accelerations, tilts = [], [], []
+    before = b.velocity.copy()
+    for _ in range(100):
+        ground.run(0.05, ground.toward({1: (60.0, 0.0, 5.0)}))
+        accelerations.append(np.linalg.norm((b.velocity - before)[0, :2]) / 0.05)
+        before = b.velocity.copy()
+        speeds.append(np.linalg.norm(b.velocity[0, :2]))
+        tilts.append(ground.emulator.truth().tilt[0])
+    assert 2.8 < max(speeds) < 3.1
+    assert max(accelerations) < 2.3
+    assert max(tilts) < np.arctan2(2.6, GRAVITY)
+
+
+@pytest.mark.parametrize("huge", [1e6, 1e30, 3e38])
+def test_huge_setpoints_are_flown_no_faster(huge: float) -> None:
+    ground = airborne("px4")
+    for values in ((huge, 0, -5), (0, 0, -5, huge, 0, 0), (0, 0, -5, 0, 0, 0, huge, -huge, huge)):
+        ground.run(1.0, lambda _, __, values=values: values)
+    b = ground.emulator.bodies
+    assert np.isfinite(b.position).all()
+    assert np.abs(b.velocity).max() < 8.0
+
+
+def test_steady_wind_is_leant_against() -> None:
+    ground = airborne("px4", wind="{steady: [6.0, 0, 0]}")
+    ground.run(10.0, ground.toward({1: (0.0, 0.0, 5.0)}))
+    b = ground.emulator.bodies
+    assert np.abs(b.position[0] - (0, 0, 5.0)).max() < 0.1
+    expected = np.arctan(b.drag[0] * 6.0 / GRAVITY)
+    truth = ground.emulator.truth()
+    assert truth.tilt[0] == pytest.approx(expected, rel=0.1)
+    assert truth.position[0, 0] == pytest.approx(0.6 * np.sin(expected), abs=0.05), (
+        "the dropper leans with the body: its grip point is up-wind or down-wind of the centre"
+    )
+
+
+def test_gusts_have_the_intensity_asked_for() -> None:
+    emulator = Emulator(world(4, wind="{steady: [5.0, 0, 0], gust: 1.5}"))
+    b = emulator.bodies
+    winds = []
+    for _ in range(10_000):
+        b.wander(0.1)
+        winds.append(b.wind.copy())
+    gusts = np.array(winds) - (5.0, 0.0, 0.0)
+    assert gusts[..., 0].std() == pytest.approx(1.5, rel=0.25)
+    together = np.corrcoef(gusts[:, 0, 0], gusts[:, 1, 0])[0, 1]
+    assert together == pytest.approx(0.64, abs=0.1)
+
+
+def test_a_vehicle_in_anothers_wash_is_pushed_down() -> None:
+    ground = airborne("px4", 2)
+    b = ground.emulator.bodies
+    ground.run(2.0, ground.toward({1: (0.0, 0.0, 7.0), 2: (3.0, 0.0, 5.0)}))
+    level = b.position[1, 2]
+    b.position[1, :2] = b.position[0, :2]
+    ground.run(0.6, ground.toward({1: (0.0, 0.0, 7.0), 2: (0.0, 0.0, 5.0)}))
+    assert b.wash[1, 2] < -5.0
+    assert b.wash[0, 2] == 0.0
+    assert b.position[1, 2] < level - 0.1
+
+
+def test_the_battery_empties_by_load_in_its_endurance() -> None:
+    ground = airborne("px4", endurance=100.0)
+    before, start = ground.emulator.truth().charge[0], ground.now
+    ground.run(20.0, ground.toward({1: (0.0, 0.0, 5.0)}))
+    used = before - ground.emulator.truth().charge[0]
+    assert used * 100.0 == pytest.approx(ground.now - start, rel=0.03)
+
+
+def test_vehicles_that_meet_are_recorded_and_hard_meetings_end_flights() -> None:
+    ground = airborne("px4", 2)
+    ground.run(6.0, ground.toward({1: (3.0, 0.0, 5.0), 2: (0.0, 0.0, 5.0)}))
+    (contact, *_) = ground.emulator.truth().contacts
+    assert contact["kind"] == "vehicles"
+    assert contact["vehicles"] == [1, 2]
+    assert contact["speed"] > 1.0
+    assert ground.emulator.truth().position[:, 2].max() < 1.0
+
+
+def test_a_rotor_that_touches_cable_is_a_strike() -> None:
+    cable = "{points: [[0, 0, 0], [3.3, 0, 0]], attached: [0, 3.3]}"
+    ground = Ground(Emulator(world(2, cable, gripper="attached")))
+    ground.px4_offboard({1: (0.0, 0.0, 3.0), 2: (3.0, 0.0, 3.0)}, 8.0)
+    assert not ground.emulator.truth().strikes
+    ground.run(4.0, ground.toward({1: (1.4, 0.0, 2.0), 2: (2.4, 0.0, 3.4)}))
+    ground.run(6.0, ground.toward({1: (2.4, 0.1, 1.0), 2: (2.4, 0.1, 3.6)}))
+    strikes = ground.emulator.truth().strikes
+    assert strikes
+    assert strikes[0]["vehicle"] == 1
+
+
+def test_standing_and_hard_landings() -> None:
+    emulator = Emulator(world(1))
+    b = emulator.bodies
+    for _ in range(100):
+        b.step(np.zeros((1, 3)))
+    assert b.position[0].tolist() == [0.0, 0.0, 0.6]
+    b.position[0, 2] = 3.0
+    hits = [b.step(np.zeros((1, 3))) for _ in range(int(2.0 / STEP))]
+    assert [hit.tolist() for hit in hits if hit is not None] == [[True]]
+    assert b.health[0] == 0.0

@@ -1,0 +1,228 @@
+"""What ground stations ask any autopilot: parameters, rates, missions, logs, files, time, keys."""
+
+import hashlib
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as dialect
+
+from sitl import Emulator
+from tests.sitl.client import Ground, world
+
+INTERVAL, REQUEST = dialect.MAV_CMD_SET_MESSAGE_INTERVAL, dialect.MAV_CMD_REQUEST_MESSAGE
+ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
+
+
+@pytest.fixture
+def ground() -> Ground:
+    started = Ground(Emulator(world(1)), quiet=False)
+    started.run(1.1)
+    return started
+
+
+def count(ground: Ground, name: str, since: float) -> int:
+    return sum(1 for t, _, m in ground.log if t > since and m.get_type() == name)
+
+
+def test_heartbeat_says_what_flies(ground: Ground) -> None:
+    beat = ground.last[1, "HEARTBEAT"]
+    assert (beat.type, beat.autopilot, beat.system_status) == (2, 12, 3)
+    before = ground.now
+    ground.run(10.0)
+    assert count(ground, "HEARTBEAT", before) == 10
+
+
+def test_rates_are_those_asked_for(ground: Ground) -> None:
+    for rate in (50, 10, 4):
+        ground.command(1, INTERVAL, 32, 1e6 / rate)
+        before = ground.now
+        ground.run(4.0)
+        assert count(ground, "LOCAL_POSITION_NED", before) == pytest.approx(4 * rate, abs=2)
+    ground.command(1, INTERVAL, 32, -1)
+    before = ground.now
+    ground.run(2.0)
+    assert count(ground, "LOCAL_POSITION_NED", before) == 0
+    ground.command(1, INTERVAL, 32, 0)
+    before = ground.now
+    ground.run(2.0)
+    assert count(ground, "LOCAL_POSITION_NED", before) == pytest.approx(60, abs=2), "PX4's default"
+    ground.command(1, INTERVAL, 12345, 1e5)
+    ground.run(0.1)
+    assert ground.acks(1, INTERVAL)[-1] == DENIED
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["AUTOPILOT_VERSION", "HOME_POSITION", "GPS_GLOBAL_ORIGIN", "SYS_STATUS", "EXTENDED_SYS_STATE",
+     "BATTERY_STATUS", "ESTIMATOR_STATUS", "GPS_RAW_INT", "ALTITUDE", "ODOMETRY", "SYSTEM_TIME"],
+)  # fmt: skip
+def test_single_messages_on_request(ground: Ground, name: str) -> None:
+    ground.log.clear()
+    ground.command(1, REQUEST, getattr(dialect, f"MAVLINK_MSG_ID_{name}"))
+    ground.run(0.05)
+    assert name in {message.get_type() for _, _, message in ground.log}
+    assert ground.acks(1, REQUEST) == [ACCEPTED]
+
+
+def test_unknown_requests_are_answered_too(ground: Ground) -> None:
+    ground.command(1, REQUEST, 9999)
+    ground.command(1, 31000)
+    ground.run(0.1)
+    assert ground.acks(1, REQUEST) == [DENIED]
+    assert ground.acks(1, 31000) == [UNSUPPORTED]
+
+
+def test_all_parameters_come_within_a_second(ground: Ground) -> None:
+    ground.send(1, dialect.MAVLink_param_request_list_message(1, 1))
+    ground.run(1.0)
+    values = [m for _, _, m in ground.log if m.get_type() == "PARAM_VALUE"]
+    assert len(values) == values[0].param_count == len({m.param_index for m in values})
+    by_name = {m.param_id: m for m in values}
+    assert by_name["COM_OF_LOSS_T"].param_value == pytest.approx(1.0)
+    negative = by_name["COM_FLTMODE1"]
+    assert negative.param_type == dialect.MAV_PARAM_TYPE_INT32
+    assert np.array([negative.param_value], "<f4").view("<i4")[0] == -1, "PX4 sends bytes"
+
+
+def test_a_parameter_is_set_read_and_kept(ground: Ground) -> None:
+    bits = float(np.array([5], "<i4").view("<f4")[0])
+    ground.send(1, dialect.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", bits, 6))
+    ground.run(0.1)
+    ground.log.clear()
+    ground.send(1, dialect.MAVLink_param_request_read_message(1, 1, b"COM_OBL_RC_ACT", -1))
+    ground.run(0.1)
+    (answer,) = [m for _, _, m in ground.log if m.get_type() == "PARAM_VALUE"]
+    assert np.array([answer.param_value], "<f4").view("<i4")[0] == 5
+    ground.log.clear()
+    ground.send(1, dialect.MAVLink_param_request_read_message(1, 1, b"NO_SUCH", -1))
+    ground.send(1, dialect.MAVLink_param_set_message(1, 1, b"NO_SUCH", 1.0, 9))
+    ground.run(0.1)
+    assert not [m for _, _, m in ground.log if m.get_type() == "PARAM_VALUE"]
+
+
+def test_a_mission_goes_up_and_comes_down_again(ground: Ground) -> None:
+    for seq in range(3):
+        if seq == 0:
+            ground.send(1, dialect.MAVLink_mission_count_message(1, 1, 3))
+        ground.run(0.1)
+        assert ground.last[1, "MISSION_REQUEST_INT"].seq == seq
+        ground.send(
+            1,
+            dialect.MAVLink_mission_item_int_message(
+                1, 1, seq, 6, 16, 0, 1, 0, 0, 0, 0, 473977420 + seq, 85455940, 10.0 + seq
+            ),
+        )
+    ground.run(0.1)
+    assert ground.last[1, "MISSION_ACK"].type == dialect.MAV_MISSION_ACCEPTED
+    ground.send(1, dialect.MAVLink_mission_request_list_message(1, 1))
+    ground.run(0.1)
+    assert ground.last[1, "MISSION_COUNT"].count == 3
+    ground.send(1, dialect.MAVLink_mission_request_int_message(1, 1, 2))
+    ground.run(0.1)
+    item = ground.last[1, "MISSION_ITEM_INT"]
+    assert (item.seq, item.x, item.z) == (2, 473977422, 12.0)
+    ground.send(1, dialect.MAVLink_mission_clear_all_message(1, 1))
+    ground.send(1, dialect.MAVLink_mission_request_list_message(1, 1))
+    ground.run(0.1)
+    assert ground.last[1, "MISSION_COUNT"].count == 0
+
+
+def test_files_are_refused_at_once_and_there_are_no_logs(ground: Ground) -> None:
+    request = [7, 0, 3, 4, 0, 0] + [0] * 245
+    ground.send(1, dialect.MAVLink_file_transfer_protocol_message(0, 1, 1, request))
+    ground.send(1, dialect.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF))
+    ground.run(0.1)
+    answer = ground.last[1, "FILE_TRANSFER_PROTOCOL"].payload
+    assert (answer[0], answer[3], answer[5]) == (8, 129, 4), "NAK of opcode 4 with the next number"
+    assert ground.last[1, "LOG_ENTRY"].num_logs == 0
+
+
+def test_timesync_tells_the_vehicles_own_clock() -> None:
+    ground = Ground(Emulator(world(2, biases="default")))
+    ground.run(1.0)
+    for vehicle in (1, 2):
+        ground.send(vehicle, dialect.MAVLink_timesync_message(0, 123456789))
+    ground.run(0.1)
+    answers = [ground.last[vehicle, "TIMESYNC"] for vehicle in (1, 2)]
+    assert [answer.ts1 for answer in answers] == [123456789] * 2
+    boots = [answer.tc1 * 1e-9 - 1.0 for answer in answers]
+    assert abs(boots[0] - boots[1]) > 0.1, "clocks of their own"
+    for vehicle, boot in zip((1, 2), boots, strict=True):
+        assert ground.last[vehicle, "ATTITUDE"].time_boot_ms * 1e-3 == pytest.approx(
+            boot + ground.now, abs=0.1
+        )
+
+
+def test_commands_to_others_are_not_obeyed(ground: Ground) -> None:
+    message = dialect.MAVLink_command_long_message(2, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
+    ground.send(1, message)
+    ground.run(0.1)
+    assert not ground.acks(1, 400)
+    assert not ground.emulator.truth().armed[0]
+
+
+def test_local_and_global_position_agree_through_the_origin() -> None:
+    ground = Ground(Emulator(world(3, biases="default", seed=4)))
+    ground.run(2.5)
+    origins = set()
+    for vehicle in (1, 2, 3):
+        local = ground.last[vehicle, "LOCAL_POSITION_NED"]
+        place = ground.last[vehicle, "GLOBAL_POSITION_INT"]
+        origin = ground.last[vehicle, "GPS_GLOBAL_ORIGIN"]
+        north = (place.lat - origin.latitude) * 1e-7 * 111_172.0
+        assert north == pytest.approx(local.x, abs=0.05)
+        assert (place.alt - origin.altitude) * 1e-3 == pytest.approx(-local.z, abs=0.03)
+        origins.add((origin.latitude, origin.longitude, origin.altitude))
+    assert len(origins) == 3
+
+
+def test_signing_once_set_up_is_demanded_and_given() -> None:
+    ground = Ground(Emulator(world(1)))
+    ground.run(1.0)
+    key = hashlib.sha256(b"a shared secret").digest()
+    ground.send(1, dialect.MAVLink_setup_signing_message(1, 1, list(key), 0))
+    ground.run(0.2)
+    link = ground.emulator.by_id[1].links[0]
+    assert link.receiver.key == key
+    ground.command(1, 400, 1)
+    ground.run(0.2)
+    assert not ground.emulator.truth().armed[0], "unsigned when keyed: not heard"
+    mav = ground.mav[1]
+    mav.signing.secret_key = key
+    mav.signing.sign_outgoing = True
+    mav.signing.timestamp = (1_800_000_000 - 1_420_070_400) * 100_000
+    ground.command(1, 400, 1)
+    before = len(ground.log)
+    ground.run(1.0)
+    assert ground.emulator.truth().armed[0]
+    types = {message.get_type() for _, _, message in ground.log[before:]}
+    assert "HEARTBEAT" in types
+    assert "BAD_DATA" not in types, "what it sends is signed with the same key"
+    replayed = dialect.MAVLink_command_long_message(1, 1, 400, 0, 0, 0, 0, 0, 0, 0, 0)
+    mav.signing.timestamp -= 100_000 * 3600
+    ground.send(1, replayed)
+    ground.run(0.2)
+    assert ground.emulator.truth().armed[0], "an old timestamp is a replay"
+
+
+def test_indoors_there_is_no_global_position_and_vision_is_followed() -> None:
+    ground = Ground(Emulator(world(1, indoor=True)))
+    ground.run(2.0)
+    assert (1, "GLOBAL_POSITION_INT") not in ground.last
+    assert (1, "GPS_GLOBAL_ORIGIN") not in ground.last
+    assert ground.last[1, "LOCAL_POSITION_NED"].z == pytest.approx(-0.6, abs=0.02), "shared frame"
+    ground.send(1, dialect.MAVLink_vision_position_estimate_message(0, 0.3, 0.2, -0.6, 0, 0, 0))
+    ground.run(0.5)
+    local = ground.last[1, "LOCAL_POSITION_NED"]
+    assert (local.x, local.y) == pytest.approx((0.3, 0.2), abs=0.01)
+
+
+def test_the_same_seed_and_bytes_give_the_same_flight() -> None:
+    def fly(seed: int) -> list[bytes]:
+        emulator = Emulator(world(2, biases="default", seed=seed, wind="{gust: 1.0}"))
+        ground = Ground(emulator)
+        ground.px4_offboard({1: (0.0, 0.0, 3.0), 2: (3.0, 0.0, 3.0)}, 5.0)
+        return [message.get_msgbuf() for _, _, message in ground.log]
+
+    assert fly(1) == fly(1)
+    assert fly(1) != fly(2)

@@ -1,0 +1,85 @@
+"""World files: every error at once and in its place."""
+
+from pathlib import Path
+
+import pytest
+
+from sitl import Emulator, WorldError, default_world, load_world, parse_world
+from sitl.world import schema
+
+GOOD = """
+schema: 1
+seed: 3
+origin: {latitude: 47.0, longitude: 8.0, altitude: 400.0}
+floor: 0.0
+wind: {steady: [1.0, 0.0, 0.0], gust: 0.5}
+vehicles:
+  - {id: 1, autopilot: px4, pad: [0, 0, 0], heading: 0.0, mass: 1.5, payload: 0.4, radius: 0.25,
+     grip_offset: 0.6, max_speed: 5.0, max_acceleration: 4.0, gripper: mavlink}
+  - {id: 2, autopilot: ardupilot, pad: [3, 0, 0]}
+cable: {mass_per_length: 0.012, diameter: 0.006, points: [[0, 0, 0], [3.5, 0, 0]]}
+"""
+
+
+def test_a_good_file_is_read() -> None:
+    world = parse_world(GOOD)
+    assert [vehicle.autopilot for vehicle in world.vehicles] == ["px4", "ardupilot"]
+    truth = Emulator(world).truth()
+    assert truth.position.tolist() == [[0, 0, 0], [3, 0, 0]], "grip points touch the floor"
+    assert truth.cable[-1].tolist() == [3.5, 0.0, 0.0]
+
+
+def test_all_errors_at_once_each_with_its_place() -> None:
+    bad = GOOD.replace("seed: 3", "seed: -3").replace("autopilot: px4", "autopilot: betaflight")
+    bad = bad.replace("payload: 0.4", "payload: .nan").replace("floor: 0.0", "flor: 0.0")
+    with pytest.raises(WorldError) as error:
+        parse_world(bad, "w.yaml")
+    lines = str(error.value).splitlines()
+    assert lines == [
+        "w.yaml: seed: expected greater than or equal to 0, got -3",
+        "w.yaml: vehicles.0.autopilot: expected 'px4' or 'ardupilot', got 'betaflight'",
+        "w.yaml: vehicles.0.payload: expected a finite number, got nan",
+        "w.yaml: flor: expected a known key, got this one",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("id: 2", "id: 1"), "w: vehicles: expected every id once, got [1] more than once"),
+        (
+            ("gripper: mavlink", "gripper: attached"),
+            "w: cable.attached: expected one arc length for each of 1 vehicles whose gripper is "
+            "'attached', got 0",
+        ),
+        (("schema: 1", "schema: 2"), "w: schema: expected 1, got 2"),
+        (("[3, 0, 0]", "[3, 0]"), "w: vehicles.1.pad.2: expected a value, got nothing"),
+        (("seed: 3", "seed: [3"), "w:4:7: expected YAML, got expected ',' or ']', but got ':'"),
+        (("seed: 3", "seed: !!python/object:os.system 3"), None),
+    ],
+)
+def test_exact_messages(change: tuple[str, str], message: str | None) -> None:
+    with pytest.raises(WorldError) as error:
+        parse_world(GOOD.replace(*change), "w")
+    if message is not None:
+        assert str(error.value) == message
+
+
+@pytest.mark.parametrize("text", ["", "[]", "3", "\x00", "a: &a [*a]", "{" * 5000, "- " * 3000])
+def test_nonsense_is_refused_not_crashed_on(text: str) -> None:
+    with pytest.raises(WorldError):
+        parse_world(text)
+
+
+def test_files_that_are_not_there_or_not_text(tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match="expected a readable file, got No such file"):
+        load_world(tmp_path / "none.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(WorldError, match="expected UTF-8 text"):
+        load_world(tmp_path / "binary.yaml")
+
+
+def test_schema_and_default_world() -> None:
+    assert schema()["properties"]["schema"]["const"] == 1
+    assert len(default_world(90).vehicles) == 90
+    assert default_world(2, ["px4", "ardupilot"]).vehicles[1].autopilot == "ardupilot"
