@@ -102,19 +102,19 @@ class Catenaries:
         fractions = _floats(fractions)
         points = np.empty((self.span.size, fractions.size, 3))
         flat = [v.reshape(-1, 1) for v in (self.length, self.parameter, self.slope)]
-        vectors = self.start, self._per_angle, self.down
-        start, per_angle, down = (v.reshape(-1, 1, 3) for v in vectors)
-        falls = np.any(self.down.reshape(-1, 3), axis=0)
+        vectors = self.start, self._per_angle, self._per_height
+        start, per_angle, per_height = (v.reshape(-1, 1, 3) for v in vectors)
+        rises = np.any(per_height, axis=(0, 1))
         rows = max(1, _PORTION // max(1, fractions.size))
         scratch = np.empty((4, min(rows, self.span.size), fractions.size))
         for part in _portions(self.span.size, rows):
-            angle, up, moved, lowered = scratch[:, : len(start[part])]
+            angle, height, moved, raised = scratch[:, : len(start[part])]
             length, parameter, slope = (v[part] for v in flat)
-            _offsets(fractions, length, parameter, slope, angle, up, moved)
+            _offsets(fractions, length, parameter, slope, angle, height, moved)
             for axis in range(3):
                 np.multiply(angle, per_angle[part, :, axis], out=moved)
-                if falls[axis]:
-                    moved -= np.multiply(up, down[part, :, axis], out=lowered)
+                if rises[axis]:
+                    moved += np.multiply(height, per_height[part, :, axis], out=raised)
                 np.add(start[part, :, axis], moved, out=points[part, :, axis])
         return points.reshape(*self.span.shape, fractions.size, 3)
 
@@ -122,9 +122,9 @@ class Catenaries:
         """One point per strand, at its own fraction (…,) of its arc length: (…, 3)."""
         fraction = _floats(fraction)[..., None]
         length, parameter, slope = (v[..., None] for v in (self.length, self.parameter, self.slope))
-        angle, up, scratch = np.empty((3, *np.broadcast_shapes(fraction.shape, length.shape)))
-        _offsets(fraction, length, parameter, slope, angle, up, scratch)
-        point: Floats = self.start + angle * self._per_angle - up * self.down
+        angle, height, scratch = np.empty((3, *np.broadcast_shapes(fraction.shape, length.shape)))
+        _offsets(fraction, length, parameter, slope, angle, height, scratch)
+        point: Floats = self.start + angle * self._per_angle + height * self._per_height
         return point
 
     def at_span(self, fraction: ArrayLike) -> Floats:
@@ -190,6 +190,10 @@ class Catenaries:
     @property
     def _per_angle(self) -> Floats:
         return self.parameter[..., None] * self.heading
+
+    @property
+    def _per_height(self) -> Floats:
+        return -self.length[..., None] * self.down
 
     @property
     def _span(self) -> Floats:
@@ -305,16 +309,16 @@ def _offsets(
     parameter: Floats,
     first: Floats,
     angle: Floats,
-    up: Floats,
+    height: Floats,
     scratch: Floats,
 ) -> None:
-    """Write angle turned and height gained from the start to fractions of the arc length.
+    """Write angle turned, and height gained over length, from the start to fractions of the arc.
 
     With slopes A at the start and B at the point, and C = √(1 + slope²): the height is
     arc · (A + B)/(C_A + C_B), which does not cancel. The angle is arsinh B − arsinh A, or where it
     is small, from tanh(Δθ/2) = (B − A)/(C_A + C_B). Shapes broadcast to those of the last three.
     """
-    slope, cosh = up, scratch
+    slope, cosh = height, scratch
     cosh_first = np.sqrt(1.0 + first * first)
     np.multiply(fractions, length / parameter, out=slope)
     slope += first
@@ -335,10 +339,9 @@ def _offsets(
         series = half * (2.0 + half * half * (2 / 3 + half * half * (2 / 5)))
         np.copyto(angle, series, where=shallow)
 
-    up += first
-    up /= total
-    up *= fractions
-    up *= length
+    height += first
+    height /= total
+    height *= fractions
 
 
 def half_angle_for_stretch(stretch: Floats) -> Floats:
