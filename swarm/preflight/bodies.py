@@ -93,7 +93,7 @@ class VehicleStrands:
         at_strand, along, at_body = self.body.closest(strand.ends - grip[:, None], tip)
         normal = unit(at_strand - at_body)
         reach = np.einsum("bki,bi->bk", strand.ends - grip[:, None], normal).min(axis=1)
-        moved = strand.movement(along, normal, self.cable.down)
+        moved = strand.movement(along, normal)
         shift = np.where(own, 0.0, tracking) + 0.5 * self.diameter + self.required[boxes.pair]
         low = reach - self.body.support(normal, tip) - strand.bow - moved[0] - shift
         distance = np.linalg.norm(at_strand - at_body, axis=-1)

@@ -67,7 +67,7 @@ class AboveFloor:
         lowest = strands.lowest()[which]
         up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(boxes), 3))
         along = strands.lowest_fraction[which]
-        moved = strand.movement(along, up, self.cable.down)
+        moved = strand.movement(along, up)
         high = lowest[:, 2] - moved[0] - 0.5 * self.diameter - self.required
         # The whole strand's sensitivity stands for the lowest point's: only time is to be cut.
         return _in_time(high + (moved[1] - moved[2]), moved[1] - moved[2], lowest)

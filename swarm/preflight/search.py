@@ -119,7 +119,7 @@ def smallest(
     count = 0
     while len(boxes):
         count += len(boxes)
-        found = evaluate(boxes)
+        found = _evaluated(evaluate, boxes)
         _note(boxes, found, high, time, place)
         limit = np.minimum(high, _nth_smallest(high, MOMENTS))
         limit -= np.maximum(tolerance, np.maximum(0.05 * limit, -0.1 * high))
@@ -135,7 +135,7 @@ def smallest(
 def holds(evaluate: Evaluator, boxes: Boxes) -> bool:
     """Whether every margin is certified not to be negative; stops at the first that is."""
     while len(boxes):
-        found = evaluate(boxes)
+        found = _evaluated(evaluate, boxes)
         open_yet = found.low < 0.0
         exhausted = (boxes.half < _SMALLEST_HALF) | (
             np.maximum(boxes.first, boxes.second) > _DEEPEST_PIECE
@@ -145,6 +145,13 @@ def holds(evaluate: Evaluator, boxes: Boxes) -> bool:
             return False
         boxes = _cut(boxes.taken(open_yet), found.doubts[open_yet])
     return True
+
+
+def _evaluated(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
+    found = evaluate(boxes)
+    if np.any(np.isnan(found.low)):
+        raise ValueError("a margin is not a number: the motion or the lengths are not finite")
+    return found
 
 
 def _note(boxes: Boxes, found: Enclosure, high: Floats, time: Floats, place: Floats) -> None:

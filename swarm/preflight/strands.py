@@ -16,6 +16,7 @@ import numpy.typing as npt
 from swarm.cable.catenary import Catenaries, hang
 from swarm.cable.distance import segment_segment
 from swarm.preflight.course import Course
+from swarm.preflight.response import response
 from swarm.preflight.search import Boxes, Enclosure
 from swarm.preflight.sensitivity import (
     BOTH_ENDS,
@@ -76,14 +77,14 @@ class Pieces:
 
     ``ends`` (b, 2, 3); ``bow`` (b,) is the largest distance of the piece from its chord; ``loose``
     (b,) how far the strand's grip points move at most within interval and ball, ``still`` within
-    the ball alone, ``stretch`` the growth of the distance between them in metres.
+    the ball alone; ``stretch`` and ``still_stretch`` how far relative to each other.
     """
 
+    strands: Catenaries
     ends: Floats
     bow: Floats
     ratio: Floats
     sine: Floats
-    length: Floats
     number: Ints
     begin: Floats
     end: Floats
@@ -91,33 +92,43 @@ class Pieces:
     loose: Floats
     still: Floats
     stretch: Floats
-    still_stretch: float
+    still_stretch: Floats
 
-    def movement(
-        self, along: Floats, normal: Floats, down: tuple[float, float, float]
-    ) -> tuple[Floats, Floats, Floats]:
+    def movement(self, along: Floats, normal: Floats) -> tuple[Floats, Floats, Floats]:
         """How far the piece can move along ``normal``: at all, at ``along``, and in the ball only.
 
         ``along`` (b,) is a fraction of the chord; the second and third figure are for the point
         there, and so part the doubt that comes from the piece's size from that of the interval.
+        Each is the better of two bounds: by the worst shape, and by the strand's own response.
         """
-        point = _finest(self.begin + along * (self.end - self.begin))
-        up = np.minimum(np.abs(normal @ np.asarray(down)), 1.0)
-        across = np.sqrt(1.0 - up * up)
-        growth = self.stretch / self.length
-        still_growth = np.broadcast_to(self.still_stretch / self.length, growth.shape)
-        table = sensitivity()
-
-        def along_normal(reach: Floats, piece: Ints) -> Floats:
-            horizontal, vertical = table.largest(self.ratio, reach, self.sine, self.moving, piece)
-            movement: Floats = across * horizontal + up * vertical
-            return movement
-
+        fraction = self.begin + along * (self.end - self.begin)
+        own = response(
+            self.strands, fraction, self.moving, normal, (self.begin, self.end),
+            self.stretch, self.sine,
+        )  # fmt: skip
+        arc = self.strands.length * np.maximum(fraction - self.begin, self.end - fraction)
+        at_point = own.movement(self.loose, self.stretch)
+        in_ball = own.movement(self.still, self.still_stretch)
+        point = _finest(fraction)
         return (
-            along_normal(growth, self.number) * self.loose,
-            along_normal(growth, point) * self.loose,
-            along_normal(still_growth, point) * self.still,
+            np.minimum(
+                self._by_worst_shape(normal, self.number, self.stretch) * self.loose,
+                at_point + own.elsewhere(arc, self.stretch),
+            ),
+            np.minimum(self._by_worst_shape(normal, point, self.stretch) * self.loose, at_point),
+            np.minimum(
+                self._by_worst_shape(normal, point, self.still_stretch) * self.still, in_ball
+            ),
         )
+
+    def _by_worst_shape(self, normal: Floats, piece: Ints, stretch: Floats) -> Floats:
+        up = np.minimum(np.abs(np.einsum("bi,bi->b", normal, self.strands.down)), 1.0)
+        across = np.sqrt(1.0 - up * up)
+        horizontal, vertical = sensitivity().largest(
+            self.ratio, stretch / self.strands.length, self.sine, self.moving, piece
+        )
+        movement: Floats = across * horizontal + up * vertical
+        return movement
 
 
 def _finest(fraction: Floats, depth: int = 6) -> Ints:
@@ -180,10 +191,9 @@ def pieces(
     end = np.clip((number + 1) * width - 1.0, part[:, 0], part[:, 1])
     taken = _taken(strands, which)
     ends = np.stack([taken.points_at(begin), taken.points_at(end)], axis=1)
-    length = strands.length[which]
     across = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
-    arc = length * (end - begin)
-    chord = np.hypot(strands.span, strands.rise)[which]
+    arc = taken.length * (end - begin)
+    chord = np.hypot(taken.span, taken.rise)
 
     first, last = segment, segment + 1
     drift_first, drift_last = (team.drift(when, who, reference) for who in (first, last))
@@ -194,13 +204,13 @@ def pieces(
         np.where(moving == FAR_END, drift_last, drift_first),
     )  # fmt: skip
     ball = 2.0 * cable.tracking
-    steep = np.abs(strands.rise)[which] + stretch + ball
+    steep = np.abs(taken.rise) + stretch + ball
     return Pieces(
+        strands=taken,
         ends=ends,
         bow=0.5 * np.sqrt(np.maximum(arc * arc - across * across, 0.0)),
-        ratio=chord / length,
+        ratio=chord / taken.length,
         sine=np.minimum(steep / np.maximum(chord - stretch - ball, 1e-9), 1.0),
-        length=length,
         number=number,
         begin=begin,
         end=end,
@@ -208,7 +218,7 @@ def pieces(
         loose=drift + swerve + extra,
         still=np.broadcast_to(extra, drift.shape),
         stretch=stretch + ball,
-        still_stretch=ball,
+        still_stretch=np.full_like(stretch, ball),
     )
 
 
@@ -252,7 +262,7 @@ class StrandPairs:
                 ((first, boxes.first, NEAR_END), (second, boxes.second, FAR_END))
             )
         )  # fmt: skip
-        found = _apart(a, b, self.diameter + self.required, self.cable.down)
+        found = _apart(a, b, self.diameter + self.required)
         counts = (a.begin < a.end) & (b.begin < b.end)
         return Enclosure(
             np.where(counts, found.low, np.inf),
@@ -282,7 +292,7 @@ def all_pairs(lengths: Floats, beyond: float) -> tuple[Ints, Floats]:
     )
 
 
-def _apart(a: Pieces, b: Pieces, required: float, down: tuple[float, float, float]) -> Enclosure:
+def _apart(a: Pieces, b: Pieces, required: float) -> Enclosure:
     closest = segment_segment(a.ends, b.ends)
     at_a = a.ends[:, 0] + closest.first[:, None] * (a.ends[:, 1] - a.ends[:, 0])
     at_b = b.ends[:, 0] + closest.second[:, None] * (b.ends[:, 1] - b.ends[:, 0])
@@ -290,8 +300,8 @@ def _apart(a: Pieces, b: Pieces, required: float, down: tuple[float, float, floa
     # Any unit vector gives a true bound, so rounding in the closest points does no harm.
     reach_a = np.einsum("bki,bi->bk", a.ends, normal).min(axis=1)
     reach_b = np.einsum("bki,bi->bk", b.ends, normal).max(axis=1)
-    moved_a = a.movement(closest.first, normal, down)
-    moved_b = b.movement(closest.second, normal, down)
+    moved_a = a.movement(closest.first, normal)
+    moved_b = b.movement(closest.second, normal)
     bows = a.bow + b.bow
     return Enclosure(
         low=reach_a - reach_b - bows - moved_a[0] - moved_b[0] - required,
