@@ -53,7 +53,7 @@ class Place(Section):
 class Rates(Section):
     """How often what is sent and asked for."""
 
-    setpoint: float = number(25.0, "Hz", "Setpoints to every vehicle.", least=4.0, most=100.0)
+    setpoint: float = number(20.0, "Hz", "Setpoints to every vehicle.", least=4.0, most=100.0)
     position: float = number(10.0, "Hz", "Positions from every vehicle.", least=2.0, most=100.0)
     status: float = number(2.0, "Hz", "Attitude, landed state, battery.", least=0.5, most=20.0)
 

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from sitl import Emulator
 from sitl.world import parse_world
-from swarm.errors import SwarmError
+from swarm.errors import Refused
 from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
@@ -59,35 +59,52 @@ def rehearse(
     tick = 0
     while conductor.finished is None:
         now = tick * step
-        for sysid, data in emulator.step(now):
-            conductor.receive(_LINK, sysid, data, now)
-            if recorder is not None:
-                recorder.packet(data, now)
-        for outgoing in conductor.tick(now):
-            if isinstance(outgoing.address, int):
-                emulator.receive(outgoing.address, outgoing.data, now)
-            if recorder is not None:
-                recorder.packet(outgoing.data, now)
+        _exchange(conductor, emulator, recorder, now)
         if conductor.stage == "ready" and conductor.audit is not None:
             try:
                 conductor.start(go(proven, conductor.audit))
-            except SwarmError as error:
+            except Refused as error:
                 conductor.refuse(str(error))
-        for event in conductor.events():
-            events.append(event)
-            if recorder is not None:
-                recorder.event(event)
-            if on_event is not None:
-                on_event(event)
+        _tell(conductor, events, recorder, on_event)
         if on_snapshot is not None and now >= next_snapshot:
             next_snapshot = now + SNAPSHOT_INTERVAL
             on_snapshot(conductor.snapshot(now))
         if now > proven.plan.duration + _LONGEST_WAIT:
             conductor.give_up("the flight does not end")
         tick += 1
+    _tell(conductor, events, recorder, on_event)
     return FlightResult(
         outcome=conductor.finished,
         trace=conductor.trace(),
         events=tuple(events),
         statistics=conductor.statistics(),
     )
+
+
+def _exchange(
+    conductor: Conductor, emulator: Emulator, recorder: Recorder | None, now: float
+) -> None:
+    """One step of virtual time: what the vehicles sent, then what the conductor answers."""
+    for sysid, data in emulator.step(now):
+        conductor.receive(_LINK, sysid, data, now)
+        if recorder is not None:
+            recorder.packet(data, now)
+    for outgoing in conductor.tick(now):
+        if isinstance(outgoing.address, int):
+            emulator.receive(outgoing.address, outgoing.data, now)
+        if recorder is not None:
+            recorder.packet(outgoing.data, now)
+
+
+def _tell(
+    conductor: Conductor,
+    events: list[Event],
+    recorder: Recorder | None,
+    on_event: Callable[[Event], None] | None,
+) -> None:
+    for event in conductor.events():
+        events.append(event)
+        if recorder is not None:
+            recorder.event(event)
+        if on_event is not None:
+            on_event(event)

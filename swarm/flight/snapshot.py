@@ -1,9 +1,12 @@
 """What the flight looks like at one moment: the only thing that views and records are shown."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+
+from swarm.flight.monitor import Clearances
 
 Floats = npt.NDArray[np.float64]
 
@@ -15,7 +18,9 @@ class Snapshot:
     ``time`` is seconds since the flight's record began, ``mission_time`` and ``rate`` the mission
     clock. ``position``, ``velocity`` and ``setpoint`` (n, 3) are of grip points in mission ENU,
     NaN where unknown; ``battery`` (n,) is a share 0…1, ``link_age`` (n,) seconds since a vehicle
-    was last heard. ``modes`` and ``states`` are words per vehicle.
+    was last heard. ``modes`` and ``states`` are words per vehicle. ``clearances`` are what the live
+    monitor sees (None while the cable is on the floor); ``available`` says of each wish that the
+    operator may have whether its window is open, and what it would do now.
     """
 
     time: float
@@ -32,6 +37,8 @@ class Snapshot:
     gripped: tuple[bool, ...]
     battery: Floats
     link_age: Floats
+    clearances: Clearances | None = None
+    available: Mapping[str, tuple[bool, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

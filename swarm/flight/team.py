@@ -19,9 +19,10 @@ from swarm.mavlink.packets import (
     Decoder,
     Encoder,
     Message,
+    Packet,
     SetpointPacker,
 )
-from swarm.mavlink.vehicle import Vehicle
+from swarm.mavlink.vehicle import READ, Vehicle
 
 Floats = npt.NDArray[np.float64]
 Address = Hashable
@@ -29,6 +30,7 @@ Address = Hashable
 HEARTBEAT_INTERVAL = 1.0
 TIMESYNC_INTERVAL = 2.0
 _ROUTES_PER_VEHICLE = 4
+_HEARTBEAT = int(common.MAVLINK_MSG_ID_HEARTBEAT)
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class Team:
         }
         self._routes: dict[tuple[str, Address | None], Route] = {}
         self._ways: dict[int, dict[str, Route]] = {sysid: {} for sysid in self.vehicles}
+        self._best: dict[int, Route | None] = dict.fromkeys(self.vehicles)
         self._most_routes = _ROUTES_PER_VEHICLE * len(self.vehicles) + 16
         self._report = report
         self._noticed: set[Hashable] = set()
@@ -85,25 +88,25 @@ class Team:
         if route is None:
             self.rejected += 1
             return
-        for message in route.decoder.feed(data):
-            vehicle = self._sender(route, message)
+        for packet in route.decoder.feed(data):
+            vehicle = self._sender(route, packet)
             if vehicle is not None:
-                vehicle.receive(message, now)
+                vehicle.receive(packet, now)
 
     def _route(self, link: str, address: Address | None) -> Route | None:
         key = (link, address)
         route = self._routes.get(key)
         if route is None and len(self._routes) < self._most_routes:
-            route = Route(link, address, decoder=Decoder(stream=link in self._streams))
+            route = Route(link, address, decoder=Decoder(link in self._streams, READ))
             self._routes[key] = route
         return route
 
-    def _sender(self, route: Route, message: Message) -> Vehicle | None:
+    def _sender(self, route: Route, packet: Packet) -> Vehicle | None:
         """Return the vehicle whose message this is, if it may speak from there."""
-        sysid = message.get_srcSystem()
+        sysid = packet.system
         vehicle = self.vehicles.get(sysid)
         if vehicle is None:
-            self._stranger(route, message, sysid)
+            self._stranger(route, packet)
             return None
         ways = self._ways[sysid]
         known = ways.get(route.link)
@@ -118,14 +121,16 @@ class Team:
                 sysid,
             )
             return None
-        if message.get_type() != "HEARTBEAT":
+        if packet.number != _HEARTBEAT:
             return None
         ways[route.link] = route
+        self._best[sysid] = next(ways[link] for link in self._allowed[sysid] if link in ways)
         return vehicle
 
-    def _stranger(self, route: Route, message: Message, sysid: int) -> None:
+    def _stranger(self, route: Route, packet: Packet) -> None:
         self.rejected += 1
-        if message.get_type() != "HEARTBEAT":
+        message, sysid = packet.message, packet.system
+        if packet.number != _HEARTBEAT or message is None:
             return
         self._strangers.add(sysid)
         if message.type == common.MAV_TYPE_GCS:
@@ -149,8 +154,7 @@ class Team:
 
     def way_to(self, sysid: int) -> Route | None:
         """Return the route to a vehicle: its preferred link on which it was heard."""
-        ways = self._ways[sysid]
-        return next((ways[link] for link in self._allowed[sysid] if link in ways), None)
+        return self._best[sysid]
 
     def tick(self, now: float) -> list[Outgoing]:
         """Return heartbeats, commands and clock requests that are due."""
@@ -196,26 +200,24 @@ class Team:
         systems: tuple[int, ...],
         streaming: npt.NDArray[np.bool_],
         now: float,
-        position: Floats,
-        velocity: Floats,
-        acceleration: Floats,
+        states: Floats,
         yaw: Floats,
     ) -> list[Outgoing]:
         """Return setpoint packets for the vehicles that are streamed to.
 
-        Rows belong to ``systems``, in each vehicle's own NED, SI units and radians.
+        ``states`` (3, n, 3) are position, velocity and acceleration of ``systems``, in each
+        vehicle's own NED, SI units; ``yaw`` (n,) in radians.
         """
         routes = [
-            self.way_to(sysid) if wanted else None
+            self._best[sysid] if wanted else None
             for sysid, wanted in zip(systems, streaming.tolist(), strict=True)
         ]
-        if not any(routes):
-            return []
         if self._packer is None or self._packed != systems:
             components = [self.vehicles[sysid].component for sysid in systems]
             source = (GROUND_SYSTEM, GROUND_COMPONENT)
             self._packer, self._packed = SetpointPacker(systems, components, source), systems
         sequences = [route.encoder.take_sequence() if route else 0 for route in routes]
+        position, velocity, acceleration = states
         packets = self._packer.pack(
             sequences, int(now * 1000), position, velocity, acceleration, yaw
         )

@@ -28,6 +28,11 @@ _COPTER = {
     16: "position hold", 17: "brake", 18: "throw", 19: "avoid ADSB", 20: "guided without GPS",
     21: "smart return", 22: "flow hold", 23: "follow", 24: "zigzag", 27: "auto return",
 }  # fmt: skip
+BY_HAND = frozenset(
+    {"manual", "altitude", "position", "acro", "stabilized", "rattitude", "stabilize",
+     "altitude hold", "loiter", "drift", "sport", "position hold", "flow hold"}
+)  # fmt: skip
+"""Modes in which a pilot's sticks fly the vehicle."""
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM, Message
 
-RESEND_AFTER = 0.5
+RESEND_AFTER = 1.0
 """Seconds without an acknowledgement after which a command is sent again."""
-ATTEMPTS = 6
+ATTEMPTS = 5
 IN_PROGRESS_PATIENCE = 5.0
 """Seconds that each IN_PROGRESS buys."""
 RETRY_REJECTED_AFTER = 1.0

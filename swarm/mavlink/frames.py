@@ -49,31 +49,45 @@ class Frames:
     rotation: Floats
     translation: Floats
 
-    def points_to_vehicles(self, points: Floats) -> Floats:
-        """Return the vehicles' points (n, 3), mission ENU, each in its vehicle's NED."""
-        return self.vectors_to_vehicles(points) + self.translation
+    def to_vehicles(self, position: Floats, velocity: Floats, acceleration: Floats) -> Floats:
+        """Return points, velocities and accelerations (n, 3), mission ENU, in the vehicles' NED.
 
-    def vectors_to_vehicles(self, vectors: Floats) -> Floats:
-        """Return the vehicles' velocities or accelerations (n, 3), each in its vehicle's NED."""
-        rotated: Floats = np.matmul(self.rotation, vectors[:, :, None])[:, :, 0]
-        return rotated
+        The result is (3, n, 3): position, velocity, acceleration.
+        """
+        states = np.stack([position, velocity, acceleration], axis=2)
+        turned: Floats = np.matmul(self.rotation, states).transpose(2, 0, 1)
+        turned[0] += self.translation
+        return turned
 
     def points_to_mission(self, points: Floats) -> Floats:
         """Return points (n, 3), each in its vehicle's NED, in mission ENU."""
-        return self.vectors_to_mission(points - self.translation)
+        turned: Floats = np.matmul(self._inverse, (points - self.translation)[:, :, None])[:, :, 0]
+        return turned
 
-    def vectors_to_mission(self, vectors: Floats) -> Floats:
-        """Return velocities (n, 3), each in its vehicle's NED, in mission ENU."""
-        rotated: Floats = np.matmul(self._inverse, vectors[:, :, None])[:, :, 0]
-        return rotated
+    def states_to_mission(self, states: Floats) -> tuple[Floats, Floats]:
+        """Return positions and velocities (n, 2, 3), each in its vehicle's NED, in mission ENU.
+
+        The result is two arrays (n, 3).
+        """
+        turned = np.matmul(states, self._inverse_transposed)
+        return turned[:, 0] + self._offset, turned[:, 1]
 
     @cached_property
     def _inverse(self) -> Floats:
         return np.linalg.inv(self.rotation).astype(np.float64)
 
+    @cached_property
+    def _inverse_transposed(self) -> Floats:
+        return np.ascontiguousarray(self._inverse.transpose(0, 2, 1))
+
+    @cached_property
+    def _offset(self) -> Floats:
+        return self.points_to_mission(np.zeros_like(self.translation))
+
     def shifted(self, by: Floats) -> "Frames":
         """Return the frames after moving each vehicle's mission points by (n, 3) ENU metres."""
-        return replace(self, translation=self.translation - self.vectors_to_vehicles(by))
+        turned = np.matmul(self.rotation, by[:, :, None])[:, :, 0]
+        return replace(self, translation=self.translation - turned)
 
 
 def shared_frames(vehicles: int, heading: float = 0.0) -> Frames:

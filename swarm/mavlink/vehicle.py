@@ -12,10 +12,10 @@ from typing import ClassVar
 from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError
-from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot, Mode
+from swarm.mavlink.autopilots import AUTOPILOTS, BY_HAND, Autopilot, Mode
 from swarm.mavlink.commands import Command, CommandQueue
 from swarm.mavlink.frames import Origin
-from swarm.mavlink.packets import Message
+from swarm.mavlink.packets import Message, Packet
 
 Triple = tuple[float, float, float]
 
@@ -84,27 +84,26 @@ class Vehicle:
     _sequences: dict[int, int] = field(default_factory=dict)
     _chunks: dict[int, list[str]] = field(default_factory=dict)
     _quietened: set[int] = field(default_factory=set)
+    _from: int = 1
 
     def __post_init__(self) -> None:
         self.commands = CommandQueue(self.system, self.component)
 
     # What comes in
 
-    def receive(self, message: Message, now: float) -> None:
-        """Take a message that this vehicle sent."""
+    def receive(self, packet: Packet, now: float) -> None:
+        """Take a packet that this vehicle sent."""
         self.heard_at = now
         self.packets += 1
-        header = message.get_header()
-        component, sequence = header.srcComponent, header.seq
-        last = self._sequences.get(component)
-        self._sequences[component] = sequence
-        if last is not None:
-            self.lost_packets += (sequence - last - 1) % 256 if sequence != last else 0
-        handler = self._HANDLERS.get(header.msgId)
-        if handler is not None:
-            handler(self, message, now)
+        last = self._sequences.get(packet.component)
+        self._sequences[packet.component] = packet.sequence
+        if last is not None and packet.sequence != last:
+            self.lost_packets += (packet.sequence - last - 1) % 256
+        if packet.message is None:
+            self.unused[packet.number] = self.unused.get(packet.number, 0) + 1
         else:
-            self.unused[header.msgId] = self.unused.get(header.msgId, 0) + 1
+            self._from = packet.component
+            self._HANDLERS[packet.number](self, packet.message, now)
 
     def take_events(self) -> list[VehicleEvent]:
         """Return the events since the last call."""
@@ -142,6 +141,11 @@ class Vehicle:
         if self.autopilot is None or self.custom_mode < 0:
             return "unknown"
         return self.autopilot.mode_name(self.custom_mode)
+
+    @property
+    def flown_by_hand(self) -> bool:
+        """Whether the mode is one in which a pilot's sticks fly."""
+        return self.mode in BY_HAND
 
     @property
     def takes_off(self) -> bool:
@@ -211,18 +215,28 @@ class Vehicle:
 
     def request_interval(self, message: int, rate: float) -> None:
         """Ask for a message at a rate in Hz."""
-        name = common.mavlink_map[message].msgname
-        self._ask(f"interval of {name}", common.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
+        self._interval(message, 1e6 / rate)
 
     def quieten(self, since: float, now: float) -> None:
-        """Ask for once a second of everything that comes more often and that nobody reads.
+        """Stop what comes more than three times a second and nobody reads.
 
         ``since`` is when the vehicle was first heard. It leaves the link to what the flight needs.
         """
         for message, count in self.unused.items():
             if count > 3.0 * (now - since) and message not in self._quietened:
                 self._quietened.add(message)
-                self.request_interval(message, 1.0)
+                self._interval(message, -1.0)
+
+    def restore_streams(self) -> None:
+        """Give back what :meth:`quieten` stopped, at the autopilot's own rates."""
+        for message in self._quietened:
+            self._interval(message, 0.0)
+        self._quietened.clear()
+
+    def _interval(self, message: int, microseconds: float) -> None:
+        name = common.mavlink_map[message].msgname
+        command = common.MAV_CMD_SET_MESSAGE_INTERVAL
+        self._ask(f"interval of {name}", command, message, microseconds)
 
     def request_message(self, message: int, reached: Callable[[], bool] | None = None) -> None:
         """Ask for one message."""
@@ -254,7 +268,7 @@ class Vehicle:
             self.autopilot = AUTOPILOTS.get(message.autopilot)
         first = self.heartbeat_at == -math.inf
         self.heartbeat_at = now
-        self.component = self.commands.component = message.get_srcComponent()
+        self.component = self.commands.component = self._from
         armed = bool(message.base_mode & _ARMED)
         changed = message.custom_mode != self.custom_mode
         self.custom_mode = message.custom_mode
@@ -308,11 +322,9 @@ class Vehicle:
             self.ready = bool(message.onboard_control_sensors_health & _PREARM)
 
     def _status_text(self, message: Message, now: float) -> None:
-        raw = message.text
-        text = raw.decode("utf-8", "replace") if isinstance(raw, bytes) else raw
-        text = text.rstrip("\x00")
+        text = message.text.decode("utf-8", "replace").rstrip("\x00")
         if message.id:
-            key = message.get_srcComponent() << 16 | message.id
+            key = self._from << 16 | message.id
             parts = self._chunks.setdefault(key, [])
             parts.append(text)
             if len(text) >= _TEXT_LENGTH and len(parts) < 16:
@@ -350,6 +362,10 @@ class Vehicle:
         int(common.MAVLINK_MSG_ID_COMMAND_ACK): _acknowledged,
         int(common.MAVLINK_MSG_ID_TIMESYNC): _timesync,
     }
+
+
+READ: frozenset[int] = frozenset(Vehicle._HANDLERS)
+"""Numbers of the messages that a vehicle's state is made of."""
 
 
 def _distance(one: Origin, other: Origin) -> float:

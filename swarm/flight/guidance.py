@@ -1,0 +1,152 @@
+"""Where everybody should be now: the plan at the clock's time, and the ways out of it.
+
+Everything is of grip points, mission ENU, SI. Inside the plan setpoints are a function of mission
+time alone; a vehicle that joins from somewhere else is blended in; after leaving the plan the team
+follows a motion of its own in real time, or goes straight down together.
+"""
+
+from bisect import bisect_right
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.flight.clock import MissionClock
+from swarm.trajectory import Motion
+
+Floats = npt.NDArray[np.float64]
+
+SHORTEST_BLEND = 2.0
+"""Seconds that a blend into the plan takes at least."""
+BLEND_SPEED = 0.3
+"""Speed in m/s that a blend adds at most."""
+RAMP = 1.0
+"""Seconds in which a descent reaches its speed."""
+
+
+class State(NamedTuple):
+    """Position, velocity and acceleration (n, 3) of the grip points."""
+
+    position: Floats
+    velocity: Floats
+    acceleration: Floats
+
+
+class Sampler:
+    """One moment of a motion, quickly: a binary search and one product of small matrices."""
+
+    def __init__(self, motion: Motion) -> None:
+        self._times = motion.times.tolist()
+        pieces, orders, self._points, _ = motion.coefficients.shape
+        self._coefficients = np.ascontiguousarray(motion.coefficients).reshape(pieces, orders, -1)
+        self._powers = np.zeros((3, 6))
+
+    def at(self, time: float) -> State:
+        """Return the state at a time; outside the motion its nearest end at rest."""
+        times = self._times
+        inside = min(max(time, times[0]), times[-1])
+        piece = min(bisect_right(times, inside) - 1, len(times) - 2)
+        u = inside - times[piece]
+        u2, u3 = u * u, u * u * u
+        u4 = u2 * u2
+        powers = self._powers
+        powers[0] = (1.0, u, u2, u3, u4, u4 * u)
+        if inside == time:
+            powers[1, 1:] = (1.0, 2.0 * u, 3.0 * u2, 4.0 * u3, 5.0 * u4)
+            powers[2, 2:] = (2.0, 6.0 * u, 12.0 * u2, 20.0 * u3)
+        else:
+            powers[1:] = 0.0
+        states = (powers @ self._coefficients[piece]).reshape(3, self._points, 3)
+        return State(states[0], states[1], states[2])
+
+
+class Guidance:
+    """The setpoints of n vehicles."""
+
+    def __init__(self, motion: Motion) -> None:
+        n = motion.coefficients.shape[2]
+        self._plan = Sampler(motion)
+        self._blend = np.zeros((n, 3))
+        self._blend_since = np.zeros(n)
+        self._blend_time = np.ones(n)
+        self._blending = False
+        self._detour: tuple[float, float, Sampler] | None = None
+        self.detour_duration = 0.0
+        self._descent: tuple[float, float, Floats] | None = None
+
+    def planned(self, time: float) -> State:
+        """Return the plan's state at a mission time."""
+        return self._plan.at(time)
+
+    def join(self, k: int, position: Floats, time: float, now: float) -> None:
+        """Let a vehicle begin at a position (3,) and blend into the plan at mission ``time``."""
+        self._blend[k] = position - self._plan.at(time).position[k]
+        self._blend_since[k] = now
+        distance = float(np.linalg.norm(self._blend[k]))
+        self._blend_time[k] = max(SHORTEST_BLEND, 1.875 * distance / BLEND_SPEED)
+        self._blending = True
+
+    def detour(self, motion: Motion, now: float) -> None:
+        """Leave the plan for a motion in real time that begins at rest at the present setpoints."""
+        start = float(motion.times[0])
+        self._detour = now, start, Sampler(motion)
+        self.detour_duration = float(motion.times[-1]) - start
+        self._descent = None
+
+    def descend(self, start: Floats, speed: float, now: float) -> None:
+        """Leave the plan straight down from setpoints (n, 3) at rest, all at the same speed."""
+        self._descent = now, speed, start.copy()
+        self._detour = None
+
+    @property
+    def left_plan(self) -> bool:
+        """Whether the setpoints no longer come from the plan."""
+        return self._detour is not None or self._descent is not None
+
+    @property
+    def descending(self) -> bool:
+        """Whether the team is going straight down."""
+        return self._descent is not None
+
+    def wanted(self, clock: MissionClock, now: float) -> State:
+        """Return where everybody should be."""
+        if self._descent is not None:
+            return _descending(*self._descent, now)
+        if self._detour is not None:
+            since, start, sampler = self._detour
+            return sampler.at(start + now - since)
+        rate, slope = clock.rate, clock.slope
+        state = self._plan.at(clock.time)
+        along = state.velocity
+        position = state.position
+        velocity = rate * along
+        acceleration = rate * rate * state.acceleration + slope * along
+        if self._blending:
+            return self._blended(State(position, velocity, acceleration), now)
+        return State(position, velocity, acceleration)
+
+    def _blended(self, state: State, now: float) -> State:
+        u = np.clip((now - self._blend_since) / self._blend_time, 0.0, 1.0)[:, None]
+        time = self._blend_time[:, None]
+        left = 1.0 - u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        slowing = -30.0 * u**2 * (1.0 - u) ** 2 / time
+        bending = -60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / time**2
+        if np.all(u >= 1.0):
+            self._blend[:] = 0.0
+            self._blending = False
+        return State(
+            state.position + self._blend * left,
+            state.velocity + self._blend * slowing,
+            state.acceleration + self._blend * bending,
+        )
+
+
+def _descending(since: float, speed: float, start: Floats, now: float) -> State:
+    """Straight down from rest; who has arrived at the floor waits there."""
+    time = now - since
+    ramp = min(time / RAMP, 1.0)
+    down = speed * (0.5 * RAMP * ramp**2 + max(0.0, time - RAMP))
+    position, velocity = start.copy(), np.zeros_like(start)
+    position[:, 2] = np.maximum(start[:, 2] - down, np.minimum(start[:, 2], 0.0))
+    velocity[position[:, 2] > 0.0, 2] = -speed * ramp
+    return State(position, velocity, np.zeros_like(start))

@@ -1,0 +1,109 @@
+"""The certificate's distances on measured positions, now and a moment ahead.
+
+The certificate promises clearances while everybody stays in the tracking ball. The monitor looks
+at what really is: where it expects less than what the mission asks for, the clock slows down.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.cable.chain import polyline
+from swarm.cable.distance import strand_strand
+from swarm.plans import CableState, Plan
+from swarm.preflight.limits import TAUT
+
+Floats = npt.NDArray[np.float64]
+
+AHEAD = 1.5
+"""Seconds ahead at which conflicts are looked for."""
+CAUTION = 0.1
+"""Metres of margin below which the clock slows; without margin it stands still."""
+_POINTS = 12
+
+
+@dataclass(frozen=True)
+class Clearances:
+    """Smallest distances in metres at one moment, and what is left of what the mission asks for.
+
+    ``cable`` between strands that share no vehicle, surface to surface (infinite where nothing
+    hangs; a lower bound where they are far apart); ``vehicle`` horizontally between vehicles that
+    are not apart in height; ``chord`` the largest chord over length. ``margin`` is the smallest of
+    what is left, in metres.
+    """
+
+    cable: float
+    vehicle: float
+    chord: float
+    margin: float
+
+    @property
+    def pace(self) -> float:
+        """Return the rate at which the clock may run, 0…1."""
+        return min(1.0, max(0.0, self.margin / CAUTION))
+
+
+class Monitor:
+    """Distances of one plan's team."""
+
+    def __init__(self, plan: Plan) -> None:
+        n = plan.vehicles
+        self._lengths = plan.layout.lengths
+        self._diameter = plan.mission.cable.diameter
+        self._asked = plan.mission.clearance
+        self._pairs = np.triu_indices(n, 1)
+        first, second = np.triu_indices(max(n - 1, 0), 2)
+        self._strands = np.stack([first, second], axis=1)
+        across = np.arange(max(n - 1, 0) * _POINTS + 1) // _POINTS
+        near = np.abs(across[:, None] - across[None, :]) < 2
+        self._neighbours = np.where(near, np.inf, 0.0)
+        self._spacing = float(self._lengths.max(initial=0.0)) / _POINTS
+
+    def look(self, moments: Floats, cable: CableState) -> list[Clearances]:
+        """Return the clearances of grip points (k, n, 3), mission ENU, at each of k moments."""
+        first, second = self._pairs
+        between = moments[:, first] - moments[:, second]
+        level = np.hypot(between[:, :, 0], between[:, :, 1])
+        upright = np.abs(between[:, :, 2])
+        left = np.maximum(level - self._asked.vehicle, upright - self._asked.downwash)
+        vehicle = np.where(upright < self._asked.downwash, level, np.inf).min(
+            axis=1, initial=np.inf
+        )
+        margin = left.min(axis=1, initial=np.inf)
+        if cable != "aloft":
+            return [
+                Clearances(np.inf, float(v), 0.0, float(m))
+                for v, m in zip(vehicle, margin, strict=True)
+            ]
+        step = moments[:, 1:] - moments[:, :-1]
+        chord = np.sqrt(np.einsum("kij,kij->ki", step, step))
+        ratio = (chord / self._lengths).max(axis=1)
+        margin = np.minimum(margin, (TAUT * self._lengths - chord).min(axis=1))
+        strands = np.full(len(moments), np.nan)
+        fits = ratio < 1.0
+        if fits.any():
+            strands[fits] = self._between_strands(moments[fits])
+            margin = np.fmin(margin, strands - self._asked.cable)
+        return [
+            Clearances(float(s), float(v), float(r), float(m))
+            for s, v, r, m in zip(strands, vehicle, ratio, margin, strict=True)
+        ]
+
+    def _between_strands(self, moments: Floats) -> Floats:
+        """Smallest distances (k,) between strands: by points, exactly where those come close."""
+        if not len(self._strands):
+            return np.full(len(moments), np.inf)
+        points = polyline(moments, self._lengths, _POINTS)
+        squares = np.einsum("kij,kij->ki", points, points)
+        apart = squares[:, :, None] + squares[:, None, :]
+        apart -= 2.0 * np.matmul(points, points.transpose(0, 2, 1))
+        apart += self._neighbours
+        coarse = np.sqrt(np.maximum(apart.min(axis=(1, 2)), 0.0)) - self._spacing
+        close = coarse < self._asked.cable + 3.0 * CAUTION
+        if close.any():
+            index = np.arange(len(self._lengths))[:, None] * _POINTS + np.arange(_POINTS + 1)
+            closest = strand_strand(points[close][:, index], self._strands)
+            coarse[close] = closest.distance.min(axis=1)
+        distance: Floats = coarse - self._diameter
+        return distance
