@@ -152,12 +152,12 @@ class ArduPilot:
     def apply_gains(self) -> None:
         """Carry controller parameters into the batch."""
         p, b, i = self.v.parameters, self.v.bodies, self.v.index
-        xy, z = p["PSC_POSXY_P"], p["PSC_POSZ_P"]
-        b.position_gain[i] = (xy, xy, z)
-        xy, z = p["PSC_VELXY_P"], p["PSC_VELZ_P"]
-        b.velocity_gain[i] = (xy, xy, z)
-        xy = p["PSC_VELXY_I"]
-        b.integral_gain[i] = (xy, xy, 2.0 * p["PSC_ACCZ_I"])
+        demand.gains(
+            self.v,
+            (p["PSC_POSXY_P"], p["PSC_POSZ_P"]),
+            (p["PSC_VELXY_P"], p["PSC_VELZ_P"]),
+            (p["PSC_VELXY_I"], 2.0 * p["PSC_ACCZ_I"]),
+        )
         angle = min(80.0, max(10.0, p["ANGLE_MAX"] / 100.0))
         b.tilt_limit[i] = math.tan(math.radians(angle))
         b.spool_time[i] = max(0.1, p["MOT_SPOOL_TIME"])

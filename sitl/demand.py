@@ -21,6 +21,23 @@ def limits(v: Vehicle, speed: float, climb: float, descend: float) -> None:
     b.touch()
 
 
+def gains(
+    v: Vehicle,
+    position: tuple[float, float],
+    velocity: tuple[float, float],
+    integral: tuple[float, float],
+) -> None:
+    """Set the controller's gains, each (horizontal, vertical), as far as its step can take them."""
+    b, i = v.bodies, v.index
+    for gain, (level, upright), most in (
+        (b.position_gain, position, 5.0),
+        (b.velocity_gain, velocity, 15.0),
+        (b.integral_gain, integral, 10.0),
+    ):
+        gain[i] = np.clip((level, level, upright), 0.0, most)
+    b.touch()
+
+
 def hold(v: Vehicle) -> None:
     """Brake and stay where that ends."""
     velocity = v.bodies.velocity[v.index]

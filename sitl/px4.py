@@ -174,12 +174,12 @@ class Px4:
     def apply_gains(self) -> None:
         """Carry controller parameters into the batch."""
         p, b, i = self.v.parameters, self.v.bodies, self.v.index
-        xy, z = p["MPC_XY_P"], p["MPC_Z_P"]
-        b.position_gain[i] = (xy, xy, z)
-        xy, z = p["MPC_XY_VEL_P_ACC"], p["MPC_Z_VEL_P_ACC"]
-        b.velocity_gain[i] = (xy, xy, z)
-        xy, z = p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"]
-        b.integral_gain[i] = (xy, xy, z)
+        demand.gains(
+            self.v,
+            (p["MPC_XY_P"], p["MPC_Z_P"]),
+            (p["MPC_XY_VEL_P_ACC"], p["MPC_Z_VEL_P_ACC"]),
+            (p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"]),
+        )
         b.tilt_limit[i] = math.tan(math.radians(min(89.0, max(10.0, p["MPC_TILTMAX_AIR"]))))
         b.spool_time[i] = max(0.0, p["COM_SPOOLUP_TIME"])
         b.ramp_time[i] = max(0.1, 0.5 * p["MPC_TKO_RAMP_T"])

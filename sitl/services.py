@@ -27,6 +27,8 @@ _MISSION_TIMEOUT = 5.0
 _LARGEST_MISSION = 500
 _PARAMETERS_PER_TICK = 20
 _LARGEST_RATE = 200.0
+_LARGEST_ID = 65535
+_FARTHEST = 1e5
 
 
 def _addressed(v: Vehicle, message: Any) -> bool:
@@ -112,10 +114,12 @@ def _set_interval(v: Vehicle, command: Command) -> int:
 
 
 def _get_interval(v: Vehicle, command: Command) -> int:
-    name = NAMES.get(int(command.p[0]))
-    interval = command.link.intervals.get(name) if name else None
+    number = int(command.p[0])
+    if not 0 <= number <= _LARGEST_ID:
+        return DENIED
+    interval = command.link.intervals.get(NAMES.get(number, ""))
     microseconds = round(interval * 1e6) if interval else -1
-    v.send("MESSAGE_INTERVAL", command.link, message_id=int(command.p[0]), interval_us=microseconds)
+    v.send("MESSAGE_INTERVAL", command.link, message_id=number, interval_us=microseconds)
     return ACCEPTED
 
 
@@ -150,9 +154,10 @@ def _set_home(v: Vehicle, command: Command) -> int:
         ):
             return DENIED
         x, y = v.around.geodesy.metres(command.p[4], command.p[5])
-        if max(abs(x), abs(y)) > 1e5:
+        z = command.p[6] - v.around.geodesy.altitude
+        if max(abs(x), abs(y), abs(z)) > _FARTHEST:
             return DENIED
-        place = np.array([x, y, command.p[6] - v.around.geodesy.altitude])
+        place = np.array([x, y, z])
     v.home = place
     return ACCEPTED
 
@@ -429,8 +434,9 @@ def _set_origin(v: Vehicle, message: Any, link: Link) -> None:
     if abs(message.latitude) > 900_000_000 or abs(message.longitude) > 1_800_000_000:
         return
     x, y = v.around.geodesy.metres(message.latitude * 1e-7, message.longitude * 1e-7)
-    if max(abs(x), abs(y)) < 1e5:
-        v.move_origin([x, y, message.altitude * 1e-3 - v.around.geodesy.altitude])
+    z = message.altitude * 1e-3 - v.around.geodesy.altitude
+    if max(abs(x), abs(y), abs(z)) < _FARTHEST:
+        v.move_origin([x, y, z])
         emit(v, "GPS_GLOBAL_ORIGIN", link)
 
 

@@ -1,0 +1,146 @@
+"""The emulator as a process of its own: sockets, signals, exit codes, ground truth on file."""
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pymavlink.dialects.v20 import common as dialect
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict]]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sitl", "--json", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        yield process, json.loads(line) if line else {}
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def ground_socket() -> socket.socket:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.bind(("127.0.0.1", 0))
+    sock.settimeout(5.0)
+    return sock
+
+
+def test_every_vehicle_from_its_own_port_to_one_target() -> None:
+    with ground_socket() as sock:
+        target = f"127.0.0.1:{sock.getsockname()[1]}"
+        with running("-n", "3", "--target", target, "--speed", "5") as (process, ready):
+            assert ready["ready"]
+            assert [one["id"] for one in ready["vehicles"]] == [1, 2, 3]
+            parser = dialect.MAVLink(None)
+            seen: dict[int, int] = {}
+            deadline = time.monotonic() + 10
+            while len(seen) < 3 and time.monotonic() < deadline:
+                data, address = sock.recvfrom(65535)
+                for message in parser.parse_buffer(data) or []:
+                    if message.get_type() == "HEARTBEAT":
+                        seen[message.get_srcSystem()] = address[1]
+            assert seen == {one["id"]: one["udp_local"] for one in ready["vehicles"]}
+            request = dialect.MAVLink_param_request_read_message(2, 1, b"MAV_SYS_ID", -1)
+            sock.sendto(request.pack(dialect.MAVLink(None, 255, 190)), ("127.0.0.1", seen[2]))
+            answers = []
+            while not answers and time.monotonic() < deadline:
+                for message in parser.parse_buffer(sock.recv(65535)) or []:
+                    if message.get_type() == "PARAM_VALUE":
+                        answers.append((message.get_srcSystem(), message.param_id))
+            assert answers == [(2, "MAV_SYS_ID")]
+            process.send_signal(signal.SIGINT)
+            assert process.wait(5) == 0
+            assert process.communicate()[1] == ""
+
+
+def test_a_termination_signal_ends_it_quietly_and_truth_is_on_file(tmp_path: Path) -> None:
+    file = tmp_path / "truth.jsonl"
+    with running("--truth", str(file), "--target", "127.0.0.1:9", "--speed", "20") as (process, _):
+        deadline = time.monotonic() + 10
+        while file.read_text().count("\n") < 20 and time.monotonic() < deadline:
+            select.select([], [], [], 0.05)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(5) == 0
+        assert process.communicate() == ("", "")
+    lines = [json.loads(line) for line in file.read_text().splitlines()]
+    states = [line for line in lines if "record" not in line]
+    assert states[-1]["time"] > 1.0
+    assert states[-1]["ids"] == [1]
+    assert len(states[-1]["position"][0]) == 3
+
+
+def test_bad_files_and_usage_are_exit_code_2(tmp_path: Path) -> None:
+    bad = tmp_path / "w.yaml"
+    bad.write_text("schema: 1\nvehicles: []\nwinds: 3\n")
+    for arguments, error in (
+        (["--world", str(bad)], f"{bad}: winds: expected a known key, got this one"),
+        (["--scenario", str(bad)], f"{bad}: winds: expected a known key, got this one"),
+        (["-n", "0"], "-n: expected 1 to 250, got 0"),
+        (["--target", "nowhere"], "--target: expected HOST:PORT, got nowhere"),
+        (["--speed", "nan"], "--speed: expected 0.01 to 1000, got nan"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "sitl", *arguments], capture_output=True, text=True, timeout=20
+        )
+        assert done.returncode == 2
+        assert error in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_the_ports_of_the_real_simulators() -> None:
+    with running("-n", "12", "--autopilot", "px4") as (_, ready):
+        ports = [int(one["udp_to"].split(":")[1]) for one in ready["vehicles"]]
+        assert ports == [*range(14540, 14550), 14549, 14549]
+        assert {one["udp_ground"] for one in ready["vehicles"]} == {"127.0.0.1:14550"}
+    with running("-n", "12", "--port-step", "2") as (_, ready):
+        ports = [int(one["udp_to"].split(":")[1]) for one in ready["vehicles"]]
+        assert ports == [14540 + 2 * i for i in range(12)]
+
+
+def test_ardupilot_listens_on_tcp_as_its_simulator_does() -> None:
+    with running("-n", "2", "--autopilot", "ardupilot", "--speed", "5") as (_, ready):
+        for i, one in enumerate(ready["vehicles"]):
+            assert one["tcp"] in {f"127.0.0.1:{5760 + 10 * i}", None}
+            if one["tcp"] is None:
+                continue
+            with socket.create_connection(("127.0.0.1", 5760 + 10 * i), timeout=5) as sock:
+                parser = dialect.MAVLink(None)
+                messages = parser.parse_buffer(sock.recv(65535)) or []
+                assert {message.get_srcSystem() for message in messages} == {i + 1}
+
+
+def test_it_ends_when_its_parent_does() -> None:
+    script = (
+        "import subprocess, sys\n"
+        "child = subprocess.Popen([sys.executable, '-m', 'sitl', '--follow-parent', '--json',"
+        " '--target', '127.0.0.1:9'], stdout=subprocess.PIPE)\n"
+        "child.stdout.readline(); print(child.pid, flush=True)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=20
+    )
+    child = int(done.stdout)
+    deadline = time.monotonic() + 5
+    while time.monotonic() < deadline and Path(f"/proc/{child}").exists():
+        with Path(f"/proc/{child}/stat").open() as file:
+            if file.read().rsplit(")", 1)[1].split()[0] == "Z":
+                break
+        select.select([], [], [], 0.05)
+    else:
+        assert not Path(f"/proc/{child}").exists()
+    assert os.path.isdir("/proc")
