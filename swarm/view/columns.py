@@ -139,17 +139,24 @@ def strand_distances(plan: Plan, step: float = CLEARANCE_STEP) -> tuple[Floats, 
     """Return times (k,) and the smallest surface distance (k,) of strands aloft then, metres.
 
     A sample of the planned motion without tracking errors, for curves: the certificate is the
-    bound. Neighbouring segments, which meet at a grip point, are left out.
+    bound.
     """
     aloft = [phase for phase in plan.phases if phase.cable == "aloft"]
     start, end = aloft[0].start, aloft[-1].end
     times = np.linspace(start, end, max(2, round((end - start) / step) + 1))
-    shapes = scene.strands(plan.motion.at(times)[0], plan.layout.lengths, POINTS_PER_SEGMENT)
-    count = plan.vehicles - 1
-    first, second = np.triu_indices(count, 2)
-    pairs = np.column_stack([first, second])
-    closest = strand_strand(shapes, pairs).distance.min(axis=1)
-    return times, closest - plan.mission.cable.diameter
+    return times, distances_of_strands(plan, plan.motion.at(times)[0])
+
+
+def distances_of_strands(plan: Plan, grips: Floats) -> Floats:
+    """Return the smallest surface distance (k,) of strands between grip points (k, n, 3), metres.
+
+    Neighbouring segments, which meet at a grip point, are left out.
+    """
+    shapes = scene.strands(grips, plan.layout.lengths, POINTS_PER_SEGMENT)
+    first, second = np.triu_indices(plan.vehicles - 1, 2)
+    closest = strand_strand(shapes, np.column_stack([first, second])).distance.min(axis=1)
+    surface: Floats = closest - plan.mission.cable.diameter
+    return surface
 
 
 def send_phases(stream: rr.RecordingStream, entity: str, plan: Plan) -> None:

@@ -21,6 +21,7 @@ p { margin: .4rem 0; }
   background: var(--soft); font-weight: 600; overflow-wrap: anywhere; }
 .verdict.good { border-color: var(--good); color: var(--good); }
 .verdict.bad { border-color: var(--bad); color: var(--bad); }
+.verdict.warn { border-color: var(--warn); color: var(--warn); }
 .figures { display: grid; gap: .6rem;
   grid-template-columns: repeat(auto-fit, minmax(7.2rem, 1fr)); }
 .figure { background: var(--soft); border-radius: .5rem; padding: .5rem .7rem; }
@@ -39,8 +40,8 @@ th { color: var(--dim); font-weight: 500; white-space: nowrap; }
 td.number, th.number { text-align: right; white-space: nowrap; }
 .good { color: var(--good); } .bad { color: var(--bad); font-weight: 600; }
 .warn { color: var(--warn); }
-pre { background: var(--soft); padding: .7rem; border-radius: .5rem; overflow-x: auto;
-  font-size: .8rem; }
+pre { columns: 2 18rem; background: var(--soft); padding: .7rem; border-radius: .5rem;
+  overflow-x: auto; font-size: .8rem; }
 footer { margin-top: 2.5rem; color: var(--dim); font-size: .85rem; }
 @media print { body { max-width: none; padding: 0; font-size: 11px; }
   h2 { break-after: avoid; } tr { break-inside: avoid; } .scroll { overflow: visible; }

@@ -1,10 +1,12 @@
 """One page per plan and per flight, to be kept, printed and sent: HTML that needs no network."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
+import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -14,7 +16,7 @@ from swarm.flight.trace import Trace
 from swarm.plans import Plan
 from swarm.preflight.findings import Assessment, Tightest
 from swarm.view import plots, scene
-from swarm.view.columns import strand_distances
+from swarm.view.columns import CLEARANCE_STEP, distances_of_strands, strand_distances
 from swarm.view.page import Html, key_figures, page, picture, pictures, section, table, tag
 from swarm.view.words import ROUTINE, clock, level, merged, metres, seconds, sentence
 
@@ -75,6 +77,7 @@ def flight_report(
             f"{'' if as_planned else ', which is not what was planned'}.",
             kind="verdict good" if done and as_planned else "verdict bad",
         ),
+        _left_the_ball(plan, outcome),
         key_figures(_flight_figures(plan, outcome)),
         section("Smallest distances", _flown(outcome)),
         section("Notes", *(tag("p", note) for note in outcome["notes"])),
@@ -84,6 +87,21 @@ def flight_report(
         section("The plan", key_figures(_plan_figures(plan, assessment)), _findings(assessment)),
         _footer(),
     )
+
+
+def _left_the_ball(plan: Plan, outcome: Mapping[str, Any]) -> Html:
+    ball, worst = plan.mission.vehicles.tracking, _worst_in_fold(outcome)
+    if not worst > ball:
+        return Html("")
+    words = (
+        f"Tracking errors reached {metres(worst)} in the fold. The plan is certified for "
+        f"{metres(ball)}: what it promises did not hold for this flight."
+    )
+    return tag("div", words, kind="verdict warn")
+
+
+def _worst_in_fold(outcome: Mapping[str, Any]) -> float:
+    return max((e["max"] for e in outcome["tracking"] if e["phase"] == "fold"), default=np.nan)
 
 
 def _errors(assessment: Assessment) -> str:
@@ -184,10 +202,37 @@ def _flight_pictures(plan: Plan, trace: Trace) -> list[Html]:
     figure, axes = _axes((8.0, 2.2))
     plots.draw_clock(axes, trace)
     found.append(picture(figure, "Mission clock over time", wide=True))
-    figure, axes = _axes((5.0, 4.2))
+    held = _held(trace)
+    known = np.flatnonzero(held)[:: _every(trace)]
+    if plan.vehicles >= 4 and len(known):
+        figure, axes = _axes((8.0, 2.8))
+        distance = distances_of_strands(plan, trace.position[known])
+        required = plan.mission.clearance.cable
+        title = "Distance of strands that are not neighbours, as flown (sampled)"
+        plots.draw_over_time(axes, trace.mission_time[known], distance, required, title)
+        found.append(picture(figure, title, wide=True))
+    figure, axes = _axes()
     plots.draw_flown_view(axes, plan, trace)
-    found.append(picture(figure, "The cable from above as it was held at the end, and as planned"))
+    found.append(picture(figure, "The cable from above as planned, and where it was held"))
+    if len(known):
+        figure, axes = _axes(projection="3d")
+        flown = trace.position[np.flatnonzero(held)[-1]]
+        plots.draw_fold(axes, replace(plan.layout, corners=flown))
+        axes.set_title("As held at last, distances at crossings in m")
+        found.append(picture(figure, "The cable in space as it was held at last"))
     return found
+
+
+def _held(trace: Trace) -> npt.NDArray[np.bool_]:
+    """Return at which instants all vehicles' positions in fold and hold are known."""
+    held = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
+    return held & np.isfinite(trace.position).all(axis=(1, 2))
+
+
+def _every(trace: Trace) -> int:
+    """Return how many instants make a step of the sampled curves."""
+    step = float(np.median(np.diff(trace.time)))
+    return max(1, round(CLEARANCE_STEP / step))
 
 
 def _axes(
@@ -225,13 +270,16 @@ def _plan_tables(plan: Plan) -> tuple[Html, ...]:
             "Gates", table(("at, s", "waits until all are", "at most, s"), gates, frozenset({0, 2}))
         ),
         section("What the planner says", *(tag("p", note) for note in plan.notes)),
-        section("Mission", tag("pre", plan.mission.model_dump_json(by_alias=True, indent=1))),
+        section(
+            "Mission",
+            tag("pre", plan.mission.model_dump_json(by_alias=True, exclude_none=True, indent=1)),
+        ),
     )
 
 
 def _flight_figures(plan: Plan, outcome: Mapping[str, Any]) -> list[tuple[str, object]]:
     lateness = outcome["lateness"]
-    worst = max((e["max"] for e in outcome["tracking"] if e["phase"] == "fold"), default=np.nan)
+    worst = _worst_in_fold(outcome)
     chord = outcome["largest_chord"]
     return [
         ("vehicles", plan.vehicles),
@@ -239,13 +287,13 @@ def _flight_figures(plan: Plan, outcome: Mapping[str, Any]) -> list[tuple[str, o
         ("largest tracking error in the fold", metres(worst)),
         ("chord of the tautest segment", "–" if chord is None else f"{chord:.1%}"),
         ("setpoints sent", outcome["setpoints"]),
-        ("late by (median, 99 %)", _lateness(lateness)),
+        ("ms late (median, 99 %)", _lateness(lateness)),
         ("packets lost", sum(outcome["lost"].values())),
     ]
 
 
 def _lateness(lateness: Sequence[float] | None) -> str:
-    return "–" if not lateness else f"{lateness[0] * 1e3:.1f}, {lateness[1] * 1e3:.1f} ms"
+    return "–" if not lateness else f"{lateness[0] * 1e3:.1f}, {lateness[1] * 1e3:.1f}"
 
 
 def _flown(outcome: Mapping[str, Any]) -> Html:
