@@ -13,9 +13,9 @@ from swarm.knots.groups import sum_diagram
 from swarm.knots.hand import hand_of
 from swarm.knots.invariants import Identification, identify_diagram
 from swarm.knots.jones import jones
-from swarm.knots.layout import compact
+from swarm.knots.layout import smallest
 from swarm.knots.names import Named, parse_name, torus_grid
-from swarm.knots.search import minimised, rearranged
+from swarm.knots.search import rearranged
 from swarm.knots.simplify import simplified
 from swarm.knots.sums import Factor, named
 from swarm.knots.table import prime, table
@@ -134,7 +134,7 @@ def _of_name(wanted: Named, asked: str | None) -> KnotChoice:
     if hand == "left":
         shape, diagram = mirrored_grid(shape), diagram.mirrored()
     crossings = min(p * (q - 1) for p, q in (wanted.torus, wanted.torus[::-1]))
-    grid = compact(shape, tries=100)
+    grid = smallest(shape, target=shape.size)
     return KnotChoice(name, hand, diagram.code.text(), diagram, grid, crossings)
 
 
@@ -174,12 +174,12 @@ def factor_grid(factors: tuple[Factor, ...]) -> Grid:
     if len(grids) == 1:
         return grids[0]
     target = sum(grid.size for grid in grids) - 2 * (len(grids) - 1)
-    return compact(minimised(drawn(sum_diagram(factors)), target=target), tries=100)
+    return smallest(drawn(sum_diagram(factors)), target=target)
 
 
 def _searched(name: str, chirality: str, shape: Grid, warnings: tuple[str, ...]) -> KnotChoice:
     """A knot outside the table, from any grid diagram of it."""
-    small = compact(minimised(shape), tries=100)
+    small = smallest(shape)
     diagram = simplified(Diagram(small.code), kicks=20)
     return KnotChoice(
         name, chirality, diagram.code.text(), diagram, small, diagram.crossings, warnings

@@ -147,7 +147,7 @@ def _report(parts: tuple[Diagram, ...]) -> dict[str, Any]:
             _times(of_jones, jones(part)),
             _times(of_alexander, alexander(part)),
         )
-    determinant = abs(sum(c * (-1) ** power for power, c in of_alexander.items()))
+    determinant = abs(sum(-c if power % 2 else c for power, c in of_alexander.items()))
     return {
         "jones": dict(sorted(of_jones.items())),
         "alexander": dict(sorted(of_alexander.items())),

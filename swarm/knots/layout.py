@@ -1,24 +1,61 @@
-"""Grid diagrams that a cable would rather have: few crossings, short edges, same size."""
+"""Grid diagrams that a cable would rather have: few crossings, short edges, as small as can be."""
 
-from itertools import islice
+import math
+from random import Random
 
 from swarm.knots.grid import Grid, least_opening
-from swarm.knots.search import rearranged
+from swarm.knots.search import MOVES, Walk, minimised
+
+_HOT, _COLD = 1.5, 0.2
+"""Temperatures of the annealing, in crossings."""
 
 
-def compact(grid: Grid, *, tries: int, seed: int = 1) -> Grid:
-    """Among grids of the same size and knot, one whose best opening is best.
+def smallest(
+    grid: Grid, *, target: int = 2, starts: int = 4, steps: int = 300, moves: int = MOVES
+) -> Grid:
+    """A grid diagram of the same knot, as small as is found, with a good opening.
 
-    Looks at ``tries`` grids along a walk of commutations, half of them near the best one so far.
+    Commutations do not join all grids of one size, so several searches, with different random
+    numbers, lead to ``starts`` of them; each is annealed for ``steps``, and the best is taken.
     """
-    best, score = grid, _score(grid)
-    for apart in (30, 4):
-        for other in islice(rearranged(best, seed=seed, apart=apart), tries // 2):
-            value = _score(other)
-            if value < score:
-                best, score = other, value
+    first = minimised(grid, target=target, moves=moves)
+    found = [compact(first, steps=steps)]
+    for seed in range(2, starts + 1):
+        other = minimised(grid, target=first.size, moves=moves, seed=seed)
+        if other.size == first.size:
+            found.append(compact(other, steps=steps, seed=seed))
+    return min(found, key=_score)
+
+
+def compact(grid: Grid, *, steps: int, seed: int = 1) -> Grid:
+    """Among grids that commutations lead to, one whose best opening is good.
+
+    Fewest crossings first, then least total edge length, by annealing.
+    """
+    walk = Walk(grid, seed)
+    chance = Random(seed).random
+    best, best_score = grid, _score(grid)
+    score = best_score
+    for step in range(steps):
+        temperature = _HOT * (_COLD / _HOT) ** (step / steps)
+        before = walk.state()
+        if not walk.commute():
+            continue
+        other = walk.grid()
+        value = _score(other)
+        if value > score and chance() >= math.exp((score - value) / temperature):
+            walk.restore(before)
+            continue
+        score = value
+        if value < best_score:
+            best, best_score = other, value
     return best
 
 
-def _score(grid: Grid) -> tuple[int, int]:
-    return least_opening(grid) or (grid.size**2, 0)
+def _score(grid: Grid) -> float:
+    """Crossings of the best opening, and a little for its length (never as much as a crossing)."""
+    found = least_opening(grid)
+    if found is None:
+        return float(grid.size**2)
+    crossings, length = found
+    return crossings + length / (2 * grid.size**2)

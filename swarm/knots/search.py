@@ -22,7 +22,7 @@ def minimised(grid: Grid, *, target: int = 2, moves: int = MOVES, seed: int = 1)
 
     Stops early at size ``target``; otherwise after ``moves`` attempted moves.
     """
-    walk = _Walk(grid, seed)
+    walk = Walk(grid, seed)
     walk.shrink()
     best = walk.grid()
     stuck = 0
@@ -47,20 +47,19 @@ def minimised(grid: Grid, *, target: int = 2, moves: int = MOVES, seed: int = 1)
 
 def rearranged(grid: Grid, *, seed: int = 1, apart: int = 30) -> Iterator[Grid]:
     """Endless grid diagrams of the same knot and size, some moves apart from each other."""
-    walk = _Walk(grid, seed)
+    walk = Walk(grid, seed)
     while True:
         for _ in range(apart):
             walk.commute()
         yield walk.grid()
 
 
-class _Walk:
+class Walk:
     """A grid on the torus that is being rearranged: ends of columns and of rows, from 0."""
 
     def __init__(self, grid: Grid, seed: int) -> None:
         self._set([(low - 1, high - 1) for low, high in grid.columns])
         self.random = Random(seed).random
-        self.touched: tuple[int, ...] = tuple(range(grid.size))
 
     def _set(self, columns: list[tuple[int, int]]) -> None:
         rows: list[list[int]] = [[] for _ in columns]
@@ -69,6 +68,14 @@ class _Walk:
                 rows[row].append(column)
         self.size = len(columns)
         self.sides = (columns, [(one, two) for one, two in rows])
+
+    def state(self) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+        """What :meth:`restore` needs to come back to this grid."""
+        return list(self.sides[0]), list(self.sides[1])
+
+    def restore(self, state: tuple[list[tuple[int, int]], list[tuple[int, int]]]) -> None:
+        """Back to an earlier grid of the same size."""
+        self.sides = state
 
     def grid(self) -> Grid:
         """The current grid diagram."""

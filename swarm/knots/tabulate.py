@@ -15,8 +15,7 @@ from swarm.knots.diagram import Diagram, diagrams_of_dt
 from swarm.knots.draw import drawn
 from swarm.knots.hand import AMPHICHIRAL, right_handed
 from swarm.knots.jones import jones
-from swarm.knots.layout import compact
-from swarm.knots.search import minimised
+from swarm.knots.layout import smallest
 from swarm.knots.simplify import simplified
 from swarm.knots.sums import order
 from swarm.knots.table import TableKnot
@@ -25,7 +24,9 @@ MOVES = 400_000
 """Attempted moves for a knot whose arc index is not known beforehand."""
 
 
-def tabulated(name: str, notation: str, *, moves: int = MOVES, tries: int = 1000) -> TableKnot:
+def tabulated(
+    name: str, notation: str, *, moves: int = MOVES, starts: int = 24, steps: int = 400
+) -> TableKnot:
     """One line of the table from a knot's Conway notation."""
     chiral = name not in AMPHICHIRAL
     drawing = simplified(diagram_of_conway(notation), kicks=500)
@@ -35,7 +36,7 @@ def tabulated(name: str, notation: str, *, moves: int = MOVES, tries: int = 1000
     diagram = _right(diagrams_of_dt(dt), chiral)
     # The arc index of an alternating knot is known (Bae and Park 2000).
     target = drawing.crossings + 2 if drawing.alternating else 2
-    grid = compact(minimised(drawn(diagram), target=target, moves=moves), tries=tries)
+    grid = smallest(drawn(diagram), target=target, starts=starts, steps=steps, moves=moves)
     return TableKnot(
         name=name,
         chiral=chiral,

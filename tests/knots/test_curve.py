@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarm.knots.curve import curve_gauss
@@ -12,12 +12,14 @@ from swarm.knots.table import table
 from tests.knots.curves import Points, exact_code, hung, random_polygon
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(3, 40), closed=st.booleans())
 def test_codes_agree_with_exact_arithmetic(seed: int, count: int, closed: bool) -> None:
     points = random_polygon(seed, count)
     assert same_code(curve_gauss(points, closed=closed), exact_code(points, closed=closed))
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), cuts=st.integers(1, 60))
 def test_subdivision_and_repeated_points_change_nothing(seed: int, cuts: int) -> None:
     points = random_polygon(seed, 12)

@@ -3,7 +3,7 @@
 import itertools
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarm.knots.diagram import (
@@ -32,6 +32,7 @@ def test_the_papers_codes_mean_a_mirror_pair(name: str) -> None:
     assert one.code.text() == PAPER[name]
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(4, 14))
 def test_a_curves_own_signs_are_among_the_realisations(seed: int, count: int) -> None:
     diagram = random_diagram(seed, count)
@@ -43,6 +44,7 @@ def test_a_curves_own_signs_are_among_the_realisations(seed: int, count: int) ->
     assert {one.mirrored() for one in found} == set(found)
 
 
+@settings(deadline=None)
 @given(word=st.permutations([1, 1, 2, 2, 3, 3, 4, 4, 5, 5]))
 def test_realisable_means_that_some_signs_lie_in_the_plane(word: list[int]) -> None:
     seen: set[int] = set()
@@ -84,6 +86,7 @@ def test_codes_of_no_plane_curve(text: str, message: str) -> None:
     assert str(caught.value) == message
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(4, 16))
 def test_pd_and_back(seed: int, count: int) -> None:
     diagram = random_diagram(seed, count)
@@ -95,6 +98,7 @@ def test_pd_and_back(seed: int, count: int) -> None:
         assert same_code(diagram_of_pd(renamed).code, diagram.code, reverse=True)
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(4, 12))
 def test_dt_and_back(seed: int, count: int) -> None:
     diagram = random_diagram(seed, count)

@@ -75,7 +75,7 @@ def test_the_papers_grids() -> None:
     assert polynomials(grid_of_columns(columns))[0] == dict(table()["4_1"].jones)
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), moves=st.lists(st.integers(0, 10**6), max_size=12))
 def test_no_move_changes_the_knot(seed: int, moves: list[int]) -> None:
     grid = drawn(random_diagram(seed, 9))
@@ -104,6 +104,7 @@ def test_no_move_changes_the_knot(seed: int, moves: list[int]) -> None:
     assert polynomials(grid) == before
 
 
+@settings(deadline=None)
 @given(column=st.integers(1, 5), flags=st.tuples(st.booleans(), st.booleans(), st.booleans()))
 def test_destabilisation_undoes_stabilisation(column: int, flags: tuple[bool, bool, bool]) -> None:
     high, right, above = flags
@@ -122,7 +123,7 @@ def test_moves_that_would_change_the_knot_are_refused() -> None:
             move(OVERHAND, 6)
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_mirrors_drawings_searches_and_walks(seed: int) -> None:
     diagram = random_diagram(seed, 10)

@@ -50,6 +50,7 @@ def smooth(points: Points, seed: int, size: float = 0.3) -> Points:
     return points + share * np.sin(points @ waves.T + phases) @ push
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(4, 12), view=st.integers(0, 10**6))
 def test_polynomials_do_not_depend_on_the_view(seed: int, count: int, view: int) -> None:
     points = random_polygon(seed, count)
@@ -117,6 +118,8 @@ def test_curves_in_space_are_named_with_their_hand(sample: str) -> None:
 def test_snappy_names_the_tables_grids_alike(sample: str) -> None:
     snappy = pytest.importorskip("snappy")
     torus = {"3_1", "5_1", "7_1", "8_19", "9_1", "10_124"}
+    # SnapPy exchanges these two names with respect to KnotInfo, whose numbering is ours.
+    exchanged = {"10_83": "10_86", "10_86": "10_83"}
     for knot in chosen(sample):
         if knot.name in torus:
             continue
@@ -126,7 +129,7 @@ def test_snappy_names_the_tables_grids_alike(sample: str) -> None:
             found = [str(one).split("(")[0] for one in snappy.Link(rows).exterior().identify()]
             if found:
                 break
-        assert knot.name in found
+        assert exchanged.get(knot.name, knot.name) in found
 
 
 @pytest.mark.parametrize("sample", ["some", ALL])
@@ -182,7 +185,7 @@ def test_the_convention_for_the_trefoil() -> None:
     left = identify_diagram(diagram_of_pd([(1, 4, 2, 5), (3, 6, 4, 1), (5, 2, 6, 3)]))
     assert (left.name, left.chirality, left.crossings) == ("3_1", "left", 3)
     assert left.invariants["jones"] == {-4: -1, -3: 1, -1: 1}
-    assert left.invariants["determinant"] == 3
+    assert repr(left.invariants["determinant"]) == "3"
     assert left.candidates == ("m3_1",)
     assert str(left) == "3_1, left-handed"
 
@@ -217,7 +220,7 @@ def test_an_eleven_crossing_knot_with_the_unknots_alexander_polynomial() -> None
     assert str(known) == "unknown"
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(4, 20))
 def test_simplifying_keeps_the_knot(seed: int, count: int) -> None:
     diagram = random_diagram(seed, count)
