@@ -59,9 +59,11 @@ def test_every_vehicle_from_its_own_port_to_one_target() -> None:
             sock.sendto(request.pack(dialect.MAVLink(None, 255, 190)), ("127.0.0.1", seen[2]))
             answers = []
             while not answers and time.monotonic() < deadline:
-                for message in parser.parse_buffer(sock.recv(65535)) or []:
-                    if message.get_type() == "PARAM_VALUE":
-                        answers.append((message.get_srcSystem(), message.param_id))
+                answers += [
+                    (message.get_srcSystem(), message.param_id)
+                    for message in parser.parse_buffer(sock.recv(65535)) or []
+                    if message.get_type() == "PARAM_VALUE"
+                ]
             assert answers == [(2, "MAV_SYS_ID")]
             process.send_signal(signal.SIGINT)
             assert process.wait(5) == 0
@@ -95,7 +97,11 @@ def test_bad_files_and_usage_are_exit_code_2(tmp_path: Path) -> None:
         (["--speed", "nan"], "--speed: expected 0.01 to 1000, got nan"),
     ):
         done = subprocess.run(
-            [sys.executable, "-m", "sitl", *arguments], capture_output=True, text=True, timeout=20
+            [sys.executable, "-m", "sitl", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=20,
+            check=False,
         )
         assert done.returncode == 2
         assert error in done.stderr
@@ -132,7 +138,7 @@ def test_it_ends_when_its_parent_does() -> None:
         "child.stdout.readline(); print(child.pid, flush=True)\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=20
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     child = int(done.stdout)
     deadline = time.monotonic() + 5
