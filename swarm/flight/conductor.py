@@ -23,6 +23,7 @@ from swarm.flight.clock import MissionClock
 from swarm.flight.failures import FATAL, RESPONSES, Failure
 from swarm.flight.gates import GATES
 from swarm.flight.guidance import Guidance
+from swarm.flight.load import cable_pull
 from swarm.flight.monitor import AHEAD, Clearances, Monitor
 from swarm.flight.operator import Request, available
 from swarm.flight.options import options, rewind_limit
@@ -72,6 +73,7 @@ class Conductor:
             )
         self.proven, self.plan, self.fleet = proven, plan, fleet
         self.grips = fleet.gripper == "mavlink" and not no_cable
+        self._carries = not no_cable
         self.gates = tuple(sorted(plan.gates, key=lambda gate: gate.time))
         _check_rest(proven)
         self.options = options(plan)
@@ -607,6 +609,10 @@ class Conductor:
         # a setpoint stands until the next one comes: aim at the middle of its time
         lead = 0.5 / self.fleet.rates.setpoint
         aimed = position + lead * velocity + (0.5 * lead * lead) * acceleration + self._lift
+        if self._carries and all(vehicle.gripped for vehicle in self.flyers):
+            cable, mass = self.plan.mission.cable, self.plan.mission.vehicles.mass
+            pull = cable_pull(position, self.plan.layout.lengths, cable.mass_per_length)
+            acceleration = acceleration - pull / mass
         sending = self.team.setpoints(
             self.systems,
             self.streaming,
