@@ -9,6 +9,7 @@ from swarm.errors import SwarmError
 from swarm.knots.gauss import SignedGauss, parse_gauss, same_code
 from swarm.plans import Plan
 from swarm.preflight.certificate import Moment, limits, moments_of, tightest_moments
+from swarm.preflight.course import Course
 from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
 from swarm.preflight.limits import TAUT
 from swarm.preflight.loads import loads, payload_limit
@@ -21,6 +22,9 @@ Chirality = Literal["left", "right", "none"]
 TIGHTEST = 5
 LIMIT_TOLERANCE = 0.006
 """m/s and m/s²: what the enclosure of speeds and accelerations may add to a plan at its limit."""
+
+SMOOTH = (("position", "m", 1e-6), ("velocity", "m/s", 1e-3), ("acceleration", "m/s²", 0.05))
+"""What may jump where pieces of the motion join: rounding."""
 
 _CLEARANCES = (
     "cable clearance",
@@ -45,6 +49,7 @@ def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = F
         *_meeting(plan, moments),
         *(_clearance_finding(plan, moment) for moment in _failing(moments)),
         *_wind_findings(plan),
+        *_smoothness_findings(plan),
         *_limit_findings(plan),
         *_load_findings(plan),
         *_endurance_findings(plan),
@@ -118,6 +123,23 @@ def _meeting(plan: Plan, moments: Iterable[Moment]) -> list[Finding]:
         )
         for moment in meeting
     ]
+
+
+def _smoothness_findings(plan: Plan) -> list[Finding]:
+    """Jumps of position, velocity or acceleration, which no vehicle can follow."""
+    found = []
+    jumps = Course(plan.motion).jumps()
+    for order, (what, unit, allowed) in enumerate(SMOOTH):
+        if not jumps.size or jumps[:, order].max() <= allowed:
+            continue
+        joint, vehicle = np.unravel_index(np.argmax(jumps[:, order]), jumps[:, order].shape)
+        size = jumps[joint, order, vehicle]
+        message = f"the {what} of vehicle {vehicle + 1} jumps by {size:.3g} {unit}"
+        place = plan.motion.coefficients[joint + 1, 0, vehicle]
+        at = float(plan.motion.times[joint + 1])
+        where = (float(place[0]), float(place[1]), float(place[2]))
+        found.append(Finding("error", "smoothness", message, at, where))
+    return found
 
 
 def _limit_findings(plan: Plan) -> list[Finding]:

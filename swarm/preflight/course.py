@@ -18,6 +18,19 @@ class Course:
 
     motion: Motion
 
+    def jumps(self) -> Floats:
+        """Jumps (k − 1, 3, n) of position, velocity and acceleration where pieces join."""
+        duration = np.diff(self.motion.times)[:-1, None]
+        power = np.arange(6)
+        jumps = []
+        for order in range(3):
+            factor = np.array([perm(int(p), order) if p >= order else 0 for p in power], float)
+            weight = factor * duration ** np.maximum(power - order, 0)
+            reached = np.einsum("kp,kpnx->knx", weight, self.motion.coefficients[:-1])
+            begins = self.motion.coefficients[1:, order] * perm(order, order)
+            jumps.append(np.linalg.norm(reached - begins, axis=-1))
+        return np.stack(jumps, axis=1)
+
     @cached_property
     def _largest_acceleration(self) -> tuple[Floats, ...]:
         return self._largest(2)

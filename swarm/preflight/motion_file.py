@@ -73,12 +73,10 @@ def read_motion(text: str, source: str) -> MotionFile:
             phases.append(phase)
             rows.append([])
         if not rows or vehicle != len(rows[-1]) + 1 or time != times[-1]:
-            expected = (
-                "vehicle 1" if not rows else f"vehicle {len(rows[-1]) + 1} at {times[-1]:g} s"
-            )
-            message = (
-                f"expected {expected} or vehicle 1 at a later time, got {vehicle} at {time:g} s"
-            )
+            expected = "vehicle 1"
+            if rows:
+                expected = f"vehicle {len(rows[-1]) + 1} at {times[-1]:g} s or vehicle 1 later"
+            message = f"expected {expected}, got {vehicle} at {time:g} s"
             raise InputError([*problems, Problem(f"{source}: line {line}", message)])
         rows[-1].append(state)
     problems += [] if problems else _shape_problems(source, times, rows)

@@ -9,7 +9,7 @@ from swarm.errors import Refused
 from swarm.plans import Plan
 from swarm.preflight.assess import assess
 from swarm.preflight.findings import prove
-from swarm.trajectory import Motion, through_states
+from swarm.trajectory import Motion, joined, through_states
 from tests.preflight.synthetic import moving, plan_of
 
 
@@ -147,3 +147,15 @@ def test_what_is_not_certified_for_tracking_errors_says_so(overhand):
     )
     scope = [f.message for f in assess(exact).findings if f.check == "scope"]
     assert "geometry only" in scope[0]
+
+
+def test_a_velocity_that_jumps_is_refused():
+    """Two quintics that meet at the same place with different velocities."""
+    still = np.zeros((2, 2, 3))
+    places = np.array([[[0, 0, 5.0], [2.5, 0, 5.0]], [[3.0, 0, 5.0], [5.5, 0, 5.0]]])
+    speed = still.copy()
+    speed[1, 1, 0] = 0.2
+    there = through_states(np.array([0.0, 9.0]), places, speed, still)
+    back = through_states(np.array([9.0, 18.0]), places[::-1], still, still)
+    found = errors(plan_of(joined(there, back), [3.0]))
+    assert found == {"smoothness": ["the velocity of vehicle 2 jumps by 0.2 m/s"]}
