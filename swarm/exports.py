@@ -1,6 +1,7 @@
 """A plan as others read it: one JSON object, and one table of every grip point's motion."""
 
 from collections.abc import Iterator
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -79,9 +80,9 @@ def finding_object(finding: Finding) -> dict[str, Any]:
 
 
 def tightest_object(tightest: Tightest) -> dict[str, Any]:
-    """Return a tightest moment as a JSON-ready object."""
+    """Return a tightest moment as a JSON-ready object; no distance where there is no pair."""
     return {
-        "distance": tightest.distance,
+        "distance": tightest.distance if isfinite(tightest.distance) else None,
         "required": tightest.required,
         "time": tightest.time,
         "between": list(tightest.between),
