@@ -437,7 +437,7 @@ class ArduPilot:
     def _in_world(self, s: wire.Setpoint) -> tuple[_Vector, _Vector, _Vector]:
         """Position, velocity, acceleration in world ENU from any of the four frames."""
         v = self.v
-        (n, e, d), (vn, ve, vd), (an, ae, ad) = s.position, s.velocity, s.acceleration
+        n, e, d, vn, ve, vd, an, ae, ad = s.values
         x, y, z = v.place
         if s.frame != _LOCAL:
             x, y, z = v.estimated().tolist()

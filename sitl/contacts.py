@@ -20,6 +20,7 @@ class Contacts:
         self.bodies = bodies
         self.contacts: list[dict[str, Any]] = []
         self.strikes: list[dict[str, Any]] = []
+        self._reach = (bodies.radius[:, None] + bodies.radius[None, :]) ** 2
         self._last: dict[tuple[str, int, int], float] = {}
 
     def look(self, now: float, ids: list[int], cable: NDArray[np.float64] | None) -> None:
@@ -31,13 +32,11 @@ class Contacts:
 
     def _vehicles(self, now: float, ids: list[int]) -> None:
         b = self.bodies
-        place = b.position
-        across = place[:, None, :2] - place[None, :, :2]
-        apart = np.einsum("ijk,ijk->ij", across, across)
-        reach = (b.radius[:, None] + b.radius[None, :]) ** 2
-        near = (apart < reach) & (np.abs(place[:, None, 2] - place[None, :, 2]) < _HEIGHT)
+        near = b.apart < self._reach
         if near.sum() <= len(ids):
             return
+        height = b.position[:, 2]
+        near &= np.abs(height[:, None] - height[None, :]) < _HEIGHT
         flying = ~b.landed
         for i, j in np.argwhere(np.triu(near, 1)).tolist():
             if not (flying[i] or flying[j]) or not self._new(now, "vehicles", i, j):

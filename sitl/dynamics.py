@@ -26,6 +26,7 @@ STEP = 0.02
 _THRUST_FREQUENCY = 14.0
 _THRUST_DAMPING = 0.9
 _YAW_RATE = 1.0
+_SETTLED = 2.0
 _IDLE_THRUST = 0.08 * GRAVITY
 _SLOW_VERTICAL = 0.25
 _SLOW_HORIZONTAL = 1.5
@@ -112,6 +113,7 @@ class Bodies:
         self.fooled = np.zeros(n, dtype=bool)
         self.drift = np.zeros((n, 3))
         self.share = np.zeros(n)
+        self._settled = False
 
     def _make_air(self, world: World) -> None:
         n = self.count
@@ -121,6 +123,7 @@ class Bodies:
         self.gust_intensity = world.wind.gust
         self._gust = np.zeros((n + 1, 3))
         self.wash = np.zeros((n, 3))
+        self.apart = np.full((n, n), np.inf)
 
     # The way in for autopilots.
 
@@ -266,11 +269,23 @@ class Bodies:
         if self.advance.any():
             self.unstage()
             self.goal_position += (interval * self.advance)[:, None] * self.goal_velocity
+        if (self.goal_yaw != self.yaw).any():
+            self._turn(interval)
+        aloft = self._settled and self.armed.all() and not self.landed.any()
+        if not aloft:
+            self._lift(interval)
+            self._settled = bool((self.lifting > _SETTLED).all() and self.share.min() >= 1.0)
+        if not aloft or self.velocity_goal[:, 2].min() < _DESCENDING or self.contact.any():
+            self._detect_landing(interval)
+            self._settled = self._settled and not self.contact.any()
+
+    def _turn(self, interval: float) -> None:
         turn = (self.goal_yaw - self.yaw + np.pi) % (2 * np.pi) - np.pi
+        turn[abs(turn) < 1e-6] = 0.0
         self.yaw_rate = np.clip(2.0 * turn, -_YAW_RATE, _YAW_RATE) * ~self.landed
         self.yaw += interval * self.yaw_rate
-        self._lift(interval)
-        self._detect_landing(interval)
+        done = turn == 0.0
+        self.yaw[done] = self.goal_yaw[done]
 
     def _lift(self, interval: float) -> None:
         """Share of full thrust that each vehicle may use: 0 standing, ramping up on take-off."""
@@ -355,7 +370,7 @@ class Bodies:
         if self.count < 2:
             return
         across = self.position[:, None, :2] - self.position[None, :, :2]
-        distance = np.einsum("ijk,ijk->ij", across, across)
+        distance = self.apart = np.einsum("ijk,ijk->ij", across, across)
         if (distance < 4.0).sum() <= self.count:
             return
         below = self.position[None, :, 2] - self.position[:, None, 2]

@@ -151,10 +151,11 @@ class Emulator:
 
     def deliver(self, vehicle: Vehicle, link: Link, data: bytes, now: float) -> None:
         """As `receive`, on one of a vehicle's links."""
-        channel = self.injector.up[vehicle.index]
-        if channel.busy():
-            channel.push((link, data), len(data), now)
-            return
+        if self.injector.troubled:
+            channel = self.injector.up[vehicle.index]
+            if channel.busy():
+                channel.push((link, data), len(data), now)
+                return
         vehicle.now = max(vehicle.now, now)
         for message in link.receiver.feed(data):
             vehicle.handle(message, link)
@@ -237,7 +238,7 @@ class Emulator:
         self.injector.tick(now)
         self._arrive(now)
         rope = self.rope
-        if rope is not None and (rope.taut or self._ticks % _TICK_EVERY):
+        if rope is not None and self._ticks % rope.patience == 0:
             self._force = rope.pull(*self._held())[: b.count]
         hit = b.step(self._force)
         if hit is not None:

@@ -424,7 +424,7 @@ class Px4:
         if setpoint.frame != _LOCAL_NED or setpoint.mask & 512:
             return
         mask = setpoint.mask
-        values: tuple[float, ...] = (*setpoint.position, *setpoint.velocity, *setpoint.acceleration)
+        values = setpoint.values
         total = sum(values)
         if mask & 0x1FF or total - total != 0.0:
             values = tuple(math.nan if mask >> k & 1 else x for k, x in enumerate(values))

@@ -12,6 +12,7 @@ With ``h``, ``v`` the level and upward distance between the ends, ``L`` the leng
 
 import itertools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ _TAUT = 0.03
 _DAMPING_RATIO = 0.1
 _NODE_MASS = 1.5
 _STIFFEST = 1500.0
+_NEARLY, _TIGHT = 0.03, 0.2
 _LEAST, _MOST = 1e-4, 1e4
 _FALL = 9.0
 _TABLE_Z = np.geomspace(_TAUT, 40.0, 3000)
@@ -38,8 +40,7 @@ _TABLE_LOG_Z = np.log(_TABLE_Z)
 _TAUT_RATIO = float(np.sinh(_TAUT) / _TAUT)
 
 
-@dataclass(frozen=True)
-class Hung:
+class Hung(NamedTuple):
     """Every span between two grips, solved: geometry, catenary, tension (arrays over spans)."""
 
     start: Array
@@ -101,6 +102,7 @@ class Rope:
         load = np.array([0.0, 0.0, -GRAVITY * self.spec.mass_per_length])
         load = load + drag * np.linalg.norm(wind) * np.asarray(wind)
         self.weight = float(np.linalg.norm(load))
+        self._still = not np.any(wind)
         self.down = load / self.weight
 
     def grab(self, vehicle: int, grip_point: Array) -> float | None:
@@ -198,7 +200,7 @@ class Rope:
             self._between = np.nonzero(held)[0]
             self._span_of = number[held]
             self._along = along[held]
-        self.taut = True
+        self.patience = 1
         self.spans = _NONE
 
     def _end(self, vehicle: int, arc: float, tip: float) -> End:
@@ -214,7 +216,7 @@ class Rope:
         ``grips`` and ``velocity`` are all vehicles' grip points and velocities (n, 3).
         """
         force = np.zeros_like(grips)
-        self.taut = False
+        self.patience = 4
         if len(self.starts):
             hung = self._hang(grips)
             self.spans = hung
@@ -222,8 +224,11 @@ class Rope:
             level = hung.level[:, None] * hung.direction
             on_start = level + hung.low[:, None] * weight
             on_stop = hung.high[:, None] * weight - level
-            if hung.stretch.max() > -0.03:
-                self.taut = True
+            slack = float(hung.stretch.max())
+            if slack > -_TIGHT:
+                self.patience = 2
+            if slack > -_NEARLY:
+                self.patience = 1
                 self._stretch(hung, velocity, on_start, on_stop)
             force[self.starts] += on_start
             force[self.stops] += on_stop
@@ -239,10 +244,15 @@ class Rope:
     def _hang(self, grips: Array) -> Hung:
         """Solve every span's catenary, or its two halves where it lies on the floor."""
         start, stop = grips[self.starts], grips[self.stops]
-        chord = stop - start
-        upward = -(chord @ self.down)
-        flat = chord + upward[:, None] * self.down
-        across = np.maximum(np.sqrt(np.einsum("ij,ij->i", flat, flat)), 1e-4)
+        flat = stop - start
+        if self._still:
+            upward = flat[:, 2].copy()
+            flat[:, 2] = 0.0
+            across = np.maximum(np.hypot(flat[:, 0], flat[:, 1]), 1e-4)
+        else:
+            upward = -(flat @ self.down)
+            flat += upward[:, None] * self.down
+            across = np.maximum(np.sqrt(np.einsum("ij,ij->i", flat, flat)), 1e-4)
         direction = flat / across[:, None]
         shortest = np.hypot(upward, across * _TAUT_RATIO)
         length = np.maximum(self.lengths, shortest)

@@ -359,8 +359,8 @@ class Vehicle:
         """Take one message from a ground station."""
         if self.frozen:
             return
-        if isinstance(message, wire.Setpoint):
-            if message.target_system in {0, self.system} and message.target_component in {0, 1}:
+        if type(message) is wire.Setpoint:
+            if message.target_system in (0, self.system) and message.target_component < 2:
                 self.personality.setpoint(message)
             return
         handler = HANDLERS.get(message.get_type())

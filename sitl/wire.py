@@ -6,7 +6,6 @@ bytes are parsed by pymavlink, but for the one message that arrives fifty times 
 """
 
 import hashlib
-import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -127,7 +126,10 @@ class Sender:
 
 
 class Setpoint(NamedTuple):
-    """SET_POSITION_TARGET_LOCAL_NED as received (NED, SI, radians)."""
+    """SET_POSITION_TARGET_LOCAL_NED as received (NED, SI, radians).
+
+    ``values`` are position, velocity and acceleration, nine numbers.
+    """
 
     system: int
     component: int
@@ -135,36 +137,24 @@ class Setpoint(NamedTuple):
     target_component: int
     frame: int
     mask: int
-    position: tuple[float, float, float]
-    velocity: tuple[float, float, float]
-    acceleration: tuple[float, float, float]
+    values: tuple[float, ...]
     yaw: float
     yaw_rate: float
-
-    def finite(self) -> bool:
-        """Tell whether every number in it is finite."""
-        return all(
-            map(
-                math.isfinite,
-                (*self.position, *self.velocity, *self.acceleration, self.yaw, self.yaw_rate),
-            )
-        )
 
 
 def setpoint_of(message: Any) -> Setpoint:
     """Turn pymavlink's message into the same tuple as the fast path gives."""
+    m = message
     return Setpoint(
-        message.get_srcSystem(),
-        message.get_srcComponent(),
-        message.target_system,
-        message.target_component,
-        message.coordinate_frame,
-        message.type_mask,
-        (message.x, message.y, message.z),
-        (message.vx, message.vy, message.vz),
-        (message.afx, message.afy, message.afz),
-        message.yaw,
-        message.yaw_rate,
+        m.get_srcSystem(),
+        m.get_srcComponent(),
+        m.target_system,
+        m.target_component,
+        m.coordinate_frame,
+        m.type_mask,
+        (m.x, m.y, m.z, m.vx, m.vy, m.vz, m.afx, m.afy, m.afz),
+        m.yaw,
+        m.yaw_rate,
     )
 
 
@@ -204,12 +194,9 @@ class Receiver:
             checksum = int.from_bytes(data[end - 2 : end], "little")
             if _crc(data[1 : end - 2] + b"\x8f") != checksum:
                 break
-            body = data[_HEADER_LENGTH : end - 2].ljust(_SETPOINT.size, b"\0")
-            v = _SETPOINT.unpack(body)
+            v = _SETPOINT.unpack(data[_HEADER_LENGTH : end - 2].ljust(_SETPOINT.size, b"\0"))
             found.append(
-                Setpoint(
-                    data[5], data[6], v[13], v[14], v[15], v[12], v[1:4], v[4:7], v[7:10], *v[10:12]
-                )
+                Setpoint(data[5], data[6], v[13], v[14], v[15], v[12], v[1:10], v[10], v[11])
             )
             data = data[end:]
         return data
