@@ -55,6 +55,9 @@ class Rates(Section):
 
     setpoint: float = number(20.0, "Hz", "Setpoints to every vehicle.", least=4.0, most=100.0)
     position: float = number(10.0, "Hz", "Positions from every vehicle.", least=2.0, most=100.0)
+    heartbeat: float = number(
+        4.0, "Hz", "Heartbeats of every vehicle: modes and arming.", least=1.0, most=20.0
+    )
     status: float = number(2.0, "Hz", "Attitude, landed state, battery.", least=0.5, most=20.0)
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 _EAGERNESS = 2.0
 """How fast the rate approaches its target, per second."""
-_CLOSE = 1e-4
+_CLOSE = 1e-3
 
 
 @dataclass

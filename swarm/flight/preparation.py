@@ -87,6 +87,7 @@ class Preparation:
     def _request_streams(self) -> None:
         rates = self.fleet.rates
         wanted = {
+            common.MAVLINK_MSG_ID_HEARTBEAT: rates.heartbeat,
             common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rates.position,
             common.MAVLINK_MSG_ID_ATTITUDE: rates.status,
             common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: rates.status,

@@ -132,8 +132,9 @@ class WayOut:
             if not vehicle.armed:
                 flight.streaming[k] = False
                 continue
-            down = flight.setpoint[k, 2] <= TOUCHDOWN
-            if down or (not flight.streaming[k] and not vehicle.flown_by_hand):
+            if vehicle.flown_by_hand:
+                continue
+            if flight.setpoint[k, 2] <= TOUCHDOWN or not flight.streaming[k]:
                 self._landing.add(vehicle.system)
             told = vehicle.system in self._landing
             if told and not vehicle.in_mode("land") and flight.heard(vehicle):
@@ -147,7 +148,11 @@ class WayOut:
     def _finished(self) -> bool:
         flight = self._flight
         lost = flight.fleet.limits.lost
-        still = [v for v in flight.flyers if v.armed and flight.heard(v, lost)]
+        still = [
+            vehicle
+            for vehicle in flight.flyers
+            if vehicle.armed and flight.heard(vehicle, lost) and not vehicle.flown_by_hand
+        ]
         if not still:
             return True
         if flight.now - self._since > GIVE_UP + flight.fleet.limits.hold:

@@ -1,0 +1,150 @@
+"""A conductor and the emulator on a network in memory, in virtual time, as bad as a test wants it.
+
+Everything is deterministic by the seed. Delays are in seconds, one way.
+"""
+
+import heapq
+import itertools
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sitl import Emulator
+from sitl.world import parse_world
+from swarm.fleet import Fleet, emulated_fleet
+from swarm.flight.clearance import go
+from swarm.flight.conductor import Conductor
+from swarm.flight.result import Outcome
+from swarm.flight.snapshot import Event
+from swarm.flight.world import emulated_world
+from swarm.mission import Mission, mission_for_knot
+from swarm.plans import KnotSummary, Layout, Plan
+from swarm.plans.flight import whole_flight
+from swarm.preflight.findings import Assessment, ProvenPlan, Tightest, prove
+from swarm.trajectory import followed, leg
+
+Keep = Callable[[float, int, bytes], bool]
+"""Whether a packet gets through: time, system id, bytes."""
+
+
+def small_mission(*overrides: str) -> Mission:
+    """Three vehicles' worth of mission."""
+    return mission_for_knot("3_1", overrides)
+
+
+def small_plan(*overrides: str, vehicles: int = 3, height: float = 5.0) -> ProvenPlan:
+    """A real flight around a fold that moves the whole line sideways and back."""
+    mission = small_mission(*overrides)
+    spacing, length = 3.0, 3.6
+    line = np.array([[spacing * k, 0.0, height] for k in range(vehicles)])
+    aside = line + [0.0, 3.0, 0.5]
+    fold = followed(leg(line, aside, 1.0, 0.5), leg(aside, line, 1.0, 0.5))
+    lengths = np.full(vehicles - 1, length)
+    flight = whole_flight(mission, lengths, fold)
+    layout = Layout(
+        corners=line,
+        sags=np.full(vehicles - 1, 0.8),
+        lengths=lengths,
+        lanes=np.zeros(vehicles - 1),
+        crossings=(),
+        cell=0.0,
+    )
+    summary = KnotSummary("0_1", "none", "", ())
+    plan = Plan(mission, summary, layout, flight.motion, flight.phases, flight.gates, line)
+    fine = Tightest(1.0, 0.1, 0.0, ("segment 1", "segment 2"))
+    return prove(plan, Assessment((), fine, fine, fine, "0_1", "none", ""))
+
+
+@dataclass
+class Network:
+    """Runs a conductor against the emulator.
+
+    ``uplink`` and ``downlink`` say which packets get through; ``delay`` is added to each way with
+    a uniform ``jitter``, so that packets may overtake each other; ``loss`` and ``duplication`` are
+    shares.
+    """
+
+    proven: ProvenPlan
+    fleet: Fleet | None = None
+    no_cable: bool = False
+    seed: int = 1
+    delay: float = 0.0
+    jitter: float = 0.0
+    loss: float = 0.0
+    duplication: float = 0.0
+    uplink: Keep = lambda *_: True
+    downlink: Keep = lambda *_: True
+    events: list[Event] = field(default_factory=list)
+    sent: list[tuple[float, int, bytes]] = field(default_factory=list)
+    now: float = 0.0
+
+    def __post_init__(self) -> None:
+        plan = self.proven.plan
+        self.fleet = self.fleet or emulated_fleet(plan.vehicles)
+        self.conductor = Conductor(self.proven, self.fleet, no_cable=self.no_cable)
+        world = emulated_world(plan, self.fleet, with_cable=not self.no_cable, seed=self.seed)
+        self.emulator = Emulator(parse_world(json.dumps(world)))
+        self.step = 1.0 / self.fleet.rates.setpoint
+        self._rng = np.random.default_rng(self.seed)
+        self._flying: list[tuple[float, int, bool, int, bytes]] = []
+        self._order = itertools.count()
+        self._tick = 0
+
+    def run(self, until: Callable[[], bool] = lambda: False, most: float = 400.0) -> Outcome | None:
+        """Go on until the flight ends or ``until`` holds; fail after ``most`` more seconds."""
+        end = self.now + most
+        while self.conductor.finished is None and not until():
+            assert self.now < end, f"after {most} s: {self.words()[-12:]}"
+            self.once()
+        return self.conductor.finished
+
+    def once(self) -> None:
+        """One step of virtual time."""
+        self.now = now = self._tick * self.step
+        self._tick += 1
+        for system, data in self.emulator.step(now):
+            if self.downlink(now, system, data):
+                self._post(now, system, data, up=False)
+        self._deliver(now)
+        for outgoing in self.conductor.tick(now):
+            system = int(outgoing.address)  # type: ignore[call-overload]
+            self.sent.append((now, system, outgoing.data))
+            if self.uplink(now, system, outgoing.data):
+                self._post(now, system, outgoing.data, up=True)
+        self._deliver(now)
+        if self.conductor.stage == "ready" and self.conductor.audit is not None:
+            self.conductor.start(go(self.proven, self.conductor.audit))
+        self.events.extend(self.conductor.events())
+
+    def until_phase(self, name: str, after: float = 0.0) -> None:
+        """Run until so many seconds into a phase of the plan."""
+        start = self.proven.plan.phase(name).start + after  # type: ignore[arg-type]
+        self.run(lambda: self.conductor.clock.time >= start)
+        assert self.conductor.stage == "fly", self.words()[-12:]
+
+    def until_time(self, seconds: float) -> None:
+        """Run for so many seconds."""
+        end = self.now + seconds
+        self.run(lambda: self.now >= end)
+
+    def words(self, kind: str | None = None) -> list[str]:
+        """What was reported, of one kind or all."""
+        return [event.message for event in self.events if kind in {None, event.kind}]
+
+    def _post(self, now: float, system: int, data: bytes, *, up: bool) -> None:
+        copies = 1 + (self._rng.random() < self.duplication)
+        for _ in range(copies):
+            if self._rng.random() < self.loss:
+                continue
+            arrival = now + self.delay + self.jitter * self._rng.random()
+            heapq.heappush(self._flying, (arrival, next(self._order), up, system, data))
+
+    def _deliver(self, now: float) -> None:
+        while self._flying and self._flying[0][0] <= now:
+            _, _, up, system, data = heapq.heappop(self._flying)
+            if up:
+                self.emulator.receive(system, data, now)
+            else:
+                self.conductor.receive("loopback", system, data, now)
