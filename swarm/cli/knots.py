@@ -66,7 +66,7 @@ def knots(
 def knot_object(choice: KnotChoice) -> dict[str, Any]:
     """What ``swarm knots NAME --json`` prints."""
     return {
-        "name": choice.name,
+        "name": choice.title or choice.name,
         "crossings": choice.crossings,
         "arc_index": choice.grid.size,
         "vehicles": choice.vehicles,
@@ -110,7 +110,7 @@ def _print_knot(choice: KnotChoice) -> None:
     facts = Table.grid(padding=(0, 2))
     opened = choice.opening
     for key, value in (
-        ("knot", f"{choice.name}, {hand}"),
+        ("knot", f"{choice.title or choice.name}, {hand}"),
         ("crossings", str(choice.crossings)),
         ("arc index", f"{choice.grid.size}"),
         ("vehicles", f"{choice.vehicles}, with {choice.vehicles - 1} segments of cable"),

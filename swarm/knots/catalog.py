@@ -1,7 +1,7 @@
 """From a knot's name or code to the diagram and the smallest grid diagram to fold it from."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from swarm.knots.diagram import Diagram, diagram_of_pd, diagrams_of_dt, diagrams_of_gauss
@@ -10,9 +10,7 @@ from swarm.knots.gauss import KnotError, SignedGauss
 from swarm.knots.grid import Grid, OpenGrid, grid_of_columns, openings, stabilised
 from swarm.knots.grid import mirrored as mirrored_grid
 from swarm.knots.groups import sum_diagram
-from swarm.knots.hand import hand_of
 from swarm.knots.invariants import Identification, identify_diagram
-from swarm.knots.jones import jones
 from swarm.knots.layout import smallest
 from swarm.knots.names import Named, parse_name, torus_grid
 from swarm.knots.search import rearranged
@@ -27,10 +25,11 @@ __all__ = ["KnotChoice", "choose", "lookup", "more_grids", "names"]
 class KnotChoice:
     """The knot to tie: what it is, and the diagrams it is tied from.
 
-    ``name`` is KnotInfo's (or a sum's, ``torus(p,q)``, or "unknown"). ``chirality`` is "left",
+    ``name`` is KnotInfo's, a sum's or "unknown", as for identification. ``chirality`` is "left",
     "right", or "none" for a knot that is its own mirror image. ``gauss`` is the Gauss code of
     ``diagram`` in the paper's notation, as it was given if it was. ``grid`` is a grid diagram of
-    the knot, of minimal size where that is known. ``warnings`` are for the user.
+    the knot, of minimal size where that is known. ``warnings`` are for the user. ``title`` is what
+    to call the knot where ``name`` is "unknown", such as "torus(3,7)".
     """
 
     name: str
@@ -40,6 +39,7 @@ class KnotChoice:
     grid: Grid
     crossings: int
     warnings: tuple[str, ...] = ()
+    title: str = ""
 
     @property
     def vehicles(self) -> int:
@@ -125,17 +125,20 @@ def _of_name(wanted: Named, asked: str | None) -> KnotChoice:
         factors = wanted.factors if hand in {right, "none"} else _mirror(wanted.factors)
         return _of_factors(factors, ())
     shape = torus_grid(*wanted.torus)
-    diagram = simplified(Diagram(shape.code))
-    known = identify_diagram(diagram)
-    if known.known:
+    known = identify_diagram(Diagram(shape.code))
+    if known.name in table():
         return _of_name(parse_name(known.name), asked or own)
     name = "torus({},{})".format(*wanted.torus)
     hand = _hand(is_chiral=True, known=own, asked=asked, what=name)
     if hand == "left":
-        shape, diagram = mirrored_grid(shape), diagram.mirrored()
+        shape = mirrored_grid(shape)
+    diagram = simplified(Diagram(shape.code))
     crossings = min(p * (q - 1) for p, q in (wanted.torus, wanted.torus[::-1]))
     grid = smallest(shape, target=shape.size)
-    return KnotChoice(name, hand, diagram.code.text(), diagram, grid, crossings)
+    warning = f"{name} is not in the table: its knot type can only be told by its crossing code"
+    return KnotChoice(
+        "unknown", hand, diagram.code.text(), diagram, grid, crossings, (warning,), title=name
+    )
 
 
 def _mirror(factors: tuple[Factor, ...]) -> tuple[Factor, ...]:
@@ -177,87 +180,61 @@ def factor_grid(factors: tuple[Factor, ...]) -> Grid:
     return smallest(drawn(sum_diagram(factors)), target=target)
 
 
-def _searched(name: str, chirality: str, shape: Grid, warnings: tuple[str, ...]) -> KnotChoice:
-    """A knot outside the table, from any grid diagram of it."""
-    small = smallest(shape)
-    diagram = simplified(Diagram(small.code), kicks=20)
-    return KnotChoice(
-        name, chirality, diagram.code.text(), diagram, small, diagram.crossings, warnings
-    )
-
-
 def _of_diagrams(
     diagrams: tuple[Diagram, ...], asked: str | None, shape: Grid | None
 ) -> KnotChoice:
-    """The knot of a code: of one diagram, or of all those that the code can mean."""
+    """The knot of a code: of one diagram, or of all those that the code can mean.
+
+    A grid diagram that was given is kept, mirrored if need be; otherwise the table's is taken.
+    """
     found = [(diagram, identify_diagram(diagram)) for diagram in diagrams]
-    kinds = {known.name if known.known else "unknown" for _, known in found}
+    kinds = {known.name for _, known in found}
     if len(kinds) > 1:
         raise KnotError(
             f"the code can mean any of {', '.join(sorted(kinds))}: give crossing signs or a name"
         )
-    if not found[0][1].known:
-        return _of_unknown(found, asked, shape)
-    what = found[0][1].name
-    hands = {known.chirality for _, known in found}
+    known = found[0][1]
+    hands = {one.chirality for _, one in found}
     own = hands.pop() if len(hands) == 1 else None
-    hand = _hand(own != "none", own, asked, what)
-    match = [(diagram, known) for diagram, known in found if known.chirality == hand]
-    if match:
-        diagram, known = match[0]
-    else:
-        diagram = found[0][0].mirrored()
-        known = identify_diagram(diagram)
-        shape = None if shape is None else mirrored_grid(shape)
-    choice = _of_factors(parse_name(known.candidates[0]).factors or (), ())
-    kept = choice.grid
-    if shape is not None and shape.size <= kept.size and openings(shape, limit=1):
-        kept = shape
-    return KnotChoice(
-        choice.name,
-        choice.chirality,
-        diagram.code.text(),
-        diagram,
-        kept,
-        choice.crossings,
-        choice.warnings,
-    )
-
-
-def _of_unknown(
-    found: Sequence[tuple[Diagram, Identification]], asked: str | None, shape: Grid | None
-) -> KnotChoice:
-    """A knot that is not in the table: tied from its own code, its hand by its Jones polynomial."""
-    warnings = [
-        f"this knot is not in the table of knots to ten crossings (at most "
-        f"{found[0][1].crossings} crossings, determinant {found[0][1].invariants['determinant']})"
-    ]
-    hands = [hand_of(jones(diagram)) for diagram, _ in found]
-    diagram = found[0][0]
-    chirality = "none"
-    if any(hands):
-        known = None if len(set(hands)) > 1 else ("right" if hands[0] > 0 else "left")
-        chirality = _hand(is_chiral=True, known=known, asked=asked, what="this knot")
-        sign = 1 if chirality == "right" else -1
-        match = [d for (d, _), hand in zip(found, hands, strict=True) if hand == sign]
-        diagram = match[0] if match else diagram.mirrored()
-        if not match and shape is not None:
-            shape = mirrored_grid(shape)
-    elif len(found) > 1:
+    hand = _hand(own != "none", own, asked, known.name if known.known else "this knot")
+    match = [diagram for diagram, one in found if one.chirality == hand]
+    diagram = match[0] if match else found[0][0].mirrored()
+    if shape is not None and not match:
+        shape = mirrored_grid(shape)
+    choice = _best_known(known, hand, diagram, shape)
+    warnings = list(choice.warnings)
+    if not known.known and hand == "none" and len(found) > 1:
         warnings.append(
             "its Jones polynomial does not tell its mirror images apart: the hand is open"
         )
-    choice = _searched(
-        "unknown", chirality, drawn(diagram) if shape is None else shape, tuple(warnings)
+    if shape is not None and shape.size > choice.grid.size:
+        warnings.append(
+            f"the grid given is kept; this knot has one of size {choice.grid.size}, "
+            f"for {choice.vehicles} vehicles instead of {2 * shape.size - 1}"
+        )
+    return replace(
+        choice,
+        gauss=diagram.code.text(),
+        diagram=diagram,
+        grid=choice.grid if shape is None else shape,
+        warnings=tuple(warnings),
+    )
+
+
+def _best_known(
+    known: Identification, hand: str, diagram: Diagram, shape: Grid | None
+) -> KnotChoice:
+    """What is known of an identified knot without its code; a search where that is nothing."""
+    if known.known:
+        wanted = parse_name(known.name)
+        return _of_name(wanted, hand) if hand != "none" else _of_name(wanted, None)
+    small = smallest(drawn(diagram) if shape is None else shape)
+    warning = (
+        "this knot is not in the table of knots to ten crossings (at most "
+        f"{known.crossings} crossings, determinant {known.invariants['determinant']})"
     )
     return KnotChoice(
-        choice.name,
-        chirality,
-        diagram.code.text(),
-        diagram,
-        choice.grid,
-        choice.crossings,
-        choice.warnings,
+        "unknown", hand, diagram.code.text(), diagram, small, known.crossings, (warning,)
     )
 
 

@@ -18,11 +18,12 @@ from swarm.knots.diagram import Diagram
 from swarm.knots.draw import drawn
 from swarm.knots.gauss import SignedGauss
 from swarm.knots.groups import separated
+from swarm.knots.hand import hand_of
 from swarm.knots.jones import Polynomial, jones
 from swarm.knots.search import minimised, rearranged
 from swarm.knots.shorten import curve_diagram
 from swarm.knots.simplify import simplified
-from swarm.knots.sums import Factor, canonical, mirrored, named, order
+from swarm.knots.sums import HANDS, Factor, canonical, mirrored, named, order
 from swarm.knots.table import Laurent, prime, table
 
 MOST_CROSSINGS = 10
@@ -40,8 +41,9 @@ class Identification:
     """What a knot was found to be.
 
     ``name`` is KnotInfo's name ("3_1", "0_1", sums as "3_1#m3_1") or "unknown". ``chirality`` is
-    "left", "right", or "none" for a knot that is its own mirror image, and for the unknot; it is
-    "none" too while the knot is unknown. ``crossings`` is an upper bound of the crossing number.
+    "left", "right", or "none" for a knot that is its own mirror image, and for the unknot; of an
+    unknown knot it is what its Jones polynomial says, and "none" if that says nothing.
+    ``crossings`` is an upper bound of the crossing number.
     ``candidates`` are the knots that agree with everything computed, with a leading m where the
     left-handed one is meant; one if the knot is known. ``invariants`` holds "jones" and "alexander"
     as {power: coefficient}, and "determinant".
@@ -60,13 +62,9 @@ class Identification:
 
     def __str__(self) -> str:
         """Name and chirality in words."""
-        if self.known:
-            return (
-                self.name if self.chirality == "none" else f"{self.name}, {self.chirality}-handed"
-            )
-        if self.candidates:
-            return f"unknown, perhaps {' or '.join(self.candidates)}"
-        return "unknown"
+        hand = "" if self.chirality == "none" else f", {self.chirality}-handed"
+        perhaps = "" if self.known else " or ".join(self.candidates)
+        return f"{self.name}{hand}" + (f", perhaps {perhaps}" if perhaps else "")
 
 
 def identify_curve(points: Points, *, closed: bool = False) -> Identification:
@@ -91,9 +89,10 @@ def identify_diagram(diagram: Diagram) -> Identification:
         name, chirality = named(listed[0])
         crossings = sum(prime(name).crossings for name, _ in listed[0])
         return Identification(name, chirality, crossings, (_marked(listed[0]),), invariants)
-    candidates = tuple(_marked(one) for one in listed)
     crossings = sum(part.crossings for part in parts)
-    return Identification("unknown", "none", crossings, candidates, invariants)
+    candidates = tuple(_marked(one) for one in listed)
+    chirality = HANDS[hand_of(invariants["jones"])]
+    return Identification("unknown", chirality, crossings, candidates, invariants)
 
 
 def smallest_parts(diagram: Diagram) -> tuple[Diagram, ...]:

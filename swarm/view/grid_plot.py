@@ -81,7 +81,7 @@ def grid_figure(choice: KnotChoice) -> Figure:
         _draw_cable(right, opened)
         right.set_title(f"opened: {choice.vehicles} vehicles, {len(opened.crossings)} crossings")
         hand = "" if choice.chirality == "none" else f", {choice.chirality}-handed"
-        figure.suptitle(f"knot {choice.name}{hand}")
+        figure.suptitle(f"knot {choice.title or choice.name}{hand}")
         return figure
 
 

@@ -8,7 +8,7 @@ from swarm.knots.catalog import choose, lookup, more_grids, names
 from swarm.knots.conway import diagram_of_conway
 from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import KnotError
-from swarm.knots.grid import Grid, mirrored, openings
+from swarm.knots.grid import Grid, mirrored, openings, stabilised
 from swarm.knots.hand import AMPHICHIRAL, hand_of
 from swarm.knots.invariants import identify_diagram
 from swarm.knots.jones import jones
@@ -148,6 +148,15 @@ def test_a_grid_of_the_other_hand_is_mirrored() -> None:
     assert choose(grid=left).grid == left
 
 
+def test_a_grid_that_was_given_is_kept() -> None:
+    larger = stabilised(table()["4_1"].grid, 2, high=True, right=False, above=True)
+    choice = choose(grid=larger)
+    assert (choice.name, choice.grid) == ("4_1", larger)
+    assert choice.warnings == (
+        "the grid given is kept; this knot has one of size 6, for 11 vehicles instead of 13",
+    )
+
+
 @pytest.mark.parametrize(
     ("description", "message"),
     [
@@ -196,8 +205,8 @@ def test_descriptions_that_are_refused(description: dict[str, str], message: str
         ("trefoil#figure-eight", "3_1#4_1", "right", 9),
         ("torus(2,9)", "9_1", "right", 11),
         ("T(3,5)", "10_124", "right", 8),
-        ("torus(3,7)", "torus(3,7)", "right", 10),
-        ("torus(7,-3)", "torus(3,7)", "left", 10),
+        ("torus(3,7)", "unknown", "right", 10),
+        ("torus(7,-3)", "unknown", "left", 10),
         ("unknot", "0_1", "none", 2),
     ],
 )
@@ -205,6 +214,7 @@ def test_names(name: str, table_name: str, chirality: str, size: int) -> None:
     choice = lookup(name)
     assert (choice.name, choice.chirality, choice.grid.size) == (table_name, chirality, size)
     assert jones(Diagram(choice.grid.code)) == jones(choice.diagram)
+    assert choice.title == ("torus(3,7)" if table_name == "unknown" else "")
     assert choice.vehicles == 2 * size - 1
     assert len(choice.opening.corners) == choice.vehicles
 

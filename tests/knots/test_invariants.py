@@ -6,11 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarm.knots.alexander import alexander
+from swarm.knots.curve import curve_gauss
 from swarm.knots.diagram import Diagram, diagram_of_pd, realisations
 from swarm.knots.gauss import KnotError
+from swarm.knots.grid import grid_of_columns, mirrored, openings, translated
 from swarm.knots.groups import separated, signature, sum_diagram
 from swarm.knots.invariants import identify_curve, identify_diagram, summands
 from swarm.knots.jones import jones
+from swarm.knots.names import torus_grid
+from swarm.knots.shorten import curve_diagram
 from swarm.knots.simplify import simplified, without_nugatory
 from swarm.knots.table import TableKnot, table
 from tests.knots.curves import (
@@ -35,8 +39,6 @@ def chosen(sample: str) -> list[TableKnot]:
 
 def curve_of(knot: TableKnot, samples: int = 21) -> Points:
     """The cable of a knot's best opening, right-handed, ends loose."""
-    from swarm.knots.grid import openings
-
     return hung(openings(knot.grid, limit=1)[0], samples=samples)
 
 
@@ -55,8 +57,6 @@ def smooth(points: Points, seed: int, size: float = 0.3) -> Points:
 def test_polynomials_do_not_depend_on_the_view(seed: int, count: int, view: int) -> None:
     points = random_polygon(seed, count)
     one = random_diagram(seed, count)
-    from swarm.knots.curve import curve_gauss
-
     two = Diagram(curve_gauss(points @ rotation(view), closed=True))
     assert jones(one) == jones(two)
     assert alexander(one) == alexander(two)
@@ -85,8 +85,6 @@ def test_knotinfos_diagrams_and_grids_are_named_as_knotinfo_does(sample: str) ->
         assert known.name == knot.name
         assert (known.chirality == "none") == ("amphicheiral" in symmetry(knot.name))
         marks = of_knotinfo(knot.name, "grid_notation")
-        from swarm.knots.grid import grid_of_columns
-
         columns = [sorted(row for c, row in marks if c == column) for column, _ in marks[::2]]
         assert identify_diagram(Diagram(grid_of_columns(columns).code)).name == knot.name
 
@@ -145,8 +143,6 @@ def test_floer_homology_sees_the_same_hand_in_table_grid_and_curve(sample: str) 
         decided += own != 0
         assert tau(Diagram(knot.grid.code)) == own
         assert tau(knot.diagram.mirrored()) == -own
-        from swarm.knots.shorten import curve_diagram
-
         view = simplified(curve_diagram(lifted(curve_of(knot)) @ rotation(seed), closed=True))
         assert tau(view) == own
         if not knot.chiral:
@@ -208,7 +204,6 @@ def test_knots_outside_the_table_are_unknown() -> None:
         known = identify_diagram(diagram_of_pd(of_knotinfo(name, "pd_notation")))
         assert known.name == "unknown"
         assert known.crossings == 11
-        assert known.chirality == "none"
         assert known.invariants["determinant"] == int(knotinfo()[name]["determinant"])
 
 
@@ -217,7 +212,19 @@ def test_an_eleven_crossing_knot_with_the_unknots_alexander_polynomial() -> None
     known = identify_diagram(diagram_of_pd(of_knotinfo("11n_34", "pd_notation")))
     assert known.invariants["alexander"] == {0: 1}
     assert (known.name, known.candidates) == ("unknown", ())
-    assert str(known) == "unknown"
+    assert str(known) == "unknown, left-handed"
+
+
+@pytest.mark.parametrize(("p", "q"), [(2, 11), (3, 7), (4, 5)])
+def test_larger_torus_knots_are_unknown_with_the_right_hand(p: int, q: int) -> None:
+    for seed, grid in enumerate((torus_grid(p, q), mirrored(torus_grid(p, q)))):
+        opened = openings(translated(grid, 2, 3), limit=1)[0]
+        known = identify_curve(lifted(hung(opened)) @ rotation(seed), closed=True)
+        assert (known.name, known.candidates) == ("unknown", ())
+        assert known.chirality == ("left" if seed else "right")
+        assert known.crossings == q * (p - 1)
+        # The lowest power of a right-handed torus knot's Jones polynomial (Jones 1987).
+        assert (min(known.invariants["jones"]) == (p - 1) * (q - 1) // 2) == (seed == 0)
 
 
 @settings(max_examples=40, deadline=None)
@@ -256,8 +263,6 @@ def test_degenerate_unknots(points: list[list[float]]) -> None:
 
 def test_a_trefoil_of_axis_parallel_sticks_with_repeated_points() -> None:
     grid = table()["3_1"].grid
-    from swarm.knots.grid import openings
-
     opened = openings(grid, limit=1)[0]
     points: list[list[float]] = []
     for number, (column, row) in enumerate(opened.corners):
