@@ -1,5 +1,6 @@
 """``swarm view``: open a flight's record, a recording or a plan in the Rerun viewer."""
 
+import json
 import tempfile
 from pathlib import Path
 
@@ -9,7 +10,9 @@ from rich.console import Console
 from swarm import api
 from swarm.cli.inputs import SET, load_mission, progress_bar
 from swarm.errors import InputError, Interrupted, Problem, SwarmError
-from swarm.view.replay import write_plan
+from swarm.flight.archive import read_plan
+from swarm.plans import Plan
+from swarm.view.replay import write_comparison, write_plan
 from swarm.view.screenshot import NoPicture, screenshot
 from swarm.view.viewers import free_port, has_display, open_window, serve, web_url
 
@@ -28,6 +31,7 @@ from swarm.view.viewers import free_port, has_display, open_window, serve, web_u
 @click.option(
     "--only", metavar="VIEW", help="With --screenshot: one of the views, for example Knot."
 )
+@click.option("--compare", is_flag=True, help="With RECORD: planned and flown side by side.")
 @click.option(
     "--output",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -40,6 +44,7 @@ def view(
     picture: Path | None,
     at: float | None,
     only: str | None,
+    compare: bool,
     output: Path | None,
 ) -> None:
     """Open a flight's RECORD (its folder), a recording, or the plan of a MISSION in Rerun.
@@ -54,14 +59,31 @@ def view(
             with progress_bar(Console(stderr=True)) as progress:
                 planned = api.plan(load_mission(source, overrides), progress)
             write_plan(planned.plan, recording)
+        sources = [recording]
+        if compare:
+            sources.append(Path(folder) / "comparison.rbl")
+            write_comparison(recorded_plan(Path(source)), sources[-1])
         if picture is not None:
-            _picture(recording, picture, at, only)
+            _picture(sources, picture, at, only)
         elif web:
-            _serve(recording)
+            _serve(sources)
         elif has_display():
-            open_window(str(recording)).wait()
+            open_window(*map(str, sources)).wait()
         else:
             click.echo("no display here; see it with --web, or as a picture with --screenshot")
+
+
+def recorded_plan(record: Path) -> Plan:
+    """Return the plan that a record's folder holds; raises :class:`InputError` without one."""
+    files = record / "plan.json", record / "motion.npz"
+    try:
+        document, motion = json.loads(files[0].read_bytes()), files[1].read_bytes()
+    except ValueError as error:
+        raise InputError([Problem(str(files[0]), f"not valid JSON: {error}")]) from None
+    except OSError as error:
+        reason = "expected a flight's record with plan.json and motion.npz in it"
+        raise InputError([Problem(str(record), reason)]) from error
+    return read_plan(document, motion)
 
 
 def find_recording(source: Path) -> Path | None:
@@ -81,9 +103,9 @@ def find_recording(source: Path) -> Path | None:
     return None
 
 
-def _picture(recording: Path, picture: Path, at: float | None, only: str | None) -> None:
+def _picture(sources: list[Path], picture: Path, at: float | None, only: str | None) -> None:
     try:
-        screenshot(recording, picture, at=at, view=only)
+        screenshot(sources, picture, at=at, view=only)
     except NoPicture as error:
         raise SwarmError(str(error)) from None
     except OSError as error:
@@ -91,9 +113,9 @@ def _picture(recording: Path, picture: Path, at: float | None, only: str | None)
     click.echo(f"{picture}")
 
 
-def _serve(recording: Path) -> None:
+def _serve(sources: list[Path]) -> None:
     port, web_port = free_port(), free_port()
-    server = serve(port, web_port, recording)
+    server = serve(port, web_port, *sources)
     click.echo(f"{web_url(web_port, port)} — ends with Ctrl-C")
     try:
         server.wait()

@@ -13,7 +13,7 @@ TRAIL = 8.0
 
 BACKGROUND = (22, 26, 34)
 UNLABELLED = "- /plan/crossings/labels"
-FIELD_WITHOUT = ("- /plan/team/**", "- /plan/path", UNLABELLED)
+FLOWN_ONLY = ("- /plan/team/**", "- /plan/path", UNLABELLED)
 
 
 def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
@@ -22,7 +22,7 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
         rrb.Horizontal(
             rrb.Vertical(
                 _scene("Knot", "time", _knot_eye(plan), "- /plan/team/**", UNLABELLED),
-                _scene("Field", "time", _field_eye(plan), *FIELD_WITHOUT),
+                _scene("Field", "time", _field_eye(plan), *FLOWN_ONLY),
                 rrb.Horizontal(_states(), _log(), column_shares=[1, 1]),
                 row_shares=[6, 2.4, 3],
             ),
@@ -67,11 +67,11 @@ def comparison_blueprint(plan: Plan) -> rrb.Blueprint:
     return _blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                _scene("Planned", "mission_time", _knot_eye(plan), "- /flight/**"),
-                _scene("Flown", "mission_time", _knot_eye(plan), "- /plan/team/**", "- /plan/path"),
+                _scene("Planned", "mission_time", _knot_eye(plan), "- /flight/**", UNLABELLED),
+                _scene("Flown", "mission_time", _knot_eye(plan), *FLOWN_ONLY),
             ),
             rrb.Horizontal(
-                _scene("Field, planned and flown", "mission_time", _field_eye(plan)),
+                _scene("Planned and flown", "mission_time", _field_eye(plan, near=0.4), UNLABELLED),
                 _curves("error", "Tracking error, m"),
                 column_shares=[3, 2],
             ),
@@ -145,16 +145,16 @@ def _knot_eye(plan: Plan) -> rrb.EyeControls3D:
     low, high = plan.layout.corners.min(axis=0), plan.layout.corners.max(axis=0)
     low[2] = high[2] - float(plan.layout.sags.max())
     extent = float(np.linalg.norm((high - low)[:2]))
-    return _eye((low + high) / 2, np.array([-0.6, -1.0, 0.75]), 0.7 * extent + 2.5)
+    return _eye((low + high) / 2, np.array([-0.6, -1.0, 0.75]), 0.55 * extent + 2.5)
 
 
-def _field_eye(plan: Plan) -> rrb.EyeControls3D:
-    """Look at everything that is flown, across its longer side."""
+def _field_eye(plan: Plan, near: float = 0.2) -> rrb.EyeControls3D:
+    """Look at everything that is flown, across its longer side, in a view that is that wide."""
     flown = plan.motion.at(plan.motion.times)[0].reshape(-1, 3)
     low, high = flown.min(axis=0), flown.max(axis=0)
     east, north, _ = high - low
     across = np.array([0.0, -1.0, 0.4]) if east >= north else np.array([1.0, 0.0, 0.4])
-    return _eye((low + high) / 2, across, 0.2 * max(east, north) + 4.0)
+    return _eye((low + high) / 2, across, near * max(east, north) + 4.0)
 
 
 def _eye(target: Floats, towards: Floats, distance: float) -> rrb.EyeControls3D:

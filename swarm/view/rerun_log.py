@@ -24,8 +24,8 @@ from swarm.view.viewers import free_port, has_display, proxy_url, web_url
 
 Live = Literal["native", "web"]
 
-NEWEST_SNAPSHOTS: Final = 100
-"""Snapshots that wait for a slow sink, five seconds' worth; older ones are dropped."""
+NEWEST_SNAPSHOTS: Final = 400
+"""Snapshots that wait for a slow sink, or for one that is still starting; then the oldest go."""
 
 NEWEST_EVENTS: Final = 10_000
 """Events that wait; they are few, and none should be lost."""

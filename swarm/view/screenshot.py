@@ -2,6 +2,7 @@
 
 import io
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -22,7 +23,7 @@ class NoPicture(Exception):  # noqa: N818 - it says what there is not
 
 
 def screenshot(
-    recording: Path,
+    sources: Sequence[Path],
     picture: Path,
     *,
     at: float | None = None,
@@ -32,15 +33,16 @@ def screenshot(
 ) -> None:
     """Render a recording to a PNG without a screen.
 
-    ``at`` is the moment in seconds on the recording's own timeline (None: the beginning), ``view``
-    the name of one view instead of the whole window. Needs a Vulkan driver; Mesa's software one
-    will do. Raises :class:`NoPicture` where none comes within ``patience`` seconds.
+    ``sources`` are its file (.rrd) and any blueprint (.rbl) to arrange it by; ``at`` is the moment
+    in seconds on the recording's own timeline (None: the beginning), ``view`` the name of one view
+    instead of the whole window. Needs a Vulkan driver; Mesa's software one will do. Raises
+    :class:`NoPicture` where none comes within ``patience`` seconds.
     """
     port = free_port()
     viewer = run_viewer(
         [
             *("--headless", "--hide-welcome-screen", "--port", str(port)),
-            *("--window-size", f"{size[0]}x{size[1]}", str(recording)),
+            *("--window-size", f"{size[0]}x{size[1]}", *map(str, sources)),
         ]
     )
     until = time.monotonic() + patience
