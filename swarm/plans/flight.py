@@ -29,6 +29,8 @@ LAID_SHARE = 0.99
 
 _STAGGER = 1.5
 _TOUCHDOWN_SPEED = 0.7
+_DESCENT_SPEED = 1.0
+"""Autopilots come down more slowly than they climb (PX4: 1.5 m/s, with some to spare here)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,17 +62,16 @@ def whole_flight(mission: Mission, lengths: Floats, fold: Motion) -> Flight:
     up = np.array([0.0, 0.0, TAKEOFF_HEIGHT])
     low = np.array([0.0, 0.0, GRAB_HEIGHT])
     carried = np.array([0.0, 0.0, CARRY_HEIGHT])
-    eased = grasp + 0.15 * (contracted - grasp) + carried
     order = _STAGGER * np.arange(len(pads), dtype=float)
 
     takeoff = followed(
-        leg(pads, pads + up, _TOUCHDOWN_SPEED * speed, thrust),
+        leg(pads, pads + up, min(speed, _TOUCHDOWN_SPEED), 0.5 * thrust),
         leg(pads + up, grasp + up, speed, thrust),
     )
     grab = staggered(grasp + up, grasp + low, order, min(speed, _TOUCHDOWN_SPEED), thrust)
     contract = followed(
-        leg(grasp + low, eased, min(speed, _TOUCHDOWN_SPEED), thrust),
-        leg(eased, contracted + carried, min(speed, _TOUCHDOWN_SPEED), thrust),
+        leg(grasp + low, grasp + carried, min(speed, _TOUCHDOWN_SPEED), 0.25 * thrust),
+        leg(grasp + carried, contracted + carried, min(speed, _TOUCHDOWN_SPEED), thrust),
     )
     lift = leg(contracted + carried, lifted, 0.5 * speed, 0.5 * thrust)
     hold = at_rest(folded, SETTLING_TIME)
@@ -137,7 +138,10 @@ def _release(mission: Mission, folded: Floats) -> tuple[Motion, Motion]:
     above = ground + np.array([0.0, 0.0, spread[0, 2]])
     finish = followed(leg(folded, spread, speed, thrust), leg(spread, above, speed, thrust))
     near = ground + np.array([0.0, 0.0, 1.0])
-    land = followed(leg(above, near, speed, thrust), leg(near, ground, _TOUCHDOWN_SPEED, thrust))
+    land = followed(
+        leg(above, near, min(speed, _DESCENT_SPEED), thrust),
+        leg(near, ground, min(speed, _TOUCHDOWN_SPEED), thrust),
+    )
     return finish, land
 
 
