@@ -35,7 +35,7 @@ so over an interval of time the greatest chord gives the bound.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from swarm.cable.catenary import half_angle_for_stretch
+from swarm.cable.shape import half_angle_for_stretch
 
 Floats = NDArray[np.float64]
 

@@ -18,6 +18,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from swarm.cable.shape import (
+    TAUT,
+    half_angle_for_drop,
+    half_angle_for_sag,
+    half_angle_for_stretch,
+    log_sinhc,
+    sag_per_span,
+)
 from swarm.errors import SwarmError
 
 Floats = NDArray[np.float64]
@@ -28,26 +36,8 @@ STANDARD_GRAVITY = 9.80665
 _VERTICAL = 1e-80
 """Smallest span per length: below it a strand is vertical to any accuracy."""
 
-_TAUT = 1e-100
-"""Smallest half angle: a strand without any slack gets this, and a tension beyond all numbers."""
-
 _ROUNDING = 1e-12
 """A chord may exceed the length by this share: it is rounding of the coordinates, not stretch."""
-
-_REVERTED = (
-    6.0,
-    6 / 5,
-    4 / 175,
-    -2 / 175,
-    676 / 336875,
-    1852 / 65690625,
-    -237976 / 2299171875,
-    2.1262929467491292e-05,
-    1.1422663325531922e-06,
-    -1.503421006869787e-06,
-    2.652176190742275e-07,
-)
-"""x² as a power series in log(sinh(x) / x), from the first power up; by reversion."""
 
 _PORTION = 65_536
 """Points computed in one go, so that what lies between stays in the processor's cache."""
@@ -152,7 +142,7 @@ class Catenaries:
 
     def sag(self) -> Floats:
         """How far each strand hangs below its chord at the deepest, along ``down``: (…,) metres."""
-        return self._span * _sag_per_span(self.half_angle, self.rise / self._span)
+        return self._span * sag_per_span(self.half_angle, self.rise / self._span)
 
     def tension(
         self, mass_per_length: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
@@ -218,16 +208,18 @@ def hang(
     length = np.broadcast_to(length, shape)
     down = np.broadcast_to(down / np.linalg.norm(down, axis=-1, keepdims=True), (*shape, 3))
 
-    chord_vector = end - start
-    rise = -_dot(chord_vector, down)
-    across = chord_vector + rise[..., None] * down
-    span = _norm(across)
+    across = end - start
+    rise = -_dot(across, down)
+    for axis in range(3):
+        across[..., axis] += rise * down[..., axis]
+    span = np.sqrt(_dot(across, across))
     chord = np.sqrt(span * span + rise * rise)
     _require_reach(chord, length)
 
     wide = np.maximum(span, _VERTICAL * length)
     excess = np.maximum(length - chord, 0.0) * (length + chord)
-    half_angle = np.maximum(half_angle_for_stretch(0.5 * np.log1p(excess / wide**2)), _TAUT)
+    half_angle = np.maximum(half_angle_for_stretch(0.5 * np.log1p(excess / wide**2)), TAUT)
+    across /= wide[..., None]
     # sinh and cosh of the middle angle are rise and length over the level length of the same x.
     level = np.sqrt(excess + wide**2)
     sinh = half_angle * (level / wide)
@@ -236,7 +228,7 @@ def hang(
         end=end,
         length=length,
         down=down,
-        heading=across / wide[..., None],
+        heading=across,
         span=span,
         rise=rise,
         half_angle=half_angle,
@@ -266,7 +258,7 @@ def length_for_sag(span: ArrayLike, sag: ArrayLike, rise: ArrayLike = 0.0) -> Fl
     if not (np.all(span > 0.0) and np.all(sag >= 0.0)):
         raise ValueError("a span must be positive, a sag not negative")
     gradient = rise / span
-    x = _half_angle_for_sag(sag / span, gradient)
+    x = half_angle_for_sag(sag / span, gradient)
     length: Floats = np.hypot(rise, span * np.exp(log_sinhc(x)))
     return length
 
@@ -285,13 +277,7 @@ def sag_for_drop(
     if not (np.all(span > 0.0) and np.all(drop > 0.0) and np.all((fraction > 0) & (fraction < 1))):
         raise ValueError("a span and a drop must be positive, a fraction between 0 and 1")
     gradient = rise / span
-    target = np.log(drop / span)
-    low, high = np.full(drop.shape, -25.0), np.full(drop.shape, 6.0)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        short = np.log(_drop_per_span(np.exp(middle), fraction, gradient)) < target
-        low, high = np.where(short, middle, low), np.where(short, high, middle)
-    return span * _sag_per_span(np.exp(0.5 * (low + high)), gradient)
+    return span * sag_per_span(half_angle_for_drop(drop / span, fraction, gradient), gradient)
 
 
 def _require_reach(chord: Floats, length: Floats) -> None:
@@ -344,118 +330,9 @@ def _offsets(
     height *= fractions
 
 
-def half_angle_for_stretch(stretch: Floats) -> Floats:
-    """Solve log(sinh(x) / x) = stretch (…,) for x ≥ 0, exact to rounding.
-
-    ``sinh(x) / x`` is length over chord of a level strand. Up to 0.16 the reverted power series is
-    exact; beyond, it or the asymptote of x − log 2x starts Halley's method.
-    """
-    flat = stretch.reshape(-1)
-    found = np.empty_like(flat)
-    for part in _portions(flat.size, _PORTION // 4):
-        found[part] = _half_angles(flat[part])
-    return found.reshape(stretch.shape)
-
-
-def _half_angles(stretch: Floats) -> Floats:
-    near = np.minimum(stretch, 4.0)
-    square = np.full_like(near, _REVERTED[-1])
-    for coefficient in _REVERTED[-2::-1]:
-        square *= near
-        square += coefficient
-    series: Floats = np.sqrt(near * square)
-    if np.all(stretch < 0.16):
-        return series
-    beyond = np.maximum(stretch, 0.16)
-    late = beyond + np.log(2.0 * (beyond + np.log(2.0 * beyond + 4.0)))
-    x = np.where(stretch < 4.0, np.maximum(series, 0.9), late)
-    for _ in range(2):
-        fading, inverse = np.exp(-2.0 * x), 1.0 / x
-        left = 1.0 / (1.0 - fading)
-        value = x + np.log((0.5 - 0.5 * fading) * inverse) - beyond
-        first = (1.0 + fading) * left - inverse
-        second = inverse * inverse - 4.0 * fading * left * left
-        x = x - value * first / (first * first - 0.5 * value * second)
-    return np.where(stretch < 0.16, series, x)
-
-
 def _portions(count: int, step: int) -> Iterator[slice]:
     for begin in range(0, count, max(1, step)):
         yield slice(begin, begin + max(1, step))
-
-
-def log_sinhc(x: Floats) -> Floats:
-    """log(sinh(x) / x), exact to rounding for every x ≥ 0."""
-    u = np.minimum(x * x, 1.0)
-    term = np.ones_like(u)
-    for k in (18, 16, 14, 12, 10, 8, 6, 4):
-        term = 1.0 + u * term / (k * (k + 1))
-    wide = np.maximum(x, 1.0)
-    return np.where(
-        x < 1.0,
-        np.log1p(u / 6.0 * term),
-        wide + np.log1p(-np.exp(-2.0 * wide)) - np.log(2.0 * wide),
-    )
-
-
-def _sag_per_span(x: Floats, gradient: Floats) -> Floats:
-    """Sag over span of a strand of half angle x whose chord rises by ``gradient`` per metre.
-
-    The curve is farthest below the chord where it is parallel to it, at θ* = arsinh(gradient),
-    δ = θ* − θ_start along from the start.
-    """
-    stretch = log_sinhc(x)
-    at_middle = gradient * np.exp(-stretch)
-    middle = np.arcsinh(at_middle)
-    ratio = -gradient * np.expm1(-stretch)
-    ratio = ratio / (np.hypot(1.0, gradient) + np.hypot(1.0, at_middle))
-    delta = x + np.where(
-        np.abs(ratio) < 0.5,
-        2.0 * np.arctanh(np.clip(ratio, -0.5, 0.5)),
-        np.arcsinh(gradient) - middle,
-    )
-    u = np.minimum(delta * delta, 1.0)
-    term = np.ones_like(u)
-    for k in (16, 14, 12, 10, 8, 6, 4):
-        term = 1.0 + u / (k * (k + 1)) * term
-    sinh_less_delta = np.where(delta < 1.0, delta * u / 6.0 * term, np.sinh(delta) - delta)
-    near = (
-        2.0 * np.hypot(1.0, gradient) * np.sinh(0.5 * np.minimum(delta, 1.0)) ** 2
-        - gradient * sinh_less_delta
-    )
-    far = gradient * delta - np.hypot(1.0, gradient) + np.cosh(middle - x)
-    return np.where(delta < 1.0, near, far) / (2.0 * x)
-
-
-def _drop_per_span(x: Floats, fraction: Floats, gradient: Floats) -> Floats:
-    """Distance below the chord at a fraction of the span, over the span.
-
-    The chord's height minus the catenary's. The first term is what a level strand drops, the
-    second vanishes with the gradient and in the middle of the span.
-    """
-    side = 2.0 * fraction - 1.0
-    at_middle = gradient * np.exp(-log_sinhc(x))
-    level = np.sinh(x * fraction) * np.sinh(x * (1.0 - fraction)) / x
-    tilt = side - np.sinh(x * side) / np.sinh(x)
-    drop: Floats = level * np.hypot(1.0, at_middle) + 0.5 * gradient * tilt
-    return drop
-
-
-def _half_angle_for_sag(sag_per_span: Floats, gradient: Floats) -> Floats:
-    """Invert :func:`_sag_per_span` for x by Newton's method in logarithms."""
-    taut = sag_per_span == 0.0
-    target = np.where(taut, 1.0, sag_per_span)
-    x = np.arcsinh(4.0 * target / np.hypot(1.0, gradient))
-    for _ in range(40):
-        value = _sag_per_span(x, gradient)
-        middle = np.arcsinh(gradient / np.exp(log_sinhc(x)))
-        turning = np.tanh(middle) * (1.0 / x - 1.0 / np.tanh(x)) - 1.0
-        growth = 0.5 * turning * (np.sinh(middle - x) - gradient) / value - 1.0
-        change = np.log(target / value) / growth
-        x = x * np.exp(np.clip(change, -1.0, 1.0))
-        if np.all(np.abs(change) < 1e-13):
-            break
-    return np.where(taut, _TAUT, x)
 
 
 def _floats(value: ArrayLike) -> Floats:
@@ -465,8 +342,3 @@ def _floats(value: ArrayLike) -> Floats:
 def _dot(a: Floats, b: Floats) -> Floats:
     product: Floats = np.einsum("...i,...i->...", a, b)
     return product
-
-
-def _norm(a: Floats) -> Floats:
-    length: Floats = np.sqrt(_dot(a, a))
-    return length

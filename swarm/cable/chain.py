@@ -162,12 +162,13 @@ def least_sags(
     crossings: ArrayLike,
     clearance: float,
     *,
-    minimum_sag: float,
+    minimum_sag: ArrayLike,
     one_each: bool = False,
 ) -> Floats:
     """Sags (n − 1,) that use the least cable with ``clearance`` at every crossing, in metres.
 
-    ``clearance`` is the height of the over above the under strand at their crossing in plan view.
+    ``clearance`` is the height of the over above the under strand at their crossing in plan view,
+    ``minimum_sag`` one number or one per segment.
     With ``one_each`` every segment gets its own sag; else there are two, one for segments that
     pass over (or cross nothing) and one for those that pass under. A deeper strand only ever asks
     those under it to go deeper, so the least fixed point is the shortest cable.
@@ -185,7 +186,7 @@ def least_sags(
             + ", ".join(map(str, both.tolist()))
         )
     below = np.isin(np.arange(count), under)
-    sags = np.full(count, float(minimum_sag))
+    sags = np.broadcast_to(_floats(minimum_sag), (count,)).copy()
     for _ in range(count + 1):
         needed = _needed_sags(corners, crossings, sags, clearance)
         deeper = sags.copy()

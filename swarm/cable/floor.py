@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from swarm.cable.catenary import STANDARD_GRAVITY, Catenaries, hang
+from swarm.cable.shape import sinh_less
 
 Floats = NDArray[np.float64]
 
@@ -155,7 +156,7 @@ def _parameter(low: Floats, high: Floats, surplus: Floats) -> Floats:
         excess, slope = -surplus, np.zeros_like(a)
         for height in (low, high):
             half = np.arcsinh(np.sqrt(0.5 * height / a))
-            excess = excess + a * _sinh_less(2.0 * half)
+            excess = excess + a * sinh_less(2.0 * half)
             slope = slope + a * (2.0 * np.tanh(half) - 2.0 * half)
         log_least = np.where(excess > 0.0, log_a, log_least)
         log_most = np.where(excess > 0.0, log_most, log_a)
@@ -182,12 +183,3 @@ def _branch(a: Floats, arc: Floats) -> tuple[Floats, Floats]:
     total = np.hypot(arc, a) + a
     up = np.where(total > 0.0, arc / np.where(total > 0.0, total, 1.0) * arc, 0.0)
     return across, up
-
-
-def _sinh_less(angle: Floats) -> Floats:
-    """sinh θ − θ without cancellation."""
-    u = np.minimum(angle * angle, 1.0)
-    term = np.ones_like(u)
-    for k in (16, 14, 12, 10, 8, 6, 4):
-        term = 1.0 + u / (k * (k + 1)) * term
-    return np.where(angle < 1.0, angle * u / 6.0 * term, np.sinh(angle) - angle)

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from swarm.cable.catenary import hang
 
-STRANDS, POINTS, LOOPED, ROUNDS = 100_000, 16, 500, 15
+STRANDS, POINTS, LOOPED, ROUNDS = 100_000, 16, 500, 30
 
 
 def main() -> None:

@@ -17,6 +17,7 @@ from swarm.cable.catenary import (
     sag_for_drop,
     sag_for_length,
 )
+from swarm.cable.shape import half_angle_for_stretch
 from swarm.errors import SwarmError
 
 # Span, rise, length: level and inclined, from slack 1e-6 to length/span 1e3.
@@ -314,8 +315,6 @@ def test_no_sag_is_the_chord() -> None:
 def test_half_angles_solve_their_equation(x: float) -> None:
     mpmath.mp.dps = 40
     ratio = mpmath.sinh(mpmath.mpf(x)) / mpmath.mpf(x)
-    from swarm.cable.catenary import half_angle_for_stretch
-
     found = half_angle_for_stretch(np.array([float(mpmath.log(ratio))]))
     assert float(found[0]) == pytest.approx(x, rel=5e-16)
 
