@@ -11,20 +11,29 @@ _HOT, _COLD = 1.5, 0.2
 
 
 def smallest(
-    grid: Grid, *, target: int = 2, starts: int = 4, steps: int = 300, moves: int = MOVES
+    grid: Grid,
+    *,
+    target: int = 2,
+    starts: int = 4,
+    steps: int = 300,
+    moves: int = MOVES,
+    fewest: int | None = None,
 ) -> Grid:
     """A grid diagram of the same knot, as small as is found, with a good opening.
 
     Commutations do not join all grids of one size, so several searches, with different random
     numbers, lead to ``starts`` of them; each is annealed for ``steps``, and the best is taken.
+    Where ``fewest`` crossings are asked for, up to ten times as many are looked at to reach them.
     """
     first = minimised(grid, target=target, moves=moves)
-    found = [compact(first, steps=steps)]
-    for seed in range(2, starts + 1):
+    best = compact(first, steps=steps)
+    for seed in range(2, 10 * starts + 1):
+        if seed > starts and (fewest is None or _score(best) < fewest + 1):
+            break
         other = minimised(grid, target=first.size, moves=moves, seed=seed)
         if other.size == first.size:
-            found.append(compact(other, steps=steps, seed=seed))
-    return min(found, key=_score)
+            best = min(best, compact(other, steps=steps, seed=seed), key=_score)
+    return best
 
 
 def compact(grid: Grid, *, steps: int, seed: int = 1) -> Grid:

@@ -36,7 +36,14 @@ def tabulated(
     diagram = _right(diagrams_of_dt(dt), chiral)
     # The arc index of an alternating knot is known (Bae and Park 2000).
     target = drawing.crossings + 2 if drawing.alternating else 2
-    grid = smallest(drawn(diagram), target=target, starts=starts, steps=steps, moves=moves)
+    grid = smallest(
+        drawn(diagram),
+        target=target,
+        starts=starts,
+        steps=steps,
+        moves=moves,
+        fewest=drawing.crossings,
+    )
     return TableKnot(
         name=name,
         chiral=chiral,
