@@ -7,18 +7,33 @@
         ...
 
 Written from the autopilots' documented and measured behaviour; it shares no protocol code with the
-ground station.
+ground station. `sitl.px4` and `sitl.ardupilot` are the two personalities, `sitl.dynamics` flies,
+`sitl.rope` hangs, `sitl.faults` breaks, `sitl.server` joins it to sockets.
+
+Conventions: the world is ENU metres about the world file's origin; a vehicle's centre stands
+``grip_offset`` above its grip point, on legs of that length: on the ground the grip point touches
+the floor. LOCAL_POSITION_NED is of the centre, about the vehicle's own origin, which by default is
+where its estimator started (its centre on its pad) moved by up to 30 m.
+
+What makes QGroundControl show a vehicle as ready is answered: HEARTBEAT, AUTOPILOT_VERSION,
+parameters (FILE_TRANSFER_PROTOCOL is refused at once, so that it falls back to PARAM_REQUEST_LIST),
+mission, fence and rally counts, SYS_STATUS with the pre-arm bit, EXTENDED_SYS_STATE, HOME_POSITION,
+GPS_RAW_INT, GLOBAL_POSITION_INT, ATTITUDE, VFR_HUD and BATTERY_STATUS.
 """
 
 from sitl.emulator import Emulator, Truth
+from sitl.faults import Fault, load_scenario, parse_scenario
 from sitl.world import World, WorldError, default_world, load_world, parse_world
 
 __all__ = [
     "Emulator",
+    "Fault",
     "Truth",
     "World",
     "WorldError",
     "default_world",
+    "load_scenario",
     "load_world",
+    "parse_scenario",
     "parse_world",
 ]

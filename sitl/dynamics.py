@@ -32,6 +32,7 @@ _SLOW_VERTICAL = 0.25
 _SLOW_HORIZONTAL = 1.5
 _DESCENDING = -0.25
 _CLIMBING = 0.25
+_WASH_FACTOR = 3.0
 _CRASH_SPEED = 3.0
 _NOISE_TIME = 4.0
 NOISE_SIGMA = np.array([0.015, 0.015, 0.02])
@@ -361,10 +362,8 @@ class Bodies:
     def _downwash(self) -> None:
         """Air pushed down on vehicles below others, as a vertical wind in their drag.
 
-        Momentum theory gives the far-wake speed ``2 √(T / 2ρA)``; below, the jet is a turbulent
-        round one: Gaussian in radius, widening by a tenth of its length, slowing accordingly
-        (Pope, "Turbulent Flows", 5.1; Jain et al., ICRA 2020, for multirotors). The felt force is
-        a multiple of body drag, because the rotors lose thrust in it.
+        The felt force is a multiple of body drag, because rotors lose thrust in falling air as they
+        do in a climb.
         """
         self.wash[:] = 0.0
         if self.count < 2:
@@ -374,12 +373,26 @@ class Bodies:
         if (distance < 4.0).sum() <= self.count:
             return
         below = self.position[None, :, 2] - self.position[:, None, 2]
-        jet = (
-            2
-            * np.sqrt(np.maximum(self.thrust[:, 2], 0) * self.mass / (2 * AIR_DENSITY * np.pi))
-            / self.radius
-        )
-        width = self.radius[None, :] * 0.7 + 0.1 * np.maximum(below, 0.0)
-        speed = jet[None, :] * (0.7 * self.radius[None, :] / width)
-        speed = speed * np.exp(-distance / (2 * width**2)) * ((below > 0.1) & (below < 10.0))
-        self.wash[:, 2] = -3.0 * speed.max(axis=1)
+        self.wash[:, 2] = -_WASH_FACTOR * self._jets(below, distance).max(axis=1)
+
+    def _jets(self, below: Array, distance: Array) -> Array:
+        """Downward air speed under every vehicle: (m, n) for m places and n vehicles.
+
+        Momentum theory gives the far-wake speed ``2 √(T / 2ρA)``; further down the jet is a
+        turbulent round one: Gaussian in radius, widening by a tenth of its length and slowing
+        accordingly (Pope, "Turbulent Flows", 5.1; Jain et al., ICRA 2019, for multirotors).
+        ``below`` is how far a place is below a vehicle, ``distance`` the level distance squared.
+        """
+        lift = np.maximum(self.thrust[:, 2], 0.0) * self.mass
+        jet = 2 * np.sqrt(lift / (2 * AIR_DENSITY * np.pi)) / self.radius
+        width = 0.7 * self.radius + 0.1 * np.maximum(below, 0.0)
+        speed = jet * (0.7 * self.radius / width) * np.exp(-distance / (2 * width**2))
+        felt: Array = speed * ((below > 0.1) & (below < 10.0))
+        return felt
+
+    def wash_at(self, places: Array) -> Array:
+        """Downward air speed at places in the world (m, 3) from every vehicle: (m, n)."""
+        across = places[:, None, :2] - self.position[None, :, :2]
+        distance = np.einsum("ijk,ijk->ij", across, across)
+        below = self.position[None, :, 2] - places[:, None, 2]
+        return self._jets(below, distance)

@@ -200,6 +200,10 @@ class Emulator:
                     sent.append((vehicle, link, frame))
         return sent
 
+    def inject(self, fault: Fault) -> None:
+        """Put a fault on the agenda; one whose time is past begins at the next step."""
+        self.injector.add(fault)
+
     def truth(self) -> Truth:
         """Return ground truth, for tests and the record only."""
         b = self.bodies
@@ -292,6 +296,8 @@ class Emulator:
         cable = None
         if self.rope is not None:
             cable = self.rope.follow(self._held()[0], interval, solved=True)
+            if self._ticks % _DRAIN_EVERY == 0:
+                self.rope.set_wash(b.wash_at(cable))
         self.contacts.look(self.time, [v.system for v in self.vehicles], cable)
 
     def _drain(self, interval: float) -> None:

@@ -93,6 +93,7 @@ class Rope:
         self.grips: list[tuple[float, int]] = []
         self.breaks: list[float] = []
         self.spans = _NONE
+        self.lengths = _EMPTY
         self.set_wind(wind)
         self._arrange()
 
@@ -102,8 +103,30 @@ class Rope:
         load = np.array([0.0, 0.0, -GRAVITY * self.spec.mass_per_length])
         load = load + drag * np.linalg.norm(wind) * np.asarray(wind)
         self.weight = float(np.linalg.norm(load))
+        self._load = np.full(len(self.lengths), self.weight)
         self._still = not np.any(wind)
         self.down = load / self.weight
+
+    def set_wash(self, speed: Array) -> None:
+        """Take every vehicle's downwash at every sample ((m, n), m/s): it loads the spans below.
+
+        The drag of each sample, averaged over its span, adds to the span's weight; as a uniform
+        load it leaves the catenary's shape as it is and pulls harder on both ends. The wash of the
+        two that hold a span is left out: it meets the cable only close to their grips.
+        """
+        if not len(self.starts):
+            return
+        felt = speed[self._between]
+        rows = np.arange(len(felt))
+        for holders in (self.starts, self.stops):
+            own = holders[self._span_of]
+            vehicles = own < felt.shape[1]
+            felt[rows[vehicles], own[vehicles]] = 0.0
+        fastest = felt.max(axis=1)
+        drag = 0.5 * AIR_DENSITY * _CYLINDER_DRAG * self.spec.diameter * fastest**2
+        count = np.bincount(self._span_of, minlength=len(self.starts))
+        total = np.bincount(self._span_of, weights=drag, minlength=len(self.starts))
+        self._load = self.weight + total / np.maximum(count, 1)
 
     def grab(self, vehicle: int, grip_point: Array) -> float | None:
         """Close a gripper: return the arc length that it holds now, None if nothing is in reach."""
@@ -190,6 +213,7 @@ class Rope:
         self.stops: Indices = np.array([s[1] for s in spans], dtype=np.intp)
         self.lengths = np.array([s[2] for s in spans])
         self.span_arcs = np.array([s[3] for s in spans])
+        self._load = np.full(len(spans), self.weight)
         self._longest = float(self.lengths.max()) if spans else 0.0
         self._parameter = np.full(len(spans), 1.0)
         self._between = np.zeros(0, dtype=np.intp)
@@ -220,7 +244,7 @@ class Rope:
         if len(self.starts):
             hung = self._hang(grips)
             self.spans = hung
-            weight = self.weight * self.down
+            weight = self._load[:, None] * self.down
             level = hung.level[:, None] * hung.direction
             on_start = level + hung.low[:, None] * weight
             on_stop = hung.high[:, None] * weight - level
@@ -267,8 +291,8 @@ class Rope:
             resting = self._resting(start, stop, a, low, high)
             if resting is not None:
                 a, low, high = self._on_floor(start, stop, across, a, low, high, resting)
-        level = self.weight * a
-        tension = level + self.weight * np.maximum(np.abs(low), np.abs(high))
+        level = self._load * a
+        tension = level + self._load * np.maximum(np.abs(low), np.abs(high))
         distance = np.hypot(across, upward)
         return Hung(
             start, stop, across, direction, a, low, high, length, shortest - self.lengths, resting,

@@ -132,20 +132,30 @@ class Server:
             self.emulator.deliver(endpoint.vehicle, endpoint.link, data, now)
 
     def _flush(self) -> None:
+        """Send everything that waits."""
         for _, link, data in self.emulator.collect():
             endpoint = self.by_link.get(id(link))
-            if endpoint is None:
-                continue
-            try:
-                if endpoint.stream:
-                    endpoint.socket.send(data)
-                elif endpoint.peer is not None:
-                    endpoint.socket.sendto(data, endpoint.peer)
-            except BlockingIOError:
-                continue
-            except OSError:
-                if endpoint.stream:
-                    self._drop(endpoint)
+            if endpoint is not None:
+                self._send(endpoint, data)
+
+    def _answer(self, endpoint: Endpoint) -> None:
+        """Send at once what a vehicle has just answered, unless faults may hold it back."""
+        link = endpoint.link
+        if link.outgoing and not self.emulator.injector.troubled and not endpoint.vehicle.frozen:
+            self._send(endpoint, b"".join(link.outgoing))
+            link.outgoing.clear()
+
+    def _send(self, endpoint: Endpoint, data: bytes) -> None:
+        try:
+            if endpoint.stream:
+                endpoint.socket.send(data)
+            elif endpoint.peer is not None:
+                endpoint.socket.sendto(data, endpoint.peer)
+        except BlockingIOError:
+            return
+        except OSError:
+            if endpoint.stream:
+                self._drop(endpoint)
 
     def run(self, on_truth: Callable[[Truth], None] | None, parent: int | None) -> None:
         """Run until `stop` (or until the parent process is another one)."""
@@ -163,7 +173,8 @@ class Server:
                     now = max(emulator.time, (time.monotonic() - start) * self.speed)
                     for descriptor, _ in ready:
                         self._drain(descriptor, now)
-                    self._flush()
+                        if descriptor in self.endpoints:
+                            self._answer(self.endpoints[descriptor])
                     continue
             elif wait < -_LARGEST_LAG:
                 start -= wait

@@ -27,6 +27,7 @@ _MISSION_TIMEOUT = 5.0
 _LARGEST_MISSION = 500
 _PARAMETERS_PER_TICK = 20
 _LARGEST_RATE = 200.0
+_SLOWEST = 2000.0
 _LARGEST_ID = 65535
 _FARTHEST = 1e5
 
@@ -109,7 +110,9 @@ def _set_interval(v: Vehicle, command: Command) -> int:
         rate = default_streams(v, command.link).get(name)
         command.link.stream(name, 1.0 / rate if rate else None, v.now)
     else:
-        command.link.stream(name, max(command.p[1] * 1e-6, 1.0 / _LARGEST_RATE), v.now)
+        command.link.stream(
+            name, min(max(command.p[1] * 1e-6, 1.0 / _LARGEST_RATE), _SLOWEST), v.now
+        )
     return ACCEPTED
 
 

@@ -134,3 +134,22 @@ def test_what_is_let_go_falls_and_lies() -> None:
     assert drops.max() <= 9.0 * 0.02 + 1e-9, "no faster than it can fall"
     assert heights[10] > 4.0
     assert heights[-1] < 1.1, "hanging from its neighbour"
+
+
+def test_downwash_weighs_on_the_strands_below() -> None:
+    made = rope(6.4, [0.0, 3.2, 6.4])
+    grips = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
+    before = made.pull(grips, STILL[:3])
+    made.follow(grips, 0.0)
+    speed = np.zeros((len(made.arc), 4))
+    speed[:, :3] = 20.0
+    made.set_wash(speed[:, :2])
+    holders = made.pull(grips, STILL[:3]) - before
+    assert holders[0] == pytest.approx(np.zeros(3), abs=1e-12), "their own wash is left out"
+    speed[:, :3] = 0.0
+    speed[made.arc < 3.2, 3] = 6.0
+    made.set_wash(speed)
+    change = made.pull(grips, STILL[:3]) - before
+    drag = 0.5 * 1.2 * 1.1 * 0.006 * 6.0**2 * 3.2
+    assert change[:, 2].sum() == pytest.approx(-drag, rel=1e-6)
+    assert change[2] == pytest.approx(np.zeros(3), abs=1e-12), "the other span is not below"
