@@ -8,6 +8,7 @@ import numpy as np
 from swarm.errors import SwarmError
 from swarm.knots.gauss import SignedGauss, parse_gauss, same_code
 from swarm.plans import Plan
+from swarm.preflight.budget import budgets
 from swarm.preflight.certificate import Moment, limits, moments_of, tightest_moments
 from swarm.preflight.course import Course
 from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
@@ -15,6 +16,7 @@ from swarm.preflight.limits import TAUT
 from swarm.preflight.loads import loads, payload_limit
 from swarm.preflight.robustness import holds_in_wind, largest_tracking, largest_wind
 from swarm.preflight.topology import end_code, end_knot, end_time, layout_code
+from swarm.preflight.windows import longest_stop, windows
 
 Progress = Callable[[str, float], None]
 Chirality = Literal["left", "right", "none"]
@@ -23,6 +25,9 @@ TIGHTEST = 5
 LIMIT_TOLERANCE = 0.006
 """m/s and m/s²: what the enclosure of speeds and accelerations may add to a plan at its limit."""
 
+BUDGETS = 3
+FAR_WINDOW = 20.0
+"""Seconds to the nearest window that deserve a warning."""
 SMOOTH = (("position", "m", 1e-6), ("velocity", "m/s", 1e-3), ("acceleration", "m/s²", 0.05))
 """What may jump where pieces of the motion join: rounding."""
 
@@ -56,7 +61,9 @@ def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = F
     ]
     knot, chirality, gauss, topology = _topology(plan)
     findings += topology
+    findings += _window_findings(plan)
     findings += _tightest_findings(moments)
+    findings += _budget_findings(plan, moments)
     findings.append(_scope(plan))
     return Assessment(
         findings=tuple(findings),
@@ -280,6 +287,49 @@ def _tightest(moments: Iterable[Moment], checks: tuple[str, ...], plan: Plan) ->
         return Tightest(float("inf"), 0.0, float(plan.motion.times[0]), ("", ""))
     worst = min(chosen, key=lambda moment: moment.margin)
     return Tightest(max(worst.distance, 0.0), worst.required, worst.time, worst.between)
+
+
+def _budget_findings(plan: Plan, moments: Iterable[Moment]) -> list[Finding]:
+    """What may eat the distance of the strands that are tightest."""
+    ordered = sorted(moments, key=lambda moment: moment.margin)
+    return [
+        Finding(
+            "info",
+            "budget",
+            f"{row.between[0]} and {row.between[1]} are {row.distance:.2f} m apart at their "
+            f"setpoints; tracking may take {row.tracking:.2f} m, what sags and tautens of it "
+            f"{row.amplification:.2f} m, length tolerance {row.length:.2f} m, leaning droppers "
+            f"{row.grip:.2f} m, sway {row.sway:.2f} m, a stop {row.stop:.2f} m, wind "
+            f"{row.wind:.2f} m, rotor wash {row.wash:.2f} m: {row.left:+.2f} m are left if all "
+            "come together",
+            row.time,
+        )
+        for row in budgets(plan, ordered)[:BUDGETS]
+    ]
+
+
+def _window_findings(plan: Plan) -> list[Finding]:
+    """What if it stops here: where the team can land or let go, and how it stops."""
+    found = windows(plan)
+    if not len(found.time):
+        return []
+    findings = []
+    start, end = float(found.time[0]), float(found.time[-1])
+    for flags, what in ((found.land, "land straight down together"), (found.release, "let go")):
+        share = found.share(flags, start, end)
+        wait = found.longest_wait(flags, start, end)
+        distant = wait > FAR_WINDOW
+        near = f"at most {wait:.1f} s away" if share else "never"
+        message = f"all can {what} at {share:.0%} of the moments with the cable aloft, {near}"
+        findings.append(Finding("warning" if distant else "info", "windows", message))
+    stop = longest_stop(plan)
+    message = f"the longest stop along the path takes {stop.time:.1f} s and {stop.distance:.2f} m"
+    findings.append(Finding("info", "windows", message, stop.at_time))
+    for gate in plan.gates:
+        if gate.condition == "released" and not found.releasable(gate.time):
+            message = "cable would fall on a vehicle at the planned release"
+            findings.append(Finding("error", "release", message, gate.time))
+    return findings
 
 
 def _scope(plan: Plan) -> Finding:
