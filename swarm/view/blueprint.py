@@ -28,10 +28,13 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
             ),
             rrb.Vertical(
                 _curves("error", "Tracking error, m"),
+                _curves("margin", "Clearance beyond what is required, m"),
                 _curves("rate", "Mission clock rate", (-1.1, 1.1)),
-                _curves("battery", "Battery, %", (0.0, 100.0)),
-                _curves("link", "Link age, s"),
-                row_shares=[3, 1, 1, 1],
+                rrb.Tabs(
+                    _curves("battery", "Battery, %", (0.0, 100.0)),
+                    _curves("link", "Link age, s"),
+                ),
+                row_shares=[3, 2, 1, 1],
             ),
             column_shares=[5, 2],
         ),
@@ -118,6 +121,7 @@ def _states() -> rrb.Tabs:
             contents=["+ /states/gate", "+ /states/phase", "+ /states/vehicles/**"],
             name="Phase and vehicles",
         ),
+        rrb.StateTimelineView(origin="states/windows", name="Windows"),
         rrb.StateTimelineView(origin="states/modes", name="Modes"),
     )
 

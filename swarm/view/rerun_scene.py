@@ -117,6 +117,7 @@ class Recorder:
         self._held = scene.resting_places(plan)
         self._gripped = np.zeros(plan.vehicles, dtype=bool)
         self._trail = np.full((plan.vehicles, 3), np.nan)
+        self._strips = scene.strands(self._held, plan.layout.lengths, POINTS_PER_SEGMENT)
         self._look: object = None
         self._cable_look: object = None
         self._words: dict[str, str] = {}
@@ -142,7 +143,9 @@ class Recorder:
                 "plots/link",
                 rr.Scalars(np.where(np.isfinite(snapshot.link_age), snapshot.link_age, np.nan)),
             )
+            self._log_margins(snapshot)
         if self._due(SELDOM, snapshot.time):
+            self._log_tightest(snapshot)
             self._stream.log("plots/battery", rr.Scalars(100.0 * snapshot.battery))
             self._stream.log("plots/error/limit", rr.Scalars(self._limit))
             self._stream.log("plots/link/limit", rr.Scalars(scene.SILENT_AFTER))
@@ -179,6 +182,14 @@ class Recorder:
                 rr.SeriesLines(names=name, colors=(255, 80, 80), widths=2.0),
                 static=True,
             )
+        margins = rr.SeriesLines(
+            names=["cable to cable", "vehicle to vehicle"],
+            colors=[(70, 200, 190), (245, 205, 80)],
+            widths=[2.0, 2.0],
+        )
+        log("plots/margin", margins, static=True)
+        nothing = rr.SeriesLines(names="nothing left", colors=(255, 80, 80), widths=2.0)
+        log("plots/margin/limit", nothing, static=True)
         log(
             "plots/rate",
             rr.SeriesLines(names="mission clock rate", colors=(120, 200, 255), widths=2.0),
@@ -228,11 +239,34 @@ class Recorder:
     def _log_cable(self, snapshot: Snapshot, colours: bool) -> None:
         lengths = self._plan.layout.lengths
         self._held, self._gripped = scene.held_points(self._held, self._gripped, snapshot)
-        strips = scene.strands(self._held, lengths, POINTS_PER_SEGMENT)
-        self._stream.log("flight/cable", rr.LineStrips3D.from_fields(strips=strips))
+        self._strips = scene.strands(self._held, lengths, POINTS_PER_SEGMENT)
+        self._stream.log("flight/cable", rr.LineStrips3D.from_fields(strips=self._strips))
         if colours:
             tints = scene.tautness_colours(scene.tautness(self._held, lengths))
             self._stream.log("flight/cable", rr.LineStrips3D.from_fields(colors=tints))
+
+    def _log_margins(self, snapshot: Snapshot) -> None:
+        found, asked = snapshot.clearances, self._plan.mission.clearance
+        if found is not None:
+            left = np.array([found.cable - asked.cable, found.vehicle - asked.vehicle])
+            left[~np.isfinite(left)] = np.nan
+            self._stream.log("plots/margin", rr.Scalars(left))
+            self._stream.log("plots/margin/limit", rr.Scalars(0.0))
+        for wish, (is_open, _) in snapshot.available.items():
+            self._say(f"states/windows/{wish}", "open" if is_open else "closed")
+
+    def _log_tightest(self, snapshot: Snapshot) -> None:
+        aloft = self._plan.phase("fold").start <= snapshot.mission_time
+        found = scene.closest_strands(self._strips) if aloft and self._gripped.all() else None
+        if found is None:
+            self._stream.log("flight/tightest", rr.Clear(recursive=False))
+            return
+        distance, ends = found
+        distance -= self._plan.mission.cable.diameter
+        line = rr.LineStrips3D(
+            [ends], radii=0.02, colors=(255, 90, 90), labels=f"{distance:.2f} m", show_labels=True
+        )
+        self._stream.log("flight/tightest", line)
 
     def _say(self, entity: str, word: str) -> None:
         if self._words.get(entity) != word:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import hang
+from swarm.cable.distance import strand_strand
 from swarm.flight.snapshot import Snapshot
 from swarm.plans import Layout, Phase, Plan
 
@@ -65,6 +66,37 @@ def strands(grips: Floats, lengths: Floats, points: int = 25) -> Floats:
     shape = drawn.points(np.linspace(0.0, 1.0, points))
     shape[..., 2] = np.maximum(shape[..., 2], 0.0)
     return np.where(known[..., None], shape, np.nan)
+
+
+def closest_strands(shapes: Floats) -> tuple[float, Floats] | None:
+    """Return where strands (s, k, 3) that are not neighbours are closest: distance, points (2, 3).
+
+    Pairs whose boxes are farther apart than some pair's strands are left out. None where there
+    are no two such strands of known shape.
+    """
+    pairs = np.column_stack(np.triu_indices(len(shapes), 2))
+    known = np.flatnonzero(np.isfinite(shapes.sum(axis=(1, 2))))
+    pairs = pairs[np.isin(pairs, known).all(axis=1)]
+    if not len(pairs):
+        return None
+    low, high = shapes.min(axis=1), shapes.max(axis=1)
+    first, second = pairs.T
+    gap = np.maximum(np.maximum(low[first] - high[second], low[second] - high[first]), 0.0)
+    bound = np.linalg.norm(gap, axis=1)
+    nearest = strand_strand(shapes, pairs[[bound.argmin()]]).distance[0]
+    pairs = pairs[bound <= nearest]
+    found = strand_strand(shapes, pairs)
+    best = int(found.distance.argmin())
+    places = (found.first[best], found.second[best])
+    ends = [_along(shapes[k], at) for k, at in zip(pairs[best], places, strict=True)]
+    return float(found.distance[best]), np.array(ends)
+
+
+def _along(strand: Floats, place: float) -> Floats:
+    """The point of a polyline (k, 3) at an index of its pieces plus a fraction."""
+    piece = min(int(place), len(strand) - 2)
+    point: Floats = strand[piece] + (place - piece) * (strand[piece + 1] - strand[piece])
+    return point
 
 
 def tautness(grips: Floats, lengths: Floats) -> Floats:

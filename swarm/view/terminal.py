@@ -207,7 +207,8 @@ class FlightScreen:
         if self._snapshot is not None:
             parts += [
                 _flight_line(self._plan, self._snapshot),
-                team_table(self._snapshot, self._plan, self._console.height - LAST_EVENTS - 6),
+                _margin_line(self._snapshot),
+                team_table(self._snapshot, self._plan, self._console.height - LAST_EVENTS - 7),
             ]
         parts.append(Rule(style="dim"))
         parts += [_event_line(*said) for said in merged(list(self._events))[-LAST_EVENTS:]]
@@ -224,6 +225,21 @@ def _flight_line(plan: Plan, snapshot: Snapshot) -> Text:
         line.append(f"  clock × {snapshot.rate:.2f}", "yellow")
     line.append(f"  record {clock(snapshot.time)}", "dim")
     return line
+
+
+def _margin_line(snapshot: Snapshot) -> Text:
+    line = Text(overflow="ellipsis", no_wrap=True)
+    found = snapshot.clearances
+    if found is not None and np.isfinite(found.margin):
+        style = "bold red" if found.margin < 0 else "yellow" if found.margin < 0.1 else "green"
+        line.append(f"margin {metres(found.margin)}", style)
+        line.append(
+            f"  cable {metres(found.cable)}, vehicles {metres(found.vehicle)}, "
+            f"tautest chord {found.chord:.0%}  ",
+            "dim",
+        )
+    windows = [wish for wish, (is_open, _) in snapshot.available.items() if is_open]
+    return line.append(f"you can: {', '.join(windows)}" if windows else "", "dim")
 
 
 def team_table(snapshot: Snapshot, plan: Plan, rows: int) -> Table:

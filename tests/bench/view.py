@@ -71,7 +71,10 @@ def main() -> None:
     """Print costs as shares of their budgets."""
     for count, budget in BUDGET.items():
         plan = crowd(count)
-        snapshots = [snapshot_at(plan, t) for t in 20.0 + 0.05 * np.arange(TICKS)]
+        snapshots = [
+            replace(snapshot_at(plan, t), gripped=(True,) * count)
+            for t in 40.0 + 0.05 * np.arange(TICKS)
+        ]
         mean, late = milliseconds(plan, snapshots)
         pickled = len(pickle.dumps(snapshots[0]))
         print(

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import length_for_sag
+from swarm.flight.monitor import Clearances
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.mission import mission_for_knot
 from swarm.plans import CableState, Gate, KnotSummary, Layout, Phase, PhaseName, Plan
@@ -94,6 +95,8 @@ def snapshot_at(plan: Plan, time: float) -> Snapshot:
         gripped=tuple(bool(g) for g in gripped),
         battery=np.clip(1.0 - time / 400.0 - 0.004 * each, 0.0, 1.0),
         link_age=0.02 + 0.02 * np.abs(np.sin(3.1 * time + each)),
+        clearances=Clearances(0.6, 2.1, 0.93, 0.3 + 0.1 * np.sin(time)) if gripped.all() else None,
+        available={"hold": (armed, "everybody stops"), "rewind": (time > 40.0, "goes back")},
     )
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from swarm.view import scene
@@ -39,6 +40,22 @@ def test_bad_data_is_drawn_as_well_as_it_can_be() -> None:
     np.testing.assert_allclose(strips[0, :, 2], 3.0, atol=1e-3)
     assert np.isnan(strips[1:3]).all()
     np.testing.assert_allclose(strips[3, 2], [7, 0, 2.5], atol=1e-6)
+
+
+def test_closest_strands_are_found_among_those_that_are_no_neighbours() -> None:
+    shapes = scene.strands(PLAN.layout.corners, PLAN.layout.lengths, 40)
+    found = scene.closest_strands(shapes)
+    assert found is not None
+    distance, ends = found
+    dense = scene.strands(PLAN.layout.corners, PLAN.layout.lengths, 300)
+    brute = min(
+        cdist(dense[i], dense[j]).min() for i in range(len(dense)) for j in range(i + 2, len(dense))
+    )
+    assert distance == pytest.approx(brute, abs=0.01)
+    assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(distance, abs=1e-12)
+    assert scene.closest_strands(shapes[:2]) is None
+    shapes[2:] = np.nan
+    assert scene.closest_strands(shapes) is None
 
 
 def test_colours_say_how_taut_a_segment_is() -> None:

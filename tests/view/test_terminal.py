@@ -107,6 +107,8 @@ def test_flight_on_a_screen_shows_team_and_events() -> None:
     assert "clock × 0.40" in text
     assert text.count("OFFBOARD") >= 9
     assert "fold begins" in text
+    assert "margin 0.27 m" in text
+    assert "you can: hold, rewind" in text
 
 
 def test_the_same_words_of_several_vehicles_share_a_line() -> None:
