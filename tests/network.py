@@ -39,7 +39,7 @@ def small_plan(*overrides: str, vehicles: int = 3, height: float = 5.0) -> Prove
     mission = small_mission(*overrides)
     spacing, length = 3.0, 3.6
     line = np.array([[spacing * k, 0.0, height] for k in range(vehicles)])
-    aside = line + [0.0, 3.0, 0.5]
+    aside = line + np.array([0.0, 3.0, 0.5])
     fold = followed(leg(line, aside, 1.0, 0.5), leg(aside, line, 1.0, 0.5))
     lengths = np.full(vehicles - 1, length)
     flight = whole_flight(mission, lengths, fold)

@@ -89,14 +89,18 @@ class Conductor:
         self.now = self._last = self._stage_since = 0.0
         self._events: list[Event] = []
         self.team = Team(fleet, self._report)
-        self.flyers = _in_cable_order(fleet, self.team.vehicles, plan.vehicles)
-        self.systems = tuple(vehicle.system for vehicle in self.flyers)
-        self._number = {system: number for number, system in enumerate(self.systems, 1)}
+        self._fly_with(list(self.team.vehicles.values())[: plan.vehicles])
         self._lift = np.array([0.0, 0.0, vehicles.grip_offset])
         standing = self.guidance.planned(0.0).position + self._lift
-        self._preparation = Preparation(self.team, self.flyers, fleet, standing)
+        self._preparation = Preparation(self.team, fleet, standing)
         self._reset_flight()
         self._reset_numbers(plan.vehicles)
+
+    def _fly_with(self, flyers: list[Vehicle]) -> None:
+        """Say who flies, in order along the cable; a guess until everybody has been heard."""
+        self.flyers = flyers
+        self.systems = tuple(vehicle.system for vehicle in flyers)
+        self._number = {system: number for number, system in enumerate(self.systems, 1)}
 
     def _reset_flight(self) -> None:
         self.gate = 0
@@ -316,6 +320,7 @@ class Conductor:
         if isinstance(result, Outcome):
             self._finish_as(result.word, result.explanation)
         elif isinstance(result, Prepared):
+            self._fly_with(result.flyers)
             self.frames, self._yaw, self.audit = result.frames, result.yaw, result.audit
             self._measure()
             self.start_position = self.position.copy()
@@ -677,13 +682,6 @@ _REQUESTS: Mapping[Request, Callable[[Conductor], None]] = {
     "kill": Conductor._wish_kill,
     "interrupt": Conductor._wish_interrupt,
 }
-
-
-def _in_cable_order(fleet: Fleet, vehicles: Mapping[int, Vehicle], needed: int) -> list[Vehicle]:
-    """Return the vehicles that fly, in order along the cable, as the fleet file places them."""
-    placed = {listed.pad: vehicles[listed.sysid] for listed in fleet.vehicles if listed.pad}
-    others = [vehicles[listed.sysid] for listed in fleet.vehicles if listed.pad is None]
-    return [placed.get(pad) or others.pop(0) for pad in range(1, needed + 1)]
 
 
 def _check_rest(proven: ProvenPlan) -> None:

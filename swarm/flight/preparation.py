@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
+from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit
-from swarm.flight.readiness import make_frames, named, placement, readiness
+from swarm.flight.readiness import assigned, levelled, placement, readiness, rough_frames
 from swarm.flight.result import Outcome
 from swarm.flight.team import Team
 from swarm.mavlink.frames import Frames
@@ -18,14 +19,18 @@ from swarm.preflight.findings import Finding
 
 Floats = npt.NDArray[np.float64]
 
+SPARE_PATIENCE = 5.0
+"""Seconds to wait for vehicles beyond those that the plan needs."""
+
 STANDING_TIME = 1.0
 """Seconds over which the positions of standing vehicles are averaged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A team that is ready: its frames, the yaw (n,) that each keeps, what the audit found."""
+    """A team that is ready: who flies in order along the cable, frames, yaw (n,), the audit."""
 
+    flyers: list[Vehicle]
     frames: Frames
     yaw: Floats
     audit: Audit
@@ -33,17 +38,18 @@ class Prepared:
 
 @dataclass
 class Preparation:
-    """Prepares the vehicles that will fly, in order along the cable.
+    """Prepares the fleet's vehicles and finds out who stands on which pad.
 
-    ``standing`` (n, 3) is where the plan has their centres before take-off, mission ENU.
+    ``standing`` (n, 3) is where the plan has the vehicles' centres before take-off, mission ENU.
     """
 
     team: Team
-    flyers: list[Vehicle]
     fleet: Fleet
     standing: Floats
     _began: float | None = None
-    _all_heard_at: float | None = None
+    _enough_at: float | None = None
+    _heard: list[Vehicle] = field(default_factory=list)
+    _heard_at: float | None = None
     _samples: list[tuple[float, Floats]] = field(default_factory=list)
 
     def tick(self, now: float) -> Prepared | Outcome | None:
@@ -51,36 +57,37 @@ class Preparation:
         if self._began is None:
             self._began = now
         late = now - self._began > self.fleet.limits.ready
-        if self._all_heard_at is None:
+        if self._heard_at is None:
             return self._listen(now, late=late)
         self._ask()
-        findings = readiness(self.flyers, self.fleet, now)
+        findings = readiness(self._heard, self.fleet, now)
         if findings:
             self._samples.clear()
             return _not_ready(findings) if late else None
-        self._samples.append((now, np.array([vehicle.position for vehicle in self.flyers])))
+        self._samples.append((now, np.array([vehicle.position for vehicle in self._heard])))
         if now - self._samples[0][0] < STANDING_TIME:
             return None
-        for vehicle in self.flyers:
-            vehicle.quieten(self._all_heard_at, now)
+        for vehicle in self._heard:
+            vehicle.quieten(self._heard_at, now)
         return self._finish()
 
     @property
     def everybody_heard(self) -> bool:
         """Whether every vehicle that will fly has been heard."""
-        return self._all_heard_at is not None
+        return self._heard_at is not None
 
     def _listen(self, now: float, *, late: bool) -> Outcome | None:
-        missing = [v for v in self.flyers if v.autopilot is None or v.heartbeat_at == -math.inf]
-        if not missing:
-            self._all_heard_at = now
+        """Wait for all vehicles of the fleet; for spares only a while."""
+        everybody = list(self.team.vehicles.values())
+        heard = [v for v in everybody if v.autopilot is not None and v.heartbeat_at > -math.inf]
+        if len(heard) >= len(self.standing) and self._enough_at is None:
+            self._enough_at = now
+        patient = self._enough_at is not None and now - self._enough_at > SPARE_PATIENCE
+        if len(heard) == len(everybody) or patient:
+            self._heard, self._heard_at = heard, now
             self._request_streams()
         elif late:
-            names = ", ".join(
-                named(vehicle, number)
-                for number, vehicle in enumerate(self.flyers, 1)
-                if vehicle in missing
-            )
+            names = ", ".join(f"system {v.system}" for v in everybody if v not in heard)
             return Outcome("failed", f"not heard: {names}")
         return None
 
@@ -94,31 +101,58 @@ class Preparation:
             common.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
             common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 1.0,
         }
-        for vehicle in self.flyers:
+        for vehicle in self._heard:
             for message, rate in wanted.items():
                 vehicle.request_interval(message, rate)
 
     def _ask(self) -> None:
         """Ask for what is still missing: origins, and the mode in which readiness is judged."""
-        for vehicle in self.flyers:
+        for vehicle in self._heard:
             if vehicle.origin is None and self.fleet.frame == "gps" and vehicle.commands.idle:
                 vehicle.request_message(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
             early = vehicle.autopilot is not None and vehicle.autopilot.offboard_early
             if early and not vehicle.in_mode("offboard"):
                 vehicle.set_mode("offboard")
 
-    def _finish(self) -> Prepared:
+    def _finish(self) -> Prepared | Outcome:
         measured = np.mean([row for _, row in self._samples], axis=0)
-        frames = make_frames(self.flyers, self.fleet, self.standing, measured)
-        findings = placement(self.flyers, self.fleet, frames, self.standing, measured)
+        number = {vehicle.system: k for k, vehicle in enumerate(self._heard)}
+        given = {
+            listed.pad - 1: number[listed.sysid]
+            for listed in self.fleet.vehicles
+            if listed.pad is not None
+            and listed.pad <= len(self.standing)
+            and listed.sysid in number
+        }
+        pads = np.full_like(measured, np.nan)
+        for pad, k in given.items():
+            pads[k] = self.standing[pad]
+        try:
+            frames = rough_frames(self._heard, self.fleet, pads)
+        except Refused as error:
+            return Outcome("refused", str(error))
+        if self.fleet.frame == "pads":
+            places = np.arange(len(measured))[:, None] * np.ones(3)
+            order = assigned(places, np.arange(len(self.standing))[:, None] * np.ones(3), given)
+        else:
+            order = assigned(frames.points_to_mission(measured), self.standing, given)
+        flyers = [self._heard[k] for k in order]
+        frames = levelled(frames.of(order), self.fleet, self.standing, measured[order])
+        findings = placement(flyers, self.fleet, frames, self.standing, measured[order])
         findings.extend(
             Finding("warning", "fleet", f"system {system} is heard and not in the fleet file")
             for system in self.team.strangers
         )
+        findings.extend(
+            Finding("info", "spare", f"system {vehicle.system} stays on the ground")
+            for vehicle in self._heard
+            if vehicle not in flyers
+        )
         return Prepared(
+            flyers,
             frames,
-            np.array([vehicle.attitude[2] for vehicle in self.flyers]),
-            Audit(tuple(vehicle.system for vehicle in self.flyers), tuple(findings)),
+            np.array([vehicle.attitude[2] for vehicle in flyers]),
+            Audit(tuple(vehicle.system for vehicle in flyers), tuple(findings)),
         )
 
 

@@ -5,13 +5,22 @@ since barometers and satellites put the origins' heights metres apart.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
 
+from swarm.errors import Refused
 from swarm.fleet import Fleet
-from swarm.mavlink.frames import Frames, Origin, gps_frames, shared_frames
+from swarm.mavlink.frames import (
+    Frames,
+    Origin,
+    from_mission,
+    gps_frames,
+    shared_frames,
+    to_mission,
+)
 from swarm.mavlink.vehicle import Vehicle
 from swarm.preflight.findings import Finding, Severity
 
@@ -68,32 +77,77 @@ def _problems(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, str
     return problems
 
 
-def make_frames(
-    vehicles: Sequence[Vehicle], fleet: Fleet, standing: Floats, measured: Floats
-) -> Frames:
-    """Return the frames of vehicles that stand on their pads.
+def rough_frames(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> Frames:
+    """Return the vehicles' frames before heights are levelled.
+
+    ``pads`` (n, 3) is where those vehicles that have their pad from the fleet file should stand
+    (NaN for the others); it places the mission on the earth where the fleet file does not.
+    """
+    place = fleet.origin
+    turned = -math.radians(place.heading) if place else 0.0
+    if fleet.frame != "gps":
+        return shared_frames(len(vehicles), turned)
+    origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
+    projections = [v.autopilot.name if v.autopilot else "px4" for v in vehicles]
+    if place is None:
+        mission, turned = _fitted(vehicles, pads)
+    else:
+        altitude = origins[0].altitude if place.altitude is None else place.altitude
+        mission = Origin(place.latitude, place.longitude, altitude)
+    return gps_frames(mission, turned, origins, projections)
+
+
+def levelled(frames: Frames, fleet: Fleet, standing: Floats, measured: Floats) -> Frames:
+    """Return the frames of vehicles that stand on their pads, with what standing there tells.
 
     ``standing`` (n, 3) is where the plan has the vehicles' centres, mission ENU; ``measured``
     (n, 3) where each says that it is, in its own NED. Heights are levelled to ``standing``, except
     in a shared frame; in the frame ``pads`` the horizontal position is, too.
     """
-    heading = -math.radians(fleet.origin.heading) if fleet.origin else 0.0
     if fleet.frame == "shared":
-        return shared_frames(len(vehicles), heading)
-    if fleet.frame == "pads":
-        frames = shared_frames(len(vehicles), heading)
-        return frames.shifted(standing - frames.points_to_mission(measured))
-    place = fleet.origin
-    origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
-    if place is None:
-        raise ValueError("the mission's origin is not known")
-    altitude = origins[0].altitude if place.altitude is None else place.altitude
-    mission = Origin(place.latitude, place.longitude, altitude)
-    projections = [v.autopilot.name if v.autopilot else "px4" for v in vehicles]
-    frames = gps_frames(mission, heading, origins, projections)
+        return frames
     off = standing - frames.points_to_mission(measured)
-    off[:, :2] = 0.0
+    if fleet.frame == "gps":
+        off[:, :2] = 0.0
     return frames.shifted(off)
+
+
+def assigned(positions: Floats, pads: Floats, taken: Mapping[int, int]) -> list[int]:
+    """Return which vehicle stands on each of the n pads: indices into ``positions`` (m, 3).
+
+    ``taken`` are pads that the fleet file gives to vehicles; the others go to whoever is nearest,
+    so that the sum of squared level distances is smallest. Vehicles beyond n are spares.
+    """
+    free_pads = [pad for pad in range(len(pads)) if pad not in taken]
+    others = [k for k in range(len(positions)) if k not in taken.values()]
+    apart = positions[others][None, :, :2] - pads[free_pads][:, None, :2]
+    rows, columns = linear_sum_assignment((apart**2).sum(axis=2))
+    chosen = dict(taken)
+    chosen |= {free_pads[r]: others[c] for r, c in zip(rows, columns, strict=True)}
+    return [chosen[pad] for pad in range(len(pads))]
+
+
+def _fitted(vehicles: Sequence[Vehicle], pads: Floats) -> tuple[Origin, float]:
+    """Place the mission so that pads lie where their vehicles stand, best in least squares.
+
+    Rotation and translation in the plane from matched points: Umeyama 1991, without scale.
+    """
+    known = [k for k, v in enumerate(vehicles) if v.place and np.isfinite(pads[k]).all()]
+    if len(known) < 2:
+        raise Refused("the fleet file gives neither an origin nor two vehicles with their pads")
+    places = [place for k in known if (place := vehicles[k].place) is not None]
+    first = places[0]
+    there = np.array([to_mission(first, 0.0, place)[:2] for place in places])
+    here = pads[known][:, :2]
+    spread_here, spread_there = here - here.mean(axis=0), there - there.mean(axis=0)
+    sine = float(
+        np.sum(spread_here[:, 0] * spread_there[:, 1] - spread_here[:, 1] * spread_there[:, 0])
+    )
+    cosine = float(np.sum(spread_here * spread_there))
+    turned = math.atan2(sine, cosine)
+    c, s = math.cos(turned), math.sin(turned)
+    shift = there.mean(axis=0) - np.array([[c, -s], [s, c]]) @ here.mean(axis=0)
+    return from_mission(first, 0.0, np.array([shift[0], shift[1], 0.0])), turned
 
 
 def placement(

@@ -59,6 +59,10 @@ class Frames:
         turned[0] += self.translation
         return turned
 
+    def of(self, order: Sequence[int]) -> "Frames":
+        """Return the frames of some of the vehicles, in another order."""
+        return Frames(self.rotation[order], self.translation[order])
+
     def points_to_mission(self, points: Floats) -> Floats:
         """Return points (n, 3), each in its vehicle's NED, in mission ENU."""
         turned: Floats = np.matmul(self._inverse, (points - self.translation)[:, :, None])[:, :, 0]
@@ -145,6 +149,15 @@ def to_mission(mission: Origin, heading: float, place: Origin) -> Floats:
     level: Floats = _turn(heading).T @ np.array([float(east), float(north), 0.0])
     level[2] = place.altitude - mission.altitude
     return level
+
+
+def from_mission(mission: Origin, heading: float, point: Floats) -> Origin:
+    """Return the place on the earth of a mission point (3,), ENU metres."""
+    east, north, up = _turn(heading) @ point
+    latitude, longitude, _ = pymap3d.enu2geodetic(
+        east, north, 0.0, mission.latitude, mission.longitude, mission.altitude
+    )
+    return Origin(float(latitude), float(longitude), mission.altitude + float(up))
 
 
 def _turn(heading: float) -> Floats:

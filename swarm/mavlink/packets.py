@@ -132,13 +132,17 @@ class Decoder:
         return start + length
 
 
+_named: Any = namedtuple
+"""Named tuples whose names only pymavlink knows."""
+
+
 class _Layout:
     """How one message lies in a payload."""
 
     def __init__(self, kind: Any) -> None:
         self.extra = bytes([kind.crc_extra])
         self._unpack, self._size = kind.unpacker.unpack, kind.unpacker.size
-        fields: Any = namedtuple(kind.msgname, kind.ordered_fieldnames)
+        fields = _named(kind.msgname, kind.ordered_fieldnames)
         self._make = fields._make
         self._arrays = [
             length if length > 1 and not declared.startswith("char") else 0

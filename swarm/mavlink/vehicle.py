@@ -27,6 +27,8 @@ _PREARM = int(common.MAV_SYS_STATUS_PREARM_CHECK)
 _KILL = 21196.0
 _ORIGIN_MOVED = 0.05
 _TEXT_LENGTH = 50
+_OVERTAKEN = 128
+"""A sequence number that is farther ahead than this is a packet that was overtaken."""
 
 
 @dataclass(frozen=True)
@@ -96,14 +98,16 @@ class Vehicle:
         self.heard_at = now
         self.packets += 1
         last = self._sequences.get(packet.component)
-        self._sequences[packet.component] = packet.sequence
-        if last is not None and packet.sequence != last:
-            self.lost_packets += (packet.sequence - last - 1) % 256
-        if packet.message is None:
+        gap = 1 if last is None else (packet.sequence - last) % 256
+        if 0 < gap < _OVERTAKEN:
+            self._sequences[packet.component] = packet.sequence
+            self.lost_packets += gap - 1
+        handler = self._HANDLERS.get(packet.number)
+        if handler is None or packet.message is None:
             self.unused[packet.number] = self.unused.get(packet.number, 0) + 1
         else:
             self._from = packet.component
-            self._HANDLERS[packet.number](self, packet.message, now)
+            handler(self, packet.message, now)
 
     def take_events(self) -> list[VehicleEvent]:
         """Return the events since the last call."""
@@ -322,7 +326,7 @@ class Vehicle:
             self.ready = bool(message.onboard_control_sensors_health & _PREARM)
 
     def _status_text(self, message: Message, now: float) -> None:
-        text = message.text.decode("utf-8", "replace").rstrip("\x00")
+        text = message.text.split(b"\0", 1)[0].decode("utf-8", "replace")
         if message.id:
             key = self._from << 16 | message.id
             parts = self._chunks.setdefault(key, [])

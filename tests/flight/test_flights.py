@@ -60,7 +60,7 @@ def test_px4_hears_a_stream_before_offboard_and_is_armed_after_it():
 
 def test_ardupilot_gets_no_setpoint_until_it_flies():
     flight = network(("ardupilot",), no_cable=True)
-    flight.run(lambda: flight.conductor.streaming.any())
+    flight.run(flight.conductor.streaming.any)
     seen = [(now, kind) for now, _, kind, *_ in sent_to(flight)]
     assert "takeoff" in [kind for _, kind in seen]
     assert {now for now, kind in seen if kind == "setpoint"} == {flight.now}
@@ -216,7 +216,7 @@ def test_vehicles_that_are_never_heard_are_named():
     flight = network(downlink=lambda _now, system, _data: system == 1)
     outcome = flight.run()
     assert outcome.exit_code == 3
-    assert outcome.explanation == "not heard: vehicle 2, vehicle 3"
+    assert outcome.explanation == "not heard: system 2, system 3"
 
 
 @pytest.mark.parametrize("autopilots", AUTOPILOTS[:2], ids="-".join)

@@ -1,0 +1,122 @@
+"""The mission clock and the setpoints: smooth whatever is asked of them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarm.flight.clock import MissionClock
+from swarm.flight.guidance import Guidance, Sampler
+from swarm.trajectory import followed, leg, through_states
+
+LINE = np.array([[0.0, 0.0, 4.0], [3.0, 0.0, 4.0], [6.0, 0.0, 5.0]])
+THERE = LINE + np.array([0.0, 4.0, 1.0])
+MOTION = followed(leg(LINE, THERE, 1.0, 0.7), leg(THERE, LINE, 1.5, 0.7))
+
+
+@given(
+    st.lists(st.tuples(st.floats(-1, 1), st.integers(1, 60)), min_size=1, max_size=8),
+    st.sampled_from([0.01, 0.02, 0.05, 0.1]),
+)
+@settings(max_examples=100)
+def test_the_rate_is_c1_bounded_and_does_not_overshoot(wishes, step):
+    clock = MissionClock(steepest=0.5)
+    low = high = 0.0
+    for target, count in wishes:
+        low, high = min(low, target), max(high, target)
+        for _ in range(count):
+            clock.target = target
+            rate, slope = clock.rate, clock.slope
+            clock.advance(step, -1e9, 1e9)
+            assert abs(clock.slope) <= 0.5 + 1e-9
+            assert abs(clock.slope - slope) <= 8.0 * step * 1.0 + 1e-9
+            assert abs(clock.rate - rate) <= 0.5 * step + 2e-3
+            assert low - 0.02 <= clock.rate <= high + 0.02
+
+
+def test_it_comes_to_rest_and_stays():
+    clock = MissionClock(steepest=0.5)
+    clock.set_running()
+    for _ in range(200):
+        clock.target = 0.0
+        clock.advance(0.05, -1e9, 1e9)
+    assert clock.stopped
+    at = clock.time
+    clock.advance(1.0, -1e9, 1e9)
+    assert clock.time == at
+
+
+def test_bounds_of_mission_time_stop_it():
+    clock = MissionClock(steepest=0.5, time=9.99)
+    clock.set_running()
+    clock.advance(0.05, 0.0, 10.0)
+    assert (clock.time, clock.stopped) == (10.0, True)
+
+
+@given(st.floats(-3.0, 20.0))
+def test_the_sampler_is_the_motion(time):
+    ours = Sampler(MOTION).at(time)
+    theirs = MOTION.at(time)
+    for one, other in zip(ours, theirs, strict=True):
+        assert one == pytest.approx(other, abs=1e-9)
+
+
+@given(st.floats(0.1, 6.0), st.floats(-1.0, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_whoever_joins_begins_where_it_is_and_ends_in_the_plan(start, off):
+    guidance = Guidance(MOTION)
+    clock = MissionClock(steepest=0.5, time=start, rate=0.5, target=0.5)
+    here = MOTION.at(start)[0][1] + off
+    guidance.join(1, here, start, now=100.0)
+    assert guidance.wanted(clock, 100.0).position[1] == pytest.approx(here)
+    step, now, last = 1e-3, 100.0, guidance.wanted(clock, 100.0)
+    for _ in range(200):
+        now += step
+        clock.time += clock.rate * step
+        state = guidance.wanted(clock, now)
+        change = (state.position - last.position) / step
+        assert change == pytest.approx(0.5 * (state.velocity + last.velocity), abs=1e-4)
+        last = state
+    after = guidance.wanted(clock, 200.0)
+    assert after.position == pytest.approx(MOTION.at(clock.time)[0])
+
+
+def test_backwards_is_forwards_with_other_signs():
+    guidance = Guidance(MOTION)
+    forth = guidance.wanted(MissionClock(0.5, time=2.0, rate=0.7, slope=0.1), 0.0)
+    back = guidance.wanted(MissionClock(0.5, time=2.0, rate=-0.7, slope=-0.1), 0.0)
+    assert back.position == pytest.approx(forth.position)
+    assert back.velocity == pytest.approx(-forth.velocity)
+    curve = MOTION.at(2.0)[2]
+    assert forth.acceleration == pytest.approx(0.49 * curve + 0.1 * MOTION.at(2.0)[1])
+
+
+def test_going_down_together_keeps_levels_until_the_floor():
+    guidance = Guidance(MOTION)
+    guidance.descend(LINE, 0.5, now=10.0)
+    clock = MissionClock(0.5)
+    last = guidance.wanted(clock, 10.0)
+    assert last.position == pytest.approx(LINE)
+    for now in np.arange(10.02, 30.0, 0.02):
+        state = guidance.wanted(clock, float(now))
+        assert state.position[:, :2] == pytest.approx(LINE[:, :2])
+        aloft = state.position[:, 2] > 0.0
+        levels = LINE[:, 2] - state.position[:, 2]
+        if aloft.all():
+            assert np.ptp(levels) < 1e-9
+        assert np.all(last.position[:, 2] - state.position[:, 2] <= 0.5 * 0.02 + 1e-9)
+        last = state
+    assert last.position[:, 2] == pytest.approx(0.0)
+    assert not last.velocity.any()
+
+
+def test_a_detour_runs_in_real_time():
+    guidance = Guidance(MOTION)
+    way = through_states(
+        np.array([0.0, 4.0]), np.stack([LINE, THERE]), np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
+    )
+    guidance.detour(way, now=50.0)
+    assert guidance.detour_duration == 4.0
+    assert guidance.wanted(MissionClock(0.5, time=1.0), 52.0).position == pytest.approx(
+        0.5 * (LINE + THERE)
+    )

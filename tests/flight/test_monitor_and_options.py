@@ -1,0 +1,94 @@
+"""What the live monitor sees, and which ways out of a plan are open."""
+
+import numpy as np
+import pytest
+
+from swarm.cable.chain import polyline
+from swarm.flight.monitor import Monitor
+from swarm.flight.options import options
+from tests.network import small_plan
+
+PROVEN = small_plan(vehicles=4)
+PLAN = PROVEN.plan
+LINE = PLAN.layout.corners
+
+
+def test_margins_are_what_is_left_of_what_the_mission_asks():
+    monitor = Monitor(PLAN)
+    (free,) = monitor.look(LINE[None], "free")
+    assert free.vehicle == pytest.approx(3.0)
+    assert free.margin == pytest.approx(3.0 - PLAN.mission.clearance.vehicle)
+    assert free.cable == np.inf
+
+
+def test_vehicles_one_above_the_other_are_apart_by_height():
+    monitor = Monitor(PLAN)
+    stacked = LINE.copy()
+    stacked[1] = stacked[0] + [0.1, 0.0, 1.6]
+    (seen,) = monitor.look(stacked[None], "free")
+    assert seen.margin == pytest.approx(1.6 - PLAN.mission.clearance.downwash)
+
+
+def test_strands_are_measured_as_densely_sampled_curves_are():
+    monitor = Monitor(PLAN)
+    rng = np.random.default_rng(3)
+    for _ in range(30):
+        crossed = np.array([[0, 0, 5], [3, 0, 5], [2.2, 2.2, 5], [1.5, -0.8, 5.0]], dtype=float)
+        crossed += rng.normal(0.0, 0.15, crossed.shape)
+        chords = np.linalg.norm(np.diff(crossed, axis=0), axis=1)
+        if np.any(chords > 0.98 * PLAN.layout.lengths):
+            continue
+        (seen,) = monitor.look(crossed[None], "aloft")
+        dense = polyline(crossed, PLAN.layout.lengths, 400)
+        first, last = dense[:401], dense[800:]
+        sampled = np.linalg.norm(first[:, None] - last[None], axis=2).min()
+        real = sampled - PLAN.mission.cable.diameter
+        assert seen.cable <= real + 0.02
+        if real < 0.3:
+            assert seen.cable == pytest.approx(real, abs=0.03)
+        assert seen.margin <= seen.cable - PLAN.mission.clearance.cable + 1e-9
+
+
+def test_an_overstretched_cable_has_no_margin():
+    monitor = Monitor(PLAN)
+    far = LINE.copy()
+    far[3, 0] += 1.0
+    (seen,) = monitor.look(far[None], "aloft")
+    assert seen.chord > 1.0
+    assert seen.margin < 0.0
+    assert seen.pace == 0.0
+
+
+def test_pace_falls_to_zero_with_the_margin():
+    monitor = Monitor(PLAN)
+    places = []
+    for gap in (1.3, 1.05, 1.0, 0.9):
+        near = LINE.copy()
+        near[1] = near[0] + [gap, 0.0, 0.0]
+        places.append(near)
+    paces = [seen.pace for seen in monitor.look(np.array(places), "free")]
+    assert paces == pytest.approx([1.0, 0.5, 0.0, 0.0])
+
+
+def test_ways_out_of_a_straight_line_are_always_open():
+    way_out = options(PLAN)
+    aloft = PLAN.phase("fold")
+    assert way_out.at(aloft.start + 1.0) == (True, True)
+    assert way_out.can_land.all()
+
+
+def test_landing_is_closed_while_somebody_is_above_somebody():
+    proven = small_plan(vehicles=3)
+    plan = proven.plan
+    position = plan.motion.coefficients.copy()
+    fold = plan.phase("fold")
+    during = (plan.motion.times[:-1] >= fold.start - 1e-9) & (plan.motion.times[:-1] < fold.end)
+    position[during, 0, 2, 0] -= 2.7
+    crowded = type(plan.motion)(plan.motion.times, position)
+    plan = type(plan)(**{**vars(plan), "motion": crowded})
+    way_out = options(plan)
+    middle = 0.5 * (fold.start + fold.end)
+    assert way_out.at(middle)[0] is False
+    moment = way_out.nearest(way_out.can_land, middle, fold.start - 5.0, fold.end)
+    assert moment is not None
+    assert moment < fold.start

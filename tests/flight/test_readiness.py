@@ -1,0 +1,108 @@
+"""Who stands where: frames from origins, pads and fits; assignment; spares."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarm.errors import Refused
+from swarm.fleet import emulated_fleet, parse_fleet
+from swarm.flight.readiness import assigned, levelled, rough_frames
+from swarm.mavlink.autopilots import PX4
+from swarm.mavlink.frames import Origin, from_mission, to_local
+from swarm.mavlink.vehicle import Vehicle
+from tests.network import Network, small_plan
+
+PADS = np.array([[0.0, 0.0, 0.6], [3.0, 0.5, 0.6], [6.0, -1.0, 0.6], [9.0, 0.0, 0.6]])
+
+
+def fleet(*lines: str):
+    vehicles = "\n".join(f"  - {{sysid: {k}, links: [a]}}" for k in range(1, 5))
+    text = f'schema: 1\nname: f\nlinks: {{a: "udpin://127.0.0.1:0"}}\nvehicles:\n{vehicles}\n'
+    return parse_fleet(text + "\n".join(lines), "f")
+
+
+def standing(mission: Origin, heading: float, origins: list[Origin], height: float = 0.0):
+    """Vehicles that stand on their pads, each with its own origin."""
+    vehicles, measured = [], []
+    for k, (pad, origin) in enumerate(zip(PADS, origins, strict=True), 1):
+        place = from_mission(mission, heading, pad)
+        vehicle = Vehicle(k, autopilot=PX4)
+        vehicle.origin, vehicle.place = origin, place
+        vehicles.append(vehicle)
+        north, east, down = to_local("px4", origin, place)
+        measured.append((north, east, down + height * k))
+    return vehicles, np.array(measured)
+
+
+@given(st.floats(-60, 60), st.floats(-179, 179), st.floats(-3.1, 3.1))
+@settings(max_examples=40, deadline=None)
+def test_without_an_origin_the_mission_is_fitted_to_the_pads(latitude, longitude, heading):
+    mission = Origin(latitude, longitude, 300.0)
+    origins = [from_mission(mission, 0.0, np.array([2.0 * k, -k, k])) for k in range(4)]
+    vehicles, measured = standing(mission, heading, origins, height=0.7)
+    rough = rough_frames(vehicles, fleet(), PADS)
+    frames = levelled(rough, fleet(), PADS, measured)
+    assert frames.points_to_mission(measured) == pytest.approx(PADS, abs=5e-3)
+    north = frames.rotation[0] @ np.array([1.0, 0.0, 0.0])
+    assert math.atan2(north[0], north[1]) == pytest.approx(heading, abs=0.01)
+
+
+def test_an_origin_without_a_place_for_the_mission_is_refused():
+    vehicles, _ = standing(Origin(47, 8, 0), 0.0, [Origin(47, 8, 0)] * 4)
+    with pytest.raises(Refused, match="neither an origin nor two vehicles with their pads"):
+        rough_frames(vehicles, fleet(), np.full((4, 3), np.nan))
+
+
+def test_heights_are_levelled_and_places_are_not():
+    vehicles, measured = standing(Origin(47, 8, 400), 0.0, [Origin(47, 8, 390)] * 4, height=2.0)
+    measured[1, 0] += 0.3
+    gps = fleet("origin: {latitude: 47, longitude: 8, altitude: 400}")
+    frames = levelled(rough_frames(vehicles, gps, PADS), gps, PADS, measured)
+    off = frames.points_to_mission(measured) - PADS
+    assert off[:, 2] == pytest.approx(0.0, abs=1e-9)
+    assert off[1] == pytest.approx([0.0, 0.3, 0.0], abs=2e-3)
+
+
+@given(st.permutations(range(4)))
+def test_everybody_gets_the_pad_on_which_it_stands(order):
+    positions = PADS[list(order)] + 0.2
+    assert [order[k] for k in assigned(positions, PADS, {})] == [0, 1, 2, 3]
+
+
+def test_pads_from_the_file_are_kept_and_spares_are_left_over():
+    positions = np.array([PADS[2], PADS[0], [50.0, 50.0, 0.6], PADS[1], PADS[3]])
+    assert assigned(positions, PADS, {}) == [1, 3, 0, 4]
+    assert assigned(positions, PADS, {0: 2}) == [2, 3, 0, 4]
+
+
+def test_a_spare_takes_the_place_of_a_vehicle_that_is_not_there():
+    proven = small_plan()
+    whole = emulated_fleet(3)
+    listed = [vehicle.model_copy(update={"pad": None}) for vehicle in whole.vehicles]
+    absent = listed[0].model_copy(update={"sysid": 9})
+    team = whole.model_copy(update={"vehicles": (*listed, absent)})
+    flight = Network(proven, team, no_cable=True)
+    flight.run(lambda: flight.conductor.stage == "fly")
+    assert flight.conductor.systems == (1, 2, 3)
+
+
+def test_a_vehicle_far_from_its_pad_is_refused_by_name():
+    proven = small_plan()
+    whole = emulated_fleet(3)
+    first, second, third = whole.vehicles
+    swapped = whole.model_copy(
+        update={
+            "vehicles": (
+                first.model_copy(update={"pad": 2}),
+                second.model_copy(update={"pad": 1}),
+                third,
+            )
+        }
+    )
+    flight = Network(proven, whole, no_cable=True)
+    flight.conductor = type(flight.conductor)(proven, swapped)
+    with pytest.raises(Refused, match=r"vehicle 1 \(system 2\) stands 3\.\d+ m from its pad"):
+        flight.run()

@@ -1,0 +1,185 @@
+"""One vehicle: what its messages change, and what it is asked."""
+
+import math
+
+import pytest
+from pymavlink.dialects.v20 import common
+
+from swarm.mavlink.packets import Decoder
+from swarm.mavlink.vehicle import Vehicle
+
+PX4, ARDUPILOT = common.MAV_AUTOPILOT_PX4, common.MAV_AUTOPILOT_ARDUPILOTMEGA
+
+
+class Wire:
+    """Feeds a vehicle with packets that pymavlink made."""
+
+    def __init__(self, system=3):
+        self.vehicle = Vehicle(system)
+        self._mav = common.MAVLink(None, srcSystem=system, srcComponent=1)
+
+    def __call__(self, message, now=0.0):
+        (packet,) = Decoder().feed(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+        self.vehicle.receive(packet, now)
+        return [event.kind for event in self.vehicle.take_events()]
+
+    def lose(self, count):
+        self._mav.seq = (self._mav.seq + count) % 256
+
+
+def heartbeat(autopilot=PX4, armed=False, custom_mode=0):
+    base = 1 | (common.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+    return common.MAVLink_heartbeat_message(2, autopilot, base, custom_mode, 4, 3)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "custom_mode", "name"),
+    [
+        (PX4, 6 << 16, "offboard"),
+        (PX4, 4 << 16 | 6 << 24, "land"),
+        (PX4, 4 << 16 | 5 << 24, "return"),
+        (PX4, 3 << 16, "position"),
+        (ARDUPILOT, 4, "guided"),
+        (ARDUPILOT, 9, "land"),
+        (ARDUPILOT, 6, "return"),
+        (ARDUPILOT, 250, "mode 250"),
+    ],
+)
+def test_modes_are_words(autopilot, custom_mode, name):
+    wire = Wire()
+    assert wire(heartbeat(autopilot, custom_mode=custom_mode)) == ["heard", "mode"]
+    assert wire.vehicle.mode == name
+
+
+def test_arming_and_disarming_are_told_once():
+    wire = Wire()
+    wire(heartbeat())
+    assert wire(heartbeat(armed=True)) == ["armed"]
+    assert wire(heartbeat(armed=True)) == []
+    assert wire(heartbeat(armed=False)) == ["disarmed"]
+
+
+def test_other_components_do_not_change_the_autopilots_state():
+    wire = Wire()
+    wire(heartbeat())
+    camera = common.MAVLink_heartbeat_message(30, common.MAV_AUTOPILOT_INVALID, 128, 9, 4, 3)
+    assert wire(camera) == []
+    assert not wire.vehicle.armed
+
+
+def test_an_autopilot_that_is_neither_is_not_taken_for_one():
+    wire = Wire()
+    wire(heartbeat(common.MAV_AUTOPILOT_GENERIC))
+    assert wire.vehicle.autopilot is None
+    assert wire.vehicle.mode == "unknown"
+
+
+def test_readiness_is_unknown_until_it_is_said():
+    wire = Wire()
+    bit = common.MAV_SYS_STATUS_PREARM_CHECK
+
+    def status(present, health):
+        return common.MAVLink_sys_status_message(
+            present, present, health, 0, 16000, 0, 87, 0, 0, 0, 0, 0, 0
+        )
+
+    wire(status(1, 1))
+    assert wire.vehicle.ready is None
+    wire(status(bit, 0))
+    assert wire.vehicle.ready is False
+    wire(status(bit, bit))
+    assert wire.vehicle.ready is True
+    assert wire.vehicle.battery == pytest.approx(0.87)
+
+
+def test_an_unknown_battery_is_not_an_empty_one():
+    wire = Wire()
+    wire(common.MAVLink_sys_status_message(0, 0, 0, 0, 16000, 0, -1, 0, 0, 0, 0, 0, 0))
+    assert math.isnan(wire.vehicle.battery)
+
+
+def test_long_texts_are_put_together_and_trailing_tabs_go():
+    wire = Wire()
+    long = "x" * 50 + "the rest\t"
+    for chunk in range(2):
+        part = long[50 * chunk : 50 * chunk + 50].encode()
+        wire(common.MAVLink_statustext_message(3, part, 11, chunk), 5.0)
+    assert [text for _, _, text in wire.vehicle.texts] == ["x" * 50 + "the rest"]
+    assert wire.vehicle.recent_words(6.0) == "x" * 50 + "the rest"
+    assert wire.vehicle.recent_words(60.0) == ""
+
+
+def test_lost_packets_are_counted_by_sequence():
+    wire = Wire()
+    for _ in range(300):
+        wire(heartbeat())
+    wire.lose(7)
+    wire(heartbeat())
+    assert wire.vehicle.lost_packets == 7
+
+
+def test_a_packet_that_was_overtaken_is_not_two_hundred_lost_ones():
+    wire = Wire()
+    wire(heartbeat())
+    wire.lose(255 - 1)
+    wire(heartbeat())
+    assert wire.vehicle.lost_packets == 0
+
+
+def test_a_clock_that_goes_back_is_a_reboot_and_reordering_is_not():
+    wire = Wire()
+
+    def position(boot):
+        return common.MAVLink_local_position_ned_message(boot, 0, 0, 0, 0, 0, 0)
+
+    wire(position(50_000))
+    assert wire(position(49_500)) == []
+    assert wire(position(1_000)) == ["rebooted"]
+
+
+def test_an_origin_that_moves_is_told_and_rounding_is_not():
+    wire = Wire()
+
+    def origin(latitude, altitude):
+        return common.MAVLink_gps_global_origin_message(latitude, 85_000_000, altitude, 0)
+
+    assert wire(origin(470_000_000, 400_000)) == []
+    assert wire(origin(470_000_001, 400_001)) == []
+    assert wire(origin(470_000_100, 400_000)) == ["origin"]
+
+
+def test_the_clock_offset_comes_from_the_quickest_answer():
+    wire = Wire()
+    for delay, late in ((0.4, 0.1), (0.02, 0.01), (0.3, 0.0)):
+        sent = 100.0
+        theirs = sent + delay / 2 + late + 7.0
+        answer = common.MAVLink_timesync_message(int(theirs * 1e9), int(sent * 1e9))
+        wire(answer, sent + delay)
+    assert wire.vehicle.round_trip == pytest.approx(0.02)
+    assert wire.vehicle.clock_offset == pytest.approx(7.01)
+
+
+def test_what_nobody_reads_is_stopped_and_given_back():
+    wire = Wire()
+    wire(heartbeat())
+    for k in range(100):
+        wire(common.MAVLink_attitude_quaternion_message(k, 1, 0, 0, 0, 0, 0, 0), 0.02 * k)
+        wire(common.MAVLink_attitude_message(k, 0, 0, 0, 0, 0, 0), 0.02 * k)
+    wire.vehicle.quieten(0.0, 2.0)
+    asked = [(m.param1, m.param2) for m in wire.vehicle.tick(2.0)]
+    assert asked == [(common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, -1.0)]
+    wire.vehicle.commands.drop_all()
+    wire.vehicle.restore_streams()
+    asked = [(m.param1, m.param2) for m in wire.vehicle.tick(3.0)]
+    assert asked == [(common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, 0.0)]
+
+
+def test_modes_are_asked_for_as_each_autopilot_takes_them():
+    for autopilot, main, sub in ((PX4, 4.0, 6.0), (ARDUPILOT, 9.0, 0.0)):
+        wire = Wire()
+        wire(heartbeat(autopilot))
+        wire.vehicle.set_mode("land")
+        wire.vehicle.set_mode("land")
+        (message,) = wire.vehicle.tick(0.0)
+        assert (message.param1, message.param2, message.param3) == (1.0, main, sub)
