@@ -113,7 +113,8 @@ def main() -> None:
     print(
         f"{count} vehicles: ready after {started:.2f} s, {100 * used:.0f} % of one core, "
         f"{positions:.1f} positions, {attitudes / seconds / count:.1f} attitudes a second each, "
-        f"lateness p50 {np.quantile(lateness, 0.5):.2f} ms, p99 {np.quantile(lateness, 0.99):.1f} ms"
+        f"lateness p50 {np.quantile(lateness, 0.5):.2f} ms, "
+        f"p99 {np.quantile(lateness, 0.99):.1f} ms"
     )
 
 

@@ -29,12 +29,17 @@ Setpoints = Callable[[int, float], tuple[float, ...] | None]
 
 def world(count: int = 1, cable: str = "", **keys: Any) -> Any:
     """A world of ``count`` vehicles 3 m apart along x; other keys of all vehicles by name."""
-    common = {"autopilot": "px4", **keys}
+    autopilots = keys.pop("autopilots", [keys.pop("autopilot", "px4")])
+    common = keys
     top = {key: common.pop(key) for key in ("biases", "seed", "indoor", "wind") if key in common}
     extra = ", ".join(f"{key}: {value}" for key, value in common.items())
     lines = [f"{key}: {value}" for key, value in {"schema": 1, "biases": "none", **top}.items()]
     lines.append("vehicles:")
-    lines += [f"  - {{id: {i + 1}, pad: [{3.0 * i}, 0, 0], {extra}}}" for i in range(count)]
+    for i in range(count):
+        autopilot = autopilots[i % len(autopilots)]
+        lines.append(
+            f"  - {{id: {i + 1}, autopilot: {autopilot}, pad: [{3.0 * i}, 0, 0], {extra}}}"
+        )
     if cable:
         lines.append(f"cable: {cable}")
     return parse_world("\n".join(lines))

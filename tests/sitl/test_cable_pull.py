@@ -87,3 +87,47 @@ def test_a_released_cable_falls_and_a_bare_vehicle_stays() -> None:
     truth = ground.emulator.truth()
     assert truth.cable[:, 2].max() < 0.01
     assert np.abs(truth.position[:, 2] - 4.0).max() < 0.1
+
+
+@pytest.mark.parametrize("autopilots", [["px4"], ["ardupilot"], ["px4", "ardupilot"]], ids=str)
+def test_a_team_picks_up_carries_and_drops_a_cable(autopilots: list[str]) -> None:
+    bow = "[0.5, 0.5, 0], [2.5, 0.5, 0], [3, 0, 0], [3.5, 0.5, 0], [5.5, 0.5, 0]"
+    cable = f"{{points: [[-0.5, 0, 0], [0, 0, 0], {bow}, [6, 0, 0]]}}"
+    ground = Ground(Emulator(world(3, cable, autopilots=autopilots)))
+    kinds = {vehicle.id: vehicle.autopilot for vehicle in ground.emulator.world.vehicles}
+    ground.run(1.0)
+    for vehicle, kind in kinds.items():
+        ground.command(vehicle, GRIPPER, 1, 1)
+        if kind == "ardupilot":
+            ground.command(vehicle, dialect.MAV_CMD_DO_SET_MODE, 1, 4)
+            ground.command(vehicle, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 32, 1e5)
+    ground.run(1.0)
+    assert ground.emulator.truth().gripped.all()
+    assert all(ground.acks(vehicle, GRIPPER)[-1] == 0 for vehicle in kinds)
+    stands = ground.toward({i: (3.0 * (i - 1), 0.0, 0.6) for i in kinds})
+    ground.run(0.5, stands)
+    for vehicle, kind in kinds.items():
+        if kind == "px4":
+            ground.command(vehicle, dialect.MAV_CMD_DO_SET_MODE, 1, 6)
+        ground.command(vehicle, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    ground.run(0.3, stands)
+    for vehicle, kind in kinds.items():
+        if kind == "ardupilot":
+            ground.command(vehicle, dialect.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 2.4)
+    px4 = {i: (3.0 * (i - 1), 0.0, 3.0) for i, kind in kinds.items() if kind == "px4"}
+    ground.run(6.0, ground.toward(px4))
+    everywhere = {i: (3.0 * (i - 1) + 1.0, 1.0, 4.0) for i in kinds}
+    ground.run(8.0, ground.toward(everywhere))
+    truth = ground.emulator.truth()
+    wanted = np.array(list(everywhere.values())) - (0.0, 0.0, 0.6)
+    assert np.linalg.norm(truth.position - wanted, axis=1).max() < 0.15
+    assert truth.gripped.all()
+    assert truth.cable[:, 2].max() > 3.0
+    assert not truth.strikes
+    assert not truth.contacts
+    for vehicle in kinds:
+        ground.command(vehicle, GRIPPER, 1, 0)
+    ground.run(4.0, ground.toward(everywhere))
+    truth = ground.emulator.truth()
+    assert not truth.gripped.any()
+    assert truth.cable[:, 2].max() < 0.01
