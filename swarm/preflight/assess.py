@@ -9,11 +9,11 @@ from swarm.errors import SwarmError
 from swarm.knots.gauss import SignedGauss, parse_gauss, same_code
 from swarm.plans import Plan
 from swarm.preflight.budget import budgets
-from swarm.preflight.certificate import Moment, limits, moments_of, tightest_moments
+from swarm.preflight.certificate import Moment, limits, moments_of, tightest_moments, vehicle_name
 from swarm.preflight.course import Course
-from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
+from swarm.preflight.findings import Assessment, Finding, Robustness, Severity, Tightest
 from swarm.preflight.limits import TAUT
-from swarm.preflight.loads import loads, payload_limit
+from swarm.preflight.loads import dead_vehicle, loads, payload_limit, stuck_gripper
 from swarm.preflight.robustness import holds_in_wind, largest_tracking, largest_wind
 from swarm.preflight.topology import end_code, end_knot, end_time, layout_code
 from swarm.preflight.windows import longest_stop, windows
@@ -103,10 +103,10 @@ def _clearance_finding(plan: Plan, moment: Moment) -> Finding:
     return _at("error", moment.check, message, moment)
 
 
-def _at(severity: str, check: str, message: str, moment: Moment) -> Finding:
+def _at(severity: Severity, check: str, message: str, moment: Moment) -> Finding:
     place = ", ".join(f"{value:.2f}" for value in moment.where)
     return Finding(
-        severity,  # type: ignore[arg-type]
+        severity,
         check,
         f"{message} (at {moment.time:.2f} s, near ({place}))",
         moment.time,
@@ -199,8 +199,30 @@ def _load_findings(plan: Plan) -> list[Finding]:
         message = (
             f"{name} {index + 1} bears up to {worst:.2f} N of cable; {allowed:.2f} N are allowed"
         )
-        severity = "error" if worst > allowed else "info"
-        findings.append(Finding(severity, quantity, message, float(found.time[instant])))  # type: ignore[arg-type]
+        severity: Severity = "error" if worst > allowed else "info"
+        findings.append(Finding(severity, quantity, message, float(found.time[instant])))
+    return [*findings, *_mishap_findings(plan, limit)]
+
+
+def _mishap_findings(plan: Plan, limit: float) -> list[Finding]:
+    """What a failure would load on others; beyond the payload a warning, for nobody planned it."""
+    findings = []
+    dead = dead_vehicle(plan)
+    if dead is not None:
+        message = (
+            f"if {vehicle_name(dead.cause)} died in the air, {vehicle_name(dead.bearer)} would "
+            f"bear {dead.pull:.1f} N ({limit:.1f} N is its payload): let go of it at once"
+        )
+        severity: Severity = "warning" if dead.pull > limit else "info"
+        findings.append(Finding(severity, "dead vehicle", message, dead.time))
+    stuck = stuck_gripper(plan)
+    if stuck is not None:
+        message = (
+            f"if the gripper of {vehicle_name(stuck.bearer)} stayed shut at the release, it would "
+            f"bear {stuck.pull:.1f} N of cable ({limit:.1f} N is its payload)"
+        )
+        severity = "warning" if stuck.pull > limit else "info"
+        findings.append(Finding(severity, "stuck gripper", message, stuck.time))
     return findings
 
 
@@ -211,8 +233,8 @@ def _endurance_findings(plan: Plan) -> list[Finding]:
         f"the plan takes {plan.duration:.0f} s without waiting at gates, {share:.0%} of the "
         f"vehicles' endurance of {endurance:g} s"
     )
-    severity = "error" if share > 1.0 else "warning" if share > 0.8 else "info"
-    return [Finding(severity, "endurance", message)]  # type: ignore[arg-type]
+    severity: Severity = "error" if share > 1.0 else "warning" if share > 0.8 else "info"
+    return [Finding(severity, "endurance", message)]
 
 
 def _topology(plan: Plan) -> tuple[str, Chirality, str, list[Finding]]:
@@ -233,8 +255,8 @@ def _topology(plan: Plan) -> tuple[str, Chirality, str, list[Finding]]:
     asked = (plan.knot.type, plan.knot.chirality)
     if plan.knot.type and (found.name, found.chirality) != asked:
         message = f"the cable ends as {found}, but {_knot(*asked)} was asked for"
-        severity = "error" if found.known else "warning"
-        findings.append(Finding(severity, "knot type", message, at_time))  # type: ignore[arg-type]
+        severity: Severity = "error" if found.known else "warning"
+        findings.append(Finding(severity, "knot type", message, at_time))
     if not findings:
         as_asked = ", as asked" if plan.knot.type else ""
         message = f"the cable ends as {found}, with the crossing code {_shown(code)}{as_asked}"

@@ -75,3 +75,83 @@ def _forces(strands: Catenaries, weight: float) -> Floats:
 def payload_limit(plan: Plan) -> float:
     """Force that a vehicle can carry beside its own weight, newtons."""
     return plan.mission.vehicles.payload * STANDARD_GRAVITY
+
+
+@dataclass(frozen=True)
+class Mishap:
+    """The largest pull on a vehicle after another's failure: newtons, who bears it, and when."""
+
+    pull: float
+    bearer: int
+    cause: int
+    time: float
+
+
+def dead_vehicle(plan: Plan) -> Mishap | None:
+    """Largest pull on a neighbour of a vehicle that dies while it holds the cable, aloft.
+
+    It hangs below its neighbours on two straight segments, or below one of them at an end of the
+    cable; the cable's own weight on the bearer, at its setpoint, comes on top. Vehicles are indices
+    from 0. None where the cable is never aloft.
+    """
+    found = loads(plan)
+    if not len(found.time):
+        return None
+    place = plan.motion.at(found.time)[0]
+    weight = plan.mission.vehicles.mass * STANDARD_GRAVITY
+    own = np.hypot(found.vertical, found.horizontal)
+    lengths = plan.layout.lengths
+    first = own[:, [1, -2]] + weight
+    mishaps = [
+        Mishap(
+            float(first[:, side].max()), bearer, cause, float(found.time[first[:, side].argmax()])
+        )
+        for side, (bearer, cause) in enumerate(((1, 0), (plan.vehicles - 2, plan.vehicles - 1)))
+    ]
+    for dead in range(1, plan.vehicles - 1):
+        pulls = _two_strings(
+            place[:, dead - 1], place[:, dead + 1], lengths[dead - 1], lengths[dead], weight
+        )
+        for pull, bearer in zip(pulls, (dead - 1, dead + 1), strict=True):
+            whole = own[:, bearer] + pull
+            at = int(np.argmax(whole))
+            mishaps.append(Mishap(float(whole[at]), bearer, dead, float(found.time[at])))
+    return max(mishaps, key=lambda mishap: mishap.pull)
+
+
+def _two_strings(
+    one: Floats, other: Floats, first: float, last: float, weight: float
+) -> tuple[Floats, Floats]:
+    """Pulls (k,) on two supports (k, 3) of a weight on two strings, as it hangs."""
+    across = np.maximum(np.hypot(other[:, 0] - one[:, 0], other[:, 1] - one[:, 1]), 1e-6)
+    rise = other[:, 2] - one[:, 2]
+    chord = np.hypot(across, rise)
+    along = (first**2 - last**2 + chord**2) / (2.0 * chord)
+    depth = np.sqrt(np.maximum(first**2 - along**2, 0.0))
+    x = along * across / chord + depth * rise / chord
+    z = along * rise / chord - depth * across / chord
+    # Balance: horizontal parts cancel, vertical ones add up to the weight. If it hangs beyond one
+    # of the supports, that one alone bears it.
+    to_one = np.maximum(-z, 1e-6) / np.maximum(x, 1e-6)
+    to_other = np.maximum(rise - z, 1e-6) / np.maximum(across - x, 1e-6)
+    horizontal = weight / (to_one + to_other)
+    between = (x > 0.0) & (x < across)
+    on_one = np.where(between, np.hypot(horizontal, horizontal * to_one), weight * (x <= 0.0))
+    on_other = np.where(between, np.hypot(horizontal, horizontal * to_other), weight * (x > 0.0))
+    return on_one, on_other
+
+
+def stuck_gripper(plan: Plan) -> Mishap | None:
+    """Largest weight on a vehicle whose gripper alone stays shut at the release.
+
+    Both ends of the cable hang from it, down to the floor at most. None without a release.
+    """
+    times = [gate.time for gate in plan.gates if gate.condition == "released"]
+    if not times:
+        return None
+    height = np.maximum(plan.motion.at(times[0])[0][:, 2], 0.0)
+    before = np.concatenate([[0.0], np.cumsum(plan.layout.lengths)])
+    hanging = np.minimum(before, height) + np.minimum(before[-1] - before, height)
+    stuck = int(np.argmax(hanging))
+    weight = plan.mission.cable.mass_per_length * STANDARD_GRAVITY
+    return Mishap(float(hanging[stuck]) * weight, stuck, stuck, times[0])
