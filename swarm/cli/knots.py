@@ -243,8 +243,10 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _polynomial(coefficients: dict[int, int]) -> str:
+def _polynomial(coefficients: dict[int, int] | None) -> str:
     """A polynomial in t, lowest power first."""
+    if coefficients is None:
+        return "not computed: too many crossings"
     terms = []
     for power, coefficient in coefficients.items():
         size = "" if abs(coefficient) == 1 and power else str(abs(coefficient))

@@ -25,6 +25,9 @@ _SHIFTS = 2
 _TIE = 1e-11
 """Crossings closer to each other than this share of a segment have no certain order."""
 
+_AT_ONCE = 2_000_000
+"""Pairs of segments looked at together: bounds the memory that a long curve takes."""
+
 _ROUNDING = 4e-16
 """Shewchuk's bound for the orientation test, 3.33e-16, rounded up."""
 
@@ -135,15 +138,20 @@ def _candidates(view: _View) -> NDArray[np.int64]:
     )
     one, two = np.nonzero(np.triu(meets))
     offset = np.arange(block)
-    first = one[:, None, None] * block + offset[None, :, None]
-    second = two[:, None, None] * block + offset[None, None, :]
-    first, second = (part.ravel() for part in np.broadcast_arrays(first, second))
-    valid = (first + 1 < second) & (second < count)
-    if view.closed:
-        valid &= ~((first == 0) & (second == count - 1))
-    first, second = first[valid], second[valid]
-    overlap = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)
-    return np.stack([first[overlap], second[overlap]], axis=1)
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    step = max(1, _AT_ONCE // block**2)
+    for begin in range(0, len(one), step):
+        blocks = slice(begin, begin + step)
+        first = one[blocks, None, None] * block + offset[None, :, None]
+        second = two[blocks, None, None] * block + offset[None, None, :]
+        first, second = (part.ravel() for part in np.broadcast_arrays(first, second))
+        valid = (first + 1 < second) & (second < count)
+        if view.closed:
+            valid &= ~((first == 0) & (second == count - 1))
+        first, second = first[valid], second[valid]
+        overlap = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)
+        found.append(np.stack([first[overlap], second[overlap]], axis=1))
+    return np.concatenate(found)
 
 
 def _sides(a: Points, b: Points, c: Points) -> tuple[Points, NDArray[np.bool_]]:

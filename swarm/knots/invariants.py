@@ -23,11 +23,14 @@ from swarm.knots.jones import Polynomial, jones
 from swarm.knots.search import minimised, rearranged
 from swarm.knots.shorten import curve_diagram
 from swarm.knots.simplify import simplified
-from swarm.knots.sums import HANDS, Factor, canonical, mirrored, named, order
+from swarm.knots.sums import HANDS, Factor, canonical, named, order
 from swarm.knots.table import Laurent, prime, table
 
 MOST_CROSSINGS = 10
 """Every knot with a diagram of this many crossings is in the table, or a sum of its knots."""
+
+LARGEST = 64
+"""Parts that keep more crossings than this are not searched further, nor are their polynomials."""
 
 _KICKS = 60
 _MOVES = 50_000
@@ -46,7 +49,8 @@ class Identification:
     ``crossings`` is an upper bound of the crossing number.
     ``candidates`` are the knots that agree with everything computed, with a leading m where the
     left-handed one is meant; one if the knot is known. ``invariants`` holds "jones" and "alexander"
-    as {power: coefficient}, and "determinant".
+    as {power: coefficient}, and "determinant"; None where a part keeps more than ``LARGEST``
+    crossings.
     """
 
     name: str
@@ -79,12 +83,15 @@ def identify_curve(points: Points, *, closed: bool = False) -> Identification:
 def identify_diagram(diagram: Diagram) -> Identification:
     """Name the knot of a diagram. Deterministic."""
     parts = smallest_parts(diagram)
+    invariants = _report(parts)
+    if invariants["jones"] is None:
+        crossings = sum(part.crossings for part in parts)
+        return Identification("unknown", "none", crossings, (), invariants)
     found = [_candidates(part) for part in parts]
     sums = {
         canonical(itertools.chain.from_iterable(choice)) for choice in itertools.product(*found)
     }
     listed = sorted(sums, key=lambda one: [(*order(name), -hand) for name, hand in one])
-    invariants = _report(parts)
     if all(part.crossings <= MOST_CROSSINGS for part in parts) and len(listed) == 1:
         name, chirality = named(listed[0])
         crossings = sum(prime(name).crossings for name, _ in listed[0])
@@ -114,7 +121,8 @@ def smallest_parts(diagram: Diagram) -> tuple[Diagram, ...]:
 def _smaller(part: Diagram) -> tuple[Diagram, ...]:
     """A part with more than ten crossings, tried harder."""
     best = summands(simplified(part, kicks=_KICKS))
-    if max(one.crossings for one in best) <= MOST_CROSSINGS or _is_minimal(best):
+    most = max(one.crossings for one in best)
+    if most <= MOST_CROSSINGS or most > LARGEST or _is_minimal(best):
         return best
     grid = minimised(drawn(part), moves=_MOVES)
     for other in itertools.islice(rearranged(grid), _VIEWS):
@@ -139,6 +147,8 @@ def _marked(factors: Sum) -> str:
 
 
 def _report(parts: tuple[Diagram, ...]) -> dict[str, Any]:
+    if any(part.crossings > LARGEST for part in parts):
+        return {"jones": None, "alexander": None, "determinant": None}
     of_jones: dict[int, int] = {0: 1}
     of_alexander: dict[int, int] = {0: 1}
     for part in parts:
@@ -230,13 +240,3 @@ def _times(one: Polynomial, two: Polynomial) -> dict[int, int]:
     for (p, a), (q, b) in itertools.product(one.items(), two.items()):
         result[p + q] = result.get(p + q, 0) + a * b
     return {power: c for power, c in result.items() if c}
-
-
-__all__ = [
-    "Identification",
-    "identify_curve",
-    "identify_diagram",
-    "mirrored",
-    "polynomials",
-    "summands",
-]

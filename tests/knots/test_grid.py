@@ -23,6 +23,7 @@ from swarm.knots.grid import (
     transposed,
     turned,
 )
+from swarm.knots.invariants import identify_diagram
 from swarm.knots.jones import jones
 from swarm.knots.search import minimised, rearranged
 from swarm.knots.table import table
@@ -65,14 +66,22 @@ def test_what_is_no_grid(columns: object, message: str) -> None:
     assert str(caught.value) == message
 
 
-def test_the_papers_grids() -> None:
-    """Both closed grids behind the paper's tables, from their corners (NOTES.md)."""
-    figure_eight = [
-        *[(1, 1), (5, 1), (5, 5), (2, 5), (2, 3), (4, 3)],
-        *[(4, 6), (6, 6), (6, 2), (3, 2), (3, 4), (1, 4)],
-    ]
-    columns = [sorted(r for c, r in figure_eight if c == column) for column in range(1, 7)]
-    assert polynomials(grid_of_columns(columns))[0] == dict(table()["4_1"].jones)
+FIGURE_EIGHT = [
+    *[(1, 1), (5, 1), (5, 5), (2, 5), (2, 3), (4, 3)],
+    *[(4, 6), (6, 6), (6, 2), (3, 2), (3, 4), (1, 4)],
+]
+CARRICK_MAT = [
+    *[(5, 3), (3, 3), (3, 8), (9, 8), (9, 4), (4, 4), (4, 2), (1, 2), (1, 9), (8, 9)],
+    *[(8, 6), (6, 6), (6, 1), (2, 1), (2, 7), (7, 7), (7, 5), (10, 5), (10, 10), (5, 10)],
+]
+
+
+@pytest.mark.parametrize(("name", "corners"), [("4_1", FIGURE_EIGHT), ("8_18", CARRICK_MAT)])
+def test_the_grids_behind_the_papers_tables(name: str, corners: list[tuple[int, int]]) -> None:
+    columns = [[r for c, r in corners if c == k] for k in range(1, len(corners) // 2 + 1)]
+    grid = grid_of_columns(columns)
+    assert identify_diagram(Diagram(grid.code)).name == name
+    assert any(set(opened.corners) <= set(corners) for opened in openings(grid))
 
 
 @settings(max_examples=60, deadline=None)
