@@ -7,6 +7,7 @@ import io
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -73,7 +74,7 @@ def read_plan(document: Mapping[str, Any], motion: bytes) -> Plan:
             path=np.array(document["path"], dtype=np.float64),
             notes=tuple(document["notes"]),
         )
-    except (KeyError, TypeError, ValueError, OSError) as error:
+    except (KeyError, TypeError, ValueError, OSError, BadZipFile) as error:
         raise InputError(f"the record's plan cannot be read: {error}") from None
 
 

@@ -4,8 +4,8 @@ import queue
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -20,6 +20,7 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.world import emulated_world
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.loop import Loop
+from swarm.ground.operator import ControlSocket, Desk, keys
 from swarm.ground.record import Record
 from swarm.ground.sockets import open_links
 from swarm.preflight.findings import ProvenPlan
@@ -41,6 +42,8 @@ def fly(
     on_snapshot: Callable[[Snapshot], None] | None = None,
     on_event: Callable[[Event], None] | None = None,
     on_emulator: Callable[[int], None] | None = None,
+    control: Path | None = None,
+    take_keys: bool = False,
 ) -> FlightResult:
     """Fly a proven plan; returns how it went, with the record in ``record_folder``.
 
@@ -48,7 +51,9 @@ def fly(
     answer, no flight. Without it a clean audit is enough. ``on_snapshot`` is called about ten times
     a second, ``on_event`` for every event, both in a thread of their own which may be slow: what it
     cannot take is dropped. ``on_emulator`` is told the emulator's process id. ``speed`` is for
-    emulated fleets only. The first SIGINT holds and lands the team, the second lands it at once.
+    emulated fleets only. ``control`` is where the control socket is made, ``take_keys`` reads
+    single keys from the terminal (:mod:`swarm.ground.operator`). The first SIGINT holds and lands
+    the team, the second lands it at once.
 
     Raises :class:`swarm.errors.VehicleError` where a link cannot be opened, and
     :class:`swarm.errors.InputError` where the record cannot be written.
@@ -61,8 +66,9 @@ def fly(
     record: Record | None = None
     events: list[Event] = []
     try:
-        record = Record(record_folder, began=time.time())
-        record.before(proven, fleet, {"speed": speed, "no_cable": no_cable})
+        began = time.time()
+        record = Record(record_folder, began)
+        record.before(proven, fleet, {"speed": speed, "no_cable": no_cable, "began": began})
         if fleet.emulated is not None:
             seed = fleet.emulated.seed
             world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
@@ -70,8 +76,16 @@ def fly(
             emulator = EmulatorProcess(world, record_folder, port, speed)
             if on_emulator is not None:
                 on_emulator(emulator.pid)
-        with _listener(on_snapshot, on_event) as tell, _interrupts() as interrupts:
-            shell = _Shell(conductor, record, events, tell, interrupts, emulator, confirm)
+        desk = Desk(conductor, lambda: conductor.snapshot(conductor.now).available)
+        with ExitStack() as around:
+            tell = around.enter_context(_listener(on_snapshot, on_event))
+            interrupts = around.enter_context(_interrupts())
+            poll = [around.enter_context(keys(desk))] if take_keys else []
+            if control is not None:
+                socket = ControlSocket(control, desk)
+                around.callback(socket.close)
+                poll.append(socket.poll)
+            shell = _Shell(conductor, record, events, tell, interrupts, emulator, confirm, poll)
             loop = Loop(conductor, links, record, speed, shell.each_tick)
             loop.run()
             shell.each_tick(conductor.now)
@@ -111,7 +125,9 @@ class _Shell:
         interrupts: list[int],
         emulator: EmulatorProcess | None,
         confirm: Confirm | None,
+        polls: Sequence[Callable[[], None]] = (),
     ) -> None:
+        self._polls = polls
         self._conductor, self._record, self._events = conductor, record, events
         self._tell, self._interrupts, self._emulator = tell, interrupts, emulator
         self._confirm = confirm
@@ -123,6 +139,8 @@ class _Shell:
         while self._interrupts:
             self._interrupts.pop()
             conductor.request("interrupt")
+        for poll in self._polls:
+            poll()
         if conductor.stage == "ready" and conductor.audit is not None:
             self._clear(conductor.audit)
         for event in conductor.events():

@@ -59,7 +59,7 @@ class Loop:
             now = (time.monotonic() - began) * self.speed
             self.conductor.receive(link, address, data, now)
             if self.record is not None:
-                self.record.packet(data, now)
+                self.record.packet(data, now, "" if address is not None else link)
 
     def lateness_quantiles(self) -> tuple[float, float]:
         """Return median and 99 % of how late ticks were, in seconds."""

@@ -11,7 +11,7 @@ import platform
 import struct
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -25,6 +25,7 @@ from swarm.fleet import Fleet
 from swarm.flight.archive import plan_document, plan_motion
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event
+from swarm.mavlink.packets import split
 from swarm.preflight.findings import ProvenPlan
 
 WRITE_INTERVAL = 0.25
@@ -53,22 +54,23 @@ class Record:
         except OSError as error:
             reason = (error.strerror or "cannot be written").lower()
             raise InputError([Problem(str(folder), reason)]) from None
-        self._waiting: deque[tuple[Any, bytes]] = deque()
+        self._waiting: deque[Event | tuple[str, float, bytes]] = deque()
+        self._cut: dict[str, bytes] = {}
         self._closing = threading.Event()
         self._writer = threading.Thread(target=self._write, name="record", daemon=True)
         self._writer.start()
 
-    def packet(self, data: bytes, now: float) -> None:
-        """Keep a packet that was sent or received, in either direction."""
-        self._keep(self._packets, _STAMP.pack(int((self._began + now) * 1e6)) + data)
+    def packet(self, data: bytes, now: float, stream: str = "") -> None:
+        """Keep what was sent or received at once; on a ``stream`` packets may be cut anywhere."""
+        self._keep((stream, now, data))
 
     def event(self, event: Event) -> None:
         """Keep an event."""
-        self._keep(self._events, json.dumps(asdict(event), ensure_ascii=False).encode() + b"\n")
+        self._keep(event)
 
-    def _keep(self, file: Any, data: bytes) -> None:
+    def _keep(self, what: Event | tuple[str, float, bytes]) -> None:
         if len(self._waiting) < _MOST_WAITING:
-            self._waiting.append((file, data))
+            self._waiting.append(what)
         else:
             self.dropped += 1
 
@@ -78,18 +80,34 @@ class Record:
         self._write_waiting()
 
     def _write_waiting(self) -> None:
-        parts: dict[Any, list[bytes]] = {self._packets: [], self._events: []}
+        packets: list[bytes] = []
+        events: list[bytes] = []
         for _ in range(len(self._waiting)):
-            file, data = self._waiting.popleft()
-            parts[file].append(data)
-        for file, chunks in parts.items():
-            data = b"".join(chunks)
-            try:
-                while data:
-                    data = data[file.write(data) :]
-            except OSError as error:
-                self.dropped += len(chunks)
-                self.problem = (error.strerror or "cannot be written").lower()
+            what = self._waiting.popleft()
+            if isinstance(what, Event):
+                events.append(json.dumps(asdict(what), ensure_ascii=False).encode() + b"\n")
+            else:
+                packets.extend(self._stamped(*what))
+        self._append(self._packets, packets)
+        self._append(self._events, events)
+
+    def _stamped(self, stream: str, now: float, data: bytes) -> Iterator[bytes]:
+        """Yield the packets with their times: eight bytes, microseconds since 1970, big-endian."""
+        stamp = _STAMP.pack(int((self._began + now) * 1e6))
+        whole, cut = split(self._cut.get(stream, b"") + data)
+        if stream:
+            self._cut[stream] = cut
+        for packet in whole:
+            yield stamp + packet
+
+    def _append(self, file: Any, chunks: list[bytes]) -> None:
+        data = b"".join(chunks)
+        try:
+            while data:
+                data = data[file.write(data) :]
+        except OSError as error:
+            self.dropped += len(chunks)
+            self.problem = (error.strerror or "cannot be written").lower()
 
     def before(self, proven: ProvenPlan, fleet: Fleet, facts: Mapping[str, Any]) -> None:
         """Write down what is about to be flown, with what."""

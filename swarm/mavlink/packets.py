@@ -181,6 +181,22 @@ def _checksum(data: bytes) -> int:
     return int(fast(data) if fast else common.x25crc(data).crc)
 
 
+def split(data: bytes) -> tuple[list[bytes], bytes]:
+    """Return the packets that lie in these bytes one after the other, and what is left over."""
+    packets: list[bytes] = []
+    start, end = 0, len(data)
+    while start < end:
+        length = _packet_length(data, start)
+        if length < 0 or start + length > end:
+            return packets, data[start:]
+        if length:
+            packets.append(data[start : start + length])
+            start += length
+        else:
+            start = _next_start(data, start + 1)
+    return packets, b""
+
+
 def _packet_length(data: bytes, start: int) -> int:
     """Length of the packet that begins here: 0 where none does, negative where it is cut off."""
     if len(data) - start < 3:

@@ -1,0 +1,137 @@
+"""Flights over real UDP, with the emulator in a process of its own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink import mavutil
+
+from swarm.errors import VehicleError
+from swarm.fleet import emulated_fleet
+from swarm.ground import fly
+from swarm.ground.sockets import open_links
+from tests.network import small_plan
+
+SPEED = 8.0
+PROVEN = small_plan()
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flight") / "record"
+    snapshots, events = [], []
+    result = fly(
+        PROVEN,
+        emulated_fleet(3, ("px4", "ardupilot")),
+        folder,
+        speed=SPEED,
+        on_snapshot=snapshots.append,
+        on_event=events.append,
+    )
+    return result, snapshots, events
+
+
+def test_a_flight_over_udp_ends_well(flown):
+    result, snapshots, events = flown
+    assert result.outcome.word == "done", [event.message for event in events[-10:]]
+    assert result.statistics.setpoints > 500
+    assert {event.kind for event in events} >= {"heard", "gate", "armed", "landed", "outcome"}
+    assert {snapshot.phase for snapshot in snapshots} >= {"takeoff", "fold", "land"}
+
+
+def test_its_record_is_complete(flown):
+    result, _, events = flown
+    folder = result.record
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["outcome"] == "done"
+    assert summary["record"] == {"dropped": 0, "problem": None}
+    lines = (folder / "events.jsonl").read_text().splitlines()
+    assert len(lines) == len(result.events) >= len(events)
+    log = mavutil.mavlink_connection(str(folder / "flight.tlog"))
+    systems = set()
+    for _ in range(3000):
+        message = log.recv_match()
+        if message is None:
+            break
+        systems.add((message.get_srcSystem(), message.get_type()))
+    log.close()
+    assert {system for system, _ in systems} == {1, 2, 3, 255}
+    assert (255, "SET_POSITION_TARGET_LOCAL_NED") in systems
+    with np.load(folder / "trace.npz") as trace:
+        assert trace["position"].shape == result.trace.position.shape
+
+
+def test_a_dead_emulator_is_explained_and_is_a_vehicle_error(tmp_path):
+    pids = []
+    killer = threading.Timer(4.0, lambda: os.kill(pids[0], signal.SIGKILL))
+    killer.start()
+    result = fly(
+        PROVEN, emulated_fleet(3), tmp_path / "record", speed=SPEED, on_emulator=pids.append
+    )
+    killer.join()
+    assert result.outcome.exit_code == 3
+    assert "the emulator ended (signal 9)" in result.outcome.explanation
+    assert isinstance(result.outcome.error(), VehicleError)
+
+
+SCRIPT = """
+import sys
+from pathlib import Path
+from swarm.fleet import emulated_fleet
+from swarm.ground import fly
+from tests.network import small_plan
+result = fly(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
+sys.exit(result.outcome.exit_code)
+"""
+
+
+def started(folder: Path) -> subprocess.Popen:
+    """Fly in a process of its own; return once the folding has begun to be recorded."""
+    process = subprocess.Popen([sys.executable, "-c", SCRIPT, str(folder)])
+    events = folder / "events.jsonl"
+    deadline = time.monotonic() + 60.0
+    while not (events.exists() and "all are airborne" in events.read_text()):
+        assert time.monotonic() < deadline
+        assert process.poll() is None
+        time.sleep(0.05)
+    return process
+
+
+def test_after_sigkill_only_the_last_second_of_the_record_is_missing(tmp_path):
+    folder = tmp_path / "record"
+    process = started(folder)
+    time.sleep(1.0)
+    killed = time.time()
+    process.kill()
+    process.wait()
+    log = mavutil.mavlink_connection(str(folder / "flight.tlog"))
+    last = None
+    while (message := log.recv_match()) is not None:
+        last = message
+    began = json.loads((folder / "versions.json").read_text())["began"]
+    log.close()
+    flown = (last._timestamp - began) / 4.0
+    assert killed - began - flown < 1.0
+    assert (folder / "plan.json").exists()
+
+
+def test_ctrl_c_lands_the_team_and_exits_with_130(tmp_path):
+    process = started(tmp_path / "record")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60.0) == 130
+    summary = json.loads((tmp_path / "record" / "summary.json").read_text())
+    assert summary["explanation"] == "interrupted; everybody has landed"
+
+
+def test_links_that_cannot_be_opened_are_all_named():
+    with pytest.raises(VehicleError) as caught:
+        open_links({"a": "udpin://192.0.2.1:14550", "b": "tcp://127.0.0.1:1"})
+    assert "link a (udpin://192.0.2.1:14550) cannot be opened" in str(caught.value)
+    assert "link b (tcp://127.0.0.1:1) cannot be opened: connection refused" in str(caught.value)

@@ -1,0 +1,103 @@
+"""The record: complete, readable by others, and never in the way of a flight."""
+
+import json
+
+import numpy as np
+import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import common
+
+from swarm.errors import InputError
+from swarm.fleet import emulated_fleet
+from swarm.flight.archive import plan_document, plan_motion, read_plan
+from swarm.flight.snapshot import Event
+from swarm.ground.record import Record
+from swarm.mavlink.packets import Encoder
+from tests.network import small_plan
+
+PROVEN = small_plan()
+
+
+def test_a_plan_comes_back_from_its_record_as_it_was():
+    plan = PROVEN.plan
+    document = json.loads(json.dumps(plan_document(plan)))
+    again = read_plan(document, plan_motion(plan))
+    assert again.mission == plan.mission
+    assert again.phases == plan.phases
+    assert again.gates == plan.gates
+    assert again.knot == plan.knot
+    assert np.array_equal(again.motion.coefficients, plan.motion.coefficients)
+    assert np.array_equal(again.layout.lengths, plan.layout.lengths)
+
+
+@pytest.mark.parametrize(
+    "break_it",
+    [
+        lambda document, motion: ({**document, "gates": 3}, motion),
+        lambda document, motion: ({**document, "layout": {}}, motion),
+        lambda document, _motion: (document, b"not an archive"),
+        lambda document, motion: (document, motion[: len(motion) // 2]),
+        lambda document, motion: ({k: v for k, v in document.items() if k != "knot"}, motion),
+    ],
+)
+def test_a_broken_plan_is_an_input_error(break_it):
+    document = json.loads(json.dumps(plan_document(PROVEN.plan)))
+    with pytest.raises(InputError, match="the record's plan cannot be read"):
+        read_plan(*break_it(document, plan_motion(PROVEN.plan)))
+
+
+def test_packets_are_readable_with_pymavlinks_own_reader(tmp_path):
+    record = Record(tmp_path / "new", began=1_700_000_000.0)
+    encoder = Encoder(3, 1)
+    for k in range(5):
+        message = common.MAVLink_attitude_message(k, 0.1 * k, 0, 0, 0, 0, 0)
+        record.packet(encoder.encode(message), 0.5 * k)
+    record.close()
+    log = mavutil.mavlink_connection(str(tmp_path / "new" / "flight.tlog"))
+    messages = [log.recv_match(type="ATTITUDE") for _ in range(5)]
+    log.close()
+    assert [message.time_boot_ms for message in messages] == list(range(5))
+    assert messages[4]._timestamp == pytest.approx(1_700_000_002.0)
+
+
+def test_events_are_lines_of_json(tmp_path):
+    record = Record(tmp_path, began=0.0)
+    record.event(Event(1.5, "text", "Łódź", 3))
+    record.close()
+    (line,) = (tmp_path / "events.jsonl").read_text().splitlines()
+    assert json.loads(line) == {"time": 1.5, "kind": "text", "message": "Łódź", "vehicle": 3}
+
+
+def test_what_is_flown_is_written_down_before_it_flies(tmp_path):
+    record = Record(tmp_path, began=0.0)
+    record.before(PROVEN, emulated_fleet(3), {"speed": 2.0})
+    record.close()
+    document = json.loads((tmp_path / "plan.json").read_text())
+    assert read_plan(document, (tmp_path / "motion.npz").read_bytes()).vehicles == 3
+    assert json.loads((tmp_path / "versions.json").read_text())["speed"] == 2.0
+
+
+def test_a_full_disk_costs_the_record_and_not_the_flight(tmp_path):
+    record = Record(tmp_path, began=0.0)
+    record._packets.close()
+    record._packets = open("/dev/full", "wb", buffering=0)  # noqa: SIM115
+    encoder = Encoder(1, 1)
+    for k in range(100):
+        record.packet(encoder.encode(common.MAVLink_heartbeat_message(2, 3, 0, 0, 0, 3)), float(k))
+    record.event(Event(0.0, "text", "still here"))
+    record.close()
+    assert record.problem == "no space left on device"
+    assert record.dropped == 100
+    assert "still here" in (tmp_path / "events.jsonl").read_text()
+
+
+def test_a_flight_does_not_overwrite_another(tmp_path):
+    Record(tmp_path, began=0.0).close()
+    with pytest.raises(InputError, match="holds the record of a flight"):
+        Record(tmp_path, began=0.0)
+
+
+def test_a_folder_that_cannot_be_used_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="file"):
+        Record(tmp_path / "file" / "record", began=0.0)
