@@ -22,6 +22,7 @@ _LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET = 1, 7, 8, 9
 _TAKEOFF_CANCELLED = 0.2
 _INFO, _WARNING, _CRITICAL = 6, 4, 2
 _PREARM_EVERY = 30.0
+_CRASH_TIME = 2.0
 _POSITION, _VELOCITY, _ACCELERATION, _FORCE = 7, 56, 448, 512
 _Vector = tuple[float, float, float]
 
@@ -133,6 +134,7 @@ class ArduPilot:
         self.battery_level = 0
         self.lost_at: float | None = None
         self.prearm_at = 0.0
+        self.tumbled_at: float | None = None
         self.all_axes = False
 
     def restart(self) -> None:
@@ -457,6 +459,8 @@ class ArduPilot:
         if not v.armed:
             self._complain()
             return
+        if v.bodies.tumbling[v.index] and self._fell():
+            return
         self._watch()
         if v.landed:
             self._on_ground()
@@ -469,6 +473,17 @@ class ArduPilot:
             self._steer_return()
         elif self.mode == LAND:
             self._steer_land()
+
+    def _fell(self) -> bool:
+        """The crash check: turned over for two seconds with motors running, it disarms."""
+        v = self.v
+        if self.tumbled_at is None:
+            self.tumbled_at = v.now
+        if v.now - self.tumbled_at < _CRASH_TIME or not v.parameters["FS_CRASH_CHECK"]:
+            return False
+        v.text(_CRITICAL, "Crash: Disarming: AngErr=90>30, Accel=1.0<3.0")
+        self.disarm("crash check")
+        return True
 
     def _complain(self) -> None:
         v = self.v

@@ -32,6 +32,7 @@ _SLOW_VERTICAL = 0.25
 _SLOW_HORIZONTAL = 1.5
 _DESCENDING = -0.25
 _CLIMBING = 0.25
+_TUMBLE_RATE = 5.0
 _WASH_FACTOR = 3.0
 _CRASH_SPEED = 3.0
 _NOISE_TIME = 4.0
@@ -53,6 +54,7 @@ class Bodies:
         self._make_goals(world)
         self._make_flags()
         self._make_air(world)
+        self._pushed = np.zeros((self.count, 3))
         self.touch()
 
     def _make_state(self, world: World) -> None:
@@ -111,6 +113,8 @@ class Bodies:
         self.cut_time = np.full(n, 0.35)
         self.health = np.ones(n)
         self.crashed = np.zeros(n, dtype=bool)
+        self.tumbling = np.zeros(n, dtype=bool)
+        self.tumble = np.zeros(n)
         self.fooled = np.zeros(n, dtype=bool)
         self.drift = np.zeros((n, 3))
         self.share = np.zeros(n)
@@ -199,11 +203,12 @@ class Bodies:
 
     # One step.
 
-    def step(self, force: Array) -> Flags | None:
-        """Advance by `STEP` under external ``force`` (newtons, (n, 3)).
+    def push(self, force: Array) -> None:
+        """Set the external force on every vehicle (newtons, (n, 3)) until it is set again."""
+        self._pushed = force * self._per_mass
 
-        Returns which vehicles have just hit the ground hard, or None.
-        """
+    def step(self) -> Flags | None:
+        """Advance by `STEP`; return which vehicles have just hit the ground hard, or None."""
         self.unstage()
         command = self._command()
         command -= self.thrust
@@ -213,7 +218,7 @@ class Bodies:
         self.thrust += STEP * self.thrust_rate
         change = self._air - self._drag * self.velocity
         change += self.thrust
-        change += force * self._per_mass
+        change += self._pushed
         change *= STEP
         self.velocity += change
         self.position += STEP * self.velocity
@@ -245,7 +250,7 @@ class Bodies:
             self._limit_thrust(wanted)
         else:
             wanted[:, 2] += GRAVITY
-            if self.share.min() < 1.0:
+            if not self._settled:
                 self._limit_thrust(wanted)
         miss *= self._integral_gain
         self.integral += miss
@@ -272,6 +277,8 @@ class Bodies:
             self.goal_position += (interval * self.advance)[:, None] * self.goal_velocity
         if (self.goal_yaw != self.yaw).any():
             self._turn(interval)
+        if self.tumbling.any():
+            self.tumble += interval * _TUMBLE_RATE * (self.tumbling & ~self.crashed)
         aloft = self._settled and self.armed.all() and not self.landed.any()
         if not aloft:
             self._lift(interval)

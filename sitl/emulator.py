@@ -107,7 +107,6 @@ class Emulator:
         for vehicle in self.vehicles:
             vehicle.inject = functools.partial(self.injector.inject, vehicle)
             vehicle.simulation_changed = functools.partial(self.injector.simulate, vehicle)
-        self._force = np.zeros((self.bodies.count, 3))
 
     def open_link(self, vehicle: Vehicle, kind: str) -> Link:
         """Add a connection of a kind ("onboard" or "gcs") with the autopilot's default streams."""
@@ -210,6 +209,7 @@ class Emulator:
         rope = self.rope
         up = np.linalg.norm(b.thrust, axis=1)
         tilt = np.where(up > 1.0, np.arccos(np.clip(b.thrust[:, 2] / np.maximum(up, 1), -1, 1)), 0)
+        tilt = np.where(b.tumbling, np.abs((b.tumble + np.pi) % (2 * np.pi) - np.pi), tilt)
         arcs = [rope.arc_of(i) if rope else float("nan") for i in range(b.count)]
         spans = rope.spans if rope else None
         empty = np.zeros(0)
@@ -243,8 +243,8 @@ class Emulator:
         self._arrive(now)
         rope = self.rope
         if rope is not None and self._ticks % rope.patience == 0:
-            self._force = rope.pull(*self._held())[: b.count]
-        hit = b.step(self._force)
+            b.push(rope.pull(*self._held())[: b.count])
+        hit = b.step()
         if hit is not None:
             for i in np.nonzero(hit)[0]:
                 self.contacts.contacts.append(

@@ -271,7 +271,9 @@ class Injector:
                 channel.fault = None
 
     def _motor_loss(self, v: Vehicle, _: Fault) -> None:
+        """A quadrotor without one motor keeps little thrust, and turns over."""
         self.bodies.health[v.index] = 0.15
+        self.bodies.tumbling[v.index] = not self.bodies.landed[v.index]
 
     def _weak(self, v: Vehicle, fault: Fault) -> None:
         self.bodies.health[v.index] = fault.fraction

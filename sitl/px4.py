@@ -158,6 +158,7 @@ class Px4:
         self.gcs_seen = False
         self.all_axes = False
         self._beat = vehicle.index
+        self.tumbled = False
         self.ready_at = -math.inf
         self.apply_gains()
         vehicle.bodies.land_time[vehicle.index] = 0.9
@@ -467,6 +468,9 @@ class Px4:
         """Look at timers and conditions, twenty-odd times a second."""
         v = self.v
         self._beat += 1
+        if v.bodies.tumbling[v.index] and not self.tumbled:
+            self.tumbled = True
+            v.text(_EMERGENCY, "Attitude failure detected\t")
         if self._beat % _SLOW_BEAT == 0:
             self._battery()
             if v.armed:

@@ -29,6 +29,9 @@ def attitude(v: Vehicle) -> tuple[float, float, float]:
     """Roll, pitch, yaw (NED, radians) that point the thrust where it points."""
     fx, fy, fz = v.bodies.thrust[v.index].tolist()
     yaw = math.pi / 2 - float(v.bodies.yaw[v.index])
+    if v.bodies.tumbling[v.index]:
+        turned = float(v.bodies.tumble[v.index])
+        return _wrap(turned), _wrap(0.3 * turned), _wrap(yaw + turned)
     if fz < 1.0:
         return 0.0, 0.0, _wrap(yaw)
     cos, sin = math.cos(yaw), math.sin(yaw)

@@ -169,9 +169,9 @@ def test_standing_and_hard_landings() -> None:
     emulator = Emulator(world(1))
     b = emulator.bodies
     for _ in range(100):
-        b.step(np.zeros((1, 3)))
+        b.step()
     assert b.position[0].tolist() == [0.0, 0.0, 0.6]
     b.position[0, 2] = 3.0
-    hits = [b.step(np.zeros((1, 3))) for _ in range(int(2.0 / STEP))]
+    hits = [b.step() for _ in range(int(2.0 / STEP))]
     assert [hit.tolist() for hit in hits if hit is not None] == [[True]]
     assert b.health[0] == 0.0
