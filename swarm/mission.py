@@ -223,9 +223,9 @@ def parse_mission(text: str, source: str, overrides: Iterable[str] = ()) -> Miss
 def mission_for_knot(knot: str, overrides: Iterable[str] = ()) -> Mission:
     """Return the default mission for a knot's name, with overrides applied.
 
-    A chiral knot is tied right-handed unless an override says otherwise.
+    A chiral knot is tied right-handed unless its name (m3_1) or an override says otherwise.
     """
-    document = {"schema": 1, "name": knot, "knot": {"name": knot, "chirality": "right"}}
+    document = {"schema": 1, "name": knot, "knot": {"name": knot, "chirality": "either"}}
     return validate(Mission, apply_overrides(document, overrides), knot)
 
 

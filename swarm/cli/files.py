@@ -21,7 +21,7 @@ from swarm.mission import Mission, mission_for_knot, mission_schema
 )
 def init(knot: str, output: Path | None) -> None:
     """Write a commented mission file for KNOT (a name such as overhand or 8_18)."""
-    choose(name=knot, chirality="right")
+    choose(name=knot, chirality="either")
     path = output or Path(f"{knot}.yaml")
     if path.exists():
         raise InputError([Problem(str(path), "exists already and is left as it is")])

@@ -74,9 +74,10 @@ def choose(
 ) -> KnotChoice:
     """The knot that exactly one of a name, a Gauss, DT or PD code, or a grid diagram describes.
 
-    ``chirality`` is "left", "right", "either" or None. It must be "left" or "right" (or "either",
-    which means right) where the knot is chiral and the description does not say which hand; a
-    description that does say is mirrored if the other hand is asked for.
+    ``chirality`` is "left", "right", "either" or None. It may be left out only where the knot is
+    its own mirror image or the description says which hand it means (a name such as m3_1, a code with
+    signs, a PD code, a grid). "either" means that hand, or right where none is said. A code or grid
+    of the other hand than asked for is mirrored, with a warning; such a name is refused.
 
     Raises KnotError for a wrong code or name, a link, or a hand or summand that is left open.
     """
@@ -119,6 +120,8 @@ def _hand(is_chiral: bool, known: str | None, asked: str | None, what: str) -> s
 
 def _of_name(wanted: Named, asked: str | None) -> KnotChoice:
     own = wanted.chirality
+    if own and asked in {"left", "right"} and asked != own:
+        raise KnotError(f'"{wanted.text}" is {own}-handed, but chirality says {asked}')
     if wanted.factors is not None:
         name, right = named(wanted.factors)
         hand = _hand(right != "none", own, asked, name)
@@ -127,7 +130,7 @@ def _of_name(wanted: Named, asked: str | None) -> KnotChoice:
     shape = torus_grid(*wanted.torus)
     known = identify_diagram(Diagram(shape.code))
     if known.name in table():
-        return _of_name(parse_name(known.name), asked or own)
+        return _of_name(parse_name(known.name), own or asked)
     name = "torus({},{})".format(*wanted.torus)
     hand = _hand(is_chiral=True, known=own, asked=asked, what=name)
     if hand == "left":
@@ -203,6 +206,8 @@ def _of_diagrams(
         shape = mirrored_grid(shape)
     choice = _best_known(known, hand, diagram, shape)
     warnings = list(choice.warnings)
+    if not match:
+        warnings.append(f"what was given is {own}-handed: its mirror image is tied, as asked for")
     if not known.known and hand == "none" and len(found) > 1:
         warnings.append(
             "its Jones polynomial does not tell its mirror images apart: the hand is open"
@@ -227,7 +232,7 @@ def _best_known(
     """What is known of an identified knot without its code; a search where that is nothing."""
     if known.known:
         wanted = parse_name(known.name)
-        return _of_name(wanted, hand) if hand != "none" else _of_name(wanted, None)
+        return _of_name(replace(wanted, chirality=None), hand if hand != "none" else None)
     small = smallest(drawn(diagram) if shape is None else shape)
     warning = (
         "this knot is not in the table of knots to ten crossings (at most "

@@ -41,12 +41,13 @@ COMMON = {
 class Named:
     """What a name says: prime factors with hands as written, or a torus knot.
 
-    ``chirality`` is set where the name itself says which hand is meant.
+    ``chirality`` is set where the name itself says which hand is meant; ``text`` is the name.
     """
 
     factors: tuple[Factor, ...] | None
     torus: tuple[int, int]
     chirality: str | None
+    text: str
 
 
 _TORUS = re.compile(r"(m?)(?:torus|t)\(?\s*(-?\d+)\s*[,\s]\s*(-?\d+)\s*\)?")
@@ -64,19 +65,18 @@ def parse_name(text: str) -> Named:
     plain = COMMON.get(plain, COMMON.get(plain.replace("-", " "), plain))
     torus = _TORUS.fullmatch(plain)
     if torus:
-        return _torus(torus, hand)
+        return _torus(torus, hand, text)
     factors: list[Factor] = []
     says_left = False
     for part in plain.split("#"):
         own, left = _factor(part.strip(), text)
         factors += own
         says_left |= left
-    name, chirality = named(tuple(factors))
-    del name
-    written = "left" if chirality == "left" else ("right" if says_left else None)
+    chirality = named(tuple(factors))[1]
     if chirality == "none":
-        written = None
-    return Named(tuple(factors), (0, 0), hand or written)
+        return Named(tuple(factors), (0, 0), None, text)
+    written = chirality if says_left or chirality == "left" else None
+    return Named(tuple(factors), (0, 0), hand or written, text)
 
 
 def _factor(part: str, text: str) -> tuple[list[Factor], bool]:
@@ -95,15 +95,15 @@ def _factor(part: str, text: str) -> tuple[list[Factor], bool]:
     return [(name, hand)], bool(mirror)
 
 
-def _torus(match: re.Match[str], hand: str | None) -> Named:
+def _torus(match: re.Match[str], hand: str | None, text: str) -> Named:
     p, q = int(match[2]), int(match[3])
     if math.gcd(p, q) != 1:
         raise KnotError(f"torus({p},{q}) is a link of {math.gcd(p, q)} components, not a knot")
     left = (p * q < 0) != bool(match[1])
     small, large = sorted((abs(p), abs(q)))
     if small <= 1:
-        return Named((), (0, 0), None)
-    return Named(None, (small, large), hand or ("left" if left else None))
+        return Named((), (0, 0), None, text)
+    return Named(None, (small, large), hand or ("left" if left else None), text)
 
 
 def torus_grid(p: int, q: int) -> Grid:
