@@ -75,9 +75,10 @@ def choose(
     """The knot that exactly one of a name, a Gauss, DT or PD code, or a grid diagram describes.
 
     ``chirality`` is "left", "right", "either" or None. It may be left out only where the knot is
-    its own mirror image or the description says which hand it means (a name such as m3_1, a code with
-    signs, a PD code, a grid). "either" means that hand, or right where none is said. A code or grid
-    of the other hand than asked for is mirrored, with a warning; such a name is refused.
+    its own mirror image, or where the description says which hand it means (a name such as m3_1,
+    a code with signs, a PD code, a grid). "either" means that hand, or right where none is said.
+    A code or grid of the other hand than asked for is mirrored, with a warning; such a name is
+    refused.
 
     Raises KnotError for a wrong code or name, a link, or a hand or summand that is left open.
     """
