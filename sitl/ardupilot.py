@@ -440,8 +440,9 @@ class ArduPilot:
         """Position, velocity, acceleration in world ENU from any of the four frames."""
         v = self.v
         n, e, d, vn, ve, vd, an, ae, ad = s.values
-        x, y, z = v.place
-        if s.frame != _LOCAL:
+        if s.frame == _LOCAL:
+            place = v.to_world(n, e, d)
+        else:
             x, y, z = v.estimated().tolist()
             if s.frame in {_BODY, _BODY_OFFSET}:
                 yaw = math.pi / 2 - float(v.bodies.yaw[v.index])
@@ -449,7 +450,8 @@ class ArduPilot:
                 n, e = n * cos - e * sin, n * sin + e * cos
                 vn, ve = vn * cos - ve * sin, vn * sin + ve * cos
                 an, ae = an * cos - ae * sin, an * sin + ae * cos
-        return (x + e, y + n, z - d), (ve, vn, -vd), (ae, an, -ad)
+            place = (x + e, y + n, z - d)
+        return place, (ve, vn, -vd), (ae, an, -ad)
 
     # What flies.
 

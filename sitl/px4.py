@@ -440,11 +440,10 @@ class Px4:
 
     def _follow(self, values: tuple[float, ...]) -> None:
         v = self.v
-        x, y, z = v.place
         n, e, d, vn, ve, vd, an, ae, ad = values
         total = sum(values)
         if total - total == 0.0:
-            goal = (x + e, y + n, z - d, ve, vn, -vd, ae, an, -ad)
+            goal = (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad)
             if self.all_axes:
                 v.bodies.stage(v.index, goal)
             else:
@@ -457,7 +456,7 @@ class Px4:
         n, e, d, vn, ve, vd, an, ae, ad = (u if math.isfinite(u) else 0.0 for u in values)
         v.bodies.aim(
             v.index,
-            (x + e, y + n, z - d, ve, vn, -vd, ae, an, -ad),
+            (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad),
             (given[1], given[0], given[2]),
             (moved[1], moved[0], moved[2]),
         )

@@ -448,7 +448,7 @@ def _vision(v: Vehicle, message: Any, _: Link) -> None:
     place = (message.x, message.y, message.z)
     if not v.around.indoor or not all(map(math.isfinite, place)):
         return
-    told = v.origin + np.array([message.y, message.x, -message.z])
+    told = np.array(v.to_world(*place))
     correction = told - v.bodies.position[v.index]
     if float(np.linalg.norm(correction)) < 5.0:
         v.bodies.bias[v.index] = correction

@@ -48,9 +48,8 @@ def _wrap(angle: float) -> float:
 
 def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
     """Estimated position and velocity in the vehicle's own NED frame."""
-    x, y, z = (v.estimated() - v.origin).tolist()
     vx, vy, vz = v.bodies.velocity[v.index].tolist()
-    return y, x, -z, vy, vx, -vz
+    return (*v.to_local(v.estimated()), vy, vx, -vz)
 
 
 def _local(v: Vehicle) -> bytes:
@@ -194,16 +193,16 @@ def _home(v: Vehicle) -> bytes | None:
     if v.home is None or not v.global_valid:
         return None
     latitude, longitude, altitude = v.around.geodesy.degrees(*v.home.tolist())
-    x, y, z = (v.home - v.origin).tolist()
+    north, east, down = v.to_local(v.home)
     return wire.payload(
         "HOME_POSITION",
         {
             "latitude": round(latitude * 1e7),
             "longitude": round(longitude * 1e7),
             "altitude": round(altitude * 1e3),
-            "x": y,
-            "y": x,
-            "z": -z,
+            "x": north,
+            "y": east,
+            "z": down,
             "q": (1.0, 0.0, 0.0, 0.0),
             "time_usec": round(v.clock() * 1e6),
         },
@@ -312,7 +311,7 @@ def _target(v: Vehicle) -> bytes | None:
     if mask is None:
         return None
     b, i = v.bodies, v.index
-    x, y, z = (b.goal_position[i] - v.origin).tolist()
+    north, east, down = v.to_local(b.goal_position[i])
     vx, vy, vz = b.goal_velocity[i].tolist()
     ax, ay, az = b.goal_acceleration[i].tolist()
     return wire.payload(
@@ -321,9 +320,9 @@ def _target(v: Vehicle) -> bytes | None:
             "time_boot_ms": boot_ms(v),
             "coordinate_frame": 1,
             "type_mask": mask,
-            "x": y,
-            "y": x,
-            "z": -z,
+            "x": north,
+            "y": east,
+            "z": down,
             "vx": vy,
             "vy": vx,
             "vz": -vz,

@@ -52,6 +52,16 @@ class Geodesy:
         """Latitude, longitude, altitude of a point given in world ENU."""
         return self.latitude + y / self.north, self.longitude + x / self.east, self.altitude + z
 
+    def scale(self, autopilot: str) -> tuple[float, float]:
+        """Local metres east and north that an autopilot makes of one true metre.
+
+        PX4 projects on a sphere of 6 371 000 m (``lib/geo``), ArduPilot takes 111 318.845 m for a
+        degree of latitude (``Location``'s scaling factor).
+        """
+        degree = math.radians(1) * 6_371_000.0 if autopilot == "px4" else 111_318.845
+        shrink = math.cos(math.radians(self.latitude))
+        return degree * shrink / self.east, degree / self.north
+
     def metres(self, latitude: float, longitude: float) -> tuple[float, float]:
         """World ENU x, y of a geodetic place."""
         return (longitude - self.longitude) * self.east, (latitude - self.latitude) * self.north
@@ -210,6 +220,9 @@ class Vehicle:
             self.bodies.noise_scale[index] = 1.0
         if world.indoor:
             self.origin = np.zeros(3)
+        self.scale = (1.0, 1.0)
+        if world.projection == "autopilot" and not world.indoor:
+            self.scale = surroundings.geodesy.scale(spec.autopilot)
         self.place: tuple[float, float, float] = tuple(self.origin.tolist())
         self.home: np.ndarray[Any, Any] | None = None
         self.charge = 1.0
@@ -260,6 +273,16 @@ class Vehicle:
         """Give the estimator another local origin (world ENU)."""
         self.origin = np.array(origin, dtype=float)
         self.place = tuple(self.origin.tolist())
+
+    def to_local(self, place: Any) -> tuple[float, float, float]:
+        """World ENU → this estimator's local NED."""
+        x, y, z = (place - self.origin).tolist()
+        return y * self.scale[1], x * self.scale[0], -z
+
+    def to_world(self, n: float, e: float, d: float) -> tuple[float, float, float]:
+        """This estimator's local NED → world ENU."""
+        x, y, z = self.place
+        return x + e / self.scale[0], y + n / self.scale[1], z - d
 
     def add_link(self, kind: str) -> Link:
         """Open one more connection to this vehicle."""

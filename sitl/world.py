@@ -98,6 +98,11 @@ class World(_Strict):
     vehicles: Annotated[list[VehicleSpec], Field(min_length=1, max_length=250)]
     cable: CableSpec | None = None
     biases: Literal["default", "none"] = "default"
+    projection: Literal["exact", "autopilot"] = Field(
+        default="exact",
+        description="how estimators turn degrees into local metres: exactly (WGS-84), or as each "
+        "autopilot does (PX4 on a sphere, ArduPilot with the equator's scale: up to 0.3 % off)",
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> "World":

@@ -31,7 +31,11 @@ def world(count: int = 1, cable: str = "", **keys: Any) -> Any:
     """A world of ``count`` vehicles 3 m apart along x; other keys of all vehicles by name."""
     autopilots = keys.pop("autopilots", [keys.pop("autopilot", "px4")])
     common = keys
-    top = {key: common.pop(key) for key in ("biases", "seed", "indoor", "wind") if key in common}
+    top = {
+        key: common.pop(key)
+        for key in ("biases", "seed", "indoor", "wind", "projection")
+        if key in common
+    }
     extra = ", ".join(f"{key}: {value}" for key, value in common.items())
     lines = [f"{key}: {value}" for key, value in {"schema": 1, "biases": "none", **top}.items()]
     lines.append("vehicles:")

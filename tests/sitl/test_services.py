@@ -176,6 +176,26 @@ def test_local_and_global_position_agree_through_the_origin() -> None:
     assert len(origins) == 3
 
 
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_local_metres_may_be_the_autopilots_own(autopilot: str) -> None:
+    """A hundred true metres east at 47° are fewer on PX4's sphere, and on ArduPilot's equator."""
+    keys = {"autopilot": autopilot, "biases": "none", "projection": "autopilot"}
+    emulator = Emulator(world(1, **keys))
+    ground = Ground(emulator)
+    emulator.by_id[1].move_origin((-100.0, -100.0, 0.6))
+    ground.run(0.5)
+    ground.command(1, REQUEST, 32)
+    ground.run(0.1)
+    local = ground.last[1, "LOCAL_POSITION_NED"]
+    sphere = 6_371_000.0
+    north, east = (sphere / 6_370_600.0, sphere / 6_390_200.0)
+    if autopilot == "ardupilot":
+        degree = 111_318.845 * 180 / np.pi
+        north, east = degree / 6_370_600.0, degree / 6_390_200.0
+    assert local.x == pytest.approx(100 * north, abs=0.01)
+    assert local.y == pytest.approx(100 * east, abs=0.01)
+
+
 def test_signing_once_set_up_is_demanded_and_given() -> None:
     ground = Ground(Emulator(world(1)))
     ground.run(1.0)
