@@ -19,7 +19,7 @@ from swarm.knots.catalog import KnotChoice, lookup, names
 from swarm.knots.invariants import Identification, identify_curve
 from swarm.knots.names import COMMON
 from swarm.knots.survey import SurveyRow, survey
-from swarm.view.grid_plot import grid_text, plot_grid
+from swarm.view.grid_text import grid_text
 
 
 @click.command()
@@ -56,6 +56,9 @@ def knots(
         return
     choice = lookup(name)
     if plot is not None:
+        # Drawing takes a second to load, which names and curves need not wait for.
+        from swarm.view.grid_plot import plot_grid  # noqa: PLC0415
+
         plot_grid(choice, plot)
     if as_json:
         print_json(knot_object(choice))
