@@ -23,11 +23,11 @@ def smallest(
 
     Commutations do not join all grids of one size, so several searches, with different random
     numbers, lead to ``starts`` of them; each is annealed for ``steps``, and the best is taken.
-    Where ``fewest`` crossings are asked for, up to ten times as many are looked at to reach them.
+    Where ``fewest`` crossings are asked for, up to four times as many are looked at to reach them.
     """
     first = minimised(grid, target=target, moves=moves)
     best = compact(first, steps=steps)
-    for seed in range(2, 10 * starts + 1):
+    for seed in range(2, 4 * starts + 1):
         if seed > starts and (fewest is None or _score(best) < fewest + 1):
             break
         other = minimised(grid, target=first.size, moves=moves, seed=seed)
