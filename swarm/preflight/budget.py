@@ -102,7 +102,8 @@ class _Strand:
     def answer(self) -> float:
         """Movement along the normal per metre by which both ends err, at the worst."""
         one = np.ones(1)
-        strands = hang(self.start[None], self.end[None], [self.length])
+        hung = self.hung()
+        strands = hang(hung.start[None], hung.end[None], hung.length[None])
         found = response(
             strands, self.fraction * one, np.array([BOTH_ENDS]), self.normal[None],
             (self.fraction * one, self.fraction * one), 0.0 * one, 0.0 * one,

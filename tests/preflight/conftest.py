@@ -1,9 +1,13 @@
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from swarm.mission import parse_mission
-from swarm.plans import Plan, make_plan
+from swarm.plans import Gate, KnotSummary, Layout, Phase, Plan
 from swarm.preflight.assess import assess
 from swarm.preflight.findings import Assessment
+from swarm.trajectory import through_states
 
 OVERHAND = """
 schema: 1
@@ -14,8 +18,29 @@ knot: {gauss: "1- 2+ 3- 1+ 2- 3+", chirality: right}
 
 @pytest.fixture(scope="session")
 def overhand() -> Plan:
-    """Our own plan of an overhand knot with the default mission."""
-    return make_plan(parse_mission(OVERHAND, "overhand.yaml"))
+    """A plan of an overhand knot as an early planner made it, sampled every second.
+
+    Kept as data, so that these tests fail for reasons of the certificate and not of the planner.
+    """
+    data = np.load(Path(__file__).with_name("overhand.npz"))
+    states = [data[name].astype(float) for name in ("position", "velocity", "acceleration")]
+    crossings = tuple((int(over), int(under)) for over, under in data["crossings"])
+    return Plan(
+        mission=parse_mission(OVERHAND, "overhand.yaml"),
+        knot=KnotSummary("3_1", "right", "1- 2+ 3- 1+ 2- 3+", ()),
+        layout=Layout(
+            data["corners"], data["sags"], data["lengths"], data["lanes"], crossings, 4.428
+        ),
+        motion=through_states(data["time"], *states),
+        phases=tuple(
+            Phase(str(name), float(start), float(end), str(cable), False)  # type: ignore[arg-type]
+            for name, cable, (start, end) in zip(
+                data["phase_name"], data["phase_cable"], data["phase_time"], strict=True
+            )
+        ),
+        gates=(Gate(float(data["released"][0]), "released", 20.0),),
+        path=data["corners"],
+    )
 
 
 @pytest.fixture(scope="session")

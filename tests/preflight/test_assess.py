@@ -74,13 +74,13 @@ def test_a_segment_cut_short_is_taut(overhand):
     assert not any(message.startswith("segment 2 ") for message in found["taut"])
 
 
-def test_a_vehicle_that_is_late_by_a_second_is_refused_for_its_own_segments(overhand):
+def test_a_vehicle_that_is_late_by_seconds_is_refused_for_its_own_segments(overhand):
     fold = overhand.phase("fold")
 
     def late(times, state, order):
-        waiting = np.clip(times - 1.0, fold.start, None)
+        waiting = np.clip(times - 3.0, fold.start, None)
         delayed = np.where(
-            times < fold.start, times, np.where(times > fold.end + 1, times, waiting)
+            times < fold.start, times, np.where(times > fold.end + 3, times, waiting)
         )
         state = state.copy()
         state[:, 4] = overhand.motion.at(delayed)[order][:, 4]
