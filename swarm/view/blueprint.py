@@ -39,7 +39,7 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
             column_shares=[5, 2],
         ),
         "time",
-        play_state="following" if live else "paused",
+        play_state="following" if live else "playing",
     )
 
 
@@ -85,7 +85,7 @@ def comparison_blueprint(plan: Plan) -> rrb.Blueprint:
 
 
 def _blueprint(
-    arrangement: rrb.Horizontal | rrb.Vertical, timeline: str, play_state: str = "paused"
+    arrangement: rrb.Horizontal | rrb.Vertical, timeline: str, play_state: str = "playing"
 ) -> rrb.Blueprint:
     return rrb.Blueprint(
         arrangement,

@@ -118,8 +118,8 @@ class Recorder:
         self._gripped = np.zeros(plan.vehicles, dtype=bool)
         self._trail = np.full((plan.vehicles, 3), np.nan)
         self._strips = scene.strands(self._held, plan.layout.lengths, POINTS_PER_SEGMENT)
+        self._shown = False
         self._look: object = None
-        self._cable_look: object = None
         self._words: dict[str, str] = {}
         self._next: dict[float, float] = {}
         log_plan(stream, plan)
@@ -162,7 +162,6 @@ class Recorder:
         names = [f"vehicle {i + 1}" for i in range(n)]
         colours = vehicle_colours(n)
         log = self._stream.log
-        log("flight/vehicles", quadrotor(vehicles.radius, vehicles.grip_offset), static=True)
         log_style(self._stream, "flight", vehicles.radius)
         ghost = rr.Points3D.from_fields(radii=[0.05], colors=[GHOST_COLOUR])
         log("flight/setpoints", ghost, static=True)
@@ -214,6 +213,11 @@ class Recorder:
         known = np.isfinite(snapshot.position).all(axis=-1)
         aimed = known & np.isfinite(snapshot.setpoint).all(axis=-1)
         centres = (snapshot.position + self._above)[known]
+        if known.any() and not self._shown:
+            # Not before: a shape without a place would be drawn at the origin.
+            self._shown = True
+            size = self._plan.mission.vehicles
+            log("flight/vehicles", quadrotor(size.radius, size.grip_offset))
         log("flight/vehicles", rr.InstancePoses3D(translations=centres))
         log("flight/marks", rr.Points3D.from_fields(positions=centres))
         ghosts = (snapshot.setpoint + self._above)[aimed]

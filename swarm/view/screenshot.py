@@ -49,8 +49,7 @@ def screenshot(
     try:
         client = _connected(viewer, port, until)
         _wait_loaded(client, until)
-        if at is not None:
-            client.set_time(duration=at, play_state="paused")
+        client.set_time(duration=at or 0.0, play_state="paused")
         time.sleep(SETTLED)
         png = client.take_screenshot(_view_id(client, view))
     except RuntimeError as error:

@@ -275,5 +275,6 @@ def _age_style(age: float) -> str:
 
 
 def _event_line(event: Event, others: Sequence[int] = ()) -> Text:
-    line = Text(f"{clock(event.time)} ", "dim", overflow="ellipsis", no_wrap=True)
+    line = Text(overflow="ellipsis", no_wrap=True)
+    line.append(f"{clock(event.time)} ", "dim")
     return line.append(sentence(event, others), LEVEL_STYLES[level(event)])
