@@ -6,14 +6,26 @@ place: without a pilot LOITER and its like hold, as with centred sticks.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import demand, wire
-from sitl.parameters import INT8, INT16
+from sitl.ardupilot_tables import (
+    BATTERY,
+    BRAKE,
+    DEAD_RECKONING,
+    GROUND_STATION_LOSS,
+    GUIDED,
+    KINDS,
+    LAND,
+    LOITER,
+    MODES,
+    PARAMETERS,
+    RTL,
+    STABILIZE,
+)
 from sitl.vehicle import ACCEPTED, DENIED, FAILED, Command, Vehicle
 
 FORCE_ARM, FORCE_DISARM = 2989, 21196
@@ -27,91 +39,13 @@ _POSITION, _VELOCITY, _ACCELERATION, _FORCE = 7, 56, 448, 512
 _Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class Mode:
-    """One flight mode: its name, whether it needs a position and can be armed in."""
-
-    name: str
-    position: bool
-    armable: bool
-    by_itself: bool = False
-
-
-MODES: dict[int, Mode] = {
-    0: Mode("STABILIZE", False, True),
-    1: Mode("ACRO", False, True),
-    2: Mode("ALT_HOLD", False, True),
-    3: Mode("AUTO", True, False, by_itself=True),
-    4: Mode("GUIDED", True, True, by_itself=True),
-    5: Mode("LOITER", True, True),
-    6: Mode("RTL", True, False, by_itself=True),
-    9: Mode("LAND", False, False, by_itself=True),
-    16: Mode("POSHOLD", True, True),
-    17: Mode("BRAKE", True, False, by_itself=True),
-}
-STABILIZE, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 4, 5, 6, 9, 17
-
-# FS_GCS_ENABLE → mode; SmartRTL is not flown here and falls back as documented.
-GROUND_STATION_LOSS = {0: None, 1: RTL, 2: RTL, 3: RTL, 4: LAND, 5: LAND, 6: LAND, 7: BRAKE}
-BATTERY = {0: None, 1: LAND, 2: RTL, 3: RTL, 4: LAND, 6: LAND, 7: BRAKE}
-DEAD_RECKONING = {0: None, 1: LAND, 2: RTL, 3: RTL, 4: LAND, 5: LAND}
-
-PARAMETERS: dict[str, float | int] = {
-    "ANGLE_MAX": 3000, "ARMING_CHECK": 1, "AUTO_OPTIONS": 0, "BATT_CAPACITY": 5000,
-    "BATT_CRT_MAH": 0.0, "BATT_CRT_VOLT": 0.0, "BATT_FS_CRT_ACT": 0, "BATT_FS_LOW_ACT": 0,
-    "BATT_LOW_MAH": 0.0, "BATT_LOW_VOLT": 10.5, "BATT_MONITOR": 4, "BRD_SAFETY_DEFLT": 0,
-    "DISARM_DELAY": 10, "EK3_ENABLE": 1, "EK3_SRC1_POSXY": 3, "EK3_SRC1_POSZ": 1,
-    "EK3_SRC1_VELXY": 3, "EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 1, "FENCE_ACTION": 1,
-    "FENCE_ALT_MAX": 100.0, "FENCE_ENABLE": 0, "FENCE_RADIUS": 300.0, "FENCE_TYPE": 7,
-    "FRAME_CLASS": 1, "FRAME_TYPE": 1, "FS_CRASH_CHECK": 1, "FS_DR_ENABLE": 2,
-    "FS_DR_TIMEOUT": 30, "FS_EKF_ACTION": 1, "FS_EKF_THRESH": 0.8, "FS_GCS_ENABLE": 0,
-    "FS_GCS_TIMEOUT": 5.0, "FS_OPTIONS": 16, "FS_THR_ENABLE": 1, "FS_THR_VALUE": 975,
-    "FS_VIBE_ENABLE": 1, "GPS1_TYPE": 1, "GRIP_ENABLE": 1, "GRIP_TYPE": 1, "GUID_OPTIONS": 0,
-    "GUID_TIMEOUT": 3.0, "INITIAL_MODE": 0, "INS_ACCOFFS_X": 0.001, "INS_ACC_ID": 2753028,
-    "LAND_ALT_LOW": 1000, "LAND_SPEED": 50, "LAND_SPEED_HIGH": 0, "LOIT_SPEED": 1250.0,
-    "LOG_BACKEND_TYPE": 1, "MOT_SPIN_ARM": 0.1, "MOT_SPOOL_TIME": 0.5, "MOT_THST_HOVER": 0.39,
-    "PILOT_SPEED_DN": 0, "PILOT_SPEED_UP": 250, "PILOT_TKOFF_ALT": 0.0, "PSC_ACCZ_I": 1.0,
-    "PSC_ACCZ_P": 0.5, "PSC_JERK_XY": 5.0, "PSC_POSXY_P": 1.0, "PSC_POSZ_P": 1.0,
-    "PSC_VELXY_D": 0.5, "PSC_VELXY_I": 1.0, "PSC_VELXY_P": 2.0, "PSC_VELZ_P": 5.0,
-    "RCMAP_THROTTLE": 3, "RTL_ALT": 1500, "RTL_ALT_FINAL": 0, "RTL_LOIT_TIME": 5000,
-    "RTL_SPEED": 0, "SCHED_LOOP_RATE": 400, "SERIAL0_PROTOCOL": 2, "SERVO9_FUNCTION": 28,
-    "SIM_GPS1_ENABLE": 1, "SIM_GPS1_GLTCH_X": 0.0, "SIM_GPS1_GLTCH_Y": 0.0,
-    "SIM_BARO_DRIFT": 0.0, "SIM_BARO_GLITCH": 0.0, "SIM_BATT_VOLTAGE": 0.0,
-    "SIM_ENGINE_FAIL": 0, "SIM_ENGINE_MUL": 1.0, "SIM_RC_FAIL": 0, "SIM_WIND_DIR": 180.0,
-    "SIM_WIND_SPD": 0.0, "SR0_EXTRA1": 0, "SR0_POSITION": 0, "SYSID_ENFORCE": 0,
-    "SYSID_MYGCS": 255, "SYSID_THISMAV": 1, "TKOFF_SLEW_TIME": 2.0, "WPNAV_ACCEL": 250.0,
-    "WPNAV_ACCEL_Z": 100.0, "WPNAV_JERK": 1.0, "WPNAV_RADIUS": 200.0, "WPNAV_SPEED": 1000.0,
-    "WPNAV_SPEED_DN": 150.0, "WPNAV_SPEED_UP": 250.0, "WP_YAW_BEHAVIOR": 2,
-}  # fmt: skip
-_KINDS = {
-    name: INT16 if abs(value) > 100 or "SPEED" in name or "ALT" in name else INT8
-    for name, value in PARAMETERS.items()
-    if isinstance(value, int) and abs(value) < 32768
-}
-
-STREAMS: dict[str, dict[str, float]] = {"onboard": {"HEARTBEAT": 1}, "gcs": {"HEARTBEAT": 1}}
-_STATUS = ("SYS_STATUS", "MISSION_CURRENT", "GPS_RAW_INT", "NAV_CONTROLLER_OUTPUT")
-_PLACE = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED")
-_CHANNELS = ("SERVO_OUTPUT_RAW", "RC_CHANNELS")
-_EXTRA3 = ("BATTERY_STATUS", "SYSTEM_TIME")
-DATA_STREAMS: dict[int, tuple[str, ...]] = {
-    0: (*_STATUS, *_CHANNELS, *_PLACE, "ATTITUDE", "VFR_HUD", *_EXTRA3),
-    2: _STATUS,
-    3: _CHANNELS,
-    6: _PLACE,
-    10: ("ATTITUDE",),
-    11: ("VFR_HUD",),
-    12: _EXTRA3,
-}
-
-
 class ArduPilot:
     """The flight code of one ArduCopter vehicle."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.v = vehicle
         vehicle.parameters.bytewise = False
-        vehicle.parameters.load({**PARAMETERS, "SYSID_THISMAV": vehicle.system}, _KINDS)
+        vehicle.parameters.load({**PARAMETERS, "SYSID_THISMAV": vehicle.system}, KINDS)
         self.booted = -math.inf
         self._fresh()
         self.apply_gains()

@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from sitl.ardupilot import ArduPilot
 from sitl.contacts import Contacts
 from sitl.dynamics import GRAVITY, STEP, Array, Bodies
-from sitl.faults import Fault, Injector
+from sitl.faults import Fault
+from sitl.geodesy import Geodesy
+from sitl.injector import Injector
 from sitl.px4 import Px4
 from sitl.rope import Rope
 from sitl.services import default_streams, emit, pump_parameters
-from sitl.vehicle import Geodesy, Link, Surroundings, Vehicle
+from sitl.vehicle import Link, Surroundings, Vehicle
 from sitl.world import World
 
 _EPOCH = 1_800_000_000.0

@@ -1,6 +1,7 @@
 """What every autopilot answers, whatever it flies: the handlers of `Vehicle.handle`.
 
-Commands, message rates, parameters, missions, logs, file transfer, time.
+Commands, message rates, parameters, logs, file transfer, time, signing; missions are in
+`sitl.missions`.
 """
 
 import math
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl import ardupilot, px4, telemetry, wire
+from sitl import ardupilot_tables, missions, px4_tables, telemetry, wire
 from sitl.vehicle import (
     ACCEPTED,
     DENIED,
@@ -20,20 +21,16 @@ from sitl.vehicle import (
     Command,
     Link,
     Vehicle,
+    addressed,
+    scaled_degrees,
 )
 
 NAMES = {number: name for name, number in wire.NUMBERS.items()}
-_MISSION_TIMEOUT = 5.0
-_LARGEST_MISSION = 500
 _PARAMETERS_PER_TICK = 20
 _LARGEST_RATE = 200.0
 _SLOWEST = 2000.0
 _LARGEST_ID = 65535
 _FARTHEST = 1e5
-
-
-def _addressed(v: Vehicle, message: Any) -> bool:
-    return message.target_system in {0, v.system} and message.target_component in {0, 1}
 
 
 def emit(v: Vehicle, name: str, link: Link) -> bool:
@@ -55,19 +52,13 @@ def _heartbeat(v: Vehicle, message: Any, _: Link) -> None:
 
 
 def _command_long(v: Vehicle, message: Any, link: Link) -> None:
-    if _addressed(v, message):
+    if addressed(v, message):
         p = [getattr(message, f"param{k}") for k in range(1, 8)]
-        _command(v, message, p, (_scaled(p[4]), _scaled(p[5])), link)
-
-
-def _scaled(degrees: float) -> int:
-    if not math.isfinite(degrees) or abs(degrees) > 214.0:
-        return 2**31 - 1
-    return round(degrees * 1e7)
+        _command(v, message, p, (scaled_degrees(p[4]), scaled_degrees(p[5])), link)
 
 
 def _command_int(v: Vehicle, message: Any, link: Link) -> None:
-    if _addressed(v, message):
+    if addressed(v, message):
         x, y = message.x, message.y
         p = [getattr(message, f"param{k}") for k in range(1, 5)]
         _command(v, message, [*p, x * 1e-7, y * 1e-7, message.z], (x, y), link)
@@ -196,7 +187,7 @@ COMMANDS: dict[int, Callable[[Vehicle, Command], int]] = {
 
 def default_streams(v: Vehicle, link: Link) -> dict[str, float]:
     """Rates (Hz) that this autopilot sends on this kind of link without being asked."""
-    table = px4.STREAMS if v.spec.autopilot == "px4" else ardupilot.STREAMS
+    table = px4_tables.STREAMS if v.spec.autopilot == "px4" else ardupilot_tables.STREAMS
     return table[link.kind]
 
 
@@ -231,7 +222,7 @@ def send_parameter(v: Vehicle, link: Link, name: str) -> None:
 
 
 def _param_list(v: Vehicle, message: Any, link: Link) -> None:
-    if _addressed(v, message):
+    if addressed(v, message):
         v.parameter_queue = [entry for entry in v.parameter_queue if entry[0] is not link]
         v.parameter_queue += [(link, k) for k in range(len(v.parameters.names))]
 
@@ -249,7 +240,7 @@ def _name(text: Any) -> str:
 
 
 def _param_read(v: Vehicle, message: Any, link: Link) -> None:
-    if not _addressed(v, message):
+    if not addressed(v, message):
         return
     p = v.parameters
     if message.param_index >= 0:
@@ -262,7 +253,7 @@ def _param_read(v: Vehicle, message: Any, link: Link) -> None:
 
 
 def _param_set(v: Vehicle, message: Any, _: Link) -> None:
-    if not _addressed(v, message):
+    if not addressed(v, message):
         return
     name = _name(message.param_id)
     p = v.parameters
@@ -277,119 +268,11 @@ def _param_set(v: Vehicle, message: Any, _: Link) -> None:
         send_parameter(v, target, name)
 
 
-# Missions: enough for ground stations to connect, upload and read back.
-
-
-def _mission_request_list(v: Vehicle, message: Any, link: Link) -> None:
-    if _addressed(v, message):
-        kind = message.mission_type
-        v.send(
-            "MISSION_COUNT",
-            link,
-            target_system=message.get_srcSystem(),
-            target_component=message.get_srcComponent(),
-            count=len(v.mission.get(kind, [])),
-            mission_type=kind,
-        )
-
-
-def _mission_item(v: Vehicle, message: Any, link: Link) -> None:
-    if not _addressed(v, message):
-        return
-    items = v.mission.get(message.mission_type, [])
-    if message.seq >= len(items):
-        _mission_ack(v, message, link, dialect.MAV_MISSION_INVALID_SEQUENCE)
-        return
-    item = dict(items[message.seq])
-    item["target_system"], item["target_component"] = (
-        message.get_srcSystem(),
-        message.get_srcComponent(),
-    )
-    if message.get_type() == "MISSION_REQUEST_INT":
-        v.send("MISSION_ITEM_INT", link, **item)
-    else:
-        item["x"], item["y"] = item["x"] * 1e-7, item["y"] * 1e-7
-        v.send("MISSION_ITEM", link, **item)
-
-
-def _mission_ack(v: Vehicle, message: Any, link: Link, result: int) -> None:
-    v.send(
-        "MISSION_ACK",
-        link,
-        target_system=message.get_srcSystem(),
-        target_component=message.get_srcComponent(),
-        type=result,
-        mission_type=message.mission_type,
-    )
-
-
-def _mission_count(v: Vehicle, message: Any, link: Link) -> None:
-    if not _addressed(v, message):
-        return
-    kind = message.mission_type
-    if kind not in v.mission or message.count > _LARGEST_MISSION:
-        _mission_ack(v, message, link, dialect.MAV_MISSION_NO_SPACE)
-    elif message.count == 0:
-        v.mission[kind] = []
-        _mission_ack(v, message, link, dialect.MAV_MISSION_ACCEPTED)
-    else:
-        v.upload = {"kind": kind, "count": message.count, "items": [], "at": v.now}
-        _ask_item(v, message, link)
-
-
-def _ask_item(v: Vehicle, message: Any, link: Link) -> None:
-    v.send(
-        "MISSION_REQUEST_INT",
-        link,
-        target_system=message.get_srcSystem(),
-        target_component=message.get_srcComponent(),
-        seq=len(v.upload["items"]),
-        mission_type=v.upload["kind"],
-    )
-
-
-_ITEM_FIELDS = (
-    "seq", "frame", "command", "current", "autocontinue", "param1", "param2", "param3", "param4",
-    "x", "y", "z", "mission_type",
-)  # fmt: skip
-
-
-def _mission_receive(v: Vehicle, message: Any, link: Link) -> None:
-    if not _addressed(v, message):
-        return
-    upload = v.upload
-    if not upload or v.now - upload["at"] > _MISSION_TIMEOUT:
-        _mission_ack(v, message, link, dialect.MAV_MISSION_ERROR)
-        return
-    if message.seq != len(upload["items"]):
-        _ask_item(v, message, link)
-        return
-    item = {name: getattr(message, name) for name in _ITEM_FIELDS}
-    if message.get_type() == "MISSION_ITEM":
-        item["x"], item["y"] = _scaled(item["x"]), _scaled(item["y"])
-    upload["items"].append(item)
-    upload["at"] = v.now
-    if len(upload["items"]) < upload["count"]:
-        _ask_item(v, message, link)
-        return
-    v.mission[upload["kind"]] = upload["items"]
-    v.upload = {}
-    _mission_ack(v, message, link, dialect.MAV_MISSION_ACCEPTED)
-
-
-def _mission_clear(v: Vehicle, message: Any, link: Link) -> None:
-    if _addressed(v, message):
-        kinds = list(v.mission) if message.mission_type == 255 else [message.mission_type]
-        for kind in kinds:
-            v.mission[kind] = []
-        _mission_ack(v, message, link, dialect.MAV_MISSION_ACCEPTED)
-
-
 # Logs, files, time, position from outside, signing.
 
 
 def _log_list(v: Vehicle, message: Any, link: Link) -> None:
-    if _addressed(v, message):
+    if addressed(v, message):
         v.send("LOG_ENTRY", link)
 
 
@@ -397,7 +280,7 @@ _FTP_NAK, _FTP_FAIL = 129, 1
 
 
 def _file_transfer(v: Vehicle, message: Any, link: Link) -> None:
-    if not _addressed(v, message):
+    if not addressed(v, message):
         return
     request = list(message.payload)
     answer = [0] * 251
@@ -457,9 +340,9 @@ def _vision(v: Vehicle, message: Any, _: Link) -> None:
 
 
 def _data_stream(v: Vehicle, message: Any, link: Link) -> None:
-    if not _addressed(v, message) or v.spec.autopilot != "ardupilot":
+    if not addressed(v, message) or v.spec.autopilot != "ardupilot":
         return
-    for name in ardupilot.DATA_STREAMS.get(message.req_stream_id, ()):
+    for name in ardupilot_tables.DATA_STREAMS.get(message.req_stream_id, ()):
         rate = min(message.req_message_rate, 50)
         on = message.start_stop == 1 and rate > 0
         link.stream(name, 1.0 / rate if on else None, v.now)
@@ -477,6 +360,7 @@ def _setup_signing(v: Vehicle, message: Any, link: Link) -> None:
         link.sender.signer = None
 
 
+HANDLERS.update(missions.HANDLERS)
 HANDLERS.update(
     {
         "HEARTBEAT": _heartbeat,
@@ -486,13 +370,6 @@ HANDLERS.update(
         "PARAM_REQUEST_LIST": _param_list,
         "PARAM_REQUEST_READ": _param_read,
         "PARAM_SET": _param_set,
-        "MISSION_REQUEST_LIST": _mission_request_list,
-        "MISSION_REQUEST": _mission_item,
-        "MISSION_REQUEST_INT": _mission_item,
-        "MISSION_COUNT": _mission_count,
-        "MISSION_ITEM": _mission_receive,
-        "MISSION_ITEM_INT": _mission_receive,
-        "MISSION_CLEAR_ALL": _mission_clear,
         "LOG_REQUEST_LIST": _log_list,
         "FILE_TRANSFER_PROTOCOL": _file_transfer,
         "TIMESYNC": _timesync,

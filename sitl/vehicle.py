@@ -15,56 +15,13 @@ from pymavlink.dialects.v20 import common as dialect
 
 from sitl import wire
 from sitl.dynamics import Bodies
+from sitl.geodesy import Geodesy
 from sitl.parameters import Parameters
 from sitl.world import VehicleSpec, World
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 _TEXT_LENGTH = 50
-
-
-@dataclass(frozen=True)
-class Geodesy:
-    """World ENU metres ⇄ degrees near the world's origin (WGS-84 radii of curvature there)."""
-
-    latitude: float
-    longitude: float
-    altitude: float
-    north: float
-    east: float
-
-    @classmethod
-    def at(cls, latitude: float, longitude: float, altitude: float) -> "Geodesy":
-        """Make the local linearisation (good to millimetres within a few hundred metres)."""
-        a, e2 = 6378137.0, 6.69437999014e-3
-        s = math.sin(math.radians(latitude))
-        w = math.sqrt(1 - e2 * s * s)
-        meridian = a * (1 - e2) / w**3 + altitude
-        prime = a / w + altitude
-        return cls(
-            latitude,
-            longitude,
-            altitude,
-            math.radians(1) * meridian,
-            math.radians(1) * prime * math.cos(math.radians(latitude)),
-        )
-
-    def degrees(self, x: float, y: float, z: float) -> tuple[float, float, float]:
-        """Latitude, longitude, altitude of a point given in world ENU."""
-        return self.latitude + y / self.north, self.longitude + x / self.east, self.altitude + z
-
-    def scale(self, autopilot: str) -> tuple[float, float]:
-        """Local metres east and north that an autopilot makes of one true metre.
-
-        PX4 projects on a sphere of 6 371 000 m (``lib/geo``), ArduPilot takes 111 318.845 m for a
-        degree of latitude (``Location``'s scaling factor).
-        """
-        degree = math.radians(1) * 6_371_000.0 if autopilot == "px4" else 111_318.845
-        shrink = math.cos(math.radians(self.latitude))
-        return degree * shrink / self.east, degree / self.north
-
-    def metres(self, latitude: float, longitude: float) -> tuple[float, float]:
-        """World ENU x, y of a geodetic place."""
-        return (longitude - self.longitude) * self.east, (latitude - self.latitude) * self.north
+_BOOT_SILENCE = 3.0
 
 
 @dataclass
@@ -366,7 +323,7 @@ class Vehicle:
         return True
 
     def reboot(self) -> None:
-        """Start the autopilot anew: everything that it kept in memory is gone."""
+        """Start the autopilot anew: silent for a while, and what it kept in memory is gone."""
         b, i = self.bodies, self.index
         b.armed[i] = False
         b.landed[i] = True
@@ -377,6 +334,11 @@ class Vehicle:
         self.home = None
         self.around.event("rebooted", self.system)
         self.personality.restart()
+        self.frozen = True
+        self.later.append((self.now + _BOOT_SILENCE, self._speak))
+
+    def _speak(self) -> None:
+        self.frozen = False
 
     def handle(self, message: Any, link: Link) -> None:
         """Take one message from a ground station."""
@@ -392,3 +354,15 @@ class Vehicle:
 
 
 HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {}
+
+
+def addressed(v: Vehicle, message: Any) -> bool:
+    """Whether a message is meant for this vehicle's autopilot (0 is everybody)."""
+    return message.target_system in {0, v.system} and message.target_component in {0, 1}
+
+
+def scaled_degrees(degrees: float) -> int:
+    """Degrees as MAVLink's 1e-7 degrees; what is none becomes the "not given" number."""
+    if not math.isfinite(degrees) or abs(degrees) > 214.0:
+        return 2**31 - 1
+    return round(degrees * 1e7)
