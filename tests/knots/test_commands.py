@@ -14,7 +14,7 @@ from swarm.knots.catalog import lookup
 from swarm.knots.diagram import Diagram
 from swarm.knots.grid import grid_of_columns
 from swarm.knots.invariants import identify_diagram
-from tests.knots.curves import hung, lifted
+from tests.knots.curves import hung, knotinfo, lifted
 
 
 def run(*arguments: str) -> Result:
@@ -65,6 +65,18 @@ def test_a_knot_in_the_terminal_and_as_png(tmp_path: Path) -> None:
     assert drawing.count("×") == 1
     assert sum(drawing.count(bend) for bend in "┌┐└┘") == 2 * choice.grid.size - 3
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.full
+def test_the_table_of_all_knots_is_found_again_without_the_catalogue() -> None:
+    found = json.loads(run("knots", "--table", "--json").output)
+    assert [row for row in found if not row["right"]] == []
+    for row in found:
+        known = knotinfo()[row["name"]]
+        assert row["found"] == row["arc_index"] == int(known["arc_index"])
+        assert row["identified"] == row["name"]
+        assert (row["chirality"] == "none") == ("amphicheiral" in known["symmetry_type"])
+    assert len(found) == 249
 
 
 def test_options_that_do_not_go_together() -> None:

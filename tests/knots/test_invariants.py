@@ -287,3 +287,11 @@ def test_long_random_walks_are_answered_in_the_same_way_twice() -> None:
     first, second = identify_curve(steps), identify_curve(steps)
     assert first == second
     assert identify_curve(steps[::-1]).candidates == first.candidates
+
+
+@pytest.mark.full
+def test_a_hopeless_tangle_is_unknown_before_long() -> None:
+    known = identify_curve(random_polygon(1, 60), closed=True)
+    assert (known.name, known.chirality, known.candidates) == ("unknown", "none", ())
+    assert known.crossings > 64
+    assert known.invariants == {"jones": None, "alexander": None, "determinant": None}
