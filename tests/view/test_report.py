@@ -166,7 +166,7 @@ srcdoc="%s"></iframe><script>addEventListener("load", () => {
 
 
 @pytest.mark.skipif(BROWSER is None, reason="needs a Chromium to look with")
-@pytest.mark.parametrize("width", [360, 1000])
+@pytest.mark.parametrize("width", [360, pytest.param(1000, marks=pytest.mark.full)])
 def test_a_browser_shows_it_without_sideways_scrolling(width: int, tmp_path: Path) -> None:
     for name, source in (
         ("plan", cleared_plan_report()),
