@@ -121,7 +121,7 @@ def smallest_parts(diagram: Diagram) -> tuple[Diagram, ...]:
 def _smaller(part: Diagram) -> tuple[Diagram, ...]:
     """A part with more than ten crossings, tried harder."""
     best = summands(simplified(part, kicks=_KICKS))
-    most = max(one.crossings for one in best)
+    most = max((one.crossings for one in best), default=0)
     if most <= MOST_CROSSINGS or most > LARGEST or _is_minimal(best):
         return best
     grid = minimised(drawn(part), moves=_MOVES)

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarm.knots.alexander import alexander
+from swarm.knots.catalog import lookup
 from swarm.knots.curve import curve_gauss
 from swarm.knots.diagram import Diagram, diagram_of_pd, realisations
 from swarm.knots.gauss import KnotError
@@ -14,6 +15,7 @@ from swarm.knots.groups import separated, signature, sum_diagram
 from swarm.knots.invariants import identify_curve, identify_diagram, summands
 from swarm.knots.jones import jones
 from swarm.knots.names import torus_grid
+from swarm.knots.search import Walk
 from swarm.knots.shorten import curve_diagram
 from swarm.knots.simplify import simplified, without_nugatory
 from swarm.knots.table import TableKnot, table
@@ -280,6 +282,17 @@ def test_a_curve_that_meets_itself_is_refused() -> None:
     cross = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 1], [1, 1, 0], [1, -1, 0]], dtype=float)
     with pytest.raises(KnotError, match="degenerate from every side: two strands meet in space"):
         identify_curve(cross)
+
+
+@pytest.mark.parametrize("name", ["0_1", "3_1", "8_18", "10_45", "10_132"])
+def test_knots_in_grids_twice_as_large_as_need_be(name: str) -> None:
+    walk = Walk(lookup(name).grid, seed=3)
+    for _ in range(12):
+        walk.stabilise()
+        for _ in range(300):
+            walk.commute()
+    known = identify_diagram(Diagram(walk.grid().code))
+    assert (known.name, known.crossings) == (name, lookup(name).crossings)
 
 
 def test_long_random_walks_are_answered_in_the_same_way_twice() -> None:
