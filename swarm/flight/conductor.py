@@ -181,6 +181,11 @@ class Conductor:
         """How the flight ended; None while it goes on."""
         return self.outcome if self.stage == "finished" else None
 
+    @property
+    def over(self) -> bool:
+        """Whether the flight has ended."""
+        return self.stage == "finished"
+
     def events(self) -> list[Event]:
         """Return the events since the last call."""
         events, self._events = self._events, []

@@ -85,25 +85,12 @@ class Preparation:
         patient = self._enough_at is not None and now - self._enough_at > SPARE_PATIENCE
         if len(heard) == len(everybody) or patient:
             self._heard, self._heard_at = heard, now
-            self._request_streams()
+            for vehicle in heard:
+                request_streams(vehicle, self.fleet)
         elif late:
             names = ", ".join(f"system {v.system}" for v in everybody if v not in heard)
             return Outcome("failed", f"not heard: {names}")
         return None
-
-    def _request_streams(self) -> None:
-        rates = self.fleet.rates
-        wanted = {
-            common.MAVLINK_MSG_ID_HEARTBEAT: rates.heartbeat,
-            common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rates.position,
-            common.MAVLINK_MSG_ID_ATTITUDE: rates.status,
-            common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: rates.status,
-            common.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-            common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 1.0,
-        }
-        for vehicle in self._heard:
-            for message, rate in wanted.items():
-                vehicle.request_interval(message, rate)
 
     def _ask(self) -> None:
         """Ask for what is still missing: origins, and the mode in which readiness is judged."""
@@ -154,6 +141,21 @@ class Preparation:
             np.array([vehicle.attitude[2] for vehicle in flyers]),
             Audit(tuple(vehicle.system for vehicle in flyers), tuple(findings)),
         )
+
+
+def request_streams(vehicle: Vehicle, fleet: Fleet) -> None:
+    """Ask a vehicle for the messages that a flight reads, at the fleet's rates."""
+    rates = fleet.rates
+    wanted = {
+        common.MAVLINK_MSG_ID_HEARTBEAT: rates.heartbeat,
+        common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rates.position,
+        common.MAVLINK_MSG_ID_ATTITUDE: rates.status,
+        common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: rates.status,
+        common.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+        common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 1.0,
+    }
+    for message, rate in wanted.items():
+        vehicle.request_interval(message, rate)
 
 
 def _not_ready(findings: list[Finding]) -> Outcome:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm.fleet import Fleet
+from swarm.fleet import Fleet, Place
 from swarm.plans import Plan
 
 Floats = npt.NDArray[np.float64]
@@ -40,11 +40,7 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
         ],
     }
     if origin is not None:
-        world["origin"] = {
-            "latitude": origin.latitude,
-            "longitude": origin.longitude,
-            "altitude": origin.altitude if origin.altitude is not None else 0.0,
-        }
+        world["origin"] = _origin(origin)
     gripped = next((gate.time for gate in plan.gates if gate.condition == "gripped"), None)
     if with_cable and gripped is not None:
         points = _laid(plan.motion.at(gripped)[0], plan.layout.lengths)
@@ -56,6 +52,29 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
             "points": points.tolist(),
         }
     return world
+
+
+def bare_world(fleet: Fleet) -> dict[str, Any]:
+    """Return a world with the fleet's vehicles alone, three metres apart, for ground checks."""
+    world: dict[str, Any] = {
+        "schema": 1,
+        "seed": fleet.emulated.seed if fleet.emulated else 1,
+        "vehicles": [
+            {"id": listed.sysid, "autopilot": listed.autopilot, "pad": [3.0 * place, 0.0, 0.0]}
+            for place, listed in enumerate(fleet.vehicles)
+        ],
+    }
+    if fleet.origin is not None:
+        world["origin"] = _origin(fleet.origin)
+    return world
+
+
+def _origin(place: Place) -> dict[str, float]:
+    return {
+        "latitude": place.latitude,
+        "longitude": place.longitude,
+        "altitude": place.altitude if place.altitude is not None else 0.0,
+    }
 
 
 def _laid(grips: Floats, lengths: Floats) -> Floats:

@@ -11,17 +11,19 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from swarm.errors import Refused
+from swarm.errors import Refused, SwarmError
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.world import emulated_world
+from swarm.ground.audit import Auditor
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.loop import Loop
 from swarm.ground.operator import ControlSocket, Desk, keys
 from swarm.ground.record import Record
+from swarm.ground.relay import Relay
 from swarm.ground.sockets import open_links
 from swarm.preflight.findings import ProvenPlan
 
@@ -44,6 +46,7 @@ def fly(
     on_emulator: Callable[[int], None] | None = None,
     control: Path | None = None,
     take_keys: bool = False,
+    audit: bool | None = None,
 ) -> FlightResult:
     """Fly a proven plan; returns how it went, with the record in ``record_folder``.
 
@@ -52,8 +55,9 @@ def fly(
     a second, ``on_event`` for every event, both in a thread of their own which may be slow: what it
     cannot take is dropped. ``on_emulator`` is told the emulator's process id. ``speed`` is for
     emulated fleets only. ``control`` is where the control socket is made, ``take_keys`` reads
-    single keys from the terminal (:mod:`swarm.ground.operator`). The first SIGINT holds and lands
-    the team, the second lands it at once.
+    single keys from the terminal (:mod:`swarm.ground.operator`). ``audit`` asks the vehicles for
+    firmware, health and parameters through MAVSDK before the go; None does so for real ones. The
+    first SIGINT holds and lands the team, the second lands it at once.
 
     Raises :class:`swarm.errors.VehicleError` where a link cannot be opened, and
     :class:`swarm.errors.InputError` where the record cannot be written.
@@ -86,7 +90,10 @@ def fly(
                 around.callback(socket.close)
                 poll.append(socket.poll)
             shell = _Shell(conductor, record, events, tell, interrupts, emulator, confirm, poll)
-            loop = Loop(conductor, links, record, speed, shell.each_tick)
+            if audit if audit is not None else fleet.emulated is None:
+                shell.relay = Relay(conductor.team)
+                around.callback(shell.relay.close)
+            loop = Loop(conductor, links, record, speed, shell.each_tick, shell.relay)
             loop.run()
             shell.each_tick(conductor.now)
         outcome = conductor.finished
@@ -132,7 +139,8 @@ class _Shell:
         self._tell, self._interrupts, self._emulator = tell, interrupts, emulator
         self._confirm = confirm
         self._next_snapshot = 0.0
-        self._answer: queue.SimpleQueue[bool] | None = None
+        self._answer: queue.SimpleQueue[Audit | str] | None = None
+        self.relay: Relay | None = None
 
     def each_tick(self, now: float) -> None:
         conductor = self._conductor
@@ -159,29 +167,58 @@ class _Shell:
         """Ask for the go once, without waiting for the answer, and start when it has come."""
         if self._answer is None:
             self._answer = queue.SimpleQueue()
-            if self._confirm is None or not audit.passed:
-                self._answer.put(True)
+            ask = _Asking(self._conductor, self.relay, self._confirm, audit, self._answer)
+            if self._confirm is None and self.relay is None:
+                ask.run()
             else:
-                asking = threading.Thread(
-                    target=_ask, args=(self._confirm, audit, self._answer), daemon=True
-                )
-                asking.start()
+                threading.Thread(target=ask.run, name="audit", daemon=True).start()
         with suppress(queue.Empty):
-            if self._answer.get_nowait():
+            answer = self._answer.get_nowait()
+            if self.relay is not None:
+                self.relay.closed = True
+            if isinstance(answer, Audit):
                 try:
-                    self._conductor.start(go(self._conductor.proven, audit))
+                    self._conductor.start(go(self._conductor.proven, answer))
                 except Refused as error:
                     self._conductor.refuse(str(error))
             else:
-                self._conductor.refuse("not confirmed")
+                self._conductor.refuse(answer)
 
 
-def _ask(confirm: Confirm, audit: Audit, answer: "queue.SimpleQueue[bool]") -> None:
-    said = False
-    try:
-        said = confirm(audit)
-    finally:
-        answer.put(said)
+class _Asking:
+    """What takes time before the go: the audit of the vehicles, and a person's answer."""
+
+    def __init__(
+        self,
+        conductor: Conductor,
+        relay: Relay | None,
+        confirm: Confirm | None,
+        audit: Audit,
+        answer: "queue.SimpleQueue[Audit | str]",
+    ) -> None:
+        self._conductor, self._relay, self._confirm = conductor, relay, confirm
+        self._audit, self._answer = audit, answer
+
+    def run(self) -> None:
+        """Put an audit into the answer, or why there is none."""
+        try:
+            audit = self._audit if self._relay is None else self._with_vehicles(self._relay)
+            confirmed = not audit.passed or self._confirm is None or self._confirm(audit)
+            self._answer.put(audit if confirmed else "not confirmed")
+        except SwarmError as error:
+            self._answer.put(str(error))
+        except BaseException:
+            self._answer.put("the question before the flight failed")
+            raise
+
+    def _with_vehicles(self, relay: Relay) -> Audit:
+        flyers = self._conductor.flyers
+        names = {v.system: v.autopilot.name for v in flyers if v.autopilot is not None}
+        ports = {system: relay.ports[system] for system in names}
+        vehicles = self._conductor.plan.mission.vehicles
+        with Auditor(ports, names, vehicles).connected() as auditor:
+            found = [finding for one in auditor.audit() for finding in one.findings()]
+        return replace(self._audit, findings=(*self._audit.findings, *found))
 
 
 @contextmanager

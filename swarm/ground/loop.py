@@ -7,26 +7,47 @@ Packets are taken as they come in between.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
-from swarm.flight.conductor import Conductor
+from swarm.fleet import Fleet
+from swarm.flight.team import Address, Outgoing
 from swarm.ground.record import Record
+from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links
+
+
+class Flown(Protocol):
+    """What the loop runs: the conductor, or whoever only listens."""
+
+    fleet: Fleet
+
+    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> None:
+        """Take bytes that arrived."""
+
+    def tick(self, now: float) -> list[Outgoing]:
+        """Let time pass; return what to send."""
+
+    @property
+    def over(self) -> bool:
+        """Whether the loop may end."""
 
 
 @dataclass
 class Loop:
     """Runs a conductor on links in real time, ``speed`` times faster.
 
-    ``each_tick`` is called after every tick with flight time; it must be quick.
+    ``each_tick`` is called after every tick with flight time; it must be quick. Through ``relay``
+    others may speak to the vehicles too.
     """
 
-    conductor: Conductor
+    conductor: Flown
     links: Links
     record: Record | None
     speed: float
     each_tick: Callable[[float], None]
+    relay: Relay | None = None
     lateness: list[float] = field(default_factory=list)
     cpu: float = 0.0
 
@@ -36,7 +57,7 @@ class Loop:
         interval = 1.0 / (self.conductor.fleet.rates.setpoint * self.speed)
         began, cpu = time.monotonic(), time.process_time()
         deadline = began
-        while conductor.finished is None:
+        while not conductor.over:
             while (left := deadline - time.monotonic()) > 0.0:
                 self._receive(began, left)
             self._receive(began, 0.0)
@@ -44,6 +65,8 @@ class Loop:
             self.lateness.append(moment - deadline)
             now = (moment - began) * self.speed
             outgoing = conductor.tick(now)
+            if self.relay is not None:
+                outgoing.extend(self.relay.to_vehicles())
             links.send(outgoing)
             if self.record is not None:
                 for one in outgoing:
@@ -58,6 +81,8 @@ class Loop:
         for link, address, data in self.links.wait(timeout):
             now = (time.monotonic() - began) * self.speed
             self.conductor.receive(link, address, data, now)
+            if self.relay is not None:
+                self.relay.from_vehicles(data)
             if self.record is not None:
                 self.record.packet(data, now, "" if address is not None else link)
 

@@ -11,6 +11,8 @@ from swarm.flight.team import Outgoing
 
 _LARGEST_DATAGRAM = 65_536
 _RECEIVE_BUFFER = 1 << 21
+_MOST_AT_ONCE = 512
+"""Datagrams taken before the clock is looked at again: a flood must not hold the flight up."""
 _CONNECT_TIMEOUT = 5.0
 
 
@@ -37,8 +39,8 @@ class Socket:
             self.dropped += 1
 
     def receive(self) -> Iterator[tuple[str, Any, bytes]]:
-        """Yield everything that has arrived: link, address, bytes."""
-        while True:
+        """Yield what has arrived, up to a bound: link, address, bytes."""
+        for _ in range(_MOST_AT_ONCE):
             try:
                 data, address = self.socket.recvfrom(_LARGEST_DATAGRAM)
             except BlockingIOError:

@@ -1,0 +1,191 @@
+"""The vehicles before arming, asked through MAVSDK: firmware, health in words, parameters.
+
+The library speaks through the relay's loopback endpoints; it has its own threads and wall-clock
+timers, and is gone before anything is armed.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from mavsdk import Configuration, Mavsdk, log_subscribe
+from mavsdk.exceptions import MavsdkError
+from mavsdk.plugins.events import Events
+from mavsdk.plugins.info import Info
+from mavsdk.plugins.param import Param
+from mavsdk.plugins.telemetry import Telemetry
+
+from swarm.errors import VehicleError
+from swarm.flight.parameters import Row, judge, rules
+from swarm.mavlink.frames import Projection
+from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
+from swarm.mission import Vehicles
+from swarm.preflight.findings import Finding
+
+DISCOVERY = 10.0
+"""Seconds within which every vehicle must be discovered."""
+HEALTH = 5.0
+_POLL = 0.05
+
+
+@dataclass(frozen=True)
+class VehicleAudit:
+    """What one vehicle said of itself before arming.
+
+    ``wrong`` and ``good`` are rows of the parameter table; ``parameters`` everything it has;
+    ``problems`` what keeps it from arming, in its own words.
+    """
+
+    system: int
+    firmware: str
+    health: Mapping[str, bool]
+    battery: float
+    satellites: int
+    problems: tuple[str, ...]
+    parameters: Mapping[str, float]
+    wrong: tuple[Row, ...]
+    good: tuple[Row, ...]
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield what is to be said of it."""
+        yield Finding("info", "firmware", f"system {self.system}: {self.firmware}")
+        for row in self.wrong:
+            yield Finding(row.severity, "parameter", row.message)
+        for problem in self.problems:
+            yield Finding("warning", "arming check", f"system {self.system}: {problem}")
+        if not self.health.get("global position", True):
+            words = "no valid global position: hold is not available, a failsafe would descend"
+            yield Finding("warning", "hold", f"system {self.system}: {words}")
+
+
+@dataclass
+class Auditor:
+    """Asks a team of vehicles; ``ports`` are loopback UDP ports by system id.
+
+    ``names`` tell each vehicle's autopilot. Used as a context; blocking, so not for the flight's
+    thread.
+    """
+
+    ports: Mapping[int, int]
+    names: Mapping[int, Projection]
+    vehicles: Vehicles
+    _systems: dict[int, Any] = field(default_factory=dict)
+
+    @contextmanager
+    def connected(self) -> Iterator["Auditor"]:
+        """Discover the vehicles; raises :class:`VehicleError` that names those not found."""
+        log_subscribe(lambda *_: True)
+        configuration = Configuration.create_manual(GROUND_SYSTEM, GROUND_COMPONENT, False)
+        with Mavsdk(configuration) as mavsdk:
+            for port in self.ports.values():
+                mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
+            found: dict[int, Any] = {}
+
+            def everybody() -> bool:
+                found.update({s.get_system_id(): s for s in mavsdk.get_systems()})
+                return found.keys() >= self.ports.keys()
+
+            if not _wait(everybody, DISCOVERY):
+                missing = ", ".join(str(s) for s in sorted(self.ports.keys() - found.keys()))
+                raise VehicleError(f"not found by MAVSDK: system {missing}")
+            self._systems = found
+            yield self
+            self._systems = {}
+
+    def audit(self) -> list[VehicleAudit]:
+        """Ask all vehicles, at the same time."""
+        with ThreadPoolExecutor(len(self.ports)) as pool:
+            return list(pool.map(self._one, sorted(self.ports)))
+
+    def fix(self, rows: Sequence[Row]) -> list[str]:
+        """Set the parameters of rows that are wrong; return what was changed, in words."""
+        changed = []
+        for row in rows:
+            if row.value is not None:
+                self._set(row.system, {row.name: row.should})
+                changed.append(f"system {row.system}: {row.name} {row.value:g} → {row.should:g}")
+        return changed
+
+    def restore(self, system: int, values: Mapping[str, float]) -> None:
+        """Set parameters back to saved values."""
+        self._set(system, values)
+
+    def _set(self, system: int, values: Mapping[str, float]) -> None:
+        param = Param(self._systems[system])
+        everything = param.get_all_params()
+        whole = {one.name for one in everything.int_params}
+        for name, value in values.items():
+            try:
+                if name in whole:
+                    param.set_param_int(name, round(value))
+                else:
+                    param.set_param_float(name, float(value))
+            except MavsdkError as error:
+                raise VehicleError(f"system {system}: {name} cannot be set: {error}") from None
+
+    def _one(self, system: int) -> VehicleAudit:
+        handle = self._systems[system]
+        telemetry = Telemetry(handle)
+        _wait(telemetry.health_all_ok, HEALTH)
+        try:
+            everything = Param(handle).get_all_params()
+        except MavsdkError as error:
+            raise VehicleError(f"system {system}: parameters cannot be read: {error}") from None
+        values = {
+            one.name: float(one.value) for one in (*everything.int_params, *everything.float_params)
+        }
+        name = self.names[system]
+        wrong, good = judge(system, values, rules(name, self.vehicles))
+        health = telemetry.health()
+        return VehicleAudit(
+            system=system,
+            firmware=_firmware(handle, name),
+            health={
+                "gyroscope": health.is_gyrometer_calibration_ok,
+                "accelerometer": health.is_accelerometer_calibration_ok,
+                "magnetometer": health.is_magnetometer_calibration_ok,
+                "local position": health.is_local_position_ok,
+                "global position": health.is_global_position_ok,
+                "home position": health.is_home_position_ok,
+                "armable": health.is_armable,
+            },
+            battery=float(telemetry.battery().remaining_percent),
+            satellites=int(telemetry.gps_info().num_satellites),
+            problems=_arming_problems(handle),
+            parameters=values,
+            wrong=tuple(wrong),
+            good=tuple(good),
+        )
+
+
+def _firmware(handle: Any, name: str) -> str:
+    with suppress(MavsdkError):
+        version = Info(handle).get_version()
+        number = f"{version.flight_sw_major}.{version.flight_sw_minor}.{version.flight_sw_patch}"
+        return f"{'ArduPilot' if name == 'ardupilot' else 'PX4'} {number}"
+    return f"{name}, version unknown"
+
+
+def _arming_problems(handle: Any) -> tuple[str, ...]:
+    """What PX4's health and arming checks complain of; other firmware has no such report."""
+    with suppress(MavsdkError):
+        report = Events(handle).get_health_and_arming_checks_report()
+        return tuple(
+            f"{problem.message}{': ' + problem.description if problem.description else ''}"
+            for problem in report.all_problems
+        )
+    return ()
+
+
+def _wait(condition: Callable[[], bool], seconds: float) -> bool:
+    deadline = time.monotonic() + seconds
+    pause = threading.Event()
+    while not condition():
+        if time.monotonic() >= deadline:
+            return False
+        pause.wait(_POLL)
+    return True

@@ -1,0 +1,67 @@
+"""Ground checks through MAVSDK: what is found, set and put back."""
+
+import json
+
+import pytest
+
+from swarm.errors import InputError, VehicleError
+from swarm.fleet import emulated_fleet
+from swarm.flight.listening import LinkQuality, radio_finding
+from swarm.ground import fly
+from swarm.ground.check import check
+from tests.network import small_plan
+
+
+def test_parameters_are_found_set_and_put_back(tmp_path):
+    fleet = emulated_fleet(2, ("px4", "ardupilot"))
+    shown = []
+    report = check(fleet, tmp_path, soak=2.0, fix=lambda rows: shown.extend(rows) or True)
+    assert {vehicle.firmware for vehicle in report.vehicles} == {"PX4 1.16.0", "ArduPilot 4.6.2"}
+    assert "system 1: COM_OBL_RC_ACT 0 → 4" in report.changed
+    assert "system 2: GUID_TIMEOUT 3 → 0.5" in report.changed
+    assert [row for vehicle in report.vehicles for row in vehicle.wrong if row.value] == []
+    assert {row.name for row in shown} >= {"COM_OBL_RC_ACT", "FS_GCS_ENABLE"}
+    saved = json.loads((tmp_path / "parameters" / "1.json").read_text())
+    assert saved["COM_OBL_RC_ACT"] == 0
+    for link in report.links:
+        assert link.rate > 5.0
+        assert link.loss < 0.01
+        assert link.round_trip < 0.5
+    # the emulator starts anew, with its own defaults: nothing else differs from what was saved
+    saved["COM_OBL_RC_ACT"] = 5
+    (tmp_path / "parameters" / "1.json").write_text(json.dumps(saved))
+    restored = check(fleet, tmp_path / "restored", restore=tmp_path)
+    assert restored.changed == ("system 1: COM_OBL_RC_ACT 0 → 5",)
+    with pytest.raises(InputError, match="expected the parameters that an earlier check saved"):
+        check(fleet, tmp_path / "no", restore=tmp_path / "nowhere")
+
+
+def test_a_flight_with_autopilot_defaults_is_refused_by_the_audit(tmp_path):
+    result = fly(small_plan(), emulated_fleet(3), tmp_path / "record", audit=True)
+    assert result.outcome.word == "refused"
+    assert "NAV_RCL_ACT is 2, should be 1 (hold) or 3 (land)" in result.outcome.explanation
+    assert "armed" not in {event.kind for event in result.events}
+
+
+def test_vehicles_that_are_not_there_are_named(tmp_path):
+    fleet = emulated_fleet(2).model_copy(
+        update={
+            "emulated": None,
+            "limits": emulated_fleet(2).limits.model_copy(update={"ready": 1.0}),
+        }
+    )
+    with pytest.raises(VehicleError, match="not heard: system 1, system 2"):
+        check(fleet, tmp_path)
+
+
+def test_a_radio_that_is_too_slow_says_how_many_would_fit():
+    finding = radio_finding(19, 20.0, 57_600, signed=False)
+    assert finding.severity == "error"
+    assert "at this rate 2 vehicles fit" in finding.message
+    assert radio_finding(9, 4.0, 57_600, signed=False).severity == "info"
+
+
+def test_gaps_beyond_the_stream_timeout_are_errors():
+    bad = LinkQuality(3, 12.0, 0.8, 0.2, 0.05).findings(0.5)
+    assert [finding.severity for finding in bad] == ["info", "error", "warning"]
+    assert len(LinkQuality(3, 12.0, 0.2, 0.0, 0.05).findings(0.5)) == 1
