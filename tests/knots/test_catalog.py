@@ -15,7 +15,7 @@ from swarm.knots.jones import jones
 from swarm.knots.survey import surveyed
 from swarm.knots.table import read_line, table
 from swarm.knots.tabulate import tabulated
-from tests.knots.curves import knotinfo
+from tests.knots.curves import knotinfo, of_knotinfo
 
 OVERHAND = "1- 2+ 3- 1+ 2- 3+"
 
@@ -108,6 +108,19 @@ def test_the_overhand_in_all_its_guises(description: dict[str, object], chiralit
         assert jones(diagram) == dict(sorted({sign: 1, 3 * sign: 1, 4 * sign: -1}.items()))
     assert choice.gauss == choice.diagram.code.text()
     assert len(choice.opening.crossings) == 3
+
+
+@pytest.mark.parametrize("step", [12, pytest.param(1, marks=pytest.mark.full)])
+def test_knotinfos_gauss_dt_and_pd_codes_are_named_alike(step: int) -> None:
+    for name in names()[::step]:
+        row = knotinfo()[name]
+        codes = {"gauss": row["gauss_notation"]} | {
+            key: of_knotinfo(name, f"{key}_notation") for key in ("dt", "pd")
+        }
+        for key, code in codes.items():
+            choice = choose(**{key: code}, chirality="either")  # type: ignore[arg-type]
+            assert choice.name == name
+            assert choice.grid.size == int(row["arc_index"])
 
 
 def test_codes_are_kept_as_they_were_written() -> None:
