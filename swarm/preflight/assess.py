@@ -89,6 +89,8 @@ def _clearance_finding(plan: Plan, moment: Moment) -> Finding:
     errors = f" when tracking errs by up to {tracking:g} m" if tracking > 0 else ""
     if moment.check == "taut":
         message = f"{one} is {-moment.margin:.3f} m beyond {TAUT:.1%} of its length{errors}"
+    elif moment.check == "over-stretched on the floor":
+        message = f"{one} is pulled {-moment.margin:.3f} m beyond its length on the floor"
     elif moment.check == "rotor disc":
         message = f"{other} runs into the rotor disc of its own {one}{errors}"
     elif moment.check in {"ceiling", "fence"}:

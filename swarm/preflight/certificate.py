@@ -22,7 +22,7 @@ from swarm.preflight.limits import (
     Slack,
     SpeedLeft,
 )
-from swarm.preflight.reach import ReachPairs
+from swarm.preflight.reach import ReachPairs, ReachVehicles
 from swarm.preflight.search import Evaluator, holds, roots, smallest
 from swarm.preflight.strands import HeldCable, StrandPairs, all_pairs
 
@@ -206,6 +206,27 @@ def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
             "reach on the floor",
             [(segment_name(i), segment_name(j)) for i, j in apart],
             clearance.cable, low, ReachPairs(cable, apart, diameter, clearance.cable),
+        ),
+        Family(
+            "reach on the floor",
+            [(vehicle_name(i), segment_name(j)) for i, j in other],
+            clearance.vehicle_cable,
+            low,
+            ReachVehicles(
+                cable,
+                other,
+                vehicles.radius,
+                vehicles.grip_offset,
+                diameter,
+                clearance.vehicle_cable,
+            ),
+        ),
+        Family(
+            "over-stretched on the floor",
+            segments,
+            0.0,
+            spans_of(plan, lambda phase: phase.name == "contract"),
+            Slack(HeldCable(course, plan.layout.lengths, 0.0), share=1.0),
         ),
         Family(
             "vehicle clearance",

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.distance import segment_segment
+from swarm.cable.distance import point_segment, segment_segment
 from swarm.preflight.search import Boxes, Enclosure
 from swarm.preflight.strands import HeldCable, Team, unit
 
@@ -67,6 +67,40 @@ class ReachPairs:
             np.stack([high - low, nothing, nothing], axis=1),
             _at(ends_first, closest.first) + 0.5 * between,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class ReachVehicles:
+    """Distances of vehicles from all that others' segments can reach, less what is required.
+
+    ``pairs`` (q, 2) of a vehicle and a segment that it does not hold. A vehicle is a rod of
+    ``height`` from its grip point upwards, ``radius`` thick.
+    """
+
+    cable: HeldCable
+    pairs: Ints
+    radius: float
+    height: float
+    diameter: float
+    required: float
+
+    def __call__(self, boxes: Boxes) -> Enclosure:
+        """Enclose the margin in each box."""
+        time, half, when = boxes.instants()
+        team = Team.at(self.cable.course, time, half)
+        vehicle, segment = self.pairs[boxes.pair].T
+        grip = team.position[when, vehicle]
+        rod = np.stack([grip, grip + np.array([0.0, 0.0, self.height])], axis=1)
+        ends = _ends(team, when, segment)
+        # A step of d changes the sum of the distances from the ends by 2d at most.
+        sums = sum(point_segment(ends[:, side], rod).distance for side in (0, 1))
+        high = 0.5 * (sums - self.cable.lengths[segment]) - 2.0 * self.cable.tracking
+        high -= self.radius + 0.5 * self.diameter + self.required
+        reference = team.velocity[when, vehicle]
+        drift = np.maximum(*(team.drift(when, who, reference) for who in (segment, segment + 1)))
+        drift += team.swerve[when, vehicle]
+        nothing = np.zeros_like(high)
+        return Enclosure(high - drift, high, np.stack([drift, nothing, nothing], axis=1), grip)
 
 
 def _gap(normal: Floats, first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> Floats:

@@ -214,6 +214,17 @@ def test_cable_on_the_floor_may_lie_anywhere_within_reach():
     # Each can reach ½(3 + 0.1 − 2.7) beyond its ends.
     assert moment.distance == pytest.approx(2.7 - 0.4 - 0.006, abs=0.15)
     assert moment.distance <= 2.7 - 0.4 - 0.006 + 1e-9
+    # And from vehicle 3, 2.7 m from one end and 5.4 m from the other, 0.25 m thick.
+    vehicle = tightest(plan, "reach on the floor")[("vehicle 3", "segment 1")]
+    assert vehicle.distance == pytest.approx(0.5 * (8.1 - 3.0) - 0.1 - 0.25 - 0.003, abs=0.1)
+    assert vehicle.distance <= 0.5 * (8.1 - 3.0) - 0.1 - 0.25 - 0.003
+
+
+def test_cable_pulled_beyond_its_length_on_the_floor_is_found():
+    places = [[[x, 0, 0.0] for x in (0, 2.7, 5.4)], [[x, 0, 0.0] for x in (0, 2.7, 5.8)]]
+    plan = plan_of(moving([0, 4], places), [3.0] * 2, name="contract", cable="floor")
+    moment = tightest(plan, "over-stretched on the floor")[("segment 2", "its length")]
+    assert moment.margin == pytest.approx(-0.1, abs=0.015)
 
 
 def test_fence_and_ceiling():
