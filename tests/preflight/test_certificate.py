@@ -216,7 +216,7 @@ def test_cable_on_the_floor_may_lie_anywhere_within_reach():
     assert moment.distance <= 2.7 - 0.4 - 0.006 + 1e-9
     # And from vehicle 3, 2.7 m from one end and 5.4 m from the other, 0.25 m thick.
     vehicle = tightest(plan, "reach on the floor")[("vehicle 3", "segment 1")]
-    assert vehicle.distance == pytest.approx(0.5 * (8.1 - 3.0) - 0.1 - 0.25 - 0.003, abs=0.1)
+    assert vehicle.distance == pytest.approx(0.5 * (8.1 - 3.0) - 0.1 - 0.25 - 0.003, abs=0.2)
     assert vehicle.distance <= 0.5 * (8.1 - 3.0) - 0.1 - 0.25 - 0.003
 
 
