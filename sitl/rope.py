@@ -32,6 +32,7 @@ _DAMPING_RATIO = 0.1
 _NODE_MASS = 1.5
 _STIFFEST = 1500.0
 _NEARLY, _TIGHT = 0.03, 0.2
+_FLAT = 0.01
 _LEAST, _MOST = 1e-4, 1e4
 _FALL = 9.0
 _TABLE_Z = np.geomspace(_TAUT, 40.0, 3000)
@@ -328,26 +329,19 @@ class Rope:
     ) -> tuple[Array, Array, Array]:  # fmt: skip
         """Two half catenaries that come down to the floor, and what lies straight between them.
 
-        ``L − h = Σ (s_i − x_i)`` with ``s = √(H² + 2Ha)``, ``x = a acosh(1 + H/a)`` fixes ``a``;
-        Newton in ``log a`` from the last step's root.
+        Where there is more slack than the ends are high, the ends just hang down.
         """
         heights = np.maximum(np.stack([start[:, 2], stop[:, 2]]) - self.floor, 1e-6)
         slack = np.maximum(self.lengths - across, 0.0)
-        hangs = slack >= heights.sum(axis=0) * 0.999
-        guess = np.clip(self._parameter, _LEAST, _MOST)
-        target = np.log(np.maximum(slack, 1e-9))
-        for _ in range(8):
-            arcs = np.sqrt(heights**2 + 2 * heights * guess)
-            angle = np.arccosh(1 + heights / guess)
-            value = np.maximum((arcs - guess * angle).sum(axis=0), 1e-12)
-            slope = np.minimum((2 * heights / arcs - angle).sum(axis=0) * guess, -1e-12)
-            update = np.clip((target - np.log(value)) * value / slope, -1.5, 1.5)
-            guess = np.clip(guess * np.exp(update), _LEAST, _MOST)
-            if abs(update[resting]).max() < 1e-6:
-                break
-        # beyond this chord the cable stretches (_hang, _stretch): statics alone would pull for ever
-        guess = np.where(hangs, _LEAST, np.minimum(guess, 0.5 * across / _TAUT))
-        self._parameter = np.where(resting & ~hangs, guess, 1.0)
+        both = heights[0] + heights[1]
+        hangs = (slack >= 0.999 * both) | (both < _FLAT)
+        sought = np.nonzero(resting & ~hangs)[0]
+        guess = np.full(len(a), _LEAST)
+        if len(sought):
+            guess[sought] = _floor_parameter(
+                heights[:, sought], slack[sought], self._parameter[sought]
+            )
+            self._parameter[sought] = guess[sought]
         arcs = np.where(hangs, heights, np.sqrt(heights**2 + 2 * heights * guess))
         return (
             np.where(resting, guess, a),
@@ -426,6 +420,26 @@ class Rope:
         points: Array = hung.start[k] + x[:, None] * hung.direction[k]
         points[:, 2] = z
         return points
+
+
+def _floor_parameter(heights: Array, slack: Array, guess: Array) -> Array:
+    """Catenary parameters of spans whose ends come down to the floor.
+
+    ``L − h = Σ (s_i − x_i)`` with ``s = √(H² + 2Ha)``, ``x = a acosh(1 + H/a)`` fixes ``a``; Newton
+    in ``log a`` against ``log (L − h)`` from the last step's root.
+    """
+    a = np.clip(guess, _LEAST, _MOST)
+    target = np.log(np.maximum(slack, 1e-9))
+    for _ in range(8):
+        arcs = np.sqrt(heights**2 + 2 * heights * a)
+        angle = np.arccosh(1 + heights / a)
+        value = np.maximum((arcs - a * angle).sum(axis=0), 1e-12)
+        slope = np.minimum((2 * heights / arcs - angle).sum(axis=0) * a, -1e-12)
+        update = np.clip((target - np.log(value)) * value / slope, -1.5, 1.5)
+        a = np.clip(a * np.exp(update), _LEAST, _MOST)
+        if abs(update).max() < 1e-4:
+            break
+    return a
 
 
 def _hang_end(target: Array, grip: Array, end: End, floor: float) -> None:

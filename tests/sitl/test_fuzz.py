@@ -1,7 +1,6 @@
 """Whatever arrives: never a crash, never a motion that was not validly commanded."""
 
 import itertools
-import os
 import random
 import struct
 import warnings
@@ -13,7 +12,9 @@ from pymavlink.dialects.v20 import common as dialect
 from sitl import Emulator
 from tests.sitl.client import Ground, world
 
-TRIALS = 1_000_000 if os.environ.get("SITL_FUZZ_ALL") else 6_000
+amounts = pytest.mark.parametrize(
+    "trials", [6_000, pytest.param(1_000_000, marks=pytest.mark.full)]
+)
 
 
 def messages(rng: random.Random) -> list[bytes]:
@@ -71,8 +72,9 @@ def spoil(frame: bytes, rng: random.Random) -> bytes:
     return rng.randbytes(rng.randrange(300))
 
 
+@amounts
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-def test_broken_and_foreign_bytes_move_nothing(autopilot: str) -> None:
+def test_broken_and_foreign_bytes_move_nothing(autopilot: str, trials: int) -> None:
     """Nothing here is a valid command to arm: the vehicle must still stand, disarmed and sane."""
     rng = random.Random(8)
     frames = [f for f in messages(rng) if f[7:10] not in _COMMANDS]
@@ -81,7 +83,7 @@ def test_broken_and_foreign_bytes_move_nothing(autopilot: str) -> None:
     ground.run(1.0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for trial in range(TRIALS):
+        for trial in range(trials):
             frame = rng.choice(frames)
             emulator.receive(1, frame if rng.random() < 0.3 else spoil(frame, rng), ground.now)
             if trial % 200 == 199:
@@ -96,8 +98,9 @@ def test_broken_and_foreign_bytes_move_nothing(autopilot: str) -> None:
 _COMMANDS = {number.to_bytes(3, "little") for number in (75, 76, 11)}
 
 
+@amounts
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-def test_wild_commands_are_answered_and_survived(autopilot: str) -> None:
+def test_wild_commands_are_answered_and_survived(autopilot: str, trials: int) -> None:
     rng = random.Random(9)
     numbers = [value for name, value in vars(dialect).items() if name.startswith("MAV_CMD_")]
     numbers = [n for n in numbers if isinstance(n, int) and 0 <= n < 65536]
@@ -108,7 +111,7 @@ def test_wild_commands_are_answered_and_survived(autopilot: str) -> None:
     mav = dialect.MAVLink(None, 77, 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for trial in range(TRIALS // 2):
+        for trial in range(trials // 2):
             number = rng.choice(numbers)
             p = [rng.choice(reals) for _ in range(7)]
             if rng.random() < 0.5:
@@ -126,7 +129,8 @@ def test_wild_commands_are_answered_and_survived(autopilot: str) -> None:
     assert np.abs(emulator.bodies.velocity).max() < 30.0
 
 
-def test_wild_setpoints_are_ignored_or_flown_within_limits() -> None:
+@amounts
+def test_wild_setpoints_are_ignored_or_flown_within_limits(trials: int) -> None:
     rng = random.Random(10)
     ground = Ground(Emulator(world(1)))
     ground.px4_offboard({1: (0.0, 0.0, 5.0)}, 10.0)
@@ -136,7 +140,7 @@ def test_wild_setpoints_are_ignored_or_flown_within_limits() -> None:
     bad = [float("nan"), float("inf"), -float("inf")]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for _ in range(TRIALS // 20):
+        for _ in range(trials // 20):
             values = [rng.choice([*bad, 50.0]) for _ in range(9)]
             values[rng.randrange(2)] = rng.choice(bad)
             values[3] = values[6] = float("nan")
