@@ -1,6 +1,6 @@
 """The flight loop: the only place that joins sockets, the clock and the conductor.
 
-Deadlines are absolute; a tick that comes too late is not made up for, so nothing stale is sent.
+Deadlines are absolute; a tick that was missed is not made up for, so nothing stale is sent.
 Packets are taken as they come in between.
 """
 
@@ -72,8 +72,8 @@ class Loop:
                 for one in outgoing:
                     self.record.packet(one.data, now)
             self.each_tick(now)
-            deadline += interval
-            deadline = max(deadline, time.monotonic())
+            missed = max(0.0, time.monotonic() - deadline) // interval
+            deadline += (missed + 1.0) * interval
         elapsed = time.monotonic() - began
         self.cpu = (time.process_time() - cpu) / max(elapsed, 1e-9)
 
