@@ -329,18 +329,19 @@ class Rope:
     ) -> tuple[Array, Array, Array]:  # fmt: skip
         """Two half catenaries that come down to the floor, and what lies straight between them.
 
-        Where there is more slack than the ends are high, the ends just hang down.
+        Where there is more slack than the ends are high, the ends just hang down; a taut span is
+        left to its elasticity (`_stretch`), as one in the air is.
         """
         heights = np.maximum(np.stack([start[:, 2], stop[:, 2]]) - self.floor, 1e-6)
-        slack = np.maximum(self.lengths - across, 0.0)
+        slack = np.maximum(self.lengths - across, (_TAUT_RATIO - 1.0) * across)
         both = heights[0] + heights[1]
         hangs = (slack >= 0.999 * both) | (both < _FLAT)
         sought = np.nonzero(resting & ~hangs)[0]
         guess = np.full(len(a), _LEAST)
         if len(sought):
-            guess[sought] = _floor_parameter(
-                heights[:, sought], slack[sought], self._parameter[sought]
-            )
+            most = across[sought] / (2 * _TAUT)
+            found = _floor_parameter(heights[:, sought], slack[sought], self._parameter[sought])
+            guess[sought] = np.minimum(found, most)
             self._parameter[sought] = guess[sought]
         arcs = np.where(hangs, heights, np.sqrt(heights**2 + 2 * heights * guess))
         return (

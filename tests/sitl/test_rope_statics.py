@@ -153,3 +153,16 @@ def test_downwash_weighs_on_the_strands_below() -> None:
     drag = 0.5 * 1.2 * 1.1 * 0.006 * 6.0**2 * 3.2
     assert change[:, 2].sum() == pytest.approx(-drag, rel=1e-6)
     assert change[2] == pytest.approx(np.zeros(3), abs=1e-12), "the other span is not below"
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0.0, 0.2), st.floats(0.0, 0.2), st.floats(0.97, 1.02))
+def test_a_straight_span_just_off_the_floor_pulls_no_harder_than_its_elasticity(
+    left: float, right: float, ratio: float
+) -> None:
+    made = rope(3.0, [0.0, 3.0], floor=0.0)
+    grips = np.array([[0.0, 0.0, left], [3.0 * ratio, 0.0, right]])
+    force = made.pull(grips, STILL[:2])
+    stretch = max(0.0, float(np.linalg.norm(grips[1] - grips[0])) * 1.0002 - 3.0)
+    taut = made.weight * 3.0 * ratio / (2 * 0.03)
+    assert np.abs(force).max() <= made.spec.stiffness / 3.0 * stretch + taut + 1.0
