@@ -9,7 +9,7 @@ from swarm.cable.distance import segment_segment
 from swarm.preflight.course import Course
 from swarm.preflight.search import Boxes, Enclosure
 from swarm.preflight.sensitivity import BOTH_ENDS
-from swarm.preflight.strands import HeldCable, Team, hung, pieces
+from swarm.preflight.strands import HeldCable, Team, pieces
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -63,10 +63,12 @@ class AboveFloor:
             np.full(len(boxes), BOTH_ENDS), np.full(len(boxes), self.cable.tracking),
             np.zeros(len(boxes)), np.broadcast_to(np.array([0.0, 1.0]), (len(boxes), 2)),
         )  # fmt: skip
-        strands, which = hung(team, self.cable, when, segment)
-        lowest = strands.lowest()[which]
+        # Level where heading and slope together are, which in wind is not where gravity's foot is.
+        hung = strand.strands
+        level_slope = hung.heading[:, 2] / hung.down[:, 2]
+        along = np.clip((level_slope - hung.slope) * hung.parameter / hung.length, 0.0, 1.0)
+        lowest = hung.points_at(along)
         up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(boxes), 3))
-        along = strands.lowest_fraction[which]
         moved = strand.movement(along, up)
         high = lowest[:, 2] - moved[0] - 0.5 * self.diameter - self.required
         # The whole strand's sensitivity stands for the lowest point's: only time is to be cut.

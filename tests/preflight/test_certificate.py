@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from swarm.cable.catenary import hang
 from swarm.preflight.certificate import beyond_shared_vehicle, certified, tightest_moments
 from swarm.trajectory import joined, through_states
 from tests.preflight.oracle import catenary, closest, displaced
@@ -265,3 +266,13 @@ def test_a_whole_plan_sampled_finely_stays_within_its_certificate(overhand, ever
                 found = closest(strands[near, i], strands[near, j]).min() - 0.006
                 least = min(least, found)
     assert certified_least <= least < certified_least + 0.5
+
+
+def test_the_lowest_point_in_wind_is_the_lowest_there_is():
+    """Sampled on the tilted strand itself: its foot by gravity is not its lowest point."""
+    places = [[0, 0, 5.0], [2.0, 0.5, 6.0]]
+    plan = plan_of(moving([0, 1], [places, places]), [3.0], "vehicles.tracking=0")
+    down = np.array([0.5, 0.1, -1.0]) / np.linalg.norm([0.5, 0.1, -1.0])
+    moment = tightest(plan, "floor", down=tuple(down))[("segment 1", "the floor")]
+    strand_ = hang(places[0], places[1], 3.0, down=down).points(np.linspace(0, 1, 2001))
+    assert moment.distance == pytest.approx(strand_[:, 2].min() - 0.003, abs=1e-4)
