@@ -118,8 +118,11 @@ def test_curves_in_space_are_named_with_their_hand(sample: str) -> None:
 def test_snappy_names_the_tables_grids_alike(sample: str) -> None:
     snappy = pytest.importorskip("snappy")
     torus = {"3_1", "5_1", "7_1", "8_19", "9_1", "10_124"}
-    # SnapPy exchanges these two names with respect to KnotInfo, whose numbering is ours.
-    exchanged = {"10_83": "10_86", "10_86": "10_83"}
+    # SnapPy exchanges two names with respect to KnotInfo, whose numbering is ours, and counts the
+    # second knot of Perko's pair, which is the first one again.
+    in_snappy = {"10_83": "10_86", "10_86": "10_83"} | {
+        f"10_{number}": f"10_{number + 1}" for number in range(162, 166)
+    }
     for knot in chosen(sample):
         if knot.name in torus:
             continue
@@ -129,7 +132,7 @@ def test_snappy_names_the_tables_grids_alike(sample: str) -> None:
             found = [str(one).split("(")[0] for one in snappy.Link(rows).exterior().identify()]
             if found:
                 break
-        assert exchanged.get(knot.name, knot.name) in found
+        assert in_snappy.get(knot.name, knot.name) in found
 
 
 @pytest.mark.parametrize("sample", ["some", ALL])
