@@ -240,6 +240,9 @@ def _endurance_findings(plan: Plan) -> list[Finding]:
 
 
 def _topology(plan: Plan) -> tuple[str, Chirality, str, list[Finding]]:
+    if all(phase.cable != "aloft" for phase in plan.phases):
+        message = "no cable is carried, so no knot is tied"
+        return "0_1", "none", "", [Finding("info", "crossing code", message)]
     at_time = end_time(plan)
     try:
         code = end_code(plan)

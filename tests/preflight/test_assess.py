@@ -159,3 +159,19 @@ def test_a_velocity_that_jumps_is_refused():
     back = through_states(np.array([9.0, 18.0]), places[::-1], still, still)
     found = errors(plan_of(joined(there, back), [3.0]))
     assert found == {"smoothness": ["the velocity of vehicle 2 jumps by 0.2 m/s"]}
+
+
+def test_a_single_vehicle_without_cable_is_judged_by_its_motion_alone():
+    plan = plan_of(moving([0, 6], [[[0, 0, 5.0]], [[2, 0, 5.0]]]), [], cable="free")
+    assessment = assess(plan)
+    assert assessment.cleared
+    assert assessment.knot == "0_1"
+    late = plan_of(moving([0, 1], [[[0, 0, 5.0]], [[2, 0, 5.0]]]), [], cable="free")
+    assert set(errors(late)) == {"speed", "acceleration"}
+
+
+def test_two_vehicles_that_carry_one_strand_tie_nothing():
+    places = [[[0, 0, 5.0], [2.5, 0, 5.0]], [[3, 0, 5.0], [5.5, 0, 5.0]]]
+    assessment = assess(plan_of(moving([0, 6], places), [3.0]))
+    assert assessment.cleared
+    assert (assessment.knot, assessment.chirality, assessment.gauss) == ("0_1", "none", "")
