@@ -15,15 +15,23 @@ Floats = npt.NDArray[np.float64]
 class Shape:
     """Everything about a layout that may be chosen, in metres.
 
-    ``cell`` scales the corners; ``gap`` is the height between strands at their crossings and
-    ``minimum_sag`` the least sag of any segment; lanes are heights over or under the corners.
+    ``cell`` scales the corners; ``gap`` is the height between strands at their crossings,
+    ``minimum_sag`` the least sag of any segment and ``slack`` its least sag as a share of its span;
+    lanes are heights over or under the corners. From ``slope`` before
+    a corner to as much behind it levels change, and turns reach as far as ``rounding``. Given sags
+    are taken as they are.
     """
 
     cell: float
     gap: float
     minimum_sag: float
+    slack: float
     lane_over: float
     lane_under: float
+    slope: float
+    rounding: float
+    sag_over: float | None = None
+    sag_under: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +60,16 @@ def hanging(corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape:
     flat = ((plan - plan[0]) @ turn.T) * shape.cell
     placed = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
     pairs = np.asarray(crossings, dtype=np.intp).reshape(-1, 2)
-    sags = least_sags(placed, pairs, shape.gap, minimum_sag=shape.minimum_sag)
+    spans = np.linalg.norm(np.diff(flat, axis=0), axis=1)
+    least = np.maximum(shape.minimum_sag, shape.slack * spans)
+    over, under = np.setdiff1d(pairs[:, 0], pairs[:, 1]), np.unique(pairs[:, 1])
+    if shape.sag_over is not None:
+        least[:] = shape.sag_over
+    sags = least_sags(placed, pairs, shape.gap, minimum_sag=least, one_each=True)
+    if shape.sag_over is not None:
+        sags[over] = shape.sag_over
+    if shape.sag_under is not None:
+        sags[under] = shape.sag_under
     lanes = _lanes(len(placed) - 1, pairs, shape)
     lengths = segment_lengths(placed, sags)
     return Hanging(

@@ -46,12 +46,15 @@ class Schedule:
     """Progress of n vehicles over a common stage variable, C² and monotone.
 
     ``splines`` maps stages 0…``last`` to progress (…, n); ``missed`` (n,) is how much each
-    vehicle's motion misses the margins, near 0 where it keeps them all.
+    vehicle's motion misses the margins, 0 where it keeps them all, and ``worst`` how much it does
+    at the worst moment.
     """
 
     splines: BSpline
     last: float
     missed: Floats
+    worst: float
+    team: "_Team"
 
     @property
     def cost(self) -> float:
@@ -70,12 +73,11 @@ def schedule(
     margins: Margins,
     step: float,
     report: Callable[[float], None] | None = None,
-    rounds: int = 2,
 ) -> Schedule:
     """Plan every vehicle's progress, from the leader (the last) back to the first.
 
     ``lengths`` (n − 1,) of the segments; ``step`` is the lattice's step in metres of progress. A
-    stage is a step of the leader. ``rounds`` says how often vehicles in trouble are replanned.
+    stage is a step of the leader. ``report`` is told the share that is done.
     """
     team = _Team(path, lengths, margins, step)
     count = len(path.stops)
@@ -84,19 +86,31 @@ def schedule(
         team.move(i, team.planned(i))
         if report:
             report((count - 1 - i) / (count - 1))
+    team.judge()
+    return team.result()
+
+
+def improved(plan: Schedule, rounds: int = 3) -> Schedule:
+    """Replan the vehicles that miss their margins, worst first, some rounds long."""
+    team = plan.team
     for _ in range(rounds):
-        team.judge()
         troubled = [int(i) for i in np.argsort(-team.missed) if team.missed[i] > _TROUBLE]
         if not troubled:
             break
         for i in troubled:
             team.move(i, team.planned(i))
-    team.judge()
+        team.judge()
     return team.result()
 
 
-_TROUBLE = 0.5
+_COMFORT = 0.05
+"""What a half stage may cost while all margins are kept."""
+
+_TROUBLE = 0.05
 """Missed margins above this make a vehicle be planned again."""
+
+_WRONG_SIDE = 10.0
+"""Cost of passing a strand that is not planned yet on the wrong side."""
 
 _FORESIGHT = 0.5
 """Weight of strands that are not planned yet."""
@@ -118,6 +132,7 @@ class _Team:
         self.strands = Strands.nowhere(count - 1, 2 * self.stages - 1)
         self.hanging: set[int] = set()
         self.missed = np.zeros(count)
+        self.worst = np.inf
         self.final = strands(path.corners[:-1], path.corners[1:], lengths)
 
     def leading(self) -> Floats:
@@ -140,8 +155,11 @@ class _Team:
     def judge(self) -> None:
         """Say how much every vehicle misses its margins, with all planned."""
         every = np.arange(2 * self.stages - 1)
+        self.worst = 0.0
         for vehicle, controls in self.controls.items():
-            self.missed[vehicle] = self._total(vehicle, every, controls)
+            cost = self.costs(vehicle, every, _at_half_stages(controls))
+            self.missed[vehicle] = np.maximum(cost - _COMFORT, 0.0).sum()
+            self.worst = max(self.worst, float(cost.max()))
 
     def _total(self, vehicle: int, every: Ints, controls: Floats) -> float:
         return float(self.costs(vehicle, every, _at_half_stages(controls)).sum())
@@ -290,13 +308,18 @@ class _Team:
         Behind a vehicle γ will be full of strands, which on every edge are much like the last one
         that will hang there.
         """
-        waiting = [k for k in range(vehicle - 1) if k not in self.hanging]
-        final = self.final[np.array(waiting, dtype=np.intp)][:, None]
+        waiting = np.array([k for k in range(vehicle - 1) if k not in self.hanging], dtype=np.intp)
+        final = self.final[waiting][:, None]
         which, row = near_strands(strand, final, self.margins)
-        behind = self.stops[np.array(waiting, dtype=np.intp)[which] + 1] <= progress[row]
+        behind = self.stops[waiting[which] + 1] <= progress[row]
         which, row = which[behind], row[behind]
         found = strand_cost(strand[row], final[which, 0], self.margins)
-        cost: Floats = np.bincount(row, found, len(progress)).astype(np.float64)
+        cost = np.bincount(row, found, len(progress)).astype(np.float64)
+        for k in waiting:
+            # Everything passes above the strands of under edges, and below those of over edges.
+            side = sides(strand, self.final[np.full(len(progress), k)])
+            wrong = side * np.sign(self.path.lanes[k]) > 0
+            cost += _WRONG_SIDE * (wrong & (self.stops[k + 1] <= progress))
         return cost
 
     def result(self) -> Schedule:
@@ -304,7 +327,7 @@ class _Team:
         controls = np.stack([self.controls[i] for i in range(len(self.stops))], axis=1)
         settled = np.all(controls >= self.stops - 1e-9, axis=1)
         used = min(self.stages, int(np.argmax(settled)) + 4) if settled.any() else self.stages
-        return Schedule(_spline(controls[:used]), float(used - 1), self.missed)
+        return Schedule(_spline(controls[:used]), float(used - 1), self.missed, self.worst, self)
 
 
 def _rows(which: list[int]) -> Ints:
