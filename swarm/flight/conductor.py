@@ -48,6 +48,7 @@ LOOSE_BUDGET = 0.5
 """Metres of tracking error that are allowed while nobody holds the cable."""
 TRACE_INTERVAL = 0.1
 MONITOR_INTERVAL = 0.1
+PULL_INTERVAL = 0.2
 FRESHEST = 0.5
 """Seconds over which a position is carried on with its velocity."""
 FRESH_IN_TRACE = 1.0
@@ -129,7 +130,8 @@ class Conductor:
         self.streaming = np.zeros(n, dtype=np.bool_)
         self._expected_armed = np.zeros(n, dtype=np.bool_)
         self._trace: list[tuple[float, float, Floats, Floats, str]] = []
-        self._next_trace = self._next_look = 0.0
+        self._pulled = np.zeros((n, 3))
+        self._next_trace = self._next_look = self._next_pull = 0.0
         self.setpoints_sent = 0
 
     # What the shell calls
@@ -620,9 +622,7 @@ class Conductor:
         lead = 0.5 / self.fleet.rates.setpoint
         aimed = position + lead * velocity + (0.5 * lead * lead) * acceleration + self._lift
         if self._carries and all(vehicle.gripped for vehicle in self.flyers):
-            cable, mass = self.plan.mission.cable, self.plan.mission.vehicles.mass
-            pull = cable_pull(position, self.plan.layout.lengths, cable.mass_per_length)
-            acceleration = acceleration - pull / mass
+            acceleration = acceleration - self._pull(position) / self.plan.mission.vehicles.mass
         sending = self.team.setpoints(
             self.systems,
             self.streaming,
@@ -632,6 +632,14 @@ class Conductor:
         )
         self.setpoints_sent += len(sending)
         return sending
+
+    def _pull(self, position: Floats) -> Floats:
+        """Return the cable's pull on the vehicles in newtons; it changes slowly."""
+        if self.now >= self._next_pull:
+            self._next_pull = self.now + PULL_INTERVAL
+            weight = self.plan.mission.cable.mass_per_length
+            self._pulled = cable_pull(position, self.plan.layout.lengths, weight)
+        return self._pulled
 
     def _record(self) -> None:
         if self.frames is None or self.now < self._next_trace:

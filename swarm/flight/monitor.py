@@ -20,7 +20,9 @@ AHEAD = 1.5
 """Seconds ahead at which conflicts are looked for."""
 CAUTION = 0.1
 """Metres of margin below which the clock slows; without margin it stands still."""
-_POINTS = 12
+_POINTS = 20
+_BOWED = 0.02
+"""Metres by which a strand bows between two of its points, at most."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,11 @@ class Monitor:
         apart = squares[:, :, None] + squares[:, None, :]
         apart -= 2.0 * np.matmul(points, points.transpose(0, 2, 1))
         apart += self._neighbours
-        coarse = np.sqrt(np.maximum(apart.min(axis=(1, 2)), 0.0)) - self._spacing
-        close = coarse < self._asked.cable + 3.0 * CAUTION
+        # where two straight lines are closest, their samples are off by half a spacing each,
+        # both at right angles to the shortest distance
+        squared = apart.min(axis=(1, 2)) - 0.5 * self._spacing**2
+        coarse = np.sqrt(np.maximum(squared, 0.0)) - _BOWED
+        close = coarse < self._asked.cable + 1.5 * CAUTION
         if close.any():
             index = np.arange(len(self._lengths))[:, None] * _POINTS + np.arange(_POINTS + 1)
             closest = strand_strand(points[close][:, index], self._strands)

@@ -39,7 +39,7 @@ class WayOut:
         self._since = flight.now
         self._stage: Literal["approach", "release", "separate", "descend"] = "approach"
         self._stage_since = flight.now
-        self._target = self._moment() if move else flight.clock.time
+        self._target = self._moment() if move else None
         self._landing: set[int] = set()
         self._on_ground_since: dict[int, float] = {}
 

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common
 from swarm.errors import VehicleError
 from swarm.mavlink.autopilots import AUTOPILOTS, BY_HAND, Autopilot, Mode
 from swarm.mavlink.commands import Command, CommandQueue
-from swarm.mavlink.frames import Origin
+from swarm.mavlink.frames import Origin, to_local
 from swarm.mavlink.packets import Message, Packet
 
 Triple = tuple[float, float, float]
@@ -26,6 +26,9 @@ _CUSTOM = int(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _PREARM = int(common.MAV_SYS_STATUS_PREARM_CHECK)
 _KILL = 21196.0
 _ORIGIN_MOVED = 0.05
+_IN_STEP = 0.3
+_FRAMES_APART = 1.0
+_SAMPLES_APART = 3
 _TEXT_LENGTH = 50
 _OVERTAKEN = 128
 """A sequence number that is farther ahead than this is a packet that was overtaken."""
@@ -87,6 +90,7 @@ class Vehicle:
     _chunks: dict[int, list[str]] = field(default_factory=dict)
     _quietened: set[int] = field(default_factory=set)
     _from: int = 1
+    _out_of_step: int = 0
 
     def __post_init__(self) -> None:
         self.commands = CommandQueue(self.system, self.component)
@@ -296,9 +300,25 @@ class Vehicle:
             self._say("rebooted", "rebooted: its clock went back")
         self.boot_ms = boot_ms
 
-    def _global_position(self, message: Message, _now: float) -> None:
+    def _global_position(self, message: Message, now: float) -> None:
         self.place = Origin(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
         self.relative_altitude = message.relative_alt * 1e-3
+        self._compare(self.place, now)
+
+    def _compare(self, place: Origin, now: float) -> None:
+        """Compare the place on earth with the local position: both must mean the same origin.
+
+        A frame that is reset moves one against the other; a single sample may be out of step.
+        """
+        age = now - self.position_at
+        if self.origin is None or self.autopilot is None or not age < _IN_STEP:
+            return
+        local = to_local(self.autopilot.name, self.origin, place)
+        off = [local[k] - self.position[k] - age * self.velocity[k] for k in (0, 1)]
+        apart = math.hypot(*off)
+        self._out_of_step = self._out_of_step + 1 if apart > _FRAMES_APART else 0
+        if self._out_of_step == _SAMPLES_APART:
+            self._say("origin", f"its local and global positions are {apart:.1f} m apart")
 
     def _attitude(self, message: Message, _now: float) -> None:
         self.attitude = (message.roll, message.pitch, message.yaw)

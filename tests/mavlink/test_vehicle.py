@@ -149,6 +149,24 @@ def test_an_origin_that_moves_is_told_and_rounding_is_not():
     assert wire(origin(470_000_100, 400_000)) == ["origin"]
 
 
+@pytest.mark.parametrize(("metres", "told"), [(0.5, 0), (3.0, 1)])
+def test_a_local_frame_that_leaves_the_global_one_is_told_once(metres, told):
+    wire = Wire()
+    wire(heartbeat())
+    wire(common.MAVLink_gps_global_origin_message(470_000_000, 85_000_000, 400_000, 0))
+    kinds = []
+    for second in range(8):
+        north = metres if second > 2 else 0.0
+        boot = 1000 * second
+        local = common.MAVLink_local_position_ned_message(boot, north, 0, -5, 0, 0, 0)
+        kinds += wire(local, float(second))
+        place = common.MAVLink_global_position_int_message(
+            boot, 470_000_000, 85_000_000, 405_000, 5_000, 0, 0, 0, 0
+        )
+        kinds += wire(place, second + 0.1)
+    assert kinds.count("origin") == told
+
+
 def test_the_clock_offset_comes_from_the_quickest_answer():
     wire = Wire()
     for delay, late in ((0.4, 0.1), (0.02, 0.01), (0.3, 0.0)):
