@@ -19,7 +19,7 @@ class Shape:
     ``minimum_sag`` the least sag of any segment and ``slack`` its least sag as a share of its span;
     lanes are heights over or under the corners. From ``slope`` before
     a corner to as much behind it levels change, and turns reach as far as ``rounding``. Given sags
-    are taken as they are.
+    are taken as they are; with ``two_sags`` all under strands get the same.
     """
 
     cell: float
@@ -32,6 +32,7 @@ class Shape:
     rounding: float
     sag_over: float | None = None
     sag_under: float | None = None
+    two_sags: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,7 @@ def hanging(corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape:
     over, under = np.setdiff1d(pairs[:, 0], pairs[:, 1]), np.unique(pairs[:, 1])
     if shape.sag_over is not None:
         least[:] = shape.sag_over
-    sags = least_sags(placed, pairs, shape.gap, minimum_sag=least, one_each=True)
+    sags = least_sags(placed, pairs, shape.gap, minimum_sag=least, one_each=not shape.two_sags)
     if shape.sag_over is not None:
         sags[over] = shape.sag_over
     if shape.sag_under is not None:

@@ -10,6 +10,7 @@ from swarm.cable.catenary import hang
 from swarm.errors import Refused
 from swarm.fold.clear import Margins, lift, strand_cost, strands
 from swarm.fold.layout import Hanging, Shape, hanging
+from swarm.fold.paper import dips, printed_motion
 from swarm.fold.path import FoldPath
 from swarm.fold.schedule import Schedule, improved, schedule, team_path
 from swarm.knots.catalog import KnotChoice, choose
@@ -17,7 +18,7 @@ from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
 from swarm.plans.flight import whole_flight
 from swarm.plans.plan import KnotSummary, Layout, Plan
-from swarm.trajectory import Motion, timed
+from swarm.trajectory import Motion, through_states, timed
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -40,13 +41,17 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
     choice, knot = _knot(mission)
     opened = _roomy(openings(choice.grid))
     margins = _margins(mission)
+    if mission.fold.method == "paper":
+        yield _printed(mission, knot, opened[0], margins)
+        return
     tried: list[str] = []
-    for shape in shapes(mission, margins):
-        for folding in _foldings(opened, shape, margins, progress):
-            made = folding.plan
-            tried.append(f"cell {shape.cell:.2f} m: {made.cost:.2g} ({made.worst:.2g})")
-            if made.worst < _WORTH_JUDGING:
-                yield _planned(mission, knot, folding, tried)
+    for openings_tried in (1, _OPENINGS):
+        for shape in shapes(mission, margins):
+            for folding in _foldings(opened[:openings_tried], shape, margins, progress):
+                made = folding.plan
+                tried.append(f"cell {shape.cell:.2f} m: {made.cost:.2g} ({made.worst:.2g})")
+                if made.worst < _WORTH_JUDGING:
+                    yield _planned(mission, knot, folding, tried)
     raise Refused(
         f"no fold of {knot.type} with {len(opened[0].corners)} vehicles keeps the clearances; "
         f"{len(tried)} were tried: " + "; ".join(tried[-5:])
@@ -58,9 +63,9 @@ def _foldings(
 ) -> Iterator["Folding"]:
     """Foldings worth a look: the first rough one that is promising, or else the best ones."""
     rough: list[Folding] = []
-    for k, diagram in enumerate(opened[:_OPENINGS]):
+    for k, diagram in enumerate(opened):
         if progress:
-            progress(f"folding with a cell of {shape.cell:.2f} m", k / _OPENINGS)
+            progress(f"folding with a cell of {shape.cell:.2f} m", k / len(opened))
         folding = _folded(diagram, shape, margins)
         if folding.plan.cost < _PROMISING:
             yield replace(folding, plan=improved(folding.plan))
@@ -71,7 +76,7 @@ def _foldings(
         yield replace(folding, plan=improved(folding.plan))
 
 
-_SAMPLING = 0.015
+_SAMPLING = 0.02
 """What sampled distances may miss of the least ones, metres."""
 
 _OPENINGS = 12
@@ -83,20 +88,12 @@ _WORTH_JUDGING = 0.5
 _PROMISING = 120.0
 """Rough schedules that miss their margins by less in all are likely to be mended."""
 
-_GENTLE = (
-    (1.0, 0.8, 0.8, 0.15),
-    (1.12, 0.8, 0.8, 0.15),
-    (1.3, 0.95, 1.2, 0.16),
-    (1.5, 0.9, 1.1, 0.19),
-)
-_STEEP = ((1.0, 1.2, 1.6, 0.19), (1.0, 1.4, 1.4, 0.2), (1.25, 1.2, 1.6, 0.19))
-"""Cells over the least one, lanes over and under as shares of the cell, sag as one of the span.
+_GENTLE = ((0.8, 0.8, 0.15, 0.98), (0.85, 1.1, 0.17, 0.98))
+_STEEP = ((1.2, 1.6, 0.19, 0.98), (1.4, 1.4, 0.2, 0.95))
+"""Lanes over and under and slopes as shares of the cell, sag as a share of the span.
 
 Steep strands answer tracking errors the most, so without these lanes may be taller.
 """
-
-_SLOPE, _ROUNDING = 0.98, 0.5
-"""From how far before a corner, in cells, levels change and turns begin."""
 
 
 def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
@@ -104,20 +101,23 @@ def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
     asked = mission.layout
     strand = margins.cable + 5.0 * margins.tracking
     least = max(5.2 * strand, margins.vehicle + 2.0 * margins.tracking)
-    for scale, over, under, slack in _GENTLE if margins.tracking else _STEEP:
-        cell = scale * least if asked.cell == "auto" else asked.cell
-        yield Shape(
-            cell=cell,
-            gap=1.15 * strand if margins.tracking else 2.0 * strand,
-            minimum_sag=0.2 * cell,
-            slack=slack,
-            lane_over=asked.lane_over if asked.lane_over != "auto" else over * cell,
-            lane_under=asked.lane_under if asked.lane_under != "auto" else under * cell,
-            slope=_SLOPE * cell,
-            rounding=_ROUNDING * cell,
-            sag_over=None if asked.sag_over == "auto" else asked.sag_over,
-            sag_under=None if asked.sag_under == "auto" else asked.sag_under,
-        )
+    cells = [least * scale for scale in (1.0, 1.1, 1.2, 1.35, 1.6)]
+    if asked.cell != "auto":
+        cells = [asked.cell]
+    for over, under, slack, slope in _GENTLE if margins.tracking else _STEEP:
+        for cell in cells:
+            yield Shape(
+                cell=cell,
+                gap=1.15 * strand if margins.tracking else 2.0 * strand,
+                minimum_sag=0.2 * cell,
+                slack=slack,
+                lane_over=asked.lane_over if asked.lane_over != "auto" else over * cell,
+                lane_under=asked.lane_under if asked.lane_under != "auto" else under * cell,
+                slope=slope * cell,
+                rounding=0.5 * cell,
+                sag_over=None if asked.sag_over == "auto" else asked.sag_over,
+                sag_under=None if asked.sag_under == "auto" else asked.sag_under,
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +174,7 @@ def _margins(mission: Mission) -> Margins:
         cable=clearance.cable + mission.cable.diameter + _SAMPLING,
         vehicle=clearance.vehicle,
         downwash=clearance.downwash,
-        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter + 2.0 * _SAMPLING,
+        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter + _SAMPLING,
         tracking=vehicles.tracking,
         radius=vehicles.radius,
         grip_offset=vehicles.grip_offset,
@@ -211,10 +211,42 @@ def _planned(
         max_speed=vehicles.max_speed,
         max_acceleration=vehicles.max_acceleration - vehicles.braking_acceleration,
     )
+    line = path.at(len(layout.corners) - 1, np.linspace(0.0, path.stops[-1], 400))[0]
+    return _flown(mission, knot, layout, fold, line, tried)
+
+
+def _printed(mission: Mission, knot: KnotSummary, diagram: OpenGrid, margins: Margins) -> Plan:
+    """The paper's own trajectory in its own layout, with two sags."""
+    vehicles = mission.vehicles
+    shape = next(shapes(mission, margins))
+    layout = hanging(diagram.corners, diagram.crossings, replace(shape, two_sags=True))
+    deepest = float(layout.sags.max())
+    states = printed_motion(
+        layout.corners,
+        layout.lengths,
+        deepest,
+        mission.fold.delay,
+        max_speed=vehicles.max_speed,
+        max_acceleration=vehicles.max_acceleration - vehicles.braking_acceleration,
+    )
+    fold = through_states(states.times, states.position, states.velocity, states.acceleration)
+    layout = replace(layout, lanes=-dips(len(layout.lengths), deepest))
+    line = fold.at(np.linspace(fold.times[0], fold.times[-1], 400))[0][:, -1]
+    return _flown(mission, knot, layout, fold, line, ["the paper's trajectory, as printed"])
+
+
+def _flown(
+    mission: Mission,
+    knot: KnotSummary,
+    layout: Hanging,
+    fold: Motion,
+    line: Floats,
+    notes: list[str],
+) -> Plan:
+    """Put a fold at its height, and the rest of the flight around it."""
     height = _height(mission, fold, layout.lengths)
     fold = _raised(fold, height)
     flight = whole_flight(mission, layout.lengths, fold)
-    line = path.at(len(layout.corners) - 1, np.linspace(0.0, path.stops[-1], 400))[0]
     return Plan(
         mission=mission,
         knot=knot,
@@ -223,7 +255,7 @@ def _planned(
         phases=flight.phases,
         gates=flight.gates,
         path=line + np.array([0.0, 0.0, height]),
-        notes=tuple(tried),
+        notes=tuple(notes),
     )
 
 
