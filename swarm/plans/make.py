@@ -76,7 +76,7 @@ def _foldings(
         yield replace(folding, plan=improved(folding.plan))
 
 
-_SAMPLING = 0.02
+_SAMPLING = 0.015
 """What sampled distances may miss of the least ones, metres."""
 
 _OPENINGS = 12
@@ -88,12 +88,21 @@ _WORTH_JUDGING = 0.5
 _PROMISING = 120.0
 """Rough schedules that miss their margins by less in all are likely to be mended."""
 
-_GENTLE = ((0.8, 0.8, 0.15, 0.98), (0.85, 1.1, 0.17, 0.98))
-_STEEP = ((1.2, 1.6, 0.19, 0.98), (1.4, 1.4, 0.2, 0.95))
-"""Lanes over and under and slopes as shares of the cell, sag as a share of the span.
+_GENTLE = (
+    (1.0, 0.8, 0.8, 0.15),
+    (1.12, 0.8, 0.8, 0.15),
+    (1.3, 0.95, 1.2, 0.16),
+    (1.5, 0.9, 1.1, 0.19),
+)
+_STEEP = ((1.0, 1.2, 1.6, 0.19), (1.0, 1.4, 1.4, 0.2), (1.25, 1.2, 1.6, 0.19))
+"""Cells over the least one, lanes over and under as shares of the cell, sag as one of the span.
 
 Steep strands answer tracking errors the most, so without these lanes may be taller.
 """
+
+
+_SLOPE, _ROUNDING = 0.98, 0.5
+"""From how far before a corner, in cells, levels change and turns begin."""
 
 
 def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
@@ -101,23 +110,20 @@ def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
     asked = mission.layout
     strand = margins.cable + 5.0 * margins.tracking
     least = max(5.2 * strand, margins.vehicle + 2.0 * margins.tracking)
-    cells = [least * scale for scale in (1.0, 1.1, 1.2, 1.35, 1.6)]
-    if asked.cell != "auto":
-        cells = [asked.cell]
-    for over, under, slack, slope in _GENTLE if margins.tracking else _STEEP:
-        for cell in cells:
-            yield Shape(
-                cell=cell,
-                gap=1.15 * strand if margins.tracking else 2.0 * strand,
-                minimum_sag=0.2 * cell,
-                slack=slack,
-                lane_over=asked.lane_over if asked.lane_over != "auto" else over * cell,
-                lane_under=asked.lane_under if asked.lane_under != "auto" else under * cell,
-                slope=slope * cell,
-                rounding=0.5 * cell,
-                sag_over=None if asked.sag_over == "auto" else asked.sag_over,
-                sag_under=None if asked.sag_under == "auto" else asked.sag_under,
-            )
+    for scale, over, under, slack in _GENTLE if margins.tracking else _STEEP:
+        cell = scale * least if asked.cell == "auto" else asked.cell
+        yield Shape(
+            cell=cell,
+            gap=1.15 * strand if margins.tracking else 2.0 * strand,
+            minimum_sag=0.2 * cell,
+            slack=slack,
+            lane_over=asked.lane_over if asked.lane_over != "auto" else over * cell,
+            lane_under=asked.lane_under if asked.lane_under != "auto" else under * cell,
+            slope=_SLOPE * cell,
+            rounding=_ROUNDING * cell,
+            sag_over=None if asked.sag_over == "auto" else asked.sag_over,
+            sag_under=None if asked.sag_under == "auto" else asked.sag_under,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +180,7 @@ def _margins(mission: Mission) -> Margins:
         cable=clearance.cable + mission.cable.diameter + _SAMPLING,
         vehicle=clearance.vehicle,
         downwash=clearance.downwash,
-        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter + _SAMPLING,
+        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter + 2.0 * _SAMPLING,
         tracking=vehicles.tracking,
         radius=vehicles.radius,
         grip_offset=vehicles.grip_offset,
