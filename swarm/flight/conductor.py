@@ -20,12 +20,12 @@ from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit, ClearedPlan
 from swarm.flight.clock import MissionClock
-from swarm.flight.failures import FATAL, RESPONSES, Failure
+from swarm.flight.failures import failure, hear, watch
 from swarm.flight.gates import GATES
 from swarm.flight.guidance import Guidance
-from swarm.flight.load import cable_pull
+from swarm.flight.load import PlannedPull
 from swarm.flight.monitor import AHEAD, Clearances, Monitor
-from swarm.flight.operator import Request, available
+from swarm.flight.operator import GRANT, Request, available
 from swarm.flight.options import options, rewind_limit
 from swarm.flight.preparation import Preparation, Prepared
 from swarm.flight.readiness import named, readiness
@@ -35,7 +35,7 @@ from swarm.flight.team import Address, Outgoing, Team
 from swarm.flight.trace import Trace
 from swarm.flight.wayout import Kind, WayOut
 from swarm.mavlink.frames import Frames
-from swarm.mavlink.vehicle import Vehicle, VehicleEvent
+from swarm.mavlink.vehicle import Vehicle
 from swarm.plans import Phase
 from swarm.preflight.findings import ProvenPlan
 
@@ -48,7 +48,6 @@ LOOSE_BUDGET = 0.5
 """Metres of tracking error that are allowed while nobody holds the cable."""
 TRACE_INTERVAL = 0.1
 MONITOR_INTERVAL = 0.1
-PULL_INTERVAL = 0.2
 FRESHEST = 0.5
 """Seconds over which a position is carried on with its velocity."""
 FRESH_IN_TRACE = 1.0
@@ -79,6 +78,7 @@ class Conductor:
         _check_rest(proven)
         self.options = options(plan)
         self._monitor = Monitor(plan)
+        self._pull = PlannedPull(plan)
         self.clearances: Clearances | None = None
         self.guidance = Guidance(plan.motion)
         vehicles = plan.mission.vehicles
@@ -101,7 +101,7 @@ class Conductor:
         """Say who flies, in order along the cable; a guess until everybody has been heard."""
         self.flyers = flyers
         self.systems = tuple(vehicle.system for vehicle in flyers)
-        self._number = {system: number for number, system in enumerate(self.systems, 1)}
+        self.number = {system: number for number, system in enumerate(self.systems, 1)}
 
     def _reset_flight(self) -> None:
         self.gate = 0
@@ -109,13 +109,13 @@ class Conductor:
         self.waiting = False
         self.budget_kept_since = 0.0
         self.stopped_for_good = False
-        self._rewinding = False
-        self._holds: dict[str, str] = {}
+        self.rewinding = False
+        self.holds: dict[str, str] = {}
         self._hold_since: float | None = None
-        self._way_out: WayOut | None = None
+        self.way_out: WayOut | None = None
         self._failed: str | None = None
-        self._interrupted = False
-        self._silent: set[int] = set()
+        self.interrupted = False
+        self.silent: set[int] = set()
         self._done_once: set[tuple[int, int, str]] = set()
 
     def _reset_numbers(self, n: int) -> None:
@@ -128,10 +128,9 @@ class Conductor:
         self._setpoint_velocity = np.zeros((n, 3))
         self.error = np.full(n, np.nan)
         self.streaming = np.zeros(n, dtype=np.bool_)
-        self._expected_armed = np.zeros(n, dtype=np.bool_)
+        self.expected_armed = np.zeros(n, dtype=np.bool_)
         self._trace: list[tuple[float, float, Floats, Floats, str]] = []
-        self._pulled = np.zeros((n, 3))
-        self._next_trace = self._next_look = self._next_pull = 0.0
+        self._next_trace = self._next_look = 0.0
         self.setpoints_sent = 0
 
     # What the shell calls
@@ -143,7 +142,7 @@ class Conductor:
     def tick(self, now: float) -> list[Outgoing]:
         """Let time pass; return what to send. Called at the fleet's setpoint rate."""
         self._last, self.now = self.now, now
-        self._hear()
+        hear(self)
         self._measure()
         if self.outcome is None:
             _STAGES[self.stage](self)
@@ -161,11 +160,11 @@ class Conductor:
 
     def refuse(self, words: str) -> None:
         """End the flight before it begins: the audit did not pass."""
-        self._finish_as("refused", words)
+        self.finish_as("refused", words)
 
     def give_up(self, words: str) -> None:
         """End the flight whatever it is doing; for shells that cannot go on."""
-        self._finish_as("failed", words)
+        self.finish_as("failed", words)
 
     def request(self, request: Request) -> str:
         """Take the operator's wish, and say what follows from it.
@@ -175,7 +174,7 @@ class Conductor:
         answer = available(self)[request]
         self.say("operator", f"{request}: {answer.words}")
         if answer.open:
-            _REQUESTS[request](self)
+            GRANT[request](self)
         return answer.words
 
     @property
@@ -258,12 +257,12 @@ class Conductor:
     @property
     def holding(self) -> str | None:
         """Why the clock is held; None while it is not."""
-        return "; ".join(self._holds.values()) or None
+        return "; ".join(self.holds.values()) or None
 
     @property
     def leaving(self) -> bool:
         """Whether the team has left the plan."""
-        return self._way_out is not None
+        return self.way_out is not None
 
     def stream(self, k: int, now: float) -> None:
         """Begin to stream setpoints to a vehicle, from where it is, blending into the plan."""
@@ -273,7 +272,7 @@ class Conductor:
 
     def expect_armed(self) -> None:
         """From now on, a vehicle that is not armed has failed."""
-        self._expected_armed[:] = True
+        self.expected_armed[:] = True
 
     def height_above_start(self, k: int) -> float:
         """Return how far above its pad a vehicle is."""
@@ -308,11 +307,11 @@ class Conductor:
 
     def name(self, vehicle: Vehicle) -> str:
         """Return what a vehicle is called in messages."""
-        return named(vehicle, self._number.get(vehicle.system, vehicle.system))
+        return named(vehicle, self.number.get(vehicle.system, vehicle.system))
 
     def say(self, kind: str, words: str, vehicle: Vehicle | None = None) -> None:
         """Report an event."""
-        number = self._number.get(vehicle.system) if vehicle else None
+        number = self.number.get(vehicle.system) if vehicle else None
         self._events.append(Event(self.now, kind, words, number))
 
     def fail(self, words: str) -> None:
@@ -325,7 +324,7 @@ class Conductor:
     def _prepare(self) -> None:
         result = self._preparation.tick(self.now)
         if isinstance(result, Outcome):
-            self._finish_as(result.word, result.explanation)
+            self.finish_as(result.word, result.explanation)
         elif isinstance(result, Prepared):
             self._fly_with(result.flyers)
             self.frames, self._yaw, self.audit = result.frames, result.yaw, result.audit
@@ -340,10 +339,10 @@ class Conductor:
             self._stage_since = self.now
         elif self.now - self._stage_since > _NO_LONGER_READY:
             words = "\n".join(finding.message for finding in findings)
-            self._finish_as("failed", f"no longer ready:\n{words}")
+            self.finish_as("failed", f"no longer ready:\n{words}")
 
     def _fly(self) -> None:
-        self._watch()
+        watch(self)
         self._look()
         self._bound_hold()
         if self.stage != "fly":
@@ -354,7 +353,7 @@ class Conductor:
                 if self.gate < len(self.gates):
                     self._reach_gate()
                 else:
-                    self._conclude()
+                    self.conclude()
         if self.waiting:
             self._wait_at_gate()
 
@@ -368,7 +367,7 @@ class Conductor:
 
     def _wait_at_gate(self) -> None:
         gate = self.gates[self.gate]
-        if self._holds and gate.condition != "landed":
+        if self.holds and gate.condition != "landed":
             self.gate_since += self.now - self._last
         elif GATES[gate.condition].passed(self, self.now):
             self.say("gate", f"all are {gate.condition}")
@@ -376,13 +375,13 @@ class Conductor:
             self.gate += 1
             self.clock.set_running()
             if gate.condition == "landed":
-                self._conclude()
+                self.conclude()
         elif self.now - self.gate_since > gate.timeout:
-            self._failure("gate timed out", f"not all are {gate.condition} in {gate.timeout:g} s")
+            failure(self, "gate timed out", f"not all are {gate.condition} in {gate.timeout:g} s")
 
     def _steer(self) -> None:
         """Set the rate that the clock should have: held, or slowed by the worst of the team."""
-        if self._holds:
+        if self.holds:
             self.clock.target = 0.0
             return
         worst = float(np.nanmax(self.error, initial=0.0)) / self.budget
@@ -391,11 +390,11 @@ class Conductor:
         pace = min(1.0, max(0.0, (1.0 - worst) / (1.0 - SLOW_FROM)))
         if self.clearances is not None:
             pace = min(pace, self.clearances.pace)
-        if self._rewinding:
+        if self.rewinding:
             pace = -pace
             if self.clock.stopped and self.clock.time <= self._rewind_end() + 1e-6:
-                self._rewinding = False
-                self._hold("operator", "rewound as far as it is safe")
+                self.rewinding = False
+                self.hold("operator", "rewound as far as it is safe")
                 pace = 0.0
         self.clock.target = pace
 
@@ -418,174 +417,56 @@ class Conductor:
         self.clearances = replace(here, margin=min(here.margin, ahead.margin))
 
     def _bound_hold(self) -> None:
-        if not self._holds:
+        if not self.holds:
             self._hold_since = None
         elif self._hold_since is None:
             self._hold_since = self.now
-        elif self._interrupted and self.clock.stopped:
-            self._leave("land", "interrupted", move=True)
+        elif self.interrupted and self.clock.stopped:
+            self.leave("land", "interrupted", move=True)
         elif self.now - self._hold_since > self.fleet.limits.hold:
-            self._failure("held too long", f"on hold for {self.fleet.limits.hold:g} s")
+            failure(self, "held too long", f"on hold for {self.fleet.limits.hold:g} s")
 
     def _leave_tick(self) -> None:
-        self._watch()
-        if self._way_out is not None and self._way_out.tick() and self.stage == "leave":
-            self._conclude()
+        watch(self)
+        if self.way_out is not None and self.way_out.tick() and self.stage == "leave":
+            self.conclude()
 
-    # Wishes
+    # Responses
 
-    def _wish_hold(self) -> None:
-        self._rewinding = False
-        self._hold("operator", "the operator asked")
-
-    def _wish_resume(self) -> None:
-        self._rewinding = False
-        self._holds.pop("operator", None)
-
-    def _wish_rewind(self) -> None:
-        self._holds.pop("operator", None)
-        self._rewinding = True
-
-    def _wish_land(self) -> None:
-        self._leave("land", "the operator asked to land", move=True)
-
-    def _wish_release(self) -> None:
-        self._leave("release", "the operator asked to release", move=True)
-
-    def _wish_abort(self) -> None:
-        """The quickest end that drops nothing on anybody."""
-        held = any(vehicle.gripped for vehicle in self.flyers)
-        _, can_release = self.options.at(self.clock.time)
-        kind: Kind = "release" if held and can_release else "land"
-        self._leave(kind, "the operator aborted", move=False)
-
-    def _wish_kill(self) -> None:
-        self.fail("killed by the operator")
-        for k, vehicle in enumerate(self.flyers):
-            self.streaming[k] = False
-            vehicle.kill()
-        self._expected_armed[:] = False
-        if self.stage == "fly":
-            self._leave("land", "killed by the operator", move=False)
-
-    def _wish_interrupt(self) -> None:
-        again, self._interrupted = self._interrupted, True
-        if self.stage in {"prepare", "ready"}:
-            self._finish_as("interrupted", "interrupted before anything was armed")
-        elif self.stage == "fly" and (again or self.waiting):
-            self._leave("land", "interrupted", move=not again)
-        elif self.stage == "fly":
-            self._rewinding = False
-            self._hold("operator", "interrupted")
-
-    # Watching
-
-    def _watch(self) -> None:
-        """Notice vehicles that fall silent, and that are heard again."""
-        limits = self.fleet.limits
-        lost = [v for v in self.flyers if not self.heard(v, limits.lost)]
-        if len(lost) == len(self.flyers):
-            self._failure("all lost", f"no vehicle has been heard for {limits.lost:g} s")
-            self._conclude()
-            return
-        for vehicle in self.flyers:
-            silent = not self.heard(vehicle)
-            if silent and vehicle.system not in self._silent:
-                self._silent.add(vehicle.system)
-                words = f"{self.name(vehicle)} has been silent for {limits.silence:g} s"
-                self._failure("silent", words, vehicle)
-            elif not silent and vehicle.system in self._silent:
-                self._silent.discard(vehicle.system)
-                self._holds.pop(f"silent {vehicle.system}", None)
-                self.say("link", f"{self.name(vehicle)} is heard again", vehicle)
-        if lost and self.stage == "fly":
-            names = ", ".join(self.name(vehicle) for vehicle in lost)
-            self._failure("lost", f"not heard for {limits.lost:g} s: {names}")
-
-    def _hear(self) -> None:
-        """Turn what vehicles reported into events, and failures of theirs into responses."""
-        for vehicle in self.team.vehicles.values():
-            for event in vehicle.take_events():
-                if not (event.kind == "done" and event.subject.startswith("interval")):
-                    self.say(event.kind, event.message, vehicle)
-                if vehicle.system in self._number:
-                    self._judge(vehicle, event)
-
-    def _judge(self, vehicle: Vehicle, event: VehicleEvent) -> None:
-        if event.kind == "done" and event.subject in {"grab", "release"}:
-            vehicle.gripped = event.subject == "grab"
-        if self.stage not in {"fly", "leave"}:
-            return
-        k, name = self._number[vehicle.system] - 1, self.name(vehicle)
-        flying = bool(self._expected_armed[k]) and not self._may_be_down(vehicle)
-        match event.kind:
-            case "failed":
-                self._failure("command failed", f"{name}: {event.message}", vehicle)
-            case "disarmed" if flying:
-                self.streaming[k] = False
-                self._failure("disarmed", f"{name} disarmed in flight", vehicle)
-            case "mode" if flying and self.streaming[k] and not vehicle.in_mode("offboard"):
-                self.streaming[k] = False
-                said = vehicle.recent_words(self.now)
-                words = f"{name} left offboard mode by itself: {event.message}"
-                self._failure("left offboard", words + (f" ({said})" if said else ""), vehicle)
-            case "rebooted":
-                self.streaming[k] = False
-                self._failure("rebooted", f"{name} {event.message}", vehicle)
-            case "origin":
-                self._failure("origin moved", f"{name}: {event.message}", vehicle)
-
-    def _may_be_down(self, vehicle: Vehicle) -> bool:
-        """Whether the vehicle was told to land: leaving offboard and disarming are then meant."""
-        if self._way_out is not None:
-            return self._way_out.told_to_land(vehicle)
-        return self.waiting and self.gates[self.gate].condition == "landed"
-
-    def _failure(self, failure: Failure, words: str, vehicle: Vehicle | None = None) -> None:
-        """Answer a failure as the table says."""
-        self.say("failure", f"{failure}: {words}", vehicle)
-        if failure in FATAL:
-            self.fail(words)
-        if self.stage != "fly":
-            return
-        match RESPONSES[failure]:
-            case "hold":
-                self._hold(f"{failure} {vehicle.system}" if vehicle else failure, words)
-            case "land":
-                self.stopped_for_good = failure not in {"held too long", "gate timed out"}
-                self._leave("land", words, move=not self.stopped_for_good)
-
-    def _hold(self, cause: str, words: str) -> None:
-        if cause not in self._holds:
-            self._holds[cause] = words
+    def hold(self, cause: str, words: str) -> None:
+        """Hold the clock until the cause is gone."""
+        if cause not in self.holds:
+            self.holds[cause] = words
             self.say("hold", f"holding: {words}")
 
-    def _leave(self, kind: Kind, words: str, *, move: bool) -> None:
+    def leave(self, kind: Kind, words: str, *, move: bool) -> None:
         """Leave the plan: land together, or release, separate and land together."""
         if self.stage in {"prepare", "ready"}:
-            self._finish_as("interrupted", words)
+            self.finish_as("interrupted", words)
         elif self.stage == "fly":
             what = "landing together" if kind == "land" else "releasing and landing"
             self.say("leave", f"{what}: {words}")
             self.waiting = False
-            self._rewinding = False
+            self.rewinding = False
             self._enter("leave")
-            self._way_out = WayOut(self, kind, move=move)
-            if not np.any(self._expected_armed):
+            self.way_out = WayOut(self, kind, move=move)
+            if not np.any(self.expected_armed):
                 for vehicle in self.flyers:
                     vehicle.disarm()
 
-    def _conclude(self) -> None:
+    def conclude(self) -> None:
+        """End the flight, everybody being down: as well as it went."""
         if self._failed is not None:
-            self._finish_as("failed", self._failed)
-        elif self._interrupted:
-            self._finish_as("interrupted", "interrupted; everybody has landed")
+            self.finish_as("failed", self._failed)
+        elif self.interrupted:
+            self.finish_as("interrupted", "interrupted; everybody has landed")
         elif self.stage == "leave":
-            self._finish_as("interrupted", "landed before the plan was flown to its end")
+            self.finish_as("interrupted", "landed before the plan was flown to its end")
         else:
-            self._finish_as("done", "all vehicles have landed and disarmed")
+            self.finish_as("done", "all vehicles have landed and disarmed")
 
-    def _finish_as(self, word: Word, why: str) -> None:
+    def finish_as(self, word: Word, why: str) -> None:
+        """End the flight with this outcome."""
         self.streaming[:] = False
         for vehicle in self.flyers:
             vehicle.restore_streams()
@@ -622,7 +503,9 @@ class Conductor:
         lead = 0.5 / self.fleet.rates.setpoint
         aimed = position + lead * velocity + (0.5 * lead * lead) * acceleration + self._lift
         if self._carries and all(vehicle.gripped for vehicle in self.flyers):
-            acceleration = acceleration - self._pull(position) / self.plan.mission.vehicles.mass
+            acceleration = (
+                acceleration - self._pull.at(self.clock.time) / self.plan.mission.vehicles.mass
+            )
         sending = self.team.setpoints(
             self.systems,
             self.streaming,
@@ -632,14 +515,6 @@ class Conductor:
         )
         self.setpoints_sent += len(sending)
         return sending
-
-    def _pull(self, position: Floats) -> Floats:
-        """Return the cable's pull on the vehicles in newtons; it changes slowly."""
-        if self.now >= self._next_pull:
-            self._next_pull = self.now + PULL_INTERVAL
-            weight = self.plan.mission.cable.mass_per_length
-            self._pulled = cable_pull(position, self.plan.layout.lengths, weight)
-        return self._pulled
 
     def _record(self) -> None:
         if self.frames is None or self.now < self._next_trace:
@@ -665,7 +540,7 @@ class Conductor:
             return "readiness" if self._preparation.everybody_heard else "heartbeats"
         if self.stage == "ready":
             return "go"
-        if self.stage == "fly" and self.waiting and not self._holds:
+        if self.stage == "fly" and self.waiting and not self.holds:
             return self.gates[self.gate].condition
         return self.holding
 
@@ -683,17 +558,6 @@ _STAGES: Mapping[Stage, Callable[[Conductor], None]] = {
     "fly": Conductor._fly,
     "leave": Conductor._leave_tick,
     "finished": lambda _: None,
-}
-
-_REQUESTS: Mapping[Request, Callable[[Conductor], None]] = {
-    "hold": Conductor._wish_hold,
-    "resume": Conductor._wish_resume,
-    "rewind": Conductor._wish_rewind,
-    "land": Conductor._wish_land,
-    "release": Conductor._wish_release,
-    "abort": Conductor._wish_abort,
-    "kill": Conductor._wish_kill,
-    "interrupt": Conductor._wish_interrupt,
 }
 
 

@@ -9,24 +9,49 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.floor import rest_on_floor
+from swarm.plans import Plan
 
 Floats = npt.NDArray[np.float64]
+
+STEP = 0.5
+"""Seconds of mission time between the moments at which a plan's pull is worked out."""
 
 _TAUT = 0.99
 """Chords nearer to taut count as this share: a pull without bound is no use as feed-forward."""
 
 
 def cable_pull(grip_points: Floats, lengths: Floats, mass_per_length: float) -> Floats:
-    """Return the force (n, 3) in newtons, ENU, of a held cable on its n vehicles.
+    """Return the force (…, n, 3) in newtons, ENU, of a held cable on its n vehicles.
 
-    ``grip_points`` (n, 3) in metres above the floor at z = 0, ``lengths`` (n − 1,) of the segments
-    between them. Parts that reach the floor lie on it and pull with what is lifted.
+    ``grip_points`` (…, n, 3) in metres above the floor at z = 0, ``lengths`` (n − 1,) of the
+    segments between them. Parts that reach the floor lie on it and pull with what is lifted.
     """
     above = np.maximum(grip_points, [-np.inf, -np.inf, 0.0])
-    chords = np.linalg.norm(np.diff(above, axis=0), axis=-1)
-    strands = rest_on_floor(above[:-1], above[1:], np.maximum(lengths, chords / _TAUT))
+    start, end = above[..., :-1, :], above[..., 1:, :]
+    chords = np.linalg.norm(end - start, axis=-1)
+    strands = rest_on_floor(start, end, np.maximum(lengths, chords / _TAUT))
     on_start, on_end = strands.end_forces(mass_per_length)
     pull = np.zeros_like(above)
-    pull[:-1] += on_start
-    pull[1:] += on_end
+    pull[..., :-1, :] += on_start
+    pull[..., 1:, :] += on_end
     return pull
+
+
+class PlannedPull:
+    """The cable's pull along a plan, worked out once while everybody holds it."""
+
+    def __init__(self, plan: Plan) -> None:
+        at = {gate.condition: gate.time for gate in plan.gates}
+        self._start = at.get("gripped", 0.0)
+        held = max(at.get("released", plan.duration) - self._start, STEP)
+        times = self._start + np.arange(0.0, held + 2.0 * STEP, STEP)
+        grips = plan.motion.at(times)[0]
+        self._pull = cable_pull(grips, plan.layout.lengths, plan.mission.cable.mass_per_length)
+
+    def at(self, time: float) -> Floats:
+        """Return the pull (n, 3) in newtons, ENU, at a mission time, everybody holding on."""
+        place = min(max((time - self._start) / STEP, 0.0), len(self._pull) - 1.001)
+        before = int(place)
+        share = place - before
+        pull: Floats = (1.0 - share) * self._pull[before] + share * self._pull[before + 1]
+        return pull

@@ -1,6 +1,6 @@
 """What the operator may ask for, what it would do now, and whether its window is open."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 from swarm.flight.options import rewind_limit
@@ -92,3 +92,66 @@ def _abort(flight: "Conductor") -> Wish:
     if held and can_release:
         return Wish(True, "drops the cable here, separates upwards and lands")
     return Wish(True, "everybody straight down together, here")
+
+
+def _grant_hold(flight: "Conductor") -> None:
+    flight.rewinding = False
+    flight.hold("operator", "the operator asked")
+
+
+def _grant_resume(flight: "Conductor") -> None:
+    flight.rewinding = False
+    flight.holds.pop("operator", None)
+
+
+def _grant_rewind(flight: "Conductor") -> None:
+    flight.holds.pop("operator", None)
+    flight.rewinding = True
+
+
+def _grant_land(flight: "Conductor") -> None:
+    flight.leave("land", "the operator asked to land", move=True)
+
+
+def _grant_release(flight: "Conductor") -> None:
+    flight.leave("release", "the operator asked to release", move=True)
+
+
+def _grant_abort(flight: "Conductor") -> None:
+    """The quickest end that drops nothing on anybody."""
+    held = any(vehicle.gripped for vehicle in flight.flyers)
+    _, can_release = flight.options.at(flight.clock.time)
+    flight.leave("release" if held and can_release else "land", "the operator aborted", move=False)
+
+
+def _grant_kill(flight: "Conductor") -> None:
+    flight.fail("killed by the operator")
+    for k, vehicle in enumerate(flight.flyers):
+        flight.streaming[k] = False
+        vehicle.kill()
+    flight.expected_armed[:] = False
+    if flight.stage == "fly":
+        flight.leave("land", "killed by the operator", move=False)
+
+
+def _grant_interrupt(flight: "Conductor") -> None:
+    again, flight.interrupted = flight.interrupted, True
+    if flight.stage in {"prepare", "ready"}:
+        flight.finish_as("interrupted", "interrupted before anything was armed")
+    elif flight.stage == "fly" and (again or flight.waiting):
+        flight.leave("land", "interrupted", move=not again)
+    elif flight.stage == "fly":
+        flight.rewinding = False
+        flight.hold("operator", "interrupted")
+
+
+GRANT: Mapping[Request, "Callable[[Conductor], None]"] = {
+    "hold": _grant_hold,
+    "resume": _grant_resume,
+    "rewind": _grant_rewind,
+    "land": _grant_land,
+    "release": _grant_release,
+    "abort": _grant_abort,
+    "kill": _grant_kill,
+    "interrupt": _grant_interrupt,
+}
