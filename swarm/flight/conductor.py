@@ -29,6 +29,7 @@ from swarm.flight.operator import GRANT, Request, available
 from swarm.flight.options import options, rewind_limit
 from swarm.flight.preparation import Preparation, Prepared
 from swarm.flight.readiness import named, readiness
+from swarm.flight.reporting import snapshot_of, statistics_of
 from swarm.flight.result import Outcome, Statistics, Word
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.team import Address, Outgoing, Team
@@ -93,7 +94,7 @@ class Conductor:
         self._fly_with(list(self.team.vehicles.values())[: plan.vehicles])
         self._lift = np.array([0.0, 0.0, vehicles.grip_offset])
         standing = self.guidance.planned(0.0).position + self._lift
-        self._preparation = Preparation(self.team, fleet, standing)
+        self.preparation = Preparation(self.team, fleet, standing)
         self._reset_flight()
         self._reset_numbers(plan.vehicles)
 
@@ -194,25 +195,11 @@ class Conductor:
 
     def snapshot(self, now: float) -> Snapshot:
         """Return what the flight looks like at this moment."""
-        flyers = self.flyers
-        return Snapshot(
-            time=now,
-            mission_time=self.clock.time,
-            rate=self.clock.rate,
-            phase=self.phase.name if self.stage == "fly" else self.stage,
-            waiting_for=self._waiting_for(),
-            position=self.position.copy(),
-            velocity=self.velocity.copy(),
-            setpoint=self.setpoint.copy(),
-            modes=tuple(vehicle.mode for vehicle in flyers),
-            states=tuple(self._state(vehicle) for vehicle in flyers),
-            armed=tuple(vehicle.armed for vehicle in flyers),
-            gripped=tuple(vehicle.gripped for vehicle in flyers),
-            battery=np.array([vehicle.battery for vehicle in flyers]),
-            link_age=np.array([now - vehicle.heard_at for vehicle in flyers]),
-            clearances=self.clearances,
-            available={name: (wish.open, wish.words) for name, wish in available(self).items()},
-        )
+        return snapshot_of(self, now)
+
+    def statistics(self) -> Statistics:
+        """Return what the flight's links did so far."""
+        return statistics_of(self)
 
     def trace(self) -> Trace:
         """Return what was flown so far."""
@@ -223,21 +210,6 @@ class Conductor:
             position=np.array([row[2] for row in self._trace]).reshape(-1, n, 3),
             setpoint=np.array([row[3] for row in self._trace]).reshape(-1, n, 3),
             phase=tuple(row[4] for row in self._trace),
-        )
-
-    def statistics(self) -> Statistics:
-        """Return what the flight's links did so far."""
-        latencies = np.array([x for v in self.flyers for x in v.commands.latencies])
-        known = len(latencies) > 0
-        return Statistics(
-            duration=self.now,
-            setpoints=self.setpoints_sent,
-            command_latency=(float(np.median(latencies)), float(latencies.max()))
-            if known
-            else None,
-            received={v.system: v.packets for v in self.flyers},
-            lost={v.system: v.lost_packets for v in self.flyers},
-            round_trip={v.system: v.round_trip for v in self.flyers},
         )
 
     # What gates and ways out use
@@ -322,7 +294,7 @@ class Conductor:
     # Stages
 
     def _prepare(self) -> None:
-        result = self._preparation.tick(self.now)
+        result = self.preparation.tick(self.now)
         if isinstance(result, Outcome):
             self.finish_as(result.word, result.explanation)
         elif isinstance(result, Prepared):
@@ -534,22 +506,6 @@ class Conductor:
     def _enter(self, stage: Stage) -> None:
         self.stage = stage
         self._stage_since = self.now
-
-    def _waiting_for(self) -> str | None:
-        if self.stage == "prepare":
-            return "readiness" if self._preparation.everybody_heard else "heartbeats"
-        if self.stage == "ready":
-            return "go"
-        if self.stage == "fly" and self.waiting and not self.holds:
-            return self.gates[self.gate].condition
-        return self.holding
-
-    def _state(self, vehicle: Vehicle) -> str:
-        if not self.heard(vehicle):
-            return "silent"
-        if not vehicle.armed:
-            return "ready" if vehicle.ready else "waiting"
-        return "on the ground" if vehicle.on_ground else "flying"
 
 
 _STAGES: Mapping[Stage, Callable[[Conductor], None]] = {
