@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from swarm.errors import Refused
+from swarm.mission import Mission
 from swarm.plans import Plan
 from swarm.preflight.findings import Assessment, Finding, Tightest
 
@@ -55,6 +57,15 @@ def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
             "wind": assessment.robustness.wind,
         },
         "notes": list(plan.notes),
+    }
+
+
+def refusal_object(mission: Mission, refusal: Refused) -> dict[str, Any]:
+    """Return what is known of a mission for which no motion was found, as a JSON-ready object."""
+    return {
+        "mission": mission.name,
+        "cleared": False,
+        "findings": [finding_object(Finding("error", "planner", str(refusal)))],
     }
 
 

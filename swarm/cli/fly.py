@@ -10,7 +10,16 @@ import click
 from rich.console import Console
 
 from swarm import api
-from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progress_bar, read_text
+from swarm.cli.inputs import (
+    JSON,
+    MISSION,
+    SET,
+    load_mission,
+    print_json,
+    progress_bar,
+    read_text,
+    write_text,
+)
 from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.errors import InputError, Problem
 from swarm.fleet import Fleet, emulated_fleet, parse_fleet
@@ -19,6 +28,7 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.fly import fly as fly_proven
 from swarm.verify import judge
 from swarm.view import rerun_log
+from swarm.view.report import flight_report
 from swarm.view.terminal import FlightScreen, findings_table, plan_summary
 
 COUNTDOWN = 3
@@ -86,7 +96,7 @@ def fly(
     screen = FlightScreen(planned.plan, console)
     try:
         if viewer.message:
-            console.print(viewer.message)
+            console.print(viewer.message, soft_wrap=True, highlight=False)
         with ExitStack() as shown:
 
             def confirm(audit: Audit) -> bool:
@@ -123,8 +133,11 @@ def fly(
     finally:
         viewer.close()
     flown = judge(planned.plan, result.trace)
+    outcome = outcome_object(result, flown, planned.assessment)
+    page = flight_report(planned.plan, planned.assessment, outcome, result.trace, result.events)
+    write_text(folder / "report.html", page)
     if as_json:
-        print_json(outcome_object(result, flown, planned.assessment))
+        print_json(outcome)
     else:
         print_outcome(planned.plan, result, flown, planned.assessment, console)
         console.print(f"Record: {folder}", soft_wrap=True, highlight=False)

@@ -20,6 +20,19 @@ def outcome_object(result: FlightResult, flown: Flown, assessment: Assessment) -
         "outcome": result.outcome.word,
         "explanation": result.outcome.explanation,
         "record": str(result.record) if result.record else None,
+        **flown_object(flown, assessment),
+        "duration": statistics.duration,
+        "setpoints": statistics.setpoints,
+        "lateness": statistics.lateness,
+        "cpu": statistics.cpu,
+        "command_latency": statistics.command_latency,
+        "lost": {str(sysid): count for sysid, count in statistics.lost.items()},
+    }
+
+
+def flown_object(flown: Flown, assessment: Assessment) -> dict[str, Any]:
+    """Return what was flown, beside what was certified, as one JSON-ready object."""
+    return {
         "knot": {
             "type": flown.knot,
             "chirality": flown.chirality,
@@ -44,12 +57,6 @@ def outcome_object(result: FlightResult, flown: Flown, assessment: Assessment) -
             }
             for error in flown.tracking
         ],
-        "duration": statistics.duration,
-        "setpoints": statistics.setpoints,
-        "lateness": statistics.lateness,
-        "cpu": statistics.cpu,
-        "command_latency": statistics.command_latency,
-        "lost": {str(sysid): count for sysid, count in statistics.lost.items()},
         "notes": list(flown.notes),
     }
 
@@ -58,16 +65,7 @@ def print_outcome(
     plan: Plan, result: FlightResult, flown: Flown, assessment: Assessment, console: Console
 ) -> None:
     """Print what was flown: knot, clearances beside what was certified, tracking, timing."""
-    asked = f"{plan.knot.type} {_hand(plan.knot.chirality)}".strip()
-    implied = f"{flown.knot} {_hand(flown.chirality)}".strip()
-    style = "green" if flown.as_planned else "bold red"
-    console.print(
-        f"Knot implied by the reported positions: [{style}]{implied}[/] (asked for: {asked})"
-    )
-    console.print(_clearance_table(flown, assessment))
-    console.print(_tracking_line(flown.tracking, plan.mission.vehicles.tracking))
-    for note in flown.notes:
-        console.print(f"[yellow]note[/] {note}")
+    print_flown(plan, flown, assessment, console)
     statistics = result.statistics
     line = f"{statistics.duration:.0f} s of flight, {statistics.setpoints} setpoints"
     if statistics.lateness:
@@ -75,7 +73,24 @@ def print_outcome(
         line += f"{statistics.lateness[1] * 1e3:.1f} ms (99 %)"
     if statistics.cpu is not None:
         line += f", {statistics.cpu:.0%} of a core"
-    console.print(line, style="dim", highlight=False)
+    console.print(line, style="dim", highlight=False, soft_wrap=True)
+
+
+def print_flown(plan: Plan, flown: Flown, assessment: Assessment, console: Console) -> None:
+    """Print the knot implied, the clearances beside what was certified, and the tracking."""
+    asked = f"{plan.knot.type} {_hand(plan.knot.chirality)}".strip()
+    implied = f"{flown.knot} {_hand(flown.chirality)}".strip()
+    style = "green" if flown.as_planned else "bold red"
+    console.print(
+        f"Knot implied by the reported positions: [{style}]{implied}[/] (asked for: {asked})",
+        highlight=False,
+        soft_wrap=True,
+    )
+    console.print(_clearance_table(flown, assessment))
+    line = _tracking_line(flown.tracking, plan.mission.vehicles.tracking)
+    console.print(line, highlight=False, soft_wrap=True)
+    for note in flown.notes:
+        console.print(f"[yellow]note[/] {note}", highlight=False, soft_wrap=True)
 
 
 def _clearances(

@@ -7,7 +7,9 @@ from rich.console import Console
 
 from swarm import api, exports
 from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progress_bar, write_text
+from swarm.errors import Refused
 from swarm.view.plots import plot_plan
+from swarm.view.report import plan_report
 from swarm.view.terminal import plan_summary
 
 
@@ -25,6 +27,11 @@ from swarm.view.terminal import plan_summary
     type=click.Path(dir_okay=False, path_type=Path),
     help="Draw grid diagram, plan view and folded cable as PNG.",
 )
+@click.option(
+    "--report",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write a page (HTML, needs no network) about the plan.",
+)
 @click.pass_context
 def plan(
     context: click.Context,
@@ -33,18 +40,26 @@ def plan(
     as_json: bool,
     export: Path | None,
     plot: Path | None,
+    report: Path | None,
 ) -> None:
     """Plan MISSION (a file or a knot's name), check it, and print the plan.
 
     Exit code 0 when the plan is cleared for flight, 1 when it is refused.
     """
     loaded = load_mission(mission, overrides)
-    with progress_bar(Console(stderr=True)) as progress:
-        planned = api.plan(loaded, progress)
+    try:
+        with progress_bar(Console(stderr=True)) as progress:
+            planned = api.plan(loaded, progress)
+    except Refused as refusal:
+        if as_json:
+            print_json(exports.refusal_object(loaded, refusal))
+        raise
     if export:
         write_text(export, "\n".join(exports.motion_rows(planned.plan)) + "\n")
     if plot:
         plot_plan(planned.plan, plot)
+    if report:
+        write_text(report, plan_report(planned.plan, planned.assessment))
     if as_json:
         print_json(exports.plan_object(planned.plan, planned.assessment))
     else:
