@@ -156,9 +156,24 @@ def neighbour_cost(before: Strands, after: Strands, margins: Margins) -> Floats:
     unit = margins.cable + 2.0 * margins.tracking
     held = 4.0 * (margins.cable + margins.tracking)
     free = [max(0.5, 1.0 - held / float(strand.length[0])) for strand in (before, after)]
-    left = _margin(before, after, margins, (0.0, free[0]), 1)
-    right = _margin(after, before, margins, (1.0 - free[1], 1.0), 0)
+    left = _near_margin(before, after, margins, (0.0, free[0]), 1)
+    right = _near_margin(after, before, margins, (1.0 - free[1], 1.0), 0)
     return shortfall(np.minimum(left, right) / unit)
+
+
+def _near_margin(
+    one: Strands, other: Strands, margins: Margins, part: tuple[float, float], shared: int
+) -> Floats:
+    """As :func:`_margin` where boxes around the strands are near each other, else plenty."""
+    points, _ = _cut(one.points, *part)
+    low, high = points.min(axis=1), points.max(axis=1)
+    unit = margins.cable + 2.0 * margins.tracking
+    most = margins.cable + unit + margins.tracking * (lift(one.ratio) + lift(other.ratio))
+    gap = np.abs(0.5 * (low + high) - other.middle) - 0.5 * (high - low) - other.reach
+    near = gap.max(axis=1) < most
+    margin = np.full(len(near), unit)
+    margin[near] = _margin(one[near], other[near], margins, part, shared)
+    return margin
 
 
 def _margin(

@@ -26,7 +26,7 @@ class States:
 
 def dips(count: int, deepest_sag: float) -> Floats:
     """How far below the corners the path is half way along each of ``count`` edges: (count,) m."""
-    i = np.arange(1, count + 1)
+    i = np.arange(1.0, count + 1.0)
     depth: Floats = 0.5 * (2.0 - (-1.0) ** i) * deepest_sag
     return depth
 

@@ -87,18 +87,20 @@ class FoldPath:
 
     @cached_property
     def _station_of_progress(self) -> CubicSpline:
-        stations = np.linspace(-self.run_in, self._stations[-1], self._samples)
+        finest = 0.1 * min(self.slope, self.rounding)
+        before = int(np.ceil(self.run_in / finest))
+        after = int(np.ceil(self._stations[-1] / finest))
+        stations = np.concatenate(
+            [
+                np.linspace(-self.run_in, 0.0, before + 1)[:-1],
+                np.linspace(0.0, self._stations[-1], after + 1),
+            ]
+        )
         slope = np.concatenate([self._plan(stations, 1), self._height(stations, 1)], axis=1)
         speed = np.linalg.norm(slope, axis=1)
         steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(stations)
         progress = np.concatenate([[0.0], np.cumsum(steps)])
-        progress -= np.interp(0.0, stations, progress)
-        return CubicSpline(progress, stations)
-
-    @property
-    def _samples(self) -> int:
-        finest = 0.1 * min(self.slope, self.rounding)
-        return int(np.ceil((self.run_in + self._stations[-1]) / finest)) + 1
+        return CubicSpline(progress - progress[before], stations)
 
     @cached_property
     def stops(self) -> Floats:

@@ -94,12 +94,15 @@ def improved(plan: Schedule, rounds: int = 3) -> Schedule:
     """Replan the vehicles that miss their margins, worst first, some rounds long."""
     team = plan.team
     for _ in range(rounds):
+        before = float(team.missed.sum())
         troubled = [int(i) for i in np.argsort(-team.missed) if team.missed[i] > _TROUBLE]
         if not troubled:
             break
         for i in troubled:
             team.move(i, team.planned(i))
         team.judge()
+        if team.missed.sum() > 0.6 * before:
+            break
     return team.result()
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.distance import pdist
 
 from swarm.cable.catenary import hang
 from swarm.errors import Refused
@@ -45,6 +46,7 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
         yield _printed(mission, knot, opened[0], margins)
         return
     tried: list[str] = []
+    _refuse_crowding(mission, knot, opened, margins)
     for openings_tried in (1, _OPENINGS):
         for shape in shapes(mission, margins):
             for folding in _foldings(opened[:openings_tried], shape, margins, progress):
@@ -56,6 +58,23 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
         f"no fold of {knot.type} with {len(opened[0].corners)} vehicles keeps the clearances; "
         f"{len(tried)} were tried: " + "; ".join(tried[-5:])
     )
+
+
+def _refuse_crowding(
+    mission: Mission, knot: KnotSummary, opened: list[OpenGrid], margins: Margins
+) -> None:
+    """Refuse a cell that brings vehicles at rest on their corners, all at one height, too close."""
+    cell = mission.layout.cell
+    if cell == "auto":
+        return
+    apart = max(float(pdist(diagram.corners).min()) for diagram in opened) * cell
+    least = margins.vehicle + 2.0 * margins.tracking
+    if apart < least:
+        raise Refused(
+            f"no fold of {knot.type} keeps the clearances with layout.cell {cell:g} m: vehicles "
+            f"would rest {apart:.2f} m apart, and clearance.vehicle with tracking errors of both "
+            f"asks for {least:.2f} m"
+        )
 
 
 def _foldings(

@@ -1,0 +1,98 @@
+"""The planner's own costs, against distances found in another way."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.spatial.distance import cdist
+
+from swarm.cable.catenary import hang
+from swarm.fold.clear import (
+    Margins,
+    body_cost,
+    neighbour_cost,
+    shortfall,
+    sides,
+    strand_cost,
+    strands,
+    vehicle_cost,
+)
+
+Floats = npt.NDArray[np.float64]
+
+EXACT = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.0, radius=0.25, grip_offset=0.6)
+ERRING = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.1, radius=0.25, grip_offset=0.6)
+
+
+def pairs(count: int, seed: int) -> tuple[Floats, Floats, Floats, Floats]:
+    rng = np.random.default_rng(seed)
+    a, b, c, d = rng.uniform(-2.0, 2.0, (4, count, 3))
+    return a, b, c, d
+
+
+def test_strand_cost_grows_where_strands_are_closer() -> None:
+    a, b, c, d = pairs(200, 3)
+    one, other = strands(a, b, 6.5), strands(c, d, 6.8)
+    cost = strand_cost(one, other, EXACT)
+    fine = np.linspace(0.0, 1.0, 400)
+    dense = [hang(*ends, length).points(fine) for ends, length in (((a, b), 6.5), ((c, d), 6.8))]
+    distance = np.array([cdist(x, y).min() for x, y in zip(*dense, strict=True)])
+    expected = shortfall((distance - EXACT.cable) / EXACT.cable)
+    bow = 0.12
+    assert np.all(cost >= shortfall((distance + bow - EXACT.cable) / EXACT.cable) - 1e-9)
+    assert np.all(cost <= shortfall((distance - bow - EXACT.cable) / EXACT.cable) + 1e-9)
+    assert np.corrcoef(cost, expected)[0, 1] > 0.9
+
+
+def test_tracking_errors_ask_for_more() -> None:
+    a, b, c, d = pairs(200, 4)
+    one, other = strands(a, b, 6.5), strands(c, d, 6.8)
+    plain, careful = strand_cost(one, other, EXACT), strand_cost(one, other, ERRING)
+    touching = plain > 0.02
+    assert touching.any()
+    assert np.all(careful[touching] > 0.0)
+
+
+def test_sides_are_those_of_the_curves() -> None:
+    a, b, c, d = pairs(400, 5)
+    one, other = strands(a, b, 7.5), strands(c, d, 7.5)
+    found = sides(one, other)
+    assert set(np.unique(found)) == {-1, 0, 1}
+    np.testing.assert_array_equal(sides(other, one), -found)
+    fine = np.linspace(0.0, 1.0, 2000)
+    dense = [hang(*ends, 7.5).points(fine) for ends in ((a, b), (c, d))]
+    for k in np.flatnonzero(found)[:60]:
+        apart = cdist(dense[0][k][:, :2], dense[1][k][:, :2])
+        i, j = np.unravel_index(apart.argmin(), apart.shape)
+        gap = dense[0][k][i, 2] - dense[1][k][j, 2]
+        if abs(gap) > 0.2:
+            assert np.sign(gap) == found[k]
+
+
+def test_neighbours_may_meet_in_the_hand_but_not_fold_together() -> None:
+    shared = np.zeros((1, 3))
+    left = np.array([[-4.0, 0.0, 0.0]])
+    straight = np.array([[4.0, 0.0, 0.0]])
+    folded = np.array([[-4.0, 0.3, 0.0]])
+    before = strands(left, shared, 4.5)
+    assert neighbour_cost(before, strands(shared, straight, 4.5), EXACT)[0] < 0.05
+    assert neighbour_cost(before, strands(shared, folded, 4.5), EXACT)[0] > 1.0
+
+
+def test_vehicles_are_apart_sideways_or_above() -> None:
+    here = np.zeros((3, 3))
+    there = np.array([[[1.2, 0.0, 0.0], [0.0, 0.0, 1.8], [0.5, 0.0, 0.5]]])
+    cost = vehicle_cost(here, there, EXACT)
+    assert cost[0] < 0.01
+    assert cost[1] < 0.01
+    assert cost[2] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("height", "clear"), [(-1.0, True), (0.3, False), (0.6, False), (0.8, False), (1.3, True)]
+)
+def test_a_strand_keeps_off_the_cone_of_a_vehicle(height: float, clear: bool) -> None:
+    strand = strands(np.array([[-3.0, 0.2, height]]), np.array([[3.0, 0.2, height]]), 6.01)
+    sag = height - strand.points[0, :, 2].min()
+    at = np.array([[0.0, 0.0, -sag]])
+    cost = body_cost(at, strand, EXACT)
+    assert bool(cost[0] < 0.05) is clear

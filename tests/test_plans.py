@@ -1,0 +1,118 @@
+"""Whole plans: phases, gates, motion, and what the limits say, checked from outside."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from swarm.errors import Refused
+from swarm.mission import mission_for_knot
+from swarm.plans import Plan, make_plan
+
+STILL = ("takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land")
+
+
+@pytest.fixture(scope="module")
+def overhand() -> Plan:
+    return make_plan(mission_for_knot("overhand"))
+
+
+@pytest.fixture(scope="module")
+def printed() -> Plan:
+    return make_plan(mission_for_knot("overhand", ["fold.method=paper"]))
+
+
+def test_phases_follow_each_other(overhand: Plan) -> None:
+    assert tuple(phase.name for phase in overhand.phases) == STILL
+    assert overhand.phases[0].start == 0.0
+    for before, after in pairwise(overhand.phases):
+        assert before.end == after.start
+        assert before.start < before.end
+    assert overhand.phases[-1].end == pytest.approx(overhand.duration)
+
+
+def test_gates_lie_at_rest(overhand: Plan) -> None:
+    conditions = [gate.condition for gate in overhand.gates]
+    assert conditions == [
+        "armed", "airborne", "gripped", "settled", "settled", "settled", "released", "landed",
+    ]  # fmt: skip
+    times = np.array([gate.time for gate in overhand.gates])
+    assert np.all(np.diff(times) > 0.0)
+    _, velocity, acceleration = overhand.motion.at(times)
+    assert np.abs(velocity).max() < 1e-3
+    assert np.abs(acceleration).max() < 2e-2
+    assert overhand.phase("finish").start == overhand.gates[-2].time
+
+
+def test_begins_and_ends_on_the_ground(overhand: Plan) -> None:
+    position, _, _ = overhand.motion.at([0.0, overhand.duration])
+    np.testing.assert_allclose(position[..., 2], 0.0, atol=1e-6)
+
+
+def test_ends_of_the_fold_are_the_corners(overhand: Plan) -> None:
+    fold = overhand.phase("fold")
+    position, _, _ = overhand.motion.at([fold.start, fold.end])
+    np.testing.assert_allclose(position[1], overhand.layout.corners, atol=1e-4)
+    line = position[0]
+    np.testing.assert_allclose(line[:, 1:], line[:1, 1:].repeat(9, axis=0), atol=1e-4)
+    assert np.all(np.diff(line[:, 0]) > 0.0), "vehicle n leads"
+
+
+def test_limits_and_vehicles_apart(overhand: Plan) -> None:
+    mission = overhand.mission
+    times = np.linspace(0.0, overhand.duration, 20_000)
+    position, velocity, acceleration = overhand.motion.at(times)
+    reserve = mission.vehicles.max_acceleration - mission.vehicles.braking_acceleration
+    assert np.linalg.norm(velocity, axis=2).max() <= mission.vehicles.max_speed
+    assert np.linalg.norm(acceleration, axis=2).max() <= reserve * 1.002
+    error = 2.0 * mission.vehicles.tracking
+    i, j = np.triu_indices(overhand.vehicles, 1)
+    apart = position[:, i] - position[:, j]
+    level = np.linalg.norm(apart[..., :2], axis=2) - mission.clearance.vehicle - error
+    above = np.abs(apart[..., 2]) - mission.clearance.downwash - error
+    assert np.maximum(level, above).min() >= 0.0
+
+
+def test_no_segment_is_taut_aloft(overhand: Plan) -> None:
+    times = np.linspace(overhand.phase("lift").start, overhand.phase("hold").end, 10_000)
+    position, _, _ = overhand.motion.at(times)
+    chord = np.linalg.norm(np.diff(position, axis=1), axis=2)
+    ball = 2.0 * overhand.mission.vehicles.tracking
+    assert np.all(chord + ball <= 0.985 * overhand.layout.lengths)
+
+
+def test_landing_places_are_clear_of_the_fallen_cable(overhand: Plan) -> None:
+    ground = overhand.motion.at(overhand.duration)[0][:, :2]
+    corners = overhand.layout.corners[:, :2]
+    low, high = corners.min(axis=0) - 1.0, corners.max(axis=0) + 1.0
+    assert not np.all((ground > low) & (ground < high), axis=1).any()
+    apart = np.linalg.norm(ground[:, None] - ground[None], axis=2)
+    assert apart[np.triu_indices(9, 1)].min() > overhand.mission.clearance.vehicle
+
+
+def test_same_mission_same_plan(printed: Plan) -> None:
+    again = make_plan(mission_for_knot("overhand", ["fold.method=paper"]))
+    np.testing.assert_array_equal(again.motion.coefficients, printed.motion.coefficients)
+
+
+def test_the_paper_stops_everybody_at_its_corner(printed: Plan) -> None:
+    fold = printed.phase("fold")
+    np.testing.assert_allclose(printed.motion.at(fold.end)[0], printed.layout.corners, atol=1e-9)
+    deepest = printed.layout.sags.max()
+    np.testing.assert_allclose(printed.layout.lanes[:2], [-1.5 * deepest, -0.5 * deepest])
+    assert len(np.unique(printed.layout.sags.round(6))) <= 2 + len(printed.layout.sags) // 2
+
+
+def test_numbers_that_cannot_work_are_refused() -> None:
+    mission = mission_for_knot("overhand", ["layout.cell=0.6"])
+    with pytest.raises(Refused, match="keeps the clearances"):
+        make_plan(mission)
+
+
+def test_a_plan_knows_its_phases(printed: Plan) -> None:
+    assert printed.phase_at(0.0).name == "takeoff"
+    assert printed.phase_at(printed.phase("fold").start).name == "fold"
+    assert printed.phase_at(printed.duration + 1.0).name == "land"
+    with pytest.raises(KeyError):
+        replace(printed, phases=()).phase("fold")

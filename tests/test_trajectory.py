@@ -1,0 +1,147 @@
+"""Motion: C², within limits, and through what it should go."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+
+from swarm.trajectory import (
+    Motion,
+    at_rest,
+    followed,
+    joined,
+    leg,
+    slowed,
+    staggered,
+    through_states,
+    timed,
+)
+
+Floats = npt.NDArray[np.float64]
+
+
+def jumps(motion: Motion) -> Floats:
+    """Largest jump of position, velocity and acceleration at the breakpoints."""
+    late = (motion.times[1:-1] - motion.times[:-2])[:, None] ** np.arange(6)
+    ends = []
+    for order in range(3):
+        factor = np.ones(6)
+        for k in range(order):
+            factor *= np.maximum(np.arange(6.0) - k, 0.0)
+        shifted = np.zeros_like(late)
+        shifted[:, order:] = late[:, : 6 - order]
+        before = np.einsum("kc,c,kcnx->knx", shifted, factor, motion.coefficients[:-1])
+        after = motion.coefficients[1:, order] * factor[order]
+        ends.append(np.abs(before - after).max(initial=0.0))
+    return np.array(ends)
+
+
+def test_through_states_meets_its_states() -> None:
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.2, 2.0, 8))
+    states = rng.normal(size=(3, 8, 4, 3))
+    motion = through_states(times, *states)
+    for found, wanted in zip(motion.at(times), states, strict=True):
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+    assert jumps(motion).max() < 1e-9
+
+
+def test_velocity_and_acceleration_are_derivatives() -> None:
+    rng = np.random.default_rng(2)
+    motion = through_states(np.array([0.0, 1.0, 2.5]), *rng.normal(size=(3, 3, 2, 3)))
+    times, h = np.linspace(0.1, 2.4, 50), 1e-5
+    (ahead, _, _), (behind, _, _) = motion.at(times + h), motion.at(times - h)
+    here, velocity, acceleration = motion.at(times)
+    np.testing.assert_allclose((ahead - behind) / (2 * h), velocity, atol=1e-6)
+    np.testing.assert_allclose((ahead - 2 * here + behind) / h**2, acceleration, atol=1e-3)
+
+
+def test_a_motion_rests_outside_its_time() -> None:
+    motion = through_states(np.array([0.0, 1.0]), *np.ones((3, 2, 1, 3)))
+    position, velocity, acceleration = motion.at([-1.0, 3.0])
+    np.testing.assert_allclose(position, 1.0)
+    assert not velocity.any()
+    assert not acceleration.any()
+
+
+def test_joined_motions_follow_each_other() -> None:
+    a, b = np.zeros((2, 3)), np.ones((2, 3))
+    motion = followed(leg(a, b, 1.0, 1.0), at_rest(b, 2.0), leg(b, a, 1.0, 1.0))
+    assert np.all(np.diff(motion.times) > 0.0)
+    assert jumps(motion).max() < 1e-9
+    np.testing.assert_allclose(motion.at(motion.times[-1])[0], a, atol=1e-12)
+    again = joined(motion, motion)
+    assert again.times[-1] == pytest.approx(2 * motion.times[-1])
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    distance=st.floats(0.0, 100.0),
+    speed=st.floats(0.1, 10.0),
+    thrust=st.floats(0.1, 10.0),
+    delay=st.floats(0.0, 5.0),
+)
+def test_legs_keep_limits(distance: float, speed: float, thrust: float, delay: float) -> None:
+    start = np.zeros((2, 3))
+    end = np.array([[distance, 0.0, 0.0], [0.0, 0.0, 0.5 * distance]])
+    motion = staggered(start, end, np.array([0.0, delay]), speed, thrust)
+    times = np.linspace(0.0, motion.times[-1], 2001)
+    position, velocity, acceleration = motion.at(times)
+    assert np.linalg.norm(velocity, axis=2).max() <= speed * (1 + 1e-9)
+    assert np.linalg.norm(acceleration, axis=2).max() <= thrust * (1 + 1e-9)
+    np.testing.assert_allclose(position[0], start, atol=1e-9)
+    np.testing.assert_allclose(position[-1], end, atol=1e-9)
+    assert np.abs(velocity[times < delay - 1e-6, 1]).max(initial=0.0) < 1e-6
+
+
+def winding(seed: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """A random path of three points that begins and ends with vanishing derivatives."""
+    rng = np.random.default_rng(seed)
+    knots = np.cumsum(rng.uniform(-1.0, 2.0, (8, 9)), axis=0)
+    spline = CubicSpline(np.linspace(0.0, 1.0, 8), knots.reshape(8, 3, 3), axis=0)
+    parameter = np.linspace(0.0, 40.0, 801)
+    u = parameter / 40.0
+    ease = u**3 * (10 - 15 * u + 6 * u**2)
+    rate = 30 * u**2 * (1 - u) ** 2 / 40.0
+    bend = 60 * u * (1 - u) * (1 - 2 * u) / 1600.0
+    first, second = spline(ease, 1), spline(ease, 2)
+    return (
+        parameter,
+        spline(ease),
+        first * rate[:, None, None],
+        second * (rate**2)[:, None, None] + first * bend[:, None, None],
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("speed", "thrust"), [(2.0, 1.0), (0.5, 3.0), (5.0, 0.3)])
+def test_timed_keeps_limits_and_the_path(seed: int, speed: float, thrust: float) -> None:
+    path = winding(seed)
+    motion = timed(*path, max_speed=speed, max_acceleration=thrust)
+    times = np.linspace(0.0, motion.times[-1], 20_000)
+    position, velocity, acceleration = motion.at(times)
+    fastest = np.linalg.norm(velocity, axis=2).max()
+    hardest = np.linalg.norm(acceleration, axis=2).max()
+    assert fastest <= speed * 1.002
+    assert hardest <= thrust * 1.01
+    assert max(fastest / speed, hardest / thrust) > 0.5, "needlessly slow"
+    assert jumps(motion).max() < 1e-6
+    for states in motion.at(motion.times[[0, -1]])[1:]:
+        assert np.abs(states).max() < 1e-6
+    for vehicle in range(3):
+        off = [
+            np.linalg.norm(path[1][:, vehicle] - place, axis=1).min()
+            for place in position[::400, vehicle]
+        ]
+        assert max(off) < 0.15
+
+
+def test_slowed_stretches_time_only_where_needed() -> None:
+    motion = leg(np.zeros((1, 3)), np.ones((1, 3)), 1.0, 1.0)
+    assert slowed(motion, 1.0, 1.0) is motion
+    slower = slowed(motion, 0.25, 1.0)
+    _, velocity, _ = slower.at(np.linspace(0.0, slower.times[-1], 1000))
+    assert np.linalg.norm(velocity, axis=2).max() <= 0.25
+    np.testing.assert_allclose(slower.at(slower.times[-1])[0], 1.0)
