@@ -1,5 +1,7 @@
 """``swarm fly``: plan, check, count down, fly, and tell what was flown."""
 
+import os
+import sys
 import time
 from contextlib import ExitStack
 from datetime import datetime
@@ -32,6 +34,7 @@ from swarm.view.report import flight_report
 from swarm.view.terminal import FlightScreen, findings_table, plan_summary
 
 COUNTDOWN = 3
+LONGEST_SOCKET_PATH = 100
 
 
 @click.command()
@@ -127,6 +130,8 @@ def fly(
                 speed=speed,
                 no_cable=no_cable,
                 confirm=confirm,
+                control=_control(folder),
+                take_keys=(emulated or yes) and sys.stdin.isatty(),
                 on_snapshot=on_snapshot,
                 on_event=on_event,
             )
@@ -151,6 +156,12 @@ def _fleet(path: Path | None, vehicles: int) -> Fleet:
     if path is None:
         return emulated_fleet(vehicles)
     return parse_fleet(read_text(path), str(path))
+
+
+def _control(folder: Path) -> Path | None:
+    """Place of the control socket; None where its path is longer than sockets may have."""
+    path = folder / "control"
+    return path if len(os.fsencode(path)) < LONGEST_SOCKET_PATH else None
 
 
 def _record_folder(name: str) -> Path:

@@ -62,8 +62,7 @@ def fly(
     Raises :class:`swarm.errors.VehicleError` where a link cannot be opened, and
     :class:`swarm.errors.InputError` where the record cannot be written.
     """
-    if fleet.emulated is None and speed != 1.0:
-        raise Refused("only emulated vehicles fly faster than time")
+    _refuse_unflyable(fleet, speed)
     conductor = Conductor(proven, fleet, no_cable=no_cable)
     links = open_links(fleet.links)
     emulator: EmulatorProcess | None = None
@@ -118,6 +117,13 @@ def fly(
         if record is not None:
             record.close()
         links.close()
+
+
+def _refuse_unflyable(fleet: Fleet, speed: float) -> None:
+    if fleet.signing_key is not None:
+        raise Refused("signed MAVLink is not spoken yet: a fleet with a signing_key cannot fly")
+    if fleet.emulated is None and speed != 1.0:
+        raise Refused("only emulated vehicles fly faster than time")
 
 
 class _Shell:
