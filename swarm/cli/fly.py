@@ -24,7 +24,7 @@ from swarm.cli.inputs import (
 )
 from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.errors import InputError, Problem
-from swarm.fleet import Fleet, emulated_fleet, parse_fleet
+from swarm.fleet import emulated_fleet, parse_fleet
 from swarm.flight.clearance import Audit
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.fly import fly as fly_proven
@@ -86,12 +86,13 @@ def fly(
     lands it together.
     """
     loaded = load_mission(mission, overrides)
+    given = parse_fleet(read_text(fleet), str(fleet)) if fleet else None
     console = Console(quiet=as_json)
     with progress_bar(Console(stderr=True)) as progress:
         planned = api.plan(loaded, progress)
     plan_summary(planned.plan, planned.assessment, console)
     proven = planned.proven()
-    team = _fleet(fleet, planned.plan.vehicles)
+    team = given or emulated_fleet(planned.plan.vehicles)
     folder = record or _record_folder(loaded.name)
     emulated = team.emulated is not None
     folder.mkdir(parents=True, exist_ok=True)
@@ -150,12 +151,6 @@ def fly(
     if error is not None:
         raise error
     context.exit(0 if flown.as_planned else 1)
-
-
-def _fleet(path: Path | None, vehicles: int) -> Fleet:
-    if path is None:
-        return emulated_fleet(vehicles)
-    return parse_fleet(read_text(path), str(path))
 
 
 def _control(folder: Path) -> Path | None:

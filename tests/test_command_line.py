@@ -1,0 +1,128 @@
+"""The program as its users run it: exit codes, words, JSON and files."""
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SWARM = Path(sys.executable).parent / "swarm"
+OVERHAND = str(ROOT / "missions" / "overhand.yaml")
+
+
+def swarm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [SWARM, *arguments], capture_output=True, text=True, check=False, cwd=cwd, timeout=280
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["plan", "nosuch.yaml"], "nosuch.yaml: no such file or directory"),
+        (["plan", "nosuch"], 'nosuch: knot.name: no knot is called "nosuch" here'),
+        (
+            ["plan", "3_1", "--set", "cable.length=-3.0"],
+            "3_1: cable.length: expected a length > 0 in metres, got -3.0",
+        ),
+        (
+            ["plan", OVERHAND, "--set", "knot.gauss=1- 2+ 3- 1+ 2-"],
+            "knot.gauss: crossing 3 is passed once (expected twice)",
+        ),
+        (["fly", "3_1", "--fleet", "nosuch.yaml"], "nosuch.yaml: no such file or directory"),
+        (["plan", "3_1", "--colour"], "--colour"),
+        (["nonsense"], "No such command 'nonsense'."),
+        (["verify", "nosuch"], "nosuch: expected a flight's record"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(value[:2]),
+)
+def test_bad_input_exits_with_2_and_says_where(arguments: list[str], words: str) -> None:
+    result = swarm(*arguments)
+    assert result.returncode == 2
+    assert words in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_every_command_has_help() -> None:
+    listed = swarm("--help").stdout
+    commands = re.findall(r"^  ([a-z-]+)  ", listed[listed.index("Commands:") :], re.MULTILINE)
+    assert {"fly", "dry-run", "plan", "verify", "view", "knots", "sitl"} <= set(commands)
+    for command in commands:
+        result = swarm(command, "--help")
+        assert (result.returncode, result.stderr) == (0, ""), command
+
+
+def test_plan_prints_json_and_exports_motion(tmp_path: Path) -> None:
+    motion, picture = tmp_path / "motion.csv", tmp_path / "plan.png"
+    result = swarm("plan", OVERHAND, "--json", "--export", str(motion), "--plot", str(picture))
+    plan = json.loads(result.stdout)
+    assert result.returncode == 0
+    assert plan["cleared"] is True
+    assert (plan["knot"]["type"], plan["knot"]["chirality"]) == ("3_1", "right")
+    assert (plan["grid"]["size"], plan["vehicles"]) == (5, 9)
+    assert sum(plan["cable"]["segments"]) == pytest.approx(plan["cable"]["total"])
+    assert len(plan["cable"]["segments"]) == 8
+    for clearance in plan["clearance"].values():
+        assert clearance["distance"] >= clearance["required"]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+    with motion.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["vehicle"] for row in rows[:9]] == [str(vehicle) for vehicle in range(1, 10)]
+    assert float(rows[9]["time"]) == 0.05
+    assert float(rows[-1]["time"]) == pytest.approx(plan["duration"]["total"], abs=1e-6)
+    phases = list(dict.fromkeys(row["phase"] for row in rows))
+    assert phases == ["takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land"]
+
+
+def test_the_papers_own_trajectory_is_refused_because_strands_meet() -> None:
+    result = swarm("plan", OVERHAND, "--set", "fold.method=paper", "--json")
+    plan = json.loads(result.stdout)
+    assert result.returncode == 1
+    assert plan["cleared"] is False
+    assert "strands meet" in {f["check"] for f in plan["findings"] if f["severity"] == "error"}
+
+
+def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> None:
+    result = swarm("fly", OVERHAND, "--speed", "8", "--record", "flight", "--json", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    flown = json.loads(result.stdout)
+    assert flown["outcome"] == "done"
+    assert flown["knot"]["as_planned"] is True
+    assert (flown["knot"]["type"], flown["knot"]["chirality"]) == ("3_1", "right")
+    for clearance in flown["clearance"].values():
+        assert clearance["flown"]["distance"] >= clearance["certified"]["required"]
+    kept = {path.name for path in (tmp_path / "flight").iterdir()}
+    wanted = {"mission.json", "plan.json", "flight.tlog", "events.jsonl", "flight.rrd"}
+    assert wanted | {"summary.json", "report.html"} <= kept
+
+    verified = swarm("verify", "flight", "--json", cwd=tmp_path)
+    assert verified.returncode == 0, verified.stderr
+    assert json.loads(verified.stdout)["knot"] == flown["knot"]
+
+
+def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None:
+    flight = subprocess.Popen(
+        [SWARM, "fly", OVERHAND, "--speed", "8", "--record", "flight"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert flight.stdout is not None
+    for line in flight.stdout:
+        if "phase contract" in line:
+            break
+    listed = subprocess.run(
+        ["ps", "-o", "pid=,args=", "--ppid", str(flight.pid)],
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    (emulator,) = [int(row.split()[0]) for row in listed.splitlines() if "sitl" in row]
+    os.kill(emulator, signal.SIGKILL)
+    _, errors = flight.communicate(timeout=120)
+    assert flight.returncode == 3
+    assert "the emulator ended (signal 9)" in errors
+    assert "Traceback" not in errors
