@@ -70,12 +70,12 @@ def refusal_object(mission: Mission, refusal: Refused) -> dict[str, Any]:
 
 
 def _sags(plan: Plan) -> dict[str, float]:
-    under = np.zeros(len(plan.layout.sags), dtype=bool)
-    under[[pair[1] for pair in plan.layout.crossings]] = True
-    over = plan.layout.sags[~under] if (~under).any() else plan.layout.sags
+    sags = plan.layout.sags
+    over, under = (sorted({pair[k] for pair in plan.layout.crossings}) for k in (0, 1))
+    only_over = [segment for segment in over if segment not in under]
     return {
-        "over": float(over.max()),
-        "under": float(plan.layout.sags[under].min()) if under.any() else float(over.max()),
+        "over": float(sags[only_over].max() if only_over else sags.min()),
+        "under": float(sags[under].min() if under else sags.max()),
     }
 
 

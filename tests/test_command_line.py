@@ -126,3 +126,21 @@ def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None
     assert flight.returncode == 3
     assert "the emulator ended (signal 9)" in errors
     assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize(
+    ("name", "total", "knot"), [("figure_eight", 52.48, "4_1"), ("carrick_mat", 105.63, "8_18")]
+)
+def test_the_papers_tables_are_reproduced_and_refused(name: str, total: float, knot: str) -> None:
+    result = swarm("plan", str(ROOT / "missions" / "paper" / f"{name}.yaml"), "--json")
+    plan = json.loads(result.stdout)
+    assert result.returncode == 1
+    assert plan["knot"]["type"] == knot
+    assert plan["cable"]["total"] == pytest.approx(total, abs=0.01)
+    assert plan["sag"] == {"over": 1.5, "under": 2.0}
+    wrong = [f["message"] for f in plan["findings"] if f["check"] == "crossing condition"]
+    assert wrong == (
+        ["segment 10 should pass over segment 3, but hangs 0.196 m below it where they cross"]
+        if name == "carrick_mat"
+        else []
+    )

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.chain import least_sags, segment_lengths
+from swarm.cable.chain import least_sags, plan_crossings, segment_lengths
+from swarm.errors import Refused
 
 Floats = npt.NDArray[np.float64]
 
@@ -75,6 +76,34 @@ def hanging(corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape:
     lengths = segment_lengths(placed, sags)
     return Hanging(
         placed, sags, lengths, lanes, tuple((int(a), int(b)) for a, b in pairs), shape.cell
+    )
+
+
+def given(corners: npt.ArrayLike, sags: npt.ArrayLike, cell: float = 0.0) -> Hanging:
+    """Hang a layout given by its corners (n, 2) and the sag (n − 1,) of each segment, in metres.
+
+    Where two segments cross, the one that sags less is meant to pass over. Lanes are left at 0;
+    ``cell`` is only noted. Raises :class:`swarm.errors.Refused` where crossing segments sag alike.
+    """
+    plan = np.asarray(corners, dtype=np.float64)
+    placed = np.concatenate([plan, np.zeros((len(plan), 1))], axis=1)
+    depth = np.asarray(sags, dtype=np.float64)
+    pairs = plan_crossings(placed).segments
+    for one, other in pairs:
+        if depth[one] == depth[other]:
+            raise Refused(
+                f"segments {one + 1} and {other + 1} cross and both sag {depth[one]:g} m: "
+                "nothing says which passes over"
+            )
+    deeper = depth[pairs[:, 0]] > depth[pairs[:, 1]]
+    over_under = np.where(deeper[:, None], pairs[:, ::-1], pairs)
+    return Hanging(
+        corners=placed,
+        sags=depth,
+        lengths=segment_lengths(placed, depth),
+        lanes=np.zeros(len(depth)),
+        crossings=tuple((int(a), int(b)) for a, b in over_under),
+        cell=cell,
     )
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist
 from swarm.cable.catenary import hang
 from swarm.errors import Refused
 from swarm.fold.clear import Margins, lift, strand_cost, strands
-from swarm.fold.layout import Hanging, Shape, hanging
+from swarm.fold.layout import Hanging, Shape, given, hanging
 from swarm.fold.paper import dips, printed_motion
 from swarm.fold.path import FoldPath
 from swarm.fold.schedule import Schedule, improved, schedule, team_path
@@ -45,8 +45,10 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
     opened = _roomy(openings(choice.grid))
     margins = _margins(mission)
     if mission.fold.method == "paper":
-        yield _printed(mission, knot, opened[0], margins)
+        yield _printed(mission, knot, _paper_layout(mission, opened[0], margins))
         return
+    if mission.layout.corners is not None:
+        raise Refused("layout.corners: given corners are only flown with fold.method: paper so far")
     _refuse_crowding(mission, knot, opened, margins)
     tried: list[str] = []
     least: Folding | None = None
@@ -252,11 +254,18 @@ def _planned(
     return _flown(mission, knot, layout, fold, line, tried)
 
 
-def _printed(mission: Mission, knot: KnotSummary, diagram: OpenGrid, margins: Margins) -> Plan:
-    """The paper's own trajectory in its own layout, with two sags."""
-    vehicles = mission.vehicles
+def _paper_layout(mission: Mission, diagram: OpenGrid, margins: Margins) -> Hanging:
+    """The layout given by corners and sags, or else the diagram with two sags."""
+    asked = mission.layout
+    if asked.corners is not None and asked.sags is not None:
+        return given(asked.corners, asked.sags, 0.0 if asked.cell == "auto" else asked.cell)
     shape = next(shapes(mission, margins))
-    layout = hanging(diagram.corners, diagram.crossings, replace(shape, two_sags=True))
+    return hanging(diagram.corners, diagram.crossings, replace(shape, two_sags=True))
+
+
+def _printed(mission: Mission, knot: KnotSummary, layout: Hanging) -> Plan:
+    """The paper's own trajectory."""
+    vehicles = mission.vehicles
     deepest = float(layout.sags.max())
     states = printed_motion(
         layout.corners,

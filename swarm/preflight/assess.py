@@ -5,11 +5,19 @@ from typing import Literal
 
 import numpy as np
 
+from swarm.cable.chain import crossing_gaps
 from swarm.errors import SwarmError
 from swarm.knots.gauss import SignedGauss, parse_gauss, same_code
 from swarm.plans import Plan
 from swarm.preflight.budget import budgets
-from swarm.preflight.certificate import Moment, limits, moments_of, tightest_moments, vehicle_name
+from swarm.preflight.certificate import (
+    Moment,
+    limits,
+    moments_of,
+    segment_name,
+    tightest_moments,
+    vehicle_name,
+)
 from swarm.preflight.course import Course
 from swarm.preflight.findings import Assessment, Finding, Robustness, Severity, Tightest
 from swarm.preflight.limits import TAUT
@@ -239,6 +247,25 @@ def _endurance_findings(plan: Plan) -> list[Finding]:
     return [Finding(severity, "endurance", message)]
 
 
+def _wrong_crossings(plan: Plan, at_time: float) -> list[Finding]:
+    """Crossings of the layout where the strand that should pass over hangs below the other."""
+    layout = plan.layout
+    if not layout.crossings:
+        return []
+    gaps = crossing_gaps(layout.corners, layout.lengths, layout.crossings)
+    return [
+        Finding(
+            "error",
+            "crossing condition",
+            f"{segment_name(over)} should pass over {segment_name(under)}, "
+            f"but hangs {-gap:.3f} m below it where they cross",
+            at_time,
+        )
+        for (over, under), gap in zip(layout.crossings, gaps.tolist(), strict=True)
+        if gap <= 0.0
+    ]
+
+
 def _topology(plan: Plan) -> tuple[str, Chirality, str, list[Finding]]:
     if all(phase.cable != "aloft" for phase in plan.phases):
         message = "no cable is carried, so no knot is tied"
@@ -250,7 +277,7 @@ def _topology(plan: Plan) -> tuple[str, Chirality, str, list[Finding]]:
     except SwarmError as error:
         message = f"no knot can be read off the end: {error}"
         return "unknown", "none", "", [Finding("error", "crossing code", message, at_time)]
-    findings = []
+    findings = _wrong_crossings(plan, at_time)
     for what, wanted in _wanted_codes(plan):
         if isinstance(wanted, str):
             findings.append(Finding("error", "crossing code", wanted, at_time))
