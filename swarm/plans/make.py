@@ -41,14 +41,13 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
     certificate says of it what is wrong. Its notes, as those of every plan, say what was tried.
     Raises :class:`swarm.errors.Refused` where vehicles could not even rest on the corners.
     """
+    _refuse_unplanned(mission)
     choice, knot = _knot(mission)
     opened = _roomy(openings(choice.grid))
     margins = _margins(mission)
     if mission.fold.method == "paper":
         yield _printed(mission, knot, _paper_layout(mission, opened[0], margins))
         return
-    if mission.layout.corners is not None:
-        raise Refused("layout.corners: given corners are only flown with fold.method: paper so far")
     _refuse_crowding(mission, knot, opened, margins)
     tried: list[str] = []
     least: Folding | None = None
@@ -69,6 +68,24 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
                     least = folding
     if not promising and least is not None:
         yield _planned(mission, knot, least, tried)
+
+
+def _refuse_unplanned(mission: Mission) -> None:
+    """Refuse what the mission asks for and no plan would do; nothing is ignored in silence."""
+    missing = [
+        words
+        for asked, words in (
+            (mission.cable.length is not None, "cable.length: no layout is fitted to a cable yet"),
+            (mission.start != "line", f"start: {mission.start} is not planned yet"),
+            (mission.grab != "floor", f"grab: {mission.grab} is not planned yet"),
+            (mission.finish != "release", f"finish: {mission.finish} is not planned yet"),
+            (mission.fold.method != "paper" and mission.layout.corners is not None,
+             "layout.corners: given corners are only flown with fold.method: paper so far"),
+        )
+        if asked
+    ]  # fmt: skip
+    if missing:
+        raise Refused("\n".join(missing))
 
 
 def _refuse_crowding(
