@@ -2,9 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import islice
 
-from swarm.errors import Refused
 from swarm.mission import Mission
 from swarm.plans import Plan, candidates
 from swarm.preflight.assess import assess
@@ -35,15 +33,26 @@ def plan(mission: Mission, progress: Progress | None = None) -> Planned:
     :class:`swarm.errors.Refused` when no motion was found at all; a motion that was found and does
     not pass is returned, with its findings.
     """
-    first: Planned | None = None
-    try:
-        for made in islice(candidates(mission, progress=progress), _ATTEMPTS):
-            planned = Planned(made, assess(made, progress=progress))
-            if planned.assessment.cleared:
-                return planned
-            first = first or planned
-    except Refused:
-        if first is None:
-            raise
-    assert first is not None  # noqa: S101 - candidates yields something or raises
-    return first
+    search = candidates(mission, progress=progress)
+    best: Planned | None = None
+    made: Plan | None = next(search)
+    for _ in range(_ATTEMPTS):
+        if made is None:
+            break
+        planned = Planned(made, assess(made, progress=progress))
+        if planned.assessment.cleared:
+            return planned
+        best = best or planned
+        try:
+            made = search.send(_missing(planned.assessment))
+        except StopIteration:
+            made = None
+    assert best is not None  # noqa: S101 - the search yields a plan or raises
+    return best
+
+
+def _missing(assessment: Assessment) -> dict[str, float]:
+    """Metres by which the clearances that more margin can mend fall short."""
+    found = {"cable": assessment.cable, "vehicle_cable": assessment.vehicle_cable}
+    short = {name: moment.required - moment.distance for name, moment in found.items()}
+    return {name: missing for name, missing in short.items() if missing > 0.0}

@@ -32,8 +32,10 @@ class Margins:
 
     ``cable`` counts from axis to axis of two strands, ``vehicle`` and ``downwash`` between
     vehicles, ``vehicle_cable`` from a vehicle to a strand's axis. ``tracking`` is the radius of the
-    tracking ball; ``radius`` and ``grip_offset`` describe the vehicle. ``spacing`` is the preferred
-    chord of a segment in motion, as a share of its length, and ``taut`` the largest one, less what
+    tracking ball; ``radius`` and ``grip_offset`` describe the vehicle. ``hand`` is how much
+    cable on either side of a vehicle need not keep apart from the neighbouring segment's.
+    ``spacing`` is the preferred chord of a segment in motion, as a share of its length, and
+    ``taut`` the largest one, less what
     two tracking errors add.
     """
 
@@ -44,6 +46,7 @@ class Margins:
     tracking: float
     radius: float
     grip_offset: float
+    hand: float = 0.0
     spacing: float = 0.85
     taut: float = 0.985
 
@@ -111,8 +114,8 @@ def strand_cost(one: Strands, other: Strands, margins: Margins) -> Floats:
     return shortfall(_margin(one, other, margins) / unit)
 
 
-def sides(one: Strands, other: Strands) -> npt.NDArray[np.int8]:
-    """Whether strands pass over (+1) or under (−1) others in plan view, 0 where they do not cross.
+def heights_over(one: Strands, other: Strands) -> Floats:
+    """How high (b,) strands pass over others where they cross in plan view, 0 where they do not.
 
     A strand hangs in a vertical plane, so from above both are straight.
     """
@@ -124,12 +127,12 @@ def sides(one: Strands, other: Strands) -> npt.NDArray[np.int8]:
     here = (gap[:, 0] * w[:, 1] - gap[:, 1] * w[:, 0]) / area
     there = (gap[:, 0] * u[:, 1] - gap[:, 1] * u[:, 0]) / area
     cross = (here > 0.0) & (here < 1.0) & (there > 0.0) & (there < 1.0) & np.isfinite(area)
-    side = np.zeros(len(p), dtype=np.int8)
+    gap_over = np.zeros(len(p))
     which = np.flatnonzero(cross)
     if len(which):
         above = _height_at(one.points[which], here[which])
-        side[which] = np.sign(above - _height_at(other.points[which], there[which]))
-    return side
+        gap_over[which] = above - _height_at(other.points[which], there[which])
+    return gap_over
 
 
 def _height_at(points: Floats, share: Floats) -> Floats:
@@ -154,8 +157,7 @@ def neighbour_cost(before: Strands, after: Strands, margins: Margins) -> Floats:
     if not len(before.points):
         return np.zeros(0)
     unit = margins.cable + 2.0 * margins.tracking
-    held = 4.0 * (margins.cable + margins.tracking)
-    free = [max(0.5, 1.0 - held / float(strand.length[0])) for strand in (before, after)]
+    free = [max(0.5, 1.0 - margins.hand / float(strand.length[0])) for strand in (before, after)]
     left = _near_margin(before, after, margins, (0.0, free[0]), 1)
     right = _near_margin(after, before, margins, (1.0 - free[1], 1.0), 0)
     return shortfall(np.minimum(left, right) / unit)

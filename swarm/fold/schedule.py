@@ -20,11 +20,11 @@ from swarm.fold.clear import (
     Strands,
     body_cost,
     chord_cost,
+    heights_over,
     near_bodies,
     near_strands,
     neighbour_cost,
     rotor_cost,
-    sides,
     strand_cost,
     strands,
     vehicle_cost,
@@ -90,9 +90,15 @@ def schedule(
     return team.result()
 
 
-def improved(plan: Schedule, rounds: int = 3) -> Schedule:
-    """Replan the vehicles that miss their margins, worst first, some rounds long."""
+def improved(plan: Schedule, margins: Margins | None = None, rounds: int = 3) -> Schedule:
+    """Replan the vehicles that miss their margins, worst first, some rounds long.
+
+    ``margins`` replace those of the plan, where its certificate has asked for more.
+    """
     team = plan.team
+    if margins is not None:
+        team.margins = margins
+        team.judge()
     for _ in range(rounds):
         before = float(team.missed.sum())
         troubled = [int(i) for i in np.argsort(-team.missed) if team.missed[i] > _TROUBLE]
@@ -108,6 +114,9 @@ def improved(plan: Schedule, rounds: int = 3) -> Schedule:
 
 _COMFORT = 0.05
 """What a half stage may cost while all margins are kept."""
+
+_THROUGH = 1e3
+"""Cost of passing through another strand."""
 
 _TROUBLE = 0.05
 """Missed margins above this make a vehicle be planned again."""
@@ -125,6 +134,8 @@ class _Team:
     def __init__(self, path: FoldPath, lengths: Floats, margins: Margins, step: float) -> None:
         self.path, self.lengths, self.margins, self.step = path, lengths, margins, step
         self.stops = path.stops
+        # Strands that are farther from each other do not pass through within a stage.
+        self.near = 3.0 * step
         count = len(self.stops)
         spaces = margins.spacing * lengths
         self.begin = self.stops[0] - np.concatenate([np.cumsum(spaces[::-1])[::-1], [0.0]])
@@ -162,10 +173,25 @@ class _Team:
         for vehicle, controls in self.controls.items():
             cost = self.costs(vehicle, every, _at_half_stages(controls))
             self.missed[vehicle] = np.maximum(cost - _COMFORT, 0.0).sum()
-            self.worst = max(self.worst, float(cost.max()))
+            through = _THROUGH * self._passes(vehicle, every, controls)
+            self.missed[vehicle] += through
+            self.worst = max(self.worst, float(cost.max()), through)
 
     def _total(self, vehicle: int, every: Ints, controls: Floats) -> float:
-        return float(self.costs(vehicle, every, _at_half_stages(controls)).sum())
+        cost = self.costs(vehicle, every, _at_half_stages(controls)).sum()
+        return float(cost) + _THROUGH * self._passes(vehicle, every, controls)
+
+    def _passes(self, vehicle: int, every: Ints, controls: Floats) -> int:
+        """How often a vehicle's strands pass through others between one half stage and the next."""
+        place = self.path.at(vehicle, _at_half_stages(controls))[0]
+        count = 0
+        for number, strand in self._own(vehicle, every, place).items():
+            for j in self.hanging - {vehicle, vehicle - 1, number - 1, number + 1}:
+                over = heights_over(strand, self.strands[j])
+                jump = np.abs(over[1:] - over[:-1])
+                through = (over[1:] * over[:-1] < 0.0) & (jump < 0.5 * self.near)
+                count += int(np.count_nonzero(through))
+        return count
 
     def planned(self, vehicle: int) -> Floats:
         """Find control points for a vehicle, with everybody else as they are."""
@@ -214,7 +240,7 @@ class _Team:
                 options[s, s:] = best[: count - s] + pace[s] + between[s:]
                 if passing is not None:
                     through = np.any(passing[:, k - 1, : count - s] * passing[:, k, s:] < 0, axis=0)
-                    options[s, s:] += 1e3 * through
+                    options[s, s:] += _THROUGH * through
             options[0, -1] -= pace[0]
             came[k] = np.argmin(options, axis=0)
             best = options[came[k], every] + cost[k]
@@ -262,10 +288,11 @@ class _Team:
         found = []
         for number, strand in own.items():
             for j in self.hanging - {vehicle, vehicle - 1, number - 1, number + 1}:
-                side = sides(strand, self.strands[j, 2 * stage])
-                if side.min(initial=0) < 0 < side.max(initial=0):
+                over = heights_over(strand, self.strands[j, 2 * stage])
+                over[np.abs(over) > self.near] = 0.0
+                if over.min(initial=0.0) < 0.0 < over.max(initial=0.0):
                     full = np.zeros((self.stages, len(lattice)), dtype=np.int8)
-                    full[stage, place] = side
+                    full[stage, place] = np.sign(over)
                     found.append(full)
         return np.stack(found) if found else None
 
@@ -320,8 +347,8 @@ class _Team:
         cost = np.bincount(row, found, len(progress)).astype(np.float64)
         for k in waiting:
             # Everything passes above the strands of under edges, and below those of over edges.
-            side = sides(strand, self.final[np.full(len(progress), k)])
-            wrong = side * np.sign(self.path.lanes[k]) > 0
+            over = heights_over(strand, self.final[np.full(len(progress), k)])
+            wrong = over * np.sign(self.path.lanes[k]) > 0.0
             cost += _WRONG_SIDE * (wrong & (self.stops[k + 1] <= progress))
         return cost
 

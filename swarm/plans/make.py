@@ -1,6 +1,6 @@
 """Mission → plan: lay the knot out, fold it, and fly it from the pads to the ground."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from swarm.trajectory import Motion, through_states, timed
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
+Shortfalls = Mapping[str, float]
 
 
 def make_plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
@@ -34,8 +35,13 @@ def make_plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
     return next(candidates(mission, progress=progress))
 
 
-def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterator[Plan]:
+def candidates(
+    mission: Mission, *, progress: Progress | None = None
+) -> Generator[Plan, Shortfalls | None, None]:
     """Yield plans for a mission, best first, for the certificate to judge.
+
+    What a certificate finds missing may be sent in answer: metres by which "cable" and
+    "vehicle_cable" fall short. Then the same plan is mended with so much more margin, if it can be.
 
     Where nothing seems to keep the clearances, the plan that misses them least is the only one: the
     certificate says of it what is wrong. Its notes, as those of every plan, say what was tried.
@@ -50,24 +56,58 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
         return
     _refuse_crowding(mission, knot, opened, margins)
     tried: list[str] = []
-    least: Folding | None = None
+    doubtful: list[Folding] = []
     promising = False
-    for openings_tried in (1, _OPENINGS):
-        if least is not None and least.plan.worst > _HOPELESS:
+    for folding in _all_foldings(opened, list(shapes(mission, margins)), margins, progress):
+        worst = folding.plan.worst
+        tried.append(
+            f"tried a cell of {folding.layout.cell:.2f} m: misses its margins by {worst:.2g}"
+        )
+        if worst < _GOOD:
+            promising = True
+            yield from _mended(mission, knot, folding, margins, tried)
+        else:
+            doubtful.append(folding)
+    doubtful.sort(key=lambda folding: folding.plan.worst)
+    for k, folding in enumerate(doubtful):
+        if folding.plan.worst < _WORTH_JUDGING or (k == 0 and not promising):
+            yield from _mended(mission, knot, folding, margins, tried)
+
+
+def _mended(
+    mission: Mission,
+    knot: KnotSummary,
+    folding: "Folding",
+    margins: Margins,
+    tried: list[str],
+) -> Generator[Plan, Shortfalls | None, None]:
+    """A plan, and better ones of the same kind while its certificate says what is missing."""
+    for _ in range(_MENDINGS):
+        missing = yield _planned(mission, knot, folding, tried)
+        if not missing:
             break
-        for shape in shapes(mission, margins):
-            for folding in _foldings(opened[:openings_tried], shape, margins, progress):
-                made = folding.plan
-                tried.append(
-                    f"tried a cell of {shape.cell:.2f} m: misses its margins by {made.worst:.2g}"
-                )
-                if made.worst < _WORTH_JUDGING:
-                    promising = True
-                    yield _planned(mission, knot, folding, tried)
-                elif least is None or made.worst < least.plan.worst:
-                    least = folding
-    if not promising and least is not None:
-        yield _planned(mission, knot, least, tried)
+        margins = _with_more(margins, missing)
+        folding = replace(folding, plan=improved(folding.plan, margins))
+        tried.append(f"gave it more margin: misses that by {folding.plan.worst:.2g}")
+
+
+def _with_more(margins: Margins, missing: Shortfalls) -> Margins:
+    return replace(
+        margins,
+        cable=margins.cable + 1.1 * missing.get("cable", -_SAMPLING) + _SAMPLING,
+        vehicle_cable=margins.vehicle_cable
+        + 1.1 * missing.get("vehicle_cable", -_SAMPLING)
+        + _SAMPLING,
+    )
+
+
+def _all_foldings(
+    opened: list[OpenGrid], layouts: list[Shape], margins: Margins, progress: Progress | None
+) -> Iterator["Folding"]:
+    """The first opening in all layouts, then the most promising of the others."""
+    yield from _foldings(opened[:1], layouts, margins, progress)
+    ranked = _ranked(opened[1:_OPENINGS], layouts[-1], margins, progress)
+    yield from _foldings(ranked, layouts, margins, progress)
 
 
 def _refuse_unplanned(mission: Mission) -> None:
@@ -105,38 +145,56 @@ def _refuse_crowding(
         )
 
 
-def _foldings(
+def _ranked(
     opened: list[OpenGrid], shape: Shape, margins: Margins, progress: Progress | None
-) -> Iterator["Folding"]:
-    """Foldings worth a look: the first rough one that is promising, or else the best ones."""
-    rough: list[Folding] = []
+) -> list[OpenGrid]:
+    """The openings whose rough schedules miss least in a roomy layout, best first.
+
+    None of them where all miss by so much that smaller layouts are hopeless.
+    """
+    by_cost: dict[float, OpenGrid] = {}
     for k, diagram in enumerate(opened):
         if progress:
-            progress(f"folding with a cell of {shape.cell:.2f} m", k / len(opened))
-        folding = _folded(diagram, shape, margins)
-        if folding.plan.cost < _PROMISING:
-            yield replace(folding, plan=improved(folding.plan))
-        else:
-            rough.append(folding)
-    rough.sort(key=lambda folding: folding.plan.cost)
-    for folding in rough[:2]:
-        yield replace(folding, plan=improved(folding.plan))
+            progress("comparing openings of the grid diagram", k / len(opened))
+        # Mirror images in plan view fold alike: equal costs are one opening.
+        by_cost.setdefault(round(_folded(diagram, shape, margins).plan.cost, 3), diagram)
+    return [by_cost[cost] for cost in sorted(by_cost)[:_BEST] if cost < _HOPELESS]
 
+
+def _foldings(
+    opened: list[OpenGrid], layouts: list[Shape], margins: Margins, progress: Progress | None
+) -> Iterator["Folding"]:
+    """Foldings of all openings in each layout, mended where that may help."""
+    for shape in layouts:
+        for k, diagram in enumerate(opened):
+            if progress:
+                progress(f"folding with a cell of {shape.cell:.2f} m", k / len(opened))
+            folding = _folded(diagram, shape, margins)
+            if folding.plan.cost < _HOPELESS:
+                folding = replace(folding, plan=improved(folding.plan))
+            yield folding
+
+
+_MENDINGS = 3
+"""So often a plan that nearly holds is judged."""
 
 _SAMPLING = 0.015
-"""What sampled distances may miss of the least ones, metres."""
+"""What sampled distances between polygons may miss of the least ones, metres."""
 
 _OPENINGS = 12
-"""Openings of the grid diagram that are tried with each shape."""
+"""Openings of the grid diagram that are compared."""
 
-_WORTH_JUDGING = 0.5
-"""Schedules that miss their margins by less, at the worst moment, may be certified."""
+_BEST = 3
+"""So many of them are tried with each layout."""
 
-_HOPELESS = 5.0
-"""Where the first openings miss more than this with every shape, no other opening will do."""
+_GOOD = 0.5
+"""Schedules that miss their margins by less, at the worst moment, are likely to be certified."""
 
-_PROMISING = 120.0
-"""Rough schedules that miss their margins by less in all are likely to be mended."""
+_WORTH_JUDGING = 4.0
+"""Those that miss them by less are judged too, once nothing better was found."""
+
+_HOPELESS = 12_000.0
+"""Rough schedules that miss their margins by more in all are not worth mending."""
 
 _GENTLE = (
     (1.0, 0.8, 0.8, 0.15),
@@ -144,7 +202,12 @@ _GENTLE = (
     (1.3, 0.95, 1.2, 0.16),
     (1.5, 0.9, 1.1, 0.19),
 )
-_STEEP = ((1.0, 1.2, 1.6, 0.19), (1.0, 1.4, 1.4, 0.2), (1.25, 1.2, 1.6, 0.19))
+_STEEP = (
+    (1.0, 1.1, 1.3, 0.16),
+    (1.0, 1.3, 1.6, 0.17),
+    (1.0, 1.0, 1.5, 0.19),
+    (1.25, 1.2, 1.6, 0.19),
+)
 """Cells over the least one, lanes over and under as shares of the cell, sag as one of the span.
 
 Steep strands answer tracking errors the most, so without these lanes may be taller.
@@ -230,10 +293,11 @@ def _margins(mission: Mission) -> Margins:
         cable=clearance.cable + mission.cable.diameter + _SAMPLING,
         vehicle=clearance.vehicle,
         downwash=clearance.downwash,
-        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter + 2.0 * _SAMPLING,
+        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter + 3.0 * _SAMPLING,
         tracking=vehicles.tracking,
         radius=vehicles.radius,
         grip_offset=vehicles.grip_offset,
+        hand=4.0 * (clearance.cable + mission.cable.diameter + vehicles.tracking) + _SAMPLING,
     )
 
 

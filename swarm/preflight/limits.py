@@ -53,7 +53,15 @@ class AboveFloor:
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box."""
         time, half, when = boxes.instants()
-        team = Team.at(self.cable.course, time, half)
+        course = self.cable.course
+        moved, _ = self._moved(boxes, Team.at(course, time, half), when)
+        still, lowest = self._moved(boxes, Team.at(course, time, np.zeros_like(half)), when)
+        high = lowest[:, 2] - still - 0.5 * self.diameter - self.required
+        # The whole strand's sensitivity stands for the lowest point's: only time is to be cut.
+        return _in_time(high, np.maximum(moved - still, 0.0), lowest)
+
+    def _moved(self, boxes: Boxes, team: Team, when: Ints) -> tuple[Floats, Floats]:
+        """How far strands move up or down at most (m,), and their lowest points (m, 3)."""
         segment = boxes.pair
         level = 0.5 * (team.velocity[when, segment] + team.velocity[when, segment + 1])
         level[:, 2] = 0.0
@@ -67,12 +75,8 @@ class AboveFloor:
         hung = strand.strands
         level_slope = hung.heading[:, 2] / hung.down[:, 2]
         along = np.clip((level_slope - hung.slope) * hung.parameter / hung.length, 0.0, 1.0)
-        lowest = hung.points_at(along)
         up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(boxes), 3))
-        moved = strand.movement(along, up)
-        high = lowest[:, 2] - moved[0] - 0.5 * self.diameter - self.required
-        # The whole strand's sensitivity stands for the lowest point's: only time is to be cut.
-        return _in_time(high + (moved[1] - moved[2]), moved[1] - moved[2], lowest)
+        return strand.movement(along, up)[0], hung.points_at(along)
 
 
 @dataclass(frozen=True, eq=False)
