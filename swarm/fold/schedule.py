@@ -217,11 +217,9 @@ class _Team:
         lattice: Floats = stop - self.step * np.arange(count - 1.0, -1.0, -1.0)
         lattice[0] = begin
         stage, place = np.nonzero(self._worth_trying(vehicle, lattice))
-        cost = np.full((self.stages, count), 1e3)
-        cost[stage, place] = self.costs(vehicle, 2 * stage, lattice[place])
+        cost = np.full((2 * self.stages - 1, count), 1e3)
+        cost[stage, place] = self.costs(vehicle, stage, lattice[place])
         passing = self._sides(vehicle, stage, place, lattice)
-        ridge = np.zeros_like(cost)
-        ridge[1:, 1:] = np.minimum(cost[1:, :-1], cost[:-1, 1:])
         late = np.full(count, 1e-2)
         late[-1] = 0.0
 
@@ -231,20 +229,22 @@ class _Team:
         pace = 5e-4 * (np.arange(_FASTEST + 1.0) - 1.0) ** 2
         options = np.empty((_FASTEST + 1, count))
         every = np.arange(count)
-        for k in range(1, self.stages):
-            between = np.zeros(count)
+        for k in range(2, 2 * self.stages - 1, 2):
             for s in range(_FASTEST + 1):
-                if s:
-                    between[s - 1 :] = np.maximum(between[s - 1 :], ridge[k, : count - s + 1])
+                left = count - s
+                # Half way, between two places of the lattice where the advance is odd.
+                low, high = cost[k - 1, s // 2 :][:left], cost[k - 1, (s + 1) // 2 :][:left]
                 options[s, :s] = np.inf
-                options[s, s:] = best[: count - s] + pace[s] + between[s:]
+                options[s, s:] = best[:left] + pace[s] + 0.5 * (low + high)
                 if passing is not None:
-                    through = np.any(passing[:, k - 1, : count - s] * passing[:, k, s:] < 0, axis=0)
+                    before, after = passing[:, k - 2, :left], passing[:, k, s:]
+                    between = passing[:, k - 1, s // 2 :][:, :left]
+                    through = np.any((before * between < 0) | (between * after < 0), axis=0)
                     options[s, s:] += _THROUGH * through
             options[0, -1] -= pace[0]
-            came[k] = np.argmin(options, axis=0)
-            best = options[came[k], every] + cost[k]
-            if k > self.flying:
+            came[k // 2] = np.argmin(options, axis=0)
+            best = options[came[k // 2], every] + cost[k]
+            if k > 2 * self.flying:
                 best += late
         chosen = np.empty(self.stages, dtype=np.intp)
         chosen[-1] = count - 1
@@ -253,19 +253,19 @@ class _Team:
         return lattice, chosen
 
     def _worth_trying(self, vehicle: int, lattice: Floats) -> npt.NDArray[np.bool_]:
-        """Which states (stage, progress) have chords that the cable spans, in the right order."""
+        """Which states (half stage, progress) have chords that the cable spans, in order."""
         places = self.path.at(vehicle, lattice)[0]
         station = self.path.station(lattice)
-        worth = np.ones((self.stages, len(lattice)), dtype=bool)
+        worth = np.ones((2 * self.stages - 1, len(lattice)), dtype=bool)
         for other, segment in ((vehicle + 1, vehicle), (vehicle - 1, vehicle - 1)):
             if other not in self.controls:
                 continue
             length = self.lengths[segment]
-            progress = _at_stages(self.controls[other])
+            progress = _at_half_stages(self.controls[other])
             ahead = np.sign(other - vehicle)
             spacing = ahead * (progress[:, None] - lattice[None, :])
             apart = ahead * (self.path.station(progress)[:, None] - station[None, :])
-            chord = np.linalg.norm(self.places[other, ::2, None] - places[None], axis=2)
+            chord = np.linalg.norm(self.places[other][:, None] - places[None], axis=2)
             worth &= (spacing >= 0.3 * length) & (apart <= 1.5 * length) & (chord <= length)
         return worth
 
@@ -283,15 +283,15 @@ class _Team:
     def _sides(
         self, vehicle: int, stage: Ints, place: Ints, lattice: Floats
     ) -> npt.NDArray[np.int8] | None:
-        """Over or under which strands each state's own ones pass: (pairs, stages, progress)."""
-        own = self._own(vehicle, 2 * stage, self.path.at(vehicle, lattice[place])[0])
+        """Over or under which strands own ones pass, by state: (pairs, half stages, progress)."""
+        own = self._own(vehicle, stage, self.path.at(vehicle, lattice[place])[0])
         found = []
         for number, strand in own.items():
             for j in self.hanging - {vehicle, vehicle - 1, number - 1, number + 1}:
-                over = heights_over(strand, self.strands[j, 2 * stage])
+                over = heights_over(strand, self.strands[j, stage])
                 over[np.abs(over) > self.near] = 0.0
                 if over.min(initial=0.0) < 0.0 < over.max(initial=0.0):
-                    full = np.zeros((self.stages, len(lattice)), dtype=np.int8)
+                    full = np.zeros((2 * self.stages - 1, len(lattice)), dtype=np.int8)
                     full[stage, place] = np.sign(over)
                     found.append(full)
         return np.stack(found) if found else None
