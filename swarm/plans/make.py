@@ -115,6 +115,41 @@ def _all_foldings(
     yield from _foldings(ranked, layouts, margins, progress)
 
 
+def _refuse_unplanned(mission: Mission) -> None:
+    """Refuse what the mission asks for and no plan would do; nothing is ignored in silence."""
+    missing = [
+        words
+        for asked, words in (
+            (mission.cable.length is not None, "cable.length: no layout is fitted to a cable yet"),
+            (mission.start != "line", f"start: {mission.start} is not planned yet"),
+            (mission.grab != "floor", f"grab: {mission.grab} is not planned yet"),
+            (mission.finish != "release", f"finish: {mission.finish} is not planned yet"),
+            (mission.fold.method != "paper" and mission.layout.corners is not None,
+             "layout.corners: given corners are only flown with fold.method: paper so far"),
+        )
+        if asked
+    ]  # fmt: skip
+    if missing:
+        raise Refused("\n".join(missing))
+
+
+def _refuse_crowding(
+    mission: Mission, knot: KnotSummary, opened: list[OpenGrid], margins: Margins
+) -> None:
+    """Refuse a cell that brings vehicles at rest on their corners, all at one height, too close."""
+    cell = mission.layout.cell
+    if cell == "auto":
+        return
+    apart = max(float(pdist(diagram.corners).min()) for diagram in opened) * cell
+    least = margins.vehicle + 2.0 * margins.tracking
+    if apart < least:
+        raise Refused(
+            f"no fold of {knot.type} keeps the clearances with layout.cell {cell:g} m: vehicles "
+            f"would rest {apart:.2f} m apart, and clearance.vehicle with tracking errors of both "
+            f"asks for {least:.2f} m"
+        )
+
+
 def _ranked(
     opened: list[OpenGrid], shape: Shape, margins: Margins, progress: Progress | None
 ) -> list[OpenGrid]:
@@ -164,7 +199,7 @@ _WORTH_JUDGING = 4.0
 """Those that miss them by less are judged too, once nothing better was found."""
 
 _PROMISING = 100.0
-"""A first rough schedule that misses its margins by less in all is mended before others are tried."""
+"""The first opening is mended before others are tried where its rough schedule misses less."""
 
 _HOPELESS = 12_000.0
 """Rough schedules that miss their margins by more in all are not worth mending."""
