@@ -13,6 +13,8 @@ ENU, SI, radians; arrays are (n, 3) or (n,). The controller sees the *estimate*:
 slow noise. Vehicles stand on legs as long as their dropper: the centre is at floor + grip offset.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -129,6 +131,14 @@ class Bodies:
         self._gust = np.zeros((n + 1, 3))
         self.wash = np.zeros((n, 3))
         self.apart = np.full((n, n), np.inf)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy's goals are views of its own array, as the original's are."""
+        self.__dict__.update(state)
+        self.goal_position = self.goal[:, :3]
+        self.goal_velocity = self.goal[:, 3:6]
+        self.goal_acceleration = self.goal[:, 6:]
+        self.touch()
 
     # The way in for autopilots.
 

@@ -263,8 +263,16 @@ class SetpointPacker:
         frames["target_system"] = targets
         frames["target_component"] = np.asarray(components, dtype=np.uint8)
         frames["frame"] = common.MAV_FRAME_LOCAL_NED
-        self._bytes = frames.view(np.uint8).reshape(len(targets), _FRAME.itemsize)
+        self._bytes = self._as_bytes()
         self._places = np.arange(_FRAME.itemsize - 3) * 256
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy's bytes are those of its own frames."""
+        self.__dict__.update(state)
+        self._bytes = self._as_bytes()
+
+    def _as_bytes(self) -> Bytes:
+        return self._frames.view(np.uint8).reshape(len(self._frames), _FRAME.itemsize)
 
     def pack(
         self,
