@@ -4,12 +4,14 @@ The same seed gives the same flight.
 """
 
 import json
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
 
 from sitl import Emulator
-from sitl.world import parse_world
-from swarm.errors import Refused
+from sitl.faults import Fault, Scenario, parse_scenario
+from sitl.world import WorldError, parse_world
+from sitl.world import schema as world_schema
+from swarm.errors import InputError, Problem, Refused
 from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
@@ -17,6 +19,11 @@ from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.world import emulated_world
 from swarm.preflight.findings import ProvenPlan
+
+__all__ = [
+    "Emulator", "Fault", "Observer", "Recorder", "faults_from", "rehearse", "scenario_schema",
+    "world_schema",
+]  # fmt: skip
 
 SNAPSHOT_INTERVAL = 0.1
 _LINK = "loopback"
@@ -34,25 +41,48 @@ class Recorder(Protocol):
         """Keep an event."""
 
 
+Observer = Callable[[Conductor, Emulator, float], None]
+"""Called after each step of virtual time with both sides of the flight, and that time."""
+
+
+def faults_from(text: str, source: str) -> tuple[Fault, ...]:
+    """Return the faults of a scenario file; raises :class:`InputError` with every error in it."""
+    try:
+        return tuple(parse_scenario(text, source))
+    except WorldError as error:
+        raise InputError([Problem("", line) for line in str(error).splitlines()]) from None
+
+
+def scenario_schema() -> dict[str, Any]:
+    """Return the JSON schema of scenario files, for editors."""
+    return Scenario.model_json_schema(by_alias=True)
+
+
 def rehearse(
     proven: ProvenPlan,
     *,
     fleet: Fleet | None = None,
     seed: int = 1,
     no_cable: bool = False,
+    world: Mapping[str, Any] | None = None,
+    faults: Sequence[Fault] = (),
+    observer: Observer | None = None,
     on_snapshot: Callable[[Snapshot], None] | None = None,
     on_event: Callable[[Event], None] | None = None,
     recorder: Recorder | None = None,
 ) -> FlightResult:
     """Fly a proven plan in virtual time against the emulator; returns how it went.
 
-    ``fleet`` is an emulated one, by default of PX4 vehicles; ``on_snapshot`` is called ten times a
-    second of flight time. Raises :class:`swarm.errors.Refused` where the fleet does not fit.
+    ``fleet`` is an emulated one, by default of PX4 vehicles; ``world`` is what the emulator is told
+    instead of what the plan expects, ``faults`` are what goes wrong. ``on_snapshot`` is called ten
+    times a second of flight time, ``observer`` after every step: it alone sees what really is.
+    Raises :class:`swarm.errors.Refused` where the fleet does not fit.
     """
     fleet = fleet or emulated_fleet(proven.plan.vehicles, seed=seed)
     conductor = Conductor(proven, fleet, no_cable=no_cable)
-    world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
-    emulator = Emulator(parse_world(json.dumps(world)))
+    if world is None:
+        world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
+    emulator = Emulator(parse_world(json.dumps(world)), faults)
     step = 1.0 / fleet.rates.setpoint
     events: list[Event] = []
     next_snapshot = 0.0
@@ -66,6 +96,8 @@ def rehearse(
             except Refused as error:
                 conductor.refuse(str(error))
         _tell(conductor, events, recorder, on_event)
+        if observer is not None:
+            observer(conductor, emulator, now)
         if on_snapshot is not None and now >= next_snapshot:
             next_snapshot = now + SNAPSHOT_INTERVAL
             on_snapshot(conductor.snapshot(now))
