@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl import demand, wire
+from sitl import demand, fault_ways, wire
 from sitl.ardupilot_tables import (
     BATTERY,
     BRAKE,
@@ -45,7 +45,8 @@ class ArduPilot:
     def __init__(self, vehicle: Vehicle) -> None:
         self.v = vehicle
         vehicle.parameters.bytewise = False
-        vehicle.parameters.load({**PARAMETERS, "SYSID_THISMAV": vehicle.system}, KINDS)
+        table = {**PARAMETERS, **fault_ways.PARAMETERS, "SYSID_THISMAV": vehicle.system}
+        vehicle.parameters.load(table, KINDS)
         self.booted = -math.inf
         self._fresh()
         self.apply_gains()
@@ -70,6 +71,7 @@ class ArduPilot:
         self.prearm_at = 0.0
         self.tumbled_at: float | None = None
         self.all_axes = False
+        self.pilot = False
 
     def restart(self) -> None:
         """Boot: some 42 s until the estimator gives a position."""
@@ -106,8 +108,6 @@ class ArduPilot:
         """React to PARAM_SET."""
         if name.startswith(("PSC_", "ANGLE_", "MOT_SPOOL", "TKOFF_")):
             self.apply_gains()
-        if name.startswith("SIM_") and self.v.simulation_changed is not None:
-            self.v.simulation_changed(name, self.v.parameters[name])
 
     # What is possible.
 

@@ -245,7 +245,10 @@ class Emulator:
         self._arrive(now)
         rope = self.rope
         if rope is not None and self._ticks % rope.patience == 0:
-            b.push(rope.pull(*self._held())[: b.count])
+            force = rope.pull(*self._held())
+            b.push(force[: b.count])
+            if self.injector.anchors:
+                self.injector.drag(force[b.count :], rope.patience * STEP)
         hit = b.step()
         if hit is not None:
             for i in np.nonzero(hit)[0]:
@@ -272,7 +275,7 @@ class Emulator:
         anchors = self.injector.anchors
         if not anchors:
             return grips, b.velocity
-        pinned = np.array([place for _, place in anchors])
+        pinned = np.array([anchor.place for anchor in anchors])
         return np.vstack([grips, pinned]), np.vstack([b.velocity, np.zeros_like(pinned)])
 
     def _tick(self, vehicle: Vehicle, now: float) -> None:

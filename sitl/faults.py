@@ -6,8 +6,12 @@
       - {at: 20.0, kind: link, vehicle: all, loss: 0.2, latency: 0.3, jitter: 0.1}
 
 Times are emulated seconds since the start. A fault without ``duration`` stays. The same faults are
-reached by ``MAV_CMD_INJECT_FAILURE`` (so that other people's test tools drive them) and, on
-ArduPilot, by some ``SIM_*`` parameters.
+reached by ``MAV_CMD_INJECT_FAILURE`` (so that other people's test tools drive them) and by
+``SIM_*`` parameters: see `sitl.fault_ways`.
+
+A frozen autopilot neither hears nor speaks nor looks at its timers; its controller goes on with the
+last goal. A rebooting one stops its motors. ``rc_loss`` matters where the world file gives a
+vehicle a ``radio``. ``snag`` holds the cable where it is by friction.
 """
 
 import heapq
@@ -23,6 +27,7 @@ from sitl.world import WorldError, explain, parse_yaml, read_text
 
 Vector = tuple[float, float, float]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
+_NotNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 _Seconds = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 
 # What each kind of fault may be told, beside at, kind, vehicle and duration.
@@ -49,15 +54,16 @@ KINDS: dict[str, tuple[str, ...]] = {
     "reboot": (),
     "refuse_arming": ("text",),
     "pilot": (),
+    "rc_loss": (),
     "leave_offboard": (),
     "disarm": (),
     "believes_landed": (),
     "gripper_stuck_open": (),
     "gripper_stuck_shut": (),
-    "gripper_slip": (),
+    "gripper_slip": ("slide",),
     "slow_clock": ("fraction",),
     "wind": ("steady", "gust"),
-    "snag": ("arc",),
+    "snag": ("arc", "friction"),
 }
 WORLDWIDE = frozenset({"wind", "snag"})
 
@@ -88,7 +94,13 @@ class Fault(BaseModel):
     text: Annotated[str, Field(max_length=100)] = "Resolve system health failures first"
     steady: Vector | None = None
     gust: Annotated[float, Field(ge=0, le=20)] | None = None
-    arc: _Seconds | None = None
+    arc: _NotNegative | None = Field(default=None, description="where along the cable, m")
+    friction: float | None = Field(
+        default=None, gt=0, description="newtons above which a snag slides; none: it never does"
+    )
+    slide: Annotated[float, Field(ge=-1e4, le=1e4)] | None = Field(
+        default=None, description="metres along the cable; none: out of the gripper"
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> "Fault":

@@ -2,16 +2,28 @@
 
 import functools
 import heapq
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from sitl.dynamics import STEP, Bodies
+from sitl.dynamics import STEP, Array, Bodies
+from sitl.fault_ways import INJECTED, UNITS, injected, simulated
 from sitl.faults import WORLDWIDE, Channel, Fault
 from sitl.rope import Rope
 from sitl.vehicle import Vehicle
 from sitl.world import WorldError
+
+_SLIDING, _FASTEST_SLIDE = 1.0, 3.0
+
+
+@dataclass
+class Anchor:
+    """A place in the world at which the cable is caught."""
+
+    fault: Fault
+    place: Array
+    holds: bool = True
 
 
 class Injector:
@@ -33,8 +45,12 @@ class Injector:
         self.up = [Channel(rng) for _ in vehicles]
         self.down = [Channel(rng) for _ in vehicles]
         self.troubled = False
+        self.now = 0.0
+        self.active: list[tuple[Fault, int]] = []
+        self._simulated: dict[tuple[int, str], Fault] = {}
+        self._calm = (bodies.steady_wind[0].copy(), bodies.gust_intensity)
         self.drifts: dict[int, float] = {}
-        self.anchors: list[tuple[int, np.ndarray[Any, Any]]] = []
+        self.anchors: list[Anchor] = []
         self._agenda: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
         for fault in faults:
@@ -60,6 +76,7 @@ class Injector:
 
     def tick(self, now: float) -> None:
         """Do what is due; let drifting barometers drift."""
+        self.now = now
         while self._agenda and self._agenda[0][0] <= now + 1e-9:
             heapq.heappop(self._agenda)[2]()
         if self.drifts:
@@ -70,29 +87,29 @@ class Injector:
         """Begin a fault now."""
         v = self.by_id[sysid]
         v.around.event("fault", sysid, fault=fault.kind)
+        self.active.append((fault, sysid))
         _START[fault.kind](self, v, fault)
         self.bodies.touch()
 
     def end(self, fault: Fault, sysid: int) -> None:
-        """End a fault now; some cannot be undone."""
+        """End a fault now, if it is not over yet; what it did to some things stays done."""
+        if (fault, sysid) not in self.active:
+            return
         v = self.by_id[sysid]
+        self.active.remove((fault, sysid))
         v.around.event("fault over", sysid, fault=fault.kind)
         _END.get(fault.kind, _stays)(self, v, fault)
         self.bodies.touch()
 
     # Beginnings.
 
-    def _link(self, v: Vehicle, fault: Fault) -> None:
+    def _link(self, v: Vehicle, _: Fault) -> None:
+        """Of several faults in one direction the latest counts."""
         self.troubled = True
-        if fault.direction in {"up", "both"}:
-            self.up[v.index].fault = fault
-        if fault.direction in {"down", "both"}:
-            self.down[v.index].fault = fault
-
-    def _link_over(self, v: Vehicle, fault: Fault) -> None:
-        for channel in (self.up[v.index], self.down[v.index]):
-            if channel.fault is fault or channel.fault == fault:
-                channel.fault = None
+        mine = [f for f, sysid in self.active if sysid == v.system and f.kind == "link"]
+        for channel, way in ((self.up[v.index], "up"), (self.down[v.index], "down")):
+            faults = [fault for fault in mine if fault.direction in {way, "both"}]
+            channel.fault = faults[-1] if faults else None
 
     def _motor_loss(self, v: Vehicle, _: Fault) -> None:
         """A quadrotor without one motor keeps little thrust, and turns over."""
@@ -162,6 +179,15 @@ class Injector:
     def _pilot(self, v: Vehicle, _: Fault) -> None:
         v.personality.pilot_takes_over()
 
+    def _pilot_over(self, v: Vehicle, _: Fault) -> None:
+        v.personality.pilot = False
+
+    def _radio(self, v: Vehicle, _: Fault) -> None:
+        v.radio_lost = True
+
+    def _radio_back(self, v: Vehicle, _: Fault) -> None:
+        v.radio_lost = False
+
     def _leave(self, v: Vehicle, _: Fault) -> None:
         v.personality.leave()
 
@@ -184,8 +210,11 @@ class Injector:
     def _unstuck(self, v: Vehicle, _: Fault) -> None:
         v.stuck = None
 
-    def _slip(self, v: Vehicle, _: Fault) -> None:
-        if v.gripped:
+    def _slip(self, v: Vehicle, fault: Fault) -> None:
+        """The cable slides through closed jaws by some metres, or out of them altogether."""
+        if v.gripped and fault.slide is not None and self.rope is not None:
+            self.rope.slide(v.index, fault.slide)
+        elif v.gripped:
             v.around.release(v.index)
             v.gripped = False
 
@@ -208,59 +237,72 @@ class Injector:
             self.bodies.gust_intensity = fault.gust
 
     def _wind_over(self, v: Vehicle, _: Fault) -> None:
-        self._wind(v, Fault(at=0.0, kind="wind", steady=(0.0, 0.0, 0.0), gust=0.0))
+        steady, gust = self._calm
+        before = tuple(float(x) for x in steady)
+        self._wind(v, Fault(at=0.0, kind="wind", steady=before, gust=gust))
 
     def _snag(self, _: Vehicle, fault: Fault) -> None:
-        """Pin the cable where it is at one arc length (default: its middle)."""
+        """Hold the cable where it is at one arc length (default: its middle), by friction."""
         if self.rope is None:
             return
-        arc = 0.5 * self.rope.length if fault.arc is None else min(fault.arc, self.rope.length)
-        place = self.rope.place_of(arc)
+        middle = 0.5 * self.rope.length
+        arc = self.rope.free_near(middle if fault.arc is None else fault.arc)
         number = len(self.vehicles) + len(self.anchors)
-        self.anchors.append((number, place))
+        self.anchors.append(Anchor(fault, self.rope.place_of(arc)))
         self.rope.tie(number, arc)
 
-    def _snag_over(self, _: Vehicle, __: Fault) -> None:
-        if self.rope is not None and self.anchors:
-            for number, _place in self.anchors:
-                self.rope.let_go(number)
+    def _snag_over(self, _: Vehicle, fault: Fault) -> None:
+        for k, anchor in enumerate(self.anchors):
+            if anchor.holds and anchor.fault == fault and self.rope is not None:
+                anchor.holds = False
+                self.rope.let_go(len(self.vehicles) + k)
+        if not any(anchor.holds for anchor in self.anchors):
             self.anchors.clear()
+
+    def drag(self, force: Array, interval: float) -> None:
+        """Let snags slide that are pulled harder than their friction holds; force (m, 3) on them.
+
+        Coulomb friction, regularised: above its threshold an anchor creeps along the pull.
+        """
+        for anchor, pull in zip(self.anchors, force, strict=True):
+            size = float(np.linalg.norm(pull))
+            hold = anchor.fault.friction
+            if anchor.holds and hold is not None and size > hold:
+                speed = min(_SLIDING * (size - hold) / hold, _FASTEST_SLIDE)
+                anchor.place += interval * speed * pull / size
 
     # From MAVLink.
 
-    def inject(self, v: Vehicle, unit: int, kind: int) -> bool:
+    def inject(self, v: Vehicle, unit: int, failure: int, instance: int) -> bool:
         """MAV_CMD_INJECT_FAILURE: a unit fails in a way (0: works again); False if not known."""
-        if kind == 0:
-            for name in _UNIT_FAULTS.get(unit, ()):
-                _END.get(name, _stays)(self, v, self.up[v.index].fault or Fault(at=0.0, kind=name))
-                for channel in (self.up[v.index], self.down[v.index]):
-                    if name == "link":
-                        channel.fault = None
-            self.bodies.touch()
-            return unit in _UNIT_FAULTS
-        values = _INJECTED.get((unit, kind))
+        if failure == 0:
+            kinds = {values["kind"] for (one, _), values in INJECTED.items() if one == unit}
+            for fault in [f for f, sysid in self.active if sysid == v.system and f.kind in kinds]:
+                self.end(fault, v.system)
+            return unit in UNITS
+        values = injected(unit, failure, instance)
         if values is None:
             return False
         self.start(Fault.model_validate({"at": 0.0, **values}), v.system)
         return True
 
-    def simulate(self, v: Vehicle, name: str, value: float) -> None:
-        """ArduPilot's SIM_* parameters."""
-        values: dict[str, Any] | None = None
-        over = False
-        if name == "SIM_GPS1_ENABLE":
-            values, over = {"kind": "gps_loss"}, value != 0
-        elif name == "SIM_ENGINE_MUL":
-            values = {"kind": "weak_thrust", "fraction": min(max(value, 0.0), 2.0)}
-        elif name == "SIM_ENGINE_FAIL":
-            values, over = {"kind": "motor_loss"}, value == 0
-        elif name == "SIM_BARO_DRIFT":
-            values = {"kind": "barometer_drift", "rate": min(max(value, -5.0), 5.0)}
-        elif name == "SIM_RC_FAIL":
-            values = {"kind": "pilot"} if value else None
-        if values is not None:
-            fault = Fault.model_validate({"at": 0.0, **values})
-            (self.end if over else self.start)(fault, v.system)
+    def simulate(self, v: Vehicle, name: str, values: Mapping[str, float]) -> None:
+        """A SIM_* parameter has been set: end what its source began, begin what it says now."""
+        meant = simulated(name, values)
+        if meant is None:
+            return
+        source, wanted = meant
+        before = self._simulated.pop((v.system, source), None)
+        if before is not None:
+            self.end(before, v.system)
+        if wanted is None:
+            return
+        fault = Fault.model_validate({"at": self.now, **wanted})
+        self._simulated[v.system, source] = fault
+        self.start(fault, v.system)
+        if fault.duration is not None:
+            over = functools.partial(self.end, fault, v.system)
+            self._plan(self.now + fault.duration, over)
 
 
 def _stays(_: Injector, __: Vehicle, ___: Fault) -> None:
@@ -282,6 +324,7 @@ _START: dict[str, _Action] = {
     "reboot": Injector._reboot,
     "refuse_arming": Injector._refuse,
     "pilot": Injector._pilot,
+    "rc_loss": Injector._radio,
     "leave_offboard": Injector._leave,
     "disarm": Injector._disarm,
     "believes_landed": Injector._landed,
@@ -293,7 +336,7 @@ _START: dict[str, _Action] = {
     "snag": Injector._snag,
 }
 _END: dict[str, _Action] = {
-    "link": Injector._link_over,
+    "link": Injector._link,
     "motor_loss": Injector._healthy,
     "weak_thrust": Injector._healthy,
     "gps_loss": Injector._gps_back,
@@ -302,41 +345,12 @@ _END: dict[str, _Action] = {
     "barometer_drift": Injector._barometer_over,
     "freeze": Injector._freeze_over,
     "refuse_arming": Injector._refuse_over,
+    "pilot": Injector._pilot_over,
+    "rc_loss": Injector._radio_back,
     "believes_landed": Injector._landed_over,
     "gripper_stuck_open": Injector._unstuck,
     "gripper_stuck_shut": Injector._unstuck,
     "slow_clock": Injector._clock_over,
     "wind": Injector._wind_over,
     "snag": Injector._snag_over,
-}
-
-# FAILURE_UNIT × FAILURE_TYPE of MAVLink.
-_BARO, _GPS, _BATTERY, _MOTOR, _SERVO, _RC, _SIGNAL = 3, 4, 100, 101, 102, 104, 105
-_OFF, _STUCK, _GARBAGE, _WRONG, _SLOW, _DELAYED, _INTERMITTENT = range(1, 8)
-_INJECTED: dict[tuple[int, int], dict[str, Any]] = {
-    (_BARO, _WRONG): {"kind": "barometer_drift", "rate": 0.1},
-    (_GPS, _OFF): {"kind": "gps_loss"},
-    (_GPS, _WRONG): {"kind": "gps_jump", "offset": (3.0, 4.0, 0.0)},
-    (_GPS, _GARBAGE): {"kind": "position_loss"},
-    (_BATTERY, _OFF): {"kind": "battery", "charge": 0.04},
-    (_BATTERY, _WRONG): {"kind": "battery", "charge": 0.1},
-    (_MOTOR, _OFF): {"kind": "motor_loss"},
-    (_MOTOR, _WRONG): {"kind": "weak_thrust", "fraction": 0.7},
-    (_MOTOR, _SLOW): {"kind": "weak_thrust", "fraction": 0.85},
-    (_SERVO, _STUCK): {"kind": "gripper_stuck_shut"},
-    (_SERVO, _OFF): {"kind": "gripper_stuck_open"},
-    (_RC, _WRONG): {"kind": "pilot"},
-    (_SIGNAL, _OFF): {"kind": "link", "loss": 1.0},
-    (_SIGNAL, _SLOW): {"kind": "link", "bandwidth": 2000.0},
-    (_SIGNAL, _DELAYED): {"kind": "link", "latency": 0.3, "jitter": 0.1},
-    (_SIGNAL, _INTERMITTENT): {"kind": "link", "loss": 0.5, "burst": 0.3},
-}
-_UNIT_FAULTS: dict[int, tuple[str, ...]] = {
-    _BARO: ("barometer_drift",),
-    _GPS: ("gps_loss",),
-    _BATTERY: (),
-    _MOTOR: ("motor_loss",),
-    _SERVO: ("gripper_stuck_shut",),
-    _RC: (),
-    _SIGNAL: ("link",),
 }

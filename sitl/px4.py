@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl import demand, wire
+from sitl import demand, fault_ways, wire
 from sitl.px4_tables import (
     BATTERY,
     BY_NUMBER,
@@ -42,9 +42,14 @@ class Px4:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.v = vehicle
-        table = dict(PARAMETERS)
+        table = {**PARAMETERS, **fault_ways.PARAMETERS}
         table["MAV_SYS_ID"] = vehicle.system
         vehicle.parameters.load(table)
+        self._fresh()
+        self.apply_gains()
+        vehicle.bodies.land_time[vehicle.index] = 0.9
+
+    def _fresh(self) -> None:
         self.intended = "LOITER"
         self.after_disarm = "LOITER"
         self.state = "LOITER"
@@ -65,11 +70,9 @@ class Px4:
         self.battery_at_arming = 0
         self.gcs_seen = False
         self.all_axes = False
-        self._beat = vehicle.index
+        self._beat = self.v.index
         self.tumbled = False
         self.ready_at = -math.inf
-        self.apply_gains()
-        vehicle.bodies.land_time[vehicle.index] = 0.9
 
     @property
     def target_mask(self) -> int | None:
@@ -101,10 +104,7 @@ class Px4:
 
     def restart(self) -> None:
         """Boot: estimator and checks need a while before arming is possible."""
-        parameters = self.v.parameters
-        self.__init__(self.v)  # type: ignore[misc]
-        self.v.parameters = parameters
-        self.apply_gains()
+        self._fresh()
         self.ready_at = self.v.now + _BOOT_TIME
         self.v.later.append((self.ready_at, self._found_home))
 

@@ -171,6 +171,23 @@ class Rope:
         self._arrange()
         return True
 
+    def slide(self, vehicle: int, distance: float) -> None:
+        """Move a grip along the cable, no further than to its neighbours or the cable's ends."""
+        at = [holder for _, holder in self.grips].index(vehicle)
+        bounds = [0.0, *self.breaks, *(arc for arc, _ in self.grips), self.length]
+        arc = self.grips[at][0]
+        low = max((b + SPACING for b in bounds if b < arc), default=0.0)
+        high = min((b - SPACING for b in bounds if b > arc), default=self.length)
+        self.grips[at] = (min(max(arc + distance, min(low, arc)), max(high, arc)), vehicle)
+        self._arrange()
+
+    def free_near(self, arc: float) -> float:
+        """Return the free arc length nearest to a wanted one, off all grips by some space."""
+        held = np.array([grip for grip, _ in self.grips])
+        free = np.abs(self.arc[:, None] - held[None, :]) >= SPACING - 1e-9
+        open_to = self.arc[free.all(axis=1)]
+        return float(open_to[np.argmin(np.abs(open_to - arc))])
+
     def place_of(self, arc: float) -> Array:
         """Where the cable is now at an arc length."""
         return np.array([np.interp(arc, self.arc, self.shape[:, i]) for i in range(3)])

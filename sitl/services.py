@@ -159,7 +159,8 @@ def _set_home(v: Vehicle, command: Command) -> int:
 def _inject(v: Vehicle, command: Command) -> int:
     if v.spec.autopilot == "px4" and not v.parameters["SYS_FAILURE_EN"]:
         return DENIED
-    known = v.inject is not None and v.inject(int(command.p[0]), int(command.p[1]))
+    numbers = [int(number) for number in command.p[:3]]
+    known = v.inject is not None and v.inject(numbers[0], numbers[1], numbers[2])
     return ACCEPTED if known else UNSUPPORTED
 
 
@@ -264,6 +265,8 @@ def _param_set(v: Vehicle, message: Any, _: Link) -> None:
     if value is not None:
         p.values[name] = value
         v.personality.parameter_changed(name)
+        if name.startswith("SIM_") and v.simulation_changed is not None:
+            v.simulation_changed(name, p.values)
     for target in v.links:
         send_parameter(v, target, name)
 

@@ -6,7 +6,7 @@ autopilot does with a command or a setpoint is its personality's (`sitl.px4`, `s
 
 import heapq
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -112,6 +112,8 @@ class Personality(Protocol):
     def restart(self) -> None:
         """Boot."""
 
+    pilot: bool
+
     def pilot_takes_over(self) -> None:
         """A pilot's sticks or switch select a manual mode."""
 
@@ -191,9 +193,10 @@ class Vehicle:
         self.vision_at = -math.inf
         self.pending: list[Request] = []
         self.gripped = False
-        self.simulation_changed: Callable[[str, float], None] | None = None
-        self.inject: Callable[[int, int], bool] | None = None
+        self.simulation_changed: Callable[[str, Mapping[str, float]], None] | None = None
+        self.inject: Callable[[int, int, int], bool] | None = None
         self.stuck: str | None = None
+        self.radio_lost = False
         self.refuse_arming: str | None = None
         self.last_heartbeat: dict[int, float] = {}
         self.mission: dict[int, list[dict[str, Any]]] = {0: [], 1: [], 2: []}

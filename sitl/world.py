@@ -67,6 +67,7 @@ class VehicleSpec(_Strict):
     max_speed: Positive = 5.0
     max_acceleration: Positive = 4.0
     gripper: Literal["mavlink", "attached", "none"] = "mavlink"
+    radio: bool = Field(default=False, description="a pilot's transmitter is switched on")
     endurance: Positive = Field(default=900.0, description="hovering time of a full battery, s")
 
 

@@ -243,7 +243,7 @@ def test_failures_injected_over_mavlink() -> None:
     ground.command(1, INJECT, 4, 0)
     stay(ground, 1.0)
     assert ground.last[1, "SYS_STATUS"].onboard_control_sensors_health & 32
-    ground.command(1, INJECT, 6, 1)
+    ground.command(1, INJECT, 5, 1)
     stay(ground, 0.2)
     assert ground.acks(1, INJECT) == [0, 0, 3]
 
