@@ -70,7 +70,10 @@ class Limits(Section):
     lost: float = number(
         5.0, "s", "A vehicle that is not heard for so long is lost: the others land.", above=0.2
     )
-    hold: float = number(60.0, "s", "After so long on hold everybody lands together.", above=1.0)
+    hold: float = number(
+        60.0, "s", "After so long on hold everybody lands together; autopilots that miss the "
+        "ground station must be set to the same time.", least=5.0, most=120.0,
+    )  # fmt: skip
     placement: float = number(
         0.5, "metres", "How far a vehicle may stand from its pad.", above=0.0, most=5.0
     )
@@ -102,6 +105,11 @@ class Fleet(Section):
         "serial://device:baud.",
     )
     vehicles: tuple[Vehicle, ...] = Field(min_length=1, description="The vehicles.")
+    capacity: dict[Name, Annotated[float, Field(gt=0.0)]] = Field(
+        {},
+        description="What a link carries in kbit/s, where a radio behind it is slower than the "
+        "link itself (a serial port's is known).",
+    )
     frame: Literal["gps", "shared", "pads"] = Field(
         "gps",
         description="gps: every vehicle has its own origin on the earth; shared: all have the "
@@ -151,11 +159,24 @@ class Fleet(Section):
         named = {link for vehicle in self.vehicles for link in vehicle.links}
         if missing := sorted(named - self.links.keys()):
             problems.append(f"links {_listed(missing)} not among the links")
+        if unknown := sorted(self.capacity.keys() - self.links.keys()):
+            problems.append(f"capacity given for {_listed(unknown)}, not among the links")
         if self.emulated and any(v.autopilot == "detect" for v in self.vehicles):
             problems.append("emulated vehicles need an autopilot: px4 or ardupilot")
         if problems:
             raise ValueError("; ".join(problems))
         return self
+
+    @property
+    def capacities(self) -> dict[str, float]:
+        """Bits per second of the links of which it is known; serial ports send ten per byte."""
+        known = {name: 1000.0 * kilobits for name, kilobits in self.capacity.items()}
+        for name, url in self.links.items():
+            match = _URL.fullmatch(url)
+            if match and match["baud"]:
+                serial = 0.8 * float(match["baud"])
+                known[name] = min(serial, known.get(name, serial))
+        return known
 
     @property
     def systems(self) -> tuple[int, ...]:

@@ -13,6 +13,7 @@ from swarm.errors import InputError, Interrupted, SwarmError
 COMMANDS = {
     "fly": ("fly", "Plan a mission, check it, and fly it."),
     "dry-run": ("dry_run", "Fly a mission against the emulator in virtual time."),
+    "check": ("check", "Check a fleet on the ground, before anything is armed."),
     "plan": ("plan", "Plan a mission, check it, and show or export the plan."),
     "certify": ("certify", "Check anybody's trajectories in the cable model."),
     "verify": ("verify", "Tell from a flight's record what was flown."),

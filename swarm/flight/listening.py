@@ -1,30 +1,44 @@
 """Listening to a fleet without flying: who is there, where they stand, how good the links are."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from pymavlink.dialects.v20 import common
 
+from swarm.errors import Refused
 from swarm.fleet import Fleet
-from swarm.flight.preparation import request_streams
+from swarm.flight.preparation import Prepared, prepared_team, request_streams
+from swarm.flight.readiness import readiness
 from swarm.flight.snapshot import Event
 from swarm.flight.team import Address, Outgoing, Team
-from swarm.preflight.findings import Finding
+from swarm.mavlink.frames import to_mission
+from swarm.mavlink.vehicle import Vehicle, VehicleEvent
+from swarm.preflight.findings import Finding, Severity
 
 Floats = npt.NDArray[np.float64]
 
 LOSS_TOLERATED = 0.05
-SIGNING_ROOM = 13
+SIGNATURE_BYTES = 13
 SETPOINT_BYTES = 65
+POSITION_BYTES = 40
+RADIO_SHARE = 0.5
+"""Share of a slow link that setpoints may take; the rest is for positions, commands and repeats."""
+FEWEST_SATELLITES = 8
+POOREST_ACCURACY = 1.5
+"""Metres of level uncertainty that an estimator's satellites may leave."""
 
 
 @dataclass(frozen=True)
 class LinkQuality:
-    """What a vehicle's link did while it was listened to.
+    """What a vehicle's link did while it was listened to and asked at the rate of setpoints.
 
-    ``rate`` packets per second, ``longest_gap`` seconds without any, ``loss`` a share by sequence
-    numbers, ``round_trip`` the shortest in seconds (NaN: never answered).
+    ``rate`` packets per second and ``longest_gap`` seconds without any, from the vehicle; ``loss``
+    a share by sequence numbers; ``round_trip`` the shortest in seconds (NaN: never answered);
+    ``unanswered`` the longest time in seconds without an answer to what was sent ten times a
+    second: what a stream of setpoints would have gone through.
     """
 
     system: int
@@ -32,26 +46,44 @@ class LinkQuality:
     longest_gap: float
     loss: float
     round_trip: float
+    unanswered: float = 0.0
 
-    def findings(self, stream_loss: float) -> list[Finding]:
-        """Return what is to be said of it, ``stream_loss`` being what ends a flight, in seconds."""
+    def findings(self, stream_loss: float, position_rate: float = 0.0) -> list[Finding]:
+        """Return what is to be said of it.
+
+        ``stream_loss`` is what ends a flight, in seconds, ``position_rate`` in Hz what it needs.
+        """
         name = f"system {self.system}"
         findings = [
             Finding(
                 "info",
                 "link",
                 f"{name}: {self.rate:.0f} packets/s, longest gap {self.longest_gap:.2f} s, "
-                f"{self.loss:.1%} lost, round trip {1000 * self.round_trip:.0f} ms",
+                f"longest without an answer {self.unanswered:.2f} s, {self.loss:.1%} lost, "
+                f"round trip {1000 * self.round_trip:.0f} ms",
             )
         ]
-        if self.longest_gap > stream_loss:
-            words = f"gaps of {self.longest_gap:.2f} s are longer than the {stream_loss:g} s "
-            findings.append(
-                Finding("error", "link", f"{name}: {words}after which its stream is lost")
-            )
+        for gap, words in (
+            (self.longest_gap, "gaps of"),
+            (self.unanswered, "what is sent stays unanswered for"),
+        ):
+            if gap > stream_loss:
+                text = f"{name}: {words} {gap:.2f} s, longer than the {stream_loss:g} s after "
+                findings.append(Finding("error", "link", text + "which its stream is lost"))
+        if self.rate < position_rate:
+            text = f"{name}: {self.rate:.1f} packets/s; positions alone need {position_rate:g}"
+            findings.append(Finding("error", "link", text))
         if self.loss > LOSS_TOLERATED:
             findings.append(Finding("warning", "link", f"{name}: {self.loss:.1%} of packets lost"))
         return findings
+
+
+@dataclass
+class _Soak:
+    since: float
+    counts: Mapping[int, tuple[int, int]]
+    gap: dict[int, float] = field(default_factory=dict)
+    unanswered: dict[int, float] = field(default_factory=dict)
 
 
 @dataclass
@@ -60,12 +92,12 @@ class Listening:
 
     fleet: Fleet
     over: bool = False
+    now: float = 0.0
     _events: list[Event] = field(default_factory=list)
     _asked: set[int] = field(default_factory=set)
-    _last: dict[int, float] = field(default_factory=dict)
-    _gap: dict[int, float] = field(default_factory=dict)
-    _began: tuple[float, dict[int, tuple[int, int]]] | None = None
-    now: float = 0.0
+    _soak: _Soak | None = None
+    _tried: dict[int, str | None] = field(default_factory=dict)
+    _modes: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.team = Team(self.fleet, self._report)
@@ -78,45 +110,131 @@ class Listening:
         """Let time pass; return what to send."""
         self.now = now
         for system, vehicle in self.team.vehicles.items():
-            vehicle.take_events()
+            for event in vehicle.take_events():
+                self._judge(system, event)
             if vehicle.heard_at > -math.inf and system not in self._asked:
                 self._asked.add(system)
                 request_streams(vehicle, self.fleet)
-            if self._began is not None:
-                gap = now - max(vehicle.heard_at, self._began[0])
-                self._gap[system] = max(self._gap.get(system, 0.0), gap)
+                vehicle.request_interval(common.MAVLINK_MSG_ID_GPS_RAW_INT, 1.0)
+            if vehicle.origin is None and self.fleet.frame == "gps" and vehicle.commands.idle:
+                vehicle.request_message(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+            if self._soak is not None:
+                self._measure(self._soak, system, vehicle)
         return self.team.tick(now)
+
+    # Who is there, and where
 
     @property
     def missing(self) -> list[int]:
         """System ids that have not been heard."""
         return [s for s, v in self.team.vehicles.items() if v.heartbeat_at == -math.inf]
 
+    @property
+    def heard(self) -> list[Vehicle]:
+        """The vehicles that have been heard."""
+        return [v for v in self.team.vehicles.values() if v.heartbeat_at > -math.inf]
+
+    def not_ready(self) -> list[Finding]:
+        """Return what keeps vehicles from being armed; ArduPilot is judged in its own mode."""
+        found = readiness(self.heard, self.fleet, self.now)
+        return [f for f in found if "not guided" not in f.message]
+
+    def stand(self, standing: Floats) -> Prepared | Finding:
+        """Return who stands on which pad (n, 3) of a plan, or why nobody can tell."""
+        heard = self.heard
+        if len(heard) < len(standing):
+            words = f"the plan needs {len(standing)} vehicles, {len(heard)} are heard"
+            return Finding("error", "fleet", words)
+        lost = [v.system for v in heard if not math.isfinite(v.position[0])]
+        if lost:
+            words = f"no local position: system {', '.join(map(str, lost))}"
+            return Finding("error", "position", words)
+        try:
+            measured = np.array([v.position for v in heard])
+            return prepared_team(heard, self.fleet, standing, measured)
+        except Refused as error:
+            return Finding("error", "placement", str(error))
+
+    def frames_and_clocks(self) -> list[Finding]:
+        """Return each vehicle's position quality, origin and clock, in words."""
+        findings: list[Finding] = []
+        first = next((v.origin for v in self.heard if v.origin is not None), None)
+        for vehicle in self.heard:
+            name = f"system {vehicle.system}"
+            if self.fleet.frame != "shared":
+                findings.append(_position_quality(name, vehicle))
+            if first is not None and vehicle.origin is not None:
+                east, north, up = to_mission(first, 0.0, vehicle.origin).tolist()
+                words = f"{name}: origin {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up"
+                findings.append(Finding("info", "origin", f"{words} of the first one's"))
+            elif self.fleet.frame == "gps":
+                words = f"{name}: its estimator's origin is unknown"
+                findings.append(Finding("error", "origin", words))
+            if math.isfinite(vehicle.clock_offset):
+                words = f"{name}: clock {vehicle.clock_offset:+.3f} s from ours, "
+                words += f"{500.0 * vehicle.round_trip:.1f} ms away"
+                findings.append(Finding("info", "clock", words))
+            else:
+                words = f"{name}: does not answer TIMESYNC, so its delay is unknown"
+                findings.append(Finding("warning", "clock", words))
+        return findings
+
+    # Is there a Hold?
+
+    def try_hold(self) -> None:
+        """Ask everybody into Hold on the ground; :attr:`holds` tells what came of it."""
+        for vehicle in self.heard:
+            self._tried[vehicle.system] = None
+            self._modes[vehicle.system] = vehicle.custom_mode
+            if vehicle.armed:
+                self._tried[vehicle.system] = "is armed, so nothing was tried"
+            elif vehicle.autopilot is None:
+                self._tried[vehicle.system] = "its autopilot is not known"
+            else:
+                vehicle.set_mode("hold")
+
+    @property
+    def holds(self) -> Mapping[int, str] | None:
+        """What came of trying Hold by system id, "" where it works; None while it is tried."""
+        done = {system: words for system, words in self._tried.items() if words is not None}
+        return done if len(done) == len(self._tried) else None
+
+    def _judge(self, system: int, event: VehicleEvent) -> None:
+        if event.subject == "mode hold" and self._tried.get(system, "") is None:
+            self._tried[system] = "" if event.kind == "done" else event.message
+            if event.kind == "done":
+                self.team.vehicles[system].set_custom_mode(self._modes[system])
+
+    # The links
+
     def begin_soak(self) -> None:
-        """Measure the links from now on."""
+        """Measure the links from now on, asking at the rate at which setpoints would be sent."""
         counts = {s: (v.packets, v.lost_packets) for s, v in self.team.vehicles.items()}
-        self._began = self.now, counts
-        self._gap.clear()
+        self.team.ask_clocks_every(min(0.1, 1.0 / self.fleet.rates.setpoint))
+        self._soak = _Soak(self.now, counts)
+
+    def _measure(self, soak: _Soak, system: int, vehicle: Vehicle) -> None:
+        for gaps, last in ((soak.gap, vehicle.heard_at), (soak.unanswered, vehicle.answered_at)):
+            gaps[system] = max(gaps.get(system, 0.0), self.now - max(last, soak.since))
 
     def soak(self) -> list[LinkQuality]:
         """Return what the links did since :meth:`begin_soak`."""
-        if self._began is None:
+        soak = self._soak
+        if soak is None:
             return []
-        since, counts = self._began
-        duration = max(self.now - since, 1e-3)
+        duration = max(self.now - soak.since, 1e-3)
         found = []
         for system, vehicle in self.team.vehicles.items():
-            packets, lost = (
-                vehicle.packets - counts[system][0],
-                vehicle.lost_packets - counts[system][1],
-            )
+            packets = vehicle.packets - soak.counts[system][0]
+            lost = vehicle.lost_packets - soak.counts[system][1]
             found.append(
                 LinkQuality(
                     system,
                     packets / duration,
-                    self._gap.get(system, 0.0),
+                    soak.gap.get(system, 0.0),
                     lost / max(packets + lost, 1),
                     vehicle.round_trip,
+                    soak.unanswered.get(system, 0.0),
                 )
             )
         return found
@@ -130,19 +248,57 @@ class Listening:
         self._events.append(Event(self.now, kind, words, system))
 
 
-def radio_finding(vehicles: int, rate: float, bits_per_second: float, signed: bool) -> Finding:
+def _position_quality(name: str, vehicle: Vehicle) -> Finding:
+    if vehicle.fix < 0:
+        return Finding("warning", "position", f"{name}: says nothing of its satellites")
+    accuracy = vehicle.level_accuracy
+    words = f"{name}: {vehicle.satellites} satellites"
+    words += f", level to {accuracy:.2f} m" if math.isfinite(accuracy) else ""
+    if vehicle.fix < common.GPS_FIX_TYPE_3D_FIX:
+        return Finding("error", "position", f"{words}: no 3D fix")
+    poor = vehicle.satellites < FEWEST_SATELLITES or accuracy > POOREST_ACCURACY
+    severity: Severity = "warning" if poor else "info"
+    return Finding(severity, "position", words)
+
+
+def radio_findings(fleet: Fleet, flyers: int) -> list[Finding]:
+    """Say what fits each link whose capacity is known: serial ports, and what the file says."""
+    findings = []
+    for name, bits in fleet.capacities.items():
+        on_link = sum(listed.links[0] == name for listed in fleet.vehicles)
+        vehicles = min(on_link, flyers)
+        if vehicles:
+            signed = fleet.signing_key is not None
+            rates = fleet.rates
+            finding = radio_finding(vehicles, rates.setpoint, bits, signed, rates.position)
+            findings.append(
+                Finding(finding.severity, finding.check, f"link {name}: {finding.message}")
+            )
+    return findings
+
+
+def radio_finding(
+    vehicles: int, rate: float, bits_per_second: float, signed: bool, positions: float = 0.0
+) -> Finding:
     """Say whether setpoints for so many vehicles at a rate in Hz fit one radio.
 
-    Half of the radio is left for what comes back.
+    ``positions`` in Hz come back from each. Half of the radio is left for everything else.
     """
-    size = SETPOINT_BYTES + (SIGNING_ROOM if signed else 0)
-    needed = 8.0 * size * vehicles * rate
-    share = needed / bits_per_second
-    words = (
-        f"setpoints for {vehicles} vehicles at {rate:g} Hz need {needed / 1000:.1f} kbit/s, "
-        f"{share:.0%} of {bits_per_second / 1000:g} kbit/s"
+    signature = SIGNATURE_BYTES if signed else 0
+    per_vehicle = 8.0 * (
+        (SETPOINT_BYTES + signature) * rate + (POSITION_BYTES + signature) * positions
     )
-    fits = int(0.5 * bits_per_second / (8.0 * size * rate))
-    if share <= 0.5:
+    needed = per_vehicle * vehicles
+    share = needed / bits_per_second
+    back = f" and positions at {positions:g} Hz" if positions else ""
+    words = (
+        f"setpoints for {vehicles} vehicle{'s' if vehicles > 1 else ''} at {rate:g} Hz{back} need "
+        f"{needed / 1000:.1f} kbit/s, {share:.0%} of {bits_per_second / 1000:g} kbit/s"
+    )
+    if share <= RADIO_SHARE:
         return Finding("info", "radio", words)
-    return Finding("error", "radio", f"{words}; at this rate {fits} vehicles fit")
+    fits = int(RADIO_SHARE * bits_per_second / per_vehicle)
+    slower = RADIO_SHARE * bits_per_second / (needed / rate) if rate else 0.0
+    advice = f"at this rate {fits} vehicle{' fits' if fits == 1 else 's fit'}"
+    advice += f"; {vehicles} would need at most {slower:.1f} Hz"
+    return Finding("error", "radio", f"{words}; {advice}")

@@ -8,28 +8,75 @@ Values as documented for PX4 1.16 and ArduCopter 4.6.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from swarm.fleet import Fleet
 from swarm.mavlink.frames import Projection
 from swarm.mission import Vehicles
+from swarm.plans import Plan
 from swarm.preflight.findings import Severity
 
 Value = float
-GROUND_LOSS_TIME = 10.0
-"""The team's common T in seconds: after it, vehicles without a ground station land."""
 STREAM_LOSS_TIME = 0.5
 GROUND_SYSTEM = 255.0
+_HEADROOM = 1.2
+"""Share of the plan's speed that an autopilot must allow: some is needed to catch up."""
+
+
+@dataclass(frozen=True)
+class Demands:
+    """What a flight asks of every autopilot.
+
+    Speeds in m/s (level, up, down), acceleration in m/s²; ``hold`` is the team's common time T in
+    seconds after which vehicles without a ground station land, ``descent`` the speed at which all
+    land; ``global_position`` says whether they know where on earth they are, so that Hold exists.
+    """
+
+    speed: float
+    up: float
+    down: float
+    acceleration: float
+    hold: float
+    descent: float
+    global_position: bool
+
+
+def demands_of(vehicles: Vehicles, fleet: Fleet) -> Demands:
+    """Return what any mission with such vehicles may ask."""
+    speed = vehicles.max_speed
+    return _demands(fleet, speed, speed, speed, vehicles.max_acceleration)
+
+
+def demands_of_plan(plan: Plan, fleet: Fleet) -> Demands:
+    """Return what a plan asks, by its motion."""
+    _, velocity, acceleration = plan.motion.at(np.arange(0.0, plan.duration, 0.1))
+    level = float(np.hypot(velocity[..., 0], velocity[..., 1]).max())
+    up, down = float(velocity[..., 2].max()), float(-velocity[..., 2].min())
+    braking = plan.mission.vehicles.braking_acceleration
+    strongest = float(np.linalg.norm(acceleration, axis=-1).max()) + braking
+    return _demands(fleet, level, up, down, strongest)
+
+
+def _demands(fleet: Fleet, speed: float, up: float, down: float, acceleration: float) -> Demands:
+    limits = fleet.limits
+    values = np.ceil(10.0 * np.array([speed, up, down, acceleration])) / 10.0
+    speed, up, down, acceleration = values.tolist()
+    hold, descent = limits.hold, limits.descent
+    return Demands(speed, up, down, acceleration, hold, descent, fleet.frame != "shared")
 
 
 @dataclass(frozen=True)
 class Rule:
     """What one parameter must be.
 
-    ``good`` judges a value; ``should`` is what ``--fix`` sets; ``words`` say what is good. A rule
-    with ``unless`` does not apply where that parameter has that value.
+    ``good`` judges a value; ``should`` is what ``--fix`` sets, or makes of the present value;
+    ``words`` say what is good. A rule with ``unless`` does not apply where that parameter has that
+    value.
     """
 
     name: str
     good: Callable[[Value], bool]
-    should: Value
+    should: Value | Callable[[Value], Value]
     words: str
     why: str
     severity: Severity = "error"
@@ -56,7 +103,7 @@ class Row:
 
 
 def _one_of(*values: float) -> Callable[[Value], bool]:
-    return lambda value: value in values
+    return lambda value: any(abs(value - one) <= 1e-6 * max(1.0, abs(one)) for one in values)
 
 
 def _least(bound: float) -> Callable[[Value], bool]:
@@ -67,28 +114,46 @@ def _most(bound: float) -> Callable[[Value], bool]:
     return lambda value: 0.0 < value <= bound + 1e-6
 
 
+def _with_bit(bit: int) -> tuple[Callable[[Value], bool], Callable[[Value], Value]]:
+    return lambda value: bool(int(value) >> bit & 1), lambda value: float(int(value) | 1 << bit)
+
+
+def _without_bit(bit: int) -> tuple[Callable[[Value], bool], Callable[[Value], Value]]:
+    return lambda value: not int(value) >> bit & 1, lambda value: float(int(value) & ~(1 << bit))
+
+
 _ALONE = "a vehicle must not fly home on its own while it holds the cable"
 _STREAM = "without setpoints it coasts until this runs out"
+_TOGETHER = "nobody may decide earlier than the others: this is the fleet's limits.hold"
+_PACE = "vehicles that land without the ground station must come down alike"
+_GRIP = "one vehicle must not drop the cable on its own"
 
 
-def rules(autopilot: Projection, vehicles: Vehicles) -> tuple[Rule, ...]:
-    """Return the rules for an autopilot that flies such vehicles."""
-    return _px4(vehicles) if autopilot == "px4" else _ardupilot()
+def rules(autopilot: Projection, demands: Demands) -> tuple[Rule, ...]:
+    """Return the rules for an autopilot that a flight makes such demands on."""
+    return _px4(demands) if autopilot == "px4" else _ardupilot(demands)
 
 
-def _px4(vehicles: Vehicles) -> tuple[Rule, ...]:
-    speed, thrust = vehicles.max_speed, vehicles.max_acceleration
+def _px4(asked: Demands) -> tuple[Rule, ...]:
+    speed, hold = _HEADROOM * asked.speed, float(round(asked.hold))
+    lost = (
+        Rule("COM_OBL_RC_ACT", _one_of(5), 5, "5 (hold)",
+             "what follows when the setpoints end; all hold, and land together after T")
+        if asked.global_position
+        else Rule("COM_OBL_RC_ACT", _one_of(4, 5), 4, "4 (land) or 5 (hold)",
+                  "what follows when the setpoints end; there is no hold without global position")
+    )  # fmt: skip
     return (
-        Rule("COM_OBL_RC_ACT", _one_of(4, 5), 4, "4 (land) or 5 (hold)",
-             "what follows when the setpoints end; 0 without a remote control descends blind"),
+        lost,
         Rule("COM_OF_LOSS_T", _most(STREAM_LOSS_TIME), STREAM_LOSS_TIME,
              f"at most {STREAM_LOSS_TIME:g} s", _STREAM),
         Rule("NAV_DLL_ACT", _one_of(3), 3, "3 (land)",
              "without the ground station everybody must land"),
-        Rule("COM_DL_LOSS_T", _one_of(GROUND_LOSS_TIME), GROUND_LOSS_TIME,
-             f"{GROUND_LOSS_TIME:g} s", "nobody may decide earlier than the others"),
+        Rule("COM_DL_LOSS_T", _one_of(hold), hold, f"{hold:g} s", _TOGETHER),
+        Rule("COM_FAIL_ACT_T", _one_of(0), 0, "0 s",
+             "every failsafe waits this long first, and the others do not"),
         Rule("NAV_RCL_ACT", _one_of(1, 3), 3, "1 (hold) or 3 (land)", _ALONE),
-        Rule("COM_RCL_EXCEPT", lambda value: bool(int(value) & 4), 4, "with bit 2 (offboard)",
+        Rule("COM_RCL_EXCEPT", *_with_bit(2), "with bit 2 (offboard)",
              "offboard must not end because a remote control is off", "warning"),
         Rule("COM_LOW_BAT_ACT", _one_of(0, 2), 0, "0 (warn) or 2 (land)",
              "batteries are the group's decision"),
@@ -100,26 +165,38 @@ def _px4(vehicles: Vehicles) -> tuple[Rule, ...]:
         Rule("GF_ACTION", _one_of(0, 1, 2, 5), 1, "not 3 (return) or 4 (terminate)", _ALONE),
         Rule("COM_DISARM_PRFLT", _least(10.0), 10.0, "at least 10 s",
              "arming the team takes a few seconds"),
-        Rule("MPC_XY_VEL_MAX", _least(1.2 * speed), max(12.0, 1.2 * speed),
-             f"at least {1.2 * speed:g} m/s", "the plan's speed and some to catch up"),
-        Rule("MPC_Z_VEL_MAX_UP", _least(speed), max(3.0, speed), f"at least {speed:g} m/s",
-             "the plan's speed", "warning"),
-        Rule("MPC_Z_VEL_MAX_DN", _least(speed), max(1.5, speed), f"at least {speed:g} m/s",
-             "the plan's speed", "warning"),
-        Rule("MPC_ACC_HOR", _least(thrust), max(3.0, thrust), f"at least {thrust:g} m/s²",
-             "the plan's acceleration", "warning"),
+        Rule("LNDMC_TRIG_TIME", _least(1.0), 1.0, "at least 1 s",
+             "a vehicle that the cable holds up must not be taken for landed", "warning"),
+        Rule("LNDMC_Z_VEL_MAX", _most(0.25), 0.25, "at most 0.25 m/s",
+             "a vehicle that the cable holds up must not be taken for landed", "warning"),
+        Rule("MPC_LAND_SPEED", _one_of(asked.descent), asked.descent, f"{asked.descent:g} m/s",
+             _PACE, "warning"),
+        Rule("MPC_XY_VEL_MAX", _least(speed), max(12.0, speed), f"at least {speed:.1f} m/s",
+             "the plan's speed and some to catch up"),
+        Rule("MPC_Z_VEL_MAX_UP", _least(asked.up), max(3.0, asked.up),
+             f"at least {asked.up:.1f} m/s", "the plan's speed", "warning"),
+        Rule("MPC_Z_VEL_MAX_DN", _least(asked.down), max(1.5, asked.down),
+             f"at least {asked.down:.1f} m/s", "the plan's speed", "warning"),
+        Rule("MPC_ACC_HOR", _least(asked.acceleration), max(3.0, asked.acceleration),
+             f"at least {asked.acceleration:.1f} m/s²", "the plan's acceleration", "warning"),
     )  # fmt: skip
 
 
-def _ardupilot() -> tuple[Rule, ...]:
+def _ardupilot(asked: Demands) -> tuple[Rule, ...]:
+    level, up, down = (100.0 * _HEADROOM * asked.speed, 100.0 * asked.up, 100.0 * asked.down)
+    hold, pull, descent = asked.hold, 100.0 * asked.acceleration, round(100.0 * asked.descent)
     return (
         Rule("GUID_TIMEOUT", _most(STREAM_LOSS_TIME), STREAM_LOSS_TIME,
              f"at most {STREAM_LOSS_TIME:g} s", _STREAM),
         Rule("FS_GCS_ENABLE", _one_of(5), 5, "5 (land)",
              "without the ground station everybody must land"),
-        Rule("FS_GCS_TIMEOUT", _one_of(GROUND_LOSS_TIME), GROUND_LOSS_TIME,
-             f"{GROUND_LOSS_TIME:g} s", "nobody may decide earlier than the others"),
+        Rule("FS_GCS_TIMEOUT", _one_of(hold), hold, f"{hold:g} s", _TOGETHER),
         Rule("FS_THR_ENABLE", _one_of(0, 3), 3, "0 or 3 (land)", _ALONE),
+        Rule("FS_OPTIONS", lambda value: int(value) & 36 == 4,
+             lambda value: float(int(value) & ~32 | 4),
+             "with bit 2 (guided goes on), without bit 5 (release gripper)",
+             "a remote control that is off must not end guided, and nobody drops the cable alone"),
+        Rule("FLIGHT_OPTIONS", *_without_bit(2), "without bit 2 (release gripper)", _GRIP),
         Rule("BATT_FS_LOW_ACT", _one_of(0, 1), 0, "0 (warn) or 1 (land)", _ALONE),
         Rule("BATT_FS_CRT_ACT", _one_of(0, 1), 0, "0 (warn) or 1 (land)", _ALONE),
         Rule("FS_EKF_ACTION", _one_of(1, 2, 3), 1, "1 to 3 (land or altitude hold)", _ALONE),
@@ -128,6 +205,15 @@ def _ardupilot() -> tuple[Rule, ...]:
              unless=("FENCE_ENABLE", 0.0)),
         Rule("DISARM_DELAY", lambda value: value == 0.0 or value >= 10.0, 10.0,
              "0 or at least 10 s", "arming the team takes a few seconds"),
+        Rule("LAND_SPEED", _one_of(descent), descent, f"{descent:g} cm/s", _PACE, "warning"),
+        Rule("WPNAV_SPEED", _least(level), max(1000.0, level), f"at least {level:.0f} cm/s",
+             "the plan's speed and some to catch up", "warning"),
+        Rule("WPNAV_SPEED_UP", _least(up), max(250.0, up), f"at least {up:.0f} cm/s",
+             "the plan's speed", "warning"),
+        Rule("WPNAV_SPEED_DN", _least(down), max(150.0, down), f"at least {down:.0f} cm/s",
+             "the plan's speed", "warning"),
+        Rule("WPNAV_ACCEL", _least(pull), max(250.0, pull), f"at least {pull:.0f} cm/s²",
+             "the plan's acceleration", "warning"),
         Rule("SYSID_MYGCS", _one_of(GROUND_SYSTEM), GROUND_SYSTEM, f"{GROUND_SYSTEM:g}",
              "it only obeys the ground station that this names", "warning"),
     )  # fmt: skip
@@ -148,6 +234,7 @@ def judge(
         value = values.get(rule.name)
         fine = value is not None and rule.good(value)
         severity: Severity = "info" if fine else "warning" if value is None else rule.severity
-        row = Row(system, rule.name, value, rule.should, rule.words, rule.why, severity)
+        should = rule.should if isinstance(rule.should, int | float) else rule.should(value or 0.0)
+        row = Row(system, rule.name, value, should, rule.words, rule.why, severity)
         (good if fine else wrong).append(row)
     return wrong, good

@@ -1,7 +1,8 @@
 """On the ground: hear everybody, ask for what the flight needs, wait until all are ready."""
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -103,44 +104,54 @@ class Preparation:
 
     def _finish(self) -> Prepared | Outcome:
         measured = np.mean([row for _, row in self._samples], axis=0)
-        number = {vehicle.system: k for k, vehicle in enumerate(self._heard)}
-        given = {
-            listed.pad - 1: number[listed.sysid]
-            for listed in self.fleet.vehicles
-            if listed.pad is not None
-            and listed.pad <= len(self.standing)
-            and listed.sysid in number
-        }
-        pads = np.full_like(measured, np.nan)
-        for pad, k in given.items():
-            pads[k] = self.standing[pad]
         try:
-            frames = rough_frames(self._heard, self.fleet, pads)
+            prepared = prepared_team(self._heard, self.fleet, self.standing, measured)
         except Refused as error:
             return Outcome("refused", str(error))
-        if self.fleet.frame == "pads":
-            places = np.arange(len(measured))[:, None] * np.ones(3)
-            order = assigned(places, np.arange(len(self.standing))[:, None] * np.ones(3), given)
-        else:
-            order = assigned(frames.points_to_mission(measured), self.standing, given)
-        flyers = [self._heard[k] for k in order]
-        frames = levelled(frames.of(order), self.fleet, self.standing, measured[order])
-        findings = placement(flyers, self.fleet, frames, self.standing, measured[order])
-        findings.extend(
-            Finding("warning", "fleet", f"system {system} is heard and not in the fleet file")
-            for system in self.team.strangers
+        audit = prepared.audit
+        return replace(
+            prepared, audit=replace(audit, findings=(*audit.findings, *self.team.findings()))
         )
-        findings.extend(
-            Finding("info", "spare", f"system {vehicle.system} stays on the ground")
-            for vehicle in self._heard
-            if vehicle not in flyers
-        )
-        return Prepared(
-            flyers,
-            frames,
-            np.array([vehicle.attitude[2] for vehicle in flyers]),
-            Audit(tuple(vehicle.system for vehicle in flyers), tuple(findings)),
-        )
+
+
+def prepared_team(
+    heard: Sequence[Vehicle], fleet: Fleet, standing: Floats, measured: Floats
+) -> Prepared:
+    """Return who stands on which pad, and what that tells of the vehicles' frames.
+
+    ``measured`` (m, 3) is where each of the ``heard`` says that it is, NED metres in its own frame;
+    ``standing`` (n, 3) where the plan has the vehicles' centres, mission ENU; m ≥ n, the rest are
+    spares. Raises :class:`Refused` where the mission cannot be placed on the earth.
+    """
+    number = {vehicle.system: k for k, vehicle in enumerate(heard)}
+    given = {
+        listed.pad - 1: number[listed.sysid]
+        for listed in fleet.vehicles
+        if listed.pad is not None and listed.pad <= len(standing) and listed.sysid in number
+    }
+    pads = np.full_like(measured, np.nan)
+    for pad, k in given.items():
+        pads[k] = standing[pad]
+    frames = rough_frames(heard, fleet, pads)
+    if fleet.frame == "pads":
+        places = np.arange(len(measured))[:, None] * np.ones(3)
+        order = assigned(places, np.arange(len(standing))[:, None] * np.ones(3), given)
+    else:
+        order = assigned(frames.points_to_mission(measured), standing, given)
+    flyers = [heard[k] for k in order]
+    frames = levelled(frames.of(order), fleet, standing, measured[order])
+    findings = placement(flyers, fleet, frames, standing, measured[order])
+    findings.extend(
+        Finding("info", "spare", f"system {vehicle.system} stays on the ground")
+        for vehicle in heard
+        if vehicle not in flyers
+    )
+    return Prepared(
+        flyers,
+        frames,
+        np.array([vehicle.attitude[2] for vehicle in flyers]),
+        Audit(tuple(vehicle.system for vehicle in flyers), tuple(findings)),
+    )
 
 
 def request_streams(vehicle: Vehicle, fleet: Fleet) -> None:

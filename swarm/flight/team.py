@@ -6,6 +6,7 @@ first heard.
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ from swarm.mavlink.packets import (
     SetpointPacker,
 )
 from swarm.mavlink.vehicle import READ, Vehicle
+from swarm.preflight.findings import Finding
 
 Floats = npt.NDArray[np.float64]
 Address = Hashable
@@ -71,10 +73,12 @@ class Team:
         self._best: dict[int, Route | None] = dict.fromkeys(self.vehicles)
         self._most_routes = _ROUTES_PER_VEHICLE * len(self.vehicles) + 16
         self._report = report
-        self._noticed: set[Hashable] = set()
+        self._noticed: set[tuple[Any, ...]] = set()
         self._strangers: set[int] = set()
+        self._stations: set[int] = set()
         self._next_heartbeat = 0.0
         self._next_timesync = 0.0
+        self._timesync_interval = TIMESYNC_INTERVAL
         self._packer: SetpointPacker | None = None
         self._packed: tuple[int, ...] = ()
         self.rejected = 0
@@ -115,7 +119,7 @@ class Team:
         if known is not None or route.link not in self._allowed[sysid]:
             self.rejected += 1
             self._once(
-                ("address", sysid, route.link, route.address),
+                ("address" if known else "link", sysid, route.link, route.address),
                 "security",
                 f"packets of system {sysid} on link {route.link} from another address: dropped",
                 sysid,
@@ -134,23 +138,52 @@ class Team:
             return
         self._strangers.add(sysid)
         if message.type == common.MAV_TYPE_GCS:
+            self._stations.add(sysid)
+        if message.type == common.MAV_TYPE_GCS:
             words = f"another ground station (system {sysid}) on link {route.link}: its heartbeats "
             words += "defeat the vehicles' link-loss failsafe"
         else:
             words = f"system {sysid} on link {route.link} is not in the fleet file: ignored"
         self._once(("stranger", sysid, route.link), "security", words, None)
 
-    def _once(self, key: Hashable, kind: str, words: str, sysid: int | None) -> None:
+    def _once(self, key: tuple[Any, ...], kind: str, words: str, sysid: int | None) -> None:
         if key not in self._noticed and len(self._noticed) < 1000:
             self._noticed.add(key)
             self._report(kind, words, sysid)
 
     @property
     def strangers(self) -> list[int]:
-        """System ids that were heard and are not in the fleet file."""
-        return sorted(
-            {key[1] for key in self._noticed if isinstance(key, tuple) and key[0] == "stranger"}
-        )
+        """System ids of vehicles that were heard and are not in the fleet file."""
+        return sorted(self._strangers - self._stations)
+
+    @property
+    def stations(self) -> list[int]:
+        """System ids of other ground stations."""
+        return sorted(self._stations)
+
+    def findings(self) -> list[Finding]:
+        """Return who is on the links and should not be, for the go/no-go before a flight."""
+        doubles = sorted({key[1] for key in self._noticed if key[0] == "address"})
+        return [
+            *(
+                Finding("error", "fleet", f"system {s} is heard and not in the fleet file")
+                for s in self.strangers
+            ),
+            *(
+                Finding("error", "fleet", f"system {s} is heard from two places: two vehicles "
+                        "have this system id, or one is connected twice")
+                for s in doubles
+            ),
+            *(
+                Finding("warning", "fleet", f"another ground station (system {s}) is heard: its "
+                        "heartbeats defeat the vehicles' link-loss failsafe")
+                for s in self.stations
+            ),
+        ]  # fmt: skip
+
+    def ask_clocks_every(self, seconds: float) -> None:
+        """Send clock requests at another interval, from the next tick on."""
+        self._timesync_interval, self._next_timesync = seconds, 0.0
 
     def way_to(self, sysid: int) -> Route | None:
         """Return the route to a vehicle: its preferred link on which it was heard."""
@@ -163,7 +196,7 @@ class Team:
             self._next_heartbeat = now + HEARTBEAT_INTERVAL
             outgoing.extend(self._heartbeats())
         if now >= self._next_timesync:
-            self._next_timesync = now + TIMESYNC_INTERVAL
+            self._next_timesync = now + self._timesync_interval
             for sysid in self.vehicles:
                 # zero would read as "not a request of ours", so the clock starts at one
                 stamp = int(now * 1e9) + 1

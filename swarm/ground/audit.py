@@ -4,12 +4,14 @@ The library speaks through the relay's loopback endpoints; it has its own thread
 timers, and is gone before anything is armed.
 """
 
+import json
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from mavsdk import Configuration, Mavsdk, log_subscribe
@@ -20,15 +22,16 @@ from mavsdk.plugins.param import Param
 from mavsdk.plugins.telemetry import Telemetry
 
 from swarm.errors import VehicleError
-from swarm.flight.parameters import Row, judge, rules
+from swarm.flight.parameters import Demands, Row, judge, rules
 from swarm.mavlink.frames import Projection
 from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
-from swarm.mission import Vehicles
 from swarm.preflight.findings import Finding
 
 DISCOVERY = 10.0
 """Seconds within which every vehicle must be discovered."""
 HEALTH = 5.0
+BATTERY_RESERVE = 25.0
+"""Percent of a battery that must be left when everybody has landed."""
 _POLL = 0.05
 
 
@@ -50,16 +53,31 @@ class VehicleAudit:
     wrong: tuple[Row, ...]
     good: tuple[Row, ...]
 
-    def findings(self) -> Iterator[Finding]:
-        """Yield what is to be said of it."""
-        yield Finding("info", "firmware", f"system {self.system}: {self.firmware}")
-        for row in self.wrong:
-            yield Finding(row.severity, "parameter", row.message)
+    def findings(self, battery: float = 0.0) -> Iterator[Finding]:
+        """Yield what is to be said of it; ``battery`` is the percentage that the flight takes."""
+        name = f"system {self.system}"
+        yield Finding("info", "firmware", f"{name}: {self.firmware}")
+        bad = ", ".join(what for what, fine in self.health.items() if not fine)
         for problem in self.problems:
-            yield Finding("warning", "arming check", f"system {self.system}: {problem}")
-        if not self.health.get("global position", True):
-            words = "no valid global position: hold is not available, a failsafe would descend"
-            yield Finding("warning", "hold", f"system {self.system}: {words}")
+            yield Finding("warning", "health", f"{name}: {problem}")
+        if bad:
+            yield Finding("warning", "health", f"{name}: not healthy: {bad}")
+        elif not self.problems:
+            yield Finding("info", "health", f"{name}: healthy and armable")
+        yield self._battery(name, battery)
+        for row in self.wrong:
+            yield Finding(row.severity, "parameters", row.message)
+        if not self.wrong:
+            yield Finding("info", "parameters", f"{name}: all {len(self.good)} as they should be")
+
+    def _battery(self, name: str, needed: float) -> Finding:
+        if not self.battery >= 0.0:
+            return Finding("warning", "battery", f"{name}: says nothing of its battery")
+        words = f"{name}: {self.battery:.0f} %"
+        if self.battery < needed + BATTERY_RESERVE:
+            words += f"; the flight takes {needed:.0f} % and {BATTERY_RESERVE:.0f} % must be left"
+            return Finding("error", "battery", words)
+        return Finding("info", "battery", words)
 
 
 @dataclass
@@ -72,7 +90,7 @@ class Auditor:
 
     ports: Mapping[int, int]
     names: Mapping[int, Projection]
-    vehicles: Vehicles
+    demands: Demands
     _systems: dict[int, Any] = field(default_factory=dict)
 
     @contextmanager
@@ -139,7 +157,7 @@ class Auditor:
             one.name: float(one.value) for one in (*everything.int_params, *everything.float_params)
         }
         name = self.names[system]
-        wrong, good = judge(system, values, rules(name, self.vehicles))
+        wrong, good = judge(system, values, rules(name, self.demands))
         health = telemetry.health()
         return VehicleAudit(
             system=system,
@@ -160,6 +178,15 @@ class Auditor:
             wrong=tuple(wrong),
             good=tuple(good),
         )
+
+
+def save_parameters(folder: Path, audits: Sequence[VehicleAudit]) -> None:
+    """Keep everybody's parameters below a folder, one file per vehicle."""
+    below = folder / "parameters"
+    below.mkdir(parents=True, exist_ok=True)
+    for audit in audits:
+        text = json.dumps(dict(sorted(audit.parameters.items())), indent=1)
+        (below / f"{audit.system}.json").write_text(text, encoding="utf-8")
 
 
 def _firmware(handle: Any, name: str) -> str:

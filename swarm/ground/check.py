@@ -4,59 +4,138 @@ import json
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from swarm.errors import InputError, Problem, SwarmError, VehicleError
+import numpy as np
+
+from swarm.errors import InputError, Problem, Refused, SwarmError, VehicleError
 from swarm.fleet import Fleet
-from swarm.flight.listening import LinkQuality, Listening
-from swarm.flight.parameters import STREAM_LOSS_TIME, Row
-from swarm.flight.world import bare_world
-from swarm.ground.audit import Auditor, VehicleAudit
+from swarm.flight.listening import LinkQuality, Listening, radio_findings
+from swarm.flight.parameters import STREAM_LOSS_TIME, Demands, Row, demands_of, demands_of_plan
+from swarm.flight.preparation import Prepared
+from swarm.flight.world import bare_world, emulated_world
+from swarm.ground.audit import Auditor, VehicleAudit, save_parameters
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.loop import Loop
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import open_links
 from swarm.mission import Vehicles
-from swarm.preflight.findings import Finding
+from swarm.plans import Plan
+from swarm.preflight.findings import Finding, ProvenPlan, Severity
 
 _LISTEN = 0.1
 _SETTLE = 2.5
 """Seconds after the first heartbeats until streams run as they were asked for."""
+_HOLD_PATIENCE = 15.0
+
+SUBJECTS = {
+    "plan": "plan",
+    "fleet": "vehicles on the links",
+    "firmware": "firmware",
+    "ready": "ready to arm",
+    "health": "health and arming",
+    "battery": "battery",
+    "position": "position quality",
+    "parameters": "parameters",
+    "placement": "positions against pads",
+    "origin": "origins",
+    "clock": "clocks and delays",
+    "hold": "Hold, tried",
+    "link": "links",
+    "radio": "what fits the radios",
+    "hop": "hover in a hop",
+}
+"""The go/no-go list: checks of findings, in order, and what they are called."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """One line of the go/no-go list; ``words`` say what was found."""
+
+    check: str
+    subject: str
+    go: bool
+    words: str
 
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What the check found: per vehicle, per link, and what it changed."""
+    """What the check found: per vehicle, per link, and what it changed.
+
+    ``order`` are the system ids in order along the cable; empty without a plan.
+    """
 
     vehicles: tuple[VehicleAudit, ...]
     links: tuple[LinkQuality, ...]
     changed: tuple[str, ...]
     findings: tuple[Finding, ...]
+    order: tuple[int, ...] = ()
 
     @property
     def passed(self) -> bool:
         """Whether nothing is an error."""
         return all(finding.severity != "error" for finding in self.findings)
 
+    def items(self) -> list[Item]:
+        """Return the go/no-go list: one line for everything that was looked at."""
+        found = []
+        for check, subject in SUBJECTS.items():
+            said = [finding for finding in self.findings if finding.check == check]
+            if said:
+                found.append(Item(check, subject, *_verdict(said)))
+        return found
+
+    def having(self, *findings: Finding) -> "CheckReport":
+        """Return the report with more findings."""
+        return replace(self, findings=(*self.findings, *findings))
+
+
+def _verdict(said: Sequence[Finding]) -> tuple[bool, str]:
+    counts = {
+        level: sum(finding.severity == level for finding in said) for level in ("error", "warning")
+    }
+    worst: Severity = "error" if counts["error"] else "warning" if counts["warning"] else "info"
+    first = next(finding for finding in said if finding.severity == worst)
+    number = counts.get(worst, 0)
+    if worst == "info":
+        return True, said[0].message if len(said) == 1 else f"{len(said)} looked at, all well"
+    more = f" (and {number - 1} more)" if number > 1 else ""
+    return worst != "error", ("" if worst == "error" else "warning: ") + first.message + more
+
+
+Asked = Callable[[Sequence[Row]], bool]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a check shall do beside looking.
+
+    ``soak`` measures the links for so many seconds. ``fix`` is shown the rows that are wrong and
+    says whether to set them; ``restore`` is a folder of an earlier check or flight whose
+    parameters are put back.
+    """
+
+    soak: float = 0.0
+    fix: Asked | None = None
+    restore: Path | None = None
+
 
 def check(
-    fleet: Fleet,
-    folder: Path,
-    *,
-    vehicles: Vehicles | None = None,
-    soak: float = 0.0,
-    fix: Callable[[Sequence[Row]], bool] | None = None,
-    restore: Path | None = None,
+    fleet: Fleet, folder: Path, proven: ProvenPlan | None = None, wanted: Wanted | None = None
 ) -> CheckReport:
     """Check a fleet on the ground; parameters are saved in ``folder`` before anything is changed.
 
-    ``vehicles`` are the mission's demands (defaults without). ``soak`` measures the links for so
-    many seconds. ``fix`` is shown the rows that are wrong and says whether to set them;
-    ``restore`` is a folder of an earlier check whose parameters are put back.
+    With a plan the vehicles are judged by what it asks and stand against its pads.
 
-    Raises :class:`VehicleError` where links or vehicles are missing.
+    Raises :class:`VehicleError` where links or vehicles are missing, and :class:`Refused` where
+    the fleet is too small for the plan.
     """
+    if proven is not None and len(fleet.vehicles) < proven.plan.vehicles:
+        raise Refused(
+            f"the plan needs {proven.plan.vehicles} vehicles, the fleet {fleet.name} "
+            f"has {len(fleet.vehicles)}"
+        )
     links = open_links(fleet.links)
     emulator: EmulatorProcess | None = None
     listening = Listening(fleet)
@@ -65,10 +144,17 @@ def check(
         folder.mkdir(parents=True, exist_ok=True)
         if fleet.emulated is not None:
             port = links.port(next(iter(fleet.links)))
-            emulator = EmulatorProcess(bare_world(fleet), folder, port, 1.0)
+            seed = fleet.emulated.seed
+            world = (
+                emulated_world(proven.plan, fleet, with_cable=False, seed=seed)
+                if proven
+                else bare_world(fleet)
+            )
+            emulator = EmulatorProcess(world, folder, port, 1.0)
         loop = Loop(listening, links, None, 1.0, lambda _: None, relay)
-        work = _Work(listening, relay, folder, vehicles or Vehicles(), soak, fix, restore)
-        thread = threading.Thread(target=work.run, name="audit")
+        plan = proven.plan if proven else None
+        work = _Work(listening, relay, folder, plan, wanted or Wanted())
+        thread = threading.Thread(target=work.run, name="audit", daemon=True)
         thread.start()
         loop.run()
         thread.join()
@@ -87,24 +173,18 @@ def check(
         links.close()
 
 
+@dataclass
 class _Work:
     """The blocking part, in a thread of its own beside the loop."""
 
-    def __init__(
-        self,
-        listening: Listening,
-        relay: Relay,
-        folder: Path,
-        vehicles: Vehicles,
-        soak: float,
-        fix: Callable[[Sequence[Row]], bool] | None,
-        restore: Path | None,
-    ) -> None:
-        self._listening, self._relay, self._folder = listening, relay, folder
-        self._vehicles, self._soak, self._fix, self._restore = vehicles, soak, fix, restore
-        self._pause = threading.Event()
-        self.report: CheckReport | None = None
-        self.error: Exception | None = None
+    listening: Listening
+    relay: Relay
+    folder: Path
+    plan: Plan | None
+    wanted: Wanted
+    report: CheckReport | None = None
+    error: Exception | None = None
+    _pause: threading.Event = field(default_factory=threading.Event)
 
     def run(self) -> None:
         try:
@@ -112,81 +192,130 @@ class _Work:
         except (SwarmError, OSError) as error:
             self.error = error
         finally:
-            self._listening.over = True
+            self.listening.over = True
 
     def _run(self) -> CheckReport:
         self._hear()
+        self._pause.wait(_SETTLE)
+        standing, order = self._standing()
         names = {
-            system: vehicle.autopilot.name
-            for system, vehicle in self._listening.team.vehicles.items()
+            vehicle.system: vehicle.autopilot.name
+            for vehicle in self.listening.heard
             if vehicle.autopilot is not None
         }
-        links: Sequence[LinkQuality] = ()
-        if self._soak > 0.0:
-            self._pause.wait(_SETTLE)
-            self._listening.begin_soak()
-            self._pause.wait(self._soak)
-            links = self._listening.soak()
-        with Auditor(self._relay.ports, names, self._vehicles).connected() as auditor:
+        with Auditor(self.relay.ports, names, self._demands()).connected() as auditor:
             audits = auditor.audit()
-            self._save(audits)
+            save_parameters(self.folder, audits)
             changed: list[str] = []
-            if self._restore is not None:
-                changed += self._put_back(auditor, audits)
+            if self.wanted.restore is not None:
+                changed += _put_back(auditor, audits, self.wanted.restore)
             wrong = [row for audit in audits for row in audit.wrong if row.value is not None]
-            if wrong and self._fix is not None and self._fix(wrong):
+            if wrong and self.wanted.fix is not None and self.wanted.fix(wrong):
                 changed += auditor.fix(wrong)
             if changed:
                 audits = auditor.audit()
-        return self._report(audits, links, changed)
+        self.relay.closed = True
+        hold = self._hold()
+        links = self._soak()
+        return self._report(audits, links, changed, [*standing, *hold], order)
+
+    def _demands(self) -> Demands:
+        fleet = self.listening.fleet
+        return demands_of_plan(self.plan, fleet) if self.plan else demands_of(Vehicles(), fleet)
 
     def _hear(self) -> None:
+        limit = self.listening.fleet.limits.ready
+        if not self._until(lambda: not self.listening.missing, limit):
+            missing = ", ".join(f"system {s}" for s in self.listening.missing)
+            raise VehicleError(f"not heard: {missing}")
+
+    def _until(self, condition: Callable[[], bool], patience: float) -> bool:
         waited = 0.0
-        limit = self._listening.fleet.limits.ready
-        while self._listening.missing:
-            if waited > limit:
-                missing = ", ".join(f"system {s}" for s in self._listening.missing)
-                raise VehicleError(f"not heard: {missing}")
+        while not condition():
+            if waited > patience:
+                return False
             self._pause.wait(_LISTEN)
             waited += _LISTEN
+        return True
 
-    def _save(self, audits: Sequence[VehicleAudit]) -> None:
-        folder = self._folder / "parameters"
-        folder.mkdir(exist_ok=True)
-        for audit in audits:
-            path = folder / f"{audit.system}.json"
-            path.write_text(json.dumps(dict(sorted(audit.parameters.items())), indent=1))
+    def _standing(self) -> tuple[list[Finding], tuple[int, ...]]:
+        """Wait until vehicles are ready; tell why not, and where they stand."""
+        listening = self.listening
+        self._until(lambda: not listening.not_ready(), listening.fleet.limits.ready)
+        findings = [replace(finding, check="ready") for finding in listening.not_ready()]
+        if not findings:
+            words = f"{len(listening.heard)} vehicles are ready"
+            findings.append(Finding("info", "ready", words))
+        if self.plan is None:
+            return findings, ()
+        lift = np.array([0.0, 0.0, self.plan.mission.vehicles.grip_offset])
+        stood = listening.stand(self.plan.motion.at(0.0)[0] + lift)
+        if isinstance(stood, Prepared):
+            return [*findings, *stood.audit.findings], stood.audit.systems
+        return [*findings, stood], ()
 
-    def _put_back(self, auditor: Auditor, audits: Sequence[VehicleAudit]) -> list[str]:
-        changed = []
-        for audit in audits:
-            saved = _saved(self._restore or self._folder, audit.system)
-            different = {
-                name: value
-                for name, value in saved.items()
-                if name in audit.parameters and abs(audit.parameters[name] - value) > 1e-6
-            }
-            auditor.restore(audit.system, different)
-            changed += [
-                f"system {audit.system}: {name} {audit.parameters[name]:g} → {value:g}"
-                for name, value in different.items()
-            ]
-        return changed
+    def _hold(self) -> list[Finding]:
+        """Try Hold on everybody; on ArduPilot that is Brake."""
+        listening = self.listening
+        listening.try_hold()
+        self._until(lambda: listening.holds is not None, _HOLD_PATIENCE)
+        findings = []
+        for vehicle in listening.heard:
+            words = (listening.holds or {}).get(vehicle.system, "no answer")
+            text = f"system {vehicle.system}: " + (words or "took it and came back")
+            if words:
+                text += "; a failsafe that should hold would land or descend instead"
+            severity: Severity = "info"
+            if words:
+                severity = "warning" if listening.fleet.frame == "shared" else "error"
+            findings.append(Finding(severity, "hold", text))
+        return findings
+
+    def _soak(self) -> Sequence[LinkQuality]:
+        if self.wanted.soak <= 0.0:
+            return ()
+        self.listening.begin_soak()
+        self._pause.wait(self.wanted.soak)
+        return self.listening.soak()
 
     def _report(
         self,
         audits: Sequence[VehicleAudit],
         links: Sequence[LinkQuality],
         changed: Sequence[str],
+        said: Sequence[Finding],
+        order: tuple[int, ...],
     ) -> CheckReport:
-        findings = [finding for audit in audits for finding in audit.findings()]
+        fleet, plan = self.listening.fleet, self.plan
+        battery = 100.0 * plan.duration / plan.mission.vehicles.endurance if plan else 0.0
+        findings = [
+            Finding("info", "fleet", f"{len(self.listening.heard)} vehicles of {fleet.name} heard"),
+            *self.listening.team.findings(),
+            *said,
+        ]
+        for audit in audits:
+            findings.extend(audit.findings(battery))
+        findings.extend(self.listening.frames_and_clocks())
         for link in links:
-            findings.extend(link.findings(STREAM_LOSS_TIME))
-        findings.extend(
-            Finding("warning", "fleet", f"system {system} is heard and not in the fleet file")
-            for system in self._listening.team.strangers
-        )
-        return CheckReport(tuple(audits), tuple(links), tuple(changed), tuple(findings))
+            findings.extend(link.findings(STREAM_LOSS_TIME, fleet.rates.position))
+        findings.extend(radio_findings(fleet, plan.vehicles if plan else len(fleet.vehicles)))
+        return CheckReport(tuple(audits), tuple(links), tuple(changed), tuple(findings), order)
+
+
+def _put_back(auditor: Auditor, audits: Sequence[VehicleAudit], folder: Path) -> list[str]:
+    changed = []
+    for audit in audits:
+        different = {
+            name: value
+            for name, value in _saved(folder, audit.system).items()
+            if name in audit.parameters and abs(audit.parameters[name] - value) > 1e-6
+        }
+        auditor.restore(audit.system, different)
+        changed += [
+            f"system {audit.system}: {name} {audit.parameters[name]:g} → {value:g}"
+            for name, value in different.items()
+        ]
+    return changed
 
 
 def _saved(folder: Path, system: int) -> Mapping[str, float]:

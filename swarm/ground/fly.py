@@ -15,10 +15,11 @@ from swarm.errors import Refused, SwarmError
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
+from swarm.flight.parameters import demands_of_plan
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.world import emulated_world
-from swarm.ground.audit import Auditor
+from swarm.ground.audit import Auditor, save_parameters
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.loop import Loop
 from swarm.ground.operator import ControlSocket, Desk, keys
@@ -173,7 +174,14 @@ class _Shell:
         """Ask for the go once, without waiting for the answer, and start when it has come."""
         if self._answer is None:
             self._answer = queue.SimpleQueue()
-            ask = _Asking(self._conductor, self.relay, self._confirm, audit, self._answer)
+            ask = _Asking(
+                self._conductor,
+                self.relay,
+                self._confirm,
+                audit,
+                self._answer,
+                self._record.folder,
+            )
             if self._confirm is None and self.relay is None:
                 ask.run()
             else:
@@ -201,7 +209,9 @@ class _Asking:
         confirm: Confirm | None,
         audit: Audit,
         answer: "queue.SimpleQueue[Audit | str]",
+        folder: Path,
     ) -> None:
+        self._folder = folder
         self._conductor, self._relay, self._confirm = conductor, relay, confirm
         self._audit, self._answer = audit, answer
 
@@ -221,9 +231,13 @@ class _Asking:
         flyers = self._conductor.flyers
         names = {v.system: v.autopilot.name for v in flyers if v.autopilot is not None}
         ports = {system: relay.ports[system] for system in names}
-        vehicles = self._conductor.plan.mission.vehicles
-        with Auditor(ports, names, vehicles).connected() as auditor:
-            found = [finding for one in auditor.audit() for finding in one.findings()]
+        plan, fleet = self._conductor.plan, self._conductor.fleet
+        with Auditor(ports, names, demands_of_plan(plan, fleet)).connected() as auditor:
+            audits = auditor.audit()
+        with suppress(OSError):
+            save_parameters(self._folder, audits)
+        battery = 100.0 * plan.duration / plan.mission.vehicles.endurance
+        found = [finding for one in audits for finding in one.findings(battery)]
         return replace(self._audit, findings=(*self._audit.findings, *found))
 
 

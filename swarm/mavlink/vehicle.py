@@ -75,9 +75,13 @@ class Vehicle:
     battery: float = math.nan
     voltage: float = math.nan
     ready: bool | None = None
+    fix: int = -1
+    satellites: int = -1
+    level_accuracy: float = math.nan
     boot_ms: int = -1
     round_trip: float = math.nan
     clock_offset: float = math.nan
+    answered_at: float = -math.inf
     lost_packets: int = 0
     packets: int = 0
     gripped: bool = False
@@ -189,6 +193,19 @@ class Vehicle:
             sub,
             reached=lambda: self.in_mode(mode),
             retry_for=5.0,
+        )
+
+    def set_custom_mode(self, custom_mode: int) -> None:
+        """Ask for the mode that a HEARTBEAT once showed; done when it shows it again."""
+        packed = self.autopilot is None or self.autopilot.name == "px4"
+        main, sub = (custom_mode >> 16 & 0xFF, custom_mode >> 24) if packed else (custom_mode, 0)
+        self._ask(
+            "mode before",
+            common.MAV_CMD_DO_SET_MODE,
+            _CUSTOM,
+            main,
+            sub,
+            reached=lambda: self.custom_mode == custom_mode,
         )
 
     def arm(self) -> None:
@@ -305,6 +322,10 @@ class Vehicle:
         self.relative_altitude = message.relative_alt * 1e-3
         self._compare(self.place, now)
 
+    def _gps(self, message: Message, _now: float) -> None:
+        self.fix, self.satellites = message.fix_type, message.satellites_visible
+        self.level_accuracy = message.h_acc * 1e-3 if message.h_acc else math.nan
+
     def _compare(self, place: Origin, now: float) -> None:
         """Compare the place on earth with the local position: both must mean the same origin.
 
@@ -370,6 +391,7 @@ class Vehicle:
         if not 0.0 <= now - sent < 10.0:
             return
         round_trip = now - sent
+        self.answered_at = now
         if not self.round_trip <= round_trip:
             self.clock_offset = message.tc1 * 1e-9 - (sent + now) / 2.0
             self.round_trip = round_trip
@@ -378,6 +400,7 @@ class Vehicle:
         int(common.MAVLINK_MSG_ID_HEARTBEAT): _heartbeat,
         int(common.MAVLINK_MSG_ID_LOCAL_POSITION_NED): _local_position,
         int(common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT): _global_position,
+        int(common.MAVLINK_MSG_ID_GPS_RAW_INT): _gps,
         int(common.MAVLINK_MSG_ID_ATTITUDE): _attitude,
         int(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN): _global_origin,
         int(common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE): _extended_state,

@@ -35,7 +35,7 @@ def sentence(event: Event, others: Sequence[int] = ()) -> str:
     vehicles = sorted({*([] if event.vehicle is None else [event.vehicle]), *others})
     if not vehicles or (len(vehicles) == 1 and f"vehicle {vehicles[0]}" in event.message):
         return event.message
-    return f"vehicle{'s' if len(vehicles) > 1 else ''} {_ranges(vehicles)}: {event.message}"
+    return f"vehicle{'s' if len(vehicles) > 1 else ''} {numbers(vehicles)}: {event.message}"
 
 
 def merged(events: Iterable[Event]) -> list[tuple[Event, list[int]]]:
@@ -55,9 +55,10 @@ def merged(events: Iterable[Event]) -> list[tuple[Event, list[int]]]:
     return found
 
 
-def _ranges(numbers: list[int]) -> str:
+def numbers(listed: Sequence[int]) -> str:
+    """Return numbers in words, runs as ranges: ``1–3, 7``."""
     runs: list[list[int]] = []
-    for number in numbers:
+    for number in listed:
         if runs and number == runs[-1][-1] + 1:
             runs[-1].append(number)
         else:
