@@ -1,5 +1,6 @@
 """``swarm check``: the vehicles on the ground, before anything is armed."""
 
+import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime
@@ -33,6 +34,7 @@ from swarm.preflight.findings import Finding, ProvenPlan
 from swarm.view.sheet import layout_sheet
 from swarm.view.words import numbers
 
+_SYSTEM = re.compile(r"system (\d+): ")
 STYLES = {"error": "bold red", "warning": "yellow", "info": "green"}
 
 
@@ -208,10 +210,8 @@ def _show(report: CheckReport, console: Console) -> None:
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     for heading in ("", "check", "found"):
         table.add_column(heading)
-    for finding in report.findings:
-        if finding.check != "parameters":
-            style = STYLES[finding.severity]
-            table.add_row(Text(finding.severity, style), finding.check, finding.message)
+    for severity, check, words in _same_words(report.findings):
+        table.add_row(Text(severity, STYLES[severity]), check, words)
     console.print(table)
     console.print()
     table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
@@ -219,8 +219,32 @@ def _show(report: CheckReport, console: Console) -> None:
         mark = Text("GO", "bold green") if item.go else Text("NO-GO", "bold red")
         table.add_row(mark, item.subject, item.words)
     console.print(table)
-    verdict = Text("GO", "bold green") if report.passed else Text("NO-GO", "bold red")
-    console.print(verdict, "for flight" if report.passed else ": nothing may be armed like this")
+    if report.passed:
+        console.print(Text("GO for flight", "bold green"))
+    else:
+        console.print(Text("NO-GO: nothing may be armed like this", "bold red"))
+
+
+def _same_words(findings: Iterable[Finding]) -> list[tuple[str, str, str]]:
+    """Return severity, check and words; what was found of many systems is one line."""
+    merged: dict[tuple[str, str, str], list[int]] = {}
+    for finding in findings:
+        named = _SYSTEM.match(finding.message)
+        words = finding.message[named.end() :] if named else finding.message
+        systems = merged.setdefault((finding.severity, finding.check, words), [])
+        if named:
+            systems.append(int(named[1]))
+    return [
+        (severity, check, _of_systems(systems) + words)
+        for (severity, check, words), systems in merged.items()
+        if check != "parameters"
+    ]
+
+
+def _of_systems(systems: Sequence[int]) -> str:
+    if not systems:
+        return ""
+    return f"system{'s' if len(systems) > 1 else ''} {numbers(systems)}: "
 
 
 def _object(report: CheckReport, folder: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progr
 from swarm.errors import Refused
 from swarm.view.plots import plot_plan
 from swarm.view.report import plan_report
+from swarm.view.sheet import layout_sheet
 from swarm.view.terminal import plan_summary
 
 
@@ -32,6 +33,11 @@ from swarm.view.terminal import plan_summary
     type=click.Path(dir_okay=False, path_type=Path),
     help="Write a page (HTML, needs no network) about the plan.",
 )
+@click.option(
+    "--sheet",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write a lay-out sheet to print (HTML): cable, grip marks, pads, lay line.",
+)
 @click.pass_context
 def plan(
     context: click.Context,
@@ -41,6 +47,7 @@ def plan(
     export: Path | None,
     plot: Path | None,
     report: Path | None,
+    sheet: Path | None,
 ) -> None:
     """Plan MISSION (a file or a knot's name), check it, and print the plan.
 
@@ -60,6 +67,8 @@ def plan(
         plot_plan(planned.plan, plot)
     if report:
         write_text(report, plan_report(planned.plan, planned.assessment))
+    if sheet:
+        write_text(sheet, layout_sheet(planned.plan))
     if as_json:
         print_json(exports.plan_object(planned.plan, planned.assessment))
     else:
