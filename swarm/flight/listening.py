@@ -285,20 +285,20 @@ def radio_finding(
     ``positions`` in Hz come back from each. Half of the radio is left for everything else.
     """
     signature = SIGNATURE_BYTES if signed else 0
-    per_vehicle = 8.0 * (
-        (SETPOINT_BYTES + signature) * rate + (POSITION_BYTES + signature) * positions
-    )
+    setpoint, back = 8.0 * (SETPOINT_BYTES + signature), 8.0 * (POSITION_BYTES + signature)
+    per_vehicle = setpoint * rate + back * positions
     needed = per_vehicle * vehicles
     share = needed / bits_per_second
-    back = f" and positions at {positions:g} Hz" if positions else ""
+    with_positions = f" and positions at {positions:g} Hz" if positions else ""
     words = (
-        f"setpoints for {vehicles} vehicle{'s' if vehicles > 1 else ''} at {rate:g} Hz{back} need "
+        f"setpoints for {vehicles} vehicle{'s' if vehicles > 1 else ''} at {rate:g} Hz{with_positions} need "
         f"{needed / 1000:.1f} kbit/s, {share:.0%} of {bits_per_second / 1000:g} kbit/s"
     )
     if share <= RADIO_SHARE:
         return Finding("info", "radio", words)
     fits = int(RADIO_SHARE * bits_per_second / per_vehicle)
-    slower = RADIO_SHARE * bits_per_second / (needed / rate) if rate else 0.0
+    slower = (RADIO_SHARE * bits_per_second / vehicles - back * positions) / setpoint
     advice = f"at this rate {fits} vehicle{' fits' if fits == 1 else 's fit'}"
-    advice += f"; {vehicles} would need at most {slower:.1f} Hz"
+    if slower > 0.0:
+        advice += f", and {vehicles} at {slower:.1f} Hz"
     return Finding("error", "radio", f"{words}; {advice}")

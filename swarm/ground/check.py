@@ -136,6 +136,10 @@ def check(
             f"the plan needs {proven.plan.vehicles} vehicles, the fleet {fleet.name} "
             f"has {len(fleet.vehicles)}"
         )
+    restore = (wanted or Wanted()).restore
+    if restore is not None:
+        for system in fleet.systems:
+            _saved(restore, system)
     links = open_links(fleet.links)
     emulator: EmulatorProcess | None = None
     listening = Listening(fleet)

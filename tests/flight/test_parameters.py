@@ -2,11 +2,15 @@
 
 import pytest
 
-from swarm.flight.parameters import judge, rules
+from swarm.fleet import emulated_fleet
+from swarm.flight.parameters import demands_of, demands_of_plan, judge, rules
 from swarm.mission import Vehicles
+from tests.network import small_plan
 
-PX4 = rules("px4", Vehicles())
-ARDUPILOT = rules("ardupilot", Vehicles())
+FLEET = emulated_fleet(3)
+ASKED = demands_of(Vehicles(), FLEET)
+PX4 = rules("px4", ASKED)
+ARDUPILOT = rules("ardupilot", ASKED)
 
 RETURNS = [
     ("px4", "NAV_RCL_ACT", 2),
@@ -26,7 +30,10 @@ RETURNS = [
 
 
 def settled(table):
-    return {rule.name: rule.should for rule in table}
+    return {
+        rule.name: rule.should if isinstance(rule.should, int | float) else rule.should(0.0)
+        for rule in table
+    }
 
 
 @pytest.mark.parametrize("table", [PX4, ARDUPILOT], ids=["px4", "ardupilot"])
@@ -38,7 +45,7 @@ def test_what_the_table_sets_satisfies_the_table(table):
 
 @pytest.mark.parametrize(("autopilot", "name", "value"), RETURNS)
 def test_returning_to_launch_is_an_error_in_every_failsafe(autopilot, name, value):
-    table = rules(autopilot, Vehicles())
+    table = rules(autopilot, ASKED)
     (row,), _ = judge(7, {**settled(table), name: value}, table)
     assert (row.name, row.severity, row.system) == (name, "error", 7)
     assert row.message.startswith(f"system 7: {name} is {value}, should be ")
@@ -63,6 +70,34 @@ def test_a_parameter_that_is_not_there_is_a_warning():
 
 
 def test_limits_follow_the_mission():
-    fast = rules("px4", Vehicles(max_speed=15.0))
+    fast = rules("px4", demands_of(Vehicles(max_speed=15.0), FLEET))
     names = {row.name for row in judge(1, settled(PX4), fast)[0]}
     assert "MPC_XY_VEL_MAX" in names
+
+
+def test_everybody_lands_after_the_teams_own_time():
+    values = {**settled(PX4), "COM_DL_LOSS_T": 10.0}
+    (row,), _ = judge(1, values, PX4)
+    assert (row.should, row.severity) == (FLEET.limits.hold, "error")
+    (row,), _ = judge(1, {**settled(ARDUPILOT), "FS_GCS_TIMEOUT": 5.0}, ARDUPILOT)
+    assert row.should == FLEET.limits.hold
+
+
+def test_without_global_position_there_is_no_hold_to_ask_for():
+    indoors = rules("px4", demands_of(Vehicles(), FLEET.model_copy(update={"frame": "shared"})))
+    assert judge(1, {**settled(indoors), "COM_OBL_RC_ACT": 4}, indoors)[0] == []
+    assert judge(1, {**settled(PX4), "COM_OBL_RC_ACT": 4}, PX4)[0][0].severity == "error"
+
+
+def test_bits_are_set_and_cleared_and_the_others_left():
+    (row,), _ = judge(1, {**settled(ARDUPILOT), "FS_OPTIONS": 48.0}, ARDUPILOT)
+    assert row.should == 20.0
+    (row,), _ = judge(1, {**settled(PX4), "COM_RCL_EXCEPT": 3.0}, PX4)
+    assert row.should == 7.0
+
+
+def test_a_plan_is_asked_for_what_it_flies():
+    plan = small_plan().plan
+    asked = demands_of_plan(plan, FLEET)
+    assert 0.0 < asked.down <= asked.speed <= plan.mission.vehicles.max_speed
+    assert asked.acceleration <= plan.mission.vehicles.max_acceleration + 0.1

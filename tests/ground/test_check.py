@@ -5,19 +5,30 @@ import json
 import pytest
 
 from swarm.errors import InputError, VehicleError
-from swarm.fleet import emulated_fleet
-from swarm.flight.listening import LinkQuality, radio_finding
+from swarm.fleet import emulated_fleet, parse_fleet
+from swarm.flight.listening import LinkQuality, radio_finding, radio_findings
 from swarm.ground import fly
-from swarm.ground.check import check
+from swarm.ground.check import Wanted, check
 from tests.network import small_plan
 
 
 def test_parameters_are_found_set_and_put_back(tmp_path):
-    fleet = emulated_fleet(2, ("px4", "ardupilot"))
+    fleet = emulated_fleet(3, ("px4", "ardupilot"))
     shown = []
-    report = check(fleet, tmp_path, soak=2.0, fix=lambda rows: shown.extend(rows) or True)
+    wanted = Wanted(soak=2.0, fix=lambda rows: shown.extend(rows) or True)
+    report = check(fleet, tmp_path, small_plan(), wanted)
+    assert report.passed, [f.message for f in report.findings if f.severity == "error"]
+    assert report.order == (1, 2, 3)
+    assert [item.check for item in report.items()] == [
+        "fleet", "firmware", "ready", "health", "battery", "position", "parameters", "placement",
+        "origin", "clock", "hold", "link",
+    ]  # fmt: skip
+    assert all(item.go for item in report.items())
+    said = [f.message for f in report.findings]
+    assert "system 1: took it and came back" in said
+    assert sum("m up of the first one's" in words for words in said) == 3
     assert {vehicle.firmware for vehicle in report.vehicles} == {"PX4 1.16.0", "ArduPilot 4.6.2"}
-    assert "system 1: COM_OBL_RC_ACT 0 → 4" in report.changed
+    assert "system 1: COM_OBL_RC_ACT 0 → 5" in report.changed
     assert "system 2: GUID_TIMEOUT 3 → 0.5" in report.changed
     assert [row for vehicle in report.vehicles for row in vehicle.wrong if row.value] == []
     assert {row.name for row in shown} >= {"COM_OBL_RC_ACT", "FS_GCS_ENABLE"}
@@ -28,12 +39,13 @@ def test_parameters_are_found_set_and_put_back(tmp_path):
         assert link.loss < 0.01
         assert link.round_trip < 0.5
     # the emulator starts anew, with its own defaults: nothing else differs from what was saved
-    saved["COM_OBL_RC_ACT"] = 5
+    saved["COM_OBL_RC_ACT"] = 4
     (tmp_path / "parameters" / "1.json").write_text(json.dumps(saved))
-    restored = check(fleet, tmp_path / "restored", restore=tmp_path)
-    assert restored.changed == ("system 1: COM_OBL_RC_ACT 0 → 5",)
+    restored = check(fleet, tmp_path / "restored", wanted=Wanted(restore=tmp_path))
+    assert restored.changed == ("system 1: COM_OBL_RC_ACT 0 → 4",)
+    assert not restored.passed
     with pytest.raises(InputError, match="expected the parameters that an earlier check saved"):
-        check(fleet, tmp_path / "no", restore=tmp_path / "nowhere")
+        check(fleet, tmp_path / "no", wanted=Wanted(restore=tmp_path / "nowhere"))
 
 
 def test_a_flight_with_autopilot_defaults_is_refused_by_the_audit(tmp_path):
@@ -58,7 +70,25 @@ def test_a_radio_that_is_too_slow_says_how_many_would_fit():
     finding = radio_finding(19, 20.0, 57_600, signed=False)
     assert finding.severity == "error"
     assert "at this rate 2 vehicles fit" in finding.message
+    assert "at this rate 2 vehicles fit, and 19 at 2.9 Hz" in finding.message
     assert radio_finding(9, 4.0, 57_600, signed=False).severity == "info"
+
+
+def test_serial_ports_and_stated_capacities_are_judged():
+    text = """
+schema: 1
+name: radio
+links: {usb: "serial:///dev/ttyUSB0:57600", air: "udpin://127.0.0.1:14550"}
+capacity: {air: 1000}
+vehicles: [{sysid: 1, links: [usb]}, {sysid: 2, links: [usb]}, {sysid: 3, links: [air]}]
+"""
+    fast, slow = radio_findings(parse_fleet(text, "radio.yaml"), 3)
+    assert slow.severity == "error"
+    assert slow.message == (
+        "link usb: setpoints for 2 vehicles at 20 Hz and positions at 10 Hz need 27.2 kbit/s, "
+        "59% of 46.08 kbit/s; at this rate 1 vehicle fits, and 2 at 16.0 Hz"
+    )
+    assert fast.severity == "info"
 
 
 def test_gaps_beyond_the_stream_timeout_are_errors():
