@@ -33,6 +33,7 @@ _POSITION_READY, _BASIC_READY = 42.0, 10.0
 _LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET = 1, 7, 8, 9
 _TAKEOFF_CANCELLED = 0.2
 _INFO, _WARNING, _CRITICAL = 6, 4, 2
+_SLOW_BEAT = 0.4
 _PREARM_EVERY = 30.0
 _CRASH_TIME = 2.0
 _POSITION, _VELOCITY, _ACCELERATION, _FORCE = 7, 56, 448, 512
@@ -70,6 +71,7 @@ class ArduPilot:
         self.lost_at: float | None = None
         self.prearm_at = 0.0
         self.tumbled_at: float | None = None
+        self.slow_at = -math.inf
         self.all_axes = False
         self.pilot = False
 
@@ -389,15 +391,30 @@ class ArduPilot:
 
     # What flies.
 
-    def tick(self) -> None:
-        """Look at timers and conditions, twenty-odd times a second."""
+    def tick(self) -> float:
+        """Look at timers and conditions, up to twenty-five times a second."""
+        self._look()
         v = self.v
+        if not v.armed:
+            return self.slow_at
+        if self.mode != GUIDED or v.landed or self.submode not in {"posvel", "stopped"}:
+            return -math.inf
+        if self.submode == "stopped" or self.tumbled_at is not None:
+            return self.slow_at
+        return min(self.slow_at, self.setpoint_at + v.parameters["GUID_TIMEOUT"])
+
+    def _look(self) -> None:
+        v = self.v
+        slow = v.now >= self.slow_at
+        if slow:
+            self.slow_at = v.now + _SLOW_BEAT
         if not v.armed:
             self._complain()
             return
         if v.bodies.tumbling[v.index] and self._fell():
             return
-        self._watch()
+        if slow:
+            self._watch()
         if v.landed:
             self._on_ground()
             return
@@ -447,7 +464,6 @@ class ArduPilot:
             return
         if v.now - self.setpoint_at > v.parameters["GUID_TIMEOUT"]:
             b, i = v.bodies, v.index
-            b.unstage()
             b.advance[i] = 0.0
             goal = (*b.goal_position[i], *[0.0] * 6)
             if self.submode != "posvel":
@@ -506,11 +522,11 @@ class ArduPilot:
         self._change(mode, failsafe=True)
 
     def _steer_land(self) -> None:
-        v, p, b = self.v, self.v.parameters, self.v.bodies
+        v, p = self.v, self.v.parameters
         home = v.home[2] if v.home is not None else v.origin[2]
         high = float(v.estimated()[2] - home) > p["LAND_ALT_LOW"] / 100.0
-        b.unstage()
-        b.goal_velocity[v.index, 2] = -(p["WPNAV_SPEED_DN"] if high else p["LAND_SPEED"]) / 100.0
+        rate = p["WPNAV_SPEED_DN"] if high else p["LAND_SPEED"]
+        v.bodies.climb(v.index, -rate / 100.0)
 
     def _steer_return(self) -> None:
         """Climb, fly home, wait RTL_LOIT_TIME, land."""

@@ -53,7 +53,6 @@ def go(v: Vehicle, place: Any) -> None:
 def sink(v: Vehicle, rate: float, *, steer: bool) -> None:
     """Go down at ``rate`` (m/s): over the goal's place, or level and drifting (``steer`` off)."""
     b, i = v.bodies, v.index
-    b.unstage()
     goal = (*b.goal_position[i], 0.0, 0.0, -rate, 0.0, 0.0, 0.0)
     if steer:
         b.aim(i, goal, (1.0, 1.0, 0.0))

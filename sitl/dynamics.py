@@ -13,11 +13,14 @@ ENU, SI, radians; arrays are (n, 3) or (n,). The controller sees the *estimate*:
 slow noise. Vehicles stand on legs as long as their dropper: the centre is at floor + grip offset.
 """
 
-from typing import Any
+import math
+import struct
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl import linear
 from sitl.world import World
 
 Array = NDArray[np.float64]
@@ -29,6 +32,7 @@ _THRUST_FREQUENCY = 14.0
 _THRUST_DAMPING = 0.9
 _YAW_RATE = 1.0
 _SETTLED = 2.0
+_GOAL = struct.Struct("9d")
 _IDLE_THRUST = 0.08 * GRAVITY
 _SLOW_VERTICAL = 0.25
 _SLOW_HORIZONTAL = 1.5
@@ -67,12 +71,13 @@ class Bodies:
         self.grip_offset = np.array([s.grip_offset for s in specs])
         self.thrust_limit = np.array([2.0 * (s.mass + s.payload) * GRAVITY / s.mass for s in specs])
         self.max_acceleration = np.array([s.max_acceleration for s in specs])
-        self.position = np.array([s.pad for s in specs], dtype=float)
+        self._now = np.zeros((n, 3, linear.INPUTS, 1))
+        self._now[:, 2, linear.WEIGHT] = GRAVITY
+        self.goal = np.zeros((n, 9))
+        self._marks = np.zeros((3, n), dtype=bool)
+        self._share()
+        self.position[:] = [s.pad for s in specs]
         self.position[:, 2] = np.maximum(self.position[:, 2], world.floor) + self.grip_offset
-        self.velocity = np.zeros((n, 3))
-        self.thrust = np.zeros((n, 3))
-        self.thrust_rate = np.zeros((n, 3))
-        self.integral = np.zeros((n, 3))
         self.yaw = np.pi / 2 - np.array([s.heading for s in specs])
         self.yaw_rate = np.zeros(n)
         self.bias = np.zeros((n, 3))
@@ -81,10 +86,6 @@ class Bodies:
 
     def _make_goals(self, world: World) -> None:
         n = self.count
-        self.goal = np.zeros((n, 9))
-        self.goal_position = self.goal[:, :3]
-        self.goal_velocity = self.goal[:, 3:6]
-        self.goal_acceleration = self.goal[:, 6:]
         self.goal_position[:] = self.position
         self.goal_yaw = self.yaw.copy()
         self.position_axes = np.zeros((n, 3))
@@ -97,15 +98,17 @@ class Bodies:
         self.velocity_gain = np.ones((n, 3))
         self.integral_gain = np.zeros((n, 3))
         self.advance = np.zeros(n)
-        self._staged: dict[int, tuple[float, ...]] = {}
         self._axes: dict[int, tuple[float, ...]] = {}
-        self.velocity_goal = np.zeros((n, 3))
+        self._velocity_goal = np.zeros((n, 3))
+        self._velocity_scale = 1.0
 
     def _make_flags(self) -> None:
         n = self.count
-        self.armed = np.zeros(n, dtype=bool)
+        self._cruising = bytes([1] * n + [0] * 2 * n)
+        self._nothing = bytes(8 * n)
+        self.landings = 0
+        self.landed[:] = True
         self.may_lift = np.zeros(n, dtype=bool)
-        self.landed = np.ones(n, dtype=bool)
         self.contact = np.zeros(n)
         self.armed_for = np.zeros(n)
         self.lifting = np.zeros(n)
@@ -115,7 +118,6 @@ class Bodies:
         self.cut_time = np.full(n, 0.35)
         self.health = np.ones(n)
         self.crashed = np.zeros(n, dtype=bool)
-        self.tumbling = np.zeros(n, dtype=bool)
         self.tumble = np.zeros(n)
         self.fooled = np.zeros(n, dtype=bool)
         self.drift = np.zeros((n, 3))
@@ -132,12 +134,32 @@ class Bodies:
         self.wash = np.zeros((n, 3))
         self.apart = np.full((n, n), np.inf)
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy's goals are views of its own array, as the original's are."""
-        self.__dict__.update(state)
+    def _share(self) -> None:
+        """Make the views of the arrays that hold several things."""
+        now = self._now[..., 0]
+        self.position = now[..., linear.POSITION]
+        self.velocity = now[..., linear.VELOCITY]
+        self.thrust = now[..., linear.THRUST]
+        self.thrust_rate = now[..., linear.THRUST_RATE]
+        self.integral = now[..., linear.INTEGRAL]
+        self._state = now[..., : linear.STATES]
+        self._height = self.position[:, 2]
+        self._aim = now[..., linear.GOAL]
+        self._wish = now[..., linear.WANTED]
+        self._outer = now[..., linear.OUTER]
         self.goal_position = self.goal[:, :3]
         self.goal_velocity = self.goal[:, 3:6]
         self.goal_acceleration = self.goal[:, 6:]
+        self._goal_bytes = memoryview(cast("Any", self.goal)).cast("B")
+        self.armed, self.landed, self.tumbling = self._marks
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: value for key, value in vars(self).items() if key != "_goal_bytes"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy's arrays share memory as the original's do."""
+        self.__dict__.update(state)
+        self._share()
         self.touch()
 
     # The way in for autopilots.
@@ -150,6 +172,8 @@ class Bodies:
         self._per_mass = 1.0 / self.mass[:, None]
         self._drag = self.drag[:, None]
         self._renew_air()
+        self._noise_sigma = NOISE_SIGMA * (self.noise_scale > 0)
+        self._noisy = bool(self.noise_scale.any())
         self._least_speed = float(min(self.speed_limit.min(), self.climb_limit.min()))
         self._least_speed = min(self._least_speed, float(self.descend_limit.min()))
         self._most_z = 0.9 * float(self.thrust_limit.min())
@@ -157,9 +181,11 @@ class Bodies:
             min(self.max_acceleration.min(), self.tilt_limit.min() * 0.5 * GRAVITY)
         )
         self._healthy = bool((self.health == 1.0).all())
+        self._map: Array | None = None
         self._highest_stand = self.floor + float(self.grip_offset.max())
 
     def _renew_air(self) -> None:
+        self._stale = self._stale_air = True
         self._offset = self.bias + self.noise
         self._air = self._drag * (self.wind + self.wash)
         self._air[:, 2] -= GRAVITY
@@ -172,8 +198,8 @@ class Bodies:
         velocity_axes: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:
         """Set one vehicle's goal: position, velocity, acceleration (9 numbers, world ENU)."""
-        self._staged.pop(i, None)
         self.goal[i] = goal
+        self._stale = True
         axes = (*position_axes, *velocity_axes)
         if self._axes.get(i) != axes:
             self._axes[i] = axes
@@ -182,14 +208,14 @@ class Bodies:
             self.touch()
 
     def stage(self, i: int, goal: tuple[float, ...]) -> None:
-        """As `aim` with all axes, which are controlled already: taken up at the next step."""
-        self._staged[i] = goal
+        """As `aim` with all axes, which are controlled already; the quickest way in."""
+        _GOAL.pack_into(self._goal_bytes, i * _GOAL.size, *goal)
+        self._stale = True
 
-    def unstage(self) -> None:
-        """Take up staged goals now, all in one."""
-        if self._staged:
-            self.goal[list(self._staged)] = list(self._staged.values())
-            self._staged.clear()
+    def climb(self, i: int, rate: float) -> None:
+        """Change the vertical velocity of one vehicle's goal (m/s, up)."""
+        self.goal_velocity[i, 2] = rate
+        self._stale = True
 
     # Reading.
 
@@ -216,10 +242,12 @@ class Bodies:
     def push(self, force: Array) -> None:
         """Set the external force on every vehicle (newtons, (n, 3)) until it is set again."""
         self._pushed = force * self._per_mass
+        self._stale_air = True
 
     def step(self) -> Flags | None:
         """Advance by `STEP`; return which vehicles have just hit the ground hard, or None."""
-        self.unstage()
+        if self._settled and self._healthy and self._glide():
+            return self._ground() if self._height.min() <= self._highest_stand else None
         command = self._command()
         command -= self.thrust
         command *= STEP * _THRUST_FREQUENCY**2
@@ -236,6 +264,39 @@ class Bodies:
             return self._ground()
         return None
 
+    def _glide(self) -> bool:
+        """Advance by the linear map if that stays clear of all limits; tell whether it did."""
+        if self._map is None:
+            self._map = linear.linear_map(
+                gain=self._gain, rate_gain=self._rate_gain, integral_gain=self._integral_gain,
+                drag=self._drag, step=STEP, frequency=_THRUST_FREQUENCY, damping=_THRUST_DAMPING,
+                speed=self._least_speed, reach=self._least_reach,
+            )  # fmt: skip
+            self._velocity_limit = linear.WITHIN * self._least_speed
+        if self._stale:
+            aim = self.goal_position - self._offset
+            aim *= self._gain
+            aim += self.goal_velocity
+            self._aim[:] = aim
+            self._wish[:] = self.goal_acceleration
+            self._stale = False
+        if self._stale_air:
+            self._outer[:] = self._air + self._pushed
+            self._stale_air = False
+        following = linear.apply(self._map, self._now)
+        checks = following[..., linear.STATES :]
+        if not np.abs(checks).max() <= 1.0:
+            return False
+        self._state[:] = following[..., : linear.STATES]
+        self._velocity_goal, self._velocity_scale = checks[..., 0], self._velocity_limit
+        return True
+
+    @property
+    def velocity_goal(self) -> Array:
+        """Velocity that the position controller asked for in the last step (m/s, (n, 3))."""
+        goal: Array = self._velocity_goal * self._velocity_scale
+        return goal
+
     def _command(self) -> Array:
         """Commanded specific thrust after the health of the motors (n, 3)."""
         goal = self.goal_position - self.position
@@ -246,7 +307,7 @@ class Bodies:
             speed = np.hypot(goal[:, 0], goal[:, 1])
             goal[:, :2] *= (self.speed_limit / np.maximum(speed, self.speed_limit))[:, None]
             np.clip(goal[:, 2], -self.descend_limit, self.climb_limit, out=goal[:, 2])
-        self.velocity_goal = goal
+        self._velocity_goal, self._velocity_scale = goal, 1.0
         miss = goal - self.velocity
         wanted: Array = self._rate_gain * miss
         wanted += self.goal_acceleration
@@ -281,19 +342,18 @@ class Bodies:
 
     def supervise(self, interval: float) -> None:
         """Take-off ramp, land detector and yaw, every ``interval`` seconds (call at 25 Hz)."""
-        np.clip(self.integral, -5.0, 5.0, out=self.integral)
-        if self.advance.any():
-            self.unstage()
+        if self.advance.tobytes() != self._nothing:
             self.goal_position += (interval * self.advance)[:, None] * self.goal_velocity
-        if (self.goal_yaw != self.yaw).any():
+            self._stale = True
+        if self.goal_yaw.tobytes() != self.yaw.tobytes():
             self._turn(interval)
-        if self.tumbling.any():
-            self.tumble += interval * _TUMBLE_RATE * (self.tumbling & ~self.crashed)
-        aloft = self._settled and self.armed.all() and not self.landed.any()
+        aloft = self._settled and self._marks.tobytes() == self._cruising
         if not aloft:
+            self.tumble += interval * _TUMBLE_RATE * (self.tumbling & ~self.crashed)
             self._lift(interval)
             self._settled = bool((self.lifting > _SETTLED).all() and self.share.min() >= 1.0)
-        if not aloft or self.velocity_goal[:, 2].min() < _DESCENDING or self.contact.any():
+        descending = self._velocity_goal[:, 2].min() * self._velocity_scale < _DESCENDING
+        if not aloft or descending or self.contact.tobytes() != self._nothing:
             self._detect_landing(interval)
             self._settled = self._settled and not self.contact.any()
 
@@ -353,7 +413,10 @@ class Bodies:
         self.contact = np.where(candidate, self.contact + interval, 0.0)
         left = self.position[:, 2] > self.floor + self.grip_offset + 0.05
         lifted = left & self.armed & ~self.fooled
-        self.landed = (self.landed & ~lifted) | (self.contact > self.land_time)
+        landed = (self.landed & ~lifted) | (self.contact > self.land_time)
+        if (landed != self.landed).any():
+            self.landed[:] = landed
+            self.landings += 1
 
     def wander(self, interval: float) -> None:
         """Advance estimator noise, gusts and downwash by ``interval`` seconds (call at 10 Hz).
@@ -362,11 +425,14 @@ class Bodies:
         are Dryden's first-order longitudinal filter on every axis (MIL-F-8785C, low altitude), four
         fifths of it common to the whole team, whose vehicles are close together.
         """
-        keep = np.exp(-interval / _NOISE_TIME)
-        fresh = self.rng.standard_normal((self.count, 3))
-        self.noise = keep * self.noise + np.sqrt(1 - keep**2) * NOISE_SIGMA * fresh
-        self.noise *= self.noise_scale > 0
-        self.bias += interval * self.drift
+        np.clip(self.integral, -5.0, 5.0, out=self.integral)
+        if self._noisy:
+            keep = math.exp(-interval / _NOISE_TIME)
+            self.noise *= keep
+            fresh = self.rng.standard_normal((self.count, 3))
+            self.noise += math.sqrt(1 - keep**2) * self._noise_sigma * fresh
+        if self.drift.any():
+            self.bias += interval * self.drift
         if self.gust_intensity > 0:
             speed = max(1.0, float(np.linalg.norm(self.steady_wind[0])))
             keep = np.exp(-interval * speed / 30.0)
@@ -385,9 +451,10 @@ class Bodies:
         self.wash[:] = 0.0
         if self.count < 2:
             return
-        across = self.position[:, None, :2] - self.position[None, :, :2]
+        level = self.position[:, :2]
+        across = level[:, None] - level
         distance = self.apart = np.einsum("ijk,ijk->ij", across, across)
-        if (distance < 4.0).sum() <= self.count:
+        if np.count_nonzero(distance < 4.0) <= self.count:
             return
         below = self.position[None, :, 2] - self.position[:, None, 2]
         self.wash[:, 2] = -_WASH_FACTOR * self._jets(below, distance).max(axis=1)

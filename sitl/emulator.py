@@ -6,6 +6,7 @@ seed and bytes at the same times give the same result. Ground truth never goes o
 """
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from sitl.ardupilot import ArduPilot
 from sitl.contacts import Contacts
-from sitl.dynamics import GRAVITY, STEP, Array, Bodies
+from sitl.dynamics import GRAVITY, STEP, Array, Bodies, Flags
 from sitl.faults import Fault
 from sitl.geodesy import Geodesy
 from sitl.injector import Injector
@@ -29,6 +30,7 @@ _EPOCH = 1_800_000_000.0
 _SLOW_EVERY = 5
 _TICK_EVERY = 2
 _DRAIN_EVERY = 25
+_WASH_EVERY, _WASH_STRIDE = 25, 3
 _FULL_VOLTAGE, _EMPTY_VOLTAGE = 16.8, 13.2
 _HOVER_CURRENT = 15.0
 
@@ -74,6 +76,7 @@ class Emulator:
         self.bodies = Bodies(world, np.random.default_rng(seeds[0]))
         self.time = 0.0
         self._ticks = 0
+        self._landings = 0
         self.events: list[dict[str, Any]] = []
         self.rope = (
             Rope(world.cable, world.floor, np.array(world.wind.steady)) if world.cable else None
@@ -241,7 +244,8 @@ class Emulator:
     def _advance(self) -> None:
         now = self.time
         b = self.bodies
-        self.injector.tick(now)
+        if self.injector.tick(now):
+            self._wake()
         self._arrive(now)
         rope = self.rope
         if rope is not None and self._ticks % rope.patience == 0:
@@ -251,22 +255,30 @@ class Emulator:
                 self.injector.drag(force[b.count :], rope.patience * STEP)
         hit = b.step()
         if hit is not None:
-            for i in np.nonzero(hit)[0]:
-                self.contacts.contacts.append(
-                    {"time": now, "kind": "crash", "vehicles": [self.vehicles[i].system]}
-                )
-                self._event("crashed", self.vehicles[i].system)
+            self._crashed(hit)
         if self._ticks % _SLOW_EVERY == 0:
             self._slow(_SLOW_EVERY * STEP)
         if self._ticks % _TICK_EVERY == 0:
             b.supervise(_TICK_EVERY * STEP)
+            if b.landings != self._landings:
+                self._landings = b.landings
+                self._wake()
             for vehicle in self.vehicles:
-                self._tick(vehicle, now)
+                if vehicle.awake_at <= now:
+                    self._tick(vehicle, now)
         for vehicle, link in self._links:
             if link.due and link.due[0][0] <= now + 1e-6:
                 vehicle.now = max(vehicle.now, now)
                 for name in link.take_due(now):
                     emit(vehicle, name, link)
+
+    def _crashed(self, hit: Flags) -> None:
+        for i in np.nonzero(hit)[0]:
+            system = self.vehicles[i].system
+            self.contacts.contacts.append(
+                {"time": self.time, "kind": "crash", "vehicles": [system]}
+            )
+            self._event("crashed", system)
 
     def _held(self) -> tuple[Array, Array]:
         """Grip points and velocities of all that holds cable: vehicles, then snags."""
@@ -277,6 +289,11 @@ class Emulator:
             return grips, b.velocity
         pinned = np.array([anchor.place for anchor in anchors])
         return np.vstack([grips, pinned]), np.vstack([b.velocity, np.zeros_like(pinned)])
+
+    def _wake(self) -> None:
+        """Have every autopilot look again, as something happened that may concern it."""
+        for vehicle in self.vehicles:
+            vehicle.awake_at = -math.inf
 
     def _tick(self, vehicle: Vehicle, now: float) -> None:
         vehicle.now = max(vehicle.now, now)
@@ -291,7 +308,9 @@ class Emulator:
             vehicle.finish_gripper()
         if vehicle.parameter_queue:
             pump_parameters(vehicle)
-        vehicle.personality.tick()
+        quiet = vehicle.personality.tick()
+        if not (vehicle.later or vehicle.pending or vehicle.parameter_queue):
+            vehicle.awake_at = quiet
 
     def _slow(self, interval: float) -> None:
         b = self.bodies
@@ -299,10 +318,13 @@ class Emulator:
         if self._ticks % _DRAIN_EVERY == 0:
             self._drain(_DRAIN_EVERY * STEP)
         cable = None
-        if self.rope is not None:
-            cable = self.rope.follow(self._held()[0], interval, solved=True)
-            if self._ticks % _DRAIN_EVERY == 0:
-                self.rope.set_wash(b.wash_at(cable))
+        rope = self.rope
+        if rope is not None:
+            washing = self._ticks % _WASH_EVERY == 0
+            if washing or rope.within_reach(b.position, b.radius):
+                cable = rope.follow(self._held()[0], interval, solved=True)
+                if washing:
+                    rope.set_wash(b.wash_at(cable[::_WASH_STRIDE]), _WASH_STRIDE)
         self.contacts.look(self.time, [v.system for v in self.vehicles], cable)
 
     def _drain(self, interval: float) -> None:

@@ -74,14 +74,17 @@ class Injector:
         self._count += 1
         heapq.heappush(self._agenda, (at, self._count, action))
 
-    def tick(self, now: float) -> None:
-        """Do what is due; let drifting barometers drift."""
+    def tick(self, now: float) -> bool:
+        """Do what is due, let drifting barometers drift; tell whether anything happened."""
         self.now = now
+        happened = bool(self._agenda) and self._agenda[0][0] <= now + 1e-9
         while self._agenda and self._agenda[0][0] <= now + 1e-9:
             heapq.heappop(self._agenda)[2]()
         if self.drifts:
             for i, rate in self.drifts.items():
                 self.bodies.bias[i, 2] += rate * STEP
+                self.vehicles[i].barometer += rate * STEP
+        return happened
 
     def start(self, fault: Fault, sysid: int) -> None:
         """Begin a fault now."""

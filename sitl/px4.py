@@ -32,7 +32,7 @@ from sitl.vehicle import (
 
 FORCE = 21196
 _BOOT_TIME = 12.0
-_SLOW_BEAT = 10
+_SLOW_BEAT = 0.4
 _LOCAL_NED = 1
 _INFO, _WARNING, _CRITICAL, _EMERGENCY = 6, 4, 2, 0
 
@@ -70,7 +70,7 @@ class Px4:
         self.battery_at_arming = 0
         self.gcs_seen = False
         self.all_axes = False
-        self._beat = self.v.index
+        self.slow_at = -math.inf
         self.tumbled = False
         self.ready_at = -math.inf
 
@@ -371,14 +371,23 @@ class Px4:
 
     # What flies.
 
-    def tick(self) -> None:
-        """Look at timers and conditions, twenty-odd times a second."""
+    def tick(self) -> float:
+        """Look at timers and conditions, up to twenty-five times a second."""
+        self._look()
         v = self.v
-        self._beat += 1
+        if v.armed:
+            if not self._steadily_offboard():
+                return -math.inf
+            return min(self.slow_at, self.offboard_at + v.parameters["COM_OF_LOSS_T"])
+        return self.slow_at
+
+    def _look(self) -> None:
+        v = self.v
         if v.bodies.tumbling[v.index] and not self.tumbled:
             self.tumbled = True
             v.text(_EMERGENCY, "Attitude failure detected\t")
-        if self._beat % _SLOW_BEAT == 0:
+        if v.now >= self.slow_at:
+            self.slow_at = v.now + _SLOW_BEAT
             self._battery()
             if v.armed:
                 self._watch_links()
@@ -532,12 +541,10 @@ class Px4:
 
     def _steer_land(self) -> None:
         v, p = self.v, self.v.parameters
-        b, i = v.bodies, v.index
         home = v.home[2] if v.home is not None else v.origin[2]
         height = float(v.estimated()[2] - home)
         fast = height > p["MPC_LAND_ALT1"]
-        b.unstage()
-        b.goal_velocity[i, 2] = -(p["MPC_Z_V_AUTO_DN"] if fast else p["MPC_LAND_SPEED"])
+        v.bodies.climb(v.index, -(p["MPC_Z_V_AUTO_DN"] if fast else p["MPC_LAND_SPEED"]))
 
     def _steer_return(self) -> None:
         """Climb to the return altitude, fly home, come down, land."""

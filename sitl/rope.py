@@ -35,6 +35,7 @@ _NEARLY, _TIGHT = 0.03, 0.2
 _FLAT = 0.01
 _LEAST, _MOST = 1e-4, 1e4
 _FALL = 9.0
+_ROTOR_HEIGHT = 0.2
 _TABLE_Z = np.geomspace(_TAUT, 40.0, 3000)
 _TABLE_RATIO = np.log(np.sinh(_TABLE_Z) / _TABLE_Z - 1.0)
 _TABLE_LOG_Z = np.log(_TABLE_Z)
@@ -108,8 +109,10 @@ class Rope:
         self._still = not np.any(wind)
         self.down = load / self.weight
 
-    def set_wash(self, speed: Array) -> None:
-        """Take every vehicle's downwash at every sample ((m, n), m/s): it loads the spans below.
+    def set_wash(self, speed: Array, stride: int = 1) -> None:
+        """Take every vehicle's downwash at each ``stride``-th sample: it loads the spans below.
+
+        ``speed`` (m, n) is in m/s.
 
         The drag of each sample, averaged over its span, adds to the span's weight; as a uniform
         load it leaves the catenary's shape as it is and pulls harder on both ends. The wash of the
@@ -117,16 +120,21 @@ class Rope:
         """
         if not len(self.starts):
             return
-        felt = speed[self._between]
+        sampled = self._between % stride == 0
+        span_of = self._span_of[sampled]
+        felt = speed[self._between[sampled] // stride]
+        if not felt.any():
+            self._load = np.full(len(self.starts), self.weight)
+            return
         rows = np.arange(len(felt))
         for holders in (self.starts, self.stops):
-            own = holders[self._span_of]
+            own = holders[span_of]
             vehicles = own < felt.shape[1]
             felt[rows[vehicles], own[vehicles]] = 0.0
         fastest = felt.max(axis=1)
         drag = 0.5 * AIR_DENSITY * _CYLINDER_DRAG * self.spec.diameter * fastest**2
-        count = np.bincount(self._span_of, minlength=len(self.starts))
-        total = np.bincount(self._span_of, weights=drag, minlength=len(self.starts))
+        count = np.bincount(span_of, minlength=len(self.starts))
+        total = np.bincount(span_of, weights=drag, minlength=len(self.starts))
         self._load = self.weight + total / np.maximum(count, 1)
 
     def grab(self, vehicle: int, grip_point: Array) -> float | None:
@@ -258,7 +266,7 @@ class Rope:
         ``grips`` and ``velocity`` are all vehicles' grip points and velocities (n, 3).
         """
         force = np.zeros_like(grips)
-        self.patience = 4
+        self.patience = 5
         if len(self.starts):
             hung = self._hang(grips)
             self.spans = hung
@@ -374,6 +382,37 @@ class Rope:
         self.breaks = sorted([*self.breaks, at + min(0.05, 0.5 * float(self.lengths[span]))])
         self._fall(before != self._pieces())
         self._arrange()
+
+    @property
+    def loose(self) -> bool:
+        """Whether anything is not where statics alone puts it: falling, or just let go."""
+        return bool(self.falling.any()) or len(self.spans.a) != len(self.starts)
+
+    def within_reach(self, centre: Array, radius: Array) -> bool:
+        """Whether a disc at any of the centres (n, 3) could touch a span or a loose end.
+
+        A span hangs below its higher end, in still air above its chord in plan; a loose end or
+        a wind, and cable that falls, are always looked at closely.
+        """
+        if self.loose:
+            return True
+        if not self._still or not len(self.starts):
+            return bool(self.grips)
+        hung = self.spans
+        top = np.maximum(hung.start[:, 2], hung.stop[:, 2]) + _ROTOR_HEIGHT
+        near = centre[:, None, 2] < top
+        if any(end.length > SPACING for end in self._ends):
+            ends = hung.start[:, 2].max() + _ROTOR_HEIGHT
+            near |= centre[:, None, 2] < ends
+            return bool(near.any())
+        if not near.any():
+            return False
+        chord = (hung.stop - hung.start)[:, :2]
+        away = centre[:, None, :2] - hung.start[:, :2]
+        share = np.einsum("ijk,jk->ij", away, chord) / (hung.across**2)
+        away -= np.clip(share, 0.0, 1.0)[..., None] * chord
+        near &= np.einsum("ijk,ijk->ij", away, away) < (radius**2)[:, None]
+        return bool(near.any())
 
     def follow(self, grips: Array, interval: float, *, solved: bool = False) -> Array:
         """Move the samples to where the cable is now; return them (m, 3).

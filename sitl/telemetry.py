@@ -225,10 +225,11 @@ def _origin(v: Vehicle) -> bytes | None:
 
 
 def _gps(v: Vehicle) -> bytes | None:
+    """What the receiver says by itself: a barometer that drifts is not in its altitude."""
     if v.around.indoor:
         return None
     x, y, z = v.estimated().tolist()
-    latitude, longitude, altitude = v.around.geodesy.degrees(x, y, z)
+    latitude, longitude, altitude = v.around.geodesy.degrees(x, y, z - v.barometer)
     good = v.global_valid
     return wire.payload(
         "GPS_RAW_INT",

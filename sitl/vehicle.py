@@ -91,8 +91,9 @@ class Personality(Protocol):
         """Legacy SET_MODE; return the MAV_RESULT."""
         ...
 
-    def tick(self) -> None:
-        """Look at timers and conditions."""
+    def tick(self) -> float:
+        """Look at timers and conditions; return when to look again if nothing happens till then."""
+        ...
 
     def custom_mode(self) -> int:
         """HEARTBEAT.custom_mode."""
@@ -177,6 +178,7 @@ class Vehicle:
             self.unix_offset = float(rng.normal(0.0, 0.05))
             self.bodies.bias[index] = rng.normal(0.0, 1.0, 3) * (0.012, 0.012, 0.015)
             self.bodies.noise_scale[index] = 1.0
+            self.bodies.touch()
         if world.indoor:
             self.origin = np.zeros(3)
         self.scale = (1.0, 1.0)
@@ -184,12 +186,14 @@ class Vehicle:
             self.scale = surroundings.geodesy.scale(spec.autopilot)
         self.place: tuple[float, float, float] = tuple(self.origin.tolist())
         self.home: np.ndarray[Any, Any] | None = None
+        self.barometer = 0.0
         self.charge = 1.0
         self.voltage = 16.4
         self.current = 0.0
         self.local_valid = True
         self.global_valid = not world.indoor
         self.frozen = False
+        self.awake_at = -math.inf
         self.vision_at = -math.inf
         self.pending: list[Request] = []
         self.gripped = False
@@ -351,6 +355,7 @@ class Vehicle:
             if message.target_system in (0, self.system) and message.target_component < 2:
                 self.personality.setpoint(message)
             return
+        self.awake_at = -math.inf
         handler = HANDLERS.get(message.get_type())
         if handler is not None:
             handler(self, message, link)

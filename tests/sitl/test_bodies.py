@@ -1,10 +1,18 @@
 """Flight dynamics: tracking, limits, wind, wash, battery, contacts."""
 
+import copy
+from typing import Any
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from sitl import Emulator
 from sitl.dynamics import GRAVITY, STEP
+from sitl.rope import Rope
+from sitl.world import CableSpec
 from tests.sitl.client import Ground, world
 
 
@@ -175,3 +183,80 @@ def test_standing_and_hard_landings() -> None:
     hits = [b.step() for _ in range(int(2.0 / STEP))]
     assert [hit.tolist() for hit in hits if hit is not None] == [[True]]
     assert b.health[0] == 0.0
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_the_quick_step_and_the_full_one_fly_the_same(autopilot: str) -> None:
+    """A path with feed-forward well inside all limits, flown by the linear map and without it."""
+
+    def flown(*, quick: bool) -> Any:
+        ground = Ground(
+            Emulator(world(2, autopilot=autopilot, wind="{steady: [2, 1, 0], gust: 0.5}"))
+        )
+        b = ground.emulator.bodies
+        b.armed[:] = b.may_lift[:] = True
+        for i in range(2):
+            b.aim(i, (3.0 * i, 0.0, 5.0, *[0.0] * 6))
+        track = []
+        for step in range(1500):
+            now = step * 0.02
+            if now > 10.0:
+                phase = 0.5 * (now - 10.0)
+                circle = (np.sin(phase), 1 - np.cos(phase), 5.0)
+                speed = (0.5 * np.cos(phase), 0.5 * np.sin(phase), 0.0)
+                pull = (-0.25 * np.sin(phase), 0.25 * np.cos(phase), 0.0)
+                b.stage(0, (*circle, *speed, *pull))
+            b.push(np.array([[0.3, 0.0, -0.5], [0.0, 0.2, -0.4]]))
+            if not quick:
+                b._settled = False
+            b.step()
+            if step % 2 == 0:
+                b.supervise(0.04)
+            if step % 5 == 0:
+                b.wander(0.1)
+            track.append(b.position.copy())
+        assert b._settled or not quick
+        return np.array(track)
+
+    assert np.abs(flown(quick=True) - flown(quick=False)).max() < 1e-9
+
+
+def test_a_copy_in_the_middle_of_a_flight_flies_on_alike_and_alone() -> None:
+    ground = Ground(Emulator(world(2)))
+    b = ground.emulator.bodies
+    b.armed[:] = b.may_lift[:] = True
+    for i in range(2):
+        b.aim(i, (3.0 * i, 0.0, 5.0, *[0.0] * 6))
+    for step in range(400):
+        b.step()
+        if step % 2 == 0:
+            b.supervise(0.04)
+    other = copy.deepcopy(b)
+    for one in (b, other):
+        one.stage(1, (3.0, 1.0, 5.0, *[0.0] * 6))
+        one.step()
+    assert (b.position == other.position).all()
+    other.stage(1, (3.0, 9.0, 5.0, *[0.0] * 6))
+    other.armed[0] = False
+    other.step()
+    assert b.goal_position[1, 1] == 1.0
+    assert b.armed.all()
+
+
+places = arrays(float, (3, 3), elements=st.floats(0.0, 4.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(places, arrays(float, (2, 3), elements=st.floats(0.0, 4.0)))
+def test_nothing_within_reach_of_a_rotor_is_overlooked(grips: Any, others: Any) -> None:
+    """The quick look may warn in vain, never keep silent: against every sample of the cable."""
+    spec = CableSpec(points=[(0, 0, 0), (9, 0, 0)])
+    rope = Rope(spec, 0.0, np.zeros(3))
+    for i, arc in enumerate((0.0, 4.5, 9.0)):
+        rope.tie(i, arc)
+    rope.pull(grips, np.zeros((3, 3)))
+    cable = rope.follow(grips, 100.0)
+    centres = np.vstack([grips + np.array([0.0, 0.0, 0.6]), others])
+    away = cable[:, None] - centres[None]
+    touching = (np.abs(away[..., 2]) < 0.06) & (np.hypot(away[..., 0], away[..., 1]) < 0.25)
+    assert rope.within_reach(centres, np.full(5, 0.25)) or not touching.any()

@@ -194,7 +194,6 @@ def test_what_setpoints_it_takes() -> None:
                 0, 1, 1, frame, mask, *values, *[0.0] * 6, 0.0, 0.0
             ),
         )
-        ground.emulator.bodies.unstage()
         assert ground.emulator.bodies.goal_position[0].tolist() == place.tolist()
     for target in (2, 0):
         ground.send(
@@ -203,7 +202,6 @@ def test_what_setpoints_it_takes() -> None:
                 0, target, 1, 1, 3576, 1.0, 2.0, -3.0, *[0.0] * 6, 0.0, 0.0
             ),
         )
-        ground.emulator.bodies.unstage()
         moved = ground.emulator.bodies.goal_position[0] - ground.origin(1)
         assert (moved.tolist() == [2.0, 1.0, 3.0]) == (target == 0), "0 is everybody"
 
