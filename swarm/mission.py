@@ -17,6 +17,7 @@ Positive = Annotated[float, Field(strict=True, gt=0)]
 NotNegative = Annotated[float, Field(strict=True, ge=0)]
 Text = Annotated[str, StringConstraints(min_length=1, max_length=20_000)]
 Point2 = tuple[Number, Number]
+Point3 = tuple[Number, Number, Number]
 
 
 def _length(default: Any, sentence: str, **bounds: Any) -> Any:
@@ -186,12 +187,49 @@ class Fold(Section):
     )
 
 
+class Formation(Section):
+    """First steps: where grip points go, one formation after the other, and the cable between."""
+
+    places: tuple[tuple[Point3, ...], ...] = Field(
+        description="Formations in the order in which they are flown: a grip point x, y, z (metres "
+        "east, north, up) for each vehicle, in order along the cable."
+    )
+    lengths: tuple[Number, ...] = Field(
+        (), description="Metres of cable between neighbouring vehicles; none for no cable."
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if not self.places or not self.places[0]:
+            raise ValueError("expected at least one formation of at least one vehicle, got none")
+        count = len(self.places[0])
+        for place_in_order, places in enumerate(self.places, start=1):
+            if len(places) != count:
+                raise ValueError(
+                    f"expected {count} places in every formation, got {len(places)} in the "
+                    f"{place_in_order}."
+                )
+            if any(place[2] <= 0 for place in places):
+                raise ValueError("expected every place above the floor (z > 0)")
+        if self.lengths and len(self.lengths) != count - 1:
+            raise ValueError(
+                f"expected {count - 1} lengths for {count} vehicles (or none), got "
+                f"{len(self.lengths)}"
+            )
+        if any(length <= 0 for length in self.lengths):
+            raise ValueError("expected every length > 0 in metres")
+        return self
+
+
 class Mission(Section):
     """A mission file, validated."""
 
     schema_version: Literal[1] = Field(alias="schema", description="Version of this format.")
     name: Text = Field(description="What the flight's record is called.")
-    knot: Knot = Field(description="Which knot to tie.")
+    knot: Knot | None = Field(None, description="Which knot to tie.")
+    formation: Formation | None = Field(
+        None, description="Places to fly to with a piece of cable or none, instead of a knot."
+    )
     cable: Cable = Field(Cable(), description="The cable to tie it in.")
     vehicles: Vehicles = Field(Vehicles(), description="The vehicles.")
     layout: Layout = Field(Layout(), description="Where the knot lies in space.")
@@ -205,9 +243,55 @@ class Mission(Section):
     grab: Literal["floor", "attached"] = Field(
         "floor", description="Pick the cable up from the floor, or have it tied on by hand."
     )
+    hold_time: Number = number(
+        4.0, "s", "How long the knot hangs folded before the finish; a strand swings as long.",
+        least=4.0,
+    )  # fmt: skip
     finish: Literal["release", "unfold", "tighten", "hold"] = Field(
-        "release", description="What happens once the knot hangs folded."
+        "release",
+        description="What follows the hold: release by all; unfold, back to how the cable lay; "
+        "tighten (the inner vehicles let go, the ends pull apart); hold, put down as it hangs.",
     )
+
+    @model_validator(mode="after")
+    def _one_thing(self) -> Self:
+        if (self.knot is None) == (self.formation is None):
+            got = "none" if self.knot is None else "both"
+            raise ValueError(f"expected exactly one of knot and formation, got {got}")
+        if self.formation is not None:
+            self._check_formation(self.formation)
+        return self
+
+    def _check_formation(self, formation: Formation) -> None:
+        """Refuse what says nothing of a formation rather than to ignore it."""
+        unused = sorted(
+            [name for name in ("layout", "fold") if name in self.model_fields_set]
+            + ["cable.length"] * (self.cable.length is not None)
+        )
+        if unused:
+            raise ValueError(f"expected no {' and no '.join(unused)} with a formation")
+        if not formation.lengths:
+            carried = sorted({"grab", "finish"} & self.model_fields_set)
+            if carried:
+                raise ValueError(
+                    f"expected no {' and no '.join(carried)} in a formation without cable"
+                )
+        elif self.finish == "tighten" and len(formation.lengths) < 2:
+            raise ValueError("expected finish: tighten with three vehicles or more, got two")
+
+    @model_validator(mode="after")
+    def _tied_on(self) -> Self:
+        if self.grab == "attached":
+            if self.vehicles.breakaway is None:
+                raise ValueError("expected vehicles.breakaway in newtons with grab: attached")
+            if self.finish in {"release", "tighten"}:
+                raise ValueError(
+                    "expected finish: hold or unfold with grab: attached, for nothing lets go of a "
+                    f"cable that is tied on, got {self.finish}"
+                )
+        elif self.vehicles.breakaway is not None:
+            raise ValueError("expected vehicles.breakaway only with grab: attached")
+        return self
 
 
 def parse_mission(text: str, source: str, overrides: Iterable[str] = ()) -> Mission:

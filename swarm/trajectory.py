@@ -5,6 +5,7 @@ polynomial. Time scaling to speed and acceleration limits lives here too.
 """
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 import numpy.typing as npt
@@ -83,6 +84,18 @@ def followed(first: Motion, *others: Motion) -> Motion:
     for other in others:
         result = joined(result, other)
     return result
+
+
+def backwards(motion: Motion) -> Motion:
+    """Return the motion flown from its end to its beginning, over the same times."""
+    times = motion.times[0] + (motion.times[-1] - motion.times[::-1])
+    duration = np.diff(motion.times)[:, None, None]
+    coefficients = np.zeros_like(motion.coefficients)
+    for power in range(6):  # of the time since a piece's start, which becomes d − u
+        for k in range(power + 1):
+            share = comb(power, k) * (-1.0) ** k * duration ** (power - k)
+            coefficients[:, k] += share * motion.coefficients[:, power]
+    return Motion(times, coefficients[::-1])
 
 
 def at_rest(place: Floats, duration: float) -> Motion:

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from swarm.trajectory import (
     Motion,
     at_rest,
+    backwards,
     followed,
     joined,
     leg,
@@ -145,3 +146,13 @@ def test_slowed_stretches_time_only_where_needed() -> None:
     _, velocity, _ = slower.at(np.linspace(0.0, slower.times[-1], 1000))
     assert np.linalg.norm(velocity, axis=2).max() <= 0.25
     np.testing.assert_allclose(slower.at(slower.times[-1])[0], 1.0)
+
+
+def test_backwards_is_the_same_way_at_the_same_pace() -> None:
+    rng = np.random.default_rng(5)
+    times = np.array([2.0, 2.7, 4.1, 4.4])
+    motion = through_states(times, *rng.normal(size=(3, 4, 2, 3)))
+    back = backwards(motion)
+    asked = np.linspace(2.01, 4.39, 97)
+    for sign, there, again in zip((1, -1, 1), motion.at(asked), back.at(6.4 - asked), strict=True):
+        np.testing.assert_allclose(sign * again, there, atol=1e-9)

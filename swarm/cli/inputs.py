@@ -54,6 +54,8 @@ def load_mission(mission: str, overrides: tuple[str, ...]) -> Mission:
 
 def _refuse_unknown_knot(mission: Mission, source: str) -> None:
     """Say where in the file a knot stands that is none; only topology knows what is one."""
+    if mission.knot is None:
+        return
     described = mission.knot.model_dump()
     try:
         choose(**described)

@@ -73,7 +73,8 @@ class Conductor:
                 f"has {len(fleet.vehicles)}"
             )
         self.proven, self.plan, self.fleet = proven, plan, fleet
-        self.grips = fleet.gripper == "mavlink" and not no_cable
+        tied_on = plan.mission.grab == "attached"
+        self.grips = fleet.gripper == "mavlink" and not no_cable and not tied_on
         self._carries = not no_cable
         self.gates = tuple(sorted(plan.gates, key=lambda gate: gate.time))
         _check_rest(proven)
@@ -334,7 +335,8 @@ class Conductor:
         self.gate_since = self.now
         self.clock.set_stopped()
         gate = self.gates[self.gate]
-        self.say("gate", f"waiting until all are {gate.condition}")
+        who = "all inner vehicles" if gate.inner else "all"
+        self.say("gate", f"waiting until {who} are {gate.condition}")
         GATES[gate.condition].begin(self, self.now)
 
     def _wait_at_gate(self) -> None:

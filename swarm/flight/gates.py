@@ -12,6 +12,7 @@ from swarm.plans import Condition
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
+    from swarm.mavlink.vehicle import Vehicle
 
 STREAM_BEFORE_OFFBOARD = 1.0
 """Seconds of setpoints before offboard mode is asked for (PX4 wants a stream first)."""
@@ -43,7 +44,7 @@ def _armed(flight: "Conductor", now: float) -> bool:
     flyers = flight.flyers
     for k, vehicle in enumerate(flyers):
         if not vehicle.takes_off:
-            flight.stream(k, now)
+            flight.stream(k)
     if now - flight.gate_since < STREAM_BEFORE_OFFBOARD:
         return False
     waiting = [vehicle for vehicle in flyers if not vehicle.in_mode("offboard")]
@@ -63,7 +64,7 @@ def _armed(flight: "Conductor", now: float) -> bool:
             continue
         height = flight.height_above_start(k)
         if height >= STREAM_AFTER_TAKEOFF * TAKEOFF_HEIGHT:
-            flight.stream(k, now)
+            flight.stream(k)
             continue
         grounded = True
         if flight.first_time(k, "takeoff"):
@@ -90,8 +91,13 @@ def _gripped(flight: "Conductor", _now: float) -> bool:
     return True
 
 
+def _releasing(flight: "Conductor") -> "list[Vehicle]":
+    """Who lets go at this gate: all, or all but those at the cable's ends."""
+    return flight.flyers[1:-1] if flight.gates[flight.gate].inner else flight.flyers
+
+
 def _release(flight: "Conductor", _now: float) -> None:
-    for vehicle in flight.flyers:
+    for vehicle in _releasing(flight):
         if flight.grips:
             vehicle.grip(closed=False)
         else:
@@ -99,7 +105,7 @@ def _release(flight: "Conductor", _now: float) -> None:
 
 
 def _released(flight: "Conductor", _now: float) -> bool:
-    return not any(vehicle.gripped for vehicle in flight.flyers)
+    return not any(vehicle.gripped for vehicle in _releasing(flight))
 
 
 def _settled(flight: "Conductor", now: float) -> bool:

@@ -41,7 +41,7 @@ class PlannedPull:
     """The cable's pull along a plan, worked out once while everybody holds it."""
 
     def __init__(self, plan: Plan) -> None:
-        at = {gate.condition: gate.time for gate in plan.gates}
+        at = {gate.condition: gate.time for gate in reversed(plan.gates)}
         self._start = at.get("gripped", 0.0)
         held = max(at.get("released", plan.duration) - self._start, STEP)
         times = self._start + np.arange(0.0, held + 2.0 * STEP, STEP)

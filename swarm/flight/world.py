@@ -23,6 +23,7 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
         "schema": 1,
         "seed": seed,
         "floor": 0.0,
+        "projection": "autopilot",
         "wind": {"steady": [mission.wind.steady, 0.0, 0.0], "gust": mission.wind.gust},
         "biases": fleet.emulated.biases if fleet.emulated else "default",
         "vehicles": [
@@ -34,7 +35,7 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
                 "payload": mission.vehicles.payload,
                 "radius": mission.vehicles.radius,
                 "grip_offset": mission.vehicles.grip_offset,
-                "gripper": "mavlink" if fleet.gripper == "mavlink" else "none",
+                "gripper": _gripper(plan, fleet, with_cable),
             }
             for place, listed in enumerate(fleet.vehicles[: plan.vehicles], 1)
         ],
@@ -51,7 +52,15 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
             "breaking_load": mission.cable.breaking_load,
             "points": points.tolist(),
         }
+        if mission.grab == "attached":
+            world["cable"]["attached"] = np.append(0.0, np.cumsum(plan.layout.lengths)).tolist()
     return world
+
+
+def _gripper(plan: Plan, fleet: Fleet, with_cable: bool) -> str:
+    if plan.mission.grab == "attached" and len(plan.layout.lengths) and with_cable:
+        return "attached"
+    return "mavlink" if fleet.gripper == "mavlink" else "none"
 
 
 def bare_world(fleet: Fleet) -> dict[str, Any]:
@@ -59,6 +68,7 @@ def bare_world(fleet: Fleet) -> dict[str, Any]:
     world: dict[str, Any] = {
         "schema": 1,
         "seed": fleet.emulated.seed if fleet.emulated else 1,
+        "projection": "autopilot",
         "vehicles": [
             {"id": listed.sysid, "autopilot": listed.autopilot, "pad": [3.0 * place, 0.0, 0.0]}
             for place, listed in enumerate(fleet.vehicles)

@@ -18,6 +18,7 @@ from swarm.knots.catalog import KnotChoice, choose
 from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
 from swarm.plans.flight import whole_flight
+from swarm.plans.formation import formation_plan
 from swarm.plans.plan import KnotSummary, Layout, Plan
 from swarm.trajectory import Motion, through_states, timed
 
@@ -48,6 +49,9 @@ def candidates(
     Raises :class:`swarm.errors.Refused` where vehicles could not even rest on the corners.
     """
     _refuse_unplanned(mission)
+    if mission.formation is not None:
+        yield formation_plan(mission, mission.formation)
+        return
     choice, knot = _knot(mission)
     opened = _roomy(openings(choice.grid))
     margins = _margins(mission)
@@ -122,8 +126,6 @@ def _refuse_unplanned(mission: Mission) -> None:
         for asked, words in (
             (mission.cable.length is not None, "cable.length: no layout is fitted to a cable yet"),
             (mission.start != "line", f"start: {mission.start} is not planned yet"),
-            (mission.grab != "floor", f"grab: {mission.grab} is not planned yet"),
-            (mission.finish != "release", f"finish: {mission.finish} is not planned yet"),
             (mission.fold.method != "paper" and mission.layout.corners is not None,
              "layout.corners: given corners are only flown with fold.method: paper so far"),
         )
@@ -268,6 +270,8 @@ def _folded(diagram: OpenGrid, shape: Shape, margins: Margins) -> Folding:
 def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:
     """The knot to tie, with its grid diagram."""
     asked = mission.knot
+    if asked is None:
+        raise Refused("the mission names no knot")
     choice = choose(
         name=asked.name,
         gauss=asked.gauss,

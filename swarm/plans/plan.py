@@ -15,8 +15,11 @@ from swarm.trajectory import Motion
 
 Floats = npt.NDArray[np.float64]
 
-PhaseName = Literal["takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land"]
-CableState = Literal["floor", "lifting", "aloft", "free"]
+PhaseName = Literal[
+    "takeoff", "grab", "contract", "lift", "fold", "hold",
+    "unfold", "lower", "spread", "descend", "tighten", "finish", "land",
+]  # fmt: skip
+CableState = Literal["floor", "lifting", "aloft", "landing", "free"]
 Condition = Literal["armed", "airborne", "gripped", "settled", "released", "landed"]
 
 
@@ -25,7 +28,9 @@ class Phase:
     """A stretch of mission time.
 
     ``cable`` says what the cable model must assume: lying on the ``floor`` (held or not),
-    ``lifting`` (held, partly on the floor), ``aloft`` (every segment a catenary) or ``free``.
+    ``lifting`` (held as a line, partly on the floor), ``aloft`` (every segment a catenary),
+    ``landing`` (held as a knot, all straight down together until its strands lie on each other) or
+    ``free`` (nothing is said of it: let go of, or held by its ends alone).
     ``reversible`` says whether mission time may run backwards in it.
     """
 
@@ -41,12 +46,14 @@ class Gate:
     """The mission clock waits at ``time`` until ``condition`` holds for every vehicle.
 
     ``armed`` is reached by arming, ``gripped`` and ``released`` by gripper commands in the order
-    of the vehicles, ``settled`` by waiting, ``landed`` by landing and disarming.
+    of the vehicles, ``settled`` by waiting, ``landed`` by landing and disarming. ``inner`` means
+    all vehicles but the two that hold the cable's ends.
     """
 
     time: float
     condition: Condition
     timeout: float
+    inner: bool = False
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from swarm.cable.catenary import STANDARD_GRAVITY
 from swarm.cable.chain import crossing_gaps
 from swarm.errors import SwarmError
 from swarm.knots.gauss import SignedGauss, parse_gauss, same_code
@@ -21,7 +22,7 @@ from swarm.preflight.certificate import (
 from swarm.preflight.course import Course
 from swarm.preflight.findings import Assessment, Finding, Robustness, Severity, Tightest
 from swarm.preflight.limits import TAUT
-from swarm.preflight.loads import dead_vehicle, loads, payload_limit, stuck_gripper
+from swarm.preflight.loads import Loads, dead_vehicle, loads, payload_limit, stuck_gripper
 from swarm.preflight.robustness import holds_in_wind, largest_tracking, largest_wind
 from swarm.preflight.topology import end_code, end_knot, end_time, layout_code
 from swarm.preflight.windows import longest_stop, windows
@@ -38,6 +39,18 @@ FAR_WINDOW = 20.0
 """Seconds to the nearest window that deserve a warning."""
 SMOOTH = (("position", "m", 1e-6), ("velocity", "m/s", 1e-3), ("acceleration", "m/s²", 0.05))
 """What may jump where pieces of the motion join: rounding."""
+
+_OUTSIDE = {
+    "release": "from contract to hold; what the cable does after its release, and with it the "
+    "knot, is outside the model",
+    "tighten": "from contract to hold; how the cable falls from the inner vehicles and whether the "
+    "ends draw the knot tight is outside the model, in which only vehicles are kept apart then",
+    "unfold": "from contract to hold and back to the floor; how slack cable lies down there is "
+    "outside the model",
+    "hold": "from contract to hold; coming straight down together, everything keeps its distances "
+    "until it touches the floor, and how the strands then lie on each other is outside the model",
+}
+"""Where the model ends, for each finish."""
 
 _CLEARANCES = (
     "cable clearance",
@@ -211,7 +224,30 @@ def _load_findings(plan: Plan) -> list[Finding]:
         )
         severity: Severity = "error" if worst > allowed else "info"
         findings.append(Finding(severity, quantity, message, float(found.time[instant])))
-    return [*findings, *_mishap_findings(plan, limit)]
+    return [*findings, *_breakaway_findings(plan, found), *_mishap_findings(plan, limit)]
+
+
+def _breakaway_findings(plan: Plan, found: Loads) -> list[Finding]:
+    """A cable that is tied on must stay on while all goes well, and let go of one that falls."""
+    breakaway = plan.mission.vehicles.breakaway
+    if breakaway is None:
+        return []
+    instant, index = np.unravel_index(np.argmax(found.pull), found.pull.shape)
+    worst = float(found.pull[instant, index])
+    weight = plan.mission.vehicles.mass * STANDARD_GRAVITY
+    message = (
+        f"the cable is tied on and breaks away at {breakaway:g} N; "
+        f"{vehicle_name(int(index))} bears up to {worst:.2f} N of it"
+    )
+    severity: Severity = "error" if worst >= breakaway else "info"
+    findings = [Finding(severity, "breakaway", message, float(found.time[instant]))]
+    if breakaway >= weight:
+        message = (
+            f"the cable breaks away only at {breakaway:g} N: a dead vehicle, {weight:.1f} N, would "
+            "hang on its neighbours"
+        )
+        findings.append(Finding("warning", "breakaway", message))
+    return findings
 
 
 def _mishap_findings(plan: Plan, limit: float) -> list[Finding]:
@@ -380,7 +416,8 @@ def _window_findings(plan: Plan) -> list[Finding]:
     message = f"the longest stop along the path takes {stop.time:.1f} s and {stop.distance:.2f} m"
     findings.append(Finding("info", "windows", message, stop.at_time))
     for gate in plan.gates:
-        if gate.condition == "released" and not found.releasable(gate.time):
+        aloft = gate.time <= end + 1e-6
+        if gate.condition == "released" and aloft and not found.releasable(gate.time):
             message = "cable would fall on a vehicle at the planned release"
             findings.append(Finding("error", "release", message, gate.time))
     return findings
@@ -396,6 +433,5 @@ def _scope(plan: Plan) -> Finding:
     return Finding(
         "info",
         "scope",
-        f"certified in the quasi-static cable model, {ball}, from contract to hold; what the cable "
-        "does after its release is outside the model",
+        f"certified in the quasi-static cable model, {ball}, {_OUTSIDE[plan.mission.finish]}",
     )

@@ -32,6 +32,9 @@ Place = tuple[float, float, float]
 Progress = Callable[[str, float], None]
 
 STILL_AIR = (0.0, 0.0, -1.0)
+_DRAGGED = frozenset({"contract", "spread"})
+"""Phases in which the cable is held and drawn along the floor."""
+
 _ROOT = 1.0
 """Seconds; the widest interval that is tried."""
 
@@ -172,8 +175,8 @@ def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
     course = Course(plan.motion)
     cable = HeldCable(course, plan.layout.lengths, tracking, down)
     aloft = spans_of(plan, lambda phase: phase.cable == "aloft")
-    low = spans_of(plan, lambda phase: phase.cable == "lifting" or phase.name == "contract")
-    held = spans_of(plan, lambda phase: phase.cable in {"aloft", "lifting"})
+    low = spans_of(plan, lambda phase: phase.cable == "lifting" or phase.name in _DRAGGED)
+    held = spans_of(plan, lambda phase: phase.cable in {"aloft", "lifting", "landing"})
     always = [(float(plan.motion.times[0]), float(plan.motion.times[-1]))]
 
     pairs, parts = all_pairs(plan.layout.lengths, beyond_shared_vehicle(plan))
@@ -225,7 +228,7 @@ def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
             "over-stretched on the floor",
             segments,
             0.0,
-            spans_of(plan, lambda phase: phase.name == "contract"),
+            spans_of(plan, lambda phase: phase.name in _DRAGGED),
             Slack(HeldCable(course, plan.layout.lengths, 0.0), share=1.0),
         ),
         Family(

@@ -29,6 +29,11 @@ _CABLE: dict[str, CableState] = {
     "lift": "lifting",
     "fold": "aloft",
     "hold": "aloft",
+    "unfold": "aloft",
+    "lower": "lifting",
+    "spread": "floor",
+    "descend": "landing",
+    "tighten": "free",
     "finish": "free",
     "land": "free",
 }
@@ -191,11 +196,11 @@ def plan_of_motion(
         message = f"expected {count - 1} segments for {count} vehicles, got {len(lengths)}"
         raise InputError([Problem("cable", message)])
     phases = _phases(motion)
-    if all(phase.cable != "aloft" for phase in phases):
+    folded = [phase.end for phase in phases if phase.name in {"fold", "hold"}]
+    if not folded:
         raise InputError([Problem("phase", "expected rows in the phase fold or hold, got none")])
     position, velocity, acceleration = np.split(motion.states, 3, axis=-1)
-    held = max(phase.end for phase in phases if phase.cable == "aloft")
-    corners = position[int(np.searchsorted(motion.time, held))]
+    corners = position[int(np.searchsorted(motion.time, max(folded)))]
     return Plan(
         mission=mission,
         knot=knot or KnotSummary("", "none", "", ()),

@@ -61,8 +61,10 @@ def end_knot(plan: Plan) -> Identification:
 
 
 def end_time(plan: Plan) -> float:
-    """Mission time at which the folded cable hangs still: the last moment with it aloft."""
-    return max(phase.end for phase in plan.phases if phase.cable == "aloft")
+    """Mission time at which the folded cable hangs still: the last one aloft before it unfolds."""
+    return max(
+        phase.end for phase in plan.phases if phase.cable == "aloft" and phase.name != "unfold"
+    )
 
 
 def _held(plan: Plan) -> Floats:

@@ -16,8 +16,7 @@ knot: {gauss: "1- 2+ 3- 1+ 2- 3+", chirality: right}
 """
 
 
-@pytest.fixture(scope="session")
-def overhand() -> Plan:
+def recorded_overhand() -> Plan:
     """A plan of an overhand knot as an early planner made it, sampled every second.
 
     Kept as data, so that these tests fail for reasons of the certificate and not of the planner.
@@ -41,6 +40,11 @@ def overhand() -> Plan:
         gates=(Gate(float(data["released"][0]), "released", 20.0),),
         path=data["corners"],
     )
+
+
+@pytest.fixture(scope="session")
+def overhand() -> Plan:
+    return recorded_overhand()
 
 
 @pytest.fixture(scope="session")

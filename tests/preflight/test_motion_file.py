@@ -43,8 +43,8 @@ def test_an_exported_plan_comes_back_as_the_same_motion(overhand, overhand_asses
 def test_every_mistake_is_named_with_its_line():
     lines = [HEADER, row(0, 1), row(0, 2, "folding", 2), row("nan", 1), row(0.1, "x")]
     assert problems("\n".join(lines)) == [
-        "m.csv: line 3: phase: expected one of takeoff, grab, contract, lift, fold, hold, finish, "
-        "land, got 'folding'",
+        "m.csv: line 3: phase: expected one of takeoff, grab, contract, lift, fold, hold, unfold, "
+        "lower, spread, descend, tighten, finish, land, got 'folding'",
         "m.csv: line 4: time: expected a finite number, got 'nan'",
         "m.csv: line 5: vehicle: expected 1, 2, … along the cable, got 'x'",
     ]

@@ -1,0 +1,154 @@
+"""What follows the fold: the parts of each finish, what the certificate says, and their flights."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarm.errors import InputError
+from swarm.mission import mission_for_knot, parse_mission
+from swarm.plans import Plan
+from swarm.plans.finishes import MOST_TIGHTENED
+from swarm.plans.flight import whole_flight
+from swarm.preflight.assess import assess
+from swarm.trajectory import Motion
+from tests.network import Network, small_plan
+from tests.preflight.conftest import recorded_overhand
+
+TIED_ON = ("grab=attached", "vehicles.breakaway=6.0")
+BEFORE = ("takeoff", "grab", "contract", "lift", "fold", "hold")
+AFTER = {
+    "hold": ("descend", "land"),
+    "unfold": ("unfold", "lower", "spread", "finish", "land"),
+    "tighten": ("tighten", "finish", "land"),
+}
+
+
+def finished(*overrides: str) -> Plan:
+    """The recorded overhand with another finish."""
+    plan = recorded_overhand()
+    fold, motion = plan.phase("fold"), plan.motion
+    first, last = (int(np.argmin(abs(motion.times - at))) for at in (fold.start, fold.end))
+    only = Motion(motion.times[first : last + 1] - fold.start, motion.coefficients[first:last])
+    mission = mission_for_knot("overhand", overrides)
+    flight = whole_flight(mission, plan.layout.lengths, only)
+    return replace(
+        plan, mission=mission, motion=flight.motion, phases=flight.phases, gates=flight.gates
+    )
+
+
+def at(plan: Plan, name: str, end: bool = False) -> np.ndarray:
+    phase = plan.phase(name)
+    return plan.motion.at(phase.end if end else phase.start)[0]
+
+
+@pytest.mark.parametrize("finish", ["hold", "unfold", "tighten"])
+def test_every_finish_is_certified_and_says_where_the_model_ends(finish: str) -> None:
+    plan = finished(f"finish={finish}")
+    assert tuple(phase.name for phase in plan.phases) == BEFORE + AFTER[finish]
+    assessment = assess(plan)
+    assert assessment.cleared, [f for f in assessment.findings if f.severity == "error"]
+    assert (assessment.knot, assessment.chirality) == ("3_1", "right")
+    (scope,) = [finding for finding in assessment.findings if finding.check == "scope"]
+    assert "outside the model" in scope.message
+    _, velocity, acceleration = plan.motion.at([gate.time for gate in plan.gates])
+    assert np.abs(velocity).max() < 1e-3
+    assert np.abs(acceleration).max() < 2e-2
+
+
+def test_unfolding_ends_with_the_cable_as_it_lay_and_everybody_on_the_pad() -> None:
+    plan = finished("finish=unfold")
+    gripped = next(gate.time for gate in plan.gates if gate.condition == "gripped")
+    released = next(gate.time for gate in plan.gates if gate.condition == "released")
+    np.testing.assert_allclose(plan.motion.at(released)[0], plan.motion.at(gripped)[0], atol=1e-6)
+    np.testing.assert_allclose(plan.motion.at(plan.duration)[0], plan.motion.at(0.0)[0], atol=1e-6)
+    fold, back = plan.phase("fold"), plan.phase("unfold")
+    into = np.linspace(0.0, fold.end - fold.start, 50)
+    there, speed, push = plan.motion.at(fold.end - into)
+    again, backwards_speed, same_push = plan.motion.at(back.start + into)
+    np.testing.assert_allclose(again, there, atol=1e-6)
+    np.testing.assert_allclose(backwards_speed[1:-1], -speed[1:-1], atol=1e-5)
+    np.testing.assert_allclose(same_push[1:-1], push[1:-1], atol=1e-3)
+
+
+def test_a_held_knot_is_put_down_straight_and_together() -> None:
+    plan = finished("finish=hold", "hold_time=20.0")
+    hold, descend = plan.phase("hold"), plan.phase("descend")
+    assert hold.end - hold.start == pytest.approx(20.0)
+    assert descend.cable == "landing"
+    path = plan.motion.at(np.linspace(descend.start, descend.end, 60))[0]
+    apart = path - path[:, :1]
+    np.testing.assert_allclose(apart, np.broadcast_to(apart[0], apart.shape), atol=1e-9)
+    released = [gate.time for gate in plan.gates if gate.condition == "released"]
+    assert released == pytest.approx([descend.end])
+
+
+def test_tightening_pulls_the_ends_apart_under_the_others() -> None:
+    plan = finished("finish=tighten")
+    held, pulled = at(plan, "tighten"), at(plan, "tighten", end=True)
+    moved = pulled - held
+    assert np.abs(moved[1:-1, :2]).max() < 1e-9
+    clearance, tracking = plan.mission.clearance, plan.mission.vehicles.tracking
+    assert moved[1:-1, 2].min() > clearance.downwash + 2 * tracking
+    assert np.abs(moved[[0, -1], 2]).max() < 1e-9
+    apart = np.linalg.norm(pulled[-1] - pulled[0])
+    total = plan.layout.lengths.sum()
+    assert np.linalg.norm(held[-1] - held[0]) < apart <= MOST_TIGHTENED * total + 1e-9
+    inner = [gate.inner for gate in plan.gates if gate.condition == "released"]
+    assert inner == [True, False]
+
+
+def test_a_cable_that_is_tied_on_is_lifted_from_below_the_line() -> None:
+    plan = finished("finish=hold", *TIED_ON)
+    assert tuple(phase.name for phase in plan.phases) == (
+        "takeoff", "lift", "fold", "hold", "descend", "land",
+    )  # fmt: skip
+    assert not any(gate.condition == "released" for gate in plan.gates)
+    np.testing.assert_allclose(at(plan, "takeoff")[:, :2], at(plan, "fold")[:, :2], atol=1e-9)
+    assessment = assess(plan)
+    assert assessment.cleared
+    breakaway = [f.message for f in assessment.findings if f.check == "breakaway"]
+    assert breakaway[0].startswith("the cable is tied on and breaks away at 6 N; vehicle ")
+    torn = assess(finished("finish=hold", "grab=attached", "vehicles.breakaway=0.5"))
+    assert [f.check for f in torn.findings if f.severity == "error"] == ["breakaway"]
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [("finish=hold",), ("finish=unfold",), ("finish=tighten",), ("finish=hold", *TIED_ON)],
+)
+def test_every_finish_is_flown_to_its_end(overrides: tuple[str, ...]) -> None:
+    network = Network(small_plan(*overrides))
+    outcome = network.run(most=600.0)
+    assert outcome is not None
+    assert outcome.word == "done", network.words()[-8:]
+    assert (
+        not any(vehicle.gripped for vehicle in network.conductor.flyers) or TIED_ON[0] in overrides
+    )
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        (
+            "grab: attached, finish: hold",
+            "m.yaml: expected vehicles.breakaway in newtons with grab: attached",
+        ),
+        (
+            "grab: attached, vehicles: {breakaway: 8}",
+            "m.yaml: expected finish: hold or unfold with grab: attached, for nothing lets go of a "
+            "cable that is tied on, got release",
+        ),
+        (
+            "vehicles: {breakaway: 8}",
+            "m.yaml: expected vehicles.breakaway only with grab: attached",
+        ),
+        ("hold_time: 1", "m.yaml: hold_time: expected a number >= 4 in s, got 1"),
+        ("finish: drop", "m.yaml: finish: expected release, unfold, tighten or hold, got 'drop'"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(keys: str, message: str) -> None:
+    text = f"{{schema: 1, name: k, knot: {{name: 3_1, chirality: left}}, {keys}}}"
+    with pytest.raises(InputError) as caught:
+        parse_mission(text, "m.yaml")
+    assert str(caught.value) == message
