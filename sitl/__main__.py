@@ -4,12 +4,13 @@ import argparse
 import json
 import os
 import sys
+import time
 from pathlib import Path
 
 from sitl import server
 from sitl.emulator import Emulator
 from sitl.faults import load_scenario
-from sitl.world import WorldError, default_world, load_world, schema
+from sitl.world import WorldError, default_world, load_key, load_world, schema
 
 
 def _arguments() -> argparse.ArgumentParser:
@@ -32,6 +33,9 @@ def _arguments() -> argparse.ArgumentParser:
     parser.add_argument("--host", default="127.0.0.1", help="address to bind (loopback)")
     parser.add_argument("--target", metavar="HOST:PORT", help="send everything to this UDP address")
     parser.add_argument("--port-step", type=int, help="PX4: vehicle i to UDP 14540 + i·STEP")
+    parser.add_argument(
+        "--signing-key", type=Path, metavar="FILE", help="sign with this key and hear nothing else"
+    )
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write ground truth, JSON lines")
     parser.add_argument("--json", action="store_true", help="say what is ready as one JSON line")
     parser.add_argument("--follow-parent", action="store_true", help="end when the parent ends")
@@ -66,6 +70,8 @@ def main(arguments: list[str] | None = None) -> int:
             world = world.model_copy(update={"seed": given.seed})
         faults = load_scenario(given.scenario) if given.scenario else []
         emulator = Emulator(world, faults)
+        if given.signing_key:
+            emulator.sign_with(load_key(given.signing_key), time.time())
     except WorldError as error:
         sys.stderr.write(f"{error}\n")
         return 2

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl import wire
 from sitl.ardupilot import ArduPilot
 from sitl.contacts import Contacts
 from sitl.dynamics import GRAVITY, STEP, Array, Bodies, Flags
@@ -76,6 +77,7 @@ class Emulator:
         self.bodies = Bodies(world, np.random.default_rng(seeds[0]))
         self.time = 0.0
         self._ticks = 0
+        self._key: bytes | None = None
         self._landings = 0
         self.events: list[dict[str, Any]] = []
         self.rope = (
@@ -113,9 +115,26 @@ class Emulator:
             vehicle.inject = functools.partial(self.injector.inject, vehicle)
             vehicle.simulation_changed = functools.partial(self.injector.simulate, vehicle)
 
+    def sign_with(self, key: bytes, unix_time: float) -> None:
+        """Sign everything with a key from now on and hear nothing that is not signed with it.
+
+        ``unix_time`` is what the vehicles' clocks show at the emulator's time zero.
+        """
+        self._key = key
+        for vehicle in self.vehicles:
+            vehicle.around.unix_time = unix_time
+            for number, link in enumerate(vehicle.links):
+                self._keyed(link, number)
+
+    def _keyed(self, link: Link, number: int) -> None:
+        if self._key is not None:
+            link.receiver.set_key(self._key)
+            link.sender.signer = wire.Signer(self._key, number, 0)
+
     def open_link(self, vehicle: Vehicle, kind: str) -> Link:
         """Add a connection of a kind ("onboard" or "gcs") with the autopilot's default streams."""
         link = vehicle.add_link(kind)
+        self._keyed(link, len(vehicle.links) - 1)
         rates = default_streams(vehicle, link)
         spread = np.linspace(0.0, 1.0, len(rates) * 7)[1:]
         for k, (name, rate) in enumerate(rates.items()):

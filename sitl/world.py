@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
+_KEY_LENGTH = 32
 _LARGEST_FILE = 4_000_000
 _DEEPEST = 50
 
@@ -191,6 +192,20 @@ def load_world(path: str | Path) -> World:
     """Read and check a world file; `WorldError` if it cannot be read or used."""
     path = Path(path)
     return parse_world(read_text(path), str(path))
+
+
+def load_key(path: Path) -> bytes:
+    """Read a signing key, 64 hexadecimal digits or 32 bytes; `WorldError` if it is none."""
+    try:
+        data = path.read_bytes()[:1024]
+        key = data if len(data) == _KEY_LENGTH else bytes.fromhex(data.decode("ascii"))
+    except OSError as error:
+        raise WorldError(f"{path}: expected a readable file, got {error.strerror}") from None
+    except ValueError:
+        key = b""
+    if len(key) != _KEY_LENGTH:
+        raise WorldError(f"{path}: expected a key of {_KEY_LENGTH} bytes")
+    return key
 
 
 def read_text(path: Path) -> str:

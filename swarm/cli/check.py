@@ -13,18 +13,18 @@ from rich.table import Table
 from rich.text import Text
 
 from swarm import api
+from swarm.cli.fleets import load_fleet
 from swarm.cli.inputs import (
     JSON,
     SET,
     load_mission,
     print_json,
     progress_bar,
-    read_text,
     write_text,
 )
 from swarm.errors import InputError, Problem
 from swarm.exports import finding_object
-from swarm.fleet import Fleet, emulated_fleet, parse_fleet
+from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.hop import HEIGHT, HOVER, hop, hover_findings
 from swarm.flight.parameters import Row
 from swarm.ground.check import CheckReport, Wanted
@@ -111,7 +111,7 @@ def check(
     if mission is None and (with_hop or sheet or overrides):
         what = "--hop" if with_hop else "--sheet" if sheet else "--set"
         raise InputError([Problem(what, "expected a MISSION to go with it")])
-    fleet = parse_fleet(read_text(fleet_file), str(fleet_file)) if fleet_file else None
+    fleet = load_fleet(fleet_file) if fleet_file else None
     proven = _proven(mission, overrides) if mission is not None else None
     if fleet is None:
         fleet = emulated_fleet(proven.plan.vehicles if proven else 9)

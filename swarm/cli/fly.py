@@ -12,6 +12,7 @@ import click
 from rich.console import Console
 
 from swarm import api
+from swarm.cli.fleets import load_fleet
 from swarm.cli.inputs import (
     JSON,
     MISSION,
@@ -19,12 +20,11 @@ from swarm.cli.inputs import (
     load_mission,
     print_json,
     progress_bar,
-    read_text,
     write_text,
 )
 from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.errors import InputError, Problem
-from swarm.fleet import emulated_fleet, parse_fleet
+from swarm.fleet import emulated_fleet
 from swarm.flight.clearance import Audit
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.fly import fly as fly_proven
@@ -86,7 +86,7 @@ def fly(
     lands it together.
     """
     loaded = load_mission(mission, overrides)
-    given = parse_fleet(read_text(fleet), str(fleet)) if fleet else None
+    given = load_fleet(fleet) if fleet else None
     console = Console(quiet=as_json)
     with progress_bar(Console(stderr=True)) as progress:
         planned = api.plan(loaded, progress)

@@ -290,8 +290,9 @@ def radio_finding(
     needed = per_vehicle * vehicles
     share = needed / bits_per_second
     with_positions = f" and positions at {positions:g} Hz" if positions else ""
+    many = "s" if vehicles > 1 else ""
     words = (
-        f"setpoints for {vehicles} vehicle{'s' if vehicles > 1 else ''} at {rate:g} Hz{with_positions} need "
+        f"setpoints for {vehicles} vehicle{many} at {rate:g} Hz{with_positions} need "
         f"{needed / 1000:.1f} kbit/s, {share:.0%} of {bits_per_second / 1000:g} kbit/s"
     )
     if share <= RADIO_SHARE:

@@ -47,7 +47,14 @@ def statistics_of(flight: "Conductor") -> Statistics:
         received={v.system: v.packets for v in flight.flyers},
         lost={v.system: v.lost_packets for v in flight.flyers},
         round_trip={v.system: v.round_trip for v in flight.flyers},
+        rejected=_rejected(flight),
     )
+
+
+def _rejected(flight: "Conductor") -> dict[str, int]:
+    by_signature = dict(flight.team.signing.dropped) if flight.team.signing else {}
+    others = flight.team.rejected - sum(by_signature.values())
+    return {**{str(kind): count for kind, count in by_signature.items()}, "stranger": others}
 
 
 def _waiting_for(flight: "Conductor") -> str | None:

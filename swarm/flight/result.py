@@ -1,7 +1,7 @@
 """What a flight, real or rehearsed, comes back with."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -42,7 +42,9 @@ class Statistics:
     Times in seconds: ``lateness`` of setpoints as (median, 99 %), ``command_latency`` until the
     acknowledgement as (median, largest), ``cpu`` as a share of one core (None in a rehearsal),
     ``duration`` in flight time, ``round_trip`` per system id. ``lost`` and ``received`` count
-    packets per system id.
+    packets per system id. ``rejected`` counts packets that were not heard: by what is wrong with
+    their signatures, and "stranger" for everything else; ``unsent`` what did not fit a link, by
+    the link's name.
     """
 
     duration: float
@@ -51,6 +53,8 @@ class Statistics:
     received: Mapping[int, int]
     lost: Mapping[int, int]
     round_trip: Mapping[int, float]
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    unsent: Mapping[str, int] = field(default_factory=dict)
     lateness: tuple[float, float] | None = None
     cpu: float | None = None
 

@@ -23,6 +23,7 @@ from swarm.mavlink.packets import (
     Packet,
     SetpointPacker,
 )
+from swarm.mavlink.signing import Signing
 from swarm.mavlink.vehicle import READ, Vehicle
 from swarm.preflight.findings import Finding
 
@@ -82,6 +83,8 @@ class Team:
         self._packer: SetpointPacker | None = None
         self._packed: tuple[int, ...] = ()
         self.rejected = 0
+        self.signing: Signing | None = None
+        self._link_number = {name: number for number, name in enumerate(fleet.links)}
         for name, url in fleet.links.items():
             if not url.startswith("udpin"):
                 self._route(name, None)
@@ -92,10 +95,29 @@ class Team:
         if route is None:
             self.rejected += 1
             return
-        for packet in route.decoder.feed(data):
+        before = self.signing.dropped.total() if self.signing else 0
+        for packet in route.decoder.feed(data, self.signing):
             vehicle = self._sender(route, packet)
             if vehicle is not None:
                 vehicle.receive(packet, now)
+        if self.signing is not None and self.signing.dropped.total() > before:
+            self.rejected += self.signing.dropped.total() - before
+            kinds = ", ".join(sorted(self.signing.dropped))
+            words = f"packets on link {link} that are not signed as they must be ({kinds}): dropped"
+            self._once(("signature", link, kinds), "security", words, None)
+
+    def trusts(self, link: str, address: Address | None, packet: bytes) -> bool:
+        """Whether a packet is from where its vehicle speaks, and signed if it must be."""
+        system = packet[5] if packet[0] == 0xFD else packet[3]
+        way = self._ways.get(system, {}).get(link)
+        at_home = way is not None and way.address == address
+        return at_home and (self.signing is None or self.signing.genuine(packet))
+
+    def sealed(self, link: str, packet: bytes) -> bytes:
+        """Return a packet as it goes out on a link: signed where there is a key."""
+        if self.signing is None:
+            return packet
+        return self.signing.seal(packet, self._link_number[link])
 
     def _route(self, link: str, address: Address | None) -> Route | None:
         key = (link, address)
@@ -192,6 +214,8 @@ class Team:
     def tick(self, now: float) -> list[Outgoing]:
         """Return heartbeats, commands and clock requests that are due."""
         outgoing: list[Outgoing] = []
+        if self.signing is not None:
+            self.signing.follow(now)
         if now >= self._next_heartbeat:
             self._next_heartbeat = now + HEARTBEAT_INTERVAL
             outgoing.extend(self._heartbeats())
@@ -219,13 +243,14 @@ class Team:
         spoken_to = {id(route) for ways in self._ways.values() for route in ways.values()}
         for route in self._routes.values():
             if route.address is None or id(route) in spoken_to:
-                yield Outgoing(route.link, route.address, route.encoder.encode(heartbeat))
+                data = self.sealed(route.link, route.encoder.encode(heartbeat))
+                yield Outgoing(route.link, route.address, data)
 
     def _send(self, outgoing: list[Outgoing], sysid: int, messages: Iterable[Message]) -> None:
         route = self.way_to(sysid)
         if route is not None:
             for message in messages:
-                data = route.encoder.encode(message)
+                data = self.sealed(route.link, route.encoder.encode(message))
                 outgoing.append(Outgoing(route.link, route.address, data))
 
     def setpoints(
@@ -248,15 +273,24 @@ class Team:
         if self._packer is None or self._packed != systems:
             components = [self.vehicles[sysid].component for sysid in systems]
             source = (GROUND_SYSTEM, GROUND_COMPONENT)
-            self._packer, self._packed = SetpointPacker(systems, components, source), systems
+            signed = self.signing is not None
+            self._packer = SetpointPacker(systems, components, source, signed=signed)
+            self._packed = systems
         sequences = [route.encoder.take_sequence() if route else 0 for route in routes]
         position, velocity, acceleration = states
         packets = self._packer.pack(
             sequences, int(now * 1000), position, velocity, acceleration, yaw
         )
         raw, length = packets.tobytes(), packets.shape[1]
-        return [
+        outgoing = [
             Outgoing(route.link, route.address, raw[k * length : (k + 1) * length])
             for k, route in enumerate(routes)
             if route is not None
+        ]
+        signing, numbers = self.signing, self._link_number
+        if signing is None:
+            return outgoing
+        return [
+            Outgoing(one.link, one.address, signing.sign(one.data, numbers[one.link]))
+            for one in outgoing
         ]

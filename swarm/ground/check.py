@@ -3,7 +3,7 @@
 import json
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from swarm.flight.preparation import Prepared
 from swarm.flight.world import bare_world, emulated_world
 from swarm.ground.audit import Auditor, VehicleAudit, save_parameters
 from swarm.ground.emulator import EmulatorProcess
+from swarm.ground.keys import signing_with
 from swarm.ground.loop import Loop
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import open_links
@@ -144,7 +145,9 @@ def check(
     emulator: EmulatorProcess | None = None
     listening = Listening(fleet)
     relay = Relay(listening.team)
+    around = ExitStack()
     try:
+        listening.team.signing = around.enter_context(signing_with(fleet.signing_key))
         folder.mkdir(parents=True, exist_ok=True)
         if fleet.emulated is not None:
             port = links.port(next(iter(fleet.links)))
@@ -154,7 +157,7 @@ def check(
                 if proven
                 else bare_world(fleet)
             )
-            emulator = EmulatorProcess(world, folder, port, 1.0)
+            emulator = EmulatorProcess(world, folder, port, 1.0, fleet.signing_key)
         loop = Loop(listening, links, None, 1.0, lambda _: None, relay)
         plan = proven.plan if proven else None
         work = _Work(listening, relay, folder, plan, wanted or Wanted())
@@ -174,6 +177,7 @@ def check(
         relay.close()
         if emulator is not None:
             emulator.stop()
+        around.close()
         links.close()
 
 

@@ -15,7 +15,14 @@ _STOP_PATIENCE = 3.0
 class EmulatorProcess:
     """The emulator's process, ended with :meth:`stop` or with this process."""
 
-    def __init__(self, world: Mapping[str, Any], folder: Path, port: int, speed: float) -> None:
+    def __init__(
+        self,
+        world: Mapping[str, Any],
+        folder: Path,
+        port: int,
+        speed: float,
+        signing_key: str | None = None,
+    ) -> None:
         """Write the world file and start; ``port`` is where the vehicles shall speak to."""
         path = folder / "world.json"
         self._errors = folder / "emulator.txt"
@@ -26,6 +33,8 @@ class EmulatorProcess:
             raise VehicleError(f"the emulator's world cannot be written: {error}") from None
         command = [sys.executable, "-m", "sitl", "--world", str(path), "--speed", f"{speed:g}"]
         command += ["--target", f"127.0.0.1:{port}"]
+        if signing_key is not None:
+            command += ["--signing-key", signing_key]
         with errors:
             self._process = subprocess.Popen(  # noqa: S603
                 [*command, "--json", "--follow-parent"],

@@ -21,6 +21,7 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.world import emulated_world
 from swarm.ground.audit import Auditor, save_parameters
 from swarm.ground.emulator import EmulatorProcess
+from swarm.ground.keys import signing_with
 from swarm.ground.loop import Loop
 from swarm.ground.operator import ControlSocket, Desk, keys
 from swarm.ground.record import Record
@@ -69,7 +70,9 @@ def fly(
     emulator: EmulatorProcess | None = None
     record: Record | None = None
     events: list[Event] = []
+    keyed = ExitStack()
     try:
+        conductor.team.signing = keyed.enter_context(signing_with(fleet.signing_key))
         began = time.time()
         record = Record(record_folder, began)
         record.before(proven, fleet, {"speed": speed, "no_cable": no_cable, "began": began})
@@ -77,7 +80,7 @@ def fly(
             seed = fleet.emulated.seed
             world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
             port = links.port(next(iter(fleet.links)))
-            emulator = EmulatorProcess(world, record_folder, port, speed)
+            emulator = EmulatorProcess(world, record_folder, port, speed, fleet.signing_key)
             if on_emulator is not None:
                 on_emulator(emulator.pid)
         desk = Desk(conductor, lambda: conductor.snapshot(conductor.now).available)
@@ -106,7 +109,10 @@ def fly(
             trace=conductor.trace(),
             events=tuple(events),
             statistics=replace(
-                conductor.statistics(), lateness=loop.lateness_quantiles(), cpu=loop.cpu
+                conductor.statistics(),
+                lateness=loop.lateness_quantiles(),
+                cpu=loop.cpu,
+                unsent=links.dropped(),
             ),
             record=record_folder,
         )
@@ -117,12 +123,11 @@ def fly(
             emulator.stop()
         if record is not None:
             record.close()
+        keyed.close()
         links.close()
 
 
 def _refuse_unflyable(fleet: Fleet, speed: float) -> None:
-    if fleet.signing_key is not None:
-        raise Refused("signed MAVLink is not spoken yet: a fleet with a signing_key cannot fly")
     if fleet.emulated is None and speed != 1.0:
         raise Refused("only emulated vehicles fly faster than time")
 

@@ -82,7 +82,7 @@ class Loop:
             now = (time.monotonic() - began) * self.speed
             self.conductor.receive(link, address, data, now)
             if self.relay is not None:
-                self.relay.from_vehicles(data)
+                self.relay.from_vehicles(link, address, data)
             if self.record is not None:
                 self.record.packet(data, now, "" if address is not None else link)
 

@@ -8,7 +8,7 @@ import socket
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from swarm.flight.team import Outgoing, Team
+from swarm.flight.team import Address, Outgoing, Team
 from swarm.mavlink.packets import Decoder, split
 
 _HEARTBEAT = 0
@@ -45,14 +45,14 @@ class Relay:
         """Loopback port by system id."""
         return {system: endpoint.port for system, endpoint in self._endpoints.items()}
 
-    def from_vehicles(self, data: bytes) -> None:
-        """Pass on what arrived, each packet to its vehicle's endpoint."""
+    def from_vehicles(self, link: str, address: Address | None, data: bytes) -> None:
+        """Pass on what arrived, each packet that can be trusted to its vehicle's endpoint."""
         if self.closed:
             return
         for packet in split(data)[0]:
             system = packet[5] if packet[0] == 0xFD else packet[3]
             endpoint = self._endpoints.get(system)
-            if endpoint is not None:
+            if endpoint is not None and self.team.trusts(link, address, packet):
                 try:
                     endpoint.ours.sendto(packet, ("127.0.0.1", endpoint.port))
                 except OSError:
@@ -61,14 +61,15 @@ class Relay:
     def to_vehicles(self) -> Iterator[Outgoing]:
         """Yield what the library wants sent."""
         for system, endpoint in self._endpoints.items():
-            for data in _arrived(endpoint.ours):
+            for arrived in _arrived(endpoint.ours):
                 route = self.team.way_to(system)
                 if self.closed or route is None:
                     continue
-                for packet in split(data)[0]:
+                for packet in split(arrived)[0]:
                     (known,) = self._decoder.feed(packet) or (None,)
-                    if known is not None and known.number != _HEARTBEAT:
-                        yield Outgoing(route.link, route.address, packet)
+                    if known is not None and packet[0] == 0xFD and known.number != _HEARTBEAT:
+                        data = self.team.sealed(route.link, packet)
+                        yield Outgoing(route.link, route.address, data)
 
     def close(self) -> None:
         """Close the endpoints."""

@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
+from swarm.mavlink.signing import SIGNATURE_LENGTH, Signing
+
 Floats = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
 Message = Any
@@ -28,7 +30,6 @@ POSITION_VELOCITY_ACCELERATION_YAW = int(common.POSITION_TARGET_TYPEMASK_YAW_RAT
 
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _SIGNED = 0x01
-_SIGNATURE_LENGTH = 13
 
 
 class Encoder:
@@ -84,8 +85,11 @@ class Decoder:
     unknown: int = 0
     _kept: bytes = b""
 
-    def feed(self, data: bytes) -> list[Packet]:
-        """Return the packets that are complete with these bytes, in order."""
+    def feed(self, data: bytes, signing: Signing | None = None) -> list[Packet]:
+        """Return the packets that are complete with these bytes, in order.
+
+        With ``signing`` only those that are signed with its key and not replayed.
+        """
         if self._kept:
             data = self._kept + data
             self._kept = b""
@@ -103,10 +107,17 @@ class Decoder:
                     self.damaged += 1
                 break
             else:
-                start = self._take(data, start, length, packets)
+                start = self._take(data, start, length, packets, signing)
         return packets
 
-    def _take(self, data: bytes, start: int, length: int, packets: list[Packet]) -> int:
+    def _take(
+        self,
+        data: bytes,
+        start: int,
+        length: int,
+        packets: list[Packet],
+        signing: Signing | None,
+    ) -> int:
         """Take the packet at ``start``; return where the next one begins."""
         second = data[start] == _MAGIC_2
         if second:
@@ -125,6 +136,8 @@ class Decoder:
         if checksum != data[close] | data[close + 1] << 8:
             self.damaged += 1
             return _next_start(data, start + 1)
+        if signing is not None and signing.judge(data[start : start + length]) != "genuine":
+            return start + length
         message = None
         if self.wanted is None or number in self.wanted:
             message = layout.unpack(data[start + header : close])
@@ -204,7 +217,7 @@ def _packet_length(data: bytes, start: int) -> int:
     if data[start] == _MAGIC_2:
         if data[start + 2] & ~_SIGNED:
             return 0
-        return 12 + data[start + 1] + (_SIGNATURE_LENGTH if data[start + 2] & _SIGNED else 0)
+        return 12 + data[start + 1] + (SIGNATURE_LENGTH if data[start + 2] & _SIGNED else 0)
     return 8 + data[start + 1] if data[start] == _MAGIC_1 else 0
 
 
@@ -251,12 +264,16 @@ class SetpointPacker:
         systems: npt.ArrayLike,
         components: npt.ArrayLike,
         source: tuple[int, int] = (GROUND_SYSTEM, GROUND_COMPONENT),
+        *,
+        signed: bool = False,
     ) -> None:
+        """``signed`` flags the packets; signatures are put behind them elsewhere."""
         targets = np.asarray(systems, dtype=np.uint8)
         self._frames = np.zeros(len(targets), _FRAME)
         frames = self._frames
         frames["magic"] = _MAGIC_2
         frames["length"] = _FRAME.itemsize - 12
+        frames["incompatible"] = _SIGNED if signed else 0
         frames["system"], frames["component"] = source
         frames["message"][:, 0] = _SETPOINT.id
         frames["type_mask"] = POSITION_VELOCITY_ACCELERATION_YAW

@@ -1,0 +1,100 @@
+"""The MAVLink signing key in its file, and the timestamp that is kept from flight to flight."""
+
+import os
+import stat
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from swarm.errors import InputError, Problem
+from swarm.mavlink.signing import KEY_LENGTH, TICKS_PER_SECOND, Signing, ticks_at
+
+KEEP_INTERVAL = 1.0
+_CRASH_MARGIN = 10 * TICKS_PER_SECOND
+_LARGEST = 1024
+
+
+def read_key(path: Path) -> bytes:
+    """Return the key in a file: 64 hexadecimal digits, or 32 bytes.
+
+    Raises :class:`InputError` where it is not a key, or where others than its owner may read it.
+    """
+    try:
+        with path.open("rb") as file:
+            status = os.fstat(file.fileno())
+            data = file.read(_LARGEST)
+    except OSError as error:
+        raise _problem(path, (error.strerror or "cannot be read").lower()) from None
+    if not stat.S_ISREG(status.st_mode):
+        raise _problem(path, "expected a file")
+    if status.st_mode & 0o077:
+        mode = stat.S_IMODE(status.st_mode)
+        reason = f"others may read this key (mode {mode:03o}); make it private: chmod 600 {path}"
+        raise _problem(path, reason)
+    if status.st_uid != os.getuid():
+        raise _problem(path, "expected a key file of this user's own")
+    if len(data) == KEY_LENGTH:
+        return data
+    with suppress(ValueError):
+        key = bytes.fromhex(data.decode("ascii", "strict"))
+        if len(key) == KEY_LENGTH:
+            return key
+    raise _problem(path, f"expected {2 * KEY_LENGTH} hexadecimal digits or {KEY_LENGTH} bytes")
+
+
+@contextmanager
+def signing_with(file: str | None) -> Iterator[Signing | None]:
+    """Give the signing of a key file, None without one; its timestamp is kept beside the key.
+
+    The timestamp is written every second, in a thread: a disk that is full costs nothing in
+    flight, but one that cannot be written before it is refused.
+    """
+    if file is None:
+        yield None
+        return
+    path = Path(file)
+    key = read_key(path)
+    beside = path.with_name(path.name + ".timestamp")
+    signing = Signing(key, max(ticks_at(time.time()), _kept(beside) + _CRASH_MARGIN))
+    try:
+        _keep(beside, signing.timestamp)
+    except OSError as error:
+        reason = f"the timestamp cannot be kept: {(error.strerror or '').lower()}"
+        raise _problem(beside, reason) from None
+    over = threading.Event()
+
+    def work() -> None:
+        while not over.wait(KEEP_INTERVAL):
+            with suppress(OSError):
+                _keep(beside, signing.timestamp)
+
+    keeper = threading.Thread(target=work, name="signing", daemon=True)
+    keeper.start()
+    try:
+        yield signing
+    finally:
+        over.set()
+        keeper.join(5.0)
+        with suppress(OSError):
+            _keep(beside, signing.timestamp)
+
+
+def _kept(path: Path) -> int:
+    with suppress(OSError, ValueError):
+        return max(0, min(int(path.read_text(encoding="ascii")[:20]), 1 << 47))
+    return 0
+
+
+def _keep(path: Path, timestamp: int) -> None:
+    """Replace the file at once, so that a crash leaves the old one or the new one."""
+    new = path.with_name(path.name + ".new")
+    descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "w", encoding="ascii") as file:
+        file.write(f"{timestamp}\n")
+    new.replace(path)
+
+
+def _problem(path: Path, reason: str) -> InputError:
+    return InputError([Problem(str(path), reason)])

@@ -1,0 +1,105 @@
+"""Serial ports and connections: whole packets or none, nothing stale, never waiting."""
+
+import os
+import pty
+import select
+import socket
+import termios
+import tty
+
+import pytest
+from pymavlink.dialects.v20 import common
+
+from swarm.errors import VehicleError
+from swarm.fleet import parse_fleet
+from swarm.flight.listening import Listening
+from swarm.flight.team import Outgoing
+from swarm.ground.sockets import open_links
+from swarm.mavlink.packets import Decoder, Encoder
+
+HEARTBEAT = common.MAVLink_heartbeat_message(2, 12, 0, 6 << 16, 3, 3)
+
+
+@pytest.fixture
+def serial_pair():
+    far, near = pty.openpty()
+    tty.setraw(near)
+    os.set_blocking(far, False)
+    links = open_links({"usb": f"serial://{os.ttyname(near)}:57600"})
+    yield far, near, links
+    links.close()
+    os.close(far)
+    os.close(near)
+
+
+def arrived(links):
+    return b"".join(data for _, _, data in links.wait(0.5))
+
+
+def test_bytes_go_both_ways_over_a_serial_port(serial_pair):
+    far, near, links = serial_pair
+    assert termios.tcgetattr(near)[4] == termios.B57600
+    packet = Encoder(4, 1).encode(HEARTBEAT)
+    os.write(far, packet[:5])
+    first = list(links.wait(0.5))
+    assert first == [("usb", None, packet[:5])]
+    os.write(far, packet[5:])
+    assert arrived(links) == packet[5:]
+    links.send([Outgoing("usb", None, b"hello")])
+    assert select.select([far], [], [], 5.0)[0]
+    assert os.read(far, 100) == b"hello"
+
+
+def test_a_vehicle_is_heard_and_answered_on_a_serial_port(serial_pair):
+    far, near, links = serial_pair
+    text = f'schema: 1\nname: one\nlinks: {{usb: "serial://{os.ttyname(near)}:57600"}}\n'
+    listening = Listening(parse_fleet(text + "vehicles: [{sysid: 4, links: [usb]}]\n", "one"))
+    packet = Encoder(4, 1).encode(HEARTBEAT)
+    for part in (packet[:7], packet[7:]):
+        os.write(far, part)
+        for link, address, data in links.wait(0.5):
+            listening.receive(link, address, data, 1.0)
+    assert listening.missing == []
+    links.send(listening.tick(1.0))
+    decoder, said = Decoder(stream=True), set()
+    while not said >= {0, 76, 111}:
+        assert select.select([far], [], [], 5.0)[0]
+        said |= {packet.number for packet in decoder.feed(os.read(far, 4096))}
+
+
+def test_a_port_that_takes_no_more_drops_whole_packets_and_never_waits(serial_pair):
+    far, _, links = serial_pair
+    packets = [Encoder(255, 190).encode(HEARTBEAT) for _ in range(4000)]
+    links.send(Outgoing("usb", None, packet) for packet in packets)
+    dropped = links.dropped()["usb"]
+    assert 0 < dropped < 4000
+    decoder, received = Decoder(stream=True), 0
+    while received < 4000 - dropped:
+        assert select.select([far], [], [], 5.0)[0]
+        received += len(decoder.feed(os.read(far, 65536)))
+        links.ports["usb"].flush()
+    assert decoder.damaged == 0
+    assert received == 4000 - dropped
+
+
+def test_a_slow_connection_holds_no_stale_packets():
+    server = socket.create_server(("127.0.0.1", 0))
+    server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    links = open_links({"net": f"tcp://127.0.0.1:{server.getsockname()[1]}"})
+    peer, _ = server.accept()
+    packet = Encoder(255, 190).encode(HEARTBEAT)
+    links.send(Outgoing("net", None, packet) for _ in range(100_000))
+    assert links.dropped()["net"] > 0
+    peer.close()
+    assert list(links.wait(0.5)) == []
+    links.send([Outgoing("net", None, packet)])
+    links.close()
+    server.close()
+
+
+def test_a_port_that_is_not_there_is_named():
+    with pytest.raises(
+        VehicleError,
+        match=r"link usb \(serial:///dev/nowhere:57600\) cannot be opened: no such file",
+    ):
+        open_links({"usb": "serial:///dev/nowhere:57600"})

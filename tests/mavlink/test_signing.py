@@ -1,0 +1,102 @@
+"""Signed MAVLink 2, against pymavlink's own signing; and a whole flight that is signed."""
+
+import hashlib
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common
+
+from swarm.fleet import emulated_fleet
+from swarm.mavlink.packets import Decoder, Encoder, SetpointPacker
+from swarm.mavlink.signing import TICKS_PER_SECOND, Signing, ticks_at
+from tests.network import Network, small_plan
+
+KEY = hashlib.sha256(b"for tests only").digest()
+NOW = ticks_at(1_800_000_000.0)
+HEARTBEAT = common.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
+
+
+def theirs(timestamp: int = NOW, key: bytes = KEY, link: int = 3) -> common.MAVLink:
+    mav = common.MAVLink(None, srcSystem=7, srcComponent=1)
+    mav.robust_parsing = True
+    mav.signing.secret_key, mav.signing.link_id = key, link
+    mav.signing.timestamp, mav.signing.sign_outgoing = timestamp, True
+    return mav
+
+
+def test_pymavlink_takes_what_we_sign():
+    signing = Signing(KEY, NOW)
+    encoder = Encoder()
+    reader = theirs()
+    packer = SetpointPacker([1, 2], [1, 1], signed=True)
+    zeros = np.zeros((2, 3))
+    setpoints = packer.pack([0, 1], 17, zeros + 1.5, zeros, zeros, np.zeros(2))
+    sent = signing.seal(encoder.encode(HEARTBEAT), link=5)
+    sent += b"".join(signing.sign(row.tobytes(), 5) for row in setpoints)
+    messages = reader.parse_buffer(sent)
+    assert [m.get_type() for m in messages] == [
+        "HEARTBEAT", "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_LOCAL_NED",
+    ]  # fmt: skip
+    assert messages[2].target_system == 2
+
+
+def test_we_take_what_pymavlink_signs_and_nothing_else():
+    signing, decoder = Signing(KEY, NOW), Decoder()
+    mav = theirs()
+    genuine = bytes(HEARTBEAT.pack(mav))
+    forged = bytes(HEARTBEAT.pack(theirs(key=bytes(32))))
+    unsigned = Encoder(7, 1).encode(HEARTBEAT)
+    assert len(decoder.feed(genuine, signing)) == 1
+    assert decoder.feed(forged + unsigned + genuine, signing) == []
+    assert dict(signing.dropped) == {"forged": 1, "unsigned": 1, "replayed": 1}
+    assert len(decoder.feed(bytes(HEARTBEAT.pack(mav)), signing)) == 1
+
+
+def test_a_stream_that_begins_long_ago_is_a_replay():
+    signing, decoder = Signing(KEY, NOW), Decoder()
+    minute = 60 * TICKS_PER_SECOND
+    assert decoder.feed(bytes(HEARTBEAT.pack(theirs(NOW - minute - 10))), signing) == []
+    assert len(decoder.feed(bytes(HEARTBEAT.pack(theirs(NOW - minute + 10))), signing)) == 1
+    assert signing.dropped["replayed"] == 1
+
+
+def test_our_timestamp_follows_the_clock_and_those_that_are_ahead():
+    signing = Signing(KEY, NOW)
+    signing.follow(2.0)
+    assert signing.timestamp == NOW + 2 * TICKS_PER_SECOND
+    Decoder().feed(bytes(HEARTBEAT.pack(theirs(NOW + 10**9))), signing)
+    assert signing.timestamp == NOW + 10**9
+    signing.follow(3.0)
+    stamps = [int.from_bytes(signing.seal(Encoder().encode(HEARTBEAT))[-12:-6], "little")]
+    assert stamps[0] == NOW + 10**9 + 1
+
+
+def test_a_key_of_another_length_is_refused():
+    with pytest.raises(ValueError, match="expected a key of 32 bytes, got 5"):
+        Signing(b"short", 0)
+
+
+def test_a_signed_team_flies_and_hears_nothing_unsigned():
+    flight = Network(small_plan(), emulated_fleet(3, ("px4", "ardupilot")), no_cable=True)
+    signing = flight.conductor.team.signing = Signing(KEY, NOW)
+    flight.emulator.sign_with(KEY, 1_800_000_000.0)
+    flight.until_phase("takeoff", 2.0)
+    spoof = Encoder(2, 1).encode(common.MAVLink_heartbeat_message(2, 3, 0, 6, 3, 3))
+    before = flight.conductor.flyers[1].custom_mode
+    for _ in range(5):
+        flight.conductor.receive("loopback", 2, spoof, flight.now)
+    assert flight.conductor.flyers[1].custom_mode == before
+    assert signing.dropped == {"unsigned": 5}
+    assert flight.conductor.statistics().rejected["unsigned"] == 5
+    flight.once()
+    sent = [data for _, system, data in flight.sent if system == 1]
+    assert all(data[2] & 1 for data in sent)
+    assert any("not signed as they must be" in words for words in flight.words("security"))
+
+
+def test_vehicles_with_a_key_do_not_obey_a_ground_station_without():
+    flight = Network(small_plan(), emulated_fleet(3), no_cable=True)
+    flight.emulator.sign_with(KEY, 1_800_000_000.0)
+    flight.run(most=200.0)
+    assert flight.conductor.finished.word in {"failed", "refused"}
+    assert not flight.emulator.truth().armed.any()
