@@ -45,6 +45,8 @@ _NOISE_TIME = 4.0
 NOISE_SIGMA = np.array([0.015, 0.015, 0.02])
 AIR_DENSITY = 1.2
 
+_Rows = tuple[list[list[float]], list[list[float]], list[list[float]]]
+
 
 class Bodies:
     """State of all vehicles and what their autopilots want of them.
@@ -186,6 +188,7 @@ class Bodies:
 
     def _renew_air(self) -> None:
         self._stale = self._stale_air = True
+        self._rows: _Rows | None = None
         self._offset = self.bias + self.noise
         self._air = self._drag * (self.wind + self.wash)
         self._air[:, 2] -= GRAVITY
@@ -224,6 +227,16 @@ class Bodies:
         estimate: Array = self.position + self._offset
         return estimate
 
+    def rows(self) -> _Rows:
+        """Return estimated positions, velocities and thrusts as lists, once a step."""
+        if self._rows is None:
+            self._rows = (
+                (self.position + self._offset).tolist(),
+                self.velocity.tolist(),
+                self.thrust.tolist(),
+            )
+        return self._rows
+
     def grip_points(self) -> Array:
         """Where the grip points are: a stiff dropper along the body's own down axis (n, 3)."""
         points: Array
@@ -246,6 +259,7 @@ class Bodies:
 
     def step(self) -> Flags | None:
         """Advance by `STEP`; return which vehicles have just hit the ground hard, or None."""
+        self._rows = None
         if self._settled and self._healthy and self._glide():
             return self._ground() if self._height.min() <= self._highest_stand else None
         command = self._command()

@@ -17,7 +17,9 @@ _pack_attitude = wire.LAYOUTS["ATTITUDE"].struct.pack
 _pack_quaternion = wire.LAYOUTS["ATTITUDE_QUATERNION"].struct.pack
 _pack_global = wire.LAYOUTS["GLOBAL_POSITION_INT"].struct.pack
 _pack_hud = wire.LAYOUTS["VFR_HUD"].struct.pack
+_pack_target = wire.LAYOUTS["POSITION_TARGET_LOCAL_NED"].struct.pack
 _LARGEST = 2**32
+_LOCAL_NED = 1
 
 
 def boot_ms(v: Vehicle) -> int:
@@ -27,7 +29,7 @@ def boot_ms(v: Vehicle) -> int:
 
 def attitude(v: Vehicle) -> tuple[float, float, float]:
     """Roll, pitch, yaw (NED, radians) that point the thrust where it points."""
-    fx, fy, fz = v.bodies.thrust[v.index].tolist()
+    fx, fy, fz = v.bodies.rows()[2][v.index]
     yaw = math.pi / 2 - float(v.bodies.yaw[v.index])
     if v.bodies.tumbling[v.index]:
         turned = float(v.bodies.tumble[v.index])
@@ -48,8 +50,12 @@ def _wrap(angle: float) -> float:
 
 def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
     """Estimated position and velocity in the vehicle's own NED frame."""
-    vx, vy, vz = v.bodies.velocity[v.index].tolist()
-    return (*v.to_local(v.estimated()), vy, vx, -vz)
+    places, velocities, _ = v.bodies.rows()
+    x, y, z = places[v.index]
+    vx, vy, vz = velocities[v.index]
+    ox, oy, oz = v.place
+    east, north = v.scale
+    return (y - oy) * north, (x - ox) * east, oz - z, vy, vx, -vz
 
 
 def _local(v: Vehicle) -> bytes:
@@ -86,9 +92,10 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
 def _global(v: Vehicle) -> bytes | None:
     if not v.global_valid:
         return None
-    x, y, z = v.estimated().tolist()
+    places, velocities, _ = v.bodies.rows()
+    x, y, z = places[v.index]
     latitude, longitude, altitude = v.around.geodesy.degrees(x, y, z)
-    vx, vy, vz = v.bodies.velocity[v.index].tolist()
+    vx, vy, vz = velocities[v.index]
     home = v.home[2] if v.home is not None else v.origin[2]
     heading = math.degrees(math.pi / 2 - float(v.bodies.yaw[v.index])) % 360.0
     return _pack_global(
@@ -313,25 +320,10 @@ def _target(v: Vehicle) -> bytes | None:
         return None
     b, i = v.bodies, v.index
     north, east, down = v.to_local(b.goal_position[i])
-    vx, vy, vz = b.goal_velocity[i].tolist()
-    ax, ay, az = b.goal_acceleration[i].tolist()
-    return wire.payload(
-        "POSITION_TARGET_LOCAL_NED",
-        {
-            "time_boot_ms": boot_ms(v),
-            "coordinate_frame": 1,
-            "type_mask": mask,
-            "x": north,
-            "y": east,
-            "z": down,
-            "vx": vy,
-            "vy": vx,
-            "vz": -vz,
-            "afx": ay,
-            "afy": ax,
-            "afz": -az,
-            "yaw": _wrap(math.pi / 2 - float(b.goal_yaw[i])),
-        },
+    vx, vy, vz, ax, ay, az = b.goal[i, 3:].tolist()
+    yaw = _wrap(math.pi / 2 - float(b.goal_yaw[i]))
+    return _pack_target(
+        boot_ms(v), north, east, down, vy, vx, -vz, ay, ax, -az, yaw, 0.0, mask, _LOCAL_NED
     )
 
 

@@ -26,28 +26,32 @@ _crc: Callable[..., int] = crc16.mcrf4xx
 
 @dataclass(frozen=True)
 class Layout:
-    """How one message lies on the wire: number, packed structure, field names in wire order."""
+    """How one message lies on the wire: number, packed structure, CRC seed, fields.
+
+    ``blank`` is the list of values of an empty message in wire order, ``places`` where in it each
+    field begins and, of an array of numbers, how long it is (otherwise 0).
+    """
 
     number: int
     struct: struct.Struct
-    names: tuple[str, ...]
-    lengths: tuple[int, ...]
-    texts: tuple[bool, ...]
     seed: bytes
+    blank: list[Any]
+    places: dict[str, tuple[int, int]]
 
 
 def _layouts() -> dict[str, Layout]:
     found = {}
     for number, message in dialect.mavlink_map.items():
         kinds = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
-        names = tuple(message.ordered_fieldnames)
-        lengths = tuple(
-            0 if kinds[name] == "char" else length
-            for name, length in zip(names, message.array_lengths, strict=True)
-        )
-        texts = tuple(kinds[name] == "char" for name in names)
+        blank: list[Any] = []
+        places = {}
+        names = message.ordered_fieldnames
+        for name, length in zip(names, message.array_lengths, strict=True):
+            text = kinds[name] == "char"
+            places[name] = (len(blank), 0 if text else length)
+            blank += [b""] if text else [0] * max(length, 1)
         seed = bytes([message.crc_extra])
-        found[message.msgname] = Layout(number, message.unpacker, names, lengths, texts, seed)
+        found[message.msgname] = Layout(number, message.unpacker, seed, blank, places)
     return found
 
 
@@ -61,13 +65,14 @@ def payload(name: str, fields: dict[str, Any]) -> bytes:
     Text is a ``str`` or ``bytes``, arrays are sequences; shorter ones are filled with zeros.
     """
     layout = LAYOUTS[name]
-    values: list[Any] = []
-    for field, length, text in zip(layout.names, layout.lengths, layout.texts, strict=True):
-        value = fields.get(field, b"" if text else () if length else 0)
+    values = layout.blank.copy()
+    places = layout.places
+    for field, value in fields.items():
+        place, length = places[field]
         if length:
-            values.extend([*value, *[0] * (length - len(value))])
+            values[place : place + min(len(value), length)] = value[:length]
         else:
-            values.append(value.encode("utf-8") if isinstance(value, str) else value)
+            values[place] = value.encode("utf-8") if isinstance(value, str) else value
     return layout.struct.pack(*values)
 
 
