@@ -21,8 +21,8 @@ from swarm.flight.world import emulated_world
 from swarm.preflight.findings import ProvenPlan
 
 __all__ = [
-    "Emulator", "Fault", "Observer", "Recorder", "faults_from", "rehearse", "scenario_schema",
-    "world_schema",
+    "Emulator", "Fault", "Observer", "Recorder", "faults_from", "parse_world", "rehearse",
+    "scenario_schema", "world_schema",
 ]  # fmt: skip
 
 SNAPSHOT_INTERVAL = 0.1

@@ -14,6 +14,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from swarm.errors import InputError, Problem
 from swarm.flight.trace import Trace
 from swarm.plans import KnotSummary, Layout, Plan
 from swarm.preflight.findings import Tightest
@@ -85,9 +86,34 @@ def schedule_figure(plan: Plan) -> Figure:
         return figure
 
 
+def plot_flight(plan: Plan, trace: Trace, path: Path) -> None:
+    """Write a PNG of a flight: where it was held, tracking errors and the mission clock."""
+    save(flight_figure(plan, trace), path)
+
+
+def flight_figure(plan: Plan, trace: Trace) -> Figure:
+    """Return the figure of :func:`plot_flight`."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(12.0, 5.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        cells = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.6])
+        draw_flown_view(figure.add_subplot(cells[:, 0]), plan, trace)
+        draw_errors(figure.add_subplot(cells[0, 1]), trace, plan.mission.vehicles.tracking)
+        draw_clock(figure.add_subplot(cells[1, 1]), trace)
+        figure.suptitle(f"{plan.mission.name}: as flown")
+        return figure
+
+
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, at a size that is sharp on screens and small on disk."""
-    figure.savefig(path, dpi=130, format="png")
+    """Write a figure as PNG, at a size that is sharp on screens and small on disk.
+
+    Raises :class:`InputError` where the file cannot be written.
+    """
+    try:
+        figure.savefig(path, dpi=130, format="png")
+    except OSError as error:
+        reason = (error.strerror or "cannot be written").lower()
+        raise InputError([Problem(str(path), reason)]) from None
 
 
 def along_colours(count: int) -> Floats:

@@ -27,6 +27,7 @@ CLEARANCES: Final = {
     "vehicle": "vehicle to vehicle",
     "vehicle_cable": "vehicle to cable",
 }
+TRIAL_DISTANCES: Final = {**CLEARANCES, "hung": "cable to cable, as the emulator's cable hung"}
 LEVELS: Final = {"ERROR": "bad", "WARN": "warn", "INFO": ""}
 
 
@@ -87,6 +88,98 @@ def flight_report(
         section("The plan", key_figures(_plan_figures(plan, assessment)), _findings(assessment)),
         _footer(),
     )
+
+
+def trials_report(
+    plan: Plan, assessment: Assessment, told: Sequence[Mapping[str, Any]], figure: Figure
+) -> str:
+    """Return the page of many dry runs: what they say, pictures, worst trials, and the plan.
+
+    ``told`` are the JSON objects that ``swarm dry-run --trials --json`` prints, of this plan first,
+    ``figure`` is what is drawn of them.
+    """
+    first = told[0]
+    sound, below = first["no_vehicle_failing"], first["certificate"]["below"]
+    good = sound["completed"]["count"] == sound["trials"] and not below
+    words = (
+        f"{sound['completed']['count']} of {sound['trials']} trials without a failing vehicle "
+        f"were completed as planned; {len(below)} of {first['certificate']['compared']} came "
+        "closer than was certified for their tracking error."
+    )
+    return page(
+        f"Trials: {plan.mission.name}",
+        tag("h1", f"{plan.mission.name}: {first['trials']} dry runs"),
+        tag("p", f"Seed {first['seed']}; virtual time, emulated vehicles and cable", kind="dim"),
+        tag("div", words, kind="verdict good" if good else "verdict bad"),
+        key_figures(_trial_figures(first)),
+        section(
+            "Pictures", pictures(picture(figure, "Smallest distances of all trials", wide=True))
+        ),
+        *(section(_whose(one), _distances_table(one), _reasons(one)) for one in told),
+        section("Worth a look", _worst_trials(first)),
+        section("What was drawn", _drawn(first["spread"])),
+        section("The plan", key_figures(_plan_figures(plan, assessment)), _findings(assessment)),
+        _footer(),
+    )
+
+
+def _whose(told: Mapping[str, Any]) -> str:
+    return "The paper's trajectory" if told["method"] == "paper" else "This plan"
+
+
+def _trial_figures(told: Mapping[str, Any]) -> list[tuple[str, object]]:
+    sound = told["no_vehicle_failing"]
+    low, high = sound["completed"]["interval"] or (0.0, 1.0)
+    return [
+        ("trials", told["trials"]),
+        ("of them with a failing vehicle", told["one_vehicle_failing"]["trials"]),
+        (f"completed, {told['confidence']:.0%} interval", f"{low:.1%} to {high:.1%}"),
+        ("with a rotor on cable", told["trials_with_strikes"]),
+        ("with vehicles touching", told["trials_with_collisions"]),
+        ("vehicles lost", told["vehicles_lost"]),
+    ]
+
+
+def _distances_table(told: Mapping[str, Any]) -> Html:
+    rows = []
+    for kind, values in told["no_vehicle_failing"]["clearance"].items():
+        if values["count"]:
+            cells = [_kept(values["smallest"], values["required"])]
+            for share in ("0.05", "0.5"):
+                quantile = values["quantiles"][share]
+                low, high = (f"{v:.2f}" if v is not None else "?" for v in quantile["interval"])
+                cells.append(Html(f"{metres(quantile['value'])} [{low}, {high}]"))
+            rows.append((TRIAL_DISTANCES[kind], *cells, metres(values["required"])))
+    head = ("no vehicle failing", "smallest", "5 %", "median", "required")
+    return table(head, rows, frozenset({1, 2, 3, 4}))
+
+
+def _reasons(told: Mapping[str, Any]) -> Html:
+    rows = [(reason, count) for reason, count in told["reasons"].items()]
+    return table(("not completed, because of", "trials"), rows, frozenset({1}))
+
+
+def _worst_trials(told: Mapping[str, Any]) -> Html:
+    rows = [
+        (
+            one["trial"],
+            "unknown" if one["cable"] is None else metres(one["cable"]),
+            one["outcome"],
+            one["failing"] or "–",
+            one["reason"] or "–",
+        )
+        for one in told["worst"]
+    ]
+    head = ("trial", "cable to cable", "outcome", "what was made to fail", "reason")
+    return table(head, rows, frozenset({0, 1}))
+
+
+def _drawn(spread: Mapping[str, Any]) -> Html:
+    rows = [
+        (name, ", ".join(value) if isinstance(value, list) else f"{value:g}")
+        for name, value in spread.items()
+    ]
+    return table(("key of the scenario's spread", "value"), rows)
 
 
 def _left_the_ball(plan: Plan, outcome: Mapping[str, Any]) -> Html:

@@ -1,0 +1,255 @@
+"""What ``swarm dry-run --trials`` does: fly many, keep what is done, tell what they say."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from swarm import __version__, api
+from swarm.cli.inputs import print_json, progress_bar, read_text, write_text
+from swarm.errors import InputError, Interrupted, Problem
+from swarm.mission import Mission
+from swarm.plans import Plan
+from swarm.preflight.findings import ProvenPlan
+from swarm.rehearse import Fault
+from swarm.trials import (
+    CLEARANCES,
+    Certificates,
+    Spread,
+    Trial,
+    certificates,
+    flown_anyway,
+    fly_trials,
+    read_scenario,
+    rows,
+    summary,
+)
+from swarm.view.plots import save
+from swarm.view.report import trials_report
+from swarm.view.trial_plots import NAMES, Distances, trials_figure
+
+
+def load_scenario(path: Path | None) -> tuple[Spread, tuple[Fault, ...]]:
+    """Return what is drawn, and the faults of every trial; the usual ones without a file."""
+    return read_scenario(read_text(path), str(path)) if path else (Spread(), ())
+
+
+def paper_mission(mission: Mission) -> Mission:
+    """Return the same mission with the paper's own trajectory."""
+    return mission.model_copy(
+        update={"fold": mission.fold.model_copy(update={"method": "paper"})}, deep=True
+    )
+
+
+def run_trials(
+    context: click.Context,
+    mission: Mission,
+    planned: api.Planned,
+    *,
+    trials: int,
+    scenario: Path | None,
+    seed: int,
+    jobs: int | None,
+    scheduler: str | None,
+    results: Path | None,
+    plot: Path | None,
+    report: Path | None,
+    compare: bool,
+    as_json: bool,
+) -> None:
+    """Fly the trials, print or write what they say, and end the command with its exit code."""
+    console = Console(quiet=as_json)
+    spread, faults = load_scenario(scenario)
+    runs: list[tuple[Plan, ProvenPlan]] = [(planned.plan, planned.proven())]
+    if compare:
+        with progress_bar(Console(stderr=True)) as progress:
+            other = api.plan(paper_mission(mission), progress)
+        runs.append((other.plan, flown_anyway(other.plan, other.assessment)))
+    done: list[tuple[Plan, list[Trial], Certificates]] = []
+    interrupted = False
+    for plan, proven in runs:
+        flown, interrupted = _fly(proven, spread, seed, trials, faults, jobs, scheduler)
+        done.append((plan, flown, certificates(plan, flown)))
+        if interrupted:
+            break
+    told = [
+        summary(plan, flown, seed=seed, spread=spread, certified=certified)
+        for plan, flown, certified in done
+    ]
+    if results:
+        write_results(results, [(plan, flown) for plan, flown, _ in done], seed, spread)
+    if plot or report:
+        figure = trials_figure(
+            [_distances(plan, flown, certified) for plan, flown, certified in done],
+            {name: getattr(planned.plan.mission.clearance, name) for name in CLEARANCES},
+        )
+        if plot:
+            save(figure, plot)
+        if report:
+            page = trials_report(planned.plan, planned.assessment, told, figure)
+            write_text(report, page)
+    if as_json:
+        print_json(told[0] if len(told) == 1 else {"ours": told[0], "paper": told[1]})
+    else:
+        for one in told:
+            print_summary(one, console)
+    if interrupted:
+        raise Interrupted(f"stopped after {sum(len(flown) for _, flown, _ in done)} trials")
+    context.exit(0 if _as_certified(told[0]) else 1)
+
+
+def _as_certified(told: Mapping[str, Any]) -> bool:
+    """Whether all trials without a failing vehicle went as planned, none below its certificate."""
+    sound = told["no_vehicle_failing"]
+    return sound["completed"]["count"] == sound["trials"] and not told["certificate"]["below"]
+
+
+def _fly(
+    proven: ProvenPlan,
+    spread: Spread,
+    seed: int,
+    trials: int,
+    faults: Sequence[Fault],
+    jobs: int | None,
+    scheduler: str | None,
+) -> tuple[list[Trial], bool]:
+    """Fly with a progress bar; return the trials done, and whether it was interrupted."""
+    flown: list[Trial] = []
+    console = Console(stderr=True)
+    flying = fly_trials(
+        proven, spread, seed=seed, trials=range(trials), faults=faults, jobs=jobs,
+        scheduler=scheduler,
+    )  # fmt: skip
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(),
+        TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
+    ) as bar:  # fmt: skip
+        task = bar.add_task(f"trials ({proven.plan.mission.fold.method})", total=trials)
+        try:
+            for trial in flying:
+                flown.append(trial)
+                bar.advance(task)
+        except KeyboardInterrupt:
+            flying.close()
+            return sorted(flown, key=lambda one: one.number), True
+    return sorted(flown, key=lambda one: one.number), False
+
+
+def _distances(plan: Plan, flown: Sequence[Trial], certified: Certificates) -> Distances:
+    def column(name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+        return np.array([np.nan if (v := getattr(t, name)) is None else v for t in flown])
+
+    return Distances(
+        label="the paper's trajectory" if plan.mission.fold.method == "paper" else "this plan",
+        by_kind={name: column(name) for name in (*CLEARANCES, "hung")},
+        error=column("error"),
+        failing=np.array([bool(trial.failing) for trial in flown]),
+        radius=certified.radius,
+        certified={name: getattr(certified, name) for name in CLEARANCES},
+    )
+
+
+def write_results(
+    path: Path, done: Sequence[tuple[Plan, Sequence[Trial]]], seed: int, spread: Spread
+) -> None:
+    """Write one row per trial as Parquet, with what made them in the file's metadata."""
+    table = pa.Table.from_pylist(
+        [
+            {"method": plan.mission.fold.method, "seed": seed, **row}
+            for plan, flown in done
+            for row in rows(flown)
+        ]
+    )
+    made_by = {
+        "swarm": __version__,
+        "mission": done[0][0].mission.model_dump_json(by_alias=True),
+        "spread": json.dumps(spread.model_dump(mode="json")),
+    }
+    try:
+        pq.write_table(table.replace_schema_metadata(made_by), path)
+    except OSError as error:
+        reason = (error.strerror or "cannot be written").lower()
+        raise InputError([Problem(str(path), reason)]) from None
+
+
+def print_summary(told: Mapping[str, Any], console: Console) -> None:
+    """Print what trials say: completion, distances with intervals, harm, reasons, the worst."""
+    sound, failing = told["no_vehicle_failing"], told["one_vehicle_failing"]
+    name = "the paper's trajectory" if told["method"] == "paper" else "this plan"
+    console.print(f"\n[bold]{told['trials']} trials of {name}[/], seed {told['seed']}")
+    _say(console, f"completed, no vehicle failing: {_share(sound['completed'], sound['trials'])}")
+    if failing["trials"]:
+        _say(
+            console,
+            f"completed, one vehicle failing: {_share(failing['completed'], failing['trials'])}",
+        )
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("smallest distances, no vehicle failing", no_wrap=True)
+    for head in ("smallest", "5 %", "median", "required"):
+        table.add_column(head, justify="right")
+    for kind, values in sound["clearance"].items():
+        if values["count"]:
+            table.add_row(NAMES[kind], *_distribution_cells(values), f"{values['required']:.2f} m")
+    console.print(table)
+    error = sound["tracking_error"]
+    if error["count"]:
+        _say(
+            console,
+            f"tracking errors: up to {error['quantiles']['0.5']['value']:.2f} m in half of the "
+            f"trials, {error['largest']:.2f} m in the worst; {sound['left_the_tracking_ball']} of "
+            f"{sound['trials']} trials left the tracking ball that the plan is certified for",
+        )
+    _say(
+        console,
+        f"trials with a rotor on cable: {told['trials_with_strikes']}, with vehicles touching: "
+        f"{told['trials_with_collisions']}; vehicles lost: {told['vehicles_lost']}",
+    )
+    for reason, count in told["reasons"].items():
+        _say(console, f"not completed: {count} × {reason}")
+    checked = told["certificate"]
+    style = "red" if checked["below"] else "green"
+    _say(
+        console,
+        f"[{style}]{len(checked['below'])} of {checked['compared']} trials came closer than was "
+        "certified for their tracking error[/]",
+    )
+    for one in told["worst"][:3]:
+        cable = "unknown" if one["cable"] is None else f"{one['cable']:.2f} m"
+        words = ", ".join(filter(None, (one["failing"], one["reason"])))
+        _say(
+            console,
+            f"worth a look: trial {one['trial']} (cable {cable}{', ' + words if words else ''})",
+        )
+    _say(
+        console,
+        f"see one again: swarm dry-run … --seed {told['seed']} --trial "
+        f"{told['worst'][0]['trial']} --recording trial.rrd",
+    )
+
+
+def _say(console: Console, words: str) -> None:
+    console.print(words, highlight=False, soft_wrap=True)
+
+
+def _share(share: Mapping[str, Any], trials: int) -> str:
+    if share["interval"] is None:
+        return "no trials"
+    low, high = share["interval"]
+    return f"{share['count']} of {trials} ({low:.1%} to {high:.1%} at 95 % confidence)"
+
+
+def _distribution_cells(values: Mapping[str, Any]) -> list[str]:
+    cells = [f"{values['smallest']:.2f} m"]
+    for share in ("0.05", "0.5"):
+        quantile = values["quantiles"][share]
+        low, high = (f"{v:.2f}" if v is not None else "?" for v in quantile["interval"])
+        cells.append(f"{quantile['value']:.2f} m [{low}, {high}]")
+    return cells

@@ -1,0 +1,218 @@
+"""Trials: what is drawn, that it is flown the same again, and what all of them are said to say."""
+
+import json
+import math
+import sys
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from swarm.cli.trials import write_results
+from swarm.errors import InputError, SwarmError
+from swarm.fleet import emulated_fleet
+from swarm.preflight.findings import Finding, Refused, prove
+from swarm.trials import (
+    Certificates,
+    Spread,
+    Trial,
+    below_certificate,
+    draw,
+    flown_anyway,
+    fly_trial,
+    fly_trials,
+    read_scenario,
+    summary,
+    trial_scenario_schema,
+    worst,
+)
+from tests.network import small_plan
+
+PROVEN = small_plan(vehicles=4)
+PLAN = PROVEN.plan
+FLEET = emulated_fleet(4)
+CALM = Spread(wind=0, gust=0, loss=0, latency=0, jitter=0, mass=0, grip=0, length=0, failing=0)
+
+
+@cache
+def flown(number: int) -> Trial:
+    return fly_trial(PROVEN, Spread(failing=0), 5, number)[0]
+
+
+def trial(number: int = 0, **changed) -> Trial:
+    usual = Trial(
+        number=number, outcome="done", reason="", explanation="", knot="0_1", as_planned=True,
+        cable=0.5, vehicle=2.0, vehicle_cable=0.6, hung=0.5, error=0.05, strikes=0, collisions=0,
+        crashed=0, wind=0.1, gust=0.0, failing="", failing_at=None, duration=100.0,
+    )  # fmt: skip
+    return replace(usual, **changed)
+
+
+def test_a_trial_is_decided_by_seed_and_number():
+    spread = Spread(failing=0.5)
+    one, again = (draw(PLAN, FLEET, spread, 3, 7) for _ in range(2))
+    assert one == again
+    assert one != draw(PLAN, FLEET, spread, 3, 8)
+    assert one != draw(PLAN, FLEET, spread, 4, 7)
+
+
+def test_what_is_drawn_stays_within_what_is_stated():
+    spread = Spread(failing=0.5)
+    drawn = [draw(PLAN, FLEET, spread, 1, k) for k in range(200)]
+    assert 0.4 < max(one.wind for one in drawn) <= spread.wind
+    assert max(one.gust for one in drawn) <= spread.gust
+    assert 70 <= sum(bool(one.failing) for one in drawn) <= 130
+    tolerance, mass = PLAN.mission.cable.length_tolerance, PLAN.mission.vehicles.mass
+    for one in drawn:
+        points = np.array(one.world["cable"]["points"])
+        laid = np.linalg.norm(np.diff(points, axis=0), axis=1).reshape(-1, 2).sum(axis=1)
+        assert np.abs(laid - PLAN.layout.lengths).max() <= tolerance + 4 * spread.grip + 1e-9
+        masses = np.array([vehicle["mass"] for vehicle in one.world["vehicles"]])
+        assert np.abs(masses / mass - 1.0).max() <= 2 * spread.mass + 1e-9
+        links = [fault for fault in one.faults if fault.kind == "link" and fault.at == 0]
+        assert len(links) == 4
+        assert max(fault.latency for fault in links) <= spread.latency
+    calm = draw(PLAN, FLEET, CALM, 1, 0)
+    assert (calm.wind, calm.failing, calm.faults) == (0.0, "", ())
+
+
+def test_the_missions_own_wind_is_drawn_from_when_it_is_stronger():
+    windy = small_plan("wind.steady=3.0", vehicles=3).plan
+    assert max(draw(windy, emulated_fleet(3), Spread(), 1, k).wind for k in range(50)) > 2.0
+
+
+def test_a_trial_flies_the_plan_and_measures_where_vehicles_really_are():
+    one = flown(0)
+    assert (one.outcome, one.reason, one.completed) == ("done", "", True)
+    assert one.error is not None
+    assert 0.01 < one.error < 0.3
+    assert one.cable is not None
+    assert one.hung == pytest.approx(one.cable, abs=0.1)
+    assert one.strikes == one.collisions == one.crashed == 0
+
+
+def test_trials_in_processes_are_the_trials_flown_alone():
+    together = {
+        t.number: t for t in fly_trials(PROVEN, Spread(failing=0), seed=5, trials=[0, 1], jobs=2)
+    }
+    assert together == {0: flown(0), 1: flown(1)}
+
+
+def test_trials_on_a_cluster_are_the_trials_flown_alone(monkeypatch):
+    monkeypatch.setitem(sys.modules, "snappy", None)  # SnapPy is not the compressor of that name
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
+        on_cluster = fly_trials(
+            PROVEN, Spread(failing=0), seed=5, trials=range(3), scheduler=address
+        )
+        assert {t.number: t for t in on_cluster} == {k: flown(k) for k in range(3)}
+
+
+def test_a_scheduler_that_is_not_there_is_said():
+    with pytest.raises(SwarmError, match="no Dask scheduler at tcq://nowhere:1"):
+        next(fly_trials(PROVEN, CALM, seed=1, trials=[0], scheduler="tcq://nowhere:1"))
+
+
+def test_a_lost_vehicle_is_told_as_such():
+    spread = CALM.model_copy(update={"failing": 1.0, "failures": ("motor_loss",)})
+    seed = next(s for s in range(99) if 25 < (draw(PLAN, FLEET, spread, s, 0).failing_at or 0) < 60)
+    one, result = fly_trial(PROVEN, spread, seed, 0)
+    assert one.failing.endswith("motor_loss")
+    assert (one.outcome, one.completed) == ("failed", False)
+    assert one.reason
+    assert one.explanation == result.outcome.explanation
+
+
+def test_shares_have_exact_intervals():
+    told = summary(PLAN, [trial(k) for k in range(20)], seed=1, spread=CALM)
+    completed = told["no_vehicle_failing"]["completed"]
+    assert completed["count"] == 20
+    assert completed["interval"] == pytest.approx([0.025 ** (1 / 20), 1.0])
+
+
+def test_quantiles_have_intervals_that_need_no_distribution():
+    trials = [trial(k, cable=0.01 * k) for k in range(100)]
+    told = summary(PLAN, trials, seed=1, spread=CALM)["no_vehicle_failing"]["clearance"]["cable"]
+    assert (told["smallest"], told["required"]) == (0.0, PLAN.mission.clearance.cable)
+    low, high = told["quantiles"]["0.5"]["interval"]
+    # by hand: P(39 < Binomial(100, ½) < 61) is at least 95 %
+    assert (low, high) == pytest.approx((0.39, 0.60))
+    assert told["quantiles"]["0.05"]["interval"][0] == pytest.approx(0.0)
+
+
+def test_failing_vehicles_are_told_apart_from_the_others():
+    trials = [
+        trial(0),
+        trial(1, failing="vehicle 2: link", outcome="failed", reason="lost", cable=None),
+    ]
+    told = summary(PLAN, trials, seed=1, spread=CALM)
+    assert told["no_vehicle_failing"]["trials"] == told["one_vehicle_failing"]["trials"] == 1
+    assert told["reasons"] == {"lost": 1}
+    assert told["worst"][0]["trial"] == 1
+    json.dumps(told, allow_nan=False)
+
+
+def test_harm_comes_first_among_the_worst():
+    trials = [trial(0, cable=0.2), trial(1, strikes=1), trial(2, reason="lost", outcome="failed")]
+    assert [one.number for one in worst(PLAN, trials)] == [1, 2, 0]
+
+
+def test_a_trial_below_its_certificate_is_found():
+    table = np.array([0.6, 0.4])
+    certified = Certificates(np.array([0.05, 0.1]), table, table, table - 1.0)
+    fine, low, wild = trial(0, cable=0.61), trial(1, cable=0.59), trial(2, cable=0.0, error=0.5)
+    assert certified.at(0.05, "cable") == 0.6
+    assert certified.at(0.06, "cable") == 0.4
+    assert certified.at(0.2, "cable") == -math.inf
+    assert below_certificate([fine, low, wild], certified) == [1]
+
+
+def test_a_scenario_says_what_is_drawn_and_what_happens():
+    spread, faults = read_scenario(
+        "schema: 1\nspread: {wind: 2.0, failures: [reboot]}\n"
+        "faults: [{at: 5, kind: wind, steady: [1, 0, 0]}]", "storm.yaml",
+    )  # fmt: skip
+    assert (spread.wind, spread.failures, spread.loss) == (2.0, ("reboot",), Spread().loss)
+    assert [fault.kind for fault in faults] == ["wind"]
+    assert read_scenario("schema: 1", "plain.yaml") == (Spread(), ())
+    assert "spread" in trial_scenario_schema()["properties"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[]", "storm.yaml: expected keys: schema, faults, spread"),
+        ("{schema: 1, spread: {wnd: 1}}", "storm.yaml: spread: wnd: unknown key, got 1"),
+        ("{schema: 1, faults: [{at: 1, kind: hail}]}", "storm.yaml: faults.0.kind"),
+        ("{schema: 1, spread: {failures: [hail]}}", "storm.yaml: spread: failures.0"),
+    ],
+)
+def test_a_bad_scenario_is_refused_at_its_place(text, said):
+    with pytest.raises(InputError) as caught:
+        read_scenario(text, "storm.yaml")
+    assert said in str(caught.value)
+
+
+def test_only_the_emulator_flies_a_refused_plan():
+    wrong = replace(PROVEN.assessment, findings=(Finding("error", "cable clearance", "too close"),))
+    with pytest.raises(Refused, match="too close"):
+        prove(PLAN, wrong)
+    proven = flown_anyway(PLAN, wrong)
+    assert [finding.severity for finding in proven.assessment.findings] == ["warning"]
+
+
+def test_results_are_one_row_per_trial(tmp_path):
+    pq = pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "trials.parquet"
+    write_results(path, [(PLAN, [trial(1, cable=None), trial(0)])], 9, CALM)
+    table = pq.read_table(path)
+    assert table["number"].to_pylist() == [0, 1]
+    assert table["seed"].to_pylist() == [9, 9]
+    assert table["cable"].to_pylist() == [0.5, None]
+    assert json.loads(table.schema.metadata[b"spread"])["wind"] == 0.0
+    with pytest.raises(InputError, match="no such file"):
+        write_results(tmp_path / "none" / "a.parquet", [(PLAN, [trial()])], 1, CALM)
