@@ -10,7 +10,6 @@ down together, out of turn), ``finished``.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -20,15 +19,18 @@ from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit, ClearedPlan
 from swarm.flight.clock import MissionClock
-from swarm.flight.failures import failure, hear, watch
+from swarm.flight.failures import failure
 from swarm.flight.gates import GATES
 from swarm.flight.guidance import Guidance
 from swarm.flight.load import PlannedPull
-from swarm.flight.monitor import AHEAD, Clearances, Monitor
+from swarm.flight.measuring import keep_trace, look, measure
+from swarm.flight.monitor import Clearances, Monitor
+from swarm.flight.noticing import Reports, hear, watch
 from swarm.flight.operator import GRANT, Request, available
-from swarm.flight.options import options, rewind_limit
+from swarm.flight.pace import LONGEST_TICK, advance_clock, bound_hold, steer
 from swarm.flight.preparation import Preparation, Prepared
 from swarm.flight.readiness import named, readiness
+from swarm.flight.rejoining import bring_back
 from swarm.flight.reporting import snapshot_of, statistics_of
 from swarm.flight.result import Outcome, Statistics, Word
 from swarm.flight.snapshot import Event, Snapshot
@@ -38,20 +40,15 @@ from swarm.flight.wayout import Kind, WayOut
 from swarm.mavlink.frames import Frames
 from swarm.mavlink.vehicle import Vehicle
 from swarm.plans import Phase
+from swarm.preflight.escape import escapes
 from swarm.preflight.findings import ProvenPlan
+from swarm.preflight.windows import windows
 
 Floats = npt.NDArray[np.float64]
 Stage = Literal["prepare", "ready", "fly", "leave", "finished"]
 
-SLOW_FROM = 0.6
-"""Share of the tracking ball from which the clock slows down; at the full ball it stands still."""
 LOOSE_BUDGET = 0.5
 """Metres of tracking error that are allowed while nobody holds the cable."""
-TRACE_INTERVAL = 0.1
-MONITOR_INTERVAL = 0.1
-FRESHEST = 0.5
-"""Seconds over which a position is carried on with its velocity."""
-FRESH_IN_TRACE = 1.0
 _NO_LONGER_READY = 5.0
 
 
@@ -78,8 +75,9 @@ class Conductor:
         self._carries = not no_cable
         self.gates = tuple(sorted(plan.gates, key=lambda gate: gate.time))
         _check_rest(proven)
-        self.options = options(plan)
-        self._monitor = Monitor(plan)
+        self.windows = windows(plan, whole=True)
+        self.escapes = escapes(plan)
+        self.monitor = Monitor(plan)
         self._pull = PlannedPull(plan)
         self.clearances: Clearances | None = None
         self.guidance = Guidance(plan.motion)
@@ -89,12 +87,12 @@ class Conductor:
         self.stage: Stage = "prepare"
         self.outcome: Outcome | None = None
         self.audit: Audit | None = None
-        self.now = self._last = self._stage_since = 0.0
+        self.now = self.last = self.moving = self._stage_since = 0.0
         self._events: list[Event] = []
         self.team = Team(fleet, self._report)
         self._fly_with(list(self.team.vehicles.values())[: plan.vehicles])
-        self._lift = np.array([0.0, 0.0, vehicles.grip_offset])
-        standing = self.guidance.planned(0.0).position + self._lift
+        self.lift = np.array([0.0, 0.0, vehicles.grip_offset])
+        standing = self.guidance.planned(0.0).position + self.lift
         self.preparation = Preparation(self.team, fleet, standing)
         self._reset_flight()
         self._reset_numbers(plan.vehicles)
@@ -110,10 +108,12 @@ class Conductor:
         self.gate_since = self.settled_since = 0.0
         self.waiting = False
         self.budget_kept_since = 0.0
-        self.stopped_for_good = False
+        self.still_since = 0.0
         self.rewinding = False
         self.holds: dict[str, str] = {}
-        self._hold_since: float | None = None
+        self.hold_since: float | None = None
+        self.dead: set[int] = set()
+        self.rejoining: dict[int, float] = {}
         self.way_out: WayOut | None = None
         self._failed: str | None = None
         self.interrupted = False
@@ -124,15 +124,17 @@ class Conductor:
         self.frames: Frames | None = None
         self._yaw = np.zeros(n)
         self.start_position = np.full((n, 3), np.nan)
+        self.reported = np.full((n, 3), np.nan)
+        self.reports = Reports.of(n)
         self.position = np.full((n, 3), np.nan)
         self.velocity = np.full((n, 3), np.nan)
         self.setpoint = np.full((n, 3), np.nan)
-        self._setpoint_velocity = np.zeros((n, 3))
+        self.setpoint_velocity = np.zeros((n, 3))
         self.error = np.full(n, np.nan)
         self.streaming = np.zeros(n, dtype=np.bool_)
         self.expected_armed = np.zeros(n, dtype=np.bool_)
-        self._trace: list[tuple[float, float, Floats, Floats, str]] = []
-        self._next_trace = self._next_look = 0.0
+        self.flown: list[tuple[float, float, Floats, Floats, str]] = []
+        self.next_trace = self.next_look = 0.0
         self.setpoints_sent = 0
 
     # What the shell calls
@@ -143,14 +145,15 @@ class Conductor:
 
     def tick(self, now: float) -> list[Outgoing]:
         """Let time pass; return what to send. Called at the fleet's setpoint rate."""
-        self._last, self.now = self.now, now
+        self.last, self.now = self.now, now
+        self.moving += min(now - self.last, LONGEST_TICK)
         hear(self)
-        self._measure()
+        measure(self)
         if self.outcome is None:
             _STAGES[self.stage](self)
         outgoing = self.team.tick(now)
         outgoing.extend(self._setpoints())
-        self._record()
+        keep_trace(self)
         return outgoing
 
     def start(self, cleared: ClearedPlan) -> None:
@@ -206,11 +209,11 @@ class Conductor:
         """Return what was flown so far."""
         n = self.plan.vehicles
         return Trace(
-            time=np.array([row[0] for row in self._trace]),
-            mission_time=np.array([row[1] for row in self._trace]),
-            position=np.array([row[2] for row in self._trace]).reshape(-1, n, 3),
-            setpoint=np.array([row[3] for row in self._trace]).reshape(-1, n, 3),
-            phase=tuple(row[4] for row in self._trace),
+            time=np.array([row[0] for row in self.flown]),
+            mission_time=np.array([row[1] for row in self.flown]),
+            position=np.array([row[2] for row in self.flown]).reshape(-1, n, 3),
+            setpoint=np.array([row[3] for row in self.flown]).reshape(-1, n, 3),
+            phase=tuple(row[4] for row in self.flown),
         )
 
     # What gates and ways out use
@@ -237,11 +240,11 @@ class Conductor:
         """Whether the team has left the plan."""
         return self.way_out is not None
 
-    def stream(self, k: int, now: float) -> None:
+    def stream(self, k: int) -> None:
         """Begin to stream setpoints to a vehicle, from where it is, blending into the plan."""
         if not self.streaming[k]:
             self.streaming[k] = True
-            self.guidance.join(k, self.position[k], self.clock.time, now)
+            self.guidance.join(k, self.position[k], self.clock.time, self.moving)
 
     def expect_armed(self) -> None:
         """From now on, a vehicle that is not armed has failed."""
@@ -263,16 +266,6 @@ class Conductor:
         for k, vehicle in enumerate(self.flyers):
             if self.streaming[k] and vehicle.in_mode("land"):
                 self.streaming[k] = False
-
-    def advance_clock(self) -> bool:
-        """Let mission time pass up to the next gate; return whether it was reached."""
-        gates, gate = self.gates, self.gate
-        upper = gates[gate].time if gate < len(gates) else self.plan.duration
-        gate_before = gates[gate - 1].time if gate else 0.0
-        lower = rewind_limit(self.phase, gate_before, self.budget_kept_since)
-        lowest = self.clock.time if lower is None else lower
-        self.clock.advance(self.now - self._last, min(lowest, self.clock.time), upper)
-        return self.clock.time >= upper - 1e-9
 
     def heard(self, vehicle: Vehicle, within: float | None = None) -> bool:
         """Whether a vehicle has been heard lately."""
@@ -301,7 +294,7 @@ class Conductor:
         elif isinstance(result, Prepared):
             self._fly_with(result.flyers)
             self.frames, self._yaw, self.audit = result.frames, result.yaw, result.audit
-            self._measure()
+            measure(self)
             self.start_position = self.position.copy()
             self.say("flight", "all vehicles are ready")
             self._enter("ready")
@@ -316,13 +309,14 @@ class Conductor:
 
     def _fly(self) -> None:
         watch(self)
-        self._look()
-        self._bound_hold()
+        bring_back(self)
+        look(self)
+        bound_hold(self)
         if self.stage != "fly":
             return
         if not self.waiting:
-            self._steer()
-            if self.advance_clock():
+            steer(self)
+            if advance_clock(self):
                 if self.gate < len(self.gates):
                     self._reach_gate()
                 else:
@@ -342,7 +336,7 @@ class Conductor:
     def _wait_at_gate(self) -> None:
         gate = self.gates[self.gate]
         if self.holds and gate.condition != "landed":
-            self.gate_since += self.now - self._last
+            self.gate_since += self.now - self.last
         elif GATES[gate.condition].passed(self, self.now):
             self.say("gate", f"all are {gate.condition}")
             self.waiting = False
@@ -352,53 +346,6 @@ class Conductor:
                 self.conclude()
         elif self.now - self.gate_since > gate.timeout:
             failure(self, "gate timed out", f"not all are {gate.condition} in {gate.timeout:g} s")
-
-    def _steer(self) -> None:
-        """Set the rate that the clock should have: held, or slowed by the worst of the team."""
-        if self.holds:
-            self.clock.target = 0.0
-            return
-        worst = float(np.nanmax(self.error, initial=0.0)) / self.budget
-        if worst > 1.0:
-            self.budget_kept_since = self.clock.time
-        pace = min(1.0, max(0.0, (1.0 - worst) / (1.0 - SLOW_FROM)))
-        if self.clearances is not None:
-            pace = min(pace, self.clearances.pace)
-        if self.rewinding:
-            pace = -pace
-            if self.clock.stopped and self.clock.time <= self._rewind_end() + 1e-6:
-                self.rewinding = False
-                self.hold("operator", "rewound as far as it is safe")
-                pace = 0.0
-        self.clock.target = pace
-
-    def _rewind_end(self) -> float:
-        gate_before = self.gates[self.gate - 1].time if self.gate else 0.0
-        end = rewind_limit(self.phase, gate_before, self.budget_kept_since)
-        return self.clock.time if end is None else end
-
-    def _look(self) -> None:
-        """Look at the clearances, now and a moment ahead, ten times a second."""
-        if self.now < self._next_look or not np.isfinite(self.position).all():
-            return
-        self._next_look = self.now + MONITOR_INTERVAL
-        cable = self.phase.cable if any(v.gripped for v in self.flyers) else "free"
-        if self.phase.cable == "floor" or self.waiting:
-            self.clearances = None
-            return
-        moments = np.stack([self.position, self.position + AHEAD * self.velocity])
-        here, ahead = self._monitor.look(moments, cable)
-        self.clearances = replace(here, margin=min(here.margin, ahead.margin))
-
-    def _bound_hold(self) -> None:
-        if not self.holds:
-            self._hold_since = None
-        elif self._hold_since is None:
-            self._hold_since = self.now
-        elif self.interrupted and self.clock.stopped:
-            self.leave("land", "interrupted", move=True)
-        elif self.now - self._hold_since > self.fleet.limits.hold:
-            failure(self, "held too long", f"on hold for {self.fleet.limits.hold:g} s")
 
     def _leave_tick(self) -> None:
         watch(self)
@@ -413,13 +360,28 @@ class Conductor:
             self.holds[cause] = words
             self.say("hold", f"holding: {words}")
 
+    def rate_cap(self) -> float:
+        """Return the rate above which the clock must not run here."""
+        return 1.0
+
+    def cut_loose(self, vehicle: Vehicle, words: str) -> None:
+        """Let go of a vehicle that falls, and of the cable around it; land what is left."""
+        k = self.number[vehicle.system] - 1
+        if k in self.dead:
+            return
+        self.dead.add(k)
+        self.streaming[k] = False
+        if self.stage == "fly":
+            self.leave("cut loose", words, move=False)
+        elif self.way_out is not None and len(self.dead) == 1:
+            self.way_out.cut()
+
     def leave(self, kind: Kind, words: str, *, move: bool) -> None:
         """Leave the plan: land together, or release, separate and land together."""
         if self.stage in {"prepare", "ready"}:
             self.finish_as("interrupted", words)
         elif self.stage == "fly":
-            what = "landing together" if kind == "land" else "releasing and landing"
-            self.say("leave", f"{what}: {words}")
+            self.say("leave", f"{_LEAVING[kind]}: {words}")
             self.waiting = False
             self.rewinding = False
             self._enter("leave")
@@ -450,32 +412,16 @@ class Conductor:
 
     # Numbers
 
-    def _measure(self) -> None:
-        """Bring what the vehicles say to this moment, in mission ENU, as grip points."""
-        if self.frames is None:
-            return
-        states = np.array([(v.position, v.velocity) for v in self.flyers])
-        position, velocity = self.frames.states_to_mission(states)
-        age = np.array([self.now - v.position_at for v in self.flyers])
-        carried = np.minimum(age, FRESHEST)
-        self.velocity = velocity
-        self.position = position - self._lift + velocity * carried[:, None]
-        off = self.position - self.setpoint
-        off -= self._setpoint_velocity * (self.now - self._last)
-        error = np.sqrt(np.einsum("ij,ij->i", off, off))
-        error[~self.streaming | (age > self.fleet.limits.silence)] = np.nan
-        self.error = error
-
     def _setpoints(self) -> list[Outgoing]:
         if self.frames is None or self.stage not in {"fly", "leave"}:
             return []
-        position, velocity, acceleration = self.guidance.wanted(self.clock, self.now)
-        self.setpoint, self._setpoint_velocity = position, velocity
+        position, velocity, acceleration = self.guidance.wanted(self.clock, self.moving)
+        self.setpoint, self.setpoint_velocity = position, velocity
         if not self.streaming.any():
             return []
         # a setpoint stands until the next one comes: aim at the middle of its time
         lead = 0.5 / self.fleet.rates.setpoint
-        aimed = position + lead * velocity + (0.5 * lead * lead) * acceleration + self._lift
+        aimed = position + lead * velocity + (0.5 * lead * lead) * acceleration + self.lift
         if self._carries and all(vehicle.gripped for vehicle in self.flyers):
             acceleration = (
                 acceleration - self._pull.at(self.clock.time) / self.plan.mission.vehicles.mass
@@ -490,16 +436,6 @@ class Conductor:
         self.setpoints_sent += len(sending)
         return sending
 
-    def _record(self) -> None:
-        if self.frames is None or self.now < self._next_trace:
-            return
-        self._next_trace = self.now + TRACE_INTERVAL
-        phase = self.phase.name if self.stage == "fly" else ""
-        stale = [self.now - v.position_at > FRESH_IN_TRACE for v in self.flyers]
-        position = self.position.copy()
-        position[stale] = np.nan
-        self._trace.append((self.now, self.clock.time, position, self.setpoint.copy(), phase))
-
     # Words
 
     def _report(self, kind: str, words: str, system: int | None) -> None:
@@ -510,6 +446,11 @@ class Conductor:
         self._stage_since = self.now
 
 
+_LEAVING: Mapping[Kind, str] = {
+    "land": "landing together",
+    "release": "releasing and landing",
+    "cut loose": "letting go of what falls, separating and landing",
+}
 _STAGES: Mapping[Stage, Callable[[Conductor], None]] = {
     "prepare": Conductor._prepare,
     "ready": Conductor._ready,

@@ -3,12 +3,15 @@
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
-from swarm.flight.options import rewind_limit
+from swarm.flight.pace import rewind_end
+from swarm.flight.rejoining import outside, rejoin
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
 
-Request = Literal["hold", "resume", "rewind", "land", "release", "abort", "kill", "interrupt"]
+Request = Literal[
+    "hold", "resume", "rewind", "land", "release", "rejoin", "abort", "kill", "interrupt"
+]
 REQUESTS: tuple[Request, ...] = get_args(Request)
 
 
@@ -38,6 +41,7 @@ def available(flight: "Conductor") -> Mapping[Request, Wish]:
         "rewind": _rewind(flight),
         "land": _land(flight),
         "release": _release(flight),
+        "rejoin": _rejoin(flight),
         "abort": _abort(flight),
         "kill": kill,
         "interrupt": interrupt,
@@ -58,21 +62,18 @@ def _resume(flight: "Conductor") -> Wish:
 
 
 def _rewind(flight: "Conductor") -> Wish:
-    gate_before = flight.gates[flight.gate - 1].time if flight.gate else 0.0
-    end = rewind_limit(flight.phase, gate_before, flight.budget_kept_since)
-    if end is None:
+    if not flight.phase.reversible:
         return Wish(False, f"the phase {flight.phase.name} does not run backwards")
     if flight.waiting:
         return Wish(False, "the clock waits at a gate")
-    back = flight.clock.time - end
+    back = flight.clock.time - rewind_end(flight)
     if back < 0.5:
         return Wish(False, "this is as far back as it is safe")
     return Wish(True, f"goes back along the path by up to {back:.0f} s, then holds")
 
 
 def _land(flight: "Conductor") -> Wish:
-    can_land, _ = flight.options.at(flight.clock.time)
-    if can_land:
+    if flight.windows.landable(flight.clock.time):
         return Wish(True, "everybody straight down together, here")
     return Wish(True, "somebody is above somebody: moves to where all can land, then lands")
 
@@ -80,16 +81,24 @@ def _land(flight: "Conductor") -> Wish:
 def _release(flight: "Conductor") -> Wish:
     if not any(vehicle.gripped for vehicle in flight.flyers):
         return Wish(False, "nobody holds the cable")
-    _, can_release = flight.options.at(flight.clock.time)
-    if can_release:
+    if flight.windows.releasable(flight.clock.time):
         return Wish(True, "drops the cable, separates upwards and lands")
     return Wish(True, "cable hangs above a vehicle: moves to where it does not, then releases")
 
 
+def _rejoin(flight: "Conductor") -> Wish:
+    away = outside(flight)
+    if not away:
+        return Wish(False, "everybody who can be streamed to is")
+    names = ", ".join(flight.name(flight.flyers[k]) for k in away)
+    if not flight.clock.stopped:
+        return Wish(False, f"the clock still runs: {names} can rejoin a team that holds")
+    return Wish(True, f"takes {names} into the team again, from where it is, and holds")
+
+
 def _abort(flight: "Conductor") -> Wish:
-    _, can_release = flight.options.at(flight.clock.time)
     held = any(vehicle.gripped for vehicle in flight.flyers)
-    if held and can_release:
+    if held and flight.windows.releasable(flight.clock.time):
         return Wish(True, "drops the cable here, separates upwards and lands")
     return Wish(True, "everybody straight down together, here")
 
@@ -117,10 +126,14 @@ def _grant_release(flight: "Conductor") -> None:
     flight.leave("release", "the operator asked to release", move=True)
 
 
+def _grant_rejoin(flight: "Conductor") -> None:
+    rejoin(flight)
+
+
 def _grant_abort(flight: "Conductor") -> None:
     """The quickest end that drops nothing on anybody."""
     held = any(vehicle.gripped for vehicle in flight.flyers)
-    _, can_release = flight.options.at(flight.clock.time)
+    can_release = flight.windows.releasable(flight.clock.time)
     flight.leave("release" if held and can_release else "land", "the operator aborted", move=False)
 
 
@@ -151,6 +164,7 @@ GRANT: Mapping[Request, "Callable[[Conductor], None]"] = {
     "rewind": _grant_rewind,
     "land": _grant_land,
     "release": _grant_release,
+    "rejoin": _grant_rejoin,
     "abort": _grant_abort,
     "kill": _grant_kill,
     "interrupt": _grant_interrupt,

@@ -160,10 +160,11 @@ def request_streams(vehicle: Vehicle, fleet: Fleet) -> None:
     wanted = {
         common.MAVLINK_MSG_ID_HEARTBEAT: rates.heartbeat,
         common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rates.position,
-        common.MAVLINK_MSG_ID_ATTITUDE: rates.status,
+        common.MAVLINK_MSG_ID_ATTITUDE: rates.position,
         common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: rates.status,
-        common.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+        common.MAVLINK_MSG_ID_SYS_STATUS: rates.status,
         common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 1.0,
+        common.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
     }
     for message, rate in wanted.items():
         vehicle.request_interval(message, rate)

@@ -7,41 +7,48 @@ sent home.
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from swarm.flight.options import rewind_limit
+from swarm.flight.pace import advance_clock, rewind_end
 from swarm.mavlink.vehicle import Vehicle
-from swarm.trajectory import Motion, leg
+from swarm.preflight.escape import escape, wanted_apart
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
 
-Floats = npt.NDArray[np.float64]
-Kind = Literal["land", "release"]
+Kind = Literal["land", "release", "cut loose"]
+Stage = Literal["approach", "release", "separate", "descend"]
 
 TOUCHDOWN = 0.05
 """Height of a setpoint in metres at which a vehicle is told to land."""
 DISARM_AFTER = 5.0
 """Seconds on the ground after which a vehicle that has not disarmed by itself is told to."""
 RELEASE_PATIENCE = 5.0
+CUT_PATIENCE = 1.5
+"""Seconds after which survivors do not wait any longer for grippers beside a falling vehicle."""
+BLIND = 15.0
+"""Seconds after the setpoints have come down at which nobody is waited for who is not heard."""
 GIVE_UP = 120.0
-SEPARATE_UP = 1.0
-MOST_SPREAD = 4.0
 
 
 class WayOut:
     """One way out of the plan, from the moment at which it was decided."""
 
     def __init__(self, flight: "Conductor", kind: Kind, *, move: bool) -> None:
-        """``move`` allows going along the plan to the nearest moment that permits ``kind``."""
+        """``move`` allows going along the plan to the nearest moment that permits ``kind``.
+
+        Only a team that follows as one can: where one does not, everybody stays where it is.
+        """
         self._flight = flight
-        self.kind = kind
+        self.kind: Kind = kind
         self._since = flight.now
-        self._stage: Literal["approach", "release", "separate", "descend"] = "approach"
+        self._stage: Stage = "approach"
         self._stage_since = flight.now
-        self._target = self._moment() if move else None
+        self._target = self._moment() if move and flight.streaming.all() else None
         self._landing: set[int] = set()
         self._on_ground_since: dict[int, float] = {}
+        self._down_since: float | None = None
+        if kind == "cut loose":
+            self.cut()
 
     def told_to_land(self, vehicle: Vehicle) -> bool:
         """Whether the vehicle was told to land, so that leaving offboard mode is meant."""
@@ -60,70 +67,132 @@ class WayOut:
     def _moment(self) -> float | None:
         """The mission time at which this way out is open, nearest to where the clock can stop."""
         flight = self._flight
-        options, clock = flight.options, flight.clock
-        flags = options.can_land if self.kind == "land" else options.can_release
-        phase = flight.phase
+        open_, clock = flight.windows, flight.clock
+        flags = open_.land if self.kind == "land" else open_.release
         gate_before = flight.gates[flight.gate - 1].time if flight.gate else 0.0
         gate_after = (
             flight.gates[flight.gate].time
             if flight.gate < len(flight.gates)
             else flight.plan.duration
         )
-        low = rewind_limit(phase, gate_before, flight.budget_kept_since)
         stopping = 0.5 * clock.rate * abs(clock.rate) / clock.steepest
         moment = min(max(clock.time + stopping, gate_before), gate_after)
-        bounded = clock.time if low is None else low
-        return options.nearest(flags, moment, bounded, gate_after)
+        return open_.nearest(flags, moment, rewind_end(flight), gate_after)
 
     def _approach(self) -> None:
         """Bring the clock to rest, at the moment that was chosen."""
         flight = self._flight
         clock, target = flight.clock, self._target
-        if target is None or flight.stopped_for_good:
+        if target is None:
             clock.target = 0.0
         else:
             left = target - clock.time
             pace = (2.0 * clock.steepest * abs(left)) ** 0.5
             clock.target = 0.0 if abs(left) < 0.02 else float(np.sign(left) * min(1.0, 0.5 * pace))
-        flight.advance_clock()
+        advance_clock(flight)
         arrived = target is None or abs(target - clock.time) < 0.1
         tired = flight.now - self._stage_since > flight.fleet.limits.hold
-        if clock.stopped and (arrived or tired or flight.stopped_for_good):
-            if self.kind == "release" and any(v.gripped for v in flight.flyers):
+        if clock.stopped and (arrived or tired):
+            held = any(vehicle.gripped for vehicle in flight.flyers)
+            drop = not flight.windows.landable(clock.time) and self._may_release()
+            if held and (self.kind == "release" or drop):
                 self._begin_release()
             else:
                 self._begin_descent()
 
+    # Release
+
+    def drop(self) -> None:
+        """Let go of the cable after all, where nothing hangs above anybody."""
+        flight = self._flight
+        held = any(vehicle.gripped for vehicle in flight.flyers)
+        if held and self._stage in {"approach", "descend"} and self._may_release():
+            self.kind, self._target = "release", None
+            self._begin_release()
+
+    def _may_release(self) -> bool:
+        return self._flight.windows.releasable(self._flight.clock.time)
+
     def _begin_release(self) -> None:
         self._enter("release")
         self._flight.say("release", "releasing all together")
-        for vehicle in self._flight.flyers:
-            if self._flight.grips:
+        self._let_go(list(range(len(self._flight.flyers))))
+
+    def cut(self) -> None:
+        """Let go of those that fall, first of all; then beside them; then everywhere if it may be.
+
+        Where cable hangs above a rotor, those that are not beside a fall keep holding: they come
+        straight down together.
+        """
+        flight = self._flight
+        self.kind, self._target = "cut loose", None
+        if self._stage in {"separate", "descend"}:
+            self._let_go(sorted(flight.dead))
+            return
+        self._enter("release")
+        n = len(flight.flyers)
+        beside = [k for j in sorted(flight.dead) for k in (j - 1, j + 1) if 0 <= k < n]
+        order = [*sorted(flight.dead), *beside]
+        if self._may_release():
+            order += range(n)
+        names = ", ".join(str(k + 1) for k in dict.fromkeys(order))
+        flight.say("release", f"letting go, in this order: vehicles {names}")
+        self._let_go(list(dict.fromkeys(order)))
+
+    def _let_go(self, order: list[int]) -> None:
+        for k in order:
+            vehicle = self._flight.flyers[k]
+            if self._flight.grips and vehicle.gripped:
                 vehicle.grip(closed=False)
             else:
                 vehicle.gripped = False
 
     def _release(self) -> None:
         flight = self._flight
-        held = [vehicle for vehicle in flight.flyers if vehicle.gripped]
+        flight.clock.target = 0.0
+        advance_clock(flight)
+        held = [
+            vehicle
+            for k, vehicle in enumerate(flight.flyers)
+            if vehicle.gripped and k not in flight.dead
+        ]
+        waited = flight.now - self._stage_since
+        if not flight.clock.stopped and waited < RELEASE_PATIENCE:
+            return
         if not held:
-            motion = _separation(flight)
-            flight.guidance.detour(motion, flight.now)
-            self._enter("separate")
-        elif flight.now - self._stage_since > RELEASE_PATIENCE:
+            self._begin_separation()
+        elif waited > (CUT_PATIENCE if flight.dead else RELEASE_PATIENCE):
             names = ", ".join(flight.name(vehicle) for vehicle in held)
-            flight.say("failure", f"not released by {names}: landing where everybody is")
+            flight.say("leave", f"{names} still hold the cable: landing where everybody is")
             self._begin_descent()
+
+    def _begin_separation(self) -> None:
+        """Take the path apart that the plan has for this moment, or away from the middle."""
+        flight = self._flight
+        mission, start = flight.plan.mission, flight.setpoint
+        if flight.dead:
+            dead = min(flight.dead)
+            centre, spread = start[dead], flight.escapes.at(flight.clock.time, dead)
+        else:
+            centre = start.mean(axis=0)
+            first, second = np.triu_indices(len(start), 1)
+            level = np.linalg.norm(start[first, :2] - start[second, :2], axis=1)
+            nearest = max(float(level.min(initial=np.inf)), 1e-3)
+            spread = float(np.clip(wanted_apart(mission) / nearest, 1.0, 4.0))
+        flight.guidance.detour(escape(start, centre, spread, mission), flight.moving)
+        self._enter("separate")
 
     def _separate(self) -> None:
         flight = self._flight
         if flight.now - self._stage_since > flight.guidance.detour_duration:
             self._begin_descent()
 
+    # Descent
+
     def _begin_descent(self) -> None:
         self._enter("descend")
         flight = self._flight
-        flight.guidance.descend(flight.setpoint, flight.fleet.limits.descent, flight.now)
+        flight.guidance.descend(flight.setpoint, flight.fleet.limits.descent, flight.moving)
 
     def _descend(self) -> None:
         """Tell each vehicle to land when its setpoint has come down, and to disarm after that."""
@@ -137,7 +206,11 @@ class WayOut:
             if flight.setpoint[k, 2] <= TOUCHDOWN or not flight.streaming[k]:
                 self._landing.add(vehicle.system)
             told = vehicle.system in self._landing
-            if told and not vehicle.in_mode("land") and flight.heard(vehicle):
+            if (
+                told
+                and not vehicle.in_mode("land")
+                and (flight.heard(vehicle) or flight.first_time(k, "land unheard"))
+            ):
                 vehicle.set_mode("land")
             if told and vehicle.on_ground:
                 since = self._on_ground_since.setdefault(vehicle.system, flight.now)
@@ -150,10 +223,14 @@ class WayOut:
         lost = flight.fleet.limits.lost
         still = [
             vehicle
-            for vehicle in flight.flyers
-            if vehicle.armed and flight.heard(vehicle, lost) and not vehicle.flown_by_hand
+            for k, vehicle in enumerate(flight.flyers)
+            if vehicle.armed and not vehicle.flown_by_hand and k not in flight.dead
         ]
-        if not still:
+        heard = [vehicle for vehicle in still if flight.heard(vehicle, lost)]
+        if self._down_since is None and self._stage == "descend":
+            self._down_since = flight.now if np.all(flight.setpoint[:, 2] <= TOUCHDOWN) else None
+        blind = self._down_since is not None and flight.now - self._down_since > BLIND
+        if not still or (blind and not heard):
             return True
         if flight.now - self._since > GIVE_UP + flight.fleet.limits.hold:
             names = ", ".join(flight.name(vehicle) for vehicle in still)
@@ -161,22 +238,6 @@ class WayOut:
             return True
         return False
 
-    def _enter(self, stage: Literal["release", "separate", "descend"]) -> None:
+    def _enter(self, stage: Stage) -> None:
         self._stage = stage
         self._stage_since = self._flight.now
-
-
-def _separation(flight: "Conductor") -> Motion:
-    """Away from the middle and up: scaling level distances brings nobody nearer to anybody."""
-    start = flight.setpoint
-    vehicles, clearance = flight.plan.mission.vehicles, flight.plan.mission.clearance
-    middle = start.mean(axis=0)
-    apart = 1.5 * (clearance.vehicle + 2.0 * vehicles.tracking)
-    first, second = np.triu_indices(len(start), 1)
-    level = np.linalg.norm(start[first, :2] - start[second, :2], axis=1)
-    smallest = max(float(level.min()), 1e-3) if len(level) else apart
-    stretch = min(MOST_SPREAD, max(1.0, apart / smallest))
-    end = middle + (start - middle) * stretch
-    end[:, 2] = start[:, 2] + SEPARATE_UP
-    thrust = vehicles.max_acceleration - vehicles.braking_acceleration
-    return leg(start, end, 0.5 * vehicles.max_speed, 0.5 * thrust)

@@ -24,6 +24,7 @@ IN_AIR = int(common.MAV_LANDED_STATE_IN_AIR)
 _ARMED = int(common.MAV_MODE_FLAG_SAFETY_ARMED)
 _CUSTOM = int(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _PREARM = int(common.MAV_SYS_STATUS_PREARM_CHECK)
+_LOCATING = int(common.MAV_SYS_STATUS_AHRS | common.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL)
 _KILL = 21196.0
 _ORIGIN_MOVED = 0.05
 _IN_STEP = 0.3
@@ -75,9 +76,11 @@ class Vehicle:
     battery: float = math.nan
     voltage: float = math.nan
     ready: bool | None = None
+    located: bool = True
     fix: int = -1
     satellites: int = -1
     level_accuracy: float = math.nan
+    height_gap: float = math.nan
     boot_ms: int = -1
     round_trip: float = math.nan
     clock_offset: float = math.nan
@@ -322,9 +325,11 @@ class Vehicle:
         self.relative_altitude = message.relative_alt * 1e-3
         self._compare(self.place, now)
 
-    def _gps(self, message: Message, _now: float) -> None:
+    def _gps(self, message: Message, now: float) -> None:
         self.fix, self.satellites = message.fix_type, message.satellites_visible
         self.level_accuracy = message.h_acc * 1e-3 if message.h_acc else math.nan
+        if self.origin is not None and message.fix_type >= 3 and now - self.position_at < _IN_STEP:
+            self.height_gap = message.alt * 1e-3 - (self.origin.altitude - self.position[2])
 
     def _compare(self, place: Origin, now: float) -> None:
         """Compare the place on earth with the local position: both must mean the same origin.
@@ -363,6 +368,8 @@ class Vehicle:
             message.battery_remaining / 100.0 if message.battery_remaining >= 0 else math.nan
         )
         self.voltage = message.voltage_battery / 1000.0
+        asked = message.onboard_control_sensors_enabled & _LOCATING
+        self.located = not asked & ~message.onboard_control_sensors_health
         if message.onboard_control_sensors_present & _PREARM:
             self.ready = bool(message.onboard_control_sensors_health & _PREARM)
 

@@ -1,6 +1,6 @@
 """What if it stops here: when everybody can hold, land straight down together, or let go.
 
-Looked at every STEP seconds while the cable is aloft; a moment counts for the time around it.
+Looked at every STEP seconds; a moment counts for the time around it.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _PORTION = 64
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """What can be done at the moments ``time`` (k,) at which the cable is aloft.
+    """What can be done at the moments ``time`` (k,) of a plan.
 
     ``land`` (k,): all straight down together, up to STAGGER apart; ``release`` (k,): all let go.
     Holding is possible at all of them, where the certificate holds: the team stops along its path.
@@ -55,6 +55,13 @@ class Windows:
         wait = np.minimum(np.abs(moments[after] - within), np.abs(within - moments[before]))
         return float(wait.max(initial=0.0))
 
+    def nearest(self, open_: Flags, time: float, low: float, high: float) -> float | None:
+        """Return the open moment from ``low`` to ``high`` that is nearest to a time."""
+        moments = self.time[open_ & (self.time >= low) & (self.time <= high)]
+        if not len(moments):
+            return None
+        return float(moments[np.argmin(np.abs(moments - time))])
+
     def releasable(self, time: float) -> bool:
         """Whether all can let go at a time: at the moments on both sides of it."""
         return self._open(self.release, time)
@@ -70,25 +77,32 @@ class Windows:
         return bool(flags[after] and flags[max(after - 1, 0)])
 
 
-def windows(plan: Plan) -> Windows:
-    """Work out the windows of a plan.
+def windows(plan: Plan, *, whole: bool = False) -> Windows:
+    """Work out the windows of a plan while its cable is aloft, or of the ``whole`` flight.
 
     Nothing may hang above a rotor disc, nor beside it by tracking and AROUND_ROTORS: what falls or
     is set down would land on it. To land, vehicles must be apart horizontally besides, and their
     chords must bear that some are LANDING_SPEED·STAGGER lower than others.
     """
+    phases = [phase for phase in plan.phases if whole or phase.cable == "aloft"]
     instants = [
         np.linspace(phase.start, phase.end, max(2, int((phase.end - phase.start) / STEP) + 2))
-        for phase in plan.phases
-        if phase.cable == "aloft"
+        for phase in phases
     ]
     time = np.unique(np.concatenate(instants)) if instants else np.empty(0)
-    release, land = np.zeros(len(time), dtype=bool), np.zeros(len(time), dtype=bool)
+    release, land = np.ones(len(time), dtype=bool), np.zeros(len(time), dtype=bool)
+    hangs = np.zeros(len(time), dtype=bool)
+    for phase in phases:
+        if phase.cable in {"aloft", "lifting"}:
+            hangs |= (time >= phase.start) & (time <= phase.end)
     for begin in range(0, len(time), _PORTION):
         part = slice(begin, begin + _PORTION)
-        place = plan.motion.at(time[part])[0]
-        release[part] = _nothing_above(plan, place)
-        land[part] = release[part] & _apart(plan, place) & _uneven(plan, place)
+        place, held = plan.motion.at(time[part])[0], hangs[part]
+        even = ~held
+        if held.any():
+            release[part][held] = _nothing_above(plan, place[held])
+            even[held] = _uneven(plan, place[held])
+        land[part] = release[part] & _apart(plan, place) & even
     return Windows(time, land, release)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from swarm.cable.chain import polyline
 from swarm.flight.monitor import Monitor
-from swarm.flight.options import options
+from swarm.preflight.windows import windows
 from tests.network import small_plan
 
 PROVEN = small_plan(vehicles=4)
@@ -71,10 +71,11 @@ def test_pace_falls_to_zero_with_the_margin():
 
 
 def test_ways_out_of_a_straight_line_are_always_open():
-    way_out = options(PLAN)
-    aloft = PLAN.phase("fold")
-    assert way_out.at(aloft.start + 1.0) == (True, True)
-    assert way_out.can_land.all()
+    open_ = windows(PLAN, whole=True)
+    during = PLAN.phase("fold").start + 1.0
+    assert open_.landable(during)
+    assert open_.releasable(during)
+    assert open_.land.all()
 
 
 def test_landing_is_closed_while_somebody_is_above_somebody():
@@ -86,9 +87,9 @@ def test_landing_is_closed_while_somebody_is_above_somebody():
     position[during, 0, 2, 0] -= 2.7
     crowded = type(plan.motion)(plan.motion.times, position)
     plan = type(plan)(**{**vars(plan), "motion": crowded})
-    way_out = options(plan)
+    open_ = windows(plan, whole=True)
     middle = 0.5 * (fold.start + fold.end)
-    assert way_out.at(middle)[0] is False
-    moment = way_out.nearest(way_out.can_land, middle, fold.start - 5.0, fold.end)
+    assert not open_.landable(middle)
+    moment = open_.nearest(open_.land, middle, fold.start - 5.0, fold.end - 0.5)
     assert moment is not None
     assert moment < fold.start

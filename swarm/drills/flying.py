@@ -1,0 +1,333 @@
+"""Drills: a flight in which something goes wrong, judged by what really happened.
+
+A row says what goes wrong, in which part of the flight, and how it must end. Each trial starts from
+a copy of the flight shortly before (both sides are state machines without sockets or clocks), takes
+one fault, flies on in virtual time and is judged by the emulator's ground truth.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.drills.rehearsal import PERSONALITIES, LosesAck, Personality, Rehearsal, drill_fleet
+from swarm.drills.rows import ROWS, Part, Row
+from swarm.fleet import Fleet
+from swarm.flight.monitor import Monitor
+from swarm.flight.snapshot import Event
+from swarm.preflight.findings import ProvenPlan
+from swarm.rehearse import Fault
+
+Floats = npt.NDArray[np.float64]
+LOOK_EVERY = 0.1
+AFTER = 12.0
+"""Seconds after the end of a fault for which a team that simply goes on is watched."""
+LONGEST = 200.0
+UNKNOWN_WIND = 3.0
+"""m/s that is taken for w* where it was not worked out."""
+_LOW = 0.5
+"""Metres above the floor below which a vehicle's cable is no longer judged: it lies down."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One fault at one time, and what came of it.
+
+    ``at`` is mission time; ``noticed`` seconds until the first event that says so, None if none
+    does; ``response`` the words of what the team did; ``clearance`` the smallest distance between
+    strands, ``apart`` the smallest level distance between vehicles that are not apart in height,
+    both metres (infinite: never judged); ``chord`` the largest chord over length. ``strikes`` of
+    rotors on cable, ``lost`` vehicles, ``problems`` what is not as asked.
+    """
+
+    at: float
+    vehicle: int
+    noticed: float | None
+    response: str
+    clearance: float
+    apart: float
+    chord: float
+    strikes: int
+    lost: int
+    end: str
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Drill:
+    """All trials of one row with one personality."""
+
+    row: Row
+    personality: Personality
+    trials: tuple[Trial, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every trial went as asked."""
+        return all(not trial.problems for trial in self.trials)
+
+    def document(self) -> dict[str, Any]:
+        """Return the drill as plain data for JSON."""
+        trials = self.trials
+        noticed = [t.noticed for t in trials if t.noticed is not None]
+        return {
+            "row": self.row.name,
+            "group": self.row.group,
+            "personality": self.personality,
+            "times": [round(t.at, 2) for t in trials],
+            "detected_after": round(max(noticed), 3) if noticed else None,
+            "response": _most_frequent([t.response for t in trials]),
+            "clearance": _finite(min((t.clearance for t in trials), default=np.inf)),
+            "apart": _finite(min((t.apart for t in trials), default=np.inf)),
+            "chord_ratio": _finite(max((t.chord for t in trials), default=0.0)),
+            "strikes": sum(t.strikes for t in trials),
+            "lost": max((t.lost for t in trials), default=0),
+            "end": " or ".join(sorted({t.end for t in trials})),
+            "passed": self.passed,
+            "problems": [f"at {t.at:.1f} s: {words}" for t in trials for words in t.problems],
+            "explained": self.row.why or None,
+        }
+
+
+def drills(
+    proven: ProvenPlan,
+    *,
+    rows: Sequence[Row] = ROWS,
+    personalities: Sequence[Personality] = PERSONALITIES,
+    times: int = 3,
+    seed: int = 1,
+    tell: Callable[[Drill], None] | None = None,
+) -> tuple[Drill, ...]:
+    """Fly every row at random times of its part of the flight, with each personality.
+
+    ``times`` is the number of trials per row and personality; ``tell`` is told of each drill as
+    soon as it is over. The same seed gives the same drills.
+    """
+    done = []
+    for personality in personalities:
+        fleet = drill_fleet(proven.plan.vehicles, personality, seed)
+        rng = np.random.default_rng((seed, len(personality)))
+        stages = {
+            part: list(_stages(proven, fleet, part, times if part == "fold" else 1, rng, seed))
+            for part in dict.fromkeys(row.part for row in rows)
+        }
+        for row in rows:
+            trials = tuple(
+                _fly(stage.copy(), row, int(rng.integers(proven.plan.vehicles)))
+                for stage in stages[row.part]
+            )
+            drill = Drill(row, personality, trials)
+            done.append(drill)
+            if tell is not None:
+                tell(drill)
+    return tuple(done)
+
+
+def _stages(
+    proven: ProvenPlan, fleet: Fleet, part: Part, times: int, rng: np.random.Generator, seed: int
+) -> Iterator[Rehearsal]:
+    """Yield copies of a flight at random moments of one of its parts."""
+    plan = proven.plan
+    if part == "fold":
+        phase = plan.phase("fold")
+        moments = np.sort(rng.uniform(phase.start + 0.5, phase.end - 0.5, times))
+    else:
+        condition = "gripped" if part == "grab" else "released"
+        moments = np.array([next(g.time for g in plan.gates if g.condition == condition) - 1.0])
+    flight = Rehearsal.of(proven, fleet, seed)
+    for moment in moments:
+        while flight.conductor.clock.time < moment or not flight.quiet:
+            flight.step()
+            if flight.conductor.finished is not None:
+                raise AssertionError(f"the flight ended early: {flight.conductor.finished}")
+        yield flight.copy()
+
+
+class _Judge:
+    """Looks at what really is, from the fault on."""
+
+    def __init__(self, flight: Rehearsal) -> None:
+        self._flight = flight
+        self._monitor = Monitor(flight.proven.plan)
+        truth = flight.emulator.truth()
+        self._strikes, self._contacts = len(truth.strikes), len(truth.contacts)
+        self._next = 0.0
+        self._laid_down = False
+        self.clearance = self.apart = np.inf
+        self.chord = 0.0
+
+    def look(self) -> None:
+        """Look at this moment, ten times a second."""
+        flight = self._flight
+        if flight.now < self._next:
+            return
+        self._next = flight.now + LOOK_EVERY
+        truth = flight.emulator.truth()
+        place = truth.position
+        flying = ~flight.emulator.bodies.tumbling & (place[:, 2] > _LOW)
+        self._laid_down |= not bool(flying.all())
+        held = bool(truth.gripped.all()) and not self._laid_down
+        aloft = flight.conductor.phase.cable == "aloft" and flight.conductor.phase.name != "finish"
+        if held and aloft:
+            (seen,) = self._monitor.look(place[None], "aloft")
+            if np.isfinite(seen.cable):
+                self.clearance = min(self.clearance, seen.cable)
+            self.chord = max(self.chord, seen.chord)
+        if flying.all():
+            (seen,) = self._monitor.look(place[None], "free")
+            self.apart = min(self.apart, seen.vehicle)
+
+    def strikes(self) -> int:
+        """Return how often a rotor struck cable."""
+        return len(self._flight.emulator.truth().strikes) - self._strikes
+
+    def lost(self) -> int:
+        """Return how many vehicles came down hard, or struck each other."""
+        contacts = self._flight.emulator.truth().contacts[self._contacts :]
+        broken = {one for c in contacts for one in c["vehicles"] if c["kind"] == "crash"}
+        broken |= {
+            one for c in contacts if c["kind"] == "vehicles" and c["speed"] > 1.0
+            for one in c["vehicles"]
+        }  # fmt: skip
+        return len(broken)
+
+
+def _fly(flight: Rehearsal, row: Row, victim: int) -> Trial:
+    """Fly one trial to its end and judge it."""
+    conductor, began = flight.conductor, flight.now
+    system = conductor.flyers[victim].system
+    at = conductor.clock.time
+    flight.events.clear()
+    for values in row.faults:
+        wind = _beyond(flight.proven) if values["kind"] == "wind" else {}
+        target = {} if row.group == "world" else {"vehicle": "all" if row.whole_team else system}
+        flight.emulator.inject(Fault.model_validate({"at": began, **target, **values, **wind}))
+    if row.lose:
+        flight.keeps = LosesAck(system)
+    if row.station in {"interrupted", "interrupted twice"}:
+        conductor.request("interrupt")
+        if row.station == "interrupted twice":
+            conductor.request("interrupt")
+    judge, pace = _Judge(flight), conductor.clock.rate
+    slowed: float | None = None
+    calm_since = began + row.lasts
+    while flight.now < began + LONGEST:
+        asleep = row.station == "killed" or (
+            row.station == "asleep" and flight.now < began + row.lasts
+        )
+        flight.step(station=not asleep)
+        judge.look()
+        if row.by_hand and conductor.stage == "leave":
+            flight.land_by_hand(system)
+        if slowed is None and abs(conductor.clock.rate) < min(0.9, pace) - 0.1:
+            slowed = flight.now - began
+        if conductor.finished is not None:
+            break
+        if row.station == "killed":
+            if not flight.emulator.truth().armed.any():
+                break
+        elif conductor.stage != "fly" or conductor.holds or conductor.waiting:
+            calm_since = flight.now
+        elif flight.now - calm_since > AFTER and conductor.clock.rate > 0.05:
+            break
+    return _judged(flight, row, judge, at, victim, began, slowed)
+
+
+def _beyond(proven: ProvenPlan) -> dict[str, Any]:
+    """Return wind half again as strong as the strongest that the plan is certified for."""
+    known = proven.assessment.robustness.wind
+    strongest = max(UNKNOWN_WIND if known is None else known, proven.plan.mission.wind.steady)
+    return {"steady": (1.5 * strongest, 0.0, 0.0), "gust": 0.1 * strongest}
+
+
+def _judged(
+    flight: Rehearsal,
+    row: Row,
+    judge: _Judge,
+    at: float,
+    victim: int,
+    began: float,
+    slowed: float | None,
+) -> Trial:
+    events = [event for event in flight.events if event.kind in {"failure", "hold", "leave"}]
+    events += [e for e in flight.events if row.station and e.kind == "operator"]
+    told = [event for event in events if event.time >= began]
+    moments = [event.time - began for event in told] + ([] if slowed is None else [slowed])
+    noticed = min(moments, default=None)
+    end = _end(flight, row)
+    trial = Trial(
+        at=at,
+        vehicle=victim + 1,
+        noticed=noticed,
+        response=_response(told, slowed),
+        clearance=judge.clearance,
+        apart=judge.apart,
+        chord=judge.chord,
+        strikes=judge.strikes(),
+        lost=judge.lost(),
+        end=end,
+        problems=(),
+    )
+    return replace(trial, problems=_problems(flight, row, trial))
+
+
+def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
+    """What is not as the row asks."""
+    clearance = flight.proven.plan.mission.clearance
+    problems = []
+    if trial.end not in row.ends:
+        problems.append(f"ended as {trial.end}")
+    if row.within is not None and (trial.noticed is None or trial.noticed > row.within + 1e-6):
+        after = "never" if trial.noticed is None else f"after {trial.noticed:.2f} s"
+        problems.append(f"noticed {after}, not within {row.within:g} s")
+    if trial.strikes and not row.dead:
+        problems.append(f"{trial.strikes} rotor strikes")
+    if trial.lost > int(row.dead):
+        problems.append(f"{trial.lost} vehicles lost")
+    if not (row.moves or row.dead):
+        if trial.clearance < clearance.cable:
+            problems.append(f"strands {trial.clearance:.2f} m apart")
+        if trial.apart < clearance.vehicle:
+            problems.append(f"vehicles {trial.apart:.2f} m apart")
+        if trial.chord >= 1.0:
+            problems.append(f"a chord of {trial.chord:.3f} of its length")
+    return tuple(problems)
+
+
+def _end(flight: Rehearsal, row: Row) -> str:
+    conductor, truth = flight.conductor, flight.emulator.truth()
+    if row.station == "killed":
+        return "still flying" if truth.armed.any() else "landed by failsafe"
+    outcome = conductor.finished
+    if outcome is None:
+        return "goes on" if conductor.stage == "fly" else "not landed"
+    if outcome.word == "done":
+        return "flown to the end"
+    if conductor.way_out is None:
+        return "landed by failsafe" if not truth.armed.any() else f"given up: {outcome.explanation}"
+    alive = ~flight.emulator.bodies.crashed
+    if (truth.armed & alive & ~flight.emulator.bodies.tumbling).any():
+        return "not landed"
+    return "landed" if conductor.way_out.kind == "land" else "released and landed"
+
+
+def _response(told: Sequence[Event], slowed: float | None) -> str:
+    """What the team did, in the order in which it did it."""
+    words: list[str] = ["slow"] if slowed is not None and not told else []
+    for event in sorted(told, key=lambda event: event.time):
+        word = event.kind
+        if event.kind in {"failure", "leave"}:
+            word = event.message.partition(":")[0]
+        if word not in words:
+            words.append(word)
+    return ", ".join(words) or "none"
+
+
+def _most_frequent(words: Sequence[str]) -> str:
+    return max(sorted(set(words)), key=words.count) if words else ""
+
+
+def _finite(value: float) -> float | None:
+    return round(float(value), 3) if np.isfinite(value) else None

@@ -1,0 +1,130 @@
+"""Both sides of a flight in virtual time, stepped by hand, that can be copied in mid-air."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from pymavlink.dialects.v20 import common
+
+from swarm.drills.copies import branch
+from swarm.fleet import Fleet, emulated_fleet
+from swarm.flight.clearance import go
+from swarm.flight.conductor import Conductor
+from swarm.flight.parameters import demands_of_plan, rules
+from swarm.flight.snapshot import Event
+from swarm.flight.world import emulated_world
+from swarm.preflight.findings import ProvenPlan
+from swarm.rehearse import Emulator, parse_world
+
+Personality = Literal["px4", "ardupilot", "mixed"]
+PERSONALITIES: tuple[Personality, ...] = get_args(Personality)
+LINK = "loopback"
+HOLD = 10.0
+"""Seconds of the common T in drills: long enough to see it, short enough to wait for it."""
+_AUTOPILOTS: Mapping[Personality, tuple[Literal["px4", "ardupilot"], ...]] = {
+    "px4": ("px4",),
+    "ardupilot": ("ardupilot",),
+    "mixed": ("px4", "ardupilot"),
+}
+_ACK = bytes((77, 0, 0))
+"""COMMAND_ACK's number in a MAVLink 2 header."""
+
+
+def drill_fleet(vehicles: int, personality: Personality, seed: int = 1) -> Fleet:
+    """Return the emulated fleet of the drills: as the default one, but for a short T."""
+    fleet = emulated_fleet(vehicles, _AUTOPILOTS[personality], seed=seed)
+    limits = fleet.limits.model_copy(update={"hold": HOLD})
+    return fleet.model_copy(update={"limits": limits})
+
+
+@dataclass(eq=False)
+class Rehearsal:
+    """Both sides of a flight and the time, one step after the other; can be copied at any time."""
+
+    proven: ProvenPlan
+    fleet: Fleet
+    conductor: Conductor
+    emulator: Emulator
+    ticks: int = 0
+    events: list[Event] = field(default_factory=list)
+    keeps: Callable[[int, bytes], bool] | None = None
+
+    @classmethod
+    def of(cls, proven: ProvenPlan, fleet: Fleet, seed: int) -> "Rehearsal":
+        """Return a flight before its first tick; its vehicles' parameters pass the audit."""
+        world = emulated_world(proven.plan, fleet, with_cable=True, seed=seed)
+        emulator = Emulator(parse_world(json.dumps(world)))
+        demands = demands_of_plan(proven.plan, fleet)
+        for vehicle in emulator.vehicles:
+            for rule in rules(vehicle.spec.autopilot, demands):
+                values = vehicle.parameters.values
+                if rule.name in values and not rule.good(values[rule.name]):
+                    wanted = rule.should
+                    value = wanted(values[rule.name]) if callable(wanted) else wanted
+                    values[rule.name] = type(values[rule.name])(value)
+                    vehicle.personality.parameter_changed(rule.name)
+        return cls(proven, fleet, Conductor(proven, fleet), emulator)
+
+    @property
+    def now(self) -> float:
+        """Seconds since the record began."""
+        return self.ticks / self.fleet.rates.setpoint
+
+    def copy(self) -> "Rehearsal":
+        """Return the same flight, to be flown on apart from this one."""
+        shared = (self.proven, self.proven.plan, self.fleet, *_lasting(self.conductor))
+        return branch(self, shared)
+
+    def step(self, *, station: bool = True) -> None:
+        """One step of virtual time; without ``station`` the ground station does nothing."""
+        self.ticks += 1
+        conductor, now = self.conductor, self.now
+        for sysid, data in self.emulator.step(now):
+            if station and (self.keeps is None or self.keeps(sysid, data)):
+                conductor.receive(LINK, sysid, data, now)
+        if not station:
+            return
+        for outgoing in conductor.tick(now):
+            if isinstance(outgoing.address, int):
+                self.emulator.receive(outgoing.address, outgoing.data, now)
+        if conductor.stage == "ready" and conductor.audit is not None:
+            conductor.start(go(self.proven, conductor.audit))
+        self.events.extend(conductor.events())
+
+    def land_by_hand(self, system: int) -> None:
+        """Have a vehicle's pilot land it along with the team."""
+        vehicle = next(v for v in self.conductor.flyers if v.system == system)
+        if vehicle.autopilot is not None and vehicle.flown_by_hand:
+            main, sub = vehicle.autopilot.modes["land"]
+            land = common.MAVLink_command_long_message(
+                system, 1, common.MAV_CMD_DO_SET_MODE, 0, 1, main, sub, 0, 0, 0, 0
+            )
+            self.emulator.receive(system, land.pack(common.MAVLink(None, 254, 190)), self.now)
+
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing is under way that a copy could not take along."""
+        return all(vehicle.commands.idle for vehicle in self.conductor.flyers) and not any(
+            vehicle.later for vehicle in self.emulator.vehicles
+        )
+
+
+def _lasting(conductor: Conductor) -> tuple[object, ...]:
+    """What a flight never changes, and its copies share."""
+    return (conductor.windows, conductor.escapes, conductor.monitor, conductor.gates)
+
+
+class LosesAck:
+    """Loses a vehicle's first answer to a gripper command."""
+
+    def __init__(self, system: int) -> None:
+        self._system = system
+        self.lost = 0
+
+    def __call__(self, system: int, data: bytes) -> bool:
+        """Whether a datagram gets through."""
+        if system == self._system and self.lost == 0 and _ACK in data:
+            self.lost += 1
+            return False
+        return True

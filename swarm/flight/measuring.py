@@ -1,0 +1,77 @@
+"""Where everybody is: what vehicles say, brought to this moment and into the mission's frame."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.flight.monitor import AHEAD
+
+if TYPE_CHECKING:
+    from swarm.flight.conductor import Conductor
+
+Floats = npt.NDArray[np.float64]
+
+FRESHEST = 0.5
+"""Seconds over which a position is carried on with its velocity."""
+TRACE_INTERVAL = 0.1
+MONITOR_INTERVAL = 0.1
+FRESH_IN_TRACE = 1.0
+
+
+def measure(flight: "Conductor") -> None:
+    """Bring what the vehicles say to this moment, in mission ENU, as grip points."""
+    if flight.frames is None:
+        return
+    states = np.array([(v.position, v.velocity) for v in flight.flyers])
+    flight.reported, velocity = flight.frames.states_to_mission(states)
+    age = np.array([flight.now - v.position_at for v in flight.flyers])
+    carried = np.minimum(age, FRESHEST)
+    flight.velocity = velocity
+    flight.position = flight.reported - flight.lift + velocity * carried[:, None]
+    off = flight.position - flight.setpoint
+    off -= flight.setpoint_velocity * (flight.now - flight.last)
+    error = np.sqrt(np.einsum("ij,ij->i", off, off))
+    error[~flight.streaming | (age > flight.fleet.limits.silence)] = np.nan
+    flight.error = error
+
+
+def follow_jump(flight: "Conductor", k: int, jump: Floats) -> None:
+    """Move a vehicle's frame with its position, which jumped by (3,) metres while it did not.
+
+    Its setpoints then ask it to stay where it is, and not to fly the jump.
+    """
+    if flight.frames is None:
+        return
+    by = np.zeros((len(flight.flyers), 3))
+    by[k] = -jump
+    flight.frames = flight.frames.shifted(by)
+    flight.reported[k] -= jump
+    flight.position[k] -= jump
+
+
+def look(flight: "Conductor") -> None:
+    """Look at the clearances, now and a moment ahead, ten times a second."""
+    if flight.now < flight.next_look or not np.isfinite(flight.position).all():
+        return
+    flight.next_look = flight.now + MONITOR_INTERVAL
+    cable = flight.phase.cable if any(v.gripped for v in flight.flyers) else "free"
+    if flight.phase.cable == "floor" or flight.waiting:
+        flight.clearances = None
+        return
+    moments = np.stack([flight.position, flight.position + AHEAD * flight.velocity])
+    here, ahead = flight.monitor.look(moments, cable)
+    flight.clearances = replace(here, margin=min(here.margin, ahead.margin))
+
+
+def keep_trace(flight: "Conductor") -> None:
+    """Add this moment to what was flown, ten times a second."""
+    if flight.frames is None or flight.now < flight.next_trace:
+        return
+    flight.next_trace = flight.now + TRACE_INTERVAL
+    phase = flight.phase.name if flight.stage == "fly" else ""
+    stale = [flight.now - v.position_at > FRESH_IN_TRACE for v in flight.flyers]
+    position = flight.position.copy()
+    position[stale] = np.nan
+    flight.flown.append((flight.now, flight.clock.time, position, flight.setpoint.copy(), phase))

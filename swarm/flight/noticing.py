@@ -1,0 +1,229 @@
+"""How it is noticed that something is wrong: from what vehicles say, and from what they do not.
+
+Looked at every tick. What follows is :data:`swarm.flight.failures.TABLE`.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.flight.failures import failure
+from swarm.flight.measuring import follow_jump
+from swarm.mavlink.vehicle import Vehicle, VehicleEvent
+
+if TYPE_CHECKING:
+    from swarm.flight.conductor import Conductor
+
+Floats = npt.NDArray[np.float64]
+
+SINKING = 1.0
+"""m/s by which a vehicle may go down faster than it was told to."""
+FALLING = 5.0
+"""m/s² downwards, between two reports, that no vehicle with thrust shows; SINKING_TOO with it."""
+SINKING_TOO = 0.4
+TURNED_OVER = math.radians(60.0)
+"""Roll or pitch; PX4's own failure detector takes the same angle (FD_FAIL_R)."""
+JUMP = 0.5
+"""Metres by which a report may differ from where the last one and its velocity lead."""
+LONGEST_STEP = 0.5
+"""Seconds between reports up to which a jump can be told from flight."""
+BATTERY_LOW, BATTERY_CRITICAL = 0.2, 0.1
+"""Shares of charge; above what autopilots act on by themselves, so that the group decides."""
+HEIGHTS_APART = 1.0
+"""Metres by which one vehicle's height may drift against its GPS compared with the others'."""
+FELL_AFTER = 0.5
+"""Seconds of silence after which a vehicle whose neighbour is pulled down has fallen."""
+NO_FIX = 3
+_LANDS = frozenset({"land", "precision land"})
+_HOME = frozenset({"return", "smart return", "auto return"})
+
+
+@dataclass
+class Reports:
+    """What was last reported by each of n vehicles, to compare the next report with."""
+
+    at: Floats
+    position: Floats
+    velocity: Floats
+    heights: Floats
+    told: set[tuple[str, int]] = field(default_factory=set)
+
+    @classmethod
+    def of(cls, n: int) -> "Reports":
+        """Return the reports of n vehicles that have said nothing yet."""
+        nothing = np.full((n, 3), np.nan)
+        return cls(np.full(n, -np.inf), nothing.copy(), nothing.copy(), np.full(n, np.nan))
+
+    def first(self, what: str, k: int) -> bool:
+        """Whether this is said of a vehicle for the first time."""
+        new = (what, k) not in self.told
+        self.told.add((what, k))
+        return new
+
+
+def watch(flight: "Conductor") -> None:
+    """Look at the links, and at how everybody moves."""
+    _watch_links(flight)
+    if flight.frames is None or flight.over:
+        return
+    for k, vehicle in enumerate(flight.flyers):
+        if flight.expected_armed[k] and not may_be_down(flight, vehicle):
+            _watch_motion(flight, k, vehicle)
+            _watch_health(flight, k, vehicle)
+        flight.reports.at[k] = vehicle.position_at
+    fresh = np.array([v.position_at for v in flight.flyers]) == flight.now
+    flight.reports.position[fresh] = flight.reported[fresh]
+    flight.reports.velocity[fresh] = flight.velocity[fresh]
+    _watch_heights(flight)
+
+
+def _watch_links(flight: "Conductor") -> None:
+    """Notice vehicles that fall silent, and that are heard again."""
+    limits = flight.fleet.limits
+    lost = [vehicle for vehicle in flight.flyers if not flight.heard(vehicle, limits.lost)]
+    for k, vehicle in enumerate(flight.flyers):
+        silent, name = not flight.heard(vehicle), flight.name(vehicle)
+        if silent and vehicle.system not in flight.silent:
+            flight.silent.add(vehicle.system)
+            words = f"{name} has been silent for {limits.silence:g} s"
+            failure(flight, "silent", words, vehicle)
+        elif not silent and vehicle.system in flight.silent:
+            flight.silent.discard(vehicle.system)
+            for cause in (f"silent {vehicle.system}", f"lost {vehicle.system}", "all lost"):
+                flight.holds.pop(cause, None)
+            flight.reports.told -= {("lost", k), ("all lost", 0)}
+            flight.say("link", f"{name} is heard again", vehicle)
+        if vehicle in lost and len(lost) < len(flight.flyers) and flight.reports.first("lost", k):
+            failure(flight, "lost", f"not heard for {limits.lost:g} s: {name}", vehicle)
+        if not flight.heard(vehicle, FELL_AFTER) and _pulled_down(flight, k):
+            words = f"{name} is silent and a neighbour is pulled down: it has fallen"
+            if flight.reports.first("fallen silent", k):
+                failure(flight, "fallen silent", words, vehicle)
+    if len(lost) == len(flight.flyers) and flight.reports.first("all lost", 0):
+        failure(flight, "all lost", f"no vehicle has been heard for {limits.lost:g} s")
+
+
+def _pulled_down(flight: "Conductor", k: int) -> bool:
+    """Whether a neighbour along the cable is well below where it should be."""
+    if flight.phase.cable != "aloft" or not flight.expected_armed[k]:
+        return False
+    below = flight.setpoint[:, 2] - flight.position[:, 2]
+    beside = [j for j in (k - 1, k + 1) if 0 <= j < len(below) and flight.streaming[j]]
+    return any(below[j] > max(flight.budget, 0.1) and flight.error[j] > 0.0 for j in beside)
+
+
+def _watch_motion(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
+    """Notice who falls, and whose position jumps."""
+    if vehicle.position_at <= flight.reports.at[k]:
+        return
+    step = vehicle.position_at - flight.reports.at[k]
+    before, up = flight.reports.velocity[k], float(flight.velocity[k, 2])
+    told = float(flight.setpoint_velocity[k, 2]) if flight.streaming[k] else -SINKING
+    falls = step > 0.04 and (before[2] - up) / step > FALLING and told - up > SINKING_TOO
+    tilt = max(abs(vehicle.attitude[0]), abs(vehicle.attitude[1]))
+    if told - up > SINKING or falls or tilt > TURNED_OVER:
+        if flight.reports.first("falling", k):
+            how = "turned over" if tilt > TURNED_OVER else f"going down at {-up:.1f} m/s"
+            failure(flight, "falling", f"{flight.name(vehicle)} falls: {how}", vehicle)
+        return
+    if step > LONGEST_STEP or k in flight.dead:
+        return
+    expected = flight.reports.position[k] + 0.5 * step * (before + flight.velocity[k])
+    jump = flight.reported[k] - expected
+    size = float(np.linalg.norm(jump))
+    if size > JUMP:
+        follow_jump(flight, k, jump)
+        words = f"{flight.name(vehicle)}'s position jumped by {size:.1f} m: its frame moved"
+        failure(flight, "position jumped", words, vehicle)
+
+
+def _watch_health(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
+    """Notice batteries that run down and positions that get worse."""
+    name, reports = flight.name(vehicle), flight.reports
+    if vehicle.battery <= BATTERY_CRITICAL and reports.first("battery critical", k):
+        words = f"{name} has {vehicle.battery:.0%} of its battery left"
+        failure(flight, "battery critical", words, vehicle)
+    elif vehicle.battery <= BATTERY_LOW and reports.first("battery low", k):
+        words = f"{name} has {vehicle.battery:.0%} of its battery left"
+        failure(flight, "battery low", words, vehicle)
+    if not vehicle.located and reports.first("located", k):
+        failure(flight, "position lost", f"{name} does not know where it is", vehicle)
+    if 0 <= vehicle.fix < NO_FIX and flight.fleet.frame == "gps" and reports.first("fix", k):
+        failure(flight, "position poor", f"{name} has lost its GPS fix", vehicle)
+
+
+def _watch_heights(flight: "Conductor") -> None:
+    """Compare each vehicle's height with its GPS, and that with the others': barometers drift."""
+    apart = np.array([vehicle.height_gap for vehicle in flight.flyers])
+    reports = flight.reports
+    fresh = np.isnan(reports.heights)
+    reports.heights[fresh] = apart[fresh]
+    moved = apart - reports.heights
+    if np.isnan(moved).any() or len(moved) < 3:
+        return
+    off = moved - np.median(moved)
+    for k in np.flatnonzero(np.abs(off) > HEIGHTS_APART):
+        vehicle = flight.flyers[k]
+        if flight.expected_armed[k] and reports.first("height", int(k)):
+            words = f"{flight.name(vehicle)}'s height has drifted by {off[k]:+.1f} m"
+            failure(flight, "heights disagree", words, vehicle)
+
+
+def hear(flight: "Conductor") -> None:
+    """Turn what vehicles reported into events, and failures of theirs into responses."""
+    for vehicle in flight.team.vehicles.values():
+        for event in vehicle.take_events():
+            if not (event.kind == "done" and event.subject.startswith("interval")):
+                flight.say(event.kind, event.message, vehicle)
+            if vehicle.system in flight.number:
+                _judge(flight, vehicle, event)
+
+
+def _judge(flight: "Conductor", vehicle: Vehicle, event: VehicleEvent) -> None:
+    if event.kind == "done" and event.subject in {"grab", "release"}:
+        vehicle.gripped = event.subject == "grab"
+    if flight.stage not in {"fly", "leave"}:
+        return
+    k, name = flight.number[vehicle.system] - 1, flight.name(vehicle)
+    flying = bool(flight.expected_armed[k]) and not may_be_down(flight, vehicle)
+    match event.kind:
+        case "failed" if k not in flight.dead:
+            failure(flight, "command failed", f"{name}: {event.message}", vehicle)
+        case "disarmed" if flying:
+            flight.streaming[k] = False
+            failure(flight, "disarmed", f"{name} disarmed in flight", vehicle)
+        case "landed" if flying and flight.height_above_start(k) > 1.0:
+            words = f"{name} takes itself for landed, in the air"
+            failure(flight, "believes it has landed", words, vehicle)
+        case "mode" if flying and not vehicle.in_mode("offboard") and k not in flight.rejoining:
+            _left(flight, k, vehicle, event)
+        case "rebooted":
+            flight.streaming[k] = False
+            failure(flight, "rebooted", f"{name} {event.message}", vehicle)
+        case "origin" if ("falling", k) not in flight.reports.told:
+            failure(flight, "origin moved", f"{name}: {event.message}", vehicle)
+
+
+def _left(flight: "Conductor", k: int, vehicle: Vehicle, event: VehicleEvent) -> None:
+    """A vehicle is no longer in offboard mode: by its own decision, or a pilot's."""
+    flight.streaming[k] = False
+    said, name = vehicle.recent_words(flight.now), flight.name(vehicle)
+    words = f"{name} left offboard mode by itself: {event.message}" + (f" ({said})" if said else "")
+    if vehicle.flown_by_hand:
+        failure(flight, "pilot", words, vehicle)
+    elif vehicle.mode in _LANDS:
+        failure(flight, "landing by itself", words, vehicle)
+    elif vehicle.mode in _HOME:
+        failure(flight, "flying home", words, vehicle)
+    else:
+        failure(flight, "left offboard", words, vehicle)
+
+
+def may_be_down(flight: "Conductor", vehicle: Vehicle) -> bool:
+    """Whether the vehicle was told to land: leaving offboard and disarming are then meant."""
+    if flight.way_out is not None:
+        return flight.way_out.told_to_land(vehicle)
+    return flight.waiting and flight.gates[flight.gate].condition == "landed"
