@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl import demand, fault_ways, wire
+from sitl import ardupilot_failsafes, ardupilot_flight, demand, fault_ways, wire
 from sitl.ardupilot_tables import (
-    BATTERY,
+    AUTO,
     BRAKE,
-    DEAD_RECKONING,
-    GROUND_STATION_LOSS,
     GUIDED,
     KINDS,
     LAND,
@@ -26,18 +24,15 @@ from sitl.ardupilot_tables import (
     RTL,
     STABILIZE,
 )
+from sitl.route import Route
 from sitl.vehicle import ACCEPTED, DENIED, FAILED, Command, Vehicle
 
 FORCE_ARM, FORCE_DISARM = 2989, 21196
 _POSITION_READY, _BASIC_READY = 42.0, 10.0
-_LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET = 1, 7, 8, 9
-_TAKEOFF_CANCELLED = 0.2
 _INFO, _WARNING, _CRITICAL = 6, 4, 2
 _SLOW_BEAT = 0.4
 _PREARM_EVERY = 30.0
 _CRASH_TIME = 2.0
-_POSITION, _VELOCITY, _ACCELERATION, _FORCE = 7, 56, 448, 512
-_Vector = tuple[float, float, float]
 
 
 class ArduPilot:
@@ -67,6 +62,9 @@ class ArduPilot:
         self.stage_at = 0.0
         self.taken_mask: int | None = None
         self.gcs_seen = False
+        self.radio_seen = False
+        self.outside = 0
+        self.route = Route(self.v, 1)
         self.battery_level = 0
         self.lost_at: float | None = None
         self.prearm_at = 0.0
@@ -120,17 +118,17 @@ class ArduPilot:
     def refusal(self) -> str | None:
         """Why arming would fail now, None if it would not."""
         v = self.v
-        if v.now - self.booted < _BASIC_READY:
-            return "PreArm: Gyros not calibrated"
-        if v.refuse_arming:
-            return f"PreArm: {v.refuse_arming}"
-        if MODES[self.mode].position and not self.position_ok():
-            return "PreArm: Need Position Estimate"
-        if v.bodies.crashed[v.index]:
-            return "PreArm: Motors: Check frame"
-        if self.battery_level:
-            return "PreArm: Battery 1 low voltage failsafe"
-        return None
+        needs_position = MODES[self.mode].position and not self.position_ok()
+        checks = (
+            (v.now - self.booted < _BASIC_READY, "Gyros not calibrated"),
+            (bool(v.refuse_arming), v.refuse_arming),
+            (needs_position, "Need Position Estimate"),
+            (bool(v.bodies.crashed[v.index]), "Motors: Check frame"),
+            (v.spec.radio and v.radio_lost, "Radio failsafe on"),
+            (bool(ardupilot_failsafes.beyond_fence(self)), "Vehicle breaching fence"),
+            (self.battery_level > 0, "Battery 1 low voltage failsafe"),
+        )
+        return next((f"PreArm: {text}" for failed, text in checks if failed), None)
 
     def ready(self) -> bool:
         """The pre-arm bit: checks of the present mode are passed."""
@@ -159,13 +157,14 @@ class ArduPilot:
 
     def set_mode(self, base: int, custom: int) -> int:
         """Legacy SET_MODE."""
-        return self._change(custom) if base & 1 else DENIED
+        return self.change(custom) if base & 1 else DENIED
 
     def _do_set_mode(self, command: Command) -> int:
         p = command.p
-        return self._change(int(p[1])) if int(p[0]) & 1 else DENIED
+        return self.change(int(p[1])) if int(p[0]) & 1 else DENIED
 
-    def _change(self, number: int, *, failsafe: bool = False) -> int:
+    def change(self, number: int, *, failsafe: bool = False) -> int:
+        """Change the mode, if it exists and can run; return the MAV_RESULT."""
         if number not in MODES:
             self.v.text(_WARNING, f"No such mode {number}")
             return FAILED
@@ -175,6 +174,8 @@ class ArduPilot:
             return FAILED
         if number == self.mode and not failsafe:
             return ACCEPTED
+        if number == AUTO and not self._may_start():
+            return FAILED
         self.mode = number
         self.failsafe = failsafe
         self.v.around.event("mode", self.v.system, mode=mode.name, failsafe=failsafe)
@@ -192,7 +193,10 @@ class ArduPilot:
         self._cruise()
         if not v.armed:
             return
-        if self.mode == LAND:
+        if self.mode == AUTO:
+            demand.hold(v)
+            self.submode = "" if v.landed else "auto"
+        elif self.mode == LAND:
             demand.hold(v)
             demand.sink(v, p["LAND_SPEED"] / 100.0, steer=v.local_valid)
         else:
@@ -274,11 +278,43 @@ class ArduPilot:
         self.all_axes = True
         return ACCEPTED
 
+    def _may_start(self) -> bool:
+        """Whether AUTO has a mission that can begin as things stand."""
+        v = self.v
+        if len(v.mission[0]) <= 1:
+            v.text(_WARNING, "Mode change to AUTO failed: init failed")
+            return False
+        if v.armed and v.landed and not self.route.lifts:
+            v.text(_CRITICAL, "Auto: Missing Takeoff Cmd")
+            return False
+        return True
+
+    def _start_mission(self, _: Command) -> int:
+        """Begin the mission, from the ground too; it does not arm."""
+        v = self.v
+        if self.change(AUTO) != ACCEPTED or not v.armed:
+            return FAILED
+        self.submode = "auto"
+        v.bodies.may_lift[v.index] = True
+        ardupilot_flight.steer(self)
+        return ACCEPTED
+
+    def _jump(self, command: Command) -> int:
+        number = command.p[0]
+        known = math.isfinite(number) and self.route.jump_to(int(number))
+        return ACCEPTED if known else DENIED
+
+    def _enable_fence(self, command: Command) -> int:
+        if command.p[0] not in {0.0, 1.0}:
+            return DENIED
+        self.v.parameters.values["FENCE_ENABLE"] = int(command.p[0])
+        return ACCEPTED
+
     def _land(self, _: Command) -> int:
-        return self._change(LAND)
+        return self.change(LAND)
 
     def _return(self, _: Command) -> int:
-        return self._change(RTL)
+        return self.change(RTL)
 
     def _reposition(self, command: Command) -> int:
         p, x, y = command.p, command.x, command.y
@@ -288,7 +324,7 @@ class ArduPilot:
         if self.mode != GUIDED:
             if not int(p[1]) & 1:
                 return DENIED
-            if self._change(GUIDED) != ACCEPTED:
+            if self.change(GUIDED) != ACCEPTED:
                 return FAILED
         if v.landed:
             return FAILED
@@ -312,82 +348,9 @@ class ArduPilot:
             self.disarm("terminated")
         return ACCEPTED
 
-    # Setpoints.
-
     def setpoint(self, setpoint: wire.Setpoint) -> None:
-        """Take SET_POSITION_TARGET_LOCAL_NED as GUIDED does, by what its mask leaves."""
-        v = self.v
-        mask = setpoint.mask
-        if self.mode != GUIDED or not v.armed or mask & _FORCE:
-            return
-        if setpoint.frame not in {_LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET}:
-            return
-        if self.submode == "takeoff" and v.landed:
-            if v.now - self.takeoff_at < _TAKEOFF_CANCELLED:
-                v.bodies.may_lift[v.index] = False
-        elif not v.bodies.may_lift[v.index] and v.landed:
-            return
-        position, velocity, acceleration = self._in_world(setpoint)
-        used = [
-            values
-            for values, bits in ((position, _POSITION), (velocity, _VELOCITY),
-                                 (acceleration, _ACCELERATION))
-            if not mask & bits
-        ]  # fmt: skip
-        total = sum(map(sum, used))
-        if total - total != 0.0:
-            return
-        self.setpoint_at = v.now
-        self._take(mask, position, velocity, acceleration)
-        if not mask & 1024 and math.isfinite(setpoint.yaw):
-            v.bodies.goal_yaw[v.index] = math.pi / 2 - setpoint.yaw
-
-    def _take(self, mask: int, position: _Vector, velocity: _Vector, acceleration: _Vector) -> None:
-        v, b, i = self.v, self.v.bodies, self.v.index
-        zero = (0.0, 0.0, 0.0)
-        if mask & _ACCELERATION:
-            acceleration = zero
-        if not mask & _POSITION and not mask & _VELOCITY:
-            kind, taken = "posvel", mask & _ACCELERATION
-            goal = (*position, *velocity, *acceleration)
-            axes = 1.0
-        elif not mask & _POSITION and mask & _ACCELERATION:
-            kind, taken = "position", _VELOCITY | _ACCELERATION
-            goal, axes = (*position, *zero, *zero), 1.0
-        elif mask & _POSITION and not mask & _VELOCITY:
-            kind, taken = "velocity", _POSITION | (mask & _ACCELERATION)
-            goal, axes = (*v.estimated(), *velocity, *acceleration), 0.0
-        elif mask & _POSITION and not mask & _ACCELERATION:
-            kind, taken = "acceleration", _POSITION | _VELOCITY
-            goal, axes = (*v.estimated(), *zero, *acceleration), 0.0
-        else:
-            kind, taken = "velocity", _POSITION
-            goal, axes = (*v.estimated(), *zero, *zero), 0.0
-        if kind == self.submode == "posvel":
-            b.stage(i, goal)
-        else:
-            self.submode = kind
-            b.advance[i] = 1.0 if kind == "posvel" else 0.0
-            hold = 0.0 if kind == "acceleration" else 1.0
-            b.aim(i, goal, (axes, axes, axes), (hold, hold, hold))
-        self.taken_mask = taken | (mask & 3072)
-
-    def _in_world(self, s: wire.Setpoint) -> tuple[_Vector, _Vector, _Vector]:
-        """Position, velocity, acceleration in world ENU from any of the four frames."""
-        v = self.v
-        n, e, d, vn, ve, vd, an, ae, ad = s.values
-        if s.frame == _LOCAL:
-            place = v.to_world(n, e, d)
-        else:
-            x, y, z = v.estimated().tolist()
-            if s.frame in {_BODY, _BODY_OFFSET}:
-                yaw = math.pi / 2 - float(v.bodies.yaw[v.index])
-                cos, sin = math.cos(yaw), math.sin(yaw)
-                n, e = n * cos - e * sin, n * sin + e * cos
-                vn, ve = vn * cos - ve * sin, vn * sin + ve * cos
-                an, ae = an * cos - ae * sin, an * sin + ae * cos
-            place = (x + e, y + n, z - d)
-        return place, (ve, vn, -vd), (ae, an, -ad)
+        """Take SET_POSITION_TARGET_LOCAL_NED."""
+        ardupilot_flight.take(self, setpoint)
 
     # What flies.
 
@@ -414,18 +377,13 @@ class ArduPilot:
         if v.bodies.tumbling[v.index] and self._fell():
             return
         if slow:
-            self._watch()
+            ardupilot_failsafes.watch(self)
         if v.landed:
             self._on_ground()
             return
         self.flew = True
         self.idle_since = v.now
-        if self.mode == GUIDED:
-            self._guided()
-        elif self.mode == RTL:
-            self._steer_return()
-        elif self.mode == LAND:
-            self._steer_land()
+        ardupilot_flight.steer(self)
 
     def _fell(self) -> bool:
         """The crash check: turned over for two seconds with motors running, it disarms."""
@@ -452,119 +410,27 @@ class ArduPilot:
         if self.flew and (self.mode == LAND or self.stage == "land"):
             v.around.event("landed", v.system)
             self.disarm("landed")
-        elif self.submode == "takeoff" and v.bodies.may_lift[v.index]:
+        elif self.submode in {"takeoff", "auto"} and v.bodies.may_lift[v.index]:
             self.idle_since = v.now
         elif 0 < v.parameters["DISARM_DELAY"] < v.now - self.idle_since:
             self.disarm("idle")
 
-    def _guided(self) -> None:
-        """Velocities are forgotten when no setpoint comes for GUID_TIMEOUT."""
-        v = self.v
-        if self.submode not in {"posvel", "velocity", "acceleration"}:
-            return
-        if v.now - self.setpoint_at > v.parameters["GUID_TIMEOUT"]:
-            b, i = v.bodies, v.index
-            b.advance[i] = 0.0
-            goal = (*b.goal_position[i], *[0.0] * 6)
-            if self.submode != "posvel":
-                goal = (*v.estimated(), *[0.0] * 6)
-            self.submode = "stopped"
-            b.aim(i, goal)
-
-    def _watch(self) -> None:
-        v, p = self.v, self.v.parameters
-        latest = v.last_heartbeat.get(p.integer("SYSID_MYGCS"), -math.inf)
-        if v.now - latest <= p["FS_GCS_TIMEOUT"]:
-            self.gcs_seen = True
-        elif self.gcs_seen:
-            self.gcs_seen = False
-            action = GROUND_STATION_LOSS.get(p.integer("FS_GCS_ENABLE"))
-            if action is not None and not v.landed and self.mode != LAND:
-                v.text(_WARNING, "GCS Failsafe")
-                self._fail_to(action)
-        self._watch_battery()
-        if v.local_valid and v.global_valid:
-            self.lost_at = None
-        elif not v.around.indoor or not v.local_valid:
-            self._watch_position()
-
-    def _watch_battery(self) -> None:
-        v, p = self.v, self.v.parameters
-        left = v.charge * p["BATT_CAPACITY"]
-        levels = (("LOW", "low"), ("CRT", "critical"))
-        for level, (key, word) in enumerate(levels, start=1):
-            volts, charge = p[f"BATT_{key}_VOLT"], p[f"BATT_{key}_MAH"]
-            if level > self.battery_level and (v.voltage < volts or left < charge):
-                self.battery_level = level
-                v.text(_WARNING, f"Battery 1 is {word} {v.voltage:.2f}V used {5000 - left:.0f} mAh")
-                action = BATTERY.get(p.integer(f"BATT_FS_{key}_ACT"))
-                if action is not None and not v.landed:
-                    self._fail_to(action)
-
-    def _watch_position(self) -> None:
-        """Without GPS: dead reckoning (FS_DR_ENABLE), then the estimator fails (FS_EKF_ACTION)."""
-        v, p = self.v, self.v.parameters
-        if self.lost_at is None:
-            self.lost_at = v.now
-            action = DEAD_RECKONING.get(p.integer("FS_DR_ENABLE"))
-            if action is not None and not v.landed and v.local_valid:
-                v.text(_WARNING, "Dead Reckoning started")
-                self._fail_to(action)
-        patience = 1.0 if not v.local_valid else p["FS_DR_TIMEOUT"]
-        if v.now - self.lost_at > patience and self.mode != LAND:
-            v.text(_CRITICAL, "EKF Failsafe")
-            if p.integer("FS_EKF_ACTION") in {1, 3} and not v.landed:
-                self._fail_to(LAND)
-
-    def _fail_to(self, mode: int) -> None:
-        if mode == RTL and (not self.position_ok() or self.v.home is None):
-            mode = LAND
-        self._change(mode, failsafe=True)
-
-    def _steer_land(self) -> None:
-        v, p = self.v, self.v.parameters
-        home = v.home[2] if v.home is not None else v.origin[2]
-        high = float(v.estimated()[2] - home) > p["LAND_ALT_LOW"] / 100.0
-        rate = p["WPNAV_SPEED_DN"] if high else p["LAND_SPEED"]
-        v.bodies.climb(v.index, -rate / 100.0)
-
-    def _steer_return(self) -> None:
-        """Climb, fly home, wait RTL_LOIT_TIME, land."""
-        v, p = self.v, self.v.parameters
-        if v.home is None:
-            return
-        here, home = v.estimated(), v.home
-        away = float(np.hypot(*(home - here)[:2]))
-        if self.stage == "":
-            top = max(float(here[2]), float(home[2]) + p["RTL_ALT"] / 100.0)
-            self.goal = np.array([here[0], here[1], top])
-            self.stage = "climb"
-            demand.go(v, self.goal)
-        elif self.stage == "climb" and here[2] > self.goal[2] - 0.5:
-            self.goal = np.array([home[0], home[1], self.goal[2]])
-            self.stage = "home"
-            demand.go(v, self.goal)
-        elif self.stage == "home" and away < 0.5:
-            self.stage, self.stage_at = "wait", v.now
-        elif self.stage == "wait" and v.now - self.stage_at > p["RTL_LOIT_TIME"] / 1000.0:
-            self.stage, self.landing = "land", True
-            demand.sink(v, p["LAND_SPEED"] / 100.0, steer=True)
-        elif self.stage == "land":
-            self._steer_land()
-
     def pilot_takes_over(self) -> None:
         """A pilot's switch selects LOITER."""
-        self._change(LOITER)
+        self.change(LOITER)
 
     def leave(self) -> None:
         """Leave GUIDED for no reason that anybody sees."""
-        self._change(BRAKE)
+        self.change(BRAKE)
 
 
 _COMMANDS = {
     dialect.MAV_CMD_COMPONENT_ARM_DISARM: ArduPilot._arm_disarm,
     dialect.MAV_CMD_DO_SET_MODE: ArduPilot._do_set_mode,
     dialect.MAV_CMD_NAV_TAKEOFF: ArduPilot._takeoff,
+    dialect.MAV_CMD_MISSION_START: ArduPilot._start_mission,
+    dialect.MAV_CMD_DO_SET_MISSION_CURRENT: ArduPilot._jump,
+    dialect.MAV_CMD_DO_FENCE_ENABLE: ArduPilot._enable_fence,
     dialect.MAV_CMD_NAV_LAND: ArduPilot._land,
     dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: ArduPilot._return,
     dialect.MAV_CMD_DO_REPOSITION: ArduPilot._reposition,

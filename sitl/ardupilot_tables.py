@@ -27,10 +27,13 @@ MODES: dict[int, Mode] = {
     16: Mode("POSHOLD", True, True),
     17: Mode("BRAKE", True, False, by_itself=True),
 }
-STABILIZE, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 4, 5, 6, 9, 17
+STABILIZE, AUTO, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 3, 4, 5, 6, 9, 17
 
 # FS_GCS_ENABLE → mode; SmartRTL is not flown here and falls back as documented.
 GROUND_STATION_LOSS = {0: None, 1: RTL, 2: RTL, 3: RTL, 4: LAND, 5: LAND, 6: LAND, 7: BRAKE}
+# FS_THR_ENABLE, FENCE_ACTION.
+RADIO_LOSS = {0: None, 1: RTL, 2: RTL, 3: LAND, 4: RTL, 5: LAND, 6: RTL, 7: BRAKE}
+FENCE = {0: None, 1: RTL, 2: LAND, 3: RTL, 4: BRAKE, 5: LAND}
 BATTERY = {0: None, 1: LAND, 2: RTL, 3: RTL, 4: LAND, 6: LAND, 7: BRAKE}
 DEAD_RECKONING = {0: None, 1: LAND, 2: RTL, 3: RTL, 4: LAND, 5: LAND}
 

@@ -1,6 +1,6 @@
-"""The mission protocol: enough for ground stations to connect, upload, read back and clear.
+"""The mission protocol: upload, read back, clear; missions, fences and rally points.
 
-Missions, fences and rally points are kept as they came; none is flown or enforced.
+`sitl.route` flies missions, `sitl.fences` knows what fences mean; rally points are only kept.
 """
 
 from collections.abc import Callable
@@ -8,6 +8,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
 
+from sitl import fences
 from sitl.vehicle import Link, Vehicle, addressed, scaled_degrees
 
 _MISSION_TIMEOUT = 5.0
@@ -64,8 +65,7 @@ def _mission_count(v: Vehicle, message: Any, link: Link) -> None:
     if kind not in v.mission or message.count > _LARGEST_MISSION:
         _mission_ack(v, message, link, dialect.MAV_MISSION_NO_SPACE)
     elif message.count == 0:
-        v.mission[kind] = []
-        _mission_ack(v, message, link, dialect.MAV_MISSION_ACCEPTED)
+        _mission_ack(v, message, link, _keep(v, kind, []))
     else:
         v.upload = {"kind": kind, "count": message.count, "items": [], "at": v.now}
         _ask_item(v, message, link)
@@ -106,16 +106,34 @@ def _mission_receive(v: Vehicle, message: Any, link: Link) -> None:
     if len(upload["items"]) < upload["count"]:
         _ask_item(v, message, link)
         return
-    v.mission[upload["kind"]] = upload["items"]
     v.upload = {}
-    _mission_ack(v, message, link, dialect.MAV_MISSION_ACCEPTED)
+    result = _keep(v, upload["kind"], upload["items"])
+    _mission_ack(v, message, link, result)
+
+
+def _keep(v: Vehicle, kind: int, items: list[dict[str, Any]]) -> int:
+    """Take a whole list up; return the MAV_MISSION_RESULT."""
+    if kind == dialect.MAV_MISSION_TYPE_FENCE:
+        fence = fences.areas(items, v.around.geodesy)
+        if fence is None:
+            return int(dialect.MAV_MISSION_ERROR)
+        v.fence = fence
+    v.mission[kind] = items
+    if kind == dialect.MAV_MISSION_TYPE_MISSION:
+        v.personality.route.restart()
+    return int(dialect.MAV_MISSION_ACCEPTED)
+
+
+def _set_current(v: Vehicle, message: Any, link: Link) -> None:
+    if addressed(v, message) and v.personality.route.jump_to(message.seq):
+        v.send("MISSION_CURRENT", link, seq=message.seq)
 
 
 def _mission_clear(v: Vehicle, message: Any, link: Link) -> None:
     if addressed(v, message):
         kinds = list(v.mission) if message.mission_type == 255 else [message.mission_type]
-        for kind in kinds:
-            v.mission[kind] = []
+        for kind in set(kinds) & set(v.mission):
+            _keep(v, kind, [])
         _mission_ack(v, message, link, dialect.MAV_MISSION_ACCEPTED)
 
 
@@ -126,5 +144,6 @@ HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {
     "MISSION_COUNT": _mission_count,
     "MISSION_ITEM": _mission_receive,
     "MISSION_ITEM_INT": _mission_receive,
+    "MISSION_SET_CURRENT": _set_current,
     "MISSION_CLEAR_ALL": _mission_clear,
 }

@@ -11,16 +11,15 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl import demand, fault_ways, wire
+from sitl import demand, fault_ways, px4_failsafes, px4_flight, wire
 from sitl.px4_tables import (
-    BATTERY,
     BY_NUMBER,
     FALLBACK,
-    LINK_LOSS,
     MODES,
     OFFBOARD_LOSS,
     PARAMETERS,
 )
+from sitl.route import Route
 from sitl.vehicle import (
     ACCEPTED,
     DENIED,
@@ -33,8 +32,7 @@ from sitl.vehicle import (
 FORCE = 21196
 _BOOT_TIME = 12.0
 _SLOW_BEAT = 0.4
-_LOCAL_NED = 1
-_INFO, _WARNING, _CRITICAL, _EMERGENCY = 6, 4, 2, 0
+_INFO, _CRITICAL, _EMERGENCY = 6, 2, 0
 
 
 class Px4:
@@ -69,6 +67,10 @@ class Px4:
         self.battery_level = 0
         self.battery_at_arming = 0
         self.gcs_seen = False
+        self.radio_seen = False
+        self.radio_lost_at: float | None = None
+        self.outside = False
+        self.route = Route(self.v, 0)
         self.all_axes = False
         self.slow_at = -math.inf
         self.tumbled = False
@@ -132,7 +134,7 @@ class Px4:
             return v.home is not None
         if need == "mission":
             return bool(v.mission[0])
-        return self.pilot
+        return (self.pilot or self.v.spec.radio) and not self.v.radio_lost
 
     def can_run(self, mode: str) -> bool:
         """Whether a mode's needs are met."""
@@ -153,7 +155,7 @@ class Px4:
             return f"Mode '{MODES[self.intended].label}' prevents arming"
         if not self.can_run(self.intended) or v.bodies.crashed[v.index]:
             return "Resolve system health failures first"
-        if self.battery_level >= 2:
+        if self.battery_level >= 2 or px4_failsafes.beyond_fence(self):
             return "Resolve system health failures first"
         return None
 
@@ -243,6 +245,8 @@ class Px4:
         self.flew = False
         self.landed_at = None
         self.battery_at_arming = self.battery_level
+        self.radio_seen, self.radio_lost_at = v.radio_heard, None
+        self.outside = False
         if v.global_valid:
             v.home = np.array(v.estimated())
         v.text(_INFO, "Armed by external command\t")
@@ -280,6 +284,15 @@ class Px4:
             self.state = ""
             self.evaluate()
         return result
+
+    def _start_mission(self, _: Command) -> int:
+        result = self._change("MISSION")
+        return self._arm(force=False) if result == ACCEPTED else result
+
+    def _jump(self, command: Command) -> int:
+        number = command.p[0]
+        known = math.isfinite(number) and self.route.jump_to(int(number))
+        return ACCEPTED if known else DENIED
 
     def _land(self, _: Command) -> int:
         return self._change("LAND")
@@ -326,48 +339,9 @@ class Px4:
         v.text(_EMERGENCY, "Flight termination active\t")
         v.around.event("terminated", v.system)
 
-    # Setpoints.
-
     def setpoint(self, setpoint: wire.Setpoint) -> None:
-        """Take SET_POSITION_TARGET_LOCAL_NED as PX4 does: LOCAL_NED only; NaN is "not given"."""
-        if setpoint.frame != _LOCAL_NED or setpoint.mask & 512:
-            return
-        mask = setpoint.mask
-        values = setpoint.values
-        total = sum(values)
-        if mask & 0x1FF or total - total != 0.0:
-            values = tuple(math.nan if mask >> k & 1 else x for k, x in enumerate(values))
-            if not _complete(values):
-                return
-        self.offboard_at = self.v.now
-        self.offboard = setpoint
-        if self.state == "OFFBOARD":
-            self._follow(values)
-            if not mask & 1024 and math.isfinite(setpoint.yaw):
-                self.v.bodies.goal_yaw[self.v.index] = math.pi / 2 - setpoint.yaw
-
-    def _follow(self, values: tuple[float, ...]) -> None:
-        v = self.v
-        n, e, d, vn, ve, vd, an, ae, ad = values
-        total = sum(values)
-        if total - total == 0.0:
-            goal = (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad)
-            if self.all_axes:
-                v.bodies.stage(v.index, goal)
-            else:
-                v.bodies.aim(v.index, goal)
-                self.all_axes = True
-            return
-        self.all_axes = False
-        given = [float(math.isfinite(value)) for value in values]
-        moved = [max(given[k], given[k + 3]) for k in range(3)]
-        n, e, d, vn, ve, vd, an, ae, ad = (u if math.isfinite(u) else 0.0 for u in values)
-        v.bodies.aim(
-            v.index,
-            (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad),
-            (given[1], given[0], given[2]),
-            (moved[1], moved[0], moved[2]),
-        )
+        """Take SET_POSITION_TARGET_LOCAL_NED."""
+        px4_flight.take(self, setpoint)
 
     # What flies.
 
@@ -388,9 +362,10 @@ class Px4:
             v.text(_EMERGENCY, "Attitude failure detected\t")
         if v.now >= self.slow_at:
             self.slow_at = v.now + _SLOW_BEAT
-            self._battery()
+            px4_failsafes.watch_battery(self)
             if v.armed:
-                self._watch_links()
+                px4_failsafes.watch_links(self)
+                px4_failsafes.watch_fence(self)
         elif self._steadily_offboard():
             return
         self.evaluate()
@@ -399,7 +374,7 @@ class Px4:
         if not v.landed:
             self.flew = True
             self.landed_at = None
-            _STEERING.get(self.state, _nothing)(self)
+            px4_flight.steer(self)
         elif self.flew:
             self._after_landing()
         elif v.now - self.armed_at > v.parameters["COM_DISARM_PRFLT"] > 0:
@@ -420,48 +395,6 @@ class Px4:
         wait = v.parameters["COM_DISARM_LAND"]
         if 0 <= wait < v.now - self.landed_at:
             self.disarm("Disarmed by landing")
-
-    def _battery(self) -> None:
-        p, v = self.v.parameters, self.v
-        thresholds = (p["BAT_LOW_THR"], p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"])
-        level = sum(v.charge < threshold for threshold in thresholds)
-        if level > self.battery_level:
-            label = ("Low battery level", "Critical battery level", "Dangerous battery level")
-            v.text(_WARNING if level == 1 else _CRITICAL, f"{label[level - 1]}\t")
-            action = BATTERY[p.integer("COM_LOW_BAT_ACT") % 4][max(level - 2, 0)]
-            if v.armed and level >= 2 and action and level > self.battery_at_arming:
-                self._trigger(action)
-        self.battery_level = max(level, self.battery_level if v.armed else 0)
-
-    def _watch_links(self) -> None:
-        v, p = self.v, self.v.parameters
-        latest = max(v.last_heartbeat.values(), default=-math.inf)
-        lost = v.now - latest > p["COM_DL_LOSS_T"]
-        if not lost:
-            self.gcs_seen = True
-        elif self.gcs_seen:
-            self.gcs_seen = False
-            v.text(_WARNING, "Connection to ground station lost\t")
-            action = LINK_LOSS.get(p.integer("NAV_DLL_ACT"))
-            ignored = self.intended == "LAND" or (
-                self.intended == "OFFBOARD" and p.integer("COM_DLL_EXCEPT") & 4
-            )
-            if action and not ignored:
-                self._trigger(action)
-
-    def _trigger(self, action: str) -> None:
-        """Start a failsafe: Hold for COM_FAIL_ACT_T while a pilot could take over, then act."""
-        v = self.v
-        if action == "DISARM":
-            self.disarm("Disarmed by failsafe")
-        elif action == "TERMINATION":
-            self.terminate()
-        elif self.latched != action:
-            wait = v.parameters["COM_FAIL_ACT_T"] if action != "LOITER" else 0.0
-            self.latched = "LOITER" if wait > 0 else action
-            self.delayed = action
-            self.delay_until = v.now + wait
-            v.text(_CRITICAL, f"Failsafe activated: {MODES[action].label}\t")
 
     def evaluate(self) -> None:
         """Find the state that flies: the user's mode, or what failsafes make of it."""
@@ -504,69 +437,7 @@ class Px4:
         self.stage = ""
         v.around.event("mode", v.system, mode=name, failsafe=failsafe)
         if v.armed:
-            self._begin(name)
-
-    def _begin(self, name: str) -> None:
-        """Set the controller up for a state that has just been entered while armed."""
-        v, p = self.v, self.v.parameters
-        b, i = v.bodies, v.index
-        b.may_lift[i] = name in {"OFFBOARD", "TAKEOFF", "POSCTL", "MISSION"}
-        demand.limits(v, p["MPC_XY_CRUISE"], p["MPC_Z_V_AUTO_UP"], p["MPC_Z_V_AUTO_DN"])
-        self.all_axes = False
-        if name == "OFFBOARD":
-            demand.limits(v, p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"])
-            if self.offboard is not None:
-                received = self.offboard_at
-                self.setpoint(self.offboard)
-                self.offboard_at = received
-        elif name == "TAKEOFF" and self.goal is not None:
-            demand.limits(v, p["MPC_XY_CRUISE"], p["MPC_TKO_SPEED"], p["MPC_Z_V_AUTO_DN"])
-            demand.go(v, self.goal)
-        elif name == "LOITER" and self.goal is not None:
-            demand.go(v, self.goal)
-        elif name == "LAND":
-            demand.hold(v)
-            demand.sink(v, p["MPC_LAND_SPEED"], steer=True)
-        elif name == "DESCEND":
-            demand.sink(v, p["MPC_LAND_SPEED"], steer=False)
-        elif name != "TERMINATION":
-            demand.hold(v)
-
-    def _steer_takeoff(self) -> None:
-        v = self.v
-        if self.goal is not None and abs(float(v.estimated()[2] - self.goal[2])) < 0.3:
-            self.intended, self.after_disarm = "LOITER", "LOITER"
-            self.goal = np.array(self.goal)
-            self.evaluate()
-
-    def _steer_land(self) -> None:
-        v, p = self.v, self.v.parameters
-        home = v.home[2] if v.home is not None else v.origin[2]
-        height = float(v.estimated()[2] - home)
-        fast = height > p["MPC_LAND_ALT1"]
-        v.bodies.climb(v.index, -(p["MPC_Z_V_AUTO_DN"] if fast else p["MPC_LAND_SPEED"]))
-
-    def _steer_return(self) -> None:
-        """Climb to the return altitude, fly home, come down, land."""
-        v, p = self.v, self.v.parameters
-        if v.home is None:
-            return
-        home = v.home
-        here = v.estimated()
-        away = float(np.hypot(*(home - here)[:2]))
-        top = max(float(here[2]), float(home[2]) + min(p["RTL_RETURN_ALT"], 0.5 * away + 5.0))
-        if self.stage == "":
-            self.goal = np.array([here[0], here[1], top if away > 1.0 else here[2]])
-            self.stage = "climb"
-            demand.go(v, self.goal)
-        elif self.stage == "climb" and here[2] > self.goal[2] - 0.5:
-            self.goal = np.array([home[0], home[1], self.goal[2]])
-            self.stage = "home"
-            demand.go(v, self.goal)
-        elif self.stage == "home" and away < 0.5:
-            self.stage = "land"
-            self.landing = True
-            demand.sink(v, p["MPC_LAND_SPEED"], steer=True)
+            px4_flight.begin(self, name)
 
     def pilot_takes_over(self) -> None:
         """A pilot's sticks move: Position mode, and the user's intention with it."""
@@ -578,28 +449,12 @@ class Px4:
         self.intend("LOITER")
 
 
-def _nothing(_: Px4) -> None:
-    return
-
-
-def _complete(values: tuple[float, ...]) -> bool:
-    """Every axis has something, x and y alike (PX4 refuses other combinations)."""
-    given = [math.isfinite(value) for value in values]
-    kinds = (given[:3], given[3:6], given[6:])
-    return all(any(kind[k] for kind in kinds) for k in range(3)) and all(
-        kind[0] == kind[1] for kind in kinds
-    )
-
-
-_STEERING = {
-    "TAKEOFF": Px4._steer_takeoff,
-    "LAND": Px4._steer_land,
-    "RTL": Px4._steer_return,
-}
 _COMMANDS = {
     dialect.MAV_CMD_COMPONENT_ARM_DISARM: Px4._arm_disarm,
     dialect.MAV_CMD_DO_SET_MODE: Px4._do_set_mode,
     dialect.MAV_CMD_NAV_TAKEOFF: Px4._takeoff,
+    dialect.MAV_CMD_MISSION_START: Px4._start_mission,
+    dialect.MAV_CMD_DO_SET_MISSION_CURRENT: Px4._jump,
     dialect.MAV_CMD_NAV_LAND: Px4._land,
     dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: Px4._return,
     dialect.MAV_CMD_DO_REPOSITION: Px4._reposition,

@@ -45,6 +45,8 @@ OFFBOARD_LOSS = {0: "POSCTL", 1: "ALTCTL", 2: "STABILIZED", 3: "RTL", 4: "LAND",
                  6: "TERMINATION", 7: "DISARM"}  # fmt: skip
 # NAV_DLL_ACT and NAV_RCL_ACT.
 LINK_LOSS = {0: None, 1: "LOITER", 2: "RTL", 3: "LAND", 5: "TERMINATION", 6: "DISARM"}
+# GF_ACTION: 1 only warns.
+GEOFENCE = {2: "LOITER", 3: "RTL", 4: "TERMINATION", 5: "LAND"}
 # COM_LOW_BAT_ACT → action when critical, action in an emergency.
 BATTERY: dict[int, tuple[str | None, str | None]] = {
     0: (None, None),
@@ -74,7 +76,7 @@ PARAMETERS: dict[str, float | int] = {
     "MPC_XY_VEL_D_ACC": 0.2, "MPC_XY_VEL_I_ACC": 0.4, "MPC_XY_VEL_MAX": 12.0,
     "MPC_XY_VEL_P_ACC": 1.8, "MPC_Z_P": 1.0, "MPC_Z_VEL_D_ACC": 0.0, "MPC_Z_VEL_I_ACC": 2.0,
     "MPC_Z_VEL_MAX_DN": 1.5, "MPC_Z_VEL_MAX_UP": 3.0, "MPC_Z_VEL_P_ACC": 4.0,
-    "MPC_Z_V_AUTO_DN": 1.5, "MPC_Z_V_AUTO_UP": 3.0, "NAV_ACC_RAD": 10.0, "NAV_DLL_ACT": 0,
+    "MPC_Z_V_AUTO_DN": 1.5, "MPC_Z_V_AUTO_UP": 3.0, "NAV_ACC_RAD": 2.0, "NAV_DLL_ACT": 0,
     "NAV_RCL_ACT": 2, "PD_GRIPPER_EN": 1, "PD_GRIPPER_TO": 1.0, "PD_GRIPPER_TYPE": 0,
     "RTL_DESCEND_ALT": 30.0, "RTL_LAND_DELAY": 0.0, "RTL_RETURN_ALT": 60.0, "RTL_TYPE": 0,
     "SDLOG_MODE": 0, "SYS_AUTOSTART": 10040, "SYS_HAS_BARO": 1, "SYS_HAS_GPS": 1,

@@ -123,7 +123,8 @@ def _capabilities(v: Vehicle, command: Command) -> int:
 
 
 def _gripper(v: Vehicle, command: Command) -> int:
-    if v.spec.gripper != "mavlink":
+    enabled = "PD_GRIPPER_EN" if v.spec.autopilot == "px4" else "GRIP_ENABLE"
+    if v.spec.gripper != "mavlink" or not v.parameters[enabled]:
         return UNSUPPORTED
     if command.p[1] not in (0.0, 1.0):
         return DENIED

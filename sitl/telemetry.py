@@ -393,8 +393,9 @@ def _servo(v: Vehicle) -> bytes:
     )
 
 
-def _mission_current(_: Vehicle) -> bytes:
-    return wire.payload("MISSION_CURRENT", {"seq": 0})
+def _mission_current(v: Vehicle) -> bytes:
+    fields = {"seq": v.personality.route.seq, "total": len(v.mission[0])}
+    return wire.payload("MISSION_CURRENT", fields)
 
 
 MESSAGES: dict[str, Callable[[Vehicle], bytes | None]] = {

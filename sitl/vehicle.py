@@ -8,16 +8,20 @@ import heapq
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import wire
 from sitl.dynamics import Bodies
+from sitl.fences import Area
 from sitl.geodesy import Geodesy
 from sitl.parameters import Parameters
 from sitl.world import VehicleSpec, World
+
+if TYPE_CHECKING:
+    from sitl.route import Route
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 _TEXT_LENGTH = 50
@@ -114,6 +118,7 @@ class Personality(Protocol):
         """Boot."""
 
     pilot: bool
+    route: "Route"
 
     def pilot_takes_over(self) -> None:
         """A pilot's sticks or switch select a manual mode."""
@@ -200,16 +205,20 @@ class Vehicle:
         self.simulation_changed: Callable[[str, Mapping[str, float]], None] | None = None
         self.inject: Callable[[int, int, int], bool] | None = None
         self.stuck: str | None = None
+        self._open_mailbox()
         self.radio_lost = False
+        self.fence: tuple[Area, ...] = ()
         self.refuse_arming: str | None = None
+        self.later: list[tuple[float, Callable[[], None]]] = []
+        self.personality: Personality
+
+    def _open_mailbox(self) -> None:
         self.last_heartbeat: dict[int, float] = {}
         self.mission: dict[int, list[dict[str, Any]]] = {0: [], 1: [], 2: []}
         self.upload: dict[str, Any] = {}
         self.parameters = Parameters()
         self.parameter_queue: list[tuple[Link, int]] = []
         self.text_id = 0
-        self.later: list[tuple[float, Callable[[], None]]] = []
-        self.personality: Personality
 
     # Frequently used views of the batch.
 
@@ -222,6 +231,11 @@ class Vehicle:
     def landed(self) -> bool:
         """Whether the autopilot believes that it stands on the ground."""
         return bool(self.bodies.landed[self.index])
+
+    @property
+    def radio_heard(self) -> bool:
+        """Whether a pilot's transmitter is on and received."""
+        return self.spec.radio and not self.radio_lost
 
     def clock(self) -> float:
         """Seconds since this vehicle's boot, by its own clock."""
