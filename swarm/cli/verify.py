@@ -1,51 +1,167 @@
 """``swarm verify``: tell from a flight's record what was flown."""
 
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import click
-import numpy as np
+from pydantic import ValidationError
 from rich.console import Console
+from rich.table import Table
 
 from swarm.cli.inputs import JSON, print_json
+from swarm.cli.observations import Observation, enter, observation, observations
 from swarm.cli.outcome import flown_object, print_flown
 from swarm.cli.view import recorded_plan
 from swarm.errors import InputError, Problem
-from swarm.flight.trace import Trace
+from swarm.fleet import Fleet
+from swarm.flight.tlog import Replayed, replay
+from swarm.plans import Plan
 from swarm.preflight.assess import assess
-from swarm.verify import judge
+from swarm.verify import TrackingError, judge
+
+_LARGEST_LOG = 4 << 30
 
 
 @click.command()
 @click.argument("record", type=click.Path(path_type=Path))
 @JSON
+@click.option(
+    "--observed",
+    metavar="WORDS",
+    help='Enter what was seen, for example "3_1 right by camera" or "unknot by Ann".',
+)
 @click.pass_context
-def verify(context: click.Context, record: Path, as_json: bool) -> None:
+def verify(context: click.Context, record: Path, as_json: bool, observed: str | None) -> None:
     """Recompute from RECORD (a flight's folder) which knot was flown, and how closely.
 
-    Judges the positions that the vehicles reported, in the cable model, against the recorded plan.
-    Exit code 0 when they imply the knot that was asked for, 1 when they do not.
+    Reads the positions that the vehicles reported and the setpoints that were sent from the .tlog,
+    and judges them in the cable model against the recorded plan. Exit code 0 when they imply the
+    knot that was asked for (and nobody saw another one), 1 when not.
     """
-    plan, trace = recorded_plan(record), recorded_trace(record)
-    assessment, flown = assess(plan), judge(plan, trace)
+    plan = recorded_plan(record)
+    seen = observations(record)
+    if observed is not None:
+        seen.append(observation(observed, datetime.now(UTC)))
+    replayed = recorded_flight(record, plan)
+    assessment, flown = assess(plan), judge(plan, replayed.trace)
+    if observed is not None:
+        enter(record, seen[-1])
     if as_json:
-        print_json({"record": str(record), **flown_object(flown, assessment)})
+        found = {
+            "record": str(record),
+            **flown_object(flown, assessment),
+            **_links_object(replayed),
+            "observed": [asdict(one) for one in seen],
+        }
+        print_json(found)
     else:
-        print_flown(plan, flown, assessment, Console())
-    context.exit(0 if flown.as_planned else 1)
+        console = Console()
+        print_flown(plan, flown, assessment, console)
+        _print_tracking(flown.tracking, console)
+        _print_links(replayed, console)
+        _print_observations(plan, seen, console)
+    agreed = seen[-1].agrees(plan.knot) if seen else True
+    context.exit(0 if flown.as_planned and agreed else 1)
 
 
-def recorded_trace(record: Path) -> Trace:
-    """Return the trace that a record's folder holds; raises :class:`InputError` without one."""
-    path = record / "trace.npz"
+def recorded_flight(record: Path, plan: Plan) -> Replayed:
+    """Replay the .tlog in a record's folder; raises :class:`InputError` where there is none."""
+    path, listed = record / "flight.tlog", record / "fleet.json"
     try:
-        with np.load(path, allow_pickle=False) as data:
-            return Trace(
-                time=data["time"],
-                mission_time=data["mission_time"],
-                position=data["position"],
-                setpoint=data["setpoint"],
-                phase=tuple(str(name) for name in data["phase"]),
-            )
-    except (OSError, ValueError, KeyError, EOFError):
-        reason = "expected a flight's record with trace.npz in it"
-        raise InputError([Problem(str(record), reason)]) from None
+        fleet = Fleet.model_validate_json(listed.read_bytes())
+        if path.stat().st_size > _LARGEST_LOG:
+            raise InputError([Problem(str(path), "too large for a flight")])
+        data = path.read_bytes()
+    except OSError as error:
+        reason = "expected a flight's record with flight.tlog and fleet.json in it"
+        raise InputError([Problem(str(record), reason)]) from error
+    except ValidationError:
+        raise InputError([Problem(str(listed), "expected the fleet of a flight")]) from None
+    return replay(data, plan, fleet)
+
+
+def _links_object(replayed: Replayed) -> dict[str, Any]:
+    return {
+        "systems": list(replayed.systems),
+        "commands": [
+            {
+                "name": one.name,
+                "sent": one.sent,
+                "answered": one.answered,
+                "repeated": one.repeated,
+                "latency": {"median": one.median, "max": one.largest} if one.answered else None,
+            }
+            for one in replayed.commands
+        ],
+        "links": {
+            str(system): {
+                "received": replayed.received[system],
+                "lost": replayed.lost[system],
+            }
+            for system in replayed.systems
+        },
+        "damaged": replayed.damaged,
+        "log_notes": list(replayed.notes),
+    }
+
+
+def _print_tracking(errors: Sequence[TrackingError], console: Console) -> None:
+    """Print the tracking error of all in every phase, and of everybody in the fold."""
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("tracking error")
+    for heading in ("RMS", "99.9 %", "largest"):
+        table.add_column(heading, justify="right")
+    for error in errors:
+        if error.phase and not error.vehicle:
+            name = f"{error.phase}, all"
+        elif error.phase == "fold":
+            name = f"fold, vehicle {error.vehicle}"
+        else:
+            continue
+        sizes = (error.rms, error.p999, error.largest)
+        table.add_row(name, *(f"{size:.3f} m" for size in sizes))
+    console.print(table)
+
+
+def _print_links(replayed: Replayed, console: Console) -> None:
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("command")
+    for heading in ("sent", "answered", "repeated", "median", "largest"):
+        table.add_column(heading, justify="right")
+    for one in replayed.commands:
+        known = one.answered > 0
+        table.add_row(
+            one.name,
+            str(one.sent),
+            str(one.answered),
+            str(one.repeated),
+            f"{1000 * one.median:.0f} ms" if known else "–",
+            f"{1000 * one.largest:.0f} ms" if known else "–",
+        )
+    console.print(table)
+    received, lost = sum(replayed.received.values()), sum(replayed.lost.values())
+    share = lost / max(received + lost, 1)
+    worst = max(replayed.lost, key=lambda system: replayed.lost[system], default=None)
+    line = f"{received} packets received, {lost} lost ({share:.2%})"
+    if worst is not None and replayed.lost[worst]:
+        line += f", most from system {worst}: {replayed.lost[worst]}"
+    console.print(line, style="dim", highlight=False, soft_wrap=True)
+    for note in replayed.notes:
+        console.print(f"[yellow]note[/] {note}", highlight=False, soft_wrap=True)
+
+
+def _print_observations(plan: Plan, seen: list[Observation], console: Console) -> None:
+    if not seen:
+        words = 'Nobody has entered what was seen: --observed "3_1 right by camera"'
+        console.print(words, style="dim", highlight=False, soft_wrap=True)
+    for one in seen:
+        style = "green" if one.agrees(plan.knot) else "bold red"
+        hand = f" {one.chirality}-handed" if one.chirality else ""
+        console.print(
+            f"Observed: [{style}]{one.knot}{hand}[/] by {one.by} ({one.at})",
+            highlight=False,
+            soft_wrap=True,
+        )

@@ -31,6 +31,7 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
                 "id": listed.sysid,
                 "autopilot": listed.autopilot,
                 "pad": [float(x) for x in pads[(listed.pad or place) - 1]],
+                "heading": _heading(listed.sysid, fleet, seed),
                 "mass": mission.vehicles.mass,
                 "payload": mission.vehicles.payload,
                 "radius": mission.vehicles.radius,
@@ -61,6 +62,13 @@ def _gripper(plan: Plan, fleet: Fleet, with_cable: bool) -> str:
     if plan.mission.grab == "attached" and len(plan.layout.lengths) and with_cable:
         return "attached"
     return "mavlink" if fleet.gripper == "mavlink" else "none"
+
+
+def _heading(system: int, fleet: Fleet, seed: int) -> float:
+    """Return where a vehicle looks on its pad, radians from north: anywhere, or north if ideal."""
+    if fleet.emulated is not None and fleet.emulated.biases == "none":
+        return 0.0
+    return float(np.random.default_rng([seed, system]).uniform(-np.pi, np.pi))
 
 
 def bare_world(fleet: Fleet) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from swarm.flight.conductor import Conductor
 from swarm.flight.parameters import demands_of_plan
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.tlog import ClockTeller
 from swarm.flight.world import emulated_world
 from swarm.ground.audit import Auditor, save_parameters
 from swarm.ground.emulator import EmulatorProcess
@@ -26,7 +27,7 @@ from swarm.ground.loop import Loop
 from swarm.ground.operator import ControlSocket, Desk, keys
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
-from swarm.ground.sockets import open_links
+from swarm.ground.sockets import Links, open_links
 from swarm.preflight.findings import ProvenPlan
 
 SNAPSHOT_INTERVAL = 0.1
@@ -76,13 +77,9 @@ def fly(
         began = time.time()
         record = Record(record_folder, began)
         record.before(proven, fleet, {"speed": speed, "no_cable": no_cable, "began": began})
-        if fleet.emulated is not None:
-            seed = fleet.emulated.seed
-            world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
-            port = links.port(next(iter(fleet.links)))
-            emulator = EmulatorProcess(world, record_folder, port, speed, fleet.signing_key)
-            if on_emulator is not None:
-                on_emulator(emulator.pid)
+        emulator = _emulator(proven, fleet, links, record_folder, speed, no_cable=no_cable)
+        if emulator is not None and on_emulator is not None:
+            on_emulator(emulator.pid)
         desk = Desk(conductor, lambda: conductor.snapshot(conductor.now).available)
         with ExitStack() as around:
             tell = around.enter_context(_listener(on_snapshot, on_event))
@@ -132,6 +129,18 @@ def _refuse_unflyable(fleet: Fleet, speed: float) -> None:
         raise Refused("only emulated vehicles fly faster than time")
 
 
+def _emulator(
+    proven: ProvenPlan, fleet: Fleet, links: Links, folder: Path, speed: float, *, no_cable: bool
+) -> EmulatorProcess | None:
+    """Start the emulator where the fleet is flown by it."""
+    if fleet.emulated is None:
+        return None
+    seed = fleet.emulated.seed
+    world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
+    port = links.port(next(iter(fleet.links)))
+    return EmulatorProcess(world, folder, port, speed, fleet.signing_key)
+
+
 class _Shell:
     """What happens around every tick: events out, wishes in, clearance."""
 
@@ -151,6 +160,7 @@ class _Shell:
         self._tell, self._interrupts, self._emulator = tell, interrupts, emulator
         self._confirm = confirm
         self._next_snapshot = 0.0
+        self._clock = ClockTeller(conductor.plan)
         self._answer: queue.SimpleQueue[Audit | str] | None = None
         self.relay: Relay | None = None
 
@@ -170,6 +180,9 @@ class _Shell:
         if now >= self._next_snapshot:
             self._next_snapshot = now + SNAPSHOT_INTERVAL
             self._tell(conductor.snapshot(now))
+            phase = conductor.phase.name if conductor.stage == "fly" else ""
+            if conductor.stage in {"ready", "fly", "leave"}:
+                self._record.packet(self._clock.tell(now, conductor.clock.time, phase), now)
             if conductor.stage in {"listen", "prepare"} and self._emulator is not None:
                 how = self._emulator.ended()
                 if how is not None:

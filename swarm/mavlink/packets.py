@@ -96,7 +96,7 @@ class Decoder:
         packets: list[Packet] = []
         start, end = 0, len(data)
         while start < end:
-            length = _packet_length(data, start)
+            length = packet_length(data, start)
             if length == 0:
                 self.damaged += 1
                 start = _next_start(data, start + 1)
@@ -199,7 +199,7 @@ def split(data: bytes) -> tuple[list[bytes], bytes]:
     packets: list[bytes] = []
     start, end = 0, len(data)
     while start < end:
-        length = _packet_length(data, start)
+        length = packet_length(data, start)
         if length < 0 or start + length > end:
             return packets, data[start:]
         if length:
@@ -210,7 +210,7 @@ def split(data: bytes) -> tuple[list[bytes], bytes]:
     return packets, b""
 
 
-def _packet_length(data: bytes, start: int) -> int:
+def packet_length(data: bytes, start: int) -> int:
     """Length of the packet that begins here: 0 where none does, negative where it is cut off."""
     if len(data) - start < 3:
         return -1 if data[start] in {_MAGIC_1, _MAGIC_2} else 0

@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
+from swarm.cli.verify import recorded_flight
+from swarm.cli.view import recorded_plan
 from swarm.errors import VehicleError
 from swarm.fleet import emulated_fleet
 from swarm.ground import fly
 from swarm.ground.sockets import open_links
+from swarm.verify import judge
 from tests.network import small_plan
 
 SPEED = 8.0
@@ -112,14 +115,38 @@ def test_after_sigkill_only_the_last_second_of_the_record_is_missing(tmp_path):
     process.kill()
     process.wait()
     log = mavutil.mavlink_connection(str(folder / "flight.tlog"))
-    last = None
+    first = last = log.recv_match()
     while (message := log.recv_match()) is not None:
         last = message
     began = json.loads((folder / "versions.json").read_text())["began"]
     log.close()
     flown = (last._timestamp - began) / 4.0
     assert killed - began - flown < 1.0
-    assert (folder / "plan.json").exists()
+    plan = recorded_plan(folder)
+    again = recorded_flight(folder, plan)
+    assert again.systems == (1, 2, 3)
+    assert again.trace.time[-1] == pytest.approx(last._timestamp - first._timestamp, abs=0.2)
+    assert judge(plan, again.trace).knot in {"unknown", "0_1"}
+
+
+def test_a_disk_that_is_full_in_flight_costs_the_rest_of_the_record_and_not_the_flight(tmp_path):
+    # the limit on file sizes stands in for a disk that is full: writing fails from there on
+    limited = (
+        f"import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))\n{SCRIPT}"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", limited.replace("speed=4.0", "speed=8.0"), str(tmp_path / "record")],
+        check=False,
+    )
+    assert ended.returncode == 0
+    folder = tmp_path / "record"
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["outcome"] == "done"
+    assert summary["record"]["problem"] == "file too large"
+    assert summary["record"]["dropped"] > 100
+    assert (folder / "flight.tlog").stat().st_size == 300_000
+    plan = recorded_plan(folder)
+    assert "takeoff" in recorded_flight(folder, plan).trace.phase
 
 
 def test_ctrl_c_lands_the_team_and_exits_with_130(tmp_path):

@@ -1,0 +1,300 @@
+"""What a flight's .tlog tells by itself: positions, setpoints, the mission clock, commands, losses.
+
+A .tlog is packets with their times before them (eight bytes, microseconds since 1970, big-endian).
+One that was cut off, or has a hole where a disk was full, is read as far as it goes.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from copy import copy
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from pymavlink.dialects.v20 import common
+
+from swarm.errors import InputError, Refused
+from swarm.fleet import Fleet
+from swarm.flight.preparation import STANDING_TIME, prepared_team
+from swarm.flight.trace import Trace
+from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
+from swarm.mavlink.frames import Frames
+from swarm.mavlink.packets import GROUND_SYSTEM, Decoder, Encoder, Packet, packet_length
+from swarm.mavlink.vehicle import READ, Vehicle
+from swarm.plans import Plan
+
+Floats = npt.NDArray[np.float64]
+
+CLOCK_COMPONENT = int(common.MAV_COMP_ID_USER1)
+"""The component that tells the mission clock, in the record alone."""
+STEP = 0.1
+_FRESH = 1.0
+_STAMP = 8
+_HOUR = 3_600_000_000
+_SETPOINT = int(common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED)
+_POSITION = int(common.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
+_VALUE = int(common.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT)
+_COMMAND = int(common.MAVLINK_MSG_ID_COMMAND_LONG)
+_ANSWER = int(common.MAVLINK_MSG_ID_COMMAND_ACK)
+_WANTED = READ | {_SETPOINT, _VALUE, _COMMAND}
+_COMMANDS = {
+    int(value): name.removeprefix("MAV_CMD_").replace("_", " ").lower()
+    for name, value in vars(common).items()
+    if name.startswith("MAV_CMD_") and isinstance(value, int)
+}
+
+
+@dataclass(frozen=True)
+class CommandLatency:
+    """How a command fared: sent so often, answered so often, seconds to the first answer."""
+
+    name: str
+    sent: int
+    answered: int
+    repeated: int
+    median: float
+    largest: float
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """What a .tlog tells. ``systems`` are in order along the cable; losses by system id."""
+
+    trace: Trace
+    systems: tuple[int, ...]
+    commands: tuple[CommandLatency, ...]
+    received: Mapping[int, int]
+    lost: Mapping[int, int]
+    damaged: int
+    notes: tuple[str, ...] = ()
+
+
+class ClockTeller:
+    """Packets that tell the mission clock and phase, to be kept in a record."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._encoder = Encoder(GROUND_SYSTEM, CLOCK_COMPONENT)
+        self._phases = {phase.name: number for number, phase in enumerate(plan.phases)}
+
+    def tell(self, now: float, mission_time: float, phase: str) -> bytes:
+        """Return the packets for a moment; ``phase`` is "" outside the plan."""
+        number = next((k for name, k in self._phases.items() if name == phase), -1)
+        boot = int(now * 1000.0) & 0xFFFFFFFF
+        message = common.MAVLink_named_value_float_message
+        return self._encoder.encode(message(boot, b"mission", mission_time)) + self._encoder.encode(
+            message(boot, b"phase", float(number))
+        )
+
+
+def packets(data: bytes) -> Iterator[tuple[float, bytes | None]]:
+    """Yield seconds since 1970 and the packet; None in place of bytes that are none."""
+    start, last, end = 0, 0, len(data)
+    while start + _STAMP + 3 <= end:
+        stamp = int.from_bytes(data[start : start + _STAMP], "big")
+        length = packet_length(data, start + _STAMP)
+        likely = last == 0 or abs(stamp - last) < _HOUR
+        if length <= 0 or not likely or start + _STAMP + length > end:
+            if length > 0 and likely:
+                return  # the last packet, cut off
+            yield last * 1e-6, None
+            start = _next(data, start + 1, last)
+            continue
+        last = stamp
+        yield stamp * 1e-6, data[start + _STAMP : start + _STAMP + length]
+        start += _STAMP + length
+
+
+def _next(data: bytes, start: int, last: int) -> int:
+    """Return where the next stamp and packet may begin."""
+    at = start
+    while True:
+        starts = (data.find(magic, at + _STAMP) for magic in (b"\xfd", b"\xfe"))
+        found = [place for place in starts if place >= 0]
+        if not found:
+            return len(data)
+        at = min(found) - _STAMP
+        if abs(int.from_bytes(data[at : at + _STAMP], "big") - last) < _HOUR:
+            return at
+        at += 1
+
+
+@dataclass
+class _Heard:
+    """What is collected while reading."""
+
+    fleet: Fleet
+    vehicles: dict[int, Vehicle]
+    times: dict[int, list[float]] = field(default_factory=dict)
+    places: dict[int, list[tuple[float, float, float]]] = field(default_factory=dict)
+    asked_at: dict[int, list[float]] = field(default_factory=dict)
+    asked: dict[int, list[tuple[float, float, float]]] = field(default_factory=dict)
+    clock: list[tuple[float, float]] = field(default_factory=list)
+    phase: list[tuple[float, float]] = field(default_factory=list)
+    sent: dict[tuple[int, int], float] = field(default_factory=dict)
+    latencies: dict[int, list[float]] = field(default_factory=dict)
+    counts: dict[int, Counter[str]] = field(default_factory=dict)
+    standing: dict[int, Vehicle] = field(default_factory=dict)
+
+    def take(self, now: float, packet: Packet) -> None:
+        message = packet.message
+        if packet.system == GROUND_SYSTEM:
+            if message is not None:
+                self._ours(now, packet)
+            return
+        vehicle = self.vehicles.get(packet.system)
+        if vehicle is None:
+            return
+        vehicle.receive(packet, now)
+        vehicle.take_events()
+        if packet.number == _POSITION:
+            self.times.setdefault(packet.system, []).append(now)
+            self.places.setdefault(packet.system, []).append(vehicle.position)
+        elif packet.number == _ANSWER and message is not None:
+            self._answered(now, packet.system, message.command)
+
+    def _ours(self, now: float, packet: Packet) -> None:
+        m = packet.message
+        assert m is not None  # noqa: S101 - the caller looked
+        if packet.number == _SETPOINT:
+            self.asked_at.setdefault(m.target_system, []).append(now)
+            self.asked.setdefault(m.target_system, []).append((m.x, m.y, m.z))
+        elif packet.number == _VALUE and packet.component == CLOCK_COMPONENT:
+            name = m.name.rstrip(b"\0") if isinstance(m.name, bytes) else m.name
+            (self.clock if name == b"mission" else self.phase).append((now, m.value))
+            if not self.standing:
+                self.standing = {s: copy(vehicle) for s, vehicle in self.vehicles.items()}
+        elif packet.number == _COMMAND:
+            count = self.counts.setdefault(m.command, Counter())
+            if m.confirmation:
+                count["repeated"] += 1
+            else:
+                count["sent"] += 1
+                self.sent[m.target_system, m.command] = now
+
+    def _answered(self, now: float, system: int, command: int) -> None:
+        since = self.sent.pop((system, command), None)
+        if since is not None:
+            self.counts[command]["answered"] += 1
+            self.latencies.setdefault(command, []).append(now - since)
+
+
+def replay(data: bytes, plan: Plan, fleet: Fleet) -> Replayed:
+    """Recompute what was flown from the bytes of a .tlog, the plan and the fleet.
+
+    Frames and places along the cable are found from where vehicles stood before they were armed,
+    as before the flight. Raises :class:`InputError` where the log does not tell them.
+    """
+    heard = _Heard(fleet, _vehicles(fleet))
+    decoder = Decoder(wanted=_WANTED)
+    first = last = math.nan
+    holes = 0
+    for now, packet in packets(data):
+        if packet is None:
+            holes += 1
+            continue
+        first = now if math.isnan(first) else first
+        last = now
+        for one in decoder.feed(packet):
+            heard.take(now - first, one)
+    if math.isnan(first) or not heard.clock:
+        raise InputError("the record's flight.tlog tells of no flight")
+    frames, flyers = _frames(heard, plan)
+    notes = [f"the .tlog has {holes} damaged places"] if holes else []
+    return Replayed(
+        trace=_trace(heard, plan, frames, [v.system for v in flyers], last - first),
+        systems=tuple(v.system for v in flyers),
+        commands=tuple(_commands(heard)),
+        received={v.system: v.packets for v in heard.vehicles.values()},
+        lost={v.system: v.lost_packets for v in heard.vehicles.values()},
+        damaged=holes + decoder.damaged,
+        notes=tuple(notes),
+    )
+
+
+def _vehicles(fleet: Fleet) -> dict[int, Vehicle]:
+    named: dict[str, Autopilot] = {kind.name: kind for kind in AUTOPILOTS.values()}
+    return {
+        listed.sysid: Vehicle(listed.sysid, autopilot=named.get(listed.autopilot))
+        for listed in fleet.vehicles
+    }
+
+
+def _frames(heard: _Heard, plan: Plan) -> tuple[Frames, list[Vehicle]]:
+    """Tie frames to the mission by where vehicles stood when all were ready."""
+    flown = [system for system in heard.vehicles if system in heard.places]
+    streamed = [system for system in flown if system in heard.asked]
+    flown = streamed if len(streamed) >= plan.vehicles else flown
+    if len(flown) < plan.vehicles:
+        raise InputError(f"the .tlog tells of {len(flown)} vehicles, the plan of {plan.vehicles}")
+    ready = heard.clock[0][0]
+    measured = []
+    for system in flown:
+        times, places = np.array(heard.times[system]), np.array(heard.places[system])
+        before = (times <= ready) & (times > ready - STANDING_TIME)
+        measured.append(places[before].mean(axis=0) if before.any() else places[0])
+    lift = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
+    standing = plan.motion.at(0.0)[0] + lift
+    try:
+        prepared = prepared_team(
+            [heard.standing[s] for s in flown], heard.fleet, standing, np.array(measured)
+        )
+    except Refused as error:
+        raise InputError(f"the .tlog does not tell where the vehicles were: {error}") from None
+    return prepared.frames, prepared.flyers
+
+
+def _trace(heard: _Heard, plan: Plan, frames: Frames, systems: list[int], duration: float) -> Trace:
+    clock, phase = np.array(heard.clock), np.array(heard.phase)
+    time = np.arange(clock[0, 0], max(duration, clock[0, 0] + STEP), STEP)
+    lift = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
+    position = np.full((len(time), len(systems), 3), np.nan)
+    setpoint = np.full_like(position, np.nan)
+    # a setpoint stands until the next one comes: it was aimed at the middle of its time
+    lead = 0.5 / heard.fleet.rates.setpoint
+    for k, system in enumerate(systems):
+        position[:, k] = _sampled(heard.times, heard.places, system, time, 0.0)
+        setpoint[:, k] = _sampled(heard.asked_at, heard.asked, system, time, lead)
+    for places in (position, setpoint):
+        for moment in places:
+            moment[:] = frames.points_to_mission(moment) - lift
+    number = phase[np.clip(np.searchsorted(phase[:, 0], time, "right") - 1, 0, len(phase) - 1), 1]
+    names = [*(one.name for one in plan.phases), ""]
+    return Trace(
+        time=time,
+        mission_time=np.interp(time, clock[:, 0], clock[:, 1]),
+        position=position,
+        setpoint=setpoint,
+        phase=tuple(names[int(n)] for n in number),
+    )
+
+
+def _sampled(
+    times: Mapping[int, list[float]],
+    places: Mapping[int, list[tuple[float, float, float]]],
+    system: int,
+    at: Floats,
+    lead: float,
+) -> Floats:
+    """Return points (k, 3) at moments, between those known; NaN where none is near."""
+    if system not in times:
+        return np.full((len(at), 3), np.nan)
+    known, points = np.array(times[system]) + lead, np.array(places[system])
+    found = np.column_stack([np.interp(at, known, points[:, axis]) for axis in range(3)])
+    after = np.searchsorted(known, at)
+    before = known[np.clip(after - 1, 0, len(known) - 1)]
+    found[(np.abs(at - before) > _FRESH) | (at < known[0])] = np.nan
+    return found
+
+
+def _commands(heard: _Heard) -> Iterator[CommandLatency]:
+    for command, count in heard.counts.items():
+        latencies = np.array(heard.latencies.get(command, [math.nan]))
+        yield CommandLatency(
+            _COMMANDS.get(command, f"command {command}"),
+            count["sent"],
+            count["answered"],
+            count["repeated"],
+            float(np.median(latencies)),
+            float(latencies.max()),
+        )

@@ -1,0 +1,170 @@
+"""A flight recomputed from the bytes of its .tlog alone, against what the conductor measured."""
+
+import numpy as np
+import pytest
+
+from swarm.errors import InputError
+from swarm.fleet import emulated_fleet
+from swarm.flight.tlog import ClockTeller, packets, replay
+from swarm.mavlink.packets import split
+from tests.network import Network, small_plan
+
+PLAN = small_plan()
+BEGAN = 1_750_000_000.0
+
+
+def logged(proven, fleet, most=400.0, **options):
+    """Fly in virtual time; return the log's entries in order, and the network."""
+    entries: list[tuple[float, bytes]] = []
+
+    def keep(now, _system, data):
+        entries.append((now, data))
+        return True
+
+    flight = Network(proven, fleet, uplink=keep, downlink=keep, **options)
+    teller = ClockTeller(proven.plan)
+    conductor = flight.conductor
+
+    def tick():
+        if conductor.stage in {"ready", "fly", "leave"}:
+            phase = conductor.phase.name if conductor.stage == "fly" else ""
+            entries.append((flight.now, teller.tell(flight.now, conductor.clock.time, phase)))
+        return False
+
+    flight.run(tick, most=most)
+    return entries, flight
+
+
+def as_tlog(entries):
+    out = bytearray()
+    for now, data in entries:
+        stamp = int((BEGAN + now) * 1e6).to_bytes(8, "big")
+        for packet in split(data)[0]:
+            out += stamp + packet
+    return bytes(out)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    fleet = emulated_fleet(3, ("px4", "ardupilot"))
+    entries, flight = logged(PLAN, fleet)
+    assert flight.conductor.finished.word == "done"
+    return as_tlog(entries), flight, fleet
+
+
+def test_positions_setpoints_clock_and_phases_come_back(flown):
+    data, flight, fleet = flown
+    again, known = replay(data, PLAN.plan, fleet), flight.conductor.trace()
+    assert again.systems == (1, 2, 3)
+    assert again.damaged == 0
+    offset = next(now for now, packet in packets(data) if packet) - BEGAN
+    for phase in ("fold", "hold"):
+        then = np.array(known.phase) == phase
+        at = known.time[then] - offset
+        for got, was in (
+            (again.trace.position, known.position),
+            (again.trace.setpoint, known.setpoint),
+        ):
+            found = np.stack(
+                [
+                    np.interp(at, again.trace.time, got[:, k, axis])
+                    for k in range(3)
+                    for axis in range(3)
+                ],
+                axis=1,
+            )
+            assert np.abs(found - was[then].reshape(len(at), 9)).max() < 0.05
+        clock = np.interp(at, again.trace.time, again.trace.mission_time)
+        assert np.abs(clock - known.mission_time[then]).max() < 0.1
+    assert list(dict.fromkeys(again.trace.phase))[-2:] == ["finish", "land"]
+
+
+def test_commands_and_losses_are_counted(flown):
+    data, flight, fleet = flown
+    again = replay(data, PLAN.plan, fleet)
+    commands = {one.name: one for one in again.commands}
+    assert commands["do gripper"].sent == commands["do gripper"].answered == 6
+    assert 0.0 <= commands["component arm disarm"].median < 1.0
+    assert again.lost == {1: 0, 2: 0, 3: 0}
+    for vehicle in flight.conductor.team.vehicles.values():
+        # what arrived after the flight's end is in the log, too
+        assert 0 <= again.received[vehicle.system] - vehicle.packets < 30
+
+
+def test_a_log_that_was_cut_off_anywhere_is_read_to_there(flown):
+    data, _, fleet = flown
+    for share in (0.6, 0.8):
+        cut = data[: int(share * len(data)) + 5]
+        again = replay(cut, PLAN.plan, fleet)
+        whole = replay(data, PLAN.plan, fleet)
+        rows = len(again.trace.time) - 2
+        assert again.damaged == 0
+        assert again.trace.phase[:rows] == whole.trace.phase[:rows]
+
+
+def test_a_hole_in_the_log_costs_what_was_in_it(flown):
+    data, _, fleet = flown
+    middle = len(data) // 2
+    holed = data[: middle + 3] + data[middle + 20_011 :]
+    again = replay(holed, PLAN.plan, fleet)
+    assert 0 < again.damaged < 10
+    assert again.trace.phase[-1] == "land"
+    assert "damaged place" in again.notes[0]
+
+
+@pytest.mark.parametrize("data", [b"", b"nonsense" * 100, bytes(10_000)])
+def test_what_is_no_log_of_a_flight_is_refused(data):
+    with pytest.raises(InputError, match=r"flight\.tlog tells of no flight"):
+        replay(data, PLAN.plan, emulated_fleet(3))
+
+
+def test_losses_show():
+    fleet = emulated_fleet(3)
+    dropped = {"count": 0}
+
+    def lossy(_now, system, _data):
+        dropped["count"] += system == 2
+        return not (system == 2 and dropped["count"] % 10 == 0)
+
+    entries: list[tuple[float, bytes]] = []
+    flight = Network(PLAN, fleet, no_cable=True, downlink=lossy)
+    receive = flight.conductor.receive
+
+    def kept(link, address, data, now):
+        entries.append((now, data))
+        receive(link, address, data, now)
+
+    flight.conductor.receive = kept
+    teller = ClockTeller(PLAN.plan)
+    flight.until_phase("takeoff", 2.0)
+    entries.append((flight.now, teller.tell(flight.now, 0.0, "takeoff")))
+    again = replay(as_tlog(entries), PLAN.plan, fleet)
+    assert again.lost[2] > 5
+    assert again.lost[1] == again.lost[3] == 0
+
+
+def test_nine_vehicles_with_nine_origins_headings_heights_and_clocks_keep_the_cable_whole():
+    proven = small_plan(vehicles=9)
+    flight = Network(proven, emulated_fleet(9, ("px4", "ardupilot")))
+    flight.until_phase("hold", 1.0)
+    flyers, truth = flight.conductor.flyers, flight.emulator.truth()
+    for different in (
+        [v.origin.latitude for v in flyers],
+        [v.origin.altitude for v in flyers],
+        [v.attitude[2] for v in flyers],
+        [v.clock_offset for v in flyers],
+        [v.position[2] for v in flyers],
+    ):
+        assert len(set(np.round(different, 7))) == 9
+    wanted = flight.conductor.setpoint
+    lift = [0.0, 0.0, proven.plan.mission.vehicles.grip_offset]
+    off = np.linalg.norm(truth.position - wanted, axis=1)
+    off = np.minimum(off, np.linalg.norm(truth.position - wanted - lift, axis=1))
+    # what an estimator gets wrong after standing on its pad cannot be seen from the ground
+    assert off.max() < 0.25
+    heights = truth.position[:, 2]
+    assert np.ptp(heights) < 0.3
+    chords = np.linalg.norm(np.diff(truth.position, axis=0), axis=1)
+    assert np.all(chords < proven.plan.layout.lengths)
+    assert truth.gripped.all()
+    assert np.ptp([v.origin.altitude for v in flyers]) > 1.0
