@@ -93,7 +93,8 @@ def _request_message(v: Vehicle, command: Command) -> int:
 
 def _set_interval(v: Vehicle, command: Command) -> int:
     name = NAMES.get(int(command.p[0]))
-    if name not in telemetry.MESSAGES or not math.isfinite(command.p[1]):
+    foreign = name == "EKF_STATUS_REPORT" and v.spec.autopilot == "px4"
+    if foreign or name not in telemetry.MESSAGES or not math.isfinite(command.p[1]):
         return DENIED
     if command.p[1] < 0:
         command.link.stream(name, None, v.now)

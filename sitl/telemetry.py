@@ -307,6 +307,27 @@ def _estimator(v: Vehicle) -> bytes:
     )
 
 
+def _ekf(v: Vehicle) -> bytes | None:
+    """ArduPilot's counterpart of ESTIMATOR_STATUS; PX4 has no such message."""
+    if v.spec.autopilot != "ardupilot":
+        return None
+    flags = 1 | 4 | 32
+    flags |= 2 | 8 | 256 if v.local_valid else 128
+    if v.global_valid and v.local_valid:
+        flags |= 16 | 512
+    poor = 0.05 if v.local_valid else 1.5
+    return wire.payload(
+        "EKF_STATUS_REPORT",
+        {
+            "velocity_variance": poor,
+            "pos_horiz_variance": poor,
+            "pos_vert_variance": 0.05,
+            "compass_variance": 0.05,
+            "flags": flags,
+        },
+    )
+
+
 def _system_time(v: Vehicle) -> bytes:
     unix = v.around.unix_time + v.now + v.unix_offset
     return wire.payload(
@@ -413,6 +434,7 @@ MESSAGES: dict[str, Callable[[Vehicle], bytes | None]] = {
     "VFR_HUD": _hud,
     "ALTITUDE": _altitude,
     "ESTIMATOR_STATUS": _estimator,
+    "EKF_STATUS_REPORT": _ekf,
     "SYSTEM_TIME": _system_time,
     "POSITION_TARGET_LOCAL_NED": _target,
     "ODOMETRY": _odometry,

@@ -52,7 +52,16 @@ def _layouts() -> dict[str, Layout]:
             blank += [b""] if text else [0] * max(length, 1)
         seed = bytes([message.crc_extra])
         found[message.msgname] = Layout(number, message.unpacker, seed, blank, places)
+    found["EKF_STATUS_REPORT"] = _ekf_status_report()
     return found
+
+
+def _ekf_status_report() -> Layout:
+    """ArduPilot's own message about its estimator, which clients ask it for (ardupilotmega.xml)."""
+    variances = ("velocity", "pos_horiz", "pos_vert", "compass", "terrain_alt")
+    names = (*(f"{name}_variance" for name in variances), "flags", "airspeed_variance")
+    places = {name: (place, 0) for place, name in enumerate(names)}
+    return Layout(193, struct.Struct("<5fHf"), bytes([71]), [0] * len(names), places)
 
 
 LAYOUTS: dict[str, Layout] = _layouts()

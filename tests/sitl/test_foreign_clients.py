@@ -19,11 +19,12 @@ from mavsdk.plugins.failure import Failure
 from mavsdk.plugins.failure.failure import FailureType, FailureUnit
 from mavsdk.plugins.info import Info
 from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, VelocityNedYaw
-from mavsdk.plugins.param import Param
+from mavsdk.plugins.param import Param, ParamError
 from mavsdk.plugins.telemetry import Telemetry
 
 SPEED = 5.0
 HOLD, RETURN, LAND, OFFBOARD = 3, 5, 6, 7
+VERSIONS = {"px4": (1, 16), "ardupilot": (4, 6)}
 
 
 def free_port() -> int:
@@ -66,69 +67,131 @@ def station(port: int, count: int) -> Iterator[list[Any]]:
         yield mavsdk.get_systems()
 
 
+class Pilot:
+    """MAVSDK's plugins for one of several vehicles."""
+
+    def __init__(self, system: Any) -> None:
+        self.action, self.telemetry = Action(system), Telemetry(system)
+        self.offboard, self.param, self.failure = Offboard(system), Param(system), Failure(system)
+
+    def healthy(self) -> bool:
+        health = self.telemetry.health()
+        return bool(health.is_global_position_ok and health.is_home_position_ok)
+
+    def mode(self) -> int:
+        return int(self.telemetry.flight_mode())
+
+    def height(self) -> float:
+        return float(self.telemetry.position().relative_altitude_m)
+
+    def north(self) -> float:
+        return float(self.telemetry.position_velocity_ned().position.north_m)
+
+
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-def test_mavsdk_flies_everything(autopilot: str) -> None:
+def test_mavsdk_flies_nine_at_once(autopilot: str) -> None:
+    """All found, healthy, set up, up, moved twice, held; then landed, returned, broken, killed."""
     port = free_port()
-    with emulator(port, "--autopilot", autopilot), station(port, 1) as (system,):
-        action, telemetry, offboard = Action(system), Telemetry(system), Offboard(system)
-        version = Info(system).get_version()
-        assert (version.flight_sw_major, version.flight_sw_minor) in {(1, 16), (4, 6)}
-        if autopilot == "px4":
-            until(telemetry.health_all_ok)
-        telemetry.set_rate_position(20)
-        telemetry.set_rate_position_velocity_ned(20)
-        param = Param(system)
-        name = "COM_OBL_RC_ACT" if autopilot == "px4" else "FS_GCS_ENABLE"
-        assert param.get_param_int(name) == 0
-        param.set_param_int(name, 5)
-        assert param.get_param_int(name) == 5
-        everything = param.get_all_params()
+    with emulator(port, "-n", "9", "--autopilot", autopilot), station(port, 9) as systems:
+        pilots = [Pilot(system) for system in systems]
+        everybody = [pilot.telemetry for pilot in pilots]
+        version = Info(systems[0]).get_version()
+        assert (version.flight_sw_major, version.flight_sw_minor) == VERSIONS[autopilot]
+        everything = pilots[0].param.get_all_params()
         assert len(everything.int_params) + len(everything.float_params) > 80
+        name = "COM_OBL_RC_ACT" if autopilot == "px4" else "FS_GCS_ENABLE"
+        for pilot in pilots:
+            pilot.telemetry.set_rate_position(10)
+            pilot.telemetry.set_rate_position_velocity_ned(10)
+            pilot.telemetry.set_rate_home(1)
+            if autopilot == "ardupilot":
+                pilot.telemetry.set_rate_health(2)
+                pilot.telemetry.set_rate_gps_info(2)
+            pilot.param.set_param_int(name, 5)
+            assert pilot.param.get_param_int(name) == 5
+        until(lambda: all(pilot.healthy() for pilot in pilots))
+        for pilot in pilots:
+            pilot.action.set_takeoff_altitude(4.0)
+            pilot.action.arm()
+            pilot.action.takeoff()
+        until(lambda: all(abs(pilot.height() - 4.0) < 0.4 for pilot in pilots))
+        assert all(telemetry.armed() and telemetry.in_air() for telemetry in everybody)
 
-        action.arm()
-        action.set_takeoff_altitude(4.0)
-        action.takeoff()
-        until(lambda: abs(telemetry.position().relative_altitude_m - 4.0) < 0.4)
-        assert telemetry.armed()
-        start = telemetry.position()
-        action.goto_location(
-            start.latitude_deg + 3e-5, start.longitude_deg, start.absolute_altitude_m, 0.0
+        start = [pilot.north() for pilot in pilots]
+        for pilot in pilots:
+            here = pilot.telemetry.position()
+            pilot.action.goto_location(
+                here.latitude_deg + 3e-5, here.longitude_deg, here.absolute_altitude_m, 0.0
+            )
+        moved = 3e-5 * 111_195
+        until(
+            lambda: all(
+                abs(pilot.north() - begin - moved) < 0.6
+                for pilot, begin in zip(pilots, start, strict=True)
+            )
         )
-        until(lambda: telemetry.position().latitude_deg - start.latitude_deg > 2.7e-5)
-        action.hold()
-        here = telemetry.position_velocity_ned().position
-        place = PositionNedYaw(here.north_m, here.east_m + 2.0, here.down_m, 0.0)
-        still = VelocityNedYaw(0.0, 0.0, 0.0, 0.0)
-        offboard.set_position_velocity_acceleration_ned(place, still, AccelerationNed(0, 0, 0))
-        offboard.start()
-        until(lambda: telemetry.flight_mode() == OFFBOARD)
-        until(lambda: abs(telemetry.position_velocity_ned().position.east_m - place.east_m) < 0.3)
-        action.hold()
-        until(lambda: telemetry.flight_mode() == HOLD)
-        action.return_to_launch()
-        until(lambda: telemetry.flight_mode() == RETURN)
-        action.land()
-        until(lambda: not telemetry.armed(), 25.0)
+        still, places = VelocityNedYaw(0.0, 0.0, 0.0, 0.0), []
+        for pilot in pilots:
+            here = pilot.telemetry.position_velocity_ned().position
+            places.append(PositionNedYaw(here.north_m + 2.0, here.east_m, here.down_m, 0.0))
+            pilot.offboard.set_position_velocity_acceleration_ned(
+                places[-1], still, AccelerationNed(0, 0, 0)
+            )
+            pilot.offboard.start()
+        until(lambda: all(pilot.mode() == OFFBOARD for pilot in pilots))
+        until(
+            lambda: all(
+                abs(pilot.north() - place.north_m) < 0.3
+                for pilot, place in zip(pilots, places, strict=True)
+            )
+        )
+        for pilot in pilots:
+            pilot.action.hold()
+        until(lambda: all(pilot.mode() == HOLD for pilot in pilots))
+
+        broken, killed, returning, landing = pilots[3], pilots[4], pilots[5], pilots[6:]
+        broken.failure.inject(FailureUnit.SYSTEM_MOTOR, FailureType.OFF, 0)
+        killed.action.kill()
+        returning.action.return_to_launch()
+        for pilot in landing:
+            pilot.action.land()
+        until(lambda: returning.mode() == RETURN)
+        until(lambda: not killed.telemetry.armed())
+        until(lambda: broken.height() < 0.3)
+        until(lambda: all(not pilot.telemetry.armed() for pilot in landing), 25.0)
+        assert all(pilot.telemetry.armed() and pilot.height() > 3.0 for pilot in pilots[:3])
 
 
-def test_mavsdk_finds_nine_and_breaks_one() -> None:
+def test_mavsdk_breaks_one_of_a_mixed_nine_on_the_ground() -> None:
     port = free_port()
-    with emulator(port, "-n", "9"), station(port, 9) as systems:
-        telemetries = [Telemetry(system) for system in systems]
-        for telemetry in telemetries:
-            until(telemetry.health_all_ok)
-        action, failure = Action(systems[3]), Failure(systems[3])
-        failure.inject(FailureUnit.SENSOR_GPS, FailureType.OFF, 0)
-        until(lambda: not telemetries[3].health().is_global_position_ok)
+    with (
+        emulator(port, "-n", "9", "--autopilot", "ardupilot,px4"),
+        station(port, 9) as systems,
+    ):
+        pilots = [Pilot(system) for system in systems]
+        victim = next(
+            pilot for pilot in pilots if _is_px4(pilot) and pilot.telemetry.armed() is False
+        )
+        until(victim.telemetry.health_all_ok)
+        victim.failure.inject(FailureUnit.SENSOR_GPS, FailureType.OFF, 0)
+        until(lambda: not victim.telemetry.health().is_global_position_ok)
         with pytest.raises(ActionError):
-            action.arm()
-        failure.inject(FailureUnit.SENSOR_GPS, FailureType.OK, 0)
-        until(telemetries[3].health_all_ok)
-        action.arm()
-        until(telemetries[3].armed)
-        action.kill()
-        until(lambda: not telemetries[3].armed())
-        assert not any(telemetry.armed() for telemetry in telemetries)
+            victim.action.arm()
+        victim.failure.inject(FailureUnit.SENSOR_GPS, FailureType.OK, 0)
+        until(victim.telemetry.health_all_ok)
+        victim.action.arm()
+        until(victim.telemetry.armed)
+        victim.action.kill()
+        until(lambda: not victim.telemetry.armed())
+        assert not any(pilot.telemetry.armed() for pilot in pilots)
+
+
+def _is_px4(pilot: Pilot) -> bool:
+    """Whether a parameter that only one autopilot has is there."""
+    try:
+        return pilot.param.get_param_int("COM_OBL_RC_ACT") == 0
+    except ParamError:
+        return False
 
 
 @pytest.mark.skipif(

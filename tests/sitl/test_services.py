@@ -246,3 +246,18 @@ def test_the_same_seed_and_bytes_give_the_same_flight() -> None:
 
     assert fly(1) == fly(1)
     assert fly(1) != fly(2)
+
+
+def test_ardupilots_own_estimator_report_is_as_its_dialect_says() -> None:
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    ground = Ground(Emulator(world(2, autopilots=["ardupilot", "px4"])))
+    ground.mav[1] = ardupilotmega.MAVLink(None, 255, 190)
+    ground.run(0.2)
+    for vehicle in (1, 2):
+        ground.command(vehicle, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 193, 1e5)
+    ground.run(0.5)
+    assert [ground.acks(vehicle, 511) for vehicle in (1, 2)] == [[0], [2]]
+    report = ground.last[1, "EKF_STATUS_REPORT"]
+    assert report.flags == 1 | 2 | 4 | 8 | 16 | 32 | 256 | 512
+    assert report.velocity_variance == pytest.approx(0.05)
