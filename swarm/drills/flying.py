@@ -5,12 +5,14 @@ a copy of the flight shortly before (both sides are state machines without socke
 one fault, flies on in virtual time and is judged by the emulator's ground truth.
 """
 
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from joblib import Parallel, delayed
 
 from swarm.drills.rehearsal import PERSONALITIES, LosesAck, Personality, Rehearsal, drill_fleet
 from swarm.drills.rows import ROWS, Part, Row
@@ -22,6 +24,7 @@ from swarm.rehearse import Fault
 
 Floats = npt.NDArray[np.float64]
 LOOK_EVERY = 0.1
+_TIMES_PER_TASK, _ROWS_PER_TASK = 5, 13
 AFTER = 12.0
 """Seconds after the end of a fault for which a team that simply goes on is watched."""
 LONGEST = 200.0
@@ -91,38 +94,72 @@ class Drill:
         }
 
 
-def drills(
+def fly_drills(
     proven: ProvenPlan,
     *,
     rows: Sequence[Row] = ROWS,
     personalities: Sequence[Personality] = PERSONALITIES,
     times: int = 3,
     seed: int = 1,
-    tell: Callable[[Drill], None] | None = None,
+    jobs: int | None = None,
+    tell: Callable[[int, int], None] | None = None,
 ) -> tuple[Drill, ...]:
     """Fly every row at random times of its part of the flight, with each personality.
 
-    ``times`` is the number of trials per row and personality; ``tell`` is told of each drill as
-    soon as it is over. The same seed gives the same drills.
+    ``times`` is the number of trials per row and personality; ``jobs`` processes fly them (None: as
+    many as there are cores); ``tell`` is told how many trials are done, and of how many. The same
+    seed gives the same drills.
     """
-    done = []
-    for personality in personalities:
-        fleet = drill_fleet(proven.plan.vehicles, personality, seed)
-        rng = np.random.default_rng((seed, len(personality)))
-        stages = {
-            part: list(_stages(proven, fleet, part, times if part == "fold" else 1, rng, seed))
-            for part in dict.fromkeys(row.part for row in rows)
-        }
-        for row in rows:
-            trials = tuple(
-                _fly(stage.copy(), row, int(rng.integers(proven.plan.vehicles)))
-                for stage in stages[row.part]
-            )
-            drill = Drill(row, personality, trials)
-            done.append(drill)
-            if tell is not None:
-                tell(drill)
-    return tuple(done)
+    # one task flies one personality at a few times: the flight up to there is flown once
+    counts = [min(_TIMES_PER_TASK, times - k) for k in range(0, times, _TIMES_PER_TASK)]
+    tasks = [(p, count, (seed, k, n)) for n, p in enumerate(personalities)
+             for k, count in enumerate(counts)]  # fmt: skip
+    total, done = len(rows) * len(personalities) * times, 0
+    found: dict[tuple[str, str], list[Trial]] = {}
+    flying = Parallel(n_jobs=jobs or -1, return_as="generator_unordered")(
+        delayed(_fly_rows)(proven, part, personality, count, seeds)
+        for personality, count, seeds in tasks
+        for part in _portions(rows)
+    )
+    for personality, flown in flying:
+        for name, trials in flown:
+            found.setdefault((name, personality), []).extend(trials)
+            done += len(trials)
+        if tell is not None:
+            tell(done, total)
+    return tuple(
+        Drill(row, p, tuple(sorted(found[row.name, p], key=lambda trial: trial.at)))
+        for row in rows
+        for p in personalities
+    )
+
+
+def _portions(rows: Sequence[Row]) -> list[Sequence[Row]]:
+    return [rows[k : k + _ROWS_PER_TASK] for k in range(0, len(rows), _ROWS_PER_TASK)]
+
+
+def _fly_rows(
+    proven: ProvenPlan,
+    rows: Sequence[Row],
+    personality: Personality,
+    times: int,
+    seeds: tuple[int, ...],
+) -> tuple[Personality, list[tuple[str, list[Trial]]]]:
+    """Fly some rows with one personality, all from the same moments."""
+    fleet = drill_fleet(proven.plan.vehicles, personality, seeds[0])
+    stages: dict[Part, list[Rehearsal]] = {}
+    flown = []
+    for row in rows:
+        if row.part not in stages:
+            rng = np.random.default_rng(seeds)
+            stages[row.part] = list(_stages(proven, fleet, row.part, times, rng, seeds[0]))
+        victims = np.random.default_rng((*seeds, zlib.crc32(row.name.encode())))
+        trials = [
+            _fly(stage.copy(), row, int(victims.integers(proven.plan.vehicles)))
+            for stage in stages[row.part]
+        ]
+        flown.append((row.name, trials))
+    return personality, flown
 
 
 def _stages(
@@ -135,7 +172,8 @@ def _stages(
         moments = np.sort(rng.uniform(phase.start + 0.5, phase.end - 0.5, times))
     else:
         condition = "gripped" if part == "grab" else "released"
-        moments = np.array([next(g.time for g in plan.gates if g.condition == condition) - 1.0])
+        gate = next(gate.time for gate in plan.gates if gate.condition == condition)
+        moments = np.sort(rng.uniform(gate - 1.5, gate - 0.1, times))
     flight = Rehearsal.of(proven, fleet, seed)
     for moment in moments:
         while flight.conductor.clock.time < moment or not flight.quiet:

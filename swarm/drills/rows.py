@@ -57,7 +57,7 @@ def _gaps() -> Iterator[Row]:
                     "links",
                     _ON if short else (*_ON, *_DOWN, "landed by failsafe"),
                     _gap(seconds, direction),
-                    within=2.0 if noticed and (direction != "up" or not whole) else None,
+                    within=2.0 if noticed and direction != "up" else None,
                     whole_team=whole,
                     lasts=seconds,
                 )

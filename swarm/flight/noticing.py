@@ -36,6 +36,8 @@ HEIGHTS_APART = 1.0
 """Metres by which one vehicle's height may drift against its GPS compared with the others'."""
 FELL_AFTER = 0.5
 """Seconds of silence after which a vehicle whose neighbour is pulled down has fallen."""
+PULLED = 0.3
+"""Metres by which it is below its place then."""
 NO_FIX = 3
 _LANDS = frozenset({"land", "precision land"})
 _HOME = frozenset({"return", "smart return", "auto return"})
@@ -50,6 +52,7 @@ class Reports:
     velocity: Floats
     heights: Floats
     told: set[tuple[str, int]] = field(default_factory=set)
+    next_heights: float = 0.0
 
     @classmethod
     def of(cls, n: int) -> "Reports":
@@ -77,7 +80,9 @@ def watch(flight: "Conductor") -> None:
     fresh = np.array([v.position_at for v in flight.flyers]) == flight.now
     flight.reports.position[fresh] = flight.reported[fresh]
     flight.reports.velocity[fresh] = flight.velocity[fresh]
-    _watch_heights(flight)
+    if flight.now >= flight.reports.next_heights:
+        flight.reports.next_heights = flight.now + 1.0
+        _watch_heights(flight)
 
 
 def _watch_links(flight: "Conductor") -> None:
@@ -99,11 +104,20 @@ def _watch_links(flight: "Conductor") -> None:
         if vehicle in lost and len(lost) < len(flight.flyers) and flight.reports.first("lost", k):
             failure(flight, "lost", f"not heard for {limits.lost:g} s: {name}", vehicle)
         if not flight.heard(vehicle, FELL_AFTER) and _pulled_down(flight, k):
-            words = f"{name} is silent and a neighbour is pulled down: it has fallen"
-            if flight.reports.first("fallen silent", k):
-                failure(flight, "fallen silent", words, vehicle)
+            _tell_fallen(flight, k)
     if len(lost) == len(flight.flyers) and flight.reports.first("all lost", 0):
         failure(flight, "all lost", f"no vehicle has been heard for {limits.lost:g} s")
+
+
+def _tell_fallen(flight: "Conductor", k: int) -> None:
+    vehicle = flight.flyers[k]
+    if flight.reports.first("fallen silent", k):
+        words = f"{flight.name(vehicle)} is silent and a neighbour is pulled down: it has fallen"
+        failure(flight, "fallen silent", words, vehicle)
+
+
+def _beside(flight: "Conductor", k: int) -> list[int]:
+    return [j for j in (k - 1, k + 1) if 0 <= j < len(flight.flyers)]
 
 
 def _pulled_down(flight: "Conductor", k: int) -> bool:
@@ -111,8 +125,7 @@ def _pulled_down(flight: "Conductor", k: int) -> bool:
     if flight.phase.cable != "aloft" or not flight.expected_armed[k]:
         return False
     below = flight.setpoint[:, 2] - flight.position[:, 2]
-    beside = [j for j in (k - 1, k + 1) if 0 <= j < len(below) and flight.streaming[j]]
-    return any(below[j] > max(flight.budget, 0.1) and flight.error[j] > 0.0 for j in beside)
+    return any(below[j] > PULLED and flight.streaming[j] for j in _beside(flight, k))
 
 
 def _watch_motion(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
@@ -121,11 +134,14 @@ def _watch_motion(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
         return
     step = vehicle.position_at - flight.reports.at[k]
     before, up = flight.reports.velocity[k], float(flight.velocity[k, 2])
-    told = float(flight.setpoint_velocity[k, 2]) if flight.streaming[k] else -SINKING
+    told = min(0.0, float(flight.setpoint_velocity[k, 2])) if flight.streaming[k] else -SINKING
     falls = step > 0.04 and (before[2] - up) / step > FALLING and told - up > SINKING_TOO
     tilt = max(abs(vehicle.attitude[0]), abs(vehicle.attitude[1]))
     if told - up > SINKING or falls or tilt > TURNED_OVER:
-        if flight.reports.first("falling", k):
+        fallen = [j for j in _beside(flight, k) if not flight.heard(flight.flyers[j], FELL_AFTER)]
+        if fallen and tilt <= TURNED_OVER:
+            _tell_fallen(flight, fallen[0])
+        elif flight.reports.first("falling", k):
             how = "turned over" if tilt > TURNED_OVER else f"going down at {-up:.1f} m/s"
             failure(flight, "falling", f"{flight.name(vehicle)} falls: {how}", vehicle)
         return
@@ -195,7 +211,7 @@ def _judge(flight: "Conductor", vehicle: Vehicle, event: VehicleEvent) -> None:
         case "disarmed" if flying:
             flight.streaming[k] = False
             failure(flight, "disarmed", f"{name} disarmed in flight", vehicle)
-        case "landed" if flying and flight.height_above_start(k) > 1.0:
+        case "landed" if flying and not flight.guidance.descending and _high(flight, k):
             words = f"{name} takes itself for landed, in the air"
             failure(flight, "believes it has landed", words, vehicle)
         case "mode" if flying and not vehicle.in_mode("offboard") and k not in flight.rejoining:
@@ -205,6 +221,10 @@ def _judge(flight: "Conductor", vehicle: Vehicle, event: VehicleEvent) -> None:
             failure(flight, "rebooted", f"{name} {event.message}", vehicle)
         case "origin" if ("falling", k) not in flight.reports.told:
             failure(flight, "origin moved", f"{name}: {event.message}", vehicle)
+
+
+def _high(flight: "Conductor", k: int) -> bool:
+    return flight.height_above_start(k) > 1.0
 
 
 def _left(flight: "Conductor", k: int, vehicle: Vehicle, event: VehicleEvent) -> None:

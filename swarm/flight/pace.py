@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarm.flight.failures import failure
+from swarm.flight.parameters import STREAM_LOSS_TIME
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
@@ -14,6 +15,8 @@ SLOW_FROM = 0.6
 LONGEST_TICK = 0.1
 """Seconds of mission time that one tick may pass. Time in which the ground station slept is not
 flown afterwards: the setpoints would jump."""
+ASLEEP = STREAM_LOSS_TIME
+"""Seconds without a tick after which everybody has stopped: the clock starts anew from rest."""
 STANDS_STILL = 0.02
 STILL_FOR = 3.0
 """Seconds for which the clock may stand without a reason that ends by itself."""
@@ -24,6 +27,8 @@ def advance_clock(flight: "Conductor") -> bool:
     gates, gate = flight.gates, flight.gate
     upper = gates[gate].time if gate < len(gates) else flight.plan.duration
     lower = rewind_end(flight)
+    if flight.now - flight.last > ASLEEP:
+        flight.clock.set_stopped()
     elapsed = min(flight.now - flight.last, LONGEST_TICK)
     flight.clock.advance(elapsed, min(lower, flight.clock.time), upper)
     return flight.clock.time >= upper - 1e-9
@@ -95,6 +100,6 @@ def bound_hold(flight: "Conductor") -> None:
 
 
 def _few_are_off(flight: "Conductor") -> bool:
-    """Whether fewer than half of the team are off: something holds them; wind moves everybody."""
+    """Whether half of the team at most are off: something holds them; wind moves everybody."""
     off = np.nan_to_num(flight.error, nan=0.0) > SLOW_FROM * flight.budget
-    return bool(2 * off.sum() < len(off))
+    return bool(2 * off.sum() <= len(off))

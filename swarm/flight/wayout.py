@@ -27,6 +27,7 @@ CUT_PATIENCE = 1.5
 """Seconds after which survivors do not wait any longer for grippers beside a falling vehicle."""
 BLIND = 15.0
 """Seconds after the setpoints have come down at which nobody is waited for who is not heard."""
+FALLEN_PATIENCE = 40.0
 GIVE_UP = 120.0
 
 
@@ -224,7 +225,7 @@ class WayOut:
         still = [
             vehicle
             for k, vehicle in enumerate(flight.flyers)
-            if vehicle.armed and not vehicle.flown_by_hand and k not in flight.dead
+            if vehicle.armed and not vehicle.flown_by_hand and not self._given_up(k)
         ]
         heard = [vehicle for vehicle in still if flight.heard(vehicle, lost)]
         if self._down_since is None and self._stage == "descend":
@@ -237,6 +238,10 @@ class WayOut:
             flight.fail(f"still armed long after landing was begun: {names}")
             return True
         return False
+
+    def _given_up(self, k: int) -> bool:
+        """Whether a vehicle fell so long ago that it will not be heard to disarm."""
+        return k in self._flight.dead and self._flight.now - self._since > FALLEN_PATIENCE
 
     def _enter(self, stage: Stage) -> None:
         self._stage = stage

@@ -1,0 +1,95 @@
+"""What ``swarm dry-run --failures`` does: let everything go wrong once, and print what follows."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from swarm import api
+from swarm.cli.inputs import print_json, write_text
+from swarm.drills import ROWS, Drill, Row, fly_drills
+from swarm.errors import InputError, Problem
+from swarm.view.failures import failures_report
+
+TIMES = 2
+"""Random times at which each thing goes wrong, with each autopilot."""
+
+
+def run_failures(
+    context: click.Context,
+    planned: api.Planned,
+    *,
+    times: int | None,
+    row: tuple[str, ...],
+    seed: int,
+    jobs: int | None,
+    report: Path | None,
+    as_json: bool,
+) -> None:
+    """Fly the drills, print or write what they say, and end the command with its exit code."""
+    console = Console(quiet=as_json)
+    rows = [one for one in ROWS if not row or any(part in one.name for part in row)]
+    if not rows:
+        names = ", ".join(one.name for one in ROWS)
+        raise InputError([Problem("--row", f"expected a part of one of: {names}")])
+    told = [drill.document() for drill in _flown(planned, rows, times or TIMES, seed, jobs)]
+    if report:
+        write_text(report, failures_report(planned.plan, told))
+    if as_json:
+        print_json({"failures": told})
+    else:
+        console.print(failures_table(told))
+        console.print(_verdict(told), highlight=False)
+    context.exit(0 if all(one["passed"] for one in told) else 1)
+
+
+def _flown(
+    planned: api.Planned, rows: list[Row], times: int, seed: int, jobs: int | None
+) -> tuple[Drill, ...]:
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("drills"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn(),
+        console=console, transient=True, disable=not console.is_terminal,
+    ) as bar:  # fmt: skip
+        task = bar.add_task("drills", total=None)
+
+        def tell(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        return fly_drills(planned.proven(), rows=rows, times=times, seed=seed, jobs=jobs, tell=tell)
+
+
+def failures_table(told: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of drills for a terminal."""
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for name in ("", "what goes wrong", "autopilots"):
+        table.add_column(name, no_wrap=name == "")
+    for name in ("noticed s", "strands m", "chord", "strikes", "lost"):
+        table.add_column(name, justify="right")
+    table.add_column("end")
+    for one in told:
+        mark = "[green]✓[/green]" if one["passed"] else "[red]✗[/red]"
+        table.add_row(
+            mark, one["row"], one["personality"], _number(one["detected_after"]),
+            _number(one["clearance"]), _number(one["chord_ratio"]), str(one["strikes"]),
+            str(one["lost"]), one["end"],
+        )  # fmt: skip
+        for words in one["problems"]:
+            table.add_row("", f"[red]{words}[/red]")
+    return table
+
+
+def _verdict(told: Sequence[Mapping[str, Any]]) -> str:
+    failed = [one for one in told if not one["passed"]]
+    trials = sum(len(one["times"]) for one in told)
+    if not failed:
+        return f"All {len(told)} drills ({trials} flights) went as asked."
+    return f"{len(failed)} of {len(told)} drills ({trials} flights) did not go as asked."
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
