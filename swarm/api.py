@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from swarm.mission import Mission
 from swarm.plans import Plan, candidates
-from swarm.preflight.assess import assess
+from swarm.preflight.assess import assess, with_robustness
 from swarm.preflight.findings import Assessment, ProvenPlan, prove
 
 Progress = Callable[[str, float], None]
@@ -29,7 +29,8 @@ class Planned:
 def plan(mission: Mission, progress: Progress | None = None) -> Planned:
     """Plan a mission and check it.
 
-    ``progress`` is called with a stage's name and the share of it that is done. Raises
+    A plan that passes comes with e* and w*. ``progress`` is called with a stage's name and the
+    share of it that is done. Raises
     :class:`swarm.errors.Refused` when no motion was found at all; a motion that was found and does
     not pass is returned, with its findings.
     """
@@ -39,9 +40,10 @@ def plan(mission: Mission, progress: Progress | None = None) -> Planned:
     for _ in range(_ATTEMPTS):
         if made is None:
             break
-        planned = Planned(made, assess(made, progress=progress))
-        if planned.assessment.cleared:
-            return planned
+        assessment = assess(made, progress=progress)
+        planned = Planned(made, assessment)
+        if assessment.cleared:
+            return Planned(made, with_robustness(made, assessment, progress))
         best = best or planned
         try:
             made = search.send(_missing(planned.assessment))

@@ -1,6 +1,7 @@
 """A plan as others read it: one JSON object, and one table of every grip point's motion."""
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 from swarm.errors import Refused
 from swarm.mission import Mission
 from swarm.plans import Plan
-from swarm.preflight.findings import Assessment, Finding, Tightest
+from swarm.preflight.certificate import Moment
+from swarm.preflight.findings import Assessment, Finding, Stops, Tightest
 
 MOTION_COLUMNS = (
     "time", "vehicle", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "phase",
@@ -56,7 +58,34 @@ def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
             "tracking": assessment.robustness.tracking,
             "wind": assessment.robustness.wind,
         },
+        "tightest": [moment_object(moment) for moment in assessment.tightest],
+        "budget": [asdict(row) | {"left": row.left} for row in assessment.budget],
+        "stops": stops_object(assessment.stops) if assessment.stops else None,
         "notes": list(plan.notes),
+    }
+
+
+def moment_object(moment: Moment) -> dict[str, Any]:
+    """Return a tight moment as a JSON-ready object."""
+    return {
+        "check": moment.check,
+        "between": list(moment.between),
+        "distance": moment.distance,
+        "required": moment.required,
+        "time": moment.time,
+        "where": list(moment.where),
+    }
+
+
+def stops_object(stops: Stops) -> dict[str, Any]:
+    """Return what can be done where a plan stops; a wait is null where there is no window."""
+    windows = {"land": stops.land, "release": stops.release}
+    return {
+        **{
+            name: {"share": window.share, "wait": window.wait if isfinite(window.wait) else None}
+            for name, window in windows.items()
+        },
+        "longest": {"time": stops.time, "distance": stops.distance},
     }
 
 
@@ -69,8 +98,10 @@ def refusal_object(mission: Mission, refusal: Refused) -> dict[str, Any]:
     }
 
 
-def _sags(plan: Plan) -> dict[str, float]:
+def _sags(plan: Plan) -> dict[str, float | None]:
     sags = plan.layout.sags
+    if not len(sags):
+        return {"over": None, "under": None}
     over, under = (sorted({pair[k] for pair in plan.layout.crossings}) for k in (0, 1))
     only_over = [segment for segment in over if segment not in under]
     return {

@@ -12,7 +12,7 @@ from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.preflight.assess import assess
 from swarm.preflight.findings import Assessment
 from swarm.preflight.motion_file import plan_of_motion, read_lengths, read_motion
-from swarm.view.terminal import findings
+from swarm.view.summary import findings
 
 LARGEST_MOTION = 500_000_000
 """Bytes; an hour of a hundred vehicles is less."""
@@ -69,7 +69,7 @@ def certify(
     if as_json:
         print_json(_object(assessment))
     else:
-        findings(assessment, Console())
+        findings(assessment.findings, assessment.cleared, Console())
     context.exit(0 if assessment.cleared else 1)
 
 

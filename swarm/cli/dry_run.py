@@ -11,7 +11,8 @@ from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.rehearse import rehearse
 from swarm.verify import judge
 from swarm.view.report import flight_report
-from swarm.view.terminal import FlightScreen, plan_summary
+from swarm.view.summary import plan_summary
+from swarm.view.terminal import FlightScreen
 
 
 @click.command("dry-run")

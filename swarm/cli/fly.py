@@ -31,7 +31,8 @@ from swarm.ground.fly import fly as fly_proven
 from swarm.verify import judge
 from swarm.view import rerun_log
 from swarm.view.report import flight_report
-from swarm.view.terminal import FlightScreen, findings_table, plan_summary
+from swarm.view.summary import findings_table, plan_summary
+from swarm.view.terminal import FlightScreen
 
 COUNTDOWN = 3
 LONGEST_SOCKET_PATH = 100

@@ -11,7 +11,7 @@ from swarm.errors import Refused
 from swarm.view.plots import plot_plan
 from swarm.view.report import plan_report
 from swarm.view.sheet import layout_sheet
-from swarm.view.terminal import plan_summary
+from swarm.view.summary import plan_summary
 
 
 @click.command()

@@ -1,11 +1,11 @@
 """Everything that is checked before a plan may fly, put into findings."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from swarm.cable.catenary import STANDARD_GRAVITY
 from swarm.cable.chain import crossing_gaps
 from swarm.errors import SwarmError
 from swarm.knots.gauss import SignedGauss, parse_gauss, same_code
@@ -17,26 +17,28 @@ from swarm.preflight.certificate import (
     moments_of,
     segment_name,
     tightest_moments,
-    vehicle_name,
 )
 from swarm.preflight.course import Course
-from swarm.preflight.findings import Assessment, Finding, Robustness, Severity, Tightest
+from swarm.preflight.findings import Assessment, Finding, Severity, Tightest
 from swarm.preflight.limits import TAUT
-from swarm.preflight.loads import Loads, dead_vehicle, loads, payload_limit, stuck_gripper
-from swarm.preflight.robustness import holds_in_wind, largest_tracking, largest_wind
+from swarm.preflight.robustness import holds_in_wind, robust_to
 from swarm.preflight.topology import end_code, end_knot, end_time, layout_code
-from swarm.preflight.windows import longest_stop, windows
+from swarm.preflight.what_if import (
+    budget_findings,
+    downwash_findings,
+    endurance_findings,
+    load_findings,
+    stops_of,
+    tolerance_findings,
+)
 
 Progress = Callable[[str, float], None]
 Chirality = Literal["left", "right", "none"]
 
-TIGHTEST = 5
 LIMIT_TOLERANCE = 0.006
 """m/s and m/s²: what the enclosure of speeds and accelerations may add to a plan at its limit."""
 
 BUDGETS = 3
-FAR_WINDOW = 20.0
-"""Seconds to the nearest window that deserve a warning."""
 SMOOTH = (("position", "m", 1e-6), ("velocity", "m/s", 1e-3), ("acceleration", "m/s²", 0.05))
 """What may jump where pieces of the motion join: rounding."""
 
@@ -52,23 +54,12 @@ _OUTSIDE = {
 }
 """Where the model ends, for each finish."""
 
-_CLEARANCES = (
-    "cable clearance",
-    "neighbouring segments",
-    "reach on the floor",
-    "vehicle clearance",
-    "vehicle-cable clearance",
-    "rotor disc",
-    "floor",
-)
-"""Checks whose moments are distances to compare, for the five that are always reported."""
-
 
 def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = False) -> Assessment:
     """Check a plan and return everything found out about it.
 
     ``progress`` is called with a stage's name and the share of it that is done. ``robustness`` asks
-    for e* and w* too, which takes a dozen certificates more.
+    for e* and w* too (:func:`with_robustness`).
     """
     moments = tightest_moments(plan, progress=progress)
     findings = [
@@ -77,27 +68,45 @@ def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = F
         *_wind_findings(plan),
         *_smoothness_findings(plan),
         *_limit_findings(plan),
-        *_load_findings(plan),
-        *_endurance_findings(plan),
+        *load_findings(plan),
+        *downwash_findings(plan),
+        *endurance_findings(plan),
     ]
     knot, chirality, gauss, topology = _topology(plan)
     findings += topology
-    findings += _window_findings(plan)
-    findings += _tightest_findings(moments)
-    findings += _budget_findings(plan, moments)
-    findings.append(_scope(plan))
-    return Assessment(
-        findings=tuple(findings),
+    stops, stopping = stops_of(plan)
+    findings += stopping
+    budget = budgets(plan, sorted(moments, key=lambda moment: moment.margin))[:BUDGETS]
+    assessment = Assessment(
+        findings=(),
         cable=_tightest(moments, ("cable clearance", "neighbouring segments"), plan),
         vehicle=_tightest(moments, ("vehicle clearance",), plan),
         vehicle_cable=_tightest(moments, ("vehicle-cable clearance",), plan),
         knot=knot,
         chirality=chirality,
         gauss=gauss,
-        robustness=Robustness(largest_tracking(plan), largest_wind(plan))
-        if robustness
-        else Robustness(),
+        moments=moments,
+        budget=budget,
+        stops=stops,
     )
+    findings += _tightest_findings(assessment.tightest)
+    findings += budget_findings(budget)
+    findings += tolerance_findings(plan)
+    findings.append(_scope(plan))
+    assessment = replace(assessment, findings=tuple(findings))
+    return with_robustness(plan, assessment, progress) if robustness else assessment
+
+
+def with_robustness(
+    plan: Plan, assessment: Assessment, progress: Progress | None = None
+) -> Assessment:
+    """Add e* and w* to what was found out about a plan; takes a dozen certificates more.
+
+    A plan without cable aloft has none.
+    """
+    if all(phase.cable != "aloft" for phase in plan.phases):
+        return assessment
+    return replace(assessment, robustness=robust_to(plan, assessment.moments, progress))
 
 
 def _failing(moments: Iterable[Moment]) -> list[Moment]:
@@ -207,82 +216,6 @@ def _wind_findings(plan: Plan) -> list[Finding]:
     return [Finding("error", "wind", message)]
 
 
-def _load_findings(plan: Plan) -> list[Finding]:
-    found = loads(plan)
-    if not len(found.time):
-        return []
-    findings = []
-    limit = payload_limit(plan)
-    for quantity, values, allowed, name in (
-        ("payload", found.pull, limit, "vehicle"),
-        ("tension", found.tension, plan.mission.cable.breaking_load, "segment"),
-    ):
-        instant, index = np.unravel_index(np.argmax(values), values.shape)
-        worst = float(values[instant, index])
-        message = (
-            f"{name} {index + 1} bears up to {worst:.2f} N of cable; {allowed:.2f} N are allowed"
-        )
-        severity: Severity = "error" if worst > allowed else "info"
-        findings.append(Finding(severity, quantity, message, float(found.time[instant])))
-    return [*findings, *_breakaway_findings(plan, found), *_mishap_findings(plan, limit)]
-
-
-def _breakaway_findings(plan: Plan, found: Loads) -> list[Finding]:
-    """A cable that is tied on must stay on while all goes well, and let go of one that falls."""
-    breakaway = plan.mission.vehicles.breakaway
-    if breakaway is None:
-        return []
-    instant, index = np.unravel_index(np.argmax(found.pull), found.pull.shape)
-    worst = float(found.pull[instant, index])
-    weight = plan.mission.vehicles.mass * STANDARD_GRAVITY
-    message = (
-        f"the cable is tied on and breaks away at {breakaway:g} N; "
-        f"{vehicle_name(int(index))} bears up to {worst:.2f} N of it"
-    )
-    severity: Severity = "error" if worst >= breakaway else "info"
-    findings = [Finding(severity, "breakaway", message, float(found.time[instant]))]
-    if breakaway >= weight:
-        message = (
-            f"the cable breaks away only at {breakaway:g} N: a dead vehicle, {weight:.1f} N, would "
-            "hang on its neighbours"
-        )
-        findings.append(Finding("warning", "breakaway", message))
-    return findings
-
-
-def _mishap_findings(plan: Plan, limit: float) -> list[Finding]:
-    """What a failure would load on others; beyond the payload a warning, for nobody planned it."""
-    findings = []
-    dead = dead_vehicle(plan)
-    if dead is not None:
-        message = (
-            f"if {vehicle_name(dead.cause)} died in the air, {vehicle_name(dead.bearer)} would "
-            f"bear {dead.pull:.1f} N ({limit:.1f} N is its payload): let go of it at once"
-        )
-        severity: Severity = "warning" if dead.pull > limit else "info"
-        findings.append(Finding(severity, "dead vehicle", message, dead.time))
-    stuck = stuck_gripper(plan)
-    if stuck is not None:
-        message = (
-            f"if the gripper of {vehicle_name(stuck.bearer)} stayed shut at the release, it would "
-            f"bear {stuck.pull:.1f} N of cable ({limit:.1f} N is its payload)"
-        )
-        severity = "warning" if stuck.pull > limit else "info"
-        findings.append(Finding(severity, "stuck gripper", message, stuck.time))
-    return findings
-
-
-def _endurance_findings(plan: Plan) -> list[Finding]:
-    endurance = plan.mission.vehicles.endurance
-    share = plan.duration / endurance
-    message = (
-        f"the plan takes {plan.duration:.0f} s without waiting at gates, {share:.0%} of the "
-        f"vehicles' endurance of {endurance:g} s"
-    )
-    severity: Severity = "error" if share > 1.0 else "warning" if share > 0.8 else "info"
-    return [Finding(severity, "endurance", message)]
-
-
 def _wrong_crossings(plan: Plan, at_time: float) -> list[Finding]:
     """Crossings of the layout where the strand that should pass over hangs below the other."""
     layout = plan.layout
@@ -354,10 +287,6 @@ def _knot(name: str, chirality: str) -> str:
 
 
 def _tightest_findings(moments: Iterable[Moment]) -> list[Finding]:
-    """The tightest moments of all, at most two of one kind, so that kinds can be compared."""
-    ordered = sorted(
-        (moment for moment in moments if moment.check in _CLEARANCES), key=lambda m: m.margin
-    )
     return [
         _at(
             "info",
@@ -367,7 +296,7 @@ def _tightest_findings(moments: Iterable[Moment]) -> list[Finding]:
             f"margin {moment.margin:+.3f} m",
             moment,
         )
-        for number, moment in enumerate(ordered[:TIGHTEST], start=1)
+        for number, moment in enumerate(moments, start=1)
     ]
 
 
@@ -379,50 +308,6 @@ def _tightest(moments: Iterable[Moment], checks: tuple[str, ...], plan: Plan) ->
     return Tightest(max(worst.distance, 0.0), worst.required, worst.time, worst.between)
 
 
-def _budget_findings(plan: Plan, moments: Iterable[Moment]) -> list[Finding]:
-    """What may eat the distance of the strands that are tightest."""
-    ordered = sorted(moments, key=lambda moment: moment.margin)
-    return [
-        Finding(
-            "info",
-            "budget",
-            f"{row.between[0]} and {row.between[1]} are {row.distance:.2f} m apart at their "
-            f"setpoints; tracking may take {row.tracking:.2f} m, what sags and tautens of it "
-            f"{row.amplification:.2f} m, length tolerance {row.length:.2f} m, leaning droppers "
-            f"{row.grip:.2f} m, sway {row.sway:.2f} m, a stop {row.stop:.2f} m, wind "
-            f"{row.wind:.2f} m, rotor wash {row.wash:.2f} m: {row.left:+.2f} m are left if all "
-            "come together",
-            row.time,
-        )
-        for row in budgets(plan, ordered)[:BUDGETS]
-    ]
-
-
-def _window_findings(plan: Plan) -> list[Finding]:
-    """What if it stops here: where the team can land or let go, and how it stops."""
-    found = windows(plan)
-    if not len(found.time):
-        return []
-    findings = []
-    start, end = float(found.time[0]), float(found.time[-1])
-    for flags, what in ((found.land, "land straight down together"), (found.release, "let go")):
-        share = found.share(flags, start, end)
-        wait = found.longest_wait(flags, start, end)
-        distant = wait > FAR_WINDOW
-        near = f"at most {wait:.1f} s away" if share else "never"
-        message = f"all can {what} at {share:.0%} of the moments with the cable aloft, {near}"
-        findings.append(Finding("warning" if distant else "info", "windows", message))
-    stop = longest_stop(plan)
-    message = f"the longest stop along the path takes {stop.time:.1f} s and {stop.distance:.2f} m"
-    findings.append(Finding("info", "windows", message, stop.at_time))
-    for gate in plan.gates:
-        aloft = gate.time <= end + 1e-6
-        if gate.condition == "released" and aloft and not found.releasable(gate.time):
-            message = "cable would fall on a vehicle at the planned release"
-            findings.append(Finding("error", "release", message, gate.time))
-    return findings
-
-
 def _scope(plan: Plan) -> Finding:
     tracking = plan.mission.vehicles.tracking
     ball = (
@@ -430,6 +315,9 @@ def _scope(plan: Plan) -> Finding:
         if tracking > 0
         else "for exact tracking only (vehicles.tracking is 0: geometry only)"
     )
+    if all(phase.cable != "aloft" for phase in plan.phases):
+        message = f"distances of vehicles are certified {ball}; no cable is carried"
+        return Finding("info", "scope", message)
     return Finding(
         "info",
         "scope",

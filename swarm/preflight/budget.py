@@ -15,16 +15,23 @@ import numpy.typing as npt
 from swarm.cable.catenary import STANDARD_GRAVITY, Catenaries, hang
 from swarm.cable.distance import polyline_polyline
 from swarm.plans import Plan
+from swarm.preflight.air import (
+    AIR_DENSITY,
+    DRAG_COEFFICIENT,
+    jet_speed,
+    jet_width,
+    wind_down,
+)
 from swarm.preflight.certificate import STILL_AIR, Moment, Place
 from swarm.preflight.response import response
-from swarm.preflight.robustness import AIR_DENSITY, DIRECTIONS, DRAG_COEFFICIENT, wind_down
 from swarm.preflight.sensitivity import BOTH_ENDS
 
 Floats = npt.NDArray[np.float64]
 
+DIRECTIONS = 8
+"""Headings of wind and of braking that are tried."""
+
 _PIECES = 64
-_JET_DECAY = 6.2
-"""A round turbulent jet's axial speed is 6.2 of its diameter over the distance (Pope 2000, 5.1)."""
 
 
 @dataclass(frozen=True)
@@ -225,30 +232,22 @@ def _wind(plan: Plan, strands: tuple[_Strand, _Strand]) -> float:
 def _wash(plan: Plan, place: Floats, strand: _Strand) -> float:
     """How far the downwash of the vehicle that blows hardest on the spot can push it.
 
-    Momentum theory: far below a rotor disc of radius R that carries T the jet has twice the speed
-    √(T / 2ρA) and radius R/√2; beyond about six diameters it decays like a round turbulent jet and
-    spreads by a tenth. Its drag on the cable within it hangs on the strand as a point load, which
-    deflects it by about F·s(1 − s)·span / H, H the horizontal tension, and never beyond where both
-    parts of the strand are straight. The vehicles that hold the strand are left out: at their grip
-    both of their segments begin in the same jet.
+    The drag of the vehicle's jet on the cable within it (:func:`jet_speed`) hangs on the strand as
+    a point load, which deflects it by about F·s(1 − s)·span / H, H the horizontal tension, and
+    never beyond where both parts of the strand are straight. The vehicles that hold the strand are
+    left out: at their grip both of their segments begin in the same jet.
     """
-    mission, vehicles = plan.mission, plan.mission.vehicles
-    thrust = (vehicles.mass + vehicles.payload) * STANDARD_GRAVITY
-    area = math.pi * vehicles.radius**2
-    speed = 2.0 * math.sqrt(thrust / (2.0 * AIR_DENSITY * area))
-    radius = vehicles.radius / math.sqrt(2.0)
+    mission = plan.mission
     hung = strand.hung()
     spot = hung.points_at(strand.fraction)
-    below = place[:, 2] + vehicles.grip_offset - spot[2]
+    below = place[:, 2] + mission.vehicles.grip_offset - spot[2]
     aside = np.hypot(place[:, 0] - spot[0], place[:, 1] - spot[1])
-    width = radius + 0.1 * np.maximum(below, 0.0)
-    within = (below > 0.0) & (aside < width)
-    within[strand.segment : strand.segment + 2] = False
-    if not within.any():
+    speed = jet_speed(mission, below, aside)
+    speed[strand.segment : strand.segment + 2] = 0.0
+    if not speed.any():
         return 0.0
-    decay = np.minimum(1.0, _JET_DECAY * 2.0 * radius / np.maximum(below, 1e-9))
-    drag = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * mission.cable.diameter * (speed * decay) ** 2
-    load = float(np.max(np.where(within, drag * 2.0 * width, 0.0)))
+    drag = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * mission.cable.diameter * speed**2
+    load = float(np.max(drag * 2.0 * jet_width(mission, np.maximum(below, 0.0))))
     horizontal = float(hung.tension(mission.cable.mass_per_length)[0])
     share = strand.fraction * (1.0 - strand.fraction)
     deflection = load * share * float(hung.span) / max(horizontal, 1e-6)

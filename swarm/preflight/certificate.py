@@ -35,8 +35,20 @@ STILL_AIR = (0.0, 0.0, -1.0)
 _DRAGGED = frozenset({"contract", "spread"})
 """Phases in which the cable is held and drawn along the floor."""
 
-_ROOT = 1.0
+ROOT = 1.0
 """Seconds; the widest interval that is tried."""
+
+
+CLEARANCES = (
+    "cable clearance",
+    "neighbouring segments",
+    "reach on the floor",
+    "vehicle clearance",
+    "vehicle-cable clearance",
+    "rotor disc",
+    "floor",
+)
+"""Checks whose moments are distances to compare, for the five that are always reported."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +139,7 @@ def certified(plan: Plan, *, tracking: float, down: Place = STILL_AIR) -> bool:
     Much quicker than :func:`tightest_moments`, since it measures nothing beyond yes and no.
     """
     return all(
-        holds(family.evaluate, roots(len(family.names), family.spans, _ROOT))
+        holds(family.evaluate, roots(len(family.names), family.spans, ROOT))
         for family in families(plan, tracking, down)
         if family.spans and family.names
     )
@@ -136,7 +148,7 @@ def certified(plan: Plan, *, tracking: float, down: Place = STILL_AIR) -> bool:
 def moments_of(family: Family) -> list[Moment]:
     """Return the tightest moments of a family, at most five, tightest first."""
     count = len(family.names)
-    minima = smallest(family.evaluate, count, roots(count, family.spans, _ROOT))
+    minima = smallest(family.evaluate, count, roots(count, family.spans, ROOT))
     moments: list[Moment] = []
     for pair in minima.tightest():
         x, y, z = (float(value) for value in minima.place[pair])

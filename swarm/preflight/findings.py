@@ -5,6 +5,11 @@ from typing import Literal
 
 from swarm.errors import Refused
 from swarm.plans import Plan
+from swarm.preflight.budget import Budget
+from swarm.preflight.certificate import CLEARANCES, Moment
+
+TIGHTEST = 5
+"""So many of the tightest moments are always told."""
 
 Severity = Literal["error", "warning", "info"]
 
@@ -46,8 +51,34 @@ class Robustness:
 
 
 @dataclass(frozen=True)
+class Window:
+    """A way out of the plan while the cable is aloft: share of the time at which it is open.
+
+    ``wait`` is the largest time in seconds to the nearest open moment, forward or back; infinite
+    where there is none.
+    """
+
+    share: float
+    wait: float
+
+
+@dataclass(frozen=True)
+class Stops:
+    """What if it stops here: windows to land together and to let go, and the longest stop."""
+
+    land: Window
+    release: Window
+    time: float
+    distance: float
+
+
+@dataclass(frozen=True)
 class Assessment:
-    """Everything that the pre-flight checks found out about a plan."""
+    """Everything that the pre-flight checks found out about a plan.
+
+    ``moments`` are the tightest of each kind of clearance, ``budget`` says what may eat the
+    distances of the tightest strands; ``stops`` is None where the cable is never aloft.
+    """
 
     findings: tuple[Finding, ...]
     cable: Tightest
@@ -57,6 +88,15 @@ class Assessment:
     chirality: Literal["left", "right", "none"]
     gauss: str
     robustness: Robustness = field(default_factory=Robustness)
+    moments: tuple[Moment, ...] = ()
+    budget: tuple[Budget, ...] = ()
+    stops: Stops | None = None
+
+    @property
+    def tightest(self) -> tuple[Moment, ...]:
+        """The five tightest moments of all clearances, tightest first."""
+        apart = [moment for moment in self.moments if moment.check in CLEARANCES]
+        return tuple(sorted(apart, key=lambda moment: moment.margin)[:TIGHTEST])
 
     @property
     def cleared(self) -> bool:

@@ -1,11 +1,18 @@
 """How much worse than planned it may be: e*, the tracking error, and w*, the steady wind."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 
-from swarm.cable.catenary import STANDARD_GRAVITY
+import numpy as np
+
 from swarm.plans import Plan
-from swarm.preflight.certificate import STILL_AIR, Place, certified
+from swarm.preflight.air import wind_down
+from swarm.preflight.certificate import ROOT, STILL_AIR, Family, Moment, families
+from swarm.preflight.findings import Robustness
+from swarm.preflight.search import Boxes, failing, holds, roots
+
+Progress = Callable[[str, float], None]
 
 MOST_TRACKING = 1.0
 TRACKING_STEP = 0.005
@@ -13,52 +20,50 @@ MOST_WIND = 15.0
 WIND_STEP = 0.1
 DIRECTIONS = 8
 
-AIR_DENSITY = 1.225
-DRAG_COEFFICIENT = 1.1
-"""Of a cylinder across the flow, at the Reynolds numbers of a cable (Hoerner 1965, p. 3-9)."""
+
+def robust_to(
+    plan: Plan, moments: Iterable[Moment], progress: Progress | None = None
+) -> Robustness:
+    """Return e* and w* of a plan with its tightest moments; ``progress`` is told of both."""
+    moments = tuple(moments)
+    if progress:
+        progress("largest tracking error", 0.0)
+    tracking = largest_tracking(plan, moments)
+    if progress:
+        progress("largest steady wind", 0.2)
+    found = Robustness(tracking, largest_wind(plan, moments))
+    if progress:
+        progress("largest steady wind", 1.0)
+    return found
 
 
-def wind_down(plan: Plan, speed: float, heading: float) -> Place:
-    """Return the unit vector of a cable's effective gravity in a steady wind.
-
-    ``speed`` in m/s blows towards ``heading`` (radians from east to north). The drag is that of
-    strands across the wind, ½ρ·c·d·v² per metre, and so an upper bound for the others.
-    """
-    cable = plan.mission.cable
-    drag = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * cable.diameter * speed * speed
-    weight = cable.mass_per_length * STANDARD_GRAVITY
-    size = math.hypot(drag, weight)
-    return (drag / size * math.cos(heading), drag / size * math.sin(heading), -weight / size)
-
-
-def largest_tracking(plan: Plan) -> float | None:
+def largest_tracking(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
     """Return e*, metres: the largest tracking ball for which the certificate holds.
 
-    Found by bisection from below to TRACKING_STEP, so it does hold there; None where the
-    certificate does not even hold for exact tracking. At most MOST_TRACKING.
+    Found to TRACKING_STEP from below, so it does hold there; None where the certificate does not
+    even hold for exact tracking. At most MOST_TRACKING. The tightest ``moments`` of the mission's
+    own tracking ball need not be given; where they are, the answer comes sooner.
     """
-    return _largest(
-        lambda error: certified(plan, tracking=error, down=STILL_AIR), MOST_TRACKING, TRACKING_STEP
-    )
+    moments = tuple(moments)
+
+    def cases(error: float) -> Cases:
+        return {0: lambda: families(plan, error, STILL_AIR)}
+
+    tracking = plan.mission.vehicles.tracking
+    search = _Search(cases, _tight(moments))
+    return _largest(search, tracking, _all_held(moments), MOST_TRACKING, TRACKING_STEP)
 
 
-def largest_wind(plan: Plan) -> float | None:
+def largest_wind(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
     """Return w*, m/s: the largest steady wind from any direction for which the certificate holds.
 
     All strands tilt with their drag, at the mission's tracking ball; DIRECTIONS directions are
-    tried. None where the certificate does not hold in still air. At most MOST_WIND.
+    tried. None where the certificate does not hold in still air. At most MOST_WIND. ``moments``
+    as for :func:`largest_tracking`.
     """
-    headings = _headings()
-
-    def holds(speed: float) -> bool:
-        worst = _failing_heading(plan, speed, headings)
-        if worst is not None:
-            # The wind that broke it last is the likeliest to break it again: try it first.
-            headings.remove(worst)
-            headings.insert(0, worst)
-        return worst is None
-
-    return _largest(holds, MOST_WIND, WIND_STEP)
+    moments = tuple(moments)
+    search = _Search(lambda speed: _windy(plan, speed), _tight(moments))
+    return _largest(search, 0.0, _all_held(moments), MOST_WIND, WIND_STEP)
 
 
 def holds_in_wind(plan: Plan, speed: float) -> bool:
@@ -66,28 +71,128 @@ def holds_in_wind(plan: Plan, speed: float) -> bool:
 
     At the mission's tracking ball, for DIRECTIONS directions.
     """
-    return _failing_heading(plan, speed, _headings()) is None
+    return _Search(lambda x: _windy(plan, x), {}).holds(speed)
 
 
-def _headings() -> list[float]:
-    return [2.0 * math.pi * k / DIRECTIONS for k in range(DIRECTIONS)]
+Cases = Mapping[int, Callable[[], tuple[Family, ...]]]
+"""What must hold together, each case with a number that it keeps when the value changes."""
 
 
-def _failing_heading(plan: Plan, speed: float, headings: list[float]) -> float | None:
+def _windy(plan: Plan, speed: float) -> Cases:
+    """Still air, or the wind from every direction; vehicles do not care, in this model."""
     tracking = plan.mission.vehicles.tracking
-    for heading in headings if speed > 0.0 else headings[:1]:
-        if not certified(plan, tracking=tracking, down=wind_down(plan, speed, heading)):
-            return heading
-    return None
+    if speed == 0.0:
+        return {0: lambda: families(plan, tracking, STILL_AIR)}
+
+    def blown(towards: float) -> tuple[Family, ...]:
+        every = families(plan, tracking, wind_down(plan, speed, towards))
+        return tuple(family for family in every if family.check not in _WINDLESS)
+
+    headings = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    return {k: partial(blown, float(heading)) for k, heading in enumerate(headings)}
 
 
-def _largest(ok: Callable[[float], bool], most: float, step: float) -> float | None:
-    if not ok(0.0):
+_WINDLESS = frozenset({"taut", "vehicle clearance", "ceiling", "over-stretched on the floor"})
+"""Checks that are the same in any wind: of vehicles and of chords alone."""
+
+
+class _Search:
+    """Tries values, those boxes first in which earlier ones failed."""
+
+    def __init__(self, cases: Callable[[float], Cases], tight: "Tight") -> None:
+        self._cases = cases
+        self._tight = tight
+        self._known: dict[tuple[int, int], set[tuple[int, float]]] = {}
+        self._worst = 0
+
+    def holds_where_it_is_tight(self, value: float) -> bool:
+        """Whether the value holds in the boxes that are known to matter; quick."""
+        for case, every in self._likely_first(value):
+            for index, family in enumerate(every):
+                known = self._known.setdefault((case, index), self._tight_of(family))
+                if known and not holds(family.evaluate, _boxes(family, known)):
+                    self._worst = case
+                    return False
+        return True
+
+    def _likely_first(self, value: float) -> Iterator[tuple[int, tuple[Family, ...]]]:
+        """All cases, the one first that failed last: it is the likeliest to fail again."""
+        cases = self._cases(value)
+        for case in sorted(cases, key=lambda case: case != self._worst):
+            yield case, cases[case]()
+
+    def _tight_of(self, family: Family) -> set[tuple[int, float]]:
+        return {
+            (pair, time)
+            for pair, between in enumerate(family.names)
+            for time in self._tight.get((family.check, between), ())
+            if any(start <= time <= end for start, end in family.spans)
+        }
+
+    def holds(self, value: float) -> bool:
+        """Whether the value holds everywhere; where it does not, that box is known from now on."""
+        for case, every in self._likely_first(value):
+            for index, family in enumerate(every):
+                if not (family.spans and family.names):
+                    continue
+                found = failing(family.evaluate, roots(len(family.names), family.spans, ROOT))
+                if found is not None:
+                    self._known.setdefault((case, index), set()).add(found)
+                    self._worst = case
+                    return False
+        return True
+
+
+def _boxes(family: Family, known: set[tuple[int, float]]) -> Boxes:
+    """Boxes of a root's width around where pairs failed, within the family's times."""
+    rows = []
+    for pair, time in sorted(known):
+        start, end = next(span for span in family.spans if span[0] <= time <= span[1])
+        low, high = max(start, time - 0.5 * ROOT), min(end, time + 0.5 * ROOT)
+        rows.append((pair, 0.5 * (low + high), 0.5 * (high - low)))
+    pairs, middles, halves = (np.array(column) for column in zip(*rows, strict=True))
+    ones = np.ones(len(pairs), dtype=np.intp)
+    return Boxes(pairs.astype(np.intp), middles, halves, ones, ones)
+
+
+Tight = Mapping[tuple[str, tuple[str, str]], Iterable[float]]
+"""Times that are known to be tight, by check and pair."""
+
+
+def _tight(moments: Iterable[Moment]) -> Tight:
+    times: dict[tuple[str, tuple[str, str]], list[float]] = {}
+    for moment in moments:
+        times.setdefault((moment.check, moment.between), []).append(moment.time)
+    return times
+
+
+def _all_held(moments: tuple[Moment, ...]) -> bool:
+    return bool(moments) and all(moment.margin >= 0.0 for moment in moments)
+
+
+def _largest(search: _Search, likely: float, known: bool, most: float, step: float) -> float | None:
+    """Largest value that holds, to ``step``; ``likely`` is tried first, or ``known`` to hold.
+
+    Bisects over the boxes that are known to be tight, and asks for all of them only about what is
+    left: most values are refused by few boxes.
+    """
+    good, bad = 0.0, most + step
+    if known or search.holds(likely):
+        good = likely
+    elif likely == 0.0 or not search.holds(0.0):
         return None
-    if ok(most):
-        return most
-    good, bad = 0.0, most
+    else:
+        bad = likely
     while bad - good > step:
-        middle = 0.5 * (good + bad)
-        good, bad = (middle, bad) if ok(middle) else (good, middle)
+        low, high = good, bad
+        while high - low > 0.25 * step:
+            middle = 0.5 * (low + high)
+            fine = middle <= most and search.holds_where_it_is_tight(middle)
+            low, high = (middle, high) if fine else (low, middle)
+        if low - good <= 0.25 * step:
+            break
+        if search.holds(low):
+            good, bad = low, high
+        else:
+            bad = low
     return good

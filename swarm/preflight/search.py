@@ -134,6 +134,11 @@ def smallest(
 
 def holds(evaluate: Evaluator, boxes: Boxes) -> bool:
     """Whether every margin is certified not to be negative; stops at the first that is."""
+    return failing(evaluate, boxes) is None
+
+
+def failing(evaluate: Evaluator, boxes: Boxes) -> tuple[int, float] | None:
+    """Return pair and time of a margin that cannot be certified not to be negative, if any."""
     while len(boxes):
         found = _evaluated(evaluate, boxes)
         open_yet = found.low < 0.0
@@ -141,10 +146,12 @@ def holds(evaluate: Evaluator, boxes: Boxes) -> bool:
             np.maximum(boxes.first, boxes.second) > _DEEPEST_PIECE
         )
         narrow = found.doubts.sum(axis=1) < 0.5 * TOLERANCE
-        if np.any(found.high < 0.0) or np.any(open_yet & (exhausted | narrow)):
-            return False
+        lost = (found.high < 0.0) | (open_yet & (exhausted | narrow))
+        if lost.any():
+            worst = int(np.argmin(np.where(lost, found.high, np.inf)))
+            return int(boxes.pair[worst]), float(boxes.time[worst])
         boxes = _cut(boxes.taken(open_yet), found.doubts[open_yet])
-    return True
+    return None
 
 
 def _evaluated(evaluate: Evaluator, boxes: Boxes) -> Enclosure:

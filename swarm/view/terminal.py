@@ -11,18 +11,15 @@ from typing import Final, Self
 import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.padding import Padding
 from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.plans import Plan
-from swarm.preflight.findings import Assessment, Finding, Tightest
 from swarm.view import scene
-from swarm.view.words import ROUTINE, clip_rows, clock, level, merged, metres, seconds, sentence
+from swarm.view.words import ROUTINE, clip_rows, clock, level, merged, metres, sentence
 
-SEVERITY_STYLES: Final = {"error": "bold red", "warning": "yellow", "info": "dim"}
 STATE_STYLES: Final = {
     "idle": "dim",
     "armed": "green",
@@ -33,111 +30,6 @@ STATE_STYLES: Final = {
 LEVEL_STYLES: Final = {"ERROR": "bold red", "WARN": "yellow", "INFO": "default"}
 LAST_EVENTS: Final = 6
 RECENT_EVENTS: Final = 200
-
-
-def plan_summary(plan: Plan, assessment: Assessment, console: Console) -> None:
-    """Print a plan's figures and what the checks found, the worst first."""
-    console.print(_headline(plan, assessment))
-    console.print(Padding(_figures(plan, assessment), (0, 0, 0, 2), expand=False))
-    console.print(Padding(_clearances(assessment), (1, 0, 0, 2), expand=False))
-    findings(assessment, console)
-
-
-def findings(assessment: Assessment, console: Console) -> None:
-    """Print what the checks have to say, errors before warnings before remarks."""
-    if assessment.findings:
-        console.print(Padding(findings_table(assessment.findings), (1, 0, 0, 2), expand=False))
-    errors = sum(finding.severity == "error" for finding in assessment.findings)
-    verdict = (
-        Text("Cleared: certified in the quasi-static cable model.", "green")
-        if assessment.cleared
-        else Text(f"Refused: {errors} error{'s' if errors > 1 else ''}.", "bold red")
-    )
-    console.print(Padding(verdict, (1, 0, 0, 0), expand=False))
-
-
-def _headline(plan: Plan, assessment: Assessment) -> Text:
-    hand = f", {plan.knot.chirality}-handed" if plan.knot.chirality != "none" else ""
-    line = Text(f"{plan.mission.name}: ", "bold")
-    line.append(f"knot {plan.knot.type}{hand}", "bold")
-    if (assessment.knot, assessment.chirality) != (plan.knot.type, plan.knot.chirality):
-        line.append(f"; the planned cable is {assessment.knot}, {assessment.chirality}", "bold red")
-    return line
-
-
-def _figures(plan: Plan, assessment: Assessment) -> Table:
-    layout = plan.layout
-    fold = plan.phase("fold")
-    robustness = assessment.robustness
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim")
-    table.add_column()
-    table.add_row("Gauss code", plan.knot.gauss)
-    grid = f", cell {metres(layout.cell)}" if layout.cell > 0 else ""
-    size = len(plan.knot.grid_columns)
-    table.add_row("Layout", f"{size}×{size} grid{grid}" if size else "given corners")
-    table.add_row("Vehicles", str(plan.vehicles))
-    lengths = layout.lengths
-    table.add_row(
-        "Cable",
-        f"{metres(lengths.sum())} in {len(lengths)} segments of "
-        f"{metres(lengths.min())} to {metres(lengths.max())}",
-    )
-    table.add_row("Sags", f"{metres(layout.sags.min())} to {metres(layout.sags.max())}")
-    table.add_row(
-        "Duration", f"{seconds(plan.duration)}, of which the fold {seconds(fold.end - fold.start)}"
-    )
-    tracking = plan.mission.vehicles.tracking
-    ball = metres(tracking) if tracking > 0 else "0 (geometry only)"
-    limits = [f"certified for {ball}"]
-    if robustness.tracking is not None:
-        limits.append(f"would hold up to {metres(robustness.tracking)}")
-    table.add_row("Tracking error", ", ".join(limits))
-    if robustness.wind is not None:
-        table.add_row("Steady wind", f"would hold up to {robustness.wind:.1f} m/s")
-    return table
-
-
-def _clearances(assessment: Assessment) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column("Smallest distance")
-    for name in ("kept", "required", "at"):
-        table.add_column(name, justify="right")
-    table.add_column("between")
-    for kind, tightest in (
-        ("cable to cable", assessment.cable),
-        ("vehicle to vehicle", assessment.vehicle),
-        ("vehicle to cable", assessment.vehicle_cable),
-    ):
-        table.add_row(kind, *_tightest(tightest))
-    return table
-
-
-def _tightest(tightest: Tightest) -> tuple[RenderableType, ...]:
-    if not np.isfinite(tightest.distance):
-        return ("–", metres(tightest.required), "–", "–")
-    fine = tightest.distance >= tightest.required
-    return (
-        Text(metres(tightest.distance), "green" if fine else "bold red"),
-        metres(tightest.required),
-        seconds(tightest.time),
-        " and ".join(tightest.between),
-    )
-
-
-def findings_table(found: tuple[Finding, ...]) -> Table:
-    """Return a table of findings, errors before warnings before remarks."""
-    order = list(SEVERITY_STYLES)
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column("Finding", no_wrap=True)
-    table.add_column("check", no_wrap=True)
-    table.add_column("says", ratio=1)
-    table.add_column("at", justify="right", no_wrap=True)
-    for finding in sorted(found, key=lambda finding: order.index(finding.severity)):
-        when = "" if finding.at_time is None else seconds(finding.at_time)
-        severity = Text(finding.severity, SEVERITY_STYLES[finding.severity])
-        table.add_row(severity, finding.check, Text(finding.message), when)
-    return table
 
 
 class FlightScreen:

@@ -6,7 +6,8 @@ from rich.console import Console
 
 from swarm.flight.snapshot import Event
 from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
-from swarm.view.terminal import FlightScreen, plan_summary, team_table
+from swarm.view.summary import plan_summary
+from swarm.view.terminal import FlightScreen, team_table
 from swarm.view.words import clip_rows, clock, level, metres, seconds
 from tests.view.synthetic import snapshot_at, trefoil_plan
 
