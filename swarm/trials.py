@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Final, Literal
@@ -36,7 +36,7 @@ from swarm.rehearse import Emulator, Fault, faults_from, rehearse, scenario_sche
 from swarm.verify import judge
 
 Floats = npt.NDArray[np.float64]
-Generator = np.random.Generator
+Random = np.random.Generator
 
 SAMPLE_INTERVAL: Final = 0.4
 """Seconds of flight between the moments at which a trial's distances are taken."""
@@ -246,11 +246,11 @@ def draw(
     )
 
 
-def _bounded(rng: Generator, sigma: float, count: int) -> Floats:
+def _bounded(rng: Random, sigma: float, count: int) -> Floats:
     return np.clip(rng.normal(0.0, sigma, count), -2.0 * sigma, 2.0 * sigma)
 
 
-def _failure(plan: Plan, fleet: Fleet, spread: Spread, rng: Generator) -> Fault | None:
+def _failure(plan: Plan, fleet: Fleet, spread: Spread, rng: Random) -> Fault | None:
     if rng.uniform() >= spread.failing or not spread.failures:
         return None
     kind = str(rng.choice(spread.failures))
@@ -387,7 +387,7 @@ def fly_trials(
     faults: Sequence[Fault] = (),
     jobs: int | None = None,
     scheduler: str | None = None,
-) -> Iterator[Trial]:
+) -> Generator[Trial, None, None]:
     """Fly trials in parallel; yields each as soon as it is done, in no order.
 
     ``jobs`` processes of this machine (None: as many as it has cores), or the workers of the Dask
@@ -436,7 +436,7 @@ def _parallel(
     seed: int,
     trials: Iterable[int],
     faults: Sequence[Fault],
-) -> Iterator[Trial]:
+) -> Generator[Trial, None, None]:
     work = Parallel(return_as="generator_unordered")
     done = work(delayed(_in_worker)(proven, spread, seed, trial, faults) for trial in trials)
     try:

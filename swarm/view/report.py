@@ -123,6 +123,56 @@ def trials_report(
     )
 
 
+def rope_report(
+    plan: Plan, assessment: Assessment, told: Sequence[Mapping[str, Any]], figure: Figure
+) -> str:
+    """Return the page of a simulated rope.
+
+    ``told`` are the JSON objects that ``swarm dry-run --rope --json`` prints, this plan's first.
+    """
+    first = told[0]
+    implied = _knot(first["knot"]["type"], first["knot"]["chirality"])
+    good = first["knot"]["as_planned"] and not first["void"]
+    words = (
+        f"This run shows nothing: {'; '.join(first['void'])}."
+        if first["void"]
+        else f"The rope ends in {implied}{'' if good else ', which is not what was planned'}."
+    )
+    return page(
+        f"Rope: {plan.mission.name}",
+        tag("h1", f"{plan.mission.name}: a rope of {first['links']} links"),
+        tag("p", f"Asked for {_knot(plan.knot.type, plan.knot.chirality)}", kind="dim"),
+        tag("div", words, kind="verdict good" if good else "verdict bad"),
+        section("Pictures", pictures(picture(figure, "The rope's motion and end", wide=True))),
+        section("Figures", _rope_table(told)),
+        section("The plan", key_figures(_plan_figures(plan, assessment)), _findings(assessment)),
+        _footer(),
+    )
+
+
+def _rope_table(told: Sequence[Mapping[str, Any]]) -> Html:
+    def depth(one: Mapping[str, Any]) -> str:
+        return (
+            f"{one['penetration']['radii']:.2f} radii (void beyond {one['penetration']['most']:g})"
+        )
+
+    rows = [
+        ("knot", *(_knot(one["knot"]["type"], one["knot"]["chirality"]) for one in told)),
+        ("shows something", *("no" if one["void"] else "yes" for one in told)),
+        ("closest strands", *(_or_dash(one["smallest_distance"], "m") for one in told)),
+        ("deepest penetration", *map(depth, told)),
+        ("largest stretch", *(f"{one['stretch']['share']:.2%}" for one in told)),
+        ("top speed", *(f"{one['speed']['metres_per_second']:.1f} m/s" for one in told)),
+        (
+            "farthest from the quasi-static cable",
+            *(metres(one["stray"]["largest"]) for one in told),
+        ),
+        ("the budget's sway and stop", *(metres(one["stray"]["budget"]) for one in told)),
+        ("simulated, took", *(f"{one['simulated']:.0f} s, {one['took']:.0f} s" for one in told)),
+    ]
+    return table(("", *(one["trajectory"] for one in told)), rows)
+
+
 def _whose(told: Mapping[str, Any]) -> str:
     return "The paper's trajectory" if told["method"] == "paper" else "This plan"
 

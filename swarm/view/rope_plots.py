@@ -1,0 +1,106 @@
+"""Figures of a simulated rope: how far it strays from the quasi-static cable, and where it ends."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from swarm.view.plots import ALARM, END, INK, START, STYLE, Axes
+
+Floats = npt.NDArray[np.float64]
+
+_COLOURS: Final = (START, END)
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """A rope's run under its trajectory's name.
+
+    ``stray`` and ``apart`` (k,) at times (k,), ``shape`` (m, 3) at the end; metres and seconds.
+    ``verdict`` says in words what came of it.
+    """
+
+    label: str
+    verdict: str
+    times: Floats
+    stray: Floats
+    apart: Floats
+    shape: Floats
+
+
+def rope_figure(runs: Sequence[Moved], sway: float, required: float) -> Figure:
+    """Return the whole picture; ``sway`` is what the budget allows, ``required`` the clearance."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11.0, 2.9 + 3.6 * len(runs)), layout="constrained")
+        FigureCanvasAgg(figure)
+        cells = figure.add_gridspec(1 + len(runs), 2, height_ratios=[2.9, *[3.6] * len(runs)])
+        draw_stray(figure.add_subplot(cells[0, 0]), runs, sway)
+        draw_apart(figure.add_subplot(cells[0, 1]), runs, required)
+        for row, run in enumerate(runs, 1):
+            draw_rope_above(figure.add_subplot(cells[row, 0]), run)
+            draw_rope(figure.add_subplot(cells[row, 1], projection="3d"), run)
+        return figure
+
+
+def draw_stray(axes: Axes, runs: Sequence[Moved], sway: float) -> None:
+    """Draw how far the rope was from the quasi-static cable, over time."""
+    for run, colour in zip(runs, _COLOURS, strict=False):
+        axes.plot(run.times, run.stray, color=colour, linewidth=1.4, label=run.label)
+    axes.axhline(sway, color=ALARM, linewidth=1.2, linestyle="--")
+    _say_at(axes, sway, f"sway and stop in the budget: {sway:.2f} m")
+    axes.set(xlabel="time, s", ylabel="largest distance, m")
+    axes.set_title("Rope from the quasi-static cable")
+    axes.set_ylim(bottom=0.0)
+    if len(runs) > 1:
+        axes.legend(fontsize=7.5, frameon=False)
+
+
+def draw_apart(axes: Axes, runs: Sequence[Moved], required: float) -> None:
+    """Draw the smallest distance of segments that share no vehicle, over time."""
+    for run, colour in zip(runs, _COLOURS, strict=False):
+        axes.plot(run.times, run.apart, color=colour, linewidth=1.4, label=run.label)
+    axes.axhline(required, color=ALARM, linewidth=1.2, linestyle="--")
+    _say_at(axes, required, f"required {required:.2f} m")
+    axes.set(xlabel="time, s", ylabel="smallest distance, m", title="Strand to strand, as it moved")
+    axes.set_ylim(bottom=min(0.0, *(float(run.apart.min(initial=0.0)) for run in runs)))
+
+
+def _say_at(axes: Axes, height: float, words: str) -> None:
+    axes.annotate(
+        words, (1.0, height), xycoords=("axes fraction", "data"), color=ALARM, fontsize=7.5,
+        ha="right", va="bottom",
+    )  # fmt: skip
+
+
+def _coloured(shape: Floats) -> Floats:
+    share = np.linspace(0.0, 1.0, len(shape) - 1)[:, None]
+    colours: Floats = (1 - share) * START + share * END
+    return colours
+
+
+def draw_rope_above(axes: Axes, run: Moved) -> None:
+    """Draw the rope at the end from above; the higher strand covers the lower one."""
+    shape, colours = run.shape, _coloured(run.shape)
+    for k in np.argsort(shape[1:, 2] + shape[:-1, 2]):
+        pair = shape[k : k + 2, :2].T
+        axes.plot(*pair, color="white", linewidth=5.0, solid_capstyle="butt")
+        axes.plot(*pair, color=colours[k], linewidth=2.0, solid_capstyle="round")
+    axes.plot(*shape[[0, -1], :2].T, "o", color=INK, markersize=4)
+    axes.set_aspect("equal")
+    axes.set(xlabel="east, m", ylabel="north, m", title=f"{run.label}: {run.verdict}")
+
+
+def draw_rope(axes: Axes, run: Moved) -> None:
+    """Draw the rope at the end in space."""
+    shape, colours = run.shape, _coloured(run.shape)
+    for k in range(len(shape) - 1):
+        axes.plot(*shape[k : k + 2].T, color=colours[k], linewidth=1.6)
+    low, high = shape.min(axis=0), shape.max(axis=0)
+    axes.set_box_aspect(np.maximum(high - low, 0.2 * (high - low).max()), zoom=0.95)
+    axes.view_init(elev=28, azim=-62)
+    axes.set(xlabel="east, m", ylabel="north, m", zlabel="up, m", title="in space, at the end")
