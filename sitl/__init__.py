@@ -15,10 +15,13 @@ Conventions: the world is ENU metres about the world file's origin; a vehicle's 
 the floor. LOCAL_POSITION_NED is of the centre, about the vehicle's own origin, which by default is
 where its estimator started (its centre on its pad) moved by up to 30 m.
 
-What makes QGroundControl show a vehicle as ready is answered: HEARTBEAT, AUTOPILOT_VERSION,
-parameters (FILE_TRANSFER_PROTOCOL is refused at once, so that it falls back to PARAM_REQUEST_LIST),
-mission, fence and rally counts, SYS_STATUS with the pre-arm bit, EXTENDED_SYS_STATE, HOME_POSITION,
-GPS_RAW_INT, GLOBAL_POSITION_INT, ATTITUDE, VFR_HUD and BATTERY_STATUS.
+What QGroundControl asks for before it shows a vehicle as ready is answered, in its order (its
+``src/Vehicle/InitialConnectStateMachine.cc``): HEARTBEAT; AUTOPILOT_VERSION on REQUEST_MESSAGE;
+AVAILABLE_MODES and COMPONENT_METADATA, which are refused, and it goes on without; all parameters
+(over FILE_TRANSFER_PROTOCOL, which is refused at once, so that it falls back to
+PARAM_REQUEST_LIST); mission, fence and rally points. Then its ``Vehicle.cc`` shows what SYS_STATUS
+(with the pre-arm bit), EXTENDED_SYS_STATE, HOME_POSITION, GPS_RAW_INT, GLOBAL_POSITION_INT,
+ATTITUDE, VFR_HUD and BATTERY_STATUS say. `tests/sitl/test_services.py` goes through it.
 """
 
 from sitl.emulator import Emulator, Truth

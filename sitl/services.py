@@ -31,6 +31,7 @@ _LARGEST_RATE = 200.0
 _SLOWEST = 2000.0
 _LARGEST_ID = 65535
 _FARTHEST = 1e5
+_ABOVE_SEA, _ABOVE_HOME = (0, 5), (3, 6)
 
 
 def emit(v: Vehicle, name: str, link: Link) -> bool:
@@ -353,6 +354,28 @@ def _data_stream(v: Vehicle, message: Any, link: Link) -> None:
         link.stream(name, 1.0 / rate if on else None, v.now)
 
 
+def _global_setpoint(v: Vehicle, message: Any, _: Link) -> None:
+    """A setpoint in degrees, above the sea or above home, becomes a local one."""
+    m = message
+    if not addressed(v, m) or m.coordinate_frame not in {*_ABOVE_SEA, *_ABOVE_HOME}:
+        return
+    if not v.global_valid or v.home is None:
+        return
+    x, y = v.around.geodesy.metres(m.lat_int * 1e-7, m.lon_int * 1e-7)
+    above_sea = m.coordinate_frame in _ABOVE_SEA
+    z = m.alt + (-v.around.geodesy.altitude if above_sea else float(v.home[2]))
+    local = v.to_local(np.array([x, y, z]))
+    if not m.type_mask & 7 and max(map(abs, local[:2])) > _FARTHEST:
+        return
+    v.personality.setpoint(
+        wire.Setpoint(
+            m.get_srcSystem(), m.get_srcComponent(), m.target_system, m.target_component,
+            dialect.MAV_FRAME_LOCAL_NED, m.type_mask,
+            (*local, m.vx, m.vy, m.vz, m.afx, m.afy, m.afz), m.yaw, m.yaw_rate,
+        )
+    )  # fmt: skip
+
+
 def _setup_signing(v: Vehicle, message: Any, link: Link) -> None:
     if message.target_system != v.system:
         return
@@ -384,5 +407,6 @@ HANDLERS.update(
         "ODOMETRY": _vision,
         "REQUEST_DATA_STREAM": _data_stream,
         "SETUP_SIGNING": _setup_signing,
+        "SET_POSITION_TARGET_GLOBAL_INT": _global_setpoint,
     }
 )

@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from pymavlink.dialects.v20 import common as dialect
+
 from sitl import wire
 from sitl.vehicle import Vehicle
 
@@ -369,10 +371,20 @@ def _odometry(v: Vehicle) -> bytes:
     )
 
 
+_CAPABILITIES = (
+    "PARAM_FLOAT", "MISSION_INT", "COMMAND_INT", "FTP", "SET_POSITION_TARGET_LOCAL_NED",
+    "SET_POSITION_TARGET_GLOBAL_INT", "FLIGHT_TERMINATION", "MAVLINK2", "MISSION_FENCE",
+    "MISSION_RALLY",
+)  # fmt: skip
+
+
 def _version(v: Vehicle) -> bytes:
     ardupilot = v.spec.autopilot == "ardupilot"
-    flags = 1 << 1 | 1 << 3 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 11 | 1 << 12 | 1 << 13
-    flags |= 1 << 4 if ardupilot else 1 << 16
+    encoding = "PARAM_ENCODE_C_CAST" if ardupilot else "PARAM_ENCODE_BYTEWISE"
+    flags = sum(
+        int(getattr(dialect, f"MAV_PROTOCOL_CAPABILITY_{name}"))
+        for name in (*_CAPABILITIES, encoding)
+    )
     version = (4, 6, 2) if ardupilot else (1, 16, 0)
     number = version[0] << 24 | version[1] << 16 | version[2] << 8 | 255
     return wire.payload(

@@ -9,6 +9,8 @@ from pymavlink.dialects.v20 import common as dialect
 from sitl import Emulator
 from tests.sitl.client import Ground, world
 
+COMPONENT_METADATA, AVAILABLE_MODES = 397, 435
+
 INTERVAL, REQUEST = dialect.MAV_CMD_SET_MESSAGE_INTERVAL, dialect.MAV_CMD_REQUEST_MESSAGE
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
 
@@ -261,3 +263,67 @@ def test_ardupilots_own_estimator_report_is_as_its_dialect_says() -> None:
     report = ground.last[1, "EKF_STATUS_REPORT"]
     assert report.flags == 1 | 2 | 4 | 8 | 16 | 32 | 256 | 512
     assert report.velocity_variance == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_qgroundcontrol_gets_through_its_first_questions(autopilot: str) -> None:
+    """In the order of its InitialConnectStateMachine.cc; each answer comes within half a second."""
+    ground = Ground(Emulator(world(1, autopilot=autopilot)), quiet=False)
+    ground.run(1.2)
+    assert ground.last[1, "HEARTBEAT"].type == dialect.MAV_TYPE_QUADROTOR
+    requests = (
+        (dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, {0}),
+        (AVAILABLE_MODES, {2, 3}),
+        (COMPONENT_METADATA, {2, 3}),
+    )
+    for number, answers in requests:
+        ground.log.clear()
+        ground.command(1, dialect.MAV_CMD_REQUEST_MESSAGE, number)
+        ground.run(0.5)
+        assert set(ground.acks(1, dialect.MAV_CMD_REQUEST_MESSAGE)) <= answers
+        assert ground.acks(1, dialect.MAV_CMD_REQUEST_MESSAGE)
+    able = ground.last[1, "AUTOPILOT_VERSION"].capabilities
+    assert able & dialect.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    assert able & dialect.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+    bytewise = able & dialect.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    assert bool(bytewise) == (autopilot == "px4")
+    ground.send(1, dialect.MAVLink_file_transfer_protocol_message(0, 1, 1, [0] * 251))
+    ground.run(0.5)
+    assert ground.last[1, "FILE_TRANSFER_PROTOCOL"].payload[3] == 129
+    ground.send(1, dialect.MAVLink_param_request_list_message(1, 1))
+    ground.run(1.0)
+    values = [m for _, _, m in ground.log if m.get_type() == "PARAM_VALUE"]
+    assert len({m.param_index for m in values}) == values[0].param_count
+    for kind in (0, 1, 2):
+        ground.send(1, dialect.MAVLink_mission_request_list_message(1, 1, kind))
+        ground.run(0.5)
+        count = ground.last[1, "MISSION_COUNT"]
+        assert (count.count, count.mission_type) == (0, kind)
+    if autopilot == "ardupilot":
+        ground.send(1, dialect.MAVLink_request_data_stream_message(1, 1, 0, 4, 1))
+        ground.command(1, 512, dialect.MAVLINK_MSG_ID_HOME_POSITION)
+        ground.command(1, 511, dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 1e6)
+    ground.run(2.5)
+    shown = {kind for _, kind in ground.last}
+    assert {
+        "SYS_STATUS", "EXTENDED_SYS_STATE", "HOME_POSITION", "GPS_RAW_INT", "GLOBAL_POSITION_INT",
+        "ATTITUDE", "VFR_HUD", "BATTERY_STATUS",
+    } <= shown  # fmt: skip
+
+
+@pytest.mark.parametrize("frame", [5, 6])
+def test_setpoints_in_degrees_are_flown_to_the_same_place(frame: int) -> None:
+    ground = Ground(Emulator(world(1)))
+    emulator = ground.emulator
+    geodesy = emulator.surroundings.geodesy
+    latitude, longitude, _ = geodesy.degrees(3.0, 4.0, 0.0)
+    altitude = 5.6 - 0.6 if frame == 6 else geodesy.altitude + 5.6
+    ground.px4_offboard({1: (0.0, 0.0, 5.0)}, 6.0)
+    for _ in range(120):
+        message = dialect.MAVLink_set_position_target_global_int_message(
+            0, 1, 1, frame, 3576, round(latitude * 1e7), round(longitude * 1e7), altitude,
+            *[0.0] * 6, 0.0, 0.0,
+        )  # fmt: skip
+        ground.send(1, message)
+        ground.run(0.1)
+    assert emulator.truth().position[0] == pytest.approx([3.0, 4.0, 5.0], abs=0.1)
