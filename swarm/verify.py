@@ -83,11 +83,12 @@ def judge(plan: Plan, trace: Trace) -> Flown:
     tightest_chord = None
     if folding.any():
         place, time = trace.position[folding], trace.mission_time[folding]
-        chords = np.linalg.norm(np.diff(place, axis=1), axis=-1) / plan.layout.lengths
-        tightest_chord = float(chords.max())
-        cable = _closest_strands(plan, place, time)
         vehicle = _closest_vehicles(plan, place, time)
-        vehicle_cable = _closest_vehicle_to_cable(plan, place, time)
+        if len(plan.layout.lengths):
+            chords = np.linalg.norm(np.diff(place, axis=1), axis=-1) / plan.layout.lengths
+            tightest_chord = float(chords.max())
+            cable = _closest_strands(plan, place, time)
+            vehicle_cable = _closest_vehicle_to_cable(plan, place, time)
     return Flown(
         knot=knot,
         chirality=chirality,
@@ -106,6 +107,8 @@ def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[st
     if not len(held):
         return "unknown", "none", "", False, ("no positions were reported during the hold",)
     grip_points, lengths = held[-1], plan.layout.lengths
+    if not len(lengths):
+        return "0_1", "none", "", True, ()
     chords = np.linalg.norm(np.diff(grip_points, axis=0), axis=-1)
     notes = tuple(
         f"{segment_name(int(i))} was reported {chords[i] / lengths[i]:.1%} of its length apart"
@@ -118,7 +121,8 @@ def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[st
     except SwarmError as error:
         return "unknown", "none", "", False, (*notes, str(error))
     chirality: Chirality = found.chirality  # type: ignore[assignment]
-    as_planned &= (found.name, chirality) == (plan.knot.type, plan.knot.chirality)
+    if plan.knot.type:
+        as_planned &= (found.name, chirality) == (plan.knot.type, plan.knot.chirality)
     return found.name, chirality, code.signed_text(), as_planned, notes
 
 

@@ -115,7 +115,12 @@ def test_a_cable_that_is_tied_on_is_lifted_from_below_the_line() -> None:
 
 @pytest.mark.parametrize(
     "overrides",
-    [("finish=hold",), ("finish=unfold",), ("finish=tighten",), ("finish=hold", *TIED_ON)],
+    [
+        pytest.param(("finish=hold",), marks=pytest.mark.full),
+        pytest.param(("finish=unfold",), marks=pytest.mark.full),
+        ("finish=tighten",),
+        ("finish=hold", *TIED_ON),
+    ],
 )
 def test_every_finish_is_flown_to_its_end(overrides: tuple[str, ...]) -> None:
     network = Network(small_plan(*overrides))

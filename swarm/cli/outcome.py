@@ -1,6 +1,7 @@
 """What a flight or a dry run comes to, for people and for scripts."""
 
 from collections.abc import Iterable
+from math import isfinite
 from typing import Any
 
 from rich.console import Console
@@ -78,7 +79,7 @@ def print_outcome(
 
 def print_flown(plan: Plan, flown: Flown, assessment: Assessment, console: Console) -> None:
     """Print the knot implied, the clearances beside what was certified, and the tracking."""
-    asked = f"{plan.knot.type} {_hand(plan.knot.chirality)}".strip()
+    asked = f"{plan.knot.type} {_hand(plan.knot.chirality)}".strip() or "none"
     implied = f"{flown.knot} {_hand(flown.chirality)}".strip()
     style = "green" if flown.as_planned else "bold red"
     console.print(
@@ -108,6 +109,8 @@ def _clearance_table(flown: Flown, assessment: Assessment) -> Table:
     names = {"cable": "cable to cable", "vehicle": "vehicle to vehicle"}
     for name, was, certified in _clearances(flown, assessment):
         enough = was is not None and was.distance >= certified.required
+        if was is None and not isfinite(certified.distance):
+            continue  # there are no two things of this kind
         table.add_row(
             names.get(name, "vehicle to cable"),
             f"[{'green' if enough else 'red'}]{was.distance:.2f} m[/]" if was else "unknown",

@@ -1,0 +1,124 @@
+"""Missions without a knot: formations with a piece of cable or none, planned, checked and flown."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarm.errors import InputError, Refused
+from swarm.mission import Mission, parse_mission
+from swarm.plans import make_plan
+from swarm.preflight.assess import assess
+from swarm.preflight.findings import prove
+from swarm.verify import judge
+from tests.network import Network
+
+FIRST_STEPS = Path(__file__).parents[1] / "missions" / "first-steps"
+PAIR = "[[0, 0, 3], [3, 0, 3]]"
+
+
+def mission(keys: str) -> Mission:
+    return parse_mission(f"{{schema: 1, name: steps, {keys}}}", "m.yaml")
+
+
+def refusal(keys: str) -> str:
+    with pytest.raises(InputError) as caught:
+        mission(keys)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name", ["hover", "two_carry", pytest.param("pass_over", marks=pytest.mark.full)]
+)
+def test_first_steps_are_certified_and_flown_to_their_end(name: str) -> None:
+    path = FIRST_STEPS / f"{name}.yaml"
+    plan = make_plan(parse_mission(path.read_text(), str(path)))
+    proven = prove(plan, assess(plan))
+    network = Network(proven)
+    outcome = network.run(most=600.0)
+    assert outcome is not None
+    assert outcome.word == "done", network.words()[-8:]
+    flown = judge(plan, network.conductor.trace())
+    assert (flown.knot, flown.as_planned, flown.notes) == ("0_1", True, ())
+    fold = [error for error in flown.tracking if error.phase == "fold"]
+    assert max(error.largest for error in fold) < plan.mission.vehicles.tracking
+
+
+def test_every_formation_is_reached_at_rest() -> None:
+    path = FIRST_STEPS / "pass_over.yaml"
+    asked = parse_mission(path.read_text(), str(path))
+    assert asked.formation is not None
+    plan = make_plan(asked)
+    fold = plan.phase("fold")
+    times = np.arange(fold.start, fold.end, 0.02)
+    place, velocity, _ = plan.motion.at(times)
+    still = np.linalg.norm(velocity, axis=2).max(axis=1) < 1e-9
+    for wanted in asked.formation.places:
+        off = np.abs(place[still] - np.array(wanted)).max(axis=(1, 2))
+        assert off.min() < 1e-9
+
+
+def test_a_strand_that_is_too_short_for_a_formation_is_named() -> None:
+    with pytest.raises(Refused) as caught:
+        make_plan(
+            mission(f"formation: {{places: [{PAIR}, [[0, 0, 3], [9, 0, 3]]], lengths: [4.0]}}")
+        )
+    assert str(caught.value) == (
+        "formation 2 has vehicles 1 and 2 9.00 m apart, but formation.lengths gives them 4.00 m of "
+        "cable"
+    )
+
+
+def test_vehicles_alone_may_fly_in_formation_and_are_kept_apart() -> None:
+    near = "[[0, 0, 3], [0.5, 0, 3]]"
+    plan = make_plan(mission(f"formation: {{places: [{PAIR}, {near}]}}"))
+    assert [finding.check for finding in assess(plan).findings if finding.severity == "error"] == [
+        "vehicle clearance"
+    ]
+    assert assess(make_plan(mission(f"formation: {{places: [{PAIR}]}}"))).cleared
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("finish: hold", "m.yaml: expected exactly one of knot and formation, got none"),
+        (
+            f"knot: {{name: 4_1}}, formation: {{places: [{PAIR}]}}",
+            "m.yaml: expected exactly one of knot and formation, got both",
+        ),
+        (
+            "formation: {places: []}",
+            "m.yaml: formation: expected at least one formation of at least one vehicle, got none",
+        ),
+        (
+            f"formation: {{places: [{PAIR}, [[0, 0, 3]]]}}",
+            "m.yaml: formation: expected 2 places in every formation, got 1 in the 2.",
+        ),
+        (
+            "formation: {places: [[[0, 0, 0]]]}",
+            "m.yaml: formation: expected every place above the floor (z > 0)",
+        ),
+        (
+            f"formation: {{places: [{PAIR}], lengths: [4, 4]}}",
+            "m.yaml: formation: expected 1 lengths for 2 vehicles (or none), got 2",
+        ),
+        (
+            f"formation: {{places: [{PAIR}], lengths: [-4]}}",
+            "m.yaml: formation: expected every length > 0 in metres",
+        ),
+        (
+            f"formation: {{places: [{PAIR}]}}, layout: {{cell: 2}}, fold: {{method: paper}}",
+            "m.yaml: expected no fold and no layout with a formation",
+        ),
+        (
+            f"formation: {{places: [{PAIR}]}}, finish: hold",
+            "m.yaml: expected no finish in a formation without cable",
+        ),
+        (
+            f"formation: {{places: [{PAIR}], lengths: [4]}}, finish: tighten",
+            "m.yaml: expected finish: tighten with three vehicles or more, got two",
+        ),
+    ],
+)
+def test_formations_that_say_nothing_sensible(keys: str, message: str) -> None:
+    assert refusal(keys) == message
