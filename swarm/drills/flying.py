@@ -17,9 +17,9 @@ from joblib import Parallel, delayed
 from swarm.drills.rehearsal import PERSONALITIES, LosesAck, Personality, Rehearsal, drill_fleet
 from swarm.drills.rows import ROWS, Part, Row
 from swarm.fleet import Fleet
-from swarm.flight.monitor import Monitor
 from swarm.flight.snapshot import Event
 from swarm.preflight.findings import ProvenPlan
+from swarm.preflight.monitor import Monitor
 from swarm.rehearse import Fault
 
 Floats = npt.NDArray[np.float64]

@@ -112,7 +112,13 @@ class Rehearsal:
 
 def _lasting(conductor: Conductor) -> tuple[object, ...]:
     """What a flight never changes, and its copies share."""
-    return (conductor.windows, conductor.escapes, conductor.monitor, conductor.gates)
+    return (
+        conductor.windows,
+        conductor.escapes,
+        conductor.coast,
+        conductor.monitor,
+        conductor.gates,
+    )
 
 
 class LosesAck:

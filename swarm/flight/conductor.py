@@ -24,10 +24,10 @@ from swarm.flight.gates import GATES
 from swarm.flight.guidance import Guidance
 from swarm.flight.load import PlannedPull
 from swarm.flight.measuring import keep_trace, look, measure
-from swarm.flight.monitor import Clearances, Monitor
 from swarm.flight.noticing import Reports, hear, watch
 from swarm.flight.operator import GRANT, Request, available
 from swarm.flight.pace import LONGEST_TICK, advance_clock, bound_hold, steer
+from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.preparation import Preparation, Prepared
 from swarm.flight.readiness import named, readiness
 from swarm.flight.rejoining import bring_back
@@ -40,8 +40,10 @@ from swarm.flight.wayout import Kind, WayOut
 from swarm.mavlink.frames import Frames
 from swarm.mavlink.vehicle import Vehicle
 from swarm.plans import Phase
+from swarm.preflight.coast import Coasting, coast
 from swarm.preflight.escape import escapes
 from swarm.preflight.findings import ProvenPlan
+from swarm.preflight.monitor import Clearances, Monitor
 from swarm.preflight.windows import windows
 
 Floats = npt.NDArray[np.float64]
@@ -77,6 +79,8 @@ class Conductor:
         _check_rest(proven)
         self.windows = windows(plan, whole=True)
         self.escapes = escapes(plan)
+        lost = STREAM_LOSS_TIME
+        self.coast = coast(plan, Coasting(lost, lost, fleet.limits.silence))
         self.monitor = Monitor(plan)
         self._pull = PlannedPull(plan)
         self.clearances: Clearances | None = None
@@ -359,10 +363,6 @@ class Conductor:
         if cause not in self.holds:
             self.holds[cause] = words
             self.say("hold", f"holding: {words}")
-
-    def rate_cap(self) -> float:
-        """Return the rate above which the clock must not run here."""
-        return 1.0
 
     def cut_loose(self, vehicle: Vehicle, words: str) -> None:
         """Let go of a vehicle that falls, and of the cable around it; land what is left."""

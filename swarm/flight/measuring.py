@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from swarm.flight.monitor import AHEAD
+from swarm.preflight.monitor import AHEAD
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor

@@ -55,7 +55,7 @@ def steer(flight: "Conductor") -> None:
     pace = min(1.0, max(0.0, (1.0 - worst) / (1.0 - SLOW_FROM)))
     if flight.clearances is not None:
         pace = min(pace, flight.clearances.pace)
-    pace = min(pace, flight.rate_cap())
+    pace = min(pace, flight.coast.cap(clock.time))
     if flight.rewinding:
         pace = -pace
         if clock.stopped and clock.time <= rewind_end(flight) + 1e-6:

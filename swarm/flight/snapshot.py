@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from swarm.flight.monitor import Clearances
+from swarm.preflight.monitor import Clearances
 
 Floats = npt.NDArray[np.float64]
 
@@ -20,7 +20,9 @@ class Snapshot:
     NaN where unknown; ``battery`` (n,) is a share 0…1, ``link_age`` (n,) seconds since a vehicle
     was last heard. ``modes`` and ``states`` are words per vehicle. ``clearances`` are what the live
     monitor sees (None while the cable is on the floor); ``available`` says of each wish that the
-    operator may have whether its window is open, and what it would do now.
+    operator may have whether its window is open, and what it would do now. ``round_trip`` (n,) is
+    the latest in seconds, ``received`` and ``lost`` (n,) count packets since the record began;
+    empty where nobody counts.
     """
 
     time: float
@@ -39,6 +41,9 @@ class Snapshot:
     link_age: Floats
     clearances: Clearances | None = None
     available: Mapping[str, tuple[bool, str]] = field(default_factory=dict)
+    round_trip: Floats = field(default_factory=lambda: np.zeros(0))
+    received: Floats = field(default_factory=lambda: np.zeros(0))
+    lost: Floats = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from swarm.cable.chain import polyline
-from swarm.flight.monitor import Monitor
+from swarm.preflight.monitor import Monitor
 from swarm.preflight.windows import windows
 from tests.network import small_plan
 

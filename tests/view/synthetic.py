@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import length_for_sag
-from swarm.flight.monitor import Clearances
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.mission import mission_for_knot
 from swarm.plans import CableState, Gate, KnotSummary, Layout, Phase, PhaseName, Plan
+from swarm.preflight.monitor import Clearances
 from swarm.trajectory import through_states
 
 Floats = npt.NDArray[np.float64]
@@ -96,6 +96,9 @@ def snapshot_at(plan: Plan, time: float) -> Snapshot:
         battery=np.clip(1.0 - time / 400.0 - 0.004 * each, 0.0, 1.0),
         link_age=0.02 + 0.02 * np.abs(np.sin(3.1 * time + each)),
         clearances=Clearances(0.6, 2.1, 0.93, 0.3 + 0.1 * np.sin(time)) if gripped.all() else None,
+        round_trip=0.02 + 0.01 * np.abs(np.sin(0.3 * time + each)),
+        received=np.floor(40.0 * time + each),
+        lost=np.floor(0.4 * time * (each % 3)),
         available={"hold": (armed, "everybody stops"), "rewind": (time > 40.0, "goes back")},
     )
 

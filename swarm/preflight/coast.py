@@ -1,0 +1,193 @@
+"""What if the setpoints end here: how far everybody coasts, and how fast the team may be for it.
+
+A vehicle without setpoints flies on with its last velocity until its autopilot notices (PX4:
+COM_OF_LOSS_T, then Hold; ArduPilot: GUID_TIMEOUT, then it stops) and brakes. Either all lose their
+setpoints, or one does: then the others go on until it has been silent for the fleet's
+``limits.silence``, and stop along their paths. Looked at every STEP seconds of the fold, at the
+ends of these motions and on the way, where everybody is as planned. Where a clearance or a chord
+would not survive, the mission clock's rate is capped: all of these distances shrink with it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.mission import Mission
+from swarm.plans import Plan
+from swarm.preflight.findings import Finding
+from swarm.preflight.monitor import Monitor
+
+Floats = npt.NDArray[np.float64]
+
+STEP = 0.5
+"""Seconds of mission time between the moments that are looked at."""
+RATES = (1.0, 0.8, 0.6, 0.45, 0.3)
+"""Rates of the clock that are tried, fastest first."""
+BRAKING = 0.3
+"""Seconds for which a vehicle that is told to stop moves on at its speed: both autopilots brake
+with about 3 m/s², which takes less at speeds up to 2 m/s."""
+_ON_THE_WAY = (0.5, 1.0)
+"""Shares of a motion at which it is looked at."""
+_PORTION = 128
+
+
+@dataclass(frozen=True)
+class Coasting:
+    """Parameters that decide how a vehicle coasts, seconds: after a lost stream it moves on for
+    ``px4`` (COM_OF_LOSS_T) or ``ardupilot`` (GUID_TIMEOUT); ``silence`` is how long the ground
+    station waits before it holds the others."""
+
+    px4: float = 0.5
+    ardupilot: float = 0.5
+    silence: float = 1.0
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The moment at which least is left: margin in metres, mission time, and who coasts there
+    (counted from 1; 0: everybody)."""
+
+    margin: float
+    time: float
+    who: int
+
+
+@dataclass(frozen=True, eq=False)
+class CoastCertificate:
+    """The largest rate (k,) of the mission clock at mission times (k,), for lost setpoints.
+
+    ``worst`` is the moment with the smallest margin at the capped rate; ``hopeless`` are the times
+    at which even the slowest rate leaves none.
+    """
+
+    times: Floats
+    rates: Floats
+    worst: Worst
+    hopeless: Floats
+
+    def cap(self, time: float) -> float:
+        """Return the largest rate at a mission time."""
+        if not len(self.times) or not self.times[0] <= time <= self.times[-1]:
+            return 1.0
+        after = min(int(np.searchsorted(self.times, time)), len(self.times) - 1)
+        return float(min(self.rates[after], self.rates[max(after - 1, 0)]))
+
+    def findings(self) -> list[Finding]:
+        """Return what a plan's reader must know of it."""
+        who = f"vehicle {self.worst.who}" if self.worst.who else "the whole team"
+        words = (
+            f"when setpoints end, for all or for one, clearances and chords survive by "
+            f"{self.worst.margin:.2f} m or more (tightest where {who} loses them)"
+        )
+        if len(self.hopeless):
+            return [
+                Finding(
+                    "warning", "coast",
+                    f"if setpoints end near {self.hopeless[0]:.1f} s, for all or for one, a "
+                    f"clearance or chord is lost by {-self.worst.margin:.2f} m even at "
+                    f"{RATES[-1]:.0%} of the pace ({who})",
+                    self.worst.time,
+                )
+            ]  # fmt: skip
+        found = [Finding("info", "coast", words, self.worst.time)]
+        capped = self.rates < 1.0
+        if capped.any():
+            slowest = float(self.rates.min())
+            found.append(
+                Finding(
+                    "info", "coast",
+                    f"for that the clock runs at {slowest:.0%} at least and below 100% during "
+                    f"{capped.mean():.0%} of the fold",
+                    float(self.times[int(np.argmin(self.rates))]),
+                )
+            )  # fmt: skip
+        return found
+
+
+def coast(plan: Plan, coasting: Coasting = Coasting()) -> CoastCertificate:
+    """Work out what the ends of all and of single streams do at every moment of the fold."""
+    aloft = [phase for phase in plan.phases if phase.name == "fold"]
+    if not aloft:
+        nothing = np.empty(0)
+        return CoastCertificate(nothing, nothing, Worst(np.inf, 0.0, 0), nothing)
+    times = np.append(np.arange(aloft[0].start, aloft[-1].end, STEP), aloft[-1].end)
+    monitor = Monitor(plan)
+    rates = np.full(len(times), np.nan)
+    margins, whose = np.full(len(times), -np.inf), np.zeros(len(times), dtype=np.intp)
+    for rate in RATES:
+        open_ = np.flatnonzero(np.isnan(rates))
+        if not len(open_):
+            break
+        left, who = _margins(plan, monitor, times[open_], rate, coasting)
+        better = left > margins[open_]
+        margins[open_[better]], whose[open_[better]] = left[better], who[better]
+        rates[open_[left >= 0.0]] = rate
+    hopeless = times[np.isnan(rates)]
+    rates[np.isnan(rates)] = RATES[-1]
+    tightest = int(np.argmin(margins))
+    worst = Worst(float(margins[tightest]), float(times[tightest]), int(whose[tightest]))
+    return CoastCertificate(times, _reachable(plan.mission, times, rates), worst, hopeless)
+
+
+def _reachable(mission: Mission, times: Floats, rates: Floats) -> Floats:
+    """Lower rates ahead of caps, so that braking along the path reaches each cap in time.
+
+    The clock's rate changes by at most b / v per second; along mission time r dr/dτ = b / v.
+    """
+    steepest = mission.vehicles.braking_acceleration / mission.vehicles.max_speed
+    capped = rates.copy()
+    for k in range(len(times) - 2, -1, -1):
+        room = 2.0 * steepest * (times[k + 1] - times[k])
+        capped[k] = min(capped[k], float(np.sqrt(capped[k + 1] ** 2 + room)))
+    return capped
+
+
+def _margins(
+    plan: Plan, monitor: Monitor, times: Floats, rate: float, coasting: Coasting
+) -> tuple[Floats, npt.NDArray[np.intp]]:
+    """Smallest margins (k,) after the ends of streams at ``times``, and who lost them (0: all)."""
+    position, velocity, _ = plan.motion.at(times)
+    velocity = rate * velocity
+    cases = list(_ends(plan, times, rate, position, velocity, coasting))
+    smallest = np.full(len(times), np.inf)
+    who = np.zeros(len(times), dtype=np.intp)
+    for number, places in cases:
+        left = np.concatenate(
+            [
+                [seen.margin for seen in monitor.look(places[k : k + _PORTION], "aloft")]
+                for k in range(0, len(places), _PORTION)
+            ]
+        )
+        less = left < smallest
+        smallest[less], who[less] = left[less], number
+    return smallest, who
+
+
+def _ends(
+    plan: Plan, times: Floats, rate: float, position: Floats, velocity: Floats, coasting: Coasting
+) -> Sequence[tuple[int, Floats]]:
+    """Who loses the stream (0: all, else the vehicle), and the places (k, n, 3) to look at."""
+    n = plan.vehicles
+    longest = max(coasting.px4, coasting.ardupilot) + BRAKING
+    kinds = dict.fromkeys((coasting.px4 + BRAKING, coasting.ardupilot + BRAKING, 0.0))
+    found = [
+        (0, position + share * move * velocity) for move in kinds if move for share in _ON_THE_WAY
+    ]
+    mixed = np.where(np.arange(n) % 2 == 0, coasting.px4, coasting.ardupilot) + BRAKING
+    if coasting.px4 != coasting.ardupilot:
+        found.append((0, position + mixed[None, :, None] * velocity))
+    vehicles = plan.mission.vehicles
+    steepest = vehicles.braking_acceleration / vehicles.max_speed
+    # until the silence is noticed the team goes on; then the clock's rate falls to zero
+    on = rate * coasting.silence
+    stop = 0.5 * rate**2 / steepest
+    end = next(phase.end for phase in plan.phases if phase.name == "fold")
+    for share in _ON_THE_WAY:
+        team = plan.motion.at(np.minimum(times + share * (on + stop), end))[0]
+        for k in range(n):
+            places = team.copy()
+            places[:, k] = position[:, k] + min(share, 1.0) * longest * velocity[:, k]
+            found.append((k + 1, places))
+    return found
