@@ -12,7 +12,7 @@ from swarm.cli.inputs import SET, load_mission, progress_bar
 from swarm.errors import InputError, Interrupted, Problem, SwarmError
 from swarm.flight.archive import read_plan
 from swarm.plans import Plan
-from swarm.view.replay import write_comparison, write_plan
+from swarm.view.replay import write_flight, write_plan
 from swarm.view.screenshot import NoPicture, screenshot
 from swarm.view.viewers import free_port, has_display, open_window, serve, web_url
 
@@ -31,7 +31,9 @@ from swarm.view.viewers import free_port, has_display, open_window, serve, web_u
 @click.option(
     "--only", metavar="VIEW", help="With --screenshot: one of the views, for example Knot."
 )
-@click.option("--compare", is_flag=True, help="With RECORD: planned and flown side by side.")
+@click.option(
+    "--compare", is_flag=True, help="With RECORD: planned and flown side by side, from its .tlog."
+)
 @click.option(
     "--output",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -61,8 +63,7 @@ def view(
             write_plan(planned.plan, recording)
         sources = [recording]
         if compare:
-            sources.append(Path(folder) / "comparison.rbl")
-            write_comparison(recorded_plan(Path(source)), sources[-1])
+            sources = [_verification(Path(source), Path(folder) / "verification.rrd")]
         if picture is not None:
             _picture(sources, picture, at, only)
         elif web:
@@ -71,6 +72,15 @@ def view(
             open_window(*map(str, sources)).wait()
         else:
             click.echo("no display here; see it with --web, or as a picture with --screenshot")
+
+
+def _verification(record: Path, path: Path) -> Path:
+    """Write what the record's .tlog says was flown beside its plan, arranged for verification."""
+    from swarm.cli.verify import recorded_flight  # noqa: PLC0415 - it reads plans from here
+
+    plan = recorded_plan(record)
+    write_flight(plan, recorded_flight(record, plan).trace, (), path)
+    return path
 
 
 def recorded_plan(record: Path) -> Plan:

@@ -33,6 +33,9 @@ def snapshot_of(flight: "Conductor", now: float) -> Snapshot:
         link_age=np.array([now - vehicle.heard_at for vehicle in flyers]),
         clearances=flight.clearances,
         available={name: (wish.open, wish.words) for name, wish in available(flight).items()},
+        round_trip=np.array([vehicle.latest_round_trip for vehicle in flyers]),
+        received=np.array([float(vehicle.packets) for vehicle in flyers]),
+        lost=np.array([float(vehicle.lost_packets) for vehicle in flyers]),
     )
 
 

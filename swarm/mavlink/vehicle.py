@@ -83,6 +83,7 @@ class Vehicle:
     height_gap: float = math.nan
     boot_ms: int = -1
     round_trip: float = math.nan
+    latest_round_trip: float = math.nan
     clock_offset: float = math.nan
     answered_at: float = -math.inf
     lost_packets: int = 0
@@ -397,7 +398,7 @@ class Vehicle:
         sent = message.ts1 * 1e-9
         if not 0.0 <= now - sent < 10.0:
             return
-        round_trip = now - sent
+        round_trip = self.latest_round_trip = now - sent
         self.answered_at = now
         if not self.round_trip <= round_trip:
             self.clock_offset = message.tc1 * 1e-9 - (sent + now) / 2.0

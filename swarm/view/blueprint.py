@@ -33,6 +33,8 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
                 rrb.Tabs(
                     _curves("battery", "Battery, %", (0.0, 100.0)),
                     _curves("link", "Link age, s"),
+                    _curves("round_trip", "Round trip, ms"),
+                    _curves("loss", "Packets lost, %", (0.0, 100.0)),
                 ),
                 row_shares=[3, 2, 1, 1],
             ),
@@ -76,7 +78,8 @@ def comparison_blueprint(plan: Plan) -> rrb.Blueprint:
             rrb.Horizontal(
                 _scene("Planned and flown", "mission_time", _field_eye(plan, near=0.4), UNLABELLED),
                 _curves("error", "Tracking error, m"),
-                column_shares=[3, 2],
+                _curves("distance", "Distance of strands (sampled), m"),
+                column_shares=[3, 2, 2],
             ),
             row_shares=[3, 2],
         ),

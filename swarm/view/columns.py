@@ -135,6 +135,26 @@ def send_errors(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None:
     _limit(stream, "error/limit", plan.mission.vehicles.tracking, "tracking ball", clocks)
 
 
+def send_distances(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None:
+    """Send how close strands came, planned and as reported, over mission time; for verification."""
+    if plan.vehicles < 4:
+        return
+    names = ("planned", "flown")
+    sampled, planned = strand_distances(plan)
+    known = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
+    known &= np.isfinite(trace.position).all(axis=(1, 2))
+    between = float(np.median(np.diff(trace.time)))
+    where = np.flatnonzero(known)[:: max(1, round(CLEARANCE_STEP / between))]
+    flown = distances_of_strands(plan, trace.position[where])
+    for name, times, values in zip(
+        names, (sampled, trace.mission_time[where]), (planned, flown), strict=True
+    ):
+        if len(times):
+            _curves(stream, f"distance/{name}", [name], {"mission_time": times}, values[:, None])
+    clock = {"mission_time": sampled}
+    _limit(stream, "distance/limit", plan.mission.clearance.cable, "required", clock)
+
+
 def strand_distances(plan: Plan, step: float = CLEARANCE_STEP) -> tuple[Floats, Floats]:
     """Return times (k,) and the smallest surface distance (k,) of strands aloft then, metres.
 

@@ -15,6 +15,7 @@ from swarm.view.columns import (
     Course,
     planned_course,
     send_course,
+    send_distances,
     send_errors,
     send_phases,
     send_plan_curves,
@@ -52,14 +53,10 @@ def write_flight(plan: Plan, trace: Trace, events: Iterable[Event], path: Path) 
     send_planned(stream, plan)
     send_course(stream, "flight", plan, flown_course(plan, trace))
     send_errors(stream, plan, trace)
+    send_distances(stream, plan, trace)
     for event in events:
         log_event(stream, event)
     stream.disconnect()
-
-
-def write_comparison(plan: Plan, path: Path) -> None:
-    """Write the blueprint (.rbl) that opens a flight's recording beside its plan."""
-    comparison_blueprint(plan).save(APPLICATION, str(path))
 
 
 def flown_course(plan: Plan, trace: Trace) -> Course:

@@ -4,6 +4,7 @@ Timelines: ``time`` is seconds since the record began, ``mission_time`` the miss
 plan says of a moment lives under ``plan/``, what was flown under ``flight/``.
 """
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -36,6 +37,7 @@ def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
 
     vehicles = plan.mission.vehicles
     static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    _log_wind(static, plan)
     fence = scene.fence_lines(plan)
     if fence:
         static("fence", rr.LineStrips3D(fence, radii=0.015, colors=(200, 90, 60)))
@@ -64,6 +66,25 @@ def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
             radii=0.02,
             colors=(255, 255, 255),
             labels=[f"{c.over} over {c.under}: {c.distance:.2f} m" for c in found],
+            show_labels=True,
+        ),
+    )
+
+
+def _log_wind(static: Callable[..., None], plan: Plan) -> None:
+    """Log an arrow for the wind that the plan reckons with; it may blow from any side."""
+    wind = plan.mission.wind
+    if wind.steady + wind.gust <= 0.0:
+        return
+    low = plan.layout.corners.min(axis=0)
+    static(
+        "wind",
+        rr.Arrows3D(
+            origins=[low - np.array([1.5, 1.5, 0.0])],
+            vectors=[[0.5 * (wind.steady + wind.gust), 0.0, 0.0]],
+            radii=0.04,
+            colors=(140, 200, 255),
+            labels=[f"wind {wind.steady:g} m/s, gusts {wind.gust:g} m/s, from any side"],
             show_labels=True,
         ),
     )
@@ -122,6 +143,7 @@ class Recorder:
         self._look: object = None
         self._words: dict[str, str] = {}
         self._next: dict[float, float] = {}
+        self._counts = np.zeros((2, plan.vehicles))
         log_plan(stream, plan)
         self._log_styles()
 
@@ -147,6 +169,7 @@ class Recorder:
         if self._due(SELDOM, snapshot.time):
             self._log_tightest(snapshot)
             self._stream.log("plots/battery", rr.Scalars(100.0 * snapshot.battery))
+            self._log_links(snapshot)
             self._stream.log("plots/error/limit", rr.Scalars(self._limit))
             self._stream.log("plots/link/limit", rr.Scalars(scene.SILENT_AFTER))
         self._say("states/phase", snapshot.phase)
@@ -165,7 +188,7 @@ class Recorder:
         log_style(self._stream, "flight", vehicles.radius)
         ghost = rr.Points3D.from_fields(radii=[0.05], colors=[GHOST_COLOUR])
         log("flight/setpoints", ghost, static=True)
-        for quantity in ("error", "battery", "link"):
+        for quantity in ("error", "battery", "link", "round_trip", "loss"):
             log(
                 f"plots/{quantity}",
                 rr.SeriesLines(names=names, colors=colours, widths=[1.5] * n),
@@ -258,6 +281,17 @@ class Recorder:
             self._stream.log("plots/margin/limit", rr.Scalars(0.0))
         for wish, (is_open, _) in snapshot.available.items():
             self._say(f"states/windows/{wish}", "open" if is_open else "closed")
+
+    def _log_links(self, snapshot: Snapshot) -> None:
+        """Log the latest round trips, and the share of packets lost since the last time."""
+        if not len(snapshot.received):
+            return
+        self._stream.log("plots/round_trip", rr.Scalars(1e3 * snapshot.round_trip))
+        counts = np.stack([snapshot.received, snapshot.lost])
+        received, lost = counts - self._counts
+        self._counts = counts
+        share = 100.0 * lost / np.maximum(received + lost, 1.0)
+        self._stream.log("plots/loss", rr.Scalars(share))
 
     def _log_tightest(self, snapshot: Snapshot) -> None:
         aloft = self._plan.phase("fold").start <= snapshot.mission_time

@@ -56,6 +56,14 @@ def test_a_flight_is_recorded_beside_its_plan(tmp_path: Path) -> None:
     assert found["/log"] == (len(events(PLAN)), {"time"})
 
 
+def test_planned_and_flown_distances_are_drawn_together(tmp_path: Path) -> None:
+    path = tmp_path / "verification.rrd"
+    replay.write_flight(PLAN, trace(), (), path)
+    found = timelines(path)
+    assert found["/plots/distance/planned"][0] > 10
+    assert found["/plots/distance/flown"][0] > 10
+
+
 def test_planned_vehicles_are_above_their_grips() -> None:
     course = planned_course(PLAN, 1.0)
     times = course.timelines["mission_time"]
@@ -72,9 +80,3 @@ def test_distances_of_strands_end_at_the_folded_knot_s() -> None:
     # 1.01 m is the smallest vertical distance at a crossing; strands come nearer aslant.
     assert 0.3 < distance[-1] < 1.01
     assert distance[-1] == pytest.approx(distance[-2], abs=1e-9)
-
-
-def test_comparison_is_a_blueprint_that_opens_with_a_recording(tmp_path: Path) -> None:
-    path = tmp_path / "comparison.rbl"
-    replay.write_comparison(PLAN, path)
-    assert path.stat().st_size > 1000

@@ -3,6 +3,7 @@ import signal
 import sys
 import time
 import urllib.request
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -51,7 +52,17 @@ def test_records_a_flight(plan: Plan, tmp_path: Path) -> None:
     assert found["/plots/error"] == len(flown) + 1
     assert found["/flight/vehicles"] == len(flown) + 1
     assert found["/states/phase"] == 1
+    assert found["/plots/battery"] == found["/plots/round_trip"] == found["/plots/loss"] == 4
+    assert "/wind" not in found
     assert {"/pads", "/plan/knot", "/plan/path", "/plan/crossings"} <= set(found)
+
+
+def test_the_wind_that_is_reckoned_with_is_drawn(plan: Plan, tmp_path: Path) -> None:
+    wind = plan.mission.wind.model_copy(update={"steady": 1.0, "gust": 0.5})
+    windy = replace(plan, mission=plan.mission.model_copy(update={"wind": wind}))
+    viewer = start(windy, tmp_path / "windy.rrd", None)
+    assert viewer.close(timeout=60.0)
+    assert rows(tmp_path / "windy.rrd")["/wind"] == 1
 
 
 @posix
