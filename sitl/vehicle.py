@@ -306,8 +306,13 @@ class Vehicle:
     def start_gripper(
         self, grab: bool, link: Link | None, system: int, component: int, delay: float
     ) -> None:
-        """Begin to open or close the gripper; its end is in `finish_gripper`."""
-        self.pending = [Request(self.now + delay, grab, link, system, component)]
+        """Begin to open or close the gripper; its end is in `finish_gripper`.
+
+        Asked again while it moves, it goes on moving: the answer comes when it would have.
+        """
+        ends = [request.at for request in self.pending if request.grab == grab]
+        at = min(ends, default=self.now + delay)
+        self.pending = [Request(at, grab, link, system, component)]
 
     def finish_gripper(self) -> None:
         """Complete gripper movements that are due, and answer them."""

@@ -101,9 +101,9 @@ class World(_Strict):
     cable: CableSpec | None = None
     biases: Literal["default", "none"] = "default"
     projection: Literal["exact", "autopilot"] = Field(
-        default="exact",
-        description="how estimators turn degrees into local metres: exactly (WGS-84), or as each "
-        "autopilot does (PX4 on a sphere, ArduPilot with the equator's scale: up to 0.3 % off)",
+        default="autopilot",
+        description="how estimators turn degrees into local metres: as each autopilot does (PX4 on "
+        "a sphere, ArduPilot with the equator's scale: up to 0.3 % off), or exactly (WGS-84)",
     )
 
     @model_validator(mode="after")

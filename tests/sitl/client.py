@@ -37,7 +37,8 @@ def world(count: int = 1, cable: str = "", **keys: Any) -> Any:
         if key in common
     }
     extra = ", ".join(f"{key}: {value}" for key, value in common.items())
-    lines = [f"{key}: {value}" for key, value in {"schema": 1, "biases": "none", **top}.items()]
+    settings = {"schema": 1, "biases": "none", "projection": "exact", **top}
+    lines = [f"{key}: {value}" for key, value in settings.items()]
     lines.append("vehicles:")
     for i in range(count):
         autopilot = autopilots[i % len(autopilots)]

@@ -131,3 +131,17 @@ def test_a_team_picks_up_carries_and_drops_a_cable(autopilots: list[str]) -> Non
     truth = ground.emulator.truth()
     assert not truth.gripped.any()
     assert truth.cable[:, 2].max() < 0.01
+
+
+def test_asking_a_gripper_again_while_it_moves_does_not_start_it_anew() -> None:
+    for autopilot in ("px4", "ardupilot"):
+        ground = Ground(
+            Emulator(world(1, "{points: [[-1, 0, 0], [2, 0, 0]]}", autopilot=autopilot))
+        )
+        ground.run(0.5)
+        for _ in range(5):
+            ground.command(1, GRIPPER, 1, 1)
+            ground.run(0.2)
+        assert ground.acks(1, GRIPPER)[-1] in {0, 5}
+        assert 0 in ground.acks(1, GRIPPER)
+        assert ground.emulator.truth().gripped.all()
