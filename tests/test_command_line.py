@@ -117,10 +117,11 @@ def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None
         if "phase contract" in line:
             break
     listed = subprocess.run(
-        ["ps", "-o", "pid=,args=", "--ppid", str(flight.pid)],
-        capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
-    (emulator,) = [int(row.split()[0]) for row in listed.splitlines() if "sitl" in row]
+        ["ps", "-o", "pid=,ppid=,args=", "-e"], capture_output=True, text=True, check=True
+    ).stdout
+    rows = [row.split(maxsplit=2) for row in listed.splitlines()]
+    (pilot,) = [pid for pid, parent, args in rows if int(parent) == flight.pid and "pilot" in args]
+    (emulator,) = [int(pid) for pid, parent, args in rows if parent == pilot and "sitl" in args]
     os.kill(emulator, signal.SIGKILL)
     _, errors = flight.communicate(timeout=120)
     assert flight.returncode == 3

@@ -27,7 +27,7 @@ from swarm.errors import InputError, Problem
 from swarm.fleet import emulated_fleet
 from swarm.flight.clearance import Audit
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.ground.fly import fly as fly_proven
+from swarm.ground.pilot import Flight, fly_apart
 from swarm.verify import judge
 from swarm.view import rerun_log
 from swarm.view.report import flight_report
@@ -125,14 +125,17 @@ def fly(
 
             if emulated or yes:
                 shown.enter_context(screen)
-            result = fly_proven(
-                proven,
-                team,
-                folder,
-                speed=speed,
-                no_cable=no_cable,
+            result = fly_apart(
+                Flight(
+                    proven,
+                    team,
+                    folder,
+                    speed=speed,
+                    no_cable=no_cable,
+                    control=_control(folder),
+                    asks=True,
+                ),
                 confirm=confirm,
-                control=_control(folder),
                 take_keys=(emulated or yes) and sys.stdin.isatty(),
                 on_snapshot=on_snapshot,
                 on_event=on_event,

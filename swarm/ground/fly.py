@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -49,6 +50,7 @@ def fly(
     on_emulator: Callable[[int], None] | None = None,
     control: Path | None = None,
     take_keys: bool = False,
+    typed: "queue.SimpleQueue[str] | None" = None,
     audit: bool | None = None,
 ) -> FlightResult:
     """Fly a proven plan; returns how it went, with the record in ``record_folder``.
@@ -58,7 +60,8 @@ def fly(
     a second, ``on_event`` for every event, both in a thread of their own which may be slow: what it
     cannot take is dropped. ``on_emulator`` is told the emulator's process id. ``speed`` is for
     emulated fleets only. ``control`` is where the control socket is made, ``take_keys`` reads
-    single keys from the terminal (:mod:`swarm.ground.operator`). ``audit`` asks the vehicles for
+    single keys from the terminal (:mod:`swarm.ground.operator`), ``typed`` are keys that were typed
+    elsewhere. ``audit`` asks the vehicles for
     firmware, health and parameters through MAVSDK before the go; None does so for real ones. The
     first SIGINT holds and lands the team, the second lands it at once.
 
@@ -85,6 +88,8 @@ def fly(
             tell = around.enter_context(_listener(on_snapshot, on_event))
             interrupts = around.enter_context(_interrupts())
             poll = [around.enter_context(keys(desk))] if take_keys else []
+            if typed is not None:
+                poll.append(partial(_taken, typed, desk))
             if control is not None:
                 socket = ControlSocket(control, desk)
                 around.callback(socket.close)
@@ -139,6 +144,13 @@ def _emulator(
     world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
     port = links.port(next(iter(fleet.links)))
     return EmulatorProcess(world, folder, port, speed, fleet.signing_key)
+
+
+def _taken(typed: "queue.SimpleQueue[str]", desk: Desk) -> None:
+    """Take the keys that were typed elsewhere."""
+    with suppress(queue.Empty):
+        while True:
+            desk.key(typed.get_nowait())
 
 
 class _Shell:

@@ -41,6 +41,13 @@ class Operated(Protocol):
         """Take a wish; say what follows."""
 
 
+class Keyed(Protocol):
+    """What takes keys: a desk, here or in another process."""
+
+    def key(self, key: str) -> str | None:
+        """Take one key."""
+
+
 class Desk:
     """Turns typed lines into wishes; killing must be confirmed with a number."""
 
@@ -141,7 +148,7 @@ class ControlSocket:
 
 
 @contextmanager
-def keys(desk: Desk, stream: Any = None) -> Iterator[Callable[[], None]]:
+def keys(desk: Keyed, stream: Any = None) -> Iterator[Callable[[], None]]:
     """Take single keys from a terminal while it lasts; yields what to call once per tick.
 
     Where ``stream`` (standard input) is no terminal, nothing is taken. Ctrl-C stays what it is.

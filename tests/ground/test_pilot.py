@@ -1,0 +1,100 @@
+"""The flight in its own process: callbacks that are slow, signals, a process that dies."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from swarm.errors import InputError, VehicleError
+from swarm.fleet import emulated_fleet
+from swarm.ground.pilot import Flight, fly_apart
+from tests.network import small_plan
+
+PROVEN = small_plan()
+
+
+def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
+    shown, said, asked = [], [], []
+
+    def slow(snapshot):
+        shown.append(snapshot)
+        end = time.monotonic() + 0.3
+        while time.monotonic() < end:  # busy, as a screen that is drawn is
+            pass
+
+    flight = Flight(PROVEN, emulated_fleet(3), tmp_path / "record", speed=6.0, asks=True)
+    result = fly_apart(
+        flight,
+        confirm=lambda audit: asked.append(audit) or True,
+        on_snapshot=slow,
+        on_event=said.append,
+    )
+    assert result.outcome.word == "done", result.events[-5:]
+    assert [audit.systems for audit in asked] == [(1, 2, 3)]
+    assert result.statistics.lateness[0] < 0.01
+    assert 0 < len(shown) < len(result.trace.time)
+    assert [event.kind for event in said] == [event.kind for event in result.events]
+
+
+def test_no_answer_no_flight(tmp_path):
+    flight = Flight(PROVEN, emulated_fleet(3), tmp_path / "record", speed=8.0, asks=True)
+    result = fly_apart(flight, confirm=lambda _: False)
+    assert (result.outcome.word, result.outcome.explanation) == ("refused", "not confirmed")
+
+
+def test_errors_come_through_as_they_are(tmp_path):
+    (tmp_path / "flight.tlog").write_text("")
+    with pytest.raises(InputError, match="holds the record of a flight"):
+        fly_apart(Flight(PROVEN, emulated_fleet(3), tmp_path))
+
+
+def children(pid: int) -> list[int]:
+    listed = subprocess.run(
+        ["ps", "-o", "pid=,args=", "--ppid", str(pid)], capture_output=True, text=True, check=False
+    ).stdout
+    return [int(row.split()[0]) for row in listed.splitlines() if "swarm.ground.pilot" in row]
+
+
+def test_a_process_that_dies_is_a_vehicle_error(tmp_path):
+    def kill():
+        while not (pids := children(os.getpid())):
+            time.sleep(0.05)
+        time.sleep(1.0)
+        os.kill(pids[0], signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    with pytest.raises(VehicleError, match=r"the flight's process ended \(signal 9\)"):
+        fly_apart(Flight(PROVEN, emulated_fleet(3), tmp_path / "record", speed=4.0))
+    killer.join()
+
+
+CALLER = """
+import sys
+from pathlib import Path
+from swarm.fleet import emulated_fleet
+from swarm.ground.pilot import Flight, fly_apart
+from tests.network import small_plan
+flight = Flight(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
+fly_apart(flight)
+"""
+
+
+def test_it_does_not_outlive_its_caller(tmp_path):
+    caller = subprocess.Popen([sys.executable, "-c", CALLER, str(tmp_path / "record")])
+    deadline = time.monotonic() + 60.0
+    while not (pids := children(caller.pid)):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    while not (tmp_path / "record" / "flight.tlog").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    caller.kill()
+    caller.wait()
+    while os.path.exists(f"/proc/{pids[0]}"):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
