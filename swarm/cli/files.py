@@ -1,14 +1,19 @@
 """``swarm init`` and ``swarm schema``: files to start from, and what editors check them with."""
 
+import json
 from pathlib import Path
+from typing import Any
 
 import click
 
 from swarm.borders import Section
 from swarm.cli.inputs import print_json, write_text
 from swarm.errors import InputError, Problem
+from swarm.fleet import fleet_schema
 from swarm.knots.catalog import choose
 from swarm.mission import Mission, mission_for_knot, mission_schema
+
+KINDS = ("mission", "fleet", "world", "scenario")
 
 
 @click.command()
@@ -30,15 +35,54 @@ def init(knot: str, output: Path | None) -> None:
 
 
 @click.command()
-def schema() -> None:
-    """Print the JSON schema of mission files."""
-    print_json(mission_schema())
+@click.argument("kind", type=click.Choice(KINDS), default="mission")
+@click.option(
+    "--write",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="Write the schemas of all kinds of files into this folder instead.",
+)
+def schema(kind: str, write: Path | None) -> None:
+    """Print the JSON schema of mission, fleet, world or scenario files.
+
+    Editors complete and check a YAML file that names its schema in a comment, as those in missions/
+    do: yaml-language-server: $schema=FILE.
+    """
+    if write is None:
+        print_json(schema_of(kind))
+        return
+    try:
+        write.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError([Problem(str(write), (error.strerror or "").lower())]) from None
+    for one in KINDS:
+        path = write / f"{one}.json"
+        write_text(path, json.dumps(schema_of(one), indent=2) + "\n")
+        click.echo(f"{path}")
+
+
+def schema_of(kind: str) -> dict[str, Any]:
+    """Return the JSON schema of a kind of file: mission, fleet, world or scenario."""
+    if kind == "mission":
+        return mission_schema()
+    if kind == "fleet":
+        return fleet_schema()
+    if kind == "world":
+        from swarm.rehearse import world_schema  # noqa: PLC0415 - slow to import
+
+        return world_schema()
+    from swarm.trials import trial_scenario_schema  # noqa: PLC0415 - slow to import
+
+    return trial_scenario_schema()
 
 
 def commented_mission(knot: str) -> str:
     """Return a mission file with every key at its default and a sentence about each."""
     mission = mission_for_knot(knot)
-    lines = ["# A mission for `swarm`: metres, seconds, kilograms; x east, y north, z up."]
+    lines = [
+        "# A mission for `swarm`: metres, seconds, kilograms; x east, y north, z up.",
+        "# Editors check it with the file that `swarm schema mission` prints.",
+    ]
     for key, field in Mission.model_fields.items():
         value = getattr(mission, key)
         lines.append(f"\n# {field.description}")

@@ -21,7 +21,7 @@ COMMANDS = {
     "knots": ("knots", "List the knots, or show one."),
     "identify": ("knots", "Name the knot of a curve in space."),
     "init": ("files", "Write a commented mission file for a knot."),
-    "schema": ("files", "Print the JSON schema of mission files."),
+    "schema": ("files", "Print the JSON schema of mission, fleet, world or scenario files."),
     "sitl": ("sitl", "Run emulated vehicles alone, for anybody's client."),
 }
 """Command → module of swarm.cli that defines it, and what ``swarm --help`` says of it."""

@@ -1,0 +1,42 @@
+"""Schemas for editors: the files in missions/ are up to date, and every YAML file names its own."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from swarm.cli.files import KINDS, schema, schema_of
+from swarm.trials import read_scenario
+
+MISSIONS = Path(__file__).parents[1] / "missions"
+FILES = sorted(MISSIONS.rglob("*.yaml"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_schema_file_is_what_the_command_prints(kind):
+    kept = json.loads((MISSIONS / "schemas" / f"{kind}.json").read_text())
+    assert kept == schema_of(kind), "run: swarm schema --write missions/schemas"
+    assert json.loads(CliRunner().invoke(schema, [kind]).output) == kept
+
+
+def test_all_schemas_are_written_into_a_folder(tmp_path):
+    found = CliRunner().invoke(schema, ["--write", str(tmp_path / "new")])
+    assert found.exit_code == 0
+    assert sorted(path.stem for path in (tmp_path / "new").iterdir()) == sorted(KINDS)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(MISSIONS)))
+def test_a_shipped_file_names_its_schema(path):
+    named = re.match(r"# yaml-language-server: \$schema=(\S+)\n", path.read_text())
+    assert named, "expected the first line to name the schema"
+    target = (path.parent / named[1]).resolve()
+    assert target.is_file()
+    folder = path.relative_to(MISSIONS).parts[0]
+    assert target.stem == {"fleets": "fleet", "scenarios": "scenario"}.get(folder, "mission")
+
+
+@pytest.mark.parametrize("path", sorted((MISSIONS / "scenarios").iterdir()), ids=lambda p: p.name)
+def test_a_shipped_scenario_can_be_used(path):
+    read_scenario(path.read_text(), str(path))
