@@ -79,8 +79,10 @@ class Conductor:
         _check_rest(proven)
         self.windows = windows(plan, whole=True)
         self.escapes = escapes(plan)
-        lost = STREAM_LOSS_TIME
-        self.coast = coast(plan, Coasting(lost, lost, fleet.limits.silence))
+        coasting = Coasting(STREAM_LOSS_TIME, STREAM_LOSS_TIME, fleet.limits.silence)
+        known = proven.assessment.coast
+        fits = known is not None and known.coasting == coasting
+        self.coast = known if known is not None and fits else coast(plan, coasting)
         self.monitor = Monitor(plan)
         self._pull = PlannedPull(plan)
         self.clearances: Clearances | None = None

@@ -18,6 +18,7 @@ from swarm.preflight.certificate import (
     segment_name,
     tightest_moments,
 )
+from swarm.preflight.coast import coast
 from swarm.preflight.course import Course
 from swarm.preflight.findings import Assessment, Finding, Severity, Tightest
 from swarm.preflight.limits import TAUT
@@ -76,6 +77,8 @@ def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = F
     findings += topology
     stops, stopping = stops_of(plan)
     findings += stopping
+    coasting = coast(plan)
+    findings += coasting.findings()
     budget = budgets(plan, sorted(moments, key=lambda moment: moment.margin))[:BUDGETS]
     assessment = Assessment(
         findings=(),
@@ -88,6 +91,7 @@ def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = F
         moments=moments,
         budget=budget,
         stops=stops,
+        coast=coasting,
     )
     findings += _tightest_findings(assessment.tightest)
     findings += budget_findings(budget)

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.mission import Mission
-from swarm.plans import Plan
+from swarm.plans import CableState, Plan
 from swarm.preflight.findings import Finding
+from swarm.preflight.limits import TAUT
 from swarm.preflight.monitor import Monitor
 
 Floats = npt.NDArray[np.float64]
@@ -30,6 +31,9 @@ BRAKING = 0.3
 with about 3 m/s², which takes less at speeds up to 2 m/s."""
 _ON_THE_WAY = (0.5, 1.0)
 """Shares of a motion at which it is looked at."""
+_LEVERAGE = 5.0
+"""Metres by which strands can come closer for each metre that an end moves, and more: a sag grows
+up to threefold where the chord shrinks, at the chords that are allowed."""
 _PORTION = 128
 
 
@@ -59,13 +63,14 @@ class CoastCertificate:
     """The largest rate (k,) of the mission clock at mission times (k,), for lost setpoints.
 
     ``worst`` is the moment with the smallest margin at the capped rate; ``hopeless`` are the times
-    at which even the slowest rate leaves none.
+    at which even the slowest rate leaves none; ``coasting`` is what it holds for.
     """
 
     times: Floats
     rates: Floats
     worst: Worst
     hopeless: Floats
+    coasting: Coasting
 
     def cap(self, time: float) -> float:
         """Return the largest rate at a mission time."""
@@ -76,6 +81,8 @@ class CoastCertificate:
 
     def findings(self) -> list[Finding]:
         """Return what a plan's reader must know of it."""
+        if not len(self.times):
+            return []
         who = f"vehicle {self.worst.who}" if self.worst.who else "the whole team"
         words = (
             f"when setpoints end, for all or for one, clearances and chords survive by "
@@ -108,11 +115,11 @@ class CoastCertificate:
 
 def coast(plan: Plan, coasting: Coasting = Coasting()) -> CoastCertificate:
     """Work out what the ends of all and of single streams do at every moment of the fold."""
-    aloft = [phase for phase in plan.phases if phase.name == "fold"]
-    if not aloft:
+    fold = [one for one in plan.phases if one.name == "fold" and one.cable == "aloft"]
+    if not fold or plan.vehicles < 2:
         nothing = np.empty(0)
-        return CoastCertificate(nothing, nothing, Worst(np.inf, 0.0, 0), nothing)
-    times = np.append(np.arange(aloft[0].start, aloft[-1].end, STEP), aloft[-1].end)
+        return CoastCertificate(nothing, nothing, Worst(np.inf, 0.0, 0), nothing, coasting)
+    times = np.append(np.arange(fold[0].start, fold[-1].end, STEP), fold[-1].end)
     monitor = Monitor(plan)
     rates = np.full(len(times), np.nan)
     margins, whose = np.full(len(times), -np.inf), np.zeros(len(times), dtype=np.intp)
@@ -128,7 +135,9 @@ def coast(plan: Plan, coasting: Coasting = Coasting()) -> CoastCertificate:
     rates[np.isnan(rates)] = RATES[-1]
     tightest = int(np.argmin(margins))
     worst = Worst(float(margins[tightest]), float(times[tightest]), int(whose[tightest]))
-    return CoastCertificate(times, _reachable(plan.mission, times, rates), worst, hopeless)
+    return CoastCertificate(
+        times, _reachable(plan.mission, times, rates), worst, hopeless, coasting
+    )
 
 
 def _reachable(mission: Mission, times: Floats, rates: Floats) -> Floats:
@@ -149,35 +158,58 @@ def _margins(
 ) -> tuple[Floats, npt.NDArray[np.intp]]:
     """Smallest margins (k,) after the ends of streams at ``times``, and who lost them (0: all)."""
     position, velocity, _ = plan.motion.at(times)
-    velocity = rate * velocity
-    cases = list(_ends(plan, times, rate, position, velocity, coasting))
     smallest = np.full(len(times), np.inf)
     who = np.zeros(len(times), dtype=np.intp)
-    for number, places in cases:
-        left = np.concatenate(
-            [
-                [seen.margin for seen in monitor.look(places[k : k + _PORTION], "aloft")]
-                for k in range(0, len(places), _PORTION)
-            ]
-        )
+    nearest: dict[bytes, Floats] = {}
+    for number, planned, places in _ends(plan, times, rate, position, rate * velocity, coasting):
+        key = planned.tobytes()
+        if key not in nearest:
+            nearest[key] = _look(monitor, planned, "aloft")[0]
+        off = np.linalg.norm(places - planned, axis=2).max(axis=1)
+        left = _apart(plan, monitor, places)
+        # strands that are far apart in the plan stay so when their ends move a little
+        close = (left > 0.0) & (nearest[key] - _LEVERAGE * off < plan.mission.clearance.cable)
+        left[close] = _look(monitor, places[close], "aloft")[1]
         less = left < smallest
         smallest[less], who[less] = left[less], number
     return smallest, who
 
 
+def _look(monitor: Monitor, places: Floats, cable: CableState) -> tuple[Floats, Floats]:
+    """Return the distances between strands (k,) and the smallest margins (k,)."""
+    seen = [
+        one
+        for k in range(0, len(places), _PORTION)
+        for one in monitor.look(places[k : k + _PORTION], cable)
+    ]
+    return np.array([one.cable for one in seen]), np.array([one.margin for one in seen])
+
+
+def _apart(plan: Plan, monitor: Monitor, places: Floats) -> Floats:
+    """Smallest margins (k,) of chords and between vehicles."""
+    chords = np.linalg.norm(np.diff(places, axis=1), axis=2)
+    slack = (TAUT * plan.layout.lengths - chords).min(axis=1, initial=np.inf)
+    between: Floats = np.minimum(_look(monitor, places, "free")[1], slack)
+    return between
+
+
 def _ends(
     plan: Plan, times: Floats, rate: float, position: Floats, velocity: Floats, coasting: Coasting
-) -> Sequence[tuple[int, Floats]]:
-    """Who loses the stream (0: all, else the vehicle), and the places (k, n, 3) to look at."""
+) -> Sequence[tuple[int, Floats, Floats]]:
+    """Who loses the stream (0: all, else the vehicle), where the plan has everybody (k, n, 3), and
+    the places (k, n, 3) to look at."""
     n = plan.vehicles
     longest = max(coasting.px4, coasting.ardupilot) + BRAKING
     kinds = dict.fromkeys((coasting.px4 + BRAKING, coasting.ardupilot + BRAKING, 0.0))
     found = [
-        (0, position + share * move * velocity) for move in kinds if move for share in _ON_THE_WAY
+        (0, position, position + share * move * velocity)
+        for move in kinds
+        if move
+        for share in _ON_THE_WAY
     ]
     mixed = np.where(np.arange(n) % 2 == 0, coasting.px4, coasting.ardupilot) + BRAKING
     if coasting.px4 != coasting.ardupilot:
-        found.append((0, position + mixed[None, :, None] * velocity))
+        found.append((0, position, position + mixed[None, :, None] * velocity))
     vehicles = plan.mission.vehicles
     steepest = vehicles.braking_acceleration / vehicles.max_speed
     # until the silence is noticed the team goes on; then the clock's rate falls to zero
@@ -189,5 +221,5 @@ def _ends(
         for k in range(n):
             places = team.copy()
             places[:, k] = position[:, k] + min(share, 1.0) * longest * velocity[:, k]
-            found.append((k + 1, places))
+            found.append((k + 1, team, places))
     return found

@@ -1,12 +1,15 @@
 """What the checks say of a plan, and the type that only a plan without errors can have."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from swarm.errors import Refused
 from swarm.plans import Plan
 from swarm.preflight.budget import Budget
 from swarm.preflight.certificate import CLEARANCES, Moment
+
+if TYPE_CHECKING:
+    from swarm.preflight.coast import CoastCertificate
 
 TIGHTEST = 5
 """So many of the tightest moments are always told."""
@@ -77,7 +80,8 @@ class Assessment:
     """Everything that the pre-flight checks found out about a plan.
 
     ``moments`` are the tightest of each kind of clearance, ``budget`` says what may eat the
-    distances of the tightest strands; ``stops`` is None where the cable is never aloft.
+    distances of the tightest strands; ``stops`` is None where the cable is never aloft. ``coast``
+    caps the clock for the ends of setpoints.
     """
 
     findings: tuple[Finding, ...]
@@ -91,6 +95,7 @@ class Assessment:
     moments: tuple[Moment, ...] = ()
     budget: tuple[Budget, ...] = ()
     stops: Stops | None = None
+    coast: "CoastCertificate | None" = None
 
     @property
     def tightest(self) -> tuple[Moment, ...]:
