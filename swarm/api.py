@@ -26,10 +26,10 @@ class Planned:
         return prove(self.plan, self.assessment)
 
 
-def plan(mission: Mission, progress: Progress | None = None) -> Planned:
+def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool = True) -> Planned:
     """Plan a mission and check it.
 
-    A plan that passes comes with e* and w*. ``progress`` is called with a stage's name and the
+    A plan that passes comes with e* and w* where ``robustness`` is asked for. ``progress`` is called with a stage's name and the
     share of it that is done. Raises
     :class:`swarm.errors.Refused` when no motion was found at all; a motion that was found and does
     not pass is returned, with its findings.
@@ -43,7 +43,9 @@ def plan(mission: Mission, progress: Progress | None = None) -> Planned:
         assessment = assess(made, progress=progress)
         planned = Planned(made, assessment)
         if assessment.cleared:
-            return Planned(made, with_robustness(made, assessment, progress))
+            if robustness:
+                assessment = with_robustness(made, assessment, progress)
+            return Planned(made, assessment)
         best = best or planned
         try:
             made = search.send(_missing(planned.assessment))

@@ -13,7 +13,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from swarm.cli.inputs import JSON, print_json, read_text
+from swarm.cli.inputs import JSON, SET, print_json, read_text
+from swarm.cli.knots_planned import Wanted, print_planned
 from swarm.errors import InputError, Problem
 from swarm.knots.catalog import KnotChoice, lookup, names
 from swarm.knots.invariants import Identification, identify_curve
@@ -36,15 +37,51 @@ from swarm.view.grid_text import grid_text
     is_flag=True,
     help="Search every knot's grid diagram anew, name it again, and print the outcome.",
 )
+@click.option("--plan", "planning", is_flag=True, help="Plan and certify every knot; see below.")
+@click.option("--only", metavar="REGEX", help="With --plan: only knots whose names match.")
+@click.option(
+    "--jobs", type=click.IntRange(1, 64), default=1, help="With --plan: so many at the same time."
+)
+@click.option(
+    "--to",
+    "target",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="With --plan: add rows to this file (JSON lines); knots in it are not planned again.",
+)
+@click.option("--csv", "as_csv", is_flag=True, help="With --plan: print the table as CSV.")
+@click.option("--no-robustness", is_flag=True, help="With --plan: without e* and w*.")
+@SET
 @click.pass_context
 def knots(
-    context: click.Context, name: str | None, as_json: bool, plot: Path | None, whole_table: bool
+    context: click.Context,
+    name: str | None,
+    as_json: bool,
+    plot: Path | None,
+    whole_table: bool,
+    planning: bool,
+    only: str | None,
+    jobs: int,
+    target: Path | None,
+    as_csv: bool,
+    no_robustness: bool,
+    overrides: tuple[str, ...],
 ) -> None:
     """List the knots, or show the one called NAME.
 
     NAME is a knot of the table (8_18), a common name (overhand, "carrick mat"), torus(p,q), a
     mirror image (m3_1) or a sum (3_1#m3_1).
+
+    With --plan, every prime knot to ten crossings and some sums and torus knots are planned with
+    the default mission (and --set) and certified: vehicles, cable, fold time, clearances, e*, w*,
+    processor time, and what was tried where nothing was cleared. Exit code 1 if any was not.
     """
+    if planning:
+        if name or plot or whole_table:
+            raise click.UsageError("--plan is of many knots: use --only instead of a NAME")
+        wanted = Wanted(only, jobs, target, overrides, not no_robustness)
+        context.exit(print_planned(wanted, as_json=as_json, as_csv=as_csv))
+    if only or target or as_csv or no_robustness or overrides or jobs > 1:
+        raise click.UsageError("these options belong to --plan")
     if name is None and plot is not None:
         raise click.UsageError("--plot needs the NAME of a knot")
     if whole_table:

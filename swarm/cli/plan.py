@@ -1,13 +1,16 @@
 """``swarm plan``: plan a mission, check it, and show or export the result."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 from rich.console import Console
+from rich.table import Table
 
-from swarm import api, exports
+from swarm import api, exports, tables
 from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progress_bar, write_text
 from swarm.errors import Refused
+from swarm.mission import Mission
 from swarm.view.plots import plot_plan
 from swarm.view.report import plan_report
 from swarm.view.sheet import layout_sheet
@@ -38,6 +41,11 @@ from swarm.view.summary import plan_summary
     type=click.Path(dir_okay=False, path_type=Path),
     help="Write a lay-out sheet to print (HTML): cable, grip marks, pads, lay line.",
 )
+@click.option(
+    "--front",
+    is_flag=True,
+    help="List cable against fold time against e* for plans with more and less room.",
+)
 @click.pass_context
 def plan(
     context: click.Context,
@@ -48,12 +56,17 @@ def plan(
     plot: Path | None,
     report: Path | None,
     sheet: Path | None,
+    front: bool,
 ) -> None:
     """Plan MISSION (a file or a knot's name), check it, and print the plan.
 
     Exit code 0 when the plan is cleared for flight, 1 when it is refused.
     """
     loaded = load_mission(mission, overrides)
+    if front:
+        if export or plot or report or sheet:
+            raise click.UsageError("--front is of many plans: it writes no files of one")
+        context.exit(_front(loaded, as_json))
     try:
         with progress_bar(Console(stderr=True)) as progress:
             planned = api.plan(loaded, progress)
@@ -74,3 +87,33 @@ def plan(
     else:
         plan_summary(planned.plan, planned.assessment, Console())
     context.exit(0 if planned.assessment.cleared else 1)
+
+
+def _front(mission: Mission, as_json: bool) -> int:
+    """List plans with more and less room; exit code 1 where none was cleared."""
+    with progress_bar(Console(stderr=True)) as progress:
+        found = list(tables.front(mission, progress))
+    points = tables.marked([point for point in found if isinstance(point, tables.Point)])
+    refused = [words for words in found if isinstance(words, str)]
+    if as_json:
+        print_json({"plans": [asdict(point) for point in points], "refused": refused})
+        return 0 if points else 1
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("asked for")
+    for name in ("cell", "cable", "fold", "e*"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    for point in sorted(points, key=lambda point: point.cable):
+        table.add_row(
+            point.asked,
+            f"{point.cell:.2f} m",
+            f"{point.cable:.1f} m",
+            f"{point.fold:.0f} s",
+            f"{point.tracking:.3f} m",
+            "[dim]beaten by another[/]" if point.beaten else "",
+        )
+    console = Console()
+    console.print(table)
+    for words in refused:
+        console.print(f"refused: {words}", style="yellow", highlight=False)
+    return 0 if points else 1

@@ -1,0 +1,95 @@
+"""The front of plans, and the table of all knots as its command prints and keeps it."""
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from swarm.cli.knots import knots
+from swarm.errors import InputError
+from swarm.tables import BEYOND, COLUMNS, Point, knots_to_plan, marked
+
+ROW = dict.fromkeys(COLUMNS) | {
+    "knot": "3_1", "crossings": 3, "vehicles": 9, "cleared": True, "cell": 2.5, "cable": 50.0,
+    "fold": 99.0, "cable_clearance": 0.25, "strand_over_cell": 0.1, "seconds": 3.0, "says": "",
+}  # fmt: skip
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(knots, ["--plan", *arguments], catch_exceptions=False)
+    return result.exit_code, result.output
+
+
+def said(*arguments: str) -> str:
+    """What a command that is refused as bad usage or bad input says."""
+    result = CliRunner().invoke(knots, arguments)
+    if isinstance(result.exception, InputError):
+        return str(result.exception)
+    assert result.exit_code == 2
+    return result.output
+
+
+def test_all_prime_knots_to_ten_crossings_are_in_the_table() -> None:
+    wanted = knots_to_plan()
+    assert len(wanted) == 249 + len(BEYOND)
+    assert {"3_1", "10_165", "granny", "torus(3,5)"} <= set(wanted)
+
+
+def test_rows_that_a_file_has_are_printed_and_not_planned_again(tmp_path: Path) -> None:
+    kept = tmp_path / "rows.jsonl"
+    kept.write_text(json.dumps(ROW) + "\n" + '{"knot": "4_1", "cle')
+    code, printed = run("--only", "^3_1$", "--to", str(kept), "--csv")
+    assert code == 0
+    header, row = printed.strip().splitlines()[-2:]
+    assert header == ",".join(COLUMNS)
+    assert row.startswith("3_1,3,9,True,2.5,50.0,99.0,0.25,")
+    code, printed = run("--only", "^3_1$", "--to", str(kept), "--json")
+    assert json.loads(printed[printed.index("[") :]) == [ROW]
+    code, printed = run("--only", "^3_1$", "--to", str(kept))
+    assert "1 knots, 0 refused; 3 s of processor time" in printed
+
+
+def test_a_refused_knot_says_why_and_the_exit_code_tells(tmp_path: Path) -> None:
+    kept = tmp_path / "rows.jsonl"
+    row = ROW | {"cleared": False, "cable": None, "says": "tried a cell of 2 m"}
+    kept.write_text(json.dumps(row) + "\n")
+    code, printed = run("--only", "^3_1$", "--to", str(kept))
+    assert code == 1
+    assert "3_1: tried a cell of 2 m" in printed
+
+
+def test_a_knot_that_cannot_be_planned_still_has_its_row(tmp_path: Path) -> None:
+    kept = tmp_path / "rows.jsonl"
+    code, _ = run("--only", "^3_1$", "--to", str(kept), "--set", "layout.cell=0.5")
+    assert code == 1
+    row = json.loads(kept.read_text())
+    assert (row["knot"], row["vehicles"], row["cleared"], row["cable"]) == ("3_1", 9, False, None)
+    assert "layout.cell 0.5 m" in row["says"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--plan", "--only", "zzz"], "--only: no knot of the table matches 'zzz'"),
+        (["--plan", "--only", "("], "--only: expected a regular expression, got '('"),
+        (["--plan", "3_1"], "--plan is of many knots: use --only instead of a NAME"),
+        (["--csv"], "these options belong to --plan"),
+    ],
+)
+def test_what_makes_no_sense_is_usage(arguments: list[str], message: str) -> None:
+    assert message in said(*arguments)
+
+
+def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path) -> None:
+    kept = tmp_path / "rows.jsonl"
+    kept.write_text("hello\n" + json.dumps(ROW) + "\n")
+    message = f"{kept}: line 1: expected a row that --plan wrote"
+    assert message in said("--plan", "--to", str(kept))
+
+
+def test_a_point_is_beaten_by_one_no_worse_in_anything() -> None:
+    short, long = Point("a", 2, 50, 100, 0.1), Point("b", 3, 60, 110, 0.2)
+    worse = Point("c", 3, 61, 110, 0.2)
+    assert [point.beaten for point in marked([short, long, worse])] == [False, False, True]
+    assert not any(point.beaten for point in marked([short, short]))
