@@ -38,6 +38,19 @@ def drill_fleet(vehicles: int, personality: Personality, seed: int = 1) -> Fleet
     return fleet.model_copy(update={"limits": limits})
 
 
+def pass_audit(emulator: Emulator, proven: ProvenPlan, fleet: Fleet) -> None:
+    """Give emulated vehicles the parameters with which they would pass the audit."""
+    demands = demands_of_plan(proven.plan, fleet)
+    for vehicle in emulator.vehicles:
+        values = vehicle.parameters.values
+        for rule in rules(vehicle.spec.autopilot, demands):
+            if rule.name in values and not rule.good(values[rule.name]):
+                wanted = rule.should
+                value = wanted(values[rule.name]) if callable(wanted) else wanted
+                values[rule.name] = type(values[rule.name])(value)
+                vehicle.personality.parameter_changed(rule.name)
+
+
 @dataclass(eq=False)
 class Rehearsal:
     """Both sides of a flight and the time, one step after the other; can be copied at any time."""
@@ -55,15 +68,7 @@ class Rehearsal:
         """Return a flight before its first tick; its vehicles' parameters pass the audit."""
         world = emulated_world(proven.plan, fleet, with_cable=True, seed=seed)
         emulator = Emulator(parse_world(json.dumps(world)))
-        demands = demands_of_plan(proven.plan, fleet)
-        for vehicle in emulator.vehicles:
-            for rule in rules(vehicle.spec.autopilot, demands):
-                values = vehicle.parameters.values
-                if rule.name in values and not rule.good(values[rule.name]):
-                    wanted = rule.should
-                    value = wanted(values[rule.name]) if callable(wanted) else wanted
-                    values[rule.name] = type(values[rule.name])(value)
-                    vehicle.personality.parameter_changed(rule.name)
+        pass_audit(emulator, proven, fleet)
         return cls(proven, fleet, Conductor(proven, fleet), emulator)
 
     @property

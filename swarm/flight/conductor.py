@@ -5,7 +5,7 @@ same conductor flies the emulator in virtual time and vehicles on real links.
 
 The flight goes through stages: ``prepare`` (who is there, streams, origins, readiness), ``ready``
 (audited; waits for :meth:`Conductor.start`), ``fly`` (the mission clock), ``leave`` (everybody
-down together, out of turn), ``finished``.
+down together, out of turn), ``finished``. A flight that is taken up again begins with ``find``.
 """
 
 import math
@@ -33,6 +33,7 @@ from swarm.flight.readiness import named, readiness
 from swarm.flight.rejoining import bring_back
 from swarm.flight.reporting import snapshot_of, statistics_of
 from swarm.flight.result import Outcome, Statistics, Word
+from swarm.flight.resuming import LeftOff, Then, find, go_on
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.team import Address, Outgoing, Team
 from swarm.flight.trace import Trace
@@ -47,7 +48,7 @@ from swarm.preflight.monitor import Clearances, Monitor
 from swarm.preflight.windows import windows
 
 Floats = npt.NDArray[np.float64]
-Stage = Literal["prepare", "ready", "fly", "leave", "finished"]
+Stage = Literal["prepare", "ready", "find", "fly", "leave", "finished"]
 
 LOOSE_BUDGET = 0.5
 """Metres of tracking error that are allowed while nobody holds the cable."""
@@ -60,10 +61,20 @@ class Conductor:
     ``now`` is seconds since the flight's record began, in every call.
     """
 
-    def __init__(self, proven: ProvenPlan, fleet: Fleet, *, no_cable: bool = False) -> None:
+    def __init__(
+        self,
+        proven: ProvenPlan,
+        fleet: Fleet,
+        *,
+        no_cable: bool = False,
+        left: LeftOff | None = None,
+        then: Then = "hold",
+    ) -> None:
         """Raise :class:`Refused` where the fleet is too small or the plan does not rest at gates.
 
-        ``no_cable`` flies the same plan with nothing attached: grips are simulated.
+        ``no_cable`` flies the same plan with nothing attached: grips are simulated. ``left`` is
+        where a flight broke off that is to be taken up again, ``then`` what follows once everybody
+        has been found.
         """
         plan = proven.plan
         if len(fleet.vehicles) < plan.vehicles:
@@ -102,6 +113,10 @@ class Conductor:
         self.preparation = Preparation(self.team, fleet, standing)
         self._reset_flight()
         self._reset_numbers(plan.vehicles)
+        self.then: Then = then
+        self._left = left
+        if left is not None:
+            self._look_for(left, standing - self.lift)
 
     def _fly_with(self, flyers: list[Vehicle]) -> None:
         """Say who flies, in order along the cable; a guess until everybody has been heard."""
@@ -142,6 +157,12 @@ class Conductor:
         self.flown: list[tuple[float, float, Floats, Floats, str]] = []
         self.next_trace = self.next_look = 0.0
         self.setpoints_sent = 0
+
+    def _look_for(self, left: LeftOff, pads: Floats) -> None:
+        """Begin with a team that flies already, wherever it is."""
+        self._fly_with([self.team.vehicles[system] for system in left.systems])
+        self.frames, self._yaw, self.start_position = left.frames, left.yaw, pads
+        self.stage = "find"
 
     # What the shell calls
 
@@ -305,6 +326,23 @@ class Conductor:
             self.say("flight", "all vehicles are ready")
             self._enter("ready")
 
+    def _find(self) -> None:
+        if self._left is not None:
+            find(self, self._left)
+
+    def take_up(self, time: float) -> None:
+        """Go on at a mission time with a team that flies, standing still, nobody streamed to."""
+        left = self._left
+        if left is None:
+            raise Refused("this flight did not break off")
+        self.clock.time, self.gate = time, left.gate
+        self.clock.set_stopped()
+        self.expect_armed()
+        for vehicle in self.flyers:
+            vehicle.gripped = left.gripped
+            vehicle.take_events()
+        self._enter("fly")
+
     def _ready(self) -> None:
         findings = readiness(self.flyers, self.fleet, self.now)
         if not findings:
@@ -316,6 +354,7 @@ class Conductor:
     def _fly(self) -> None:
         watch(self)
         bring_back(self)
+        go_on(self)
         look(self)
         bound_hold(self)
         if self.stage != "fly":
@@ -456,6 +495,7 @@ _LEAVING: Mapping[Kind, str] = {
 _STAGES: Mapping[Stage, Callable[[Conductor], None]] = {
     "prepare": Conductor._prepare,
     "ready": Conductor._ready,
+    "find": Conductor._find,
     "fly": Conductor._fly,
     "leave": Conductor._leave_tick,
     "finished": lambda _: None,

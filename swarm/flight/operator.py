@@ -26,6 +26,10 @@ def available(flight: "Conductor") -> Mapping[Request, Wish]:
     """Return what each wish would do at this moment of the flight."""
     if flight.stage == "finished":
         return dict.fromkeys(REQUESTS, Wish(False, "the flight is over"))
+    if flight.stage == "find":
+        closed = Wish(False, "the team has not been found yet")
+        end = Wish(True, "ends here: everybody lands by itself after the fleet's hold time")
+        return {**dict.fromkeys(REQUESTS, closed), "interrupt": end}
     if flight.stage in {"prepare", "ready"}:
         closed = Wish(False, "nothing flies yet")
         end = Wish(True, "ends here: nothing is armed")
@@ -151,6 +155,8 @@ def _grant_interrupt(flight: "Conductor") -> None:
     again, flight.interrupted = flight.interrupted, True
     if flight.stage in {"prepare", "ready"}:
         flight.finish_as("interrupted", "interrupted before anything was armed")
+    elif flight.stage == "find":
+        flight.finish_as("interrupted", "interrupted before the team was found")
     elif flight.stage == "fly" and (again or flight.waiting):
         flight.leave("land", "interrupted", move=not again)
     elif flight.stage == "fly":

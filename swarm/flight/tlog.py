@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, Refused
 from swarm.fleet import Fleet
-from swarm.flight.preparation import STANDING_TIME, prepared_team
+from swarm.flight.preparation import STANDING_TIME, Prepared, prepared_team
 from swarm.flight.trace import Trace
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.frames import Frames
@@ -59,10 +59,15 @@ class CommandLatency:
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """What a .tlog tells. ``systems`` are in order along the cable; losses by system id."""
+    """What a .tlog tells. ``systems`` are in order along the cable; losses by system id.
+
+    ``frames`` and ``yaw`` (n,) in radians are those of the vehicles on their pads.
+    """
 
     trace: Trace
     systems: tuple[int, ...]
+    frames: Frames
+    yaw: Floats
     commands: tuple[CommandLatency, ...]
     received: Mapping[int, int]
     lost: Mapping[int, int]
@@ -199,11 +204,14 @@ def replay(data: bytes, plan: Plan, fleet: Fleet) -> Replayed:
             heard.take(now - first, one)
     if math.isnan(first) or not heard.clock:
         raise InputError("the record's flight.tlog tells of no flight")
-    frames, flyers = _frames(heard, plan)
+    prepared = _frames(heard, plan)
+    frames, flyers = prepared.frames, prepared.flyers
     notes = [f"the .tlog has {holes} damaged places"] if holes else []
     return Replayed(
         trace=_trace(heard, plan, frames, [v.system for v in flyers], last - first),
         systems=tuple(v.system for v in flyers),
+        frames=frames,
+        yaw=prepared.yaw,
         commands=tuple(_commands(heard)),
         received={v.system: v.packets for v in heard.vehicles.values()},
         lost={v.system: v.lost_packets for v in heard.vehicles.values()},
@@ -220,7 +228,7 @@ def _vehicles(fleet: Fleet) -> dict[int, Vehicle]:
     }
 
 
-def _frames(heard: _Heard, plan: Plan) -> tuple[Frames, list[Vehicle]]:
+def _frames(heard: _Heard, plan: Plan) -> Prepared:
     """Tie frames to the mission by where vehicles stood when all were ready."""
     flown = [system for system in heard.vehicles if system in heard.places]
     streamed = [system for system in flown if system in heard.asked]
@@ -236,12 +244,11 @@ def _frames(heard: _Heard, plan: Plan) -> tuple[Frames, list[Vehicle]]:
     lift = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
     standing = plan.motion.at(0.0)[0] + lift
     try:
-        prepared = prepared_team(
+        return prepared_team(
             [heard.standing[s] for s in flown], heard.fleet, standing, np.array(measured)
         )
     except Refused as error:
         raise InputError(f"the .tlog does not tell where the vehicles were: {error}") from None
-    return prepared.frames, prepared.flyers
 
 
 def _trace(heard: _Heard, plan: Plan, frames: Frames, systems: list[int], duration: float) -> Trace:

@@ -1,0 +1,139 @@
+"""A flight whose ground station dies in mid-fold is found again and taken up, in virtual time."""
+
+import numpy as np
+import pytest
+
+from swarm.drills.rehearsal import pass_audit
+from swarm.errors import InputError
+from swarm.fleet import emulated_fleet
+from swarm.flight.conductor import Conductor
+from swarm.flight.resuming import left_off
+from swarm.flight.tlog import ClockTeller
+from tests.network import Network, small_plan
+
+PLAN = small_plan()
+BEGAN = 1_700_000_000.0
+
+
+class Recorded(Network):
+    """A network whose packets are kept as a .tlog."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        pass_audit(self.emulator, self.proven, self.fleet)
+        self.tlog = bytearray()
+        self.teller = ClockTeller(self.proven.plan)
+        self.downlink = lambda now, _system, data: self._keep(now, data)
+
+    def _keep(self, now, data):
+        from swarm.mavlink.packets import split
+
+        for packet in split(data)[0]:
+            self.tlog += int((BEGAN + now) * 1e6).to_bytes(8, "big") + packet
+        return True
+
+    def once(self):
+        before = len(self.sent)
+        super().once()
+        for now, _, data in self.sent[before:]:
+            self._keep(now, data)
+        conductor = self.conductor
+        if conductor.stage in {"ready", "fly", "leave"}:
+            phase = conductor.phase.name if conductor.stage == "fly" else ""
+            self._keep(self.now, self.teller.tell(self.now, conductor.clock.time, phase))
+
+
+def broken_off(autopilots, after, silent_for):
+    """A flight that was killed so long into its fold, and the emulator some seconds later."""
+    flight = Recorded(PLAN, emulated_fleet(3, autopilots))
+    flight.until_phase("fold", after)
+    flight.uplink = lambda *_: False
+    left = left_off(bytes(flight.tlog), PLAN.plan, flight.fleet)
+    assert left.gripped
+    for _ in range(round(silent_for / flight.step)):
+        for _system, _data in flight.emulator.step(flight.now):
+            pass
+        flight._tick += 1
+        flight.now = flight._tick * flight.step
+    return flight, left
+
+
+def taken_up(flight, left, then):
+    flight.conductor = Conductor(PLAN, flight.fleet, left=left, then=then)
+    flight.uplink = lambda *_: True
+    flight.downlink = lambda *_: True
+    flight.events.clear()
+    flight._start = flight.now
+    return flight
+
+
+@pytest.mark.parametrize(
+    "autopilots", [("px4",), ("ardupilot",), ("px4", "ardupilot")], ids="-".join
+)
+def test_a_flight_goes_on_where_it_broke_off(autopilots):
+    flight, left = broken_off(autopilots, 3.0, 4.0)
+    before = flight.emulator.truth().position.copy()
+    taken_up(flight, left, "continue")
+    flight.run(lambda: flight.conductor.stage == "fly", most=10.0)
+    (words,) = flight.words("resume")
+    assert words.startswith("found everybody at ")
+    assert abs(flight.conductor.clock.time - left.mission_time) < 2.0
+    flight.run(lambda: not flight.conductor.holding, most=15.0)
+    moved = np.linalg.norm(flight.emulator.truth().position - before, axis=1)
+    assert moved.max() < 0.4, "nobody jumps when it is streamed to again"
+    outcome = flight.run(most=200.0)
+    assert outcome.word == "done", flight.words("failure")
+    truth = flight.emulator.truth()
+    assert not truth.armed.any()
+    assert not truth.gripped.any()
+
+
+@pytest.mark.parametrize(
+    ("then", "ends"), [("land", "interrupted"), ("release", "interrupted"), ("rewind", None)]
+)
+def test_the_operator_may_say_what_follows(then, ends):
+    flight, left = broken_off(("px4",), 4.0, 3.0)
+    taken_up(flight, left, then)
+    if then == "rewind":
+        start = PLAN.plan.phase("fold").start
+        flight.run(lambda: flight.conductor.stage == "fly", most=10.0)
+        flight.run(lambda: flight.conductor.clock.time <= start + 1e-6, most=60.0)
+        assert flight.conductor.stage == "fly"
+        return
+    assert flight.run(most=120.0).word == ends
+    truth = flight.emulator.truth()
+    assert not truth.armed.any()
+    assert truth.gripped.all() == (then == "land")
+
+
+def test_without_a_word_from_the_operator_the_team_holds_and_then_lands():
+    flight, left = broken_off(("px4",), 3.0, 3.0)
+    flight.fleet = flight.fleet.model_copy(
+        update={"limits": flight.fleet.limits.model_copy(update={"hold": 8.0})}
+    )
+    taken_up(flight, left, "hold")
+    flight.run(lambda: flight.conductor.stage == "fly", most=10.0)
+    flight.until_time(5.0)
+    assert flight.conductor.holding is not None, flight.words()
+    assert flight.run(most=120.0).word == "interrupted"
+    assert not flight.emulator.truth().armed.any()
+
+
+def test_a_vehicle_that_is_not_found_is_named():
+    flight, left = broken_off(("px4",), 3.0, 3.0)
+    taken_up(flight, left, "continue")
+    flight.downlink = lambda _now, system, _data: system != 2
+    outcome = flight.run(most=200.0)
+    assert outcome.exit_code == 3
+    assert outcome.explanation == "not found: vehicle 2; everybody lands by itself"
+
+
+def test_a_team_that_was_leaving_or_standing_is_not_taken_up():
+    flight = Recorded(PLAN, emulated_fleet(3))
+    flight.until_phase("fold", 2.0)
+    flight.conductor.request("land")
+    flight.until_time(1.0)
+    with pytest.raises(InputError, match="nothing to resume"):
+        left_off(bytes(flight.tlog), PLAN.plan, flight.fleet)
+    with pytest.raises(InputError, match="tells of no flight"):
+        left_off(b"", PLAN.plan, flight.fleet)
