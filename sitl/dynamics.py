@@ -33,6 +33,8 @@ _THRUST_DAMPING = 0.9
 _YAW_RATE = 1.0
 _SETTLED = 2.0
 _GOAL = struct.Struct("9d")
+_FASTEST_FALL, _LONGEST_ALOFT = 25.0, 4
+_LARGEST_INTEGRAL = 5.0
 _IDLE_THRUST = 0.08 * GRAVITY
 _SLOW_VERTICAL = 0.25
 _SLOW_HORIZONTAL = 1.5
@@ -125,6 +127,7 @@ class Bodies:
         self.drift = np.zeros((n, 3))
         self.share = np.zeros(n)
         self._settled = False
+        self._aloft_for = 0
 
     def _make_air(self, world: World) -> None:
         n = self.count
@@ -261,7 +264,13 @@ class Bodies:
         """Advance by `STEP`; return which vehicles have just hit the ground hard, or None."""
         self._rows = None
         if self._settled and self._healthy and self._glide():
-            return self._ground() if self._height.min() <= self._highest_stand else None
+            if self._aloft_for > 0:
+                self._aloft_for -= 1
+                return None
+            clear = float(self._height.min()) - self._highest_stand
+            self._aloft_for = int(min(max(clear, 0.0) / (STEP * _FASTEST_FALL), _LONGEST_ALOFT))
+            return self._ground() if clear <= 0.0 else None
+        self._aloft_for = 0
         command = self._command()
         command -= self.thrust
         command *= STEP * _THRUST_FREQUENCY**2
@@ -439,7 +448,8 @@ class Bodies:
         are Dryden's first-order longitudinal filter on every axis (MIL-F-8785C, low altitude), four
         fifths of it common to the whole team, whose vehicles are close together.
         """
-        np.clip(self.integral, -5.0, 5.0, out=self.integral)
+        if np.abs(self.integral).max() > _LARGEST_INTEGRAL:
+            np.clip(self.integral, -_LARGEST_INTEGRAL, _LARGEST_INTEGRAL, out=self.integral)
         if self._noisy:
             keep = math.exp(-interval / _NOISE_TIME)
             self.noise *= keep

@@ -121,7 +121,15 @@ def take(px4: "Px4", setpoint: wire.Setpoint) -> None:
     mask = setpoint.mask
     values = setpoint.values
     total = sum(values)
-    if mask & 0x1FF or total - total != 0.0:
+    if not mask & 0x1FF and total - total == 0.0:
+        if px4.all_axes and px4.state == "OFFBOARD":
+            v = px4.v
+            n, e, d, vn, ve, vd, an, ae, ad = values
+            v.bodies.stage(v.index, (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad))
+            px4.offboard_at, px4.offboard = v.now, setpoint
+            _turn(px4, setpoint)
+            return
+    else:
         values = tuple(math.nan if mask >> k & 1 else x for k, x in enumerate(values))
         if not _complete(values):
             return
@@ -129,8 +137,12 @@ def take(px4: "Px4", setpoint: wire.Setpoint) -> None:
     px4.offboard = setpoint
     if px4.state == "OFFBOARD":
         _follow(px4, values)
-        if not mask & 1024 and math.isfinite(setpoint.yaw):
-            px4.v.bodies.goal_yaw[px4.v.index] = math.pi / 2 - setpoint.yaw
+        _turn(px4, setpoint)
+
+
+def _turn(px4: "Px4", setpoint: wire.Setpoint) -> None:
+    if not setpoint.mask & 1024 and math.isfinite(setpoint.yaw):
+        px4.v.bodies.goal_yaw[px4.v.index] = math.pi / 2 - setpoint.yaw
 
 
 def _follow(px4: "Px4", values: tuple[float, ...]) -> None:
@@ -138,12 +150,8 @@ def _follow(px4: "Px4", values: tuple[float, ...]) -> None:
     n, e, d, vn, ve, vd, an, ae, ad = values
     total = sum(values)
     if total - total == 0.0:
-        goal = (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad)
-        if px4.all_axes:
-            v.bodies.stage(v.index, goal)
-        else:
-            v.bodies.aim(v.index, goal)
-            px4.all_axes = True
+        v.bodies.aim(v.index, (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad))
+        px4.all_axes = True
         return
     px4.all_axes = False
     given = [float(math.isfinite(value)) for value in values]
