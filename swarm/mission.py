@@ -280,6 +280,23 @@ class Mission(Section):
             raise ValueError("expected finish: tighten with three vehicles or more, got two")
 
     @model_validator(mode="after")
+    def _cable_at_hand(self) -> Self:
+        given = [
+            name
+            for name in ("cell", "lane_over", "lane_under")
+            if getattr(self.layout, name) != "auto"
+        ]
+        if self.layout.corners is not None:
+            given.insert(0, "corners")
+        if self.cable.length is not None and (given or self.fold.method == "paper"):
+            wrong = f"layout.{given[0]}" if given else "fold.method: paper"
+            raise ValueError(
+                "expected cable.length only with a layout that is left to the planner, which it "
+                f"rescales, got {wrong} too"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _tied_on(self) -> Self:
         if self.grab == "attached":
             if self.vehicles.breakaway is None:

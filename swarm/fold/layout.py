@@ -1,7 +1,7 @@
 """Where the knot hangs: corners, sags, segment lengths and lanes from a diagram and the limits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,8 @@ class Shape:
     ``minimum_sag`` the least sag of any segment and ``slack`` its least sag as a share of its span;
     lanes are heights over or under the corners. From ``slope`` before
     a corner to as much behind it levels change, and turns reach as far as ``rounding``. Given sags
-    are taken as they are; with ``two_sags`` all under strands get the same.
+    are taken as they are; with ``two_sags`` all under strands get the same. ``length`` is the
+    cable's, where the layout is to use all of it: then the rest of what scales is only a start.
     """
 
     cell: float
@@ -34,6 +35,19 @@ class Shape:
     sag_over: float | None = None
     sag_under: float | None = None
     two_sags: bool = False
+    length: float | None = None
+
+    def scaled(self, factor: float) -> "Shape":
+        """Return the shape with everything wider that goes with the cell."""
+        return replace(
+            self,
+            cell=factor * self.cell,
+            minimum_sag=factor * self.minimum_sag,
+            lane_over=factor * self.lane_over,
+            lane_under=factor * self.lane_under,
+            slope=factor * self.slope,
+            rounding=factor * self.rounding,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,6 +58,9 @@ def candidates(
     if mission.fold.method == "paper":
         yield _printed(mission, knot, _paper_layout(mission, opened[0], margins))
         return
+    if mission.layout.corners is not None:
+        yield from _as_given(mission, knot, margins, progress)
+        return
     _refuse_crowding(mission, knot, opened, margins)
     tried: list[str] = []
     doubtful: list[Folding] = []
@@ -124,10 +127,7 @@ def _refuse_unplanned(mission: Mission) -> None:
     missing = [
         words
         for asked, words in (
-            (mission.cable.length is not None, "cable.length: no layout is fitted to a cable yet"),
             (mission.start != "line", f"start: {mission.start} is not planned yet"),
-            (mission.fold.method != "paper" and mission.layout.corners is not None,
-             "layout.corners: given corners are only flown with fold.method: paper so far"),
         )
         if asked
     ]  # fmt: skip
@@ -139,14 +139,17 @@ def _refuse_crowding(
     mission: Mission, knot: KnotSummary, opened: list[OpenGrid], margins: Margins
 ) -> None:
     """Refuse a cell that brings vehicles at rest on their corners, all at one height, too close."""
-    cell = mission.layout.cell
+    cell, key = mission.layout.cell, "layout.cell"
+    if mission.cable.length is not None:
+        shape = fitted(opened[0], next(shapes(mission, margins)), margins)
+        cell, key = shape.cell, f"cable.length {mission.cable.length:g} m, a cell of"
     if cell == "auto":
         return
     apart = max(float(pdist(diagram.corners).min()) for diagram in opened) * cell
     least = margins.vehicle + 2.0 * margins.tracking
     if apart < least:
         raise Refused(
-            f"no fold of {knot.type} keeps the clearances with layout.cell {cell:g} m: vehicles "
+            f"no fold of {knot.type} keeps the clearances with {key} {cell:.3g} m: vehicles "
             f"would rest {apart:.2f} m apart, and clearance.vehicle with tracking errors of both "
             f"asks for {least:.2f} m"
         )
@@ -224,6 +227,9 @@ Steep strands answer tracking errors the most, so without these lanes may be tal
 """
 
 
+_SMALLEST = 0.05
+"""Layouts are not scaled down by more to fit a cable."""
+
 _SLOPE, _ROUNDING = 0.98, 0.5
 """From how far before a corner, in cells, levels change and turns begin."""
 
@@ -246,6 +252,7 @@ def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
             rounding=_ROUNDING * cell,
             sag_over=None if asked.sag_over == "auto" else asked.sag_over,
             sag_under=None if asked.sag_under == "auto" else asked.sag_under,
+            length=mission.cable.length,
         )
 
 
@@ -258,7 +265,35 @@ class Folding:
     plan: Schedule
 
 
+def fitted(diagram: OpenGrid, shape: Shape, margins: Margins) -> Shape:
+    """Scale a shape until the diagram hung in it takes the shape's length of cable, or just less.
+
+    Raises :class:`swarm.errors.Refused` where the smallest layouts take more.
+    """
+    if shape.length is None:
+        return shape
+
+    def takes(factor: float) -> float:
+        return float(_hung_apart(diagram, shape.scaled(factor), margins).lengths.sum())
+
+    low, high = 1.0, 1.0
+    while takes(low) > shape.length:
+        low *= 0.7
+        if low < _SMALLEST:
+            raise Refused(
+                f"cable.length {shape.length:g} m: even with a cell of {low * shape.cell:.2f} m "
+                f"the layout takes {takes(low):.1f} m"
+            )
+    while takes(high) < shape.length:
+        high *= 1.4
+    while high - low > 1e-6 * low:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if takes(middle) <= shape.length else (low, middle)
+    return shape.scaled(low)
+
+
 def _folded(diagram: OpenGrid, shape: Shape, margins: Margins) -> Folding:
+    shape = fitted(diagram, shape, margins)
     layout = _hung_apart(diagram, shape, margins)
     run_in = 1.1 * float(layout.lengths.sum()) + 2.0
     path = FoldPath(layout.corners, layout.lanes, shape.slope, shape.rounding, run_in)
@@ -345,6 +380,48 @@ def _planned(
     )
     line = path.at(len(layout.corners) - 1, np.linspace(0.0, path.stops[-1], 400))[0]
     return _flown(mission, knot, layout, fold, line, tried)
+
+
+def _as_given(
+    mission: Mission, knot: KnotSummary, margins: Margins, progress: Progress | None
+) -> Generator[Plan, Shortfalls | None, None]:
+    """Plans for a layout given by its corners and sags, the most promising first.
+
+    The lanes are ordered as the sags are, the segment that sags least highest; how far apart they
+    are, where levels change and how wide turns are is tried.
+    """
+    asked = mission.layout
+    layout = given(asked.corners or (), asked.sags or (), 0.0)
+    edges = np.diff(layout.corners[:, :2], axis=0)
+    shortest = float(np.linalg.norm(edges, axis=1).min())
+    heading = edges[0] / np.linalg.norm(edges[0])
+    turn = np.array([[heading[0], heading[1]], [-heading[1], heading[0]]])
+    corners = layout.corners.copy()
+    corners[:, :2] = (corners[:, :2] - corners[0, :2]) @ turn.T
+    levels = np.unique(layout.sags.round(6), return_inverse=True)[1].astype(np.float64)
+    tried: list[str] = []
+    foldings: list[Folding] = []
+    for done, (apart, slope, rounding) in enumerate(_GIVEN):
+        if progress:
+            progress("folding the given layout", done / len(_GIVEN))
+        lanes = apart * shortest * (0.5 * levels.max() - levels)
+        hung = replace(layout, corners=corners, lanes=lanes)
+        run_in = 1.1 * float(layout.lengths.sum()) + 2.0
+        path = FoldPath(hung.corners, lanes, slope * shortest, rounding * shortest, run_in)
+        plan = schedule(path, hung.lengths, margins, 0.08 * shortest)
+        if plan.cost < _HOPELESS:
+            plan = improved(plan)
+        foldings.append(Folding(hung, path, plan))
+        tried.append(
+            f"tried lanes {apart * shortest:.2f} m apart: misses its margins by {plan.worst:.2g}"
+        )
+    foldings.sort(key=lambda folding: folding.plan.worst)
+    for folding in foldings[:_MENDINGS]:
+        yield from _mended(mission, knot, folding, margins, tried)
+
+
+_GIVEN = ((0.1, 0.3, 0.15), (0.2, 0.3, 0.15), (0.2, 0.4, 0.25), (0.35, 0.4, 0.15))
+"""Distance of lanes, reach of level changes and of turns, over the shortest edge."""
 
 
 def _paper_layout(mission: Mission, diagram: OpenGrid, margins: Margins) -> Hanging:

@@ -1,0 +1,58 @@
+"""Layouts that are not left to the planner: fitted to a cable, or given by corners and sags."""
+
+import numpy as np
+import pytest
+
+from swarm.errors import InputError, Refused
+from swarm.knots.catalog import lookup
+from swarm.knots.grid import openings
+from swarm.mission import Mission, mission_for_knot, parse_mission
+from swarm.plans import make_plan
+from swarm.plans.make import _hung_apart, _margins, fitted, shapes
+
+
+def refusal(*overrides: str) -> str:
+    with pytest.raises(InputError) as caught:
+        mission_for_knot("overhand", overrides)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("length", [60.0, 90.0])
+def test_a_layout_is_rescaled_to_use_the_whole_cable(length: float) -> None:
+    mission = mission_for_knot("overhand", [f"cable.length={length}"])
+    margins = _margins(mission)
+    diagram = openings(lookup("overhand").grid)[0]
+    shape = next(shapes(mission, margins))
+    scaled = fitted(diagram, shape, margins)
+    factor = scaled.cell / shape.cell
+    assert scaled.lane_over == pytest.approx(factor * shape.lane_over)
+    assert scaled.slope == pytest.approx(factor * shape.slope)
+    used = _hung_apart(diagram, scaled, margins).lengths.sum()
+    assert length - 1e-3 < used <= length
+
+
+def test_a_cable_that_is_too_short_says_what_it_would_mean() -> None:
+    with pytest.raises(Refused) as caught:
+        make_plan(mission_for_knot("overhand", ["cable.length=12.0"]))
+    assert "cable.length 12 m, a cell of 0.253 m: vehicles would rest 0.36 m apart" in str(
+        caught.value
+    )
+
+
+def test_a_given_cable_asks_for_a_layout_that_can_be_scaled() -> None:
+    words = "overhand: expected cable.length only with a layout that is left to the planner, which"
+    assert refusal("cable.length=50", "layout.cell=2.0").startswith(words)
+    assert refusal("cable.length=50", "fold.method=paper").endswith("got fold.method: paper too")
+
+
+def star(*keys: str) -> Mission:
+    turns = 2 * np.pi * np.array([0, 2, 4, 1, 3]) / 5
+    corners = [[float(7 * np.cos(a)), float(7 * np.sin(a))] for a in turns]
+    text = f"""{{schema: 1, name: star, knot: {{name: 3_1, chirality: either}},
+        layout: {{corners: {corners}, sags: [2.8, 0.6, 3.9, 1.7]}}}}"""
+    return parse_mission(text, "star.yaml", keys)
+
+
+def test_segments_that_cross_and_sag_alike_are_refused() -> None:
+    with pytest.raises(Refused, match="segments 1 and 3 cross and both sag 2 m"):
+        make_plan(star("layout.sags=[2, 1, 2, 3]"))
