@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from swarm.errors import InputError, Problem
+from swarm.ground.priority import follow
 from swarm.mavlink.signing import KEY_LENGTH, TICKS_PER_SECOND, Signing, ticks_at
 
 KEEP_INTERVAL = 1.0
@@ -66,6 +67,7 @@ def signing_with(file: str | None) -> Iterator[Signing | None]:
     over = threading.Event()
 
     def work() -> None:
+        follow()
         while not over.wait(KEEP_INTERVAL):
             with suppress(OSError):
                 _keep(beside, signing.timestamp)

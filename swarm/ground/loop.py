@@ -1,7 +1,8 @@
 """The flight loop: the only place that joins sockets, the clock and the conductor.
 
-Deadlines are absolute; a tick that was missed is not made up for, so nothing stale is sent.
-Packets are taken as they come in between.
+Deadlines are absolute; a tick that was missed is not made up for, so nothing stale is sent. What is
+sent at a deadline is worked out just before it, for that moment. Packets are taken as they come in
+between.
 """
 
 import time
@@ -16,6 +17,10 @@ from swarm.flight.team import Address, Outgoing
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links
+
+_FORGET = 0.98
+_LONGEST_LEAD = 0.4
+"""Share of a tick that working it out may begin before its deadline."""
 
 
 class Flown(Protocol):
@@ -50,23 +55,30 @@ class Loop:
     relay: Relay | None = None
     lateness: list[float] = field(default_factory=list)
     cpu: float = 0.0
+    began: float = 0.0
 
     def run(self) -> None:
         """Run until the conductor has finished."""
         conductor, links = self.conductor, self.links
         interval = 1.0 / (self.conductor.fleet.rates.setpoint * self.speed)
         began, cpu = time.monotonic(), time.process_time()
+        self.began = began
         deadline = began
+        lead = 0.0
         while not conductor.over:
-            while (left := deadline - time.monotonic()) > 0.0:
+            while (left := deadline - lead - time.monotonic()) > 0.0:
                 self._receive(began, left)
             self._receive(began, 0.0)
             moment = time.monotonic()
-            self.lateness.append(moment - deadline)
-            now = (moment - began) * self.speed
+            now = (max(moment, deadline) - began) * self.speed
             outgoing = conductor.tick(now)
             if self.relay is not None:
                 outgoing.extend(self.relay.to_vehicles())
+            ready = time.monotonic()
+            lead = min(max(_FORGET * lead, ready - moment), _LONGEST_LEAD * interval)
+            if ready < deadline:
+                time.sleep(deadline - ready)
+            self.lateness.append(time.monotonic() - deadline)
             links.send(outgoing)
             if self.record is not None:
                 for one in outgoing:

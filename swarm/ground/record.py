@@ -25,6 +25,7 @@ from swarm.fleet import Fleet
 from swarm.flight.archive import plan_document, plan_motion
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event
+from swarm.ground.priority import follow
 from swarm.mavlink.packets import split
 from swarm.preflight.findings import ProvenPlan
 
@@ -75,6 +76,7 @@ class Record:
             self.dropped += 1
 
     def _write(self) -> None:
+        follow()
         while not self._closing.wait(WRITE_INTERVAL):
             self._write_waiting()
         self._write_waiting()
