@@ -21,6 +21,7 @@ from swarm.flight.tlog import Replayed, replay
 from swarm.plans import Plan
 from swarm.preflight.assess import assess
 from swarm.verify import TrackingError, judge
+from swarm.view.plots import plot_flight
 
 _LARGEST_LOG = 4 << 30
 
@@ -33,8 +34,15 @@ _LARGEST_LOG = 4 << 30
     metavar="WORDS",
     help='Enter what was seen, for example "3_1 right by camera" or "unknot by Ann".',
 )
+@click.option(
+    "--plot",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Draw where it was held, tracking errors and the mission clock (PNG).",
+)
 @click.pass_context
-def verify(context: click.Context, record: Path, as_json: bool, observed: str | None) -> None:
+def verify(
+    context: click.Context, record: Path, as_json: bool, observed: str | None, plot: Path | None
+) -> None:
     """Recompute from RECORD (a flight's folder) which knot was flown, and how closely.
 
     Reads the positions that the vehicles reported and the setpoints that were sent from the .tlog,
@@ -49,6 +57,8 @@ def verify(context: click.Context, record: Path, as_json: bool, observed: str | 
     assessment, flown = assess(plan), judge(plan, replayed.trace)
     if observed is not None:
         enter(record, seen[-1])
+    if plot:
+        plot_flight(plan, replayed.trace, plot)
     if as_json:
         found = {
             "record": str(record),

@@ -44,7 +44,11 @@ MOST_PENETRATION: Final = 1.5
 """Radii; strands that are two radii deep in each other may leave on the other side."""
 
 MOST_STRETCH: Final = 0.01
-"""Share of a link's length, away from the grips."""
+"""Share of a link's length, farther than BESIDE_GRIP from all grips."""
+
+BESIDE_GRIP: Final = 0.3
+"""Metres of rope. A held node is put from place to place, and no constraint knows how fast it
+moves: links beside it lag by its speed times CONTACT_TIME, some millimetres."""
 
 MOST_SPEED: Final = 12.0
 """m/s of any node; faster is a spike of the solver, not a rope of this kind."""
@@ -80,7 +84,7 @@ class RopeRun:
     ``knot``, ``chirality`` and ``gauss`` are of the rope at the end, its ends closed upwards;
     ``as_planned`` compares the crossing code with the layout's, or after tightening the knot with
     the plan's. ``penetration`` is the deepest of all contacts, ``stretch`` the largest of links
-    away from the grips and ``speed`` the fastest of all nodes. ``void`` says why the run shows
+    that are not beside a grip, ``speed`` the fastest of all nodes. ``void`` says why the run shows
     nothing; empty where it does show something. ``stray`` is the largest distance of a node from
     the quasi-static cable between the same grips, ``apart`` the smallest between segments that
     share no vehicle, surface to surface.
@@ -204,9 +208,9 @@ class _Rope:
             self._data.qvel[:] = speeds[self._free].ravel()
         mujoco.mj_forward(self._model, self._data)
         self._rest = self._model.flexedge_length0.copy()
-        self._away = ~(
-            np.isin(np.arange(len(links)), held) | np.isin(np.arange(1, len(nodes)), held)
-        )
+        arc = np.append(0.0, np.cumsum(links))
+        middles = 0.5 * (arc[1:] + arc[:-1])
+        self._away = np.abs(middles[:, None] - arc[held]).min(axis=1) > BESIDE_GRIP
         self._load = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * cable.diameter
         self._wind = wind
         self._speed_of_held = np.zeros((len(held), 3))

@@ -3,6 +3,7 @@
 Every ``draw_…`` function draws into axes that it is given; ``plot_…`` make a whole picture.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,6 +42,10 @@ END: Final = np.array([214, 96, 40]) / 255
 INK: Final = "#303848"
 ALARM: Final = "#c03030"
 FAINT: Final = "#c8cdd6"
+FAINT_INK: Final = "#98a0ae"
+FLAT: Final = 0.25
+"""Least share of the longest side that any side of a drawing has: a line has no extent across."""
+
 GAP: Final = 0.16
 """Half of the gap of an under strand, in cells or in shares of a typical span."""
 
@@ -62,12 +67,17 @@ def plan_figure(plan: Plan) -> Figure:
             draw_grid(figure.add_subplot(cells[0, 0]), plan.knot)
         draw_plan_view(figure.add_subplot(cells[0, -2]), plan.layout)
         draw_fold(figure.add_subplot(cells[0, -1], projection="3d"), plan.layout)
-        hand = f", {plan.knot.chirality}-handed" if plan.knot.chirality != "none" else ""
-        figure.suptitle(
-            f"{plan.mission.name}: knot {plan.knot.type}{hand}, {plan.vehicles} vehicles, "
-            f"{plan.layout.lengths.sum():.1f} m of cable"
-        )
+        figure.suptitle(_headline(plan))
         return figure
+
+
+def _headline(plan: Plan) -> str:
+    hand = f", {plan.knot.chirality}-handed" if plan.knot.chirality != "none" else ""
+    knot = f"knot {plan.knot.type}{hand}" if plan.knot.type else "no knot"
+    vehicles = f"{plan.vehicles} vehicle{'s' if plan.vehicles > 1 else ''}"
+    length = plan.layout.lengths.sum()
+    cable = f"{length:.1f} m of cable" if length else "no cable"
+    return f"{plan.mission.name}: {knot}, {vehicles}, {cable}"
 
 
 def plot_schedule(plan: Plan, path: Path) -> None:
@@ -101,6 +111,35 @@ def flight_figure(plan: Plan, trace: Trace) -> Figure:
         draw_errors(figure.add_subplot(cells[0, 1]), trace, plan.mission.vehicles.tracking)
         draw_clock(figure.add_subplot(cells[1, 1]), trace)
         figure.suptitle(f"{plan.mission.name}: as flown")
+        return figure
+
+
+def front_figure(
+    cable: Floats, fold: Floats, tracking: Floats, labels: Sequence[str], beaten: Sequence[bool]
+) -> Figure:
+    """Return what plans with more and less room cost and stand: cable, fold time and e*.
+
+    All (k,): metres, seconds, metres. Plans that another one beats in all three are drawn faintly.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.0, 4.6), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots()
+        low, high = float(np.min(tracking)), float(np.max(tracking))
+        for i, label in enumerate(labels):
+            share = (tracking[i] - low) / (high - low) if high > low else 1.0
+            axes.plot(
+                cable[i], fold[i], "o", markersize=7 + 11 * share, color=START,
+                alpha=0.25 if beaten[i] else 0.9, markeredgewidth=0,
+            )  # fmt: skip
+            axes.annotate(
+                f"e* {tracking[i]:.3f} m\n{label}", (cable[i], fold[i]), fontsize=7.5,
+                textcoords="offset points", xytext=(12, -4),
+                color=FAINT_INK if beaten[i] else INK,
+            )  # fmt: skip
+        axes.set(xlabel="cable, m", ylabel="fold, s")
+        axes.set_title("Cable, fold time and the tracking error e* that a plan stands")
+        axes.margins(0.25, 0.18)
         return figure
 
 
@@ -157,17 +196,28 @@ def draw_plan_view(axes: Axes, layout: Layout) -> None:
         lines.set_capstyle("round")
         axes.add_collection(lines)
     _label_vehicles(axes, corners)
+    low, high = _extent(corners)
+    spare = 0.12 * float((high - low).max())
+    axes.set(xlim=(low[0] - spare, high[0] + spare), ylim=(low[1] - spare, high[1] + spare))
     axes.set_aspect("equal")
-    axes.margins(0.12)
-    axes.autoscale_view()
     axes.set(xlabel="east, m", ylabel="north, m")
     axes.set_title("Plan view")
+
+
+def _extent(points: Floats) -> tuple[Floats, Floats]:
+    """Return the lowest and highest corner of a box around points, no side of it very short."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = np.maximum(0.5 * (high - low), 0.5 * FLAT * max(float((high - low).max()), 1.0))
+    middle = 0.5 * (low + high)
+    return middle - half, middle + half
 
 
 def _visible_pieces(layout: Layout) -> list[list[tuple[float, float]]]:
     """Return for each segment the shares of its span that are drawn, gaps left out."""
     corners = layout.corners[:, :2]
     spans = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    if not len(spans):
+        return []
     half = GAP * (layout.cell if layout.cell > 0 else 0.3 * float(np.median(spans)))
     gaps: list[list[float]] = [[] for _ in spans]
     for over, under in layout.crossings:
@@ -198,12 +248,12 @@ def draw_fold(axes: Axes, layout: Layout) -> None:
         axes.plot(*np.array([crossing.lower, crossing.upper]).T, color=INK, linewidth=0.9)
         axes.text(*crossing.upper, f" {crossing.distance:.2f}", fontsize=7, color=INK)
     axes.plot(*layout.corners.T, "o", color=INK, markersize=3.0)
-    low = strips.reshape(-1, 3).min(axis=0)
-    high = strips.reshape(-1, 3).max(axis=0)
+    low, high = _extent(np.vstack([strips.reshape(-1, 3), layout.corners]))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(np.maximum(high - low, 0.2 * (high - low).max()), zoom=0.95)
+    axes.set_box_aspect(high - low, zoom=0.95)
     axes.view_init(elev=28, azim=-62)
-    axes.zaxis.set_major_locator(MaxNLocator(3))
+    for side, axis in zip(high - low, (axes.xaxis, axes.yaxis, axes.zaxis), strict=True):
+        axis.set_major_locator(MaxNLocator(3 if side < 0.6 * (high - low).max() else 7))
     axes.set(xlabel="east, m", ylabel="north, m", zlabel="up, m")
     axes.set_title("Folded cable, distances at crossings in m")
 

@@ -7,6 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from swarm.errors import InputError
 from swarm.view import plots
 from tests.view.synthetic import CROSSINGS, trefoil_plan
 
@@ -87,3 +88,39 @@ def test_places_along_the_path_end_at_the_corners() -> None:
 def test_schedule_picture_is_written(tmp_path: Path) -> None:
     plots.plot_schedule(PLAN, tmp_path / "schedule.png")
     assert imread(tmp_path / "schedule.png").shape[1] > 800
+
+
+@pytest.mark.parametrize("vehicles", [1, 2, 3])
+def test_a_line_and_a_point_are_drawn_too(vehicles: int) -> None:
+    layout = replace(
+        PLAN.layout,
+        corners=np.array([[3.0 * k, 2.0, 5.0] for k in range(vehicles)]),
+        lengths=np.full(vehicles - 1, 3.4),
+        sags=np.full(vehicles - 1, 0.7),
+        lanes=np.zeros(vehicles - 1),
+        crossings=(),
+        cell=0.0,
+    )
+    knot = replace(PLAN.knot, type="", grid_columns=())
+    figure = plots.plan_figure(replace(PLAN, layout=layout, knot=knot))
+    low, high = figure.axes[0].get_ylim()
+    assert high - low > 0.25 * (vehicles - 1)
+    assert ink_at(figure, figure.axes[0], 0.0, 2.0)
+
+
+def test_the_front_shows_every_plan_and_what_it_stands() -> None:
+    tracking = np.array([0.01, 0.12, 0.2])
+    figure = plots.front_figure(
+        np.array([60.0, 70.0, 90.0]), np.array([110.0, 130.0, 150.0]), tracking,
+        ["least", "the mission's", "roomy"], [True, False, False],
+    )  # fmt: skip
+    axes = figure.axes[0]
+    assert [text.get_text().split("\n")[0] for text in axes.texts] == [
+        f"e* {value:.3f} m" for value in tracking
+    ]
+    assert axes.lines[0].get_markersize() < axes.lines[2].get_markersize()
+
+
+def test_a_picture_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        plots.plot_plan(PLAN, tmp_path / "none" / "plan.png")

@@ -1,0 +1,21 @@
+"""The scripts in missions/ run as they stand."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+MISSIONS = Path(__file__).parents[1] / "missions"
+
+
+def test_the_tour_plans_certifies_draws_and_rehearses(tmp_path):
+    mission = MISSIONS / "first-steps" / "two_carry.yaml"
+    done = subprocess.run(
+        [sys.executable, MISSIONS / "tour.py", mission, tmp_path],
+        check=True, capture_output=True, text=True, timeout=240,
+    )  # fmt: skip
+    assert "2 vehicles" in done.stdout
+    assert "rehearsed: done" in done.stdout
+    assert done.stderr == ""
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "flight.png", "motion.csv", "plan.png", "schedule.png",
+    ]  # fmt: skip

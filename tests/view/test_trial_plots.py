@@ -1,0 +1,49 @@
+import numpy as np
+
+from swarm.view import rope_plots, trial_plots
+from tests.view.test_plots import ink_at
+
+
+def run(label: str, cable: list[float], failing: list[bool]) -> trial_plots.Distances:
+    values = np.array(cable)
+    return trial_plots.Distances(
+        label=label,
+        by_kind={"cable": values, "vehicle": values + 1.0, "vehicle_cable": values, "hung": values},
+        error=np.linspace(0.05, 0.15, len(values)),
+        failing=np.array(failing),
+        radius=np.array([0.0, 0.1, 0.2]),
+        certified={
+            name: np.array([0.5, 0.3, -np.inf]) for name in ("cable", "vehicle", "vehicle_cable")
+        },
+    )
+
+
+def test_distributions_of_both_trajectories_are_drawn_without_failing_trials() -> None:
+    ours = run("this plan", [0.6, 0.7, np.nan, 0.1], [False, False, False, True])
+    paper = run("the paper's trajectory", [0.01, 0.02, 0.03, 0.04], [False] * 4)
+    required = {"cable": 0.15, "vehicle": 1.0, "vehicle_cable": 0.3}
+    figure = trial_plots.trials_figure([ours, paper], required)
+    above = figure.axes[0]
+    steps = [
+        line for line in above.lines if len(line.get_xdata()) > 1 and line.get_linestyle() == "-"
+    ]
+    assert [list(line.get_xdata()) for line in steps] == [[0.6, 0.7], [0.01, 0.02, 0.03, 0.04]]
+    assert "this plan (2 trials)" in [t.get_text() for t in above.get_legend().get_texts()]
+    below = figure.axes[3]
+    assert [len(line.get_xdata()) for line in below.lines[:3]] == [2, 2, 1]
+
+
+def test_the_upper_strand_of_a_rope_covers_the_lower() -> None:
+    along = np.linspace(-1.0, 1.0, 41)
+    first = np.column_stack([along, 0 * along, 0 * along])
+    back = np.array([[1.5, 1.5, 0.5]])
+    second = np.column_stack([0 * along, -along, 0 * along + 1.0])
+    shape = np.concatenate([first, back, second])
+    moved = rope_plots.Moved(
+        "this plan", "0_1", np.arange(3.0), np.array([0.0, 0.1, 0.2]), np.ones(3), shape
+    )
+    figure = rope_plots.rope_figure([moved], 0.3, 0.15)
+    above = figure.axes[2]
+    assert ink_at(figure, above, 0.0, 0.3)
+    assert ink_at(figure, above, 0.5, 0.0)
+    assert not ink_at(figure, above, 0.02, 0.0)
