@@ -113,7 +113,42 @@ def _settled(flight: "Conductor", now: float) -> bool:
     slow = np.linalg.norm(flight.velocity, axis=1) <= SETTLED_SPEED
     if not bool(np.all(near & slow)):
         flight.settled_since = now
-    return now - flight.settled_since >= SETTLED_FOR
+    if now - flight.settled_since < SETTLED_FOR:
+        return False
+    before_fold = flight.plan.phase_at(flight.gates[flight.gate].time + 1e-6).name == "fold"
+    if before_fold and flight.first_time(0, "heights"):
+        return _level(flight)
+    return True
+
+
+def _level(flight: "Conductor") -> bool:
+    """Compare heights on the levelled line, before the fold: altitude is what decides the knot.
+
+    Reported heights against each other, and each against its satellites since it stood on the
+    ground, as far as those are good enough to tell. Holds for the operator where they disagree.
+    """
+    heights = flight.position[:, 2] - flight.setpoint[:, 2]
+    words = f"levelled line: reported heights differ by up to {np.ptp(heights):.2f} m"
+    gaps = np.array([vehicle.height_gap for vehicle in flight.flyers])
+    moved = gaps - flight.reports.heights
+    known = np.isfinite(moved)
+    if known.sum() < 3:
+        flight.say("heights", f"{words}; nothing else tells of heights")
+        return True
+    off = moved - np.median(moved[known])
+    good_to = np.array([vehicle.upright_accuracy for vehicle in flight.flyers])
+    allowed = np.fmax(2.0 * good_to, flight.plan.mission.vehicles.tracking)
+    worst = int(np.nanargmax(np.abs(off)))
+    flight.say("heights", f"{words}; against satellites by up to {abs(off[worst]):.2f} m")
+    wrong = np.flatnonzero(known & np.isfinite(good_to) & (np.abs(off) > allowed))
+    if not len(wrong):
+        return True
+    names = ", ".join(
+        f"{flight.name(flight.flyers[k])} by {off[k]:+.2f} m (good to {good_to[k]:.2f} m)"
+        for k in wrong
+    )
+    flight.hold("operator", f"heights disagree with satellites before the fold: {names}")
+    return False
 
 
 def _begin_settling(flight: "Conductor", now: float) -> None:

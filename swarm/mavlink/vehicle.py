@@ -80,6 +80,7 @@ class Vehicle:
     fix: int = -1
     satellites: int = -1
     level_accuracy: float = math.nan
+    upright_accuracy: float = math.nan
     height_gap: float = math.nan
     boot_ms: int = -1
     round_trip: float = math.nan
@@ -329,6 +330,7 @@ class Vehicle:
     def _gps(self, message: Message, now: float) -> None:
         self.fix, self.satellites = message.fix_type, message.satellites_visible
         self.level_accuracy = message.h_acc * 1e-3 if message.h_acc else math.nan
+        self.upright_accuracy = message.v_acc * 1e-3 if message.v_acc else math.nan
         if self.origin is not None and message.fix_type >= 3 and now - self.position_at < _IN_STEP:
             self.height_gap = message.alt * 1e-3 - (self.origin.altitude - self.position[2])
 

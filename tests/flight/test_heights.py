@@ -1,0 +1,58 @@
+"""Heights are compared on the levelled line, before the fold: altitude is what decides the knot."""
+
+import re
+
+import numpy as np
+
+from swarm.fleet import emulated_fleet
+from tests.network import Network, small_plan
+
+PLAN = small_plan(vehicles=4)
+
+
+def flown_to_the_line(**options) -> Network:
+    flight = Network(PLAN, emulated_fleet(4, ("px4", "ardupilot")), no_cable=True, **options)
+    flight.until_phase("takeoff", 1.0)
+    return flight
+
+
+def test_heights_that_agree_are_told_and_the_fold_begins():
+    flight = flown_to_the_line()
+    flight.until_phase("fold", 0.5)
+    (words,) = flight.words("heights")
+    reported, against = map(float, re.findall(r"([\d.]+) m", words))
+    assert reported < 0.1
+    assert against < 0.1
+
+
+def test_a_vehicle_whose_height_has_drifted_holds_the_team_until_the_operator_says():
+    flight = flown_to_the_line()
+    vehicle = flight.conductor.flyers[2]
+    drifted = vehicle.receive
+
+    def receive(packet, now):
+        drifted(packet, now)
+        vehicle.height_gap += 0.5 if packet.number == 24 else 0.0  # GPS_RAW_INT
+
+    vehicle.receive = receive
+    flight.run(lambda: flight.conductor.holding is not None)
+    assert flight.conductor.phase.name == "fold"
+    assert flight.conductor.clock.time == PLAN.plan.phase("fold").start
+    assert (
+        "heights disagree with satellites before the fold: vehicle 3 by +0.5"
+        in flight.conductor.holding
+    )
+    flight.until_time(5.0)
+    assert flight.conductor.clock.time == PLAN.plan.phase("fold").start
+    flight.conductor.request("resume")
+    flight.until_phase("fold", 0.5)
+
+
+def test_without_satellites_only_reports_are_compared():
+    flight = flown_to_the_line()
+    for vehicle in flight.conductor.flyers:
+        vehicle.height_gap = np.nan
+        vehicle._HANDLERS = {k: v for k, v in vehicle._HANDLERS.items() if k != 24}
+    flight.until_phase("fold", 0.5)
+    (words,) = flight.words("heights")
+    assert words.endswith("nothing else tells of heights")
