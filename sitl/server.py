@@ -272,18 +272,26 @@ def truth_writer(file: TextIO) -> Callable[[Truth], None]:
     return write
 
 
+_WORDS = {
+    "udp_local": "on UDP port {}",
+    "tcp": "listens on TCP {}",
+    "udp_to": "offboard client on UDP {}",
+    "udp_ground": "ground station on UDP {}",
+}
+
+
 def connect_help(server: Server) -> str:
     """How to connect the usual clients to what `server` speaks."""
     lines = [
         f"{one['id']:>4}  {one['autopilot']:<9}  "
-        + "  ".join(f"{k} {v}" for k, v in one.items() if k not in {"id", "autopilot"} and v)
+        + ", ".join(words.format(one[key]) for key, words in _WORDS.items() if one.get(key))
         for one in server.description
     ]
-    px4 = any(one["autopilot"] == "px4" for one in server.description)
+    px4 = [one for one in server.description if one["autopilot"] == "px4"]
     tcp = [one["tcp"] for one in server.description if one.get("tcp")]
     lines.append("")
     if px4:
-        lines.append("MAVSDK          udpin://127.0.0.1:14540 (vehicle 1; 14541 for the next, …)")
+        lines.append(f"MAVSDK          udpin://{px4[0]['udp_to']} (vehicle {px4[0]['id']})")
     elif tcp:
         lines.append(f"MAVSDK          tcpout://{tcp[0]}")
     first = f"tcp:{tcp[0]}" if tcp else "udpin:127.0.0.1:14550"

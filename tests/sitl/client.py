@@ -12,6 +12,10 @@ STEP = 0.05
 _QUIET: dict[str, float | None] = {
     "LOCAL_POSITION_NED": 0.1,
     "ATTITUDE": 0.2,
+    "ESTIMATOR_STATUS": None,
+    "GPS_RAW_INT": None,
+    "GPS_GLOBAL_ORIGIN": 1.0,
+    "SYSTEM_TIME": None,
     "EXTENDED_SYS_STATE": 0.5,
     "SYS_STATUS": 0.5,
     "ALTITUDE": None,

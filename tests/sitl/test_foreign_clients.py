@@ -50,7 +50,7 @@ def emulator(port: int, *arguments: str) -> Iterator[None]:
         process.stdout.close()
 
 
-def until(condition: Callable[[], Any], seconds: float = 15.0) -> None:
+def until(condition: Callable[[], Any], seconds: float = 30.0) -> None:
     """Wait for something that the other process does; fail if it does not."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -158,7 +158,7 @@ def test_mavsdk_flies_nine_at_once(autopilot: str) -> None:
         until(lambda: returning.mode() == RETURN)
         until(lambda: not killed.telemetry.armed())
         until(lambda: broken.height() < 0.3)
-        until(lambda: all(not pilot.telemetry.armed() for pilot in landing), 25.0)
+        until(lambda: all(not pilot.telemetry.armed() for pilot in landing))
         assert all(pilot.telemetry.armed() and pilot.height() > 3.0 for pilot in pilots[:3])
 
 
