@@ -32,7 +32,8 @@ _THRUST_FREQUENCY = 14.0
 _THRUST_DAMPING = 0.9
 _YAW_RATE = 1.0
 _SETTLED = 2.0
-_GOAL = struct.Struct("9d")
+_GOAL = struct.Struct("3d")
+_LANE, _WANTED = 8 * linear.INPUTS, 8 * linear.PLACE
 _FASTEST_FALL, _LONGEST_ALOFT = 25.0, 4
 _LARGEST_INTEGRAL = 5.0
 _IDLE_THRUST = 0.08 * GRAVITY
@@ -64,7 +65,6 @@ class Bodies:
         self._make_goals(world)
         self._make_flags()
         self._make_air(world)
-        self._pushed = np.zeros((self.count, 3))
         self.touch()
 
     def _make_state(self, world: World) -> None:
@@ -77,7 +77,6 @@ class Bodies:
         self.max_acceleration = np.array([s.max_acceleration for s in specs])
         self._now = np.zeros((n, 3, linear.INPUTS, 1))
         self._now[:, 2, linear.WEIGHT] = GRAVITY
-        self.goal = np.zeros((n, 9))
         self._marks = np.zeros((3, n), dtype=bool)
         self._share()
         self.position[:] = [s.pad for s in specs]
@@ -149,17 +148,17 @@ class Bodies:
         self.integral = now[..., linear.INTEGRAL]
         self._state = now[..., : linear.STATES]
         self._height = self.position[:, 2]
-        self._aim = now[..., linear.GOAL]
-        self._wish = now[..., linear.WANTED]
-        self._outer = now[..., linear.OUTER]
-        self.goal_position = self.goal[:, :3]
-        self.goal_velocity = self.goal[:, 3:6]
-        self.goal_acceleration = self.goal[:, 6:]
-        self._goal_bytes = memoryview(cast("Any", self.goal)).cast("B")
+        self.goal_position = now[..., linear.PLACE]
+        self.goal_velocity = now[..., linear.SPEED]
+        self.goal_acceleration = now[..., linear.ACCELERATION]
+        self._offset = now[..., linear.OFFSET]
+        self._air = now[..., linear.AIR]
+        self._pushed = now[..., linear.PUSH]
+        self._bytes = memoryview(cast("Any", self._now)).cast("B")
         self.armed, self.landed, self.tumbling = self._marks
 
     def __getstate__(self) -> dict[str, Any]:
-        return {key: value for key, value in vars(self).items() if key != "_goal_bytes"}
+        return {key: value for key, value in vars(self).items() if key != "_bytes"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """A copy's arrays share memory as the original's do."""
@@ -190,10 +189,9 @@ class Bodies:
         self._highest_stand = self.floor + float(self.grip_offset.max())
 
     def _renew_air(self) -> None:
-        self._stale = self._stale_air = True
         self._rows: _Rows | None = None
-        self._offset = self.bias + self.noise
-        self._air = self._drag * (self.wind + self.wash)
+        self._offset[:] = self.bias + self.noise
+        self._air[:] = self._drag * (self.wind + self.wash)
         self._air[:, 2] -= GRAVITY
 
     def aim(
@@ -204,8 +202,7 @@ class Bodies:
         velocity_axes: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:
         """Set one vehicle's goal: position, velocity, acceleration (9 numbers, world ENU)."""
-        self.goal[i] = goal
-        self._stale = True
+        self.stage(i, goal)
         axes = (*position_axes, *velocity_axes)
         if self._axes.get(i) != axes:
             self._axes[i] = axes
@@ -215,13 +212,15 @@ class Bodies:
 
     def stage(self, i: int, goal: tuple[float, ...]) -> None:
         """As `aim` with all axes, which are controlled already; the quickest way in."""
-        _GOAL.pack_into(self._goal_bytes, i * _GOAL.size, *goal)
-        self._stale = True
+        px, py, pz, vx, vy, vz, ax, ay, az = goal
+        at = i * 3 * _LANE + _WANTED
+        _GOAL.pack_into(self._bytes, at, px, vx, ax)
+        _GOAL.pack_into(self._bytes, at + _LANE, py, vy, ay)
+        _GOAL.pack_into(self._bytes, at + 2 * _LANE, pz, vz, az)
 
     def climb(self, i: int, rate: float) -> None:
         """Change the vertical velocity of one vehicle's goal (m/s, up)."""
         self.goal_velocity[i, 2] = rate
-        self._stale = True
 
     # Reading.
 
@@ -257,8 +256,7 @@ class Bodies:
 
     def push(self, force: Array) -> None:
         """Set the external force on every vehicle (newtons, (n, 3)) until it is set again."""
-        self._pushed = force * self._per_mass
-        self._stale_air = True
+        self._pushed[:] = force * self._per_mass
 
     def step(self) -> Flags | None:
         """Advance by `STEP`; return which vehicles have just hit the ground hard, or None."""
@@ -296,16 +294,6 @@ class Bodies:
                 speed=self._least_speed, reach=self._least_reach,
             )  # fmt: skip
             self._velocity_limit = linear.WITHIN * self._least_speed
-        if self._stale:
-            aim = self.goal_position - self._offset
-            aim *= self._gain
-            aim += self.goal_velocity
-            self._aim[:] = aim
-            self._wish[:] = self.goal_acceleration
-            self._stale = False
-        if self._stale_air:
-            self._outer[:] = self._air + self._pushed
-            self._stale_air = False
         following = linear.apply(self._map, self._now)
         checks = following[..., linear.STATES :]
         if not np.abs(checks).max() <= 1.0:
@@ -367,7 +355,6 @@ class Bodies:
         """Take-off ramp, land detector and yaw, every ``interval`` seconds (call at 25 Hz)."""
         if self.advance.tobytes() != self._nothing:
             self.goal_position += (interval * self.advance)[:, None] * self.goal_velocity
-            self._stale = True
         if self.goal_yaw.tobytes() != self.yaw.tobytes():
             self._turn(interval)
         aloft = self._settled and self._marks.tobytes() == self._cruising

@@ -343,7 +343,8 @@ def _target(v: Vehicle) -> bytes | None:
         return None
     b, i = v.bodies, v.index
     north, east, down = v.to_local(b.goal_position[i])
-    vx, vy, vz, ax, ay, az = b.goal[i, 3:].tolist()
+    vx, vy, vz = b.goal_velocity[i].tolist()
+    ax, ay, az = b.goal_acceleration[i].tolist()
     yaw = _wrap(math.pi / 2 - float(b.goal_yaw[i]))
     return _pack_target(
         boot_ms(v), north, east, down, vy, vx, -vz, ay, ax, -az, yaw, 0.0, mask, _LOCAL_NED
