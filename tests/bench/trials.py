@@ -1,0 +1,46 @@
+"""What a trial costs: processor time per trial of the overhand, and where memory goes with many.
+
+The machine's own speed is printed beside it (a loop of ten million additions), since a busy machine
+is a slow one. Run: ``python -m tests.bench.trials [trials]``.
+"""
+
+import resource
+import sys
+import time
+from pathlib import Path
+
+from swarm import api
+from swarm.mission import parse_mission
+from swarm.trials import Spread, fly_trial
+
+BUDGET = 2.4
+"""Seconds of a core per trial: 200 of them in four minutes on two cores."""
+
+
+def speed() -> float:
+    """Seconds of processor time for ten million additions."""
+    began, total = time.process_time(), 0
+    for number in range(10_000_000):
+        total += number
+    return time.process_time() - began
+
+
+def main() -> None:
+    """Fly trials one after the other and print what each cost."""
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+    path = Path(__file__).parents[2] / "missions" / "overhand.yaml"
+    proven = api.plan(parse_mission(path.read_text(), str(path)), robustness=False).proven()
+    for number in range(count):
+        began = time.process_time()
+        trial, _ = fly_trial(proven, Spread(failing=0), 1, number)
+        took = time.process_time() - began
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(
+            f"trial {number}: {took:.1f} s for {trial.duration:.0f} s of flight "
+            f"({took / BUDGET:.1f} × the budget), {memory:.0f} MB; "
+            f"ten million additions take {speed():.2f} s"
+        )
+
+
+if __name__ == "__main__":
+    main()
