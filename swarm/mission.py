@@ -134,6 +134,13 @@ class Layout(Section):
         if self.sags is not None and self.corners is None:
             raise ValueError("expected sags only together with corners")
         if self.corners is not None:
+            unused = [
+                name
+                for name in ("sag_over", "sag_under", "lane_over", "lane_under")
+                if getattr(self, name) != "auto"
+            ]
+            if unused:
+                raise ValueError(f"expected no {' and no '.join(unused)} together with corners")
             if len(self.corners) < 3:
                 raise ValueError(f"expected at least 3 corners, got {len(self.corners)}")
             if self.sags is None or len(self.sags) != len(self.corners) - 1:
@@ -185,6 +192,12 @@ class Fold(Section):
     delay: Number | None = number(
         None, "s", "Constant delay between vehicles (method: paper).", above=0
     )
+
+    @model_validator(mode="after")
+    def _delay_of_the_paper(self) -> Self:
+        if self.delay is not None and self.method != "paper":
+            raise ValueError(f"expected delay only with method: paper, got {self.method}")
+        return self
 
 
 class Formation(Section):

@@ -80,6 +80,11 @@ def test_a_knot_name_with_an_underscore_is_a_word() -> None:
             "vehicles.braking_acceleration=2",
             "m.yaml: vehicles: expected braking_acceleration below max_acceleration (2 m/s²), got 2",
         ),
+        ("fold.delay=1.0", "m.yaml: fold: expected delay only with method: paper, got certified"),
+        (
+            "layout={corners: [[0,0],[1,0],[1,1]], sags: [1,1], sag_over: 1.0}",
+            "m.yaml: layout: expected no sag_over together with corners",
+        ),
         ("layout.sags=[1]", "m.yaml: layout: expected sags only together with corners"),
         ("layout.cell", "--set: expected key.path=value, got 'layout.cell'"),
         (

@@ -124,15 +124,11 @@ def _all_foldings(
 
 def _refuse_unplanned(mission: Mission) -> None:
     """Refuse what the mission asks for and no plan would do; nothing is ignored in silence."""
-    missing = [
-        words
-        for asked, words in (
-            (mission.start != "line", f"start: {mission.start} is not planned yet"),
+    if mission.start != "line":
+        raise Refused(
+            f"start: {mission.start} is not planned: the fold begins on a straight line that takes "
+            "most of the cable's length, so a bent lay line would save no room"
         )
-        if asked
-    ]  # fmt: skip
-    if missing:
-        raise Refused("\n".join(missing))
 
 
 def _refuse_crowding(
@@ -408,7 +404,7 @@ def _as_given(
         hung = replace(layout, corners=corners, lanes=lanes)
         run_in = 1.1 * float(layout.lengths.sum()) + 2.0
         path = FoldPath(hung.corners, lanes, slope * shortest, rounding * shortest, run_in)
-        plan = schedule(path, hung.lengths, margins, 0.08 * shortest)
+        plan = schedule(path, hung.lengths, margins, 0.045 * shortest)
         if plan.cost < _HOPELESS:
             plan = improved(plan)
         foldings.append(Folding(hung, path, plan))
@@ -420,7 +416,7 @@ def _as_given(
         yield from _mended(mission, knot, folding, margins, tried)
 
 
-_GIVEN = ((0.1, 0.3, 0.15), (0.2, 0.3, 0.15), (0.2, 0.4, 0.25), (0.35, 0.4, 0.15))
+_GIVEN = ((0.19, 0.17, 0.2), (0.1, 0.3, 0.15), (0.25, 0.3, 0.15))
 """Distance of lanes, reach of level changes and of turns, over the shortest edge."""
 
 

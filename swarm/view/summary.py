@@ -74,7 +74,7 @@ def _rows(plan: Plan, assessment: Assessment) -> list[tuple[str, str]]:
     layout, lengths, robustness = plan.layout, plan.layout.lengths, assessment.robustness
     rows = [("Gauss code", plan.knot.gauss)] if plan.knot.type else []
     grid = f", cell {metres(layout.cell)}" if layout.cell > 0 else ""
-    size = len(plan.knot.grid_columns)
+    size = 0 if plan.mission.layout.corners is not None else len(plan.knot.grid_columns)
     rows += [
         ("Layout", f"{size}×{size} grid{grid}" if size else "given corners"),
         ("Vehicles", str(plan.vehicles)),

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from swarm.plans import Gate, Phase
-from swarm.preflight.air import wind_down
+from swarm.preflight.air import deepest_sinking, induced_speed, jet_speed, wind_down
 from swarm.preflight.assess import assess
 from swarm.preflight.budget import budgets, table
 from swarm.preflight.certificate import certified, tightest_moments
 from swarm.preflight.loads import dead_vehicle, loads, stuck_gripper
 from swarm.preflight.robustness import holds_in_wind, largest_tracking
+from swarm.preflight.what_if import downwash_findings, stops_of
 from swarm.preflight.windows import longest_stop, windows
 from tests.preflight.synthetic import moving, plan_of
 
@@ -160,3 +161,45 @@ def test_a_wind_across_the_vehicles_blows_strands_together():
     plan = still(side, [5.0, 50.0, 60.0, 55.0, 3.2], "vehicles.tracking=0.02")
     assert holds_in_wind(plan, 0.0)
     assert not holds_in_wind(plan, 8.0)
+
+
+def test_the_jet_below_a_vehicle_slows_and_widens():
+    mission = still(LINE, [3.0, 3.0]).mission
+    below, axis = np.array([-1.0, 1.0, 4.0, 8.0]), np.zeros(4)
+    speed = jet_speed(mission, below, axis)
+    # 1.5 kg on a disc of 0.25 m: 5.5 m/s through it, twice that below, less from six diameters on
+    assert induced_speed(mission) == pytest.approx(5.53, abs=0.01)
+    assert speed[0] == 0.0
+    assert speed[1] == pytest.approx(11.06, abs=0.02)
+    assert speed[3] == pytest.approx(0.5 * speed[2])
+    aside = jet_speed(mission, below, np.full(4, 1.0))
+    assert aside[1] / speed[1] < aside[2] / speed[2] < aside[3] / speed[3] < 1.0
+
+
+def test_a_vehicle_that_passes_under_another_sinks_for_a_while():
+    start = [[0, 0, 9.0], [3.0, 0, 5.0], [6.0, 0, 5.0]]
+    under = [[0, 0, 9.0], [0.2, 0, 5.0], [3.2, 0, 5.0]]
+    plan = plan_of(moving([0, 4, 30], [start, under, under]), [6.0, 4.0])
+    found = deepest_sinking(plan)
+    assert (found.vehicle, found.above) == (1, 0)
+    assert found.below == pytest.approx(4.0)
+    assert 2.0 < found.time < 8.0, "the autopilot makes up for it as the others stay"
+    assert 0.2 < found.depth < 1.0
+    assert deepest_sinking(still(LINE, [3.0, 3.0])) is None
+    (said,) = downwash_findings(plan)
+    assert said.severity == "warning"
+    assert said.message.startswith("vehicle 2 flies 4.0 m below vehicle 1, in air that falls at ")
+
+
+def test_stops_are_told_with_their_windows():
+    stops, findings = stops_of(still(LINE, [3.0, 3.0]))
+    assert (stops.land.share, stops.release.share, stops.land.wait) == (1.0, 1.0, 0.0)
+    assert [finding.message for finding in findings][:2] == [
+        "all can land straight down together at 100% of the moments with the cable aloft",
+        "all can let go at 100% of the moments with the cable aloft",
+    ]
+    under = [[0, 0, 5.0], [2.0, 0, 5.0], [1.0, 0, 1.5]]
+    stops, findings = stops_of(still(under, [2.4, 6.0]))
+    assert not stops.release.share
+    assert findings[1].severity == "warning"
+    assert findings[1].message == "all can let go at no moment with the cable aloft"
