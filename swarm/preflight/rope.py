@@ -54,6 +54,9 @@ MOST_SPEED: Final = 12.0
 """m/s of any node; faster is a spike of the solver, not a rope of this kind."""
 
 CONTACT_TIME: Final = 0.004
+STIFF: Final = "0.99 0.999 0.001"
+"""Impedance of links and contacts (MuJoCo's solimp): by default short links stretch by 3 %."""
+
 FRICTION: Final = 0.3
 _DRAG_EVERY: Final = 5
 _WATCH_EVERY: Final = 5
@@ -392,11 +395,11 @@ def _description(nodes: Floats, held: set[int], radius: float, mass: float, cont
   <deformable>
     <flex name="rope" dim="1" radius="{radius:.9g}" body="{names}"
       vertex="{" ".join(["0 0 0"] * len(nodes))}" element="{links}">
-      <contact selfcollide="{collide}" condim="3" solref="{CONTACT_TIME} 1"
+      <contact selfcollide="{collide}" condim="3" solref="{CONTACT_TIME} 1" solimp="{STIFF}"
         friction="{FRICTION} 0.005 0.0001"/>
     </flex>
   </deformable>
-  <equality><flex flex="rope" solref="{CONTACT_TIME} 1"/></equality>
+  <equality><flex flex="rope" solref="{CONTACT_TIME} 1" solimp="{STIFF}"/></equality>
 </mujoco>"""
 
 
