@@ -66,6 +66,7 @@ class ArduPilot:
         self.outside = 0
         self.route = Route(self.v, 1)
         self.battery_level = 0
+        self.battery_low_at = {1: math.inf, 2: math.inf}
         self.lost_at: float | None = None
         self.prearm_at = 0.0
         self.tumbled_at: float | None = None

@@ -137,7 +137,11 @@ def _watch_battery(copter: "ArduPilot") -> None:
     levels = (("LOW", "low"), ("CRT", "critical"))
     for level, (key, word) in enumerate(levels, start=1):
         volts, charge = p[f"BATT_{key}_VOLT"], p[f"BATT_{key}_MAH"]
-        if level > copter.battery_level and (v.voltage < volts or left < charge):
+        if v.voltage >= volts and left >= charge:
+            copter.battery_low_at[level] = math.inf
+            continue
+        copter.battery_low_at[level] = since = min(v.now, copter.battery_low_at[level])
+        if level > copter.battery_level and v.now - since >= p["BATT_LOW_TIMER"]:
             copter.battery_level = level
             v.text(_WARNING, f"Battery 1 is {word} {v.voltage:.2f}V used {5000 - left:.0f} mAh")
             action = BATTERY.get(p.integer(f"BATT_FS_{key}_ACT"))

@@ -32,7 +32,8 @@ _SLOW_EVERY = 5
 _TICK_EVERY = 2
 _DRAIN_EVERY = 25
 _WASH_EVERY, _WASH_STRIDE = 50, 3
-_FULL_VOLTAGE, _EMPTY_VOLTAGE = 16.8, 13.2
+_FULL_CELL, _EMPTY_CELL, _CELL_RESISTANCE = 4.2, 3.3, 0.004
+_VISION_TIMEOUT = 1.0
 _HOVER_CURRENT = 15.0
 
 
@@ -347,7 +348,7 @@ class Emulator:
         self.contacts.look(self.time, [v.system for v in self.vehicles], cable)
 
     def _drain(self, interval: float) -> None:
-        """Batteries: power goes with thrust to the power of 3/2 (momentum theory)."""
+        """Batteries, by momentum theory (power as thrust to the power 3/2); and missed vision."""
         b = self.bodies
         load = (np.maximum(np.linalg.norm(b.thrust, axis=1), 0.0) / GRAVITY) ** 1.5 * b.armed
         for vehicle, share in zip(self.vehicles, load.tolist(), strict=True):
@@ -355,9 +356,14 @@ class Emulator:
                 vehicle.charge = max(
                     0.0, vehicle.charge - interval * share / vehicle.spec.endurance
                 )
-            span = _FULL_VOLTAGE - _EMPTY_VOLTAGE
             vehicle.current = _HOVER_CURRENT * share + 0.3
-            vehicle.voltage = _EMPTY_VOLTAGE + span * vehicle.charge - 0.02 * vehicle.current
+            sag = _CELL_RESISTANCE * vehicle.current
+            cell = _EMPTY_CELL + (_FULL_CELL - _EMPTY_CELL) * vehicle.charge - sag
+            vehicle.voltage = cell * vehicle.cells
+            silence = self.time - vehicle.vision_at
+            if math.isfinite(silence) and silence > _VISION_TIMEOUT and not vehicle.vision_lost:
+                vehicle.vision_lost, vehicle.local_valid = True, False
+                vehicle.awake_at = -math.inf
 
     # Hooks for vehicles.
 

@@ -333,7 +333,10 @@ def _set_origin(v: Vehicle, message: Any, link: Link) -> None:
 
 
 def _vision(v: Vehicle, message: Any, _: Link) -> None:
-    """Indoors the estimator follows what motion capture says (local NED of the shared frame)."""
+    """Indoors the estimator follows what motion capture says (local NED of the shared frame).
+
+    Once it has, it misses it when it stops (`Emulator`); before, it knows its place by itself.
+    """
     place = (message.x, message.y, message.z)
     if not v.around.indoor or not all(map(math.isfinite, place)):
         return
@@ -343,6 +346,8 @@ def _vision(v: Vehicle, message: Any, _: Link) -> None:
         v.bodies.bias[v.index] = correction
         v.bodies.touch()
         v.vision_at = v.now
+        if v.vision_lost:
+            v.vision_lost, v.local_valid = False, True
 
 
 def _data_stream(v: Vehicle, message: Any, link: Link) -> None:

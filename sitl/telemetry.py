@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import common as dialect
 from sitl import wire
 from sitl.vehicle import Vehicle
 
-_CELLS = 4
 _CAPACITY = 5000.0
 _pack_local = wire.LAYOUTS["LOCAL_POSITION_NED"].struct.pack
 _pack_attitude = wire.LAYOUTS["ATTITUDE"].struct.pack
@@ -170,13 +169,13 @@ def _sys_status(v: Vehicle) -> bytes:
 
 
 def _battery(v: Vehicle) -> bytes:
-    cell = round(v.voltage * 1000 / _CELLS)
+    cell = round(v.voltage * 1000 / v.cells)
     return wire.payload(
         "BATTERY_STATUS",
         {
             "type": 1,
             "temperature": 2500,
-            "voltages": [cell] * _CELLS + [0xFFFF] * (10 - _CELLS),
+            "voltages": [cell] * v.cells + [0xFFFF] * (10 - v.cells),
             "current_battery": round(v.current * 100),
             "current_consumed": round((1 - v.charge) * _CAPACITY),
             "energy_consumed": -1,

@@ -193,13 +193,15 @@ class Vehicle:
         self.home: np.ndarray[Any, Any] | None = None
         self.barometer = 0.0
         self.charge = 1.0
-        self.voltage = 16.4
+        self.cells = 4 if spec.autopilot == "px4" else 3
+        self.voltage = 4.1 * self.cells
         self.current = 0.0
         self.local_valid = True
         self.global_valid = not world.indoor
         self.frozen = False
         self.awake_at = -math.inf
         self.vision_at = -math.inf
+        self.vision_lost = False
         self.pending: list[Request] = []
         self.gripped = False
         self.simulation_changed: Callable[[str, Mapping[str, float]], None] | None = None

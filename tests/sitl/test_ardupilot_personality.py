@@ -225,3 +225,26 @@ def test_parameters_travel_as_numbers() -> None:
     set_parameter(ground, "FS_GCS_ENABLE", math.nan)
     ground.run(0.1)
     assert ground.last[1, "PARAM_VALUE"].param_value == 5.0
+
+
+@pytest.mark.parametrize("action", [0, 1])
+def test_a_low_battery_counts_after_its_timer_and_does_what_it_should(action: int) -> None:
+    """Three cells, 10.5 V, for BATT_LOW_TIMER (10 s); BATT_FS_LOW_ACT 0 warns, 1 lands."""
+    ground = flying()
+    ground.send(
+        1,
+        dialect.MAVLink_param_set_message(
+            1, 1, b"BATT_FS_LOW_ACT", action, dialect.MAV_PARAM_TYPE_INT8
+        ),
+    )
+    ground.send(
+        1,
+        dialect.MAVLink_param_set_message(
+            1, 1, b"SIM_BATT_VOLTAGE", 10.2, dialect.MAV_PARAM_TYPE_REAL32
+        ),
+    )
+    ground.run(8.0)
+    assert not [text for text in ground.texts(1) if "Battery 1 is low" in text]
+    ground.run(4.0)
+    assert [text for text in ground.texts(1) if "Battery 1 is low" in text]
+    assert ground.mode(1) == (9 if action else 4)

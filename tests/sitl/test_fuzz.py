@@ -150,3 +150,37 @@ def test_wild_setpoints_are_ignored_or_flown_within_limits(trials: int) -> None:
             ground.emulator.receive(1, message.pack(mav), ground.now)
             ground.run(0.05, stay)
     assert np.abs(ground.emulator.bodies.position - before).max() < 0.1
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize("trials", [1_500, pytest.param(200_000, marks=pytest.mark.full)])
+def test_a_keyed_vehicle_obeys_nobody_else(autopilot: str, trials: int) -> None:
+    """Valid commands to arm and to move, unsigned or signed with another key: never heard."""
+    rng = random.Random(11)
+    emulator = Emulator(world(1, autopilot=autopilot))
+    ground = Ground(emulator)
+    ground.run(1.0)
+    emulator.vehicles[0].links[0].receiver.set_key(bytes(range(32)))
+    plain, foreign = dialect.MAVLink(None, 255, 190), dialect.MAVLink(None, 255, 190)
+    foreign.signing.secret_key = bytes(range(1, 33))
+    foreign.signing.sign_outgoing = True
+    foreign.signing.timestamp = (1_800_000_000 - 1_420_070_400) * 100_000
+    place = (0.0, 0.0, -5.0, *[0.0] * 8)
+    for trial in range(trials):
+        messages = (
+            dialect.MAVLink_command_long_message(1, 1, 400, 0, 1, 21196, 0, 0, 0, 0, 0),
+            dialect.MAVLink_command_long_message(
+                1, 1, 176, 0, 1, rng.choice([4, 6]), 0, 0, 0, 0, 0
+            ),
+            dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 3072, *place),
+            dialect.MAVLink_set_mode_message(1, 1, 4),
+        )
+        frame = rng.choice(messages).pack(rng.choice([plain, foreign]))
+        emulator.receive(1, frame if rng.random() < 0.8 else spoil(frame, rng), ground.now)
+        if trial % 100 == 99:
+            ground.now = round(ground.now + 0.02, 6)
+            emulator.step(ground.now)
+    truth = emulator.truth()
+    assert not truth.armed.any()
+    assert truth.position[0].tolist() == [0.0, 0.0, 0.0]
+    assert not [event for event in emulator.events if event["time"] > 1.0]

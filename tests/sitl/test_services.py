@@ -327,3 +327,21 @@ def test_setpoints_in_degrees_are_flown_to_the_same_place(frame: int) -> None:
         ground.send(1, message)
         ground.run(0.1)
     assert emulator.truth().position[0] == pytest.approx([3.0, 4.0, 5.0], abs=0.1)
+
+
+def test_vision_that_stops_is_missed_and_welcome_again() -> None:
+    ground = Ground(Emulator(world(1, indoor=True)))
+    message = dialect.MAVLink_vision_position_estimate_message(0, 0.0, 0.0, -0.6, 0, 0, 0)
+    for _ in range(10):
+        ground.send(1, message)
+        ground.run(0.1)
+    vehicle = ground.emulator.vehicles[0]
+    assert vehicle.local_valid
+    ground.run(2.0)
+    assert not vehicle.local_valid
+    ground.command(1, 400, 1)
+    ground.run(0.2)
+    assert ground.acks(1, 400) == [1], "nobody arms without a position"
+    ground.send(1, message)
+    ground.run(0.2)
+    assert vehicle.local_valid
