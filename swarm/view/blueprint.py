@@ -150,7 +150,7 @@ def _curves(
 def _knot_eye(plan: Plan) -> rrb.EyeControls3D:
     """Look at the knot from above its south-west."""
     low, high = plan.layout.corners.min(axis=0), plan.layout.corners.max(axis=0)
-    low[2] = high[2] - float(plan.layout.sags.max())
+    low[2] = high[2] - float(plan.layout.sags.max(initial=0.0))
     extent = float(np.linalg.norm((high - low)[:2]))
     return _eye((low + high) / 2, np.array([-0.6, -1.0, 0.75]), 0.55 * extent + 2.5)
 

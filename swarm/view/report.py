@@ -443,6 +443,8 @@ def _flown(outcome: Mapping[str, Any]) -> Html:
     rows = []
     for name, both in outcome["clearance"].items():
         was, certified = both["flown"], both["certified"]
+        if certified["distance"] is None:
+            continue  # there are no two things of this kind
         rows.append(
             (
                 CLEARANCES[name],

@@ -165,11 +165,10 @@ def held_points(
 
 def planned_grip(plan: Plan, times: Floats) -> npt.NDArray[np.bool_]:
     """Return whether the plan has the cable gripped at mission times (k,): (k,)."""
-    grab, finish = _phase(plan, "grab"), _phase(plan, "finish")
-    free = next((phase.start for phase in plan.phases if phase.cable == "free"), np.inf)
+    grab = _phase(plan, "grab")
     begins = grab.end if grab else -np.inf
-    ends = max(free, finish.start) if finish else free
-    return (times >= begins) & (times < ends)
+    released = [gate.time for gate in plan.gates if gate.condition == "released"]
+    return (times >= begins) & (times < max(released, default=np.inf))
 
 
 def planned_cable(plan: Plan, times: Floats) -> Floats:
