@@ -9,9 +9,15 @@ import math
 from typing import Any
 
 import numpy as np
-from pymavlink.dialects.v20 import common as dialect
 
-from sitl import ardupilot_failsafes, ardupilot_flight, demand, fault_ways, wire
+from sitl import (
+    ardupilot_commands,
+    ardupilot_failsafes,
+    ardupilot_flight,
+    demand,
+    fault_ways,
+    wire,
+)
 from sitl.ardupilot_tables import (
     AUTO,
     BRAKE,
@@ -21,13 +27,11 @@ from sitl.ardupilot_tables import (
     LOITER,
     MODES,
     PARAMETERS,
-    RTL,
     STABILIZE,
 )
 from sitl.route import Route
 from sitl.vehicle import ACCEPTED, DENIED, FAILED, Command, Vehicle
 
-FORCE_ARM, FORCE_DISARM = 2989, 21196
 _POSITION_READY, _BASIC_READY = 42.0, 10.0
 _INFO, _WARNING, _CRITICAL = 6, 4, 2
 _SLOW_BEAT = 0.4
@@ -153,16 +157,12 @@ class ArduPilot:
 
     def command(self, command: Command) -> int | None:
         """Carry out a command; return its result, None if this autopilot does not know it."""
-        handler = _COMMANDS.get(command.number)
+        handler = ardupilot_commands.COMMANDS.get(command.number)
         return None if handler is None else handler(self, command)
 
     def set_mode(self, base: int, custom: int) -> int:
         """Legacy SET_MODE."""
         return self.change(custom) if base & 1 else DENIED
-
-    def _do_set_mode(self, command: Command) -> int:
-        p = command.p
-        return self.change(int(p[1])) if int(p[0]) & 1 else DENIED
 
     def change(self, number: int, *, failsafe: bool = False) -> int:
         """Change the mode, if it exists and can run; return the MAV_RESULT."""
@@ -191,7 +191,7 @@ class ArduPilot:
         self.all_axes = False
         v.bodies.advance[v.index] = 0.0
         v.bodies.may_lift[v.index] = False
-        self._cruise()
+        self.cruise()
         if not v.armed:
             return
         if self.mode == AUTO:
@@ -203,26 +203,14 @@ class ArduPilot:
         else:
             demand.hold(v)
 
-    def _cruise(self) -> None:
+    def cruise(self) -> None:
+        """Set the speed limits of flying by itself."""
         p = self.v.parameters
         speeds = (p["WPNAV_SPEED"], p["WPNAV_SPEED_UP"], p["WPNAV_SPEED_DN"])
         demand.limits(self.v, *(max(0.1, speed / 100.0) for speed in speeds))
 
-    def _arm_disarm(self, command: Command) -> int:
-        p = command.p
-        v = self.v
-        if p[0] == 1.0:
-            return self._arm(force=p[1] == FORCE_ARM)
-        if p[0] != 0.0:
-            return DENIED
-        if not v.armed:
-            return ACCEPTED
-        if not v.landed and p[1] != FORCE_DISARM:
-            return FAILED
-        self.disarm("command")
-        return ACCEPTED
-
-    def _arm(self, *, force: bool) -> int:
+    def arm(self, *, force: bool) -> int:
+        """Arm, if nothing speaks against it; return the MAV_RESULT."""
         v = self.v
         if v.armed:
             return ACCEPTED
@@ -260,25 +248,6 @@ class ArduPilot:
         v.text(_INFO, "Disarming motors")
         v.around.event("disarmed", v.system, reason=text)
 
-    def _takeoff(self, command: Command) -> int:
-        p = command.p
-        v = self.v
-        if self.mode != GUIDED or not v.armed or not v.landed or not math.isfinite(p[6]):
-            return FAILED
-        if p[6] < 0.1:
-            return FAILED
-        self.submode = "takeoff"
-        self.takeoff_at = v.now
-        home = v.home if v.home is not None else v.origin
-        here = v.estimated()
-        self.takeoff_height = float(home[2]) + p[6]
-        v.bodies.may_lift[v.index] = True
-        v.bodies.advance[v.index] = 0.0
-        self._cruise()
-        demand.go(v, (here[0], here[1], max(self.takeoff_height, float(here[2]))))
-        self.all_axes = True
-        return ACCEPTED
-
     def _may_start(self) -> bool:
         """Whether AUTO has a mission that can begin as things stand."""
         v = self.v
@@ -289,65 +258,6 @@ class ArduPilot:
             v.text(_CRITICAL, "Auto: Missing Takeoff Cmd")
             return False
         return True
-
-    def _start_mission(self, _: Command) -> int:
-        """Begin the mission, from the ground too; it does not arm."""
-        v = self.v
-        if self.change(AUTO) != ACCEPTED or not v.armed:
-            return FAILED
-        self.submode = "auto"
-        v.bodies.may_lift[v.index] = True
-        ardupilot_flight.steer(self)
-        return ACCEPTED
-
-    def _jump(self, command: Command) -> int:
-        number = command.p[0]
-        known = math.isfinite(number) and self.route.jump_to(int(number))
-        return ACCEPTED if known else DENIED
-
-    def _enable_fence(self, command: Command) -> int:
-        if command.p[0] not in {0.0, 1.0}:
-            return DENIED
-        self.v.parameters.values["FENCE_ENABLE"] = int(command.p[0])
-        return ACCEPTED
-
-    def _land(self, _: Command) -> int:
-        return self.change(LAND)
-
-    def _return(self, _: Command) -> int:
-        return self.change(RTL)
-
-    def _reposition(self, command: Command) -> int:
-        p, x, y = command.p, command.x, command.y
-        v = self.v
-        if not math.isfinite(p[6]) or x == 2**31 - 1 or y == 2**31 - 1:
-            return DENIED
-        if self.mode != GUIDED:
-            if not int(p[1]) & 1:
-                return DENIED
-            if self.change(GUIDED) != ACCEPTED:
-                return FAILED
-        if v.landed:
-            return FAILED
-        place = (*v.around.geodesy.metres(x * 1e-7, y * 1e-7), p[6] - v.around.geodesy.altitude)
-        self._cruise()
-        self.submode = "position"
-        demand.go(v, place)
-        return ACCEPTED
-
-    def _speed(self, command: Command) -> int:
-        p = command.p
-        v = self.v
-        if math.isfinite(p[1]) and p[1] > 0:
-            v.bodies.speed_limit[v.index] = min(p[1], v.spec.max_speed)
-            v.bodies.touch()
-        return ACCEPTED
-
-    def _terminate(self, command: Command) -> int:
-        p = command.p
-        if p[0] > 0.5:
-            self.disarm("terminated")
-        return ACCEPTED
 
     def setpoint(self, setpoint: wire.Setpoint) -> None:
         """Take SET_POSITION_TARGET_LOCAL_NED."""
@@ -423,18 +333,3 @@ class ArduPilot:
     def leave(self) -> None:
         """Leave GUIDED for no reason that anybody sees."""
         self.change(BRAKE)
-
-
-_COMMANDS = {
-    dialect.MAV_CMD_COMPONENT_ARM_DISARM: ArduPilot._arm_disarm,
-    dialect.MAV_CMD_DO_SET_MODE: ArduPilot._do_set_mode,
-    dialect.MAV_CMD_NAV_TAKEOFF: ArduPilot._takeoff,
-    dialect.MAV_CMD_MISSION_START: ArduPilot._start_mission,
-    dialect.MAV_CMD_DO_SET_MISSION_CURRENT: ArduPilot._jump,
-    dialect.MAV_CMD_DO_FENCE_ENABLE: ArduPilot._enable_fence,
-    dialect.MAV_CMD_NAV_LAND: ArduPilot._land,
-    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: ArduPilot._return,
-    dialect.MAV_CMD_DO_REPOSITION: ArduPilot._reposition,
-    dialect.MAV_CMD_DO_CHANGE_SPEED: ArduPilot._speed,
-    dialect.MAV_CMD_DO_FLIGHTTERMINATION: ArduPilot._terminate,
-}

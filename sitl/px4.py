@@ -9,9 +9,8 @@ import math
 from typing import Any
 
 import numpy as np
-from pymavlink.dialects.v20 import common as dialect
 
-from sitl import demand, fault_ways, px4_failsafes, px4_flight, wire
+from sitl import demand, fault_ways, px4_commands, px4_failsafes, px4_flight, wire
 from sitl.px4_tables import (
     BY_NUMBER,
     FALLBACK,
@@ -24,12 +23,10 @@ from sitl.vehicle import (
     ACCEPTED,
     DENIED,
     TEMPORARILY_REJECTED,
-    UNSUPPORTED,
     Command,
     Vehicle,
 )
 
-FORCE = 21196
 _BOOT_TIME = 12.0
 _SLOW_BEAT = 0.4
 _INFO, _CRITICAL, _EMERGENCY = 6, 2, 0
@@ -176,16 +173,17 @@ class Px4:
 
     def command(self, command: Command) -> int | None:
         """Carry out a command; return its result, None if this autopilot does not know it."""
-        handler = _COMMANDS.get(command.number)
+        handler = px4_commands.COMMANDS.get(command.number)
         return None if handler is None else handler(self, command)
 
     def set_mode(self, base: int, custom: int) -> int:
         """Legacy SET_MODE: the custom mode as one number."""
         if not base & 1:
             return DENIED
-        return self._change(BY_NUMBER.get((custom >> 16 & 0xFF, custom >> 24 & 0xFF)))
+        return self.change(BY_NUMBER.get((custom >> 16 & 0xFF, custom >> 24 & 0xFF)))
 
-    def _change(self, name: str | None) -> int:
+    def change(self, name: str | None) -> int:
+        """Take a mode that the user wants, if it can run; return the MAV_RESULT."""
         if name is None:
             return DENIED
         if self.state == "TERMINATION":
@@ -208,30 +206,8 @@ class Px4:
             self.after_disarm = name
         self.evaluate()
 
-    def _do_set_mode(self, command: Command) -> int:
-        p = command.p
-        base, main, sub = int(p[0]), int(p[1]), int(p[2])
-        if not base & 1:
-            return DENIED
-        return self._change(BY_NUMBER.get((main, sub)))
-
-    def _arm_disarm(self, command: Command) -> int:
-        p = command.p
-        v = self.v
-        force = p[1] == FORCE
-        if p[0] not in (0.0, 1.0):
-            return UNSUPPORTED
-        if p[0] == 1.0:
-            return self._arm(force)
-        if not v.armed:
-            return ACCEPTED
-        if not v.landed and not force:
-            v.text(_CRITICAL, "Disarming denied: not landed\t")
-            return TEMPORARILY_REJECTED
-        self.disarm("Disarmed by external command")
-        return ACCEPTED
-
-    def _arm(self, force: bool) -> int:
+    def arm(self, force: bool) -> int:
+        """Arm, if nothing speaks against it; return the MAV_RESULT."""
         v = self.v
         if v.armed:
             return ACCEPTED
@@ -269,66 +245,6 @@ class Px4:
         v.text(_INFO, f"{text}\t")
         v.around.event("disarmed", v.system, reason=text)
         self.evaluate()
-
-    def _takeoff(self, command: Command) -> int:
-        p = command.p
-        v = self.v
-        result = self._change("TAKEOFF")
-        if result == ACCEPTED:
-            ground = float(v.estimated()[2])
-            if math.isfinite(p[6]):
-                height = p[6] - v.around.geodesy.altitude
-            else:
-                height = ground + v.parameters["MIS_TAKEOFF_ALT"]
-            self.goal = np.array([*v.estimated()[:2], max(height, ground)])
-            self.state = ""
-            self.evaluate()
-        return result
-
-    def _start_mission(self, _: Command) -> int:
-        result = self._change("MISSION")
-        return self._arm(force=False) if result == ACCEPTED else result
-
-    def _jump(self, command: Command) -> int:
-        number = command.p[0]
-        known = math.isfinite(number) and self.route.jump_to(int(number))
-        return ACCEPTED if known else DENIED
-
-    def _land(self, _: Command) -> int:
-        return self._change("LAND")
-
-    def _return(self, _: Command) -> int:
-        return self._change("RTL")
-
-    def _reposition(self, command: Command) -> int:
-        p, x, y = command.p, command.x, command.y
-        v = self.v
-        result = self._change("LOITER")
-        if result == ACCEPTED:
-            here = v.estimated()
-            place = np.array(here)
-            if x != 2**31 - 1 and y != 2**31 - 1 and (x or y):
-                place[:2] = v.around.geodesy.metres(x * 1e-7, y * 1e-7)
-            if math.isfinite(p[6]):
-                place[2] = p[6] - v.around.geodesy.altitude
-            self.goal = place
-            if math.isfinite(p[3]):
-                v.bodies.goal_yaw[v.index] = math.pi / 2 - p[3]
-            self.state = ""
-            self.evaluate()
-        return result
-
-    def _speed(self, command: Command) -> int:
-        p = command.p
-        if math.isfinite(p[1]) and p[1] > 0:
-            self.v.bodies.speed_limit[self.v.index] = min(p[1], self.v.spec.max_speed)
-        return ACCEPTED
-
-    def _terminate(self, command: Command) -> int:
-        p = command.p
-        if p[0] > 0.5:
-            self.terminate()
-        return ACCEPTED
 
     def terminate(self) -> None:
         """Flight termination: motors off, no way back."""
@@ -447,17 +363,3 @@ class Px4:
     def leave(self) -> None:
         """Leave offboard for no reason that anybody sees."""
         self.intend("LOITER")
-
-
-_COMMANDS = {
-    dialect.MAV_CMD_COMPONENT_ARM_DISARM: Px4._arm_disarm,
-    dialect.MAV_CMD_DO_SET_MODE: Px4._do_set_mode,
-    dialect.MAV_CMD_NAV_TAKEOFF: Px4._takeoff,
-    dialect.MAV_CMD_MISSION_START: Px4._start_mission,
-    dialect.MAV_CMD_DO_SET_MISSION_CURRENT: Px4._jump,
-    dialect.MAV_CMD_NAV_LAND: Px4._land,
-    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: Px4._return,
-    dialect.MAV_CMD_DO_REPOSITION: Px4._reposition,
-    dialect.MAV_CMD_DO_CHANGE_SPEED: Px4._speed,
-    dialect.MAV_CMD_DO_FLIGHTTERMINATION: Px4._terminate,
-}
