@@ -21,9 +21,10 @@ from sitl.dynamics import GRAVITY, STEP, Array, Bodies, Flags
 from sitl.faults import Fault
 from sitl.geodesy import Geodesy
 from sitl.injector import Injector
+from sitl.parameter_protocol import pump_parameters
 from sitl.px4 import Px4
 from sitl.rope import Rope
-from sitl.services import default_streams, emit, pump_parameters
+from sitl.services import default_streams, emit
 from sitl.vehicle import Link, Surroundings, Vehicle
 from sitl.world import World
 

@@ -1,7 +1,7 @@
 """What every autopilot answers, whatever it flies: the handlers of `Vehicle.handle`.
 
-Commands, message rates, parameters, logs, file transfer, time, signing; missions are in
-`sitl.missions`.
+Commands, message rates, logs, file transfer, time, positions, signing; missions are in
+`sitl.missions`, parameters in `sitl.parameter_protocol`.
 """
 
 import math
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl import ardupilot_tables, missions, px4_tables, telemetry, wire
+from sitl import ardupilot_tables, missions, parameter_protocol, px4_tables, telemetry, wire
 from sitl.vehicle import (
     ACCEPTED,
     DENIED,
@@ -26,7 +26,6 @@ from sitl.vehicle import (
 )
 
 NAMES = {number: name for name, number in wire.NUMBERS.items()}
-_PARAMETERS_PER_TICK = 20
 _LARGEST_RATE = 200.0
 _SLOWEST = 2000.0
 _LARGEST_ID = 65535
@@ -207,73 +206,6 @@ def _set_mode(v: Vehicle, message: Any, link: Link) -> None:
         )
 
 
-# Parameters.
-
-
-def send_parameter(v: Vehicle, link: Link, name: str) -> None:
-    """Send one PARAM_VALUE."""
-    p = v.parameters
-    body = (
-        p.encode(name)
-        + len(p.names).to_bytes(2, "little")
-        + p.places[name].to_bytes(2, "little")
-        + name.encode().ljust(16, b"\0")
-        + bytes([p.kinds[name]])
-    )
-    layout = wire.LAYOUTS["PARAM_VALUE"]
-    ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
-    link.outgoing.append(link.sender.frame(layout.number, body, layout.seed, ticks))
-
-
-def _param_list(v: Vehicle, message: Any, link: Link) -> None:
-    if addressed(v, message):
-        v.parameter_queue = [entry for entry in v.parameter_queue if entry[0] is not link]
-        v.parameter_queue += [(link, k) for k in range(len(v.parameters.names))]
-
-
-def pump_parameters(v: Vehicle) -> None:
-    """Send the next few of a requested parameter list (400 a second)."""
-    for link, place in v.parameter_queue[:_PARAMETERS_PER_TICK]:
-        send_parameter(v, link, v.parameters.names[place])
-    del v.parameter_queue[:_PARAMETERS_PER_TICK]
-
-
-def _name(text: Any) -> str:
-    raw = text.encode("utf-8", "replace") if isinstance(text, str) else bytes(text)
-    return raw.split(b"\0")[0].decode("ascii", "replace")
-
-
-def _param_read(v: Vehicle, message: Any, link: Link) -> None:
-    if not addressed(v, message):
-        return
-    p = v.parameters
-    if message.param_index >= 0:
-        if message.param_index < len(p.names):
-            send_parameter(v, link, p.names[message.param_index])
-        return
-    name = _name(message.param_id)
-    if name in p.values:
-        send_parameter(v, link, name)
-
-
-def _param_set(v: Vehicle, message: Any, _: Link) -> None:
-    if not addressed(v, message):
-        return
-    name = _name(message.param_id)
-    p = v.parameters
-    if name not in p.values:
-        return
-    body = bytes(message.get_msgbuf())[10:]
-    value = p.decode(name, body[:4].ljust(4, b"\0"), message.param_type)
-    if value is not None:
-        p.values[name] = value
-        v.personality.parameter_changed(name)
-        if name.startswith("SIM_") and v.simulation_changed is not None:
-            v.simulation_changed(name, p.values)
-    for target in v.links:
-        send_parameter(v, target, name)
-
-
 # Logs, files, time, position from outside, signing.
 
 
@@ -394,15 +326,13 @@ def _setup_signing(v: Vehicle, message: Any, link: Link) -> None:
 
 
 HANDLERS.update(missions.HANDLERS)
+HANDLERS.update(parameter_protocol.HANDLERS)
 HANDLERS.update(
     {
         "HEARTBEAT": _heartbeat,
         "COMMAND_LONG": _command_long,
         "COMMAND_INT": _command_int,
         "SET_MODE": _set_mode,
-        "PARAM_REQUEST_LIST": _param_list,
-        "PARAM_REQUEST_READ": _param_read,
-        "PARAM_SET": _param_set,
         "LOG_REQUEST_LIST": _log_list,
         "FILE_TRANSFER_PROTOCOL": _file_transfer,
         "TIMESYNC": _timesync,

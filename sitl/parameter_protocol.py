@@ -1,0 +1,80 @@
+"""The parameter protocol: list, read, set; SIM_* ones break things (`sitl.fault_ways`)."""
+
+from collections.abc import Callable
+from typing import Any
+
+from sitl import wire
+from sitl.vehicle import Link, Vehicle, addressed
+
+_PARAMETERS_PER_TICK = 20
+
+
+def send_parameter(v: Vehicle, link: Link, name: str) -> None:
+    """Send one PARAM_VALUE."""
+    p = v.parameters
+    body = (
+        p.encode(name)
+        + len(p.names).to_bytes(2, "little")
+        + p.places[name].to_bytes(2, "little")
+        + name.encode().ljust(16, b"\0")
+        + bytes([p.kinds[name]])
+    )
+    layout = wire.LAYOUTS["PARAM_VALUE"]
+    ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
+    link.outgoing.append(link.sender.frame(layout.number, body, layout.seed, ticks))
+
+
+def _param_list(v: Vehicle, message: Any, link: Link) -> None:
+    if addressed(v, message):
+        v.parameter_queue = [entry for entry in v.parameter_queue if entry[0] is not link]
+        v.parameter_queue += [(link, k) for k in range(len(v.parameters.names))]
+
+
+def pump_parameters(v: Vehicle) -> None:
+    """Send the next few of a requested parameter list (400 a second)."""
+    for link, place in v.parameter_queue[:_PARAMETERS_PER_TICK]:
+        send_parameter(v, link, v.parameters.names[place])
+    del v.parameter_queue[:_PARAMETERS_PER_TICK]
+
+
+def _name(text: Any) -> str:
+    raw = text.encode("utf-8", "replace") if isinstance(text, str) else bytes(text)
+    return raw.split(b"\0")[0].decode("ascii", "replace")
+
+
+def _param_read(v: Vehicle, message: Any, link: Link) -> None:
+    if not addressed(v, message):
+        return
+    p = v.parameters
+    if message.param_index >= 0:
+        if message.param_index < len(p.names):
+            send_parameter(v, link, p.names[message.param_index])
+        return
+    name = _name(message.param_id)
+    if name in p.values:
+        send_parameter(v, link, name)
+
+
+def _param_set(v: Vehicle, message: Any, _: Link) -> None:
+    if not addressed(v, message):
+        return
+    name = _name(message.param_id)
+    p = v.parameters
+    if name not in p.values:
+        return
+    body = bytes(message.get_msgbuf())[10:]
+    value = p.decode(name, body[:4].ljust(4, b"\0"), message.param_type)
+    if value is not None:
+        p.values[name] = value
+        v.personality.parameter_changed(name)
+        if name.startswith("SIM_") and v.simulation_changed is not None:
+            v.simulation_changed(name, p.values)
+    for target in v.links:
+        send_parameter(v, target, name)
+
+
+HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {
+    "PARAM_REQUEST_LIST": _param_list,
+    "PARAM_REQUEST_READ": _param_read,
+    "PARAM_SET": _param_set,
+}
