@@ -88,7 +88,7 @@ def main(arguments: list[str] | None = None) -> int:
             parent=parent,
         )
     except OSError as error:
-        sys.stderr.write(f"sitl: {error}\n")
+        sys.stderr.write(f"swarm sitl: no sockets on {given.host}: {error.strerror or error}\n")
         return 3
 
 

@@ -236,7 +236,7 @@ def to_default_ports(emulator: Emulator, host: str, speed: float, port_step: int
         else:
             server.udp(vehicle, vehicle.links[0], (host, GROUND))
             port = server.listen(vehicle, TCP + 10 * i)
-            one["tcp"] = f"{host}:{port}" if port else None
+            one["tcp" if port else "tcp_taken"] = f"{host}:{TCP + 10 * i}"
         one["udp_ground"] = f"{host}:{GROUND}"
         server.description.append(one)
     return server
@@ -275,6 +275,7 @@ def truth_writer(file: TextIO) -> Callable[[Truth], None]:
 _WORDS = {
     "udp_local": "on UDP port {}",
     "tcp": "listens on TCP {}",
+    "tcp_taken": "does not listen, as somebody else has TCP {}",
     "udp_to": "offboard client on UDP {}",
     "udp_ground": "ground station on UDP {}",
 }

@@ -123,8 +123,8 @@ def test_the_ports_of_the_real_simulators() -> None:
 def test_ardupilot_listens_on_tcp_as_its_simulator_does() -> None:
     with running("-n", "2", "--autopilot", "ardupilot", "--speed", "5") as (_, ready):
         for i, one in enumerate(ready["vehicles"]):
-            assert one["tcp"] in {f"127.0.0.1:{5760 + 10 * i}", None}
-            if one["tcp"] is None:
+            assert one.get("tcp") in {f"127.0.0.1:{5760 + 10 * i}", None}
+            if one.get("tcp") is None:
                 continue
             with socket.create_connection(("127.0.0.1", 5760 + 10 * i), timeout=5) as sock:
                 parser = dialect.MAVLink(None)
