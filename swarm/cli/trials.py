@@ -77,6 +77,8 @@ def run_trials(
     interrupted = False
     for plan, proven in runs:
         flown, interrupted = _fly(proven, spread, seed, trials, faults, jobs, scheduler)
+        if not flown:
+            raise Interrupted("stopped before any trial was done")
         done.append((plan, flown, certificates(plan, flown)))
         if interrupted:
             break
@@ -192,12 +194,12 @@ def print_summary(told: Mapping[str, Any], console: Console) -> None:
             f"completed, one vehicle failing: {_share(failing['completed'], failing['trials'])}",
         )
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column("smallest distances, no vehicle failing", no_wrap=True)
-    for head in ("smallest", "5 %", "median", "required"):
-        table.add_column(head, justify="right")
+    table.add_column("smallest distance")
+    for head in ("required", "in the worst", "5 % below", "half below"):
+        table.add_column(head, justify="right", no_wrap=True)
     for kind, values in sound["clearance"].items():
         if values["count"]:
-            table.add_row(NAMES[kind], *_distribution_cells(values), f"{values['required']:.2f} m")
+            table.add_row(NAMES[kind], f"{values['required']:.2f} m", *_distribution_cells(values))
     console.print(table)
     error = sound["tracking_error"]
     if error["count"]:
@@ -251,5 +253,5 @@ def _distribution_cells(values: Mapping[str, Any]) -> list[str]:
     for share in ("0.05", "0.5"):
         quantile = values["quantiles"][share]
         low, high = (f"{v:.2f}" if v is not None else "?" for v in quantile["interval"])
-        cells.append(f"{quantile['value']:.2f} m [{low}, {high}]")
+        cells.append(f"{quantile['value']:.2f} m ({low} to {high})")
     return cells
