@@ -29,8 +29,8 @@ class Planned:
 def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool = True) -> Planned:
     """Plan a mission and check it.
 
-    A plan that passes comes with e* and w* where ``robustness`` is asked for. ``progress`` is called with a stage's name and the
-    share of it that is done. Raises
+    A plan that passes comes with e* and w* where ``robustness`` is asked for. ``progress`` is
+    called with a stage's name and the share of it that is done. Raises
     :class:`swarm.errors.Refused` when no motion was found at all; a motion that was found and does
     not pass is returned, with its findings.
     """

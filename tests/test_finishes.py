@@ -42,7 +42,9 @@ def at(plan: Plan, name: str, end: bool = False) -> np.ndarray:
     return plan.motion.at(phase.end if end else phase.start)[0]
 
 
-@pytest.mark.parametrize("finish", ["hold", "unfold", "tighten"])
+@pytest.mark.parametrize(
+    "finish", [pytest.param("hold", marks=pytest.mark.full), "unfold", "tighten"]
+)
 def test_every_finish_is_certified_and_says_where_the_model_ends(finish: str) -> None:
     plan = finished(f"finish={finish}")
     assert tuple(phase.name for phase in plan.phases) == BEFORE + AFTER[finish]

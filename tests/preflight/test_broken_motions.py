@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from click.testing import CliRunner
 
 from swarm.cli.certify import certify
@@ -72,6 +73,7 @@ def test_a_vehicle_that_is_late_by_a_second_is_named(tmp_path: Path) -> None:
     assert errors["taut"].startswith(("segment 5 is ", "segment 6 is "))
 
 
+@pytest.mark.full
 def test_a_mirrored_motion_ties_the_other_hand(tmp_path: Path) -> None:
     def mirror(_: Rows, states: Rows) -> Rows:
         states[:, :, 1::3] *= -1.0
@@ -82,6 +84,7 @@ def test_a_mirrored_motion_ties_the_other_hand(tmp_path: Path) -> None:
     assert (knot["type"], knot["chirality"]) == ("3_1", "left")
 
 
+@pytest.mark.full
 def test_a_motion_that_jumps_or_is_too_fast_is_refused(tmp_path: Path) -> None:
     plan = recorded_overhand()
 
