@@ -6,31 +6,28 @@ import time
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import click
 from rich.console import Console
 
 from swarm import api
 from swarm.cli.fleets import load_fleet
+from swarm.cli.flown import end_with
 from swarm.cli.inputs import (
     JSON,
-    MISSION,
     SET,
     load_mission,
-    print_json,
     progress_bar,
-    write_text,
 )
-from swarm.cli.outcome import outcome_object, print_outcome
+from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
 from swarm.fleet import emulated_fleet
 from swarm.flight.clearance import Audit
+from swarm.flight.resuming import Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.pilot import Flight, fly_apart
-from swarm.verify import judge
 from swarm.view import rerun_log
-from swarm.view.report import flight_report
 from swarm.view.summary import findings_table, plan_summary
 from swarm.view.terminal import FlightScreen
 
@@ -39,7 +36,7 @@ LONGEST_SOCKET_PATH = 100
 
 
 @click.command()
-@MISSION
+@click.argument("mission", metavar="[MISSION]", required=False)
 @SET
 @JSON
 @click.option(
@@ -68,10 +65,23 @@ LONGEST_SOCKET_PATH = 100
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for the flight's record; the default is a new one below flights/.",
 )
+@click.option(
+    "--resume",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="RECORD",
+    help="Find the team of this record, whose ground station died in flight, and go on.",
+)
+@click.option(
+    "--then",
+    type=click.Choice(get_args(Then)),
+    default="hold",
+    show_default=True,
+    help="With --resume: what follows once everybody is found.",
+)
 @click.pass_context
 def fly(
     context: click.Context,
-    mission: str,
+    mission: str | None,
     overrides: tuple[str, ...],
     as_json: bool,
     fleet: Path | None,
@@ -80,12 +90,24 @@ def fly(
     view: Literal["native", "web"] | None,
     yes: bool,
     record: Path | None,
+    resume: Path | None,
+    then: Then,
 ) -> None:
     """Plan MISSION (a file or a knot's name), check it, and fly it.
 
     Without --fleet the built-in emulator flies, in a process of its own. Ctrl-C stops the team and
-    lands it together.
+    lands it together. Where the ground station itself died, --resume finds the vehicles before
+    they land by themselves; plan and fleet are the record's then.
     """
+    if resume is not None:
+        _refuse_beside_resume(mission, overrides, fleet, speed, no_cable=no_cable)
+        folder = record or _record_folder(f"{resume.name}-resumed")
+        resume_flight(
+            context, resume, folder, _control(folder), then=then, view=view, as_json=as_json
+        )
+        return
+    if mission is None:
+        raise click.UsageError("Missing argument 'MISSION'.")
     loaded = load_mission(mission, overrides)
     given = load_fleet(fleet) if fleet else None
     console = Console(quiet=as_json)
@@ -142,19 +164,22 @@ def fly(
             )
     finally:
         viewer.close()
-    flown = judge(planned.plan, result.trace)
-    outcome = outcome_object(result, flown, planned.assessment)
-    page = flight_report(planned.plan, planned.assessment, outcome, result.trace, result.events)
-    write_text(folder / "report.html", page)
-    if as_json:
-        print_json(outcome)
-    else:
-        print_outcome(planned.plan, result, flown, planned.assessment, console)
-        console.print(f"Record: {folder}", soft_wrap=True, highlight=False)
-    error = result.outcome.error()
-    if error is not None:
-        raise error
-    context.exit(0 if flown.as_planned else 1)
+    end_with(context, planned.plan, planned.assessment, result, folder, as_json=as_json)
+
+
+def _refuse_beside_resume(
+    mission: str | None,
+    overrides: tuple[str, ...],
+    fleet: Path | None,
+    speed: float,
+    *,
+    no_cable: bool,
+) -> None:
+    given = {"MISSION": mission, "--set": overrides, "--fleet": fleet, "--no-cable": no_cable}
+    stray = [name for name, value in given.items() if value] + ["--speed"] * (speed != 1.0)
+    if stray:
+        words = "the record says it when a flight is resumed"
+        raise InputError([Problem(name, words) for name in stray])
 
 
 def _control(folder: Path) -> Path | None:

@@ -18,6 +18,7 @@ from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.parameters import demands_of_plan
 from swarm.flight.result import FlightResult
+from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockTeller
 from swarm.flight.world import emulated_world
@@ -26,6 +27,7 @@ from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.keys import signing_with
 from swarm.ground.loop import Loop
 from swarm.ground.operator import ControlSocket, Desk, keys
+from swarm.ground.priority import follow
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links, open_links
@@ -52,6 +54,8 @@ def fly(
     take_keys: bool = False,
     typed: "queue.SimpleQueue[str] | None" = None,
     audit: bool | None = None,
+    left: LeftOff | None = None,
+    then: Then = "hold",
 ) -> FlightResult:
     """Fly a proven plan; returns how it went, with the record in ``record_folder``.
 
@@ -63,13 +67,15 @@ def fly(
     single keys from the terminal (:mod:`swarm.ground.operator`), ``typed`` are keys that were typed
     elsewhere. ``audit`` asks the vehicles for
     firmware, health and parameters through MAVSDK before the go; None does so for real ones. The
-    first SIGINT holds and lands the team, the second lands it at once.
+    first SIGINT holds and lands the team, the second lands it at once. ``left`` is where a flight
+    broke off whose vehicles still fly: they are found and the plan is taken up there, and ``then``
+    follows.
 
     Raises :class:`swarm.errors.VehicleError` where a link cannot be opened, and
     :class:`swarm.errors.InputError` where the record cannot be written.
     """
     _refuse_unflyable(fleet, speed)
-    conductor = Conductor(proven, fleet, no_cable=no_cable)
+    conductor = Conductor(proven, fleet, no_cable=no_cable, left=left, then=then)
     links = open_links(fleet.links)
     emulator: EmulatorProcess | None = None
     record: Record | None = None
@@ -95,7 +101,8 @@ def fly(
                 around.callback(socket.close)
                 poll.append(socket.poll)
             shell = _Shell(conductor, record, events, tell, interrupts, emulator, confirm, poll)
-            if audit if audit is not None else fleet.emulated is None:
+            wanted = audit if audit is not None else fleet.emulated is None
+            if wanted and left is None:
                 shell.relay = Relay(conductor.team)
                 around.callback(shell.relay.close)
             loop = Loop(conductor, links, record, speed, shell.each_tick, shell.relay)
@@ -304,6 +311,7 @@ def _listener(
                 waiting.put_nowait(what)
 
     def work() -> None:
+        follow()
         while (what := waiting.get()) is not None:
             if isinstance(what, Event):
                 if on_event is not None:

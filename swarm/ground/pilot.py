@@ -6,8 +6,6 @@ over there. The process dies with its caller, as if it were one.
 """
 
 import ctypes
-import gc
-import os
 import queue
 import signal
 import socket
@@ -27,15 +25,15 @@ from swarm.errors import SwarmError, VehicleError
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit
 from swarm.flight.result import FlightResult
+from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.fly import fly
 from swarm.ground.operator import keys
+from swarm.ground.priority import follow, prefer
 from swarm.preflight.findings import ProvenPlan
 
-PRIORITY = 10
 _POLL = 0.05
 _SET_PARENT_DEATH_SIGNAL = 1
-_SWITCH_INTERVAL = 0.0005
 
 
 @dataclass(frozen=True)
@@ -50,6 +48,8 @@ class Flight:
     control: Path | None = None
     asks: bool = False
     audit: bool | None = None
+    left: LeftOff | None = None
+    then: Then = "hold"
 
 
 def fly_apart(
@@ -211,7 +211,8 @@ class _Pilot:
     def run(self) -> None:
         flight: Flight = self._pipe.recv()
         threading.Thread(target=self._listen, name="caller", daemon=True).start()
-        given = {name: getattr(flight, name) for name in ("speed", "no_cable", "control", "audit")}
+        names = ("speed", "no_cable", "control", "audit", "left", "then")
+        given = {name: getattr(flight, name) for name in names}
         try:
             result = fly(
                 flight.proven,
@@ -239,6 +240,7 @@ class _Pilot:
         return self._answers.get()
 
     def _listen(self) -> None:
+        follow()
         with suppress(EOFError, OSError):
             while True:
                 kind, what = self._pipe.recv()
@@ -247,22 +249,6 @@ class _Pilot:
                 elif kind == "key":
                     self._keys.put(what)
         self._answers.put(False)
-
-
-def prefer(priority: int = PRIORITY) -> bool:
-    """Give this thread's process a real-time priority, where permitted; return whether it was.
-
-    Threads that begin later do not inherit it: only the loop's thread goes before others.
-    """
-    gc.collect()
-    gc.freeze()
-    sys.setswitchinterval(_SWITCH_INTERVAL)
-    try:
-        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-        os.sched_setscheduler(0, policy, os.sched_param(priority))
-    except (OSError, AttributeError):
-        return False
-    return True
 
 
 def die_with_parent() -> None:

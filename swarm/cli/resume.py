@@ -1,0 +1,97 @@
+"""What ``swarm fly --resume RECORD`` does: find a team whose ground station died, and go on."""
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+import click
+from pydantic import ValidationError
+from rich.console import Console
+
+from swarm.cli.flown import end_with
+from swarm.cli.inputs import read_text
+from swarm.cli.view import recorded_plan
+from swarm.errors import InputError, Problem, Refused
+from swarm.fleet import Fleet
+from swarm.flight.resuming import Then, left_off
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.ground.pilot import Flight, fly_apart
+from swarm.plans import Plan
+from swarm.preflight.findings import Assessment, Finding, ProvenPlan, Tightest, prove
+from swarm.view import rerun_log
+from swarm.view.terminal import FlightScreen
+
+LARGEST_LOG = 1 << 30
+
+
+def resume_flight(
+    context: click.Context,
+    record: Path,
+    folder: Path,
+    control: Path | None,
+    *,
+    then: Then,
+    view: Literal["native", "web"] | None,
+    as_json: bool,
+) -> None:
+    """Take up the flight of a record, and end the command with its exit code."""
+    console = Console(quiet=as_json)
+    plan, (fleet, tlog) = recorded_plan(record), _recorded(record)
+    if fleet.emulated is not None:
+        raise Refused("the built-in emulator ended with its ground station: nobody flies any more")
+    left = left_off(tlog, plan, fleet)
+    proven = _flown_before(plan)
+    console.print(
+        f"Broke off at {left.mission_time:.1f} s of the plan; looking for "
+        f"{plan.vehicles} vehicles.",
+        highlight=False,
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    viewer = rerun_log.start(plan, folder / "flight.rrd", view)
+    screen = FlightScreen(plan, console)
+
+    def on_snapshot(snapshot: Snapshot) -> None:
+        screen.show(snapshot)
+        viewer.offer(snapshot)
+
+    def on_event(event: Event) -> None:
+        screen.event(event)
+        viewer.offer(event)
+
+    try:
+        with screen:
+            result = fly_apart(
+                Flight(proven, fleet, folder, control=control, left=left, then=then),
+                take_keys=sys.stdin.isatty(),
+                on_snapshot=on_snapshot,
+                on_event=on_event,
+            )
+    finally:
+        viewer.close()
+    end_with(context, plan, proven.assessment, result, folder, as_json=as_json)
+
+
+def _recorded(record: Path) -> tuple[Fleet, bytes]:
+    """Return the fleet and the .tlog of a record, both of bounded size."""
+    listed, log = record / "fleet.json", record / "flight.tlog"
+    try:
+        if log.stat().st_size > LARGEST_LOG:
+            raise InputError([Problem(str(log), "too large for a flight")])
+        return Fleet.model_validate_json(read_text(listed)), log.read_bytes()
+    except OSError as error:
+        reason = (error.strerror or "cannot be read").lower()
+        raise InputError([Problem(str(log), reason)]) from None
+    except ValidationError:
+        raise InputError([Problem(str(listed), "expected the fleet of a flight")]) from None
+
+
+def _flown_before(plan: Plan) -> ProvenPlan:
+    """Return a recorded plan as proven: it was cleared before it took off, and time runs now."""
+    fine = Tightest(0.0, 0.0, 0.0, ("", ""))
+    words = "this plan was cleared before the flight that is resumed; it is not checked again"
+    note = Finding("info", "resumed", words)
+    knot = plan.knot
+    return prove(
+        plan,
+        Assessment((note,), fine, fine, fine, knot.type, knot.chirality, knot.gauss),
+    )

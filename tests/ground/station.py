@@ -1,0 +1,74 @@
+"""A ground station in a process of its own, so that a test can kill it: python -m this, arguments.
+
+``fly FOLDER PORT SPEED`` begins a flight; ``resume RECORD PORT SPEED THEN`` takes one up.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+from pymavlink.dialects.v20 import common
+
+from swarm.fleet import Fleet, emulated_fleet
+from swarm.flight.clearance import go
+from swarm.flight.conductor import Conductor
+from swarm.flight.resuming import left_off
+from swarm.flight.team import Outgoing
+from swarm.flight.tlog import ClockTeller
+from swarm.ground.loop import Loop
+from swarm.ground.record import Record
+from swarm.ground.sockets import open_links
+from tests.network import small_plan
+
+PROVEN = small_plan()
+
+
+def fleet_on(port: int) -> Fleet:
+    """ArduPilot vehicles on a link, as a fleet file lists real ones."""
+    fleet = emulated_fleet(3, ("ardupilot",))
+    links = {"loopback": f"udpin://127.0.0.1:{port}"}
+    return fleet.model_copy(update={"emulated": None, "links": links})
+
+
+def as_audited(conductor: Conductor, sysid: int) -> Outgoing:
+    """Have a vehicle stop half a second after its setpoints end, as the audit asks."""
+    way = conductor.team.way_to(sysid)
+    wanted = common.MAVLink_param_set_message(sysid, 1, b"GUID_TIMEOUT", 0.5, 9)
+    return Outgoing(way.link, way.address, way.encoder.encode(wanted))
+
+
+def run(conductor: Conductor, folder: Path, speed: float) -> None:
+    """Fly until it is over, keeping a record and printing what happens."""
+    links = open_links(conductor.fleet.links)
+    record = Record(folder, time.time())
+    record.before(conductor.proven, conductor.fleet, {})
+    teller = ClockTeller(conductor.plan)
+
+    def each_tick(now: float) -> None:
+        if conductor.stage == "ready" and conductor.audit is not None:
+            links.send([as_audited(conductor, listed.sysid) for listed in conductor.fleet.vehicles])
+            conductor.start(go(conductor.proven, conductor.audit))
+        phase = conductor.phase.name if conductor.stage == "fly" else ""
+        if conductor.stage in {"ready", "fly", "leave"}:
+            record.packet(teller.tell(now, conductor.clock.time, phase), now)
+        for event in conductor.events():
+            record.event(event)
+            print(f"{event.kind}: {event.message}", flush=True)
+        if phase == "fold" and conductor.clock.time > conductor.plan.phase("fold").start + 3.0:
+            print("folding", flush=True)
+
+    Loop(conductor, links, record, speed, each_tick).run()
+    record.close()
+    links.close()
+
+
+if __name__ == "__main__":
+    what, folder, port, speed, *then = sys.argv[1:]
+    fleet = fleet_on(int(port))
+    if what == "fly":
+        run(Conductor(PROVEN, fleet), Path(folder), float(speed))
+    else:
+        tlog = (Path(folder) / "flight.tlog").read_bytes()
+        left = left_off(tlog, PROVEN.plan, fleet)
+        conductor = Conductor(PROVEN, fleet, left=left, then=then[0])
+        run(conductor, Path(folder) / "resumed", float(speed))

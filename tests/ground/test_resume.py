@@ -1,0 +1,78 @@
+"""A ground station that is killed in mid-fold, and the next one that takes the team up, over UDP."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+from swarm.fleet import emulated_fleet
+from swarm.flight.world import emulated_world
+from tests.ground.station import PROVEN, fleet_on
+
+SPEED = "5"
+
+
+@contextmanager
+def process(*arguments):
+    running = subprocess.Popen(
+        [sys.executable, "-m", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        yield running
+    finally:
+        running.kill()
+        running.wait()
+        running.stdout.close()
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        return str(one.getsockname()[1])
+
+
+def test_after_sigkill_in_mid_fold_the_team_is_found_and_the_flight_goes_on(tmp_path):
+    port, record = free_port(), tmp_path / "record"
+    world = emulated_world(PROVEN.plan, emulated_fleet(3, ("ardupilot",)), with_cable=True, seed=1)
+    (tmp_path / "world.json").write_text(json.dumps(world))
+    sitl = ("sitl", "--world", str(tmp_path / "world.json"), "--speed", SPEED)
+    with process(*sitl, "--target", f"127.0.0.1:{port}"):
+        with process("tests.ground.station", "fly", str(record), port, SPEED) as station:
+            said = []
+            for line in station.stdout:
+                said.append(line)
+                if line == "folding\n":
+                    break
+            else:
+                raise AssertionError(said[-10:])
+            station.send_signal(signal.SIGKILL)
+            station.wait()
+        with process("tests.ground.station", "resume", str(record), port, SPEED, "continue") as on:
+            said = on.communicate(timeout=60)[0]
+    assert "resume: found everybody at " in said
+    assert "vehicle 3 follows again" in said, said[:3000]
+    assert "outcome: done: all vehicles have landed and disarmed" in said, said[-2000:]
+
+
+def test_what_cannot_be_resumed_is_refused_in_words(tmp_path):
+    def said(*arguments):
+        command = [Path(sys.executable).with_name("swarm"), "fly", *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        return done.returncode, " ".join(done.stderr.split())
+
+    code, words = said("--resume", str(tmp_path))
+    assert code == 2
+    assert "expected a flight's record with plan.json and motion.npz in it" in words
+    code, words = said("overhand", "--resume", str(tmp_path))
+    assert code == 2
+    assert "MISSION: the record says it when a flight is resumed" in words
+
+
+def test_the_fleet_of_the_test_is_a_real_one():
+    assert fleet_on(14550).emulated is None
