@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.preflight.findings import Finding
 from swarm.view.page import Html, page, table, tag
-from swarm.view.report import flight_report, plan_report
+from swarm.view.report import flight_report, plan_report, rope_report, trials_report
 from tests.view.synthetic import events, trefoil_plan
 from tests.view.test_terminal import assessment
 
@@ -148,6 +149,63 @@ def test_whatever_a_mission_is_called_stays_text() -> None:
     assert name in Reader(source).words
 
 
+def drawn() -> Figure:
+    figure = Figure(figsize=(8.0, 4.0))
+    figure.subplots().plot([0.0, 1.0])
+    return figure
+
+
+def share(count: int, low: float, high: float) -> dict[str, Any]:
+    return {"count": count, "share": 0.5, "interval": [low, high]}
+
+
+def made_trials_report(below: tuple[int, ...] = ()) -> str:
+    quantile = {"value": 0.5, "interval": [None, 0.55]}
+    kept: dict[str, Any] = {"count": 2, "smallest": 0.41, "largest": 0.6, "required": 0.15}
+    kept["quantiles"] = {"0.05": quantile, "0.5": quantile, "0.95": quantile}
+    worst = {"trial": 7, "cable": None, "outcome": "failed", "reason": "lost", "failing": "<b>"}
+    told = {
+        "method": "certified", "trials": 3, "seed": 4, "confidence": 0.95,
+        "spread": {"wind": 0.5, "failures": ["link", "reboot"]},
+        "no_vehicle_failing": {
+            "trials": 2, "completed": share(2, 0.16, 1.0), "clearance": {"cable": kept},
+        },
+        "one_vehicle_failing": {"trials": 1, "completed": share(0, 0.0, 0.98), "clearance": {}},
+        "trials_with_strikes": 0, "trials_with_collisions": 0, "vehicles_lost": 0,
+        "reasons": {"lost": 1}, "worst": [worst],
+        "certificate": {"compared": 3, "below": list(below)},
+    }  # fmt: skip
+    return trials_report(PLAN, assessment(), [told, {**told, "method": "paper"}], drawn())
+
+
+def made_rope_report(*void: str) -> str:
+    told = {
+        "trajectory": "this plan", "took": 20.0, "simulated": 130.0, "links": 400,
+        "knot": {"type": "3_1", "chirality": "right", "as_planned": True}, "void": list(void),
+        "smallest_distance": None, "penetration": {"radii": 0.2, "most": 1.5},
+        "stretch": {"share": 0.004}, "speed": {"metres_per_second": 1.5},
+        "stray": {"largest": 0.29, "budget": 0.57},
+    }  # fmt: skip
+    return rope_report(PLAN, assessment(), [told], drawn())
+
+
+def test_trials_report_says_what_trials_said() -> None:
+    read = Reader(made_trials_report())
+    assert "2 of 2 trials without a failing vehicle were completed as planned" in read.words
+    assert "verdict good" in made_trials_report()
+    assert "verdict bad" in made_trials_report(below=(7,))
+    assert "<b>" in read.words  # what was drawn is text and not markup
+    for words in ("The paper's trajectory", "0.41 m", "link, reboot", "16.0% to 100.0%"):
+        assert words in read.words
+
+
+def test_rope_report_is_not_green_where_it_shows_nothing() -> None:
+    assert "The rope ends in 3_1, right-handed." in Reader(made_rope_report()).words
+    void = made_rope_report("a link was stretched by 43.5%, more than 1%")
+    assert "verdict bad" in void
+    assert "This run shows nothing: a link was stretched by 43.5%, more than 1%." in void
+
+
 def test_pieces_of_html() -> None:
     assert tag("p", "a < b", Html("<b>c</b>"), kind="dim") == '<p class="dim">a &lt; b<b>c</b></p>'
     assert table(("a",), []) == ""
@@ -171,6 +229,8 @@ def test_a_browser_shows_it_without_sideways_scrolling(width: int, tmp_path: Pat
     for name, source in (
         ("plan", cleared_plan_report()),
         ("flight", made_flight_report()),
+        ("trials", made_trials_report()),
+        ("rope", made_rope_report()),
     ):
         file = tmp_path / f"{name}.html"
         file.write_text(LOOK % (width, escape(source)), encoding="utf-8")
