@@ -4,6 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import click
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -11,7 +12,7 @@ from swarm import api, exports, tables
 from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progress_bar, write_text
 from swarm.errors import Refused
 from swarm.mission import Mission
-from swarm.view.plots import plot_plan
+from swarm.view.plots import front_figure, plot_plan, save
 from swarm.view.report import plan_report
 from swarm.view.sheet import layout_sheet
 from swarm.view.summary import plan_summary
@@ -29,7 +30,7 @@ from swarm.view.summary import plan_summary
 @click.option(
     "--plot",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Draw grid diagram, plan view and folded cable as PNG.",
+    help="Draw grid diagram, plan view and folded cable as PNG; with --front, all its plans.",
 )
 @click.option(
     "--report",
@@ -64,9 +65,9 @@ def plan(
     """
     loaded = load_mission(mission, overrides)
     if front:
-        if export or plot or report or sheet:
-            raise click.UsageError("--front is of many plans: it writes no files of one")
-        context.exit(_front(loaded, as_json))
+        if export or report or sheet:
+            raise click.UsageError("--front is of many plans: of all files it only takes --plot")
+        context.exit(_front(loaded, as_json, plot))
     try:
         with progress_bar(Console(stderr=True)) as progress:
             planned = api.plan(loaded, progress)
@@ -89,12 +90,21 @@ def plan(
     context.exit(0 if planned.assessment.cleared else 1)
 
 
-def _front(mission: Mission, as_json: bool) -> int:
+def _front(mission: Mission, as_json: bool, plot: Path | None) -> int:
     """List plans with more and less room; exit code 1 where none was cleared."""
     with progress_bar(Console(stderr=True)) as progress:
         found = list(tables.front(mission, progress))
     points = tables.marked([point for point in found if isinstance(point, tables.Point)])
     refused = [words for words in found if isinstance(words, str)]
+    if plot and points:
+        figure = front_figure(
+            np.array([point.cable for point in points]),
+            np.array([point.fold for point in points]),
+            np.array([point.tracking for point in points]),
+            [point.asked for point in points],
+            [point.beaten for point in points],
+        )
+        save(figure, plot)
     if as_json:
         print_json({"plans": [asdict(point) for point in points], "refused": refused})
         return 0 if points else 1
