@@ -4,6 +4,7 @@ Numbers and words only, read without running anything.
 """
 
 import io
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -16,6 +17,11 @@ from swarm.mission import Mission
 from swarm.plans import Gate, KnotSummary, Layout, Phase, Plan
 from swarm.trajectory import Motion
 
+_UNREADABLE = (
+    KeyError, TypeError, ValueError, AttributeError, OSError, EOFError, BadZipFile, zlib.error,
+    NotImplementedError, RuntimeError,
+)  # fmt: skip
+"""What damaged JSON and .npz files raise in the libraries that read them."""
 _LARGEST_MEMBER = 256 * 1024 * 1024
 
 
@@ -74,7 +80,7 @@ def read_plan(document: Mapping[str, Any], motion: bytes) -> Plan:
             path=np.array(document["path"], dtype=np.float64),
             notes=tuple(document["notes"]),
         )
-    except (KeyError, TypeError, ValueError, OSError, BadZipFile) as error:
+    except _UNREADABLE as error:
         raise InputError(f"the record's plan cannot be read: {error}") from None
 
 

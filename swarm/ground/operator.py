@@ -27,6 +27,7 @@ KEYS: Mapping[str, Request] = {
     "b": "rewind",
     "l": "land",
     "x": "release",
+    "j": "rejoin",
     "a": "abort",
 }
 """Keys and what they ask for. Killing has no key: it is typed."""
