@@ -36,7 +36,7 @@ class Margins:
     cable on either side of a vehicle need not keep apart from the neighbouring segment's.
     ``spacing`` is the preferred chord of a segment in motion, as a share of its length, and
     ``taut`` the largest one, less what
-    two tracking errors add.
+    two tracking errors add. Neighbouring segments keep ``beside`` metres more than others.
     """
 
     cable: float
@@ -49,6 +49,7 @@ class Margins:
     hand: float = 0.0
     spacing: float = 0.85
     taut: float = 0.985
+    beside: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +159,36 @@ def neighbour_cost(before: Strands, after: Strands, margins: Margins) -> Floats:
         return np.zeros(0)
     unit = margins.cable + 2.0 * margins.tracking
     free = [max(0.5, 1.0 - margins.hand / float(strand.length[0])) for strand in (before, after)]
-    left = _near_margin(before, after, margins, (0.0, free[0]), 1)
-    right = _near_margin(after, before, margins, (1.0 - free[1], 1.0), 0)
-    return shortfall(np.minimum(left, right) / unit)
+    cost = np.zeros(len(before.points))
+    row = np.flatnonzero(~_diverging(before, after, margins, free))
+    if len(row):
+        one, two = before[row], after[row]
+        left = _near_margin(one, two, margins, (0.0, free[0]), 1)
+        right = _near_margin(two, one, margins, (1.0 - free[1], 1.0), 0)
+        cost[row] = shortfall((np.minimum(left, right) - margins.beside) / unit)
+    return cost
+
+
+def _diverging(
+    before: Strands, after: Strands, margins: Margins, free: list[float]
+) -> npt.NDArray[np.bool_]:
+    """Whether strands (b,) leave their vehicle to opposite sides, and far enough after the hand.
+
+    Each lies in a vertical plane and only gets farther from the vehicle in plan view; so where the
+    headings are at right angles or more, neither comes nearer to the other than it is to the
+    vehicle.
+    """
+    at = after.points[:, 0, :2]
+    back, ahead = before.points[:, 0, :2] - at, after.points[:, -1, :2] - at
+    opposite = np.einsum("bx,bx->b", back, ahead) <= 0.0
+    one, _ = _cut(before.points, 0.0, free[0])
+    two, _ = _cut(after.points, 1.0 - free[1], 1.0)
+    near = np.minimum(
+        np.linalg.norm(one[:, -1, :2] - at, axis=1), np.linalg.norm(two[:, 0, :2] - at, axis=1)
+    )
+    enough = 1.3 * margins.cable + margins.beside + 2.6 * margins.tracking
+    found: npt.NDArray[np.bool_] = opposite & (near > enough)
+    return found
 
 
 def _near_margin(
@@ -200,7 +228,7 @@ def _margin(
     here = np.interp(closest.first, np.arange(len(shares)), shares)
     there = closest.second / PIECES
     if shared is None:
-        error = _movement(one.ratio, here, upright) + _movement(other.ratio, there, upright)
+        error = movement(one.ratio, here, upright) + movement(other.ratio, there, upright)
     else:
         error = _far_movement(one, np.abs(here - shared), upright, margins.tracking)
         error += _far_movement(other, np.abs(there - (1 - shared)), upright, margins.tracking)
@@ -233,7 +261,7 @@ def lift(ratio: Floats) -> Floats:
     return moved
 
 
-def _movement(ratio: Floats, fraction: Floats, upright: Floats) -> Floats:
+def movement(ratio: Floats, fraction: Floats, upright: Floats) -> Floats:
     """Movement of a strand's point per metre of its ends, along a direction this much upright."""
     bulge = 4.0 * fraction * (1.0 - fraction)
     vertical = 1.0 + (lift(ratio) - 1.0) * bulge
@@ -247,8 +275,8 @@ def _along(level: Floats, vertical: Floats, upright: Floats) -> Floats:
 
 
 _FROM_GRIP = np.array([0.0, 0.1, 0.17, 0.25, 0.5, 0.75, 1.0])
-_FAR_LEVEL = np.array([0.0, 0.41, 0.55, 0.62, 0.87, 1.0, 1.02])
-_FAR_STEEP = np.array([0.6, 0.9, 0.95, 0.97, 1.0, 1.02, 1.02])
+_FAR_LEVEL = np.array([0.0, 0.3, 0.44, 0.55, 0.84, 1.0, 1.02])
+_FAR_STEEP = np.array([0.3, 0.6, 0.7, 0.75, 0.95, 1.02, 1.02])
 
 
 def _far_movement(strand: Strands, fraction: Floats, upright: Floats, tracking: float) -> Floats:
@@ -297,7 +325,7 @@ def body_cost(places: Floats, strand: Strands, margins: Margins) -> Floats:
     """Cost (q,) of strands (q,) being too close to vehicles at (q, 3)."""
     points = _refined(strand.points)
     fraction = np.linspace(0.0, 1.0, points.shape[1])
-    error = 1.0 + _movement(strand.ratio[:, None], fraction, np.array(0.7))
+    error = 1.0 + movement(strand.ratio[:, None], fraction, np.array(0.7))
     distance = _body_distance(places, points, margins) - margins.tracking * error
     unit = margins.vehicle_cable + 2.0 * margins.tracking
     return shortfall((distance.min(axis=1) - margins.vehicle_cable) / unit)
@@ -305,11 +333,15 @@ def body_cost(places: Floats, strand: Strands, margins: Margins) -> Floats:
 
 def rotor_cost(place: Floats, strand: Strands, margins: Margins) -> Floats:
     """Cost (b,) of a vehicle's own strand entering its rotor disc."""
-    apart = _refined(strand.points) - place[:, None, :]
+    lowest = margins.grip_offset - 1.5 * margins.tracking
+    cost = np.zeros(len(place))
+    high = np.flatnonzero(strand.middle[:, 2] + strand.reach[:, 2] - place[:, 2] > lowest)
+    if not len(high):
+        return cost
+    apart = _refined(strand.points[high]) - place[high, None, :]
     in_disc = margins.radius + 1.5 * margins.tracking - np.hypot(apart[..., 0], apart[..., 1])
-    at_height = apart[..., 2] - margins.grip_offset + 1.5 * margins.tracking
-    inside = np.minimum(in_disc, at_height).max(axis=1)
-    cost: Floats = 10.0 * np.maximum(inside, 0.0) / (margins.radius + margins.tracking)
+    inside = np.minimum(in_disc, apart[..., 2] - lowest).max(axis=1)
+    cost[high] = 10.0 * np.maximum(inside, 0.0) / (margins.radius + margins.tracking)
     return cost
 
 

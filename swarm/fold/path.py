@@ -1,9 +1,12 @@
 """The curve γ that all vehicles follow: run-in, edges in lanes, sloped level changes at corners.
 
-Along γ a vehicle's *progress* is measured in metres of arc length. Every edge is flown at its lane,
-a height above (over edges) or below (under edges) the corners; the level changes around each corner
-pass through the corner's own height, where one vehicle will come to rest. In plan view corners are
-rounded for those who fly on, and sharp for the one that stops there.
+Along γ a vehicle's *progress* is measured in metres of arc length of a mean vehicle's path. Every
+edge is flown in a lane, a height above (over edges) or below (under edges) the corners; the level
+changes around each corner pass through the corner's own height, where one vehicle will come to
+rest. Vehicles share the plan view, but each may have lanes of its own: long segments want to hang
+from higher ones. In plan view corners are rounded for those who fly on, and sharp for the one that
+stops there; it comes down to its corner late, as on an arc around the corner before, so that its
+own segment stays as tight as it will be.
 """
 
 from dataclasses import dataclass
@@ -11,17 +14,17 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BPoly, CubicSpline, PPoly
+from scipy.interpolate import CubicSpline, PPoly
 
 Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class FoldPath:
-    """γ as a function of progress, for every vehicle.
+class Guide:
+    """The line along which progress is measured, and the plan view of all vehicles' paths.
 
     ``corners`` (n, 3) in metres ENU, in order along the cable; ``lanes`` (n − 1,) heights of the
-    path over each edge above (below) its corners; ``slope`` and ``rounding`` say how far from a
+    line over each edge above (below) its corners; ``slope`` and ``rounding`` say how far from a
     corner, in metres of plan view, levels change and turns begin; ``run_in`` is the length of the
     straight line that leads to the first corner.
     """
@@ -33,21 +36,22 @@ class FoldPath:
     run_in: float
 
     @cached_property
-    def _headings(self) -> Floats:
+    def headings(self) -> Floats:
+        """Unit vectors (n − 1, 2) along the edges in plan view."""
         edges = np.diff(self.corners[:, :2], axis=0)
         heading: Floats = edges / np.linalg.norm(edges, axis=1, keepdims=True)
         return heading
 
     @cached_property
-    def _stations(self) -> Floats:
+    def stations(self) -> Floats:
         """Distance of every corner from the first one along the edges in plan view."""
         spans = np.linalg.norm(np.diff(self.corners[:, :2], axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(spans)])
 
     @cached_property
-    def _plan(self) -> PPoly:
+    def plan(self) -> PPoly:
         """Plan view over station: straight edges, joined by quintics where the path turns."""
-        stations, headings = self._stations, self._headings
+        stations, headings = self.stations, self.headings
         spans = np.diff(stations)
         x = [-self.run_in]
         values = [[self.corners[0, :2] - self.run_in * headings[0], headings[0], np.zeros(2)]]
@@ -61,18 +65,25 @@ class FoldPath:
         values.append([self.corners[-1, :2], headings[-1], np.zeros(2)])
         return _quintics(x, values)
 
-    @cached_property
-    def _height(self) -> PPoly:
-        """Height over station; on the run-in it is that of the first corner."""
-        stations, spans = self._stations, np.diff(self._stations)
-        lanes = np.concatenate([[0.0], self.lanes, [0.0]])
+    def height(self, lanes: Floats, stop: int) -> PPoly:
+        """Height over station in some lanes; the last edge is the one before corner ``stop``.
+
+        On the run-in it is that of the first corner.
+        """
+        stations, spans = self.stations, np.diff(self.stations)
+        lanes = np.concatenate([[0.0], lanes, [0.0]])
         spans = np.concatenate([[np.inf], spans, [np.inf]])
         x: list[float] = [-self.run_in - 1.0]
         values = [[self.corners[0, 2], 0.0, 0.0]]
-        for k, station in enumerate(stations):
-            before, after = lanes[k], lanes[k + 1]
+        for k, station in enumerate(stations[: stop + 1]):
+            before, after = lanes[k], lanes[k + 1] if k < stop else 0.0
             back, ahead = min(self.slope, 0.5 * spans[k]), min(self.slope, 0.5 * spans[k + 1])
             level = self.corners[k, 2]
+            if k == stop and before:
+                back = _late_descent(abs(before), spans[k], self.slope)
+                x += [station - back, station]
+                values += [[level + before, 0.0, 0.0], [level, -_STEEP_END * before / back, 0.0]]
+                break
             crossing = before * after < 0.0
             steep = 1.5 * min(abs(before) / back, abs(after) / ahead) if crossing else 0.0
             if before:
@@ -86,17 +97,19 @@ class FoldPath:
         return _quintics(x, [[np.array([v]) for v in row] for row in values])
 
     @cached_property
-    def _station_of_progress(self) -> CubicSpline:
+    def station_of_progress(self) -> CubicSpline:
+        """Distance from the first corner along the edges in plan view, over progress."""
         finest = 0.1 * min(self.slope, self.rounding)
         before = int(np.ceil(self.run_in / finest))
-        after = int(np.ceil(self._stations[-1] / finest))
+        after = int(np.ceil(self.stations[-1] / finest))
         stations = np.concatenate(
             [
                 np.linspace(-self.run_in, 0.0, before + 1)[:-1],
-                np.linspace(0.0, self._stations[-1], after + 1),
+                np.linspace(0.0, self.stations[-1], after + 1),
             ]
         )
-        slope = np.concatenate([self._plan(stations, 1), self._height(stations, 1)], axis=1)
+        height = self.height(self.lanes, len(self.corners))
+        slope = np.concatenate([self.plan(stations, 1), height(stations, 1)], axis=1)
         speed = np.linalg.norm(slope, axis=1)
         steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(stations)
         progress = np.concatenate([[0.0], np.cumsum(steps)])
@@ -106,41 +119,78 @@ class FoldPath:
     def stops(self) -> Floats:
         """Progress (n,) at which each vehicle rests on its own corner; 0 at the first corner."""
         knots, stations = (
-            self._station_of_progress.x,
-            self._station_of_progress(self._station_of_progress.x),
+            self.station_of_progress.x,
+            self.station_of_progress(self.station_of_progress.x),
         )
-        guess = np.interp(self._stations, stations, knots)
+        guess = np.interp(self.stations, stations, knots)
         for _ in range(4):
-            guess -= (self._station_of_progress(guess) - self._stations) / (
-                self._station_of_progress(guess, 1)
+            guess -= (self.station_of_progress(guess) - self.stations) / (
+                self.station_of_progress(guess, 1)
             )
         return np.clip(guess, knots[0], knots[-1])
 
+
+@dataclass(frozen=True, eq=False)
+class FoldPath:
+    """γ as a function of progress, for every vehicle.
+
+    ``lanes`` (n − 1, n) are the heights over each edge at which each vehicle flies it.
+    """
+
+    guide: Guide
+    lanes: Floats
+
+    @property
+    def corners(self) -> Floats:
+        """Corners (n, 3) in metres ENU."""
+        return self.guide.corners
+
+    @property
+    def stations(self) -> Floats:
+        """Distance (n,) of every corner from the first one along the edges in plan view."""
+        return self.guide.stations
+
+    @property
+    def stops(self) -> Floats:
+        """Progress (n,) at which each vehicle rests on its own corner; 0 at the first corner."""
+        return self.guide.stops
+
+    @cached_property
+    def _heights(self) -> dict[int, PPoly]:
+        return {}
+
+    def _height(self, vehicle: int) -> PPoly:
+        """Height over station of a vehicle, up to where it stops."""
+        if vehicle not in self._heights:
+            self._heights[vehicle] = self.guide.height(self.lanes[:, vehicle], vehicle)
+        return self._heights[vehicle]
+
     def station(self, progress: Floats) -> Floats:
         """Distance from the first corner along the edges in plan view, at progress (…,)."""
-        station: Floats = self._station_of_progress(progress)
+        station: Floats = self.guide.station_of_progress(progress)
         return station
 
     @property
     def start(self) -> float:
         """The least progress there is: where the run-in begins (negative)."""
-        return float(self._station_of_progress.x[0])
+        return float(self.guide.station_of_progress.x[0])
 
     def at(self, vehicle: int, progress: Floats) -> tuple[Floats, Floats, Floats]:
         """Place (…, 3) of one vehicle at progress (…,), and its two derivatives by progress."""
-        station = self._station_of_progress(progress)
-        rate = self._station_of_progress(progress, 1)[..., None]
-        bend = self._station_of_progress(progress, 2)[..., None]
+        guide = self.guide
+        station = guide.station_of_progress(progress)
+        rate = guide.station_of_progress(progress, 1)[..., None]
+        bend = guide.station_of_progress(progress, 2)[..., None]
+        height = self._height(vehicle)
         place, along, curved = (
-            np.concatenate([self._plan(station, k), self._height(station, k)], axis=-1)
-            for k in range(3)
+            np.concatenate([guide.plan(station, k), height(station, k)], axis=-1) for k in range(3)
         )
         if vehicle > 0:
-            last = self._stations[vehicle]
-            heading = self._headings[vehicle - 1]
-            span = last - self._stations[vehicle - 1]
-            sharp = station > last - min(self.rounding, 0.5 * span)
-            ahead = (station - last)[..., None] * heading + self.corners[vehicle, :2]
+            last = guide.stations[vehicle]
+            heading = guide.headings[vehicle - 1]
+            span = last - guide.stations[vehicle - 1]
+            sharp = station > last - min(guide.rounding, 0.5 * span)
+            ahead = (station - last)[..., None] * heading + guide.corners[vehicle, :2]
             sharp = sharp[..., None]
             place[..., :2] = np.where(sharp, ahead, place[..., :2])
             along[..., :2] = np.where(sharp, heading, along[..., :2])
@@ -148,11 +198,54 @@ class FoldPath:
         return place, along * rate, curved * rate**2 + along * bend
 
 
+_STEEP_END = 1.6
+"""Slope of the path at a vehicle's own corner, over the mean one of its descent."""
+
+
+def _late_descent(lane: float, span: float, slope: float) -> float:
+    """How far before its own corner a vehicle leaves its lane, in metres.
+
+    As late as an arc around the corner before allows, with the edge's span as its radius.
+    """
+    arc = span - np.sqrt(max(span**2 - lane**2, 0.0))
+    return float(min(max(arc, 0.5 * lane), span - min(slope, 0.5 * span)))
+
+
+def last_lane(lane: float, span: float, slope: float, taut: float) -> float:
+    """The lane of a vehicle's last edge, or as much of it as its segment allows.
+
+    That segment's chord, to the corner before, must not exceed ``taut`` metres on the way; ``span``
+    is the edge's length and ``slope`` the way on which levels change.
+    """
+    for part in np.linspace(1.0, 0.1, 31):
+        height = part * abs(lane)
+        ahead, back = min(slope, 0.5 * span), _late_descent(height, span, slope)
+        end = -_STEEP_END * height / back if height else 0.0
+        x = [0.0, ahead, span - back, span]
+        values = [[0.0, 1.5 * height / ahead, 0.0], [height, 0.0, 0.0], [height, 0.0, 0.0]]
+        values.append([0.0, end, 0.0])
+        path = _quintics(x, [[np.array([v]) for v in row] for row in values])
+        station = np.linspace(0.0, span, 60)
+        if np.hypot(station, path(station)[:, 0]).max() <= taut:
+            break
+    return float(np.sign(lane) * height)
+
+
 def _quintics(x: list[float], values: list[list[Floats]]) -> PPoly:
     """C² piecewise quintic through (value, slope, curvature) at increasing x; repeats dropped."""
     keep = [0, *(k for k in range(1, len(x)) if x[k] > x[k - 1] + 1e-9)]
-    return PPoly.from_bernstein_basis(
-        BPoly.from_derivatives(
-            np.array([x[k] for k in keep]), [np.array(values[k], dtype=float) for k in keep]
-        )
-    )
+    at = np.array([x[k] for k in keep])
+    given = np.array([np.broadcast_arrays(*values[k]) for k in keep], dtype=np.float64)
+    value, slope, bend = given[:, 0], given[:, 1], given[:, 2]
+    h = np.diff(at)[:, None]
+    rise, v0, v1 = np.diff(value, axis=0), slope[:-1] * h, slope[1:] * h
+    a0, a1 = bend[:-1] * h * h, bend[1:] * h * h
+    unit = [
+        6.0 * rise - 3.0 * (v0 + v1) + 0.5 * (a1 - a0),
+        -15.0 * rise + 8.0 * v0 + 7.0 * v1 + 1.5 * a0 - a1,
+        10.0 * rise - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1,
+        0.5 * a0,
+        v0,
+        value[:-1],
+    ]
+    return PPoly(np.stack([c / h ** (5 - k) for k, c in enumerate(unit)]), at)

@@ -1,10 +1,9 @@
 """Each vehicle's progress along γ: who is where, stage by stage of the fold.
 
-The leader flies ahead; then, one after the other back along the cable, each vehicle gets the
-progress that keeps the segment between it and the vehicle ahead clear of everything that is already
-planned. That is a shortest path over (stage, progress), found by sweeps of dynamic programming;
-its lattice is smoothed by a B-spline, and the next vehicle sees the smoothed motion. Then vehicles
-that still miss their margins are planned again, with everybody else as they are.
+Each segment gets a way of its own through its possible states, clear of all that others may do; the
+ways are chained from the leader back along the cable. The lattice of progress is smoothed by a
+B-spline. Then the whole team is looked at, and vehicles that still miss their margins are planned
+again, with everybody else as they are, by a shortest path over (stage, progress).
 """
 
 from collections.abc import Callable
@@ -29,7 +28,11 @@ from swarm.fold.clear import (
     strands,
     vehicle_cost,
 )
-from swarm.fold.path import FoldPath
+from swarm.fold.lanes import Ways, found_ways, ways_along
+from swarm.fold.layout import Hanging
+from swarm.fold.meeting import Timeline, meeting_cost
+from swarm.fold.passage import Way, joined, walked
+from swarm.fold.path import FoldPath, Guide
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -67,27 +70,67 @@ class Schedule:
         return values
 
 
+_TRIES = 12
+"""How often lanes are moved for a segment's sake."""
+
+
 def schedule(
-    path: FoldPath,
-    lengths: Floats,
+    layout: Hanging,
+    guide: Guide,
     margins: Margins,
     step: float,
+    *,
+    tries: int = _TRIES,
     report: Callable[[float], None] | None = None,
 ) -> Schedule:
-    """Plan every vehicle's progress, from the leader (the last) back to the first.
+    """Plan every vehicle's progress, and its lanes.
 
-    ``lengths`` (n − 1,) of the segments; ``step`` is the lattice's step in metres of progress. A
-    stage is a step of the leader. ``report`` is told the share that is done.
+    ``step`` is the lattice's step in metres of progress: what a vehicle flies in a stage at most.
+    ``tries`` is how often lanes are moved; ``report`` is told the share that is done.
     """
-    team = _Team(path, lengths, margins, step)
-    count = len(path.stops)
-    team.move(count - 1, team.leading())
-    for i in range(count - 2, -1, -1):
-        team.move(i, team.planned(i))
-        if report:
-            report((count - 1 - i) / (count - 1))
-    team.judge()
+    rough = found_ways(layout, guide, margins, _ROUGH * step, tries, report)
+    found = ways_along(rough.path, layout, margins, step)
+    team = _Team(found.path, layout.lengths, margins, step)
+    met: dict[int, set[int]] = {}
+    for _ in range(_ROUNDS):
+        team.take(_led_apart(found, met, layout.lengths, margins, step))
+        more = team.meetings()
+        fresh = {i: others - met.get(i, set()) for i, others in more.items()}
+        if not any(fresh.values()):
+            break
+        for i, others in fresh.items():
+            met.setdefault(i, set()).update(others)
     return team.result()
+
+
+_ROUGH = 1.4
+"""Lanes are chosen on a lattice that is so much coarser."""
+
+_ROUNDS = 4
+"""How often segments that met are led apart."""
+
+
+def _led_apart(
+    found: Ways, met: dict[int, set[int]], lengths: Floats, margins: Margins, step: float
+) -> Floats:
+    """Progress (ticks, n) of all vehicles, with ways that look at the segments they have met."""
+    ways = list(found.ways)
+    ticks: Floats = ways[-1].table.ahead[:, None]
+    after: Way | None = None
+    for segment in range(len(ways) - 1, -1, -1):
+        table = ways[segment].table
+        if met.get(segment) or after is not None:
+            extra = None
+            if met.get(segment):
+                timeline = Timeline(segment + 1, ticks)
+                extra = meeting_cost(
+                    table, segment, met[segment], found.path, lengths, timeline, margins
+                )
+            spacing = margins.spacing * lengths[segment]
+            ways[segment] = walked(table, spacing, margins, after, extra)
+        after = ways[segment]
+        ticks = joined(ticks, after, step)
+    return ticks
 
 
 def improved(plan: Schedule, margins: Margins | None = None, rounds: int = 3) -> Schedule:
@@ -121,12 +164,6 @@ _THROUGH = 1e3
 _TROUBLE = 0.05
 """Missed margins above this make a vehicle be planned again."""
 
-_WRONG_SIDE = 10.0
-"""Cost of passing a strand that is not planned yet on the wrong side."""
-
-_FORESIGHT = 0.5
-"""Weight of strands that are not planned yet."""
-
 
 class _Team:
     """The motion planned so far: control points, and places and strands at every half stage."""
@@ -136,24 +173,44 @@ class _Team:
         self.stops = path.stops
         # Strands that are farther from each other do not pass through within a stage.
         self.near = 3.0 * step
+        self.missed = np.zeros(len(self.stops))
+        self.worst = np.inf
+
+    def take(self, ticks: Floats) -> None:
+        """Move as in a plan (ticks, n) on the lattice, evened out if that does no harm."""
         count = len(self.stops)
-        spaces = margins.spacing * lengths
-        self.begin = self.stops[0] - np.concatenate([np.cumsum(spaces[::-1])[::-1], [0.0]])
-        self.flying = int(np.ceil((self.stops[-1] - self.begin[-1]) / step)) + 1
-        self.stages = self.flying + int(np.ceil(3.0 * lengths.max() / step))
+        self.begin = ticks[0]
+        self.flying = int(np.argmax(ticks[:, -1] >= ticks[-1, -1] - 1e-9))
+        self.stages = len(ticks) + 2 * round(_WIDTHS[0])
+        rest = np.repeat(ticks[-1:], self.stages - len(ticks), axis=0)
         self.controls: dict[int, Floats] = {}
         self.places = np.full((count, 2 * self.stages - 1, 3), np.inf)
         self.strands = Strands.nowhere(count - 1, 2 * self.stages - 1)
         self.hanging: set[int] = set()
-        self.missed = np.zeros(count)
-        self.worst = np.inf
-        self.final = strands(path.corners[:-1], path.corners[1:], lengths)
+        lattices = np.concatenate([ticks, rest]).T
+        self._even(lattices, 0.0)
+        least = float(self.missed.sum())
+        for width in _WIDTHS:
+            self._even(lattices, width)
+            if self.missed.sum() <= 1.05 * least + 0.04:
+                return
+        self._even(lattices, 0.0)
 
-    def leading(self) -> Floats:
-        """The leader's control points: a lattice step per stage, then rest."""
-        lattice = self.begin[-1] + self.step * np.arange(self.stages)
-        controls: Floats = np.minimum(lattice, self.stops[-1])
-        return controls
+    def _even(self, lattices: Floats, width: float) -> None:
+        for vehicle, lattice in enumerate(lattices):
+            self.move(vehicle, _evened(lattice, width) if width else lattice)
+        self.judge()
+
+    def meetings(self) -> dict[int, set[int]]:
+        """Segments, and those ahead of them that they or their vehicles come too near."""
+        found: dict[int, set[int]] = {}
+        count = len(self.lengths)
+        for one in range(count):
+            for other in range(one + 1, count):
+                cost, passes = self._met(one, other)
+                if passes or cost.max() > _TROUBLE:
+                    found.setdefault(one, set()).add(other)
+        return found
 
     def move(self, vehicle: int, controls: Floats) -> None:
         """Let a vehicle move by these control points."""
@@ -168,14 +225,45 @@ class _Team:
 
     def judge(self) -> None:
         """Say how much every vehicle misses its margins, with all planned."""
-        every = np.arange(2 * self.stages - 1)
-        self.worst = 0.0
-        for vehicle, controls in self.controls.items():
-            cost = self.costs(vehicle, every, _at_half_stages(controls))
-            self.missed[vehicle] = np.maximum(cost - _COMFORT, 0.0).sum()
-            through = _THROUGH * self._passes(vehicle, every, controls)
-            self.missed[vehicle] += through
-            self.worst = max(self.worst, float(cost.max()), through)
+        cost = np.zeros((len(self.stops), 2 * self.stages - 1))
+        through = np.zeros(len(self.stops))
+        count, margins = len(self.lengths), self.margins
+        for one in range(count):
+            own = self.strands[one]
+            alone = chord_cost(own, margins)
+            for end in (one, one + 1):
+                alone += rotor_cost(self.places[end], own, margins)
+            cost[[one, one + 1]] += alone
+            for other in range(one + 1, count):
+                met, passes = self._met(one, other)
+                who = sorted({one, one + 1, other, other + 1})
+                cost[who] += met
+                through[who] += _THROUGH * passes
+        for one in range(count + 1):
+            for other in range(one + 1, count + 1):
+                near = vehicle_cost(self.places[one], self.places[[other]], margins)
+                cost[[one, other]] += near
+        self.missed = np.maximum(cost - _COMFORT, 0.0).sum(axis=1) + through
+        self.worst = max(float(cost.max()), float(through.max()))
+
+    def _met(self, one: int, other: int) -> tuple[Floats, int]:
+        """Cost (half stages,) of two segments near each other, and how often they pass through."""
+        first, second, margins = self.strands[one], self.strands[other], self.margins
+        if other == one + 1:
+            return neighbour_cost(first, second, margins), 0
+        cost = np.zeros(2 * self.stages - 1)
+        _, row = near_strands(first, second[None], margins)
+        if len(row):
+            cost[row] += strand_cost(first[row], second[row], margins)
+        for vehicles, strand in (((one, one + 1), second), ((other, other + 1), first)):
+            for vehicle in vehicles:
+                place = self.places[vehicle]
+                _, row = near_bodies(place[None], strand, margins)
+                if len(row):
+                    cost[row] += body_cost(place[row], strand[row], margins)
+        over = heights_over(first, second)
+        through = (over[1:] * over[:-1] < 0.0) & (np.abs(np.diff(over)) < 0.5 * self.near)
+        return cost, int(np.count_nonzero(through))
 
     def _total(self, vehicle: int, every: Ints, controls: Floats) -> float:
         cost = self.costs(vehicle, every, _at_half_stages(controls)).sum()
@@ -322,8 +410,6 @@ class _Team:
             which, row = near_bodies(places, strand, margins)
             found = body_cost(places[which, row], strand[row], margins)
             cost += np.bincount(row, found, len(stage))
-            if number == vehicle:
-                cost += _FORESIGHT * self._foresight(vehicle, progress, strand)
         if len(own) == 2:
             cost += neighbour_cost(own[vehicle - 1], own[vehicle], margins)
         team = [j for j in self.controls if j != vehicle]
@@ -332,32 +418,17 @@ class _Team:
         found = body_cost(place[row], others[which, row], margins)
         return cost + np.bincount(row, found, len(stage))
 
-    def _foresight(self, vehicle: int, progress: Floats, strand: Strands) -> Floats:
-        """Cost (b,) of a strand being in the way of those that follow and are not planned yet.
-
-        Behind a vehicle γ will be full of strands, which on every edge are much like the last one
-        that will hang there.
-        """
-        waiting = np.array([k for k in range(vehicle - 1) if k not in self.hanging], dtype=np.intp)
-        final = self.final[waiting][:, None]
-        which, row = near_strands(strand, final, self.margins)
-        behind = self.stops[waiting[which] + 1] <= progress[row]
-        which, row = which[behind], row[behind]
-        found = strand_cost(strand[row], final[which, 0], self.margins)
-        cost = np.bincount(row, found, len(progress)).astype(np.float64)
-        for k in waiting:
-            # Everything passes above the strands of under edges, and below those of over edges.
-            over = heights_over(strand, self.final[np.full(len(progress), k)])
-            wrong = over * np.sign(self.path.lanes[k]) > 0.0
-            cost += _WRONG_SIDE * (wrong & (self.stops[k + 1] <= progress))
-        return cost
-
     def result(self) -> Schedule:
         """Everybody's progress, up to the stage at which all rest."""
         controls = np.stack([self.controls[i] for i in range(len(self.stops))], axis=1)
+        controls = np.concatenate([controls, np.repeat(controls[-1:], _REST, axis=0)])
         settled = np.all(controls >= self.stops - 1e-9, axis=1)
-        used = min(self.stages, int(np.argmax(settled)) + 4) if settled.any() else self.stages
+        used = min(len(controls), int(np.argmax(settled)) + _REST)
         return Schedule(_spline(controls[:used]), float(used - 1), self.missed, self.worst, self)
+
+
+_REST = 4
+"""Stages at the end in which the spline comes to rest."""
 
 
 def _rows(which: list[int]) -> Ints:

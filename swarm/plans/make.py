@@ -10,9 +10,10 @@ from scipy.spatial.distance import pdist
 from swarm.cable.catenary import hang
 from swarm.errors import Refused
 from swarm.fold.clear import Margins, lift, strand_cost, strands
+from swarm.fold.lanes import found_ways
 from swarm.fold.layout import Hanging, Shape, given, hanging
 from swarm.fold.paper import dips, printed_motion
-from swarm.fold.path import FoldPath
+from swarm.fold.path import FoldPath, Guide
 from swarm.fold.schedule import Schedule, improved, schedule, team_path
 from swarm.knots.catalog import KnotChoice, choose
 from swarm.knots.grid import OpenGrid, openings
@@ -53,7 +54,7 @@ def candidates(
         yield formation_plan(mission, mission.formation)
         return
     choice, knot = _knot(mission)
-    opened = _roomy(openings(choice.grid))
+    opened = _different(openings(choice.grid))
     margins = _margins(mission)
     if mission.fold.method == "paper":
         yield _printed(mission, knot, _paper_layout(mission, opened[0], margins))
@@ -64,21 +65,20 @@ def candidates(
     _refuse_crowding(mission, knot, opened, margins)
     tried: list[str] = []
     doubtful: list[Folding] = []
-    promising = False
-    for folding in _all_foldings(opened, list(shapes(mission, margins)), margins, progress):
+    layouts = list(shapes(mission, margins))
+    ranked = _ranked(opened[:_OPENINGS], layouts[0], margins, progress)
+    for folding in _foldings(ranked, layouts, margins, progress):
         worst = folding.plan.worst
         tried.append(
             f"tried a cell of {folding.layout.cell:.2f} m: misses its margins by {worst:.2g}"
         )
         if worst < _GOOD:
-            promising = True
             yield from _mended(mission, knot, folding, margins, tried)
         else:
             doubtful.append(folding)
     doubtful.sort(key=lambda folding: folding.plan.worst)
-    for k, folding in enumerate(doubtful):
-        if folding.plan.worst < _WORTH_JUDGING or (k == 0 and not promising):
-            yield from _mended(mission, knot, folding, margins, tried)
+    for folding in doubtful[:_DOUBTFUL]:
+        yield from _mended(mission, knot, folding, margins, tried)
 
 
 def _mended(
@@ -106,20 +106,6 @@ def _with_more(margins: Margins, missing: Shortfalls) -> Margins:
         + 1.1 * missing.get("vehicle_cable", -_SAMPLING)
         + _SAMPLING,
     )
-
-
-def _all_foldings(
-    opened: list[OpenGrid], layouts: list[Shape], margins: Margins, progress: Progress | None
-) -> Iterator["Folding"]:
-    """The first opening if it is promising, then the most promising ones in all layouts."""
-    if progress:
-        progress("folding the first opening", 0.0)
-    first = _folded(opened[0], layouts[0], margins)
-    if first.plan.cost < _PROMISING:
-        yield from _foldings(opened[:1], layouts, margins, progress)
-        opened = opened[1:]
-    ranked = _ranked(opened[:_OPENINGS], layouts[-1], margins, progress)
-    yield from _foldings(ranked, layouts, margins, progress)
 
 
 def _refuse_unplanned(mission: Mission) -> None:
@@ -154,17 +140,18 @@ def _refuse_crowding(
 def _ranked(
     opened: list[OpenGrid], shape: Shape, margins: Margins, progress: Progress | None
 ) -> list[OpenGrid]:
-    """The openings whose rough schedules miss least in a roomy layout, best first.
-
-    None of them where all miss by so much that smaller layouts are hopeless.
-    """
+    """The openings along whose paths segments are least in the way of others, best first."""
     by_cost: dict[float, OpenGrid] = {}
     for k, diagram in enumerate(opened):
         if progress:
             progress("comparing openings of the grid diagram", k / len(opened))
+        fit = fitted(diagram, shape, margins)
+        layout = _hung_apart(diagram, fit, margins)
+        guide = _guide(layout, fit.slope, fit.rounding)
+        rough = found_ways(layout, guide, margins, _COARSE * fit.cell)
         # Mirror images in plan view fold alike: equal costs are one opening.
-        by_cost.setdefault(round(_folded(diagram, shape, margins).plan.cost, 3), diagram)
-    return [by_cost[cost] for cost in sorted(by_cost)[:_BEST] if cost < _HOPELESS]
+        by_cost.setdefault(round(rough.cost, 3), diagram)
+    return [by_cost[cost] for cost in sorted(by_cost)[:_BEST]]
 
 
 def _foldings(
@@ -176,7 +163,7 @@ def _foldings(
             if progress:
                 progress(f"folding with a cell of {shape.cell:.2f} m", k / len(opened))
             folding = _folded(diagram, shape, margins)
-            if folding.plan.cost < _HOPELESS:
+            if folding.plan.worst > 0.1 * _GOOD and folding.plan.cost < _HOPELESS:
                 folding = replace(folding, plan=improved(folding.plan))
             yield folding
 
@@ -193,57 +180,46 @@ _OPENINGS = 12
 _BEST = 3
 """So many of them are tried with each layout."""
 
-_GOOD = 0.5
+_GOOD = 0.6
 """Schedules that miss their margins by less, at the worst moment, are likely to be certified."""
 
-_WORTH_JUDGING = 4.0
-"""Those that miss them by less are judged too, once nothing better was found."""
+_DOUBTFUL = 2
+"""So many of the others are judged, the best first, once nothing better was found."""
 
-_PROMISING = 100.0
-"""The first opening is mended before others are tried where its rough schedule misses less."""
+_HOPELESS = 1_000.0
+"""Schedules that miss their margins by more in all are not worth mending."""
 
-_HOPELESS = 12_000.0
-"""Rough schedules that miss their margins by more in all are not worth mending."""
+_COARSE, _STEP = 0.35, 0.2
+"""Steps of the lattice of progress, in cells: to compare openings, and to fold."""
 
-_GENTLE = (
-    (1.0, 0.8, 0.8, 0.15),
-    (1.12, 0.8, 0.8, 0.15),
-    (1.3, 0.95, 1.2, 0.16),
-    (1.5, 0.9, 1.1, 0.19),
-)
-_STEEP = (
-    (1.0, 1.1, 1.3, 0.16),
-    (1.0, 1.3, 1.6, 0.17),
-    (1.0, 1.0, 1.5, 0.19),
-    (1.25, 1.2, 1.6, 0.19),
-)
-"""Cells over the least one, lanes over and under as shares of the cell, sag as one of the span.
-
-Steep strands answer tracking errors the most, so without these lanes may be taller.
-"""
-
+_SCALES = (1.0, 0.85, 1.2, 1.45)
+"""Cells that are tried, over the one that clearances suggest."""
 
 _SMALLEST = 0.05
 """Layouts are not scaled down by more to fit a cable."""
 
-_SLOPE, _ROUNDING = 0.98, 0.5
+_SLOPE, _ROUNDING = 0.98, 0.3
 """From how far before a corner, in cells, levels change and turns begin."""
 
 
 def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
-    """Layouts to try, smallest cell first; numbers in the mission are taken as they are."""
+    """Layouts to try; numbers in the mission are taken as they are.
+
+    Lanes under the corners leave room for a vehicle below a strand that passes over.
+    """
     asked = mission.layout
     strand = margins.cable + 5.0 * margins.tracking
     least = max(5.2 * strand, margins.vehicle + 2.0 * margins.tracking)
-    for scale, over, under, slack in _GENTLE if margins.tracking else _STEEP:
+    body = margins.grip_offset + margins.vehicle_cable + 3.0 * margins.tracking
+    for scale in _SCALES if asked.cell == "auto" else (1.0,):
         cell = scale * least if asked.cell == "auto" else asked.cell
         yield Shape(
             cell=cell,
             gap=1.15 * strand if margins.tracking else 2.0 * strand,
             minimum_sag=0.2 * cell,
-            slack=slack,
-            lane_over=asked.lane_over if asked.lane_over != "auto" else over * cell,
-            lane_under=asked.lane_under if asked.lane_under != "auto" else under * cell,
+            slack=0.16,
+            lane_over=asked.lane_over if asked.lane_over != "auto" else 0.9 * cell,
+            lane_under=asked.lane_under if asked.lane_under != "auto" else 0.35 * cell + body,
             slope=_SLOPE * cell,
             rounding=_ROUNDING * cell,
             sag_over=None if asked.sag_over == "auto" else asked.sag_over,
@@ -288,14 +264,17 @@ def fitted(diagram: OpenGrid, shape: Shape, margins: Margins) -> Shape:
     return shape.scaled(low)
 
 
+def _guide(layout: Hanging, slope: float, rounding: float) -> Guide:
+    run_in = 1.1 * float(layout.lengths.sum()) + 2.0
+    return Guide(layout.corners, layout.lanes, slope, rounding, run_in)
+
+
 def _folded(diagram: OpenGrid, shape: Shape, margins: Margins) -> Folding:
     shape = fitted(diagram, shape, margins)
     layout = _hung_apart(diagram, shape, margins)
-    run_in = 1.1 * float(layout.lengths.sum()) + 2.0
-    path = FoldPath(layout.corners, layout.lanes, shape.slope, shape.rounding, run_in)
-    step = 0.18 * shape.cell
-    plan = schedule(path, layout.lengths, margins, step)
-    return Folding(layout, path, plan)
+    guide = _guide(layout, shape.slope, shape.rounding)
+    plan = schedule(layout, guide, margins, _STEP * shape.cell)
+    return Folding(layout, plan.team.path, plan)
 
 
 def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:
@@ -320,14 +299,16 @@ def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:
     return choice, summary
 
 
-def _roomy(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
-    """Openings with long edges first: strands around short edges get into each other's way."""
-
-    def shortest(diagram: OpenGrid) -> int:
-        pairs = zip(diagram.corners, diagram.corners[1:], strict=False)
-        return min(abs(a - c) + abs(b - d) for (a, b), (c, d) in pairs)
-
-    return sorted(opened, key=lambda diagram: (len(diagram.crossings), -shortest(diagram)))
+def _different(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
+    """Openings that are not turned or mirrored copies of others in plan view, which fold alike."""
+    found: dict[tuple[object, ...], OpenGrid] = {}
+    for diagram in opened:
+        steps = np.diff(np.array(diagram.corners, dtype=np.intp), axis=0)
+        first = np.sign(steps[0])
+        ahead, aside = steps @ first, steps @ np.array([-first[1], first[0]])
+        aside *= np.sign(aside[np.flatnonzero(aside)[0]])
+        found.setdefault((diagram.crossings, tuple(ahead), tuple(aside)), diagram)
+    return list(found.values())
 
 
 def _margins(mission: Mission) -> Margins:
@@ -341,6 +322,7 @@ def _margins(mission: Mission) -> Margins:
         radius=vehicles.radius,
         grip_offset=vehicles.grip_offset,
         hand=4.0 * (clearance.cable + mission.cable.diameter + vehicles.tracking) + _SAMPLING,
+        beside=0.3 * vehicles.tracking,
     )
 
 
@@ -402,12 +384,11 @@ def _as_given(
             progress("folding the given layout", done / len(_GIVEN))
         lanes = apart * shortest * (0.5 * levels.max() - levels)
         hung = replace(layout, corners=corners, lanes=lanes)
-        run_in = 1.1 * float(layout.lengths.sum()) + 2.0
-        path = FoldPath(hung.corners, lanes, slope * shortest, rounding * shortest, run_in)
-        plan = schedule(path, hung.lengths, margins, 0.045 * shortest)
+        guide = _guide(hung, slope * shortest, rounding * shortest)
+        plan = schedule(hung, guide, margins, 0.06 * shortest)
         if plan.cost < _HOPELESS:
             plan = improved(plan)
-        foldings.append(Folding(hung, path, plan))
+        foldings.append(Folding(hung, plan.team.path, plan))
         tried.append(
             f"tried lanes {apart * shortest:.2f} m apart: misses its margins by {plan.worst:.2g}"
         )

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from swarm.fold.path import FoldPath
+from swarm.fold.path import FoldPath, Guide
 
 Floats = npt.NDArray[np.float64]
 
@@ -15,7 +15,8 @@ OVERHAND = [(1, 4), (3, 4), (3, 2), (5, 2), (5, 5), (2, 5), (2, 3), (4, 3), (4, 
 def path(request: pytest.FixtureRequest) -> FoldPath:
     corners = request.param * np.array([(*corner, 1.0) for corner in OVERHAND], dtype=float)
     lanes = request.param * np.array([-0.9, 0.9, -0.9, -0.3, 0.3, 0.9, -0.9, 0.9])
-    return FoldPath(corners, lanes, 0.9 * request.param, 0.5 * request.param, 20.0)
+    guide = Guide(corners, lanes, 0.9 * request.param, 0.5 * request.param, 20.0)
+    return FoldPath(guide, np.repeat(lanes[:, None], len(corners), axis=1))
 
 
 def test_every_vehicle_comes_to_its_own_corner(path: FoldPath) -> None:
@@ -35,7 +36,8 @@ def test_edges_are_flown_in_their_lanes(path: FoldPath) -> None:
     )
     middle = 0.5 * (corners[1:] + corners[:-1])
     height = np.interp(middle, station, place[:, 2]) - path.corners[0, 2]
-    np.testing.assert_allclose(height, path.lanes, atol=1e-3 * np.abs(path.lanes).max())
+    lanes = path.lanes[:, -1]
+    np.testing.assert_allclose(height, lanes, atol=1e-3 * np.abs(lanes).max())
     tallest = np.abs(place[:, 2] - path.corners[0, 2]).max()
     assert tallest <= np.abs(path.lanes).max() * (1 + 1e-9)
 
@@ -58,10 +60,12 @@ def test_derivatives_by_progress(path: FoldPath) -> None:
         np.testing.assert_allclose(carried, place[1:] - place[0], atol=1e-4 * np.ptp(place))
         turned = np.cumsum(0.5 * (curved[1:] + curved[:-1]), axis=0) * step
         np.testing.assert_allclose(turned, along[1:] - along[0], atol=1e-2)
-        assert np.abs(np.diff(along, axis=0)).max() < 0.02
+        assert np.abs(np.diff(along, axis=0)).max() < 1.05 * step * np.abs(curved).max()
         speed = np.linalg.norm(along, axis=1)
-        assert speed.min() > 0.5
-        assert speed.max() < 1.3
+        assert speed.min() > 0.4
+        shared = path.station(progress[inside]) < path.stations[vehicle - 1]
+        assert speed[shared].max() < 1.3
+        assert speed.max() < 4.0
 
 
 def test_who_stops_at_a_corner_comes_straight(path: FoldPath) -> None:
