@@ -12,7 +12,8 @@ from rich.table import Table
 from swarm import api
 from swarm.cli.inputs import print_json, write_text
 from swarm.drills import ROWS, Drill, Row, fly_drills
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, Refused
+from swarm.plans import Plan
 from swarm.view.failures import failures_report
 
 TIMES = 2
@@ -36,6 +37,9 @@ def run_failures(
     if not rows:
         names = ", ".join(one.name for one in ROWS)
         raise InputError([Problem("--row", f"expected a part of one of: {names}")])
+    rows = [one for one in rows if one.part in _parts(planned.plan)]
+    if not rows:
+        raise Refused("this mission folds no cable in the air: there is nothing to drill")
     told = [drill.document() for drill in _flown(planned, rows, times or TIMES, seed, jobs)]
     if report:
         write_text(report, failures_report(planned.plan, told))
@@ -45,6 +49,15 @@ def run_failures(
         console.print(failures_table(told))
         console.print(_verdict(told), highlight=False)
     context.exit(0 if all(one["passed"] for one in told) else 1)
+
+
+def _parts(plan: Plan) -> set[str]:
+    """Return the parts of a flight at which something can go wrong that this plan has."""
+    if not any(phase.name == "fold" and phase.cable == "aloft" for phase in plan.phases):
+        return set()
+    conditions = {gate.condition for gate in plan.gates}
+    parts = {"gripped": "grab", "released": "release"}
+    return {"fold", *(part for gate, part in parts.items() if gate in conditions)}
 
 
 def _flown(
