@@ -38,7 +38,14 @@ def _arguments() -> argparse.ArgumentParser:
     )
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write ground truth, JSON lines")
     parser.add_argument("--json", action="store_true", help="say what is ready as one JSON line")
-    parser.add_argument("--follow-parent", action="store_true", help="end when the parent ends")
+    parser.add_argument(
+        "--follow-parent",
+        nargs="?",
+        type=int,
+        const=0,
+        metavar="PID",
+        help="end when the parent ends",
+    )
     parser.add_argument("--schema", action="store_true", help="print the world file's JSON schema")
     return parser
 
@@ -84,8 +91,9 @@ def main(arguments: list[str] | None = None) -> int:
             running,
             given.truth,
             as_json=given.json,
-            follow_parent=given.follow_parent,
-            parent=parent,
+            follow_parent=given.follow_parent is not None,
+            # told by its number, a parent that is gone before this began is noticed, too
+            parent=given.follow_parent or parent,
         )
     except OSError as error:
         sys.stderr.write(f"swarm sitl: no sockets on {given.host}: {error.strerror or error}\n")

@@ -1,6 +1,7 @@
 """The built-in emulator as a process of its own, speaking real UDP on loopback."""
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -37,7 +38,7 @@ class EmulatorProcess:
             command += ["--signing-key", signing_key]
         with errors:
             self._process = subprocess.Popen(  # noqa: S603
-                [*command, "--json", "--follow-parent"],
+                [*command, "--json", "--follow-parent", str(os.getpid())],
                 stdin=subprocess.DEVNULL,
                 stdout=errors,
                 stderr=errors,

@@ -172,7 +172,8 @@ def ours(
     links.close()
     watcher.close()
     found = receiver.arrivals()
-    due = loop.began + np.floor(found["boot"] * 1e-3 * rate + 1e-9) / rate
+    # boot times are cut off to milliseconds: the tick is the one that began within the next
+    due = loop.began + np.floor((found["boot"] * 1e-3 + 1.5e-3) * rate) / rate
     return found, due, loop.cpu
 
 
