@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.chain import polyline
-from swarm.cable.distance import strand_strand
+from swarm.cable.distance import polyline_polyline
+from swarm.cable.sketch import boxes, sketch
 from swarm.plans import CableState, Plan
 from swarm.preflight.limits import TAUT
 
@@ -23,6 +23,8 @@ CAUTION = 0.1
 _POINTS = 20
 _BOWED = 0.02
 """Metres by which a strand bows between two of its points, at most."""
+FAR = 0.5
+"""Metres beyond where distances begin to matter from which a bound is enough."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,7 @@ class Monitor:
         self._pairs = np.triu_indices(n, 1)
         first, second = np.triu_indices(max(n - 1, 0), 2)
         self._strands = np.stack([first, second], axis=1)
-        across = np.arange(max(n - 1, 0) * _POINTS + 1) // _POINTS
-        near = np.abs(across[:, None] - across[None, :]) < 2
-        self._neighbours = np.where(near, np.inf, 0.0)
+        self._matters = plan.mission.clearance.cable + plan.mission.cable.diameter + 1.5 * CAUTION
         self._spacing = float(self._lengths.max(initial=0.0)) / _POINTS
 
     def look(self, moments: Floats, cable: CableState) -> list[Clearances]:
@@ -93,22 +93,36 @@ class Monitor:
         ]
 
     def _between_strands(self, moments: Floats) -> Floats:
-        """Smallest distances (k,) between strands: by points, exactly where those come close."""
+        """Smallest distances (k,) between strands: those of boxes that contain them, by points
+        where boxes come near, exactly where points come close."""
         if not len(self._strands):
             return np.full(len(moments), np.inf)
-        points = polyline(moments, self._lengths, _POINTS)
-        squares = np.einsum("kij,kij->ki", points, points)
-        apart = squares[:, :, None] + squares[:, None, :]
-        apart -= 2.0 * np.matmul(points, points.transpose(0, 2, 1))
-        apart += self._neighbours
+        first, second = self._strands.T
+        start, end = moments[:, :-1], moments[:, 1:]
+        low, high = boxes(start, end, self._lengths)
+        gap = np.maximum(low[:, first] - high[:, second], low[:, second] - high[:, first])
+        np.maximum(gap, 0.0, out=gap)
+        apart = np.sqrt(np.einsum("kpi,kpi->kp", gap, gap))
+        near = apart < self._matters + FAR
+        moment, pair = np.nonzero(near)
+        if len(moment):
+            seen, row = np.unique(moment, return_inverse=True)
+            points = sketch(start[seen], end[seen], self._lengths, _POINTS)
+            apart[near] = self._by_points(points[row, first[pair]], points[row, second[pair]])
+        distance: Floats = apart.min(axis=1) - self._diameter
+        return distance
+
+    def _by_points(self, first: Floats, second: Floats) -> Floats:
+        """Distances (p,) of strands given by their points (p, k, 3): exact where they are close."""
+        squares = np.matmul(first, second.transpose(0, 2, 1))
+        squares *= -2.0
+        squares += np.einsum("pij,pij->pi", first, first)[:, :, None]
+        squares += np.einsum("pij,pij->pi", second, second)[:, None, :]
         # where two straight lines are closest, their samples are off by half a spacing each,
         # both at right angles to the shortest distance
-        squared = apart.min(axis=(1, 2)) - 0.5 * self._spacing**2
-        coarse = np.sqrt(np.maximum(squared, 0.0)) - _BOWED
-        close = coarse < self._asked.cable + 1.5 * CAUTION
+        squared = squares.min(axis=(1, 2)) - 0.5 * self._spacing**2
+        apart: Floats = np.sqrt(np.maximum(squared, 0.0)) - _BOWED
+        close = apart < self._matters
         if close.any():
-            index = np.arange(len(self._lengths))[:, None] * _POINTS + np.arange(_POINTS + 1)
-            closest = strand_strand(points[close][:, index], self._strands)
-            coarse[close] = closest.distance.min(axis=1)
-        distance: Floats = coarse - self._diameter
-        return distance
+            apart[close] = polyline_polyline(first[close], second[close]).distance
+        return apart
