@@ -91,7 +91,7 @@ class Team:
 
     def receive(self, link: str, address: Address | None, data: bytes, now: float) -> None:
         """Take bytes that arrived on a link."""
-        route = self._route(link, address)
+        route = self._routes.get((link, address)) or self._route(link, address)
         if route is None:
             self.rejected += 1
             return

@@ -54,8 +54,8 @@ class Frames:
 
         The result is (3, n, 3): position, velocity, acceleration.
         """
-        states = np.stack([position, velocity, acceleration], axis=2)
-        turned: Floats = np.matmul(self.rotation, states).transpose(2, 0, 1)
+        states = np.array((position, velocity, acceleration))[:, :, None, :]
+        turned: Floats = np.matmul(states, self._transposed)[:, :, 0]
         turned[0] += self.translation
         return turned
 
@@ -75,6 +75,10 @@ class Frames:
         """
         turned = np.matmul(states, self._inverse_transposed)
         return turned[:, 0] + self._offset, turned[:, 1]
+
+    @cached_property
+    def _transposed(self) -> Floats:
+        return np.ascontiguousarray(self.rotation.transpose(0, 2, 1))
 
     @cached_property
     def _inverse(self) -> Floats:

@@ -6,9 +6,9 @@ lookup per byte and an exclusive or.
 """
 
 from collections import namedtuple
-from collections.abc import Container
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +30,7 @@ POSITION_VELOCITY_ACCELERATION_YAW = int(common.POSITION_TARGET_TYPEMASK_YAW_RAT
 
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _SIGNED = 0x01
+_SHORTEST = 12
 
 
 class Encoder:
@@ -94,7 +95,8 @@ class Decoder:
             data = self._kept + data
             self._kept = b""
         packets: list[Packet] = []
-        start, end = 0, len(data)
+        end = len(data)
+        start = self._take_plain(data, packets) if signing is None else 0
         while start < end:
             length = packet_length(data, start)
             if length == 0:
@@ -109,6 +111,32 @@ class Decoder:
             else:
                 start = self._take(data, start, length, packets, signing)
         return packets
+
+    def _take_plain(self, data: bytes, packets: list[Packet]) -> int:
+        """Take whole MAVLink 2 packets without signatures; return where something else begins.
+
+        That is nearly everything that arrives: :meth:`_take` has the same result for these.
+        """
+        layouts, wanted = _LAYOUTS, self.wanted
+        start, end = 0, len(data)
+        while end - start >= _SHORTEST and data[start] == _MAGIC_2 and not data[start + 2]:
+            body = start + 10
+            close = body + data[start + 1]
+            number = data[start + 7] | data[start + 8] << 8 | data[start + 9] << 16
+            layout = layouts.get(number)
+            if close + 2 > end or layout is None:
+                break
+            if _checksum(data[start + 1 : close] + layout.extra) != (
+                data[close] | data[close + 1] << 8
+            ):
+                break
+            message = None
+            if wanted is None or number in wanted:
+                message = layout.unpack(data[body:close])
+            heading = (number, data[start + 5], data[start + 6], data[start + 4], message)
+            packets.append(_packet(heading))
+            start = close + 2
+        return start
 
     def _take(
         self,
@@ -127,7 +155,7 @@ class Decoder:
         else:
             sequence, system, component = data[start + 2], data[start + 3], data[start + 4]
             number, header = data[start + 5], 6
-        layout = _layouts().get(number)
+        layout = _LAYOUTS.get(number)
         if layout is None:
             self.unknown += 1
             return start + length
@@ -145,6 +173,7 @@ class Decoder:
         return start + length
 
 
+_packet: Callable[[tuple[Any, ...]], Packet] = partial(tuple.__new__, Packet)
 _named: Any = namedtuple
 """Named tuples whose names only pymavlink knows."""
 
@@ -156,19 +185,22 @@ class _Layout:
         self.extra = bytes([kind.crc_extra])
         self._unpack, self._size = kind.unpacker.unpack, kind.unpacker.size
         fields = _named(kind.msgname, kind.ordered_fieldnames)
-        self._make = fields._make
+        self._make: Callable[[Iterable[Any]], Message] = partial(tuple.__new__, fields)
         self._arrays = [
             length if length > 1 and not declared.startswith("char") else 0
             for length, declared in zip(
                 kind.lengths, (kind.fieldtypes[k] for k in _declared(kind)), strict=True
             )
         ]
+        self._flat = not any(self._arrays)
 
     def unpack(self, payload: bytes) -> Message:
         """Return the message; what was cut off at the end is zero."""
         size = self._size
-        values = self._unpack(payload[:size].ljust(size, b"\0"))
-        if not any(self._arrays):
+        if len(payload) != size:
+            payload = payload[:size].ljust(size, b"\0")
+        values = self._unpack(payload)
+        if self._flat:
             return self._make(values)
         items: list[Any] = []
         place = 0
@@ -183,15 +215,15 @@ def _declared(kind: Any) -> list[int]:
     return [kind.fieldnames.index(name) for name in kind.ordered_fieldnames]
 
 
-@cache
-def _layouts() -> dict[int, _Layout]:
-    return {number: _Layout(kind) for number, kind in common.mavlink_map.items()}
+_LAYOUTS = {number: _Layout(kind) for number, kind in common.mavlink_map.items()}
 
 
-def _checksum(data: bytes) -> int:
-    """Return the X25 checksum, by fastcrc where pymavlink found it."""
-    fast = getattr(common, "mcrf4xx", None)
-    return int(fast(data) if fast else common.x25crc(data).crc)
+def _slow_checksum(data: bytes) -> int:
+    return int(common.x25crc(data).crc)
+
+
+_checksum: Callable[[bytes], int] = getattr(common, "mcrf4xx", None) or _slow_checksum
+"""The X25 checksum, by fastcrc where pymavlink found it."""
 
 
 def split(data: bytes) -> tuple[list[bytes], bytes]:
