@@ -24,9 +24,13 @@ def measure(flight: "Conductor") -> None:
     """Bring what the vehicles say to this moment, in mission ENU, as grip points."""
     if flight.frames is None:
         return
-    states = np.array([(v.position, v.velocity) for v in flight.flyers])
+    said: list[float] = []
+    for vehicle in flight.flyers:
+        said += (*vehicle.position, *vehicle.velocity, vehicle.position_at)
+    rows = np.array(said).reshape(-1, 7)
+    states = rows[:, :6].reshape(-1, 2, 3)
     flight.reported, velocity = flight.frames.states_to_mission(states)
-    age = np.array([flight.now - v.position_at for v in flight.flyers])
+    age = flight.now - rows[:, 6]
     carried = np.minimum(age, FRESHEST)
     flight.velocity = velocity
     flight.position = flight.reported - flight.lift + velocity * carried[:, None]

@@ -45,7 +45,7 @@ def rewind_end(flight: "Conductor") -> float:
 def steer(flight: "Conductor") -> None:
     """Set the rate that the clock should have: held, or slowed by the worst of the team."""
     clock = flight.clock
-    worst = float(np.nanmax(flight.error, initial=0.0)) / flight.budget
+    worst = float(np.fmax.reduce(flight.error, initial=0.0)) / flight.budget
     if worst > 1.0:
         flight.budget_kept_since = clock.time
     _notice_standstill(flight, worst)
