@@ -106,10 +106,8 @@ def test_trials_on_a_cluster_are_the_trials_flown_alone(monkeypatch):
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:
         address = cluster.scheduler_address
-        on_cluster = fly_trials(
-            PROVEN, Spread(failing=0), seed=5, trials=range(3), scheduler=address
-        )
-        assert {t.number: t for t in on_cluster} == {k: flown(k) for k in range(3)}
+        on_cluster = fly_trials(PROVEN, Spread(failing=0), seed=5, trials=[1], scheduler=address)
+        assert {t.number: t for t in on_cluster} == {1: flown(1)}
 
 
 def test_a_scheduler_that_is_not_there_is_said():

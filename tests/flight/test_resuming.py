@@ -68,7 +68,13 @@ def taken_up(flight, left, then):
 
 
 @pytest.mark.parametrize(
-    "autopilots", [("px4",), ("ardupilot",), ("px4", "ardupilot")], ids="-".join
+    "autopilots",
+    [
+        pytest.param(("px4",), marks=pytest.mark.full),
+        pytest.param(("ardupilot",), marks=pytest.mark.full),
+        ("px4", "ardupilot"),
+    ],
+    ids="-".join,
 )
 def test_a_flight_goes_on_where_it_broke_off(autopilots):
     flight, left = broken_off(autopilots, 3.0, 4.0)
@@ -89,7 +95,12 @@ def test_a_flight_goes_on_where_it_broke_off(autopilots):
 
 
 @pytest.mark.parametrize(
-    ("then", "ends"), [("land", "interrupted"), ("release", "interrupted"), ("rewind", None)]
+    ("then", "ends"),
+    [
+        pytest.param("land", "interrupted", marks=pytest.mark.full),
+        ("release", "interrupted"),
+        ("rewind", None),
+    ],
 )
 def test_the_operator_may_say_what_follows(then, ends):
     flight, left = broken_off(("px4",), 4.0, 3.0)
