@@ -5,7 +5,7 @@ and long. So every vehicle begins low, and where the best way of a segment is st
 others, the lanes that it uses there are moved.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -111,25 +111,38 @@ class _Search:
     step: float
     tables: dict[tuple[int, bytes, bytes], Passage] = field(default_factory=dict)
 
-    def way(self, path: FoldPath, segment: int, after: Way | None) -> Way:
+    def way(self, path: FoldPath, segment: int, ways: list[Way | None]) -> Way:
         lanes = path.lanes
         key = segment, lanes[:, segment].tobytes(), lanes[:, segment + 1].tobytes()
         table = self.tables.get(key)
         if table is None:
             table = passage(segment, path, self.between, self.margins, self.step)
             self.tables[key] = table
-        spacing = self.margins.spacing * self.layout.lengths[segment]
-        return walked(table, spacing, self.margins, after)
+        return walked(table, self._spacing(segment), self.margins, _beside(ways, segment))
 
     def along(self, path: FoldPath) -> Ways:
-        ways: list[Way] = []
-        for segment in range(len(self.layout.lengths) - 1, -1, -1):
-            ways.append(self.way(path, segment, ways[-1] if ways else None))
-        return Ways(path, tuple(reversed(ways)))
+        count = len(self.layout.lengths)
+        ways: list[Way | None] = [None] * count
+        for segment in reversed(range(count)):
+            ways[segment] = self.way(path, segment, ways)
+        self.settle(ways, range(count))
+        self.settle(ways, reversed(range(count)))
+        return Ways(path, tuple(way for way in ways if way is not None))
 
-    def again(self, way: Way, segment: int, after: Way | None) -> Way:
-        spacing = self.margins.spacing * self.layout.lengths[segment]
-        return walked(way.table, spacing, self.margins, after)
+    def settle(self, ways: list[Way | None], segments: Iterable[int]) -> None:
+        """Let segments that are costly, or have costly neighbours, go again, beside these."""
+        for segment in segments:
+            near = [way for way in ways[max(segment - 1, 0) : segment + 2] if way is not None]
+            if max(float(way.cost.max()) for way in near) > _FINE:
+                ways[segment] = self.again(ways, segment)
+
+    def again(self, ways: list[Way | None], segment: int) -> Way:
+        way = ways[segment]
+        assert way is not None  # noqa: S101 - every segment has gone once
+        return walked(way.table, self._spacing(segment), self.margins, _beside(ways, segment))
+
+    def _spacing(self, segment: int) -> float:
+        return float(self.margins.spacing * self.layout.lengths[segment])
 
     def limited(self, vehicle: int, lanes: Floats) -> Floats:
         """Lanes (n − 1,) of a vehicle, the last one as low as its segment needs it."""
@@ -170,14 +183,16 @@ class _Search:
             lanes[edges, vehicle] *= factor
             lanes[:, vehicle] = self.limited(vehicle, lanes[:, vehicle])
         path = replace(found.path, lanes=lanes)
-        ways = list(found.ways)
+        ways: list[Way | None] = list(found.ways)
         touched = {v for vehicle in vehicles for v in (vehicle - 1, vehicle)}
-        for segment in range(max(touched), min(touched) - 2, -1):
-            if not 0 <= segment < len(ways):
-                continue
-            after = ways[segment + 1] if segment + 1 < len(ways) else None
-            if segment in touched:
-                ways[segment] = self.way(path, segment, after)
-            else:
-                ways[segment] = self.again(ways[segment], segment, after)
-        return Ways(path, tuple(ways))
+        near = range(max(min(touched) - 1, 0), min(max(touched) + 2, len(ways)))
+        for segment in sorted(touched & set(near), reverse=True):
+            ways[segment] = self.way(path, segment, ways)
+        self.settle(ways, near)
+        return Ways(path, tuple(way for way in ways if way is not None))
+
+
+def _beside(ways: list[Way | None], segment: int) -> tuple[Way | None, Way | None]:
+    """The ways of the segments behind and ahead, as far as they are known."""
+    behind = ways[segment - 1] if segment else None
+    return behind, ways[segment + 1] if segment + 1 < len(ways) else None

@@ -298,28 +298,41 @@ class Way:
 
     def rear_legs(self) -> dict[int, Floats]:
         """By place of the vehicle behind: where the segment goes when it leaves least room."""
-        legs = self.table.rear_leg[self.ahead, self.behind]
-        order = np.argsort(-np.linalg.norm(legs, axis=1), kind="stable")
-        return {int(b): legs[k] for k, b in zip(order, self.behind[order], strict=True)}
+        return _least_room(self.table.rear_leg[self.ahead, self.behind], self.behind)
+
+    def front_legs(self) -> dict[int, Floats]:
+        """By place of the vehicle ahead: where the segment goes when it leaves least room."""
+        return _least_room(self.table.front_leg[self.ahead, self.behind], self.ahead)
+
+
+def _least_room(legs: Floats, place: Ints) -> dict[int, Floats]:
+    order = np.argsort(-np.linalg.norm(legs, axis=1), kind="stable")
+    return {int(at): leg for leg, at in zip(legs[order], place[order], strict=True)}
 
 
 def walked(
     table: Passage,
     spacing: float,
     margins: Margins,
-    next_way: Way | None = None,
+    beside: tuple[Way | None, Way | None] = (None, None),
     extra: Floats | None = None,
 ) -> Way:
-    """Cheapest way from the run-in to the goal, next to that of the segment ahead.
-
-    ``extra`` (a, b) is what states cost more, for other reasons.
+    """Cheapest way from the run-in to the goal, next to those of the segments behind and ahead.
 
     Every step moves one of the vehicles, or both, by one place of the lattice. It begins with the
     vehicle ahead at its first place and the one behind nearest to ``spacing`` metres behind.
+    ``extra`` (a, b) is what states cost more, for other reasons.
     """
-    cost = table.cost if next_way is None else _beside(table, margins, next_way)
+    cost = table.cost
+    if beside[0] is not None:
+        legs = _legs_at(table.behind, beside[0].table.ahead, beside[0].front_legs())
+        cost = cost + _together(np.linalg.norm(table.rear_leg - legs, axis=2), margins)
+    if beside[1] is not None:
+        legs = _legs_at(table.ahead, beside[1].table.behind, beside[1].rear_legs())
+        cost = cost + _together(np.linalg.norm(table.front_leg - legs[:, None], axis=2), margins)
     if extra is not None:
         cost = cost + extra
+    cost = np.minimum(cost, BLOCKED)
     rows, columns = cost.shape
     first = int(np.argmin(np.abs(table.ahead[0] - spacing - table.behind)))
     best = np.empty_like(cost)
@@ -336,15 +349,13 @@ def walked(
     return Way(table, ahead, behind, cost[ahead, behind])
 
 
-def _beside(table: Passage, margins: Margins, next_way: Way) -> Floats:
-    """Costs of a segment where the one ahead of it, which shares a vehicle, has its way."""
-    step = table.ahead[1] - table.ahead[0]
-    offset = round(float(table.ahead[0] - next_way.table.behind[0]) / float(step))
-    legs = next_way.rear_legs()
-    leg = np.array([legs.get(k + offset, (np.inf, np.inf)) for k in range(len(table.ahead))])
-    apart = np.linalg.norm(table.front_leg - leg[:, None], axis=2)
-    cost: Floats = np.minimum(table.cost + _together(apart, margins), BLOCKED)
-    return cost
+def _legs_at(places: Floats, others: Floats, legs: dict[int, Floats]) -> Floats:
+    """Legs (k, 2) of a neighbour at places on one lattice, known by index on another."""
+    offset = round(float(places[0] - others[0]) / float(places[1] - places[0]))
+    return np.array([legs.get(k + offset, _NOWHERE) for k in range(len(places))])
+
+
+_NOWHERE = np.array([np.inf, np.inf])
 
 
 def _traced(best: Floats, first: int) -> tuple[Ints, Ints]:

@@ -31,7 +31,7 @@ from swarm.fold.clear import (
 from swarm.fold.lanes import Ways, found_ways, ways_along
 from swarm.fold.layout import Hanging
 from swarm.fold.meeting import Timeline, meeting_cost
-from swarm.fold.passage import Way, joined, walked
+from swarm.fold.passage import joined, walked
 from swarm.fold.path import FoldPath, Guide
 
 Floats = npt.NDArray[np.float64]
@@ -116,20 +116,20 @@ def _led_apart(
     """Progress (ticks, n) of all vehicles, with ways that look at the segments they have met."""
     ways = list(found.ways)
     ticks: Floats = ways[-1].table.ahead[:, None]
-    after: Way | None = None
     for segment in range(len(ways) - 1, -1, -1):
         table = ways[segment].table
-        if met.get(segment) or after is not None:
-            extra = None
-            if met.get(segment):
-                timeline = Timeline(segment + 1, ticks)
-                extra = meeting_cost(
-                    table, segment, met[segment], found.path, lengths, timeline, margins
-                )
+        if met.get(segment):
+            timeline = Timeline(segment + 1, ticks)
+            extra = meeting_cost(
+                table, segment, met[segment], found.path, lengths, timeline, margins
+            )
+            beside = (
+                ways[segment - 1] if segment else None,
+                ways[segment + 1] if segment + 1 < len(ways) else None,
+            )
             spacing = margins.spacing * lengths[segment]
-            ways[segment] = walked(table, spacing, margins, after, extra)
-        after = ways[segment]
-        ticks = joined(ticks, after, step)
+            ways[segment] = walked(table, spacing, margins, beside, extra)
+        ticks = joined(ticks, ways[segment], step)
     return ticks
 
 

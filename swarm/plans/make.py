@@ -177,7 +177,7 @@ _SAMPLING = 0.015
 _OPENINGS = 12
 """Openings of the grid diagram that are compared."""
 
-_BEST = 3
+_BEST = 2
 """So many of them are tried with each layout."""
 
 _GOOD = 0.6
@@ -192,7 +192,7 @@ _HOPELESS = 1_000.0
 _COARSE, _STEP = 0.35, 0.2
 """Steps of the lattice of progress, in cells: to compare openings, and to fold."""
 
-_SCALES = (1.0, 0.85, 1.2, 1.45)
+_SCALES = (1.0, 1.25, 1.5)
 """Cells that are tried, over the one that clearances suggest."""
 
 _SMALLEST = 0.05
