@@ -35,6 +35,7 @@ _NEARLY, _TIGHT = 0.03, 0.2
 _FLAT = 0.01
 _LEAST, _MOST = 1e-4, 1e4
 _FALL = 9.0
+_DRIFT = 0.5
 _ROTOR_HEIGHT = 0.2
 _TABLE_Z = np.geomspace(_TAUT, 40.0, 3000)
 _TABLE_RATIO = np.log(np.sinh(_TABLE_Z) / _TABLE_Z - 1.0)
@@ -401,18 +402,45 @@ class Rope:
         hung = self.spans
         top = np.maximum(hung.start[:, 2], hung.stop[:, 2]) + _ROTOR_HEIGHT
         near = centre[:, None, 2] < top
-        if any(end.length > SPACING for end in self._ends):
-            ends = hung.start[:, 2].max() + _ROTOR_HEIGHT
-            near |= centre[:, None, 2] < ends
-            return bool(near.any())
+        if self._end_within_reach(hung, centre, radius):
+            return True
         if not near.any():
             return False
         chord = (hung.stop - hung.start)[:, :2]
         away = centre[:, None, :2] - hung.start[:, :2]
         share = np.einsum("ijk,jk->ij", away, chord) / (hung.across**2)
-        away -= np.clip(share, 0.0, 1.0)[..., None] * chord
+        share = np.clip(share, 0.0, 1.0)
+        away -= share[..., None] * chord
         near &= np.einsum("ijk,ijk->ij", away, away) < (radius**2)[:, None]
+        # above a disc the chord, and so the span, is nowhere higher than this
+        rise = hung.stop[:, 2] - hung.start[:, 2]
+        chord_height = hung.start[:, 2] + share * rise
+        chord_height += radius[:, None] * (np.abs(rise) / hung.across)
+        near &= centre[:, None, 2] < chord_height + _ROTOR_HEIGHT
         return bool(near.any())
+
+    def _end_within_reach(self, hung: Hung, centre: Array, radius: Array) -> bool:
+        """Whether a disc could touch a loose end, which hangs straight below its grip.
+
+        What comes near the floor may lie anywhere. Grips have moved since the spans were solved.
+        """
+        for end in self._ends:
+            if end.length <= SPACING:
+                continue
+            at_start = np.nonzero(self.starts == end.vehicle)[0]
+            at_stop = np.nonzero(self.stops == end.vehicle)[0]
+            if not len(at_start) and not len(at_stop):
+                return True
+            grip = hung.start[at_start[0]] if len(at_start) else hung.stop[at_stop[0]]
+            below = centre[:, 2] < grip[2] + _ROTOR_HEIGHT
+            if float(grip[2]) - end.length < self.floor + _DRIFT:
+                if below.any():
+                    return True
+                continue
+            away = np.hypot(centre[:, 0] - grip[0], centre[:, 1] - grip[1])
+            if (below & (away < radius + _DRIFT)).any():
+                return True
+        return False
 
     def follow(self, grips: Array, interval: float, *, solved: bool = False) -> Array:
         """Move the samples to where the cable is now; return them (m, 3).
