@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from swarm.cli.files import KINDS, schema, schema_of
+from swarm.cli.files import KINDS, init, schema, schema_of
+from swarm.mission import mission_for_knot, parse_mission
 from swarm.trials import read_scenario
 
 MISSIONS = Path(__file__).parents[1] / "missions"
@@ -40,3 +41,11 @@ def test_a_shipped_file_names_its_schema(path):
 @pytest.mark.parametrize("path", sorted((MISSIONS / "scenarios").iterdir()), ids=lambda p: p.name)
 def test_a_shipped_scenario_can_be_used(path):
     read_scenario(path.read_text(), str(path))
+
+
+@pytest.mark.parametrize("knot", ["overhand", "figure-eight", "8_18"])
+def test_the_file_that_init_writes_is_the_mission_that_its_knot_alone_is(knot, tmp_path):
+    file = tmp_path / "mission.yaml"
+    written = CliRunner().invoke(init, [knot, "--output", str(file)], catch_exceptions=False)
+    assert written.exit_code == 0
+    assert parse_mission(file.read_text(), str(file)) == mission_for_knot(knot)

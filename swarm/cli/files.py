@@ -89,6 +89,8 @@ def commented_mission(knot: str) -> str:
         if isinstance(value, Section):
             lines.append(f"{key}:")
             lines.extend(_section_lines(value))
+        elif value is None:
+            lines.append(f"# {key}:")
         else:
             lines.append(f"{field.alias or key}: {value}")
     return "\n".join(lines) + "\n"
