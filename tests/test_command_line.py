@@ -14,6 +14,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 SWARM = Path(sys.executable).parent / "swarm"
 OVERHAND = str(ROOT / "missions" / "overhand.yaml")
+TWO_CARRY = str(ROOT / "missions" / "first-steps" / "two_carry.yaml")
 
 
 def swarm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
@@ -109,7 +110,7 @@ def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> No
 
 def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None:
     flight = subprocess.Popen(
-        [SWARM, "fly", OVERHAND, "--speed", "8", "--record", "flight"],
+        [SWARM, "fly", TWO_CARRY, "--speed", "8", "--record", "flight"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
     )  # fmt: skip
     assert flight.stdout is not None
