@@ -528,14 +528,17 @@ def _floor_parameter(heights: Array, slack: Array, guess: Array) -> Array:
 
 
 def _hang_end(target: Array, grip: Array, end: End, floor: float) -> None:
-    """A loose end hangs straight down from its grip; what reaches the floor lies in its line."""
+    """A loose end hangs straight down from its grip; the rest lies where it lay, or is drawn along.
+
+    Nothing is farther from the grip than the cable between reaches.
+    """
     if not len(end.samples):
         return
     height = max(float(grip[2]) - floor, 0.0)
-    flat = target[end.samples[-1]] - grip
-    flat[2] = 0.0
-    size = float(np.linalg.norm(flat))
-    direction = flat / size if size > 1e-6 else np.zeros(3)
-    points = grip + np.maximum(end.away - height, 0.0)[:, None] * direction
+    apart = target[end.samples] - grip
+    distance = np.hypot(apart[:, 0], apart[:, 1])
+    reach = np.maximum(end.away - height, 0.0)
+    share = np.minimum(1.0, reach / np.maximum(distance, 1e-9))
+    points = grip + share[:, None] * apart
     points[:, 2] = np.maximum(grip[2] - end.away, floor)
     target[end.samples] = points

@@ -118,6 +118,18 @@ def test_grabbing_takes_the_nearest_free_cable_within_reach() -> None:
     assert [vehicle for _, vehicle in made.grips] == [1]
 
 
+def test_cable_lies_where_it_was_laid_while_others_grab_it() -> None:
+    """Slack laid in bows between the grasp points is still there for the last to grab."""
+    points = [(0.0, 0.0, 0.0), (2.0, 0.6, 0.0), (4.0, 0.0, 0.0), (6.0, 0.6, 0.0), (8.0, 0.0, 0.0)]
+    made = Rope(CableSpec(points=points), 0.0, np.zeros(3))
+    grips = np.array([[x, 0.0, 0.02] for x in (0.0, 4.0, 8.0)])
+    laid = 2.0 * np.hypot(2.0, 0.6)
+    for vehicle, grip in enumerate(grips):
+        assert made.grab(vehicle, grip) == pytest.approx(vehicle * laid, abs=0.05)
+        made.pull(grips, STILL[:3])
+        made.follow(grips, 0.1)
+
+
 def test_what_is_let_go_falls_and_lies() -> None:
     made = rope(8.0, [0.0, 4.0, 8.0], floor=0.0)
     grips = np.array([[0.0, 0.0, 5.0], [3.0, 0.0, 5.0], [6.0, 0.0, 5.0]])
