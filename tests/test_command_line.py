@@ -131,7 +131,11 @@ def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("name", "total", "knot"), [("figure_eight", 52.48, "4_1"), ("carrick_mat", 105.63, "8_18")]
+    ("name", "total", "knot"),
+    [
+        ("figure_eight", 52.48, "4_1"),
+        pytest.param("carrick_mat", 105.63, "8_18", marks=pytest.mark.full),
+    ],
 )
 def test_the_papers_tables_are_reproduced_and_refused(name: str, total: float, knot: str) -> None:
     result = swarm("plan", str(ROOT / "missions" / "paper" / f"{name}.yaml"), "--json")
