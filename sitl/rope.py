@@ -109,6 +109,7 @@ class Rope:
         self._load = np.full(len(self.lengths), self.weight)
         self._still = not np.any(wind)
         self.down = load / self.weight
+        self._sideways = float(np.hypot(self.down[0], self.down[1]))
 
     def set_wash(self, speed: Array, stride: int = 1) -> None:
         """Take every vehicle's downwash at each ``stride``-th sample: it loads the spans below.
@@ -392,12 +393,12 @@ class Rope:
     def within_reach(self, centre: Array, radius: Array) -> bool:
         """Whether a disc at any of the centres (n, 3) could touch a span or a loose end.
 
-        A span hangs below its higher end, in still air above its chord in plan; a loose end or
-        a wind, and cable that falls, are always looked at closely.
+        A span hangs below its higher end, and in plan beside its chord by no more than a steady
+        wind blows a piece of its length aside; cable that falls is always looked at closely.
         """
         if self.loose:
             return True
-        if not self._still or not len(self.starts):
+        if not len(self.starts):
             return bool(self.grips)
         hung = self.spans
         top = np.maximum(hung.start[:, 2], hung.stop[:, 2]) + _ROTOR_HEIGHT
@@ -408,14 +409,17 @@ class Rope:
             return False
         chord = (hung.stop - hung.start)[:, :2]
         away = centre[:, None, :2] - hung.start[:, :2]
-        share = np.einsum("ijk,jk->ij", away, chord) / (hung.across**2)
+        squared = np.maximum(np.einsum("jk,jk->j", chord, chord), 1e-8)
+        level = np.sqrt(squared)
+        share = np.einsum("ijk,jk->ij", away, chord) / squared
         share = np.clip(share, 0.0, 1.0)
         away -= share[..., None] * chord
-        near &= np.einsum("ijk,ijk->ij", away, away) < (radius**2)[:, None]
+        reach = radius[:, None] + self._sideways * np.maximum(hung.length_used, hung.chord)
+        near &= np.einsum("ijk,ijk->ij", away, away) < reach**2
         # above a disc the chord, and so the span, is nowhere higher than this
         rise = hung.stop[:, 2] - hung.start[:, 2]
         chord_height = hung.start[:, 2] + share * rise
-        chord_height += radius[:, None] * (np.abs(rise) / hung.across)
+        chord_height += reach * (np.abs(rise) / level)
         near &= centre[:, None, 2] < chord_height + _ROTOR_HEIGHT
         return bool(near.any())
 

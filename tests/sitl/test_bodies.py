@@ -246,18 +246,19 @@ def test_a_copy_in_the_middle_of_a_flight_flies_on_alike_and_alone() -> None:
 places = arrays(float, (3, 3), elements=st.floats(0.0, 4.0))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     places,
     arrays(float, (2, 3), elements=st.floats(0.0, 4.0)),
     st.sampled_from([(0.0, 4.5, 9.0), (0.8, 4.5, 7.5)]),
+    st.sampled_from([(0.0, 0.0, 0.0), (0.4, -0.3, 0.0), (0.0, 8.0, 0.0)]),
 )
 def test_nothing_within_reach_of_a_rotor_is_overlooked(
-    grips: Any, others: Any, arcs: tuple[float, float, float]
+    grips: Any, others: Any, arcs: tuple[float, float, float], wind: tuple[float, float, float]
 ) -> None:
     """The quick look may warn in vain, never keep silent: against every sample of the cable."""
     spec = CableSpec(points=[(0, 0, 0), (9, 0, 0)])
-    rope = Rope(spec, 0.0, np.zeros(3))
+    rope = Rope(spec, 0.0, np.array(wind))
     for i, arc in enumerate(arcs):
         rope.tie(i, arc)
     rope.pull(grips, np.zeros((3, 3)))
