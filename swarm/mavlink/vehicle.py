@@ -31,6 +31,8 @@ _IN_STEP = 0.3
 _FRAMES_APART = 1.0
 _SAMPLES_APART = 3
 _TEXT_LENGTH = 50
+_ECHOES = frozenset({int(common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)})
+"""What autopilots say of their own goals once they are armed, at the rate of positions."""
 _OVERTAKEN = 128
 """A sequence number that is farther ahead than this is a packet that was overtaken."""
 
@@ -251,11 +253,12 @@ class Vehicle:
         """Stop what comes more than three times a second and nobody reads.
 
         ``since`` is when the vehicle was first heard. It leaves the link to what the flight needs.
+        What only comes once a vehicle is armed is stopped beforehand.
         """
-        for message, count in self.unused.items():
-            if count > 3.0 * (now - since) and message not in self._quietened:
-                self._quietened.add(message)
-                self._interval(message, -1.0)
+        often = {message for message, n in self.unused.items() if n > 3.0 * (now - since)}
+        for message in sorted((often | _ECHOES) - self._quietened):
+            self._quietened.add(message)
+            self._interval(message, -1.0)
 
     def restore_streams(self) -> None:
         """Give back what :meth:`quieten` stopped, at the autopilot's own rates."""
