@@ -22,7 +22,6 @@ from pydantic import Field
 from scipy import stats
 
 from swarm.borders import Section, number, parse_yaml, validate
-from swarm.cable.distance import strand_strand
 from swarm.errors import InputError, Problem, SwarmError
 from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.conductor import Conductor
@@ -33,7 +32,7 @@ from swarm.plans import Plan
 from swarm.preflight.certificate import tightest_moments
 from swarm.preflight.findings import Assessment, ProvenPlan
 from swarm.rehearse import Emulator, Fault, faults_from, rehearse, scenario_schema
-from swarm.verify import judge
+from swarm.verify import closest_strands, judge
 
 Floats = npt.NDArray[np.float64]
 Random = np.random.Generator
@@ -47,7 +46,7 @@ RADIUS_STEP: Final = 0.01
 CONFIDENCE: Final = 0.95
 CLEARANCES: Final = ("cable", "vehicle", "vehicle_cable")
 _CHECKS: Final = ("cable clearance", "vehicle clearance", "vehicle-cable clearance")
-_POINTS: Final = 24
+_SHARES: Final = np.linspace(0.0, 1.0, 25)
 _BOOT: Final = 30.0
 _HOPELESS: Final = 1.0
 _BETWEEN: Final = 6
@@ -274,30 +273,38 @@ class _Witness:
         self._next = 0.0
         self.rows: list[tuple[float, float, str, Floats, Floats | None]] = []
         self.strikes = self.collisions = self.crashed = 0
+        self._told = 0
+        self._fallen: set[int] = set()
 
     def __call__(self, flight: Conductor, emulator: Emulator, now: float) -> None:
         if now < self._next:
             return
         self._next = now + SAMPLE_INTERVAL
-        truth = emulator.truth()
-        self.strikes = len(truth.strikes)
-        self.collisions = sum(one["kind"] == "vehicles" for one in truth.contacts)
-        self.crashed = len(
-            {v for one in truth.contacts if one["kind"] == "crash" for v in one["vehicles"]}
-        )
+        self._count(emulator)
         phase = flight.phase.name if flight.stage == "fly" else ""
         if phase not in {"fold", "hold"}:
             return
+        truth = emulator.truth()
         order = [truth.ids.index(system) for system in flight.systems]
         arcs = truth.grip_arc[order]
         hung = None
         if np.isfinite(arcs).all() and emulator.rope is not None:
-            share = np.linspace(0.0, 1.0, _POINTS + 1)
-            wanted = arcs[:-1, None] + share * np.diff(arcs)[:, None]
+            wanted = arcs[:-1, None] + _SHARES * np.diff(arcs)[:, None]
             hung = np.stack(
                 [np.interp(wanted, emulator.rope.arc, truth.cable[:, i]) for i in range(3)], -1
             )
         self.rows.append((now, flight.clock.time, phase, truth.position[order], hung))
+
+    def _count(self, emulator: Emulator) -> None:
+        contacts = emulator.contacts
+        self.strikes = len(contacts.strikes)
+        for one in contacts.contacts[self._told :]:
+            if one["kind"] == "vehicles":
+                self.collisions += 1
+            elif one["kind"] == "crash":
+                self._fallen.update(one["vehicles"])
+        self._told = len(contacts.contacts)
+        self.crashed = len(self._fallen)
 
 
 def fly_trial(
@@ -374,7 +381,7 @@ def _closest(plan: Plan, strands: list[Floats]) -> float | None:
     pairs = np.stack(np.triu_indices(plan.vehicles - 1, 2), axis=1)
     if not strands or not len(pairs):
         return None
-    nearest = float(strand_strand(np.array(strands), pairs).distance.min())
+    nearest, _, _ = closest_strands(np.array(strands), pairs)
     return max(nearest - plan.mission.cable.diameter, 0.0)
 
 

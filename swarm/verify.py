@@ -4,6 +4,7 @@ Implied means: by reported positions and the quasi-static cable model. Whether t
 that knot only an eye can tell.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import hang
-from swarm.cable.distance import strand_strand
+from swarm.cable.distance import polyline_polyline
 from swarm.errors import SwarmError
 from swarm.flight.trace import Trace
 from swarm.knots.curve import curve_gauss
@@ -31,6 +32,8 @@ COARSE = 0.2
 """Seconds between the samples that are looked at first; around the tightest, all are."""
 
 _PIECES = 24
+_FIRST = 64
+"""How many of the likeliest are measured before the others."""
 _TAUT = 0.9999
 
 
@@ -170,14 +173,48 @@ def _closest_strands(plan: Plan, place: Floats, time: Floats) -> Tightest | None
         return None
     chosen = _thinned(time)
     for _ in range(2):
-        distance = strand_strand(_strands(plan, place[chosen]), pairs).distance
-        instant, pair = np.unravel_index(np.argmin(distance), distance.shape)
-        worst, index = float(distance[instant, pair]), int(chosen[instant])
+        worst, instant, pair = closest_strands(_strands(plan, place[chosen]), pairs)
+        index = int(chosen[instant])
         chosen = _around(index, chosen) if len(chosen) > 1 else chosen
     first, second = (int(segment) for segment in pairs[pair])
     surface = max(worst - plan.mission.cable.diameter, 0.0)
     between = (segment_name(first), segment_name(second))
     return Tightest(surface, plan.mission.clearance.cable, float(time[index]), between)
+
+
+def closest_strands(strands: Floats, pairs: Ints) -> tuple[float, int, int]:
+    """Smallest distance between polylines (k, s, m, 3) at k instants, over pairs (p, 2) of them.
+
+    Returns it with its instant and the number of its pair.
+    """
+    low, high = strands.min(axis=2), strands.max(axis=2)
+    one, other = pairs.T
+    gap = np.maximum(low[:, one] - high[:, other], low[:, other] - high[:, one])
+
+    def measured(instant: Ints, pair: Ints) -> Floats:
+        both = strands[instant, one[pair]], strands[instant, other[pair]]
+        return polyline_polyline(*both).distance
+
+    return _smallest(np.linalg.norm(np.maximum(gap, 0.0), axis=-1), measured)
+
+
+def _smallest(bound: Floats, measured: Callable[[Ints, Ints], Floats]) -> tuple[float, int, int]:
+    """Smallest of (k, p) numbers that are costly to measure, by lower bounds of them.
+
+    Those with the lowest bounds are measured first, then all that could be smaller still. Returns
+    the number with its two indices.
+    """
+    order = np.argsort(bound, axis=None, kind="stable")
+    few, rest = order[:_FIRST], order[_FIRST:]
+    values = measured(*np.unravel_index(few, bound.shape))
+    likely = rest[bound.flat[rest] <= values.min()]
+    if len(likely):
+        values = np.concatenate([values, measured(*np.unravel_index(likely, bound.shape))])
+    # of equal ones the first in time, as if all had been measured
+    measured_ones = np.concatenate([few, likely])
+    best = measured_ones[values == values.min()].min()
+    instant, number = np.unravel_index(best, bound.shape)
+    return float(values.min()), int(instant), int(number)
 
 
 def _closest_vehicles(plan: Plan, place: Floats, time: Floats) -> Tightest | None:
@@ -216,18 +253,33 @@ def _closest_vehicle_to_cable(plan: Plan, place: Floats, time: Floats) -> Tighte
 def _closest_bodies(plan: Plan, strands: Floats) -> tuple[float, int, int]:
     """Smallest distance between bodies at the origin and polylines (k, q, m, 3), and its indices.
 
-    Only pieces that can hold it, by the distances of their ends, are measured.
+    Of each polyline only pieces that can hold it, by the distances of their ends, are measured.
     """
     body = Body(plan.mission.vehicles.radius, plan.mission.vehicles.grip_offset)
+    least = np.array([-body.radius, -body.radius, 0.0])
+    most = np.array([body.radius, body.radius, body.grip_offset])
+    gap = np.maximum(strands.min(axis=2) - most, least - strands.max(axis=2))
+
+    def measured(instant: Ints, pair: Ints) -> Floats:
+        return _to_body(body, strands[instant, pair])
+
+    return _smallest(np.linalg.norm(np.maximum(gap, 0.0), axis=-1), measured)
+
+
+def _to_body(body: Body, strands: Floats) -> Floats:
+    """Distances (b,) between a body at the origin and polylines (b, m, 3)."""
     points = strands.reshape(-1, 3)
     off = np.linalg.norm(points - body.projected(points, np.zeros(len(points))), axis=-1)
     off = off.reshape(strands.shape[:-1])
-    pieces = np.stack([strands[..., :-1, :], strands[..., 1:, :]], axis=-2)
+    pieces = np.stack([strands[:, :-1], strands[:, 1:]], axis=-2)
     half = 0.5 * np.linalg.norm(pieces[..., 1, :] - pieces[..., 0, :], axis=-1)
     # A point of a piece is within half its length of one of its ends.
-    likely = np.argwhere(np.minimum(off[..., :-1], off[..., 1:]) - half <= off.min())
-    chords = pieces[tuple(likely.T)]
+    nearer = np.minimum(off[:, :-1], off[:, 1:]) - half <= off.min(axis=1)[:, None]
+    strand, piece = np.nonzero(nearer)
+    chords = pieces[strand, piece]
     at_strand, _, at_body = body.closest(chords, np.zeros(len(chords)))
     distance = np.linalg.norm(at_strand - at_body, axis=-1)
-    best = int(np.argmin(distance))
-    return float(distance[best]), int(likely[best, 0]), int(likely[best, 1])
+    closest: Floats = np.minimum.reduceat(
+        distance, np.searchsorted(strand, np.arange(len(strands)))
+    )
+    return closest

@@ -4,13 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from swarm.cable.chain import segment_lengths
+from swarm.cable.distance import strand_strand
 from swarm.flight.trace import Trace
 from swarm.mission import mission_for_knot
 from swarm.plans import KnotSummary, Layout, Phase, Plan
 from swarm.trajectory import through_states
-from swarm.verify import judge, tracking_errors
+from swarm.verify import closest_strands, judge, tracking_errors
 
 CELL = 2.4
 CORNERS = CELL * np.array(
@@ -134,3 +137,16 @@ def test_an_over_stretched_report_is_noted(plan):
     assert flown.tightest_chord is not None
     assert flown.tightest_chord > 1.0
     assert any(note.startswith("segment 1 was reported") for note in flown.notes)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 6.0))
+def test_the_closest_strands_are_those_of_measuring_all_of_them(seed, spread):
+    rng = np.random.default_rng(seed)
+    instants, count, points = rng.integers([1, 3, 2], [40, 9, 12])
+    steps = 0.2 * rng.normal(size=(instants, count, points, 3))
+    strands = np.cumsum(steps, axis=2) + spread * rng.normal(size=(instants, count, 1, 3))
+    pairs = np.stack(np.triu_indices(count, 2), axis=1)
+    every = strand_strand(strands, pairs).distance
+    found = closest_strands(strands, pairs)
+    assert found == (every.min(), *np.unravel_index(np.argmin(every), every.shape))
