@@ -249,6 +249,8 @@ class Injector:
         if self.rope is None:
             return
         middle = 0.5 * self.rope.length
+        places = [self.bodies.grip_points(), *(anchor.place[None] for anchor in self.anchors)]
+        self.rope.follow(np.vstack(places), 0.0)  # it may not have been looked at for a second
         arc = self.rope.free_near(middle if fault.arc is None else fault.arc)
         number = len(self.vehicles) + len(self.anchors)
         self.anchors.append(Anchor(fault, self.rope.place_of(arc)))

@@ -239,9 +239,9 @@ def _fly(flight: Rehearsal, row: Row, victim: int) -> Trial:
     at = conductor.clock.time
     flight.events.clear()
     for values in row.faults:
-        wind = _beyond(flight.proven) if values["kind"] == "wind" else {}
         target = {} if row.group == "world" else {"vehicle": "all" if row.whole_team else system}
-        flight.emulator.inject(Fault.model_validate({"at": began, **target, **values, **wind}))
+        worst = _worst(flight.proven, values["kind"], victim)
+        flight.emulator.inject(Fault.model_validate({"at": began, **target, **values, **worst}))
     if row.lose:
         flight.keeps = LosesAck(system)
     if row.station in {"interrupted", "interrupted twice"}:
@@ -273,8 +273,15 @@ def _fly(flight: Rehearsal, row: Row, victim: int) -> Trial:
     return _judged(flight, row, judge, at, victim, began, slowed)
 
 
-def _beyond(proven: ProvenPlan) -> dict[str, Any]:
-    """Return wind half again as strong as the strongest that the plan is certified for."""
+def _worst(proven: ProvenPlan, kind: str, victim: int) -> dict[str, Any]:
+    """Return what a plan makes of a fault: wind half again as strong as the strongest that it is
+    certified for; a snag in the middle of a segment."""
+    lengths = proven.plan.layout.lengths
+    if kind == "snag":
+        segment = min(victim, len(lengths) - 1)
+        return {"arc": float(lengths[:segment].sum() + 0.5 * lengths[segment])}
+    if kind != "wind":
+        return {}
     known = proven.assessment.robustness.wind
     strongest = max(UNKNOWN_WIND if known is None else known, proven.plan.mission.wind.steady)
     return {"steady": (1.5 * strongest, 0.0, 0.0), "gust": 0.1 * strongest}

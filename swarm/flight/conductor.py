@@ -34,6 +34,7 @@ from swarm.flight.rejoining import bring_back
 from swarm.flight.reporting import snapshot_of, statistics_of
 from swarm.flight.result import Outcome, Statistics, Word
 from swarm.flight.resuming import LeftOff, Then, find, go_on
+from swarm.flight.slipping import Grasps, watch_grasps
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.team import Address, Outgoing, Team
 from swarm.flight.trace import Trace
@@ -147,6 +148,7 @@ class Conductor:
         self.start_position = np.full((n, 3), np.nan)
         self.reported = np.full((n, 3), np.nan)
         self.reports = Reports.of(n)
+        self.grasps = Grasps(self.plan)
         self.position = np.full((n, 3), np.nan)
         self.velocity = np.full((n, 3), np.nan)
         self.setpoint = np.full((n, 3), np.nan)
@@ -356,6 +358,7 @@ class Conductor:
         bring_back(self)
         go_on(self)
         look(self)
+        watch_grasps(self)
         bound_hold(self)
         if self.stage != "fly":
             return

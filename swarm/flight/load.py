@@ -16,7 +16,7 @@ Floats = npt.NDArray[np.float64]
 STEP = 0.5
 """Seconds of mission time between the moments at which a plan's pull is worked out."""
 
-_TAUT = 0.99
+TAUT = 0.99
 """Chords nearer to taut count as this share: a pull without bound is no use as feed-forward."""
 
 
@@ -29,7 +29,7 @@ def cable_pull(grip_points: Floats, lengths: Floats, mass_per_length: float) -> 
     above = np.maximum(grip_points, [-np.inf, -np.inf, 0.0])
     start, end = above[..., :-1, :], above[..., 1:, :]
     chords = np.linalg.norm(end - start, axis=-1)
-    strands = rest_on_floor(start, end, np.maximum(lengths, chords / _TAUT))
+    strands = rest_on_floor(start, end, np.maximum(lengths, chords / TAUT))
     on_start, on_end = strands.end_forces(mass_per_length)
     pull = np.zeros_like(above)
     pull[..., :-1, :] += on_start

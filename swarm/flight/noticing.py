@@ -24,6 +24,8 @@ SINKING = 1.0
 FALLING = 5.0
 """m/s² downwards, between two reports, that no vehicle with thrust shows; SINKING_TOO with it."""
 SINKING_TOO = 0.4
+MODE_KNOWN = 1.5
+"""Seconds after a heartbeat for which its mode is taken to be the vehicle's."""
 TURNED_OVER = math.radians(60.0)
 """Roll or pitch; PX4's own failure detector takes the same angle (FD_FAIL_R)."""
 JUMP = 0.5
@@ -127,11 +129,16 @@ def _beside(flight: "Conductor", k: int) -> list[int]:
 
 
 def _pulled_down(flight: "Conductor", k: int) -> bool:
-    """Whether a neighbour along the cable is well below where it should be."""
+    """Whether a neighbour along the cable says that it is well below where it should be."""
     if flight.phase.cable != "aloft" or not flight.expected_armed[k]:
         return False
     below = flight.setpoint[:, 2] - flight.position[:, 2]
-    return any(below[j] > PULLED and flight.streaming[j] for j in _beside(flight, k))
+    return any(
+        below[j] > PULLED
+        and flight.streaming[j]
+        and flight.now - flight.flyers[j].position_at <= FELL_AFTER
+        for j in _beside(flight, k)
+    )
 
 
 def _moves_as_told(flight: "Conductor", at: Floats) -> bool:
@@ -173,6 +180,8 @@ def _watch_motion(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
     step = vehicle.position_at - flight.reports.at[k]
     before, up = flight.reports.velocity[k], float(flight.velocity[k, 2])
     told = min(0.0, float(flight.setpoint_velocity[k, 2])) if flight.streaming[k] else -SINKING
+    if flight.now - vehicle.heartbeat_at > MODE_KNOWN:
+        told = -math.inf  # after a gap it may be landing by itself, and has not said so yet
     falls = step > 0.04 and (before[2] - up) / step > FALLING and told - up > SINKING_TOO
     tilt = max(abs(vehicle.attitude[0]), abs(vehicle.attitude[1]))
     if told - up > SINKING or falls or tilt > TURNED_OVER:

@@ -1,0 +1,153 @@
+"""Whose gripper has lost the cable: told from how everybody leans.
+
+A vehicle leans against what pulls it sideways: over some time its impulse is m·Δv = ∫(thrust +
+pull), so the pull follows from attitudes and velocities alone, and the cable model says what it
+should be. Where a gripper opens, its vehicle loses its pull and its neighbours get a strand that is
+as long as both of theirs: a pattern over three vehicles that is worked out for each, and looked
+for. Wind pushes all alike and fits no pattern; what a sensor or the model has wrong all the time is
+learnt as usual. The level parts are enough, and forces within the team cancel out in them.
+"""
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.cable.catenary import STANDARD_GRAVITY
+from swarm.cable.floor import rest_on_floor
+from swarm.flight.failures import failure
+from swarm.flight.load import TAUT
+from swarm.plans import Plan
+
+if TYPE_CHECKING:
+    from swarm.flight.conductor import Conductor
+
+Floats = npt.NDArray[np.float64]
+
+INTERVAL = 0.25
+"""Seconds between two looks."""
+WINDOW = 6
+"""Looks over which an impulse is balanced."""
+USUAL_FOR = 20.0
+"""Seconds in which a lasting difference becomes usual."""
+SHARE = 0.6
+"""Share of a pattern from which it counts as seen; without a slip it is about 0, with one about 1.
+"""
+FAINTEST = 0.2
+"""Newtons; a slip that changes the team's level loads by less is not told from noise."""
+FITS = 0.6
+"""Share of what differs that the pattern must explain."""
+LOOKS = 2
+"""Looks in a row that must see the same vehicle's pattern."""
+_OLDEST = 0.6
+"""Seconds by which the newest position may be old."""
+
+
+class Grasps:
+    """What the cable pulls sideways at n vehicles, as they lean and as the model has it."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._lengths = plan.layout.lengths
+        self._weight = plan.mission.cable.mass_per_length
+        self._mass = plan.mission.vehicles.mass
+        self._looks: deque[tuple[float, Floats, Floats]] = deque(maxlen=WINDOW + 1)
+        self._usual: Floats | None = None
+        self._suspect, self._seen = -1, 0
+        self.next_look = 0.0
+
+    def forget(self) -> None:
+        """Begin anew: something keeps the loads from being comparable."""
+        self._looks.clear()
+        self._usual = None
+        self._seen = 0
+
+    def look(self, now: float, attitude: Floats, velocity: Floats, grips: Floats) -> int | None:
+        """Return which vehicle's gripper seems to have lost the cable, if one does.
+
+        ``attitude`` (n, 3) roll, pitch, yaw of NED, radians; ``velocity`` and ``grips`` (n, 3),
+        mission ENU.
+        """
+        pull, patterns = self._pulls(grips)
+        bears = STANDARD_GRAVITY - pull[:, 2] / self._mass
+        force = self._mass * bears[:, None] * lean(attitude) + pull[:, :2]
+        if self._looks and now - self._looks[-1][0] > 2.0 * INTERVAL:
+            self.forget()
+        self._looks.append((now, velocity[:, :2].copy(), force))
+        if len(self._looks) <= WINDOW:
+            return None
+        time = now - self._looks[0][0]
+        mean = np.mean([force for _, _, force in self._looks][1:], axis=0)
+        left = self._mass * (velocity[:, :2] - self._looks[0][1]) / time - mean
+        left -= left.mean(axis=0)
+        if self._usual is None:
+            self._usual = left
+        self._usual += (left - self._usual) * (INTERVAL / USUAL_FOR)
+        who = _whose(left - self._usual, patterns)
+        self._seen = self._seen + 1 if who is not None and who == self._suspect else 1
+        self._suspect = -1 if who is None else who
+        return who if self._seen >= LOOKS else None
+
+    def _pulls(self, grips: Floats) -> tuple[Floats, Floats]:
+        """The pulls (n, 3) while all hold on, and how the level ones (n, n, 2) change where the
+        vehicle of the first index does not; its neighbours' cable is one strand then, or hangs."""
+        n, above = len(grips), np.maximum(grips, [-np.inf, -np.inf, 0.0])
+        first = np.concatenate([np.arange(n - 1), np.arange(n - 2)])
+        last = np.concatenate([np.arange(1, n), np.arange(2, n)])
+        lengths = np.concatenate([self._lengths, self._lengths[:-1] + self._lengths[1:]])
+        chords = np.linalg.norm(above[last] - above[first], axis=1)
+        strands = rest_on_floor(above[first], above[last], np.maximum(lengths, chords / TAUT))
+        on_first, on_last = strands.end_forces(self._weight)
+        pull = np.zeros((n, 3))
+        pull[:-1] += on_first[: n - 1]
+        pull[1:] += on_last[: n - 1]
+        patterns = np.zeros((n, n, 2))
+        who, inner = np.arange(n), np.arange(1, n - 1)
+        patterns[who, who] = -pull[:, :2]
+        patterns[who[1:], who[:-1]] = -on_first[: n - 1, :2]
+        patterns[who[:-1], who[1:]] = -on_last[: n - 1, :2]
+        patterns[inner, inner - 1] += on_first[n - 1 :, :2]
+        patterns[inner, inner + 1] += on_last[n - 1 :, :2]
+        return pull, patterns
+
+
+def _whose(left: Floats, patterns: Floats) -> int | None:
+    """The vehicle whose pattern explains what differs (n, 2) from the model best, if any."""
+    norm = np.einsum("kij,kij->k", patterns, patterns)
+    along = np.einsum("kij,ij->k", patterns, left)
+    explained = along * along / np.maximum(norm, 1e-9)
+    fits = (norm > FAINTEST**2) & (along > SHARE * norm)
+    fits &= explained > FITS * float(np.sum(left * left))
+    return int(np.argmax(np.where(fits, explained, 0.0))) if fits.any() else None
+
+
+def lean(attitude: Floats) -> Floats:
+    """Return the level part of the thrust per upward part, (n, 2) east and north."""
+    roll, pitch, yaw = attitude.T
+    across, along = np.sin(roll), np.cos(roll) * np.sin(pitch)
+    upward = np.cos(roll) * np.cos(pitch)
+    upward = np.where(np.abs(upward) < 0.1, np.nan, upward)
+    north = -along * np.cos(yaw) - across * np.sin(yaw)
+    east = -along * np.sin(yaw) + across * np.cos(yaw)
+    return np.stack([east / upward, north / upward], axis=1)
+
+
+def watch_grasps(flight: "Conductor") -> None:
+    """Notice a gripper that has lost the cable without saying so."""
+    grasps = flight.grasps
+    if flight.now < grasps.next_look:
+        return
+    grasps.next_look = flight.now + INTERVAL
+    oldest = min(vehicle.position_at for vehicle in flight.flyers)
+    held = all(vehicle.gripped for vehicle in flight.flyers) and len(flight.flyers) > 2
+    if not (held and flight.phase.cable == "aloft" and flight.streaming.all()):
+        grasps.forget()
+        return
+    attitude = np.array([vehicle.attitude for vehicle in flight.flyers])
+    if flight.now - oldest > _OLDEST or not np.isfinite(attitude).all():
+        grasps.forget()
+        return
+    k = grasps.look(flight.now, attitude, flight.velocity, flight.position)
+    if k is not None and flight.reports.first("lost its grip", k):
+        words = f"{flight.name(flight.flyers[k])} leans as if its gripper had lost the cable"
+        failure(flight, "lost its grip", words, flight.flyers[k])

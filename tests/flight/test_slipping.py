@@ -1,0 +1,62 @@
+"""Who has lost the cable, told from leaning alone, against the emulator's cable and vehicles."""
+
+import numpy as np
+import pytest
+
+from swarm.drills.rehearsal import Rehearsal, drill_fleet
+from swarm.flight.slipping import Grasps, lean
+from swarm.rehearse import Fault
+from tests.network import small_plan
+
+PLAN = small_plan(vehicles=5)
+
+
+@pytest.fixture(scope="module")
+def folding():
+    flight = Rehearsal.of(PLAN, drill_fleet(5, "mixed"), seed=4)
+    start = PLAN.plan.phase("fold").start
+    while flight.conductor.clock.time < start + 3.0 or not flight.quiet:
+        flight.step()
+    return flight
+
+
+def flown_on(flight, seconds, *faults):
+    flight = flight.copy()
+    flight.events.clear()
+    began = flight.now
+    for values in faults:
+        flight.emulator.inject(Fault.model_validate({"at": began, **values}))
+    while flight.now < began + seconds:
+        flight.step()
+    return [(e.time - began, e.vehicle) for e in flight.events if "lost its grip" in e.message]
+
+
+@pytest.mark.parametrize("slipped", [0, 2])
+def test_a_gripper_that_loses_the_cable_is_noticed_and_named(folding, slipped):
+    system = folding.conductor.flyers[slipped].system
+    ((after, vehicle),) = flown_on(folding, 2.5, {"kind": "gripper_slip", "vehicle": system})
+    assert vehicle == slipped + 1
+    assert after < 2.0
+
+
+def test_neither_the_fold_nor_a_gale_nor_lost_packets_look_like_it(folding):
+    assert not flown_on(folding, 6.0)
+    assert not flown_on(folding, 4.0, {"kind": "wind", "steady": [5.0, 3.0, 0.0], "gust": 0.5})
+    assert not flown_on(folding, 4.0, {"kind": "link", "loss": 0.3, "vehicle": "all"})
+
+
+def test_leaning_is_where_the_thrust_points():
+    """Nose down flies where the nose points; the right side down flies to the right."""
+    angle, east, north = 0.1, np.pi / 2, 0.0
+    leaning = lean(np.array([[0, -angle, east], [0, -angle, north], [angle, 0, north]]))
+    assert leaning == pytest.approx(np.tan(angle) * np.array([[1, 0], [0, 1], [1, 0]]), abs=1e-12)
+
+
+def test_what_is_always_off_is_usual():
+    """A compass that is off and a wind from the first look on are no news."""
+    rng = np.random.default_rng(2)
+    grips = np.array([[3.0 * k, 0.0, 5.0] for k in range(5)])
+    grasps = Grasps(PLAN.plan)
+    attitude = np.column_stack([rng.normal(0.0, 0.03, (5, 2)), rng.uniform(-3, 3, 5)])
+    for k in range(80):
+        assert grasps.look(0.25 * k, attitude, np.zeros((5, 3)), grips) is None
