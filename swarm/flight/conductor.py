@@ -23,7 +23,7 @@ from swarm.flight.failures import failure
 from swarm.flight.gates import GATES
 from swarm.flight.guidance import Guidance
 from swarm.flight.load import PlannedPull
-from swarm.flight.measuring import keep_trace, look, measure
+from swarm.flight.measuring import Sight, keep_trace, look, measure
 from swarm.flight.noticing import Reports, hear, watch
 from swarm.flight.operator import GRANT, Request, available
 from swarm.flight.pace import LONGEST_TICK, advance_clock, bound_hold, steer
@@ -97,7 +97,7 @@ class Conductor:
         self.coast = known if known is not None and fits else coast(plan, coasting)
         self.monitor = Monitor(plan)
         self._pull = PlannedPull(plan)
-        self.clearances: Clearances | None = None
+        self.sight: Sight | None = None
         self.guidance = Guidance(plan.motion)
         vehicles = plan.mission.vehicles
         self.clock = MissionClock(steepest=vehicles.braking_acceleration / vehicles.max_speed)
@@ -263,6 +263,11 @@ class Conductor:
     def holding(self) -> str | None:
         """Why the clock is held; None while it is not."""
         return "; ".join(self.holds.values()) or None
+
+    @property
+    def clearances(self) -> Clearances | None:
+        """What the live monitor saw last; None where there is nothing to look at."""
+        return self.sight.clearances if self.sight else None
 
     @property
     def leaving(self) -> bool:
@@ -465,17 +470,14 @@ class Conductor:
             return []
         # a setpoint stands until the next one comes: aim at the middle of its time
         lead = 0.5 / self.fleet.rates.setpoint
-        aimed = position + lead * velocity + (0.5 * lead * lead) * acceleration + self.lift
+        states = np.empty((len(position), 3, 3))
+        states[:, 0] = position + lead * velocity + (0.5 * lead * lead) * acceleration + self.lift
+        states[:, 1] = velocity
+        states[:, 2] = acceleration
         if self._carries and all(vehicle.gripped for vehicle in self.flyers):
-            acceleration = (
-                acceleration - self._pull.at(self.clock.time) / self.plan.mission.vehicles.mass
-            )
+            states[:, 2] -= self._pull.at(self.clock.time) / self.plan.mission.vehicles.mass
         sending = self.team.setpoints(
-            self.systems,
-            self.streaming,
-            self.now,
-            self.frames.to_vehicles(aimed, velocity, acceleration),
-            self._yaw,
+            self.systems, self.streaming, self.now, self.frames.to_vehicles(states), self._yaw
         )
         self.setpoints_sent += len(sending)
         return sending

@@ -1,12 +1,14 @@
 """Where everybody is: what vehicles say, brought to this moment and into the mission's frame."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.preflight.monitor import AHEAD
+from swarm.plans import CableState
+from swarm.preflight.monitor import AHEAD, Clearances, Monitor
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
@@ -55,18 +57,44 @@ def follow_jump(flight: "Conductor", k: int, jump: Floats) -> None:
     flight.position[k] -= jump
 
 
+@dataclass
+class Sight:
+    """Where everybody was when the clearances were looked at last, and where they were heading.
+
+    ``moments`` (2, n, 3) are grip points, mission ENU. The distances themselves are worked out for
+    those who ask; the clock mostly needs to know no more than that all are ample.
+    """
+
+    monitor: Monitor
+    moments: Floats
+    cable: CableState
+
+    @cached_property
+    def clearances(self) -> Clearances:
+        """Distances now; the margin is the smaller of now and ahead."""
+        here, ahead = self.monitor.look(self.moments, self.cable)
+        return replace(here, margin=min(here.margin, ahead.margin))
+
+    @cached_property
+    def pace(self) -> float:
+        """The rate at which the clock may run, 0…1."""
+        if self.monitor.clear(self.moments, self.cable):
+            return 1.0
+        return self.clearances.pace
+
+
 def look(flight: "Conductor") -> None:
     """Look at the clearances, now and a moment ahead, ten times a second."""
     if flight.now < flight.next_look or not np.isfinite(flight.position).all():
         return
     flight.next_look = flight.now + MONITOR_INTERVAL
-    cable = flight.phase.cable if any(v.gripped for v in flight.flyers) else "free"
-    if flight.phase.cable == "floor" or flight.waiting:
-        flight.clearances = None
+    phase = flight.phase
+    if phase.cable == "floor" or flight.waiting:
+        flight.sight = None
         return
-    moments = np.stack([flight.position, flight.position + AHEAD * flight.velocity])
-    here, ahead = flight.monitor.look(moments, cable)
-    flight.clearances = replace(here, margin=min(here.margin, ahead.margin))
+    cable = phase.cable if any(v.gripped for v in flight.flyers) else "free"
+    moments = np.array((flight.position, flight.position + AHEAD * flight.velocity))
+    flight.sight = Sight(flight.monitor, moments, cable)
 
 
 def keep_trace(flight: "Conductor") -> None:

@@ -53,8 +53,8 @@ def steer(flight: "Conductor") -> None:
         clock.target = 0.0
         return
     pace = min(1.0, max(0.0, (1.0 - worst) / (1.0 - SLOW_FROM)))
-    if flight.clearances is not None:
-        pace = min(pace, flight.clearances.pace)
+    if flight.sight is not None:
+        pace = min(pace, flight.sight.pace)
     pace = min(pace, flight.coast.cap(clock.time))
     if flight.rewinding:
         pace = -pace

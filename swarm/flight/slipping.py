@@ -38,6 +38,9 @@ FAINTEST = 0.2
 """Newtons; a slip that changes the team's level loads by less is not told from noise."""
 FITS = 0.6
 """Share of what differs that the pattern must explain."""
+FROM_OUTSIDE = 0.8
+"""Force from outside the team per force that differs, beyond which something else than the cable
+pulls: where a strand is caught, its two vehicles are pulled the same way, and this is above 1."""
 LOOKS = 2
 """Looks in a row that must see the same vehicle's pattern."""
 _OLDEST = 0.6
@@ -79,7 +82,6 @@ class Grasps:
         time = now - self._looks[0][0]
         mean = np.mean([force for _, _, force in self._looks][1:], axis=0)
         left = self._mass * (velocity[:, :2] - self._looks[0][1]) / time - mean
-        left -= left.mean(axis=0)
         if self._usual is None:
             self._usual = left
         self._usual += (left - self._usual) * (INTERVAL / USUAL_FOR)
@@ -113,12 +115,19 @@ class Grasps:
 
 def _whose(left: Floats, patterns: Floats) -> int | None:
     """The vehicle whose pattern explains what differs (n, 2) from the model best, if any."""
+    shared = left - left.mean(axis=0)
     norm = np.einsum("kij,kij->k", patterns, patterns)
-    along = np.einsum("kij,ij->k", patterns, left)
+    along = np.einsum("kij,ij->k", patterns, shared)
     explained = along * along / np.maximum(norm, 1e-9)
     fits = (norm > FAINTEST**2) & (along > SHARE * norm)
-    fits &= explained > FITS * float(np.sum(left * left))
-    return int(np.argmax(np.where(fits, explained, 0.0))) if fits.any() else None
+    fits &= explained > FITS * float(np.sum(shared * shared))
+    if not fits.any():
+        return None
+    k = int(np.argmax(np.where(fits, explained, 0.0)))
+    near = np.abs(np.arange(len(left)) - k) <= 1
+    own = left[near] - (left[~near].mean(axis=0) if not near.all() else 0.0)
+    outside = float(np.linalg.norm(own.sum(axis=0)))
+    return k if outside < FROM_OUTSIDE * float(np.linalg.norm(own)) else None
 
 
 def lean(attitude: Floats) -> Floats:

@@ -6,7 +6,7 @@ first heard.
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,8 +36,7 @@ _ROUTES_PER_VEHICLE = 4
 _HEARTBEAT = int(common.MAVLINK_MSG_ID_HEARTBEAT)
 
 
-@dataclass(frozen=True)
-class Outgoing:
+class Outgoing(NamedTuple):
     """Bytes to send: on which link, to whom (None: the link's only other end)."""
 
     link: str
@@ -263,11 +262,12 @@ class Team:
     ) -> list[Outgoing]:
         """Return setpoint packets for the vehicles that are streamed to.
 
-        ``states`` (3, n, 3) are position, velocity and acceleration of ``systems``, in each
+        ``states`` (n, 3, 3) are position, velocity and acceleration of each of ``systems``, in the
         vehicle's own NED, SI units; ``yaw`` (n,) in radians.
         """
+        best = self._best
         routes = [
-            self._best[sysid] if wanted else None
+            best[sysid] if wanted else None
             for sysid, wanted in zip(systems, streaming.tolist(), strict=True)
         ]
         if self._packer is None or self._packed != systems:
@@ -277,10 +277,7 @@ class Team:
             self._packer = SetpointPacker(systems, components, source, signed=signed)
             self._packed = systems
         sequences = [route.encoder.take_sequence() if route else 0 for route in routes]
-        position, velocity, acceleration = states
-        packets = self._packer.pack(
-            sequences, int(now * 1000), position, velocity, acceleration, yaw
-        )
+        packets = self._packer.pack(sequences, int(now * 1000), states, yaw)
         raw, length = packets.tobytes(), packets.shape[1]
         outgoing = [
             Outgoing(route.link, route.address, raw[k * length : (k + 1) * length])

@@ -49,14 +49,13 @@ class Frames:
     rotation: Floats
     translation: Floats
 
-    def to_vehicles(self, position: Floats, velocity: Floats, acceleration: Floats) -> Floats:
-        """Return points, velocities and accelerations (n, 3), mission ENU, in the vehicles' NED.
+    def to_vehicles(self, states: Floats) -> Floats:
+        """Return states (n, 3, 3), mission ENU, in the vehicles' NED.
 
-        The result is (3, n, 3): position, velocity, acceleration.
+        A vehicle's three rows are its position, velocity and acceleration.
         """
-        states = np.array((position, velocity, acceleration))[:, :, None, :]
-        turned: Floats = np.matmul(states, self._transposed)[:, :, 0]
-        turned[0] += self.translation
+        turned: Floats = np.matmul(states, self._transposed)
+        turned[:, 0] += self.translation
         return turned
 
     def of(self, order: Sequence[int]) -> "Frames":

@@ -38,22 +38,23 @@ class Encoder:
 
     def __init__(self, system: int = GROUND_SYSTEM, component: int = GROUND_COMPONENT) -> None:
         self._mav = common.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._sequence = 0
 
     @property
     def sequence(self) -> int:
         """The sequence number of the next packet."""
-        return int(self._mav.seq)
+        return self._sequence
 
     def encode(self, message: Message) -> bytes:
         """Return the message as a packet."""
-        packet = bytes(message.pack(self._mav))
-        self._mav.seq = (self._mav.seq + 1) % 256
-        return packet
+        self._mav.seq = self._sequence
+        self._sequence = (self._sequence + 1) & 0xFF
+        return bytes(message.pack(self._mav))
 
     def take_sequence(self) -> int:
         """Return the next sequence number for a packet that is made elsewhere."""
-        taken = int(self._mav.seq)
-        self._mav.seq = (taken + 1) % 256
+        taken = self._sequence
+        self._sequence = (taken + 1) & 0xFF
         return taken
 
 
@@ -270,9 +271,7 @@ _FRAME = np.dtype(
         ("component", "u1"),
         ("message", "u1", 3),
         ("time", "<u4"),
-        ("position", "<f4", 3),
-        ("velocity", "<f4", 3),
-        ("acceleration", "<f4", 3),
+        ("state", "<f4", 9),
         ("yaw", "<f4"),
         ("yaw_rate", "<f4"),
         ("type_mask", "<u2"),
@@ -312,41 +311,42 @@ class SetpointPacker:
         frames["target_system"] = targets
         frames["target_component"] = np.asarray(components, dtype=np.uint8)
         frames["frame"] = common.MAV_FRAME_LOCAL_NED
-        self._bytes = self._as_bytes()
         self._places = np.arange(_FRAME.itemsize - 3) * 256
+        self._share()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """A copy's bytes are those of its own frames."""
         self.__dict__.update(state)
-        self._bytes = self._as_bytes()
+        self._share()
 
-    def _as_bytes(self) -> Bytes:
-        return self._frames.view(np.uint8).reshape(len(self._frames), _FRAME.itemsize)
+    def _share(self) -> None:
+        """Make the views of the frames: their bytes, and what changes from packet to packet."""
+        frames = self._frames
+        self._bytes = frames.view(np.uint8).reshape(len(frames), _FRAME.itemsize)
+        self._summed = self._bytes[:, 1:-2]
+        self._sequence, self._time, self._yaw = frames["sequence"], frames["time"], frames["yaw"]
+        self._state, self._checksum = frames["state"], frames["checksum"]
 
     def pack(
         self,
         sequences: npt.ArrayLike,
         time_boot_ms: int,
-        position: Floats,
-        velocity: Floats,
-        acceleration: Floats,
+        states: Floats,
         yaw: Floats,
     ) -> Bytes:
         """Return the packets (n, 65) of setpoints given in each vehicle's own NED, SI units.
 
-        ``sequences`` (n,); position, velocity, acceleration (n, 3); yaw (n,) in radians. The
-        array is the packer's own and is overwritten by the next call.
+        ``sequences`` (n,); ``states`` (n, 3, 3), a vehicle's rows being its position, velocity
+        and acceleration; yaw (n,) in radians. The array is the packer's own and is overwritten by
+        the next call.
         """
-        frames = self._frames
-        frames["sequence"] = sequences
-        frames["time"] = time_boot_ms & 0xFFFFFFFF
-        frames["position"] = position
-        frames["velocity"] = velocity
-        frames["acceleration"] = acceleration
-        frames["yaw"] = yaw
+        self._sequence[:] = sequences
+        self._time[:] = time_boot_ms & 0xFFFFFFFF
+        self._state[:] = states.reshape(-1, 9)
+        self._yaw[:] = yaw
         table, constant = _checksum_table()
-        parts = table.take(self._places + self._bytes[:, 1:-2])
-        frames["checksum"] = np.bitwise_xor.reduce(parts, axis=1) ^ constant
+        parts = table.take(self._places + self._summed)
+        self._checksum[:] = np.bitwise_xor.reduce(parts, axis=1, initial=constant)
         return self._bytes
 
 

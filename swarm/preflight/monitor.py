@@ -20,6 +20,8 @@ AHEAD = 1.5
 """Seconds ahead at which conflicts are looked for."""
 CAUTION = 0.1
 """Metres of margin below which the clock slows; without margin it stands still."""
+_AMPLE = CAUTION + 1e-9
+"""Margin that is CAUTION at least, whatever rounding does."""
 _POINTS = 20
 _BOWED = 0.02
 """Metres by which a strand bows between two of its points, at most."""
@@ -60,6 +62,10 @@ class Monitor:
         first, second = np.triu_indices(max(n - 1, 0), 2)
         self._strands = np.stack([first, second], axis=1)
         self._matters = plan.mission.clearance.cable + plan.mission.cable.diameter + 1.5 * CAUTION
+        self._one, self._other = first, second
+        self._ample = (self._asked.cable + self._diameter + _AMPLE) ** 2
+        longest = TAUT * self._lengths - _AMPLE
+        self._slack_chords = np.where(longest > 0.0, longest**2, 0.0)
         self._spacing = float(self._lengths.max(initial=0.0)) / _POINTS
 
     def look(self, moments: Floats, cable: CableState) -> list[Clearances]:
@@ -91,6 +97,37 @@ class Monitor:
             Clearances(float(s), float(v), float(r), float(m))
             for s, v, r, m in zip(strands, vehicle, ratio, margin, strict=True)
         ]
+
+    def clear(self, moments: Floats, cable: CableState) -> bool:
+        """Whether every margin at the moments (k, n, 3) is surely CAUTION or more.
+
+        The clock may run at full rate then; where this is False, :meth:`look` knows more.
+        """
+        asked, first, second = self._asked, *self._pairs
+        between = moments.take(first, axis=1) - moments.take(second, axis=1)
+        between *= between
+        enough = (asked.vehicle + _AMPLE) ** 2, (asked.downwash + _AMPLE) ** 2
+        apart = between[:, :, 0] + between[:, :, 1] > enough[0]
+        if not (apart | (between[:, :, 2] > enough[1])).all():
+            return False
+        if cable != "aloft":
+            return True
+        start, end = moments[:, :-1], moments[:, 1:]
+        step = end - start
+        step *= step
+        squared = step[:, :, 0] + step[:, :, 1] + step[:, :, 2]
+        if not (squared < self._slack_chords).all():
+            return False
+        low, high = boxes(start, end, self._lengths)
+        first, second = self._one, self._other
+        gap = np.maximum(
+            low.take(first, axis=1) - high.take(second, axis=1),
+            low.take(second, axis=1) - high.take(first, axis=1),
+        )
+        np.maximum(gap, 0.0, out=gap)
+        gap *= gap
+        strands = gap[:, :, 0] + gap[:, :, 1] + gap[:, :, 2]
+        return bool((strands > self._ample).all())
 
     def _between_strands(self, moments: Floats) -> Floats:
         """Smallest distances (k,) between strands: those of boxes that contain them, by points

@@ -50,7 +50,7 @@ def test_points_reach_the_place_on_earth_that_is_meant(
     origin = Origin(float(at[0]), float(at[1]), 400.0 + up)
     frames = gps_frames(mission, heading, [origin], [projection])
     point = np.array([[e, n, u]])
-    asked = frames.to_vehicles(point, point, point)[0][0]
+    asked = frames.to_vehicles(np.stack([point] * 3, axis=1))[0][0]
     turned = np.array(
         [
             math.cos(heading) * e - math.sin(heading) * n,
@@ -74,12 +74,11 @@ def test_there_and_back(data):
     origins = [Origin(47.4 + 1e-5 * k, 8.5 - 2e-5 * k, 400.0 + 3 * k) for k in range(n)]
     frames = gps_frames(Origin(47.4, 8.5, 410.0), 0.7, origins, ["px4", "ardupilot"] * 2)
     frames = frames.shifted(np.array([[0.1, 0.2, 3.0]] * n))
-    local = frames.to_vehicles(position, velocity, velocity)
-    states = np.stack([local[0], local[1]], axis=1)
-    back, moving = frames.states_to_mission(states)
+    local = frames.to_vehicles(np.stack([position, velocity, velocity], axis=1))
+    back, moving = frames.states_to_mission(local[:, :2])
     assert back == pytest.approx(position, abs=1e-9)
     assert moving == pytest.approx(velocity, abs=1e-9)
-    assert frames.points_to_mission(local[0]) == pytest.approx(position, abs=1e-9)
+    assert frames.points_to_mission(local[:, 0]) == pytest.approx(position, abs=1e-9)
 
 
 def test_a_shift_moves_what_a_vehicle_says_of_itself():
@@ -91,7 +90,7 @@ def test_a_shift_moves_what_a_vehicle_says_of_itself():
 
 
 def test_shared_frames_are_east_north_up_turned():
-    point = np.array([[1.0, 0.0, 2.0]])
-    assert shared_frames(1).to_vehicles(point, point, point)[0][0] == pytest.approx([0, 1, -2])
-    turned = shared_frames(1, math.pi / 2).to_vehicles(point, point, point)[0][0]
+    states = np.full((1, 3, 3), [1.0, 0.0, 2.0])
+    assert shared_frames(1).to_vehicles(states)[0][0] == pytest.approx([0, 1, -2])
+    turned = shared_frames(1, math.pi / 2).to_vehicles(states)[0][0]
     assert turned == pytest.approx([1, 0, -2])

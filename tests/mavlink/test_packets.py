@@ -114,9 +114,8 @@ def test_batches_of_setpoints_are_pymavlinks_byte_for_byte(data):
     boot = data.draw(st.integers(0, 2**32 - 1))
     numbers = data.draw(st.lists(finite, min_size=10 * n, max_size=10 * n))
     values = np.array(numbers).reshape(n, 10)
-    position, velocity, acceleration = values[:, :3], values[:, 3:6], values[:, 6:9]
     packer = SetpointPacker(systems, components)
-    packets = packer.pack(sequences, boot, position, velocity, acceleration, values[:, 9])
+    packets = packer.pack(sequences, boot, values[:, :9].reshape(n, 3, 3), values[:, 9])
     for k in range(n):
         mav = common.MAVLink(None, srcSystem=255, srcComponent=190)
         mav.seq = sequences[k]
