@@ -8,7 +8,9 @@ is known in the cable model, so it goes into the acceleration setpoint as feed-f
 import numpy as np
 import numpy.typing as npt
 
+from swarm.cable.catenary import STANDARD_GRAVITY
 from swarm.cable.floor import rest_on_floor
+from swarm.cable.shape import half_angle_for_stretch
 from swarm.plans import Plan
 
 Floats = npt.NDArray[np.float64]
@@ -16,6 +18,8 @@ Floats = npt.NDArray[np.float64]
 STEP = 0.5
 """Seconds of mission time between the moments at which a plan's pull is worked out."""
 
+_VERTICAL = 1e-6
+"""Span over length below which a strand counts as hanging straight down and up again."""
 TAUT = 0.99
 """Chords nearer to taut count as this share: a pull without bound is no use as feed-forward."""
 
@@ -35,6 +39,40 @@ def cable_pull(grip_points: Floats, lengths: Floats, mass_per_length: float) -> 
     pull[..., :-1, :] += on_start
     pull[..., 1:, :] += on_end
     return pull
+
+
+def end_forces(
+    start: Floats, end: Floats, lengths: Floats, mass_per_length: float
+) -> tuple[Floats, Floats]:
+    """Return the forces (n, 3) of n strands on their starts and ends; newtons, ENU.
+
+    ``start`` and ``end`` (n, 3) in metres above the floor at z = 0, no farther apart than
+    ``lengths`` (n,). The same as :func:`swarm.cable.floor.rest_on_floor` has, which is only asked
+    for those that reach the floor: most do not, and this is looked at in flight.
+    """
+    across = end - start
+    rise = across[:, 2]
+    square = across[:, 0] ** 2 + across[:, 1] ** 2
+    span = np.maximum(np.sqrt(square), _VERTICAL * lengths)
+    excess = np.maximum(lengths**2 - square - rise**2, 0.0)
+    half_angle = np.maximum(half_angle_for_stretch(0.5 * np.log1p(excess / span**2)), _VERTICAL)
+    level = np.sqrt(excess + span**2)
+    sinh = half_angle * (level / span)
+    slope = (rise * np.sqrt(1.0 + sinh**2) - lengths * sinh) / level
+    parameter = span / (2.0 * half_angle)
+    end_slope = slope + lengths / parameter
+    turns = (slope < 0.0) & (end_slope > 0.0)
+    lowest = start[:, 2] - np.where(turns, parameter * (np.sqrt(1.0 + slope**2) - 1.0), 0.0)
+    horizontal = STANDARD_GRAVITY * mass_per_length * parameter
+    on_start = across * (horizontal / span)[:, None]
+    on_end = -on_start
+    on_start[:, 2] = horizontal * slope
+    on_end[:, 2] = -horizontal * end_slope
+    low = np.flatnonzero(lowest <= 0.0)
+    if len(low):
+        resting = rest_on_floor(start[low], end[low], lengths[low])
+        on_start[low], on_end[low] = resting.end_forces(mass_per_length)
+    return on_start, on_end
 
 
 class PlannedPull:

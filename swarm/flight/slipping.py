@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import STANDARD_GRAVITY
-from swarm.cable.floor import rest_on_floor
 from swarm.flight.failures import failure
-from swarm.flight.load import TAUT
+from swarm.flight.load import TAUT, end_forces
 from swarm.plans import Plan
 
 if TYPE_CHECKING:
@@ -98,8 +97,8 @@ class Grasps:
         last = np.concatenate([np.arange(1, n), np.arange(2, n)])
         lengths = np.concatenate([self._lengths, self._lengths[:-1] + self._lengths[1:]])
         chords = np.linalg.norm(above[last] - above[first], axis=1)
-        strands = rest_on_floor(above[first], above[last], np.maximum(lengths, chords / TAUT))
-        on_first, on_last = strands.end_forces(self._weight)
+        lengths = np.maximum(lengths, chords / TAUT)
+        on_first, on_last = end_forces(above[first], above[last], lengths, self._weight)
         pull = np.zeros((n, 3))
         pull[:-1] += on_first[: n - 1]
         pull[1:] += on_last[: n - 1]
