@@ -9,7 +9,7 @@ learnt as usual. The level parts are enough, and forces within the team cancel o
 """
 
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -70,7 +70,8 @@ class Grasps:
         ``attitude`` (n, 3) roll, pitch, yaw of NED, radians; ``velocity`` and ``grips`` (n, 3),
         mission ENU.
         """
-        pull, patterns = self._pulls(grips)
+        held = self._held(grips)
+        pull = held.pull
         bears = STANDARD_GRAVITY - pull[:, 2] / self._mass
         force = self._mass * bears[:, None] * lean(attitude) + pull[:, :2]
         if self._looks and now - self._looks[-1][0] > 2.0 * INTERVAL:
@@ -84,37 +85,67 @@ class Grasps:
         if self._usual is None:
             self._usual = left
         self._usual += (left - self._usual) * (INTERVAL / USUAL_FOR)
-        who = _whose(left - self._usual, patterns)
+        who = self._whose(left - self._usual, held)
         self._seen = self._seen + 1 if who is not None and who == self._suspect else 1
         self._suspect = -1 if who is None else who
         return who if self._seen >= LOOKS else None
 
-    def _pulls(self, grips: Floats) -> tuple[Floats, Floats]:
-        """The pulls (n, 3) while all hold on, and how the level ones (n, n, 2) change where the
-        vehicle of the first index does not; its neighbours' cable is one strand then, or hangs."""
-        n, above = len(grips), np.maximum(grips, [-np.inf, -np.inf, 0.0])
-        first = np.concatenate([np.arange(n - 1), np.arange(n - 2)])
-        last = np.concatenate([np.arange(1, n), np.arange(2, n)])
-        lengths = np.concatenate([self._lengths, self._lengths[:-1] + self._lengths[1:]])
-        chords = np.linalg.norm(above[last] - above[first], axis=1)
-        lengths = np.maximum(lengths, chords / TAUT)
-        on_first, on_last = end_forces(above[first], above[last], lengths, self._weight)
-        pull = np.zeros((n, 3))
-        pull[:-1] += on_first[: n - 1]
-        pull[1:] += on_last[: n - 1]
+    def _strands(self, above: Floats, every: int) -> tuple[Floats, Floats]:
+        """Forces on both ends of the strands from each vehicle to the next, or the next but one."""
+        first, last = above[:-every], above[every:]
+        lengths = np.convolve(self._lengths, np.ones(every), "valid")
+        chords = np.linalg.norm(last - first, axis=1)
+        return end_forces(first, last, np.maximum(lengths, chords / TAUT), self._weight)
+
+    def _held(self, grips: Floats) -> "_Held":
+        above = np.maximum(grips, [-np.inf, -np.inf, 0.0])
+        on_first, on_last = self._strands(above, 1)
+        pull = np.zeros_like(above)
+        pull[:-1] += on_first
+        pull[1:] += on_last
+        return _Held(above, on_first, on_last, pull)
+
+    def _whose(self, left: Floats, held: "_Held") -> int | None:
+        """The vehicle whose pattern explains what differs (n, 2) from the model best, if any.
+
+        Patterns are only worked out where one could fit: the vehicle's own pull is part of it.
+        """
+        shared = left - left.mean(axis=0)
+        squared = np.einsum("ij,ij->i", shared, shared)
+        around = squared.copy()
+        around[1:] += squared[:-1]
+        around[:-1] += squared[1:]
+        own = np.einsum("ij,ij->i", held.pull[:, :2], held.pull[:, :2])
+        least = np.maximum(SHARE**2 * np.maximum(own, FAINTEST**2), FITS * squared.sum())
+        if not (around > (1.0 - 1e-9) * least).any():
+            return None
+        return _whose(left, shared, self._patterns(held))
+
+    def _patterns(self, held: "_Held") -> Floats:
+        """How the level pulls (n, n, 2) change where the vehicle of the first index holds nothing;
+        its neighbours' cable is one strand then, or hangs."""
+        n = len(held.pull)
         patterns = np.zeros((n, n, 2))
         who, inner = np.arange(n), np.arange(1, n - 1)
-        patterns[who, who] = -pull[:, :2]
-        patterns[who[1:], who[:-1]] = -on_first[: n - 1, :2]
-        patterns[who[:-1], who[1:]] = -on_last[: n - 1, :2]
-        patterns[inner, inner - 1] += on_first[n - 1 :, :2]
-        patterns[inner, inner + 1] += on_last[n - 1 :, :2]
-        return pull, patterns
+        joined_first, joined_last = self._strands(held.above, 2)
+        patterns[who, who] = -held.pull[:, :2]
+        patterns[who[1:], who[:-1]] = -held.on_first[:, :2]
+        patterns[who[:-1], who[1:]] = -held.on_last[:, :2]
+        patterns[inner, inner - 1] += joined_first[:, :2]
+        patterns[inner, inner + 1] += joined_last[:, :2]
+        return patterns
 
 
-def _whose(left: Floats, patterns: Floats) -> int | None:
-    """The vehicle whose pattern explains what differs (n, 2) from the model best, if any."""
-    shared = left - left.mean(axis=0)
+class _Held(NamedTuple):
+    """Grip points off the floor, the strands' forces on their two ends, and the pulls (n, 3)."""
+
+    above: Floats
+    on_first: Floats
+    on_last: Floats
+    pull: Floats
+
+
+def _whose(left: Floats, shared: Floats, patterns: Floats) -> int | None:
     norm = np.einsum("kij,kij->k", patterns, patterns)
     along = np.einsum("kij,ij->k", patterns, shared)
     explained = along * along / np.maximum(norm, 1e-9)
