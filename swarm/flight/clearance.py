@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from swarm.errors import Refused
+from swarm.preflight.coast import CoastCertificate
 from swarm.preflight.findings import Finding, ProvenPlan
 
 
@@ -10,11 +11,13 @@ from swarm.preflight.findings import Finding, ProvenPlan
 class Audit:
     """What was found out about the team while it stood on the ground.
 
-    ``systems`` are the system ids in order along the cable.
+    ``systems`` are the system ids in order along the cable. ``coast`` is what the ends of streams
+    do to these vehicles, where their parameters are known.
     """
 
     systems: tuple[int, ...]
     findings: tuple[Finding, ...]
+    coast: CoastCertificate | None = None
 
     @property
     def passed(self) -> bool:

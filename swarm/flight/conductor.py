@@ -91,7 +91,7 @@ class Conductor:
         _check_rest(proven)
         self.windows = windows(plan, whole=True)
         self.escapes = escapes(plan)
-        coasting = Coasting(STREAM_LOSS_TIME, STREAM_LOSS_TIME, fleet.limits.silence)
+        coasting = Coasting((STREAM_LOSS_TIME,), fleet.limits.silence)
         known = proven.assessment.coast
         fits = known is not None and known.coasting == coasting
         self.coast = known if known is not None and fits else coast(plan, coasting)
@@ -189,6 +189,8 @@ class Conductor:
         """Begin the flight; only a cleared plan can, and only once it is ready."""
         if cleared.proven is not self.proven or self.stage != "ready":
             raise Refused("this flight is not ready for that plan")
+        if cleared.audit.coast is not None:
+            self.coast = cleared.audit.coast
         self._enter("fly")
         self.say("flight", "cleared for flight")
 

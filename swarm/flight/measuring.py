@@ -61,8 +61,8 @@ def follow_jump(flight: "Conductor", k: int, jump: Floats) -> None:
 class Sight:
     """Where everybody was when the clearances were looked at last, and where they were heading.
 
-    ``moments`` (2, n, 3) are grip points, mission ENU. The distances themselves are worked out for
-    those who ask; the clock mostly needs to know no more than that all are ample.
+    ``moments`` (2, n, 3) are grip points, mission ENU. All distances are worked out for those who
+    ask; the clock mostly needs to know no more than that the strands' are ample.
     """
 
     monitor: Monitor
@@ -78,9 +78,7 @@ class Sight:
     @cached_property
     def pace(self) -> float:
         """The rate at which the clock may run, 0…1."""
-        if self.monitor.clear(self.moments, self.cable):
-            return 1.0
-        return self.clearances.pace
+        return self.monitor.pace(self.moments, self.cable)
 
 
 def look(flight: "Conductor") -> None:

@@ -34,8 +34,11 @@ LONGEST_STEP = 0.5
 """Seconds between reports up to which a jump can be told from flight."""
 BATTERY_LOW, BATTERY_CRITICAL = 0.2, 0.1
 """Shares of charge; above what autopilots act on by themselves, so that the group decides."""
-HEIGHTS_APART = 1.0
-"""Metres by which one vehicle's height may drift against its GPS compared with the others'."""
+HEIGHTS_APART = (0.3, 1.0)
+"""Metres by which one vehicle's height may drift against its GPS compared with the others': with
+receivers that say that they are good, and with others."""
+_ACCURACIES = 5.0
+"""Times the stated upright accuracy of the receivers that a drift must exceed."""
 FELL_AFTER = 0.5
 """Seconds of silence after which a vehicle whose neighbour is pulled down has fallen."""
 PULLED = 0.3
@@ -231,7 +234,10 @@ def _watch_heights(flight: "Conductor") -> None:
     if np.isnan(moved).any() or len(moved) < 3:
         return
     off = moved - np.median(moved)
-    for k in np.flatnonzero(np.abs(off) > HEIGHTS_APART):
+    accuracy = np.array([vehicle.upright_accuracy for vehicle in flight.flyers])
+    stated = np.where(np.isnan(accuracy), np.inf, accuracy)
+    allowed = np.clip(_ACCURACIES * np.maximum(stated, np.median(stated)), *HEIGHTS_APART)
+    for k in np.flatnonzero(np.abs(off) > allowed):
         vehicle = flight.flyers[k]
         if flight.expected_armed[k] and reports.first("height", int(k)):
             words = f"{flight.name(vehicle)}'s height has drifted by {off[k]:+.1f} m"

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarm.fleet import Fleet
+from swarm.fleet import Fleet, Limits
 from swarm.mavlink.frames import Projection
 from swarm.mission import Vehicles
 from swarm.plans import Plan
-from swarm.preflight.findings import Severity
+from swarm.preflight.coast import CoastCertificate, Coasting, coast
+from swarm.preflight.findings import Finding, Severity
 
 Value = float
 STREAM_LOSS_TIME = 0.5
@@ -238,3 +239,30 @@ def judge(
         row = Row(system, rule.name, value, should, rule.words, rule.why, severity)
         (good if fine else wrong).append(row)
     return wrong, good
+
+
+def coasting_of(
+    vehicles: Sequence[tuple[Projection, Mapping[str, Value]]], limits: Limits
+) -> Coasting:
+    """Return how vehicles coast by what their parameters are, in order along the cable.
+
+    A parameter that a vehicle does not tell counts as the longest that passes the audit. One that
+    lands when its setpoints end comes down until it has been noticed.
+    """
+    names = {"px4": "COM_OF_LOSS_T", "ardupilot": "GUID_TIMEOUT"}
+    after = tuple(float(values.get(names[one], STREAM_LOSS_TIME)) for one, values in vehicles)
+    lands = [one == "px4" and values.get("COM_OBL_RC_ACT") == 4.0 for one, values in vehicles]
+    sinking = tuple(limits.silence * limits.descent if one else 0.0 for one in lands)
+    return Coasting(after, limits.silence, sinking)
+
+
+def coasting_findings(plan: Plan, coasting: Coasting) -> tuple[CoastCertificate, list[Finding]]:
+    """Return what these vehicles do to a plan when their setpoints end, and findings on it."""
+    found = coast(plan, coasting)
+    findings = found.findings()
+    lands = [sinking > 0.0 for sinking in coasting.sinking]
+    if any(lands) and not all(lands):
+        who = ", ".join(f"vehicle {k}" for k, one in enumerate(lands, 1) if one)
+        words = f"when all setpoints end, {who} would land at once and the others hold: they part"
+        findings.append(Finding("error", "coast", words))
+    return found, findings

@@ -20,8 +20,6 @@ AHEAD = 1.5
 """Seconds ahead at which conflicts are looked for."""
 CAUTION = 0.1
 """Metres of margin below which the clock slows; without margin it stands still."""
-_AMPLE = CAUTION + 1e-9
-"""Margin that is CAUTION at least, whatever rounding does."""
 _POINTS = 20
 _BOWED = 0.02
 """Metres by which a strand bows between two of its points, at most."""
@@ -63,9 +61,8 @@ class Monitor:
         self._strands = np.stack([first, second], axis=1)
         self._matters = plan.mission.clearance.cable + plan.mission.cable.diameter + 1.5 * CAUTION
         self._one, self._other = first, second
-        self._ample = (self._asked.cable + self._diameter + _AMPLE) ** 2
-        longest = TAUT * self._lengths - _AMPLE
-        self._slack_chords = np.where(longest > 0.0, longest**2, 0.0)
+        self._ample = (self._asked.cable + self._diameter + 1.01 * CAUTION) ** 2
+        self._longest = TAUT * self._lengths
         self._spacing = float(self._lengths.max(initial=0.0)) / _POINTS
 
     def look(self, moments: Floats, cable: CableState) -> list[Clearances]:
@@ -98,26 +95,30 @@ class Monitor:
             for s, v, r, m in zip(strands, vehicle, ratio, margin, strict=True)
         ]
 
-    def clear(self, moments: Floats, cable: CableState) -> bool:
-        """Whether every margin at the moments (k, n, 3) is surely CAUTION or more.
+    def pace(self, moments: Floats, cable: CableState) -> float:
+        """The rate at which the clock may run, 0…1, as the margins at the moments (k, n, 3) allow.
 
-        The clock may run at full rate then; where this is False, :meth:`look` knows more.
+        As from :meth:`look`, which is only asked where boxes around the strands come near.
         """
-        asked, first, second = self._asked, *self._pairs
+        first, second = self._pairs
         between = moments.take(first, axis=1) - moments.take(second, axis=1)
-        between *= between
-        enough = (asked.vehicle + _AMPLE) ** 2, (asked.downwash + _AMPLE) ** 2
-        apart = between[:, :, 0] + between[:, :, 1] > enough[0]
-        if not (apart | (between[:, :, 2] > enough[1])).all():
-            return False
-        if cable != "aloft":
-            return True
-        start, end = moments[:, :-1], moments[:, 1:]
-        step = end - start
-        step *= step
-        squared = step[:, :, 0] + step[:, :, 1] + step[:, :, 2]
-        if not (squared < self._slack_chords).all():
-            return False
+        level = np.sqrt(between[:, :, 0] ** 2 + between[:, :, 1] ** 2)
+        level -= self._asked.vehicle
+        upright = np.abs(between[:, :, 2])
+        upright -= self._asked.downwash
+        margin = float(np.maximum(level, upright).min(initial=np.inf))
+        if cable == "aloft":
+            start, end = moments[:, :-1], moments[:, 1:]
+            step = end - start
+            step *= step
+            chord = np.sqrt(step[:, :, 0] + step[:, :, 1] + step[:, :, 2])
+            margin = min(margin, float((self._longest - chord).min(initial=np.inf)))
+            if margin > 0.0 and not self._strands_are_ample(start, end):
+                return min(seen.pace for seen in self.look(moments, cable))
+        return min(1.0, max(0.0, margin / CAUTION))
+
+    def _strands_are_ample(self, start: Floats, end: Floats) -> bool:
+        """Whether all strands that share no vehicle are surely farther apart than matters."""
         low, high = boxes(start, end, self._lengths)
         first, second = self._one, self._other
         gap = np.maximum(
@@ -126,8 +127,8 @@ class Monitor:
         )
         np.maximum(gap, 0.0, out=gap)
         gap *= gap
-        strands = gap[:, :, 0] + gap[:, :, 1] + gap[:, :, 2]
-        return bool((strands > self._ample).all())
+        squared = gap[:, :, 0] + gap[:, :, 1] + gap[:, :, 2]
+        return bool(squared.min(initial=np.inf) > self._ample)
 
     def _between_strands(self, moments: Floats) -> Floats:
         """Smallest distances (k,) between strands: those of boxes that contain them, by points

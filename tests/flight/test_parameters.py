@@ -3,7 +3,14 @@
 import pytest
 
 from swarm.fleet import emulated_fleet
-from swarm.flight.parameters import demands_of, demands_of_plan, judge, rules
+from swarm.flight.parameters import (
+    coasting_findings,
+    coasting_of,
+    demands_of,
+    demands_of_plan,
+    judge,
+    rules,
+)
 from swarm.mission import Vehicles
 from tests.network import small_plan
 
@@ -101,3 +108,26 @@ def test_a_plan_is_asked_for_what_it_flies():
     asked = demands_of_plan(plan, FLEET)
     assert 0.0 < asked.down <= asked.speed <= plan.mission.vehicles.max_speed
     assert asked.acceleration <= plan.mission.vehicles.max_acceleration + 0.1
+
+
+def test_how_vehicles_coast_is_read_from_their_parameters():
+    quick = ("px4", {"COM_OF_LOSS_T": 0.2, "COM_OBL_RC_ACT": 5.0})
+    lands = ("px4", {"COM_OF_LOSS_T": 0.5, "COM_OBL_RC_ACT": 4.0})
+    other = ("ardupilot", {"GUID_TIMEOUT": 0.3})
+    silent = ("ardupilot", {})
+    limits = FLEET.limits
+    found = coasting_of([quick, lands, other, silent], limits)
+    assert found.after == (0.2, 0.5, 0.3, 0.5)
+    assert found.sinking == (0.0, limits.silence * limits.descent, 0.0, 0.0)
+    assert found.silence == limits.silence
+
+
+def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
+    plan = small_plan().plan
+    lands = ("px4", {"COM_OF_LOSS_T": 0.5, "COM_OBL_RC_ACT": 4.0})
+    holds = ("ardupilot", {"GUID_TIMEOUT": 0.5})
+    _, findings = coasting_findings(plan, coasting_of([lands, holds, lands], FLEET.limits))
+    (error,) = [finding for finding in findings if finding.severity == "error"]
+    assert "vehicle 1, vehicle 3 would land at once and the others hold" in error.message
+    _, findings = coasting_findings(plan, coasting_of([lands, lands, lands], FLEET.limits))
+    assert not [finding for finding in findings if finding.severity == "error"]
