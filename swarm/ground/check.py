@@ -12,7 +12,15 @@ import numpy as np
 from swarm.errors import InputError, Problem, Refused, SwarmError, VehicleError
 from swarm.fleet import Fleet
 from swarm.flight.listening import LinkQuality, Listening, radio_findings
-from swarm.flight.parameters import STREAM_LOSS_TIME, Demands, Row, demands_of, demands_of_plan
+from swarm.flight.parameters import (
+    STREAM_LOSS_TIME,
+    Demands,
+    Row,
+    coasting_findings,
+    coasting_of,
+    demands_of,
+    demands_of_plan,
+)
 from swarm.flight.preparation import Prepared
 from swarm.flight.world import bare_world, emulated_world
 from swarm.ground.audit import Auditor, VehicleAudit, save_parameters
@@ -303,6 +311,11 @@ class _Work:
         ]
         for audit in audits:
             findings.extend(audit.findings(battery))
+        if plan is not None and order:
+            values = {audit.system: audit.parameters for audit in audits}
+            names = {v.system: v.autopilot.name for v in self.listening.heard if v.autopilot}
+            flown = [(names[system], values[system]) for system in order if system in values]
+            findings.extend(coasting_findings(plan, coasting_of(flown, fleet.limits))[1])
         findings.extend(self.listening.frames_and_clocks())
         for link in links:
             findings.extend(link.findings(STREAM_LOSS_TIME, fleet.rates.position))

@@ -16,7 +16,7 @@ from swarm.errors import Refused, SwarmError
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
-from swarm.flight.parameters import demands_of_plan
+from swarm.flight.parameters import coasting_findings, coasting_of, demands_of_plan
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.snapshot import Event, Snapshot
@@ -179,6 +179,7 @@ class _Shell:
         self._tell, self._interrupts, self._emulator = tell, interrupts, emulator
         self._confirm = confirm
         self._next_snapshot = 0.0
+        self._told_of_disk = False
         self._clock = ClockTeller(conductor.plan)
         self._answer: queue.SimpleQueue[Audit | str] | None = None
         self.relay: Relay | None = None
@@ -199,6 +200,10 @@ class _Shell:
         if now >= self._next_snapshot:
             self._next_snapshot = now + SNAPSHOT_INTERVAL
             self._tell(conductor.snapshot(now))
+            if self._record.problem is not None and not self._told_of_disk:
+                self._told_of_disk = True
+                words = f"the record cannot be written: {self._record.problem}; the flight goes on"
+                conductor.say("record", words)
             phase = conductor.phase.name if conductor.stage == "fly" else ""
             if conductor.stage in {"ready", "fly", "leave"}:
                 self._record.packet(self._clock.tell(now, conductor.clock.time, phase), now)
@@ -275,7 +280,11 @@ class _Asking:
             save_parameters(self._folder, audits)
         battery = 100.0 * plan.duration / plan.mission.vehicles.endurance
         found = [finding for one in audits for finding in one.findings(battery)]
-        return replace(self._audit, findings=(*self._audit.findings, *found))
+        values = {one.system: one.parameters for one in audits}
+        flown = [(names[v.system], values[v.system]) for v in flyers if v.system in names]
+        known, coasting = coasting_findings(plan, coasting_of(flown, fleet.limits))
+        findings = (*self._audit.findings, *found, *coasting)
+        return replace(self._audit, findings=findings, coast=known)
 
 
 @contextmanager

@@ -1,11 +1,12 @@
 """What if the setpoints end here: how far everybody coasts, and how fast the team may be for it.
 
 A vehicle without setpoints flies on with its last velocity until its autopilot notices (PX4:
-COM_OF_LOSS_T, then Hold; ArduPilot: GUID_TIMEOUT, then it stops) and brakes. Either all lose their
-setpoints, or one does: then the others go on until it has been silent for the fleet's
-``limits.silence``, and stop along their paths. Looked at every STEP seconds of the fold, at the
-ends of these motions and on the way, where everybody is as planned. Where a clearance or a chord
-would not survive, the mission clock's rate is capped: all of these distances shrink with it.
+COM_OF_LOSS_T, then Hold or Land; ArduPilot: GUID_TIMEOUT, then it stops) and brakes. Either all
+lose their setpoints, or one does: then the others go on until it has been silent for the fleet's
+``limits.silence``, and stop along their paths. Where a clearance or a chord would not survive, the
+mission clock's rate is capped: all of these distances shrink with it. Rates are chosen by looking
+every STEP seconds of the fold, at the ends of these motions and on the way, and then shown to do
+for all times in between (:mod:`.coast_bound`), or lowered until they are.
 """
 
 from collections.abc import Sequence
@@ -16,11 +17,13 @@ import numpy.typing as npt
 
 from swarm.mission import Mission
 from swarm.plans import CableState, Plan
+from swarm.preflight.coast_bound import CoastBound, Ways
 from swarm.preflight.findings import Finding
 from swarm.preflight.limits import TAUT
 from swarm.preflight.monitor import Monitor
 
 Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 STEP = 0.5
 """Seconds of mission time between the moments that are looked at."""
@@ -39,13 +42,25 @@ _PORTION = 128
 
 @dataclass(frozen=True)
 class Coasting:
-    """Parameters that decide how a vehicle coasts, seconds: after a lost stream it moves on for
-    ``px4`` (COM_OF_LOSS_T) or ``ardupilot`` (GUID_TIMEOUT); ``silence`` is how long the ground
-    station waits before it holds the others."""
+    """What decides how vehicles coast.
 
-    px4: float = 0.5
-    ardupilot: float = 0.5
+    After a lost stream they move on for ``after`` seconds (COM_OF_LOSS_T, GUID_TIMEOUT): one number
+    per vehicle along the cable, or one for all. One that lands then comes down by up to ``sinking``
+    metres (as many numbers) before the others do. ``silence`` is how long in seconds the ground
+    station waits before it holds the others.
+    """
+
+    after: tuple[float, ...] = (0.5,)
     silence: float = 1.0
+    sinking: tuple[float, ...] = (0.0,)
+
+    def ways(self, mission: Mission, n: int) -> Ways:
+        """Return how far each of n vehicles goes on."""
+        vehicles = mission.vehicles
+        steepest = vehicles.braking_acceleration / vehicles.max_speed
+        after = np.broadcast_to(np.array(self.after) + BRAKING, n)
+        sinking = np.broadcast_to(np.array(self.sinking), n)
+        return Ways(after, BRAKING, self.silence, steepest, sinking)
 
 
 @dataclass(frozen=True)
@@ -62,8 +77,9 @@ class Worst:
 class CoastCertificate:
     """The largest rate (k,) of the mission clock at mission times (k,), for lost setpoints.
 
-    ``worst`` is the moment with the smallest margin at the capped rate; ``hopeless`` are the times
-    at which even the slowest rate leaves none; ``coasting`` is what it holds for.
+    ``worst`` is the moment with the smallest margin at the capped rate, of those that were looked
+    at; ``hopeless`` are the times from which on even the slowest rate leaves none, or none could be
+    shown to be left; ``coasting`` is what it holds for.
     """
 
     times: Floats
@@ -85,8 +101,8 @@ class CoastCertificate:
             return []
         who = f"vehicle {self.worst.who}" if self.worst.who else "the whole team"
         words = (
-            f"when setpoints end, for all or for one, clearances and chords survive by "
-            f"{self.worst.margin:.2f} m or more (tightest where {who} loses them)"
+            f"whenever setpoints end in the fold, for all or for one, clearances and chords are "
+            f"kept; least is left where {who} loses them, {max(self.worst.margin, 0.0):.2f} m"
         )
         if len(self.hopeless):
             return [
@@ -121,23 +137,44 @@ def coast(plan: Plan, coasting: Coasting = Coasting()) -> CoastCertificate:
         return CoastCertificate(nothing, nothing, Worst(np.inf, 0.0, 0), nothing, coasting)
     times = np.append(np.arange(fold[0].start, fold[-1].end, STEP), fold[-1].end)
     monitor = Monitor(plan)
+    ways = coasting.ways(plan.mission, plan.vehicles)
     rates = np.full(len(times), np.nan)
     margins, whose = np.full(len(times), -np.inf), np.zeros(len(times), dtype=np.intp)
     for rate in RATES:
         open_ = np.flatnonzero(np.isnan(rates))
         if not len(open_):
             break
-        left, who = _margins(plan, monitor, times[open_], rate, coasting)
+        left, who = _margins(plan, monitor, times[open_], rate, ways)
         better = left > margins[open_]
         margins[open_[better]], whose[open_[better]] = left[better], who[better]
         rates[open_[left >= 0.0]] = rate
-    hopeless = times[np.isnan(rates)]
-    rates[np.isnan(rates)] = RATES[-1]
+    lost = np.isnan(rates)
+    rates[lost] = RATES[-1]
+    unshown = _lowered(CoastBound(plan, ways, fold[-1].end), times, rates, lost)
     tightest = int(np.argmin(margins))
     worst = Worst(float(margins[tightest]), float(times[tightest]), int(whose[tightest]))
     return CoastCertificate(
-        times, _reachable(plan.mission, times, rates), worst, hopeless, coasting
+        times, _reachable(plan.mission, times, rates), worst, times[lost | unshown], coasting
     )
+
+
+def _lowered(bound: CoastBound, times: Floats, rates: Floats, lost: Flags) -> Flags:
+    """Lower rates (k,) in place until they do for all times; return from which times on none does.
+
+    Between two times the clock runs at the lower of their rates.
+    """
+    unshown = np.zeros(len(times), dtype=np.bool_)
+    open_ = np.flatnonzero(~(lost[:-1] | lost[1:]))
+    while len(open_):
+        fastest = np.minimum(rates[open_], rates[open_ + 1])
+        kept = bound.keeps(times[open_], times[open_ + 1], fastest)
+        open_, fastest = open_[~kept], fastest[~kept]
+        slowest = fastest <= RATES[-1]
+        unshown[open_[slowest]] = True
+        open_, fastest = open_[~slowest], fastest[~slowest]
+        for k, rate in zip(open_, fastest, strict=True):
+            rates[k] = min(rates[k], max(slower for slower in RATES if slower < rate))
+    return unshown
 
 
 def _reachable(mission: Mission, times: Floats, rates: Floats) -> Floats:
@@ -154,14 +191,14 @@ def _reachable(mission: Mission, times: Floats, rates: Floats) -> Floats:
 
 
 def _margins(
-    plan: Plan, monitor: Monitor, times: Floats, rate: float, coasting: Coasting
+    plan: Plan, monitor: Monitor, times: Floats, rate: float, ways: Ways
 ) -> tuple[Floats, npt.NDArray[np.intp]]:
     """Smallest margins (k,) after the ends of streams at ``times``, and who lost them (0: all)."""
     position, velocity, _ = plan.motion.at(times)
     smallest = np.full(len(times), np.inf)
     who = np.zeros(len(times), dtype=np.intp)
     nearest: dict[bytes, Floats] = {}
-    for number, planned, places in _ends(plan, times, rate, position, rate * velocity, coasting):
+    for number, planned, places in _ends(plan, times, rate, position, rate * velocity, ways):
         key = planned.tobytes()
         if key not in nearest:
             nearest[key] = _look(monitor, planned, "aloft")[0]
@@ -194,32 +231,20 @@ def _apart(plan: Plan, monitor: Monitor, places: Floats) -> Floats:
 
 
 def _ends(
-    plan: Plan, times: Floats, rate: float, position: Floats, velocity: Floats, coasting: Coasting
+    plan: Plan, times: Floats, rate: float, position: Floats, velocity: Floats, ways: Ways
 ) -> Sequence[tuple[int, Floats, Floats]]:
     """Who loses the stream (0: all, else the vehicle), where the plan has everybody (k, n, 3), and
     the places (k, n, 3) to look at."""
-    n = plan.vehicles
-    longest = max(coasting.px4, coasting.ardupilot) + BRAKING
-    kinds = dict.fromkeys((coasting.px4 + BRAKING, coasting.ardupilot + BRAKING, 0.0))
-    found = [
-        (0, position, position + share * move * velocity)
-        for move in kinds
-        if move
-        for share in _ON_THE_WAY
-    ]
-    mixed = np.where(np.arange(n) % 2 == 0, coasting.px4, coasting.ardupilot) + BRAKING
-    if coasting.px4 != coasting.ardupilot:
-        found.append((0, position, position + mixed[None, :, None] * velocity))
-    vehicles = plan.mission.vehicles
-    steepest = vehicles.braking_acceleration / vehicles.max_speed
+    moved = ways.after[:, None] * velocity
+    found = [(0, position, position + share * moved) for share in (0.0, *_ON_THE_WAY)]
     # until the silence is noticed the team goes on; then the clock's rate falls to zero
-    on = rate * coasting.silence
-    stop = 0.5 * rate**2 / steepest
+    on = float(ways.on(np.array(rate)))
     end = next(phase.end for phase in plan.phases if phase.name == "fold")
     for share in _ON_THE_WAY:
-        team = plan.motion.at(np.minimum(times + share * (on + stop), end))[0]
-        for k in range(n):
+        team = plan.motion.at(np.minimum(times + share * on, end))[0]
+        for k in range(plan.vehicles):
             places = team.copy()
-            places[:, k] = position[:, k] + min(share, 1.0) * longest * velocity[:, k]
+            places[:, k] = position[:, k] + share * moved[:, k]
+            places[:, k, 2] -= share * ways.sinking[k]
             found.append((k + 1, team, places))
     return found

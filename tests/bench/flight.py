@@ -134,7 +134,7 @@ def ours(
     count, rate = chosen.vehicles, chosen.rate
     proven, fleet = small_plan(vehicles=count), fleet_of(count, rate)
     # worked out with the plan, not while flying; for a hundred vehicles it would take minutes here
-    coasting = Coasting(STREAM_LOSS_TIME, STREAM_LOSS_TIME, fleet.limits.silence)
+    coasting = Coasting((STREAM_LOSS_TIME,), fleet.limits.silence)
     free = np.array([0.0, proven.plan.duration])
     coast = CoastCertificate(free, np.ones(2), Worst(1.0, 0.0, 0), np.array([]), coasting)
     proven = prove(proven.plan, replace(proven.assessment, coast=coast))

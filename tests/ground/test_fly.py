@@ -144,6 +144,8 @@ def test_a_disk_that_is_full_in_flight_costs_the_rest_of_the_record_and_not_the_
     assert summary["outcome"] == "done"
     assert summary["record"]["problem"] == "file too large"
     assert summary["record"]["dropped"] > 100
+    told = [line for line in (folder / "events.jsonl").read_text().splitlines() if "record" in line]
+    assert len([line for line in told if "cannot be written: file too large" in line]) == 1
     assert (folder / "flight.tlog").stat().st_size == 300_000
     plan = recorded_plan(folder)
     assert "takeoff" in recorded_flight(folder, plan).trace.phase
