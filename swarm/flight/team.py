@@ -46,12 +46,13 @@ class Outgoing(NamedTuple):
 
 @dataclass
 class Route:
-    """One remote address on one link, with its own sequence numbers."""
+    """One remote address on one link, with its own sequence numbers, and who speaks from there."""
 
     link: str
     address: Address | None
     encoder: Encoder = field(default_factory=Encoder)
     decoder: Decoder = field(default_factory=Decoder)
+    speakers: dict[int, Vehicle] = field(default_factory=dict)
 
 
 class Team:
@@ -96,7 +97,7 @@ class Team:
             return
         before = self.signing.dropped.total() if self.signing else 0
         for packet in route.decoder.feed(data, self.signing):
-            vehicle = self._sender(route, packet)
+            vehicle = route.speakers.get(packet.system) or self._sender(route, packet)
             if vehicle is not None:
                 vehicle.receive(packet, now)
         if self.signing is not None and self.signing.dropped.total() > before:
@@ -135,8 +136,6 @@ class Team:
             return None
         ways = self._ways[sysid]
         known = ways.get(route.link)
-        if known is route:
-            return vehicle
         if known is not None or route.link not in self._allowed[sysid]:
             self.rejected += 1
             self._once(
@@ -149,6 +148,7 @@ class Team:
         if packet.number != _HEARTBEAT:
             return None
         ways[route.link] = route
+        route.speakers[sysid] = vehicle
         self._best[sysid] = next(ways[link] for link in self._allowed[sysid] if link in ways)
         return vehicle
 

@@ -12,6 +12,7 @@ So mission points go to geodetic coordinates by pymap3d, and from there by the a
 Over a mission's extent this is affine to well below a millimetre: one matrix per vehicle.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -124,8 +125,11 @@ def gps_frames(
     )
     rotation, translation = [], []
     for origin, projection in zip(origins, projections, strict=True):
-        north, east = _project(projection, origin, latitude, longitude)
-        local = np.column_stack([north, east, origin.altitude - altitude])
+        level = [
+            _project(projection, origin, *place)
+            for place in zip(latitude.tolist(), longitude.tolist(), strict=True)
+        ]
+        local = np.column_stack([level, origin.altitude - altitude])
         rotation.append((local[1:4] - local[4:7]).T / (2.0 * _REACH))
         translation.append(local[0])
     return Frames(np.array(rotation), np.array(translation))
@@ -133,10 +137,8 @@ def gps_frames(
 
 def to_local(projection: Projection, origin: Origin, place: Origin) -> tuple[float, float, float]:
     """Return where an autopilot with this origin says that a place is: NED metres."""
-    north, east = _project(
-        projection, origin, np.array([place.latitude]), np.array([place.longitude])
-    )
-    return float(north[0]), float(east[0]), origin.altitude - place.altitude
+    north, east = _project(projection, origin, place.latitude, place.longitude)
+    return north, east, origin.altitude - place.altitude
 
 
 def to_mission(mission: Origin, heading: float, place: Origin) -> Floats:
@@ -170,19 +172,19 @@ def _turn(heading: float) -> Floats:
 
 
 def _project(
-    projection: Projection, origin: Origin, latitude: Floats, longitude: Floats
-) -> tuple[Floats, Floats]:
-    """Return north and east (k,) in metres as the autopilot computes them."""
-    north_angle = np.radians(latitude - origin.latitude)
-    east_angle = np.radians((longitude - origin.longitude + 180.0) % 360.0 - 180.0)
+    projection: Projection, origin: Origin, latitude: float, longitude: float
+) -> tuple[float, float]:
+    """Return north and east in metres as the autopilot computes them."""
+    north_angle = math.radians(latitude - origin.latitude)
+    east_angle = math.radians((longitude - origin.longitude + 180.0) % 360.0 - 180.0)
     if projection == "ardupilot":
-        middle = np.radians((latitude + origin.latitude) / 2.0)
-        return 6_378_137.0 * north_angle, 6_378_137.0 * east_angle * np.cos(middle)
-    at, start = np.radians(latitude), np.radians(origin.latitude)
-    cosine = np.sin(start) * np.sin(at) + np.cos(start) * np.cos(at) * np.cos(east_angle)
-    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    stretch = np.where(angle > 1e-9, angle / np.maximum(np.sin(angle), 1e-12), 1.0)
+        middle = math.radians((latitude + origin.latitude) / 2.0)
+        return 6_378_137.0 * north_angle, 6_378_137.0 * east_angle * math.cos(middle)
+    at, start = math.radians(latitude), math.radians(origin.latitude)
+    cosine = math.sin(start) * math.sin(at) + math.cos(start) * math.cos(at) * math.cos(east_angle)
+    angle = math.acos(min(max(cosine, -1.0), 1.0))
+    stretch = angle / math.sin(angle) if angle > 1e-9 else 1.0
     # cos(start)·sin(at) − sin(start)·cos(at)·cos(east), written without its cancellation
-    north = np.sin(north_angle) + np.sin(start) * np.cos(at) * 2.0 * np.sin(east_angle / 2.0) ** 2
-    east = np.cos(at) * np.sin(east_angle)
+    curved = math.sin(start) * math.cos(at) * 2.0 * math.sin(east_angle / 2.0) ** 2
+    north, east = math.sin(north_angle) + curved, math.cos(at) * math.sin(east_angle)
     return 6_371_000.0 * stretch * north, 6_371_000.0 * stretch * east

@@ -110,19 +110,20 @@ class Vehicle:
 
     def receive(self, packet: Packet, now: float) -> None:
         """Take a packet that this vehicle sent."""
+        number, _, component, sequence, message = packet
         self.heard_at = now
         self.packets += 1
-        last = self._sequences.get(packet.component)
-        gap = 1 if last is None else (packet.sequence - last) % 256
+        last = self._sequences.get(component)
+        gap = 1 if last is None else (sequence - last) & 0xFF
         if 0 < gap < _OVERTAKEN:
-            self._sequences[packet.component] = packet.sequence
+            self._sequences[component] = sequence
             self.lost_packets += gap - 1
-        handler = self._HANDLERS.get(packet.number)
-        if handler is None or packet.message is None:
-            self.unused[packet.number] = self.unused.get(packet.number, 0) + 1
+        handler = self._HANDLERS.get(number)
+        if handler is None or message is None:
+            self.unused[number] = self.unused.get(number, 0) + 1
         else:
-            self._from = packet.component
-            handler(self, packet.message, now)
+            self._from = component
+            handler(self, message, now)
 
     def take_events(self) -> list[VehicleEvent]:
         """Return the events since the last call."""
