@@ -15,7 +15,7 @@ slow noise. Vehicles stand on legs as long as their dropper: the centre is at fl
 
 import math
 import struct
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,19 @@ _NOISE_TIME = 4.0
 NOISE_SIGMA = np.array([0.015, 0.015, 0.02])
 AIR_DENSITY = 1.2
 
-_Rows = tuple[list[list[float]], list[list[float]], list[list[float]]]
+
+class Rows(NamedTuple):
+    """What telemetry says, as lists over the vehicles: positions as estimated, the rest as it is.
+
+    ``yaw`` is counter-clockwise from east, as in `Bodies`.
+    """
+
+    position: list[list[float]]
+    velocity: list[list[float]]
+    thrust: list[list[float]]
+    yaw: list[float]
+    yaw_rate: list[float]
+    tumbling: list[bool]
 
 
 class Bodies:
@@ -189,7 +201,7 @@ class Bodies:
         self._highest_stand = self.floor + float(self.grip_offset.max())
 
     def _renew_air(self) -> None:
-        self._rows: _Rows | None = None
+        self._rows: Rows | None = None
         self._offset[:] = self.bias + self.noise
         self._air[:] = self._drag * (self.wind + self.wash)
         self._air[:, 2] -= GRAVITY
@@ -213,10 +225,10 @@ class Bodies:
     def stage(self, i: int, goal: tuple[float, ...]) -> None:
         """As `aim` with all axes, which are controlled already; the quickest way in."""
         px, py, pz, vx, vy, vz, ax, ay, az = goal
-        at = i * 3 * _LANE + _WANTED
-        _GOAL.pack_into(self._bytes, at, px, vx, ax)
-        _GOAL.pack_into(self._bytes, at + _LANE, py, vy, ay)
-        _GOAL.pack_into(self._bytes, at + 2 * _LANE, pz, vz, az)
+        put, at = _GOAL.pack_into, i * 3 * _LANE + _WANTED
+        put(self._bytes, at, px, vx, ax)
+        put(self._bytes, at + _LANE, py, vy, ay)
+        put(self._bytes, at + 2 * _LANE, pz, vz, az)
 
     def climb(self, i: int, rate: float) -> None:
         """Change the vertical velocity of one vehicle's goal (m/s, up)."""
@@ -229,13 +241,16 @@ class Bodies:
         estimate: Array = self.position + self._offset
         return estimate
 
-    def rows(self) -> _Rows:
-        """Return estimated positions, velocities and thrusts as lists, once a step."""
+    def rows(self) -> Rows:
+        """Return what telemetry says, as lists, made once a step."""
         if self._rows is None:
-            self._rows = (
+            self._rows = Rows(
                 (self.position + self._offset).tolist(),
                 self.velocity.tolist(),
                 self.thrust.tolist(),
+                self.yaw.tolist(),
+                self.yaw_rate.tolist(),
+                self.tumbling.tolist(),
             )
         return self._rows
 

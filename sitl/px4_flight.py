@@ -123,11 +123,13 @@ def take(px4: "Px4", setpoint: wire.Setpoint) -> None:
     total = sum(values)
     if not mask & 0x1FF and total - total == 0.0:
         if px4.all_axes and px4.state == "OFFBOARD":
-            v = px4.v
+            v, before = px4.v, px4.offboard
             n, e, d, vn, ve, vd, an, ae, ad = values
-            v.bodies.stage(v.index, (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad))
+            x, y, z = v.to_world(n, e, d)
+            v.bodies.stage(v.index, (x, y, z, ve, vn, -vd, ae, an, -ad))
             px4.offboard_at, px4.offboard = v.now, setpoint
-            _turn(px4, setpoint)
+            if before is None or before.yaw != setpoint.yaw or before.mask != mask:
+                _turn(px4, setpoint)
             return
     else:
         values = tuple(math.nan if mask >> k & 1 else x for k, x in enumerate(values))

@@ -26,6 +26,10 @@ from sitl.vehicle import (
 )
 
 NAMES = {number: name for name, number in wire.NUMBERS.items()}
+_SAYING = {
+    name: (say, wire.LAYOUTS[name].number, wire.LAYOUTS[name].seed)
+    for name, say in telemetry.MESSAGES.items()
+}
 _LARGEST_RATE = 200.0
 _SLOWEST = 2000.0
 _LARGEST_ID = 65535
@@ -35,14 +39,14 @@ _ABOVE_SEA, _ABOVE_HOME = (0, 5), (3, 6)
 
 def emit(v: Vehicle, name: str, link: Link) -> bool:
     """Send one telemetry message now; False if there is nothing to send."""
-    body = telemetry.MESSAGES[name](v)
+    say, number, seed = _SAYING[name]
+    body = say(v)
     if body is None:
         return False
-    layout = wire.LAYOUTS[name]
-    ticks = 0
-    if link.sender.signer:
+    sender, ticks = link.sender, 0
+    if sender.signer:
         ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
-    link.outgoing.append(link.sender.frame(layout.number, body, layout.seed, ticks))
+    link.outgoing.append(sender.frame(number, body, seed, ticks))
     return True
 
 

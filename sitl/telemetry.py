@@ -25,15 +25,16 @@ _LOCAL_NED = 1
 
 def boot_ms(v: Vehicle) -> int:
     """Milliseconds since boot by the vehicle's clock."""
-    return int(v.clock() * 1000) % _LARGEST
+    return int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST
 
 
 def attitude(v: Vehicle) -> tuple[float, float, float]:
     """Roll, pitch, yaw (NED, radians) that point the thrust where it points."""
-    fx, fy, fz = v.bodies.rows()[2][v.index]
-    yaw = math.pi / 2 - float(v.bodies.yaw[v.index])
-    if v.bodies.tumbling[v.index]:
-        turned = float(v.bodies.tumble[v.index])
+    rows, i = v.bodies.rows(), v.index
+    fx, fy, fz = rows.thrust[i]
+    yaw = math.pi / 2 - rows.yaw[i]
+    if rows.tumbling[i]:
+        turned = float(v.bodies.tumble[i])
         return _wrap(turned), _wrap(0.3 * turned), _wrap(yaw + turned)
     if fz < 1.0:
         return 0.0, 0.0, _wrap(yaw)
@@ -51,9 +52,9 @@ def _wrap(angle: float) -> float:
 
 def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
     """Estimated position and velocity in the vehicle's own NED frame."""
-    places, velocities, _ = v.bodies.rows()
-    x, y, z = places[v.index]
-    vx, vy, vz = velocities[v.index]
+    rows, i = v.bodies.rows(), v.index
+    x, y, z = rows.position[i]
+    vx, vy, vz = rows.velocity[i]
     ox, oy, oz = v.place
     east, north = v.scale
     return (y - oy) * north, (x - ox) * east, oz - z, vy, vx, -vz
@@ -65,9 +66,8 @@ def _local(v: Vehicle) -> bytes:
 
 def _attitude(v: Vehicle) -> bytes:
     roll, pitch, yaw = attitude(v)
-    return _pack_attitude(
-        boot_ms(v), roll, pitch, yaw, 0.0, 0.0, -float(v.bodies.yaw_rate[v.index])
-    )
+    turning = -v.bodies.rows().yaw_rate[v.index]
+    return _pack_attitude(boot_ms(v), roll, pitch, yaw, 0.0, 0.0, turning)
 
 
 def _quaternion(v: Vehicle) -> bytes:
@@ -93,12 +93,12 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
 def _global(v: Vehicle) -> bytes | None:
     if not v.global_valid:
         return None
-    places, velocities, _ = v.bodies.rows()
-    x, y, z = places[v.index]
+    rows, i = v.bodies.rows(), v.index
+    x, y, z = rows.position[i]
     latitude, longitude, altitude = v.around.geodesy.degrees(x, y, z)
-    vx, vy, vz = velocities[v.index]
+    vx, vy, vz = rows.velocity[i]
     home = v.home[2] if v.home is not None else v.origin[2]
-    heading = math.degrees(math.pi / 2 - float(v.bodies.yaw[v.index])) % 360.0
+    heading = math.degrees(math.pi / 2 - rows.yaw[i]) % 360.0
     return _pack_global(
         boot_ms(v),
         round(latitude * 1e7),

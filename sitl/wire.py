@@ -9,6 +9,7 @@ import hashlib
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 from fastcrc import crc16
@@ -16,8 +17,10 @@ from pymavlink.dialects.v20 import common as dialect
 
 MAGIC = 0xFD
 SETPOINT_LOCAL = 84
-_HEADER = struct.Struct("<BBBBBBBH")
+_pack_head = struct.Struct("<BBBBBBBH").pack
 _SETPOINT = struct.Struct("<I11fHBBB")
+_WHOLE_SETPOINT = struct.Struct("<5xBB3x4x11fHBBB2x")
+_WHOLE, _NUMBER = b"\xfd\x35\0", bytes([SETPOINT_LOCAL, 0, 0])
 _HEADER_LENGTH = 10
 _SIGNATURE_LENGTH = 13
 _TICKS_PER_SECOND = 100_000
@@ -111,23 +114,14 @@ class Sender:
 
     def frame(self, number: int, body: bytes, seed: bytes, now_ticks: int = 0) -> bytes:
         """Return a whole MAVLink 2 frame around ``body``, whose trailing zeros are dropped."""
-        body = body.rstrip(b"\0") or b"\0"
+        if not body[-1]:
+            body = body.rstrip(b"\0") or b"\0"
         self.sequence = sequence = (self.sequence + 1) & 0xFF
         signer = self.signer
         flags = 1 if signer else 0
-        inner = (
-            _HEADER.pack(
-                len(body),
-                flags,
-                0,
-                sequence,
-                self.system,
-                self.component,
-                number & 0xFF,
-                number >> 8,
-            )
-            + body
-        )
+        source = self.system, self.component
+        inner = _pack_head(len(body), flags, 0, sequence, *source, number & 0xFF, number >> 8)
+        inner += body
         out = b"\xfd" + inner + _crc(inner + seed).to_bytes(2, "little")
         if signer:
             out += signer.sign(out, now_ticks)
@@ -154,6 +148,9 @@ class Setpoint(NamedTuple):
     values: tuple[float, ...]
     yaw: float
     yaw_rate: float
+
+
+_setpoint: Callable[[tuple[Any, ...]], Setpoint] = partial(tuple.__new__, Setpoint)
 
 
 def setpoint_of(message: Any) -> Setpoint:
@@ -200,6 +197,14 @@ class Receiver:
         return found
 
     def _fast(self, data: bytes, found: list[Any]) -> bytes:
+        if len(data) == _WHOLE_SETPOINT.size and data[:3] == _WHOLE and data[7:10] == _NUMBER:
+            if _crc(data[1:-2] + b"\x8f") == data[-2] | data[-1] << 8:
+                v = _WHOLE_SETPOINT.unpack(data)
+                found.append(
+                    _setpoint((v[0], v[1], v[14], v[15], v[16], v[13], v[2:11], v[11], v[12]))
+                )
+                return b""
+            return data
         while len(data) >= 12 and data[0] == MAGIC and data[7] == SETPOINT_LOCAL:
             length = data[1]
             end = _HEADER_LENGTH + length + 2
