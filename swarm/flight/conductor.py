@@ -168,9 +168,9 @@ class Conductor:
 
     # What the shell calls
 
-    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> None:
-        """Take bytes that arrived on a link from an address."""
-        self.team.receive(link, address, data, now)
+    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
+        """Take bytes that arrived on a link from an address; return whether they were read."""
+        return self.team.receive(link, address, data, now)
 
     def tick(self, now: float) -> list[Outgoing]:
         """Let time pass; return what to send. Called at the fleet's setpoint rate."""

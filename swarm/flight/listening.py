@@ -102,9 +102,9 @@ class Listening:
     def __post_init__(self) -> None:
         self.team = Team(self.fleet, self._report)
 
-    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> None:
-        """Take bytes that arrived on a link from an address."""
-        self.team.receive(link, address, data, now)
+    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
+        """Take bytes that arrived on a link from an address; return whether they were read."""
+        return self.team.receive(link, address, data, now)
 
     def tick(self, now: float) -> list[Outgoing]:
         """Let time pass; return what to send."""

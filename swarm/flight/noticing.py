@@ -36,7 +36,7 @@ BATTERY_LOW, BATTERY_CRITICAL = 0.2, 0.1
 """Shares of charge; above what autopilots act on by themselves, so that the group decides."""
 HEIGHTS_APART = (0.3, 1.0)
 """Metres by which one vehicle's height may drift against its GPS compared with the others': with
-receivers that say that they are good, and with others."""
+receivers that say that they are good while the cable is aloft, and otherwise."""
 _ACCURACIES = 5.0
 """Times the stated upright accuracy of the receivers that a drift must exceed."""
 FELL_AFTER = 0.5
@@ -58,6 +58,7 @@ class Reports:
     heights: Floats
     told: set[tuple[str, int]] = field(default_factory=set)
     next_heights: float = 0.0
+    aloft: bool = False
 
     @classmethod
     def of(cls, n: int) -> "Reports":
@@ -228,6 +229,10 @@ def _watch_heights(flight: "Conductor") -> None:
     """Compare each vehicle's height with its GPS, and that with the others': barometers drift."""
     apart = np.array([vehicle.height_gap for vehicle in flight.flyers])
     reports = flight.reports
+    begun = flight.phase.cable == "aloft" and not flight.waiting and not flight.holds
+    if begun and not reports.aloft:
+        # what there was before the fold has been judged on the levelled line
+        reports.heights[:], reports.aloft = np.nan, True
     fresh = np.isnan(reports.heights)
     reports.heights[fresh] = apart[fresh]
     moved = apart - reports.heights
@@ -236,7 +241,9 @@ def _watch_heights(flight: "Conductor") -> None:
     off = moved - np.median(moved)
     accuracy = np.array([vehicle.upright_accuracy for vehicle in flight.flyers])
     stated = np.where(np.isnan(accuracy), np.inf, accuracy)
-    allowed = np.clip(_ACCURACIES * np.maximum(stated, np.median(stated)), *HEIGHTS_APART)
+    least, most = HEIGHTS_APART
+    least = least if reports.aloft else most
+    allowed = np.clip(_ACCURACIES * np.maximum(stated, np.median(stated)), least, most)
     for k in np.flatnonzero(np.abs(off) > allowed):
         vehicle = flight.flyers[k]
         if flight.expected_armed[k] and reports.first("height", int(k)):

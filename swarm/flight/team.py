@@ -33,6 +33,8 @@ Address = Hashable
 HEARTBEAT_INTERVAL = 1.0
 TIMESYNC_INTERVAL = 2.0
 _ROUTES_PER_VEHICLE = 4
+_MOST_UNKNOWN = 300
+"""Datagrams that are read between two heartbeats from an address from which no vehicle speaks."""
 _HEARTBEAT = int(common.MAVLINK_MSG_ID_HEARTBEAT)
 
 
@@ -53,6 +55,7 @@ class Route:
     encoder: Encoder = field(default_factory=Encoder)
     decoder: Decoder = field(default_factory=Decoder)
     speakers: dict[int, Vehicle] = field(default_factory=dict)
+    unknown: int = 0
 
 
 class Team:
@@ -89,12 +92,20 @@ class Team:
             if not url.startswith("udpin"):
                 self._route(name, None)
 
-    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> None:
-        """Take bytes that arrived on a link."""
+    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
+        """Take bytes that arrived on a link; return whether they were read at all.
+
+        An address from which no vehicle speaks is read a bounded number of times a second.
+        """
         route = self._routes.get((link, address)) or self._route(link, address)
         if route is None:
             self.rejected += 1
-            return
+            return False
+        if not route.speakers and route.address is not None:
+            route.unknown += 1
+            if route.unknown > _MOST_UNKNOWN:
+                self.rejected += 1
+                return False
         before = self.signing.dropped.total() if self.signing else 0
         for packet in route.decoder.feed(data, self.signing):
             vehicle = route.speakers.get(packet.system) or self._sender(route, packet)
@@ -105,6 +116,7 @@ class Team:
             kinds = ", ".join(sorted(self.signing.dropped))
             words = f"packets on link {link} that are not signed as they must be ({kinds}): dropped"
             self._once(("signature", link, kinds), "security", words, None)
+        return True
 
     def trusts(self, link: str, address: Address | None, packet: bytes) -> bool:
         """Whether a packet is from where its vehicle speaks, and signed if it must be."""
@@ -139,7 +151,7 @@ class Team:
         if known is not None or route.link not in self._allowed[sysid]:
             self.rejected += 1
             self._once(
-                ("address" if known else "link", sysid, route.link, route.address),
+                ("address" if known else "link", sysid, route.link),
                 "security",
                 f"packets of system {sysid} on link {route.link} from another address: dropped",
                 sysid,
@@ -217,6 +229,8 @@ class Team:
             self.signing.follow(now)
         if now >= self._next_heartbeat:
             self._next_heartbeat = now + HEARTBEAT_INTERVAL
+            for route in self._routes.values():
+                route.unknown = 0
             outgoing.extend(self._heartbeats())
         if now >= self._next_timesync:
             self._next_timesync = now + self._timesync_interval

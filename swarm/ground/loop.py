@@ -28,8 +28,8 @@ class Flown(Protocol):
 
     fleet: Fleet
 
-    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> None:
-        """Take bytes that arrived."""
+    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
+        """Take bytes that arrived; return whether they were read."""
 
     def tick(self, now: float) -> list[Outgoing]:
         """Let time pass; return what to send."""
@@ -92,7 +92,8 @@ class Loop:
     def _receive(self, began: float, timeout: float) -> None:
         for link, address, data in self.links.wait(timeout):
             now = (time.monotonic() - began) * self.speed
-            self.conductor.receive(link, address, data, now)
+            if not self.conductor.receive(link, address, data, now):
+                continue  # a flood does not go into the record
             if self.relay is not None:
                 self.relay.from_vehicles(link, address, data)
             if self.record is not None:

@@ -28,6 +28,8 @@ _LOCATING = int(common.MAV_SYS_STATUS_AHRS | common.MAV_SYS_STATUS_SENSOR_XY_POS
 _KILL = 21196.0
 _ORIGIN_MOVED = 0.05
 _IN_STEP = 0.3
+_LEVEL = 0.3
+"""m/s up or down below which heights that are not reported at the same time can be compared."""
 _FRAMES_APART = 1.0
 _SAMPLES_APART = 3
 _TEXT_LENGTH = 50
@@ -335,7 +337,9 @@ class Vehicle:
         self.fix, self.satellites = message.fix_type, message.satellites_visible
         self.level_accuracy = message.h_acc * 1e-3 if message.h_acc else math.nan
         self.upright_accuracy = message.v_acc * 1e-3 if message.v_acc else math.nan
-        if self.origin is not None and message.fix_type >= 3 and now - self.position_at < _IN_STEP:
+        age = now - self.position_at
+        level = abs(self.velocity[2]) < _LEVEL
+        if self.origin is not None and message.fix_type >= 3 and age < _IN_STEP and level:
             self.height_gap = message.alt * 1e-3 - (self.origin.altitude - self.position[2])
 
     def _compare(self, place: Origin, now: float) -> None:

@@ -31,8 +31,9 @@ def test_a_vehicle_whose_height_has_drifted_holds_the_team_until_the_operator_sa
     drifted = vehicle.receive
 
     def receive(packet, now):
+        before = vehicle.height_gap
         drifted(packet, now)
-        vehicle.height_gap += 0.5 if packet.number == 24 else 0.0  # GPS_RAW_INT
+        vehicle.height_gap += 0.5 if vehicle.height_gap != before else 0.0
 
     vehicle.receive = receive
     flight.run(lambda: flight.conductor.holding is not None)
