@@ -1,6 +1,7 @@
 """What ``swarm dry-run --failures`` does: let everything go wrong once, and print what follows."""
 
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from rich.table import Table
 
 from swarm import api
 from swarm.cli.inputs import print_json, write_text
-from swarm.drills import ROWS, Drill, Row, fly_drills
+from swarm.drills import CITED, ROWS, Drill, Row, fly_drills
 from swarm.errors import InputError, Problem, Refused
 from swarm.plans import Plan
 from swarm.view.failures import failures_report
@@ -42,12 +43,16 @@ def run_failures(
         raise Refused("this mission folds no cable in the air: there is nothing to drill")
     told = [drill.document() for drill in _flown(planned, rows, times or TIMES, seed, jobs)]
     if report:
-        write_text(report, failures_report(planned.plan, told))
+        write_text(report, failures_report(planned.plan, told, CITED))
     if as_json:
         print_json({"failures": told})
     else:
         console.print(failures_table(told))
         console.print(_verdict(told), highlight=False)
+        if not row:
+            console.print("\nTested over real sockets, files and processes:")
+            for words in cited_words():
+                console.print(f"  {words}", highlight=False)
     context.exit(0 if all(one["passed"] for one in told) else 1)
 
 
@@ -77,23 +82,59 @@ def _flown(
 
 
 def failures_table(told: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of drills for a terminal."""
+    """Return the table of drills for a terminal: a line for each thing that goes wrong, and the
+    worst of what came of it with each kind of autopilot."""
     table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("", "what goes wrong", "autopilots"):
-        table.add_column(name, no_wrap=name == "")
+    kinds = list(dict.fromkeys(one["personality"] for one in told))
+    table.add_column("what goes wrong")
+    for kind in kinds:
+        table.add_column(kind, justify="center")
     for name in ("noticed s", "strands m", "chord", "strikes", "lost"):
-        table.add_column(name, justify="right")
-    table.add_column("end")
-    for one in told:
-        mark = "[green]✓[/green]" if one["passed"] else "[red]✗[/red]"
-        table.add_row(
-            mark, one["row"], one["personality"], _number(one["detected_after"]),
-            _number(one["clearance"]), _number(one["chord_ratio"]), str(one["strikes"]),
-            str(one["lost"]), one["end"],
-        )  # fmt: skip
-        for words in one["problems"]:
-            table.add_row("", f"[red]{words}[/red]")
+        table.add_column(name.replace(" ", "\n"), justify="right")
+    table.add_column("answered as, and how it ended")
+    for group, drills in groupby(told, key=lambda one: one["group"]):
+        table.add_row(f"[bold]{group}[/bold]")
+        for name, alike in groupby(drills, key=lambda one: one["row"]):
+            ones = list(alike)
+            marks = {one["personality"]: _mark(one["passed"]) for one in ones}
+            table.add_row(
+                f" {name}", *(marks.get(kind, "") for kind in kinds),
+                _most(ones, "detected_after"), _number(_least(ones, "clearance")),
+                _most(ones, "chord_ratio"), str(sum(one["strikes"] for one in ones)),
+                str(max(one["lost"] for one in ones)), _course(ones),
+            )  # fmt: skip
+            for one in ones:
+                for words in one["problems"]:
+                    table.add_row(f"[red]  {one['personality']} {words}[/red]")
     return table
+
+
+def cited_words() -> list[str]:
+    """Return what goes wrong outside the bytes between station and vehicles, and what follows."""
+    return [
+        f"[bold]{one.name}[/bold]: {one.follows} [dim]({', '.join(one.tests)})[/dim]"
+        for one in CITED
+    ]
+
+
+def _mark(passed: bool) -> str:
+    return "[green]✓[/green]" if passed else "[red]✗[/red]"
+
+
+def _course(ones: Sequence[Mapping[str, Any]]) -> str:
+    """As what it was answered, most often, and all ends."""
+    first = [one["response"].partition(",")[0] for one in ones]
+    named = max(dict.fromkeys(first), key=first.count)
+    ends = " or ".join(dict.fromkeys(end for one in ones for end in one["end"].split(" or ")))
+    return ends if named == "none" else f"{named} → {ends}"
+
+
+def _least(ones: Sequence[Mapping[str, Any]], name: str) -> float | None:
+    return min((one[name] for one in ones if one[name] is not None), default=None)
+
+
+def _most(ones: Sequence[Mapping[str, Any]], name: str) -> str:
+    return _number(max((one[name] for one in ones if one[name] is not None), default=None))
 
 
 def _verdict(told: Sequence[Mapping[str, Any]]) -> str:

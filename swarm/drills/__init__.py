@@ -2,6 +2,16 @@
 
 from swarm.drills.flying import Drill, Trial, fly_drills
 from swarm.drills.rehearsal import PERSONALITIES, Personality
-from swarm.drills.rows import ROWS, Row
+from swarm.drills.rows import CITED, ROWS, Cited, Row
 
-__all__ = ["PERSONALITIES", "ROWS", "Drill", "Personality", "Row", "Trial", "fly_drills"]
+__all__ = [
+    "CITED",
+    "PERSONALITIES",
+    "ROWS",
+    "Cited",
+    "Drill",
+    "Personality",
+    "Row",
+    "Trial",
+    "fly_drills",
+]

@@ -84,7 +84,7 @@ class Drill:
             "response": _most_frequent([t.response for t in trials]),
             "clearance": _finite(min((t.clearance for t in trials), default=np.inf)),
             "apart": _finite(min((t.apart for t in trials), default=np.inf)),
-            "chord_ratio": _finite(max((t.chord for t in trials), default=0.0)),
+            "chord_ratio": _finite(max((t.chord for t in trials), default=0.0) or np.inf),
             "strikes": sum(t.strikes for t in trials),
             "lost": max((t.lost for t in trials), default=0),
             "end": " or ".join(sorted({t.end for t in trials})),

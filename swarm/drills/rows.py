@@ -86,6 +86,7 @@ CITED: tuple[Cited, ...] = (
 
 _ON: tuple[End, ...] = ("goes on", "flown to the end")
 _DOWN: tuple[End, ...] = ("landed", "released and landed")
+_FALLS = "it is out of the air; as it falls its rotors may strike what hangs there"
 _SILENCE = 1.2
 """Seconds: the fleet's limits.silence, and a packet's time."""
 
@@ -127,7 +128,8 @@ ROWS: tuple[Row, ...] = (
         "weak thrust", "one vehicle", (*_ON, "landed"),
         ({"kind": "weak_thrust", "fraction": 0.75},), within=2.0, slows=True,
     ),
-    Row("motor lost", "one vehicle", _DOWN, ({"kind": "motor_loss"},), within=0.3, dead=True),
+    Row("motor lost", "one vehicle", _DOWN, ({"kind": "motor_loss"},), within=0.3, dead=True,
+        why=_FALLS),
     Row(
         "battery low", "one vehicle", ("landed",), ({"kind": "battery", "charge": 0.18},),
         within=1.0,
@@ -165,11 +167,13 @@ ROWS: tuple[Row, ...] = (
         by_hand=True,
     ),
     Row("leaves offboard", "one vehicle", ("landed",), ({"kind": "leave_offboard"},), within=0.5),
-    Row("disarms", "one vehicle", _DOWN, ({"kind": "disarm"},), within=0.3, dead=True),
-    Row("reboots", "one vehicle", _DOWN, ({"kind": "reboot"},), within=1.5, dead=True),
+    Row("disarms", "one vehicle", _DOWN, ({"kind": "disarm"},), within=0.3, dead=True,
+        why=_FALLS),
+    Row("reboots", "one vehicle", _DOWN, ({"kind": "reboot"},), within=1.5, dead=True,
+        why=_FALLS),
     Row(
         "thinks it has landed", "one vehicle", _DOWN, ({"kind": "believes_landed"},), within=0.5,
-        dead=True,
+        dead=True, why=_FALLS,
     ),
     Row(
         "gripper fails to grab", "one vehicle", ("landed",), ({"kind": "gripper_stuck_open"},),

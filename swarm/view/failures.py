@@ -5,6 +5,7 @@ from itertools import groupby
 from typing import Any
 
 from swarm import __version__
+from swarm.drills import Cited
 from swarm.plans import Plan
 from swarm.view.page import Html, key_figures, page, section, table, tag
 
@@ -14,8 +15,11 @@ _HEAD = (
 )  # fmt: skip
 
 
-def failures_report(plan: Plan, told: Sequence[Mapping[str, Any]]) -> str:
-    """Return the page of the drills of a plan; ``told`` are what ``--failures --json`` prints."""
+def failures_report(
+    plan: Plan, told: Sequence[Mapping[str, Any]], cited: Sequence[Cited] = ()
+) -> str:
+    """Return the page of the drills of a plan; ``told`` are what ``--failures --json`` prints,
+    ``cited`` what is tested elsewhere."""
     trials = sum(len(one["times"]) for one in told)
     failed = sum(not one["passed"] for one in told)
     words = (
@@ -40,6 +44,20 @@ def failures_report(plan: Plan, told: Sequence[Mapping[str, Any]]) -> str:
             section(str(group).capitalize(), _rows(list(drills)))
             for group, drills in groupby(told, key=lambda one: one["group"])
         ),
+        section(
+            "Tested over real sockets, files and processes",
+            table(
+                ("What goes wrong", "What follows", "Tests"),
+                [
+                    (
+                        one.name,
+                        one.follows,
+                        tag("div", *(tag("div", test) for test in one.tests), kind="dim small"),
+                    )
+                    for one in cited
+                ],
+            ),
+        ),
         tag(
             "footer",
             f"swarm {__version__}. Each drill starts from the planned flight at random times. "
@@ -51,15 +69,21 @@ def failures_report(plan: Plan, told: Sequence[Mapping[str, Any]]) -> str:
 
 def _rows(drills: list[Mapping[str, Any]]) -> Html:
     rows: list[list[object]] = []
+    before = None
     for one in drills:
         mark = tag("span", "✓", kind="good") if one["passed"] else tag("span", "✗", kind="bad")
-        explained = f" ({one['explained']})" if one["explained"] else ""
-        ended = [*one["problems"]] or [one["end"] + explained]
+        new = one["row"] != before
+        before = one["row"]
+        name: list[object] = [one["row"]] if new else []
+        if new and one["explained"]:
+            name.append(tag("div", one["explained"], kind="dim small"))
+        ended: list[object] = [one["end"]]
+        ended += [tag("div", words, kind="bad") for words in one["problems"]]
         rows.append(
             [
-                mark, one["row"], one["personality"], _number(one["detected_after"]),
+                mark, tag("div", *name), one["personality"], _number(one["detected_after"]),
                 one["response"], _number(one["clearance"]), _number(one["chord_ratio"]),
-                one["strikes"], one["lost"], "; ".join(ended),
+                one["strikes"], one["lost"], tag("div", *ended),
             ]
         )  # fmt: skip
     return table(_HEAD, rows, frozenset({3, 5, 6, 7, 8}))

@@ -17,6 +17,7 @@ h1 { font-size: 1.5rem; margin: 0 0 .3rem; }
 h2 { font-size: 1.1rem; margin: 2rem 0 .6rem; border-bottom: 1px solid var(--line); }
 p { margin: .4rem 0; }
 .dim { color: var(--dim); }
+.small { font-size: .8rem; overflow-wrap: anywhere; }
 .verdict { padding: .7rem .9rem; border-radius: .5rem; border-left: .35rem solid; margin: 1rem 0;
   background: var(--soft); font-weight: 600; overflow-wrap: anywhere; }
 .verdict.good { border-color: var(--good); color: var(--good); }

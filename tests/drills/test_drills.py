@@ -4,11 +4,14 @@ In the default run a small team flies a slice of the table; ``-m full`` flies ev
 random times with every personality, tying a knot.
 """
 
+import ast
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from swarm import api
-from swarm.drills import PERSONALITIES, ROWS, fly_drills
+from swarm.drills import CITED, PERSONALITIES, ROWS, fly_drills
 from swarm.drills.rehearsal import Rehearsal, drill_fleet
 from swarm.flight.failures import LOSES_A_VEHICLE, TABLE
 from swarm.mission import mission_for_knot
@@ -113,3 +116,13 @@ def test_a_drill_tells_what_a_program_wants_to_know():
     assert wanted <= told.keys()
     assert told["end"] == "landed"
     assert told["passed"]
+
+
+def test_the_tests_that_the_table_cites_are_there():
+    root = Path(__file__).parents[2]
+    assert {"disk full", "viewer hangs"} <= {one.name for one in CITED}
+    for test in (test for one in CITED for test in one.tests):
+        file, _, name = test.partition("::")
+        tree = ast.parse((root / file).read_text(encoding="utf-8"))
+        names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        assert name in names if name else any(one.startswith("test_") for one in names), test

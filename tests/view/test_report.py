@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from swarm.drills import CITED
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.preflight.findings import Finding
+from swarm.view.failures import failures_report
 from swarm.view.page import Html, page, table, tag
 from swarm.view.report import flight_report, plan_report, rope_report, trials_report
 from tests.view.synthetic import events, trefoil_plan
@@ -212,6 +214,25 @@ def test_pieces_of_html() -> None:
     assert "<title>x &amp; y</title>" in page("x & y")
 
 
+def made_failures_report() -> str:
+    told: dict[str, Any] = {
+        "row": "gripper slips", "group": "one vehicle", "personality": "px4", "times": [60.0],
+        "detected_after": 0.95, "response": "lost its grip, landing together", "clearance": None,
+        "apart": 3.1, "chord_ratio": None, "strikes": 0, "lost": 0, "end": "landed",
+        "passed": True, "problems": [], "explained": "one long strand from then on",
+    }  # fmt: skip
+    failed = {**told, "personality": "mixed", "passed": False, "problems": ["at 60.0 s: <late>"]}
+    return failures_report(PLAN, [told, failed], CITED)
+
+
+def test_the_page_of_drills_shows_every_row_and_what_is_tested_elsewhere() -> None:
+    source = made_failures_report()
+    assert "1 of 2 drills did not go as asked" in source
+    assert "at 60.0 s: &lt;late&gt;" in source
+    assert source.count("gripper slips") == 1
+    assert "test_a_stalled_sink_holds_up_nobody" in source
+
+
 LOOK = """<!doctype html><title>-</title><iframe style="width:%dpx; height:900px; border:0"
 srcdoc="%s"></iframe><script>addEventListener("load", () => {
   const page = document.querySelector("iframe").contentDocument;
@@ -231,6 +252,7 @@ def test_a_browser_shows_it_without_sideways_scrolling(width: int, tmp_path: Pat
         ("flight", made_flight_report()),
         ("trials", made_trials_report()),
         ("rope", made_rope_report()),
+        ("failures", made_failures_report()),
     ):
         file = tmp_path / f"{name}.html"
         file.write_text(LOOK % (width, escape(source)), encoding="utf-8")
