@@ -33,7 +33,7 @@ class Contacts:
     def _vehicles(self, now: float, ids: list[int]) -> None:
         b = self.bodies
         near = b.apart < self._reach
-        if near.sum() <= len(ids):
+        if np.count_nonzero(near) <= len(ids):
             return
         height = b.position[:, 2]
         near &= np.abs(height[:, None] - height[None, :]) < _HEIGHT

@@ -37,14 +37,14 @@ _LANE, _WANTED = 8 * linear.INPUTS, 8 * linear.PLACE
 _FASTEST_FALL, _LONGEST_ALOFT = 25.0, 4
 _LARGEST_INTEGRAL = 5.0
 _IDLE_THRUST = 0.08 * GRAVITY
-_SLOW_VERTICAL = 0.25
-_SLOW_HORIZONTAL = 1.5
+_SLOW = np.array([1.5, 1.5, 0.25])
 _DESCENDING = -0.25
 _CLIMBING = 0.25
 _TUMBLE_RATE = 5.0
 _WASH_FACTOR = 3.0
 _CRASH_SPEED = 3.0
 _NOISE_TIME = 4.0
+_GUSTY = np.array([1.0, 1.0, 0.5])
 NOISE_SIGMA = np.array([0.015, 0.015, 0.02])
 AIR_DENSITY = 1.2
 
@@ -311,7 +311,7 @@ class Bodies:
             self._velocity_limit = linear.WITHIN * self._least_speed
         following = linear.apply(self._map, self._now)
         checks = following[..., linear.STATES :]
-        if not np.abs(checks).max() <= 1.0:
+        if np.count_nonzero(np.abs(checks) <= 1.0) < checks.size:
             return False
         self._state[:] = following[..., : linear.STATES]
         self._velocity_goal, self._velocity_scale = checks[..., 0], self._velocity_limit
@@ -376,11 +376,12 @@ class Bodies:
         if not aloft:
             self.tumble += interval * _TUMBLE_RATE * (self.tumbling & ~self.crashed)
             self._lift(interval)
-            self._settled = bool((self.lifting > _SETTLED).all() and self.share.min() >= 1.0)
-        descending = self._velocity_goal[:, 2].min() * self._velocity_scale < _DESCENDING
-        if not aloft or descending or self.contact.tobytes() != self._nothing:
-            self._detect_landing(interval)
-            self._settled = self._settled and not self.contact.any()
+            up = (self.lifting > _SETTLED) & (self.share >= 1.0)
+            self._settled = np.count_nonzero(up) == self.count
+        down = self._velocity_goal[:, 2] * self._velocity_scale < _DESCENDING
+        if not aloft or np.count_nonzero(down) or self.contact.tobytes() != self._nothing:
+            self._detect_landing(down, interval)
+            self._settled = self._settled and self.contact.tobytes() == self._nothing
 
     def _turn(self, interval: float) -> None:
         turn = (self.goal_yaw - self.yaw + np.pi) % (2 * np.pi) - np.pi
@@ -421,25 +422,26 @@ class Bodies:
             return hard
         return None
 
-    def _detect_landing(self, interval: float) -> None:
-        """Both autopilots' idea of a landing: told to go down, and not going anywhere.
+    def _detect_landing(self, down: Flags, interval: float) -> None:
+        """Both autopilots' idea of a landing: told to go ``down``, and not going anywhere.
 
         It is an inference, not a sensor. A vehicle that hangs on its neighbours' cable while told
         to descend fulfils it, and its thrust is cut (PX4 #11683, #15718).
         """
-        velocity = self.velocity
-        quiet = (
-            (np.abs(velocity[:, 2]) < _SLOW_VERTICAL)
-            & (np.abs(velocity[:, 0]) < _SLOW_HORIZONTAL)
-            & (np.abs(velocity[:, 1]) < _SLOW_HORIZONTAL)
-        )
-        down = self.velocity_goal[:, 2] < _DESCENDING
-        candidate = self.armed & ~self.landed & quiet & down & (self.lifting > 1.0)
-        self.contact = np.where(candidate, self.contact + interval, 0.0)
-        left = self.position[:, 2] > self.floor + self.grip_offset + 0.05
-        lifted = left & self.armed & ~self.fooled
-        landed = (self.landed & ~lifted) | (self.contact > self.land_time)
-        if (landed != self.landed).any():
+        candidate = down & self.armed & (self.lifting > 1.0)
+        candidate &= ~self.landed
+        if np.count_nonzero(candidate):
+            candidate &= (np.abs(self.velocity) < _SLOW).all(axis=1)
+        if np.count_nonzero(candidate):
+            self.contact = np.where(candidate, self.contact + interval, 0.0)
+        else:
+            self.contact = np.zeros(self.count)
+        landed = self.contact > self.land_time
+        if np.count_nonzero(self.landed):
+            left = self.position[:, 2] > self.floor + self.grip_offset + 0.05
+            lifted = left & self.armed & ~self.fooled
+            landed |= self.landed & ~lifted
+        if landed.tobytes() != self.landed.tobytes():
             self.landed[:] = landed
             self.landings += 1
 
@@ -450,20 +452,20 @@ class Bodies:
         are Dryden's first-order longitudinal filter on every axis (MIL-F-8785C, low altitude), four
         fifths of it common to the whole team, whose vehicles are close together.
         """
-        if np.abs(self.integral).max() > _LARGEST_INTEGRAL:
+        if np.count_nonzero(np.abs(self.integral) > _LARGEST_INTEGRAL):
             np.clip(self.integral, -_LARGEST_INTEGRAL, _LARGEST_INTEGRAL, out=self.integral)
         if self._noisy:
             keep = math.exp(-interval / _NOISE_TIME)
             self.noise *= keep
             fresh = self.rng.standard_normal((self.count, 3))
             self.noise += math.sqrt(1 - keep**2) * self._noise_sigma * fresh
-        if self.drift.any():
+        if np.count_nonzero(self.drift):
             self.bias += interval * self.drift
         if self.gust_intensity > 0:
-            speed = max(1.0, float(np.linalg.norm(self.steady_wind[0])))
-            keep = np.exp(-interval * speed / 30.0)
-            fresh = self.rng.standard_normal((self.count + 1, 3)) * (1.0, 1.0, 0.5)
-            self._gust = keep * self._gust + np.sqrt(1 - keep**2) * self.gust_intensity * fresh
+            speed = max(1.0, math.hypot(*self.steady_wind[0].tolist()))
+            keep = math.exp(-interval * speed / 30.0)
+            fresh = self.rng.standard_normal((self.count + 1, 3)) * _GUSTY
+            self._gust = keep * self._gust + math.sqrt(1 - keep**2) * self.gust_intensity * fresh
             self.wind = self.steady_wind + 0.8 * self._gust[0] + 0.6 * self._gust[1:]
         self._downwash()
         self._renew_air()
@@ -477,12 +479,13 @@ class Bodies:
         self.wash[:] = 0.0
         if self.count < 2:
             return
-        level = self.position[:, :2]
-        across = level[:, None] - level
-        distance = self.apart = np.einsum("ijk,ijk->ij", across, across)
+        east, north = self.position[:, 0], self.position[:, 1]
+        distance = (east[:, None] - east) ** 2
+        distance += (north[:, None] - north) ** 2
+        self.apart = distance
         if np.count_nonzero(distance < 4.0) <= self.count:
             return
-        below = self.position[None, :, 2] - self.position[:, None, 2]
+        below = self._height - self._height[:, None]
         self.wash[:, 2] = -_WASH_FACTOR * self._jets(below, distance).max(axis=1)
 
     def _jets(self, below: Array, distance: Array) -> Array:

@@ -100,6 +100,7 @@ class Emulator:
             Vehicle(i, spec, world, self.surroundings, np.random.default_rng(seeds[i + 1]))
             for i, spec in enumerate(world.vehicles)
         ]
+        self._ids = [vehicle.system for vehicle in self.vehicles]
         self.by_id = {vehicle.system: vehicle for vehicle in self.vehicles}
         for vehicle in self.vehicles:
             make = Px4 if vehicle.spec.autopilot == "px4" else ArduPilot
@@ -346,7 +347,7 @@ class Emulator:
                 cable = rope.follow(self._held()[0], interval, solved=True)
                 if washing:
                     rope.set_wash(b.wash_at(cable[::_WASH_STRIDE]), _WASH_STRIDE)
-        self.contacts.look(self.time, [v.system for v in self.vehicles], cable)
+        self.contacts.look(self.time, self._ids, cable)
 
     def _drain(self, interval: float) -> None:
         """Batteries, by momentum theory (power as thrust to the power 3/2); and missed vision."""

@@ -38,8 +38,10 @@ def measure(flight: "Conductor") -> None:
     flight.position = flight.reported - flight.lift + velocity * carried[:, None]
     off = flight.position - flight.setpoint
     off -= flight.setpoint_velocity * (flight.now - flight.last)
-    error = np.sqrt(np.einsum("ij,ij->i", off, off))
-    error[~flight.streaming | (age > flight.fleet.limits.silence)] = np.nan
+    error = np.sqrt(np.vecdot(off, off))
+    unknown = (age > flight.fleet.limits.silence) | ~flight.streaming
+    if np.count_nonzero(unknown):
+        error[unknown] = np.nan
     flight.error = error
 
 
@@ -83,7 +85,9 @@ class Sight:
 
 def look(flight: "Conductor") -> None:
     """Look at the clearances, now and a moment ahead, ten times a second."""
-    if flight.now < flight.next_look or not np.isfinite(flight.position).all():
+    if flight.now < flight.next_look:
+        return
+    if np.count_nonzero(np.isfinite(flight.position)) < flight.position.size:
         return
     flight.next_look = flight.now + MONITOR_INTERVAL
     phase = flight.phase

@@ -85,9 +85,9 @@ def watch(flight: "Conductor") -> None:
                 _watch_motion(flight, k, vehicle)
                 _watch_health(flight, k, vehicle)
     flight.reports.at = at
-    fresh = at == flight.now
-    flight.reports.position[fresh] = flight.reported[fresh]
-    flight.reports.velocity[fresh] = flight.velocity[fresh]
+    fresh = (at == flight.now)[:, None]
+    np.copyto(flight.reports.position, flight.reported, where=fresh)
+    np.copyto(flight.reports.velocity, flight.velocity, where=fresh)
     if flight.now >= flight.reports.next_heights:
         flight.reports.next_heights = flight.now + 1.0
         _watch_heights(flight)
@@ -153,13 +153,12 @@ def _moves_as_told(flight: "Conductor", at: Floats) -> bool:
     """
     # a first report is infinitely later than none, and so looked at more closely
     step = at - flight.reports.at
-    if not step.max() <= LONGEST_STEP:
+    if np.count_nonzero(step <= LONGEST_STEP) < len(step):
         return False
     told = np.fmin(flight.setpoint_velocity[:, 2], 0.0)
-    if not flight.streaming.all():
-        told[~flight.streaming] = -SINKING
+    np.copyto(told, -SINKING, where=~flight.streaming)
     told -= flight.velocity[:, 2]
-    if told.max() > SINKING_TOO:
+    if np.count_nonzero(told > SINKING_TOO):
         return False
     for vehicle in flight.flyers:
         roll, pitch, _ = vehicle.attitude
@@ -169,7 +168,7 @@ def _moves_as_told(flight: "Conductor", at: Floats) -> bool:
     middle *= (0.5 * step)[:, None]
     jump = flight.reported - flight.reports.position
     jump -= middle
-    return bool(jump.max() <= 0.5 * JUMP and jump.min() >= -0.5 * JUMP)
+    return bool(np.count_nonzero(np.abs(jump) <= 0.5 * JUMP) == jump.size)
 
 
 def _healthy(flight: "Conductor") -> bool:

@@ -1,5 +1,6 @@
 """How fast mission time passes: held, slowed by the worst of the team, back, or on."""
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,7 +46,8 @@ def rewind_end(flight: "Conductor") -> float:
 def steer(flight: "Conductor") -> None:
     """Set the rate that the clock should have: held, or slowed by the worst of the team."""
     clock = flight.clock
-    worst = float(np.fmax.reduce(flight.error, initial=0.0)) / flight.budget
+    known = (error for error in flight.error.tolist() if not math.isnan(error))
+    worst = max(known, default=0.0) / flight.budget
     if worst > 1.0:
         flight.budget_kept_since = clock.time
     _notice_standstill(flight, worst)
