@@ -38,6 +38,18 @@ def read_text(path: Path) -> str:
         raise InputError([Problem(str(path), reason)]) from None
 
 
+def read_record(path: Path, largest: int) -> bytes:
+    """Read a file of a record; raises :class:`InputError` where it is too large for one.
+
+    Raises OSError where it cannot be read.
+    """
+    with path.open("rb") as file:
+        data = file.read(largest + 1)
+    if len(data) > largest:
+        raise InputError([Problem(str(path), "too large for a flight's record")])
+    return data
+
+
 def load_mission(mission: str, overrides: tuple[str, ...]) -> Mission:
     """Return the mission of a file, or the default mission of a knot's name.
 

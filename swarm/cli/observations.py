@@ -65,5 +65,5 @@ def observations(record: Path) -> list[Observation]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()[-_MOST:]
         return [Observation(**json.loads(line)) for line in lines]
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, TypeError, RecursionError):
         raise InputError([Problem(str(path), "expected one observation per line")]) from None

@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
 
-from swarm.cli.inputs import JSON, print_json
+from swarm.borders import LARGEST_FILE
+from swarm.cli.inputs import JSON, print_json, read_record
 from swarm.cli.observations import Observation, enter, observation, observations
 from swarm.cli.outcome import flown_object, print_flown
 from swarm.cli.view import recorded_plan
@@ -81,7 +82,7 @@ def recorded_flight(record: Path, plan: Plan) -> Replayed:
     """Replay the .tlog in a record's folder; raises :class:`InputError` where there is none."""
     path, listed = record / "flight.tlog", record / "fleet.json"
     try:
-        fleet = Fleet.model_validate_json(listed.read_bytes())
+        fleet = Fleet.model_validate_json(read_record(listed, LARGEST_FILE))
         if path.stat().st_size > _LARGEST_LOG:
             raise InputError([Problem(str(path), "too large for a flight")])
         data = path.read_bytes()

@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
+from swarm.cli.verify import recorded_flight
+from swarm.cli.view import recorded_plan
 from swarm.errors import InputError
 from swarm.fleet import emulated_fleet, parse_fleet
 from swarm.flight.archive import plan_document, plan_motion, read_plan
@@ -190,3 +192,39 @@ def test_code_loops_and_towers_in_files_are_refused(text):
     for parse in (parse_mission, parse_fleet, faults_from):
         with pytest.raises(InputError):
             parse(text, "file")
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("plan.json", b"[" * 200_000),
+        ("plan.json", b"{}"),
+        ("plan.json", b"3"),
+        ("plan.json", b"\xff\xfe"),
+        ("motion.npz", b"PK\x03\x04" + bytes(100)),
+        ("motion.npz", b""),
+        ("fleet.json", b"[" * 200_000),
+        ("fleet.json", b'{"links": 3}'),
+        ("fleet.json", b" " * 2_000_000),
+        ("flight.tlog", bytes(5_000)),
+    ],
+)
+def test_a_strangers_record_is_refused_in_words(name, data, tmp_path):
+    good = {
+        "plan.json": json.dumps(DOCUMENT).encode(),
+        "motion.npz": MOTION,
+        "fleet.json": emulated_fleet(3).model_dump_json(by_alias=True).encode(),
+        "flight.tlog": b"",
+    }
+    for file, content in {**good, name: data}.items():
+        (tmp_path / file).write_bytes(content)
+    with pytest.raises(InputError) as refused:
+        recorded_flight(tmp_path, recorded_plan(tmp_path))
+    assert len(str(refused.value)) < 2_000
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path):
+    with (tmp_path / "plan.json").open("wb") as file:
+        file.truncate(1 << 40)  # a hole: it takes no room, and would take all memory
+    with pytest.raises(InputError, match="too large for a flight's record"):
+        recorded_plan(tmp_path)

@@ -6,6 +6,7 @@ import socket
 import stat
 from contextlib import suppress
 
+import numpy as np
 import pytest
 
 from swarm.errors import VehicleError
@@ -81,6 +82,27 @@ def test_the_socket_is_private_and_answers(flight, desk, tmp_path):
     control.poll()
     control.close()
     assert not path.exists()
+    assert flight.wishes == ["hold"]
+
+
+def test_no_noise_on_the_socket_is_a_wish_or_ends_it(flight, desk, tmp_path):
+    """Random bytes, lines without end, kills with guessed numbers, clients that come and go."""
+    rng = np.random.default_rng(4)
+    control = ControlSocket(tmp_path / "control", desk)
+    for k in range(200):
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(tmp_path / "control"))
+            guess = b"kill %d\n" % rng.integers(10_000)
+            client.send((rng.bytes(300), b"a" * 5_000, guess, b"\n" * 50, b"\0kill\xff")[k % 5])
+            control.poll()
+    with socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(5)
+        client.connect(str(tmp_path / "control"))
+        client.send(b"hold\n")
+        for _ in range(20):
+            control.poll()
+        assert client.recv(100) == b"hold it is\n"
+    control.close()
     assert flight.wishes == ["hold"]
 
 

@@ -1,8 +1,11 @@
 """World files: every error at once and in its place."""
 
+import json
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sitl import Emulator, WorldError, default_world, load_world, parse_world
 from sitl.world import schema
@@ -83,3 +86,22 @@ def test_schema_and_default_world() -> None:
     assert schema()["properties"]["schema"]["const"] == 1
     assert len(default_world(90).vehicles) == 90
     assert default_world(2, ["px4", "ardupilot"]).vehicles[1].autopilot == "ardupilot"
+
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=12),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4)
+    ),
+    max_leaves=10,
+)
+WORLD = default_world(2).model_dump(mode="json", by_alias=True)
+
+
+@settings(max_examples=60, deadline=None)
+@given(key=st.sampled_from(sorted(WORLD)), value=ANYTHING)
+def test_a_strangers_world_is_read_or_refused_in_words(key: str, value: object) -> None:
+    try:
+        parse_world(json.dumps({**WORLD, key: value}))
+    except WorldError:
+        return
