@@ -20,6 +20,8 @@ STEP = 0.5
 
 _VERTICAL = 1e-6
 """Span over length below which a strand counts as hanging straight down and up again."""
+_NEARLY_ON_FLOOR = 1e-9
+_NEWTON, _SETTLED = 60, 1e-9
 TAUT = 0.99
 """Chords nearer to taut count as this share: a pull without bound is no use as feed-forward."""
 
@@ -47,8 +49,7 @@ def end_forces(
     """Return the forces (n, 3) of n strands on their starts and ends; newtons, ENU.
 
     ``start`` and ``end`` (n, 3) in metres above the floor at z = 0, no farther apart than
-    ``lengths`` (n,). The same as :func:`swarm.cable.floor.rest_on_floor` has, which is only asked
-    for those that reach the floor: most do not, and this is looked at in flight.
+    ``lengths`` (n,). What :func:`swarm.cable.floor.rest_on_floor` has, quickly enough for flight.
     """
     across = end - start
     rise = across[:, 2]
@@ -68,11 +69,43 @@ def end_forces(
     on_end = -on_start
     on_start[:, 2] = horizontal * slope
     on_end[:, 2] = -horizontal * end_slope
-    low = np.flatnonzero(lowest <= 0.0)
+    low = np.flatnonzero(lowest < 0.0)
     if len(low):
-        resting = rest_on_floor(start[low], end[low], lengths[low])
-        on_start[low], on_end[low] = resting.end_forces(mass_per_length)
+        heights = np.maximum(np.stack([start[low, 2], end[low, 2]]), _NEARLY_ON_FLOOR)
+        lying, lifted = _on_floor(heights, lengths[low] - np.sqrt(square[low]))
+        weight = STANDARD_GRAVITY * mass_per_length
+        on_start[low] = across[low] * (weight * lying / span[low])[:, None]
+        on_end[low] = -on_start[low]
+        on_start[low, 2], on_end[low, 2] = -weight * lifted
     return on_start, on_end
+
+
+def _on_floor(heights: Floats, surplus: Floats) -> tuple[Floats, Floats]:
+    """Return parameters (n,) and lifted lengths (2, n) of strands that partly lie on the floor.
+
+    ``heights`` (2, n) of the ends, ``surplus`` (n,) of cable over span. From height h a branch of
+    parameter a comes down over an arc s = √(h² + 2ah) and a reach a·arcosh(1 + h/a); both branches'
+    s − reach are the surplus. Newton in log a against its logarithm; 0 where cable lies loose.
+    """
+    loose = surplus >= heights[0] + heights[1]
+    target = np.log(np.where(loose, 0.5 * (heights[0] + heights[1]), surplus))
+    log_a = np.log(heights[0] + heights[1])
+    for _ in range(_NEWTON):
+        a = np.exp(log_a)
+        arc = np.sqrt(heights * (heights + 2.0 * a))
+        angle = 2.0 * np.arcsinh(np.sqrt(0.5 * heights / a))
+        square = np.minimum(angle * angle, 1.0)
+        # sinh θ − θ of a small θ by its series, where the difference would cancel
+        series = 1 + square / 42 * (1 + square / 72 * (1 + square / 110))
+        series = a * angle * (square / 6) * (1 + square / 20 * series)
+        left = np.add.reduce(np.where(angle < 1.0, series, arc - a * angle))
+        slope = np.add.reduce(2.0 * heights / arc - angle) * a
+        step = np.clip((target - np.log(left)) * left / slope, -2.0, 2.0)
+        log_a += step
+        if np.count_nonzero(np.abs(step) > _SETTLED) == 0:
+            break
+    a = np.where(loose, 0.0, np.exp(log_a))
+    return a, np.sqrt(heights * (heights + 2.0 * a))
 
 
 class PlannedPull:

@@ -60,8 +60,7 @@ class Monitor:
         first, second = np.triu_indices(max(n - 1, 0), 2)
         self._strands = np.stack([first, second], axis=1)
         self._matters = plan.mission.clearance.cable + plan.mission.cable.diameter + 1.5 * CAUTION
-        self._one, self._other = first, second
-        self._ample = (self._asked.cable + self._diameter + 1.01 * CAUTION) ** 2
+        self._one, self._other = first.astype(np.intp), second.astype(np.intp)
         self._longest = TAUT * self._lengths
         self._spacing = float(self._lengths.max(initial=0.0)) / _POINTS
 
@@ -88,7 +87,7 @@ class Monitor:
         strands = np.full(len(moments), np.nan)
         fits = ratio < 1.0
         if fits.any():
-            strands[fits] = self._between_strands(moments[fits])
+            strands[fits] = self._between_strands(moments[fits], FAR)
             margin = np.fmin(margin, strands - self._asked.cable)
         return [
             Clearances(float(s), float(v), float(r), float(m))
@@ -98,7 +97,7 @@ class Monitor:
     def pace(self, moments: Floats, cable: CableState) -> float:
         """The rate at which the clock may run, 0…1, as the margins at the moments (k, n, 3) allow.
 
-        As from :meth:`look`, which is only asked where boxes around the strands come near.
+        As from :meth:`look`, which knows more of strands that are far apart.
         """
         first, second = self._pairs
         between = moments.take(first, axis=1) - moments.take(second, axis=1)
@@ -113,37 +112,28 @@ class Monitor:
             step *= step
             chord = np.sqrt(step[:, :, 0] + step[:, :, 1] + step[:, :, 2])
             margin = min(margin, float((self._longest - chord).min(initial=np.inf)))
-            if margin > 0.0 and not self._strands_are_ample(start, end):
-                return min(seen.pace for seen in self.look(moments, cable))
+            if margin > 0.0:
+                strands = self._between_strands(moments, 0.0)
+                margin = min(margin, float(strands.min()) - self._asked.cable)
         return min(1.0, max(0.0, margin / CAUTION))
 
-    def _strands_are_ample(self, start: Floats, end: Floats) -> bool:
-        """Whether all strands that share no vehicle are surely farther apart than matters."""
-        low, high = boxes(start, end, self._lengths)
+    def _between_strands(self, moments: Floats, far: float) -> Floats:
+        """Smallest distances (k,) between strands: those of boxes that contain them, by points
+        where boxes come within ``far`` of what matters, exactly where points come close."""
+        if not len(self._strands):
+            return np.full(len(moments), np.inf)
         first, second = self._one, self._other
+        start, end = moments[:, :-1], moments[:, 1:]
+        low, high = boxes(start, end, self._lengths)
         gap = np.maximum(
             low.take(first, axis=1) - high.take(second, axis=1),
             low.take(second, axis=1) - high.take(first, axis=1),
         )
         np.maximum(gap, 0.0, out=gap)
-        gap *= gap
-        squared = gap[:, :, 0] + gap[:, :, 1] + gap[:, :, 2]
-        return bool(squared.min(initial=np.inf) > self._ample)
-
-    def _between_strands(self, moments: Floats) -> Floats:
-        """Smallest distances (k,) between strands: those of boxes that contain them, by points
-        where boxes come near, exactly where points come close."""
-        if not len(self._strands):
-            return np.full(len(moments), np.inf)
-        first, second = self._strands.T
-        start, end = moments[:, :-1], moments[:, 1:]
-        low, high = boxes(start, end, self._lengths)
-        gap = np.maximum(low[:, first] - high[:, second], low[:, second] - high[:, first])
-        np.maximum(gap, 0.0, out=gap)
-        apart = np.sqrt(np.einsum("kpi,kpi->kp", gap, gap))
-        near = apart < self._matters + FAR
-        moment, pair = np.nonzero(near)
-        if len(moment):
+        apart = np.sqrt(np.vecdot(gap, gap))
+        near = apart < self._matters + far
+        if np.count_nonzero(near):
+            moment, pair = np.nonzero(near)
             seen, row = np.unique(moment, return_inverse=True)
             points = sketch(start[seen], end[seen], self._lengths, _POINTS)
             apart[near] = self._by_points(points[row, first[pair]], points[row, second[pair]])
@@ -158,7 +148,7 @@ class Monitor:
         squares += np.einsum("pij,pij->pi", second, second)[:, None, :]
         # where two straight lines are closest, their samples are off by half a spacing each,
         # both at right angles to the shortest distance
-        squared = squares.min(axis=(1, 2)) - 0.5 * self._spacing**2
+        squared = squares.reshape(len(squares), -1).min(axis=1) - 0.5 * self._spacing**2
         apart: Floats = np.sqrt(np.maximum(squared, 0.0)) - _BOWED
         close = apart < self._matters
         if close.any():
