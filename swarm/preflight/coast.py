@@ -105,12 +105,13 @@ class CoastCertificate:
             f"kept; least is left where {who} loses them, {max(self.worst.margin, 0.0):.2f} m"
         )
         if len(self.hopeless):
+            lost = self.worst.margin
+            what = f"is lost by {-lost:.2f} m" if lost < 0.0 else "cannot be shown to be kept"
             return [
                 Finding(
                     "warning", "coast",
                     f"if setpoints end near {self.hopeless[0]:.1f} s, for all or for one, a "
-                    f"clearance or chord is lost by {-self.worst.margin:.2f} m even at "
-                    f"{RATES[-1]:.0%} of the pace ({who})",
+                    f"clearance or chord {what} even at {RATES[-1]:.0%} of the pace ({who})",
                     self.worst.time,
                 )
             ]  # fmt: skip
