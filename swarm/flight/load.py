@@ -20,7 +20,8 @@ STEP = 0.5
 
 _VERTICAL = 1e-6
 """Span over length below which a strand counts as hanging straight down and up again."""
-_NEARLY_ON_FLOOR = 1e-9
+_NEARLY_ON_FLOOR = 1e-18
+"""Metres of height that stand for none at all."""
 _NEWTON, _SETTLED = 60, 1e-9
 TAUT = 0.99
 """Chords nearer to taut count as this share: a pull without bound is no use as feed-forward."""
