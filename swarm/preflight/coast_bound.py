@@ -193,7 +193,7 @@ class CoastBound:
         clipped = (boxes.time + boxes.on + width > self._end)[:, None]
         speed = np.linalg.norm(along, axis=-1)
         loose = speed * boxes.on_half[:, None] + 0.5 * bound * (width * width)[:, None]
-        loose += np.where(clipped, speed * width[:, None], 0.0)
+        loose += np.where(clipped, 2.0 * speed * width[:, None], 0.0)
 
         begun, first, second = course.motion.at(boxes.time)
         strongest = course.acceleration_bound(boxes.time - boxes.half, boxes.time + boxes.half)
@@ -238,7 +238,7 @@ class CoastBound:
         rest = np.linalg.norm(middles.along - speed, axis=-1) * boxes.half[:, None]
         size = np.linalg.norm(speed, axis=-1)
         slack = (width - boxes.half)[:, None] * size + 0.5 * bound * (width * width)[:, None]
-        slack += np.where((moment + width > self._end)[:, None], size * width[:, None], 0.0)
+        slack += np.where((moment + width > self._end)[:, None], 2.0 * size * width[:, None], 0.0)
         lost = _lost(boxes.case, planned.shape[1])
         off = np.where(lost, apart + rest + slack + middles.loose, 0.0)
         largest: Floats = off.max(axis=1)
