@@ -6,7 +6,9 @@ seed and bytes at the same times give the same result. Ground truth never goes o
 """
 
 import functools
+import itertools
 import math
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +30,7 @@ from sitl.services import default_streams, emit
 from sitl.vehicle import Link, Surroundings, Vehicle
 from sitl.world import World
 
+_link_of = operator.itemgetter(0)
 _EPOCH = 1_800_000_000.0
 _SLOW_EVERY = 5
 _TICK_EVERY = 2
@@ -191,7 +194,7 @@ class Emulator:
         if not self.injector.troubled:
             return
         for vehicle, channel in zip(self.vehicles, self.injector.up, strict=True):
-            if channel.queue:
+            if channel.queue and channel.queue[0][0] <= now + 1e-9:
                 vehicle.now = max(vehicle.now, now)
                 for link, data in channel.pop(now):
                     for message in link.receiver.feed(data):
@@ -207,9 +210,10 @@ class Emulator:
     def collect(self) -> list[tuple[Vehicle, Link, bytes]]:
         """Take what waits in the links."""
         sent = []
+        down = self.injector.down
         for vehicle, link in self._links:
             if link.outgoing:
-                channel = self.injector.down[vehicle.index]
+                channel = down[vehicle.index]
                 if vehicle.frozen:
                     link.outgoing.clear()
                     continue
@@ -219,11 +223,12 @@ class Emulator:
                 else:
                     sent.append((vehicle, link, b"".join(link.outgoing)))
                 link.outgoing.clear()
-        troubled = self.injector.down if self.injector.troubled else ()
+        troubled = down if self.injector.troubled else ()
         for vehicle, channel in zip(self.vehicles, troubled, strict=False):
             if channel.queue:
-                for link, frame in channel.pop(self.time):
-                    sent.append((vehicle, link, frame))
+                together = itertools.groupby(channel.pop(self.time), key=_link_of)
+                for link, frames in together:
+                    sent.append((vehicle, link, b"".join([frame for _, frame in frames])))
         return sent
 
     def inject(self, fault: Fault) -> None:

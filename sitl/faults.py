@@ -26,6 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from sitl.world import WorldError, explain, parse_yaml, read_text
 
 Vector = tuple[float, float, float]
+_BLOCK = 256
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
 _NotNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 _Seconds = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
@@ -134,11 +135,25 @@ def load_scenario(path: str | Path) -> list[Fault]:
     return parse_scenario(read_text(Path(path)), str(path))
 
 
+class Dice:
+    """Uniform random numbers from 0 to 1, drawn in blocks: the same as one by one, but quicker."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._left: list[float] = []
+
+    def roll(self) -> float:
+        """Return the next number."""
+        if not self._left:
+            self._left = self._rng.random(_BLOCK)[::-1].tolist()
+        return self._left.pop()
+
+
 @dataclass
 class Channel:
     """One direction of a vehicle's link, with its troubles; whole frames, in virtual time."""
 
-    rng: np.random.Generator
+    dice: Dice
     fault: Fault | None = None
     queue: list[tuple[float, int, Any]] = field(default_factory=list)
     count: int = 0
@@ -156,32 +171,31 @@ class Channel:
         if fault is None:
             self._deliver(item, now)
             return
-        if self._lost(fault, now):
+        roll = self.dice.roll
+        if (fault.loss > 0.0 or fault.burst > 0.0) and self._lost(fault, now):
             return
-        delay = fault.latency + (fault.jitter * self.rng.random() if fault.jitter else 0.0)
-        if fault.reorder and self.rng.random() < fault.reorder:
-            delay += 0.02 + fault.jitter
+        at = now + (fault.latency + (fault.jitter * roll() if fault.jitter else 0.0))
+        if fault.reorder and roll() < fault.reorder:
+            at += 0.02 + fault.jitter
         if fault.bandwidth:
             self.free_at = max(self.free_at, now) + size / fault.bandwidth
             if self.free_at - now > 2.0:
                 self.free_at -= size / fault.bandwidth
                 return
-            delay += self.free_at - now
-        self._deliver(item, now + delay)
-        if fault.duplicate and self.rng.random() < fault.duplicate:
-            self._deliver(item, now + delay + 0.01 * self.rng.random())
+            at += self.free_at - now
+        self._deliver(item, at)
+        if fault.duplicate and roll() < fault.duplicate:
+            self._deliver(item, at + 0.01 * roll())
 
     def _lost(self, fault: Fault, now: float) -> bool:
         """Independent losses, or in runs of mean length ``burst`` (Gilbert's model)."""
-        if fault.loss >= 1.0:
-            return True
-        if fault.burst <= 0.0:
-            return bool(fault.loss > 0 and self.rng.random() < fault.loss)
+        if fault.burst <= 0.0 or fault.loss >= 1.0:
+            return fault.loss >= 1.0 or self.dice.roll() < fault.loss
         elapsed, self.checked_at = now - self.checked_at, now
         mean = (
             fault.burst if self.outage else fault.burst * (1 - fault.loss) / max(fault.loss, 1e-9)
         )
-        if self.rng.random() < 1 - math.exp(-elapsed / max(mean, 1e-6)):
+        if self.dice.roll() < 1 - math.exp(-elapsed / max(mean, 1e-6)):
             self.outage = not self.outage
         return self.outage
 
@@ -191,7 +205,8 @@ class Channel:
 
     def pop(self, now: float) -> list[Any]:
         """Take what has arrived by ``now``."""
-        arrived = []
-        while self.queue and self.queue[0][0] <= now + 1e-9:
-            arrived.append(heapq.heappop(self.queue)[2])
+        arrived: list[Any] = []
+        queue, limit = self.queue, now + 1e-9
+        while queue and queue[0][0] <= limit:
+            arrived.append(heapq.heappop(queue)[2])
         return arrived

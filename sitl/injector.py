@@ -9,7 +9,7 @@ import numpy as np
 
 from sitl.dynamics import STEP, Array, Bodies
 from sitl.fault_ways import INJECTED, UNITS, injected, simulated
-from sitl.faults import WORLDWIDE, Channel, Fault
+from sitl.faults import WORLDWIDE, Channel, Dice, Fault
 from sitl.rope import Rope
 from sitl.vehicle import Vehicle
 from sitl.world import WorldError
@@ -42,8 +42,9 @@ class Injector:
         self.bodies = bodies
         self.rope = rope
         self.rng = rng
-        self.up = [Channel(rng) for _ in vehicles]
-        self.down = [Channel(rng) for _ in vehicles]
+        dice = Dice(rng)
+        self.up = [Channel(dice) for _ in vehicles]
+        self.down = [Channel(dice) for _ in vehicles]
         self.troubled = False
         self.now = 0.0
         self.active: list[tuple[Fault, int]] = []

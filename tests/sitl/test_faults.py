@@ -5,7 +5,7 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator, WorldError
-from sitl.faults import KINDS, Channel, Fault, parse_scenario
+from sitl.faults import KINDS, Channel, Dice, Fault, parse_scenario
 from tests.sitl.client import Ground, world
 
 INJECT = 420
@@ -46,7 +46,9 @@ def test_bad_scenarios_are_refused_with_every_error() -> None:
     ("burst", "runs"), [(0.0, pytest.approx(1.25, abs=0.15)), (0.5, pytest.approx(10, rel=0.3))]
 )
 def test_losses_have_their_share_and_their_runs(burst: float, runs: object) -> None:
-    channel = Channel(np.random.default_rng(3), Fault(at=0.0, kind="link", loss=0.2, burst=burst))
+    channel = Channel(
+        Dice(np.random.default_rng(3)), Fault(at=0.0, kind="link", loss=0.2, burst=burst)
+    )
     arrived = []
     for k in range(40_000):
         channel.push(k, 50, 0.05 * k)
@@ -56,9 +58,14 @@ def test_losses_have_their_share_and_their_runs(burst: float, runs: object) -> N
     assert (gaps[gaps > 1] - 1).mean() == runs
 
 
+def test_dice_fall_as_they_would_one_by_one() -> None:
+    dice, singly = Dice(np.random.default_rng(8)), np.random.default_rng(8)
+    assert [dice.roll() for _ in range(1000)] == [singly.random() for _ in range(1000)]
+
+
 def test_latency_jitter_duplicates_and_reordering() -> None:
     def through(**values: float) -> list[tuple[float, int]]:
-        channel = Channel(np.random.default_rng(5), Fault(at=0.0, kind="link", **values))
+        channel = Channel(Dice(np.random.default_rng(5)), Fault(at=0.0, kind="link", **values))
         got = []
         for step in range(20_000):
             if step % 5 == 0 and step < 15_000:
