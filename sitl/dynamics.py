@@ -256,15 +256,14 @@ class Bodies:
 
     def grip_points(self) -> Array:
         """Where the grip points are: a stiff dropper along the body's own down axis (n, 3)."""
-        points: Array
-        length = np.sqrt(np.einsum("ij,ij->i", self.thrust, self.thrust))
-        if length.min() < 1.0:
-            length[length < 1.0] = np.inf
-            standing = np.isinf(length)
-            points = self.position - self.thrust * (self.grip_offset / length)[:, None]
+        length = np.sqrt(np.vecdot(self.thrust, self.thrust))
+        standing = length < 1.0
+        idle = np.count_nonzero(standing)
+        if idle:
+            length[standing] = np.inf
+        points: Array = self.position - self.thrust * (self.grip_offset / length)[:, None]
+        if idle:
             points[standing, 2] -= self.grip_offset[standing]
-            return points
-        points = self.position - self.thrust * (self.grip_offset / length)[:, None]
         return points
 
     # One step.

@@ -293,8 +293,9 @@ class Emulator:
             for vehicle in self.vehicles:
                 if vehicle.awake_at <= now:
                     self._tick(vehicle, now)
+        limit = now + 1e-6
         for vehicle, link in self._links:
-            if link.due and link.due[0][0] <= now + 1e-6:
+            if link.due and link.due[0][0] <= limit:
                 vehicle.now = max(vehicle.now, now)
                 for name in link.take_due(now):
                     emit(vehicle, name, link)

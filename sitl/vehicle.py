@@ -56,8 +56,7 @@ class Link:
     def take_due(self, now: float) -> list[str]:
         """Return the streams whose time has come, and set their next time."""
         names = []
-        due, intervals = self.due, self.intervals
-        limit = now + 1e-6
+        due, intervals, limit = self.due, self.intervals, now + 1e-6
         while due and due[0][0] <= limit:
             time, name = due[0]
             interval = intervals.get(name)

@@ -20,6 +20,7 @@ SHORTEST_BLEND = 2.0
 """Seconds that a blend into the plan takes at least."""
 BLEND_SPEED = 0.3
 """Speed in m/s that a blend adds at most."""
+_AT_REST = (0.0,) * 6
 RAMP = 1.0
 """Seconds in which a descent reaches its speed."""
 
@@ -39,7 +40,6 @@ class Sampler:
         self._times = motion.times.tolist()
         pieces, orders, self._points, _ = motion.coefficients.shape
         self._coefficients = np.ascontiguousarray(motion.coefficients).reshape(pieces, orders, -1)
-        self._powers = np.zeros((3, 6))
 
     def at(self, time: float) -> State:
         """Return the state at a time; outside the motion its nearest end at rest."""
@@ -49,13 +49,12 @@ class Sampler:
         u = inside - times[piece]
         u2, u3 = u * u, u * u * u
         u4 = u2 * u2
-        powers = self._powers
-        powers[0] = (1.0, u, u2, u3, u4, u4 * u)
+        place = (1.0, u, u2, u3, u4, u4 * u)
         if inside == time:
-            powers[1, 1:] = (1.0, 2.0 * u, 3.0 * u2, 4.0 * u3, 5.0 * u4)
-            powers[2, 2:] = (2.0, 6.0 * u, 12.0 * u2, 20.0 * u3)
+            speed = (0.0, 1.0, 2.0 * u, 3.0 * u2, 4.0 * u3, 5.0 * u4)
+            powers = np.array((place, speed, (0.0, 0.0, 2.0, 6.0 * u, 12.0 * u2, 20.0 * u3)))
         else:
-            powers[1:] = 0.0
+            powers = np.array((place, _AT_REST, _AT_REST))
         states = (powers @ self._coefficients[piece]).reshape(3, self._points, 3)
         return State(states[0], states[1], states[2])
 
