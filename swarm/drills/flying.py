@@ -333,7 +333,7 @@ def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
     if row.within is not None and (trial.noticed is None or trial.noticed > row.within + 1e-6):
         after = "never" if trial.noticed is None else f"after {trial.noticed:.2f} s"
         problems.append(f"noticed {after}, not within {row.within:g} s")
-    if trial.strikes and not row.dead:
+    if trial.strikes > row.strikes and not row.dead:
         problems.append(f"{trial.strikes} rotor strikes")
     if trial.lost > int(row.dead):
         problems.append(f"{trial.lost} vehicles lost")

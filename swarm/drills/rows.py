@@ -18,7 +18,8 @@ class Row:
     ``within`` is the time in seconds in which it must be noticed (None: nothing to notice), by a
     word of the table of failures, or where ``slows`` by a clock that runs slower. ``ends`` are the
     ends that are right. ``dead`` says that the fault itself takes a vehicle out of the air;
-    ``moves`` that it moves vehicles or cable beyond what was certified, with ``why``.
+    ``moves`` that it moves vehicles or cable beyond what was certified, ``strikes`` how many rotors
+    may touch cable then, with ``why``.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Row:
     whole_team: bool = False
     dead: bool = False
     moves: bool = False
+    strikes: int = 0
     why: str = ""
     station: Station | None = None
     lasts: float = 0.0
@@ -140,7 +142,9 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "position lost", "one vehicle", _DOWN, ({"kind": "position_loss"},), within=1.0, moves=True,
-        why="a vehicle without a position drifts down on its own",
+        strikes=1,
+        why="it comes down blind, drifting as it does, and takes the cable along; where cable hangs "
+        "above a rotor it cannot be let go of",
     ),
     Row(
         "position worse", "one vehicle", _DOWN, ({"kind": "gps_loss"},), within=1.5, moves=True,
@@ -213,9 +217,10 @@ ROWS: tuple[Row, ...] = (
     Row("killed", "ground station", ("landed by failsafe",), station="killed"),
     Row(
         "wind beyond w*", "world", (*_ON, *_DOWN), ({"kind": "wind"},), within=3.0, slows=True,
-        moves=True,
-        why="the cable is blown aside and vehicles are pushed off their path; from about 8 m/s on "
-        "the emulated ones no longer hold against it",
+        moves=True, strikes=1,
+        why="6 m/s all of a sudden blow the cable aside by 50° and push vehicles off their "
+        "path; it may touch a rotor as all come down; from about 8 m/s on the emulated ones no "
+        "longer hold against it",
     ),
     Row(
         "snag", "world", (*_ON, *_DOWN), ({"kind": "snag"},), moves=True, slows=True,

@@ -18,6 +18,8 @@ LONGEST_TICK = 0.1
 flown afterwards: the setpoints would jump."""
 ASLEEP = STREAM_LOSS_TIME
 """Seconds without a tick after which everybody has stopped: the clock starts anew from rest."""
+CALM = 0.5
+"""Share of the tracking ball within which those are whom nothing holds."""
 STANDS_STILL = 0.02
 STILL_FOR = 3.0
 """Seconds for which the clock may stand without a reason that ends by itself."""
@@ -102,6 +104,7 @@ def bound_hold(flight: "Conductor") -> None:
 
 
 def _few_are_off(flight: "Conductor") -> bool:
-    """Whether half of the team at most are off: something holds them; wind moves everybody."""
-    off = np.nan_to_num(flight.error, nan=0.0) > SLOW_FROM * flight.budget
-    return bool(2 * off.sum() <= len(off))
+    """Whether one or two are held far off while all others are in place; wind moves everybody."""
+    off = np.nan_to_num(flight.error, nan=0.0) / flight.budget
+    far, calm = off > 1.0, off < CALM
+    return bool(1 <= far.sum() <= 2 and (far | calm).all())

@@ -4,11 +4,13 @@ Landing is everybody straight down at one speed, so that chords and levels keep.
 sent home.
 """
 
+import math
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from swarm.flight.pace import advance_clock, rewind_end
+from swarm.flight.team import TIMESYNC_INTERVAL
 from swarm.mavlink.vehicle import Vehicle
 from swarm.preflight.escape import escape, wanted_apart
 
@@ -28,6 +30,8 @@ CUT_PATIENCE = 1.5
 BLIND = 15.0
 """Seconds after the setpoints have come down at which nobody is waited for who is not heard."""
 FALLEN_PATIENCE = 40.0
+UNANSWERED = TIMESYNC_INTERVAL + 0.7
+"""Seconds without an answer after which a vehicle may not hear; round trips take up to 0.7 s."""
 GIVE_UP = 120.0
 
 
@@ -47,6 +51,7 @@ class WayOut:
         self._target = self._moment() if move and flight.streaming.all() else None
         self._landing: set[int] = set()
         self._on_ground_since: dict[int, float] = {}
+        self._others_wait = False
         self._down_since: float | None = None
         if kind == "cut loose":
             self.cut()
@@ -115,7 +120,21 @@ class WayOut:
         return self._flight.windows.releasable(self._flight.clock.time)
 
     def _begin_release(self) -> None:
+        """Let all go together; but first, who has not answered lately and may not hear of it: what
+        the others let go of would swing on it."""
+        flight = self._flight
+        deaf = [vehicle for vehicle in self._unanswering() if vehicle.gripped]
         self._enter("release")
+        self._others_wait = 0 < len(deaf) < len(flight.flyers)
+        if self._others_wait:
+            names = ", ".join(flight.name(vehicle) for vehicle in deaf)
+            flight.say("release", f"releasing first, who has not answered lately: {names}")
+            self._let_go([flight.number[vehicle.system] - 1 for vehicle in deaf])
+        else:
+            self._release_all()
+
+    def _release_all(self) -> None:
+        self._others_wait = False
         self._flight.say("release", "releasing all together")
         self._let_go(list(range(len(self._flight.flyers))))
 
@@ -158,6 +177,11 @@ class WayOut:
             if vehicle.gripped and k not in flight.dead
         ]
         waited = flight.now - self._stage_since
+        if self._others_wait:
+            deaf = any(vehicle in held for vehicle in self._unanswering())
+            if not deaf or waited > CUT_PATIENCE:
+                self._release_all()
+            return
         if not flight.clock.stopped and waited < RELEASE_PATIENCE:
             return
         if not held:
@@ -166,6 +190,17 @@ class WayOut:
             names = ", ".join(flight.name(vehicle) for vehicle in held)
             flight.say("leave", f"{names} still hold the cable: landing where everybody is")
             self._begin_descent()
+
+    def _unanswering(self) -> list[Vehicle]:
+        """Who has missed the last question for the time, of those that answer it at all."""
+        flight = self._flight
+        return [
+            vehicle
+            for k, vehicle in enumerate(flight.flyers)
+            if flight.now - vehicle.answered_at > UNANSWERED
+            and math.isfinite(vehicle.answered_at)
+            and k not in flight.dead
+        ]
 
     def _begin_separation(self) -> None:
         """Take the path apart that the plan has for this moment, or away from the middle."""

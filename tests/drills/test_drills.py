@@ -98,6 +98,19 @@ def test_the_survivors_of_a_lost_motor_let_go_in_order():
     assert not flight.emulator.truth().gripped.any()
 
 
+def test_who_has_not_answered_lately_lets_go_first():
+    flight = Rehearsal.of(PLAN, drill_fleet(3, "px4"), seed=2)
+    while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
+        flight.step()
+    flight.conductor.flyers[1].answered_at = flight.now - 4.0
+    flight.conductor.leave("release", "for the test", move=False)
+    while flight.emulator.truth().gripped.any():
+        flight.step()
+    first, then = [event.message for event in flight.events if event.kind == "release"]
+    assert first == "releasing first, who has not answered lately: vehicle 2"
+    assert then == "releasing all together"
+
+
 def test_the_answers_are_the_groups_and_nobody_is_sent_home():
     assert {row.response for row in TABLE.values()} <= {
         "hold", "land", "land here", "release", "release here", "cut loose"
