@@ -143,8 +143,8 @@ ROWS: tuple[Row, ...] = (
     Row(
         "position lost", "one vehicle", _DOWN, ({"kind": "position_loss"},), within=1.0, moves=True,
         strikes=1,
-        why="it comes down blind, drifting as it does, and takes the cable along; where cable hangs "
-        "above a rotor it cannot be let go of",
+        why="it comes down blind, drifting as it does, and takes the cable along; where some "
+        "hangs above a rotor it cannot be let go of",
     ),
     Row(
         "position worse", "one vehicle", _DOWN, ({"kind": "gps_loss"},), within=1.5, moves=True,

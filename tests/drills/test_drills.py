@@ -15,6 +15,7 @@ from swarm.drills import CITED, PERSONALITIES, ROWS, fly_drills
 from swarm.drills.rehearsal import Rehearsal, drill_fleet
 from swarm.flight.failures import LOSES_A_VEHICLE, TABLE
 from swarm.mission import mission_for_knot
+from swarm.rehearse import Fault
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=3)
@@ -102,7 +103,11 @@ def test_who_has_not_answered_lately_lets_go_first():
     flight = Rehearsal.of(PLAN, drill_fleet(3, "px4"), seed=2)
     while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
         flight.step()
-    flight.conductor.flyers[1].answered_at = flight.now - 4.0
+    system, began = flight.conductor.flyers[1].system, flight.now
+    deaf = {"kind": "link", "vehicle": system, "loss": 1.0, "direction": "up", "duration": 5.0}
+    flight.emulator.inject(Fault.model_validate({"at": began, **deaf}))
+    while flight.now < began + 3.5:
+        flight.step()
     flight.conductor.leave("release", "for the test", move=False)
     while flight.emulator.truth().gripped.any():
         flight.step()
