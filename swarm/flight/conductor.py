@@ -8,8 +8,7 @@ The flight goes through stages: ``prepare`` (who is there, streams, origins, rea
 down together, out of turn), ``finished``. A flight that is taken up again begins with ``find``.
 """
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -19,23 +18,23 @@ from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit, ClearedPlan
 from swarm.flight.clock import MissionClock
-from swarm.flight.failures import failure
-from swarm.flight.gates import GATES
+from swarm.flight.gates import check_rest
 from swarm.flight.guidance import Guidance
 from swarm.flight.load import PlannedPull
-from swarm.flight.measuring import Sight, keep_trace, look, measure
-from swarm.flight.noticing import Reports, hear, watch
+from swarm.flight.measuring import Sight, keep_trace, measure
+from swarm.flight.noticing import Reports, hear
 from swarm.flight.operator import GRANT, Request, available
-from swarm.flight.pace import LONGEST_TICK, advance_clock, bound_hold, steer
+from swarm.flight.pace import LONGEST_TICK
 from swarm.flight.parameters import STREAM_LOSS_TIME
-from swarm.flight.preparation import Preparation, Prepared
-from swarm.flight.readiness import named, readiness
-from swarm.flight.rejoining import bring_back
+from swarm.flight.preparation import Preparation
+from swarm.flight.readiness import named
 from swarm.flight.reporting import snapshot_of, statistics_of
 from swarm.flight.result import Outcome, Statistics, Word
-from swarm.flight.resuming import LeftOff, Then, find, go_on
-from swarm.flight.slipping import Grasps, watch_grasps
+from swarm.flight.resuming import LeftOff, Then
+from swarm.flight.sending import setpoints
+from swarm.flight.slipping import Grasps
 from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.stages import STAGES
 from swarm.flight.team import Address, Outgoing, Team
 from swarm.flight.trace import Trace
 from swarm.flight.wayout import Kind, WayOut
@@ -53,7 +52,6 @@ Stage = Literal["prepare", "ready", "find", "fly", "leave", "finished"]
 
 LOOSE_BUDGET = 0.5
 """Metres of tracking error that are allowed while nobody holds the cable."""
-_NO_LONGER_READY = 5.0
 
 
 class Conductor:
@@ -86,9 +84,9 @@ class Conductor:
         self.proven, self.plan, self.fleet = proven, plan, fleet
         tied_on = plan.mission.grab == "attached"
         self.grips = fleet.gripper == "mavlink" and not no_cable and not tied_on
-        self._carries = not no_cable
+        self.carries = not no_cable
         self.gates = tuple(sorted(plan.gates, key=lambda gate: gate.time))
-        _check_rest(proven)
+        check_rest(proven.plan)
         self.windows = windows(plan, whole=True)
         self.escapes = escapes(plan)
         coasting = Coasting((STREAM_LOSS_TIME,), fleet.limits.silence)
@@ -96,7 +94,7 @@ class Conductor:
         fits = known is not None and known.coasting == coasting
         self.coast = known if known is not None and fits else coast(plan, coasting)
         self.monitor = Monitor(plan)
-        self._pull = PlannedPull(plan)
+        self.pull = PlannedPull(plan)
         self.sight: Sight | None = None
         self.guidance = Guidance(plan.motion)
         vehicles = plan.mission.vehicles
@@ -105,21 +103,21 @@ class Conductor:
         self.stage: Stage = "prepare"
         self.outcome: Outcome | None = None
         self.audit: Audit | None = None
-        self.now = self.last = self.moving = self._stage_since = 0.0
+        self.now = self.last = self.moving = self.stage_since = 0.0
         self._events: list[Event] = []
         self.team = Team(fleet, self._report)
-        self._fly_with(list(self.team.vehicles.values())[: plan.vehicles])
+        self.fly_with(list(self.team.vehicles.values())[: plan.vehicles])
         self.lift = np.array([0.0, 0.0, vehicles.grip_offset])
         standing = self.guidance.planned(0.0).position + self.lift
         self.preparation = Preparation(self.team, fleet, standing)
         self._reset_flight()
         self._reset_numbers(plan.vehicles)
         self.then: Then = then
-        self._left = left
+        self.left_off = left
         if left is not None:
             self._look_for(left, standing - self.lift)
 
-    def _fly_with(self, flyers: list[Vehicle]) -> None:
+    def fly_with(self, flyers: list[Vehicle]) -> None:
         """Say who flies, in order along the cable; a guess until everybody has been heard."""
         self.flyers = flyers
         self.systems = tuple(vehicle.system for vehicle in flyers)
@@ -144,7 +142,7 @@ class Conductor:
 
     def _reset_numbers(self, n: int) -> None:
         self.frames: Frames | None = None
-        self._yaw = np.zeros(n)
+        self.yaw = np.zeros(n)
         self.start_position = np.full((n, 3), np.nan)
         self.reported = np.full((n, 3), np.nan)
         self.reports = Reports.of(n)
@@ -162,8 +160,8 @@ class Conductor:
 
     def _look_for(self, left: LeftOff, pads: Floats) -> None:
         """Begin with a team that flies already, wherever it is."""
-        self._fly_with([self.team.vehicles[system] for system in left.systems])
-        self.frames, self._yaw, self.start_position = left.frames, left.yaw, pads
+        self.fly_with([self.team.vehicles[system] for system in left.systems])
+        self.frames, self.yaw, self.start_position = left.frames, left.yaw, pads
         self.stage = "find"
 
     # What the shell calls
@@ -179,9 +177,9 @@ class Conductor:
         hear(self)
         measure(self)
         if self.outcome is None:
-            _STAGES[self.stage](self)
+            STAGES[self.stage](self)
         outgoing = self.team.tick(now)
-        outgoing.extend(self._setpoints())
+        outgoing.extend(setpoints(self))
         keep_trace(self)
         return outgoing
 
@@ -191,7 +189,7 @@ class Conductor:
             raise Refused("this flight is not ready for that plan")
         if cleared.audit.coast is not None:
             self.coast = cleared.audit.coast
-        self._enter("fly")
+        self.enter("fly")
         self.say("flight", "cleared for flight")
 
     def refuse(self, words: str) -> None:
@@ -321,27 +319,11 @@ class Conductor:
         if self._failed is None:
             self._failed = words
 
-    # Stages
-
-    def _prepare(self) -> None:
-        result = self.preparation.tick(self.now)
-        if isinstance(result, Outcome):
-            self.finish_as(result.word, result.explanation)
-        elif isinstance(result, Prepared):
-            self._fly_with(result.flyers)
-            self.frames, self._yaw, self.audit = result.frames, result.yaw, result.audit
-            measure(self)
-            self.start_position = self.position.copy()
-            self.say("flight", "all vehicles are ready")
-            self._enter("ready")
-
-    def _find(self) -> None:
-        if self._left is not None:
-            find(self, self._left)
+    # Responses
 
     def take_up(self, time: float) -> None:
         """Go on at a mission time with a team that flies, standing still, nobody streamed to."""
-        left = self._left
+        left = self.left_off
         if left is None:
             raise Refused("this flight did not break off")
         self.clock.time, self.gate = time, left.gate
@@ -350,64 +332,7 @@ class Conductor:
         for vehicle in self.flyers:
             vehicle.gripped = left.gripped
             vehicle.take_events()
-        self._enter("fly")
-
-    def _ready(self) -> None:
-        findings = readiness(self.flyers, self.fleet, self.now)
-        if not findings:
-            self._stage_since = self.now
-        elif self.now - self._stage_since > _NO_LONGER_READY:
-            words = "\n".join(finding.message for finding in findings)
-            self.finish_as("failed", f"no longer ready:\n{words}")
-
-    def _fly(self) -> None:
-        watch(self)
-        bring_back(self)
-        go_on(self)
-        look(self)
-        watch_grasps(self)
-        bound_hold(self)
-        if self.stage != "fly":
-            return
-        if not self.waiting:
-            steer(self)
-            if advance_clock(self):
-                if self.gate < len(self.gates):
-                    self._reach_gate()
-                else:
-                    self.conclude()
-        if self.waiting:
-            self._wait_at_gate()
-
-    def _reach_gate(self) -> None:
-        self.waiting = True
-        self.gate_since = self.now
-        self.clock.set_stopped()
-        gate = self.gates[self.gate]
-        who = "all inner vehicles" if gate.inner else "all"
-        self.say("gate", f"waiting until {who} are {gate.condition}")
-        GATES[gate.condition].begin(self, self.now)
-
-    def _wait_at_gate(self) -> None:
-        gate = self.gates[self.gate]
-        if self.holds and gate.condition != "landed":
-            self.gate_since += self.now - self.last
-        elif GATES[gate.condition].passed(self, self.now):
-            self.say("gate", f"all are {gate.condition}")
-            self.waiting = False
-            self.gate += 1
-            self.clock.set_running()
-            if gate.condition == "landed":
-                self.conclude()
-        elif self.now - self.gate_since > gate.timeout:
-            failure(self, "gate timed out", f"not all are {gate.condition} in {gate.timeout:g} s")
-
-    def _leave_tick(self) -> None:
-        watch(self)
-        if self.way_out is not None and self.way_out.tick() and self.stage == "leave":
-            self.conclude()
-
-    # Responses
+        self.enter("fly")
 
     def hold(self, cause: str, words: str) -> None:
         """Hold the clock until the cause is gone."""
@@ -435,7 +360,7 @@ class Conductor:
             self.say("leave", f"{_LEAVING[kind]}: {words}")
             self.waiting = False
             self.rewinding = False
-            self._enter("leave")
+            self.enter("leave")
             self.way_out = WayOut(self, kind, move=move)
             if not np.any(self.expected_armed):
                 for vehicle in self.flyers:
@@ -459,39 +384,17 @@ class Conductor:
             vehicle.restore_streams()
         self.outcome = Outcome(word, why)
         self.say("outcome", f"{word}: {why}")
-        self._enter("finished")
-
-    # Numbers
-
-    def _setpoints(self) -> list[Outgoing]:
-        if self.frames is None or self.stage not in {"fly", "leave"}:
-            return []
-        position, velocity, acceleration = self.guidance.wanted(self.clock, self.moving)
-        self.setpoint, self.setpoint_velocity = position, velocity
-        if not self.streaming.any():
-            return []
-        # a setpoint stands until the next one comes: aim at the middle of its time
-        lead = 0.5 / self.fleet.rates.setpoint
-        states = np.empty((len(position), 3, 3))
-        states[:, 0] = position + lead * velocity + (0.5 * lead * lead) * acceleration + self.lift
-        states[:, 1] = velocity
-        states[:, 2] = acceleration
-        if self._carries and all(vehicle.gripped for vehicle in self.flyers):
-            states[:, 2] -= self._pull.at(self.clock.time) / self.plan.mission.vehicles.mass
-        sending = self.team.setpoints(
-            self.systems, self.streaming, self.now, self.frames.to_vehicles(states), self._yaw
-        )
-        self.setpoints_sent += len(sending)
-        return sending
+        self.enter("finished")
 
     # Words
 
     def _report(self, kind: str, words: str, system: int | None) -> None:
         self.say(kind, words, self.team.vehicles.get(system) if system else None)
 
-    def _enter(self, stage: Stage) -> None:
+    def enter(self, stage: Stage) -> None:
+        """Begin a stage now."""
         self.stage = stage
-        self._stage_since = self.now
+        self.stage_since = self.now
 
 
 _LEAVING: Mapping[Kind, str] = {
@@ -499,24 +402,3 @@ _LEAVING: Mapping[Kind, str] = {
     "release": "releasing and landing",
     "cut loose": "letting go of what falls, separating and landing",
 }
-_STAGES: Mapping[Stage, Callable[[Conductor], None]] = {
-    "prepare": Conductor._prepare,
-    "ready": Conductor._ready,
-    "find": Conductor._find,
-    "fly": Conductor._fly,
-    "leave": Conductor._leave_tick,
-    "finished": lambda _: None,
-}
-
-
-def _check_rest(proven: ProvenPlan) -> None:
-    """Raise :class:`Refused` where the plan moves at a gate, at which the clock would stop dead."""
-    for gate in proven.plan.gates:
-        _, velocity, acceleration = proven.plan.motion.at(gate.time)
-        fastest = float(np.linalg.norm(velocity, axis=1).max())
-        strongest = float(np.linalg.norm(acceleration, axis=1).max())
-        if not (fastest <= 1e-3 and strongest <= 0.05 and math.isfinite(gate.timeout)):
-            raise Refused(
-                f"the plan moves at the gate at {gate.time:.2f} s "
-                f"({fastest:.3f} m/s, {strongest:.3f} m/s²); it must rest there"
-            )

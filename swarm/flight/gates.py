@@ -3,12 +3,14 @@
 A gate is begun once and then asked every tick. The table :data:`GATES` has one row per condition.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from swarm.plans import Condition
+from swarm.errors import Refused
+from swarm.plans import Condition, Plan
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
@@ -176,3 +178,16 @@ GATES: Mapping[Condition, Row] = {
     "released": Row(_release, _released),
     "landed": Row(_land, _landed),
 }
+
+
+def check_rest(plan: Plan) -> None:
+    """Raise :class:`Refused` where the plan moves at a gate, at which the clock would stop dead."""
+    for gate in plan.gates:
+        _, velocity, acceleration = plan.motion.at(gate.time)
+        fastest = float(np.linalg.norm(velocity, axis=1).max())
+        strongest = float(np.linalg.norm(acceleration, axis=1).max())
+        if not (fastest <= 1e-3 and strongest <= 0.05 and math.isfinite(gate.timeout)):
+            raise Refused(
+                f"the plan moves at the gate at {gate.time:.2f} s "
+                f"({fastest:.3f} m/s, {strongest:.3f} m/s²); it must rest there"
+            )

@@ -151,7 +151,7 @@ def ours(
     def each_tick(now: float) -> None:
         if conductor.stage == "prepare" and all(v.armed for v in conductor.flyers):
             conductor.frames = shared_frames(count)
-            conductor._enter("fly")
+            conductor.enter("fly")
             conductor.gate = 6
             conductor.clock.time = proven.plan.phase("fold").start
             conductor.streaming[:] = True
