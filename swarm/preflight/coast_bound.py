@@ -291,11 +291,14 @@ class CoastBound:
         a = self._strand(place[row], first[pair], one[row, pair])
         b = self._strand(place[row], second[pair], other[row, pair])
         off = a[1] + b[1]
-        apart = _between_points(a[0], b[0]) - self._spacing - required
-        close = apart < off
-        apart[close] = polyline_polyline(a[0][close], b[0][close]).distance - required
+        # from above by the points, from below by a spacing less; in between it is worth measuring
+        most = _between_points(a[0], b[0]) - required
+        apart = most - self._spacing
+        unsure = (apart < off) & (most >= off - TOLERANCE)
+        apart[unsure] = polyline_polyline(a[0][unsure], b[0][unsure]).distance - required
+        most[unsure] = apart[unsure]
         np.minimum.at(low, row, apart - off)
-        np.minimum.at(here, row, apart)
+        np.minimum.at(here, row, most)
         return low, here
 
     def _boxed(

@@ -3,6 +3,8 @@
 import pytest
 
 from swarm.fleet import emulated_fleet
+from swarm.flight.clearance import Audit, go
+from swarm.flight.conductor import Conductor
 from swarm.flight.parameters import (
     coasting_findings,
     coasting_of,
@@ -12,6 +14,7 @@ from swarm.flight.parameters import (
     rules,
 )
 from swarm.mission import Vehicles
+from swarm.preflight.coast import Coasting
 from tests.network import small_plan
 
 FLEET = emulated_fleet(3)
@@ -131,3 +134,13 @@ def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
     assert "vehicle 1, vehicle 3 would land at once and the others hold" in error.message
     _, findings = coasting_findings(plan, coasting_of([lands, lands, lands], FLEET.limits))
     assert not [finding for finding in findings if finding.severity == "error"]
+
+
+def test_the_flight_keeps_the_pace_that_the_audited_vehicles_allow():
+    proven = small_plan()
+    known, _ = coasting_findings(proven.plan, Coasting((0.1, 0.5, 0.5), FLEET.limits.silence))
+    conductor = Conductor(proven, FLEET)
+    assert conductor.coast.coasting == Coasting((0.5,), FLEET.limits.silence)
+    conductor.stage = "ready"
+    conductor.start(go(proven, Audit((1, 2, 3), (), known)))
+    assert conductor.coast is known
