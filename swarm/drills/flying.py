@@ -27,6 +27,8 @@ LOOK_EVERY = 0.1
 _TIMES_PER_TASK, _ROWS_PER_TASK = 5, 13
 AFTER = 12.0
 """Seconds after the end of a fault for which a team that simply goes on is watched."""
+AT_ONCE = 3.0
+"""Seconds after the end of a fault up to which a slower clock is taken for an answer to it."""
 LONGEST = 200.0
 STRONG_WIND = 6.0
 """m/s that blow at least, all of a sudden, where more wind is asked for than a plan stands."""
@@ -300,7 +302,8 @@ def _judged(
     events = [event for event in flight.events if event.kind in {"failure", "hold", "leave"}]
     events += [e for e in flight.events if row.station and e.kind == "operator"]
     told = [event for event in events if event.time >= began]
-    if not row.slows:
+    late = slowed is not None and 0.0 < row.lasts < slowed - AT_ONCE
+    if late or not row.slows:
         slowed = None
     moments = [event.time - began for event in told] + ([] if slowed is None else [slowed])
     noticed = min(moments, default=None)
