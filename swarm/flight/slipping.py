@@ -50,7 +50,8 @@ class Grasps:
     """What the cable pulls sideways at n vehicles, as they lean and as the model has it."""
 
     def __init__(self, plan: Plan) -> None:
-        self._lengths = plan.layout.lengths
+        lengths = plan.layout.lengths
+        self._lengths = {1: lengths, 2: lengths[:-1] + lengths[1:]}
         self._weight = plan.mission.cable.mass_per_length
         self._mass = plan.mission.vehicles.mass
         self._looks: deque[tuple[float, Floats, Floats]] = deque(maxlen=WINDOW + 1)
@@ -80,7 +81,7 @@ class Grasps:
         if len(self._looks) <= WINDOW:
             return None
         time = now - self._looks[0][0]
-        mean = np.mean([force for _, _, force in self._looks][1:], axis=0)
+        mean = sum(force for _, _, force in list(self._looks)[1:]) / WINDOW
         left = self._mass * (velocity[:, :2] - self._looks[0][1]) / time - mean
         if self._usual is None:
             self._usual = left
@@ -93,9 +94,10 @@ class Grasps:
     def _strands(self, above: Floats, every: int) -> tuple[Floats, Floats]:
         """Forces on both ends of the strands from each vehicle to the next, or the next but one."""
         first, last = above[:-every], above[every:]
-        lengths = np.convolve(self._lengths, np.ones(every), "valid")
-        chords = np.linalg.norm(last - first, axis=1)
-        return end_forces(first, last, np.maximum(lengths, chords / TAUT), self._weight)
+        apart = last - first
+        chords = np.sqrt(np.vecdot(apart, apart))
+        lengths = np.maximum(self._lengths[every], chords / TAUT)
+        return end_forces(first, last, lengths, self._weight)
 
     def _held(self, grips: Floats) -> "_Held":
         above = np.maximum(grips, [-np.inf, -np.inf, 0.0])
@@ -111,13 +113,13 @@ class Grasps:
         Patterns are only worked out where one could fit: the vehicle's own pull is part of it.
         """
         shared = left - left.mean(axis=0)
-        squared = np.einsum("ij,ij->i", shared, shared)
+        squared = np.vecdot(shared, shared)
         around = squared.copy()
         around[1:] += squared[:-1]
         around[:-1] += squared[1:]
-        own = np.einsum("ij,ij->i", held.pull[:, :2], held.pull[:, :2])
+        own = np.vecdot(held.pull[:, :2], held.pull[:, :2])
         least = np.maximum(SHARE**2 * np.maximum(own, FAINTEST**2), FITS * squared.sum())
-        if not (around > (1.0 - 1e-9) * least).any():
+        if not np.count_nonzero(around > (1.0 - 1e-9) * least):
             return None
         return _whose(left, shared, self._patterns(held))
 
@@ -162,13 +164,13 @@ def _whose(left: Floats, shared: Floats, patterns: Floats) -> int | None:
 
 def lean(attitude: Floats) -> Floats:
     """Return the level part of the thrust per upward part, (n, 2) east and north."""
-    roll, pitch, yaw = attitude.T
-    across, along = np.sin(roll), np.cos(roll) * np.sin(pitch)
-    upward = np.cos(roll) * np.cos(pitch)
+    (across, sine, turned), (upright, cosine, ahead) = np.sin(attitude.T), np.cos(attitude.T)
+    along, upward = upright * sine, upright * cosine
     upward = np.where(np.abs(upward) < 0.1, np.nan, upward)
-    north = -along * np.cos(yaw) - across * np.sin(yaw)
-    east = -along * np.sin(yaw) + across * np.cos(yaw)
-    return np.stack([east / upward, north / upward], axis=1)
+    level = np.empty((len(attitude), 2))
+    level[:, 0] = (across * ahead - along * turned) / upward
+    level[:, 1] = (-along * ahead - across * turned) / upward
+    return level
 
 
 def watch_grasps(flight: "Conductor") -> None:
