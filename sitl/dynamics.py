@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl import linear
+from sitl import air, linear
 from sitl.world import World
 
 Array = NDArray[np.float64]
@@ -41,12 +41,9 @@ _SLOW = np.array([1.5, 1.5, 0.25])
 _DESCENDING = -0.25
 _CLIMBING = 0.25
 _TUMBLE_RATE = 5.0
-_WASH_FACTOR = 3.0
 _CRASH_SPEED = 3.0
 _NOISE_TIME = 4.0
-_GUSTY = np.array([1.0, 1.0, 0.5])
 NOISE_SIGMA = np.array([0.015, 0.015, 0.02])
-AIR_DENSITY = 1.2
 
 
 class Rows(NamedTuple):
@@ -447,9 +444,8 @@ class Bodies:
     def wander(self, interval: float) -> None:
         """Advance estimator noise, gusts and downwash by ``interval`` seconds (call at 10 Hz).
 
-        Noise is first-order Gauss–Markov, `NOISE_SIGMA` metres over `_NOISE_TIME` seconds. Gusts
-        are Dryden's first-order longitudinal filter on every axis (MIL-F-8785C, low altitude), four
-        fifths of it common to the whole team, whose vehicles are close together.
+        Noise is first-order Gauss–Markov, `NOISE_SIGMA` metres over `_NOISE_TIME` seconds. Four
+        fifths of a gust are common to the whole team, whose vehicles are close together.
         """
         if np.count_nonzero(np.abs(self.integral) > _LARGEST_INTEGRAL):
             np.clip(self.integral, -_LARGEST_INTEGRAL, _LARGEST_INTEGRAL, out=self.integral)
@@ -461,20 +457,15 @@ class Bodies:
         if np.count_nonzero(self.drift):
             self.bias += interval * self.drift
         if self.gust_intensity > 0:
-            speed = max(1.0, math.hypot(*self.steady_wind[0].tolist()))
-            keep = math.exp(-interval * speed / 30.0)
-            fresh = self.rng.standard_normal((self.count + 1, 3)) * _GUSTY
-            self._gust = keep * self._gust + math.sqrt(1 - keep**2) * self.gust_intensity * fresh
+            fresh = self.rng.standard_normal((self.count + 1, 3))
+            speed = math.hypot(*self.steady_wind[0].tolist())
+            self._gust = air.gusts(self._gust, fresh, self.gust_intensity, speed, interval)
             self.wind = self.steady_wind + 0.8 * self._gust[0] + 0.6 * self._gust[1:]
         self._downwash()
         self._renew_air()
 
     def _downwash(self) -> None:
-        """Air pushed down on vehicles below others, as a vertical wind in their drag.
-
-        The felt force is a multiple of body drag, because rotors lose thrust in falling air as they
-        do in a climb.
-        """
+        """Air pushed down on vehicles below others, as a vertical wind in their drag."""
         self.wash[:] = 0.0
         if self.count < 2:
             return
@@ -485,26 +476,17 @@ class Bodies:
         if np.count_nonzero(distance < 4.0) <= self.count:
             return
         below = self._height - self._height[:, None]
-        self.wash[:, 2] = -_WASH_FACTOR * self._jets(below, distance).max(axis=1)
-
-    def _jets(self, below: Array, distance: Array) -> Array:
-        """Downward air speed under every vehicle: (m, n) for m places and n vehicles.
-
-        Momentum theory gives the far-wake speed ``2 √(T / 2ρA)``; further down the jet is a
-        turbulent round one: Gaussian in radius, widening by a tenth of its length and slowing
-        accordingly (Pope, "Turbulent Flows", 5.1; Jain et al., ICRA 2019, for multirotors).
-        ``below`` is how far a place is below a vehicle, ``distance`` the level distance squared.
-        """
-        lift = np.maximum(self.thrust[:, 2], 0.0) * self.mass
-        jet = 2 * np.sqrt(lift / (2 * AIR_DENSITY * np.pi)) / self.radius
-        width = 0.7 * self.radius + 0.1 * np.maximum(below, 0.0)
-        speed = jet * (0.7 * self.radius / width) * np.exp(-distance / (2 * width**2))
-        felt: Array = speed * ((below > 0.1) & (below < 10.0))
-        return felt
+        felt = air.jets(self._carried(), self.radius, below, distance).max(axis=1)
+        self.wash[:, 2] = -air.WASH_FACTOR * felt
 
     def wash_at(self, places: Array) -> Array:
         """Downward air speed at places in the world (m, 3) from every vehicle: (m, n)."""
         across = places[:, None, :2] - self.position[None, :, :2]
         distance = np.einsum("ijk,ijk->ij", across, across)
         below = self.position[None, :, 2] - places[:, None, 2]
-        return self._jets(below, distance)
+        return air.jets(self._carried(), self.radius, below, distance)
+
+    def _carried(self) -> Array:
+        """Newtons by which each vehicle's rotors push air down (n,)."""
+        lift: Array = np.maximum(self.thrust[:, 2], 0.0) * self.mass
+        return lift

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl import reach
-from sitl.dynamics import AIR_DENSITY, GRAVITY
+from sitl.air import AIR_DENSITY
+from sitl.dynamics import GRAVITY
 from sitl.spans import NOTHING, Hung, Spans
 from sitl.world import CableSpec
 

@@ -1,0 +1,43 @@
+"""The air that vehicles and cable are in: gusts, and what rotors push down."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+AIR_DENSITY = 1.2
+WASH_FACTOR = 3.0
+"""Felt downwash over its drag on the body: rotors lose thrust in falling air, as in a climb."""
+_GUST_LENGTH = 30.0
+_UPRIGHT_SHARE = np.array([1.0, 1.0, 0.5])
+
+
+def gusts(before: Array, fresh: Array, intensity: float, speed: float, interval: float) -> Array:
+    """Return gusts (m, 3) in m/s after ``interval`` seconds of wind at ``speed``.
+
+    ``fresh`` (m, 3) are standard normal. Dryden's first-order longitudinal filter on every axis
+    (MIL-F-8785C, low altitude), upright with half the ``intensity``.
+    """
+    keep = math.exp(-interval * max(1.0, speed) / _GUST_LENGTH)
+    drawn = fresh * _UPRIGHT_SHARE
+    after: Array = keep * before + math.sqrt(1 - keep**2) * intensity * drawn
+    return after
+
+
+def jets(lift: Array, radius: Array, below: Array, distance: Array) -> Array:
+    """Downward air speed under every vehicle: (m, n) for m places and n vehicles.
+
+    ``lift`` (n,) in newtons, ``radius`` (n,) of the vehicles; ``below`` (m, n) is how far a place
+    is below a vehicle, ``distance`` (m, n) the level distance squared.
+
+    Momentum theory gives the far-wake speed ``2 √(T / 2ρA)``; further down the jet is a turbulent
+    round one: Gaussian in radius, widening by a tenth of its length and slowing accordingly (Pope,
+    "Turbulent Flows", 5.1; Jain et al., ICRA 2019, for multirotors).
+    """
+    jet = 2 * np.sqrt(lift / (2 * AIR_DENSITY * np.pi)) / radius
+    width = 0.7 * radius + 0.1 * np.maximum(below, 0.0)
+    speed = jet * (0.7 * radius / width) * np.exp(-distance / (2 * width**2))
+    felt: Array = speed * ((below > 0.1) & (below < 10.0))
+    return felt
