@@ -214,3 +214,15 @@ def test_results_are_one_row_per_trial(tmp_path):
     assert json.loads(table.schema.metadata[b"spread"])["wind"] == 0.0
     with pytest.raises(InputError, match="no such file"):
         write_results(tmp_path / "none" / "a.parquet", [(PLAN, [trial()])], 1, CALM)
+
+
+def test_what_is_let_go_at_the_end_of_the_hold_has_not_been_lost():
+    """The gate of the release may lie a rounding before the end of the hold."""
+    plan = PROVEN.plan
+    early = tuple(
+        replace(gate, time=gate.time - 1e-12) if gate.condition == "released" else gate
+        for gate in plan.gates
+    )
+    slow = Spread(wind=0, gust=0, loss=0, latency=0, jitter=0, mass=0, failing=0)
+    flown, _ = fly_trial(replace(PROVEN, plan=replace(plan, gates=early)), slow, 5, 0)
+    assert (flown.outcome, flown.reason) == ("done", "")
