@@ -180,8 +180,10 @@ def watch_grasps(flight: "Conductor") -> None:
         return
     grasps.next_look = flight.now + INTERVAL
     oldest = min(vehicle.position_at for vehicle in flight.flyers)
-    held = all(vehicle.gripped for vehicle in flight.flyers) and len(flight.flyers) > 2
-    if not (held and flight.phase.cable == "aloft" and flight.streaming.all()):
+    held = flight.carries and all(vehicle.gripped for vehicle in flight.flyers)
+    if not (
+        held and len(flight.flyers) > 2 and flight.phase.cable == "aloft" and flight.streaming.all()
+    ):
         grasps.forget()
         return
     attitude = np.array([vehicle.attitude for vehicle in flight.flyers])

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from swarm.drills.rehearsal import Rehearsal, drill_fleet
+from swarm.fleet import emulated_fleet
 from swarm.flight.slipping import Grasps, lean
 from swarm.rehearse import Fault
-from tests.network import small_plan
+from tests.network import Network, small_plan
 
 PLAN = small_plan(vehicles=5)
 
@@ -43,6 +44,15 @@ def test_neither_the_fold_nor_a_gale_nor_lost_packets_look_like_it(folding):
     assert not flown_on(folding, 6.0)
     assert not flown_on(folding, 4.0, {"kind": "wind", "steady": [5.0, 3.0, 0.0], "gust": 0.5})
     assert not flown_on(folding, 4.0, {"kind": "link", "loss": 0.3, "vehicle": "all"})
+
+
+def test_a_flight_without_cable_has_none_to_lose(monkeypatch):
+    """Grips are simulated then, and nobody leans as the model says."""
+    monkeypatch.setattr(Grasps, "look", lambda *_: 0)
+    flight = Network(PLAN, emulated_fleet(5), no_cable=True)
+    flight.until_phase("fold", 2.0)
+    assert all(vehicle.gripped for vehicle in flight.conductor.flyers)
+    assert not [words for words in flight.words() if "lost the cable" in words]
 
 
 def test_leaning_is_where_the_thrust_points():
