@@ -56,7 +56,9 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
 
 
 def _missing(assessment: Assessment) -> dict[str, float]:
-    """Metres by which the clearances that more margin can mend fall short."""
-    found = {"cable": assessment.cable, "vehicle_cable": assessment.vehicle_cable}
-    short = {name: moment.required - moment.distance for name, moment in found.items()}
-    return {name: missing for name, missing in short.items() if missing > 0.0}
+    """By check, the metres by which moments fall short of what they should keep."""
+    found: dict[str, float] = {}
+    for moment in assessment.moments:
+        if moment.margin < 0.0:
+            found[moment.check] = max(found.get(moment.check, 0.0), -moment.margin)
+    return found

@@ -34,7 +34,7 @@ def test_a_layout_is_rescaled_to_use_the_whole_cable(length: float) -> None:
 def test_a_cable_that_is_too_short_says_what_it_would_mean() -> None:
     with pytest.raises(Refused) as caught:
         make_plan(mission_for_knot("overhand", ["cable.length=12.0"]))
-    assert "cable.length 12 m, a cell of 0.25 m: vehicles would rest 0.35 m apart" in str(
+    assert "cable.length 12 m, a cell of 0.129 m: vehicles would rest 0.18 m apart" in str(
         caught.value
     )
 

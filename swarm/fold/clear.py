@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 Index = Any
 
-PIECES = 8
+PIECES = 6
 """A strand is handled as this many chords."""
 
 _RATIOS = np.array([0.0, 0.3, 0.5, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 1.0])
@@ -36,7 +36,8 @@ class Margins:
     cable on either side of a vehicle need not keep apart from the neighbouring segment's.
     ``spacing`` is the preferred chord of a segment in motion, as a share of its length, and
     ``taut`` the largest one, less what
-    two tracking errors add. Neighbouring segments keep ``beside`` metres more than others.
+    two tracking errors and ``play`` metres add. Neighbouring segments keep ``beside`` metres more
+    than others, and a vehicle's own segments ``disc`` metres more from its rotor disc.
     """
 
     cable: float
@@ -50,6 +51,8 @@ class Margins:
     spacing: float = 0.85
     taut: float = 0.985
     beside: float = 0.0
+    disc: float = 0.0
+    play: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,23 +74,26 @@ class Strands:
             self.length[which],
         )
 
-    def __setitem__(self, which: Index, value: "Strands") -> None:
-        self.points[which] = value.points
-        self.middle[which] = value.middle
-        self.reach[which] = value.reach
-        self.ratio[which] = value.ratio
-        self.length[which] = value.length
-
-    @staticmethod
-    def nowhere(*shape: int) -> "Strands":
-        """Strands that are not planned yet, far away from everything."""
+    def flat(self) -> "Strands":
+        """All strands in one row."""
         return Strands(
-            np.full((*shape, PIECES + 1, 3), np.inf),
-            np.full((*shape, 3), np.inf),
-            np.zeros((*shape, 3)),
-            np.zeros(shape),
-            np.ones(shape),
+            self.points.reshape(-1, *self.points.shape[-2:]),
+            self.middle.reshape(-1, 3),
+            self.reach.reshape(-1, 3),
+            self.ratio.reshape(-1),
+            self.length.reshape(-1),
         )
+
+
+def joined(one: Strands, other: Strands) -> Strands:
+    """Two rows of strands as one."""
+    return Strands(
+        np.concatenate([one.points, other.points]),
+        np.concatenate([one.middle, other.middle]),
+        np.concatenate([one.reach, other.reach]),
+        np.concatenate([one.ratio, other.ratio]),
+        np.concatenate([one.length, other.length]),
+    )
 
 
 def strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Strands:
@@ -98,15 +104,6 @@ def strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Strands:
     points = hang(start, end, enough).points(np.linspace(0.0, 1.0, PIECES + 1))
     low, high = points.min(axis=-2), points.max(axis=-2)
     return Strands(points, 0.5 * (low + high), 0.5 * (high - low), chord / length, length)
-
-
-def near_strands(one: Strands, others: Strands, margins: Margins) -> tuple[Ints, Ints]:
-    """Which strands (b,) may come near which of the others (j, b): indices (q,) of j and of b."""
-    unit = margins.cable + 2.0 * margins.tracking
-    most = margins.cable + unit + margins.tracking * (lift(one.ratio) + lift(others.ratio))
-    gap = np.abs(one.middle - others.middle) - one.reach - others.reach
-    found = np.nonzero(gap.max(axis=-1) < most)
-    return found[0], found[1]
 
 
 def strand_cost(one: Strands, other: Strands, margins: Margins) -> Floats:
@@ -149,105 +146,62 @@ def _height_at(points: Floats, share: Floats) -> Floats:
     return height
 
 
-def neighbour_cost(before: Strands, after: Strands, margins: Margins) -> Floats:
-    """Cost (b,) of two strands that meet at a vehicle (end of the first) folding together.
-
-    What is next to the shared vehicle is in its hand and does not count; the lengths are the same
-    throughout the batch.
-    """
-    if not len(before.points):
-        return np.zeros(0)
-    unit = margins.cable + 2.0 * margins.tracking
-    free = [max(0.5, 1.0 - margins.hand / float(strand.length[0])) for strand in (before, after)]
-    cost = np.zeros(len(before.points))
-    row = np.flatnonzero(~_diverging(before, after, margins, free))
-    if len(row):
-        one, two = before[row], after[row]
-        left = _near_margin(one, two, margins, (0.0, free[0]), 1)
-        right = _near_margin(two, one, margins, (1.0 - free[1], 1.0), 0)
-        cost[row] = shortfall((np.minimum(left, right) - margins.beside) / unit)
-    return cost
-
-
-def _diverging(
-    before: Strands, after: Strands, margins: Margins, free: list[float]
+def diverging(
+    before: Strands, after: Strands, margins: Margins, free_before: Floats, free_after: Floats
 ) -> npt.NDArray[np.bool_]:
-    """Whether strands (b,) leave their vehicle to opposite sides, and far enough after the hand.
+    """Whether strands (…, m) leave their vehicle to opposite sides, and far enough after the hand.
 
     Each lies in a vertical plane and only gets farther from the vehicle in plan view; so where the
     headings are at right angles or more, neither comes nearer to the other than it is to the
-    vehicle.
+    vehicle. ``free_before`` and ``free_after`` (m,) are the shares that are not in the hand.
     """
-    at = after.points[:, 0, :2]
-    back, ahead = before.points[:, 0, :2] - at, after.points[:, -1, :2] - at
-    opposite = np.einsum("bx,bx->b", back, ahead) <= 0.0
-    one, _ = _cut(before.points, 0.0, free[0])
-    two, _ = _cut(after.points, 1.0 - free[1], 1.0)
+    at = after.points[..., 0, :2]
+    back, ahead = before.points[..., 0, :2] - at, after.points[..., -1, :2] - at
+    opposite = np.einsum("...x,...x->...", back, ahead) <= 0.0
+    one, two = _point(before.points, free_before), _point(after.points, 1.0 - free_after)
     near = np.minimum(
-        np.linalg.norm(one[:, -1, :2] - at, axis=1), np.linalg.norm(two[:, 0, :2] - at, axis=1)
+        np.linalg.norm(one[..., :2] - at, axis=-1), np.linalg.norm(two[..., :2] - at, axis=-1)
     )
     enough = 1.3 * margins.cable + margins.beside + 2.6 * margins.tracking
     found: npt.NDArray[np.bool_] = opposite & (near > enough)
     return found
 
 
-def _near_margin(
-    one: Strands, other: Strands, margins: Margins, part: tuple[float, float], shared: int
-) -> Floats:
-    """As :func:`_margin` where boxes around the strands are near each other, else plenty."""
-    points, _ = _cut(one.points, *part)
-    low, high = points.min(axis=1), points.max(axis=1)
-    unit = margins.cable + 2.0 * margins.tracking
-    most = margins.cable + unit + margins.tracking * (lift(one.ratio) + lift(other.ratio))
-    gap = np.abs(0.5 * (low + high) - other.middle) - 0.5 * (high - low) - other.reach
-    near = gap.max(axis=1) < most
-    margin = np.full(len(near), unit)
-    margin[near] = _margin(one[near], other[near], margins, part, shared)
-    return margin
+def _point(points: Floats, share: Floats) -> Floats:
+    """Points (…, m, 3) of strands at a share of each (m,)."""
+    piece = np.minimum((share * PIECES).astype(np.intp), PIECES - 1)
+    rest = (share * PIECES - piece)[:, None]
+    row = np.arange(len(share))
+    found: Floats = (
+        points[..., row, piece, :] * (1.0 - rest) + points[..., row, piece + 1, :] * rest
+    )
+    return found
 
 
-def _margin(
-    one: Strands,
-    other: Strands,
-    margins: Margins,
-    part: tuple[float, float] = (0.0, 1.0),
-    shared: int | None = None,
-) -> Floats:
-    """Distance (b,) of strands, less what they should keep.
+def cut(points: Floats, shares: Floats) -> Floats:
+    """Points (q, k, 3) of strands (q) at shares (q, k) of their length."""
+    piece = np.minimum((shares * PIECES).astype(np.intp), PIECES - 1)
+    rest = (shares * PIECES - piece)[..., None]
+    row = np.arange(len(points))[:, None]
+    found: Floats = points[row, piece] * (1.0 - rest) + points[row, piece + 1] * rest
+    return found
 
-    ``part`` says between which shares of its length the first one counts, ``shared`` at which of
-    its ends it meets the other: then only their far ends move, by twice as much, seen from there.
-    """
-    points, shares = _cut(one.points, *part)
-    closest = polyline_polyline(points, other.points)
+
+def _margin(one: Strands, other: Strands, margins: Margins) -> Floats:
+    """Distance (b,) of strands, less what they should keep."""
+    closest = polyline_polyline(one.points, other.points)
     if not margins.tracking:
         return closest.distance - margins.cable
-    apart = _at(points, closest.first) - _at(other.points, closest.second)
+    apart = point_at(one.points, closest.first) - point_at(other.points, closest.second)
     upright = np.abs(apart[:, 2]) / np.maximum(closest.distance, 1e-9)
     upright = np.where(closest.distance > 1e-3, np.minimum(upright, 1.0), 1.0)
-    here = np.interp(closest.first, np.arange(len(shares)), shares)
-    there = closest.second / PIECES
-    if shared is None:
-        error = movement(one.ratio, here, upright) + movement(other.ratio, there, upright)
-    else:
-        error = _far_movement(one, np.abs(here - shared), upright, margins.tracking)
-        error += _far_movement(other, np.abs(there - (1 - shared)), upright, margins.tracking)
+    error = movement(one.ratio, closest.first / PIECES, upright)
+    error += movement(other.ratio, closest.second / PIECES, upright)
     return closest.distance - margins.cable - margins.tracking * error
 
 
-def _cut(points: Floats, begin: float, end: float) -> tuple[Floats, Floats]:
-    """Points of strands between two shares of their length, and the shares of these points."""
-    every = np.arange(PIECES + 1) / PIECES
-    inside = np.flatnonzero((every > begin + 1e-9) & (every < end - 1e-9))
-    shares = np.concatenate([[begin], every[inside], [end]])
-    if begin == 0.0 and end == 1.0:
-        return points, every
-    piece = np.minimum((shares * PIECES).astype(np.intp), PIECES - 1)
-    rest = (shares * PIECES - piece)[:, None]
-    return points[:, piece] * (1.0 - rest) + points[:, piece + 1] * rest, shares
-
-
-def _at(points: Floats, place: Floats) -> Floats:
+def point_at(points: Floats, place: Floats) -> Floats:
+    """Points (q, 3) of polylines (q, k, 3) at places: index of the piece plus fraction along it."""
     piece = np.minimum(place.astype(np.intp), points.shape[1] - 2)
     row = np.arange(len(points))
     share = (place - piece)[:, None]
@@ -279,8 +233,8 @@ _FAR_LEVEL = np.array([0.0, 0.3, 0.44, 0.55, 0.84, 1.0, 1.02])
 _FAR_STEEP = np.array([0.3, 0.6, 0.7, 0.75, 0.95, 1.02, 1.02])
 
 
-def _far_movement(strand: Strands, fraction: Floats, upright: Floats, tracking: float) -> Floats:
-    """As :func:`_movement` where only the far end moves, but twice as far; ``fraction`` is from
+def far_movement(strand: Strands, fraction: Floats, upright: Floats, tracking: float) -> Floats:
+    """As :func:`movement` where only the far end moves, but twice as far; ``fraction`` is from
     the grip that rests. Strands between ends far above each other swing more.
     """
     rise = np.abs(strand.points[:, -1, 2] - strand.points[:, 0, 2])
@@ -313,24 +267,6 @@ def vehicle_cost(one: Floats, others: Floats, margins: Margins) -> Floats:
     return cost
 
 
-def near_bodies(places: Floats, strand: Strands, margins: Margins) -> tuple[Ints, ...]:
-    """Where vehicles (…, 3) may come near strands (…) that broadcast with them: indices."""
-    reach = 2.0 * margins.vehicle_cable + 5.2 * margins.tracking
-    centre = places + np.array([0.0, 0.0, 0.5 * margins.grip_offset])
-    size = np.array([margins.radius, margins.radius, 0.5 * margins.grip_offset]) + reach
-    return np.nonzero((np.abs(centre - strand.middle) - strand.reach - size).max(axis=-1) < 0.0)
-
-
-def body_cost(places: Floats, strand: Strands, margins: Margins) -> Floats:
-    """Cost (q,) of strands (q,) being too close to vehicles at (q, 3)."""
-    points = _refined(strand.points)
-    fraction = np.linspace(0.0, 1.0, points.shape[1])
-    error = 1.0 + movement(strand.ratio[:, None], fraction, np.array(0.7))
-    distance = _body_distance(places, points, margins) - margins.tracking * error
-    unit = margins.vehicle_cable + 2.0 * margins.tracking
-    return shortfall((distance.min(axis=1) - margins.vehicle_cable) / unit)
-
-
 def rotor_cost(place: Floats, strand: Strands, margins: Margins) -> Floats:
     """Cost (b,) of a vehicle's own strand entering its rotor disc."""
     lowest = margins.grip_offset - 1.5 * margins.tracking
@@ -338,8 +274,13 @@ def rotor_cost(place: Floats, strand: Strands, margins: Margins) -> Floats:
     high = np.flatnonzero(strand.middle[:, 2] + strand.reach[:, 2] - place[:, 2] > lowest)
     if not len(high):
         return cost
-    apart = _refined(strand.points[high]) - place[high, None, :]
-    in_disc = margins.radius + 1.5 * margins.tracking - np.hypot(apart[..., 0], apart[..., 1])
+    apart = refined(strand.points[high]) - place[high, None, :]
+    in_disc = (
+        margins.radius
+        + margins.disc
+        + 1.5 * margins.tracking
+        - np.hypot(apart[..., 0], apart[..., 1])
+    )
     inside = np.minimum(in_disc, apart[..., 2] - lowest).max(axis=1)
     cost[high] = 10.0 * np.maximum(inside, 0.0) / (margins.radius + margins.tracking)
     return cost
@@ -347,7 +288,7 @@ def rotor_cost(place: Floats, strand: Strands, margins: Margins) -> Floats:
 
 def chord_cost(strand: Strands, margins: Margins) -> Floats:
     """Cost (b,) of chords that come near taut (steep) or stray from the preferred share."""
-    over = (strand.ratio + 2.0 * margins.tracking / strand.length) / margins.taut
+    over = (strand.ratio + (2.0 * margins.tracking + margins.play) / strand.length) / margins.taut
     cost: Floats = (
         3e-2 * (strand.ratio - margins.spacing) ** 2
         + 0.5 * np.maximum(over - 0.98, 0.0)
@@ -356,14 +297,15 @@ def chord_cost(strand: Strands, margins: Margins) -> Floats:
     return cost
 
 
-def _refined(points: Floats) -> Floats:
+def refined(points: Floats) -> Floats:
+    """Polylines (q, k, 3) with the middles of their pieces: (q, 2k − 1, 3)."""
     between = 0.5 * (points[:, :-1] + points[:, 1:])
     fine = np.empty((len(points), 2 * points.shape[1] - 1, 3))
     fine[:, ::2], fine[:, 1::2] = points, between
     return fine
 
 
-def _body_distance(place: Floats, points: Floats, margins: Margins) -> Floats:
+def body_distance(place: Floats, points: Floats, margins: Margins) -> Floats:
     """Distances (q, k) from the cone over a vehicle's rotor disc, whose tip is the grip point."""
     apart = points - place[:, None, :]
     level, above = np.hypot(apart[..., 0], apart[..., 1]), apart[..., 2]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from swarm.cable.catenary import hang
 from swarm.cable.chain import least_sags, plan_crossings, segment_lengths
 from swarm.errors import Refused
 
@@ -18,6 +19,8 @@ class Shape:
 
     ``cell`` scales the corners; ``gap`` is the height between strands at their crossings,
     ``minimum_sag`` the least sag of any segment and ``slack`` its least sag as a share of its span;
+    with ends ``play`` farther apart than its corners a segment is still shorter than ``taut`` of
+    its length;
     lanes are heights over or under the corners. From ``slope`` before
     a corner to as much behind it levels change, and turns reach as far as ``rounding``. Given sags
     are taken as they are; with ``two_sags`` all under strands get the same. ``length`` is the
@@ -32,6 +35,8 @@ class Shape:
     lane_under: float
     slope: float
     rounding: float
+    play: float
+    taut: float
     sag_over: float | None = None
     sag_under: float | None = None
     two_sags: bool = False
@@ -78,6 +83,8 @@ def hanging(corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape:
     pairs = np.asarray(crossings, dtype=np.intp).reshape(-1, 2)
     spans = np.linalg.norm(np.diff(flat, axis=0), axis=1)
     least = np.maximum(shape.minimum_sag, shape.slack * spans)
+    slackest = hang(np.zeros(3), spans[:, None] * np.eye(3)[0], (spans + shape.play) / shape.taut)
+    least = np.maximum(least, slackest.sag())
     over, under = np.setdiff1d(pairs[:, 0], pairs[:, 1]), np.unique(pairs[:, 1])
     if shape.sag_over is not None:
         least[:] = shape.sag_over

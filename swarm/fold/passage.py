@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import Catenaries, hang
+from swarm.cable.chain import crossing_fractions, crossing_gaps
 from swarm.fold.clear import (
     Margins,
     chord_cost,
@@ -37,16 +38,12 @@ BLOCKED = 1e4
 class Passage:
     """Costs (a, b) of a segment's states: vehicle ahead at a, vehicle behind at b.
 
-    ``ahead`` (a,) and ``behind`` (b,) are progress in metres. ``front_leg`` and ``rear_leg``
-    (a, b, 2) tell where the segment leaves the hands of its vehicles: how far in plan view its
-    cable has come from the vehicle by the end of the hand.
+    ``ahead`` (a,) and ``behind`` (b,) are progress in metres.
     """
 
     ahead: Floats
     behind: Floats
     cost: Floats
-    front_leg: Floats
-    rear_leg: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,15 +85,12 @@ def surfaces(layout: Hanging) -> Surfaces:
         layout, final, final.span / layout.lengths, side,
         -np.sign(layout.lanes).astype(np.int8), ((np.zeros(1), np.zeros(1)),) * count,
     )  # fmt: skip
-    steps = np.diff(corners[:, :2], axis=0)
+    fractions = crossing_fractions(corners, layout.crossings) if layout.crossings else ()
+    heights = crossing_gaps(corners, layout.lengths, layout.crossings) if layout.crossings else ()
     gaps: list[list[tuple[float, float]]] = [[] for _ in range(count)]
-    for over, under in layout.crossings:
-        apart = corners[under, :2] - corners[over, :2]
-        area = _cross(steps[over], steps[under])
-        here, there = _cross(apart, steps[under]) / area, _cross(apart, steps[over]) / area
-        gap = found.strand(over, np.array(here)) - found.strand(under, np.array(there))
-        gaps[over].append((float(here), 0.5 * float(gap)))
-        gaps[under].append((float(there), 0.5 * float(gap)))
+    for pair, fraction, gap in zip(layout.crossings, fractions, heights, strict=True):
+        for edge, at in zip(pair, fraction, strict=True):
+            gaps[edge].append((float(at), 0.5 * float(gap)))
     tables = tuple(
         (np.array([f for f, _ in sorted(row)]), np.array([g for _, g in sorted(row)]))
         if row
@@ -138,23 +132,8 @@ def passage(
         length=float(length),
     )
     cost = np.full(possible.shape, BLOCKED)
-    curve, found = states.cost(path, between, margins)
-    cost[b, a] = np.minimum(found, 0.1 * BLOCKED)
-    front_leg, rear_leg = np.zeros((2, *possible.shape, 2))
-    rear_leg[b, a], front_leg[b, a] = states.legs(curve, margins)
-    for leg in (front_leg, rear_leg):
-        cost[b, a] += _STEEP_LEG * _together(np.linalg.norm(2.0 * leg[b, a], axis=1), margins)
-    return Passage(ahead, behind, cost, front_leg, rear_leg)
-
-
-_STEEP_LEG = 0.2
-"""Weight of legs that leave no room for a neighbour as steep, while neighbours are not known."""
-
-
-def _together(apart: Floats, margins: Margins) -> Floats:
-    """Cost of the legs of two segments at their vehicle coming this close (k,) after the hand."""
-    unit = margins.cable + 2.0 * margins.tracking
-    return shortfall((apart - margins.cable - 1.2 * margins.tracking) / unit)
+    cost[b, a] = np.minimum(states.cost(path, between, margins), 0.1 * BLOCKED)
+    return Passage(ahead, behind, cost)
 
 
 def _lattice(stop: float, begin: float, step: float) -> Floats:
@@ -184,10 +163,8 @@ class _States:
     busy: Ints
     length: float
 
-    def cost(
-        self, path: FoldPath, between: Surfaces, margins: Margins
-    ) -> tuple[Catenaries, Floats]:
-        """The strands, and what they cost (k,)."""
+    def cost(self, path: FoldPath, between: Surfaces, margins: Margins) -> Floats:
+        """What every state costs (k,)."""
         hung = strands(self.rear, self.front, self.length)
         cost = chord_cost(hung, margins)
         cost += rotor_cost(self.rear, hung, margins) + rotor_cost(self.front, hung, margins)
@@ -196,14 +173,7 @@ class _States:
         curve = hang(self.rear, self.front, np.maximum(self.length, chord * 1.001 + 1e-9))
         for edge in range(len(between.gaps)):
             self._pass(edge, curve, hung.ratio, between, margins, cost)
-        return curve, cost + self._at_corners(path, margins)
-
-    def legs(self, curve: Catenaries, margins: Margins) -> tuple[Floats, Floats]:
-        """How far (k, 2) the cable has gone in plan view after the hands behind and ahead."""
-        hand = min(margins.hand, 0.5 * self.length) / self.length
-        rear = curve.points_at(np.array(hand)) - self.rear
-        front = curve.points_at(np.array(1.0 - hand)) - self.front
-        return rear[:, :2], front[:, :2]
+        return cost + self._at_corners(path, margins)
 
     def _pass(
         self,
@@ -229,7 +199,7 @@ class _States:
             there & (share > 0.0) & (share < 1.0) & (fraction > -beyond) & (fraction < 1.0 + beyond)
         )
         # The edges before and after touch this one at corners; that is no crossing.
-        touch = 0.5 * self.length / span * 0.25
+        touch = _TOUCH * self.length / span
         crossing &= ~((edge == self.edge_ahead + 1) & (fraction < touch))
         crossing &= ~((edge == self.edge_behind - 1) & (fraction > 1.0 - touch))
         k = np.flatnonzero(crossing)
@@ -272,6 +242,10 @@ class _States:
         return cost
 
 
+_TOUCH = 0.125
+"""Share of a segment's length around its own edges' corners where edges next to these touch it."""
+
+
 def _height(curve: Catenaries, k: Ints, share: Floats) -> tuple[Floats, Floats]:
     """Height and slope of strands k at shares of their spans in plan view."""
     turned = curve.half_angle[k] * share
@@ -288,7 +262,7 @@ _OFF_PACE = 0.01
 class Way:
     """A way through a passage: indices (m,) of ``ahead`` and ``behind``, one step after another.
 
-    ``cost`` (m,) is what its states cost, next to the segment ahead.
+    ``cost`` (m,) is what its states cost.
     """
 
     table: Passage
@@ -296,43 +270,14 @@ class Way:
     behind: Ints
     cost: Floats
 
-    def rear_legs(self) -> dict[int, Floats]:
-        """By place of the vehicle behind: where the segment goes when it leaves least room."""
-        return _least_room(self.table.rear_leg[self.ahead, self.behind], self.behind)
 
-    def front_legs(self) -> dict[int, Floats]:
-        """By place of the vehicle ahead: where the segment goes when it leaves least room."""
-        return _least_room(self.table.front_leg[self.ahead, self.behind], self.ahead)
-
-
-def _least_room(legs: Floats, place: Ints) -> dict[int, Floats]:
-    order = np.argsort(-np.linalg.norm(legs, axis=1), kind="stable")
-    return {int(at): leg for leg, at in zip(legs[order], place[order], strict=True)}
-
-
-def walked(
-    table: Passage,
-    spacing: float,
-    margins: Margins,
-    beside: tuple[Way | None, Way | None] = (None, None),
-    extra: Floats | None = None,
-) -> Way:
-    """Cheapest way from the run-in to the goal, next to those of the segments behind and ahead.
+def walked(table: Passage, spacing: float) -> Way:
+    """Cheapest way from the run-in to the goal.
 
     Every step moves one of the vehicles, or both, by one place of the lattice. It begins with the
     vehicle ahead at its first place and the one behind nearest to ``spacing`` metres behind.
-    ``extra`` (a, b) is what states cost more, for other reasons.
     """
     cost = table.cost
-    if beside[0] is not None:
-        legs = _legs_at(table.behind, beside[0].table.ahead, beside[0].front_legs())
-        cost = cost + _together(np.linalg.norm(table.rear_leg - legs, axis=2), margins)
-    if beside[1] is not None:
-        legs = _legs_at(table.ahead, beside[1].table.behind, beside[1].rear_legs())
-        cost = cost + _together(np.linalg.norm(table.front_leg - legs[:, None], axis=2), margins)
-    if extra is not None:
-        cost = cost + extra
-    cost = np.minimum(cost, BLOCKED)
     rows, columns = cost.shape
     first = int(np.argmin(np.abs(table.ahead[0] - spacing - table.behind)))
     best = np.empty_like(cost)
@@ -347,15 +292,6 @@ def walked(
         best[b] = np.minimum.accumulate(enter - walking) + walking
     ahead, behind = _traced(best, first)
     return Way(table, ahead, behind, cost[ahead, behind])
-
-
-def _legs_at(places: Floats, others: Floats, legs: dict[int, Floats]) -> Floats:
-    """Legs (k, 2) of a neighbour at places on one lattice, known by index on another."""
-    offset = round(float(places[0] - others[0]) / float(places[1] - places[0]))
-    return np.array([legs.get(k + offset, _NOWHERE) for k in range(len(places))])
-
-
-_NOWHERE = np.array([np.inf, np.inf])
 
 
 def _traced(best: Floats, first: int) -> tuple[Ints, Ints]:
@@ -376,18 +312,6 @@ def _traced(best: Floats, first: int) -> tuple[Ints, Ints]:
         ahead.append(b)
         behind.append(a)
     return np.array(ahead[::-1], dtype=np.intp), np.array(behind[::-1], dtype=np.intp)
-
-
-def chained(ways: list[Way], step: float) -> Floats:
-    """Join the ways of all segments, from the leader's back: progress (ticks, n) of all vehicles.
-
-    In a tick a vehicle moves by one step or waits. Where a segment wants the vehicle ahead to wait
-    longer than it does, everybody ahead waits.
-    """
-    ticks: Floats = ways[-1].table.ahead[:, None]
-    for way in reversed(ways):
-        ticks = joined(ticks, way, step)
-    return ticks
 
 
 def joined(ticks: Floats, way: Way, step: float) -> Floats:

@@ -13,7 +13,7 @@ from swarm.fold.clear import Margins, lift, strand_cost, strands
 from swarm.fold.lanes import found_ways
 from swarm.fold.layout import Hanging, Shape, given, hanging
 from swarm.fold.paper import dips, printed_motion
-from swarm.fold.path import FoldPath, Guide
+from swarm.fold.path import Guide
 from swarm.fold.schedule import Schedule, improved, schedule, team_path
 from swarm.knots.catalog import KnotChoice, choose
 from swarm.knots.grid import OpenGrid, openings
@@ -42,8 +42,8 @@ def candidates(
 ) -> Generator[Plan, Shortfalls | None, None]:
     """Yield plans for a mission, best first, for the certificate to judge.
 
-    What a certificate finds missing may be sent in answer: metres by which "cable" and
-    "vehicle_cable" fall short. Then the same plan is mended with so much more margin, if it can be.
+    What a certificate finds missing may be sent in answer: by check, the metres by which it fails.
+    Then the same plan is mended with so much more margin, if it can be.
 
     Where nothing seems to keep the clearances, the plan that misses them least is the only one: the
     certificate says of it what is wrong. Its notes, as those of every plan, say what was tried.
@@ -67,7 +67,8 @@ def candidates(
     doubtful: list[Folding] = []
     layouts = list(shapes(mission, margins))
     ranked = _ranked(opened[:_OPENINGS], layouts[0], margins, progress)
-    for folding in _foldings(ranked, layouts, margins, progress):
+    roomy = layouts[1:] if len(opened[0].corners) > _MANY and len(layouts) > 1 else layouts
+    for folding in _foldings(ranked, roomy, margins, progress):
         worst = folding.plan.worst
         tried.append(
             f"tried a cell of {folding.layout.cell:.2f} m: misses its margins by {worst:.2g}"
@@ -99,12 +100,16 @@ def _mended(
 
 
 def _with_more(margins: Margins, missing: Shortfalls) -> Margins:
+    """More of the margins that failed, by what they missed and a little."""
+    more = {check: 1.1 * metres + _SAMPLING for check, metres in missing.items()}
     return replace(
         margins,
-        cable=margins.cable + 1.1 * missing.get("cable", -_SAMPLING) + _SAMPLING,
-        vehicle_cable=margins.vehicle_cable
-        + 1.1 * missing.get("vehicle_cable", -_SAMPLING)
-        + _SAMPLING,
+        cable=margins.cable + more.get("cable clearance", 0.0),
+        beside=margins.beside + more.get("neighbouring segments", 0.0),
+        vehicle=margins.vehicle + more.get("vehicle clearance", 0.0),
+        vehicle_cable=margins.vehicle_cable + more.get("vehicle-cable clearance", 0.0),
+        disc=margins.disc + more.get("rotor disc", 0.0),
+        play=margins.play + more.get("taut", 0.0),
     )
 
 
@@ -141,31 +146,26 @@ def _ranked(
     opened: list[OpenGrid], shape: Shape, margins: Margins, progress: Progress | None
 ) -> list[OpenGrid]:
     """The openings along whose paths segments are least in the way of others, best first."""
-    by_cost: dict[float, OpenGrid] = {}
+    costs = []
     for k, diagram in enumerate(opened):
         if progress:
             progress("comparing openings of the grid diagram", k / len(opened))
         fit = fitted(diagram, shape, margins)
         layout = _hung_apart(diagram, fit, margins)
         guide = _guide(layout, fit.slope, fit.rounding)
-        rough = found_ways(layout, guide, margins, _COARSE * fit.cell)
-        # Mirror images in plan view fold alike: equal costs are one opening.
-        by_cost.setdefault(round(rough.cost, 3), diagram)
-    return [by_cost[cost] for cost in sorted(by_cost)[:_BEST]]
+        costs.append(found_ways(layout, guide, margins, _STEP * fit.cell).cost)
+    return [opened[k] for k in np.argsort(costs, kind="stable")[:_BEST]]
 
 
 def _foldings(
     opened: list[OpenGrid], layouts: list[Shape], margins: Margins, progress: Progress | None
 ) -> Iterator["Folding"]:
-    """Foldings of all openings in each layout, mended where that may help."""
+    """Foldings of all openings in each layout."""
     for shape in layouts:
         for k, diagram in enumerate(opened):
             if progress:
                 progress(f"folding with a cell of {shape.cell:.2f} m", k / len(opened))
-            folding = _folded(diagram, shape, margins)
-            if folding.plan.worst > 0.1 * _GOOD and folding.plan.cost < _HOPELESS:
-                folding = replace(folding, plan=improved(folding.plan))
-            yield folding
+            yield _folded(diagram, shape, margins)
 
 
 _MENDINGS = 3
@@ -180,37 +180,33 @@ _OPENINGS = 12
 _BEST = 2
 """So many of them are tried with each layout."""
 
-_GOOD = 0.6
+_GOOD = 0.3
 """Schedules that miss their margins by less, at the worst moment, are likely to be certified."""
 
 _DOUBTFUL = 2
 """So many of the others are judged, the best first, once nothing better was found."""
 
-_HOPELESS = 1_000.0
-"""Schedules that miss their margins by more in all are not worth mending."""
+_STEP = 0.4
+"""Step of the lattice of progress, in cells."""
 
-_COARSE, _STEP = 0.35, 0.2
-"""Steps of the lattice of progress, in cells: to compare openings, and to fold."""
-
-_SCALES = (1.0, 1.25, 1.5)
+_SCALES = (1.0, 1.3, 1.7, 2.3)
 """Cells that are tried, over the one that clearances suggest."""
+
+_MANY = 12
+"""Teams of more vehicles than this begin with the second of these."""
 
 _SMALLEST = 0.05
 """Layouts are not scaled down by more to fit a cable."""
 
-_SLOPE, _ROUNDING = 0.98, 0.3
+_SLOPE, _ROUNDING = 0.98, 0.5
 """From how far before a corner, in cells, levels change and turns begin."""
 
 
 def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
-    """Layouts to try; numbers in the mission are taken as they are.
-
-    Lanes under the corners leave room for a vehicle below a strand that passes over.
-    """
+    """Layouts to try, the smallest first; numbers in the mission are taken as they are."""
     asked = mission.layout
     strand = margins.cable + 5.0 * margins.tracking
-    least = max(5.2 * strand, margins.vehicle + 2.0 * margins.tracking)
-    body = margins.grip_offset + margins.vehicle_cable + 3.0 * margins.tracking
+    least = max(2.2 * strand, 1.25 * (margins.vehicle + 2.0 * margins.tracking))
     for scale in _SCALES if asked.cell == "auto" else (1.0,):
         cell = scale * least if asked.cell == "auto" else asked.cell
         yield Shape(
@@ -218,10 +214,12 @@ def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
             gap=1.15 * strand if margins.tracking else 2.0 * strand,
             minimum_sag=0.2 * cell,
             slack=0.16,
-            lane_over=asked.lane_over if asked.lane_over != "auto" else 0.9 * cell,
-            lane_under=asked.lane_under if asked.lane_under != "auto" else 0.35 * cell + body,
+            lane_over=asked.lane_over if asked.lane_over != "auto" else 0.6 * cell,
+            lane_under=asked.lane_under if asked.lane_under != "auto" else 0.5 * cell,
             slope=_SLOPE * cell,
             rounding=_ROUNDING * cell,
+            play=2.2 * margins.tracking,
+            taut=0.98 * margins.taut,
             sag_over=None if asked.sag_over == "auto" else asked.sag_over,
             sag_under=None if asked.sag_under == "auto" else asked.sag_under,
             length=mission.cable.length,
@@ -233,7 +231,6 @@ class Folding:
     """A layout with the path through it and everybody's progress."""
 
     layout: Hanging
-    path: FoldPath
     plan: Schedule
 
 
@@ -273,8 +270,7 @@ def _folded(diagram: OpenGrid, shape: Shape, margins: Margins) -> Folding:
     shape = fitted(diagram, shape, margins)
     layout = _hung_apart(diagram, shape, margins)
     guide = _guide(layout, shape.slope, shape.rounding)
-    plan = schedule(layout, guide, margins, _STEP * shape.cell)
-    return Folding(layout, plan.team.path, plan)
+    return Folding(layout, schedule(layout, guide, margins, _STEP * shape.cell))
 
 
 def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:
@@ -345,8 +341,8 @@ def _planned(
     folding: Folding,
     tried: list[str],
 ) -> Plan:
-    layout, path = folding.layout, folding.path
-    parameter, places, slopes, bends = team_path(path, folding.plan)
+    layout, path = folding.layout, folding.plan.path
+    parameter, places, slopes, bends = team_path(folding.plan)
     vehicles = mission.vehicles
     fold = timed(
         parameter,
@@ -386,9 +382,7 @@ def _as_given(
         hung = replace(layout, corners=corners, lanes=lanes)
         guide = _guide(hung, slope * shortest, rounding * shortest)
         plan = schedule(hung, guide, margins, 0.06 * shortest)
-        if plan.cost < _HOPELESS:
-            plan = improved(plan)
-        foldings.append(Folding(hung, plan.team.path, plan))
+        foldings.append(Folding(hung, plan))
         tried.append(
             f"tried lanes {apart * shortest:.2f} m apart: misses its margins by {plan.worst:.2g}"
         )

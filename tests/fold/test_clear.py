@@ -7,11 +7,10 @@ from scipy.spatial.distance import cdist
 
 from swarm.cable.catenary import hang
 from swarm.fold.clear import (
+    PIECES,
     Margins,
     Strands,
-    body_cost,
     heights_over,
-    neighbour_cost,
     shortfall,
     strand_cost,
     strands,
@@ -38,7 +37,7 @@ def test_strand_cost_grows_where_strands_are_closer() -> None:
     dense = [hang(*ends, length).points(fine) for ends, length in (((a, b), 6.5), ((c, d), 6.8))]
     distance = np.array([cdist(x, y).min() for x, y in zip(*dense, strict=True)])
     expected = shortfall((distance - EXACT.cable) / EXACT.cable)
-    bow = 0.12
+    bow = 7.7 / PIECES**2  # of strands as slack as these
     assert np.all(cost >= shortfall((distance + bow - EXACT.cable) / EXACT.cable) - 1e-9)
     assert np.all(cost <= shortfall((distance - bow - EXACT.cable) / EXACT.cable) + 1e-9)
     assert np.corrcoef(cost, expected)[0, 1] > 0.9
@@ -75,16 +74,6 @@ def test_heights_at_crossings_are_those_of_the_curves() -> None:
         assert gap == pytest.approx(found[k], abs=0.1 + 0.1 * steepest)
 
 
-def test_neighbours_may_meet_in_the_hand_but_not_fold_together() -> None:
-    shared = np.zeros((1, 3))
-    left = np.array([[-4.0, 0.0, 0.0]])
-    straight = np.array([[4.0, 0.0, 0.0]])
-    folded = np.array([[-4.0, 0.3, 0.0]])
-    before = strands(left, shared, 4.5)
-    assert neighbour_cost(before, strands(shared, straight, 4.5), EXACT)[0] < 0.05
-    assert neighbour_cost(before, strands(shared, folded, 4.5), EXACT)[0] > 1.0
-
-
 def test_vehicles_are_apart_sideways_or_above() -> None:
     here = np.zeros((3, 3))
     there = np.array([[[1.2, 0.0, 0.0], [0.0, 0.0, 1.8], [0.5, 0.0, 0.5]]])
@@ -92,14 +81,3 @@ def test_vehicles_are_apart_sideways_or_above() -> None:
     assert cost[0] < 0.01
     assert cost[1] < 0.01
     assert cost[2] > 1.0
-
-
-@pytest.mark.parametrize(
-    ("height", "clear"), [(-1.0, True), (0.3, False), (0.6, False), (0.8, False), (1.3, True)]
-)
-def test_a_strand_keeps_off_the_cone_of_a_vehicle(height: float, clear: bool) -> None:
-    strand = strands(np.array([[-3.0, 0.2, height]]), np.array([[3.0, 0.2, height]]), 6.01)
-    sag = height - strand.points[0, :, 2].min()
-    at = np.array([[0.0, 0.0, -sag]])
-    cost = body_cost(at, strand, EXACT)
-    assert bool(cost[0] < 0.05) is clear

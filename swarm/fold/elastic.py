@@ -1,0 +1,156 @@
+"""A team's motion eased out of tight spots, as an elastic band: everybody gives way a little.
+
+The ways that segments find along γ keep strands on their sides of each other; they need not keep
+all margins. So vehicles leave γ, in all directions, by offsets that miss margins least and bend the
+paths little, smooth over time and found by a quasi-Newton method: as elastic bands (Quinlan and
+Khatib 1993) and CHOMP (Ratliff et al. 2009) do, with strands for bodies. Offsets vanish at the
+beginning and the end.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import minimize
+from scipy.sparse import csr_array
+
+from swarm.fold.strain import Crew, Sides, sides_of
+
+Floats = npt.NDArray[np.float64]
+
+_SMOOTH = 2.0
+"""Stages over which vehicles give way at the least."""
+
+_FADE = 8
+"""Stages at the ends of a window in which offsets fade to what they are outside."""
+
+_ASIDE = 12
+"""Stages before and after a moment that misses margins in which vehicles may give way for it."""
+
+_STRAINED = 0.05
+"""Missed margins of a moment, squared, that are worth giving way for."""
+
+_BENDING = 0.1
+"""Cost of a second difference of a metre in a vehicle's path, next to a missed unit of margin."""
+
+_LAZY = 0.002
+"""Cost of giving way by a metre at a stage, next to a missed unit of margin."""
+
+_ROUNDS, _ITERATIONS = 6, 30
+"""How often windows are chosen anew, and steps of the quasi-Newton method in each."""
+
+_TOO_SLOW = 0.9
+"""What a round may leave of missed margins if there is to be another one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Eased:
+    """Offsets (c, n, 3) of all vehicles at control points, and what is missed (s,) with them."""
+
+    offsets: Floats
+    missed: Floats
+
+
+def eased(
+    crew: Crew,
+    places: Floats,
+    offsets: Floats,
+    sampled: csr_array,
+) -> Eased:
+    """Find offsets with which a team misses its margins least.
+
+    ``places`` (s, n, 3) without offsets; ``offsets`` (c, n, 3) to begin with; ``sampled`` (s, c)
+    are the weights of control points at the moments, which include all stages.
+    """
+    band = _Band(crew, places, sides_of(crew.hung(places)), sampled)
+    stages = sampled.argmax(axis=1)
+    missed = band.missed(offsets)
+    for done in range(_ROUNDS):
+        strained = np.unique(stages[missed > _STRAINED])
+        if not len(strained):
+            break
+        before = missed.sum()
+        for window in _windows(strained, len(offsets), _ASIDE * (1 + done)):
+            offsets = band.relaxed(offsets, window)
+        missed = band.missed(offsets)
+        if missed.sum() > _TOO_SLOW * before:
+            break
+    return Eased(offsets, missed)
+
+
+def _windows(strained: npt.NDArray[np.intp], stages: int, aside: int) -> list[slice]:
+    """Runs of stages around those that are strained."""
+    wanted = np.zeros(stages + 1, dtype=bool)
+    for stage in strained:
+        wanted[max(stage - aside, 0) : stage + aside] = True
+    wanted[-1] = False
+    edges = np.flatnonzero(np.diff(wanted, prepend=False))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Band:
+    crew: Crew
+    places: Floats
+    sides: Sides
+    sampled: csr_array
+
+    @property
+    def density(self) -> int:
+        """Moments per stage."""
+        return (len(self.places) - 1) // (self.sampled.shape[1] - 1)
+
+    def moved(self, offsets: Floats) -> Floats:
+        """Places (s, n, 3) with offsets."""
+        flat: Floats = self.sampled @ offsets.reshape(len(offsets), -1)
+        return self.places + flat.reshape(self.places.shape)
+
+    def missed(self, offsets: Floats) -> Floats:
+        """What the team misses (s,) with offsets."""
+        return self.crew.strain(self.moved(offsets), self.sides).missed(len(self.places))
+
+    def relaxed(self, offsets: Floats, window: slice) -> Floats:
+        """Offsets changed for the better within a window of stages."""
+        smooth = _smoothing(window.stop - window.start)
+        inside = self.sampled[:, window]
+        moments = np.flatnonzero(np.diff(inside.indptr))
+        weights = csr_array(inside[moments] @ smooth)
+        back, smooth_back = csr_array(weights.T), csr_array(smooth.T)
+        base, sides = self.moved(offsets)[moments], self.sides[moments]
+        paths = (self.places[:: self.density] + offsets)[window].reshape(smooth.shape[0], -1)
+
+        def cost(flat: Floats) -> tuple[float, Floats]:
+            wishes = flat.reshape(weights.shape[1], -1)
+            strain = self.crew.strain(base + (weights @ wishes).reshape(base.shape), sides)
+            slope = 2.0 * strain.slopes(base.shape).reshape(len(base), -1)
+            bent = np.diff(paths + smooth @ wishes, 2, axis=0)
+            total = (strain.short**2).sum() + _BENDING * (bent**2).sum() + _LAZY * (wishes**2).sum()
+            gradient = back @ slope + 2.0 * _BENDING * (smooth_back @ _unbent(bent))
+            return float(total), (gradient + 2.0 * _LAZY * wishes).ravel()
+
+        begin = np.zeros(weights.shape[1] * base[0].size)
+        found = minimize(
+            cost, begin, jac=True, method="L-BFGS-B", options={"maxiter": _ITERATIONS, "maxcor": 12}
+        )
+        changed = offsets.copy()
+        change = smooth @ found.x.reshape(weights.shape[1], -1)
+        changed[window] += change.reshape(changed[window].shape)
+        return changed
+
+
+def _unbent(bent: Floats) -> Floats:
+    """The transpose of taking second differences."""
+    slope = np.zeros((len(bent) + 2, bent.shape[1]))
+    slope[:-2] += bent
+    slope[1:-1] -= 2.0 * bent
+    slope[2:] += bent
+    return slope
+
+
+def _smoothing(stages: int) -> csr_array:
+    """Weights (stages, stages) that make offsets of wishes: smooth, and fading at both ends."""
+    fade = (np.minimum(np.arange(stages), np.arange(stages)[::-1]) - 2.0) / _FADE
+    fade = np.clip(fade, 0.0, 1.0) ** 2
+    smooth = gaussian_filter1d(np.eye(stages), _SMOOTH, axis=0, mode="constant")
+    return csr_array(2.0 * fade[:, None] * smooth)

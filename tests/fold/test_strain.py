@@ -1,0 +1,112 @@
+"""What a team misses of its margins, and the derivatives by which it is mended."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from swarm.cable.catenary import hang
+from swarm.fold.clear import Margins, strands
+from swarm.fold.strain import Crew, Sides, pairs, sides_of
+
+Floats = npt.NDArray[np.float64]
+
+EXACT = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.0, radius=0.25, grip_offset=0.6, hand=0.8)
+ERRING = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.1, radius=0.25, grip_offset=0.6, hand=1.2)
+
+
+def unsided(moments: int, segments: int) -> Sides:
+    return np.zeros((moments, len(pairs(segments)[0])), dtype=np.int8)
+
+
+def missed(crew: Crew, places: Floats) -> Floats:
+    return crew.strain(places, unsided(len(places), len(crew.lengths))).missed(len(places))
+
+
+def line(*points: tuple[float, float, float]) -> Floats:
+    return np.array([points], dtype=np.float64)
+
+
+def test_neighbours_may_meet_in_the_hand_but_not_fold_together() -> None:
+    crew = Crew(np.array([4.5, 4.5]), EXACT)
+    straight = line((-4.0, 0.0, 0.0), (0.0, 0.0, 0.0), (4.0, 0.0, 0.0))
+    folded = line((-4.0, 0.0, 0.0), (0.0, 0.0, 0.0), (-4.0, 1.2, 0.0))
+    raised = line((-4.0, 0.0, 0.0), (0.0, 0.0, 0.0), (-2.5, 1.5, 3.0))
+    assert missed(crew, straight)[0] == 0.0
+    assert missed(crew, folded)[0] > 0.05
+    assert missed(crew, raised)[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("height", "clear"), [(-1.0, True), (0.3, False), (0.6, False), (0.8, False), (1.4, True)]
+)
+def test_a_strand_keeps_off_the_cone_of_a_vehicle(height: float, clear: bool) -> None:
+    far = (0.0, 9.0, 0.0)
+    held = hang(np.array([-3.0, 0.2, height]), np.array([3.0, 0.2, height]), 6.05)
+    sag = height - float(held.lowest()[2])
+    places = line((-3.0, 0.2, height), (3.0, 0.2, height), far, (0.0, 0.0, -sag))
+    crew = Crew(np.array([6.05, 12.0, 12.0]), EXACT)
+    found = crew.strain(places, unsided(1, 3))
+    by_body = found.short[(found.vehicles[:, 0] == 3)]
+    assert bool(len(by_body) == 0) is clear
+
+
+def test_strands_on_the_wrong_side_are_pushed_through() -> None:
+    crew = Crew(np.array([4.4, 6.0, 4.4]), EXACT)
+    places = line((-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, -0.7), (0.0, -2.0, -0.7))
+    first, second = pairs(3)
+    assert (first.tolist(), second.tolist()) == ([0], [2])
+    over = sides_of(crew.hung(places))
+    assert over.tolist() == [[1]]
+    right, wrong = crew.strain(places, over), crew.strain(places, -over)
+    lift = np.zeros((4, 3))
+    lift[:2, 2] = 1.0
+    assert right.missed(1)[0] < 0.1 < wrong.missed(1)[0]
+    # The first strand is over the second; the one that should be under is better lowered.
+    assert np.sum(wrong.slopes(places.shape)[0] * lift) > 0.5
+
+
+def test_a_crossing_keeps_the_side_that_it_ends_with() -> None:
+    crew = Crew(np.array([4.4, 6.0, 4.4]), EXACT)
+    begin = line((-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 1.0), (0.0, -2.0, 1.0))
+    end = line((-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, -1.0), (0.0, -2.0, -1.0))
+    away = end + np.array([[[0.0, 0, 0], [0, 0, 0], [5.0, 0, 0], [5.0, 0, 0]]])
+    places = np.concatenate([begin, away, begin, end, end])
+    assert sides_of(crew.hung(places))[:, 0].tolist() == [-1, 0, 1, 1, 1]
+
+
+@pytest.mark.parametrize("margins", [EXACT, ERRING])
+def test_derivatives_are_those_of_what_is_missed(margins: Margins) -> None:
+    rng = np.random.default_rng(7)
+    crew = Crew(np.array([3.0, 4.0, 3.5, 5.0, 4.0]), margins)
+    steps = rng.normal(0.0, 1.0, (400, 6, 3)) * np.array([2.0, 2.0, 0.7])
+    places = np.cumsum(steps, axis=1)
+    chord = np.linalg.norm(np.diff(places, axis=1), axis=2)
+    places = places[np.all(chord < 0.93 * crew.lengths, axis=1)]
+    sides = sides_of(crew.hung(places))
+    strain = crew.strain(places, sides)
+    slope = 2.0 * strain.slopes(places.shape)
+    measured = np.zeros(places.shape)
+    for vehicle, axis in np.ndindex(6, 3):
+        step = np.zeros((6, 3))
+        step[vehicle, axis] = 1e-4
+        more, less = (crew.strain(places + s * step, sides) for s in (1.0, -1.0))
+        change = more.missed(len(places)) - less.missed(len(places))
+        measured[:, vehicle, axis] = change / 2e-4
+    troubled = np.flatnonzero(strain.missed(len(places)) > 0.05)
+    assert len(troubled) > 20
+    # How the closest points and the cable's answer shift along is left out of the derivative.
+    cosine = [
+        np.sum(slope[k] * measured[k]) / (np.linalg.norm(slope[k]) * np.linalg.norm(measured[k]))
+        for k in troubled
+    ]
+    assert np.median(cosine) > 0.97
+    assert np.mean(np.array(cosine) > 0.7) > 0.9
+
+
+def test_over_stretched_strands_pull_their_ends_together() -> None:
+    crew = Crew(np.array([4.0]), EXACT)
+    places = line((0.0, 0.0, 0.0), (3.98, 0.0, 0.0))
+    strain = crew.strain(places, unsided(1, 1))
+    assert strands(places[:, 0], places[:, 1], 4.0).ratio[0] > 0.985
+    pull = strain.slopes(places.shape)[0]
+    assert pull[1, 0] > 0.0 > pull[0, 0]
