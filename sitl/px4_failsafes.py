@@ -88,9 +88,11 @@ def beyond_fence(px4: "Px4") -> bool:
     v, p = px4.v, px4.v.parameters
     if not v.global_valid:
         return False
+    level, upright = p["GF_MAX_HOR_DIST"], p["GF_MAX_VER_DIST"]
+    if not v.fence and level <= 0 and upright <= 0:
+        return False
     here = v.estimated()
     if v.home is not None:
-        level, upright = p["GF_MAX_HOR_DIST"], p["GF_MAX_VER_DIST"]
         away = here - v.home
         if level > 0 and math.hypot(away[0], away[1]) > level:
             return True
