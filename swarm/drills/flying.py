@@ -340,9 +340,9 @@ def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
         problems.append(f"{trial.strikes} rotor strikes")
     if trial.lost > int(row.dead):
         problems.append(f"{trial.lost} vehicles lost")
-    if trial.chord >= 1.0 and not row.dead:
-        problems.append(f"a chord of {trial.chord:.3f} of its length")
     if not (row.moves or row.dead):
+        if trial.chord >= 1.0:
+            problems.append(f"a chord of {trial.chord:.3f} of its length")
         if certified.cable is not None and trial.clearance < certified.cable.distance:
             problems.append(f"strands {trial.clearance:.2f} m apart")
         if certified.vehicle is not None and trial.apart < certified.vehicle.distance:
