@@ -37,10 +37,10 @@ _BENDING = 0.1
 _LAZY = 0.002
 """Cost of giving way by a metre at a stage, next to a missed unit of margin."""
 
-_ROUNDS, _ITERATIONS = 6, 30
+_ROUNDS, _ITERATIONS = 4, 30
 """How often windows are chosen anew, and steps of the quasi-Newton method in each."""
 
-_TOO_SLOW = 0.9
+_TOO_SLOW = 0.7
 """What a round may leave of missed margins if there is to be another one."""
 
 
@@ -76,7 +76,7 @@ def eased(
         missed = band.missed(offsets)
         if missed.sum() > _TOO_SLOW * before:
             break
-    return Eased(offsets, missed)
+    return Eased(offsets, band.missed(offsets, wishes=False))
 
 
 def _windows(strained: npt.NDArray[np.intp], stages: int, aside: int) -> list[slice]:
@@ -106,9 +106,10 @@ class _Band:
         flat: Floats = self.sampled @ offsets.reshape(len(offsets), -1)
         return self.places + flat.reshape(self.places.shape)
 
-    def missed(self, offsets: Floats) -> Floats:
+    def missed(self, offsets: Floats, *, wishes: bool = True) -> Floats:
         """What the team misses (s,) with offsets."""
-        return self.crew.strain(self.moved(offsets), self.sides).missed(len(self.places))
+        strain = self.crew.strain(self.moved(offsets), self.sides, wishes=wishes)
+        return strain.missed(len(self.places))
 
     def relaxed(self, offsets: Floats, window: slice) -> Floats:
         """Offsets changed for the better within a window of stages."""

@@ -30,7 +30,7 @@ _EVENED = 3.0
 _DENSITIES = (2, 4)
 """Moments per stage at which the team is looked at, while it is eased."""
 
-_HOPELESS = 3.0
+_HOPELESS = 1.0
 """Units of missed margin at the worst moment that looking closer will not mend."""
 
 _REST = 4

@@ -76,8 +76,11 @@ class Crew:
         """The team with its strands at places (s, n, 3)."""
         return Hung(self, places, strands(places[:, :-1], places[:, 1:], self.lengths))
 
-    def strain(self, places: Floats, sides: Sides) -> Strain:
-        """Missed margins at places (s, n, 3); ``sides`` (s, pairs) as from :func:`sides_of`."""
+    def strain(self, places: Floats, sides: Sides, *, wishes: bool = True) -> Strain:
+        """Missed margins at places (s, n, 3); ``sides`` (s, pairs) as from :func:`sides_of`.
+
+        ``wishes`` asks for what a team should do, but need not, too: to keep out of jets.
+        """
         team = self.hung(places)
         found = [
             _apart(team, sides),
@@ -87,6 +90,7 @@ class Crew:
             _rotors(team, 0),
             _rotors(team, 1),
             _vehicles(team),
+            *([_washes(team)] if wishes else []),
         ]
         return Strain(
             np.concatenate([part.moment for part in found]),
@@ -374,6 +378,32 @@ def _vehicles(team: Hung) -> Strain:
 
 _VEHICLES_APART, _VEHICLE_WEIGHT = 0.03, 2.0
 """Share beyond their distance that vehicles should keep, and weight of what they miss of it."""
+
+
+def _washes(team: Hung) -> Strain:
+    """Vehicles in the jets of others above them, which would make them sink: only a wish.
+
+    A jet's half-width is 0.7 of the rotors' radius, and a tenth of the distance wider below.
+    """
+    places = team.places
+    above, under = np.nonzero(~np.eye(places.shape[1], dtype=bool))
+    apart = places[:, above] - places[:, under]
+    level = np.hypot(apart[..., 0], apart[..., 1])
+    size = _JETS * (0.7 * team.crew.margins.radius + 0.1 * apart[..., 2])
+    blown = (apart[..., 2] > 0.0) & (apart[..., 2] < _FAR_BELOW) & (level < size)
+    moment, p = np.nonzero(blown)
+    apart, level, size = apart[moment, p], level[moment, p], size[moment, p]
+    push = -_WASH_WEIGHT * apart / (np.maximum(level, 1e-3) * size)[:, None]
+    push[:, 2] = 0.0
+    who = np.stack([above[p], under[p], above[p], under[p]], axis=1)
+    slope = np.stack([push, -push, np.zeros_like(push), np.zeros_like(push)], axis=1)
+    return Strain(moment, _WASH_WEIGHT * (1.0 - level / size), who, slope)
+
+
+_JETS, _FAR_BELOW, _WASH_WEIGHT = 2.2, 8.0, 0.5
+"""Half-widths of jets that vehicles keep out of, metres below which jets do not count, and weight
+of being on the axis of one.
+"""
 
 
 def _unit(vectors: Floats) -> Floats:

@@ -177,7 +177,7 @@ _SAMPLING = 0.015
 _OPENINGS = 12
 """Openings of the grid diagram that are compared."""
 
-_BEST = 2
+_BEST = 3
 """So many of them are tried with each layout."""
 
 _GOOD = 0.3
@@ -192,7 +192,7 @@ _STEP = 0.4
 _SCALES = (1.0, 1.3, 1.7, 2.3)
 """Cells that are tried, over the one that clearances suggest."""
 
-_MANY = 12
+_MANY = 16
 """Teams of more vehicles than this begin with the second of these."""
 
 _SMALLEST = 0.05

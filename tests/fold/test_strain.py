@@ -110,3 +110,14 @@ def test_over_stretched_strands_pull_their_ends_together() -> None:
     assert strands(places[:, 0], places[:, 1], 4.0).ratio[0] > 0.985
     pull = strain.slopes(places.shape)[0]
     assert pull[1, 0] > 0.0 > pull[0, 0]
+
+
+def test_vehicles_wish_to_be_out_of_the_jets_of_others() -> None:
+    crew = Crew(np.array([9.0]), EXACT)
+    below = line((0.0, 0.0, 0.0), (0.3, 0.0, 4.0))
+    beside = line((0.0, 0.0, 0.0), (2.0, 0.0, 4.0))
+    sides = unsided(1, 1)
+    blown = crew.strain(below, sides)
+    assert blown.missed(1)[0] > crew.strain(below, sides, wishes=False).missed(1)[0] + 0.05
+    assert blown.slopes(below.shape)[0, 1, 0] < 0.0 < blown.slopes(below.shape)[0, 0, 0]
+    assert crew.strain(beside, sides).missed(1)[0] == 0.0
