@@ -51,7 +51,12 @@ def test_setpoints_are_read_as_pymavlink_reads_them(
         for one in reader.parse_buffer(bytes(data)) or []
         if one.get_type() == "SET_POSITION_TARGET_LOCAL_NED"
     ]
-    ours: list[Any] = wire.Receiver().feed(bytes(data))
+    # A flipped bit may make a message of a number that nobody knows; nobody answers it.
+    ours: list[Any] = [
+        one
+        for one in wire.Receiver().feed(bytes(data))
+        if not isinstance(one, dialect.MAVLink_unknown)
+    ]
     assert len(ours) == len(theirs)
     for one, other in zip(ours, theirs, strict=True):
         assert type(one) is wire.Setpoint
