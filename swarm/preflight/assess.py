@@ -77,8 +77,10 @@ def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = F
     findings += topology
     stops, stopping = stops_of(plan)
     findings += stopping
-    coasting = coast(plan)
-    findings += coasting.findings()
+    # A plan that is refused anyway never meets the end of its setpoints.
+    refused = any(finding.severity == "error" for finding in findings)
+    coasting = None if refused else coast(plan)
+    findings += coasting.findings() if coasting else []
     budget = budgets(plan, sorted(moments, key=lambda moment: moment.margin))[:BUDGETS]
     assessment = Assessment(
         findings=(),
