@@ -10,7 +10,7 @@ from swarm.preflight.findings import Assessment, ProvenPlan, prove
 
 Progress = Callable[[str, float], None]
 
-_ATTEMPTS = 6
+_ATTEMPTS = 8
 """Plans that the certificate is asked to judge before the first of them is shown as it is."""
 
 

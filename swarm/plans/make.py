@@ -168,7 +168,7 @@ def _foldings(
             yield _folded(diagram, shape, margins)
 
 
-_MENDINGS = 3
+_MENDINGS = 4
 """So often a plan that nearly holds is judged."""
 
 _SAMPLING = 0.015
