@@ -31,10 +31,10 @@ _ASIDE = 12
 _STRAINED = 0.05
 """Missed margins of a moment, squared, that are worth giving way for."""
 
-_BENDING = 0.1
+_BENDING = 0.3
 """Cost of a second difference of a metre in a vehicle's path, next to a missed unit of margin."""
 
-_LAZY = 0.002
+_LAZY = 0.0005
 """Cost of giving way by a metre at a stage, next to a missed unit of margin."""
 
 _ROUNDS, _ITERATIONS = 4, 30
