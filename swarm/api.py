@@ -35,24 +35,21 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
     not pass is returned, with its findings.
     """
     search = candidates(mission, progress=progress)
-    best: Planned | None = None
-    made: Plan | None = next(search)
+    made = next(search)
+    first: Planned | None = None
     for _ in range(_ATTEMPTS):
-        if made is None:
-            break
         assessment = assess(made, progress=progress)
-        planned = Planned(made, assessment)
         if assessment.cleared:
             if robustness:
                 assessment = with_robustness(made, assessment, progress)
             return Planned(made, assessment)
-        best = best or planned
+        first = first or Planned(made, assessment)
         try:
-            made = search.send(_missing(planned.assessment))
+            made = search.send(_missing(assessment))
         except StopIteration:
-            made = None
-    assert best is not None  # noqa: S101 - the search yields a plan or raises
-    return best
+            break
+    assert first is not None  # noqa: S101 - the first plan was judged
+    return first
 
 
 def _missing(assessment: Assessment) -> dict[str, float]:

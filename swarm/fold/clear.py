@@ -35,9 +35,9 @@ class Margins:
     tracking ball; ``radius`` and ``grip_offset`` describe the vehicle. ``hand`` is how much
     cable on either side of a vehicle need not keep apart from the neighbouring segment's.
     ``spacing`` is the preferred chord of a segment in motion, as a share of its length, and
-    ``taut`` the largest one, less what
-    two tracking errors and ``play`` metres add. Neighbouring segments keep ``beside`` metres more
-    than others, and a vehicle's own segments ``disc`` metres more from its rotor disc.
+    ``taut`` the largest one, less what two tracking errors and ``play`` metres add. Neighbouring
+    segments keep ``beside`` metres more than others, and a vehicle's own segments ``disc`` metres
+    more from its rotor disc.
     """
 
     cable: float
@@ -189,18 +189,36 @@ def cut(points: Floats, shares: Floats) -> Floats:
 
 def _margin(one: Strands, other: Strands, margins: Margins) -> Floats:
     """Distance (b,) of strands, less what they should keep."""
-    closest = polyline_polyline(one.points, other.points)
-    if not margins.tracking:
-        return closest.distance - margins.cable
-    apart = point_at(one.points, closest.first) - point_at(other.points, closest.second)
-    upright = np.abs(apart[:, 2]) / np.maximum(closest.distance, 1e-9)
-    upright = np.where(closest.distance > 1e-3, np.minimum(upright, 1.0), 1.0)
-    error = movement(one.ratio, closest.first / PIECES, upright)
-    error += movement(other.ratio, closest.second / PIECES, upright)
-    return closest.distance - margins.cable - margins.tracking * error
+    found = closest(one.points, other.points)
+    error = movement(one.ratio, found.here / PIECES, found.upright)
+    error += movement(other.ratio, found.there / PIECES, found.upright)
+    return found.distance - margins.cable - margins.tracking * error
 
 
-def point_at(points: Floats, place: Floats) -> Floats:
+@dataclass(frozen=True, eq=False)
+class Closest:
+    """Distances (q,), unit vectors (q, 3) from second to first, and pieces where these are.
+
+    ``upright`` (q,) is how much of these vectors is vertical; all of it where things touch.
+    """
+
+    distance: Floats
+    normal: Floats
+    upright: Floats
+    here: Floats
+    there: Floats
+
+
+def closest(one: Floats, other: Floats) -> Closest:
+    """Where polylines (q, k, 3) are closest to others, pair by pair."""
+    found = polyline_polyline(one, other)
+    apart = _point_at(one, found.first) - _point_at(other, found.second)
+    normal = apart / np.maximum(found.distance, 1e-6)[:, None]
+    upright = np.where(found.distance > 1e-3, np.minimum(np.abs(normal[:, 2]), 1.0), 1.0)
+    return Closest(found.distance, normal, upright, found.first, found.second)
+
+
+def _point_at(points: Floats, place: Floats) -> Floats:
     """Points (q, 3) of polylines (q, k, 3) at places: index of the piece plus fraction along it."""
     piece = np.minimum(place.astype(np.intp), points.shape[1] - 2)
     row = np.arange(len(points))

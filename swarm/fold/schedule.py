@@ -5,7 +5,6 @@ ways are chained from the leader back along the cable, and their lattice is smoo
 over a common *stage* variable. Where the team then misses margins, its vehicles give way beside γ.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,18 +78,10 @@ class Schedule:
         return places, slopes, bends
 
 
-def schedule(
-    layout: Hanging,
-    guide: Guide,
-    margins: Margins,
-    step: float,
-    *,
-    report: Callable[[float], None] | None = None,
-) -> Schedule:
+def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Schedule:
     """Plan the motion of all vehicles.
 
     ``step`` is the lattice's step in metres of progress: what a vehicle flies in a stage at most.
-    ``report`` is told the share that is done.
     """
     found = found_ways(layout, guide, margins, step)
     ticks = _chained(found.ways, step)
@@ -99,22 +90,16 @@ def schedule(
     progress = np.stack([_evened(lattice) for lattice in ticks.T], axis=1)
     offsets = np.zeros((*progress.shape, 3))
     crew = Crew(layout.lengths, margins)
-    return improved(Schedule(found.path, crew, progress, offsets, np.zeros(1)), report=report)
+    return improved(Schedule(found.path, crew, progress, offsets, np.zeros(1)))
 
 
-def improved(
-    plan: Schedule,
-    margins: Margins | None = None,
-    report: Callable[[float], None] | None = None,
-) -> Schedule:
+def improved(plan: Schedule, margins: Margins | None = None) -> Schedule:
     """Let vehicles give way beside γ where the team misses margins.
 
     ``margins`` replace those of the plan, where its certificate has asked for more.
     """
     plan = plan if margins is None else replace(plan, crew=Crew(plan.crew.lengths, margins))
-    for done, density in enumerate(_DENSITIES):
-        if report:
-            report(done / len(_DENSITIES))
+    for density in _DENSITIES:
         sampled = _sampled(len(plan.progress), density)
         along = sampled @ plan.progress
         places = np.stack([plan.path.at(i, row)[0] for i, row in enumerate(along.T)], axis=1)

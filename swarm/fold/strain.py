@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.distance import polyline_polyline
 from swarm.fold.clear import (
     PIECES,
     Margins,
     Strands,
     body_distance,
+    closest,
     cut,
     diverging,
     far_movement,
@@ -23,7 +23,6 @@ from swarm.fold.clear import (
     joined,
     lift,
     movement,
-    point_at,
     refined,
     rotor_cost,
     strands,
@@ -171,7 +170,7 @@ def _apart(team: Hung, sides: Sides) -> Strain:
         near &= gap - hung.reach[:, first, axis] - hung.reach[:, second, axis] < most
     moment, p = np.nonzero(near)
     one, other = hung[moment, first[p]], hung[moment, second[p]]
-    found = _closest(one.points, other.points)
+    found = closest(one.points, other.points)
     flip = _wrong_side(one, other, sides[moment, p])
     error = movement(one.ratio, found.here / PIECES, found.upright)
     error += movement(other.ratio, found.there / PIECES, found.upright)
@@ -207,25 +206,6 @@ def _wrong_side(one: Strands, other: Strands, side: Sides) -> npt.NDArray[np.boo
     return wrong
 
 
-@dataclass(frozen=True, eq=False)
-class _Closest:
-    """Distances (q,), unit vectors (q, 3) from second to first, and pieces where these are."""
-
-    distance: Floats
-    normal: Floats
-    upright: Floats
-    here: Floats
-    there: Floats
-
-
-def _closest(one: Floats, other: Floats) -> _Closest:
-    found = polyline_polyline(one, other)
-    apart = point_at(one, found.first) - point_at(other, found.second)
-    normal = apart / np.maximum(found.distance, 1e-6)[:, None]
-    upright = np.where(found.distance > 1e-3, np.minimum(np.abs(normal[:, 2]), 1.0), 1.0)
-    return _Closest(found.distance, normal, upright, found.first, found.second)
-
-
 def _neighbours(team: Hung) -> Strain:
     """Strands that meet at a vehicle, beyond its hand."""
     margins, hung, lengths = team.crew.margins, team.strands, team.crew.lengths
@@ -249,7 +229,7 @@ def _neighbours(team: Hung) -> Strain:
     moment, own = np.tile(moment, 2)[near], np.concatenate([number, number + 1])[near]
     next_ = np.concatenate([number + 1, number])[near]
     strand, other, points, shares = strand[near], other[near], points[near], shares[near]
-    found = _closest(points, other.points)
+    found = closest(points, other.points)
     here = _share_at(shares, found.here)
     there = found.there / PIECES
     shared = (next_ > own).astype(np.float64)
