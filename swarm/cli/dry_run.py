@@ -13,8 +13,6 @@ from swarm.errors import InputError
 from swarm.flight.result import FlightResult
 from swarm.rehearse import rehearse
 from swarm.verify import judge
-from swarm.view.plots import plot_flight
-from swarm.view.report import flight_report
 from swarm.view.summary import plan_summary
 from swarm.view.terminal import FlightScreen
 
@@ -117,12 +115,16 @@ def dry_run(
     flown = judge(planned.plan, result.trace)
     outcome = outcome_object(result, flown, planned.assessment)
     if options["plot"]:
+        from swarm.view.plots import plot_flight  # noqa: PLC0415 - slow to import
+
         plot_flight(planned.plan, result.trace, options["plot"])
     if options["recording"]:
         from swarm.view.replay import write_flight  # noqa: PLC0415 - slow to import
 
         write_flight(planned.plan, result.trace, result.events, options["recording"])
     if options["report"]:
+        from swarm.view.report import flight_report  # noqa: PLC0415 - slow to import
+
         page = flight_report(planned.plan, planned.assessment, outcome, result.trace, result.events)
         write_text(options["report"], page)
     if as_json:

@@ -11,7 +11,6 @@ from swarm.flight.result import FlightResult
 from swarm.plans import Plan
 from swarm.preflight.findings import Assessment
 from swarm.verify import judge
-from swarm.view.report import flight_report
 
 
 def end_with(
@@ -24,6 +23,8 @@ def end_with(
     as_json: bool,
 ) -> None:
     """Write the flight's page, tell what was flown, and end the command with its exit code."""
+    from swarm.view.report import flight_report  # noqa: PLC0415 - slow to import
+
     console = Console(quiet=as_json)
     flown = judge(plan, result.trace)
     outcome = outcome_object(result, flown, assessment)

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from swarm.cli.flown import end_with
 from swarm.cli.inputs import read_text
-from swarm.cli.view import recorded_plan
+from swarm.cli.records import recorded_plan
 from swarm.errors import InputError, Problem, Refused
 from swarm.fleet import Fleet
 from swarm.flight.resuming import Then, left_off

@@ -10,9 +10,8 @@ from rich.console import Console
 
 from swarm import api
 from swarm.cli.inputs import print_json, progress_bar, write_text
+from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.cli.trials import paper_mission
-from swarm.cli.verify import recorded_flight
-from swarm.cli.view import recorded_plan
 from swarm.errors import InputError, Problem, SwarmError
 from swarm.flight.trace import Trace
 from swarm.mission import Mission

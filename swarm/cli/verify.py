@@ -7,24 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import click
-from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
 
-from swarm.borders import LARGEST_FILE
-from swarm.cli.inputs import JSON, print_json, read_record
+from swarm.cli.inputs import JSON, print_json
 from swarm.cli.observations import Observation, enter, observation, observations
 from swarm.cli.outcome import flown_object, print_flown
-from swarm.cli.view import recorded_plan
-from swarm.errors import InputError, Problem
-from swarm.fleet import Fleet
-from swarm.flight.tlog import Replayed, replay
+from swarm.cli.records import recorded_flight, recorded_plan
+from swarm.flight.tlog import Replayed
 from swarm.plans import Plan
 from swarm.preflight.assess import assess
 from swarm.verify import TrackingError, judge
-from swarm.view.plots import plot_flight
-
-_LARGEST_LOG = 4 << 30
 
 
 @click.command()
@@ -59,6 +52,8 @@ def verify(
     if observed is not None:
         enter(record, seen[-1])
     if plot:
+        from swarm.view.plots import plot_flight  # noqa: PLC0415 - slow to import
+
         plot_flight(plan, replayed.trace, plot)
     if as_json:
         found = {
@@ -76,22 +71,6 @@ def verify(
         _print_observations(plan, seen, console)
     agreed = seen[-1].agrees(plan.knot) if seen else True
     context.exit(0 if flown.as_planned and agreed else 1)
-
-
-def recorded_flight(record: Path, plan: Plan) -> Replayed:
-    """Replay the .tlog in a record's folder; raises :class:`InputError` where there is none."""
-    path, listed = record / "flight.tlog", record / "fleet.json"
-    try:
-        fleet = Fleet.model_validate_json(read_record(listed, LARGEST_FILE))
-        if path.stat().st_size > _LARGEST_LOG:
-            raise InputError([Problem(str(path), "too large for a flight")])
-        data = path.read_bytes()
-    except OSError as error:
-        reason = "expected a flight's record with flight.tlog and fleet.json in it"
-        raise InputError([Problem(str(record), reason)]) from error
-    except ValidationError:
-        raise InputError([Problem(str(listed), "expected the fleet of a flight")]) from None
-    return replay(data, plan, fleet)
 
 
 def _links_object(replayed: Replayed) -> dict[str, Any]:

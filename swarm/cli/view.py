@@ -1,6 +1,5 @@
 """``swarm view``: open a flight's record, a recording or a plan in the Rerun viewer."""
 
-import json
 import tempfile
 from pathlib import Path
 
@@ -8,16 +7,12 @@ import click
 from rich.console import Console
 
 from swarm import api
-from swarm.cli.inputs import SET, load_mission, progress_bar, read_record
+from swarm.cli.inputs import SET, load_mission, progress_bar
+from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.errors import InputError, Interrupted, Problem, SwarmError
-from swarm.flight.archive import read_plan
-from swarm.plans import Plan
 from swarm.view.replay import write_flight, write_plan
 from swarm.view.screenshot import NoPicture, screenshot
 from swarm.view.viewers import free_port, has_display, open_window, serve, web_url
-
-LARGEST_PLAN = 64 << 20
-"""Bytes that a record's plan or motion may have."""
 
 
 @click.command()
@@ -79,26 +74,9 @@ def view(
 
 def _verification(record: Path, path: Path) -> Path:
     """Write what the record's .tlog says was flown beside its plan, arranged for verification."""
-    from swarm.cli.verify import recorded_flight  # noqa: PLC0415 - it reads plans from here
-
     plan = recorded_plan(record)
     write_flight(plan, recorded_flight(record, plan).trace, (), path)
     return path
-
-
-def recorded_plan(record: Path) -> Plan:
-    """Return the plan that a record's folder holds; raises :class:`InputError` without one."""
-    files = record / "plan.json", record / "motion.npz"
-    try:
-        document = json.loads(read_record(files[0], LARGEST_PLAN))
-        return read_plan(document, read_record(files[1], LARGEST_PLAN))
-    except RecursionError:
-        raise InputError([Problem(str(files[0]), "not valid JSON: nested too deeply")]) from None
-    except ValueError as error:
-        raise InputError([Problem(str(files[0]), f"not valid JSON: {error}")]) from None
-    except OSError as error:
-        reason = "expected a flight's record with plan.json and motion.npz in it"
-        raise InputError([Problem(str(record), reason)]) from error
 
 
 def find_recording(source: Path) -> Path | None:

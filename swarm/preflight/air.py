@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import bilinear, lfilter
 
 from swarm.cable.catenary import STANDARD_GRAVITY
 from swarm.mission import Mission
@@ -98,6 +97,8 @@ def deepest_sinking(plan: Plan) -> Sinking | None:
     autopilot answers with _ANSWER. The largest speed counts where
     several jets meet. None where nobody passes below anybody.
     """
+    from scipy.signal import bilinear, lfilter  # noqa: PLC0415 - slow to import
+
     held = [phase for phase in plan.phases if phase.cable in {"lifting", "aloft"}]
     if not held or plan.vehicles < 2:
         return None

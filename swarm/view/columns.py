@@ -8,13 +8,16 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from swarm.cable.distance import strand_strand
 from swarm.flight.trace import Trace
 from swarm.plans import Plan
 from swarm.view import scene
+from swarm.view.distances import (
+    CLEARANCE_STEP,
+    distances_of_strands,
+    strand_distances,
+)
 from swarm.view.rerun_scene import (
     GHOST_COLOUR,
-    POINTS_PER_SEGMENT,
     log_style,
     quadrotor,
     vehicle_colours,
@@ -24,9 +27,6 @@ Floats = npt.NDArray[np.float64]
 
 STEP: Final = 0.1
 """Seconds between two drawn moments of a plan."""
-
-CLEARANCE_STEP: Final = 0.5
-"""Seconds between two sampled distances; the certificate is continuous, this curve is not."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +95,10 @@ def _send_trails(stream: rr.RecordingStream, entity: str, course: Course) -> Non
 
 def _send_cable(stream: rr.RecordingStream, entity: str, plan: Plan, course: Course) -> None:
     lengths = plan.layout.lengths
-    shapes = scene.strands(course.cable, lengths, POINTS_PER_SEGMENT)
+    shapes = scene.strands(course.cable, lengths, scene.POINTS_PER_SEGMENT)
     colours = scene.tautness_colours(scene.tautness(course.cable, lengths))
     strips = rr.LineStrips3D.columns(
-        strips=shapes.reshape(-1, POINTS_PER_SEGMENT, 3), colors=colours.reshape(-1, 3)
+        strips=shapes.reshape(-1, scene.POINTS_PER_SEGMENT, 3), colors=colours.reshape(-1, 3)
     )
     _send(stream, f"{entity}/cable", course, strips.partition([len(lengths)] * len(shapes)))
 
@@ -153,30 +153,6 @@ def send_distances(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None
             _curves(stream, f"distance/{name}", [name], {"mission_time": times}, values[:, None])
     clock = {"mission_time": sampled}
     _limit(stream, "distance/limit", plan.mission.clearance.cable, "required", clock)
-
-
-def strand_distances(plan: Plan, step: float = CLEARANCE_STEP) -> tuple[Floats, Floats]:
-    """Return times (k,) and the smallest surface distance (k,) of strands aloft then, metres.
-
-    A sample of the planned motion without tracking errors, for curves: the certificate is the
-    bound.
-    """
-    aloft = [phase for phase in plan.phases if phase.cable == "aloft"]
-    start, end = aloft[0].start, aloft[-1].end
-    times = np.linspace(start, end, max(2, round((end - start) / step) + 1))
-    return times, distances_of_strands(plan, plan.motion.at(times)[0])
-
-
-def distances_of_strands(plan: Plan, grips: Floats) -> Floats:
-    """Return the smallest surface distance (k,) of strands between grip points (k, n, 3), metres.
-
-    Neighbouring segments, which meet at a grip point, are left out.
-    """
-    shapes = scene.strands(grips, plan.layout.lengths, POINTS_PER_SEGMENT)
-    first, second = np.triu_indices(plan.vehicles - 1, 2)
-    closest = strand_strand(shapes, np.column_stack([first, second])).distance.min(axis=1)
-    surface: Floats = closest - plan.mission.cable.diameter
-    return surface
 
 
 def send_phases(stream: rr.RecordingStream, entity: str, plan: Plan) -> None:

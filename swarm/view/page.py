@@ -4,8 +4,11 @@ import base64
 import io
 from collections.abc import Iterable, Sequence
 from html import escape
+from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 STYLE = """
 :root { color-scheme: light; --ink: #1d2430; --dim: #667085; --line: #d9dde5; --good: #18794e;
@@ -99,7 +102,7 @@ def key_figures(pairs: Iterable[tuple[str, object]]) -> Html:
     return tag("div", *cards, kind="figures")
 
 
-def picture(figure: Figure, words: str, *, wide: bool = False) -> Html:
+def picture(figure: "Figure", words: str, *, wide: bool = False) -> Html:
     """Return a figure embedded in the page; ``words`` describe it to those who cannot see it."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=120)

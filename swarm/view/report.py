@@ -16,7 +16,7 @@ from swarm.flight.trace import Trace
 from swarm.plans import Plan
 from swarm.preflight.findings import Assessment, Tightest
 from swarm.view import plots, scene
-from swarm.view.columns import CLEARANCE_STEP, distances_of_strands, strand_distances
+from swarm.view.distances import CLEARANCE_STEP, distances_of_strands, strand_distances
 from swarm.view.page import Html, key_figures, page, picture, pictures, section, table, tag
 from swarm.view.words import ROUTINE, clock, level, merged, metres, seconds, sentence
 

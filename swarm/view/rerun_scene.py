@@ -18,7 +18,6 @@ from swarm.view.words import clock, level, sentence
 
 Floats = npt.NDArray[np.float64]
 
-POINTS_PER_SEGMENT: Final = 25
 PATH_COLOUR: Final = (120, 110, 185)
 GHOST_COLOUR: Final = (235, 235, 245)
 PLAN_COLOUR: Final = (105, 115, 135)
@@ -54,7 +53,7 @@ def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
     )
     if len(plan.path) > 1:
         static("plan/path", rr.LineStrips3D([plan.path], radii=0.012, colors=PATH_COLOUR))
-    knot = scene.strands(plan.layout.corners, plan.layout.lengths, POINTS_PER_SEGMENT)
+    knot = scene.strands(plan.layout.corners, plan.layout.lengths, scene.POINTS_PER_SEGMENT)
     static("plan/knot", rr.LineStrips3D(knot, radii=0.012, colors=PLAN_COLOUR))
     found = scene.crossings(plan.layout)
     pairs = np.array([[crossing.lower, crossing.upper] for crossing in found]).reshape(-1, 2, 3)
@@ -138,7 +137,7 @@ class Recorder:
         self._held = scene.resting_places(plan)
         self._gripped = np.zeros(plan.vehicles, dtype=bool)
         self._trail = np.full((plan.vehicles, 3), np.nan)
-        self._strips = scene.strands(self._held, plan.layout.lengths, POINTS_PER_SEGMENT)
+        self._strips = scene.strands(self._held, plan.layout.lengths, scene.POINTS_PER_SEGMENT)
         self._shown = False
         self._look: object = None
         self._words: dict[str, str] = {}
@@ -266,7 +265,7 @@ class Recorder:
     def _log_cable(self, snapshot: Snapshot, colours: bool) -> None:
         lengths = self._plan.layout.lengths
         self._held, self._gripped = scene.held_points(self._held, self._gripped, snapshot)
-        self._strips = scene.strands(self._held, lengths, POINTS_PER_SEGMENT)
+        self._strips = scene.strands(self._held, lengths, scene.POINTS_PER_SEGMENT)
         self._stream.log("flight/cable", rr.LineStrips3D.from_fields(strips=self._strips))
         if colours:
             tints = scene.tautness_colours(scene.tautness(self._held, lengths))

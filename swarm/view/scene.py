@@ -18,6 +18,8 @@ from swarm.plans import Layout, Phase, Plan
 Floats = npt.NDArray[np.float64]
 Colours = npt.NDArray[np.uint8]
 
+POINTS_PER_SEGMENT: Final = 25
+
 TAUT: Final = 0.985
 """Chord over length beyond which a segment counts as taut."""
 
@@ -52,7 +54,7 @@ class Crossing:
         return float(self.upper[2] - self.lower[2])
 
 
-def strands(grips: Floats, lengths: Floats, points: int = 25) -> Floats:
+def strands(grips: Floats, lengths: Floats, points: int = POINTS_PER_SEGMENT) -> Floats:
     """Return the cable between grip points (…, n, 3) as polylines (…, n − 1, points, 3).
 
     Every segment is the catenary of its length (n − 1,), laid flat where it would pass below the

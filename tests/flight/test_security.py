@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from swarm.cli.verify import recorded_flight
-from swarm.cli.view import recorded_plan
+from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.errors import InputError
 from swarm.fleet import emulated_fleet, parse_fleet
 from swarm.flight.archive import plan_document, plan_motion, read_plan

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
-from swarm.cli.verify import recorded_flight
-from swarm.cli.view import recorded_plan
+from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.errors import VehicleError
 from swarm.fleet import emulated_fleet
 from swarm.ground import fly

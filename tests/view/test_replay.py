@@ -6,7 +6,8 @@ from rerun.chunk import RrdReader
 
 from swarm.flight.trace import Trace
 from swarm.view import replay
-from swarm.view.columns import moments, planned_course, strand_distances
+from swarm.view.columns import moments, planned_course
+from swarm.view.distances import strand_distances
 from tests.view.synthetic import events, trefoil_plan
 
 PLAN = trefoil_plan()

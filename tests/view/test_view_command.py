@@ -5,7 +5,8 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from swarm.cli.view import find_recording, recorded_plan, view
+from swarm.cli.records import recorded_plan
+from swarm.cli.view import find_recording, view
 from swarm.errors import InputError, SwarmError
 from swarm.flight.archive import plan_document, plan_motion
 from swarm.view.replay import write_plan

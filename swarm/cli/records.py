@@ -1,0 +1,49 @@
+"""What the folder of a flight's record holds: its plan and what was flown."""
+
+import json
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from swarm.borders import LARGEST_FILE
+from swarm.cli.inputs import read_record
+from swarm.errors import InputError, Problem
+from swarm.fleet import Fleet
+from swarm.flight.archive import read_plan
+from swarm.flight.tlog import Replayed, replay
+from swarm.plans import Plan
+
+LARGEST_PLAN = 64 << 20
+"""Bytes that a record's plan or motion may have."""
+_LARGEST_LOG = 4 << 30
+
+
+def recorded_plan(record: Path) -> Plan:
+    """Return the plan that a record's folder holds; raises :class:`InputError` without one."""
+    files = record / "plan.json", record / "motion.npz"
+    try:
+        document = json.loads(read_record(files[0], LARGEST_PLAN))
+        return read_plan(document, read_record(files[1], LARGEST_PLAN))
+    except RecursionError:
+        raise InputError([Problem(str(files[0]), "not valid JSON: nested too deeply")]) from None
+    except ValueError as error:
+        raise InputError([Problem(str(files[0]), f"not valid JSON: {error}")]) from None
+    except OSError as error:
+        reason = "expected a flight's record with plan.json and motion.npz in it"
+        raise InputError([Problem(str(record), reason)]) from error
+
+
+def recorded_flight(record: Path, plan: Plan) -> Replayed:
+    """Replay the .tlog in a record's folder; raises :class:`InputError` where there is none."""
+    path, listed = record / "flight.tlog", record / "fleet.json"
+    try:
+        fleet = Fleet.model_validate_json(read_record(listed, LARGEST_FILE))
+        if path.stat().st_size > _LARGEST_LOG:
+            raise InputError([Problem(str(path), "too large for a flight")])
+        data = path.read_bytes()
+    except OSError as error:
+        reason = "expected a flight's record with flight.tlog and fleet.json in it"
+        raise InputError([Problem(str(record), reason)]) from error
+    except ValidationError:
+        raise InputError([Problem(str(listed), "expected the fleet of a flight")]) from None
+    return replay(data, plan, fleet)

@@ -1,0 +1,39 @@
+"""How close strands come, sampled for curves: the certificate is continuous, these are not."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.cable.distance import strand_strand
+from swarm.plans import Plan
+from swarm.view import scene
+
+Floats = npt.NDArray[np.float64]
+
+CLEARANCE_STEP: Final = 0.5
+"""Seconds between two sampled distances."""
+
+
+def strand_distances(plan: Plan, step: float = CLEARANCE_STEP) -> tuple[Floats, Floats]:
+    """Return times (k,) and the smallest surface distance (k,) of strands aloft then, metres.
+
+    A sample of the planned motion without tracking errors, for curves: the certificate is the
+    bound.
+    """
+    aloft = [phase for phase in plan.phases if phase.cable == "aloft"]
+    start, end = aloft[0].start, aloft[-1].end
+    times = np.linspace(start, end, max(2, round((end - start) / step) + 1))
+    return times, distances_of_strands(plan, plan.motion.at(times)[0])
+
+
+def distances_of_strands(plan: Plan, grips: Floats) -> Floats:
+    """Return the smallest surface distance (k,) of strands between grip points (k, n, 3), metres.
+
+    Neighbouring segments, which meet at a grip point, are left out.
+    """
+    shapes = scene.strands(grips, plan.layout.lengths, scene.POINTS_PER_SEGMENT)
+    first, second = np.triu_indices(plan.vehicles - 1, 2)
+    closest = strand_strand(shapes, np.column_stack([first, second])).distance.min(axis=1)
+    surface: Floats = closest - plan.mission.cable.diameter
+    return surface
