@@ -63,7 +63,8 @@ class Network:
 
     ``uplink`` and ``downlink`` say which packets get through; ``delay`` is added to each way with
     a uniform ``jitter``, so that packets may overtake each other; ``loss`` and ``duplication`` are
-    shares.
+    shares. The conductor hears packets ``early`` seconds before it next acts, as it does on
+    sockets, where they come between its ticks.
     """
 
     proven: ProvenPlan
@@ -74,6 +75,7 @@ class Network:
     jitter: float = 0.0
     loss: float = 0.0
     duplication: float = 0.0
+    early: float = 0.0
     uplink: Keep = lambda *_: True
     downlink: Keep = lambda *_: True
     events: list[Event] = field(default_factory=list)
@@ -147,4 +149,4 @@ class Network:
             if up:
                 self.emulator.receive(system, data, now)
             else:
-                self.conductor.receive("loopback", system, data, now)
+                self.conductor.receive("loopback", system, data, now - self.early)

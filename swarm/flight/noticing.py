@@ -52,7 +52,7 @@ _HOME = frozenset({"return", "smart return", "auto return"})
 class Reports:
     """What was last reported by each of n vehicles, to compare the next report with."""
 
-    at: Floats
+    at: list[float]
     position: Floats
     velocity: Floats
     heights: Floats
@@ -64,7 +64,7 @@ class Reports:
     def of(cls, n: int) -> "Reports":
         """Return the reports of n vehicles that have said nothing yet."""
         nothing = np.full((n, 3), np.nan)
-        return cls(np.full(n, -np.inf), nothing.copy(), nothing.copy(), np.full(n, np.nan))
+        return cls([-math.inf] * n, nothing.copy(), nothing.copy(), np.full(n, np.nan))
 
     def first(self, what: str, k: int) -> bool:
         """Whether this is said of a vehicle for the first time."""
@@ -78,16 +78,20 @@ def watch(flight: "Conductor") -> None:
     _watch_links(flight)
     if flight.frames is None or flight.over:
         return
-    at = np.array([vehicle.position_at for vehicle in flight.flyers])
-    if not _moves_as_told(flight, at) or not _healthy(flight):
+    reports = flight.reports
+    at = [vehicle.position_at for vehicle in flight.flyers]
+    told = at != reports.at
+    step = np.subtract(at, reports.at) if told else None
+    if (step is not None and not _moves_as_told(flight, step)) or not _healthy(flight):
         for k, vehicle in enumerate(flight.flyers):
             if flight.expected_armed[k] and not may_be_down(flight, vehicle):
                 _watch_motion(flight, k, vehicle)
                 _watch_health(flight, k, vehicle)
-    flight.reports.at = at
-    fresh = (at == flight.now)[:, None]
-    np.copyto(flight.reports.position, flight.reported, where=fresh)
-    np.copyto(flight.reports.velocity, flight.velocity, where=fresh)
+    if step is not None:
+        reports.at = at
+        fresh = (step > 0.0)[:, None]
+        np.copyto(reports.position, flight.reported, where=fresh)
+        np.copyto(reports.velocity, flight.velocity, where=fresh)
     if flight.now >= flight.reports.next_heights:
         flight.reports.next_heights = flight.now + 1.0
         _watch_heights(flight)
@@ -145,14 +149,13 @@ def _pulled_down(flight: "Conductor", k: int) -> bool:
     )
 
 
-def _moves_as_told(flight: "Conductor", at: Floats) -> bool:
+def _moves_as_told(flight: "Conductor", step: Floats) -> bool:
     """Whether nobody can be falling, turned over or jumping, told of the whole team at once.
 
     What :func:`_watch_motion` notices is never told to be as it should, but not all that is looked
-    at more closely is noticed. ``at`` (n,) is when each position was reported.
+    at more closely is noticed. ``step`` (n,) are the seconds from each one's last report to this.
     """
     # a first report is infinitely later than none, and so looked at more closely
-    step = at - flight.reports.at
     if np.count_nonzero(step <= LONGEST_STEP) < len(step):
         return False
     told = np.fmin(flight.setpoint_velocity[:, 2], 0.0)
