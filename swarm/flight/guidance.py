@@ -41,8 +41,11 @@ class Sampler:
         pieces, orders, self._points, _ = motion.coefficients.shape
         self._coefficients = np.ascontiguousarray(motion.coefficients).reshape(pieces, orders, -1)
 
-    def at(self, time: float) -> State:
-        """Return the state at a time; outside the motion its nearest end at rest."""
+    def at(self, time: float, rate: float = 1.0, slope: float = 0.0) -> State:
+        """Return the state at a time; outside the motion its nearest end at rest.
+
+        ``rate`` is how fast that time passes, and ``slope`` how fast the rate grows, in 1/s.
+        """
         times = self._times
         inside = min(max(time, times[0]), times[-1])
         piece = min(bisect_right(times, inside) - 1, len(times) - 2)
@@ -51,11 +54,17 @@ class Sampler:
         u4 = u2 * u2
         place = (1.0, u, u2, u3, u4, u4 * u)
         if inside == time:
-            speed = (0.0, 1.0, 2.0 * u, 3.0 * u2, 4.0 * u3, 5.0 * u4)
-            powers = np.array((place, speed, (0.0, 0.0, 2.0, 6.0 * u, 12.0 * u2, 20.0 * u3)))
+            along = (1.0, 2.0 * u, 3.0 * u2, 4.0 * u3, 5.0 * u4)
+            bend = rate * rate
+            speed = (0.0, *[rate * power for power in along])
+            growth = (
+                0.0, slope, 2.0 * bend + slope * along[1], 6.0 * bend * u + slope * along[2],
+                12.0 * bend * u2 + slope * along[3], 20.0 * bend * u3 + slope * along[4],
+            )  # fmt: skip
+            powers = np.array((place, speed, growth))
         else:
             powers = np.array((place, _AT_REST, _AT_REST))
-        states = (powers @ self._coefficients[piece]).reshape(3, self._points, 3)
+        states = np.dot(powers, self._coefficients[piece]).reshape(3, self._points, 3)
         return State(states[0], states[1], states[2])
 
 
@@ -114,15 +123,8 @@ class Guidance:
         if self._detour is not None:
             since, start, sampler = self._detour
             return sampler.at(start + now - since)
-        rate, slope = clock.rate, clock.slope
-        state = self._plan.at(clock.time)
-        along = state.velocity
-        position = state.position
-        velocity = rate * along
-        acceleration = rate * rate * state.acceleration + slope * along
-        if self._blending:
-            return self._blended(State(position, velocity, acceleration), now)
-        return State(position, velocity, acceleration)
+        state = self._plan.at(clock.time, clock.rate, clock.slope)
+        return self._blended(state, now) if self._blending else state
 
     def _blended(self, state: State, now: float) -> State:
         u = np.clip((now - self._blend_since) / self._blend_time, 0.0, 1.0)[:, None]

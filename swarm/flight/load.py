@@ -119,11 +119,12 @@ class PlannedPull:
         times = self._start + np.arange(0.0, held + 2.0 * STEP, STEP)
         grips = plan.motion.at(times)[0]
         self._pull = cable_pull(grips, plan.layout.lengths, plan.mission.cable.mass_per_length)
+        self._change = np.diff(self._pull, axis=0)
 
     def at(self, time: float) -> Floats:
         """Return the pull (n, 3) in newtons, ENU, at a mission time, everybody holding on."""
         place = min(max((time - self._start) / STEP, 0.0), len(self._pull) - 1.001)
         before = int(place)
-        share = place - before
-        pull: Floats = (1.0 - share) * self._pull[before] + share * self._pull[before + 1]
+        pull: Floats = self._change[before] * (place - before)
+        pull += self._pull[before]
         return pull

@@ -6,6 +6,7 @@ first heard.
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +45,9 @@ class Outgoing(NamedTuple):
     link: str
     address: Address | None
     data: bytes
+
+
+_outgoing: Callable[[tuple[Any, ...]], Outgoing] = partial(tuple.__new__, Outgoing)
 
 
 @dataclass
@@ -294,7 +298,7 @@ class Team:
         packets = self._packer.pack(sequences, int(now * 1000), states, yaw)
         raw, length = packets.tobytes(), packets.shape[1]
         outgoing = [
-            Outgoing(route.link, route.address, raw[k * length : (k + 1) * length])
+            _outgoing((route.link, route.address, raw[k * length : (k + 1) * length]))
             for k, route in enumerate(routes)
             if route is not None
         ]
