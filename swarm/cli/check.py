@@ -22,6 +22,7 @@ from swarm.cli.inputs import (
     progress_bar,
     write_text,
 )
+from swarm.cli.logs import fetch
 from swarm.errors import InputError, Problem
 from swarm.exports import finding_object
 from swarm.fleet import Fleet, emulated_fleet
@@ -74,6 +75,12 @@ STYLES = {"error": "bold red", "warning": "yellow", "info": "green"}
     help="Write a lay-out sheet to print (HTML): cable, marks, pads, labels, parameters.",
 )
 @click.option(
+    "--logs",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="Check nothing: fetch every vehicle's newest log into FOLDER, after a flight.",
+)
+@click.option(
     "--record",
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for saved parameters and the hop; the default is a new one below checks/.",
@@ -98,6 +105,7 @@ def check(
     soak: float,
     with_hop: bool,
     sheet: Path | None,
+    logs: Path | None,
     record: Path | None,
     speed: float,
     yes: bool,
@@ -106,8 +114,13 @@ def check(
 
     Looks at who is on the links, firmware, health, battery, positions, parameters, origins, clocks
     and whether Hold can be had; the parameters are saved first. Nothing is armed but by --hop.
-    Exit code 0 for a go, 1 for a no-go, 3 when vehicles or links are missing.
+    With --logs it fetches logs instead. Exit code 0 for a go, 1 for a no-go, 3 when vehicles or
+    links are missing, or logs.
     """
+    if logs is not None:
+        if mission or fix or restore or soak or with_hop or sheet or record:
+            raise click.UsageError("--logs goes with --fleet and --json alone")
+        context.exit(fetch(fleet_file, logs, as_json=as_json))
     if mission is None and (with_hop or sheet or overrides):
         what = "--hop" if with_hop else "--sheet" if sheet else "--set"
         raise InputError([Problem(what, "expected a MISSION to go with it")])

@@ -96,20 +96,7 @@ class Auditor:
     @contextmanager
     def connected(self) -> Iterator["Auditor"]:
         """Discover the vehicles; raises :class:`VehicleError` that names those not found."""
-        log_subscribe(lambda *_: True)
-        configuration = Configuration.create_manual(GROUND_SYSTEM, GROUND_COMPONENT, False)
-        with Mavsdk(configuration) as mavsdk:
-            for port in self.ports.values():
-                mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
-            found: dict[int, Any] = {}
-
-            def everybody() -> bool:
-                found.update({s.get_system_id(): s for s in mavsdk.get_systems()})
-                return found.keys() >= self.ports.keys()
-
-            if not _wait(everybody, DISCOVERY):
-                missing = ", ".join(str(s) for s in sorted(self.ports.keys() - found.keys()))
-                raise VehicleError(f"not found by MAVSDK: system {missing}")
+        with discovered(self.ports) as found:
             self._systems = found
             yield self
             self._systems = {}
@@ -178,6 +165,29 @@ class Auditor:
             wrong=tuple(wrong),
             good=tuple(good),
         )
+
+
+@contextmanager
+def discovered(ports: Mapping[int, int]) -> Iterator[dict[int, Any]]:
+    """Give the library's handles of the vehicles behind loopback ports, by system id.
+
+    Raises :class:`VehicleError` that names those not found.
+    """
+    log_subscribe(lambda *_: True)
+    configuration = Configuration.create_manual(GROUND_SYSTEM, GROUND_COMPONENT, False)
+    with Mavsdk(configuration) as mavsdk:
+        for port in ports.values():
+            mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
+        found: dict[int, Any] = {}
+
+        def everybody() -> bool:
+            found.update({s.get_system_id(): s for s in mavsdk.get_systems()})
+            return found.keys() >= ports.keys()
+
+        if not _wait(everybody, DISCOVERY):
+            missing = ", ".join(str(s) for s in sorted(ports.keys() - found.keys()))
+            raise VehicleError(f"not found by MAVSDK: system {missing}")
+        yield found
 
 
 def save_parameters(folder: Path, audits: Sequence[VehicleAudit]) -> None:

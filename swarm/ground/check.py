@@ -1,15 +1,14 @@
 """``swarm check``: what the vehicles say of themselves before anything is armed."""
 
 import json
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from swarm.errors import InputError, Problem, Refused, SwarmError, VehicleError
+from swarm.errors import InputError, Problem, Refused, VehicleError
 from swarm.fleet import Fleet
 from swarm.flight.listening import LinkQuality, Listening, radio_findings
 from swarm.flight.parameters import (
@@ -22,18 +21,12 @@ from swarm.flight.parameters import (
     demands_of_plan,
 )
 from swarm.flight.preparation import Prepared
-from swarm.flight.world import bare_world, emulated_world
+from swarm.ground.attendance import Attendance, attended
 from swarm.ground.audit import Auditor, VehicleAudit, save_parameters
-from swarm.ground.emulator import EmulatorProcess
-from swarm.ground.keys import signing_with
-from swarm.ground.loop import Loop
-from swarm.ground.relay import Relay
-from swarm.ground.sockets import open_links
 from swarm.mission import Vehicles
 from swarm.plans import Plan
 from swarm.preflight.findings import Finding, ProvenPlan, Severity
 
-_LISTEN = 0.1
 _SETTLE = 2.5
 """Seconds after the first heartbeats until streams run as they were asked for."""
 _HOLD_PATIENCE = 15.0
@@ -149,77 +142,30 @@ def check(
     if restore is not None:
         for system in fleet.systems:
             _saved(restore, system)
-    links = open_links(fleet.links)
-    emulator: EmulatorProcess | None = None
-    listening = Listening(fleet)
-    relay = Relay(listening.team)
-    around = ExitStack()
-    try:
-        listening.team.signing = around.enter_context(signing_with(fleet.signing_key))
-        folder.mkdir(parents=True, exist_ok=True)
-        if fleet.emulated is not None:
-            port = links.port(next(iter(fleet.links)))
-            seed = fleet.emulated.seed
-            world = (
-                emulated_world(proven.plan, fleet, with_cable=False, seed=seed)
-                if proven
-                else bare_world(fleet)
-            )
-            emulator = EmulatorProcess(world, folder, port, 1.0, fleet.signing_key)
-        loop = Loop(listening, links, None, 1.0, lambda _: None, relay)
-        plan = proven.plan if proven else None
-        work = _Work(listening, relay, folder, plan, wanted or Wanted())
-        thread = threading.Thread(target=work.run, name="audit", daemon=True)
-        thread.start()
-        loop.run()
-        thread.join()
-        if work.error is not None:
-            raise work.error
-        if work.report is None:
-            raise VehicleError("the check ended without a report")
-        return work.report
-    except OSError as error:
-        raise InputError([Problem(str(folder), str(error.strerror or error))]) from None
-    finally:
-        listening.over = True
-        relay.close()
-        if emulator is not None:
-            emulator.stop()
-        around.close()
-        links.close()
+    plan = proven.plan if proven else None
+    with attended(fleet, folder, plan) as attendance:
+        return attendance.run(_Work(attendance, folder, plan, wanted or Wanted()).run)
 
 
 @dataclass
 class _Work:
     """The blocking part, in a thread of its own beside the loop."""
 
-    listening: Listening
-    relay: Relay
+    attendance: Attendance
     folder: Path
     plan: Plan | None
     wanted: Wanted
-    report: CheckReport | None = None
-    error: Exception | None = None
-    _pause: threading.Event = field(default_factory=threading.Event)
 
-    def run(self) -> None:
-        try:
-            self.report = self._run()
-        except (SwarmError, OSError) as error:
-            self.error = error
-        finally:
-            self.listening.over = True
-
-    def _run(self) -> CheckReport:
+    def run(self) -> CheckReport:
         self._hear()
-        self._pause.wait(_SETTLE)
+        self.attendance.wait(_SETTLE)
         standing, order = self._standing()
         names = {
             vehicle.system: vehicle.autopilot.name
             for vehicle in self.listening.heard
             if vehicle.autopilot is not None
         }
-        with Auditor(self.relay.ports, names, self._demands()).connected() as auditor:
+        with Auditor(self.attendance.relay.ports, names, self._demands()).connected() as auditor:
             audits = auditor.audit()
             save_parameters(self.folder, audits)
             changed: list[str] = []
@@ -230,34 +176,30 @@ class _Work:
                 changed += auditor.fix(wrong)
             if changed:
                 audits = auditor.audit()
-        self.relay.closed = True
+        self.attendance.relay.closed = True
         hold = self._hold()
         links = self._soak()
         return self._report(audits, links, changed, [*standing, *hold], order)
+
+    @property
+    def listening(self) -> Listening:
+        """Who is heard, and what of."""
+        return self.attendance.listening
 
     def _demands(self) -> Demands:
         fleet = self.listening.fleet
         return demands_of_plan(self.plan, fleet) if self.plan else demands_of(Vehicles(), fleet)
 
     def _hear(self) -> None:
-        limit = self.listening.fleet.limits.ready
-        if not self._until(lambda: not self.listening.missing, limit):
-            missing = ", ".join(f"system {s}" for s in self.listening.missing)
-            raise VehicleError(f"not heard: {missing}")
-
-    def _until(self, condition: Callable[[], bool], patience: float) -> bool:
-        waited = 0.0
-        while not condition():
-            if waited > patience:
-                return False
-            self._pause.wait(_LISTEN)
-            waited += _LISTEN
-        return True
+        missing = self.attendance.hear()
+        if missing:
+            names = ", ".join(f"system {system}" for system in missing)
+            raise VehicleError(f"not heard: {names}")
 
     def _standing(self) -> tuple[list[Finding], tuple[int, ...]]:
         """Wait until vehicles are ready; tell why not, and where they stand."""
         listening = self.listening
-        self._until(lambda: not listening.not_ready(), listening.fleet.limits.ready)
+        self.attendance.until(lambda: not listening.not_ready(), listening.fleet.limits.ready)
         findings = [replace(finding, check="ready") for finding in listening.not_ready()]
         if not findings:
             words = f"{len(listening.heard)} vehicles are ready"
@@ -274,7 +216,7 @@ class _Work:
         """Try Hold on everybody; on ArduPilot that is Brake."""
         listening = self.listening
         listening.try_hold()
-        self._until(lambda: listening.holds is not None, _HOLD_PATIENCE)
+        self.attendance.until(lambda: listening.holds is not None, _HOLD_PATIENCE)
         findings = []
         for vehicle in listening.heard:
             words = (listening.holds or {}).get(vehicle.system, "no answer")
@@ -291,7 +233,7 @@ class _Work:
         if self.wanted.soak <= 0.0:
             return ()
         self.listening.begin_soak()
-        self._pause.wait(self.wanted.soak)
+        self.attendance.wait(self.wanted.soak)
         return self.listening.soak()
 
     def _report(

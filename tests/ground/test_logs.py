@@ -1,0 +1,177 @@
+"""Autopilots' logs through MAVSDK, from vehicles that are nothing but pymavlink and a socket."""
+
+import itertools
+import json
+import random
+import socket
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+
+import pytest
+from click.testing import CliRunner
+from pymavlink.dialects.v20 import common
+
+from swarm.cli.check import check
+from swarm.errors import Refused
+from swarm.fleet import Fleet, emulated_fleet
+from swarm.ground.logs import fetch_logs
+
+OLD, NEW = 1_763_700_000, 1_763_730_000
+PX4, ARDUPILOT = 12, 3
+
+
+class Vehicle:
+    """Sends heartbeats and serves its logs: times in s since 1970 and contents, by id.
+
+    Every ``loses``-th piece of a log is lost on the way, and none comes any more after ``stops``
+    pieces. ``arms`` after so many pieces.
+    """
+
+    def __init__(
+        self, system: int, port: int, autopilot: int, logs: Mapping[int, tuple[int, bytes]],
+        *, loses: int = 0, stops: int | None = None, arms: int | None = None,
+    ) -> None:  # fmt: skip
+        self.logs, self.asked = logs, 0
+        self._loses, self._stops, self._arms = loses, stops, arms
+        self._autopilot, self._to = autopilot, ("127.0.0.1", port)
+        self._pieces = itertools.count(1)
+        self._sent = 0
+        self._link = common.MAVLink(None, srcSystem=system, srcComponent=1)
+        self._link.robust_parsing = True
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.settimeout(0.05)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+        self._socket.close()
+
+    def _send(self, message: common.MAVLink_message) -> None:
+        self._socket.sendto(message.pack(self._link), self._to)
+
+    def _run(self) -> None:
+        beat = 0.0
+        while not self._over.is_set():
+            if time.monotonic() > beat:
+                beat = time.monotonic() + 0.2
+                armed = 128 if self._arms is not None and self._sent >= self._arms else 0
+                self._send(common.MAVLink_heartbeat_message(2, self._autopilot, armed, 0, 3, 3))
+            try:
+                data, _ = self._socket.recvfrom(2048)
+            except TimeoutError:
+                continue
+            for message in self._link.parse_buffer(data) or []:
+                self._answer(message)
+
+    def _answer(self, message: common.MAVLink_message) -> None:
+        if message.get_type() == "LOG_REQUEST_LIST":
+            last = max(self.logs, default=0)
+            for number, (at, content) in self.logs.items():
+                self._send(
+                    common.MAVLink_log_entry_message(number, len(self.logs), last, at, len(content))
+                )
+        elif message.get_type() == "LOG_REQUEST_DATA":
+            self.asked += 1
+            content = self.logs[message.id][1]
+            end = min(len(content), message.ofs + message.count)
+            for start in range(message.ofs, end, 90):
+                self._piece(message.id, start, content[start : min(start + 90, end)])
+
+    def _piece(self, number: int, start: int, piece: bytes) -> None:
+        if self._stops is not None and self._sent >= self._stops:
+            return
+        self._sent += 1
+        if self._loses and next(self._pieces) % self._loses == 0:
+            return
+        data = list(piece.ljust(90, b"\0"))
+        self._send(common.MAVLink_log_data_message(number, start, len(piece), data))
+
+
+@contextmanager
+def team(*vehicles: dict) -> Iterator[tuple[Fleet, list[Vehicle]]]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        port = one.getsockname()[1]
+    fleet = emulated_fleet(len(vehicles), ("px4", "ardupilot"))
+    limits = fleet.limits.model_copy(update={"ready": 1.5})
+    links = {"loopback": f"udpin://127.0.0.1:{port}"}
+    with ExitStack() as around:
+        flown = []
+        for system, options in enumerate(vehicles, start=1):
+            if options:
+                flown.append(Vehicle(system, port, **options))
+                around.callback(flown[-1].close)
+        changed = {"emulated": None, "links": links, "limits": limits}
+        yield fleet.model_copy(update=changed), flown
+
+
+def content(seed: int, size: int) -> bytes:
+    return random.Random(seed).randbytes(size)
+
+
+def test_the_newest_log_arrives_whole_although_the_link_loses_pieces(tmp_path):
+    new, other = content(1, 20_011), content(2, 9_000)
+    first = {"autopilot": PX4, "logs": {0: (NEW, new), 1: (OLD, content(3, 500))}, "loses": 100}
+    # An ArduPilot counts its logs from one, also where it does not know the time.
+    second = {"autopilot": ARDUPILOT, "logs": {1: (0, content(4, 200)), 2: (0, other)}}
+    shares = []
+    with team(first, second, {}) as (fleet, vehicles):
+        logs = fetch_logs(fleet, tmp_path, lambda *told: shares.append(told))
+        asked = [vehicle.asked for vehicle in vehicles]
+        again = fetch_logs(fleet, tmp_path)
+        assert [vehicle.asked for vehicle in vehicles] == asked, "it is there already"
+    assert [log.system for log in logs] == [1, 2, 3]
+    assert [log.problem for log in logs] == ["", "", "not heard"]
+    assert again == logs
+    assert logs[0].path is not None
+    assert logs[0].path.name == "1-2025-11-21T13-00-00Z.ulg"
+    assert (logs[0].size, logs[0].date) == (len(new), "2025-11-21T13:00:00Z")
+    assert logs[0].path.read_bytes() == new
+    assert logs[1].path == tmp_path / "2-log2.bin"
+    assert logs[1].path.read_bytes() == other
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "1-2025-11-21T13-00-00Z.ulg", "2-log2.bin",
+    ]  # fmt: skip
+    of_first = [share for system, share in shares if system == 1]
+    assert of_first == sorted(of_first)
+    assert of_first[-1] == pytest.approx(1.0)
+
+
+def test_who_stops_sending_is_named_with_how_far_it_came(tmp_path):
+    with team(
+        {"autopilot": PX4, "logs": {0: (NEW, content(1, 300_000))}, "stops": 600},
+        {"autopilot": PX4, "logs": {0: (NEW, content(2, 900))}},
+    ) as (fleet, _):
+        stuck, fine = fetch_logs(fleet, tmp_path, patience=1.5)
+    assert stuck.path is None
+    assert stuck.problem == "nothing more came after 15% of it"
+    assert fine.path is not None
+    assert [path.name for path in tmp_path.iterdir()] == [fine.path.name]
+
+
+def test_nothing_is_fetched_from_an_armed_team(tmp_path):
+    log = {"autopilot": PX4, "logs": {0: (NEW, content(1, 400_000))}}
+    with (
+        team({**log, "arms": 0}, log) as (fleet, vehicles),
+        pytest.raises(Refused, match="system 1 is armed: logs are fetched from vehicles that"),
+    ):
+        fetch_logs(fleet, tmp_path)
+    assert [vehicle.asked for vehicle in vehicles] == [0, 0]
+    with (
+        team({**log, "arms": 700}) as (fleet, _),
+        pytest.raises(Refused, match="system 1 is armed"),
+    ):
+        fetch_logs(fleet, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_says_who_has_no_logs_and_exits_with_3(tmp_path):
+    result = CliRunner().invoke(check, ["--logs", str(tmp_path), "--json"], catch_exceptions=False)
+    assert result.exit_code == 3
+    found = json.loads(result.stdout)["logs"]
+    assert [one["problem"] for one in found] == ["has no logs"] * 9
