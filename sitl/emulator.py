@@ -26,7 +26,7 @@ from sitl.injector import Injector
 from sitl.parameter_protocol import pump_parameters
 from sitl.px4 import Px4
 from sitl.rope import Rope
-from sitl.services import default_streams, emit
+from sitl.services import default_streams, emit_due
 from sitl.vehicle import Link, Surroundings, Vehicle
 from sitl.world import World
 
@@ -296,9 +296,7 @@ class Emulator:
         limit = now + 1e-6
         for vehicle, link in self._links:
             if link.due and link.due[0][0] <= limit:
-                vehicle.now = max(vehicle.now, now)
-                for name in link.take_due(now):
-                    emit(vehicle, name, link)
+                emit_due(vehicle, link, now)
 
     def _crashed(self, hit: Flags) -> None:
         for i in np.nonzero(hit)[0]:

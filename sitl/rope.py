@@ -221,35 +221,36 @@ class Rope:
 
         ``grips`` and ``velocity`` are all vehicles' grip points and velocities (n, 3).
         """
-        force = np.zeros_like(grips)
         self.patience = 5
         held = self._set
         if held.count:
             hung = self.spans = held.hang(grips, self.down, still=self._still)
-            level = hung.level[:, None] * hung.direction
-            on_start = (held.load * hung.low)[:, None] * self.down
-            on_start += level
-            on_stop = (held.load * hung.high)[:, None] * self.down
-            on_stop -= level
+            load = held.load
+            level = (load * hung.a / hung.across)[:, None] * hung.flat
+            pulls = np.concatenate((load * hung.low, load * hung.high))[:, None] * self.down
+            pulls[: held.count] += level
+            pulls[held.count :] -= level
             slack = max(hung.stretch.tolist())
             if slack > -_TIGHT:
                 self.patience = 2
             if slack > -_NEARLY:
                 self.patience = 1
-                self._stretch(hung, velocity, on_start, on_stop)
-            force[held.starts] += on_start
-            force[held.stops] += on_stop
-            if max(hung.tension.tolist()) > self.spec.breaking_load:
-                self._snap(int(np.argmax(hung.tension)))
+                self._stretch(hung, velocity, pulls)
+            force = held.onto_holders(pulls, len(grips))
+            # in slack cable none is more than that at the lowest point and the whole span's weight
+            most = load * (hung.a + hung.length_used)
+            if self.patience == 1 or max(most.tolist()) > self.spec.breaking_load:
+                self._tear()
         else:
             self.spans = NOTHING
+            force = np.zeros_like(grips)
         for end in self._ends:
             hanging = min(max(float(grips[end.vehicle, 2]) - self.floor, 0.0), end.length)
             force[end.vehicle] += hanging * self.weight * self.down
         return force
 
-    def _stretch(self, hung: Hung, velocity: Array, on_start: Array, on_stop: Array) -> None:
-        """Add the elastic pull of over-stretched spans, in place."""
+    def _stretch(self, hung: Hung, velocity: Array, pulls: Array) -> None:
+        """Add the elastic pull of over-stretched spans to those on starts and stops, in place."""
         chord = hung.stop - hung.start
         along = chord / np.maximum(hung.chord, 1e-9)[:, None]
         held = self._set
@@ -258,12 +259,16 @@ class Rope:
         damping = 2 * _DAMPING_RATIO * np.sqrt(stiffness * _NODE_MASS)
         pull = np.maximum(stiffness * hung.stretch + damping * opening, 0.0)
         pull *= hung.stretch > 0
-        on_start += pull[:, None] * along
-        on_stop -= pull[:, None] * along
-        hung.tension[:] += pull
+        pulls[: held.count] += pull[:, None] * along
+        pulls[held.count :] -= pull[:, None] * along
+        self.spans = hung._replace(elastic=pull)
 
-    def _snap(self, span: int) -> None:
-        """Break the cable where it is pulled hardest: just beside one of the two grips."""
+    def _tear(self) -> None:
+        """Break the cable where it is pulled hardest, if harder than it bears: beside a grip."""
+        tension = self.spans.tension
+        span = int(np.argmax(tension))
+        if tension[span] <= self.spec.breaking_load:
+            return
         at = float(self._set.arcs[span])
         before = self._pieces()
         self.breaks = sorted([*self.breaks, at + min(0.05, 0.5 * float(self._set.lengths[span]))])

@@ -6,6 +6,7 @@ Commands, message rates, logs, file transfer, time, positions, signing; missions
 
 import math
 from collections.abc import Callable
+from heapq import heappop, heapreplace
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,28 @@ def emit(v: Vehicle, name: str, link: Link) -> bool:
         ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
     link.outgoing.append(sender.frame(number, body, seed, ticks))
     return True
+
+
+def emit_due(v: Vehicle, link: Link, now: float) -> None:
+    """Send what a link's streams have due, and set their next time."""
+    v.now = max(v.now, now)
+    due, intervals, outgoing, sender = link.due, link.intervals, link.outgoing, link.sender
+    ticks = 0
+    if sender.signer:
+        ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
+    limit = now + 1e-6
+    while due and due[0][0] <= limit:
+        time, name = due[0]
+        interval = intervals.get(name)
+        if interval is None:
+            heappop(due)
+            continue
+        following = time + interval
+        heapreplace(due, (following if following > now - interval else now, name))
+        say, number, seed = _SAYING[name]
+        body = say(v)
+        if body is not None:
+            outgoing.append(sender.frame(number, body, seed, ticks))
 
 
 def _heartbeat(v: Vehicle, message: Any, _: Link) -> None:

@@ -26,33 +26,54 @@ _TAUT_RATIO = float(np.sinh(_TAUT) / _TAUT)
 
 
 class Hung(NamedTuple):
-    """Every span between two grips, solved: geometry, catenary, tension (arrays over spans).
+    """Every span between two grips, solved: geometry, catenary, load (arrays over spans).
 
-    ``a`` is the catenary's parameter, ``low`` and ``high`` the arc lengths from its lowest point
-    to start and stop, ``stretch`` by how much the chord is longer than the cable; ``resting`` tells
-    which spans lie on the floor (None: none does).
+    ``flat`` is the step from start to stop at right angles to the weight, ``across`` its length and
+    ``upward`` the step against the weight. ``a`` is the catenary's parameter, ``low`` and ``high``
+    the arc lengths from its lowest point to start and stop, ``stretch`` by how much the chord is
+    longer than the cable, ``elastic`` the newtons that this pulls; ``resting`` tells which
+    spans lie on the floor (None: none does).
     """
 
     start: Array
     stop: Array
+    flat: Array
     across: Array
-    direction: Array
+    upward: Array
     a: Array
     low: Array
     high: Array
     length_used: Array
     stretch: Array
     resting: Flags | None
-    level: Array
-    tension: Array
-    chord: Array
+    load: Array
     length: Array
+    elastic: Array | float = 0.0
+
+    @property
+    def level(self) -> Array:
+        """Level tension in newtons."""
+        level: Array = self.load * self.a
+        return level
+
+    @property
+    def tension(self) -> Array:
+        """The largest tension along each span in newtons, at its higher end."""
+        reach = np.maximum(np.abs(self.low), np.abs(self.high))
+        tension: Array = self.level + self.load * reach + self.elastic
+        return tension
+
+    @property
+    def chord(self) -> Array:
+        """Distances of the ends in metres."""
+        chord: Array = np.hypot(self.across, self.upward)
+        return chord
 
 
 _EMPTY = np.zeros(0)
 NOTHING = Hung(
-    _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, None, _EMPTY, _EMPTY,
-    _EMPTY, _EMPTY,
+    _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, None, _EMPTY,
+    _EMPTY,
 )  # fmt: skip
 
 
@@ -67,8 +88,10 @@ class Spans:
         self.count = len(spans)
         self.starts: Indices = np.array([s[0] for s in spans], dtype=np.intp)
         self.stops: Indices = np.array([s[1] for s in spans], dtype=np.intp)
+        self._holders = np.concatenate([self.starts, self.stops])
         self.lengths = np.array([s[2] for s in spans])
         self.arcs = np.array([s[3] for s in spans])
+        self._onto = np.zeros((0, 0))
         self.load = _EMPTY
         self._longest = float(self.lengths.max()) if spans else 0.0
         self._parameter = np.full(len(spans), 1.0)
@@ -83,6 +106,14 @@ class Spans:
             self.span_of = number[held]
             self._along = along[held]
 
+    def onto_holders(self, pulls: Array, count: int) -> Array:
+        """Sum the forces on all starts and then all stops (2 m, 3) over ``count`` holders."""
+        if self._onto.shape[1] != len(pulls) or len(self._onto) != count:
+            self._onto = np.zeros((count, len(pulls)))
+            self._onto[self._holders, np.arange(len(pulls))] = 1.0
+        force: Array = np.dot(self._onto, pulls)
+        return force
+
     def bear(self, load: float | Array) -> None:
         """Set the weight of a metre of each span (newtons)."""
         self.load = np.full(self.count, load) if np.isscalar(load) else np.asarray(load)
@@ -93,7 +124,8 @@ class Spans:
         ``grips`` (n, 3) of all holders; ``down`` is the direction of the weight, ``still`` says
         that it is vertical.
         """
-        start, stop = grips[self.starts], grips[self.stops]
+        ends = grips.take(self._holders, axis=0)
+        start, stop = ends[: self.count], ends[self.count :]
         flat = stop - start
         if still:
             upward = flat[:, 2].copy()
@@ -102,27 +134,22 @@ class Spans:
         else:
             upward = -(flat @ down)
             flat += upward[:, None] * down
-            across = np.maximum(np.sqrt(np.einsum("ij,ij->i", flat, flat)), 1e-4)
-        direction = flat / across[:, None]
+            across = np.maximum(np.sqrt(np.vecdot(flat, flat)), 1e-4)
         shortest = np.hypot(upward, across * _TAUT_RATIO)
         length = np.maximum(self.lengths, shortest)
-        ratio = np.sqrt(length**2 - upward**2) / across
+        ratio = np.sqrt(length * length - upward * upward) / across
         z = np.exp(np.interp(np.log(ratio - 1.0), _TABLE_RATIO, _TABLE_LOG_Z))
         a = 0.5 * across / z
         tilt = upward / np.tanh(z)
         low, high = 0.5 * (length - tilt), 0.5 * (length + tilt)
         resting = None
-        lowest = min(*start[:, 2].tolist(), *stop[:, 2].tolist())
-        if lowest - 0.5 * self._longest < self.floor:
+        if min(ends[:, 2].tolist()) - 0.5 * self._longest < self.floor:
             resting = self._resting(start, stop, a, low, high)
             if resting is not None:
                 a, low, high = self._on_floor(start, stop, across, a, low, high, resting)
-        level = self.load * a
-        tension = level + self.load * np.maximum(np.abs(low), np.abs(high))
-        distance = np.hypot(across, upward)
         return Hung(
-            start, stop, across, direction, a, low, high, length, shortest - self.lengths, resting,
-            level, tension, distance, self.lengths,
+            start, stop, flat, across, upward, a, low, high, length, shortest - self.lengths,
+            resting, self.load, self.lengths,
         )  # fmt: skip
 
     def _resting(
@@ -169,7 +196,7 @@ class Spans:
         s = self._along * (hung.length_used / self.lengths)[k] - low
         sideways = a * (np.arcsinh(s / a) + np.arcsinh(low / a))
         drop = np.hypot(low, a) - np.hypot(s, a)
-        points: Array = hung.start[k] + sideways[:, None] * hung.direction[k]
+        points: Array = hung.start[k] + (sideways / hung.across[k])[:, None] * hung.flat[k]
         points += drop[:, None] * down
         if hung.resting is not None:
             lying = np.nonzero(hung.resting[k])[0]
@@ -191,7 +218,7 @@ class Spans:
             out = a * np.arcsinh(s / a) * (a > _LEAST)
             inward = reach[0] - out if end == 0 else hung.across[k] - reach[1] + out
             x = np.where(s > 0, inward, x)
-        points: Array = hung.start[k] + x[:, None] * hung.direction[k]
+        points: Array = hung.start[k] + (x / hung.across[k])[:, None] * hung.flat[k]
         points[:, 2] = z
         return points
 

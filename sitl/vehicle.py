@@ -53,21 +53,6 @@ class Link:
             heapq.heapify(self.due)
             heapq.heappush(self.due, (now, name))
 
-    def take_due(self, now: float) -> list[str]:
-        """Return the streams whose time has come, and set their next time."""
-        names = []
-        due, intervals, limit = self.due, self.intervals, now + 1e-6
-        while due and due[0][0] <= limit:
-            time, name = due[0]
-            interval = intervals.get(name)
-            if interval is None:
-                heapq.heappop(due)
-                continue
-            following = time + interval
-            heapq.heapreplace(due, (following if following > now - interval else now, name))
-            names.append(name)
-        return names
-
 
 class Command(NamedTuple):
     """A command as received: number, seven parameters, x and y also as 1e-7 degrees, asker."""

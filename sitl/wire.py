@@ -119,8 +119,9 @@ class Sender:
         self.sequence = sequence = (self.sequence + 1) & 0xFF
         signer = self.signer
         flags = 1 if signer else 0
-        source = self.system, self.component
-        inner = _pack_head(len(body), flags, 0, sequence, *source, number & 0xFF, number >> 8)
+        inner = _pack_head(
+            len(body), flags, 0, sequence, self.system, self.component, number & 0xFF, number >> 8
+        )
         inner += body
         out = b"\xfd" + inner + _crc(inner + seed).to_bytes(2, "little")
         if signer:
