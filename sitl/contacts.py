@@ -59,14 +59,17 @@ class Contacts:
         spinning = b.armed & (b.lifting > 0)
         if not spinning.any():
             return
-        up = np.abs(cable[:, None, 2] - b.position[None, :, 2]) < _DISC
-        if not up.any():
+        up = np.abs(cable[:, None, 2] - b.position[:, 2]) < _DISC
+        up &= spinning
+        sample, vehicle = np.nonzero(up)
+        if not len(sample):
             return
-        across = cable[:, None, :2] - b.position[None, :, :2]
-        inside = np.einsum("ijk,ijk->ij", across, across) < b.radius**2
-        for i in np.nonzero((up & inside).any(axis=0) & spinning)[0].tolist():
+        across = cable[sample, :2] - b.position[vehicle, :2]
+        inside = np.vecdot(across, across) < b.radius[vehicle] ** 2
+        struck = vehicle[inside]
+        for i in np.unique(struck).tolist():
             if self._new(now, "strike", i, i):
-                where = cable[np.argmax((up & inside)[:, i])]
+                where = cable[sample[inside][np.argmax(struck == i)]]
                 self.strikes.append(
                     {"time": now, "vehicle": ids[i], "place": [float(x) for x in where]}
                 )

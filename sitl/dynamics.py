@@ -195,6 +195,8 @@ class Bodies:
         )
         self._healthy = bool((self.health == 1.0).all())
         self._map: Array | None = None
+        self._foreseen: Array | None = None
+        self._untouched = b""
         self._highest_stand = self.floor + float(self.grip_offset.max())
 
     def _renew_air(self) -> None:
@@ -297,21 +299,42 @@ class Bodies:
         return None
 
     def _glide(self) -> bool:
-        """Advance by the linear map if that stays clear of all limits; tell whether it did."""
-        if self._map is None:
-            self._map = linear.linear_map(
+        """Advance by the linear map if that stays clear of all limits; tell whether it did.
+
+        Two steps are worked out at once. The second one is taken if nothing has touched the
+        vehicles' state or what is wanted of them since the first.
+        """
+        if self._foreseen is not None and self._now.tobytes() == self._untouched:
+            following, self._foreseen = self._foreseen, None
+        else:
+            if self._map is None:
+                self._map = self._make_map()
+            two = linear.apply(self._map, self._now)
+            following, self._foreseen = two[:, :, 0], two[:, :, 1]
+            checks = two[..., linear.STATES :]
+            if np.count_nonzero(np.abs(checks) <= 1.0) < checks.size:
+                self._foreseen = None
+                checks = following[..., linear.STATES :]
+                if np.count_nonzero(np.abs(checks) <= 1.0) < checks.size:
+                    return False
+        self._state[:] = following[..., : linear.STATES]
+        if self._foreseen is not None:
+            self._untouched = self._now.tobytes()
+        self._velocity_goal, self._velocity_scale = (
+            following[..., linear.STATES],
+            self._velocity_limit,
+        )
+        return True
+
+    def _make_map(self) -> Array:
+        self._velocity_limit = linear.WITHIN * self._least_speed
+        return linear.twice(
+            linear.linear_map(
                 gain=self._gain, rate_gain=self._rate_gain, integral_gain=self._integral_gain,
                 drag=self._drag, step=STEP, frequency=_THRUST_FREQUENCY, damping=_THRUST_DAMPING,
                 speed=self._least_speed, reach=self._least_reach,
-            )  # fmt: skip
-            self._velocity_limit = linear.WITHIN * self._least_speed
-        following = linear.apply(self._map, self._now)
-        checks = following[..., linear.STATES :]
-        if np.count_nonzero(np.abs(checks) <= 1.0) < checks.size:
-            return False
-        self._state[:] = following[..., : linear.STATES]
-        self._velocity_goal, self._velocity_scale = checks[..., 0], self._velocity_limit
-        return True
+            )
+        )  # fmt: skip
 
     @property
     def velocity_goal(self) -> Array:

@@ -55,7 +55,17 @@ def linear_map(
     return np.ascontiguousarray(rows.transpose(2, 3, 0, 1))
 
 
+def twice(found: Array) -> Array:
+    """Return the map (n, 3, 14, 12) to what follows after one step, and after two of them.
+
+    Nothing but the state changes in between.
+    """
+    second = np.matmul(found[..., :STATES], found[..., :STATES, :])
+    second[..., STATES:] += found[..., STATES:]
+    return np.concatenate([found, second], axis=-2)
+
+
 def apply(found: Array, now: Array) -> Array:
-    """Apply a map to what is now ((n, 3, 12, 1)): (n, 3, 7)."""
-    result: Array = np.matmul(found, now)[..., 0]
+    """Apply a map from `twice` to what is now ((n, 3, 12, 1)): (n, 3, 2, 7)."""
+    result: Array = np.matmul(found, now).reshape(*now.shape[:2], 2, -1)
     return result

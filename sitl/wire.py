@@ -69,6 +69,7 @@ def _ekf_status_report() -> Layout:
 
 LAYOUTS: dict[str, Layout] = _layouts()
 NUMBERS: dict[str, int] = {name: layout.number for name, layout in LAYOUTS.items()}
+_BY_NUMBER = {number: LAYOUTS[message.msgname] for number, message in dialect.mavlink_map.items()}
 
 
 def payload(name: str, fields: dict[str, Any]) -> bytes:
@@ -223,7 +224,7 @@ class Receiver:
 
     def _slow(self, data: bytes, found: list[Any]) -> None:
         try:
-            messages = self._parser.parse_buffer(data) or []
+            messages = self._whole(data) or self._parser.parse_buffer(data) or []
         except (dialect.MAVError, struct.error, ValueError, IndexError, UnicodeDecodeError):
             self._reset()
             return
@@ -235,6 +236,19 @@ class Receiver:
             else:
                 found.append(message)
         self._pending = self._parser.buf_len() > 0
+
+    def _whole(self, data: bytes) -> list[Any]:
+        """Return the message that ``data`` is, if it is one good unsigned one and nothing else.
+
+        It is what the parser's state machine would have given.
+        """
+        plain = self.key is None and not self._pending and len(data) > _HEADER_LENGTH
+        if not plain or data[0] != MAGIC or data[2] or len(data) != data[1] + _HEADER_LENGTH + 2:
+            return []
+        layout = _BY_NUMBER.get(int.from_bytes(data[7:10], "little"))
+        if layout is None or _crc(data[1:-2] + layout.seed) != data[-2] | data[-1] << 8:
+            return []
+        return [self._parser.decode(bytearray(data))]
 
     def _reset(self) -> None:
         self.bad += 1
