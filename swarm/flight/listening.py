@@ -226,7 +226,7 @@ class Listening:
         found = []
         for system, vehicle in self.team.vehicles.items():
             packets = vehicle.packets - soak.counts[system][0]
-            lost = vehicle.lost_packets - soak.counts[system][1]
+            lost = max(vehicle.lost_packets - soak.counts[system][1], 0)
             found.append(
                 LinkQuality(
                     system,

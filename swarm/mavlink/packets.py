@@ -5,7 +5,6 @@ affine over GF(2) at a fixed length, so that the checksum of every packet of a b
 lookup per byte and an exclusive or.
 """
 
-import struct
 from collections import namedtuple
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
@@ -32,8 +31,6 @@ POSITION_VELOCITY_ACCELERATION_YAW = int(common.POSITION_TARGET_TYPEMASK_YAW_RAT
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _SIGNED = 0x01
 _SHORTEST = 12
-_head = struct.Struct("<BBBxBBBHB").unpack_from
-"""Magic, length, flags, sequence, system, component and number of a MAVLink 2 packet."""
 
 
 class Encoder:
@@ -124,19 +121,20 @@ class Decoder:
         layouts, wanted = _LAYOUTS, self.wanted
         start, end = 0, len(data)
         while end - start >= _SHORTEST:
-            magic, length, flags, sequence, system, component, low, high = _head(data, start)
-            close = start + 10 + length
-            layout = layouts.get(low | high << 16)
-            if magic != _MAGIC_2 or flags or close + 2 > end or layout is None:
+            layout = layouts.get(data[start + 7] | data[start + 8] << 8 | data[start + 9] << 16)
+            close = start + 10 + data[start + 1]
+            if data[start] != _MAGIC_2 or data[start + 2] or close + 2 > end or layout is None:
                 break
             if _checksum(data[start + 1 : close] + layout.extra) != (
                 data[close] | data[close + 1] << 8
             ):
                 break
-            message = None
-            if wanted is None or layout.number in wanted:
+            number, message = layout.number, None
+            if wanted is None or number in wanted:
                 message = layout.unpack(data[start + 10 : close])
-            packets.append(_packet((layout.number, system, component, sequence, message)))
+            packets.append(
+                _packet((number, data[start + 5], data[start + 6], data[start + 4], message))
+            )
             start = close + 2
         return start
 

@@ -100,6 +100,7 @@ class Vehicle:
     texts: list[tuple[float, int, str]] = field(default_factory=list)
     _events: list[VehicleEvent] = field(default_factory=list)
     _sequences: dict[int, int] = field(default_factory=dict)
+    _missing: set[tuple[int, int]] = field(default_factory=set)
     _chunks: dict[int, list[str]] = field(default_factory=dict)
     _quietened: set[int] = field(default_factory=set)
     _from: int = 1
@@ -115,17 +116,30 @@ class Vehicle:
         number, _, component, sequence, message = packet
         self.heard_at = now
         self.packets += 1
-        last = self._sequences.get(component)
-        gap = 1 if last is None else (sequence - last) & 0xFF
-        if 0 < gap < _OVERTAKEN:
+        if self._sequences.get(component) == (sequence - 1) & 0xFF:
             self._sequences[component] = sequence
-            self.lost_packets += gap - 1
+            if self._missing:
+                self._missing.discard((component, sequence))
+        else:
+            self._out_of_order(component, sequence)
         handler = self._HANDLERS.get(number)
         if handler is None or message is None:
             self.unused[number] = self.unused.get(number, 0) + 1
         else:
             self._from = component
             handler(self, message, now)
+
+    def _out_of_order(self, component: int, sequence: int) -> None:
+        """Count the packets before this one that have not come; one that comes late is not lost."""
+        gap = (sequence - self._sequences.get(component, sequence - 1)) & 0xFF
+        if 0 < gap < _OVERTAKEN:
+            self._sequences[component] = sequence
+            self.lost_packets += gap - 1
+            self._missing.discard((component, sequence))
+            self._missing |= {(component, sequence - back & 0xFF) for back in range(1, gap)}
+        elif (component, sequence) in self._missing:
+            self._missing.remove((component, sequence))
+            self.lost_packets -= 1
 
     def take_events(self) -> list[VehicleEvent]:
         """Return the events since the last call."""

@@ -2,10 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from swarm.mavlink.packets import Decoder
+from swarm.mavlink.packets import Decoder, Packet
 from swarm.mavlink.vehicle import Vehicle
 
 PX4, ARDUPILOT = common.MAV_AUTOPILOT_PX4, common.MAV_AUTOPILOT_ARDUPILOTMEGA
@@ -117,6 +120,34 @@ def test_lost_packets_are_counted_by_sequence():
     wire.lose(7)
     wire(heartbeat())
     assert wire.vehicle.lost_packets == 7
+
+
+@pytest.mark.parametrize("start", [0, 200, 254])
+def test_packets_that_come_late_are_not_lost_and_those_that_come_twice_are_not_found(start):
+    vehicle = Vehicle(7)
+    order = [0, 1, 3, 4, 2, 2, 4, 8, 9, 6, 5, 12]
+    for number in order:
+        vehicle.receive(Packet(9999, 7, 1, start + number & 0xFF, None), 1.0)
+    assert vehicle.lost_packets == 3, "7, 10 and 11"
+    for number in range(13, 13 + 256):
+        vehicle.receive(Packet(9999, 7, 1, start + number & 0xFF, None), 2.0)
+    for number in (256 + 7, 256 + 10):
+        vehicle.receive(Packet(9999, 7, 1, start + number & 0xFF, None), 3.0)
+    assert vehicle.lost_packets == 3, "numbers come again, and these came already"
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_lost_packets_are_those_that_never_come(seed):
+    """Packets are lost, doubled and overtaken by up to twenty others."""
+    rng = np.random.default_rng(seed)
+    vehicle = Vehicle(7)
+    sent = [k for k in range(1, 1500) if rng.random() > 0.1] + [1500]
+    copies = [*sent, *rng.choice(sent, 200)]
+    late = np.array(copies) + rng.uniform(0.0, 20.0, len(copies))
+    for number in [0, *(copies[k] for k in np.argsort(late))]:
+        vehicle.receive(Packet(9999, 7, 1, number & 0xFF, None), 1.0)
+    assert vehicle.lost_packets == 1501 - len(sent) - 1
 
 
 def test_a_packet_that_was_overtaken_is_not_two_hundred_lost_ones():
