@@ -1,7 +1,7 @@
 """How much worse than planned it may be: e*, the tracking error, and w*, the steady wind."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
 import numpy as np
@@ -105,21 +105,37 @@ class _Search:
         self._known: dict[tuple[int, int], set[tuple[int, float]]] = {}
         self._worst = 0
 
-    def holds_where_it_is_tight(self, value: float) -> bool:
-        """Whether the value holds in the boxes that are known to matter; quick."""
-        for case, every in self._likely_first(value):
-            for index, family in enumerate(every):
-                known = self._known.setdefault((case, index), self._tight_of(family))
-                if known and not holds(family.evaluate, _boxes(family, known)):
-                    self._worst = case
-                    return False
+    def narrowed(self, good: float, bad: float, most: float, step: float) -> tuple[float, float]:
+        """Return the largest value that holds in the boxes that are known to matter, and one that
+        does not, ``step`` apart; quick.
+
+        ``good`` holds everywhere, ``bad`` does not or is above ``most``. A case is bisected only
+        where it does not hold what those before it hold.
+        """
+        least = good
+        for number, case in enumerate(self._likely_first(0.5 * (good + bad))):
+            if number:
+                if self._holds_where_it_is_tight(case, least):
+                    continue
+                bad = least
+            least = good
+            while bad - least > step:
+                middle = 0.5 * (least + bad)
+                fine = middle <= most and self._holds_where_it_is_tight(case, middle)
+                least, bad = (middle, bad) if fine else (least, middle)
+            self._worst = case
+        return least, bad
+
+    def _holds_where_it_is_tight(self, case: int, value: float) -> bool:
+        for index, family in enumerate(self._cases(value)[case]()):
+            known = self._known.setdefault((case, index), self._tight_of(family))
+            if known and not holds(family.evaluate, _boxes(family, known)):
+                return False
         return True
 
-    def _likely_first(self, value: float) -> Iterator[tuple[int, tuple[Family, ...]]]:
+    def _likely_first(self, value: float) -> list[int]:
         """All cases, the one first that failed last: it is the likeliest to fail again."""
-        cases = self._cases(value)
-        for case in sorted(cases, key=lambda case: case != self._worst):
-            yield case, cases[case]()
+        return sorted(self._cases(value), key=lambda case: case != self._worst)
 
     def _tight_of(self, family: Family) -> set[tuple[int, float]]:
         return {
@@ -131,8 +147,9 @@ class _Search:
 
     def holds(self, value: float) -> bool:
         """Whether the value holds everywhere; where it does not, that box is known from now on."""
-        for case, every in self._likely_first(value):
-            for index, family in enumerate(every):
+        cases = self._cases(value)
+        for case in self._likely_first(value):
+            for index, family in enumerate(cases[case]()):
                 if not (family.spans and family.names):
                     continue
                 found = failing(family.evaluate, roots(len(family.names), family.spans, ROOT))
@@ -184,11 +201,7 @@ def _largest(search: _Search, likely: float, known: bool, most: float, step: flo
     else:
         bad = likely
     while bad - good > step:
-        low, high = good, bad
-        while high - low > 0.25 * step:
-            middle = 0.5 * (low + high)
-            fine = middle <= most and search.holds_where_it_is_tight(middle)
-            low, high = (middle, high) if fine else (low, middle)
+        low, high = search.narrowed(good, bad, most, 0.25 * step)
         if low - good <= 0.25 * step:
             break
         if search.holds(low):
