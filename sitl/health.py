@@ -11,10 +11,20 @@ _CAPACITY = 5000.0
 _LOAD = 350
 _pack_heartbeat = wire.LAYOUTS["HEARTBEAT"].struct.pack
 _pack_status = wire.LAYOUTS["SYS_STATUS"].struct.pack
+_fill_gps = wire.template(
+    "GPS_RAW_INT", "time_usec fix_type lat lon alt eph epv satellites_visible",
+    cog=0xFFFF, h_acc=15, v_acc=25,
+)  # fmt: skip
+_fill_estimator = wire.template(
+    "ESTIMATOR_STATUS", "time_usec flags pos_horiz_ratio pos_horiz_accuracy",
+    vel_ratio=0.05, pos_vert_ratio=0.05, mag_ratio=0.05, pos_vert_accuracy=0.05,
+)  # fmt: skip
 _pack_extended = wire.LAYOUTS["EXTENDED_SYS_STATE"].struct.pack
 _GYRO, _ACCEL, _MAG, _PRESSURE, _GPS = 1, 2, 4, 8, 32
 _RATE, _ATTITUDE, _YAW, _Z, _XY, _MOTORS = 1 << 10, 1 << 11, 1 << 12, 1 << 13, 1 << 14, 1 << 15
-_RC, _AHRS, _BATTERY, _PREARM = 1 << 16, 1 << 21, 1 << 25, 1 << 28
+_AHRS, _BATTERY, _PREARM = 1 << 21, 1 << 25, 1 << 28
+_SENSORS = _GYRO | _ACCEL | _MAG | _PRESSURE | _AHRS | _BATTERY | _RATE | _ATTITUDE | _YAW
+_SENSORS |= _Z | _XY | _MOTORS | _PREARM
 
 
 def heartbeat(v: Vehicle) -> bytes:
@@ -29,10 +39,7 @@ def heartbeat(v: Vehicle) -> bytes:
 
 def system_status(v: Vehicle) -> bytes:
     """SYS_STATUS: which sensors are there and well, the battery, and the pre-arm bit."""
-    sensors = _GYRO | _ACCEL | _MAG | _PRESSURE | _AHRS | _BATTERY | _RATE | _ATTITUDE | _YAW
-    sensors |= _Z | _XY | _MOTORS | _PREARM
-    if not v.around.indoor:
-        sensors |= _GPS
+    sensors = _SENSORS if v.around.indoor else _SENSORS | _GPS
     health = sensors
     if not v.global_valid:
         health &= ~_GPS
@@ -49,10 +56,10 @@ def system_status(v: Vehicle) -> bytes:
         _LOAD,
         round(v.voltage * 1000),
         round(v.current * 100),
-        *[0] * 6,
+        0, 0, 0, 0, 0, 0,
         max(0, min(100, math.ceil(v.charge * 100))),
-        *[0] * 3,
-    )
+        0, 0, 0,
+    )  # fmt: skip
 
 
 def battery(v: Vehicle) -> bytes:
@@ -90,26 +97,14 @@ def gps(v: Vehicle) -> bytes | None:
     """What the receiver says by itself: a barometer that drifts is not in its altitude."""
     if v.around.indoor:
         return None
-    x, y, z = v.estimated().tolist()
+    x, y, z = v.bodies.rows().position[v.index]
     latitude, longitude, altitude = v.around.geodesy.degrees(x, y, z - v.barometer)
     good = v.global_valid
-    return wire.payload(
-        "GPS_RAW_INT",
-        {
-            "time_usec": round(v.clock() * 1e6),
-            "fix_type": 6 if good else 1,
-            "lat": round(latitude * 1e7) if good else 0,
-            "lon": round(longitude * 1e7) if good else 0,
-            "alt": round(altitude * 1e3) if good else 0,
-            "eph": 60 if good else 9999,
-            "epv": 90 if good else 9999,
-            "vel": 0,
-            "cog": 0xFFFF,
-            "satellites_visible": 18 if good else 2,
-            "h_acc": 15,
-            "v_acc": 25,
-        },
-    )
+    time = round(v.clock() * 1e6)
+    if not good:
+        return _fill_gps(time, 1, 0, 0, 0, 9999, 9999, 2)
+    place = round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3)
+    return _fill_gps(time, 6, *place, 60, 90, 18)
 
 
 def estimator(v: Vehicle) -> bytes:
@@ -119,19 +114,8 @@ def estimator(v: Vehicle) -> bytes:
         flags |= 2 | 8
     if v.global_valid:
         flags |= 16
-    return wire.payload(
-        "ESTIMATOR_STATUS",
-        {
-            "time_usec": round(v.clock() * 1e6),
-            "flags": flags,
-            "vel_ratio": 0.05,
-            "pos_horiz_ratio": 0.05 if v.local_valid else 2.0,
-            "pos_vert_ratio": 0.05,
-            "mag_ratio": 0.05,
-            "pos_horiz_accuracy": 0.05 if v.local_valid else 20.0,
-            "pos_vert_accuracy": 0.05,
-        },
-    )
+    ratio, accuracy = (0.05, 0.05) if v.local_valid else (2.0, 20.0)
+    return _fill_estimator(round(v.clock() * 1e6), flags, ratio, accuracy)
 
 
 def ekf(v: Vehicle) -> bytes | None:

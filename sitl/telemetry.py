@@ -16,6 +16,11 @@ _pack_quaternion = wire.LAYOUTS["ATTITUDE_QUATERNION"].struct.pack
 _pack_global = wire.LAYOUTS["GLOBAL_POSITION_INT"].struct.pack
 _pack_hud = wire.LAYOUTS["VFR_HUD"].struct.pack
 _pack_target = wire.LAYOUTS["POSITION_TARGET_LOCAL_NED"].struct.pack
+_pack_time = wire.LAYOUTS["SYSTEM_TIME"].struct.pack
+_fill_home = wire.template(
+    "HOME_POSITION", "latitude longitude altitude x y z time_usec", q=(1.0, 0.0, 0.0, 0.0)
+)
+_fill_origin = wire.template("GPS_GLOBAL_ORIGIN", "latitude longitude altitude time_usec")
 _LARGEST = 2**32
 _LOCAL_NED = 1
 
@@ -58,7 +63,8 @@ def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
 
 
 def _local(v: Vehicle) -> bytes:
-    return _pack_local(boot_ms(v), *local_ned(v))
+    x, y, z, vx, vy, vz = local_ned(v)
+    return _pack_local(boot_ms(v), x, y, z, vx, vy, vz)
 
 
 def _attitude(v: Vehicle) -> bytes:
@@ -117,34 +123,24 @@ def _home(v: Vehicle) -> bytes | None:
     if v.home is None or not v.global_valid:
         return None
     latitude, longitude, altitude = v.around.geodesy.degrees(*v.home.tolist())
-    north, east, down = v.to_local(v.home)
-    return wire.payload(
-        "HOME_POSITION",
-        {
-            "latitude": round(latitude * 1e7),
-            "longitude": round(longitude * 1e7),
-            "altitude": round(altitude * 1e3),
-            "x": north,
-            "y": east,
-            "z": down,
-            "q": (1.0, 0.0, 0.0, 0.0),
-            "time_usec": round(v.clock() * 1e6),
-        },
+    return _fill_home(
+        round(latitude * 1e7),
+        round(longitude * 1e7),
+        round(altitude * 1e3),
+        *v.to_local(v.home),
+        round(v.clock() * 1e6),
     )
 
 
 def _origin(v: Vehicle) -> bytes | None:
     if v.around.indoor:
         return None
-    latitude, longitude, altitude = v.around.geodesy.degrees(*v.origin.tolist())
-    return wire.payload(
-        "GPS_GLOBAL_ORIGIN",
-        {
-            "latitude": round(latitude * 1e7),
-            "longitude": round(longitude * 1e7),
-            "altitude": round(altitude * 1e3),
-            "time_usec": round(v.clock() * 1e6),
-        },
+    latitude, longitude, altitude = v.around.geodesy.degrees(*v.place)
+    return _fill_origin(
+        round(latitude * 1e7),
+        round(longitude * 1e7),
+        round(altitude * 1e3),
+        round(v.clock() * 1e6),
     )
 
 
@@ -179,9 +175,7 @@ def _altitude(v: Vehicle) -> bytes:
 
 def _system_time(v: Vehicle) -> bytes:
     unix = v.around.unix_time + v.now + v.unix_offset
-    return wire.payload(
-        "SYSTEM_TIME", {"time_unix_usec": round(unix * 1e6), "time_boot_ms": boot_ms(v)}
-    )
+    return _pack_time(round(unix * 1e6), boot_ms(v))
 
 
 def _target(v: Vehicle) -> bytes | None:

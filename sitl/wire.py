@@ -89,6 +89,24 @@ def payload(name: str, fields: dict[str, Any]) -> bytes:
     return layout.struct.pack(*values)
 
 
+def template(name: str, varying: str, **constant: Any) -> Callable[..., bytes]:
+    """Return a function that packs a message's payload from the ``varying`` fields, in their order.
+
+    They are names separated by spaces; all other fields are ``constant`` or zero.
+    """
+    layout = LAYOUTS[name]
+    blank = list(layout.struct.unpack(payload(name, constant)))
+    places = [layout.places[field][0] for field in varying.split()]
+
+    def fill(*values: Any) -> bytes:
+        filled = blank.copy()
+        for place, value in zip(places, values, strict=True):
+            filled[place] = value
+        return layout.struct.pack(*filled)
+
+    return fill
+
+
 class Signer:
     """Signs outgoing frames with one key (MAVLink 2 message signing)."""
 
