@@ -26,7 +26,7 @@ def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
         while time.monotonic() < end:  # busy, as a screen that is drawn is
             pass
 
-    flight = Flight(PROVEN, emulated_fleet(3), tmp_path / "record", speed=6.0, asks=True)
+    flight = Flight(PROVEN, emulated_fleet(3), tmp_path / "record", speed=10.0, asks=True)
     result = fly_apart(
         flight,
         confirm=lambda audit: asked.append(audit) or True,

@@ -6,10 +6,10 @@ import socket
 import subprocess
 import sys
 from contextlib import contextmanager
-from pathlib import Path
 
 from swarm.fleet import emulated_fleet
 from swarm.flight.world import emulated_world
+from tests.command import run
 from tests.ground.station import PROVEN, fleet_on
 
 SPEED = "5"
@@ -62,8 +62,7 @@ def test_after_sigkill_in_mid_fold_the_team_is_found_and_the_flight_goes_on(tmp_
 
 def test_what_cannot_be_resumed_is_refused_in_words(tmp_path):
     def said(*arguments):
-        command = [Path(sys.executable).with_name("swarm"), "fly", *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = run("fly", *arguments)
         return done.returncode, " ".join(done.stderr.split())
 
     code, words = said("--resume", str(tmp_path))

@@ -1,0 +1,33 @@
+"""The order in which tests are run, where several processes run them."""
+
+import pytest
+
+LONGEST = (
+    "test_the_overhand_flies_over_udp_and_leaves_its_record",
+    "test_house_rule[mypy]",
+    "test_the_papers_tables_are_reproduced_and_refused",
+    "test_parameters_are_found_set_and_put_back",
+    "test_after_sigkill_in_mid_fold_the_team_is_found",
+    "test_trials_in_processes_are_the_trials_flown_alone",
+    "test_the_tour_plans_certifies_draws_and_rehearses",
+    "test_a_killed_emulator_is_explained",
+)
+"""Parts of the names of tests that take ten seconds and more, longest first."""
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Begin with what takes longest, in different processes, so that none of it ends the run alone.
+
+    Every process of pytest-xdist's ``worksteal`` is given an equal run of the tests to begin with.
+    """
+    workers: int = getattr(config, "workerinput", {}).get("workercount", 1)
+    first = [item for name in LONGEST for item in items if name in item.nodeid]
+    rest = [item for item in items if item not in first]
+    total = len(items)
+    items.clear()
+    for worker in range(workers):
+        size = (total - len(items)) // (workers - worker)
+        begin = first[worker::workers][:size]
+        items += begin + rest[: size - len(begin)]
+        del rest[: size - len(begin)]
