@@ -1,0 +1,93 @@
+"""Many trials at once: on this machine's cores, or on a Dask cluster."""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+from joblib import Parallel, delayed, parallel_config
+
+from swarm.errors import SwarmError
+from swarm.preflight.findings import ProvenPlan
+from swarm.rehearse import Fault
+from swarm.trials.spread import Spread
+from swarm.trials.trial import Trial, fly_trial
+
+
+def fly_trials(
+    proven: ProvenPlan,
+    spread: Spread,
+    *,
+    seed: int,
+    trials: Iterable[int],
+    faults: Sequence[Fault] = (),
+    jobs: int | None = None,
+    scheduler: str | None = None,
+) -> Generator[Trial, None, None]:
+    """Fly trials in parallel; yields each as soon as it is done, in no order.
+
+    ``jobs`` processes of this machine (None: as many as it has cores), or the workers of the Dask
+    cluster whose ``scheduler`` is given (tcp://host:port). Closing the iterator ends what is being
+    flown. Raises :class:`SwarmError` where the cluster's packages are missing or it is not there.
+    """
+    if scheduler is None and jobs == 1:
+        for trial in trials:
+            yield fly_trial(proven, spread, seed, trial, faults=faults)[0]
+        return
+    if scheduler is None:
+        with parallel_config(backend="loky", n_jobs=jobs or os.cpu_count() or 1):
+            yield from _parallel(proven, spread, seed, trials, faults)
+        return
+    with _cluster(scheduler), parallel_config(backend="dask"):
+        yield from _parallel(proven, spread, seed, trials, faults)
+
+
+def _cluster(scheduler: str) -> AbstractContextManager[Any]:
+    """Return a client of the Dask cluster whose scheduler is given."""
+    # Dask takes any package named snappy for the compressor; knot theorists have SnapPy, which
+    # is none, and importing Dask would fail.
+    known = sys.modules.get("snappy")
+    sys.modules["snappy"] = None  # type: ignore[assignment]
+    try:
+        from distributed import Client  # noqa: PLC0415 - an optional extra
+    except ImportError:
+        raise SwarmError(
+            "trials on a cluster need more packages: pip install 'swarm-ground-station[cluster]'"
+        ) from None
+    finally:
+        if known is None:
+            del sys.modules["snappy"]
+        else:
+            sys.modules["snappy"] = known
+    try:
+        client: AbstractContextManager[Any] = Client(scheduler, timeout=10)
+    except (OSError, ValueError) as error:
+        raise SwarmError(f"no Dask scheduler at {scheduler}: {error}") from None
+    return client
+
+
+def _parallel(
+    proven: ProvenPlan,
+    spread: Spread,
+    seed: int,
+    trials: Iterable[int],
+    faults: Sequence[Fault],
+) -> Generator[Trial, None, None]:
+    work = Parallel(return_as="generator_unordered")
+    done = work(delayed(_in_worker)(proven, spread, seed, trial, faults) for trial in trials)
+    try:
+        yield from done
+    finally:
+        done.close()
+
+
+def _in_worker(
+    proven: ProvenPlan, spread: Spread, seed: int, trial: int, faults: Sequence[Fault]
+) -> Trial:
+    """One trial in a worker: an interrupt is the parent's to answer."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return fly_trial(proven, spread, seed, trial, faults=faults)[0]

@@ -1,0 +1,215 @@
+"""One trial: a rehearsal in a world that is drawn for it, and how it went."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.fleet import Fleet, emulated_fleet
+from swarm.flight.conductor import Conductor
+from swarm.flight.result import FlightResult
+from swarm.flight.trace import Trace
+from swarm.plans import Plan
+from swarm.preflight.findings import Assessment, ProvenPlan
+from swarm.rehearse import Emulator, Fault, rehearse
+from swarm.trials.spread import Conditions, Spread, draw
+from swarm.verify import closest_strands, judge
+
+Floats = npt.NDArray[np.float64]
+
+SAMPLE_INTERVAL: Final = 0.4
+"""Seconds of flight between the moments at which a trial's distances are taken."""
+
+CLEARANCES: Final = ("cable", "vehicle", "vehicle_cable")
+_SHARES: Final = np.linspace(0.0, 1.0, 25)
+_ROUNDING: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How one trial went; one row of the results.
+
+    ``outcome`` and ``reason`` in words. ``cable``, ``vehicle`` and ``vehicle_cable`` are the
+    smallest distances in fold and hold, metres, of what the certificate speaks of: the cable in
+    the cable model between the places where the vehicles really were. ``hung`` is the smallest
+    distance of strands of the emulator's own cable, with its errors, wind and sway. ``error`` is
+    the largest distance of a vehicle from its place in the plan then. None where nothing is known,
+    the cable never having been aloft.
+    """
+
+    number: int
+    outcome: str
+    reason: str
+    explanation: str
+    knot: str
+    as_planned: bool
+    cable: float | None
+    vehicle: float | None
+    vehicle_cable: float | None
+    hung: float | None
+    error: float | None
+    strikes: int
+    collisions: int
+    crashed: int
+    wind: float
+    gust: float
+    failing: str
+    failing_at: float | None
+    duration: float
+
+    @property
+    def completed(self) -> bool:
+        """Whether the flight was done as planned, and implies the knot of the plan."""
+        return self.outcome == "done" and self.as_planned
+
+
+def rows(trials: Iterable[Trial]) -> list[dict[str, Any]]:
+    """Return trials as rows of a table, in the order of their numbers."""
+    return [asdict(trial) for trial in sorted(trials, key=lambda trial: trial.number)]
+
+
+COLUMNS: Final = tuple(field.name for field in fields(Trial))
+
+
+def flown_anyway(plan: Plan, assessment: Assessment) -> ProvenPlan:
+    """Return a plan for trials whatever the checks say of it: its errors become warnings.
+
+    For comparisons in the emulator only; nothing real is flown by :mod:`swarm.trials`.
+    """
+    findings = tuple(
+        replace(found, severity="warning") if found.severity == "error" else found
+        for found in assessment.findings
+    )
+    return ProvenPlan(plan, replace(assessment, findings=findings))
+
+
+class _Witness:
+    """Takes down what really is, while the cable is folded and held."""
+
+    def __init__(self) -> None:
+        self._next = 0.0
+        self.rows: list[tuple[float, float, str, Floats, Floats | None]] = []
+        self.strikes = self.collisions = self.crashed = 0
+        self._told = 0
+        self._fallen: set[int] = set()
+
+    def __call__(self, flight: Conductor, emulator: Emulator, now: float) -> None:
+        if now < self._next:
+            return
+        self._next = now + SAMPLE_INTERVAL
+        self._count(emulator)
+        phase = flight.phase.name if flight.stage == "fly" else ""
+        if phase not in {"fold", "hold"} or _lets_go(flight):
+            return
+        truth = emulator.truth()
+        order = [truth.ids.index(system) for system in flight.systems]
+        arcs = truth.grip_arc[order]
+        hung = None
+        if np.isfinite(arcs).all() and emulator.rope is not None:
+            wanted = arcs[:-1, None] + _SHARES * np.diff(arcs)[:, None]
+            hung = np.stack(
+                [np.interp(wanted, emulator.rope.arc, truth.cable[:, i]) for i in range(3)], -1
+            )
+        self.rows.append((now, flight.clock.time, phase, truth.position[order], hung))
+
+    def _count(self, emulator: Emulator) -> None:
+        contacts = emulator.contacts
+        self.strikes = len(contacts.strikes)
+        for one in contacts.contacts[self._told :]:
+            if one["kind"] == "vehicles":
+                self.collisions += 1
+            elif one["kind"] == "crash":
+                self._fallen.update(one["vehicles"])
+        self._told = len(contacts.contacts)
+        self.crashed = len(self._fallen)
+
+
+def _lets_go(flight: Conductor) -> bool:
+    """Whether the team has come to where grippers are opened, a hair before the hold's end or not.
+
+    The clock stops within a rounding of the gate, and the gate lies within one of the hold's end.
+    """
+    return any(
+        gate.condition == "released" and flight.clock.time >= gate.time - _ROUNDING
+        for gate in flight.gates
+    )
+
+
+def fly_trial(
+    proven: ProvenPlan,
+    spread: Spread,
+    seed: int,
+    trial: int,
+    *,
+    fleet: Fleet | None = None,
+    faults: Sequence[Fault] = (),
+    **watching: Any,
+) -> tuple[Trial, FlightResult]:
+    """Fly one trial; ``watching`` goes to :func:`swarm.rehearse.rehearse`."""
+    plan = proven.plan
+    fleet = fleet or emulated_fleet(plan.vehicles)
+    conditions = draw(plan, fleet, spread, seed, trial, faults)
+    witness = _Witness()
+    result = rehearse(
+        proven,
+        fleet=fleet,
+        world=conditions.world,
+        faults=conditions.faults,
+        observer=witness,
+        **watching,
+    )
+    return _told(plan, trial, conditions, witness, result), result
+
+
+def _told(
+    plan: Plan, trial: int, conditions: Conditions, witness: _Witness, result: FlightResult
+) -> Trial:
+    failures = [event.message for event in result.events if event.kind == "failure"]
+    reason = failures[0].partition(":")[0] if failures else ""
+    if not reason and result.outcome.word != "done":
+        reason = result.outcome.word
+    measured: dict[str, Any] = dict.fromkeys((*CLEARANCES, "hung", "error"))
+    knot, as_planned = "unknown", False
+    if witness.rows:
+        times, mission_times, phases, places, hung = zip(*witness.rows, strict=True)
+        really, when = np.array(places), np.array(mission_times)
+        meant = plan.motion.at(when)[0]
+        flown = judge(plan, Trace(np.array(times), when, really, meant, phases))
+        knot, as_planned = flown.knot, flown.as_planned
+        for name in CLEARANCES:
+            tightest = getattr(flown, name)
+            measured[name] = None if tightest is None else tightest.distance
+        measured["error"] = float(np.linalg.norm(really - meant, axis=-1).max())
+        measured["hung"] = _closest(plan, [strands for strands in hung if strands is not None])
+        if hung[-1] is None:
+            knot, as_planned = "let go", False
+    if not reason and not as_planned:
+        reason = f"knot: {knot}"
+    return Trial(
+        number=trial,
+        outcome=result.outcome.word,
+        reason=reason,
+        explanation=result.outcome.explanation,
+        knot=knot,
+        as_planned=as_planned,
+        strikes=witness.strikes,
+        collisions=witness.collisions,
+        crashed=witness.crashed,
+        wind=conditions.wind,
+        gust=conditions.gust,
+        failing=conditions.failing,
+        failing_at=conditions.failing_at,
+        duration=result.statistics.duration,
+        **measured,
+    )
+
+
+def _closest(plan: Plan, strands: list[Floats]) -> float | None:
+    """Smallest distance, surface to surface, of strands that share no vehicle; None without."""
+    pairs = np.stack(np.triu_indices(plan.vehicles - 1, 2), axis=1)
+    if not strands or not len(pairs):
+        return None
+    nearest, _, _ = closest_strands(np.array(strands), pairs)
+    return max(nearest - plan.mission.cable.diameter, 0.0)
