@@ -111,7 +111,7 @@ def _watch_links(flight: "Conductor") -> None:
             flight.silent.add(vehicle.system)
             words = f"{name} has been silent for {limits.silence:g} s"
             failure(flight, "silent", words, vehicle)
-        elif not silent and vehicle.system in flight.silent:
+        elif vehicle.system in flight.silent and not silent and _mode_known(flight, vehicle):
             flight.silent.discard(vehicle.system)
             for cause in (f"silent {vehicle.system}", f"lost {vehicle.system}", "all lost"):
                 flight.holds.pop(cause, None)
@@ -182,6 +182,11 @@ def _healthy(flight: "Conductor") -> bool:
     )
 
 
+def _mode_known(flight: "Conductor", vehicle: Vehicle) -> bool:
+    """Whether it has said lately what it does: after a gap it may be landing by itself."""
+    return flight.now - vehicle.heartbeat_at <= MODE_KNOWN
+
+
 def _watch_motion(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
     """Notice who falls, and whose position jumps."""
     if vehicle.position_at <= flight.reports.at[k]:
@@ -189,8 +194,8 @@ def _watch_motion(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
     step = vehicle.position_at - flight.reports.at[k]
     before, up = flight.reports.velocity[k], float(flight.velocity[k, 2])
     told = min(0.0, float(flight.setpoint_velocity[k, 2])) if flight.streaming[k] else -SINKING
-    if flight.now - vehicle.heartbeat_at > MODE_KNOWN:
-        told = -math.inf  # after a gap it may be landing by itself, and has not said so yet
+    if not _mode_known(flight, vehicle):
+        told = -math.inf
     falls = step > 0.04 and (before[2] - up) / step > FALLING and told - up > SINKING_TOO
     tilt = max(abs(vehicle.attitude[0]), abs(vehicle.attitude[1]))
     if told - up > SINKING or falls or tilt > TURNED_OVER:
