@@ -278,7 +278,7 @@ def _judge(flight: "Conductor", vehicle: Vehicle, event: VehicleEvent) -> None:
     match event.kind:
         case "failed" if k not in flight.dead:
             failure(flight, "command failed", f"{name}: {event.message}", vehicle)
-        case "disarmed" if flying:
+        case "disarmed" if flying and (flight.streaming[k] or _high(flight, k)):
             flight.streaming[k] = False
             failure(flight, "disarmed", f"{name} disarmed in flight", vehicle)
         case "landed" if flying and not flight.guidance.descending and _high(flight, k):
