@@ -1,9 +1,13 @@
 """The air that vehicles and cable are in: gusts, and what rotors push down."""
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from sitl.dynamics import Bodies
 
 Array = NDArray[np.float64]
 
@@ -41,3 +45,47 @@ def jets(lift: Array, radius: Array, below: Array, distance: Array) -> Array:
     speed = jet * (0.7 * radius / width) * np.exp(-distance / (2 * width**2))
     felt: Array = speed * ((below > 0.1) & (below < 10.0))
     return felt
+
+
+def blow(b: "Bodies", interval: float) -> None:
+    """Advance gusts and downwash by ``interval`` seconds.
+
+    Four fifths of a gust are common to the whole team, whose vehicles are close together.
+    """
+    if b.gust_intensity > 0:
+        fresh = b.rng.standard_normal((b.count + 1, 3))
+        speed = math.hypot(*b.steady_wind[0].tolist())
+        b.gust = gusts(b.gust, fresh, b.gust_intensity, speed, interval)
+        b.wind = b.steady_wind + 0.8 * b.gust[0] + 0.6 * b.gust[1:]
+    _downwash(b)
+
+
+def _downwash(b: "Bodies") -> None:
+    """Air pushed down on vehicles below others, as a vertical wind in their drag."""
+    b.wash[:] = 0.0
+    if b.count < 2:
+        return
+    east, north = b.position[:, 0], b.position[:, 1]
+    distance = (east[:, None] - east) ** 2
+    distance += (north[:, None] - north) ** 2
+    b.apart = distance
+    if np.count_nonzero(distance < 4.0) <= b.count:
+        return
+    height = b.position[:, 2]
+    below = height - height[:, None]
+    felt = jets(_carried(b), b.radius, below, distance).max(axis=1)
+    b.wash[:, 2] = -WASH_FACTOR * felt
+
+
+def wash_at(b: "Bodies", places: Array) -> Array:
+    """Downward air speed at places in the world (m, 3) from every vehicle: (m, n)."""
+    across = places[:, None, :2] - b.position[None, :, :2]
+    distance = np.einsum("ijk,ijk->ij", across, across)
+    below = b.position[None, :, 2] - places[:, None, 2]
+    return jets(_carried(b), b.radius, below, distance)
+
+
+def _carried(b: "Bodies") -> Array:
+    """Newtons by which each vehicle's rotors push air down (n,)."""
+    lift: Array = np.maximum(b.thrust[:, 2], 0.0) * b.mass
+    return lift

@@ -20,28 +20,21 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl import air, linear
+from sitl import air, landing, linear
+from sitl.geodesy import GRAVITY
 from sitl.world import World
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-GRAVITY = 9.80665
 STEP = 0.02
 _THRUST_FREQUENCY = 14.0
 _THRUST_DAMPING = 0.9
-_YAW_RATE = 1.0
-_SETTLED = 2.0
 _GOAL = struct.Struct("3d")
 _LANE, _WANTED = 8 * linear.INPUTS, 8 * linear.PLACE
 _FASTEST_FALL, _LONGEST_ALOFT = 25.0, 4
 _LARGEST_INTEGRAL = 5.0
 _IDLE_THRUST = 0.08 * GRAVITY
-_SLOW = np.array([1.5, 1.5, 0.25])
-_DESCENDING = -0.25
-_CLIMBING = 0.25
-_TUMBLE_RATE = 5.0
-_CRASH_SPEED = 3.0
 _NOISE_TIME = 4.0
 NOISE_SIGMA = np.array([0.015, 0.015, 0.02])
 
@@ -86,7 +79,7 @@ class Bodies:
         self.max_acceleration = np.array([s.max_acceleration for s in specs])
         self._now = np.zeros((n, 3, linear.INPUTS, 1))
         self._now[:, 2, linear.WEIGHT] = GRAVITY
-        self._marks = np.zeros((3, n), dtype=bool)
+        self.marks = np.zeros((3, n), dtype=bool)
         self._share()
         self.position[:] = [s.pad for s in specs]
         self.position[:, 2] = np.maximum(self.position[:, 2], world.floor) + self.grip_offset
@@ -116,8 +109,8 @@ class Bodies:
 
     def _make_flags(self) -> None:
         n = self.count
-        self._cruising = bytes([1] * n + [0] * 2 * n)
-        self._nothing = bytes(8 * n)
+        self.cruising = bytes([1] * n + [0] * 2 * n)
+        self.nothing = bytes(8 * n)
         self.landings = 0
         self.landed[:] = True
         self.may_lift = np.zeros(n, dtype=bool)
@@ -134,7 +127,7 @@ class Bodies:
         self.fooled = np.zeros(n, dtype=bool)
         self.drift = np.zeros((n, 3))
         self.share = np.zeros(n)
-        self._settled = False
+        self.settled = False
         self._aloft_for = 0
 
     def _make_air(self, world: World) -> None:
@@ -143,7 +136,7 @@ class Bodies:
         self.steady_wind = np.tile(np.array(world.wind.steady, dtype=float), (n, 1))
         self.wind = self.steady_wind.copy()
         self.gust_intensity = world.wind.gust
-        self._gust = np.zeros((n + 1, 3))
+        self.gust = np.zeros((n + 1, 3))
         self.wash = np.zeros((n, 3))
         self.apart = np.full((n, n), np.inf)
 
@@ -164,7 +157,7 @@ class Bodies:
         self._air = now[..., linear.AIR]
         self._pushed = now[..., linear.PUSH]
         self._bytes = memoryview(cast("Any", self._now)).cast("B")
-        self.armed, self.landed, self.tumbling = self._marks
+        self.armed, self.landed, self.tumbling = self.marks
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in vars(self).items() if key != "_bytes"}
@@ -274,13 +267,13 @@ class Bodies:
     def step(self) -> Flags | None:
         """Advance by `STEP`; return which vehicles have just hit the ground hard, or None."""
         self._rows = None
-        if self._settled and self._healthy and self._glide():
+        if self.settled and self._healthy and self._glide():
             if self._aloft_for > 0:
                 self._aloft_for -= 1
                 return None
             clear = float(self._height.min()) - self._highest_stand
             self._aloft_for = int(min(max(clear, 0.0) / (STEP * _FASTEST_FALL), _LONGEST_ALOFT))
-            return self._ground() if clear <= 0.0 else None
+            return landing.touch_down(self) if clear <= 0.0 else None
         self._aloft_for = 0
         command = self._command()
         command -= self.thrust
@@ -295,7 +288,7 @@ class Bodies:
         self.velocity += change
         self.position += STEP * self.velocity
         if self.position[:, 2].min() <= self._highest_stand:
-            return self._ground()
+            return landing.touch_down(self)
         return None
 
     def _glide(self) -> bool:
@@ -366,7 +359,7 @@ class Bodies:
             self._limit_thrust(wanted)
         else:
             wanted[:, 2] += GRAVITY
-            if not self._settled:
+            if not self.settled:
                 self._limit_thrust(wanted)
         miss *= self._integral_gain
         self.integral += miss
@@ -385,90 +378,10 @@ class Bodies:
         wanted[:, :2] *= (limit / np.maximum(reach, limit))[:, None]
         self.integral *= (share >= 1.0)[:, None]
 
-    def supervise(self, interval: float) -> None:
-        """Take-off ramp, land detector and yaw, every ``interval`` seconds (call at 25 Hz)."""
-        if self.advance.tobytes() != self._nothing:
-            self.goal_position += (interval * self.advance)[:, None] * self.goal_velocity
-        if self.goal_yaw.tobytes() != self.yaw.tobytes():
-            self._turn(interval)
-        aloft = self._settled and self._marks.tobytes() == self._cruising
-        if not aloft:
-            self.tumble += interval * _TUMBLE_RATE * (self.tumbling & ~self.crashed)
-            self._lift(interval)
-            up = (self.lifting > _SETTLED) & (self.share >= 1.0)
-            self._settled = np.count_nonzero(up) == self.count
-        down = self._velocity_goal[:, 2] * self._velocity_scale < _DESCENDING
-        if not aloft or np.count_nonzero(down) or self.contact.tobytes() != self._nothing:
-            self._detect_landing(down, interval)
-            self._settled = self._settled and self.contact.tobytes() == self._nothing
-
-    def _turn(self, interval: float) -> None:
-        turn = (self.goal_yaw - self.yaw + np.pi) % (2 * np.pi) - np.pi
-        turn[abs(turn) < 1e-6] = 0.0
-        self.yaw_rate = np.clip(2.0 * turn, -_YAW_RATE, _YAW_RATE) * ~self.landed
-        self.yaw += interval * self.yaw_rate
-        done = turn == 0.0
-        self.yaw[done] = self.goal_yaw[done]
-
-    def _lift(self, interval: float) -> None:
-        """Share of full thrust that each vehicle may use: 0 standing, ramping up on take-off."""
-        self.armed_for = np.where(self.armed, self.armed_for + interval, 0.0)
-        ready = self.armed & self.may_lift & (self.armed_for > self.spool_time)
-        climbing = (self.velocity_goal[:, 2] > _CLIMBING) | (self.goal_acceleration[:, 2] > 1.0)
-        started = ready & self.landed & (climbing | (self.lifting > 0))
-        started &= ~self.fooled
-        self.lifting = np.where(started | ~self.landed, self.lifting + interval, 0.0)
-        share = np.minimum(self.lifting / self.ramp_time, 1.0)
-        share = np.where(self.contact > self.cut_time, np.minimum(share, 0.1), share)
-        self.share = share * self.armed
-
-    def _ground(self) -> Flags | None:
-        """Keep the legs above the floor, with friction; tell who came down hard."""
-        height = self.position[:, 2] - self.grip_offset - self.floor
-        touching = height <= 0.0
-        if not touching.any():
-            return None
-        hard: Flags = touching & (self.velocity[:, 2] < -_CRASH_SPEED) & ~self.crashed
-        self.position[touching, 2] = self.floor + self.grip_offset[touching]
-        self.velocity[touching, 2] = np.maximum(self.velocity[touching, 2], 0.0)
-        self.velocity[touching, :2] *= 0.5
-        still = touching & (self.thrust[:, 2] < GRAVITY)
-        self.velocity[still, :2] = 0.0
-        if hard.any():
-            self.crashed |= hard
-            self.health[hard] = 0.0
-            self.touch()
-            return hard
-        return None
-
-    def _detect_landing(self, down: Flags, interval: float) -> None:
-        """Both autopilots' idea of a landing: told to go ``down``, and not going anywhere.
-
-        It is an inference, not a sensor. A vehicle that hangs on its neighbours' cable while told
-        to descend fulfils it, and its thrust is cut (PX4 #11683, #15718).
-        """
-        candidate = down & self.armed & (self.lifting > 1.0)
-        candidate &= ~self.landed
-        if np.count_nonzero(candidate):
-            candidate &= (np.abs(self.velocity) < _SLOW).all(axis=1)
-        if np.count_nonzero(candidate):
-            self.contact = np.where(candidate, self.contact + interval, 0.0)
-        else:
-            self.contact = np.zeros(self.count)
-        landed = self.contact > self.land_time
-        if np.count_nonzero(self.landed):
-            left = self.position[:, 2] > self.floor + self.grip_offset + 0.05
-            lifted = left & self.armed & ~self.fooled
-            landed |= self.landed & ~lifted
-        if landed.tobytes() != self.landed.tobytes():
-            self.landed[:] = landed
-            self.landings += 1
-
     def wander(self, interval: float) -> None:
         """Advance estimator noise, gusts and downwash by ``interval`` seconds (call at 10 Hz).
 
-        Noise is first-order Gauss–Markov, `NOISE_SIGMA` metres over `_NOISE_TIME` seconds. Four
-        fifths of a gust are common to the whole team, whose vehicles are close together.
+        Noise is first-order Gauss–Markov, `NOISE_SIGMA` metres over `_NOISE_TIME` seconds.
         """
         if np.count_nonzero(np.abs(self.integral) > _LARGEST_INTEGRAL):
             np.clip(self.integral, -_LARGEST_INTEGRAL, _LARGEST_INTEGRAL, out=self.integral)
@@ -479,37 +392,5 @@ class Bodies:
             self.noise += math.sqrt(1 - keep**2) * self._noise_sigma * fresh
         if np.count_nonzero(self.drift):
             self.bias += interval * self.drift
-        if self.gust_intensity > 0:
-            fresh = self.rng.standard_normal((self.count + 1, 3))
-            speed = math.hypot(*self.steady_wind[0].tolist())
-            self._gust = air.gusts(self._gust, fresh, self.gust_intensity, speed, interval)
-            self.wind = self.steady_wind + 0.8 * self._gust[0] + 0.6 * self._gust[1:]
-        self._downwash()
+        air.blow(self, interval)
         self._renew_air()
-
-    def _downwash(self) -> None:
-        """Air pushed down on vehicles below others, as a vertical wind in their drag."""
-        self.wash[:] = 0.0
-        if self.count < 2:
-            return
-        east, north = self.position[:, 0], self.position[:, 1]
-        distance = (east[:, None] - east) ** 2
-        distance += (north[:, None] - north) ** 2
-        self.apart = distance
-        if np.count_nonzero(distance < 4.0) <= self.count:
-            return
-        below = self._height - self._height[:, None]
-        felt = air.jets(self._carried(), self.radius, below, distance).max(axis=1)
-        self.wash[:, 2] = -air.WASH_FACTOR * felt
-
-    def wash_at(self, places: Array) -> Array:
-        """Downward air speed at places in the world (m, 3) from every vehicle: (m, n)."""
-        across = places[:, None, :2] - self.position[None, :, :2]
-        distance = np.einsum("ijk,ijk->ij", across, across)
-        below = self.position[None, :, 2] - places[:, None, 2]
-        return air.jets(self._carried(), self.radius, below, distance)
-
-    def _carried(self) -> Array:
-        """Newtons by which each vehicle's rotors push air down (n,)."""
-        lift: Array = np.maximum(self.thrust[:, 2], 0.0) * self.mass
-        return lift

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl import wire
+from sitl import air, landing, wire
 from sitl.ardupilot import ArduPilot
 from sitl.contacts import Contacts
-from sitl.dynamics import GRAVITY, STEP, Array, Bodies, Flags
+from sitl.dynamics import STEP, Array, Bodies, Flags
 from sitl.faults import Fault
-from sitl.geodesy import Geodesy
+from sitl.geodesy import GRAVITY, Geodesy
 from sitl.injector import Injector
 from sitl.parameter_protocol import pump_parameters
 from sitl.px4 import Px4
@@ -286,7 +286,7 @@ class Emulator:
         if self._ticks % _SLOW_EVERY == 0:
             self._slow(_SLOW_EVERY * STEP)
         if self._ticks % _TICK_EVERY == 0:
-            b.supervise(_TICK_EVERY * STEP)
+            landing.supervise(b, _TICK_EVERY * STEP)
             if b.landings != self._landings:
                 self._landings = b.landings
                 self._wake()
@@ -350,7 +350,7 @@ class Emulator:
             if washing or rope.within_reach(b.position, b.radius):
                 cable = rope.follow(self._held()[0], interval, solved=True)
                 if washing:
-                    rope.set_wash(b.wash_at(cable[::_WASH_STRIDE]), _WASH_STRIDE)
+                    rope.set_wash(air.wash_at(b, cable[::_WASH_STRIDE]), _WASH_STRIDE)
         self.contacts.look(self.time, self._ids, cable)
 
     def _drain(self, interval: float) -> None:

@@ -3,6 +3,9 @@
 import math
 from dataclasses import dataclass
 
+GRAVITY = 9.80665
+"""m/s²; the emulated world's is the standard one everywhere."""
+
 
 @dataclass(frozen=True)
 class Geodesy:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sitl import reach
 from sitl.air import AIR_DENSITY
-from sitl.dynamics import GRAVITY
+from sitl.geodesy import GRAVITY
 from sitl.spans import NOTHING, Hung, Spans
 from sitl.world import CableSpec
 

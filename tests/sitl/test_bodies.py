@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sitl import Emulator
-from sitl.dynamics import GRAVITY, STEP
+from sitl import Emulator, landing
+from sitl.dynamics import STEP
+from sitl.geodesy import GRAVITY
 from sitl.rope import Rope
 from sitl.world import CableSpec
 from tests.sitl.client import Ground, world
@@ -208,14 +209,14 @@ def test_the_quick_step_and_the_full_one_fly_the_same(autopilot: str) -> None:
                 b.stage(0, (*circle, *speed, *pull))
             b.push(np.array([[0.3, 0.0, -0.5], [0.0, 0.2, -0.4]]))
             if not quick:
-                b._settled = False
+                b.settled = False
             b.step()
             if step % 2 == 0:
-                b.supervise(0.04)
+                landing.supervise(b, 0.04)
             if step % 5 == 0:
                 b.wander(0.1)
             track.append(b.position.copy())
-        assert b._settled or not quick
+        assert b.settled or not quick
         return np.array(track)
 
     assert np.abs(flown(quick=True) - flown(quick=False)).max() < 1e-9
@@ -230,7 +231,7 @@ def test_a_copy_in_the_middle_of_a_flight_flies_on_alike_and_alone() -> None:
     for step in range(400):
         b.step()
         if step % 2 == 0:
-            b.supervise(0.04)
+            landing.supervise(b, 0.04)
     other = copy.deepcopy(b)
     for one in (b, other):
         one.stage(1, (3.0, 1.0, 5.0, *[0.0] * 6))

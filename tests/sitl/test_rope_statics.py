@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl.dynamics import GRAVITY
+from sitl.geodesy import GRAVITY
 from sitl.rope import Rope
 from sitl.world import CableSpec
 from swarm.cable import catenary
