@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.fleet import Fleet
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
+from swarm.mavlink.hearing import READ
 from swarm.mavlink.packets import (
     GROUND_COMPONENT,
     GROUND_SYSTEM,
@@ -25,7 +26,7 @@ from swarm.mavlink.packets import (
     SetpointPacker,
 )
 from swarm.mavlink.signing import Signing
-from swarm.mavlink.vehicle import READ, Vehicle
+from swarm.mavlink.vehicle import Vehicle
 from swarm.preflight.findings import Finding
 
 Floats = npt.NDArray[np.float64]

@@ -1,7 +1,8 @@
 """The ground station's side of one vehicle, sans-IO: messages in, events and messages out.
 
-What a message changes is a table (``_HANDLERS``); what an autopilot does differently is a table
-(:mod:`swarm.mavlink.autopilots`); every command is followed by :mod:`swarm.mavlink.commands`.
+What a message changes is a table (:mod:`swarm.mavlink.hearing`); what an autopilot does differently
+is a table (:mod:`swarm.mavlink.autopilots`); every command is followed by
+:mod:`swarm.mavlink.commands`.
 """
 
 import math
@@ -12,27 +13,16 @@ from typing import ClassVar
 from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError
-from swarm.mavlink.autopilots import AUTOPILOTS, BY_HAND, Autopilot, Mode
+from swarm.mavlink.autopilots import BY_HAND, Autopilot, Mode
 from swarm.mavlink.commands import Command, CommandQueue
-from swarm.mavlink.frames import Origin, to_local
+from swarm.mavlink.frames import Origin
+from swarm.mavlink.hearing import HANDLERS, IN_AIR, ON_GROUND
 from swarm.mavlink.packets import Message, Packet
 
 Triple = tuple[float, float, float]
 
-ON_GROUND = int(common.MAV_LANDED_STATE_ON_GROUND)
-IN_AIR = int(common.MAV_LANDED_STATE_IN_AIR)
-_ARMED = int(common.MAV_MODE_FLAG_SAFETY_ARMED)
 _CUSTOM = int(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
-_PREARM = int(common.MAV_SYS_STATUS_PREARM_CHECK)
-_LOCATING = int(common.MAV_SYS_STATUS_AHRS | common.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL)
 _KILL = 21196.0
-_ORIGIN_MOVED = 0.05
-_IN_STEP = 0.3
-_LEVEL = 0.3
-"""m/s up or down below which heights that are not reported at the same time can be compared."""
-_FRAMES_APART = 1.0
-_SAMPLES_APART = 3
-_TEXT_LENGTH = 50
 _ECHOES = frozenset({int(common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)})
 """What autopilots say of their own goals once they are armed, at the rate of positions."""
 _OVERTAKEN = 128
@@ -101,10 +91,12 @@ class Vehicle:
     _events: list[VehicleEvent] = field(default_factory=list)
     _sequences: dict[int, int] = field(default_factory=dict)
     _missing: set[tuple[int, int]] = field(default_factory=set)
-    _chunks: dict[int, list[str]] = field(default_factory=dict)
+    chunks: dict[int, list[str]] = field(default_factory=dict)
     _quietened: set[int] = field(default_factory=set)
-    _from: int = 1
-    _out_of_step: int = 0
+    speaks_as: int = 1
+    out_of_step: int = 0
+
+    _HANDLERS: ClassVar[Mapping[int, Callable[["Vehicle", Message, float], None]]] = HANDLERS
 
     def __post_init__(self) -> None:
         self.commands = CommandQueue(self.system, self.component)
@@ -126,7 +118,7 @@ class Vehicle:
         if handler is None or message is None:
             self.unused[number] = self.unused.get(number, 0) + 1
         else:
-            self._from = component
+            self.speaks_as = component
             handler(self, message, now)
 
     def _out_of_order(self, component: int, sequence: int) -> None:
@@ -154,10 +146,10 @@ class Vehicle:
         for outcome in outcomes:
             name = outcome.command.name
             if outcome.succeeded:
-                self._say("done", f"{name}: done after {outcome.after:.2f} s", name)
+                self.say("done", f"{name}: done after {outcome.after:.2f} s", name)
             else:
                 said = self.recent_words(now)
-                self._say(
+                self.say(
                     "failed", f"{name}: {outcome.reason}" + (f" ({said})" if said else ""), name
                 )
         return sending
@@ -306,150 +298,6 @@ class Vehicle:
         seven = (*parameters, *[0.0] * (7 - len(parameters)))
         self.commands.put(Command(name, int(number), seven, reached, retry_for=retry_for))
 
-    # Handlers
-
-    def _say(self, kind: str, message: str, subject: str = "") -> None:
+    def say(self, kind: str, message: str, subject: str = "") -> None:
+        """Report an event."""
         self._events.append(VehicleEvent(kind, message, subject))
-
-    def _heartbeat(self, message: Message, now: float) -> None:
-        if message.autopilot == common.MAV_AUTOPILOT_INVALID:
-            return
-        if self.autopilot is None:
-            self.autopilot = AUTOPILOTS.get(message.autopilot)
-        first = self.heartbeat_at == -math.inf
-        self.heartbeat_at = now
-        self.component = self.commands.component = self._from
-        armed = bool(message.base_mode & _ARMED)
-        changed = message.custom_mode != self.custom_mode
-        self.custom_mode = message.custom_mode
-        self.system_status = message.system_status
-        if first:
-            self._say("heard", f"heard: {self.autopilot.name if self.autopilot else 'unknown'}")
-        if changed:
-            self._say("mode", f"mode {self.mode}", self.mode)
-        if armed != self.armed:
-            self.armed = armed
-            self._say("armed" if armed else "disarmed", "armed" if armed else "disarmed")
-
-    def _local_position(self, message: Message, now: float) -> None:
-        self.position = (message.x, message.y, message.z)
-        self.velocity = (message.vx, message.vy, message.vz)
-        self.position_at = now
-        self._boot_time(message.time_boot_ms)
-
-    def _boot_time(self, boot_ms: int) -> None:
-        if boot_ms < self.boot_ms - 2000:
-            self._say("rebooted", "rebooted: its clock went back")
-        self.boot_ms = boot_ms
-
-    def _global_position(self, message: Message, now: float) -> None:
-        self.place = Origin(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
-        self.relative_altitude = message.relative_alt * 1e-3
-        self._compare(self.place, now)
-
-    def _gps(self, message: Message, now: float) -> None:
-        self.fix, self.satellites = message.fix_type, message.satellites_visible
-        self.level_accuracy = message.h_acc * 1e-3 if message.h_acc else math.nan
-        self.upright_accuracy = message.v_acc * 1e-3 if message.v_acc else math.nan
-        age = now - self.position_at
-        level = abs(self.velocity[2]) < _LEVEL
-        if self.origin is not None and message.fix_type >= 3 and age < _IN_STEP and level:
-            self.height_gap = message.alt * 1e-3 - (self.origin.altitude - self.position[2])
-
-    def _compare(self, place: Origin, now: float) -> None:
-        """Compare the place on earth with the local position: both must mean the same origin.
-
-        A frame that is reset moves one against the other; a single sample may be out of step.
-        """
-        age = now - self.position_at
-        if self.origin is None or self.autopilot is None or not age < _IN_STEP:
-            return
-        local = to_local(self.autopilot.name, self.origin, place)
-        off = [local[k] - self.position[k] - age * self.velocity[k] for k in (0, 1)]
-        apart = math.hypot(*off)
-        self._out_of_step = self._out_of_step + 1 if apart > _FRAMES_APART else 0
-        if self._out_of_step == _SAMPLES_APART:
-            self._say("origin", f"its local and global positions are {apart:.1f} m apart")
-
-    def _attitude(self, message: Message, _now: float) -> None:
-        self.attitude = (message.roll, message.pitch, message.yaw)
-
-    def _global_origin(self, message: Message, _now: float) -> None:
-        origin = Origin(message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3)
-        if self.origin is not None and _distance(origin, self.origin) > _ORIGIN_MOVED:
-            moved = _distance(origin, self.origin)
-            self._say("origin", f"its estimator's origin moved by {moved:.2f} m")
-        self.origin = origin
-
-    def _extended_state(self, message: Message, _now: float) -> None:
-        was, self.landed_state = self.landed_state, message.landed_state
-        if was != self.landed_state and self.landed_state == ON_GROUND:
-            self._say("landed", "on the ground")
-        elif was != self.landed_state and self.landed_state == IN_AIR:
-            self._say("airborne", "in the air")
-
-    def _system_status(self, message: Message, _now: float) -> None:
-        self.battery = (
-            message.battery_remaining / 100.0 if message.battery_remaining >= 0 else math.nan
-        )
-        self.voltage = message.voltage_battery / 1000.0
-        asked = message.onboard_control_sensors_enabled & _LOCATING
-        self.located = not asked & ~message.onboard_control_sensors_health
-        if message.onboard_control_sensors_present & _PREARM:
-            self.ready = bool(message.onboard_control_sensors_health & _PREARM)
-
-    def _status_text(self, message: Message, now: float) -> None:
-        text = message.text.split(b"\0", 1)[0].decode("utf-8", "replace")
-        if message.id:
-            key = self._from << 16 | message.id
-            parts = self._chunks.setdefault(key, [])
-            parts.append(text)
-            if len(text) >= _TEXT_LENGTH and len(parts) < 16:
-                return
-            text = "".join(self._chunks.pop(key))
-        text = text.strip()
-        if not text:
-            return
-        self.texts = [*self.texts[-31:], (now, message.severity, text)]
-        self._say("text", text)
-
-    def _acknowledged(self, message: Message, now: float) -> None:
-        self.commands.acknowledge(message, now)
-
-    def _timesync(self, message: Message, now: float) -> None:
-        if message.tc1 == 0 or message.ts1 <= 0:
-            return
-        sent = message.ts1 * 1e-9
-        if not 0.0 <= now - sent < 10.0:
-            return
-        round_trip = self.latest_round_trip = now - sent
-        self.answered_at = now
-        if not self.round_trip <= round_trip:
-            self.clock_offset = message.tc1 * 1e-9 - (sent + now) / 2.0
-            self.round_trip = round_trip
-
-    _HANDLERS: ClassVar[Mapping[int, Callable[["Vehicle", Message, float], None]]] = {
-        int(common.MAVLINK_MSG_ID_HEARTBEAT): _heartbeat,
-        int(common.MAVLINK_MSG_ID_LOCAL_POSITION_NED): _local_position,
-        int(common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT): _global_position,
-        int(common.MAVLINK_MSG_ID_GPS_RAW_INT): _gps,
-        int(common.MAVLINK_MSG_ID_ATTITUDE): _attitude,
-        int(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN): _global_origin,
-        int(common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE): _extended_state,
-        int(common.MAVLINK_MSG_ID_SYS_STATUS): _system_status,
-        int(common.MAVLINK_MSG_ID_STATUSTEXT): _status_text,
-        int(common.MAVLINK_MSG_ID_COMMAND_ACK): _acknowledged,
-        int(common.MAVLINK_MSG_ID_TIMESYNC): _timesync,
-    }
-
-
-READ: frozenset[int] = frozenset(Vehicle._HANDLERS)
-"""Numbers of the messages that a vehicle's state is made of."""
-
-
-def _distance(one: Origin, other: Origin) -> float:
-    """Return metres between two near places, roughly."""
-    north = math.radians(one.latitude - other.latitude) * 6_371_000.0
-    east = math.radians(one.longitude - other.longitude) * 6_371_000.0
-    east *= math.cos(math.radians(one.latitude))
-    return math.hypot(north, east, one.altitude - other.altitude)
