@@ -28,7 +28,7 @@ from swarm.flight.pace import LONGEST_TICK
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.preparation import Preparation
 from swarm.flight.readiness import named
-from swarm.flight.reporting import snapshot_of, statistics_of
+from swarm.flight.reporting import snapshot_of, statistics_of, trace_of
 from swarm.flight.result import Outcome, Statistics, Word
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.sending import setpoints
@@ -236,14 +236,7 @@ class Conductor:
 
     def trace(self) -> Trace:
         """Return what was flown so far."""
-        n = self.plan.vehicles
-        return Trace(
-            time=np.array([row[0] for row in self.flown]),
-            mission_time=np.array([row[1] for row in self.flown]),
-            position=np.array([row[2] for row in self.flown]).reshape(-1, n, 3),
-            setpoint=np.array([row[3] for row in self.flown]).reshape(-1, n, 3),
-            phase=tuple(row[4] for row in self.flown),
-        )
+        return trace_of(self)
 
     # What gates and ways out use
 

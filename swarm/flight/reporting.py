@@ -7,6 +7,7 @@ import numpy as np
 from swarm.flight.operator import available
 from swarm.flight.result import Statistics
 from swarm.flight.snapshot import Snapshot
+from swarm.flight.trace import Trace
 from swarm.mavlink.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -51,6 +52,18 @@ def statistics_of(flight: "Conductor") -> Statistics:
         lost={v.system: v.lost_packets for v in flight.flyers},
         round_trip={v.system: v.round_trip for v in flight.flyers},
         rejected=_rejected(flight),
+    )
+
+
+def trace_of(flight: "Conductor") -> Trace:
+    """Return what was flown so far."""
+    n = flight.plan.vehicles
+    return Trace(
+        time=np.array([row[0] for row in flight.flown]),
+        mission_time=np.array([row[1] for row in flight.flown]),
+        position=np.array([row[2] for row in flight.flown]).reshape(-1, n, 3),
+        setpoint=np.array([row[3] for row in flight.flown]).reshape(-1, n, 3),
+        phase=tuple(row[4] for row in flight.flown),
     )
 
 
