@@ -41,10 +41,11 @@ class Trial:
     """One fault at one time, and what came of it.
 
     ``at`` is mission time; ``noticed`` seconds until the first event that says so, None if none
-    does; ``response`` the words of what the team did; ``clearance`` the smallest distance between
-    strands, ``apart`` the smallest level distance between vehicles that are not apart in height,
-    both metres (infinite: never judged); ``chord`` the largest chord over length. ``strikes`` of
-    rotors on cable, ``lost`` vehicles, ``problems`` what is not as asked.
+    does, ``hidden`` those in which there was nothing to notice; ``response`` the words of what the
+    team did; ``clearance`` the smallest distance between strands, ``apart`` the smallest level
+    distance between vehicles that are not apart in height, both metres (infinite: never judged);
+    ``chord`` the largest chord over length. ``strikes`` of rotors on cable, ``lost`` vehicles,
+    ``problems`` what is not as asked.
     """
 
     at: float
@@ -58,6 +59,7 @@ class Trial:
     lost: int
     end: str
     problems: tuple[str, ...]
+    hidden: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -186,10 +188,16 @@ def _stages(
 
 
 class _Judge:
-    """Looks at what really is, from the fault on."""
+    """Looks at what really is, from the fault on.
 
-    def __init__(self, flight: Rehearsal) -> None:
+    ``hidden`` are the seconds in which a slip of ``slipping`` would not show, ``unseen`` whether it
+    does not now.
+    """
+
+    def __init__(self, flight: Rehearsal, slipping: int | None = None) -> None:
         self._flight = flight
+        self._slipping = slipping
+        self.hidden, self.unseen = 0.0, False
         self._monitor = Monitor(flight.proven.plan)
         truth = flight.emulator.truth()
         self._strikes, self._contacts = len(truth.strikes), len(truth.contacts)
@@ -204,6 +212,10 @@ class _Judge:
         if flight.now < self._next:
             return
         self._next = flight.now + LOOK_EVERY
+        if self._slipping is not None and flight.conductor.stage == "fly":
+            shown = flight.conductor.grasps.shows(flight.conductor.setpoint)
+            self.unseen = not bool(shown[self._slipping])
+            self.hidden += LOOK_EVERY if self.unseen else 0.0
         truth = flight.emulator.truth()
         place = truth.position
         flying = ~flight.emulator.bodies.tumbling & (place[:, 2] > _LOW)
@@ -250,7 +262,7 @@ def _fly(flight: Rehearsal, row: Row, victim: int) -> Trial:
         conductor.request("interrupt")
         if row.station == "interrupted twice":
             conductor.request("interrupt")
-    judge, pace = _Judge(flight), conductor.clock.rate
+    judge, pace = _Judge(flight, victim if row.hides else None), conductor.clock.rate
     slowed: float | None = None
     calm_since = began + row.lasts
     while flight.now < began + LONGEST:
@@ -269,11 +281,13 @@ def _fly(flight: Rehearsal, row: Row, victim: int) -> Trial:
         if row.station == "killed":
             if not flight.emulator.truth().armed.any():
                 break
-        elif conductor.stage != "fly" or conductor.holds or conductor.waiting:
+        elif conductor.stage != "fly" or conductor.holds or conductor.waiting or judge.unseen:
             calm_since = flight.now
         elif flight.now - calm_since > AFTER and conductor.clock.rate > 0.05:
             break
-    return _judged(flight, row, judge, at, victim, began, slowed)
+    trial = _judged(flight, row, judge, at, victim, began, slowed)
+    trial = replace(trial, hidden=judge.hidden)
+    return replace(trial, problems=_problems(flight, row, trial))
 
 
 def _worst(proven: ProvenPlan, kind: str, victim: int) -> dict[str, Any]:
@@ -308,7 +322,7 @@ def _judged(
     moments = [event.time - began for event in told] + ([] if slowed is None else [slowed])
     noticed = min(moments, default=None)
     end = _end(flight, row)
-    trial = Trial(
+    return Trial(
         at=at,
         vehicle=victim + 1,
         noticed=noticed,
@@ -321,7 +335,6 @@ def _judged(
         end=end,
         problems=(),
     )
-    return replace(trial, problems=_problems(flight, row, trial))
 
 
 def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
@@ -333,8 +346,9 @@ def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
     problems = []
     if trial.end not in row.ends:
         problems.append(f"ended as {trial.end}")
-    if row.within is not None and (trial.noticed is None or trial.noticed > row.within + 1e-6):
-        after = "never" if trial.noticed is None else f"after {trial.noticed:.2f} s"
+    seen = None if trial.noticed is None else trial.noticed - trial.hidden
+    if row.within is not None and (seen is None or seen > row.within + 1e-6):
+        after = "never" if seen is None else f"after {seen:.2f} s"
         problems.append(f"noticed {after}, not within {row.within:g} s")
     if trial.strikes > row.strikes and not row.dead:
         problems.append(f"{trial.strikes} rotor strikes")

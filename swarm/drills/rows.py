@@ -16,10 +16,10 @@ class Row:
 
     ``faults`` are the emulator's, without time and vehicle; ``whole_team`` hits everybody.
     ``within`` is the time in seconds in which it must be noticed (None: nothing to notice), by a
-    word of the table of failures, or where ``slows`` by a clock that runs slower. ``ends`` are the
-    ends that are right. ``dead`` says that the fault itself takes a vehicle out of the air;
-    ``moves`` that it moves vehicles or cable beyond what was certified, ``strikes`` how many rotors
-    may touch cable then, with ``why``.
+    word of the table of failures, or where ``slows`` by a clock that runs slower; of what ``hides``
+    it counts from when there is anything to see. ``ends`` are the ends that are right. ``dead``
+    says that the fault itself takes a vehicle out of the air; ``moves`` that it moves vehicles or
+    cable beyond what was certified, ``strikes`` how many rotors may touch cable then, with ``why``.
     """
 
     name: str
@@ -29,6 +29,7 @@ class Row:
     part: Part = "fold"
     within: float | None = None
     slows: bool = False
+    hides: bool = False
     whole_team: bool = False
     dead: bool = False
     moves: bool = False
@@ -185,9 +186,9 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "gripper slips", "one vehicle", ("landed", *_ON), ({"kind": "gripper_slip"},),
-        within=10.0, moves=True,
+        within=10.0, hides=True, moves=True,
         why="the cable between its neighbours is one long strand from then on; it shows by their "
-        "leaning, and where the vehicle bore next to nothing only as the team moves on",
+        "leaning, and where that changes by less than 0.2 N only when the team has moved on",
     ),
     Row(
         "gripper sticks shut at release", "one vehicle", ("landed",),

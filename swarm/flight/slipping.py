@@ -91,6 +91,12 @@ class Grasps:
         self._suspect = -1 if who is None else who
         return who if self._seen >= LOOKS else None
 
+    def shows(self, grips: Floats) -> npt.NDArray[np.bool_]:
+        """Return of which vehicles (n,) a slip would change the level pulls enough to be seen."""
+        patterns = self._patterns(self._held(grips))
+        shown: npt.NDArray[np.bool_] = np.linalg.norm(patterns, axis=(1, 2)) > FAINTEST
+        return shown
+
     def _strands(self, above: Floats, every: int) -> tuple[Floats, Floats]:
         """Forces on both ends of the strands from each vehicle to the next, or the next but one."""
         first, last = above[:-every], above[every:]
