@@ -17,6 +17,8 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 _KEY_LENGTH = 32
 _LARGEST_FILE = 4_000_000
+ALONE = 200.0
+"""Metres between vehicles that shall never meet."""
 _DEEPEST = 50
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -223,13 +225,17 @@ def read_text(path: Path) -> str:
 def default_world(
     count: int, autopilots: Sequence[Literal["px4", "ardupilot"]] = ("px4",), seed: int = 1
 ) -> World:
-    """Return ``count`` vehicles on a square grid of pads 3 m apart, without a cable."""
+    """Return ``count`` vehicles on a square grid of pads ALONE apart, without a cable.
+
+    As in the autopilots' own simulators none ever meets another: ground stations that take each
+    vehicle's place for where it should stand may fly them through each other there.
+    """
     side = math.ceil(math.sqrt(count))
     vehicles = [
         VehicleSpec(
             id=i + 1,
             autopilot=autopilots[i % len(autopilots)],
-            pad=(3.0 * (i % side), 3.0 * (i // side), 0.0),
+            pad=(ALONE * (i % side), ALONE * (i // side), 0.0),
         )
         for i in range(count)
     ]
