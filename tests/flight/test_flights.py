@@ -220,7 +220,10 @@ def test_a_team_that_is_not_heard_any_more_holds_and_is_landed_blind():
 
 
 def test_vehicles_that_are_never_heard_are_named():
-    flight = network(downlink=lambda _now, system, _data: system == 1)
+    fleet = emulated_fleet(3)
+    limits = fleet.limits.model_copy(update={"ready": 8.0})
+    fleet = fleet.model_copy(update={"limits": limits})
+    flight = Network(PLAN, fleet, downlink=lambda _now, system, _data: system == 1)
     outcome = flight.run()
     assert outcome.exit_code == 3
     assert outcome.explanation == "not heard: system 2, system 3"

@@ -138,13 +138,9 @@ def test_refusal_carries_every_error(overhand):
     assert len(str(refusal.value).splitlines()) == len(wrong) > 1
 
 
-def test_what_is_not_certified_for_tracking_errors_says_so(overhand):
-    exact = replace(
-        overhand,
-        mission=overhand.mission.model_copy(
-            update={"vehicles": overhand.mission.vehicles.model_copy(update={"tracking": 0.0})}
-        ),
-    )
+def test_what_is_not_certified_for_tracking_errors_says_so():
+    places = [[[0, 0, 5.0], [2.5, 0, 5.0]], [[3, 0, 5.0], [5.5, 0, 5.0]]]
+    exact = plan_of(moving([0, 6], places), [3.0], "vehicles.tracking=0")
     scope = [f.message for f in assess(exact).findings if f.check == "scope"]
     assert "geometry only" in scope[0]
 
