@@ -4,13 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from swarm.mission import Mission
-from swarm.plans import Plan, candidates
+from swarm.plans import Plan, Shortfall, candidates
 from swarm.preflight.assess import assess, with_robustness
 from swarm.preflight.findings import Assessment, ProvenPlan, prove
 
 Progress = Callable[[str, float], None]
 
-_ATTEMPTS = 8
+_ATTEMPTS = 16
 """Plans that the certificate is asked to judge before the first of them is shown as it is."""
 
 
@@ -52,10 +52,10 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
     return first
 
 
-def _missing(assessment: Assessment) -> dict[str, float]:
-    """By check, the metres by which moments fall short of what they should keep."""
-    found: dict[str, float] = {}
-    for moment in assessment.moments:
-        if moment.margin < 0.0:
-            found[moment.check] = max(found.get(moment.check, 0.0), -moment.margin)
-    return found
+def _missing(assessment: Assessment) -> list[Shortfall]:
+    """Moments that fall short of what they should keep."""
+    return [
+        Shortfall(moment.check, moment.time, -moment.margin)
+        for moment in assessment.moments
+        if moment.margin < 0.0
+    ]

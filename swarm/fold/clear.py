@@ -35,9 +35,8 @@ class Margins:
     tracking ball; ``radius`` and ``grip_offset`` describe the vehicle. ``hand`` is how much
     cable on either side of a vehicle need not keep apart from the neighbouring segment's.
     ``spacing`` is the preferred chord of a segment in motion, as a share of its length, and
-    ``taut`` the largest one, less what two tracking errors and ``play`` metres add. Neighbouring
-    segments keep ``beside`` metres more than others, and a vehicle's own segments ``disc`` metres
-    more from its rotor disc.
+    ``taut`` the largest one, less what two tracking errors add. Neighbouring segments keep
+    ``beside`` metres more than others.
     """
 
     cable: float
@@ -51,8 +50,6 @@ class Margins:
     spacing: float = 0.85
     taut: float = 0.985
     beside: float = 0.0
-    disc: float = 0.0
-    play: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,24 +110,31 @@ def strand_cost(one: Strands, other: Strands, margins: Margins) -> Floats:
 
 
 def heights_over(one: Strands, other: Strands) -> Floats:
-    """How high (b,) strands pass over others where they cross in plan view, 0 where they do not.
-
-    A strand hangs in a vertical plane, so from above both are straight.
-    """
-    p, u = one.points[:, 0, :2], one.points[:, -1, :2] - one.points[:, 0, :2]
-    q, w = other.points[:, 0, :2], other.points[:, -1, :2] - other.points[:, 0, :2]
-    area = u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]
-    area = np.where(np.abs(area) < 1e-12, np.inf, area)
-    gap = q - p
-    here = (gap[:, 0] * w[:, 1] - gap[:, 1] * w[:, 0]) / area
-    there = (gap[:, 0] * u[:, 1] - gap[:, 1] * u[:, 0]) / area
-    cross = (here > 0.0) & (here < 1.0) & (there > 0.0) & (there < 1.0) & np.isfinite(area)
-    gap_over = np.zeros(len(p))
-    which = np.flatnonzero(cross)
+    """How high (b,) strands pass over others where they cross in plan view, 0 where they do not."""
+    here, there = shares(one, other)
+    gap_over = np.zeros(len(here))
+    which = np.flatnonzero((here > 0.0) & (here < 1.0) & (there > 0.0) & (there < 1.0))
     if len(which):
         above = _height_at(one.points[which], here[which])
         gap_over[which] = above - _height_at(other.points[which], there[which])
     return gap_over
+
+
+def shares(one: Strands, other: Strands) -> tuple[Floats, Floats]:
+    """Where strands (b) and others meet in plan view, as shares (b,) of their spans, 0…1 within.
+
+    A strand hangs in a vertical plane, so from above both are straight; where they are parallel
+    they meet at infinity.
+    """
+    p, u = one.points[:, 0, :2], one.points[:, -1, :2] - one.points[:, 0, :2]
+    q, w = other.points[:, 0, :2], other.points[:, -1, :2] - other.points[:, 0, :2]
+    area = u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]
+    parallel = np.abs(area) < 1e-12
+    area[parallel] = 1.0
+    gap = q - p
+    here = (gap[:, 0] * w[:, 1] - gap[:, 1] * w[:, 0]) / area
+    there = (gap[:, 0] * u[:, 1] - gap[:, 1] * u[:, 0]) / area
+    return np.where(parallel, np.inf, here), np.where(parallel, np.inf, there)
 
 
 def _height_at(points: Floats, share: Floats) -> Floats:
@@ -285,8 +289,10 @@ def vehicle_cost(one: Floats, others: Floats, margins: Margins) -> Floats:
     return cost
 
 
-def rotor_cost(place: Floats, strand: Strands, margins: Margins) -> Floats:
-    """Cost (b,) of a vehicle's own strand entering its rotor disc."""
+def rotor_cost(
+    place: Floats, strand: Strands, margins: Margins, wider: float | Floats = 0.0
+) -> Floats:
+    """Cost (b,) of a vehicle's own strand entering its rotor disc, which is ``wider`` by metres."""
     lowest = margins.grip_offset - 1.5 * margins.tracking
     cost = np.zeros(len(place))
     high = np.flatnonzero(strand.middle[:, 2] + strand.reach[:, 2] - place[:, 2] > lowest)
@@ -295,7 +301,7 @@ def rotor_cost(place: Floats, strand: Strands, margins: Margins) -> Floats:
     apart = refined(strand.points[high]) - place[high, None, :]
     in_disc = (
         margins.radius
-        + margins.disc
+        + np.broadcast_to(wider, len(place))[high, None]
         + 1.5 * margins.tracking
         - np.hypot(apart[..., 0], apart[..., 1])
     )
@@ -306,7 +312,7 @@ def rotor_cost(place: Floats, strand: Strands, margins: Margins) -> Floats:
 
 def chord_cost(strand: Strands, margins: Margins) -> Floats:
     """Cost (b,) of chords that come near taut (steep) or stray from the preferred share."""
-    over = (strand.ratio + (2.0 * margins.tracking + margins.play) / strand.length) / margins.taut
+    over = (strand.ratio + 2.0 * margins.tracking / strand.length) / margins.taut
     cost: Floats = (
         3e-2 * (strand.ratio - margins.spacing) ** 2
         + 0.5 * np.maximum(over - 0.98, 0.0)

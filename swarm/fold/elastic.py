@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
-from swarm.fold.strain import Crew, Sides, sides_of
+from swarm.fold.strain import Crew, More, Sides, sides_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,6 +31,9 @@ _ASIDE = 12
 _STRAINED = 0.05
 """Missed margins of a moment, squared, that are worth giving way for."""
 
+_ASKED = 0.1
+"""Share of these that is worth it where more is asked for than margins."""
+
 _BENDING = 0.3
 """Cost of a second difference of a metre in a vehicle's path, next to a missed unit of margin."""
 
@@ -42,6 +45,10 @@ _ROUNDS, _ITERATIONS = 4, 30
 
 _TOO_SLOW = 0.7
 """What a round may leave of missed margins if there is to be another one."""
+
+
+_AROUND = 2
+"""Stages before and after strands cross in which vehicles that pass them keep the side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +64,22 @@ def eased(
     places: Floats,
     offsets: Floats,
     sampled: csr_array,
+    more: More,
 ) -> Eased:
-    """Find offsets with which a team misses its margins least.
+    """Find offsets with which a team misses its margins, and what is asked beyond them, least.
 
     ``places`` (s, n, 3) without offsets; ``offsets`` (c, n, 3) to begin with; ``sampled`` (s, c)
-    are the weights of control points at the moments, which include all stages.
+    are the weights of control points at the moments, which include all stages; ``more`` of s
+    moments.
     """
-    band = _Band(crew, places, sides_of(crew.hung(places)), sampled)
+    density = (len(places) - 1) // (len(offsets) - 1)
+    sides = sides_of(crew.hung(places), _AROUND * density)
+    band = _Band(crew, places, sides, more, sampled)
     stages = sampled.argmax(axis=1)
     missed = band.missed(offsets)
+    worth = np.where(more.asked, _ASKED * _STRAINED, _STRAINED)
     for done in range(_ROUNDS):
-        strained = np.unique(stages[missed > _STRAINED])
+        strained = np.unique(stages[missed > worth])
         if not len(strained):
             break
         before = missed.sum()
@@ -94,6 +106,7 @@ class _Band:
     crew: Crew
     places: Floats
     sides: Sides
+    more: More
     sampled: csr_array
 
     @property
@@ -108,7 +121,7 @@ class _Band:
 
     def missed(self, offsets: Floats, *, wishes: bool = True) -> Floats:
         """What the team misses (s,) with offsets."""
-        strain = self.crew.strain(self.moved(offsets), self.sides, wishes=wishes)
+        strain = self.crew.strain(self.moved(offsets), self.sides, self.more, wishes=wishes)
         return strain.missed(len(self.places))
 
     def relaxed(self, offsets: Floats, window: slice) -> Floats:
@@ -118,12 +131,14 @@ class _Band:
         moments = np.flatnonzero(np.diff(inside.indptr))
         weights = csr_array(inside[moments] @ smooth)
         back, smooth_back = csr_array(weights.T), csr_array(smooth.T)
-        base, sides = self.moved(offsets)[moments], self.sides[moments]
+        base = self.moved(offsets)[moments]
+        sides, more = self.sides[moments], self.more[moments]
         paths = (self.places[:: self.density] + offsets)[window].reshape(smooth.shape[0], -1)
 
         def cost(flat: Floats) -> tuple[float, Floats]:
             wishes = flat.reshape(weights.shape[1], -1)
-            strain = self.crew.strain(base + (weights @ wishes).reshape(base.shape), sides)
+            places = base + (weights @ wishes).reshape(base.shape)
+            strain = self.crew.strain(places, sides, more)
             slope = 2.0 * strain.slopes(base.shape).reshape(len(base), -1)
             bent = np.diff(paths + smooth @ wishes, 2, axis=0)
             total = (strain.short**2).sum() + _BENDING * (bent**2).sum() + _LAZY * (wishes**2).sum()

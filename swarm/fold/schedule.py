@@ -19,18 +19,21 @@ from swarm.fold.lanes import found_ways
 from swarm.fold.layout import Hanging
 from swarm.fold.passage import Way, joined
 from swarm.fold.path import FoldPath, Guide
-from swarm.fold.strain import Crew
+from swarm.fold.strain import Crew, More, nothing_more
 
 Floats = npt.NDArray[np.float64]
 
 _EVENED = 3.0
 """Stages over which a vehicle's progress is evened out."""
 
-_DENSITIES = (2, 4)
+_DENSITIES = (1, 4)
 """Moments per stage at which the team is looked at, while it is eased."""
 
 _HOPELESS = 1.0
 """Units of missed margin at the worst moment that looking closer will not mend."""
+
+_NEAR = 2.5
+"""Stages around a moment for which more is asked."""
 
 _REST = 4
 """Stages at the end in which the spline comes to rest."""
@@ -41,7 +44,8 @@ class Schedule:
     """Progress of n vehicles along γ over a common stage variable, and offsets from it; C².
 
     ``progress`` (c, n) and ``offsets`` (c, n, 3) are control points, one per stage. ``missed`` (m,)
-    is how much margins are missed from moment to moment, squared, in units of a margin.
+    is how much margins are missed from moment to moment, squared, in units of a margin; ``more``
+    is what the stages (c,) should keep beyond the margins.
     """
 
     path: FoldPath
@@ -49,6 +53,7 @@ class Schedule:
     progress: Floats
     offsets: Floats
     missed: Floats
+    more: More
 
     @property
     def last(self) -> float:
@@ -90,24 +95,32 @@ def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Sc
     progress = np.stack([_evened(lattice) for lattice in ticks.T], axis=1)
     offsets = np.zeros((*progress.shape, 3))
     crew = Crew(layout.lengths, margins)
-    return improved(Schedule(found.path, crew, progress, offsets, np.zeros(1)))
+    more = nothing_more(len(progress))
+    return improved(Schedule(found.path, crew, progress, offsets, np.zeros(1), more))
 
 
-def improved(plan: Schedule, margins: Margins | None = None) -> Schedule:
-    """Let vehicles give way beside γ where the team misses margins.
-
-    ``margins`` replace those of the plan, where its certificate has asked for more.
-    """
-    plan = plan if margins is None else replace(plan, crew=Crew(plan.crew.lengths, margins))
+def improved(plan: Schedule) -> Schedule:
+    """Let vehicles give way beside γ where the team misses margins."""
     for density in _DENSITIES:
         sampled = _sampled(len(plan.progress), density)
         along = sampled @ plan.progress
         places = np.stack([plan.path.at(i, row)[0] for i, row in enumerate(along.T)], axis=1)
-        found = eased(plan.crew, places, plan.offsets, sampled)
+        stages = np.arange(len(along)) // density
+        found = eased(plan.crew, places, plan.offsets, sampled, plan.more[stages])
         plan = replace(plan, offsets=found.offsets, missed=found.missed)
         if plan.worst > _HOPELESS:
             break
     return plan
+
+
+def asked_more(plan: Schedule, margin: str, stages: Floats, metres: Floats) -> Schedule:
+    """Ask for more of a margin, named as in :class:`More`, by ``metres`` (k,) around stages (k,).
+
+    The plan keeps that once it is improved.
+    """
+    near = np.abs(np.arange(len(plan.progress))[:, None] - stages) <= _NEAR
+    asked = getattr(plan.more, margin) + (near * metres).max(axis=1)
+    return replace(plan, more=replace(plan.more, **{margin: asked}))
 
 
 def _chained(ways: tuple[Way, ...], step: float) -> Floats:

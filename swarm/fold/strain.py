@@ -5,7 +5,7 @@ derivative by all places. A strand's point follows the strand's ends in proporti
 to each; where they move apart, the sag answers by as much as a tauter strand rises.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -25,18 +25,60 @@ from swarm.fold.clear import (
     movement,
     refined,
     rotor_cost,
+    shares,
     strands,
 )
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
-Sides = npt.NDArray[np.int8]
+Signs = npt.NDArray[np.int8]
 
 _WANTED = 0.25
 """Share of a margin's unit that is wanted beyond the margin."""
 
 _STEP = 1e-4
 """Metres; step of the differences that stand for derivatives where these are not written out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Who is to pass over whom: 1 where the first passes over the second, −1 under, 0 where free.
+
+    ``strands`` (s, pairs) are of two strands, in the order of :func:`pairs`; ``bodies``
+    (s, n, n − 1) of vehicles and strands.
+    """
+
+    strands: Signs
+    bodies: Signs
+
+    def __getitem__(self, moments: Ints) -> "Sides":
+        return Sides(self.strands[moments], self.bodies[moments])
+
+
+@dataclass(frozen=True, eq=False)
+class More:
+    """Metres (s,) that moments should keep beyond what margins ask for everywhere."""
+
+    cable: Floats
+    beside: Floats
+    vehicle: Floats
+    vehicle_cable: Floats
+    disc: Floats
+    play: Floats
+
+    def __getitem__(self, moments: Ints) -> "More":
+        return More(*(getattr(self, each.name)[moments] for each in fields(self)))
+
+    @property
+    def asked(self) -> npt.NDArray[np.bool_]:
+        """Moments (s,) of which anything is asked."""
+        every = np.stack([getattr(self, each.name) for each in fields(self)])
+        return np.asarray((every > 0.0).any(axis=0))
+
+
+def nothing_more(moments: int) -> More:
+    """No more than the margins everywhere."""
+    return More(*np.zeros((len(fields(More)), moments)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,20 +117,24 @@ class Crew:
         """The team with its strands at places (s, n, 3)."""
         return Hung(self, places, strands(places[:, :-1], places[:, 1:], self.lengths))
 
-    def strain(self, places: Floats, sides: Sides, *, wishes: bool = True) -> Strain:
-        """Missed margins at places (s, n, 3); ``sides`` (s, pairs) as from :func:`sides_of`.
+    def strain(
+        self, places: Floats, sides: Sides, more: More | None = None, *, wishes: bool = True
+    ) -> Strain:
+        """Missed margins at places (s, n, 3); ``sides`` of s moments as from :func:`sides_of`.
 
-        ``wishes`` asks for what a team should do, but need not, too: to keep out of jets.
+        ``more`` is asked of them beyond the margins. ``wishes`` asks for what a team should do, but
+        need not, too: to keep out of jets.
         """
+        more = more or nothing_more(len(places))
         team = self.hung(places)
         found = [
-            _apart(team, sides),
-            _neighbours(team),
-            _bodies(team),
-            _chords(team),
-            _rotors(team, 0),
-            _rotors(team, 1),
-            _vehicles(team),
+            _apart(team, sides.strands, more.cable),
+            _neighbours(team, more.beside),
+            _bodies(team, sides.bodies, more.vehicle_cable),
+            _chords(team, more.play),
+            _rotors(team, 0, more.disc),
+            _rotors(team, 1, more.disc),
+            _vehicles(team, more.vehicle),
             *([_washes(team)] if wishes else []),
         ]
         return Strain(
@@ -136,35 +182,69 @@ def pairs(count: int) -> tuple[Ints, Ints]:
     return first, second
 
 
-def sides_of(team: Hung) -> Sides:
-    """Which of two strands is to pass over the other, (s, pairs): 1, −1, or 0 for none.
+def sides_of(team: Hung, around: int) -> Sides:
+    """Which of two strands is to pass over the other, and which vehicles over which strands.
 
-    Over a time in which two cross in plan view one of them is over the other. If that time ends
-    with the motion, it is the one that is over at the end; else the one that mostly is.
+    Over a time in which two strands cross in plan view one of them is over the other. If that time
+    ends with the motion, it is the one that is over at the end; else the one that mostly is. The
+    vehicle whose passing begins or ends that time passes on its strand's side. All that counts
+    for ``around`` moments before and after, too: who gives way may cross a little sooner or later.
     """
-    first, second = pairs(len(team.crew.lengths))
+    count = len(team.crew.lengths)
+    first, second = pairs(count)
     found = np.zeros((len(team.places), len(first)), dtype=np.int8)
+    bodies = np.zeros((len(team.places), count + 1, count), dtype=np.int8)
     for p, (one, other) in enumerate(zip(first, second, strict=True)):
         over = heights_over(team.strands[:, one], team.strands[:, other])
         crossing = over != 0.0
         if not crossing.any():
             continue
-        number = np.cumsum(np.diff(crossing, prepend=False)) * crossing
+        edges = np.diff(crossing, prepend=False)
+        number = np.cumsum(edges) * crossing
         mostly = np.bincount(number, over)
         if crossing[-1]:
             mostly[number[-1]] = over[-1]
-        found[:, p] = np.sign(mostly[number]) * crossing
+        found[:, p] = _longer(np.sign(mostly[number]) * crossing, around)
+        begins = np.flatnonzero(edges & crossing)
+        ends = np.flatnonzero(np.diff(crossing, append=crossing[-1]) & crossing)
+        for moment in np.concatenate([begins, ends]):
+            side = found[moment, p]
+            vehicle, strand = _passing(team, moment, one, other)
+            near = slice(max(moment - around, 0), moment + around + 1)
+            bodies[near, vehicle, strand] = side if strand == other else -side
+    return Sides(found, bodies)
+
+
+def _longer(sides: Floats, around: int) -> Floats:
+    """Sides (s,), where there are none taken from the nearest moment that is at most so far."""
+    known = np.flatnonzero(sides)
+    moments = np.arange(len(sides))
+    after = np.minimum(np.searchsorted(known, moments), len(known) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(known[before] - moments) < np.abs(known[after] - moments)
+    nearest = known[np.where(nearer, before, after)]
+    found: Floats = sides[nearest] * (np.abs(nearest - moments) <= around)
     return found
 
 
-def _apart(team: Hung, sides: Sides) -> Strain:
+def _passing(team: Hung, moment: int, one: int, other: int) -> tuple[int, int]:
+    """The vehicle that just passes a strand, where two begin or cease to cross, and the strand."""
+    pair = team.strands[moment : moment + 1, one], team.strands[moment : moment + 1, other]
+    here, there = (float(share[0]) for share in shares(*pair))
+    ends = [(here, one, other), (1.0 - here, one + 1, other)]
+    ends += [(there, other, one), (1.0 - there, other + 1, one)]
+    _, vehicle, strand = min(ends)
+    return vehicle, strand
+
+
+def _apart(team: Hung, sides: Signs, more: Floats) -> Strain:
     """Strands that do not share a vehicle."""
     margins, hung = team.crew.margins, team.strands
     unit = margins.cable + 2.0 * margins.tracking
     first, second = pairs(len(team.crew.lengths))
     moves = margins.tracking * lift(hung.ratio)
     near = np.ones((len(team.places), len(first)), dtype=bool)
-    most = margins.cable + _WANTED * unit + moves[:, first] + moves[:, second]
+    most = margins.cable + _WANTED * unit + more[:, None] + moves[:, first] + moves[:, second]
     for axis in range(3):
         gap = np.abs(hung.middle[:, first, axis] - hung.middle[:, second, axis])
         near &= gap - hung.reach[:, first, axis] - hung.reach[:, second, axis] < most
@@ -176,7 +256,7 @@ def _apart(team: Hung, sides: Sides) -> Strain:
     error += movement(other.ratio, found.there / PIECES, found.upright)
     distance = np.where(flip, -found.distance, found.distance)
     normal = np.where(flip, -1.0, 1.0)[:, None] * found.normal
-    short = _WANTED - (distance - margins.cable - margins.tracking * error) / unit
+    short = _WANTED - (distance - margins.cable - more[moment] - margins.tracking * error) / unit
     k = np.flatnonzero(short > 0.0)
     push = -normal[k] / unit
     return _between(
@@ -199,20 +279,20 @@ def _between(
     return Strain(moment, short, np.stack(ends, axis=1), np.concatenate(slope, axis=1))
 
 
-def _wrong_side(one: Strands, other: Strands, side: Sides) -> npt.NDArray[np.bool_]:
+def _wrong_side(one: Strands, other: Strands, side: Signs) -> npt.NDArray[np.bool_]:
     wrong = np.zeros(len(side), dtype=bool)
     k = np.flatnonzero(side)
     wrong[k] = heights_over(one[k], other[k]) * side[k] < 0.0
     return wrong
 
 
-def _neighbours(team: Hung) -> Strain:
+def _neighbours(team: Hung, more: Floats) -> Strain:
     """Strands that meet at a vehicle, beyond its hand."""
     margins, hung, lengths = team.crew.margins, team.strands, team.crew.lengths
     unit = margins.cable + 2.0 * margins.tracking
     free = np.maximum(0.5, 1.0 - margins.hand / lengths)
     before, after = hung[:, :-1], hung[:, 1:]
-    together = ~diverging(before, after, margins, free[:-1], free[1:])
+    together = ~diverging(before, after, margins, free[:-1], free[1:]) | (more > 0.0)[:, None]
     moment, number = np.nonzero(together)
     one, two = hung[moment, number], hung[moment, number + 1]
     # The free part of each against all of the other: the first ends at the vehicle, the second
@@ -225,7 +305,8 @@ def _neighbours(team: Hung) -> Strain:
     )
     strand, other = joined(one, two), joined(two, one)
     points = cut(strand.points, shares)
-    near = _boxes_near(points, other, margins.cable + _WANTED * unit + 4.0 * margins.tracking)
+    reach = margins.cable + _WANTED * unit + 4.0 * margins.tracking + np.tile(more[moment], 2)
+    near = _boxes_near(points, other, reach)
     moment, own = np.tile(moment, 2)[near], np.concatenate([number, number + 1])[near]
     next_ = np.concatenate([number + 1, number])[near]
     strand, other, points, shares = strand[near], other[near], points[near], shares[near]
@@ -235,7 +316,8 @@ def _neighbours(team: Hung) -> Strain:
     shared = (next_ > own).astype(np.float64)
     error = far_movement(strand, np.abs(here - shared), found.upright, margins.tracking)
     error += far_movement(other, np.abs(there - 1.0 + shared), found.upright, margins.tracking)
-    spare = found.distance - margins.cable - margins.tracking * error - margins.beside
+    spare = found.distance - margins.cable - margins.tracking * error
+    spare -= margins.beside + more[moment]
     short = _WANTED - spare / unit
     k = np.flatnonzero(short > 0.0)
     return _between(
@@ -255,20 +337,21 @@ def _share_at(shares: Floats, place: Floats) -> Floats:
     return found
 
 
-def _boxes_near(points: Floats, other: Strands, reach: float) -> npt.NDArray[np.bool_]:
+def _boxes_near(points: Floats, other: Strands, reach: Floats) -> npt.NDArray[np.bool_]:
     low, high = points.min(axis=1), points.max(axis=1)
     gap = np.abs(0.5 * (low + high) - other.middle) - 0.5 * (high - low) - other.reach
     near: npt.NDArray[np.bool_] = gap.max(axis=1) < reach
     return near
 
 
-def _bodies(team: Hung) -> Strain:
+def _bodies(team: Hung, sides: Signs, more: Floats) -> Strain:
     """Vehicles and strands that others hold."""
     margins, hung, places = team.crew.margins, team.strands, team.places
     unit = margins.vehicle_cable + 2.0 * margins.tracking
     reach = margins.vehicle_cable + _WANTED * unit + 3.2 * margins.tracking
     centre = places + np.array([0.0, 0.0, 0.5 * margins.grip_offset])
     size = np.array([margins.radius, margins.radius, 0.5 * margins.grip_offset]) + reach
+    size = size[:, None, None, None] + more[:, None, None]
     vehicles, segments = np.arange(places.shape[1]), np.arange(len(team.crew.lengths))
     others = (vehicles[:, None] != segments) & (vehicles[:, None] != segments + 1)
     near = np.repeat(others[None], len(places), axis=0)
@@ -282,12 +365,16 @@ def _bodies(team: Hung) -> Strain:
     distance = body_distance(places[moment, vehicle], points, margins) - margins.tracking * error
     nearest = np.argmin(distance, axis=1)
     row = np.arange(len(moment))
-    short = _WANTED - (distance[row, nearest] - margins.vehicle_cable) / unit
+    short = _WANTED - (distance[row, nearest] - margins.vehicle_cable - more[moment]) / unit
     k = np.flatnonzero(short > 0.0)
     point, place = points[k, nearest[k]][:, None], places[moment[k], vehicle[k]]
     at = body_distance(place, point, margins)[:, 0]
     moved = [body_distance(place + step, point, margins)[:, 0] for step in _STEP * np.eye(3)]
     push = -(np.stack(moved, axis=1) - at[:, None]) / (_STEP * unit)
+    side = sides[moment[k], vehicle[k], segment[k]]
+    beyond, wrong = _beyond(points[k], place, side, margins)
+    short[k] = np.where(wrong, _WANTED + (margins.vehicle_cable + beyond) / unit, short[k])
+    push[wrong] = -side[wrong, None] / unit * np.array([0.0, 0.0, 1.0])
     ends = team.followed(moment[k], segment[k], share[nearest[k]], -push)
     who = np.stack([vehicle[k], segment[k], segment[k] + 1, vehicle[k]], axis=1)
     nothing = np.zeros_like(push)[:, None]
@@ -295,15 +382,32 @@ def _bodies(team: Hung) -> Strain:
     return Strain(moment[k], short[k], who, slope)
 
 
+def _beyond(
+    points: Floats, place: Floats, side: Signs, margins: Margins
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Height (q,) by which vehicles at ``place`` (q, 3) miss the right side of strands, and where.
+
+    They pass over (side 1) or under (−1) where strands (q, k, 3) are nearest in plan view.
+    """
+    apart = points - place[:, None]
+    level = np.hypot(apart[..., 0], apart[..., 1])
+    nearest, row = np.argmin(level, axis=1), np.arange(len(apart))
+    above = apart[row, nearest, 2]
+    beyond = np.where(side > 0, above, margins.grip_offset - above)
+    inside = (nearest > 0) & (nearest < points.shape[1] - 1)
+    return beyond, (side != 0) & inside & (beyond > 0.0)
+
+
 _TAUT, _TAUT_WEIGHT = 0.985, 4.0
 """Share of the tautest chord allowed that is wanted, and weight of metres beyond."""
 
 
-def _chords(team: Hung) -> Strain:
+def _chords(team: Hung, more: Floats) -> Strain:
     """Chords that come near taut."""
     margins, lengths = team.crew.margins, team.crew.lengths
     unit = (margins.cable + 2.0 * margins.tracking) / _TAUT_WEIGHT
-    over = (team.strands.ratio + (2.0 * margins.tracking + margins.play) / lengths) / margins.taut
+    play = 2.0 * margins.tracking + more[:, None]
+    over = (team.strands.ratio + play / lengths) / margins.taut
     over -= _TAUT
     moment, segment = np.nonzero(over > 0.0)
     pull = team.along[moment, segment] / (unit * margins.taut)
@@ -317,12 +421,13 @@ def _held(moment: Ints, short: Floats, segment: Ints, slope: Floats) -> Strain:
     return Strain(moment, short, who, np.concatenate([slope, np.zeros_like(slope)], axis=1))
 
 
-def _rotors(team: Hung, end: int) -> Strain:
+def _rotors(team: Hung, end: int, more: Floats) -> Strain:
     """Strands that enter the rotor disc of the vehicle at their end 0 or 1."""
     margins, lengths = team.crew.margins, team.crew.lengths
     count = len(lengths)
     every = team.strands.flat()
-    cost = rotor_cost(team.places[:, end : end + count].reshape(-1, 3), every, margins)
+    wider = np.repeat(more, count)
+    cost = rotor_cost(team.places[:, end : end + count].reshape(-1, 3), every, margins, wider)
     moment, segment = np.divmod(np.flatnonzero(cost), count)
     cost = cost[cost != 0.0]
     ends = np.stack([team.places[moment, segment], team.places[moment, segment + 1]], axis=1)
@@ -331,25 +436,28 @@ def _rotors(team: Hung, end: int) -> Strain:
         moved = ends.copy()
         moved[:, vehicle, axis] += _STEP
         held = strands(moved[:, 0], moved[:, 1], lengths[segment])
-        slope[:, vehicle, axis] = (rotor_cost(moved[:, end], held, margins) - cost) / _STEP
+        after = rotor_cost(moved[:, end], held, margins, more[moment])
+        slope[:, vehicle, axis] = (after - cost) / _STEP
     return _held(moment, cost, segment, slope)
 
 
-def _vehicles(team: Hung) -> Strain:
+def _vehicles(team: Hung, more: Floats) -> Strain:
     """Vehicles next to others, or in the wash of others."""
     margins, places = team.crew.margins, team.places
     first, second = np.triu_indices(places.shape[1], 1)
     apart = places[:, first] - places[:, second]
     size = np.array([margins.vehicle, margins.downwash]) + 2.0 * margins.tracking
+    size = size + more[:, None, None]
     level = np.hypot(apart[..., 0], apart[..., 1])
     share = np.stack([level, np.abs(apart[..., 2])], axis=-1) / size
     short = _VEHICLE_WEIGHT * (1.0 + _VEHICLES_APART - share.max(axis=-1))
     moment, p = np.nonzero(short > 0.0)
     short, apart, level = short[moment, p], apart[moment, p], level[moment, p]
     aside = np.argmax(share[moment, p], axis=-1) == 0
-    push = -_VEHICLE_WEIGHT * apart / np.maximum(level, 1e-6)[:, None] / size[0]
+    beside, under = size[moment, 0].T
+    push = -_VEHICLE_WEIGHT * apart / (np.maximum(level, 1e-6) * beside)[:, None]
     push[:, 2] = 0.0
-    up = np.array([0.0, 0.0, _VEHICLE_WEIGHT / size[1]])
+    up = (_VEHICLE_WEIGHT / under)[~aside, None] * np.array([0.0, 0.0, 1.0])
     push[~aside] = -np.sign(apart[~aside, 2:]) * up
     who = np.stack([first[p], second[p], first[p], second[p]], axis=1)
     slope = np.stack([push, -push, np.zeros_like(push), np.zeros_like(push)], axis=1)

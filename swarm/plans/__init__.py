@@ -1,6 +1,6 @@
 """The plan, and how it is made from a mission."""
 
-from swarm.plans.make import candidates, make_plan
+from swarm.plans.make import Shortfall, candidates, make_plan
 from swarm.plans.plan import (
     CableState,
     Condition,
@@ -21,6 +21,7 @@ __all__ = [
     "Phase",
     "PhaseName",
     "Plan",
+    "Shortfall",
     "candidates",
     "make_plan",
 ]

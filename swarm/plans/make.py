@@ -1,6 +1,6 @@
 """Mission → plan: lay the knot out, fold it, and fly it from the pads to the ground."""
 
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from swarm.fold.lanes import found_ways
 from swarm.fold.layout import Hanging, Shape, given, hanging
 from swarm.fold.paper import dips, printed_motion
 from swarm.fold.path import Guide
-from swarm.fold.schedule import Schedule, improved, schedule, team_path
+from swarm.fold.schedule import Schedule, asked_more, improved, schedule, team_path
 from swarm.knots.catalog import KnotChoice, choose
 from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
@@ -25,7 +25,18 @@ from swarm.trajectory import Motion, through_states, timed
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
-Shortfalls = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """A moment at which a plan falls short of what a check asks, by metres."""
+
+    check: str
+    time: float
+    metres: float
+
+
+Shortfalls = Sequence[Shortfall]
 
 
 def make_plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
@@ -42,8 +53,8 @@ def candidates(
 ) -> Generator[Plan, Shortfalls | None, None]:
     """Yield plans for a mission, best first, for the certificate to judge.
 
-    What a certificate finds missing may be sent in answer: by check, the metres by which it fails.
-    Then the same plan is mended with so much more margin, if it can be.
+    What a certificate finds missing may be sent in answer. Then the same plan is mended with so
+    much more margin there, if it can be.
 
     Where nothing seems to keep the clearances, the plan that misses them least is the only one: the
     certificate says of it what is wrong. Its notes, as those of every plan, say what was tried.
@@ -74,43 +85,58 @@ def candidates(
             f"tried a cell of {folding.layout.cell:.2f} m: misses its margins by {worst:.2g}"
         )
         if worst < _GOOD:
-            yield from _mended(mission, knot, folding, margins, tried)
+            yield from _mended(mission, knot, folding, tried)
         else:
             doubtful.append(folding)
     doubtful.sort(key=lambda folding: folding.plan.worst)
     for folding in doubtful[:_DOUBTFUL]:
-        yield from _mended(mission, knot, folding, margins, tried)
+        yield from _mended(mission, knot, folding, tried)
 
 
 def _mended(
     mission: Mission,
     knot: KnotSummary,
     folding: "Folding",
-    margins: Margins,
     tried: list[str],
 ) -> Generator[Plan, Shortfalls | None, None]:
     """A plan, and better ones of the same kind while its certificate says what is missing."""
     for _ in range(_MENDINGS):
-        missing = yield _planned(mission, knot, folding, tried)
+        made = _planned(mission, knot, folding, tried)
+        missing = yield made
         if not missing:
             break
-        margins = _with_more(margins, missing)
-        folding = replace(folding, plan=improved(folding.plan, margins))
-        tried.append(f"gave it more margin: misses that by {folding.plan.worst:.2g}")
+        folding = replace(folding, plan=improved(_with_more(folding, made, missing)))
+        tried.append("gave way by more where the certificate missed something")
 
 
-def _with_more(margins: Margins, missing: Shortfalls) -> Margins:
-    """More of the margins that failed, by what they missed and a little."""
-    more = {check: 1.1 * metres + _SAMPLING for check, metres in missing.items()}
-    return replace(
-        margins,
-        cable=margins.cable + more.get("cable clearance", 0.0),
-        beside=margins.beside + more.get("neighbouring segments", 0.0),
-        vehicle=margins.vehicle + more.get("vehicle clearance", 0.0),
-        vehicle_cable=margins.vehicle_cable + more.get("vehicle-cable clearance", 0.0),
-        disc=margins.disc + more.get("rotor disc", 0.0),
-        play=margins.play + more.get("taut", 0.0),
-    )
+def _with_more(folding: "Folding", made: Plan, missing: Shortfalls) -> Schedule:
+    """A folding's schedule, asked for more where its plan falls short, by that and a little."""
+    plan = folding.plan
+    stages = np.arange(4.0 * plan.last) / 4.0
+    places = plan.at(stages)[0] + (made.layout.corners[0] - folding.layout.corners[0])
+    for check, margin in _MARGINS.items():
+        found = [(each.time, each.metres) for each in missing if each.check == check]
+        if found:
+            times, metres = np.array(found).T
+            apart = made.motion.at(times)[0][:, None] - places
+            at = stages[np.argmin((apart**2).sum(axis=(2, 3)), axis=1)]
+            asked = np.minimum(1.1 * metres + _SAMPLING, _MOST)
+            plan = asked_more(plan, margin, at, asked)
+    return plan
+
+
+_MARGINS = {
+    "cable clearance": "cable",
+    "neighbouring segments": "beside",
+    "vehicle clearance": "vehicle",
+    "vehicle-cable clearance": "vehicle_cable",
+    "rotor disc": "disc",
+    "taut": "play",
+}
+"""What is asked for where a check fails."""
+
+_MOST = 0.2
+"""Metres that are asked for at once: bounds of a certificate that fails may be far from tight."""
 
 
 def _refuse_unplanned(mission: Mission) -> None:
@@ -168,7 +194,7 @@ def _foldings(
             yield _folded(diagram, shape, margins)
 
 
-_MENDINGS = 4
+_MENDINGS = 8
 """So often a plan that nearly holds is judged."""
 
 _SAMPLING = 0.015
@@ -388,7 +414,7 @@ def _as_given(
         )
     foldings.sort(key=lambda folding: folding.plan.worst)
     for folding in foldings[:_MENDINGS]:
-        yield from _mended(mission, knot, folding, margins, tried)
+        yield from _mended(mission, knot, folding, tried)
 
 
 _GIVEN = ((0.19, 0.17, 0.2), (0.1, 0.3, 0.15), (0.25, 0.3, 0.15))

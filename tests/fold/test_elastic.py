@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 from swarm.cable.catenary import hang
 from swarm.fold.clear import Margins
 from swarm.fold.elastic import eased
-from swarm.fold.strain import Crew, sides_of
+from swarm.fold.strain import Crew, nothing_more, sides_of
 
 MARGINS = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.05, radius=0.25, grip_offset=0.6, hand=1.0)
 
@@ -39,8 +39,10 @@ def least_distance(places: npt.NDArray[np.float64]) -> float:
 def test_a_strand_led_too_low_over_another_is_raised() -> None:
     places = led_over(1.5)
     sampled = csr_array(eye_array(81))
-    before = CREW.strain(places, sides_of(CREW.hung(places))).missed(81)
-    found = eased(CREW, places, np.zeros((81, 4, 3)), sampled)
+    before = CREW.strain(places, sides_of(CREW.hung(places), 0)).missed(81)
+    found = eased(
+        CREW, places, np.zeros((81, 4, 3)), sampled, nothing_more(len(sampled.indptr) - 1)
+    )
     assert before.max() > 1.0
     assert found.missed.max() < 0.07
     moved = places + found.offsets
@@ -50,7 +52,9 @@ def test_a_strand_led_too_low_over_another_is_raised() -> None:
 
 
 def test_who_keeps_all_margins_stays() -> None:
-    found = eased(CREW, led_over(2.5), np.zeros((81, 4, 3)), csr_array(eye_array(81)))
+    found = eased(
+        CREW, led_over(2.5), np.zeros((81, 4, 3)), csr_array(eye_array(81)), nothing_more(81)
+    )
     assert np.all(found.offsets == 0.0)
     assert found.missed.max() < 0.05
 
@@ -59,7 +63,7 @@ def test_moments_between_stages_count() -> None:
     places = led_over(1.5)
     sampled = csr_array(BSpline.design_matrix(np.linspace(0.0, 80.0, 161), KNOTS, 1))
     dense = np.asarray(sampled @ places.reshape(81, -1)).reshape(-1, 4, 3)
-    found = eased(CREW, dense, np.zeros((81, 4, 3)), sampled)
+    found = eased(CREW, dense, np.zeros((81, 4, 3)), sampled, nothing_more(len(sampled.indptr) - 1))
     assert found.missed.max() < 0.07
 
 

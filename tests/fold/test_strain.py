@@ -6,7 +6,7 @@ import pytest
 
 from swarm.cable.catenary import hang
 from swarm.fold.clear import Margins, strands
-from swarm.fold.strain import Crew, Sides, pairs, sides_of
+from swarm.fold.strain import Crew, More, Sides, pairs, sides_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -15,7 +15,8 @@ ERRING = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.1, radius=0.25, grip_offset=0.6,
 
 
 def unsided(moments: int, segments: int) -> Sides:
-    return np.zeros((moments, len(pairs(segments)[0])), dtype=np.int8)
+    strands = np.zeros((moments, len(pairs(segments)[0])), dtype=np.int8)
+    return Sides(strands, np.zeros((moments, segments + 1, segments), dtype=np.int8))
 
 
 def missed(crew: Crew, places: Floats) -> Floats:
@@ -55,9 +56,10 @@ def test_strands_on_the_wrong_side_are_pushed_through() -> None:
     places = line((-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, -0.7), (0.0, -2.0, -0.7))
     first, second = pairs(3)
     assert (first.tolist(), second.tolist()) == ([0], [2])
-    over = sides_of(crew.hung(places))
-    assert over.tolist() == [[1]]
-    right, wrong = crew.strain(places, over), crew.strain(places, -over)
+    over = sides_of(crew.hung(places), 0)
+    assert over.strands.tolist() == [[1]]
+    under = Sides(-over.strands, -over.bodies)
+    right, wrong = crew.strain(places, over), crew.strain(places, under)
     lift = np.zeros((4, 3))
     lift[:2, 2] = 1.0
     assert right.missed(1)[0] < 0.1 < wrong.missed(1)[0]
@@ -71,7 +73,53 @@ def test_a_crossing_keeps_the_side_that_it_ends_with() -> None:
     end = line((-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, -1.0), (0.0, -2.0, -1.0))
     away = end + np.array([[[0.0, 0, 0], [0, 0, 0], [5.0, 0, 0], [5.0, 0, 0]]])
     places = np.concatenate([begin, away, begin, end, end])
-    assert sides_of(crew.hung(places))[:, 0].tolist() == [-1, 0, 1, 1, 1]
+    assert sides_of(crew.hung(places), 0).strands[:, 0].tolist() == [-1, 0, 1, 1, 1]
+
+
+def led_under(height: float) -> Floats:
+    """A held strand, and another led across under it, its vehicles at a height: (41, 4, 3)."""
+    places = np.zeros((41, 4, 3))
+    places[:, 0, 0], places[:, 1, 0] = -2.0, 2.0
+    places[:, 2, 1], places[:, 3, 1] = 0.5, -3.0
+    places[:, 2:, 0] = np.linspace(-0.3, 0.3, 41)[:, None]
+    places[:, 2:, 1] += np.linspace(6.0, -3.0, 41)[:, None]
+    places[:, 2:, 2] = height
+    return places
+
+
+def test_a_vehicle_passes_a_strand_on_the_side_of_what_it_leads() -> None:
+    crew = Crew(np.array([4.4, 9.0, 4.4]), EXACT)
+    places = led_under(-2.5)
+    sides = sides_of(crew.hung(places), 2)
+    leader, follower = sides.bodies[:, 3, 0], sides.bodies[:, 2, 0]
+    assert set(leader.tolist()) == set(follower.tolist()) == {0, -1}
+    assert np.argmax(leader != 0) < np.argmax(follower != 0)
+    # Raised, it would pass over the strand under which it is to lead another.
+    raised = crew.strain(led_under(0.5), sides)
+    passing = int(np.flatnonzero(leader)[3])
+    push = raised.slopes(places.shape)[passing, 3]
+    assert push[2] > 0.5
+    assert not np.any(crew.strain(places, sides).slopes(places.shape)[passing, 3])
+
+
+def test_sides_count_a_little_longer_than_strands_cross() -> None:
+    crew = Crew(np.array([4.4, 9.0, 4.4]), EXACT)
+    team = crew.hung(led_under(-2.5))
+    exact, longer = (np.flatnonzero(sides_of(team, n).strands[:, 0]) for n in (0, 3))
+    assert longer.tolist() == list(range(exact[0] - 3, exact[-1] + 4))
+
+
+def test_more_is_asked_only_of_the_moments_named() -> None:
+    crew = Crew(np.array([4.5, 4.5, 4.5]), EXACT)
+    points = ((-4.0, 0.0, 0.0), (0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (4.0, 4.0, 0.0))
+    places = np.repeat(line(*points), 2, axis=0)
+    for wanted in ("cable", "vehicle", "vehicle_cable", "play"):
+        asked = {name: np.zeros(2) for name in MORE} | {wanted: np.array([0.0, 4.5])}
+        free, kept = crew.strain(places, unsided(2, 3), More(**asked)).missed(2)
+        assert free == 0.0 < kept
+
+
+MORE = ("cable", "beside", "vehicle", "vehicle_cable", "disc", "play")
 
 
 @pytest.mark.parametrize("margins", [EXACT, ERRING])
@@ -82,14 +130,15 @@ def test_derivatives_are_those_of_what_is_missed(margins: Margins) -> None:
     places = np.cumsum(steps, axis=1)
     chord = np.linalg.norm(np.diff(places, axis=1), axis=2)
     places = places[np.all(chord < 0.93 * crew.lengths, axis=1)]
-    sides = sides_of(crew.hung(places))
-    strain = crew.strain(places, sides)
+    sides = sides_of(crew.hung(places), 0)
+    asked = More(*rng.uniform(0.0, 0.2, (len(MORE), len(places))))
+    strain = crew.strain(places, sides, asked)
     slope = 2.0 * strain.slopes(places.shape)
     measured = np.zeros(places.shape)
     for vehicle, axis in np.ndindex(6, 3):
         step = np.zeros((6, 3))
         step[vehicle, axis] = 1e-4
-        more, less = (crew.strain(places + s * step, sides) for s in (1.0, -1.0))
+        more, less = (crew.strain(places + s * step, sides, asked) for s in (1.0, -1.0))
         change = more.missed(len(places)) - less.missed(len(places))
         measured[:, vehicle, axis] = change / 2e-4
     troubled = np.flatnonzero(strain.missed(len(places)) > 0.05)
