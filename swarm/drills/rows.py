@@ -19,7 +19,8 @@ class Row:
     word of the table of failures, or where ``slows`` by a clock that runs slower; of what ``hides``
     it counts from when there is anything to see. ``ends`` are the ends that are right. ``dead``
     says that the fault itself takes a vehicle out of the air; ``moves`` that it moves vehicles or
-    cable beyond what was certified, ``strikes`` how many rotors may touch cable then, with ``why``.
+    cable beyond what was certified, ``drifts`` that it does so with one vehicle, but that the cable
+    is kept from following; ``strikes`` how many rotors may touch cable then, with ``why``.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Row:
     whole_team: bool = False
     dead: bool = False
     moves: bool = False
+    drifts: bool = False
     strikes: int = 0
     why: str = ""
     station: Station | None = None
@@ -148,18 +150,16 @@ ROWS: tuple[Row, ...] = (
         "hangs above a rotor it cannot be let go of",
     ),
     Row(
-        "position worse", "one vehicle", _DOWN, ({"kind": "gps_loss"},), within=1.5, moves=True,
-        why="its position drifts while it reckons",
+        "position worse", "one vehicle", _DOWN, ({"kind": "gps_loss"},), within=1.5, drifts=True,
+        why="it drifts while it reckons, maybe towards another vehicle",
     ),
     Row(
         "position jumps", "one vehicle", ("landed",),
-        ({"kind": "gps_jump", "offset": (3.0, -2.0, 0.5)},), within=0.3, moves=True,
-        why="it flies the jump until the next report shows it",
+        ({"kind": "gps_jump", "offset": (3.0, -2.0, 0.5)},), within=0.3,
     ),
     Row(
         "origin reset", "one vehicle", ("landed",),
-        ({"kind": "origin_reset", "offset": (4.0, 3.0, 1.0)},), within=0.3, moves=True,
-        why="it flies the reset until the next report shows it",
+        ({"kind": "origin_reset", "offset": (4.0, 3.0, 1.0)},), within=0.3,
     ),
     Row(
         "barometer drifts", "one vehicle", _DOWN, ({"kind": "barometer_drift", "rate": 0.1},),

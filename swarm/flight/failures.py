@@ -65,7 +65,7 @@ TABLE: Mapping[Failure, Row] = {
     "believes it has landed": Row("cut loose", True),
     "position jumped": Row("land here", True),
     "origin moved": Row("land here", True),
-    "position poor": Row("land here", True),
+    "position poor": Row("release here", True),
     "position lost": Row("release here", True),
     "heights disagree": Row("land here", True),
     "battery low": Row("land", True),
