@@ -215,8 +215,12 @@ def _merged(rows: Iterable[Row]) -> dict[tuple[str, float | None, str, str, str]
 
 
 def _show(report: CheckReport, console: Console) -> None:
+    changed: dict[str, list[int]] = {}
     for line in report.changed:
-        console.print(f"set {line}", highlight=False)
+        system, words = line.removeprefix("system ").split(": ", 1)
+        changed.setdefault(words, []).append(int(system))
+    for words, systems in changed.items():
+        console.print(f"set {_of_systems(systems)}{words}", highlight=False)
     wrong = [row for vehicle in report.vehicles for row in vehicle.wrong]
     if wrong:
         console.print(parameter_table(wrong))
