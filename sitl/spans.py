@@ -229,15 +229,16 @@ def _floor_parameter(heights: Array, slack: Array, guess: Array) -> Array:
     ``L − h = Σ (s_i − x_i)`` with ``s = √(H² + 2Ha)``, ``x = a acosh(1 + H/a)`` fixes ``a``; Newton
     in ``log a`` against ``log (L − h)`` from the last step's root.
     """
-    a = np.clip(guess, _LEAST, _MOST)
+    a = np.minimum(np.maximum(guess, _LEAST), _MOST)
     target = np.log(np.maximum(slack, 1e-9))
     for _ in range(8):
-        arcs = np.sqrt(heights**2 + 2 * heights * a)
-        angle = np.arccosh(1 + heights / a)
-        value = np.maximum((arcs - a * angle).sum(axis=0), 1e-12)
-        slope = np.minimum((2 * heights / arcs - angle).sum(axis=0) * a, -1e-12)
-        update = np.clip((target - np.log(value)) * value / slope, -1.5, 1.5)
-        a = np.clip(a * np.exp(update), _LEAST, _MOST)
-        if abs(update).max() < 1e-4:
+        arcs = np.sqrt(heights * (heights + 2.0 * a))
+        angle = np.arccosh(1.0 + heights / a)
+        value = np.maximum(np.add.reduce(arcs - a * angle), 1e-12)
+        slope = np.minimum(np.add.reduce(2.0 * heights / arcs - angle) * a, -1e-12)
+        update = (target - np.log(value)) * value / slope
+        a = a * np.exp(np.minimum(np.maximum(update, -1.5), 1.5))
+        a = np.minimum(np.maximum(a, _LEAST), _MOST)
+        if max(np.abs(update).tolist()) < 1e-4:
             break
     return a
