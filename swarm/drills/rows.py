@@ -165,8 +165,8 @@ ROWS: tuple[Row, ...] = (
         "barometer drifts", "one vehicle", _DOWN, ({"kind": "barometer_drift", "rate": 0.1},),
         within=6.0, strikes=1,
         why="a height drifts by as much as GPS can be off before GPS can tell: 0.3 m with these "
-        "receivers, 1 m with poor ones; it drifts on as all come down, where nobody may let go, and "
-        "a rotor may touch cable then",
+        "receivers, 1 m with poor ones; it drifts on as all come down, where nobody may let go, "
+        "and a rotor may touch cable then",
     ),
     Row(
         "pilot takes over", "one vehicle", ("landed",), ({"kind": "pilot"},), within=0.5,
