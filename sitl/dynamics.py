@@ -389,7 +389,8 @@ class Bodies:
             keep = math.exp(-interval / _NOISE_TIME)
             self.noise *= keep
             fresh = self.rng.standard_normal((self.count, 3))
-            self.noise += math.sqrt(1 - keep**2) * self._noise_sigma * fresh
+            fresh *= math.sqrt(1 - keep**2) * self._noise_sigma
+            self.noise += fresh
         if np.count_nonzero(self.drift):
             self.bias += interval * self.drift
         air.blow(self, interval)

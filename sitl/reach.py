@@ -34,7 +34,9 @@ def of_spans(hung: Hung, sideways: float, centre: Array, radius: Array) -> bool:
     share = np.minimum(np.maximum(share, 0.0), 1.0)
     away_east -= share * east
     away_north -= share * north
-    beside = radius[:, None] + sideways * np.maximum(hung.length_used, hung.chord)
+    beside = radius[:, None]
+    if sideways > 0.0:
+        beside = beside + sideways * np.maximum(hung.length_used, hung.chord)
     near &= away_east * away_east + away_north * away_north < beside * beside
     if not np.count_nonzero(near):
         return False

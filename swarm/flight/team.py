@@ -111,14 +111,15 @@ class Team:
             if route.unknown > _MOST_UNKNOWN:
                 self.rejected += 1
                 return False
-        before = self.signing.dropped.total() if self.signing else 0
-        for packet in route.decoder.feed(data, self.signing):
-            vehicle = route.speakers.get(packet.system) or self._sender(route, packet)
+        signing = self.signing
+        before = signing.dropped.total() if signing else 0
+        for packet in route.decoder.feed(data, signing):
+            vehicle = route.speakers.get(packet[1]) or self._sender(route, packet)
             if vehicle is not None:
                 vehicle.receive(packet, now)
-        if self.signing is not None and self.signing.dropped.total() > before:
-            self.rejected += self.signing.dropped.total() - before
-            kinds = ", ".join(sorted(self.signing.dropped))
+        if signing is not None and signing.dropped.total() > before:
+            self.rejected += signing.dropped.total() - before
+            kinds = ", ".join(sorted(signing.dropped))
             words = f"packets on link {link} that are not signed as they must be ({kinds}): dropped"
             self._once(("signature", link, kinds), "security", words, None)
         return True

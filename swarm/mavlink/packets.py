@@ -38,6 +38,7 @@ class Encoder:
 
     def __init__(self, system: int = GROUND_SYSTEM, component: int = GROUND_COMPONENT) -> None:
         self._mav = common.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._source = system, component
         self._sequence = 0
 
     @property
@@ -46,10 +47,16 @@ class Encoder:
         return self._sequence
 
     def encode(self, message: Message) -> bytes:
-        """Return the message as a packet."""
-        self._mav.seq = self._sequence
-        self._sequence = (self._sequence + 1) & 0xFF
-        return bytes(message.pack(self._mav))
+        """Return the message as a packet, byte for byte pymavlink's."""
+        sequence = self.take_sequence()
+        layout = _LAYOUTS.get(message.get_msgId())
+        if layout is None or not layout.numbers:
+            self._mav.seq = sequence
+            return bytes(message.pack(self._mav))
+        body = layout.pack(message).rstrip(b"\0") or b"\0"
+        number = layout.number.to_bytes(3, "little")
+        inner = bytes((len(body), 0, 0, sequence, *self._source)) + number + body
+        return b"\xfd" + inner + _checksum(inner + layout.extra).to_bytes(2, "little")
 
     def take_sequence(self) -> int:
         """Return the next sequence number for a packet that is made elsewhere."""
@@ -194,6 +201,12 @@ class _Layout:
             )
         ]
         self._flat = not any(self._arrays)
+        self.numbers = self._flat and not any(one.startswith("char") for one in kind.fieldtypes)
+        self._names, self._pack = tuple(kind.ordered_fieldnames), kind.unpacker.pack
+
+    def pack(self, message: Message) -> bytes:
+        """Return the payload of a message of numbers."""
+        return bytes(self._pack(*[getattr(message, name) for name in self._names]))
 
     def unpack(self, payload: bytes) -> Message:
         """Return the message; what was cut off at the end is zero."""

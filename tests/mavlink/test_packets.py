@@ -47,6 +47,17 @@ def test_every_message_is_read_as_pymavlink_reads_it(number, payload):
         assert same(getattr(packet.message, name), getattr(theirs, name)), name
 
 
+@given(number=st.sampled_from(NUMBERS), payload=st.binary(min_size=0, max_size=255))
+@settings(max_examples=400, deadline=None)
+def test_every_message_is_written_as_pymavlink_writes_it(number, payload):
+    message = random_message(number, payload)
+    mav = common.MAVLink(None, srcSystem=9, srcComponent=4)
+    encoder = Encoder(9, 4)
+    for _ in range(2):
+        assert encoder.encode(message) == bytes(message.pack(mav))
+        mav.seq += 1
+
+
 def test_truncated_payloads_and_version_1_packets_are_read():
     mav = common.MAVLink(None, srcSystem=5, srcComponent=1)
     message = common.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 0)
