@@ -121,8 +121,11 @@ class CoastBound:
         self._asked = plan.mission.clearance
         self._thick = plan.mission.cable.diameter
         self._ball = plan.mission.vehicles.tracking
-        self._pairs = np.stack(np.triu_indices(n, 1))
-        self._strands = np.stack(np.triu_indices(n - 1, 2))
+        chords = np.arange(n - 1)
+        self._chords = _Touched(n, chords, chords + 1)
+        self._pairs = _Touched(n, *np.triu_indices(n, 1))
+        first, second = np.triu_indices(n - 1, 2)
+        self._strands = _Touched(n, first, second, first + 1, second + 1)
         self._spacing = float(self._lengths.max(initial=0.0)) / _PIECES
 
     def keeps(self, start: Floats, end: Floats, rate: Floats) -> Flags:
@@ -172,17 +175,26 @@ class CoastBound:
         middles = self._middles(boxes, rate)
         strayed = self._deviation(boxes, middles) > self._ball
         boxes, middles = boxes.taken(strayed), middles.taken(strayed)
+        low, here = np.empty(len(boxes)), np.empty(len(boxes))
+        # what one vehicle's end touches is little of what the end of all does
+        for group in (boxes.case == 0, boxes.case > 0):
+            if group.any():
+                low[group], here[group] = self._left(boxes.taken(group), middles.taken(group))
+        most = self._ways.most_on(np.maximum(boxes.case - 1, 0), boxes.coasted)
+        real = (boxes.case == 0) | ((boxes.on >= boxes.coasted) & (boxes.on <= most))
+        kept[boxes.interval[real & (here < -TOLERANCE)]] = False
+        open_ = low < -TOLERANCE
+        return boxes.taken(open_).halved(middles.doubts[open_])
+
+    def _left(self, boxes: _Boxes, middles: _Middles) -> tuple[Floats, Floats]:
+        """Bounds (m,) of what is left of all, and what is in the middle; cases all 0 or none."""
         low, here = self._simple(boxes, middles)
         look = low > -TOLERANCE
         if look.any():
             by_strands = self._by_strands(boxes.taken(look), middles.taken(look))
             low[look] = np.minimum(low[look], by_strands[0])
             here[look] = np.minimum(here[look], by_strands[1])
-        most = self._ways.most_on(np.maximum(boxes.case - 1, 0), boxes.coasted)
-        real = (boxes.case == 0) | ((boxes.on >= boxes.coasted) & (boxes.on <= most))
-        kept[boxes.interval[real & (here < -TOLERANCE)]] = False
-        open_ = low < -TOLERANCE
-        return boxes.taken(open_).halved(middles.doubts[open_])
+        return low, here
 
     def _middles(self, boxes: _Boxes, rate: Floats) -> _Middles:
         course, n = self._course, len(self._ways.after)
@@ -249,47 +261,40 @@ class CoastBound:
         place, along, loose = middles.place, middles.along, middles.loose
         lows, heres = [], []
         half = boxes.half[:, None]
-        for (first, second), chords in (
-            (np.stack([np.arange(len(self._lengths)), np.arange(1, len(self._lengths) + 1)]), True),
-            (self._pairs, False),
-        ):
-            apart = place[:, second] - place[:, first]
-            turn = np.linalg.norm(along[:, second] - along[:, first], axis=-1) * half
-            moved = turn + loose[:, first] + loose[:, second]
+        for touched, chords in ((self._chords, True), (self._pairs, False)):
+            first, second = touched.by(boxes.case)
+            apart = _of(place, second) - _of(place, first)
+            turn = np.linalg.norm(_of(along, second) - _of(along, first), axis=-1) * half
+            moved = turn + _of(loose, first) + _of(loose, second)
             if chords:
-                here = TAUT * self._lengths - np.linalg.norm(apart, axis=-1)
-                low = here - moved
+                here = TAUT * self._lengths[first] - np.linalg.norm(apart, axis=-1)
             else:
                 level = np.hypot(apart[..., 0], apart[..., 1]) - self._asked.vehicle
                 upright = np.abs(apart[..., 2]) - self._asked.downwash
                 here = np.maximum(level, upright)
-                low = here - moved
-            counts = _counts(boxes.case, first, first, second, second)
-            lows.append(np.where(counts, low, np.inf).min(axis=1))
-            heres.append(np.where(counts, here, np.inf).min(axis=1))
+            lows.append((here - moved).min(axis=1))
+            heres.append(here.min(axis=1))
         return np.minimum(*lows), np.minimum(*heres)
 
     def _by_strands(self, boxes: _Boxes, middles: _Middles) -> tuple[Floats, Floats]:
         """The same between strands that share no vehicle."""
         place, along, loose = middles.place, middles.along, middles.loose
-        first, second = self._strands
         count = len(boxes)
-        if not len(first):
-            return np.full(count, np.inf), np.full(count, np.inf)
-        ends = np.stack([first, first + 1, second, second + 1])
-        shared = along[:, ends].mean(axis=1)
-        moved = np.linalg.norm(along[:, ends] - shared[:, None], axis=-1)
-        moved = moved * boxes.half[:, None, None] + loose[:, ends]
-        one, other = moved[:, :2].max(axis=1), moved[:, 2:].max(axis=1)
-        required = self._asked.cable + self._thick
-        counts = _counts(boxes.case, *ends)
-        far = self._boxed(place, first, second, one, other) >= required
-        row, pair = np.nonzero(counts & ~far)
         low, here = np.full(count, np.inf), np.full(count, np.inf)
+        if not self._strands.count:
+            return low, here
+        first, second = self._strands.by(boxes.case)
+        ends = np.stack([first, first + 1, second, second + 1])
+        going = np.stack([_of(along, end) for end in ends])
+        moved = np.linalg.norm(going - going.mean(axis=0), axis=-1)
+        moved = moved * boxes.half[:, None] + np.stack([_of(loose, end) for end in ends])
+        one, other = moved[:2].max(axis=0), moved[2:].max(axis=0)
+        required = self._asked.cable + self._thick
+        row, pair = np.nonzero(self._boxed(place, first, second, one, other) < required)
         if not len(row):
             return low, here
-        a = self._strand(place[row], first[pair], one[row, pair])
-        b = self._strand(place[row], second[pair], other[row, pair])
+        a = self._strand(place[row], first[row, pair], one[row, pair])
+        b = self._strand(place[row], second[row, pair], other[row, pair])
         off = a[1] + b[1]
         # from above by the points, from below by a spacing less; in between it is worth measuring
         most = _between_points(a[0], b[0]) - required
@@ -311,7 +316,7 @@ class CoastBound:
         """
         low, high = [], []
         for which, moved in ((first, one), (second, other)):
-            start, end = place[:, which], place[:, which + 1]
+            start, end = _of(place, which), _of(place, which + 1)
             span = np.hypot(end[..., 0] - start[..., 0], end[..., 1] - start[..., 1])
             rise = np.abs(end[..., 2] - start[..., 2])
             level = self._lengths[which] ** 2 - np.maximum(span - 2.0 * moved, 0.0) ** 2
@@ -363,10 +368,37 @@ def _lost(case: Ints, n: int) -> Flags:
     return lost
 
 
-def _counts(case: Ints, *vehicles: Ints) -> Flags:
-    """Whether things of these vehicles (p,) are touched by a case (m,): what all others keep
-    among themselves is as certified."""
-    counts = np.zeros((len(case), len(vehicles[0])), dtype=np.bool_)
-    for one in vehicles:
-        counts |= (case == 0)[:, None] | (one + 1 == case[:, None])
-    return counts
+def _of(values: Floats, which: Ints) -> Floats:
+    """What each of m rows has at its own places (m, p) of its second axis."""
+    found: Floats = values[np.arange(len(values))[:, None], which]
+    return found
+
+
+class _Touched:
+    """Pairs of things, and which of these a case touches: what all others keep among themselves is
+    as certified."""
+
+    def __init__(self, n: int, first: Ints, second: Ints, *others: Ints) -> None:
+        """Pairs (p,) of things named by their first vehicle; they are held by others, too."""
+        self._things = np.stack([first, second])
+        held = np.stack([first, second, *others])
+        touching = [np.flatnonzero((held == vehicle).any(axis=0)) for vehicle in range(n)]
+        most = max((len(each) for each in touching), default=0)
+        # a case that touches fewer pairs looks at some of them twice
+        self._touching = np.array(
+            [np.resize(each, most) if len(each) else np.zeros(most) for each in touching],
+            dtype=np.intp,
+        )
+
+    @property
+    def count(self) -> int:
+        """How many pairs there are."""
+        return self._things.shape[1]
+
+    def by(self, case: Ints) -> tuple[Ints, Ints]:
+        """First and second things (m, p) of the pairs that cases touch; cases all 0 or none."""
+        if case[0] == 0:
+            first, second = np.repeat(self._things[:, None], len(case), axis=1)
+        else:
+            first, second = self._things[:, self._touching[case - 1]]
+        return first, second
