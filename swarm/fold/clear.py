@@ -82,7 +82,7 @@ class Strands:
         )
 
 
-def joined(one: Strands, other: Strands) -> Strands:
+def together(one: Strands, other: Strands) -> Strands:
     """Two rows of strands as one."""
     return Strands(
         np.concatenate([one.points, other.points]),
@@ -111,7 +111,7 @@ def strand_cost(one: Strands, other: Strands, margins: Margins) -> Floats:
 
 def heights_over(one: Strands, other: Strands) -> Floats:
     """How high (b,) strands pass over others where they cross in plan view, 0 where they do not."""
-    here, there = shares(one, other)
+    here, there = meeting(one, other)
     gap_over = np.zeros(len(here))
     which = np.flatnonzero((here > 0.0) & (here < 1.0) & (there > 0.0) & (there < 1.0))
     if len(which):
@@ -120,21 +120,30 @@ def heights_over(one: Strands, other: Strands) -> Floats:
     return gap_over
 
 
-def shares(one: Strands, other: Strands) -> tuple[Floats, Floats]:
+def meeting(one: Strands, other: Strands) -> tuple[Floats, Floats]:
     """Where strands (b) and others meet in plan view, as shares (b,) of their spans, 0…1 within.
 
-    A strand hangs in a vertical plane, so from above both are straight; where they are parallel
-    they meet at infinity.
+    A strand hangs in a vertical plane, so from above both are straight.
     """
-    p, u = one.points[:, 0, :2], one.points[:, -1, :2] - one.points[:, 0, :2]
-    q, w = other.points[:, 0, :2], other.points[:, -1, :2] - other.points[:, 0, :2]
-    area = u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]
+    p, q = one.points[:, 0, :2], other.points[:, 0, :2]
+    return shares(p, one.points[:, -1, :2] - p, q, other.points[:, -1, :2] - q)
+
+
+def shares(p: Floats, u: Floats, q: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """Shares (b,) of u (b, 2) and w at which lines from p along u and from q along w meet.
+
+    Where they are parallel they meet at infinity.
+    """
+    area = _cross(u, w)
     parallel = np.abs(area) < 1e-12
-    area[parallel] = 1.0
-    gap = q - p
-    here = (gap[:, 0] * w[:, 1] - gap[:, 1] * w[:, 0]) / area
-    there = (gap[:, 0] * u[:, 1] - gap[:, 1] * u[:, 0]) / area
+    area = np.where(parallel, 1.0, area)
+    here, there = _cross(q - p, w) / area, _cross(q - p, u) / area
     return np.where(parallel, np.inf, here), np.where(parallel, np.inf, there)
+
+
+def _cross(one: Floats, other: Floats) -> Floats:
+    product: Floats = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+    return product
 
 
 def _height_at(points: Floats, share: Floats) -> Floats:

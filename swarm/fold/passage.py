@@ -20,6 +20,7 @@ from swarm.fold.clear import (
     chord_cost,
     movement,
     rotor_cost,
+    shares,
     shortfall,
     strands,
     vehicle_cost,
@@ -98,11 +99,6 @@ def surfaces(layout: Hanging) -> Surfaces:
         for row in gaps
     )
     return Surfaces(layout, final, found.ratio, side, found.above, tables)
-
-
-def _cross(one: Floats, other: Floats) -> Floats:
-    product: Floats = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
-    return product
 
 
 def passage(
@@ -190,10 +186,7 @@ class _States:
         span = float(np.linalg.norm(along))
         there = (self.edge_behind != edge) & (self.edge_ahead != edge) & (edge <= self.busy)
         own = self.front[:, :2] - self.rear[:, :2]
-        apart = begin - self.rear[:, :2]
-        area = _cross(own, along)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share, fraction = _cross(apart, along) / area, _cross(apart, own) / area
+        share, fraction = shares(self.rear[:, :2], own, begin, along)
         beyond = margins.cable / span
         crossing = (
             there & (share > 0.0) & (share < 1.0) & (fraction > -beyond) & (fraction < 1.0 + beyond)
@@ -314,7 +307,7 @@ def _traced(best: Floats, first: int) -> tuple[Ints, Ints]:
     return np.array(ahead[::-1], dtype=np.intp), np.array(behind[::-1], dtype=np.intp)
 
 
-def joined(ticks: Floats, way: Way, step: float) -> Floats:
+def trailing(ticks: Floats, way: Way, step: float) -> Floats:
     """Progress (m, k + 1) of one vehicle more, behind those whose progress (m, k) is known."""
     table, ahead, behind = way.table, way.ahead, way.behind
     place = np.round((ticks[:, 0] - table.ahead[0]) / step).astype(np.intp)

@@ -17,7 +17,7 @@ from swarm.fold.clear import Margins
 from swarm.fold.elastic import eased
 from swarm.fold.lanes import found_ways
 from swarm.fold.layout import Hanging
-from swarm.fold.passage import Way, joined
+from swarm.fold.passage import Way, trailing
 from swarm.fold.path import FoldPath, Guide
 from swarm.fold.strain import Crew, More, nothing_more
 
@@ -131,7 +131,7 @@ def _chained(ways: tuple[Way, ...], step: float) -> Floats:
     """
     ticks: Floats = ways[-1].table.ahead[:, None]
     for way in reversed(ways):
-        ticks = joined(ticks, way, step)
+        ticks = trailing(ticks, way, step)
     return ticks
 
 

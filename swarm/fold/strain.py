@@ -20,13 +20,13 @@ from swarm.fold.clear import (
     diverging,
     far_movement,
     heights_over,
-    joined,
     lift,
+    meeting,
     movement,
     refined,
     rotor_cost,
-    shares,
     strands,
+    together,
 )
 
 Floats = npt.NDArray[np.float64]
@@ -230,7 +230,7 @@ def _longer(sides: Floats, around: int) -> Floats:
 def _passing(team: Hung, moment: int, one: int, other: int) -> tuple[int, int]:
     """The vehicle that just passes a strand, where two begin or cease to cross, and the strand."""
     pair = team.strands[moment : moment + 1, one], team.strands[moment : moment + 1, other]
-    here, there = (float(share[0]) for share in shares(*pair))
+    here, there = (float(share[0]) for share in meeting(*pair))
     ends = [(here, one, other), (1.0 - here, one + 1, other)]
     ends += [(there, other, one), (1.0 - there, other + 1, one)]
     _, vehicle, strand = min(ends)
@@ -292,8 +292,8 @@ def _neighbours(team: Hung, more: Floats) -> Strain:
     unit = margins.cable + 2.0 * margins.tracking
     free = np.maximum(0.5, 1.0 - margins.hand / lengths)
     before, after = hung[:, :-1], hung[:, 1:]
-    together = ~diverging(before, after, margins, free[:-1], free[1:]) | (more > 0.0)[:, None]
-    moment, number = np.nonzero(together)
+    apart = diverging(before, after, margins, free[:-1], free[1:]) & (more == 0.0)[:, None]
+    moment, number = np.nonzero(~apart)
     one, two = hung[moment, number], hung[moment, number + 1]
     # The free part of each against all of the other: the first ends at the vehicle, the second
     # begins there.
@@ -303,7 +303,7 @@ def _neighbours(team: Hung, more: Floats) -> Strain:
             np.maximum(_SHARES, 1.0 - free[number + 1, None]),
         ]
     )
-    strand, other = joined(one, two), joined(two, one)
+    strand, other = together(one, two), together(two, one)
     points = cut(strand.points, shares)
     reach = margins.cable + _WANTED * unit + 4.0 * margins.tracking + np.tile(more[moment], 2)
     near = _boxes_near(points, other, reach)

@@ -1,6 +1,7 @@
 """The plan, and how it is made from a mission."""
 
-from swarm.plans.make import Shortfall, candidates, make_plan
+from swarm.plans.make import candidates, make_plan
+from swarm.plans.mending import Shortfall
 from swarm.plans.plan import (
     CableState,
     Condition,

@@ -1,7 +1,7 @@
 """Mission → plan: lay the knot out, fold it, and fly it from the pads to the ground."""
 
-from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -9,34 +9,31 @@ from scipy.spatial.distance import pdist
 
 from swarm.cable.catenary import hang
 from swarm.errors import Refused
-from swarm.fold.clear import Margins, lift, strand_cost, strands
-from swarm.fold.lanes import found_ways
+from swarm.fold.clear import Margins, lift
 from swarm.fold.layout import Hanging, Shape, given, hanging
 from swarm.fold.paper import dips, printed_motion
-from swarm.fold.path import Guide
-from swarm.fold.schedule import Schedule, asked_more, improved, schedule, team_path
+from swarm.fold.schedule import improved, schedule, team_path
 from swarm.knots.catalog import KnotChoice, choose
 from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
 from swarm.plans.flight import whole_flight
 from swarm.plans.formation import formation_plan
+from swarm.plans.mending import Shortfalls, with_more
 from swarm.plans.plan import KnotSummary, Layout, Plan
+from swarm.plans.shapes import (
+    Folding,
+    different,
+    fitted,
+    folded,
+    guided,
+    keeping,
+    ranked,
+    shapes,
+)
 from swarm.trajectory import Motion, through_states, timed
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Shortfall:
-    """A moment at which a plan falls short of what a check asks, by metres."""
-
-    check: str
-    time: float
-    metres: float
-
-
-Shortfalls = Sequence[Shortfall]
 
 
 def make_plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
@@ -65,8 +62,8 @@ def candidates(
         yield formation_plan(mission, mission.formation)
         return
     choice, knot = _knot(mission)
-    opened = _different(openings(choice.grid))
-    margins = _margins(mission)
+    opened = different(openings(choice.grid))
+    margins = keeping(mission)
     if mission.fold.method == "paper":
         yield _printed(mission, knot, _paper_layout(mission, opened[0], margins))
         return
@@ -77,9 +74,9 @@ def candidates(
     tried: list[str] = []
     doubtful: list[Folding] = []
     layouts = list(shapes(mission, margins))
-    ranked = _ranked(opened[:_OPENINGS], layouts[0], margins, progress)
+    best = ranked(opened, layouts[0], margins, progress)
     roomy = layouts[1:] if len(opened[0].corners) > _MANY and len(layouts) > 1 else layouts
-    for folding in _foldings(ranked, roomy, margins, progress):
+    for folding in _foldings(best, roomy, margins, progress):
         worst = folding.plan.worst
         tried.append(
             f"tried a cell of {folding.layout.cell:.2f} m: misses its margins by {worst:.2g}"
@@ -96,7 +93,7 @@ def candidates(
 def _mended(
     mission: Mission,
     knot: KnotSummary,
-    folding: "Folding",
+    folding: Folding,
     tried: list[str],
 ) -> Generator[Plan, Shortfalls | None, None]:
     """A plan, and better ones of the same kind while its certificate says what is missing."""
@@ -105,38 +102,8 @@ def _mended(
         missing = yield made
         if not missing:
             break
-        folding = replace(folding, plan=improved(_with_more(folding, made, missing)))
+        folding = replace(folding, plan=improved(with_more(folding, made, missing)))
         tried.append("gave way by more where the certificate missed something")
-
-
-def _with_more(folding: "Folding", made: Plan, missing: Shortfalls) -> Schedule:
-    """A folding's schedule, asked for more where its plan falls short, by that and a little."""
-    plan = folding.plan
-    stages = np.arange(4.0 * plan.last) / 4.0
-    places = plan.at(stages)[0] + (made.layout.corners[0] - folding.layout.corners[0])
-    for check, margin in _MARGINS.items():
-        found = [(each.time, each.metres) for each in missing if each.check == check]
-        if found:
-            times, metres = np.array(found).T
-            apart = made.motion.at(times)[0][:, None] - places
-            at = stages[np.argmin((apart**2).sum(axis=(2, 3)), axis=1)]
-            asked = np.minimum(1.1 * metres + _SAMPLING, _MOST)
-            plan = asked_more(plan, margin, at, asked)
-    return plan
-
-
-_MARGINS = {
-    "cable clearance": "cable",
-    "neighbouring segments": "beside",
-    "vehicle clearance": "vehicle",
-    "vehicle-cable clearance": "vehicle_cable",
-    "rotor disc": "disc",
-    "taut": "play",
-}
-"""What is asked for where a check fails."""
-
-_MOST = 0.2
-"""Metres that are asked for at once: bounds of a certificate that fails may be far from tight."""
 
 
 def _refuse_unplanned(mission: Mission) -> None:
@@ -168,43 +135,19 @@ def _refuse_crowding(
         )
 
 
-def _ranked(
-    opened: list[OpenGrid], shape: Shape, margins: Margins, progress: Progress | None
-) -> list[OpenGrid]:
-    """The openings along whose paths segments are least in the way of others, best first."""
-    costs = []
-    for k, diagram in enumerate(opened):
-        if progress:
-            progress("comparing openings of the grid diagram", k / len(opened))
-        fit = fitted(diagram, shape, margins)
-        layout = _hung_apart(diagram, fit, margins)
-        guide = _guide(layout, fit.slope, fit.rounding)
-        costs.append(found_ways(layout, guide, margins, _STEP * fit.cell).cost)
-    return [opened[k] for k in np.argsort(costs, kind="stable")[:_BEST]]
-
-
 def _foldings(
     opened: list[OpenGrid], layouts: list[Shape], margins: Margins, progress: Progress | None
-) -> Iterator["Folding"]:
+) -> Iterator[Folding]:
     """Foldings of all openings in each layout."""
     for shape in layouts:
         for k, diagram in enumerate(opened):
             if progress:
                 progress(f"folding with a cell of {shape.cell:.2f} m", k / len(opened))
-            yield _folded(diagram, shape, margins)
+            yield folded(diagram, shape, margins)
 
 
 _MENDINGS = 8
 """So often a plan that nearly holds is judged."""
-
-_SAMPLING = 0.015
-"""What sampled distances between polygons may miss of the least ones, metres."""
-
-_OPENINGS = 12
-"""Openings of the grid diagram that are compared."""
-
-_BEST = 3
-"""So many of them are tried with each layout."""
 
 _GOOD = 0.3
 """Schedules that miss their margins by less, at the worst moment, are likely to be certified."""
@@ -212,91 +155,8 @@ _GOOD = 0.3
 _DOUBTFUL = 2
 """So many of the others are judged, the best first, once nothing better was found."""
 
-_STEP = 0.4
-"""Step of the lattice of progress, in cells."""
-
-_SCALES = (1.0, 1.3, 1.7, 2.3)
-"""Cells that are tried, over the one that clearances suggest."""
-
 _MANY = 16
 """Teams of more vehicles than this begin with the second of these."""
-
-_SMALLEST = 0.05
-"""Layouts are not scaled down by more to fit a cable."""
-
-_SLOPE, _ROUNDING = 0.98, 0.5
-"""From how far before a corner, in cells, levels change and turns begin."""
-
-
-def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
-    """Layouts to try, the smallest first; numbers in the mission are taken as they are."""
-    asked = mission.layout
-    strand = margins.cable + 5.0 * margins.tracking
-    least = max(2.2 * strand, 1.25 * (margins.vehicle + 2.0 * margins.tracking))
-    for scale in _SCALES if asked.cell == "auto" else (1.0,):
-        cell = scale * least if asked.cell == "auto" else asked.cell
-        yield Shape(
-            cell=cell,
-            gap=1.15 * strand if margins.tracking else 2.0 * strand,
-            minimum_sag=0.2 * cell,
-            slack=0.16,
-            lane_over=asked.lane_over if asked.lane_over != "auto" else 0.6 * cell,
-            lane_under=asked.lane_under if asked.lane_under != "auto" else 0.5 * cell,
-            slope=_SLOPE * cell,
-            rounding=_ROUNDING * cell,
-            play=2.2 * margins.tracking,
-            taut=0.98 * margins.taut,
-            sag_over=None if asked.sag_over == "auto" else asked.sag_over,
-            sag_under=None if asked.sag_under == "auto" else asked.sag_under,
-            length=mission.cable.length,
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Folding:
-    """A layout with the path through it and everybody's progress."""
-
-    layout: Hanging
-    plan: Schedule
-
-
-def fitted(diagram: OpenGrid, shape: Shape, margins: Margins) -> Shape:
-    """Scale a shape until the diagram hung in it takes the shape's length of cable, or just less.
-
-    Raises :class:`swarm.errors.Refused` where the smallest layouts take more.
-    """
-    if shape.length is None:
-        return shape
-
-    def takes(factor: float) -> float:
-        return float(_hung_apart(diagram, shape.scaled(factor), margins).lengths.sum())
-
-    low, high = 1.0, 1.0
-    while takes(low) > shape.length:
-        low *= 0.7
-        if low < _SMALLEST:
-            raise Refused(
-                f"cable.length {shape.length:g} m: even with a cell of {low * shape.cell:.2f} m "
-                f"the layout takes {takes(low):.1f} m"
-            )
-    while takes(high) < shape.length:
-        high *= 1.4
-    while high - low > 1e-6 * low:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if takes(middle) <= shape.length else (low, middle)
-    return shape.scaled(low)
-
-
-def _guide(layout: Hanging, slope: float, rounding: float) -> Guide:
-    run_in = 1.1 * float(layout.lengths.sum()) + 2.0
-    return Guide(layout.corners, layout.lanes, slope, rounding, run_in)
-
-
-def _folded(diagram: OpenGrid, shape: Shape, margins: Margins) -> Folding:
-    shape = fitted(diagram, shape, margins)
-    layout = _hung_apart(diagram, shape, margins)
-    guide = _guide(layout, shape.slope, shape.rounding)
-    return Folding(layout, schedule(layout, guide, margins, _STEP * shape.cell))
 
 
 def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:
@@ -319,46 +179,6 @@ def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:
         grid_columns=choice.grid.columns,
     )
     return choice, summary
-
-
-def _different(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
-    """Openings that are not turned or mirrored copies of others in plan view, which fold alike."""
-    found: dict[tuple[object, ...], OpenGrid] = {}
-    for diagram in opened:
-        steps = np.diff(np.array(diagram.corners, dtype=np.intp), axis=0)
-        first = np.sign(steps[0])
-        ahead, aside = steps @ first, steps @ np.array([-first[1], first[0]])
-        aside *= np.sign(aside[np.flatnonzero(aside)[0]])
-        found.setdefault((diagram.crossings, tuple(ahead), tuple(aside)), diagram)
-    return list(found.values())
-
-
-def _margins(mission: Mission) -> Margins:
-    vehicles, clearance = mission.vehicles, mission.clearance
-    return Margins(
-        cable=clearance.cable + mission.cable.diameter + _SAMPLING,
-        vehicle=clearance.vehicle,
-        downwash=clearance.downwash,
-        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter + 3.0 * _SAMPLING,
-        tracking=vehicles.tracking,
-        radius=vehicles.radius,
-        grip_offset=vehicles.grip_offset,
-        hand=4.0 * (clearance.cable + mission.cable.diameter + vehicles.tracking) + _SAMPLING,
-        beside=0.3 * vehicles.tracking,
-    )
-
-
-def _hung_apart(diagram: OpenGrid, shape: Shape, margins: Margins) -> Hanging:
-    """Hang the knot so that its strands keep their margins at rest, in any direction."""
-    for _ in range(8):
-        layout = hanging(diagram.corners, diagram.crossings, shape)
-        pairs = np.array(layout.crossings, dtype=np.intp).reshape(-1, 2)
-        at_rest = strands(layout.corners[:-1], layout.corners[1:], layout.lengths)
-        cost = strand_cost(at_rest[pairs[:, 0]], at_rest[pairs[:, 1]], margins)
-        if not len(pairs) or cost.max() < 0.02:
-            break
-        shape = replace(shape, gap=1.08 * shape.gap)
-    return layout
 
 
 def _planned(
@@ -406,7 +226,7 @@ def _as_given(
             progress("folding the given layout", done / len(_GIVEN))
         lanes = apart * shortest * (0.5 * levels.max() - levels)
         hung = replace(layout, corners=corners, lanes=lanes)
-        guide = _guide(hung, slope * shortest, rounding * shortest)
+        guide = guided(hung, slope * shortest, rounding * shortest)
         plan = schedule(hung, guide, margins, 0.06 * shortest)
         foldings.append(Folding(hung, plan))
         tried.append(

@@ -393,7 +393,7 @@ class _Touched:
     @property
     def count(self) -> int:
         """How many pairs there are."""
-        return self._things.shape[1]
+        return len(self._things[0])
 
     def by(self, case: Ints) -> tuple[Ints, Ints]:
         """First and second things (m, p) of the pairs that cases touch; cases all 0 or none."""

@@ -115,7 +115,7 @@ class _Search:
         least = good
         for number, case in enumerate(self._likely_first(0.5 * (good + bad))):
             if number:
-                if self._holds_where_it_is_tight(case, least):
+                if least == good or self._holds_where_it_is_tight(case, least):
                     continue
                 bad = least
             least = good

@@ -12,7 +12,7 @@ from swarm.preflight.assess import assess
 from swarm.preflight.budget import budgets, table
 from swarm.preflight.certificate import certified, tightest_moments
 from swarm.preflight.loads import dead_vehicle, loads, stuck_gripper
-from swarm.preflight.robustness import holds_in_wind, largest_tracking
+from swarm.preflight.robustness import holds_in_wind, largest_tracking, largest_wind
 from swarm.preflight.what_if import downwash_findings, stops_of
 from swarm.preflight.windows import longest_stop, windows
 from tests.preflight.synthetic import moving, plan_of
@@ -161,6 +161,21 @@ def test_a_wind_across_the_vehicles_blows_strands_together():
     plan = still(side, [5.0, 50.0, 60.0, 55.0, 3.2], "vehicles.tracking=0.02")
     assert holds_in_wind(plan, 0.0)
     assert not holds_in_wind(plan, 8.0)
+
+
+def test_strands_that_are_only_just_apart_bear_no_wind():
+    side = [[0, 0, 60], [3, 0, 60], [40, -20, 60], [40, 30, 60], [3, 1.2, 59.4], [0, 1.2, 59.4]]
+
+    def keeping(clearance):
+        lengths = [5.0, 50.0, 60.0, 55.0, 3.2]
+        return still(side, lengths, "vehicles.tracking=0.02", f"clearance.cable={clearance}")
+
+    low, high = 1.12, 1.15
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if certified(keeping(middle), tracking=0.02) else (low, middle)
+    assert 1.12 < low < high < 1.15
+    assert largest_wind(keeping(low), tightest_moments(keeping(low))) == 0.0
 
 
 def test_the_jet_below_a_vehicle_slows_and_widens():
