@@ -167,30 +167,32 @@ class Channel:
 
     def push(self, item: Any, size: int, now: float) -> None:
         """Send one frame into the channel."""
-        fault = self.fault
-        if fault is None:
-            self._deliver(item, now)
-            return
-        roll = self.dice.roll
-        if (fault.loss > 0.0 or fault.burst > 0.0) and self._lost(fault, now):
-            return
-        at = now + (fault.latency + (fault.jitter * roll() if fault.jitter else 0.0))
-        if fault.reorder and roll() < fault.reorder:
-            at += 0.02 + fault.jitter
-        if fault.bandwidth:
-            self.free_at = max(self.free_at, now) + size / fault.bandwidth
-            if self.free_at - now > 2.0:
-                self.free_at -= size / fault.bandwidth
+        fault, roll, at = self.fault, self.dice.roll, now
+        if fault is not None:
+            if fault.burst > 0.0:
+                if self._in_burst(fault, now):
+                    return
+            elif fault.loss > 0.0 and (fault.loss >= 1.0 or roll() < fault.loss):
                 return
-            at += self.free_at - now
-        self._deliver(item, at)
-        if fault.duplicate and roll() < fault.duplicate:
-            self._deliver(item, at + 0.01 * roll())
+            at += fault.latency + (fault.jitter * roll() if fault.jitter else 0.0)
+            if fault.reorder and roll() < fault.reorder:
+                at += 0.02 + fault.jitter
+            if fault.bandwidth:
+                self.free_at = max(self.free_at, now) + size / fault.bandwidth
+                if self.free_at - now > 2.0:
+                    self.free_at -= size / fault.bandwidth
+                    return
+                at += self.free_at - now
+        self.count += 1
+        heapq.heappush(self.queue, (at, self.count, item))
+        if fault is not None and fault.duplicate and roll() < fault.duplicate:
+            self.count += 1
+            heapq.heappush(self.queue, (at + 0.01 * roll(), self.count, item))
 
-    def _lost(self, fault: Fault, now: float) -> bool:
-        """Independent losses, or in runs of mean length ``burst`` (Gilbert's model)."""
-        if fault.burst <= 0.0 or fault.loss >= 1.0:
-            return fault.loss >= 1.0 or self.dice.roll() < fault.loss
+    def _in_burst(self, fault: Fault, now: float) -> bool:
+        """Whether a frame falls into a run of losses of mean length ``burst`` (Gilbert's model)."""
+        if fault.loss >= 1.0:
+            return True
         elapsed, self.checked_at = now - self.checked_at, now
         mean = (
             fault.burst if self.outage else fault.burst * (1 - fault.loss) / max(fault.loss, 1e-9)
@@ -198,10 +200,6 @@ class Channel:
         if self.dice.roll() < 1 - math.exp(-elapsed / max(mean, 1e-6)):
             self.outage = not self.outage
         return self.outage
-
-    def _deliver(self, item: Any, at: float) -> None:
-        self.count += 1
-        heapq.heappush(self.queue, (at, self.count, item))
 
     def pop(self, now: float) -> list[Any]:
         """Take what has arrived by ``now``."""
