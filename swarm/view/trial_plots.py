@@ -53,8 +53,10 @@ def trials_figure(runs: Sequence[Distances], required: Mapping[str, float]) -> F
         for above, below, kind in zip(axes[0], axes[1], kinds, strict=True):
             draw_distribution(above, runs, kind, required[kind])
             draw_promise(below, runs[0], kind, required[kind])
+            if len(runs) > 1:
+                below.set_title(f"Kept and certified, {runs[0].label}")
         axes[0, 0].legend(fontsize=7.5, frameon=False, loc="best")
-        axes[1, 0].legend(fontsize=7.5, frameon=False, loc="best")
+        axes[1, 0].legend(fontsize=7.5, frameon=False, loc="lower left")
         return figure
 
 
@@ -62,11 +64,11 @@ def draw_distribution(axes: Axes, runs: Sequence[Distances], kind: str, required
     """Draw which share of the trials came closer than each distance; no vehicle failing."""
     for run, colour in zip(runs, _COLOURS, strict=False):
         values = run.by_kind[kind][~run.failing]
-        values = np.sort(values[np.isfinite(values)])
+        values = np.sort(np.maximum(values[np.isfinite(values)], 0.0))
         if len(values):
-            share = np.arange(1, len(values) + 1) / len(values)
-            axes.step(values, share, where="post", color=colour, linewidth=1.8,
-                      label=f"{run.label} ({len(values)} trials)")  # fmt: skip
+            share = np.arange(len(values) + 1) / len(values)
+            axes.step(np.append(values[0], values), share, where="post", color=colour,
+                      linewidth=1.8, label=f"{run.label} ({len(values)} trials)")  # fmt: skip
             axes.plot(values[:1], [0.0], "^", color=colour, markersize=5, clip_on=False)
     axes.axvline(required, color=ALARM, linewidth=1.2, linestyle="--")
     axes.text(required, 1.02, f"required {required:.2f} m", color=ALARM, fontsize=7.5, ha="center")
@@ -84,14 +86,17 @@ def draw_promise(axes: Axes, run: Distances, kind: str, required: float) -> None
     holds = np.isfinite(bound)
     axes.plot(run.radius[holds], np.maximum(bound[holds], 0.0), color=INK, linewidth=1.6,
               label="certified for that error")  # fmt: skip
+    right = 1.15 * float(np.nanmax(run.error[~run.failing], initial=0.1))
     for failing, mark, words in ((False, "o", "trials"), (True, "x", "trials, a vehicle failing")):
         chosen = (run.failing == failing) & np.isfinite(run.by_kind[kind])
         if chosen.any():
-            axes.plot(run.error[chosen], run.by_kind[kind][chosen], mark, markersize=3.5,
-                      color=END if failing else START, alpha=0.7, label=words)  # fmt: skip
+            beyond = int(np.count_nonzero(run.error[chosen] > right))
+            farther = f" ({beyond} of {np.count_nonzero(chosen)} farther right)" if beyond else ""
+            axes.plot(run.error[chosen], np.maximum(run.by_kind[kind][chosen], 0.0), mark,
+                      markersize=3.5, color=END if failing else START, alpha=0.7,
+                      label=words + farther)  # fmt: skip
     axes.axhline(required, color=ALARM, linewidth=1.0, linestyle="--")
-    farthest = float(np.nanmax(run.error[~run.failing], initial=0.1))
-    axes.set_xlim(0.0, 1.15 * farthest)
+    axes.set_xlim(0.0, right)
     axes.set_ylim(bottom=0.0)
     axes.grid(color=FAINT, linewidth=0.4)
     axes.set(xlabel="largest tracking error in the trial, m", ylabel="smallest distance, m")

@@ -27,10 +27,16 @@ def test_distributions_of_both_trajectories_are_drawn_without_failing_trials() -
     steps = [
         line for line in above.lines if len(line.get_xdata()) > 1 and line.get_linestyle() == "-"
     ]
-    assert [list(line.get_xdata()) for line in steps] == [[0.6, 0.7], [0.01, 0.02, 0.03, 0.04]]
+    assert [list(line.get_xdata()) for line in steps] == [
+        [0.6, 0.6, 0.7], [0.01, 0.01, 0.02, 0.03, 0.04],
+    ]  # fmt: skip
+    assert list(steps[0].get_ydata()) == [0.0, 0.5, 1.0]
     assert "this plan (2 trials)" in [t.get_text() for t in above.get_legend().get_texts()]
     below = figure.axes[3]
     assert [len(line.get_xdata()) for line in below.lines[:3]] == [2, 2, 1]
+    assert below.get_title() == "Kept and certified, this plan"
+    words = [text.get_text() for text in below.get_legend().get_texts()]
+    assert "trials, a vehicle failing (1 of 1 farther right)" in words
 
 
 def test_the_upper_strand_of_a_rope_covers_the_lower() -> None:
