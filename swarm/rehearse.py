@@ -64,6 +64,7 @@ def rehearse(
     fleet: Fleet | None = None,
     seed: int = 1,
     no_cable: bool = False,
+    heedless: bool = False,
     world: Mapping[str, Any] | None = None,
     faults: Sequence[Fault] = (),
     observer: Observer | None = None,
@@ -74,12 +75,14 @@ def rehearse(
     """Fly a proven plan in virtual time against the emulator; returns how it went.
 
     ``fleet`` is an emulated one, by default of PX4 vehicles; ``world`` is what the emulator is told
-    instead of what the plan expects, ``faults`` are what goes wrong. ``on_snapshot`` is called ten
-    times a second of flight time, ``observer`` after every step: it alone sees what really is.
+    instead of what the plan expects, ``faults`` are what goes wrong. ``heedless`` keeps the planned
+    pace whatever comes near, which shows what a trajectory would do that no clock protects.
+    ``on_snapshot`` is called ten times a second of flight time, ``observer`` after every step: it
+    alone sees what really is.
     Raises :class:`swarm.errors.Refused` where the fleet does not fit.
     """
     fleet = fleet or emulated_fleet(proven.plan.vehicles, seed=seed)
-    conductor = Conductor(proven, fleet, no_cable=no_cable)
+    conductor = Conductor(proven, fleet, no_cable=no_cable, heedless=heedless)
     if world is None:
         world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
     emulator = Emulator(parse_world(json.dumps(world)), faults)

@@ -68,12 +68,14 @@ class Conductor:
         no_cable: bool = False,
         left: LeftOff | None = None,
         then: Then = "hold",
+        heedless: bool = False,
     ) -> None:
         """Raise :class:`Refused` where the fleet is too small or the plan does not rest at gates.
 
         ``no_cable`` flies the same plan with nothing attached: grips are simulated. ``left`` is
         where a flight broke off that is to be taken up again, ``then`` what follows once everybody
-        has been found.
+        has been found. ``heedless`` keeps the planned pace whatever comes near, pulls or falls
+        behind: for comparisons in the emulator alone.
         """
         plan = proven.plan
         if len(fleet.vehicles) < plan.vehicles:
@@ -82,6 +84,7 @@ class Conductor:
                 f"has {len(fleet.vehicles)}"
             )
         self.proven, self.plan, self.fleet = proven, plan, fleet
+        self.heedless = heedless
         tied_on = plan.mission.grab == "attached"
         self.grips = fleet.gripper == "mavlink" and not no_cable and not tied_on
         self.carries = not no_cable

@@ -53,8 +53,8 @@ def steer(flight: "Conductor") -> None:
     if worst > 1.0:
         flight.budget_kept_since = clock.time
     _notice_standstill(flight, worst)
-    if flight.holds:
-        clock.target = 0.0
+    if flight.holds or flight.heedless:
+        clock.target = 0.0 if flight.holds else 1.0
         return
     pace = min(1.0, max(0.0, (1.0 - worst) / (1.0 - SLOW_FROM)))
     if flight.sight is not None:
@@ -70,23 +70,46 @@ def steer(flight: "Conductor") -> None:
 
 
 def _notice_standstill(flight: "Conductor", worst: float) -> None:
-    """Tell when the clock stands because somebody cannot follow, and when that is over."""
+    """Tell when the clock stands for what does not end by itself, and when that is over.
+
+    Somebody cannot follow; or all do, and stand where nothing is left of clearances or chords.
+    """
     standing = abs(flight.clock.rate) < STANDS_STILL and not flight.rewinding
+    if not (standing or "stands still" in flight.holds) or flight.heedless:
+        flight.still_since = flight.now
+        return
+    off = worst >= SLOW_FROM
+    kept = off or (flight.sight is not None and flight.sight.pace < STANDS_STILL)
     if "stands still" in flight.holds:
-        if worst < SLOW_FROM:
+        if not kept:
             flight.still_since = flight.now
             flight.holds.pop("stands still")
             flight.say("hold", "everybody follows again")
-    elif not standing or flight.holds or worst < SLOW_FROM:
+    elif flight.holds or not kept:
         flight.still_since = flight.now
     elif flight.now - flight.still_since > STILL_FOR:
-        off = [
-            flight.name(vehicle)
-            for vehicle, error in zip(flight.flyers, flight.error, strict=True)
-            if error > SLOW_FROM * flight.budget
-        ]
-        words = f"{', '.join(off)} cannot follow (up to {worst * flight.budget:.2f} m off)"
+        words = _who_is_off(flight, worst) if off else _what_is_near(flight)
         failure(flight, "stands still", words)
+
+
+def _who_is_off(flight: "Conductor", worst: float) -> str:
+    off = [
+        flight.name(vehicle)
+        for vehicle, error in zip(flight.flyers, flight.error, strict=True)
+        if error > SLOW_FROM * flight.budget
+    ]
+    return f"{', '.join(off)} cannot follow (up to {worst * flight.budget:.2f} m off)"
+
+
+def _what_is_near(flight: "Conductor") -> str:
+    seen = flight.clearances
+    if seen is None:
+        return "nothing is left of the clearances"
+    cable = "no slack" if math.isnan(seen.cable) else f"strands {seen.cable:.2f} m apart"
+    return (
+        f"nothing is left of the clearances ({cable}, vehicles {seen.vehicle:.2f} m apart, "
+        f"chords up to {seen.chord:.0%} of their cable)"
+    )
 
 
 def bound_hold(flight: "Conductor") -> None:

@@ -182,7 +182,7 @@ def lean(attitude: Floats) -> Floats:
 def watch_grasps(flight: "Conductor") -> None:
     """Notice a gripper that has lost the cable without saying so."""
     grasps = flight.grasps
-    if flight.now < grasps.next_look:
+    if flight.now < grasps.next_look or flight.heedless:
         return
     grasps.next_look = flight.now + INTERVAL
     oldest = min(vehicle.position_at for vehicle in flight.flyers)

@@ -26,23 +26,25 @@ def fly_trials(
     faults: Sequence[Fault] = (),
     jobs: int | None = None,
     scheduler: str | None = None,
+    heedless: bool = False,
 ) -> Generator[Trial, None, None]:
     """Fly trials in parallel; yields each as soon as it is done, in no order.
 
     ``jobs`` processes of this machine (None: as many as it has cores), or the workers of the Dask
-    cluster whose ``scheduler`` is given (tcp://host:port). Closing the iterator ends what is being
-    flown. Raises :class:`SwarmError` where the cluster's packages are missing or it is not there.
+    cluster whose ``scheduler`` is given (tcp://host:port). ``heedless`` trials keep the planned
+    pace whatever comes near. Closing the iterator ends what is being flown. Raises
+    :class:`SwarmError` where the cluster's packages are missing or it is not there.
     """
     if scheduler is None and jobs == 1:
         for trial in trials:
-            yield fly_trial(proven, spread, seed, trial, faults=faults)[0]
+            yield fly_trial(proven, spread, seed, trial, faults=faults, heedless=heedless)[0]
         return
     if scheduler is None:
         with parallel_config(backend="loky", n_jobs=jobs or os.cpu_count() or 1):
-            yield from _parallel(proven, spread, seed, trials, faults)
+            yield from _parallel(proven, spread, seed, trials, faults, heedless)
         return
     with _cluster(scheduler), parallel_config(backend="dask"):
-        yield from _parallel(proven, spread, seed, trials, faults)
+        yield from _parallel(proven, spread, seed, trials, faults, heedless)
 
 
 def _cluster(scheduler: str) -> AbstractContextManager[Any]:
@@ -75,9 +77,12 @@ def _parallel(
     seed: int,
     trials: Iterable[int],
     faults: Sequence[Fault],
+    heedless: bool,
 ) -> Generator[Trial, None, None]:
     work = Parallel(return_as="generator_unordered")
-    done = work(delayed(_in_worker)(proven, spread, seed, trial, faults) for trial in trials)
+    done = work(
+        delayed(_in_worker)(proven, spread, seed, trial, faults, heedless) for trial in trials
+    )
     try:
         yield from done
     finally:
@@ -85,9 +90,14 @@ def _parallel(
 
 
 def _in_worker(
-    proven: ProvenPlan, spread: Spread, seed: int, trial: int, faults: Sequence[Fault]
+    proven: ProvenPlan,
+    spread: Spread,
+    seed: int,
+    trial: int,
+    faults: Sequence[Fault],
+    heedless: bool,
 ) -> Trial:
     """One trial in a worker: an interrupt is the parent's to answer."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return fly_trial(proven, spread, seed, trial, faults=faults)[0]
+    return fly_trial(proven, spread, seed, trial, faults=faults, heedless=heedless)[0]

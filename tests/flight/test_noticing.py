@@ -3,9 +3,12 @@
 import pytest
 
 from sitl.faults import Fault
+from swarm.fleet import emulated_fleet
+from swarm.rehearse import rehearse
 from tests.network import Network, small_plan
 
 PLAN = small_plan()
+TOO_NEAR = small_plan("clearance.vehicle=3.5")
 
 
 @pytest.mark.parametrize("early", [0.0, 0.013], ids=["in step", "between ticks"])
@@ -15,3 +18,21 @@ def test_a_position_that_jumps_is_noticed_whenever_its_report_comes(early):
     flight.emulator.inject(Fault(at=0.0, kind="gps_jump", vehicle=2, offset=(2.0, 0.0, 0.0)))
     flight.run(lambda: flight.conductor.stage == "leave", most=5.0)
     assert any("vehicle 2's position jumped by 2.0 m" in words for words in flight.words())
+
+
+def test_a_clock_that_stands_for_want_of_clearance_is_told_and_ends_in_landing():
+    fleet = emulated_fleet(3)
+    fleet = fleet.model_copy(update={"limits": fleet.limits.model_copy(update={"hold": 4.0})})
+    result = rehearse(TOO_NEAR, fleet=fleet)
+    said = [event.message for event in result.events if event.kind == "failure"]
+    assert said[0].startswith("stands still: nothing is left of the clearances (strands ")
+    assert "vehicles 3.0" in said[0]
+    assert said[1].startswith("held too long: on hold for 4 s")
+    assert result.outcome.word == "interrupted"
+    assert result.statistics.duration < 90.0
+
+
+def test_a_heedless_flight_keeps_its_pace():
+    result = rehearse(TOO_NEAR, heedless=True)
+    assert result.outcome.word == "done"
+    assert not [event for event in result.events if event.kind in {"failure", "hold"}]
