@@ -99,8 +99,10 @@ class VehicleStrands:
         distance = np.linalg.norm(at_strand - at_body, axis=-1)
         high = distance + strand.bow - moved[2] - shift
         size = high - low - (moved[1] - moved[2])
+        # No surface is nearer than touching, however poorly a strand beyond its length is bounded.
+        touching = -0.5 * self.diameter - self.required[boxes.pair]
         return Enclosure(
-            low,
+            np.maximum(low, np.minimum(high, touching)),
             high,
             np.stack([moved[1] - moved[2], np.zeros_like(size), size], axis=1),
             grip + at_strand,
