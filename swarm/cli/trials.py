@@ -236,11 +236,12 @@ def print_summary(told: Mapping[str, Any], console: Console) -> None:
             console,
             f"worth a look: trial {one['trial']} (cable {cable}{', ' + words if words else ''})",
         )
-    _say(
-        console,
-        f"see one again: swarm dry-run … --seed {told['seed']} --trial "
-        f"{told['worst'][0]['trial']} --recording trial.rrd",
-    )
+    if told["method"] != "paper":
+        _say(
+            console,
+            f"see one again: swarm dry-run … --seed {told['seed']} --trial "
+            f"{told['worst'][0]['trial']} --recording trial.rrd",
+        )
 
 
 def _say(console: Console, words: str) -> None:

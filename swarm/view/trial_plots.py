@@ -55,8 +55,12 @@ def trials_figure(runs: Sequence[Distances], required: Mapping[str, float]) -> F
             draw_promise(below, runs[0], kind, required[kind])
             if len(runs) > 1:
                 below.set_title(f"Kept and certified, {runs[0].label}")
-        axes[0, 0].legend(fontsize=7.5, frameon=False, loc="best")
-        axes[1, 0].legend(fontsize=7.5, frameon=False, loc="lower left")
+        handles, words = axes[0, 0].get_legend_handles_labels()
+        more, further = axes[1, 0].get_legend_handles_labels()
+        figure.legend(
+            handles + more, words + further, loc="outside lower center", ncols=5, fontsize=8.5,
+            frameon=False,
+        )  # fmt: skip
         return figure
 
 
@@ -73,7 +77,8 @@ def draw_distribution(axes: Axes, runs: Sequence[Distances], kind: str, required
     axes.axvline(required, color=ALARM, linewidth=1.2, linestyle="--")
     axes.text(required, 1.02, f"required {required:.2f} m", color=ALARM, fontsize=7.5, ha="center")
     axes.set(xlabel="smallest distance, m", ylabel="share of trials that came closer", ylim=(0, 1))
-    axes.set_xlim(left=0.0)
+    right = axes.get_xlim()[1]
+    axes.set_xlim(-0.02 * right, right)
     axes.set_title(NAMES[kind].capitalize(), pad=16)
 
 

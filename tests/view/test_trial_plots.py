@@ -31,11 +31,11 @@ def test_distributions_of_both_trajectories_are_drawn_without_failing_trials() -
         [0.6, 0.6, 0.7], [0.01, 0.01, 0.02, 0.03, 0.04],
     ]  # fmt: skip
     assert list(steps[0].get_ydata()) == [0.0, 0.5, 1.0]
-    assert "this plan (2 trials)" in [t.get_text() for t in above.get_legend().get_texts()]
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert {"this plan (2 trials)", "the paper's trajectory (4 trials)"} < set(words)
     below = figure.axes[3]
     assert [len(line.get_xdata()) for line in below.lines[:3]] == [2, 2, 1]
     assert below.get_title() == "Kept and certified, this plan"
-    words = [text.get_text() for text in below.get_legend().get_texts()]
     assert "trials, a vehicle failing (1 of 1 farther right)" in words
 
 
