@@ -29,6 +29,9 @@ _EVENED = 3.0
 _DENSITIES = (1, 4)
 """Moments per stage at which the team is looked at, while it is eased."""
 
+_STRAIGHTENING = 60
+"""Steps by which a new schedule's whole motion is straightened, looked at by the least of these."""
+
 _HOPELESS = 1.0
 """Units of missed margin at the worst moment that looking closer will not mend."""
 
@@ -96,20 +99,25 @@ def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Sc
     offsets = np.zeros((*progress.shape, 3))
     crew = Crew(layout.lengths, margins)
     more = nothing_more(len(progress))
-    return improved(Schedule(found.path, crew, progress, offsets, np.zeros(1), more))
+    plan = Schedule(found.path, crew, progress, offsets, np.zeros(1), more)
+    return improved(plan, _STRAIGHTENING)
 
 
-def improved(plan: Schedule) -> Schedule:
-    """Let vehicles give way beside γ where the team misses margins."""
+def improved(plan: Schedule, straightening: int = 0) -> Schedule:
+    """Let vehicles give way beside γ where the team misses margins.
+
+    First the whole motion is straightened by so many steps.
+    """
     for density in _DENSITIES:
         sampled = _sampled(len(plan.progress), density)
         along = sampled @ plan.progress
         places = np.stack([plan.path.at(i, row)[0] for i, row in enumerate(along.T)], axis=1)
         stages = np.arange(len(along)) // density
-        found = eased(plan.crew, places, plan.offsets, sampled, plan.more[stages])
+        found = eased(plan.crew, places, plan.offsets, sampled, plan.more[stages], straightening)
         plan = replace(plan, offsets=found.offsets, missed=found.missed)
         if plan.worst > _HOPELESS:
             break
+        straightening = 0
     return plan
 
 

@@ -278,11 +278,12 @@ class _Asking:
             audits = auditor.audit()
         with suppress(OSError):
             save_parameters(self._folder, audits)
-        battery = 100.0 * plan.duration / plan.mission.vehicles.endurance
-        found = [finding for one in audits for finding in one.findings(battery)]
         values = {one.system: one.parameters for one in audits}
         flown = [(names[v.system], values[v.system]) for v in flyers if v.system in names]
         known, coasting = coasting_findings(plan, coasting_of(flown, fleet.limits))
+        takes = plan.duration + known.slowed
+        battery = 100.0 * takes / plan.mission.vehicles.endurance
+        found = [finding for one in audits for finding in one.findings(battery)]
         findings = (*self._audit.findings, *found, *coasting)
         return replace(self._audit, findings=findings, coast=known)
 

@@ -71,7 +71,6 @@ def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = F
         *_limit_findings(plan),
         *load_findings(plan),
         *downwash_findings(plan),
-        *endurance_findings(plan),
     ]
     knot, chirality, gauss, topology = _topology(plan)
     findings += topology
@@ -81,6 +80,7 @@ def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = F
     refused = any(finding.severity == "error" for finding in findings)
     coasting = None if refused else coast(plan)
     findings += coasting.findings() if coasting else []
+    findings += endurance_findings(plan, coasting.slowed if coasting else 0.0)
     budget = budgets(plan, sorted(moments, key=lambda moment: moment.margin))[:BUDGETS]
     assessment = Assessment(
         findings=(),

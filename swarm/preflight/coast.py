@@ -95,6 +95,14 @@ class CoastCertificate:
         after = min(int(np.searchsorted(self.times, time)), len(self.times) - 1)
         return float(min(self.rates[after], self.rates[max(after - 1, 0)]))
 
+    @property
+    def slowed(self) -> float:
+        """By how much longer the fold takes at these rates, seconds."""
+        if not len(self.times):
+            return 0.0
+        slower = np.minimum(self.rates[1:], self.rates[:-1])
+        return float(np.sum(np.diff(self.times) * (1.0 / slower - 1.0)))
+
     def findings(self) -> list[Finding]:
         """Return what a plan's reader must know of it."""
         if not len(self.times):

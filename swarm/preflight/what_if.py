@@ -83,15 +83,18 @@ def _mishap_findings(plan: Plan, limit: float) -> list[Finding]:
     return findings
 
 
-def endurance_findings(plan: Plan) -> list[Finding]:
-    """Return what the plan takes of a battery."""
+def endurance_findings(plan: Plan, slowed: float = 0.0) -> list[Finding]:
+    """Return what the plan takes of a battery; caps of the clock make it ``slowed`` s longer."""
     endurance = plan.mission.vehicles.endurance
-    share = plan.duration / endurance
+    takes = plan.duration + slowed
+    caps = " with the caps of its clock" if slowed else ""
     message = (
-        f"the plan takes {plan.duration:.0f} s without waiting at gates, {share:.0%} of the "
-        f"vehicles' endurance of {endurance:g} s"
+        f"the plan takes {takes:.0f} s{caps}, without waiting at gates: {takes / endurance:.0%} of "
+        f"the vehicles' endurance of {endurance:g} s"
     )
-    severity: Severity = "error" if share > 1.0 else "warning" if share > 0.8 else "info"
+    severity: Severity = (
+        "error" if takes > endurance else "warning" if takes > 0.8 * endurance else "info"
+    )
     return [Finding(severity, "endurance", message)]
 
 
