@@ -158,7 +158,8 @@ def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
         problems.append(f"{trial.strikes} rotor strikes")
     if trial.lost > int(row.dead):
         problems.append(f"{trial.lost} vehicles lost")
-    if not (row.moves or row.dead):
+    taken_along = row.drifts and trial.end != "released and landed"
+    if not (row.moves or row.dead or taken_along):
         if trial.chord >= 1.0:
             problems.append(f"a chord of {trial.chord:.3f} of its length")
         if certified.cable is not None and trial.clearance < certified.cable.distance:

@@ -19,8 +19,8 @@ class Row:
     word of the table of failures, or where ``slows`` by a clock that runs slower; of what ``hides``
     it counts from when there is anything to see. ``ends`` are the ends that are right. ``dead``
     says that the fault itself takes a vehicle out of the air; ``moves`` that it moves vehicles or
-    cable beyond what was certified, ``drifts`` that it does so with one vehicle, but that the cable
-    is kept from following; ``strikes`` how many rotors may touch cable then, with ``why``.
+    cable beyond what was certified, ``drifts`` that it does so with one vehicle, and with the cable
+    only where nobody may let go; ``strikes`` how many rotors may touch cable then, with ``why``.
     """
 
     name: str
@@ -151,7 +151,9 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "position worse", "one vehicle", _DOWN, ({"kind": "gps_loss"},), within=1.5, drifts=True,
-        why="it drifts while it reckons, maybe towards another vehicle",
+        strikes=1,
+        why="it drifts while it reckons, maybe towards another vehicle, and takes the cable along "
+        "where some hangs above a rotor, so that nobody may let go",
     ),
     Row(
         "position jumps", "one vehicle", ("landed",),
