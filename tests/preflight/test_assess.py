@@ -9,6 +9,7 @@ from swarm.errors import Refused
 from swarm.plans import Plan
 from swarm.preflight.assess import assess
 from swarm.preflight.findings import prove
+from swarm.preflight.what_if import endurance_findings
 from swarm.trajectory import Motion, joined, through_states
 from tests.preflight.synthetic import moving, plan_of
 
@@ -117,6 +118,19 @@ def test_limits_of_speed_and_acceleration_with_the_braking_reserve():
         plan = plan_of(moving([0, duration], places), [3.0])
         assert set(errors(plan)) == wrong, duration
     assert "1 m/s² are allowed (2 less 1 to brake)" in errors(plan)["acceleration"][0]
+
+
+def test_batteries_must_last_with_the_caps_of_the_clock(overhand, overhand_assessed):
+    slowed = overhand_assessed.coast.slowed
+    assert slowed > 1.0
+    (said,) = [f for f in overhand_assessed.findings if f.check == "endurance"]
+    takes = f"the plan takes {overhand.duration + slowed:.0f} s with the caps of its clock"
+    assert (said.severity, said.message.startswith(takes)) == ("info", True)
+    endurance = overhand.duration + 0.5 * slowed
+    vehicles = overhand.mission.vehicles.model_copy(update={"endurance": endurance})
+    mission = overhand.mission.model_copy(update={"vehicles": vehicles})
+    short = replace(overhand, mission=mission)
+    assert [f.severity for f in endurance_findings(short, slowed)] == ["error"]
 
 
 def test_payload_and_endurance():
