@@ -1,7 +1,7 @@
 """Closest distances between strands: the one distance model of planner, certificate and flight.
 
 All functions are batched over leading dimensions and exact for straight pieces; a polyline that
-stands for a catenary is off by at most :func:`swarm.cable.bounds.chord_polygon_error`.
+stands for a catenary is off by no more than the catenary bows out from its pieces.
 """
 
 from collections.abc import Iterator
@@ -50,17 +50,6 @@ def point_segment(point: ArrayLike, segment: ArrayLike) -> Closest:
     fraction = np.clip(_ratio(_dot(along, apart), _dot(along, along)), 0.0, 1.0)
     distance = np.linalg.norm(apart - fraction[..., None] * along, axis=-1)
     return Closest(distance, np.zeros_like(distance), fraction)
-
-
-def point_polyline(point: ArrayLike, polyline: ArrayLike) -> Closest:
-    """Closest point of polylines (…, m, 3) to points (…, 3); ``first`` is always 0."""
-    point, polyline = np.asarray(point, dtype=np.float64), np.asarray(polyline, dtype=np.float64)
-    pieces = np.stack([polyline[..., :-1, :], polyline[..., 1:, :]], axis=-2)
-    every = point_segment(point[..., None, :], pieces)
-    nearest = np.argmin(every.distance, axis=-1)[..., None]
-    distance = np.take_along_axis(every.distance, nearest, -1)[..., 0]
-    place = nearest + np.take_along_axis(every.second, nearest, -1)
-    return Closest(distance, np.zeros_like(distance), place[..., 0])
 
 
 def polyline_polyline(first: ArrayLike, second: ArrayLike) -> Closest:

@@ -37,6 +37,9 @@ _ASKED = 0.1
 _BENDING = 0.3
 """Cost of a second difference of a metre in a vehicle's path, next to a missed unit of margin."""
 
+_STRAIGHTENING = 4.0
+"""The same while the whole motion is straightened."""
+
 _LAZY = 0.0005
 """Cost of giving way by a metre at a stage, next to a missed unit of margin."""
 
@@ -49,6 +52,10 @@ _TOO_SLOW = 0.7
 
 _AROUND = 2
 """Stages before and after strands cross in which vehicles that pass them keep the side."""
+
+
+HOPELESS = 1.0
+"""Units of missed margin at the worst moment that looking closer will not mend."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +93,12 @@ def eased(
             break
         before = missed.sum()
         for window in _windows(strained, len(offsets), _ASIDE * (1 + done)):
-            offsets = band.relaxed(offsets, window, _ITERATIONS)
+            offsets = band.relaxed(offsets, window, _ITERATIONS, _BENDING)
         missed = band.missed(offsets)
         if missed.sum() > _TOO_SLOW * before:
             break
-    if whole:
-        offsets = band.relaxed(offsets, slice(0, len(offsets)), whole)
+    if whole and missed.max() <= HOPELESS**2:
+        offsets = band.relaxed(offsets, slice(0, len(offsets)), whole, _STRAIGHTENING)
     return Eased(offsets, band.missed(offsets, wishes=False))
 
 
@@ -128,7 +135,7 @@ class _Band:
         strain = self.crew.strain(self.moved(offsets), self.sides, self.more, wishes=wishes)
         return strain.missed(len(self.places))
 
-    def relaxed(self, offsets: Floats, window: slice, iterations: int) -> Floats:
+    def relaxed(self, offsets: Floats, window: slice, iterations: int, bending: float) -> Floats:
         """Offsets changed for the better within a window of stages."""
         smooth = _smoothing(window.stop - window.start)
         inside = self.sampled[:, window]
@@ -145,8 +152,8 @@ class _Band:
             strain = self.crew.strain(places, sides, more)
             slope = 2.0 * strain.slopes(base.shape).reshape(len(base), -1)
             bent = np.diff(paths + smooth @ wishes, 2, axis=0)
-            total = (strain.short**2).sum() + _BENDING * (bent**2).sum() + _LAZY * (wishes**2).sum()
-            gradient = back @ slope + 2.0 * _BENDING * (smooth_back @ _unbent(bent))
+            total = (strain.short**2).sum() + bending * (bent**2).sum() + _LAZY * (wishes**2).sum()
+            gradient = back @ slope + 2.0 * bending * (smooth_back @ _unbent(bent))
             return float(total), (gradient + 2.0 * _LAZY * wishes).ravel()
 
         begin = np.zeros(weights.shape[1] * base[0].size)

@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array
 
 from swarm.fold.clear import Margins
-from swarm.fold.elastic import eased
+from swarm.fold.elastic import HOPELESS, eased
 from swarm.fold.lanes import found_ways
 from swarm.fold.layout import Hanging
 from swarm.fold.passage import Way, trailing
@@ -29,11 +29,8 @@ _EVENED = 3.0
 _DENSITIES = (1, 4)
 """Moments per stage at which the team is looked at, while it is eased."""
 
-_STRAIGHTENING = 60
+_STRAIGHTENING = 160
 """Steps by which a new schedule's whole motion is straightened, looked at by the least of these."""
-
-_HOPELESS = 1.0
-"""Units of missed margin at the worst moment that looking closer will not mend."""
 
 _NEAR = 2.5
 """Stages around a moment for which more is asked."""
@@ -115,7 +112,7 @@ def improved(plan: Schedule, straightening: int = 0) -> Schedule:
         stages = np.arange(len(along)) // density
         found = eased(plan.crew, places, plan.offsets, sampled, plan.more[stages], straightening)
         plan = replace(plan, offsets=found.offsets, missed=found.missed)
-        if plan.worst > _HOPELESS:
+        if plan.worst > HOPELESS:
             break
         straightening = 0
     return plan

@@ -464,7 +464,7 @@ def _vehicles(team: Hung, more: Floats) -> Strain:
     return Strain(moment, short, who, slope)
 
 
-_VEHICLES_APART, _VEHICLE_WEIGHT = 0.05, 5.0
+_VEHICLES_APART, _VEHICLE_WEIGHT = 0.06, 5.0
 """Share beyond their distance that vehicles should keep, and weight of what they miss of it."""
 
 

@@ -9,7 +9,6 @@ from scipy.optimize import lsq_linear
 
 from swarm.cable import distance
 from swarm.cable.distance import (
-    point_polyline,
     point_segment,
     polyline_polyline,
     segment_segment,
@@ -127,11 +126,3 @@ def test_polylines_that_touch_have_no_distance() -> None:
     assert closest.distance == 0.0
     assert closest.first == pytest.approx(1.5)
     assert closest.second == pytest.approx(0.5)
-
-
-def test_a_point_and_a_polyline() -> None:
-    line = np.array([[0.0, 0, 0], [1, 0, 0], [1, 3, 0]])
-    points = np.array([[0.5, -1.0, 0.0], [3.0, 2.0, 0.0], [1.0, 4.0, 0.0]])
-    closest = point_polyline(points, line)
-    np.testing.assert_allclose(closest.distance, [1.0, 2.0, 1.0])
-    np.testing.assert_allclose(closest.second, [0.5, 1.0 + 2.0 / 3.0, 2.0])

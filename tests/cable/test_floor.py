@@ -6,9 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from swarm.cable.bounds import motion_bound
 from swarm.cable.catenary import OverStretched, hang
-from swarm.cable.distance import point_polyline
 from swarm.cable.floor import FloorStrands, rest_on_floor
 
 CASES = [(1.0, 1.0, 5.0), (1.0, 0.3, 4.6), (0.05, 0.02, 4.001), (0.0, 1.0, 4.2), (2.0, 1.0, 6.5)]
@@ -119,26 +117,3 @@ def test_forces_carry_what_is_lifted(strand: FloorStrands, mass: float) -> None:
     _, start_size, end_size = strand.tension(mass, 10.0)
     assert np.linalg.norm(at_start) == pytest.approx(float(start_size), rel=1e-6, abs=1e-9)
     assert np.linalg.norm(at_end) == pytest.approx(float(end_size), rel=1e-6, abs=1e-9)
-
-
-@given(strands(), st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6))
-def test_resting_strands_move_no_farther_than_hanging_ones_may(
-    strand: FloorStrands, moved: list[float]
-) -> None:
-    """The bound of the free strand holds on the floor too, which only takes slack away."""
-    free = strand.free
-    a, b = np.array(moved).reshape(2, 3)
-    start, end = free.start + a, free.end + b
-    start[2], end[2] = max(start[2], 0.0), max(end[2], 0.0)
-    a, b = start - free.start, end - free.end
-    chord = max(np.linalg.norm(end - start), np.linalg.norm(free.end - free.start))
-    if chord > 0.985 * free.length:
-        return
-    after = rest_on_floor(start, end, free.length)
-    bound = motion_bound(np.linalg.norm(a + b) / 2.0, np.linalg.norm(b - a), chord, free.length)
-    some, many = np.linspace(0.0, 1.0, 61), np.linspace(0.0, 1.0, 481)
-    off = max(
-        float(point_polyline(one.points(some), other.points(many)).distance.max())
-        for one, other in ((strand, after), (after, strand))
-    )
-    assert off <= bound + 1e-3 * float(free.length)
