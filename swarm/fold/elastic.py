@@ -15,7 +15,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
-from swarm.fold.strain import Crew, More, Sides, sides_of
+from swarm.fold.sides import Sides, sides_of
+from swarm.fold.strain import Crew, More
 
 Floats = npt.NDArray[np.float64]
 
@@ -82,7 +83,7 @@ def eased(
     any more cuts corners, and the fold gets quicker.
     """
     density = (len(places) - 1) // (len(offsets) - 1)
-    sides = sides_of(crew.hung(places), _AROUND * density)
+    sides = sides_of(crew.hung(places).strands, _AROUND * density)
     band = _Band(crew, places, sides, more, sampled)
     stages = sampled.argmax(axis=1)
     missed = band.missed(offsets)

@@ -21,38 +21,22 @@ from swarm.fold.clear import (
     far_movement,
     heights_over,
     lift,
-    meeting,
     movement,
     refined,
     rotor_cost,
     strands,
     together,
 )
+from swarm.fold.sides import Sides, Signs, pairs
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
-Signs = npt.NDArray[np.int8]
 
 _WANTED = 0.25
 """Share of a margin's unit that is wanted beyond the margin."""
 
 _STEP = 1e-4
 """Metres; step of the differences that stand for derivatives where these are not written out."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sides:
-    """Who is to pass over whom: 1 where the first passes over the second, −1 under, 0 where free.
-
-    ``strands`` (s, pairs) are of two strands, in the order of :func:`pairs`; ``bodies``
-    (s, n, n − 1) of vehicles and strands.
-    """
-
-    strands: Signs
-    bodies: Signs
-
-    def __getitem__(self, moments: Ints) -> "Sides":
-        return Sides(self.strands[moments], self.bodies[moments])
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,67 +158,6 @@ class Hung:
 
 def _summed(row: Ints, values: Floats, size: int) -> Floats:
     return np.bincount(row, values, size).astype(np.float64, copy=False)
-
-
-def pairs(count: int) -> tuple[Ints, Ints]:
-    """All pairs (p,) and (p,) of ``count`` segments that do not share a vehicle."""
-    first, second = np.triu_indices(count, 2)
-    return first, second
-
-
-def sides_of(team: Hung, around: int) -> Sides:
-    """Which of two strands is to pass over the other, and which vehicles over which strands.
-
-    Over a time in which two strands cross in plan view one of them is over the other. If that time
-    ends with the motion, it is the one that is over at the end; else the one that mostly is. The
-    vehicle whose passing begins or ends that time passes on its strand's side. All that counts
-    for ``around`` moments before and after, too: who gives way may cross a little sooner or later.
-    """
-    count = len(team.crew.lengths)
-    first, second = pairs(count)
-    found = np.zeros((len(team.places), len(first)), dtype=np.int8)
-    bodies = np.zeros((len(team.places), count + 1, count), dtype=np.int8)
-    for p, (one, other) in enumerate(zip(first, second, strict=True)):
-        over = heights_over(team.strands[:, one], team.strands[:, other])
-        crossing = over != 0.0
-        if not crossing.any():
-            continue
-        edges = np.diff(crossing, prepend=False)
-        number = np.cumsum(edges) * crossing
-        mostly = np.bincount(number, over)
-        if crossing[-1]:
-            mostly[number[-1]] = over[-1]
-        found[:, p] = _longer(np.sign(mostly[number]) * crossing, around)
-        begins = np.flatnonzero(edges & crossing)
-        ends = np.flatnonzero(np.diff(crossing, append=crossing[-1]) & crossing)
-        for moment in np.concatenate([begins, ends]):
-            side = found[moment, p]
-            vehicle, strand = _passing(team, moment, one, other)
-            near = slice(max(moment - around, 0), moment + around + 1)
-            bodies[near, vehicle, strand] = side if strand == other else -side
-    return Sides(found, bodies)
-
-
-def _longer(sides: Floats, around: int) -> Floats:
-    """Sides (s,), where there are none taken from the nearest moment that is at most so far."""
-    known = np.flatnonzero(sides)
-    moments = np.arange(len(sides))
-    after = np.minimum(np.searchsorted(known, moments), len(known) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer = np.abs(known[before] - moments) < np.abs(known[after] - moments)
-    nearest = known[np.where(nearer, before, after)]
-    found: Floats = sides[nearest] * (np.abs(nearest - moments) <= around)
-    return found
-
-
-def _passing(team: Hung, moment: int, one: int, other: int) -> tuple[int, int]:
-    """The vehicle that just passes a strand, where two begin or cease to cross, and the strand."""
-    pair = team.strands[moment : moment + 1, one], team.strands[moment : moment + 1, other]
-    here, there = (float(share[0]) for share in meeting(*pair))
-    ends = [(here, one, other), (1.0 - here, one + 1, other)]
-    ends += [(there, other, one), (1.0 - there, other + 1, one)]
-    _, vehicle, strand = min(ends)
-    return vehicle, strand
 
 
 def _apart(team: Hung, sides: Signs, more: Floats) -> Strain:

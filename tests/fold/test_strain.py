@@ -6,7 +6,8 @@ import pytest
 
 from swarm.cable.catenary import hang
 from swarm.fold.clear import Margins, strands
-from swarm.fold.strain import Crew, More, Sides, pairs, sides_of
+from swarm.fold.sides import Sides, pairs, sides_of
+from swarm.fold.strain import Crew, More
 
 Floats = npt.NDArray[np.float64]
 
@@ -56,7 +57,7 @@ def test_strands_on_the_wrong_side_are_pushed_through() -> None:
     places = line((-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, -0.7), (0.0, -2.0, -0.7))
     first, second = pairs(3)
     assert (first.tolist(), second.tolist()) == ([0], [2])
-    over = sides_of(crew.hung(places), 0)
+    over = sides_of(crew.hung(places).strands, 0)
     assert over.strands.tolist() == [[1]]
     under = Sides(-over.strands, -over.bodies)
     right, wrong = crew.strain(places, over), crew.strain(places, under)
@@ -73,7 +74,7 @@ def test_a_crossing_keeps_the_side_that_it_ends_with() -> None:
     end = line((-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, -1.0), (0.0, -2.0, -1.0))
     away = end + np.array([[[0.0, 0, 0], [0, 0, 0], [5.0, 0, 0], [5.0, 0, 0]]])
     places = np.concatenate([begin, away, begin, end, end])
-    assert sides_of(crew.hung(places), 0).strands[:, 0].tolist() == [-1, 0, 1, 1, 1]
+    assert sides_of(crew.hung(places).strands, 0).strands[:, 0].tolist() == [-1, 0, 1, 1, 1]
 
 
 def led_under(height: float) -> Floats:
@@ -90,7 +91,7 @@ def led_under(height: float) -> Floats:
 def test_a_vehicle_passes_a_strand_on_the_side_of_what_it_leads() -> None:
     crew = Crew(np.array([4.4, 9.0, 4.4]), EXACT)
     places = led_under(-2.5)
-    sides = sides_of(crew.hung(places), 2)
+    sides = sides_of(crew.hung(places).strands, 2)
     leader, follower = sides.bodies[:, 3, 0], sides.bodies[:, 2, 0]
     assert set(leader.tolist()) == set(follower.tolist()) == {0, -1}
     assert np.argmax(leader != 0) < np.argmax(follower != 0)
@@ -104,8 +105,8 @@ def test_a_vehicle_passes_a_strand_on_the_side_of_what_it_leads() -> None:
 
 def test_sides_count_a_little_longer_than_strands_cross() -> None:
     crew = Crew(np.array([4.4, 9.0, 4.4]), EXACT)
-    team = crew.hung(led_under(-2.5))
-    exact, longer = (np.flatnonzero(sides_of(team, n).strands[:, 0]) for n in (0, 3))
+    hung = crew.hung(led_under(-2.5)).strands
+    exact, longer = (np.flatnonzero(sides_of(hung, n).strands[:, 0]) for n in (0, 3))
     assert longer.tolist() == list(range(exact[0] - 3, exact[-1] + 4))
 
 
@@ -130,7 +131,7 @@ def test_derivatives_are_those_of_what_is_missed(margins: Margins) -> None:
     places = np.cumsum(steps, axis=1)
     chord = np.linalg.norm(np.diff(places, axis=1), axis=2)
     places = places[np.all(chord < 0.93 * crew.lengths, axis=1)]
-    sides = sides_of(crew.hung(places), 0)
+    sides = sides_of(crew.hung(places).strands, 0)
     asked = More(*rng.uniform(0.0, 0.2, (len(MORE), len(places))))
     strain = crew.strain(places, sides, asked)
     slope = 2.0 * strain.slopes(places.shape)
