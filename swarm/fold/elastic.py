@@ -38,7 +38,7 @@ _ASKED = 0.1
 _BENDING = 0.3
 """Cost of a second difference of a metre in a vehicle's path, next to a missed unit of margin."""
 
-_STRAIGHTENING = 4.0
+_STRAIGHTENING = 1.0
 """The same while the whole motion is straightened."""
 
 _LAZY = 0.0005

@@ -29,7 +29,7 @@ _EVENED = 3.0
 _DENSITIES = (1, 4)
 """Moments per stage at which the team is looked at, while it is eased."""
 
-_STRAIGHTENING = 160
+_STRAIGHTENING = 240
 """Steps by which a new schedule's whole motion is straightened, looked at by the least of these."""
 
 _NEAR = 2.5
