@@ -38,7 +38,7 @@ _ASKED = 0.1
 _BENDING = 0.3
 """Cost of a second difference of a metre in a vehicle's path, next to a missed unit of margin."""
 
-_STRAIGHTENING = 1.0
+_STRAIGHT = 1.0
 """The same while the whole motion is straightened."""
 
 _LAZY = 0.0005
@@ -73,18 +73,18 @@ def eased(
     offsets: Floats,
     sampled: csr_array,
     more: More,
-    whole: int = 0,
+    straightening: int = 0,
 ) -> Eased:
     """Find offsets with which a team misses its margins, and what is asked beyond them, least.
 
     ``places`` (s, n, 3) without offsets; ``offsets`` (c, n, 3) to begin with; ``sampled`` (s, c)
     are the weights of control points at the moments, which include all stages; ``more`` of s
-    moments. In the end all of the motion is straightened by ``whole`` steps: who need not give way
-    any more cuts corners, and the fold gets quicker.
+    moments. In the end all of the motion is straightened by so many steps: who need not give
+    way any more cuts corners, and the fold gets quicker.
     """
     density = (len(places) - 1) // (len(offsets) - 1)
     sides = sides_of(crew.hung(places).strands, _AROUND * density)
-    band = _Band(crew, places, sides, more, sampled)
+    band = _Band(crew, places, sides, more, sampled, density)
     stages = sampled.argmax(axis=1)
     missed = band.missed(offsets)
     worth = np.where(more.asked, _ASKED * _STRAINED, _STRAINED)
@@ -98,8 +98,8 @@ def eased(
         missed = band.missed(offsets)
         if missed.sum() > _TOO_SLOW * before:
             break
-    if whole and missed.max() <= HOPELESS**2:
-        offsets = band.relaxed(offsets, slice(0, len(offsets)), whole, _STRAIGHTENING)
+    if straightening and missed.max() <= HOPELESS**2:
+        offsets = band.relaxed(offsets, slice(0, len(offsets)), straightening, _STRAIGHT)
     return Eased(offsets, band.missed(offsets, wishes=False))
 
 
@@ -120,11 +120,8 @@ class _Band:
     sides: Sides
     more: More
     sampled: csr_array
-
-    @property
-    def density(self) -> int:
-        """Moments per stage."""
-        return (len(self.places) - 1) // (self.sampled.shape[1] - 1)
+    density: int
+    """Moments per stage."""
 
     def moved(self, offsets: Floats) -> Floats:
         """Places (s, n, 3) with offsets."""

@@ -53,8 +53,8 @@ def candidates(
     What a certificate finds missing may be sent in answer. Then the same plan is mended with so
     much more margin there, if it can be.
 
-    Where nothing seems to keep the clearances, the plan that misses them least is the only one: the
-    certificate says of it what is wrong. Its notes, as those of every plan, say what was tried.
+    Where nothing seems to keep the clearances, those plans follow that miss them least: the
+    certificate says of them what is wrong. Their notes, as those of every plan, say what was tried.
     Raises :class:`swarm.errors.Refused` where vehicles could not even rest on the corners.
     """
     _refuse_unplanned(mission)
