@@ -4,16 +4,14 @@ All functions are batched over leading dimensions and exact for straight pieces;
 stands for a catenary is off by no more than the catenary bows out from its pieces.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
+from swarm.compiled import compiled
 
-_PAIRS_AT_ONCE = 400_000
-"""Pairs of pieces compared in one go: some ten arrays of this size, about 50 MB."""
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,36 +53,35 @@ def point_segment(point: ArrayLike, segment: ArrayLike) -> Closest:
 def polyline_polyline(first: ArrayLike, second: ArrayLike) -> Closest:
     """Closest points of two polylines (…, m, 3) and (…, k, 3), over all pairs of their pieces.
 
-    Works through the batch in portions of bounded memory. Pairs of pieces whose enclosing spheres
-    are farther apart than some pair of midpoints cannot be closest and are left out.
+    Not a number where a point is none.
     """
     first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     shape = np.broadcast_shapes(first.shape[:-2], second.shape[:-2])
     a = np.broadcast_to(first, shape + first.shape[-2:]).reshape(-1, *first.shape[-2:])
     b = np.broadcast_to(second, shape + second.shape[-2:]).reshape(-1, *second.shape[-2:])
-    distance, at_first, at_second = (np.empty(len(a)) for _ in range(3))
-    for part in _portions(len(a), (a.shape[1] - 1) * (b.shape[1] - 1)):
-        found = _polylines(a[part], b[part])
-        distance[part], at_first[part], at_second[part] = found.distance, found.first, found.second
-    return Closest(distance.reshape(shape), at_first.reshape(shape), at_second.reshape(shape))
+    found = np.empty((3, len(a)))
+    _polylines(_plain(a), _plain(b), found)
+    distance, at_first, at_second = found.reshape(3, *shape)
+    return Closest(distance, at_first, at_second)
 
 
 def strand_strand(strands: ArrayLike, pairs: ArrayLike) -> Closest:
     """Closest points of chosen pairs (p, 2) among polylines (…, s, k, 3): (…, p).
 
     The same as :func:`polyline_polyline` of the strands picked by ``pairs``, without ever copying
-    them all.
+    them.
     """
     strands, pairs = np.asarray(strands, dtype=np.float64), np.asarray(pairs, dtype=np.intp)
-    shape = strands.shape[:-3]
     flat = strands.reshape(-1, *strands.shape[-3:])
-    count = len(pairs)
-    distance, at_first, at_second = (np.empty((len(flat), count)) for _ in range(3))
-    for part in _portions(len(flat), count * (strands.shape[-2] - 1) ** 2):
-        found = polyline_polyline(flat[part][:, pairs[:, 0]], flat[part][:, pairs[:, 1]])
-        distance[part], at_first[part], at_second[part] = found.distance, found.first, found.second
-    shape = (*shape, count)
-    return Closest(distance.reshape(shape), at_first.reshape(shape), at_second.reshape(shape))
+    found = np.empty((3, len(flat), len(pairs)))
+    _chosen(_plain(flat), pairs.reshape(-1, 2), found)
+    distance, at_first, at_second = found.reshape(3, *strands.shape[:-3], len(pairs))
+    return Closest(distance, at_first, at_second)
+
+
+def _plain(array: Floats) -> Floats:
+    """The array itself, or a copy where it is not contiguous and writable as compiled for."""
+    return np.require(array, requirements=["C", "W"])
 
 
 def _segment_segment(a: Floats, u: Floats, b: Floats, w: Floats) -> Closest:
@@ -98,32 +95,78 @@ def _segment_segment(a: Floats, u: Floats, b: Floats, w: Floats) -> Closest:
     return Closest(distance, s, t)
 
 
-def _polylines(a: Floats, b: Floats) -> Closest:
-    u, w = np.diff(a, axis=1), np.diff(b, axis=1)
-    middle_a, middle_b = a[:, :-1] + 0.5 * u, b[:, :-1] + 0.5 * w
-    reach_a, reach_b = (0.5 * np.linalg.norm(piece, axis=-1) for piece in (u, w))
-    apart = np.zeros((len(a), u.shape[1], w.shape[1]))
+@compiled
+def _polylines(first: Floats, second: Floats, found: Floats) -> None:
+    """Fill ``found`` (3, q) with distances and places of polylines (q, m, 3) and (q, k, 3)."""
+    for q in range(len(first)):
+        found[0, q], found[1, q], found[2, q] = nearest(first[q], second[q])
+
+
+@compiled
+def _chosen(strands: Floats, pairs: NDArray[np.intp], found: Floats) -> None:
+    for q in range(len(strands)):
+        for p in range(len(pairs)):
+            pair = nearest(strands[q, pairs[p, 0]], strands[q, pairs[p, 1]])
+            found[0, q, p], found[1, q, p], found[2, q, p] = pair
+
+
+@compiled
+def nearest(first: Floats, second: Floats) -> tuple[float, float, float]:
+    """Distance of two polylines (m, 3) and (k, 3), and where on each they are closest.
+
+    Pieces whose enclosing spheres are farther apart than what was found already are left out.
+    """
+    best, here, there = np.inf, 0.0, 0.0
+    for i in range(len(first) - 1):
+        for j in range(len(second) - 1):
+            if _spheres_apart(first, i, second, j) > best:
+                continue
+            square, s, t = _pieces(first, i, second, j)
+            if np.isnan(square):
+                return np.nan, 0.0, 0.0
+            if square < best * best:
+                best, here, there = float(np.sqrt(square)), i + s, j + t
+    return best, here, there
+
+
+@compiled
+def _spheres_apart(first: Floats, i: int, second: Floats, j: int) -> float:
+    """Distance of the spheres around two pieces, and a hair's breadth less for rounding."""
+    apart, one, other = 0.0, 0.0, 0.0
     for axis in range(3):
-        apart += (middle_a[:, :, None, axis] - middle_b[:, None, :, axis]) ** 2
-    np.sqrt(apart, out=apart)
-    # Rounding must not lose the pair that is closest, hence the hair's breadth.
-    limit = apart.min(axis=(1, 2)) * (1.0 + 1e-12)
-    apart -= reach_a[:, :, None]
-    apart -= reach_b[:, None, :]
-    batch, i, j = np.nonzero(apart <= limit[:, None, None])
-
-    found = _segment_segment(a[batch, i], u[batch, i], b[batch, j], w[batch, j])
-    begins = np.searchsorted(batch, np.arange(len(a)))
-    distance = np.minimum.reduceat(found.distance, begins)
-    hits = np.flatnonzero(found.distance == distance[batch])
-    best = hits[np.searchsorted(batch[hits], np.arange(len(a)))]
-    return Closest(distance, i[best] + found.first[best], j[best] + found.second[best])
+        a, b = first[i, axis], first[i + 1, axis]
+        c, d = second[j, axis], second[j + 1, axis]
+        apart += (a + b - c - d) ** 2
+        one += (b - a) ** 2
+        other += (d - c) ** 2
+    return float(0.5 * (np.sqrt(apart) * (1.0 - 1e-12) - np.sqrt(one) - np.sqrt(other)))
 
 
-def _portions(count: int, size: int) -> Iterator[slice]:
-    step = max(1, _PAIRS_AT_ONCE // max(1, size))
-    for begin in range(0, count, step):
-        yield slice(begin, begin + step)
+@compiled
+def _pieces(first: Floats, i: int, second: Floats, j: int) -> tuple[float, float, float]:
+    """As :func:`_segment_segment` for two pieces: squared distance, and fractions along both."""
+    uu = ww = uw = ua = wa = 0.0
+    for axis in range(3):
+        u, w = first[i + 1, axis] - first[i, axis], second[j + 1, axis] - second[j, axis]
+        apart = first[i, axis] - second[j, axis]
+        uu, ww, uw = uu + u * u, ww + w * w, uw + u * w
+        ua, wa = ua + u * apart, wa + w * apart
+    s = _part(uw * wa - ua * ww, uu * ww - uw * uw)
+    t = _part(uw * s + wa, ww)
+    s = _part(uw * t - ua, uu)
+    square = 0.0
+    for axis in range(3):
+        u, w = first[i + 1, axis] - first[i, axis], second[j + 1, axis] - second[j, axis]
+        square += (first[i, axis] - second[j, axis] + s * u - t * w) ** 2
+    return square, s, t
+
+
+@compiled
+def _part(above: float, below: float) -> float:
+    """Quotient clamped to 0…1, and 0 where the divisor is not positive."""
+    if not below > 0.0:
+        return 0.0
+    return min(max(above / below, 0.0), 1.0)
 
 
 def _ratio(above: Floats, below: Floats) -> Floats:
