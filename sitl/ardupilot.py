@@ -48,6 +48,7 @@ class ArduPilot:
         table = {**PARAMETERS, **fault_ways.PARAMETERS, "SYSID_THISMAV": vehicle.system}
         vehicle.parameters.load(table, KINDS)
         self.booted = -math.inf
+        self.has_origin = True
         self._fresh()
         self.apply_gains()
 
@@ -83,10 +84,12 @@ class ArduPilot:
         v = self.v
         self._fresh()
         self.booted = v.now
+        self.has_origin = False
         v.later.append((v.now + _POSITION_READY, self._found_position))
 
     def _found_position(self) -> None:
         v = self.v
+        self.has_origin = True
         if v.global_valid:
             v.home = np.array(v.estimated())
         v.text(_INFO, "EKF3 IMU0 origin set")

@@ -37,6 +37,7 @@ class Px4:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.v = vehicle
+        self.has_origin = True
         table = {**PARAMETERS, **fault_ways.PARAMETERS}
         table["MAV_SYS_ID"] = vehicle.system
         vehicle.parameters.load(table)

@@ -53,11 +53,14 @@ def _take_off(px4: "Px4") -> None:
 
 
 def _land(px4: "Px4") -> None:
+    """Go down, slower and slower from MPC_LAND_ALT1 to MPC_LAND_ALT2 above home."""
     v, p = px4.v, px4.v.parameters
     home = v.home[2] if v.home is not None else v.origin[2]
     height = float(v.estimated()[2] - home)
-    fast = height > p["MPC_LAND_ALT1"]
-    v.bodies.climb(v.index, -(p["MPC_Z_V_AUTO_DN"] if fast else p["MPC_LAND_SPEED"]))
+    slow, fast = p["MPC_LAND_SPEED"], p["MPC_Z_V_AUTO_DN"]
+    low, high = p["MPC_LAND_ALT2"], p["MPC_LAND_ALT1"]
+    share = min(1.0, max(0.0, (height - low) / max(high - low, 1e-3)))
+    v.bodies.climb(v.index, -(slow + share * (fast - slow)))
 
 
 def _return(px4: "Px4") -> None:

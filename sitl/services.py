@@ -16,6 +16,7 @@ from sitl import ardupilot_tables, missions, parameter_protocol, px4_tables, tel
 from sitl.vehicle import (
     ACCEPTED,
     DENIED,
+    FAILED,
     HANDLERS,
     IN_PROGRESS,
     UNSUPPORTED,
@@ -108,21 +109,28 @@ def _command(v: Vehicle, message: Any, p: list[float], xy: tuple[int, int], link
 
 
 _NO_ANSWER = -1
+_NOT_PX4 = frozenset({"EKF_STATUS_REPORT", "HEARTBEAT"})
+"""Messages whose rate cannot be set: PX4's heartbeats come once a second."""
+_NOT_ARDUPILOT = frozenset({"CURRENT_MODE"})
 _INJECT_FAILURE = 420
 
 
 def _request_message(v: Vehicle, command: Command) -> int:
+    """PX4 denies what it has nothing to say of; ArduPilot takes the request, and says nothing."""
     name = NAMES.get(int(command.p[0]))
-    if name not in telemetry.MESSAGES or not emit(v, name, command.link):
-        return DENIED if v.spec.autopilot == "px4" else UNSUPPORTED
-    return ACCEPTED
+    known = name in telemetry.MESSAGES
+    said = known and emit(v, str(name), command.link)
+    if v.spec.autopilot == "px4":
+        return ACCEPTED if said else DENIED
+    return ACCEPTED if known else FAILED
 
 
 def _set_interval(v: Vehicle, command: Command) -> int:
     name = NAMES.get(int(command.p[0]))
-    foreign = name == "EKF_STATUS_REPORT" and v.spec.autopilot == "px4"
+    px4 = v.spec.autopilot == "px4"
+    foreign = name in (_NOT_PX4 if px4 else _NOT_ARDUPILOT)
     if foreign or name not in telemetry.MESSAGES or not math.isfinite(command.p[1]):
-        return DENIED
+        return FAILED if px4 else DENIED
     if command.p[1] < 0:
         command.link.stream(name, None, v.now)
     elif command.p[1] == 0:

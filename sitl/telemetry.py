@@ -23,6 +23,7 @@ _fill_home = wire.template(
 _fill_origin = wire.template("GPS_GLOBAL_ORIGIN", "latitude longitude altitude time_usec")
 _LARGEST = 2**32
 _LOCAL_NED = 1
+_MODE_AGAIN = 0.49
 
 
 def boot_ms(v: Vehicle) -> int:
@@ -133,7 +134,7 @@ def _home(v: Vehicle) -> bytes | None:
 
 
 def _origin(v: Vehicle) -> bytes | None:
-    if v.around.indoor:
+    if v.around.indoor or not v.personality.has_origin:
         return None
     latitude, longitude, altitude = v.around.geodesy.degrees(*v.place)
     return _fill_origin(
@@ -245,6 +246,18 @@ def _mission_current(v: Vehicle) -> bytes:
     return wire.payload("MISSION_CURRENT", fields)
 
 
+def _current_mode(v: Vehicle) -> bytes | None:
+    """PX4 says its mode when it changes, and twice a second."""
+    if v.spec.autopilot != "px4":
+        return None
+    mode = v.personality.custom_mode()
+    told, at = v.mode_told
+    if mode == told and v.now - at < _MODE_AGAIN:
+        return None
+    v.mode_told = mode, v.now
+    return wire.payload("CURRENT_MODE", {"custom_mode": mode, "intended_custom_mode": mode})
+
+
 MESSAGES: dict[str, Callable[[Vehicle], bytes | None]] = {
     "HEARTBEAT": health.heartbeat,
     "LOCAL_POSITION_NED": _local,
@@ -269,4 +282,5 @@ MESSAGES: dict[str, Callable[[Vehicle], bytes | None]] = {
     "RC_CHANNELS": _channels,
     "SERVO_OUTPUT_RAW": _servo,
     "MISSION_CURRENT": _mission_current,
+    "CURRENT_MODE": _current_mode,
 }

@@ -103,6 +103,7 @@ class Personality(Protocol):
 
     pilot: bool
     route: "Route"
+    has_origin: bool
 
     def pilot_takes_over(self) -> None:
         """A pilot's sticks or switch select a manual mode."""
@@ -183,6 +184,7 @@ class Vehicle:
         self.local_valid = True
         self.global_valid = not world.indoor
         self.frozen = False
+        self.mode_told = (-1, -math.inf)
         self.awake_at = -math.inf
         self.vision_at = -math.inf
         self.vision_lost = False

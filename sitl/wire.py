@@ -56,6 +56,7 @@ def _layouts() -> dict[str, Layout]:
         seed = bytes([message.crc_extra])
         found[message.msgname] = Layout(number, message.unpacker, seed, blank, places)
     found["EKF_STATUS_REPORT"] = _ekf_status_report()
+    found["CURRENT_MODE"] = _current_mode()
     return found
 
 
@@ -65,6 +66,13 @@ def _ekf_status_report() -> Layout:
     names = (*(f"{name}_variance" for name in variances), "flags", "airspeed_variance")
     places = {name: (place, 0) for place, name in enumerate(names)}
     return Layout(193, struct.Struct("<5fHf"), bytes([71]), [0] * len(names), places)
+
+
+def _current_mode() -> Layout:
+    """PX4's mode, as common.xml has had it since 2024 and the library does not yet."""
+    names = ("custom_mode", "intended_custom_mode", "standard_mode")
+    places = {name: (place, 0) for place, name in enumerate(names)}
+    return Layout(436, struct.Struct("<IIB"), bytes([193]), [0] * len(names), places)
 
 
 LAYOUTS: dict[str, Layout] = _layouts()

@@ -10,7 +10,13 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import Refused
 from swarm.fleet import Fleet
-from swarm.flight.preparation import Prepared, prepared_team, request_streams
+from swarm.flight.preparation import (
+    Prepared,
+    ask_for_origin,
+    out_of_offboard,
+    prepared_team,
+    request_streams,
+)
 from swarm.flight.readiness import readiness
 from swarm.flight.snapshot import Event
 from swarm.flight.team import Address, Outgoing, Team
@@ -112,12 +118,13 @@ class Listening:
         for system, vehicle in self.team.vehicles.items():
             for event in vehicle.take_events():
                 self._judge(system, event)
-            if vehicle.heard_at > -math.inf and system not in self._asked:
+            if vehicle.heartbeat_at > -math.inf and system not in self._asked:
                 self._asked.add(system)
                 request_streams(vehicle, self.fleet)
                 vehicle.request_interval(common.MAVLINK_MSG_ID_GPS_RAW_INT, 1.0)
-            if vehicle.origin is None and self.fleet.frame == "gps" and vehicle.commands.idle:
-                vehicle.request_message(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+            ask_for_origin(vehicle, self.fleet, now)
+            if not self._tried:
+                out_of_offboard(vehicle)
             if self._soak is not None:
                 self._measure(self._soak, system, vehicle)
         return self.team.tick(now)

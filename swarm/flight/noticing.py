@@ -25,7 +25,7 @@ FALLING = 5.0
 """m/s² downwards, between two reports, that no vehicle with thrust shows; SINKING_TOO with it."""
 SINKING_TOO = 0.4
 MODE_KNOWN = 1.5
-"""Seconds after a heartbeat for which its mode is taken to be the vehicle's."""
+"""Seconds after it was told for which a mode is taken to be the vehicle's."""
 TURNED_OVER = math.radians(60.0)
 """Roll or pitch; PX4's own failure detector takes the same angle (FD_FAIL_R)."""
 JUMP = 0.5
@@ -184,7 +184,7 @@ def _healthy(flight: "Conductor") -> bool:
 
 def _mode_known(flight: "Conductor", vehicle: Vehicle) -> bool:
     """Whether it has said lately what it does: after a gap it may be landing by itself."""
-    return flight.now - vehicle.heartbeat_at <= MODE_KNOWN
+    return flight.now - vehicle.mode_at <= MODE_KNOWN
 
 
 def _watch_motion(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
@@ -276,7 +276,7 @@ def _judge(flight: "Conductor", vehicle: Vehicle, event: VehicleEvent) -> None:
     k, name = flight.number[vehicle.system] - 1, flight.name(vehicle)
     flying = bool(flight.expected_armed[k]) and not may_be_down(flight, vehicle)
     match event.kind:
-        case "failed" if k not in flight.dead:
+        case "failed" if k not in flight.dead and not event.subject.startswith("interval"):
             failure(flight, "command failed", f"{name}: {event.message}", vehicle)
         case "disarmed" if flying and (flight.streaming[k] or _high(flight, k)):
             flight.streaming[k] = False

@@ -20,6 +20,7 @@ from swarm.preflight.findings import Finding
 
 Floats = npt.NDArray[np.float64]
 
+_ASK_AGAIN = 1.0
 SPARE_PATIENCE = 5.0
 """Seconds to wait for vehicles beyond those that the plan needs."""
 
@@ -60,7 +61,7 @@ class Preparation:
         late = now - self._began > self.fleet.limits.ready
         if self._heard_at is None:
             return self._listen(now, late=late)
-        self._ask()
+        self._ask(now)
         findings = readiness(self._heard, self.fleet, now)
         if findings:
             self._samples.clear()
@@ -93,14 +94,15 @@ class Preparation:
             return Outcome("failed", f"not heard: {names}")
         return None
 
-    def _ask(self) -> None:
+    def _ask(self, now: float) -> None:
         """Ask for what is still missing: origins, and the mode in which readiness is judged."""
         for vehicle in self._heard:
-            if vehicle.origin is None and self.fleet.frame == "gps" and vehicle.commands.idle:
-                vehicle.request_message(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+            ask_for_origin(vehicle, self.fleet, now)
             early = vehicle.autopilot is not None and vehicle.autopilot.offboard_early
             if early and not vehicle.in_mode("offboard"):
                 vehicle.set_mode("offboard")
+            if not early:
+                out_of_offboard(vehicle)
 
     def _finish(self) -> Prepared | Outcome:
         measured = np.mean([row for _, row in self._samples], axis=0)
@@ -154,11 +156,30 @@ def prepared_team(
     )
 
 
+def ask_for_origin(vehicle: Vehicle, fleet: Fleet, now: float) -> None:
+    """Ask, once a second, for a vehicle's origin where it matters and is not known yet.
+
+    ArduPilot takes the question and says nothing until its estimator has one.
+    """
+    if vehicle.origin is None and fleet.frame == "gps" and now >= vehicle.ask_origin_at:
+        vehicle.ask_origin_at = now + _ASK_AGAIN
+        vehicle.request_message(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+
+
+def out_of_offboard(vehicle: Vehicle) -> None:
+    """Ask a vehicle on the ground that is not ready out of offboard mode.
+
+    PX4 goes back to offboard mode when it has landed and disarmed, and can never be armed there
+    without a stream.
+    """
+    if vehicle.ready is False and not vehicle.armed and vehicle.in_mode("offboard"):
+        vehicle.set_mode("hold")
+
+
 def request_streams(vehicle: Vehicle, fleet: Fleet) -> None:
     """Ask a vehicle for the messages that a flight reads, at the fleet's rates."""
     rates = fleet.rates
     wanted = {
-        common.MAVLINK_MSG_ID_HEARTBEAT: rates.heartbeat,
         common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rates.position,
         common.MAVLINK_MSG_ID_ATTITUDE: rates.position,
         common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: rates.status,
@@ -166,6 +187,8 @@ def request_streams(vehicle: Vehicle, fleet: Fleet) -> None:
         common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 1.0,
         common.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
     }
+    if vehicle.autopilot is not None:
+        wanted[vehicle.autopilot.tells_mode] = rates.heartbeat
     for message, rate in wanted.items():
         vehicle.request_interval(message, rate)
 

@@ -1,7 +1,8 @@
 """What is different between autopilots, as a table: modes, take-off, frames.
 
 Mode numbers: PX4 packs a main and a sub mode into HEARTBEAT.custom_mode (bits 16–23 and 24–31) and
-takes them apart in MAV_CMD_DO_SET_MODE; ArduPilot Copter numbers its modes.
+takes them apart in MAV_CMD_DO_SET_MODE; ArduPilot Copter numbers its modes. PX4 sends HEARTBEAT
+once a second and refuses any other rate, but says CURRENT_MODE whenever that changes (from 1.15).
 """
 
 from collections.abc import Mapping
@@ -11,6 +12,7 @@ from typing import Literal
 from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.frames import Projection
+from swarm.mavlink.packets import CURRENT_MODE
 
 Mode = Literal["offboard", "hold", "land"]
 
@@ -41,7 +43,8 @@ class Autopilot:
 
     ``modes`` are parameters 2 and 3 of DO_SET_MODE. ``takes_off`` says that it must be told to
     take off and must not see setpoints until it flies; without it, it lifts with the setpoint.
-    ``offboard_early`` says that it judges its readiness in offboard mode only.
+    ``offboard_early`` says that it judges its readiness in offboard mode only. ``tells_mode`` is
+    the message whose rate says how soon a change of mode is heard of.
     """
 
     name: Projection
@@ -49,6 +52,7 @@ class Autopilot:
     modes: Mapping[Mode, tuple[int, int]]
     takes_off: bool
     offboard_early: bool
+    tells_mode: int
 
     def custom_mode(self, mode: Mode) -> int:
         """Return what HEARTBEAT shows in this mode."""
@@ -70,6 +74,7 @@ PX4 = Autopilot(
     modes={"offboard": (6, 0), "hold": (4, 3), "land": (4, 6)},
     takes_off=False,
     offboard_early=False,
+    tells_mode=CURRENT_MODE,
 )
 
 ARDUPILOT = Autopilot(
@@ -78,6 +83,7 @@ ARDUPILOT = Autopilot(
     modes={"offboard": (4, 0), "hold": (17, 0), "land": (9, 0)},
     takes_off=True,
     offboard_early=True,
+    tells_mode=int(common.MAVLINK_MSG_ID_HEARTBEAT),
 )
 
 AUTOPILOTS: Mapping[int, Autopilot] = {kind.identifier: kind for kind in (PX4, ARDUPILOT)}

@@ -18,6 +18,10 @@ ATTEMPTS = 5
 IN_PROGRESS_PATIENCE = 5.0
 """Seconds that each IN_PROGRESS buys."""
 RETRY_REJECTED_AFTER = 1.0
+_MAYBE_LATER = frozenset(
+    {int(common.MAV_RESULT_TEMPORARILY_REJECTED), int(common.MAV_RESULT_FAILED)}
+)
+"""Refusals that may not last: ArduPilot says FAILED of what it would take a moment later."""
 STATE_PATIENCE = 4.0
 """Seconds between an acknowledgement and the state that it promised."""
 
@@ -35,8 +39,8 @@ class Command:
     """A command: its name in words, MAV_CMD number, seven parameters.
 
     ``reached`` tells whether the state that it should bring is there; None where the
-    acknowledgement is all there is. ``retry_for`` is how long temporary rejections are answered by
-    asking again.
+    acknowledgement is all there is. ``retry_for`` is how long refusals that may not last are
+    answered by asking again.
     """
 
     name: str
@@ -122,7 +126,7 @@ class CommandQueue:
                     one.deadline = now + one.command.state_patience
             case common.MAV_RESULT_IN_PROGRESS:
                 one.next_send = now + IN_PROGRESS_PATIENCE
-            case common.MAV_RESULT_TEMPORARILY_REJECTED if now - one.since < one.command.retry_for:
+            case result if result in _MAYBE_LATER and now - one.since < one.command.retry_for:
                 one.next_send = now + RETRY_REJECTED_AFTER
                 one.attempts, one.asked_again = 0, True
             case result:

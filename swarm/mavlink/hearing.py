@@ -8,13 +8,14 @@ from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.autopilots import AUTOPILOTS
 from swarm.mavlink.frames import Origin, to_local
-from swarm.mavlink.packets import Message
+from swarm.mavlink.packets import CURRENT_MODE, Message
 
 if TYPE_CHECKING:
     from swarm.mavlink.vehicle import Vehicle
 
 ON_GROUND = int(common.MAV_LANDED_STATE_ON_GROUND)
 IN_AIR = int(common.MAV_LANDED_STATE_IN_AIR)
+TAKING_OFF = int(common.MAV_LANDED_STATE_TAKEOFF)
 _ARMED = int(common.MAV_MODE_FLAG_SAFETY_ARMED)
 _PREARM = int(common.MAV_SYS_STATUS_PREARM_CHECK)
 _LOCATING = int(common.MAV_SYS_STATUS_AHRS | common.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL)
@@ -33,19 +34,23 @@ def _heartbeat(vehicle: "Vehicle", message: Message, now: float) -> None:
     if vehicle.autopilot is None:
         vehicle.autopilot = AUTOPILOTS.get(message.autopilot)
     first = vehicle.heartbeat_at == -math.inf
-    vehicle.heartbeat_at = now
+    vehicle.heartbeat_at = vehicle.heard_at = now
     vehicle.component = vehicle.commands.component = vehicle.speaks_as
     armed = bool(message.base_mode & _ARMED)
-    changed = message.custom_mode != vehicle.custom_mode
-    vehicle.custom_mode = message.custom_mode
     vehicle.system_status = message.system_status
     if first:
         vehicle.say("heard", f"heard: {vehicle.autopilot.name if vehicle.autopilot else 'unknown'}")
-    if changed:
-        vehicle.say("mode", f"mode {vehicle.mode}", vehicle.mode)
+    _current_mode(vehicle, message, now)
     if armed != vehicle.armed:
         vehicle.armed = armed
         vehicle.say("armed" if armed else "disarmed", "armed" if armed else "disarmed")
+
+
+def _current_mode(vehicle: "Vehicle", message: Message, now: float) -> None:
+    vehicle.mode_at = now
+    if message.custom_mode != vehicle.custom_mode:
+        vehicle.custom_mode = message.custom_mode
+        vehicle.say("mode", f"mode {vehicle.mode}", vehicle.mode)
 
 
 def _local_position(vehicle: "Vehicle", message: Message, now: float) -> None:
@@ -167,6 +172,7 @@ def _distance(one: Origin, other: Origin) -> float:
 
 HANDLERS: Final[Mapping[int, Callable[["Vehicle", Message, float], None]]] = {
     int(common.MAVLINK_MSG_ID_HEARTBEAT): _heartbeat,
+    CURRENT_MODE: _current_mode,
     int(common.MAVLINK_MSG_ID_LOCAL_POSITION_NED): _local_position,
     int(common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT): _global_position,
     int(common.MAVLINK_MSG_ID_GPS_RAW_INT): _gps,

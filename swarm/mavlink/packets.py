@@ -9,6 +9,7 @@ from collections import namedtuple
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 from functools import cache, partial
+from struct import Struct
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -229,7 +230,26 @@ def _declared(kind: Any) -> list[int]:
     return [kind.fieldnames.index(name) for name in kind.ordered_fieldnames]
 
 
+CURRENT_MODE = 436
+"""PX4's message of its mode, in MAVLink's definitions since 2024 and not in the library's yet."""
+
+
+class _CurrentMode:
+    id, crc_extra, msgname = CURRENT_MODE, 193, "CURRENT_MODE"
+    unpacker = Struct("<IIB")
+    ordered_fieldnames = ("custom_mode", "intended_custom_mode", "standard_mode")
+    fieldnames, lengths = ordered_fieldnames, (1, 1, 1)
+    fieldtypes = ("uint32_t", "uint32_t", "uint8_t")
+
+
 _LAYOUTS = {number: _Layout(kind) for number, kind in common.mavlink_map.items()}
+_LAYOUTS[CURRENT_MODE] = _Layout(_CurrentMode)
+
+
+def message_name(number: int) -> str:
+    """Return what a message is called."""
+    known = common.mavlink_map.get(number)
+    return _CurrentMode.msgname if known is None else str(known.msgname)
 
 
 def _slow_checksum(data: bytes) -> int:

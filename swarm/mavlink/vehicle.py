@@ -14,15 +14,17 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError
 from swarm.mavlink.autopilots import BY_HAND, Autopilot, Mode
-from swarm.mavlink.commands import Command, CommandQueue
+from swarm.mavlink.commands import STATE_PATIENCE, Command, CommandQueue
 from swarm.mavlink.frames import Origin
-from swarm.mavlink.hearing import HANDLERS, IN_AIR, ON_GROUND
-from swarm.mavlink.packets import Message, Packet
+from swarm.mavlink.hearing import HANDLERS, IN_AIR, ON_GROUND, TAKING_OFF
+from swarm.mavlink.packets import Message, Packet, message_name
 
 Triple = tuple[float, float, float]
 
 _CUSTOM = int(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _KILL = 21196.0
+TAKEOFF_PATIENCE = 15.0
+"""Seconds from a take-off's acknowledgement until it flies: motors spool up first."""
 _ECHOES = frozenset({int(common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)})
 """What autopilots say of their own goals once they are armed, at the rate of positions."""
 _OVERTAKEN = 128
@@ -56,6 +58,7 @@ class Vehicle:
 
     heard_at: float = -math.inf
     heartbeat_at: float = -math.inf
+    mode_at: float = -math.inf
     armed: bool = False
     custom_mode: int = -1
     system_status: int = 0
@@ -65,6 +68,7 @@ class Vehicle:
     position_at: float = -math.inf
     attitude: Triple = (math.nan, math.nan, math.nan)
     origin: Origin | None = None
+    ask_origin_at: float = -math.inf
     place: Origin | None = None
     relative_altitude: float = math.nan
     battery: float = math.nan
@@ -104,9 +108,10 @@ class Vehicle:
     # What comes in
 
     def receive(self, packet: Packet, now: float) -> None:
-        """Take a packet that this vehicle sent."""
+        """Take a packet that this vehicle sent; a camera aboard is not heard for the autopilot."""
         number, _, component, sequence, message = packet
-        self.heard_at = now
+        if component == self.component:
+            self.heard_at = now
         self.packets += 1
         if self._sequences.get(component) == (sequence - 1) & 0xFF:
             self._sequences[component] = sequence
@@ -192,7 +197,7 @@ class Vehicle:
     @property
     def airborne(self) -> bool:
         """Whether the vehicle says that it flies."""
-        return self.landed_state == IN_AIR
+        return self.landed_state in {IN_AIR, TAKING_OFF}
 
     # What goes out
 
@@ -246,8 +251,18 @@ class Vehicle:
         )
 
     def take_off(self, height: float) -> None:
-        """Ask an autopilot that needs it to take off; height in metres above where it stands."""
-        self._ask("takeoff", common.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)
+        """Ask an autopilot that needs it to take off; height in metres above where it stands.
+
+        Done when it says that it flies, where it says such things: asked again because an
+        acknowledgement was lost, one that flies refuses.
+        """
+        self._ask(
+            "takeoff",
+            common.MAV_CMD_NAV_TAKEOFF,
+            *(0, 0, 0, 0, 0, 0, height),
+            reached=(lambda: self.airborne) if self.landed_state else None,
+            state_patience=TAKEOFF_PATIENCE,
+        )
 
     def grip(self, *, closed: bool) -> None:
         """Close or open the gripper."""
@@ -276,13 +291,13 @@ class Vehicle:
         self._quietened.clear()
 
     def _interval(self, message: int, microseconds: float) -> None:
-        name = common.mavlink_map[message].msgname
+        name = message_name(message)
         command = common.MAV_CMD_SET_MESSAGE_INTERVAL
         self._ask(f"interval of {name}", command, message, microseconds)
 
     def request_message(self, message: int, reached: Callable[[], bool] | None = None) -> None:
         """Ask for one message."""
-        name = common.mavlink_map[message].msgname
+        name = message_name(message)
         self._ask(name, common.MAV_CMD_REQUEST_MESSAGE, message, reached=reached)
 
     def _ask(
@@ -291,12 +306,13 @@ class Vehicle:
         number: int,
         *parameters: float,
         reached: Callable[[], bool] | None = None,
+        state_patience: float = STATE_PATIENCE,
         retry_for: float = 0.0,
     ) -> None:
         if self.commands.has(name):
             return
         seven = (*parameters, *[0.0] * (7 - len(parameters)))
-        self.commands.put(Command(name, int(number), seven, reached, retry_for=retry_for))
+        self.commands.put(Command(name, int(number), seven, reached, state_patience, retry_for))
 
     def say(self, kind: str, message: str, subject: str = "") -> None:
         """Report an event."""

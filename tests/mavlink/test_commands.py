@@ -106,15 +106,19 @@ def test_in_progress_buys_time_each_time(queue):
     assert run(queue, 5.2, 5.3)[1][0].succeeded
 
 
-def test_a_temporary_rejection_is_asked_again_only_while_there_is_patience(queue):
+@pytest.mark.parametrize(
+    ("result", "words"),
+    [(REJECTED, "temporarily rejected"), (common.MAV_RESULT_FAILED, "failed")],
+)
+def test_a_refusal_that_may_not_last_is_asked_again_while_there_is_patience(queue, result, words):
     queue.put(Command("arm", ARM, [1] * 7, reached=lambda: False, retry_for=2.0))
     run(queue, 0.0, 0.1)
-    queue.acknowledge(Ack(ARM, REJECTED), 0.2)
+    queue.acknowledge(Ack(ARM, result), 0.2)
     sent, _ = run(queue, 0.3, 1.3)
     assert [time for time, _ in sent] == [1.2]
-    queue.acknowledge(Ack(ARM, REJECTED), 2.5)
+    queue.acknowledge(Ack(ARM, result), 2.5)
     _, (outcome,) = run(queue, 2.6, 2.7)
-    assert outcome.reason == "temporarily rejected"
+    assert outcome.reason == words
 
 
 @pytest.mark.parametrize(
@@ -122,7 +126,6 @@ def test_a_temporary_rejection_is_asked_again_only_while_there_is_patience(queue
     [
         (common.MAV_RESULT_DENIED, "denied"),
         (common.MAV_RESULT_UNSUPPORTED, "unsupported"),
-        (common.MAV_RESULT_FAILED, "failed"),
     ],
 )
 def test_a_refusal_is_final_and_in_words(queue, result, words):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pymavlink.dialects.v20 import common
+from pymavlink.dialects.v20 import common, development
 
 from swarm.mavlink.packets import Decoder, Packet
 from swarm.mavlink.vehicle import Vehicle
@@ -34,6 +34,11 @@ class Wire:
 def heartbeat(autopilot=PX4, armed=False, custom_mode=0):
     base = 1 | (common.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
     return common.MAVLink_heartbeat_message(2, autopilot, base, custom_mode, 4, 3)
+
+
+def current_mode(custom_mode):
+    """CURRENT_MODE, from a dialect that has it already."""
+    return development.MAVLink_current_mode_message(0, custom_mode, custom_mode)
 
 
 @pytest.mark.parametrize(
@@ -69,6 +74,26 @@ def test_other_components_do_not_change_the_autopilots_state():
     camera = common.MAVLink_heartbeat_message(30, common.MAV_AUTOPILOT_INVALID, 128, 9, 4, 3)
     assert wire(camera) == []
     assert not wire.vehicle.armed
+
+
+def test_a_companion_that_goes_on_talking_is_not_taken_for_the_autopilot():
+    wire = Wire()
+    wire(heartbeat(), 1.0)
+    aboard = common.MAVLink(None, srcSystem=3, srcComponent=191)
+    companion = common.MAVLink_heartbeat_message(18, common.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    (packet,) = Decoder().feed(companion.pack(aboard))
+    wire.vehicle.receive(packet, 5.0)
+    assert wire.vehicle.heard_at == 1.0
+
+
+def test_px4_tells_its_mode_between_its_heartbeats():
+    wire = Wire()
+    wire(heartbeat(custom_mode=6 << 16))
+    offboard, hold = 6 << 16, 4 << 16 | 3 << 24
+    said = [wire(current_mode(mode), 0.3) for mode in (offboard, hold, hold)]
+    assert said == [[], ["mode"], []]
+    assert (wire.vehicle.mode, wire.vehicle.mode_at) == ("hold", 0.3)
+    assert wire.vehicle.heartbeat_at == 0.0
 
 
 def test_an_autopilot_that_is_neither_is_not_taken_for_one():

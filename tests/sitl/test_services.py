@@ -12,7 +12,7 @@ from tests.sitl.client import Ground, world
 COMPONENT_METADATA, AVAILABLE_MODES = 397, 435
 
 INTERVAL, REQUEST = dialect.MAV_CMD_SET_MESSAGE_INTERVAL, dialect.MAV_CMD_REQUEST_MESSAGE
-ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
+ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 
 
 @pytest.fixture
@@ -50,7 +50,21 @@ def test_rates_are_those_asked_for(ground: Ground) -> None:
     assert count(ground, "LOCAL_POSITION_NED", before) == pytest.approx(60, abs=2), "PX4's default"
     ground.command(1, INTERVAL, 12345, 1e5)
     ground.run(0.1)
-    assert ground.acks(1, INTERVAL)[-1] == DENIED
+    assert ground.acks(1, INTERVAL)[-1] == FAILED
+
+
+def test_px4s_heartbeats_come_once_a_second_and_its_mode_when_it_changes(ground: Ground) -> None:
+    ground.command(1, INTERVAL, 0, 250_000)
+    ground.command(1, INTERVAL, 436, 250_000)
+    before = ground.now
+    ground.run(4.0)
+    assert ground.acks(1, INTERVAL)[-2:] == [FAILED, ACCEPTED]
+    assert count(ground, "HEARTBEAT", before) == 4
+    ground.command(1, dialect.MAV_CMD_DO_SET_MODE, 1, 6, 0)
+    before = ground.now
+    ground.run(0.3)
+    told = [m for t, _, m in ground.log if t > before and m.get_type() == "UNKNOWN_436"]
+    assert bytes(told[-1].get_msgbuf())[10:14] == (6 << 16).to_bytes(4, "little")
 
 
 @pytest.mark.parametrize(
@@ -259,7 +273,7 @@ def test_ardupilots_own_estimator_report_is_as_its_dialect_says() -> None:
     for vehicle in (1, 2):
         ground.command(vehicle, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 193, 1e5)
     ground.run(0.5)
-    assert [ground.acks(vehicle, 511) for vehicle in (1, 2)] == [[0], [2]]
+    assert [ground.acks(vehicle, 511) for vehicle in (1, 2)] == [[ACCEPTED], [FAILED]]
     report = ground.last[1, "EKF_STATUS_REPORT"]
     assert report.flags == 1 | 2 | 4 | 8 | 16 | 32 | 256 | 512
     assert report.velocity_variance == pytest.approx(0.05)
@@ -273,8 +287,8 @@ def test_qgroundcontrol_gets_through_its_first_questions(autopilot: str) -> None
     assert ground.last[1, "HEARTBEAT"].type == dialect.MAV_TYPE_QUADROTOR
     requests = (
         (dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, {0}),
-        (AVAILABLE_MODES, {2, 3}),
-        (COMPONENT_METADATA, {2, 3}),
+        (AVAILABLE_MODES, {DENIED, FAILED}),
+        (COMPONENT_METADATA, {DENIED, FAILED}),
     )
     for number, answers in requests:
         ground.log.clear()

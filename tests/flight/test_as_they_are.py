@@ -1,0 +1,80 @@
+"""What PX4 and ArduPilot do that a flight must live with: slow boots, odd modes, few heartbeats."""
+
+from collections import Counter
+
+import pytest
+from pymavlink.dialects.v20 import common
+
+from swarm.fleet import emulated_fleet
+from swarm.flight.conductor import Conductor
+from swarm.mavlink.packets import CURRENT_MODE, Decoder
+from tests.network import Network, small_plan
+
+PLAN = small_plan()
+
+
+def network(autopilots, frame="gps", **options) -> Network:
+    fleet = emulated_fleet(3, autopilots).model_copy(update={"frame": frame})
+    return Network(PLAN, fleet, no_cable=True, **options)
+
+
+def commands(flight: Network) -> Counter[tuple[int, int]]:
+    """How often each command was sent, by second of flight and number."""
+    decoder = Decoder()
+    messages = [(now, p.message) for now, _, data in flight.sent for p in decoder.feed(data)]
+    return Counter(
+        (int(now), message.command) for now, message in messages if hasattr(message, "command")
+    )
+
+
+@pytest.mark.parametrize("autopilots", [("px4",), ("ardupilot",)], ids="-".join)
+def test_vehicles_that_have_flown_fly_again(autopilots):
+    """PX4 is back in offboard mode then, in which it cannot be armed without a stream."""
+    flight = network(autopilots, frame="pads")
+    assert flight.run().word == "done"
+    flight.conductor = Conductor(PLAN, flight.fleet, no_cable=True)
+    assert flight.run(most=150.0).word == "done", flight.words()[-8:]
+
+
+def test_ardupilots_that_boot_are_waited_for_and_not_pestered():
+    """No origin and no position for 42 s: it says nothing when it is asked for what it lacks."""
+    flight = network(("ardupilot",))
+    for vehicle in flight.emulator.vehicles:
+        vehicle.reboot()
+    flight.run(lambda: flight.conductor.stage == "fly", most=90.0)
+    assert flight.now > 42.0
+    asked = commands(flight)
+    for number in (common.MAV_CMD_REQUEST_MESSAGE, common.MAV_CMD_DO_SET_MODE):
+        busiest = max(count for (_, one), count in asked.items() if one == number)
+        assert busiest <= 2 * len(flight.conductor.flyers)
+
+
+def test_a_px4_that_leaves_offboard_is_noticed_between_its_heartbeats():
+    flight = network(("px4",))
+    flight.until_phase("fold", 2.0)
+    victim, since = flight.emulator.vehicles[1], flight.now
+    flight.until_time(0.1)
+    victim.personality.leave()
+    flight.run(lambda: bool(flight.conductor.holds), most=1.0)
+    assert flight.now - since < 0.5
+    assert "left offboard" in "".join(flight.conductor.holds)
+
+
+def test_an_older_px4_that_does_not_tell_its_mode_flies_by_its_heartbeats():
+    """CURRENT_MODE came with 1.15."""
+
+    def older(_now, _system, data):
+        return data[7:10] != CURRENT_MODE.to_bytes(3, "little")
+
+    flight = network(("px4",), downlink=older)
+    assert flight.run().word == "done"
+
+
+def test_a_refused_rate_does_not_end_a_flight():
+    flight = network(("px4",))
+    flight.until_phase("fold", 1.0)
+    flight.conductor.flyers[0].request_interval(int(common.MAVLINK_MSG_ID_HEARTBEAT), 4.0)
+    flight.until_time(2.0)
+    assert "interval of HEARTBEAT: failed" in flight.words("failed")
+    assert flight.conductor.stage == "fly"
+    assert not flight.conductor.holds
