@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl import motion
+
 if TYPE_CHECKING:
     from sitl.dynamics import Bodies
 
@@ -62,19 +64,7 @@ def blow(b: "Bodies", interval: float) -> None:
 
 def _downwash(b: "Bodies") -> None:
     """Air pushed down on vehicles below others, as a vertical wind in their drag."""
-    b.wash[:] = 0.0
-    if b.count < 2:
-        return
-    east, north = b.position[:, 0], b.position[:, 1]
-    distance = (east[:, None] - east) ** 2
-    distance += (north[:, None] - north) ** 2
-    b.apart = distance
-    if np.count_nonzero(distance < 4.0) <= b.count:
-        return
-    height = b.position[:, 2]
-    below = height - height[:, None]
-    felt = jets(_carried(b), b.radius, below, distance).max(axis=1)
-    b.wash[:, 2] = -WASH_FACTOR * felt
+    b.wash[:, 2] = -WASH_FACTOR * motion.downwash(b.now, b.mass, b.radius, AIR_DENSITY, b.apart)
 
 
 def wash_at(b: "Bodies", places: Array) -> Array:

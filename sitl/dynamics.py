@@ -1,7 +1,7 @@
 """Point-mass vehicles, all in one batch: controller, thrust lag, drag, ground, land detector.
 
 Model. The motors give a specific thrust ``f`` (m/s²) that follows the commanded one as a
-second-order system (attitude loop and motors together, natural frequency `_THRUST_FREQUENCY`); then
+second-order system (attitude loop and motors together, natural frequency 14 rad/s); then
 ``v̇ = f − g ẑ − c (v − wind) + F/m``. The commanded thrust comes from the cascade that both
 autopilots fly: position error × P + velocity feed-forward → limits → velocity error × P + I +
 acceleration feed-forward → limits of acceleration, tilt and thrust (PX4 user guide, "Controller
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl import air, landing, linear
+from sitl import air, motion
 from sitl.geodesy import GRAVITY
 from sitl.world import World
 
@@ -28,13 +28,9 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 STEP = 0.02
-_THRUST_FREQUENCY = 14.0
-_THRUST_DAMPING = 0.9
 _GOAL = struct.Struct("3d")
-_LANE, _WANTED = 8 * linear.INPUTS, 8 * linear.PLACE
-_FASTEST_FALL, _LONGEST_ALOFT = 25.0, 4
+_LANE, _WANTED = 8 * motion.LANES, 8 * motion.PLACE
 _LARGEST_INTEGRAL = 5.0
-_IDLE_THRUST = 0.08 * GRAVITY
 _NOISE_TIME = 4.0
 NOISE_SIGMA = np.array([0.015, 0.015, 0.02])
 
@@ -77,8 +73,8 @@ class Bodies:
         self.grip_offset = np.array([s.grip_offset for s in specs])
         self.thrust_limit = np.array([2.0 * (s.mass + s.payload) * GRAVITY / s.mass for s in specs])
         self.max_acceleration = np.array([s.max_acceleration for s in specs])
-        self._now = np.zeros((n, 3, linear.INPUTS, 1))
-        self._now[:, 2, linear.WEIGHT] = GRAVITY
+        self.now = np.zeros((n, 3, motion.LANES))
+        self._tuned = np.zeros((n, motion.TUNINGS))
         self.marks = np.zeros((3, n), dtype=bool)
         self._share()
         self.position[:] = [s.pad for s in specs]
@@ -104,8 +100,7 @@ class Bodies:
         self.integral_gain = np.zeros((n, 3))
         self.advance = np.zeros(n)
         self._axes: dict[int, tuple[float, ...]] = {}
-        self._velocity_goal = np.zeros((n, 3))
-        self._velocity_scale = 1.0
+        self.velocity_goal = np.zeros((n, 3))
 
     def _make_flags(self) -> None:
         n = self.count
@@ -127,8 +122,8 @@ class Bodies:
         self.fooled = np.zeros(n, dtype=bool)
         self.drift = np.zeros((n, 3))
         self.share = np.zeros(n)
+        self._hard = np.zeros(n, dtype=bool)
         self.settled = False
-        self._aloft_for = 0
 
     def _make_air(self, world: World) -> None:
         n = self.count
@@ -142,21 +137,19 @@ class Bodies:
 
     def _share(self) -> None:
         """Make the views of the arrays that hold several things."""
-        now = self._now[..., 0]
-        self.position = now[..., linear.POSITION]
-        self.velocity = now[..., linear.VELOCITY]
-        self.thrust = now[..., linear.THRUST]
-        self.thrust_rate = now[..., linear.THRUST_RATE]
-        self.integral = now[..., linear.INTEGRAL]
-        self._state = now[..., : linear.STATES]
-        self._height = self.position[:, 2]
-        self.goal_position = now[..., linear.PLACE]
-        self.goal_velocity = now[..., linear.SPEED]
-        self.goal_acceleration = now[..., linear.ACCELERATION]
-        self._offset = now[..., linear.OFFSET]
-        self._air = now[..., linear.AIR]
-        self._pushed = now[..., linear.PUSH]
-        self._bytes = memoryview(cast("Any", self._now)).cast("B")
+        now = self.now
+        self.position = now[..., motion.POSITION]
+        self.velocity = now[..., motion.VELOCITY]
+        self.thrust = now[..., motion.THRUST]
+        self.thrust_rate = now[..., motion.THRUST_RATE]
+        self.integral = now[..., motion.INTEGRAL]
+        self.goal_position = now[..., motion.PLACE]
+        self.goal_velocity = now[..., motion.SPEED]
+        self.goal_acceleration = now[..., motion.ACCELERATION]
+        self._offset = now[..., motion.OFFSET]
+        self._air = now[..., motion.AIR]
+        self._pushed = now[..., motion.PUSH]
+        self._bytes = memoryview(cast("Any", now)).cast("B")
         self.armed, self.landed, self.tumbling = self.marks
 
     def __getstate__(self) -> dict[str, Any]:
@@ -172,25 +165,22 @@ class Bodies:
 
     def touch(self) -> None:
         """Renew what is derived from gains, axes, biases and air, after changing any of them."""
-        self._gain = self.position_gain * self.position_axes
-        self._rate_gain = self.velocity_gain * self.velocity_axes
-        self._integral_gain = STEP * self.integral_gain * self.velocity_axes
+        tuned = self._tuned
+        tuned[:, motion.GAIN :][:, :3] = self.position_gain * self.position_axes
+        tuned[:, motion.RATE_GAIN :][:, :3] = self.velocity_gain * self.velocity_axes
+        tuned[:, motion.INTEGRAL_GAIN :][:, :3] = STEP * self.integral_gain * self.velocity_axes
+        tuned[:, motion.DRAG :] = np.column_stack(
+            (
+                self.drag, self.speed_limit, self.climb_limit, self.descend_limit,
+                self.max_acceleration, self.tilt_limit, self.thrust_limit, self.health,
+                self.floor + self.grip_offset,
+            )
+        )  # fmt: skip
         self._per_mass = 1.0 / self.mass[:, None]
         self._drag = self.drag[:, None]
         self._renew_air()
         self._noise_sigma = NOISE_SIGMA * (self.noise_scale > 0)
         self._noisy = bool(self.noise_scale.any())
-        self._least_speed = float(min(self.speed_limit.min(), self.climb_limit.min()))
-        self._least_speed = min(self._least_speed, float(self.descend_limit.min()))
-        self._most_z = 0.9 * float(self.thrust_limit.min())
-        self._least_reach = float(
-            min(self.max_acceleration.min(), self.tilt_limit.min() * 0.5 * GRAVITY)
-        )
-        self._healthy = bool((self.health == 1.0).all())
-        self._map: Array | None = None
-        self._foreseen: Array | None = None
-        self._untouched = b""
-        self._highest_stand = self.floor + float(self.grip_offset.max())
 
     def _renew_air(self) -> None:
         self._rows: Rows | None = None
@@ -248,15 +238,7 @@ class Bodies:
 
     def grip_points(self) -> Array:
         """Where the grip points are: a stiff dropper along the body's own down axis (n, 3)."""
-        length = np.sqrt(np.vecdot(self.thrust, self.thrust))
-        standing = length < 1.0
-        idle = np.count_nonzero(standing)
-        if idle:
-            length[standing] = np.inf
-        points: Array = self.position - self.thrust * (self.grip_offset / length)[:, None]
-        if idle:
-            points[standing, 2] -= self.grip_offset[standing]
-        return points
+        return motion.grips(self.now, self.grip_offset)
 
     # One step.
 
@@ -267,116 +249,15 @@ class Bodies:
     def step(self) -> Flags | None:
         """Advance by `STEP`; return which vehicles have just hit the ground hard, or None."""
         self._rows = None
-        if self.settled and self._healthy and self._glide():
-            if self._aloft_for > 0:
-                self._aloft_for -= 1
-                return None
-            clear = float(self._height.min()) - self._highest_stand
-            self._aloft_for = int(min(max(clear, 0.0) / (STEP * _FASTEST_FALL), _LONGEST_ALOFT))
-            return landing.touch_down(self) if clear <= 0.0 else None
-        self._aloft_for = 0
-        command = self._command()
-        command -= self.thrust
-        command *= STEP * _THRUST_FREQUENCY**2
-        self.thrust_rate *= 1.0 - 2 * STEP * _THRUST_DAMPING * _THRUST_FREQUENCY
-        self.thrust_rate += command
-        self.thrust += STEP * self.thrust_rate
-        change = self._air - self._drag * self.velocity
-        change += self.thrust
-        change += self._pushed
-        change *= STEP
-        self.velocity += change
-        self.position += STEP * self.velocity
-        if self.position[:, 2].min() <= self._highest_stand:
-            return landing.touch_down(self)
-        return None
-
-    def _glide(self) -> bool:
-        """Advance by the linear map if that stays clear of all limits; tell whether it did.
-
-        Two steps are worked out at once. The second one is taken if nothing has touched the
-        vehicles' state or what is wanted of them since the first.
-        """
-        if self._foreseen is not None and self._now.tobytes() == self._untouched:
-            following, self._foreseen = self._foreseen, None
-        else:
-            if self._map is None:
-                self._map = self._make_map()
-            two = linear.apply(self._map, self._now)
-            following, self._foreseen = two[:, :, 0], two[:, :, 1]
-            checks = two[..., linear.STATES :]
-            if np.count_nonzero(np.abs(checks) <= 1.0) < checks.size:
-                self._foreseen = None
-                checks = following[..., linear.STATES :]
-                if np.count_nonzero(np.abs(checks) <= 1.0) < checks.size:
-                    return False
-        self._state[:] = following[..., : linear.STATES]
-        if self._foreseen is not None:
-            self._untouched = self._now.tobytes()
-        self._velocity_goal, self._velocity_scale = (
-            following[..., linear.STATES],
-            self._velocity_limit,
-        )
-        return True
-
-    def _make_map(self) -> Array:
-        self._velocity_limit = linear.WITHIN * self._least_speed
-        return linear.twice(
-            linear.linear_map(
-                gain=self._gain, rate_gain=self._rate_gain, integral_gain=self._integral_gain,
-                drag=self._drag, step=STEP, frequency=_THRUST_FREQUENCY, damping=_THRUST_DAMPING,
-                speed=self._least_speed, reach=self._least_reach,
-            )
-        )  # fmt: skip
-
-    @property
-    def velocity_goal(self) -> Array:
-        """Velocity that the position controller asked for in the last step (m/s, (n, 3))."""
-        goal: Array = self._velocity_goal * self._velocity_scale
-        return goal
-
-    def _command(self) -> Array:
-        """Commanded specific thrust after the health of the motors (n, 3)."""
-        goal = self.goal_position - self.position
-        goal -= self._offset
-        goal *= self._gain
-        goal += self.goal_velocity
-        if abs(goal).max() > self._least_speed:
-            speed = np.hypot(goal[:, 0], goal[:, 1])
-            goal[:, :2] *= (self.speed_limit / np.maximum(speed, self.speed_limit))[:, None]
-            np.clip(goal[:, 2], -self.descend_limit, self.climb_limit, out=goal[:, 2])
-        self._velocity_goal, self._velocity_scale = goal, 1.0
-        miss = goal - self.velocity
-        wanted: Array = self._rate_gain * miss
-        wanted += self.goal_acceleration
-        wanted += self.integral
-        if abs(wanted).max() > self._least_reach:
-            reach = np.hypot(wanted[:, 0], wanted[:, 1])
-            limit = self.max_acceleration
-            wanted[:, :2] *= (limit / np.maximum(reach, limit))[:, None]
-            miss[reach > limit, :2] = 0.0
-            wanted[:, 2] += GRAVITY
-            self._limit_thrust(wanted)
-        else:
-            wanted[:, 2] += GRAVITY
-            if not self.settled:
-                self._limit_thrust(wanted)
-        miss *= self._integral_gain
-        self.integral += miss
-        if not self._healthy:
-            wanted *= self.health[:, None]
-        return wanted
-
-    def _limit_thrust(self, wanted: Array) -> None:
-        """Keep specific thrust within what the motors give and the tilt limit, in place."""
-        share = self.share
-        ceiling = share * self.thrust_limit
-        up = wanted[:, 2]
-        np.clip(up, np.minimum(_IDLE_THRUST, ceiling), ceiling, out=up)
-        reach = np.hypot(wanted[:, 0], wanted[:, 1])
-        limit = self.tilt_limit * up + 1e-9
-        wanted[:, :2] *= (limit / np.maximum(reach, limit))[:, None]
-        self.integral *= (share >= 1.0)[:, None]
+        hard = self._hard
+        if not motion.advance(
+            self.now, self._tuned, self.share, self.crashed, STEP, self.velocity_goal, hard
+        ):
+            return None
+        self.crashed |= hard
+        self.health[hard] = 0.0
+        self.touch()
+        return hard.copy()
 
     def wander(self, interval: float) -> None:
         """Advance estimator noise, gusts and downwash by ``interval`` seconds (call at 10 Hz).

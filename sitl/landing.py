@@ -1,11 +1,9 @@
-"""Taking off, standing and landing: thrust ramps, the land detector, yaw, and the floor."""
+"""Taking off, standing and landing: thrust ramps, the land detector, and yaw."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
-from sitl.geodesy import GRAVITY
 
 if TYPE_CHECKING:
     from sitl.dynamics import Bodies
@@ -18,7 +16,6 @@ _SLOW = np.array([1.5, 1.5, 0.25])
 _DESCENDING = -0.25
 _CLIMBING = 0.25
 _TUMBLE_RATE = 5.0
-_CRASH_SPEED = 3.0
 
 
 def supervise(b: "Bodies", interval: float) -> None:
@@ -83,23 +80,3 @@ def _detect_landing(b: "Bodies", down: Flags, interval: float) -> None:
     if landed.tobytes() != b.landed.tobytes():
         b.landed[:] = landed
         b.landings += 1
-
-
-def touch_down(b: "Bodies") -> Flags | None:
-    """Keep the legs above the floor, with friction; tell who came down hard."""
-    height = b.position[:, 2] - b.grip_offset - b.floor
-    touching = height <= 0.0
-    if not touching.any():
-        return None
-    hard: Flags = touching & (b.velocity[:, 2] < -_CRASH_SPEED) & ~b.crashed
-    b.position[touching, 2] = b.floor + b.grip_offset[touching]
-    b.velocity[touching, 2] = np.maximum(b.velocity[touching, 2], 0.0)
-    b.velocity[touching, :2] *= 0.5
-    still = touching & (b.thrust[:, 2] < GRAVITY)
-    b.velocity[still, :2] = 0.0
-    if hard.any():
-        b.crashed |= hard
-        b.health[hard] = 0.0
-        b.touch()
-        return hard
-    return None

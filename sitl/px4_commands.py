@@ -100,6 +100,7 @@ def _speed(px4: "Px4", command: Command) -> int:
     p = command.p
     if math.isfinite(p[1]) and p[1] > 0:
         px4.v.bodies.speed_limit[px4.v.index] = min(p[1], px4.v.spec.max_speed)
+        px4.v.bodies.touch()
     return ACCEPTED
 
 

@@ -3,10 +3,12 @@
 Bounds that may warn in vain and never keep silent.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.spans import Hung
+from swarm.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -15,36 +17,37 @@ _DRIFT = 0.5
 """Metres by which a grip may have moved since the spans were solved."""
 
 
-def of_spans(hung: Hung, sideways: float, centre: Array, radius: Array) -> bool:
-    """Whether a disc at any of the centres (n, 3) could touch a span.
+@compiled
+def of_spans(
+    start: Array, stop: Array, length: Array, sideways: float, centre: Array, radius: Array
+) -> bool:
+    """Whether a disc at any of the centres (n, 3) could touch a span from start to stop (m, 3).
 
-    A span hangs below its higher end, and in plan beside its chord by no more than a steady wind
-    blows a piece of its length aside: ``sideways`` is the level part of its weight's direction.
+    A span, at most ``length`` (m,) long, hangs below its higher end, and in plan beside its chord
+    by no more than a steady wind blows a piece of its length aside: ``sideways`` is the level part
+    of its weight's direction.
     """
-    top = np.maximum(hung.start[:, 2], hung.stop[:, 2]) + _ROTOR_HEIGHT
-    near = centre[:, 2, None] < top
-    if not np.count_nonzero(near):
-        return False
-    east, north, rise = (hung.stop - hung.start).T
-    squared = np.maximum(east * east + north * north, 1e-8)
-    level = np.sqrt(squared)
-    away_east = centre[:, 0, None] - hung.start[:, 0]
-    away_north = centre[:, 1, None] - hung.start[:, 1]
-    share = (away_east * east + away_north * north) / squared
-    share = np.minimum(np.maximum(share, 0.0), 1.0)
-    away_east -= share * east
-    away_north -= share * north
-    beside = radius[:, None]
-    if sideways > 0.0:
-        beside = beside + sideways * np.maximum(hung.length_used, hung.chord)
-    near &= away_east * away_east + away_north * away_north < beside * beside
-    if not np.count_nonzero(near):
-        return False
-    # above a disc the chord, and so the span, is nowhere higher than this
-    chord_height = hung.start[:, 2] + share * rise
-    chord_height += beside * (np.abs(rise) / level)
-    near &= centre[:, 2, None] < chord_height + _ROTOR_HEIGHT
-    return bool(np.count_nonzero(near))
+    for j in range(len(start)):
+        top = max(start[j, 2], stop[j, 2]) + _ROTOR_HEIGHT
+        east, north = stop[j, 0] - start[j, 0], stop[j, 1] - start[j, 1]
+        rise = stop[j, 2] - start[j, 2]
+        squared = max(east * east + north * north, 1e-8)
+        for i in range(len(centre)):
+            if centre[i, 2] >= top:
+                continue
+            away_east, away_north = centre[i, 0] - start[j, 0], centre[i, 1] - start[j, 1]
+            share = (away_east * east + away_north * north) / squared
+            share = min(max(share, 0.0), 1.0)
+            away_east -= share * east
+            away_north -= share * north
+            beside = radius[i] + sideways * length[j]
+            if away_east * away_east + away_north * away_north >= beside * beside:
+                continue
+            # above a disc the chord, and so the span, is nowhere higher than this
+            height = start[j, 2] + share * rise + beside * abs(rise) / math.sqrt(squared)
+            if centre[i, 2] < height + _ROTOR_HEIGHT:
+                return True
+    return False
 
 
 def of_end(grip: Array, length: float, floor: float, centre: Array, radius: Array) -> bool:

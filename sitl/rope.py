@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl import reach
+from sitl import hanging, reach
 from sitl.air import AIR_DENSITY
 from sitl.geodesy import GRAVITY
 from sitl.spans import NOTHING, Hung, Spans
@@ -226,10 +226,9 @@ class Rope:
         if held.count:
             hung = self.spans = held.hang(grips, self.down, still=self._still)
             load = held.load
-            level = (load * hung.a / hung.across)[:, None] * hung.flat
-            pulls = np.concatenate((load * hung.low, load * hung.high))[:, None] * self.down
-            pulls[: held.count] += level
-            pulls[held.count :] -= level
+            pulls = np.empty((2 * held.count, 3))
+            # in slack cable none is more than that at the lowest point and the whole span's weight
+            most = hanging.pulls(load, self.down, hung.flat, hung.figures, pulls)
             slack = max(hung.stretch.tolist())
             if slack > -_TIGHT:
                 self.patience = 2
@@ -237,16 +236,14 @@ class Rope:
                 self.patience = 1
                 self._stretch(hung, velocity, pulls)
             force = held.onto_holders(pulls, len(grips))
-            # in slack cable none is more than that at the lowest point and the whole span's weight
-            most = load * (hung.a + hung.length_used)
-            if self.patience == 1 or max(most.tolist()) > self.spec.breaking_load:
+            if self.patience == 1 or most > self.spec.breaking_load:
                 self._tear()
         else:
             self.spans = NOTHING
             force = np.zeros_like(grips)
         for end in self._ends:
-            hanging = min(max(float(grips[end.vehicle, 2]) - self.floor, 0.0), end.length)
-            force[end.vehicle] += hanging * self.weight * self.down
+            hung_length = min(max(float(grips[end.vehicle, 2]) - self.floor, 0.0), end.length)
+            force[end.vehicle] += hung_length * self.weight * self.down
         return force
 
     def _stretch(self, hung: Hung, velocity: Array, pulls: Array) -> None:
@@ -278,7 +275,9 @@ class Rope:
     @property
     def loose(self) -> bool:
         """Whether anything is not where statics alone puts it: falling, or just let go."""
-        return bool(np.count_nonzero(self.falling)) or len(self.spans.a) != self._set.count
+        return (
+            bool(np.count_nonzero(self.falling)) or self.spans.figures.shape[1] != self._set.count
+        )
 
     def within_reach(self, centre: Array, radius: Array) -> bool:
         """Whether a disc at any of the centres (n, 3) could touch a span or a loose end.
@@ -295,7 +294,7 @@ class Rope:
                 grip = self._grip_of(end.vehicle)
                 if grip is None or reach.of_end(grip, end.length, self.floor, centre, radius):
                     return True
-        return reach.of_spans(hung, sideways, centre, radius)
+        return reach.of_spans(hung.start, hung.stop, hung.length_used, sideways, centre, radius)
 
     def _grip_of(self, vehicle: int) -> Array | None:
         """Where a holder was when the spans were solved, None if it holds no span."""
@@ -332,7 +331,7 @@ class Rope:
         target[:, 2] = self.floor
         held = self._set
         if held.count:
-            fresh = solved and len(self.spans.a) == held.count
+            fresh = solved and self.spans.figures.shape[1] == held.count
             hung = self.spans if fresh else held.hang(grips, self.down, still=self._still)
             target[held.samples] = held.points(hung, self.down)
         for end in self._ends:

@@ -12,43 +12,67 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl import hanging
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-_TAUT = 0.03
-_FLAT = 0.01
-_LEAST, _MOST = 1e-4, 1e4
-_TABLE_Z = np.geomspace(_TAUT, 40.0, 3000)
-_TABLE_RATIO = np.log(np.sinh(_TABLE_Z) / _TABLE_Z - 1.0)
-_TABLE_LOG_Z = np.log(_TABLE_Z)
-_TAUT_RATIO = float(np.sinh(_TAUT) / _TAUT)
+_EMPTY = np.zeros(0)
 
 
 class Hung(NamedTuple):
     """Every span between two grips, solved: geometry, catenary, load (arrays over spans).
 
-    ``flat`` is the step from start to stop at right angles to the weight, ``across`` its length and
-    ``upward`` the step against the weight. ``a`` is the catenary's parameter, ``low`` and ``high``
-    the arc lengths from its lowest point to start and stop, ``stretch`` by how much the chord is
-    longer than the cable, ``elastic`` the newtons that this pulls; ``resting`` tells which
-    spans lie on the floor (None: none does).
+    ``flat`` is the step from start to stop at right angles to the weight, ``figures`` what
+    `sitl.hanging` worked out, ``elastic`` the newtons that over-stretched cable pulls; ``resting``
+    tells which spans lie on the floor (None: none does).
     """
 
     start: Array
     stop: Array
     flat: Array
-    across: Array
-    upward: Array
-    a: Array
-    low: Array
-    high: Array
-    length_used: Array
-    stretch: Array
+    figures: Array
     resting: Flags | None
     load: Array
     length: Array
     elastic: Array | float = 0.0
+
+    @property
+    def across(self) -> Array:
+        """Level distances of the ends, at right angles to the weight."""
+        across: Array = self.figures[hanging.ACROSS]
+        return across
+
+    @property
+    def a(self) -> Array:
+        """The catenaries' parameters."""
+        a: Array = self.figures[hanging.A]
+        return a
+
+    @property
+    def low(self) -> Array:
+        """Arc lengths from the lowest points to the starts."""
+        low: Array = self.figures[hanging.LOW]
+        return low
+
+    @property
+    def high(self) -> Array:
+        """Arc lengths from the lowest points to the stops."""
+        high: Array = self.figures[hanging.HIGH]
+        return high
+
+    @property
+    def length_used(self) -> Array:
+        """Lengths, over-stretched spans as long as they are."""
+        used: Array = self.figures[hanging.USED]
+        return used
+
+    @property
+    def stretch(self) -> Array:
+        """By how much chords are longer than their cable."""
+        stretch: Array = self.figures[hanging.STRETCH]
+        return stretch
 
     @property
     def level(self) -> Array:
@@ -66,14 +90,13 @@ class Hung(NamedTuple):
     @property
     def chord(self) -> Array:
         """Distances of the ends in metres."""
-        chord: Array = np.hypot(self.across, self.upward)
+        chord: Array = np.hypot(self.across, self.figures[hanging.UPWARD])
         return chord
 
 
-_EMPTY = np.zeros(0)
+_NOWHERE = np.zeros((0, 3))
 NOTHING = Hung(
-    _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY, None, _EMPTY,
-    _EMPTY,
+    _NOWHERE, _NOWHERE, _NOWHERE, np.zeros((hanging.FIGURES, 0)), None, _EMPTY, _EMPTY
 )  # fmt: skip
 
 
@@ -93,7 +116,6 @@ class Spans:
         self.arcs = np.array([s[3] for s in spans])
         self._onto = np.zeros((0, 0))
         self.load = _EMPTY
-        self._longest = float(self.lengths.max()) if spans else 0.0
         self._parameter = np.full(len(spans), 1.0)
         self.samples: Indices = np.zeros(0, dtype=np.intp)
         self.span_of = self.samples
@@ -126,68 +148,14 @@ class Spans:
         """
         ends = grips.take(self._holders, axis=0)
         start, stop = ends[: self.count], ends[self.count :]
-        flat = stop - start
-        if still:
-            upward = flat[:, 2].copy()
-            flat[:, 2] = 0.0
-            across = np.maximum(np.hypot(flat[:, 0], flat[:, 1]), 1e-4)
-        else:
-            upward = -(flat @ down)
-            flat += upward[:, None] * down
-            across = np.maximum(np.sqrt(np.vecdot(flat, flat)), 1e-4)
-        shortest = np.hypot(upward, across * _TAUT_RATIO)
-        length = np.maximum(self.lengths, shortest)
-        ratio = np.sqrt(length * length - upward * upward) / across
-        z = np.exp(np.interp(np.log(ratio - 1.0), _TABLE_RATIO, _TABLE_LOG_Z))
-        a = 0.5 * across / z
-        tilt = upward / np.tanh(z)
-        low, high = 0.5 * (length - tilt), 0.5 * (length + tilt)
-        resting = None
-        if min(ends[:, 2].tolist()) - 0.5 * self._longest < self.floor:
-            resting = self._resting(start, stop, a, low, high)
-            if resting is not None:
-                a, low, high = self._on_floor(start, stop, across, a, low, high, resting)
-        return Hung(
-            start, stop, flat, across, upward, a, low, high, length, shortest - self.lengths,
-            resting, self.load, self.lengths,
+        flat = np.empty((self.count, 3))
+        figures = np.empty((hanging.FIGURES, self.count))
+        resting = np.empty(self.count, dtype=np.bool_)
+        rests = hanging.hang(
+            start, stop, self.lengths, down, self.floor, still, self._parameter, flat, figures,
+            resting,
         )  # fmt: skip
-
-    def _resting(
-        self, start: Array, stop: Array, a: Array, low: Array, high: Array
-    ) -> Flags | None:
-        """Which spans would hang below the floor at their lowest point, None if none would."""
-        lowest = np.minimum(start[:, 2], stop[:, 2])
-        bottom = start[:, 2] - (np.hypot(low, a) - a)
-        lowest = np.where((low > 0) & (high > 0), bottom, lowest)
-        below = lowest < self.floor - 1e-9
-        return below if np.count_nonzero(below) else None
-
-    def _on_floor(
-        self, start: Array, stop: Array, across: Array, a: Array, low: Array, high: Array,
-        resting: Flags,
-    ) -> tuple[Array, Array, Array]:  # fmt: skip
-        """Two half catenaries that come down to the floor, and what lies straight between them.
-
-        Where there is more slack than the ends are high, the ends just hang down; a taut span is
-        left to its elasticity, as one in the air is.
-        """
-        heights = np.maximum(np.stack([start[:, 2], stop[:, 2]]) - self.floor, 1e-6)
-        slack = np.maximum(self.lengths - across, (_TAUT_RATIO - 1.0) * across)
-        both = heights[0] + heights[1]
-        hangs = (slack >= 0.999 * both) | (both < _FLAT)
-        sought = np.nonzero(resting & ~hangs)[0]
-        guess = np.full(len(a), _LEAST)
-        if len(sought):
-            most = across[sought] / (2 * _TAUT)
-            found = _floor_parameter(heights[:, sought], slack[sought], self._parameter[sought])
-            guess[sought] = np.minimum(found, most)
-            self._parameter[sought] = guess[sought]
-        arcs = np.where(hangs, heights, np.sqrt(heights**2 + 2 * heights * guess))
-        return (
-            np.where(resting, guess, a),
-            np.where(resting, arcs[0], low),
-            np.where(resting, arcs[1], high),
-        )
+        return Hung(start, stop, flat, figures, resting if rests else None, self.load, self.lengths)
 
     def points(self, hung: Hung, down: Array) -> Array:
         """Where the samples of solved spans are (m, 3)."""
@@ -207,38 +175,17 @@ class Spans:
         """Points of spans that rest on the floor: down one end, along the floor, up the other."""
         a, arcs = hung.a[k], (hung.low[k], hung.high[k])
         length = self.lengths[k]
-        reach = [a * np.arcsinh(arc / a) * (a > _LEAST) for arc in arcs]
+        reach = [a * np.arcsinh(arc / a) * (a > hanging.LEAST) for arc in arcs]
         ground = np.maximum(hung.across[k] - reach[0] - reach[1], 0.0)
         flat = np.maximum(length - arcs[0] - arcs[1], 1e-9)
         x = reach[0] + np.clip((along - arcs[0]) / flat, 0.0, 1.0) * ground
         z = np.full(len(k), self.floor)
         for end, distance in enumerate((along, length - along)):
             s = np.maximum(arcs[end] - distance, 0.0)
-            z = np.maximum(z, self.floor + np.where(a > _LEAST, np.hypot(s, a) - a, s))
-            out = a * np.arcsinh(s / a) * (a > _LEAST)
+            z = np.maximum(z, self.floor + np.where(a > hanging.LEAST, np.hypot(s, a) - a, s))
+            out = a * np.arcsinh(s / a) * (a > hanging.LEAST)
             inward = reach[0] - out if end == 0 else hung.across[k] - reach[1] + out
             x = np.where(s > 0, inward, x)
         points: Array = hung.start[k] + (x / hung.across[k])[:, None] * hung.flat[k]
         points[:, 2] = z
         return points
-
-
-def _floor_parameter(heights: Array, slack: Array, guess: Array) -> Array:
-    """Catenary parameters of spans whose ends come down to the floor.
-
-    ``L − h = Σ (s_i − x_i)`` with ``s = √(H² + 2Ha)``, ``x = a acosh(1 + H/a)`` fixes ``a``; Newton
-    in ``log a`` against ``log (L − h)`` from the last step's root.
-    """
-    a = np.minimum(np.maximum(guess, _LEAST), _MOST)
-    target = np.log(np.maximum(slack, 1e-9))
-    for _ in range(8):
-        arcs = np.sqrt(heights * (heights + 2.0 * a))
-        angle = np.arccosh(1.0 + heights / a)
-        value = np.maximum(np.add.reduce(arcs - a * angle), 1e-12)
-        slope = np.minimum(np.add.reduce(2.0 * heights / arcs - angle) * a, -1e-12)
-        update = (target - np.log(value)) * value / slope
-        a = a * np.exp(np.minimum(np.maximum(update, -1.5), 1.5))
-        a = np.minimum(np.maximum(a, _LEAST), _MOST)
-        if max(np.abs(update).tolist()) < 1e-4:
-            break
-    return a

@@ -1,0 +1,149 @@
+"""Statics of spans, compiled: what `sitl.spans` and `sitl.rope` ask for every few steps.
+
+The formulae are those of `sitl.spans`. Loops over spans: for eight of them some sixty small array
+operations would cost twenty times as much.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarm.compiled import compiled
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+TAUT, FLAT = 0.03, 0.01
+LEAST, MOST = 1e-4, 1e4
+TABLE_Z = np.geomspace(TAUT, 40.0, 3000)
+TABLE_RATIO = np.log(np.sinh(TABLE_Z) / TABLE_Z - 1.0)
+TABLE_LOG_Z = np.log(TABLE_Z)
+TAUT_RATIO = float(np.sinh(TAUT) / TAUT)
+_SETTLED, _TRIES = 1e-6, 12
+
+ACROSS, UPWARD, A, LOW, HIGH, USED, STRETCH = range(7)
+FIGURES = 7
+"""What is worked out of each span, as in `sitl.spans.Hung`."""
+
+
+@compiled
+def hang(
+    start: Array, stop: Array, lengths: Array, down: Array, floor: float, still: bool,
+    guess: Array, flat: Array, figures: Array, resting: Flags,
+) -> bool:  # fmt: skip
+    """Solve the catenaries between ``start`` and ``stop`` (m, 3); tell whether any rests.
+
+    Results go to ``flat`` (m, 3), ``figures`` (FIGURES, m) and ``resting`` (m,); ``guess`` (m,) are
+    the parameters of spans that rested last, renewed here.
+    """
+    rests = False
+    for i in range(len(start)):
+        for k in range(3):
+            flat[i, k] = stop[i, k] - start[i, k]
+        if still:
+            upward = flat[i, 2]
+            flat[i, 2] = 0.0
+        else:
+            upward = -(flat[i, 0] * down[0] + flat[i, 1] * down[1] + flat[i, 2] * down[2])
+            for k in range(3):
+                flat[i, k] += upward * down[k]
+        across = math.sqrt(flat[i, 0] ** 2 + flat[i, 1] ** 2 + flat[i, 2] ** 2)
+        across = max(across, 1e-4)
+        shortest = math.hypot(upward, across * TAUT_RATIO)
+        length = max(lengths[i], shortest)
+        ratio = math.sqrt(length * length - upward * upward) / across
+        z = math.exp(_log_z(math.log(ratio - 1.0)))
+        a = 0.5 * across / z
+        tilt = upward / math.tanh(z)
+        low, high = 0.5 * (length - tilt), 0.5 * (length + tilt)
+        lowest = min(start[i, 2], stop[i, 2])
+        if low > 0.0 and high > 0.0:
+            lowest = start[i, 2] - (math.hypot(low, a) - a)
+        resting[i] = lowest < floor - 1e-9
+        if resting[i]:
+            rests = True
+            first = max(start[i, 2] - floor, 1e-6)
+            last = max(stop[i, 2] - floor, 1e-6)
+            slack = max(lengths[i] - across, (TAUT_RATIO - 1.0) * across)
+            a, low, high = _on_floor(first, last, across, slack, guess[i])
+            if a > LEAST:
+                guess[i] = a
+        figures[ACROSS, i], figures[UPWARD, i] = across, upward
+        figures[A, i], figures[LOW, i], figures[HIGH, i] = a, low, high
+        figures[USED, i], figures[STRETCH, i] = length, shortest - lengths[i]
+    return rests
+
+
+@compiled
+def _log_z(ratio: float) -> float:
+    """Look up log z for ``log (sinh z / z − 1)``, linearly, within the table."""
+    low, high = 0, len(TABLE_RATIO) - 1
+    if ratio <= TABLE_RATIO[low]:
+        return float(TABLE_LOG_Z[low])
+    if ratio >= TABLE_RATIO[high]:
+        return float(TABLE_LOG_Z[high])
+    while high - low > 1:
+        middle = (low + high) // 2
+        if TABLE_RATIO[middle] <= ratio:
+            low = middle
+        else:
+            high = middle
+    slope = (TABLE_LOG_Z[high] - TABLE_LOG_Z[low]) / (TABLE_RATIO[high] - TABLE_RATIO[low])
+    return float(slope * (ratio - TABLE_RATIO[low]) + TABLE_LOG_Z[low])
+
+
+@compiled
+def _on_floor(
+    first: float, last: float, across: float, slack: float, guess: float
+) -> tuple[float, float, float]:
+    """Two half catenaries that come down to the floor: parameter and the arcs that hang.
+
+    ``first`` and ``last`` are the ends' heights. Where there is more slack than the ends are high,
+    the ends just hang down; a taut span is left to its elasticity, as one in the air is.
+    """
+    both = first + last
+    if slack >= 0.999 * both or both < FLAT:
+        return LEAST, first, last
+    a = min(_floor_parameter(first, last, slack, guess), across / (2.0 * TAUT))
+    return a, math.sqrt(first**2 + 2.0 * first * a), math.sqrt(last**2 + 2.0 * last * a)
+
+
+@compiled
+def _floor_parameter(first: float, last: float, slack: float, guess: float) -> float:
+    """The catenary parameter of a span whose ends come down to the floor.
+
+    ``L − h = Σ (s_i − x_i)`` with ``s = √(H² + 2Ha)``, ``x = a acosh(1 + H/a)`` fixes ``a``; Newton
+    in ``log a`` against ``log (L − h)`` from the last step's root.
+    """
+    a = min(max(guess, LEAST), MOST)
+    target = math.log(max(slack, 1e-9))
+    for _ in range(_TRIES):
+        arc, other = math.sqrt(first * (first + 2.0 * a)), math.sqrt(last * (last + 2.0 * a))
+        angle, turn = math.acosh(1.0 + first / a), math.acosh(1.0 + last / a)
+        value = max(arc - a * angle + other - a * turn, 1e-12)
+        slope = min((2.0 * first / arc - angle + 2.0 * last / other - turn) * a, -1e-12)
+        update = (target - math.log(value)) * value / slope
+        a = a * math.exp(min(max(update, -1.5), 1.5))
+        a = min(max(a, LEAST), MOST)
+        if abs(update) < _SETTLED:
+            break
+    return a
+
+
+@compiled
+def pulls(load: Array, down: Array, flat: Array, figures: Array, force: Array) -> float:
+    """Forces on all starts and then all stops (2 m, 3), newtons, into ``force``.
+
+    Returns more than the largest tension in a slack span: that at its lowest point and its whole
+    weight. ``load`` (m,) is the weight of a metre of each span.
+    """
+    count, most = len(load), 0.0
+    for i in range(count):
+        level = load[i] * figures[A, i] / figures[ACROSS, i]
+        for k in range(3):
+            force[i, k] = load[i] * figures[LOW, i] * down[k] + level * flat[i, k]
+            force[count + i, k] = load[i] * figures[HIGH, i] * down[k] - level * flat[i, k]
+        most = max(most, load[i] * (figures[A, i] + figures[USED, i]))
+    return most

@@ -1,0 +1,152 @@
+"""One step of all vehicles, compiled: controller, thrust, drag, the floor; gusts and downwash.
+
+What the figures mean is in `sitl.dynamics` and `sitl.air`. Loops over vehicles and axes: for nine
+vehicles some forty small array operations would cost ten times as much.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.geodesy import GRAVITY
+from swarm.compiled import compiled
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+POSITION, VELOCITY, THRUST, THRUST_RATE, INTEGRAL = range(5)
+PLACE, SPEED, ACCELERATION, OFFSET, AIR, PUSH = range(5, 11)
+LANES = 11
+"""What there is of each vehicle and axis: its state, what is wanted, and what acts on it."""
+
+GAIN, RATE_GAIN, INTEGRAL_GAIN = 0, 3, 6
+DRAG, FASTEST, CLIMB, DESCEND, REACH, TILT, THRUST_LIMIT, HEALTH, STAND = range(9, 18)
+TUNINGS = 18
+"""What a vehicle's motion is tuned with: gains of three axes each, drag (1/s), limits in SI units
+(tilt as its tangent), health of the motors, height of the centre when it stands."""
+
+_FREQUENCY, _DAMPING = 14.0, 0.9
+_IDLE = 0.08 * GRAVITY
+_CRASH_SPEED = 3.0
+_WASHED, _LOWEST, _HIGHEST = 4.0, 0.1, 10.0
+
+
+@compiled
+def advance(
+    now: Array, tuned: Array, share: Array, crashed: Flags, step: float, goal: Array, hard: Flags
+) -> bool:
+    """Advance states ``now`` (n, 3, LANES) by ``step`` seconds, in place.
+
+    ``tuned`` (n, TUNINGS), ``share`` (n,) of full thrust that may be used. Velocities that the
+    position controllers ask for go to ``goal`` (n, 3), who has just come down hard to ``hard``
+    (n,); returns whether anybody has.
+    """
+    anybody = False
+    for i in range(len(now)):
+        body, own = now[i], tuned[i]
+        level = 0.0
+        for k in range(3):
+            off = body[k, PLACE] - body[k, POSITION] - body[k, OFFSET]
+            goal[i, k] = own[GAIN + k] * off + body[k, SPEED]
+        level = math.hypot(goal[i, 0], goal[i, 1])
+        if level > own[FASTEST]:
+            goal[i, 0] *= own[FASTEST] / level
+            goal[i, 1] *= own[FASTEST] / level
+        goal[i, 2] = min(max(goal[i, 2], -own[DESCEND]), own[CLIMB])
+
+        east, north, up = 0.0, 0.0, 0.0
+        miss_east = goal[i, 0] - body[0, VELOCITY]
+        miss_north = goal[i, 1] - body[1, VELOCITY]
+        miss_up = goal[i, 2] - body[2, VELOCITY]
+        east = own[RATE_GAIN] * miss_east + body[0, ACCELERATION] + body[0, INTEGRAL]
+        north = own[RATE_GAIN + 1] * miss_north + body[1, ACCELERATION] + body[1, INTEGRAL]
+        up = own[RATE_GAIN + 2] * miss_up + body[2, ACCELERATION] + body[2, INTEGRAL] + GRAVITY
+        reach = math.hypot(east, north)
+        if reach > own[REACH]:
+            east *= own[REACH] / reach
+            north *= own[REACH] / reach
+            miss_east = miss_north = 0.0
+        ceiling = share[i] * own[THRUST_LIMIT]
+        up = min(max(up, min(_IDLE, ceiling)), ceiling)
+        reach, limit = math.hypot(east, north), own[TILT] * up + 1e-9
+        if reach > limit:
+            east *= limit / reach
+            north *= limit / reach
+        if share[i] < 1.0:
+            body[0, INTEGRAL] = body[1, INTEGRAL] = body[2, INTEGRAL] = 0.0
+        body[0, INTEGRAL] += own[INTEGRAL_GAIN] * miss_east
+        body[1, INTEGRAL] += own[INTEGRAL_GAIN + 1] * miss_north
+        body[2, INTEGRAL] += own[INTEGRAL_GAIN + 2] * miss_up
+
+        for k in range(3):
+            wanted = own[HEALTH] * (east if k == 0 else north if k == 1 else up)
+            s = body[k]
+            s[THRUST_RATE] *= 1.0 - 2.0 * step * _DAMPING * _FREQUENCY
+            s[THRUST_RATE] += step * _FREQUENCY**2 * (wanted - s[THRUST])
+            s[THRUST] += step * s[THRUST_RATE]
+            s[VELOCITY] += step * (s[AIR] - own[DRAG] * s[VELOCITY] + s[THRUST] + s[PUSH])
+            s[POSITION] += step * s[VELOCITY]
+
+        hard[i] = False
+        if body[2, POSITION] <= own[STAND]:
+            hard[i] = body[2, VELOCITY] < -_CRASH_SPEED and not crashed[i]
+            anybody = anybody or hard[i]
+            _stand(body, own[STAND])
+    return anybody
+
+
+@compiled
+def _stand(body: Array, height: float) -> None:
+    """Keep one vehicle's legs above the floor, with friction."""
+    body[2, POSITION] = height
+    body[2, VELOCITY] = max(body[2, VELOCITY], 0.0)
+    still = body[2, THRUST] < GRAVITY
+    body[0, VELOCITY] *= 0.0 if still else 0.5
+    body[1, VELOCITY] *= 0.0 if still else 0.5
+
+
+@compiled
+def grips(now: Array, offset: Array) -> Array:
+    """Where the grip points are: a stiff dropper along the body's own down axis (n, 3)."""
+    points = np.empty((len(now), 3))
+    for i in range(len(now)):
+        body = now[i]
+        length = math.sqrt(body[0, THRUST] ** 2 + body[1, THRUST] ** 2 + body[2, THRUST] ** 2)
+        for k in range(3):
+            points[i, k] = body[k, POSITION]
+            if length >= 1.0:
+                points[i, k] -= body[k, THRUST] * (offset[i] / length)
+        if length < 1.0:
+            points[i, 2] -= offset[i]
+    return points
+
+
+@compiled
+def downwash(now: Array, mass: Array, radius: Array, density: float, apart: Array) -> Array:
+    """Downward air speed (n,) at every vehicle from those above it, as `sitl.air.jets` has it.
+
+    Level distances squared go to ``apart`` (n, n).
+    """
+    count = len(now)
+    felt = np.zeros(count)
+    near = False
+    for i in range(count):
+        for j in range(count):
+            east = now[i, 0, POSITION] - now[j, 0, POSITION]
+            north = now[i, 1, POSITION] - now[j, 1, POSITION]
+            apart[i, j] = east * east + north * north
+            near = near or (i != j and apart[i, j] < _WASHED)
+    if not near:
+        return felt
+    for j in range(count):
+        lift = max(now[j, 2, THRUST], 0.0) * mass[j]
+        jet = 2.0 * math.sqrt(lift / (2.0 * density * math.pi)) / radius[j]
+        for i in range(count):
+            below = now[j, 2, POSITION] - now[i, 2, POSITION]
+            if _LOWEST < below < _HIGHEST:
+                core = 0.7 * radius[j]
+                width = core + 0.1 * below
+                speed = jet * (core / width) * math.exp(-apart[i, j] / (2.0 * width**2))
+                felt[i] = max(felt[i], speed)
+    return felt
