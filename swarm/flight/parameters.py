@@ -30,7 +30,8 @@ class Demands:
 
     Speeds in m/s (level, up, down), acceleration in m/s²; ``hold`` is the team's common time T in
     seconds after which vehicles without a ground station land, ``descent`` the speed at which all
-    land; ``global_position`` says whether they know where on earth they are, so that Hold exists.
+    land, ``height`` in metres how high they fly at most; ``global_position`` says whether they know
+    where on earth they are, so that Hold exists.
     """
 
     speed: float
@@ -39,31 +40,42 @@ class Demands:
     acceleration: float
     hold: float
     descent: float
+    height: float
     global_position: bool
 
 
 def demands_of(vehicles: Vehicles, fleet: Fleet) -> Demands:
     """Return what any mission with such vehicles may ask."""
     speed = vehicles.max_speed
-    return _demands(fleet, speed, speed, speed, vehicles.max_acceleration)
+    return _demands(fleet, speed, speed, speed, vehicles.max_acceleration, 0.0)
 
 
 def demands_of_plan(plan: Plan, fleet: Fleet) -> Demands:
     """Return what a plan asks, by its motion."""
-    _, velocity, acceleration = plan.motion.at(np.arange(0.0, plan.duration, 0.1))
+    position, velocity, acceleration = plan.motion.at(np.arange(0.0, plan.duration, 0.1))
     level = float(np.hypot(velocity[..., 0], velocity[..., 1]).max())
     up, down = float(velocity[..., 2].max()), float(-velocity[..., 2].min())
     braking = plan.mission.vehicles.braking_acceleration
     strongest = float(np.linalg.norm(acceleration, axis=-1).max()) + braking
-    return _demands(fleet, level, up, down, strongest)
+    height = float(position[..., 2].max()) + plan.mission.vehicles.grip_offset
+    return _demands(fleet, level, up, down, strongest, height)
 
 
-def _demands(fleet: Fleet, speed: float, up: float, down: float, acceleration: float) -> Demands:
-    limits = fleet.limits
+def _demands(
+    fleet: Fleet, speed: float, up: float, down: float, acceleration: float, height: float
+) -> Demands:
     values = np.ceil(10.0 * np.array([speed, up, down, acceleration])) / 10.0
     speed, up, down, acceleration = values.tolist()
-    hold, descent = limits.hold, limits.descent
-    return Demands(speed, up, down, acceleration, hold, descent, fleet.frame != "shared")
+    return Demands(
+        speed,
+        up,
+        down,
+        acceleration,
+        fleet.limits.hold,
+        fleet.limits.descent,
+        float(np.ceil(height)),
+        fleet.frame != "shared",
+    )
 
 
 @dataclass(frozen=True)
@@ -115,6 +127,10 @@ def _most(bound: float) -> Callable[[Value], bool]:
     return lambda value: 0.0 < value <= bound + 1e-6
 
 
+def _none_or_least(bound: float) -> Callable[[Value], bool]:
+    return lambda value: value <= 0.0 or value >= bound - 1e-6
+
+
 def _with_bit(bit: int) -> tuple[Callable[[Value], bool], Callable[[Value], Value]]:
     return lambda value: bool(int(value) >> bit & 1), lambda value: float(int(value) | 1 << bit)
 
@@ -127,6 +143,7 @@ _ALONE = "a vehicle must not fly home on its own while it holds the cable"
 _STREAM = "without setpoints it coasts until this runs out"
 _TOGETHER = "nobody may decide earlier than the others: this is the fleet's limits.hold"
 _PACE = "vehicles that land without the ground station must come down alike"
+_HIGH = "above this they come down faster, and those below do not: levels would close in"
 _GRIP = "one vehicle must not drop the cable on its own"
 
 
@@ -163,8 +180,12 @@ def _px4(asked: Demands) -> tuple[Rule, ...]:
         Rule("COM_WIND_MAX_ACT", _one_of(0, 1, 2, 5), 1, "not 3 (return) or 4 (terminate)", _ALONE,
              "warning"),
         Rule("COM_IMB_PROP_ACT", _one_of(-1, 0, 2), 0, "not 1 (return)", _ALONE, "warning"),
+        Rule("COM_ACT_FAIL_ACT", _one_of(0, 1, 2), 0, "not 3 (return) or 4 (terminate)", _ALONE),
+        Rule("COM_FLT_TIME_MAX", lambda value: value <= 0.0, -1, "-1 (no limit)",
+             "it flies home when this time is over"),
+        Rule("NAV_TRAFF_AVOID", _one_of(0, 1, 3, 4), 1, "not 2 (return)", _ALONE, "warning"),
         Rule("GF_ACTION", _one_of(0, 1, 2, 5), 1, "not 3 (return) or 4 (terminate)", _ALONE),
-        Rule("COM_DISARM_PRFLT", _least(10.0), 10.0, "at least 10 s",
+        Rule("COM_DISARM_PRFLT", _none_or_least(10.0), 10.0, "-1 or at least 10 s",
              "arming the team takes a few seconds"),
         Rule("LNDMC_TRIG_TIME", _least(1.0), 1.0, "at least 1 s",
              "a vehicle that the cable holds up must not be taken for landed", "warning"),
@@ -172,6 +193,10 @@ def _px4(asked: Demands) -> tuple[Rule, ...]:
              "a vehicle that the cable holds up must not be taken for landed", "warning"),
         Rule("MPC_LAND_SPEED", _one_of(asked.descent), asked.descent, f"{asked.descent:g} m/s",
              _PACE, "warning"),
+        Rule("MPC_LAND_ALT2", _least(asked.height), max(5.0, asked.height),
+             f"at least {asked.height:g} m", _HIGH, "warning"),
+        Rule("MPC_LAND_ALT1", _least(asked.height), max(10.0, asked.height + 1.0),
+             f"at least {asked.height:g} m", _HIGH, "warning"),
         Rule("MPC_XY_VEL_MAX", _least(speed), max(12.0, speed), f"at least {speed:.1f} m/s",
              "the plan's speed and some to catch up"),
         Rule("MPC_Z_VEL_MAX_UP", _least(asked.up), max(3.0, asked.up),
@@ -186,6 +211,7 @@ def _px4(asked: Demands) -> tuple[Rule, ...]:
 def _ardupilot(asked: Demands) -> tuple[Rule, ...]:
     level, up, down = (100.0 * _HEADROOM * asked.speed, 100.0 * asked.up, 100.0 * asked.down)
     hold, pull, descent = asked.hold, 100.0 * asked.acceleration, round(100.0 * asked.descent)
+    low = 100.0 * asked.height
     return (
         Rule("GUID_TIMEOUT", _most(STREAM_LOSS_TIME), STREAM_LOSS_TIME,
              f"at most {STREAM_LOSS_TIME:g} s", _STREAM),
@@ -204,9 +230,11 @@ def _ardupilot(asked: Demands) -> tuple[Rule, ...]:
         Rule("FS_DR_ENABLE", _one_of(0, 1), 1, "0 or 1 (land)", _ALONE),
         Rule("FENCE_ACTION", _one_of(0, 2), 0, "0 (report) or 2 (land)", _ALONE,
              unless=("FENCE_ENABLE", 0.0)),
-        Rule("DISARM_DELAY", lambda value: value == 0.0 or value >= 10.0, 10.0,
+        Rule("DISARM_DELAY", _none_or_least(10.0), 10.0,
              "0 or at least 10 s", "arming the team takes a few seconds"),
         Rule("LAND_SPEED", _one_of(descent), descent, f"{descent:g} cm/s", _PACE, "warning"),
+        Rule("LAND_ALT_LOW", _least(low), max(1000.0, low), f"at least {low:.0f} cm", _HIGH,
+             "warning"),
         Rule("WPNAV_SPEED", _least(level), max(1000.0, level), f"at least {level:.0f} cm/s",
              "the plan's speed and some to catch up", "warning"),
         Rule("WPNAV_SPEED_UP", _least(up), max(250.0, up), f"at least {up:.0f} cm/s",

@@ -2,6 +2,8 @@
 
 import pytest
 
+from sitl.ardupilot_tables import PARAMETERS as ARDUPILOT_PARAMETERS
+from sitl.px4_tables import PARAMETERS as PX4_PARAMETERS
 from swarm.fleet import emulated_fleet
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
@@ -30,6 +32,8 @@ RETURNS = [
     ("px4", "COM_FLTT_LOW_ACT", 3),
     ("px4", "COM_POS_LOW_ACT", 3),
     ("px4", "GF_ACTION", 3),
+    ("px4", "COM_ACT_FAIL_ACT", 3),
+    ("px4", "COM_FLT_TIME_MAX", 600),
     ("ardupilot", "FS_GCS_ENABLE", 1),
     ("ardupilot", "FS_THR_ENABLE", 1),
     ("ardupilot", "BATT_FS_LOW_ACT", 2),
@@ -111,6 +115,39 @@ def test_a_plan_is_asked_for_what_it_flies():
     asked = demands_of_plan(plan, FLEET)
     assert 0.0 < asked.down <= asked.speed <= plan.mission.vehicles.max_speed
     assert asked.acceleration <= plan.mission.vehicles.max_acceleration + 0.1
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "name", "falls_short", "good"),
+    [
+        ("px4", "MPC_LAND_ALT2", 5.0, 14.0),
+        ("px4", "MPC_LAND_ALT1", 10.0, 15.0),
+        ("ardupilot", "LAND_ALT_LOW", 1000.0, 1400.0),
+    ],
+)
+def test_a_team_that_flies_high_comes_down_at_one_speed_all_the_way(
+    autopilot, name, falls_short, good
+):
+    table = rules(autopilot, demands_of_plan(small_plan(height=12.0).plan, FLEET))
+    (row,), _ = judge(1, {**settled(table), name: falls_short}, table)
+    assert (row.name, row.should, row.severity) == (name, good, "warning")
+    low = rules(autopilot, demands_of_plan(small_plan(height=3.0).plan, FLEET))
+    assert judge(1, {**settled(low), name: falls_short}, low)[0] == []
+
+
+@pytest.mark.parametrize(
+    ("table", "name"), [(PX4, "COM_DISARM_PRFLT"), (ARDUPILOT, "DISARM_DELAY")]
+)
+def test_a_disarm_timer_is_long_or_off(table, name):
+    for value, wrong in ((0.0, False), (-1.0, False), (10.0, False), (5.0, True)):
+        found, _ = judge(1, {**settled(table), name: value}, table)
+        assert [row.name for row in found] == ([name] if wrong else [])
+
+
+@pytest.mark.parametrize("table", [PX4, ARDUPILOT], ids=["px4", "ardupilot"])
+def test_emulated_vehicles_have_every_parameter_that_is_asked_for(table):
+    emulated = PX4_PARAMETERS if table is PX4 else ARDUPILOT_PARAMETERS
+    assert {rule.name for rule in table} <= emulated.keys()
 
 
 def test_how_vehicles_coast_is_read_from_their_parameters():
