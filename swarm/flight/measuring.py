@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from swarm.flight import reckoning
 from swarm.plans import CableState
 from swarm.preflight.monitor import AHEAD, Clearances, Monitor
 
@@ -33,16 +34,15 @@ def measure(flight: "Conductor") -> None:
     states = rows[:, :6].reshape(-1, 2, 3)
     flight.reported, velocity = flight.frames.states_to_mission(states)
     age = flight.now - rows[:, 6]
-    carried = np.minimum(age, FRESHEST)
     flight.velocity = velocity
-    flight.position = flight.reported - flight.lift + velocity * carried[:, None]
-    off = flight.position - flight.setpoint
-    off -= flight.setpoint_velocity * (flight.now - flight.last)
-    error = np.sqrt(np.vecdot(off, off))
-    unknown = (age > flight.fleet.limits.silence) | ~flight.streaming
-    if np.count_nonzero(unknown):
-        error[unknown] = np.nan
-    flight.error = error
+    flight.position = reckoning.brought_to_now(
+        flight.reported, velocity, age, flight.lift, FRESHEST
+    )
+    known = (age <= flight.fleet.limits.silence) & flight.streaming
+    elapsed = flight.now - flight.last
+    flight.error = reckoning.errors(
+        flight.position, flight.setpoint, flight.setpoint_velocity, elapsed, known
+    )
 
 
 def follow_jump(flight: "Conductor", k: int, jump: Floats) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from swarm.flight import reckoning
 from swarm.flight.failures import failure
 from swarm.flight.measuring import follow_jump
 from swarm.mavlink.vehicle import Vehicle, VehicleEvent
@@ -44,6 +45,7 @@ FELL_AFTER = 0.5
 PULLED = 0.3
 """Metres by which it is below its place then."""
 NO_FIX = 3
+_CALM = LONGEST_STEP, SINKING, SINKING_TOO, 0.5 * JUMP
 _LANDS = frozenset({"land", "precision land"})
 _HOME = frozenset({"return", "smart return", "auto return"})
 
@@ -156,22 +158,17 @@ def _moves_as_told(flight: "Conductor", step: Floats) -> bool:
     at more closely is noticed. ``step`` (n,) are the seconds from each one's last report to this.
     """
     # a first report is infinitely later than none, and so looked at more closely
-    if np.count_nonzero(step <= LONGEST_STEP) < len(step):
-        return False
-    told = np.fmin(flight.setpoint_velocity[:, 2], 0.0)
-    np.copyto(told, -SINKING, where=~flight.streaming)
-    told -= flight.velocity[:, 2]
-    if np.count_nonzero(told > SINKING_TOO):
+    reports = flight.reports
+    if not reckoning.moves_as_told(
+        step, flight.setpoint_velocity, flight.streaming, reports.velocity, flight.velocity,
+        reports.position, flight.reported, _CALM,
+    ):  # fmt: skip
         return False
     for vehicle in flight.flyers:
         roll, pitch, _ = vehicle.attitude
         if abs(roll) > TURNED_OVER or abs(pitch) > TURNED_OVER:
             return False
-    middle = flight.reports.velocity + flight.velocity
-    middle *= (0.5 * step)[:, None]
-    jump = flight.reported - flight.reports.position
-    jump -= middle
-    return bool(np.count_nonzero(np.abs(jump) <= 0.5 * JUMP) == jump.size)
+    return True
 
 
 def _healthy(flight: "Conductor") -> bool:

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarm.flight.reckoning import aimed
 from swarm.flight.team import Outgoing
 
 if TYPE_CHECKING:
@@ -20,16 +21,15 @@ def setpoints(flight: "Conductor") -> list[Outgoing]:
         return []
     # a setpoint stands until the next one comes: aim at the middle of its time
     lead = 0.5 / flight.fleet.rates.setpoint
-    aim = np.array(((1.0, lead, 0.5 * lead * lead), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-    states = np.dot(aim, np.array(state).reshape(3, -1)).reshape(3, -1, 3)
-    states[0] += flight.lift
+    relief = np.zeros_like(state.position)
     if flight.carries and all(vehicle.gripped for vehicle in flight.flyers):
-        states[2] -= flight.pull.at(flight.clock.time) / flight.plan.mission.vehicles.mass
+        relief = flight.pull.at(flight.clock.time) / flight.plan.mission.vehicles.mass
+    states = aimed(*state, lead, flight.lift, relief)
     sending = flight.team.setpoints(
         flight.systems,
         flight.streaming,
         flight.now,
-        flight.frames.to_vehicles(states.transpose(1, 0, 2)),
+        flight.frames.to_vehicles(states),
         flight.yaw,
     )
     flight.setpoints_sent += len(sending)

@@ -23,8 +23,8 @@ from swarm.mavlink.packets import (
     Encoder,
     Message,
     Packet,
-    SetpointPacker,
 )
+from swarm.mavlink.setpoints import SetpointPacker
 from swarm.mavlink.signing import Signing
 from swarm.mavlink.vehicle import Vehicle
 from swarm.preflight.findings import Finding

@@ -22,6 +22,8 @@ import numpy as np
 import numpy.typing as npt
 import pymap3d
 
+from swarm.compiled import compiled
+
 Floats = npt.NDArray[np.float64]
 Projection = Literal["px4", "ardupilot"]
 
@@ -55,9 +57,7 @@ class Frames:
 
         A vehicle's three rows are its position, velocity and acceleration.
         """
-        turned: Floats = np.matmul(states, self._transposed)
-        turned[:, 0] += self.translation
-        return turned
+        return _to_vehicles(states, self.rotation, self.translation)
 
     def of(self, order: Sequence[int]) -> "Frames":
         """Return the frames of some of the vehicles, in another order."""
@@ -73,20 +73,11 @@ class Frames:
 
         The result is two arrays (n, 3).
         """
-        turned = np.matmul(states, self._inverse_transposed)
-        return turned[:, 0] + self._offset, turned[:, 1]
-
-    @cached_property
-    def _transposed(self) -> Floats:
-        return np.ascontiguousarray(self.rotation.transpose(0, 2, 1))
+        return _to_mission(states, self._inverse, self._offset)
 
     @cached_property
     def _inverse(self) -> Floats:
-        return np.linalg.inv(self.rotation).astype(np.float64)
-
-    @cached_property
-    def _inverse_transposed(self) -> Floats:
-        return np.ascontiguousarray(self._inverse.transpose(0, 2, 1))
+        return np.ascontiguousarray(np.linalg.inv(self.rotation).astype(np.float64))
 
     @cached_property
     def _offset(self) -> Floats:
@@ -96,6 +87,39 @@ class Frames:
         """Return the frames after moving each vehicle's mission points by (n, 3) ENU metres."""
         turned = np.matmul(self.rotation, by[:, :, None])[:, :, 0]
         return replace(self, translation=self.translation - turned)
+
+
+@compiled
+def _to_vehicles(states: Floats, rotation: Floats, translation: Floats) -> Floats:
+    """Turn states (n, 3, 3) by n rotations, and move the first row of each."""
+    turned = np.empty(states.shape)
+    for i in range(len(states)):
+        for j in range(3):
+            for k in range(3):
+                turned[i, j, k] = (
+                    rotation[i, k, 0] * states[i, j, 0]
+                    + rotation[i, k, 1] * states[i, j, 1]
+                    + rotation[i, k, 2] * states[i, j, 2]
+                )
+        for k in range(3):
+            turned[i, 0, k] += translation[i, k]
+    return turned
+
+
+@compiled
+def _to_mission(states: Floats, inverse: Floats, offset: Floats) -> tuple[Floats, Floats]:
+    """Turn positions and velocities (n, 2, 3) back by n rotations' inverses."""
+    count = len(states)
+    position, velocity = np.empty((count, 3)), np.empty((count, 3))
+    for i in range(count):
+        for k in range(3):
+            place = speed = 0.0
+            for m in range(3):
+                place += inverse[i, k, m] * states[i, 0, m]
+                speed += inverse[i, k, m] * states[i, 1, m]
+            position[i, k] = place + offset[i, k]
+            velocity[i, k] = speed
+    return position, velocity
 
 
 def shared_frames(vehicles: int, heading: float = 0.0) -> Frames:

@@ -8,7 +8,7 @@ lookup per byte and an exclusive or.
 from collections import namedtuple
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from struct import Struct
 from typing import Any, NamedTuple
 
@@ -25,9 +25,6 @@ Message = Any
 
 GROUND_SYSTEM = 255
 GROUND_COMPONENT = int(common.MAV_COMP_ID_MISSIONPLANNER)
-
-POSITION_VELOCITY_ACCELERATION_YAW = int(common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE)
-"""Type mask of the setpoints: everything counts but the yaw rate."""
 
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _SIGNED = 0x01
@@ -290,116 +287,3 @@ def packet_length(data: bytes, start: int) -> int:
 def _next_start(data: bytes, start: int) -> int:
     found = [at for at in (data.find(_MAGIC_1, start), data.find(_MAGIC_2, start)) if at >= 0]
     return min(found, default=len(data))
-
-
-_SETPOINT = common.MAVLink_set_position_target_local_ned_message
-_FRAME = np.dtype(
-    [
-        ("magic", "u1"),
-        ("length", "u1"),
-        ("incompatible", "u1"),
-        ("compatible", "u1"),
-        ("sequence", "u1"),
-        ("system", "u1"),
-        ("component", "u1"),
-        ("message", "u1", 3),
-        ("time", "<u4"),
-        ("state", "<f4", 9),
-        ("yaw", "<f4"),
-        ("yaw_rate", "<f4"),
-        ("type_mask", "<u2"),
-        ("target_system", "u1"),
-        ("target_component", "u1"),
-        ("frame", "u1"),
-        ("checksum", "<u2"),
-    ]
-)
-
-
-class SetpointPacker:
-    """Packs SET_POSITION_TARGET_LOCAL_NED for a fixed list of vehicles, all at once.
-
-    The packets are byte for byte pymavlink's. ``frame`` is never zero, so that the last byte of
-    the payload is not truncated away and every packet has the same length.
-    """
-
-    def __init__(
-        self,
-        systems: npt.ArrayLike,
-        components: npt.ArrayLike,
-        source: tuple[int, int] = (GROUND_SYSTEM, GROUND_COMPONENT),
-        *,
-        signed: bool = False,
-    ) -> None:
-        """``signed`` flags the packets; signatures are put behind them elsewhere."""
-        targets = np.asarray(systems, dtype=np.uint8)
-        self._frames = np.zeros(len(targets), _FRAME)
-        frames = self._frames
-        frames["magic"] = _MAGIC_2
-        frames["length"] = _FRAME.itemsize - 12
-        frames["incompatible"] = _SIGNED if signed else 0
-        frames["system"], frames["component"] = source
-        frames["message"][:, 0] = _SETPOINT.id
-        frames["type_mask"] = POSITION_VELOCITY_ACCELERATION_YAW
-        frames["target_system"] = targets
-        frames["target_component"] = np.asarray(components, dtype=np.uint8)
-        frames["frame"] = common.MAV_FRAME_LOCAL_NED
-        self._places = np.arange(_FRAME.itemsize - 3) * 256
-        self._share()
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy's bytes are those of its own frames."""
-        self.__dict__.update(state)
-        self._share()
-
-    def _share(self) -> None:
-        """Make the views of the frames: their bytes, and what changes from packet to packet."""
-        frames = self._frames
-        self._bytes = frames.view(np.uint8).reshape(len(frames), _FRAME.itemsize)
-        self._summed = self._bytes[:, 1:-2]
-        self._sequence, self._time, self._yaw = frames["sequence"], frames["time"], frames["yaw"]
-        self._state, self._checksum = frames["state"], frames["checksum"]
-
-    def pack(
-        self,
-        sequences: npt.ArrayLike,
-        time_boot_ms: int,
-        states: Floats,
-        yaw: Floats,
-    ) -> Bytes:
-        """Return the packets (n, 65) of setpoints given in each vehicle's own NED, SI units.
-
-        ``sequences`` (n,); ``states`` (n, 3, 3), a vehicle's rows being its position, velocity
-        and acceleration; yaw (n,) in radians. The array is the packer's own and is overwritten by
-        the next call.
-        """
-        self._sequence[:] = sequences
-        self._time[:] = time_boot_ms & 0xFFFFFFFF
-        self._state[:] = states.reshape(-1, 9)
-        self._yaw[:] = yaw
-        table, constant = _checksum_table()
-        parts = table.take(self._places + self._summed)
-        self._checksum[:] = np.bitwise_xor.reduce(parts, axis=1, initial=constant)
-        return self._bytes
-
-
-@cache
-def _checksum_table() -> tuple[npt.NDArray[np.uint16], np.uint16]:
-    """Return what each byte value at each place adds to the X25 checksum, and its value for zeros.
-
-    Places are the bytes of a setpoint packet without magic and checksum, (62, 256).
-    """
-    length = _FRAME.itemsize - 3
-
-    def checksum(data: bytes) -> int:
-        return int(common.x25crc(data + bytes([_SETPOINT.crc_extra])).crc)
-
-    constant = checksum(bytes(length))
-    table = np.zeros((length, 256), np.uint16)
-    for place in range(length):
-        for bit in range(8):
-            single = bytearray(length)
-            single[place] = 1 << bit
-            having = (np.arange(256) >> bit & 1).astype(bool)
-            table[place, having] ^= np.uint16(checksum(bytes(single)) ^ constant)
-    return table, np.uint16(constant)

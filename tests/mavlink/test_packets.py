@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from swarm.mavlink.packets import Decoder, Encoder, SetpointPacker
+from swarm.mavlink.packets import Decoder, Encoder
+from swarm.mavlink.setpoints import SetpointPacker
 
 NUMBERS = sorted(common.mavlink_map)
 

@@ -7,7 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from swarm.fleet import emulated_fleet
-from swarm.mavlink.packets import Decoder, Encoder, SetpointPacker
+from swarm.mavlink.packets import Decoder, Encoder
+from swarm.mavlink.setpoints import SetpointPacker
 from swarm.mavlink.signing import TICKS_PER_SECOND, Signing, ticks_at
 from tests.network import Network, small_plan
 
