@@ -12,8 +12,8 @@ _LOAD = 350
 _pack_heartbeat = wire.LAYOUTS["HEARTBEAT"].struct.pack
 _pack_status = wire.LAYOUTS["SYS_STATUS"].struct.pack
 _fill_gps = wire.template(
-    "GPS_RAW_INT", "time_usec fix_type lat lon alt eph epv satellites_visible",
-    cog=0xFFFF, h_acc=15, v_acc=25,
+    "GPS_RAW_INT", "time_usec fix_type lat lon alt eph epv satellites_visible h_acc v_acc",
+    cog=0xFFFF,
 )  # fmt: skip
 _fill_estimator = wire.template(
     "ESTIMATOR_STATUS", "time_usec flags pos_horiz_ratio pos_horiz_accuracy",
@@ -98,13 +98,18 @@ def gps(v: Vehicle) -> bytes | None:
     if v.around.indoor:
         return None
     x, y, z = v.bodies.rows().position[v.index]
+    noise, accuracy = v.gps_noise, (15, 25)
+    if noise:
+        east, north, up = v.rng.normal(0.0, noise, 3).tolist()
+        x, y, z = x + 0.4 * east, y + 0.4 * north, z + up
+        accuracy = (round(1800 * noise), round(3560 * noise))
     latitude, longitude, altitude = v.around.geodesy.degrees(x, y, z - v.barometer)
     good = v.global_valid
     time = round(v.clock() * 1e6)
     if not good:
-        return _fill_gps(time, 1, 0, 0, 0, 9999, 9999, 2)
+        return _fill_gps(time, 1, 0, 0, 0, 9999, 9999, 2, *accuracy)
     place = round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3)
-    return _fill_gps(time, 6, *place, 60, 90, 18)
+    return _fill_gps(time, 6, *place, 60, 90, 18, *accuracy)
 
 
 def estimator(v: Vehicle) -> bytes:

@@ -177,6 +177,7 @@ class Vehicle:
         self.place: tuple[float, float, float] = tuple(self.origin.tolist())
         self.home: np.ndarray[Any, Any] | None = None
         self.barometer = 0.0
+        self.gps_noise = spec.gps_noise
         self.charge = 1.0
         self.cells = 4 if spec.autopilot == "px4" else 3
         self.voltage = 4.1 * self.cells

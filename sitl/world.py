@@ -71,6 +71,11 @@ class VehicleSpec(_Strict):
     max_acceleration: Positive = 4.0
     gripper: Literal["mavlink", "attached", "none"] = "mavlink"
     radio: bool = Field(default=False, description="a pilot's transmitter is switched on")
+    gps_noise: NotNegative = Field(
+        default=0.0,
+        description="metres by which its receiver's altitude jumps about (standard deviation; the "
+        "place by 0.4 of it), but not its estimate; 0.5 is PX4's simulated receiver",
+    )
     endurance: Positive = Field(default=900.0, description="hovering time of a full battery, s")
 
 

@@ -23,6 +23,8 @@ _ORIGIN_MOVED = 0.05
 _IN_STEP = 0.3
 _LEVEL = 0.3
 """m/s up or down below which heights that are not reported at the same time can be compared."""
+_HEIGHT_DRIFT = 0.2
+"""m/s: a receiver that is good to a metre is averaged over five seconds."""
 _FRAMES_APART = 1.0
 _SAMPLES_APART = 3
 _TEXT_LENGTH = 50
@@ -79,7 +81,25 @@ def _gps(vehicle: "Vehicle", message: Message, now: float) -> None:
     age = now - vehicle.position_at
     level = abs(vehicle.velocity[2]) < _LEVEL
     if vehicle.origin is not None and message.fix_type >= 3 and age < _IN_STEP and level:
-        vehicle.height_gap = message.alt * 1e-3 - (vehicle.origin.altitude - vehicle.position[2])
+        gap = message.alt * 1e-3 - (vehicle.origin.altitude - vehicle.position[2])
+        _compare_heights(vehicle, gap, now)
+
+
+def _compare_heights(vehicle: "Vehicle", gap: float, now: float) -> None:
+    """Average what satellites say of the height, the longer the less they claim to know it.
+
+    The altitude of a poor receiver, and of PX4's simulated one, jumps about by half a metre.
+    """
+    accuracy = vehicle.upright_accuracy
+    patience = 0.0 if math.isnan(accuracy) else accuracy / _HEIGHT_DRIFT
+    since, at, mean = vehicle.gaps
+    if math.isnan(mean):
+        since, mean = now, gap
+    else:
+        step = max(now - at, 1e-3)
+        mean += (gap - mean) * step / (min(patience, at - since) + step)
+    vehicle.gaps = since, now, mean
+    vehicle.height_gap = mean if now - since >= patience else math.nan
 
 
 def _compare(vehicle: "Vehicle", place: Origin, now: float) -> None:

@@ -80,6 +80,7 @@ class Vehicle:
     level_accuracy: float = math.nan
     upright_accuracy: float = math.nan
     height_gap: float = math.nan
+    gaps: Triple = (math.nan, math.nan, math.nan)
     boot_ms: int = -1
     round_trip: float = math.nan
     latest_round_trip: float = math.nan

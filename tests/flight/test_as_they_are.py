@@ -78,3 +78,11 @@ def test_a_refused_rate_does_not_end_a_flight():
     assert "interval of HEARTBEAT: failed" in flight.words("failed")
     assert flight.conductor.stage == "fly"
     assert not flight.conductor.holds
+
+
+def test_receivers_that_jump_about_by_half_a_metre_do_not_end_a_flight():
+    """As PX4's simulated one does, which says that it is good to 1.78 m."""
+    flight = network(("px4",), frame="pads")
+    for vehicle in flight.emulator.vehicles:
+        vehicle.gps_noise = 0.5
+    assert flight.run().word == "done", flight.words("failure")

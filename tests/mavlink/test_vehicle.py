@@ -271,3 +271,27 @@ def test_modes_are_asked_for_as_each_autopilot_takes_them():
         wire.vehicle.set_mode("land")
         (message,) = wire.vehicle.tick(0.0)
         assert (message.param1, message.param2, message.param3) == (1.0, main, sub)
+
+
+@pytest.mark.parametrize(("accuracy", "patience"), [(0.02, 0.0), (1.0, 5.0), (1.78, 9.0)])
+def test_a_height_from_satellites_is_averaged_as_long_as_the_receiver_is_poor(accuracy, patience):
+    wire = Wire()
+    wire(heartbeat())
+    wire(common.MAVLink_gps_global_origin_message(0, 0, 100_000))
+    rng = np.random.default_rng(1)
+    heights = rng.normal(0.0, accuracy / 3.56, 60)
+    told = []
+    for now, height in enumerate(heights.tolist()):
+        wire(common.MAVLink_local_position_ned_message(1000 * now, 0, 0, -5.0, 0, 0, 0), float(now))
+        millimetres = round(1000 * (105.0 + height))
+        wire(
+            common.MAVLink_gps_raw_int_message(
+                0, 3, 0, 0, millimetres, 90, 178, 0, 0, 10, 0, 900, round(1000 * accuracy)
+            ),
+            float(now),
+        )
+        told.append(wire.vehicle.height_gap)
+    known = [k for k, gap in enumerate(told) if not math.isnan(gap)]
+    assert known[0] == pytest.approx(patience, abs=1.0)
+    assert known == list(range(known[0], 60))
+    assert np.abs(np.array(told)[known]).max() < 0.3
