@@ -11,7 +11,6 @@ strands are as exact as the rest. A vertical strand is the limit of a vanishing 
 span of ``1e-80`` lengths.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,6 +25,7 @@ from swarm.cable.shape import (
     log_sinhc,
     sag_per_span,
 )
+from swarm.compiled import compiled
 from swarm.errors import SwarmError
 
 Floats = NDArray[np.float64]
@@ -38,9 +38,6 @@ _VERTICAL = 1e-80
 
 _ROUNDING = 1e-12
 """A chord may exceed the length by this share: it is rounding of the coordinates, not stretch."""
-
-_PORTION = 65_536
-"""Points computed in one go, so that what lies between stays in the processor's cache."""
 
 
 class OverStretched(SwarmError):  # noqa: N818 - reads as what happened to the cable
@@ -91,29 +88,20 @@ class Catenaries:
         """Points at the given fractions (k,) of the arc length of every strand: (…, k, 3)."""
         fractions = _floats(fractions)
         points = np.empty((self.span.size, fractions.size, 3))
-        flat = [v.reshape(-1, 1) for v in (self.length, self.parameter, self.slope)]
-        vectors = self.start, self._per_angle, self._per_height
-        start, per_angle, per_height = (v.reshape(-1, 1, 3) for v in vectors)
-        rises = np.any(per_height, axis=(0, 1))
-        rows = max(1, _PORTION // max(1, fractions.size))
-        scratch = np.empty((4, min(rows, self.span.size), fractions.size))
-        for part in _portions(self.span.size, rows):
-            angle, height, moved, raised = scratch[:, : len(start[part])]
-            length, parameter, slope = (v[part] for v in flat)
-            _offsets(fractions, length, parameter, slope, angle, height, moved)
-            for axis in range(3):
-                np.multiply(angle, per_angle[part, :, axis], out=moved)
-                if rises[axis]:
-                    moved += np.multiply(height, per_height[part, :, axis], out=raised)
-                np.add(start[part, :, axis], moved, out=points[part, :, axis])
+        _points(
+            _flat(fractions), _flat(self.length), _flat(self.parameter), _flat(self.slope),
+            _flat(self.start, 3), _flat(self._per_angle, 3), _flat(self._per_height, 3), points,
+        )  # fmt: skip
         return points.reshape(*self.span.shape, fractions.size, 3)
 
     def points_at(self, fraction: ArrayLike) -> Floats:
         """One point per strand, at its own fraction (…,) of its arc length: (…, 3)."""
-        fraction = _floats(fraction)[..., None]
-        length, parameter, slope = (v[..., None] for v in (self.length, self.parameter, self.slope))
-        angle, height, scratch = np.empty((3, *np.broadcast_shapes(fraction.shape, length.shape)))
-        _offsets(fraction, length, parameter, slope, angle, height, scratch)
+        shape = np.broadcast_shapes(np.shape(fraction), self.span.shape)
+        figures = (_floats(fraction), self.length, self.parameter, self.slope)
+        at, length, parameter, slope = (_flat(np.broadcast_to(v, shape)) for v in figures)
+        angle, height = np.empty((2, len(at)))
+        _offsets(at, length, parameter, slope, angle, height)
+        angle, height = angle.reshape(*shape, 1), height.reshape(*shape, 1)
         point: Floats = self.start + angle * self._per_angle + height * self._per_height
         return point
 
@@ -289,50 +277,64 @@ def _require_reach(chord: Floats, length: Floats) -> None:
         raise OverStretched(segments, chord[over], length[over])
 
 
-def _offsets(
+@compiled
+def _points(
     fractions: Floats,
     length: Floats,
     parameter: Floats,
-    first: Floats,
+    slope: Floats,
+    start: Floats,
+    per_angle: Floats,
+    per_height: Floats,
+    found: Floats,
+) -> None:
+    """Write points (q, k, 3) of strands (q,) at fractions (k,) of their arcs."""
+    for q in range(len(length)):
+        for k in range(len(fractions)):
+            angle, height = _offset(fractions[k], length[q], parameter[q], slope[q])
+            for axis in range(3):
+                moved = angle * per_angle[q, axis] + height * per_height[q, axis]
+                found[q, k, axis] = start[q, axis] + moved
+
+
+@compiled
+def _offsets(
+    fraction: Floats,
+    length: Floats,
+    parameter: Floats,
+    slope: Floats,
     angle: Floats,
     height: Floats,
-    scratch: Floats,
 ) -> None:
-    """Write angle turned, and height gained over length, from the start to fractions of the arc.
+    """Write :func:`_offset` of strands (q,) at a fraction (q,) of each."""
+    for q in range(len(length)):
+        angle[q], height[q] = _offset(fraction[q], length[q], parameter[q], slope[q])
+
+
+@compiled
+def _offset(fraction: float, length: float, parameter: float, first: float) -> tuple[float, float]:
+    """Angle turned, and height gained over length, from the start to a fraction of the arc.
 
     With slopes A at the start and B at the point, and C = √(1 + slope²): the height is
     arc · (A + B)/(C_A + C_B), which does not cancel. The angle is arsinh B − arsinh A, or where it
-    is small, from tanh(Δθ/2) = (B − A)/(C_A + C_B). Shapes broadcast to those of the last three.
+    is small, from tanh(Δθ/2) = (B − A)/(C_A + C_B).
     """
-    slope, cosh = height, scratch
-    cosh_first = np.sqrt(1.0 + first * first)
-    np.multiply(fractions, length / parameter, out=slope)
-    slope += first
-    np.multiply(slope, slope, out=cosh)
-    cosh += 1.0
-    np.sqrt(cosh, out=cosh)
-    np.abs(slope, out=angle)
-    angle += cosh
-    np.log(angle, out=angle)
-    np.copysign(angle, slope, out=angle)
-    angle -= np.copysign(np.log(np.abs(first) + cosh_first), first)
-
-    total = cosh
-    total += cosh_first
-    shallow = parameter * 1e-3 > length
-    if np.any(shallow):
-        half = fractions * (length / parameter) / total
-        series = half * (2.0 + half * half * (2 / 3 + half * half * (2 / 5)))
-        np.copyto(angle, series, where=shallow)
-
-    height += first
-    height /= total
-    height *= fractions
+    turned = fraction * (length / parameter)
+    slope = first + turned
+    cosh_first, cosh = np.sqrt(1.0 + first * first), np.sqrt(1.0 + slope * slope)
+    total = cosh_first + cosh
+    if parameter * 1e-3 > length:
+        half = turned / total
+        angle = half * (2.0 + half * half * (2 / 3 + half * half * (2 / 5)))
+    else:
+        angle = np.copysign(np.log(abs(slope) + cosh), slope)
+        angle -= np.copysign(np.log(abs(first) + cosh_first), first)
+    return angle, fraction * ((slope + first) / total)
 
 
-def _portions(count: int, step: int) -> Iterator[slice]:
-    for begin in range(0, count, max(1, step)):
-        yield slice(begin, begin + max(1, step))
+def _flat(array: Floats, *last: int) -> Floats:
+    """The array as a row of numbers or vectors, contiguous and writable as compiled for."""
+    return np.require(array.reshape(-1, *last), requirements=["C", "W"])
 
 
 def _floats(value: ArrayLike) -> Floats:

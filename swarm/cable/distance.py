@@ -99,27 +99,31 @@ def _segment_segment(a: Floats, u: Floats, b: Floats, w: Floats) -> Closest:
 def _polylines(first: Floats, second: Floats, found: Floats) -> None:
     """Fill ``found`` (3, q) with distances and places of polylines (q, m, 3) and (q, k, 3)."""
     for q in range(len(first)):
-        found[0, q], found[1, q], found[2, q] = nearest(first[q], second[q])
+        found[0, q], found[1, q], found[2, q] = nearest(first[q], second[q], np.inf)
 
 
 @compiled
 def _chosen(strands: Floats, pairs: NDArray[np.intp], found: Floats) -> None:
     for q in range(len(strands)):
         for p in range(len(pairs)):
-            pair = nearest(strands[q, pairs[p, 0]], strands[q, pairs[p, 1]])
+            pair = nearest(strands[q, pairs[p, 0]], strands[q, pairs[p, 1]], np.inf)
             found[0, q, p], found[1, q, p], found[2, q, p] = pair
 
 
 @compiled
-def nearest(first: Floats, second: Floats) -> tuple[float, float, float]:
+def nearest(first: Floats, second: Floats, limit: float) -> tuple[float, float, float]:
     """Distance of two polylines (m, 3) and (k, 3), and where on each they are closest.
 
-    Pieces whose enclosing spheres are farther apart than what was found already are left out.
+    Where they are not nearer than ``limit``, that is returned as their distance. Pieces whose
+    enclosing spheres are farther apart than that, or than what was found already, are left out.
     """
-    best, here, there = np.inf, 0.0, 0.0
+    best, here, there = limit, 0.0, 0.0
     for i in range(len(first) - 1):
+        own = _size(first, i)
         for j in range(len(second) - 1):
-            if _spheres_apart(first, i, second, j) > best:
+            # The spheres are half as large as the pieces; a hair's breadth more, for rounding.
+            reach = 2.0 * best + own + _size(second, j)
+            if _middles_apart(first, i, second, j) * (1.0 - 1e-12) > reach * reach:
                 continue
             square, s, t = _pieces(first, i, second, j)
             if np.isnan(square):
@@ -130,16 +134,21 @@ def nearest(first: Floats, second: Floats) -> tuple[float, float, float]:
 
 
 @compiled
-def _spheres_apart(first: Floats, i: int, second: Floats, j: int) -> float:
-    """Distance of the spheres around two pieces, and a hair's breadth less for rounding."""
-    apart, one, other = 0.0, 0.0, 0.0
+def _size(points: Floats, i: int) -> float:
+    """Length of a piece of a polyline."""
+    x, y = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
+    z = points[i + 1, 2] - points[i, 2]
+    return float(np.sqrt(x * x + y * y + z * z))
+
+
+@compiled
+def _middles_apart(first: Floats, i: int, second: Floats, j: int) -> float:
+    """Square of twice the distance between the middles of two pieces."""
+    square = 0.0
     for axis in range(3):
-        a, b = first[i, axis], first[i + 1, axis]
-        c, d = second[j, axis], second[j + 1, axis]
-        apart += (a + b - c - d) ** 2
-        one += (b - a) ** 2
-        other += (d - c) ** 2
-    return float(0.5 * (np.sqrt(apart) * (1.0 - 1e-12) - np.sqrt(one) - np.sqrt(other)))
+        apart = first[i, axis] + first[i + 1, axis] - second[j, axis] - second[j + 1, axis]
+        square += apart * apart
+    return square
 
 
 @compiled

@@ -7,26 +7,27 @@ Sags and drops are over the span. All functions take arrays (…,) that broadcas
 import numpy as np
 from numpy.typing import NDArray
 
+from swarm.compiled import compiled
+
 Floats = NDArray[np.float64]
 
 TAUT = 1e-100
 """Smallest half angle: a strand without any slack gets this, and a tension beyond all numbers."""
 
-_PORTION = 16_384
-"""Figures computed in one go, so that what lies between stays in the processor's cache."""
-
-_REVERTED = (
-    6.0,
-    6 / 5,
-    4 / 175,
-    -2 / 175,
-    676 / 336875,
-    1852 / 65690625,
-    -237976 / 2299171875,
-    2.1262929467491292e-05,
-    1.1422663325531922e-06,
-    -1.503421006869787e-06,
-    2.652176190742275e-07,
+_REVERTED = np.array(
+    [
+        6.0,
+        6 / 5,
+        4 / 175,
+        -2 / 175,
+        676 / 336875,
+        1852 / 65690625,
+        -237976 / 2299171875,
+        2.1262929467491292e-05,
+        1.1422663325531922e-06,
+        -1.503421006869787e-06,
+        2.652176190742275e-07,
+    ]
 )
 """x² as a power series in log(sinh(x) / x), from the first power up; by reversion."""
 
@@ -34,34 +35,35 @@ _REVERTED = (
 def half_angle_for_stretch(stretch: Floats) -> Floats:
     """Solve log(sinh(x) / x) = stretch (…,) for x ≥ 0, exact to rounding.
 
-    ``sinh(x) / x`` is length over chord of a level strand. Up to 0.16 the reverted power series is
-    exact; beyond, it or the asymptote of x − log 2x starts Halley's method.
+    ``sinh(x) / x`` is length over chord of a level strand.
     """
-    flat = stretch.reshape(-1)
-    found = np.empty_like(flat)
-    for begin in range(0, flat.size, _PORTION):
-        part = flat[begin : begin + _PORTION]
-        x = _by_series(part)
-        slack = part > 0.16
-        if np.any(slack):
-            x[slack] = _by_halley(part[slack])
-        found[begin : begin + _PORTION] = x
+    found = np.empty(stretch.size)
+    _half_angles(np.require(stretch.reshape(-1), requirements=["C", "W"]), found)
     return found.reshape(stretch.shape)
 
 
-def _by_series(stretch: Floats) -> Floats:
-    near = np.minimum(stretch, 4.0)
-    square = np.full_like(near, _REVERTED[-1])
-    for coefficient in _REVERTED[-2::-1]:
-        square *= near
-        square += coefficient
-    x: Floats = np.sqrt(near * square)
-    return x
+@compiled
+def _half_angles(stretch: Floats, found: Floats) -> None:
+    for k in range(len(stretch)):
+        found[k] = half_angle(stretch[k])
 
 
-def _by_halley(stretch: Floats) -> Floats:
-    late = stretch + np.log(2.0 * (stretch + np.log(2.0 * stretch + 4.0)))
-    x = np.where(stretch < 4.0, _by_series(stretch), late)
+@compiled
+def half_angle(stretch: float) -> float:
+    """Solve log(sinh(x) / x) = stretch for x ≥ 0.
+
+    Up to 0.16 the reverted power series is exact; beyond, it or the asymptote of x − log 2x starts
+    Halley's method.
+    """
+    if stretch < 4.0:
+        square = 0.0
+        for coefficient in _REVERTED[::-1]:
+            square = square * stretch + coefficient
+        x = np.sqrt(stretch * square)
+        if stretch <= 0.16:
+            return float(x)
+    else:
+        x = stretch + np.log(2.0 * (stretch + np.log(2.0 * stretch + 4.0)))
     for _ in range(2):
         fading, inverse = np.exp(-2.0 * x), 1.0 / x
         left = 1.0 / (1.0 - fading)
@@ -69,7 +71,7 @@ def _by_halley(stretch: Floats) -> Floats:
         first = (1.0 + fading) * left - inverse
         second = inverse * inverse - 4.0 * fading * left * left
         x = x - value * first / (first * first - 0.5 * value * second)
-    return x
+    return float(x)
 
 
 def log_sinhc(x: Floats) -> Floats:

@@ -83,7 +83,7 @@ def eased(
     way any more cuts corners, and the fold gets quicker.
     """
     density = (len(places) - 1) // (len(offsets) - 1)
-    sides = sides_of(crew.hung(places).strands, _AROUND * density)
+    sides = sides_of(crew.hung(places), _AROUND * density)
     band = _Band(crew, places, sides, more, sampled, density)
     stages = sampled.argmax(axis=1)
     missed = band.missed(offsets)
@@ -131,7 +131,7 @@ class _Band:
     def missed(self, offsets: Floats, *, wishes: bool = True) -> Floats:
         """What the team misses (s,) with offsets."""
         strain = self.crew.strain(self.moved(offsets), self.sides, self.more, wishes=wishes)
-        return strain.missed(len(self.places))
+        return strain.missed
 
     def relaxed(self, offsets: Floats, window: slice, iterations: int, bending: float) -> Floats:
         """Offsets changed for the better within a window of stages."""
@@ -148,9 +148,9 @@ class _Band:
             wishes = flat.reshape(weights.shape[1], -1)
             places = base + (weights @ wishes).reshape(base.shape)
             strain = self.crew.strain(places, sides, more)
-            slope = 2.0 * strain.slopes(base.shape).reshape(len(base), -1)
+            slope = 2.0 * strain.slopes.reshape(len(base), -1)
             bent = np.diff(paths + smooth @ wishes, 2, axis=0)
-            total = (strain.short**2).sum() + bending * (bent**2).sum() + _LAZY * (wishes**2).sum()
+            total = strain.missed.sum() + bending * (bent**2).sum() + _LAZY * (wishes**2).sum()
             gradient = back @ slope + 2.0 * bending * (smooth_back @ _unbent(bent))
             return float(total), (gradient + 2.0 * _LAZY * wishes).ravel()
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.fold.clear import Margins
 from swarm.fold.layout import Hanging
+from swarm.fold.margins import Margins
 from swarm.fold.passage import Way, passage, surfaces, walked
 from swarm.fold.path import FoldPath, Guide, last_lane
 

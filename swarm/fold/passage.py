@@ -15,10 +15,9 @@ import numpy.typing as npt
 
 from swarm.cable.catenary import Catenaries, hang
 from swarm.cable.chain import crossing_fractions, crossing_gaps
+from swarm.fold.answer import lift, movement
 from swarm.fold.clear import (
-    Margins,
     chord_cost,
-    movement,
     rotor_cost,
     shares,
     shortfall,
@@ -26,6 +25,7 @@ from swarm.fold.clear import (
     vehicle_cost,
 )
 from swarm.fold.layout import Hanging
+from swarm.fold.margins import Margins
 from swarm.fold.path import FoldPath
 
 Floats = npt.NDArray[np.float64]
@@ -202,9 +202,8 @@ class _States:
         fraction = np.clip(fraction[k], 0.0, 1.0)
         height, slope = _height(curve, k, share[k])
         over = side * (height - between.height(edge, fraction, side)) / np.hypot(1.0, slope)
-        upright = np.array(1.0)
-        error = movement(ratio[k], share[k], upright)
-        error += movement(between.ratio[edge], fraction, upright)
+        error = movement(lift(ratio[k]), share[k], 1.0)
+        error += movement(np.full(len(k), lift(between.ratio[edge])), fraction, 1.0)
         needed = 0.5 * margins.cable + 0.5 * margins.tracking * error
         unit = margins.cable + 2.0 * margins.tracking
         cost[k] += np.where(side, shortfall((over - needed) / unit), 0.0)

@@ -13,10 +13,10 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array
 
-from swarm.fold.clear import Margins
 from swarm.fold.elastic import HOPELESS, eased
 from swarm.fold.lanes import found_ways
 from swarm.fold.layout import Hanging
+from swarm.fold.margins import Margins
 from swarm.fold.passage import Way, trailing
 from swarm.fold.path import FoldPath, Guide
 from swarm.fold.strain import Crew, More, nothing_more

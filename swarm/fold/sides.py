@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.fold.clear import Strands, heights_over, meeting
+from swarm.fold.clear import Strands, meeting
+from swarm.fold.tangles import heights_over
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -45,8 +46,9 @@ def sides_of(hung: Strands, around: int) -> Sides:
     first, second = pairs(count)
     found = np.zeros((moments, len(first)), dtype=np.int8)
     bodies = np.zeros((moments, count + 1, count), dtype=np.int8)
+    over = np.empty(moments)
     for p, (one, other) in enumerate(zip(first, second, strict=True)):
-        over = heights_over(hung[:, one], hung[:, other])
+        heights_over(hung.points[:, one], hung.points[:, other], over)
         crossing = over != 0.0
         if not crossing.any():
             continue

@@ -9,8 +9,9 @@ from scipy.spatial.distance import pdist
 
 from swarm.cable.catenary import hang
 from swarm.errors import Refused
-from swarm.fold.clear import Margins, lift
+from swarm.fold.answer import lift
 from swarm.fold.layout import Hanging, Shape, given, hanging
+from swarm.fold.margins import Margins
 from swarm.fold.paper import dips, printed_motion
 from swarm.fold.schedule import improved, schedule, team_path
 from swarm.knots.catalog import KnotChoice, choose
@@ -311,7 +312,8 @@ def _height(mission: Mission, fold: Motion, lengths: Floats) -> float:
     places = fold.at(times)[0]
     chord = np.linalg.norm(np.diff(places, axis=1), axis=2)
     hanging = hang(places[:, :-1], places[:, 1:], np.maximum(lengths, chord))
-    error = mission.vehicles.tracking * 1.1 * lift(chord / lengths)
+    ratio = chord / lengths
+    error = mission.vehicles.tracking * 1.1 * lift(ratio.ravel()).reshape(ratio.shape)
     lowest = float((hanging.lowest()[..., 2] - error).min()) - 0.1
     margin = mission.clearance.floor + 0.5 * mission.cable.diameter
     return float(np.ceil(10.0 * (margin - lowest)) / 10.0)

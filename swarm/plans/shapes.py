@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swarm.errors import Refused
-from swarm.fold.clear import Margins, strand_cost, strands
+from swarm.fold.clear import strand_cost, strands
 from swarm.fold.lanes import found_ways
 from swarm.fold.layout import Hanging, Shape, hanging
+from swarm.fold.margins import Margins
 from swarm.fold.path import Guide
 from swarm.fold.schedule import Schedule, schedule
 from swarm.knots.grid import OpenGrid

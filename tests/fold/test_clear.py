@@ -6,16 +6,10 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from swarm.cable.catenary import hang
-from swarm.fold.clear import (
-    PIECES,
-    Margins,
-    Strands,
-    heights_over,
-    shortfall,
-    strand_cost,
-    strands,
-    vehicle_cost,
-)
+from swarm.fold.answer import PIECES
+from swarm.fold.clear import Strands, shortfall, strand_cost, strands, vehicle_cost
+from swarm.fold.margins import Margins
+from swarm.fold.tangles import heights_over
 
 Floats = npt.NDArray[np.float64]
 
@@ -60,10 +54,12 @@ def steepness(batch: Strands, k: int) -> float:
 def test_heights_at_crossings_are_those_of_the_curves() -> None:
     a, b, c, d = pairs(400, 5)
     one, other = strands(a, b, 7.5), strands(c, d, 7.5)
-    found = heights_over(one, other)
+    found, back = np.empty((2, 400))
+    heights_over(one.points, other.points, found)
+    heights_over(other.points, one.points, back)
     assert found.min() < 0.0 < found.max()
     assert np.any(found == 0.0)
-    np.testing.assert_allclose(heights_over(other, one), -found, atol=1e-9)
+    np.testing.assert_allclose(back, -found, atol=1e-9)
     fine = np.linspace(0.0, 1.0, 2000)
     dense = [hang(*ends, 7.5).points(fine) for ends in ((a, b), (c, d))]
     for k in np.flatnonzero(found)[:60]:

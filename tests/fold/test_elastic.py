@@ -7,8 +7,8 @@ from scipy.sparse import csr_array, eye_array
 from scipy.spatial.distance import cdist
 
 from swarm.cable.catenary import hang
-from swarm.fold.clear import Margins
 from swarm.fold.elastic import eased
+from swarm.fold.margins import Margins
 from swarm.fold.sides import sides_of
 from swarm.fold.strain import Crew, nothing_more
 
@@ -40,7 +40,7 @@ def least_distance(places: npt.NDArray[np.float64]) -> float:
 def test_a_strand_led_too_low_over_another_is_raised() -> None:
     places = led_over(1.5)
     sampled = csr_array(eye_array(81))
-    before = CREW.strain(places, sides_of(CREW.hung(places).strands, 0)).missed(81)
+    before = CREW.strain(places, sides_of(CREW.hung(places), 0)).missed
     found = eased(
         CREW, places, np.zeros((81, 4, 3)), sampled, nothing_more(len(sampled.indptr) - 1)
     )

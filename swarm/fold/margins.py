@@ -1,0 +1,28 @@
+"""What the distances of a team's vehicles and strands depend on."""
+
+from typing import NamedTuple
+
+
+class Margins(NamedTuple):
+    """Clearances in metres, and what else the distances of a team depend on.
+
+    ``cable`` counts from axis to axis of two strands, ``vehicle`` and ``downwash`` between
+    vehicles, ``vehicle_cable`` from a vehicle to a strand's axis. ``tracking`` is the radius of the
+    tracking ball; ``radius`` and ``grip_offset`` describe the vehicle. ``hand`` is how much
+    cable on either side of a vehicle need not keep apart from the neighbouring segment's.
+    ``spacing`` is the preferred chord of a segment in motion, as a share of its length, and
+    ``taut`` the largest one, less what two tracking errors add. Neighbouring segments keep
+    ``beside`` metres more than others.
+    """
+
+    cable: float
+    vehicle: float
+    downwash: float
+    vehicle_cable: float
+    tracking: float
+    radius: float
+    grip_offset: float
+    hand: float = 0.0
+    spacing: float = 0.85
+    taut: float = 0.985
+    beside: float = 0.0

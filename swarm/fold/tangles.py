@@ -1,0 +1,303 @@
+"""How much strands miss the distances that they should keep from each other; compiled.
+
+Functions add, for every moment, the squares of what is missed in units of a margin to ``missed``
+(s,), and half the derivative of these by all places to ``slopes`` (s, n, 3). Strands are given by
+points (s, n − 1, k, 3), the middles and reaches of their boxes (s, n − 1, 3) and chords over
+lengths (s, n − 1).
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.cable.distance import nearest
+from swarm.compiled import compiled
+from swarm.fold.answer import (
+    PIECES,
+    far_movement,
+    follow,
+    lift,
+    most_far_movement,
+    movement,
+)
+from swarm.fold.margins import Margins
+
+Floats = npt.NDArray[np.float64]
+
+WANTED = 0.25
+"""Share of a margin's unit that is wanted beyond the margin."""
+
+
+@compiled
+def strands_apart(
+    points: Floats,
+    middle: Floats,
+    reach: Floats,
+    ratio: Floats,
+    sides: npt.NDArray[np.int8],
+    more: Floats,
+    margins: Margins,
+    missed: Floats,
+    slopes: Floats,
+) -> None:
+    """Strands that do not share a vehicle; ``sides`` (s, pairs) as in :class:`Sides`."""
+    count = ratio.shape[1]
+    unit = margins.cable + 2.0 * margins.tracking
+    lifted = np.empty(count)
+    push = np.empty(3)
+    for s in range(len(points)):
+        lifted[:] = lift(ratio[s])
+        pair = -1
+        for i in range(count):
+            for j in range(i + 2, count):
+                pair += 1
+                most = margins.cable + WANTED * unit + more[s]
+                most += margins.tracking * (lifted[i] + lifted[j])
+                if not boxes_near(middle[s, i], reach[s, i], middle[s, j], reach[s, j], most):
+                    continue
+                one, other = points[s, i], points[s, j]
+                distance, error, here, there = _near(one, lifted[i], other, lifted[j], push)
+                side = sides[s, pair]
+                wrong = side != 0 and height_over(one, other) * side < 0.0
+                if wrong:
+                    distance = -distance
+                short = distance - margins.cable - more[s] - margins.tracking * error
+                short = WANTED - short / unit
+                if short <= 0.0:
+                    continue
+                missed[s] += short * short
+                push *= short / unit if wrong else -short / unit
+                follow(slopes[s], i, here, lifted[i], one, push)
+                push *= -1.0
+                follow(slopes[s], j, there, lifted[j], other, push)
+
+
+@compiled
+def _near(
+    one: Floats, lifted: float, other: Floats, lifted_other: float, towards: Floats
+) -> tuple[float, float, float, float]:
+    """Distance of strands, how it answers their ends, and at which shares of them they are near.
+
+    Writes the unit vector (3,) from the second to the first there.
+    """
+    distance, here, there = nearest(one, other, np.inf)
+    upright = _towards(one, here, other, there, distance, towards)
+    here, there = here / PIECES, there / PIECES
+    error = movement(lifted, here, upright) + movement(lifted_other, there, upright)
+    return distance, error, here, there
+
+
+@compiled
+def margins_kept(
+    one: Floats, ratio: Floats, other: Floats, ratio_other: Floats, margins: Margins, found: Floats
+) -> None:
+    """Write by how much strands (q, k, 3) keep more than their distance from others, pair by pair.
+
+    They do not share a vehicle.
+    """
+    towards = np.empty(3)
+    for q in range(len(one)):
+        lifted, lifted_other = lift(ratio[q]), lift(ratio_other[q])
+        distance, error, _, _ = _near(one[q], lifted, other[q], lifted_other, towards)
+        found[q] = distance - margins.cable - margins.tracking * error
+
+
+@compiled
+def neighbours_apart(
+    points: Floats,
+    ratio: Floats,
+    lengths: Floats,
+    more: Floats,
+    margins: Margins,
+    missed: Floats,
+    slopes: Floats,
+) -> None:
+    """Strands that meet at a vehicle, beyond its hand.
+
+    The free part of each is held against all of the other.
+    """
+    free = np.maximum(0.5, 1.0 - margins.hand / lengths)
+    unit = margins.cable + 2.0 * margins.tracking
+    enough = 1.3 * margins.cable + margins.beside + 2.6 * margins.tracking
+    for s in range(len(points)):
+        for i in range(len(lengths) - 1):
+            before, after = points[s, i], points[s, i + 1]
+            error = most_far_movement(ratio[s, i]) + most_far_movement(ratio[s, i + 1])
+            reach = margins.cable + WANTED * unit + margins.beside + more[s]
+            reach += margins.tracking * error
+            sine = _sine(before, after)
+            room = _level(before, free[i] * PIECES, after[0])
+            room_after = _level(after, (1.0 - free[i + 1]) * PIECES, after[0])
+            if sine == 1.0 and more[s] == 0.0 and min(room, room_after) > enough:
+                continue
+            if room * sine < reach:
+                _beyond_hand(
+                    points, ratio, lengths, free, s, i, i + 1, reach, more, margins, missed, slopes
+                )
+            if room_after * sine < reach:
+                _beyond_hand(
+                    points, ratio, lengths, free, s, i + 1, i, reach, more, margins, missed, slopes
+                )
+
+
+@compiled
+def _sine(before: Floats, after: Floats) -> float:
+    """How near in plan view, over its distance from their vehicle, a strand's point may be to the
+    neighbouring strand: sine of the angle between them, or 1 where that is not acute.
+
+    Each lies in a vertical plane and only gets farther from the vehicle in plan view.
+    """
+    back_x, back_y = before[0, 0] - after[0, 0], before[0, 1] - after[0, 1]
+    ahead_x, ahead_y = after[-1, 0] - after[0, 0], after[-1, 1] - after[0, 1]
+    if back_x * ahead_x + back_y * ahead_y <= 0.0:
+        return 1.0
+    sizes = np.sqrt((back_x**2 + back_y**2) * (ahead_x**2 + ahead_y**2))
+    return float(abs(back_x * ahead_y - back_y * ahead_x) / sizes)
+
+
+@compiled
+def _level(points: Floats, place: float, at: Floats) -> float:
+    """Distance in plan view from a place on a polyline to a point."""
+    piece = min(int(place), len(points) - 2)
+    share = place - piece
+    x = (1.0 - share) * points[piece, 0] + share * points[piece + 1, 0] - at[0]
+    y = (1.0 - share) * points[piece, 1] + share * points[piece + 1, 1] - at[1]
+    return float(np.sqrt(x * x + y * y))
+
+
+@compiled
+def _beyond_hand(
+    points: Floats,
+    ratio: Floats,
+    lengths: Floats,
+    free: Floats,
+    s: int,
+    own: int,
+    beside: int,
+    reach: float,
+    more: Floats,
+    margins: Margins,
+    missed: Floats,
+    slopes: Floats,
+) -> None:
+    """The free part of one strand against all of the neighbouring one, where nearer than reach."""
+    strand, other = points[s, own], points[s, beside]
+    unit = margins.cable + 2.0 * margins.tracking
+    part, shares = np.empty((PIECES + 1, 3)), np.empty(PIECES + 1)
+    for k in range(PIECES + 1):
+        share = k / PIECES
+        shares[k] = min(share, free[own]) if own < beside else max(share, 1.0 - free[own])
+        _point(strand, shares[k] * PIECES, part[k])
+    distance, here, there = nearest(part, other, reach)
+    if distance >= reach:
+        return
+    push = np.empty(3)
+    upright = _towards(part, here, other, there, distance, push)
+    piece = min(int(here), PIECES - 1)
+    here = shares[piece] + (here - piece) * (shares[piece + 1] - shares[piece])
+    there = there / PIECES
+    at_end = 1.0 if beside > own else 0.0
+    tracking = margins.tracking
+    error = far_movement(
+        strand, ratio[s, own], ratio[s, own] * lengths[own], abs(here - at_end), upright, tracking
+    )
+    error += far_movement(
+        other, ratio[s, beside], ratio[s, beside] * lengths[beside], abs(there - 1.0 + at_end),
+        upright, tracking,
+    )  # fmt: skip
+    spare = distance - margins.cable - tracking * error - margins.beside - more[s]
+    short = WANTED - spare / unit
+    if short <= 0.0:
+        return
+    missed[s] += short * short
+    push *= -short / unit
+    follow(slopes[s], own, here, lift(ratio[s, own]), strand, push)
+    push *= -1.0
+    follow(slopes[s], beside, there, lift(ratio[s, beside]), other, push)
+
+
+@compiled
+def boxed(points: Floats, middle: Floats, reach: Floats) -> None:
+    """Write the middles and reaches (q, 3) of the boxes around polylines (q, k, 3)."""
+    for q in range(len(points)):
+        for axis in range(3):
+            low = high = points[q, 0, axis]
+            for k in range(1, points.shape[1]):
+                low, high = min(low, points[q, k, axis]), max(high, points[q, k, axis])
+            middle[q, axis], reach[q, axis] = 0.5 * (low + high), 0.5 * (high - low)
+
+
+@compiled
+def boxes_near(
+    middle: Floats, reach: Floats, other_middle: Floats, other_reach: Floats, most: float
+) -> bool:
+    """Whether two boxes are less than so far apart along every axis."""
+    for axis in range(3):
+        gap = abs(middle[axis] - other_middle[axis]) - reach[axis] - other_reach[axis]
+        if gap >= most:
+            return False
+    return True
+
+
+@compiled
+def _point(points: Floats, place: float, found: Floats) -> None:
+    """Write the point (3,) of a polyline at a place: index of the piece plus fraction along it."""
+    piece = min(int(place), len(points) - 2)
+    share = place - piece
+    for axis in range(3):
+        found[axis] = (1.0 - share) * points[piece, axis] + share * points[piece + 1, axis]
+
+
+@compiled
+def _towards(
+    one: Floats, here: float, other: Floats, there: float, distance: float, found: Floats
+) -> float:
+    """Write the unit vector (3,) from a place on the second polyline to one on the first.
+
+    Returns how much of it is vertical; all of it where they touch.
+    """
+    at = np.empty(3)
+    _point(one, here, found)
+    _point(other, there, at)
+    for axis in range(3):
+        found[axis] = (found[axis] - at[axis]) / max(distance, 1e-6)
+    return min(abs(found[2]), 1.0) if distance > 1e-3 else 1.0
+
+
+@compiled
+def heights_over(one: Floats, other: Floats, found: Floats) -> None:
+    """Write :func:`height_over` of strands (q, k, 3) and others, pair by pair."""
+    for q in range(len(one)):
+        found[q] = height_over(one[q], other[q])
+
+
+@compiled
+def height_over(one: Floats, other: Floats) -> float:
+    """How high a strand passes over another where they cross in plan view, 0 where they do not.
+
+    A strand hangs in a vertical plane, so from above both are straight.
+    """
+    u_x, u_y = one[-1, 0] - one[0, 0], one[-1, 1] - one[0, 1]
+    w_x, w_y = other[-1, 0] - other[0, 0], other[-1, 1] - other[0, 1]
+    apart_x, apart_y = other[0, 0] - one[0, 0], other[0, 1] - one[0, 1]
+    area = u_x * w_y - u_y * w_x
+    if abs(area) < 1e-12:
+        return 0.0
+    here, there = (apart_x * w_y - apart_y * w_x) / area, (apart_x * u_y - apart_y * u_x) / area
+    if not (0.0 < here < 1.0 and 0.0 < there < 1.0):
+        return 0.0
+    return _height_at(one, here) - _height_at(other, there)
+
+
+@compiled
+def _height_at(points: Floats, share: float) -> float:
+    """Height of a strand at a share of its span in plan view."""
+    x, y = points[-1, 0] - points[0, 0], points[-1, 1] - points[0, 1]
+    goal = share * (x * x + y * y)
+    before = 0.0
+    for k in range(1, len(points)):
+        after = (points[k, 0] - points[0, 0]) * x + (points[k, 1] - points[0, 1]) * y
+        if after > goal or k == len(points) - 1:
+            part = (goal - before) / max(after - before, 1e-12)
+            return float(points[k - 1, 2] * (1.0 - part) + points[k, 2] * part)
+        before = after
+    return float(points[0, 2])
