@@ -4,13 +4,15 @@ The certificate promises clearances while everybody stays in the tracking ball. 
 at what really is: where it expects less than what the mission asks for, the clock slows down.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.distance import polyline_polyline
-from swarm.cable.sketch import boxes, sketch
+from swarm.cable.distance import nearest
+from swarm.cable.quick import dip, sketch
+from swarm.compiled import compiled
 from swarm.plans import CableState, Plan
 from swarm.preflight.limits import TAUT
 
@@ -58,9 +60,8 @@ class Monitor:
         self._asked = plan.mission.clearance
         self._pairs = np.triu_indices(n, 1)
         first, second = np.triu_indices(max(n - 1, 0), 2)
-        self._strands = np.stack([first, second], axis=1)
+        self._strands = np.ascontiguousarray(np.stack([first, second], axis=1))
         self._matters = plan.mission.clearance.cable + plan.mission.cable.diameter + 1.5 * CAUTION
-        self._one, self._other = first.astype(np.intp), second.astype(np.intp)
         self._longest = TAUT * self._lengths
         self._spacing = float(self._lengths.max(initial=0.0)) / _POINTS
 
@@ -99,58 +100,107 @@ class Monitor:
 
         As from :meth:`look`, which knows more of strands that are far apart.
         """
-        first, second = self._pairs
-        between = moments.take(first, axis=1) - moments.take(second, axis=1)
-        level = np.sqrt(between[:, :, 0] ** 2 + between[:, :, 1] ** 2)
-        level -= self._asked.vehicle
-        upright = np.abs(between[:, :, 2])
-        upright -= self._asked.downwash
-        margin = float(np.maximum(level, upright).min(initial=np.inf))
+        asked = self._asked.vehicle, self._asked.downwash
+        margin = _least_apart(moments, *asked)
         if cable == "aloft":
-            start, end = moments[:, :-1], moments[:, 1:]
-            step = end - start
-            step *= step
-            chord = np.sqrt(step[:, :, 0] + step[:, :, 1] + step[:, :, 2])
-            margin = min(margin, float((self._longest - chord).min(initial=np.inf)))
+            margin = min(margin, _least_slack(moments, self._longest))
             if margin > 0.0:
                 strands = self._between_strands(moments, 0.0)
                 margin = min(margin, float(strands.min()) - self._asked.cable)
         return min(1.0, max(0.0, margin / CAUTION))
 
     def _between_strands(self, moments: Floats, far: float) -> Floats:
-        """Smallest distances (k,) between strands: those of boxes that contain them, by points
-        where boxes come within ``far`` of what matters, exactly where points come close."""
-        if not len(self._strands):
-            return np.full(len(moments), np.inf)
-        first, second = self._one, self._other
-        start, end = moments[:, :-1], moments[:, 1:]
-        low, high = boxes(start, end, self._lengths)
-        gap = np.maximum(
-            low.take(first, axis=1) - high.take(second, axis=1),
-            low.take(second, axis=1) - high.take(first, axis=1),
-        )
-        np.maximum(gap, 0.0, out=gap)
-        apart = np.sqrt(np.vecdot(gap, gap))
-        near = apart < self._matters + far
-        if np.count_nonzero(near):
-            moment, pair = np.nonzero(near)
-            seen, row = np.unique(moment, return_inverse=True)
-            points = sketch(start[seen], end[seen], self._lengths, _POINTS)
-            apart[near] = self._by_points(points[row, first[pair]], points[row, second[pair]])
-        distance: Floats = apart.min(axis=1) - self._diameter
-        return distance
+        """Smallest distances (k,) between strands, or lower bounds of what is far apart."""
+        distance = np.empty(len(moments))
+        seen = np.zeros((len(self._lengths), _POINTS + 1, 3))
+        for moment, grips in enumerate(moments):
+            distance[moment] = _strands_apart(
+                grips, self._lengths, self._strands, self._matters, far, self._spacing, seen
+            )
+        return distance - self._diameter
 
-    def _by_points(self, first: Floats, second: Floats) -> Floats:
-        """Distances (p,) of strands given by their points (p, k, 3): exact where they are close."""
-        squares = np.matmul(first, second.transpose(0, 2, 1))
-        squares *= -2.0
-        squares += np.einsum("pij,pij->pi", first, first)[:, :, None]
-        squares += np.einsum("pij,pij->pi", second, second)[:, None, :]
-        # where two straight lines are closest, their samples are off by half a spacing each,
-        # both at right angles to the shortest distance
-        squared = squares.reshape(len(squares), -1).min(axis=1) - 0.5 * self._spacing**2
-        apart: Floats = np.sqrt(np.maximum(squared, 0.0)) - _BOWED
-        close = apart < self._matters
-        if close.any():
-            apart[close] = polyline_polyline(first[close], second[close]).distance
-        return apart
+
+@compiled
+def _least_apart(moments: Floats, level: float, upright: float) -> float:
+    """What is least left of the distances, ``level`` or ``upright``, of vehicles (k, n, 3)."""
+    least = np.inf
+    for grips in moments:
+        for i in range(len(grips)):
+            for j in range(i + 1, len(grips)):
+                across = math.hypot(grips[i, 0] - grips[j, 0], grips[i, 1] - grips[j, 1]) - level
+                least = min(least, max(across, abs(grips[i, 2] - grips[j, 2]) - upright))
+    return least
+
+
+@compiled
+def _least_slack(moments: Floats, longest: Floats) -> float:
+    """By how much chords between neighbours (k, n, 3) are shorter than ``longest``, at least."""
+    least = np.inf
+    for grips in moments:
+        for i in range(len(longest)):
+            step = grips[i + 1] - grips[i]
+            least = min(least, longest[i] - math.sqrt(np.sum(step * step)))
+    return least
+
+
+@compiled
+def _strands_apart(
+    grips: Floats, lengths: Floats, pairs: npt.NDArray[np.intp], matters: float, far: float,
+    spacing: float, points: Floats,
+) -> float:  # fmt: skip
+    """Smallest distance of the strands' ``pairs`` (p, 2) between grips (n, 3), of their middles.
+
+    That of boxes that contain them, by points where boxes come within ``far`` of what matters,
+    exactly where points come close. ``points`` (n − 1, k, 3) is room for the strands' points.
+    """
+    sketched = np.zeros(len(lengths), np.bool_)
+    least = np.inf
+    for pair in range(len(pairs)):
+        one, other = pairs[pair]
+        apart = _boxes_apart(
+            grips[one], grips[one + 1], lengths[one], grips[other], grips[other + 1], lengths[other]
+        )
+        if apart < matters + far:
+            for strand in (one, other):
+                if not sketched[strand]:
+                    sketch(grips[strand], grips[strand + 1], lengths[strand], points[strand])
+                    sketched[strand] = True
+            apart = _points_apart(points[one], points[other], spacing)
+            if apart < matters:
+                apart = nearest(points[one], points[other])[0]
+        least = min(least, apart)
+    return least
+
+
+@compiled
+def _boxes_apart(
+    start: Floats, end: Floats, length: float, other_start: Floats, other_end: Floats,
+    other_length: float,
+) -> float:  # fmt: skip
+    """Distance of the upright boxes that contain two strands."""
+    square = 0.0
+    for k in range(3):
+        low, high = min(start[k], end[k]), max(start[k], end[k])
+        other_low, other_high = min(other_start[k], other_end[k]), max(other_start[k], other_end[k])
+        if k == 2:
+            low -= dip(start, end, length)
+            other_low -= dip(other_start, other_end, other_length)
+        square += max(low - other_high, other_low - high, 0.0) ** 2
+    return math.sqrt(square)
+
+
+@compiled
+def _points_apart(first: Floats, second: Floats, spacing: float) -> float:
+    """A lower bound of the distance of strands given by their points (k, 3).
+
+    Where two straight lines are closest, their samples are off by half a spacing each, both at
+    right angles to the shortest distance.
+    """
+    square = np.inf
+    for i in range(len(first)):
+        for j in range(len(second)):
+            apart = 0.0
+            for k in range(3):
+                apart += (first[i, k] - second[j, k]) ** 2
+            square = min(square, apart)
+    return math.sqrt(max(square - 0.5 * spacing**2, 0.0)) - _BOWED
