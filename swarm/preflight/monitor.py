@@ -167,7 +167,7 @@ def _strands_apart(
                     sketched[strand] = True
             apart = _points_apart(points[one], points[other], spacing)
             if apart < matters:
-                apart = nearest(points[one], points[other])[0]
+                apart = nearest(points[one], points[other], np.inf)[0]
         least = min(least, apart)
     return least
 
