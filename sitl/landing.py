@@ -15,6 +15,7 @@ _SETTLED = 2.0
 _SLOW = np.array([1.5, 1.5, 0.25])
 _DESCENDING = -0.25
 _CLIMBING = 0.25
+_LOW_THRUST = 0.7 * 9.80665
 _TUMBLE_RATE = 5.0
 
 
@@ -68,6 +69,7 @@ def _detect_landing(b: "Bodies", down: Flags, interval: float) -> None:
     candidate &= ~b.landed
     if np.count_nonzero(candidate):
         candidate &= (np.abs(b.velocity) < _SLOW).all(axis=1)
+        candidate &= b.thrust[:, 2] < _LOW_THRUST
     if np.count_nonzero(candidate):
         b.contact = np.where(candidate, b.contact + interval, 0.0)
     else:

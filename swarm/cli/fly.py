@@ -24,6 +24,8 @@ from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
 from swarm.fleet import emulated_fleet
 from swarm.flight.clearance import Audit
+from swarm.flight.conductor import LOOSE_BUDGET
+from swarm.flight.raised import RAISED, raised
 from swarm.flight.resuming import Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.pilot import Flight, fly_apart
@@ -33,6 +35,10 @@ from swarm.view.terminal import FlightScreen
 
 COUNTDOWN = 3
 LONGEST_SOCKET_PATH = 100
+_BARE = (
+    f"The fleet has no grippers (gripper: none): flown {RAISED:g} m higher, where nobody touches "
+    f"the ground, and tracking errors up to {LOOSE_BUDGET:g} m do not stop the clock."
+)
 
 
 @click.command()
@@ -114,13 +120,16 @@ def fly(
     with progress_bar(Console(stderr=True)) as progress:
         planned = api.plan(loaded, progress)
     plan_summary(planned.plan, planned.assessment, console)
-    proven = planned.proven()
     team = given or emulated_fleet(planned.plan.vehicles)
+    proven = raised(planned.proven(), team, no_cable=no_cable)
+    plan = proven.plan
+    if plan is not planned.plan:
+        console.print(_BARE, style="dim", highlight=False, soft_wrap=True)
     folder = record or _record_folder(loaded.name)
     emulated = team.emulated is not None
     folder.mkdir(parents=True, exist_ok=True)
-    viewer = rerun_log.start(planned.plan, folder / "flight.rrd", view)
-    screen = FlightScreen(planned.plan, console)
+    viewer = rerun_log.start(plan, folder / "flight.rrd", view)
+    screen = FlightScreen(plan, console)
     try:
         if viewer.message:
             console.print(viewer.message, soft_wrap=True, highlight=False)
@@ -164,7 +173,7 @@ def fly(
             )
     finally:
         viewer.close()
-    end_with(context, planned.plan, planned.assessment, result, folder, as_json=as_json)
+    end_with(context, plan, planned.assessment, result, folder, as_json=as_json)
 
 
 def _refuse_beside_resume(

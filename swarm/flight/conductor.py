@@ -27,6 +27,7 @@ from swarm.flight.operator import GRANT, Request, available
 from swarm.flight.pace import LONGEST_TICK
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.preparation import Preparation
+from swarm.flight.raised import is_bare
 from swarm.flight.readiness import named
 from swarm.flight.reporting import snapshot_of, statistics_of, trace_of
 from swarm.flight.result import Outcome, Statistics, Word
@@ -88,6 +89,7 @@ class Conductor:
         tied_on = plan.mission.grab == "attached"
         self.grips = fleet.gripper == "mavlink" and not no_cable and not tied_on
         self.carries = not no_cable
+        self.bare = is_bare(fleet, no_cable=no_cable)
         self.gates = tuple(sorted(plan.gates, key=lambda gate: gate.time))
         check_rest(proven.plan)
         self.windows = windows(plan, whole=True)
@@ -250,9 +252,13 @@ class Conductor:
 
     @property
     def budget(self) -> float:
-        """Tracking error in metres at which the clock stands still."""
+        """Tracking error in metres at which the clock stands still.
+
+        The tracking ball, where a cable is held or pretended to be; vehicles that never could hold
+        one need not keep within it.
+        """
         tracking = self.plan.mission.vehicles.tracking
-        held = self.phase.cable in {"lifting", "aloft"}
+        held = self.phase.cable in {"lifting", "aloft"} and not self.bare
         return tracking if held and tracking > 0 else max(tracking, LOOSE_BUDGET)
 
     @property

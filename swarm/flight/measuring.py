@@ -94,7 +94,8 @@ def look(flight: "Conductor") -> None:
     if phase.cable == "floor" or flight.waiting:
         flight.sight = None
         return
-    cable = phase.cable if any(v.gripped for v in flight.flyers) else "free"
+    held = any(v.gripped for v in flight.flyers) and not flight.bare
+    cable = phase.cable if held else "free"
     moments = np.array((flight.position, flight.position + AHEAD * flight.velocity))
     flight.sight = Sight(flight.monitor, moments, cable)
 

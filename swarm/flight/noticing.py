@@ -37,7 +37,8 @@ BATTERY_LOW, BATTERY_CRITICAL = 0.2, 0.1
 """Shares of charge; above what autopilots act on by themselves, so that the group decides."""
 HEIGHTS_APART = (0.3, 1.0)
 """Metres by which one vehicle's height may drift against its GPS compared with the others': with
-receivers that say that they are good while the cable is aloft, and otherwise."""
+receivers that say that they are good while the cable is aloft, and otherwise; none tells less than
+it claims."""
 _ACCURACIES = 5.0
 """Times the stated upright accuracy of the receivers that a drift must exceed."""
 FELL_AFTER = 0.5
@@ -247,6 +248,7 @@ def _watch_heights(flight: "Conductor") -> None:
     stated = np.where(np.isnan(accuracy), np.inf, accuracy)
     least, most = HEIGHTS_APART
     least = least if reports.aloft else most
+    most = max(most, float(np.nan_to_num(accuracy).max()))
     allowed = np.clip(_ACCURACIES * np.maximum(stated, np.median(stated)), least, most)
     for k in np.flatnonzero(np.abs(off) > allowed):
         vehicle = flight.flyers[k]

@@ -2,11 +2,14 @@
 
 from collections import Counter
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
+import sitl.dynamics
 from swarm.fleet import emulated_fleet
 from swarm.flight.conductor import Conductor
+from swarm.flight.raised import RAISED, raised
 from swarm.mavlink.packets import CURRENT_MODE, Decoder
 from tests.network import Network, small_plan
 
@@ -86,3 +89,38 @@ def test_receivers_that_jump_about_by_half_a_metre_do_not_end_a_flight():
     for vehicle in flight.emulator.vehicles:
         vehicle.gps_noise = 0.5
     assert flight.run().word == "done", flight.words("failure")
+
+
+def bare(plan=PLAN):
+    """Simulated PX4s, which have no gripper: where each stands is its pad."""
+    fleet = emulated_fleet(3, ("px4",)).model_copy(update={"frame": "pads", "gripper": "none"})
+    return Network(raised(plan, fleet, no_cable=True), fleet, no_cable=True)
+
+
+def test_vehicles_without_grippers_never_touch_the_ground_on_their_way():
+    fleet = emulated_fleet(3).model_copy(update={"gripper": "none"})
+    higher = raised(PLAN, fleet, no_cable=True).plan
+    times = np.linspace(0.0, PLAN.plan.duration, 400)
+    one, other = PLAN.plan.motion.at(times), higher.motion.at(times)
+    first = higher.motion.times[1]
+    up = other[0][..., 2] - one[0][..., 2]
+    assert up[0] == pytest.approx(0.0)
+    assert up[times >= first] == pytest.approx(RAISED)
+    assert np.all(np.diff(up, axis=0) >= -1e-9)
+    assert np.abs(other[2]).max() < PLAN.plan.mission.vehicles.max_acceleration
+    assert other[0][..., :2] == pytest.approx(one[0][..., :2])
+    with_grippers = emulated_fleet(3)
+    assert raised(PLAN, with_grippers, no_cable=True) is PLAN
+    assert raised(PLAN, fleet, no_cable=False) is PLAN
+
+
+def test_a_team_that_wanders_as_simulated_ones_do_flies_to_the_end(monkeypatch):
+    """PX4's own simulator hovers within 0.1 to 0.5 m, more than any cable would bear."""
+    monkeypatch.setattr(sitl.dynamics, "NOISE_SIGMA", np.full(3, 0.1))
+    flight = bare()
+    for vehicle in flight.emulator.vehicles:
+        vehicle.gps_noise = 0.5
+    assert flight.run().word == "done", flight.words("failure")
+    trace = flight.conductor.trace()
+    error = np.linalg.norm(trace.position - trace.setpoint, axis=2)
+    assert np.nanmax(error) > 2 * PLAN.plan.mission.vehicles.tracking

@@ -1,0 +1,43 @@
+"""The same flight for vehicles that could not hold a cable: higher up, and less exact."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from swarm.fleet import Fleet
+from swarm.plans import Plan
+from swarm.preflight.findings import ProvenPlan, prove
+from swarm.trajectory import Motion
+
+RAISED = 1.0
+"""Metres. Vehicles that grab a cable stand on their legs as they do; simulated ones wander by up
+to half a metre, and an autopilot that is pressed on the ground takes itself for landed."""
+
+
+def is_bare(fleet: Fleet, *, no_cable: bool) -> bool:
+    """Whether vehicles fly that could not hold a cable, as simulated ones: only they can meet."""
+    return no_cable and fleet.gripper == "none"
+
+
+def raised(proven: ProvenPlan, fleet: Fleet, *, no_cable: bool) -> ProvenPlan:
+    """Return a plan for vehicles that could not hold a cable, flown RAISED higher.
+
+    Distances between vehicles stay as they are. It is the plan itself where it does not go down to
+    the floor between take-off and landing, or where there is no room above it.
+    """
+    plan = proven.plan
+    highest = float(plan.motion.at(plan.motion.times)[0][..., 2].max()) + RAISED
+    grabs = any(phase.name == "grab" for phase in plan.phases)
+    room = highest + plan.mission.vehicles.grip_offset <= plan.mission.workspace.ceiling
+    if not (is_bare(fleet, no_cable=no_cable) and grabs and room):
+        return proven
+    return prove(replace(plan, motion=_lifted(plan)), proven.assessment)
+
+
+def _lifted(plan: Plan) -> Motion:
+    """Go up by RAISED more in the first piece, from rest to rest, and stay up."""
+    times, coefficients = plan.motion.times, plan.motion.coefficients.copy()
+    powers = (times[1] - times[0]) ** np.arange(3, 6)
+    coefficients[0, 3:, :, 2] += RAISED * (np.array([10.0, -15.0, 6.0]) / powers)[:, None]
+    coefficients[1:, 0, :, 2] += RAISED
+    return Motion(times, coefficients)
