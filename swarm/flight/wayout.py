@@ -203,12 +203,25 @@ class WayOut:
         ]
 
     def _begin_separation(self) -> None:
-        """Take the path apart that the plan has for this moment, or away from the middle."""
+        """Take the path apart that the plan has for this moment, or away from the middle.
+
+        One that does not follow stays where it is: the others go away from it. From two that stay,
+        nobody can go away without going towards one of them.
+        """
         flight = self._flight
-        mission, start = flight.plan.mission, flight.setpoint
+        mission, start = flight.plan.mission, flight.setpoint.copy()
+        staying = [k for k in np.flatnonzero(~flight.streaming).tolist() if k not in flight.dead]
         if flight.dead:
             dead = min(flight.dead)
             centre, spread = start[dead], flight.escapes.at(flight.clock.time, dead)
+        elif len(staying) > 1:
+            self._begin_descent()
+            return
+        elif staying:
+            (stays,) = staying
+            if np.isfinite(flight.position[stays]).all():
+                start[stays] = flight.position[stays]
+            centre, spread = start[stays], flight.escapes.at(flight.clock.time, stays)
         else:
             centre = start.mean(axis=0)
             first, second = np.triu_indices(len(start), 1)
