@@ -393,4 +393,5 @@ class Emulator:
         held = self.rope.let_go(index)
         if held:
             self._event("released", self.vehicles[index].system)
+            self.injector.drop_snags()
         return held

@@ -11,7 +11,8 @@ reached by ``MAV_CMD_INJECT_FAILURE`` (so that other people's test tools drive t
 
 A frozen autopilot neither hears nor speaks nor looks at its timers; its controller goes on with the
 last goal. A rebooting one stops its motors. ``rc_loss`` matters where the world file gives a
-vehicle a ``radio``. ``snag`` holds the cable where it is by friction.
+vehicle a ``radio``. ``snag`` holds the cable where it is by friction on other cable: it falls when
+nobody holds any.
 """
 
 import heapq

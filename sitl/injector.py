@@ -265,6 +265,16 @@ class Injector:
         if not any(anchor.holds for anchor in self.anchors):
             self.anchors.clear()
 
+    def drop_snags(self) -> None:
+        """Let snags fall with the cable when no vehicle holds that any more: it hung on itself."""
+        rope, vehicles = self.rope, len(self.vehicles)
+        if rope is None or any(holder < vehicles for _, holder in rope.grips):
+            return
+        for k, anchor in enumerate(self.anchors):
+            anchor.holds = False
+            rope.let_go(vehicles + k)
+        self.anchors.clear()
+
     def drag(self, force: Array, interval: float) -> None:
         """Let snags slide that are pulled harder than their friction holds; force (m, 3) on them.
 

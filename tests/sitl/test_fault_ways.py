@@ -302,6 +302,21 @@ def test_a_snag_slides_when_it_is_pulled_harder_than_its_friction() -> None:
     assert held(", friction: 60.0") < 0.05
 
 
+def test_a_snag_falls_with_a_cable_that_nobody_holds() -> None:
+    ground = aloft(3, CABLE, gripper="attached")
+    (snag,) = parse_scenario("{schema: 1, faults: [{at: 0, kind: snag, arc: 1.8}]}")
+    ground.emulator.inject(snag)
+    ground.run(0.5, ground.toward(PLACES))
+    height = ground.emulator.injector.anchors[0].place[2]
+    assert height > 1.0
+    for index in range(3):
+        assert ground.emulator.injector.anchors
+        ground.emulator.vehicles[index].around.release(index)
+    ground.run(3.0, ground.toward(PLACES))
+    assert ground.emulator.injector.anchors == []
+    assert ground.emulator.truth().cable[:, 2].max() < 0.1
+
+
 def test_a_cable_may_slip_a_little_through_the_jaws() -> None:
     ground = aloft(3, CABLE, gripper="attached")
     ground.emulator.inject(Fault(at=0.0, kind="gripper_slip", vehicle=2, slide=0.2))
