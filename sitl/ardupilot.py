@@ -262,6 +262,12 @@ class ArduPilot:
             return False
         return True
 
+    follows = False
+    """Whatever GUIDED takes depends on too much to be taken in one go."""
+
+    def followed(self, data: bytes, now: float) -> None:
+        """Nothing: see `follows`."""
+
     def setpoint(self, setpoint: wire.Setpoint) -> None:
         """Take SET_POSITION_TARGET_LOCAL_NED."""
         ardupilot_flight.take(self, setpoint)

@@ -84,6 +84,8 @@ class Bodies:
         self.bias = np.zeros((n, 3))
         self.noise = np.zeros((n, 3))
         self.noise_scale = np.zeros((n, 1))
+        self.origin = np.zeros((n, 3))
+        self.scale = np.ones((n, 2))
 
     def _make_goals(self, world: World) -> None:
         n = self.count
@@ -184,6 +186,7 @@ class Bodies:
 
     def _renew_air(self) -> None:
         self._rows: Rows | None = None
+        self._said: bytes | None = None
         self._offset[:] = self.bias + self.noise
         self._air[:] = self._drag * (self.wind + self.wash)
         self._air[:, 2] -= GRAVITY
@@ -236,6 +239,15 @@ class Bodies:
             )
         return self._rows
 
+    def said(self) -> bytes:
+        """Return `motion.said` as bytes, made once a step."""
+        if self._said is None:
+            self._said = motion.said(
+                self.now, self.tumbling, self.tumble, self.yaw, self.yaw_rate, self.origin,
+                self.scale,
+            ).tobytes()  # fmt: skip
+        return self._said
+
     def grip_points(self) -> Array:
         """Where the grip points are: a stiff dropper along the body's own down axis (n, 3)."""
         return motion.grips(self.now, self.grip_offset)
@@ -248,7 +260,7 @@ class Bodies:
 
     def step(self) -> Flags | None:
         """Advance by `STEP`; return which vehicles have just hit the ground hard, or None."""
-        self._rows = None
+        self._rows = self._said = None
         hard = self._hard
         if not motion.advance(
             self.now, self._tuned, self.share, self.crashed, STEP, self.velocity_goal, hard

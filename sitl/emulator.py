@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl import air, landing, wire
+from sitl import air, incoming, landing, wire
 from sitl.ardupilot import ArduPilot
 from sitl.contacts import Contacts
 from sitl.dynamics import STEP, Array, Bodies, Flags
@@ -104,6 +104,8 @@ class Emulator:
             for i, spec in enumerate(world.vehicles)
         ]
         self._ids = [vehicle.system for vehicle in self.vehicles]
+        self._systems = np.array(self._ids)
+        self._setpoints: list[tuple[Vehicle, Link, bytes, float]] = []
         self.by_id = {vehicle.system: vehicle for vehicle in self.vehicles}
         for vehicle in self.vehicles:
             make = Px4 if vehicle.spec.autopilot == "px4" else ArduPilot
@@ -185,9 +187,38 @@ class Emulator:
             if channel.busy():
                 channel.push((link, data), len(data), now)
                 return
+        self._hear(vehicle, link, data, now)
+
+    def _hear(self, vehicle: Vehicle, link: Link, data: bytes, now: float) -> None:
+        """Hand bytes to a vehicle; setpoints that it follows anyway are taken together."""
         vehicle.now = max(vehicle.now, now)
+        follows = vehicle.personality.follows and not vehicle.frozen
+        if follows and len(data) == incoming.LENGTH and link.receiver.plain:
+            self._setpoints.append((vehicle, link, data, vehicle.now))
+            return
+        if self._setpoints:
+            self._take_setpoints()
         for message in link.receiver.feed(data):
             vehicle.handle(message, link)
+
+    def _take_setpoints(self) -> None:
+        """Take what setpoints have come, in the order in which they came."""
+        waiting, self._setpoints = self._setpoints, []
+        b = self.bodies
+        while waiting:
+            packets = np.frombuffer(b"".join([data for _, _, data, _ in waiting]), np.uint8)
+            who = np.array([vehicle.index for vehicle, _, _, _ in waiting])
+            taken = incoming.take(
+                packets.reshape(-1, incoming.LENGTH), who, self._systems, b.now, b.origin, b.scale,
+                b.goal_yaw,
+            )  # fmt: skip
+            for vehicle, _, data, now in waiting[:taken]:
+                vehicle.personality.followed(data, now)
+            if taken < len(waiting):
+                vehicle, link, data, _ = waiting[taken]
+                for message in link.receiver.feed(data):
+                    vehicle.handle(message, link)
+            waiting = waiting[taken + 1 :]
 
     def _arrive(self, now: float) -> None:
         """Hand over what comes late through a troubled link."""
@@ -195,10 +226,8 @@ class Emulator:
             return
         for vehicle, channel in zip(self.vehicles, self.injector.up, strict=True):
             if channel.queue and channel.queue[0][0] <= now + 1e-9:
-                vehicle.now = max(vehicle.now, now)
                 for link, data in channel.pop(now):
-                    for message in link.receiver.feed(data):
-                        vehicle.handle(message, link)
+                    self._hear(vehicle, link, data, now)
 
     def advance(self, now: float) -> None:
         """Advance physics and autopilots to ``now`` seconds; what they say waits in the links."""
@@ -271,9 +300,13 @@ class Emulator:
     def _advance(self) -> None:
         now = self.time
         b = self.bodies
+        if self._setpoints:
+            self._take_setpoints()
         if self.injector.tick(now):
             self._wake()
         self._arrive(now)
+        if self._setpoints:
+            self._take_setpoints()
         rope = self.rope
         if rope is not None and self._ticks % rope.patience == 0:
             force = rope.pull(*self._held())

@@ -150,3 +150,47 @@ def downwash(now: Array, mass: Array, radius: Array, density: float, apart: Arra
                 speed = jet * (core / width) * math.exp(-apart[i, j] / (2.0 * width**2))
                 felt[i] = max(felt[i], speed)
     return felt
+
+
+@compiled
+def said(
+    now: Array, tumbling: Flags, tumble: Array, yaw: Array, yaw_rate: Array, origin: Array,
+    scale: Array,
+) -> NDArray[np.float32]:  # fmt: skip
+    """What LOCAL_POSITION_NED and ATTITUDE say after the time, as they lie on the wire: (n, 12).
+
+    ``yaw`` and ``yaw_rate`` (n,) are counter-clockwise from east; estimators' frames start at
+    ``origin`` (n, 3), and make of a metre east and north ``scale`` (n, 2). Attitudes are those that
+    point the thrust where it points.
+    """
+    rows = np.zeros((len(now), 12), np.float32)
+    for i in range(len(now)):
+        body, row = now[i], rows[i]
+        east = body[0, POSITION] + body[0, OFFSET] - origin[i, 0]
+        north = body[1, POSITION] + body[1, OFFSET] - origin[i, 1]
+        row[0], row[1] = north * scale[i, 1], east * scale[i, 0]
+        row[2] = origin[i, 2] - (body[2, POSITION] + body[2, OFFSET])
+        row[3], row[4], row[5] = body[1, VELOCITY], body[0, VELOCITY], -body[2, VELOCITY]
+        roll, pitch, turned = _attitude(body, tumbling[i], tumble[i], 0.5 * math.pi - yaw[i])
+        row[6], row[7], row[8], row[11] = roll, pitch, turned, -yaw_rate[i]
+    return rows
+
+
+@compiled
+def _attitude(body: Array, tumbles: bool, tumble: float, yaw: float) -> tuple[float, float, float]:
+    """Roll, pitch and yaw (NED, radians) of one vehicle."""
+    if tumbles:
+        return _wrap(tumble), _wrap(0.3 * tumble), _wrap(yaw + tumble)
+    upward = body[2, THRUST]
+    if upward < 1.0:
+        return 0.0, 0.0, _wrap(yaw)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    forward = body[1, THRUST] * cos + body[0, THRUST] * sin
+    right = -body[1, THRUST] * sin + body[0, THRUST] * cos
+    pitch = -math.atan2(forward, upward)
+    return math.atan2(right * math.cos(pitch), upward), pitch, _wrap(yaw)
+
+
+@compiled
+def _wrap(angle: float) -> float:
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -52,7 +52,7 @@ class Px4:
         self.failsafe = False
         self.landing = False
         self.offboard_at = -math.inf
-        self.offboard: wire.Setpoint | None = None
+        self._offboard: wire.Setpoint | bytes | None = None
         self.armed_at = 0.0
         self.flew = False
         self.landed_at: float | None = None
@@ -73,6 +73,26 @@ class Px4:
         self.slow_at = -math.inf
         self.tumbled = False
         self.ready_at = -math.inf
+
+    @property
+    def offboard(self) -> wire.Setpoint | None:
+        """The last setpoint that was taken."""
+        if isinstance(self._offboard, bytes):
+            self._offboard = wire.setpoint_in(self._offboard)
+        return self._offboard
+
+    @offboard.setter
+    def offboard(self, setpoint: wire.Setpoint) -> None:
+        self._offboard = setpoint
+
+    @property
+    def follows(self) -> bool:
+        """Whether setpoints of all axes are followed, and another one is nothing new."""
+        return self.state == "OFFBOARD" and self.all_axes
+
+    def followed(self, data: bytes, now: float) -> None:
+        """Note a setpoint that has been taken already, while `follows`."""
+        self.offboard_at, self._offboard = now, data
 
     @property
     def target_mask(self) -> int | None:

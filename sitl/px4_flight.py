@@ -124,17 +124,7 @@ def take(px4: "Px4", setpoint: wire.Setpoint) -> None:
     mask = setpoint.mask
     values = setpoint.values
     total = sum(values)
-    if not mask & 0x1FF and total - total == 0.0:
-        if px4.all_axes and px4.state == "OFFBOARD":
-            v, before = px4.v, px4.offboard
-            n, e, d, vn, ve, vd, an, ae, ad = values
-            x, y, z = v.to_world(n, e, d)
-            v.bodies.stage(v.index, (x, y, z, ve, vn, -vd, ae, an, -ad))
-            px4.offboard_at, px4.offboard = v.now, setpoint
-            if before is None or before.yaw != setpoint.yaw or before.mask != mask:
-                _turn(px4, setpoint)
-            return
-    else:
+    if mask & 0x1FF or total - total != 0.0:
         values = tuple(math.nan if mask >> k & 1 else x for k, x in enumerate(values))
         if not _complete(values):
             return

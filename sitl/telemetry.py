@@ -4,14 +4,14 @@ The frequent ones pack their structure directly, in MAVLink's wire order; the re
 """
 
 import math
+import struct
 from collections.abc import Callable
 from typing import Any
 
 from sitl import health, wire
 from sitl.vehicle import Vehicle
 
-_pack_local = wire.LAYOUTS["LOCAL_POSITION_NED"].struct.pack
-_pack_attitude = wire.LAYOUTS["ATTITUDE"].struct.pack
+_pack_boot = struct.Struct("<I").pack
 _pack_quaternion = wire.LAYOUTS["ATTITUDE_QUATERNION"].struct.pack
 _pack_global = wire.LAYOUTS["GLOBAL_POSITION_INT"].struct.pack
 _pack_hud = wire.LAYOUTS["VFR_HUD"].struct.pack
@@ -23,6 +23,7 @@ _fill_home = wire.template(
 _fill_origin = wire.template("GPS_GLOBAL_ORIGIN", "latitude longitude altitude time_usec")
 _LARGEST = 2**32
 _LOCAL_NED = 1
+_SAID = 48
 _MODE_AGAIN = 0.49
 
 
@@ -64,14 +65,13 @@ def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
 
 
 def _local(v: Vehicle) -> bytes:
-    x, y, z, vx, vy, vz = local_ned(v)
-    return _pack_local(boot_ms(v), x, y, z, vx, vy, vz)
+    at = _SAID * v.index
+    return _pack_boot(boot_ms(v)) + v.bodies.said()[at : at + 24]
 
 
 def _attitude(v: Vehicle) -> bytes:
-    roll, pitch, yaw = attitude(v)
-    turning = -v.bodies.rows().yaw_rate[v.index]
-    return _pack_attitude(boot_ms(v), roll, pitch, yaw, 0.0, 0.0, turning)
+    at = _SAID * v.index
+    return _pack_boot(boot_ms(v)) + v.bodies.said()[at + 24 : at + 48]
 
 
 def _quaternion(v: Vehicle) -> bytes:

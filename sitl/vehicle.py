@@ -75,6 +75,14 @@ class Personality(Protocol):
     def setpoint(self, setpoint: wire.Setpoint) -> None:
         """Take a setpoint of position, velocity and acceleration."""
 
+    @property
+    def follows(self) -> bool:
+        """Whether setpoints of all axes are followed, and another one is nothing new."""
+        ...
+
+    def followed(self, data: bytes, now: float) -> None:
+        """Note a setpoint that has been taken already, while `follows`."""
+
     def set_mode(self, base: int, custom: int) -> int:
         """Legacy SET_MODE; return the MAV_RESULT."""
         ...
@@ -174,7 +182,9 @@ class Vehicle:
         self.scale = (1.0, 1.0)
         if world.projection == "autopilot" and not world.indoor:
             self.scale = surroundings.geodesy.scale(spec.autopilot)
-        self.place: tuple[float, float, float] = tuple(self.origin.tolist())
+        self.bodies.scale[index] = self.scale
+        self.place: tuple[float, float, float]
+        self.move_origin(self.origin)
         self.home: np.ndarray[Any, Any] | None = None
         self.barometer = 0.0
         self.gps_noise = spec.gps_noise
@@ -240,6 +250,8 @@ class Vehicle:
         """Give the estimator another local origin (world ENU)."""
         self.origin = np.array(origin, dtype=float)
         self.place = tuple(self.origin.tolist())
+        self.bodies.origin[self.index] = self.origin
+        self.bodies.touch()
 
     def to_local(self, place: Any) -> tuple[float, float, float]:
         """World ENU → this estimator's local NED."""

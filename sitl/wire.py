@@ -20,6 +20,7 @@ SETPOINT_LOCAL = 84
 _pack_head = struct.Struct("<BBBBBBBH").pack
 _SETPOINT = struct.Struct("<I11fHBBB")
 _WHOLE_SETPOINT = struct.Struct("<5xBB3x4x11fHBBB2x")
+SETPOINT_LENGTH = _WHOLE_SETPOINT.size
 _WHOLE, _NUMBER = b"\xfd\x35\0", bytes([SETPOINT_LOCAL, 0, 0])
 _HEADER_LENGTH = 10
 _SIGNATURE_LENGTH = 13
@@ -197,6 +198,16 @@ def setpoint_of(message: Any) -> Setpoint:
     )
 
 
+def setpoint_in(data: bytes) -> Setpoint | None:
+    """Return the setpoint that ``data`` is, if it is one with nothing cut off and nothing else."""
+    if len(data) != SETPOINT_LENGTH or data[:3] != _WHOLE or data[7:10] != _NUMBER:
+        return None
+    if _crc(data[1:-2] + b"\x8f") != data[-2] | data[-1] << 8:
+        return None
+    v = _WHOLE_SETPOINT.unpack(data)
+    return _setpoint((v[0], v[1], v[14], v[15], v[16], v[13], v[2:11], v[11], v[12]))
+
+
 class Receiver:
     """Parses what arrives on one link; garbage is dropped and counted, never raised.
 
@@ -215,24 +226,25 @@ class Receiver:
         self.key = key
         self._parser.signing.secret_key = key
 
+    @property
+    def plain(self) -> bool:
+        """Whether what comes next is neither signed nor the rest of something."""
+        return self.key is None and not self._pending
+
     def feed(self, data: bytes) -> list[Any]:
         """Return the messages (or `Setpoint` tuples) that ``data`` completes."""
         found: list[Any] = []
-        if self.key is None and not self._pending:
+        if self.plain:
             data = self._fast(data, found)
         if data:
             self._slow(data, found)
         return found
 
     def _fast(self, data: bytes, found: list[Any]) -> bytes:
-        if len(data) == _WHOLE_SETPOINT.size and data[:3] == _WHOLE and data[7:10] == _NUMBER:
-            if _crc(data[1:-2] + b"\x8f") == data[-2] | data[-1] << 8:
-                v = _WHOLE_SETPOINT.unpack(data)
-                found.append(
-                    _setpoint((v[0], v[1], v[14], v[15], v[16], v[13], v[2:11], v[11], v[12]))
-                )
-                return b""
-            return data
+        whole = setpoint_in(data)
+        if whole is not None:
+            found.append(whole)
+            return b""
         while len(data) >= 12 and data[0] == MAGIC and data[7] == SETPOINT_LOCAL:
             length = data[1]
             end = _HEADER_LENGTH + length + 2
@@ -268,8 +280,13 @@ class Receiver:
 
         It is what the parser's state machine would have given.
         """
-        plain = self.key is None and not self._pending and len(data) > _HEADER_LENGTH
-        if not plain or data[0] != MAGIC or data[2] or len(data) != data[1] + _HEADER_LENGTH + 2:
+        if (
+            not self.plain
+            or len(data) <= _HEADER_LENGTH
+            or data[0] != MAGIC
+            or data[2]
+            or len(data) != data[1] + _HEADER_LENGTH + 2
+        ):
             return []
         layout = _BY_NUMBER.get(int.from_bytes(data[7:10], "little"))
         if layout is None or _crc(data[1:-2] + layout.seed) != data[-2] | data[-1] << 8:

@@ -4,12 +4,13 @@ import math
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator, telemetry, wire
-from tests.sitl.client import world
+from tests.sitl.client import Ground, world
 
 numbers = st.floats(width=32, allow_nan=True, allow_infinity=True)
 small = st.integers(0, 255)
@@ -110,3 +111,90 @@ def test_all_that_vehicles_say_is_read_by_pymavlink_as_it_is_meant() -> None:
     local = said["LOCAL_POSITION_NED"]
     meant = vehicle.to_local(vehicle.estimated())
     assert np.allclose((local.x, local.y, local.z), meant, atol=1e-3)
+
+
+def test_attitudes_point_the_thrust_where_it_points() -> None:
+    """Upright, leaning every way, standing and turning over; against a rotation matrix."""
+    emulator = Emulator(world(5))
+    b, reader, sender = emulator.bodies, dialect.MAVLink(None), wire.Sender(1)
+    b.thrust[:] = [[0, 0, 9.8], [3, 0, 9], [-2, 4, 8], [0, 0, 0.5], [1, 1, 9]]
+    b.yaw[:] = [0.0, 0.5, -2.0, 3.0, 1.0]
+    b.yaw_rate[:], b.tumbling[4], b.tumble[4] = 0.3, True, 4.0
+    b.touch()
+    for vehicle in emulator.vehicles:
+        layout, body = wire.LAYOUTS["ATTITUDE"], telemetry.MESSAGES["ATTITUDE"](vehicle)
+        assert body is not None
+        (said,) = reader.parse_buffer(sender.frame(layout.number, body, layout.seed))
+        angles = telemetry.attitude(vehicle)
+        assert (said.roll, said.pitch, said.yaw) == pytest.approx(angles, abs=1e-6)
+        assert said.yawspeed == pytest.approx(-0.3)
+        assert said.time_boot_ms == telemetry.boot_ms(vehicle)
+        if vehicle.index < 3:
+            cr, sr, cp, sp = (f(a) for a in (said.roll, said.pitch) for f in (math.cos, math.sin))
+            heading = np.array([math.cos(said.yaw), math.sin(said.yaw), 0.0])
+            aside = np.array([-heading[1], heading[0], 0.0])
+            # the body's up axis in NED: back against the nose's pitch, and aside with the roll
+            up = -(sp * cr * heading - sr * aside) - np.array([0.0, 0.0, cp * cr])
+            east, north, upward = b.thrust[vehicle.index] / np.linalg.norm(b.thrust[vehicle.index])
+            assert up == pytest.approx([north, east, -upward], abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def followers() -> Emulator:
+    """Two vehicles in the air that follow setpoints."""
+    ground = Ground(Emulator(world(2)))
+    ground.run(1.0)
+    stream = ground.toward({i: (3.0 * (i - 1), 0.0, 5.0) for i in ground.ids})
+    ground.run(0.5, stream)
+    for i in ground.ids:
+        ground.command(i, 176, 1, 6, 0)
+        ground.command(i, 400, 1)
+    ground.run(8.0, stream)
+    assert all(vehicle.personality.follows for vehicle in ground.emulator.vehicles)
+    return ground.emulator
+
+
+def what_was_taken(emulator: Emulator, pieces: list[bytes]) -> list[Any]:
+    """What setpoints change for vehicle 1; then all is as before."""
+    b, autopilot = emulator.bodies, emulator.vehicles[0].personality
+    before = b.now.copy(), b.goal_yaw.copy(), b.position_axes.copy(), b.velocity_axes.copy()
+    last, at = autopilot.offboard, autopilot.offboard_at
+    for piece in pieces:
+        emulator.receive(1, piece, emulator.time + 0.5)
+    emulator._take_setpoints()
+    taken = [b.now[0].tolist(), b.goal_yaw[0], b.position_axes[0].tolist(), autopilot.offboard_at]
+    taken.append(repr(autopilot.offboard))
+    b.now[:], b.goal_yaw[:], b.position_axes[:], b.velocity_axes[:] = before
+    b.touch()
+    autopilot.offboard, autopilot.offboard_at = last, at
+    autopilot.all_axes = True
+    autopilot.v.links[0].receiver = wire.Receiver()
+    return taken
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    values=st.lists(numbers | st.floats(-50, 50, width=32), min_size=11, max_size=11),
+    mask=st.sampled_from([2048, 3072, 2048 | 512, 3576, 0x1C0]) | st.integers(0, 65535),
+    address=st.tuples(st.sampled_from([0, 1, 2]), st.sampled_from([0, 1, 2, 190])),
+    frame=st.sampled_from([1, 1, 1, 7, 8]),
+    flipped=st.none() | st.tuples(st.integers(0, 64), st.integers(0, 7)),
+)
+def test_setpoints_that_are_taken_together_are_taken_as_any_others(
+    followers: Emulator,
+    values: list[float],
+    mask: int,
+    address: tuple[int, int],
+    frame: int,
+    flipped: tuple[int, int] | None,
+) -> None:
+    """In one piece they are read by the compiled loop, in two by pymavlink."""
+    message = dialect.MAVLink_set_position_target_local_ned_message(
+        17, *address, frame, mask, *values
+    )
+    data = bytearray(message.pack(dialect.MAVLink(None, 255, 190)))
+    if flipped is not None and flipped[0] < len(data):
+        data[flipped[0]] ^= 1 << flipped[1]
+    whole = bytes(data)
+    in_pieces = what_was_taken(followers, [whole[:20], whole[20:]])
+    assert repr(what_was_taken(followers, [whole])) == repr(in_pieces)

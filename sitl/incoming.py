@@ -1,0 +1,95 @@
+"""Setpoints for vehicles that follow them already, read and taken in one go, compiled.
+
+That is nearly everything that arrives. What is not a whole, good setpoint of all axes in the
+vehicle's own frame is left to `sitl.wire` and the vehicle's personality.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl import motion, wire
+from swarm.compiled import compiled
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Indices = NDArray[np.intp]
+
+LENGTH = wire.SETPOINT_LENGTH
+"""Bytes of a setpoint's packet without signature, nothing cut off."""
+
+_PAYLOAD, _VALUES, _YAW, _MASK, _TARGET, _SUM = 10, 14, 50, 58, 60, 63
+_HEAD = (0xFD, 53, 0)
+_SEED = 143
+_LOCAL_NED = 1
+_NEITHER = 0x1FF | 512
+"""Mask of axes that are left out, and of force."""
+_NO_YAW = 1024
+
+
+@compiled
+def take(
+    packets: Bytes, who: Indices, systems: Indices, now: Array, origin: Array, scale: Array,
+    goal_yaw: Array,
+) -> int:  # fmt: skip
+    """Take setpoints (m, LENGTH) for the vehicles ``who`` (m,) into ``now``; return how many.
+
+    The first one that is not taken ends it. ``systems`` (n,) are the vehicles' numbers, ``origin``
+    (n, 3) and ``scale`` (n, 2) those of their frames.
+    """
+    single = np.empty(10, np.float32)
+    raw = single.view(np.uint8)
+    for m in range(len(packets)):
+        packet, i = packets[m], who[m]
+        if not (_is_setpoint(packet) and _is_meant_for(packet, systems[i])):
+            return m
+        for k in range(40):
+            raw[k] = packet[_VALUES + k]
+        for k in range(9):
+            if not math.isfinite(single[k]):
+                return m
+        for k in range(3):
+            # NED to ENU: the second axis is east
+            axis, sign = (1 - k, 1.0) if k < 2 else (2, -1.0)
+            step = float(single[axis]) / scale[i, k] if k < 2 else float(single[axis])
+            now[i, k, motion.PLACE] = origin[i, k] + sign * step
+            now[i, k, motion.SPEED] = sign * single[3 + axis]
+            now[i, k, motion.ACCELERATION] = sign * single[6 + axis]
+        mask = packet[_MASK] | packet[_MASK + 1] << 8
+        if not mask & _NO_YAW and math.isfinite(single[9]):
+            goal_yaw[i] = 0.5 * math.pi - single[9]
+    return len(packets)
+
+
+@compiled
+def _is_setpoint(packet: Bytes) -> bool:
+    """Whether it is a SET_POSITION_TARGET_LOCAL_NED with a good checksum."""
+    number = packet[7] | packet[8] << 8 | packet[9] << 16
+    if number != wire.SETPOINT_LOCAL:
+        return False
+    for k in range(3):
+        if packet[k] != _HEAD[k]:
+            return False
+    checksum = 0xFFFF
+    for k in range(1, _SUM):
+        checksum = _more(checksum, packet[k])
+    checksum = _more(checksum, _SEED)
+    return bool(checksum == packet[_SUM] | packet[_SUM + 1] << 8)
+
+
+@compiled
+def _is_meant_for(packet: Bytes, system: int) -> bool:
+    """Whether it is for this vehicle's autopilot, with all axes, in its own frame."""
+    target, component, frame = packet[_TARGET], packet[_TARGET + 1], packet[_TARGET + 2]
+    mask = packet[_MASK] | packet[_MASK + 1] << 8
+    addressed = (target in (0, system)) and component < 2
+    return bool(addressed and frame == _LOCAL_NED and not mask & _NEITHER)
+
+
+@compiled
+def _more(checksum: int, byte: int) -> int:
+    """The X25 checksum with one more byte."""
+    change = (byte ^ checksum) & 0xFF
+    change = (change ^ change << 4) & 0xFF
+    return checksum >> 8 ^ change << 8 ^ change << 3 ^ change >> 4
