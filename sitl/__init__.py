@@ -24,8 +24,9 @@ PARAM_REQUEST_LIST); mission, fence and rally points. Then its ``Vehicle.cc`` sh
 ATTITUDE, VFR_HUD and BATTERY_STATUS say. `tests/sitl/test_services.py` goes through it.
 """
 
-from sitl.emulator import Emulator, Truth
+from sitl.emulator import Emulator
 from sitl.faults import Fault, load_scenario, parse_scenario
+from sitl.truth import Truth
 from sitl.world import World, WorldError, default_world, load_world, parse_world
 
 __all__ = [

@@ -1,15 +1,18 @@
-"""Setpoints for vehicles that follow them already, read and taken in one go, compiled.
+"""What comes in for all vehicles; setpoints that are followed already are taken in one go.
 
-That is nearly everything that arrives. What is not a whole, good setpoint of all axes in the
+They are nearly everything that arrives. What is not a whole, good setpoint of all axes in the
 vehicle's own frame is left to `sitl.wire` and the vehicle's personality.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sitl import motion, wire
+from sitl.dynamics import Bodies
+from sitl.vehicle import Link, Vehicle
 from swarm.compiled import compiled
 
 Array = NDArray[np.float64]
@@ -28,8 +31,49 @@ _NEITHER = 0x1FF | 512
 _NO_YAW = 1024
 
 
+class Incoming:
+    """Hands bytes to vehicles, and keeps setpoints that are followed anyway until `take`."""
+
+    def __init__(self, bodies: Bodies, systems: Sequence[int]) -> None:
+        self._bodies = bodies
+        self._systems = np.array(systems)
+        self._waiting: list[tuple[Vehicle, Link, bytes, float]] = []
+
+    def hear(self, vehicle: Vehicle, link: Link, data: bytes, now: float) -> None:
+        """Hand bytes to a vehicle, after what came for anybody before."""
+        vehicle.now = max(vehicle.now, now)
+        follows = vehicle.personality.follows and not vehicle.frozen
+        if follows and len(data) == LENGTH and link.receiver.plain:
+            self._waiting.append((vehicle, link, data, vehicle.now))
+            return
+        self.take()
+        _hand_over(vehicle, link, data)
+
+    def take(self) -> None:
+        """Take the setpoints that wait, in the order in which they came."""
+        b = self._bodies
+        while self._waiting:
+            waiting, self._waiting = self._waiting, []
+            packets = np.frombuffer(b"".join([data for _, _, data, _ in waiting]), np.uint8)
+            who = np.array([vehicle.index for vehicle, _, _, _ in waiting])
+            taken = _take(
+                packets.reshape(-1, LENGTH), who, self._systems, b.now, b.origin, b.scale,
+                b.goal_yaw,
+            )  # fmt: skip
+            for vehicle, _, data, now in waiting[:taken]:
+                vehicle.personality.followed(data, now)
+            if taken < len(waiting):
+                _hand_over(*waiting[taken][:3])
+                self._waiting = waiting[taken + 1 :]
+
+
+def _hand_over(vehicle: Vehicle, link: Link, data: bytes) -> None:
+    for message in link.receiver.feed(data):
+        vehicle.handle(message, link)
+
+
 @compiled
-def take(
+def _take(
     packets: Bytes, who: Indices, systems: Indices, now: Array, origin: Array, scale: Array,
     goal_yaw: Array,
 ) -> int:  # fmt: skip

@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from sitl.dynamics import STEP
-from sitl.emulator import Emulator, Truth
+from sitl.emulator import Emulator
+from sitl.truth import Truth
 from sitl.vehicle import Link, Vehicle
 
 HOST = "127.0.0.1"

@@ -179,12 +179,7 @@ class Vehicle:
             self.bodies.touch()
         if world.indoor:
             self.origin = np.zeros(3)
-        self.scale = (1.0, 1.0)
-        if world.projection == "autopilot" and not world.indoor:
-            self.scale = surroundings.geodesy.scale(spec.autopilot)
-        self.bodies.scale[index] = self.scale
-        self.place: tuple[float, float, float]
-        self.move_origin(self.origin)
+        self._settle(world)
         self.home: np.ndarray[Any, Any] | None = None
         self.barometer = 0.0
         self.gps_noise = spec.gps_noise
@@ -210,6 +205,14 @@ class Vehicle:
         self.refuse_arming: str | None = None
         self.later: list[tuple[float, Callable[[], None]]] = []
         self.personality: Personality
+
+    def _settle(self, world: World) -> None:
+        """Give the estimator the frame that it says positions in."""
+        self.scale = (1.0, 1.0)
+        if world.projection == "autopilot" and not world.indoor:
+            self.scale = self.around.geodesy.scale(self.spec.autopilot)
+        self.bodies.scale[self.index] = self.scale
+        self.move_origin(self.origin)
 
     def _open_mailbox(self) -> None:
         self.last_heartbeat: dict[int, float] = {}
@@ -249,7 +252,7 @@ class Vehicle:
     def move_origin(self, origin: Any) -> None:
         """Give the estimator another local origin (world ENU)."""
         self.origin = np.array(origin, dtype=float)
-        self.place = tuple(self.origin.tolist())
+        self.place: tuple[float, float, float] = tuple(self.origin.tolist())
         self.bodies.origin[self.index] = self.origin
         self.bodies.touch()
 

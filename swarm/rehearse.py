@@ -124,11 +124,12 @@ def _exchange(
         conductor.receive(_LINK, sysid, data, now)
         if recorder is not None:
             recorder.packet(data, now)
-    for outgoing in conductor.tick(now):
-        if isinstance(outgoing.address, int):
-            emulator.receive(outgoing.address, outgoing.data, now)
-        if recorder is not None:
-            recorder.packet(outgoing.data, now)
+    outgoing = conductor.tick(now)
+    arriving = [(one.address, one.data) for one in outgoing if isinstance(one.address, int)]
+    emulator.receive_all(arriving, now)
+    if recorder is not None:
+        for one in outgoing:
+            recorder.packet(one.data, now)
 
 
 def _tell(

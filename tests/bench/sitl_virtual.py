@@ -49,8 +49,7 @@ def main() -> None:
         end = now + duration
         while now < end - 1e-9:
             now = round(now + 0.05, 6)
-            for system, data in streams:
-                emulator.receive(system, data, now)
+            emulator.receive_all(streams, now)
             sent += len(emulator.step(now))
         return sent
 

@@ -119,7 +119,8 @@ def test_attitudes_point_the_thrust_where_it_points() -> None:
     b, reader, sender = emulator.bodies, dialect.MAVLink(None), wire.Sender(1)
     b.thrust[:] = [[0, 0, 9.8], [3, 0, 9], [-2, 4, 8], [0, 0, 0.5], [1, 1, 9]]
     b.yaw[:] = [0.0, 0.5, -2.0, 3.0, 1.0]
-    b.yaw_rate[:], b.tumbling[4], b.tumble[4] = 0.3, True, 4.0
+    b.yaw_rate[:] = 0.3
+    b.tumbling[4], b.tumble[4] = True, 4.0
     b.touch()
     for vehicle in emulator.vehicles:
         layout, body = wire.LAYOUTS["ATTITUDE"], telemetry.MESSAGES["ATTITUDE"](vehicle)
@@ -156,12 +157,12 @@ def followers() -> Emulator:
 
 def what_was_taken(emulator: Emulator, pieces: list[bytes]) -> list[Any]:
     """What setpoints change for vehicle 1; then all is as before."""
-    b, autopilot = emulator.bodies, emulator.vehicles[0].personality
+    b = emulator.bodies
+    autopilot: Any = emulator.vehicles[0].personality
     before = b.now.copy(), b.goal_yaw.copy(), b.position_axes.copy(), b.velocity_axes.copy()
     last, at = autopilot.offboard, autopilot.offboard_at
     for piece in pieces:
         emulator.receive(1, piece, emulator.time + 0.5)
-    emulator._take_setpoints()
     taken = [b.now[0].tolist(), b.goal_yaw[0], b.position_axes[0].tolist(), autopilot.offboard_at]
     taken.append(repr(autopilot.offboard))
     b.now[:], b.goal_yaw[:], b.position_axes[:], b.velocity_axes[:] = before
