@@ -1,5 +1,6 @@
 """The ``swarm`` command: a shell around the library that turns errors into exit codes."""
 
+import os
 import sys
 import tempfile
 import traceback
@@ -9,6 +10,10 @@ import click
 
 from swarm import __version__
 from swarm.errors import InputError, Interrupted, SwarmError
+
+# Vectors here are too short to be worth several threads, which spin while they wait for more and
+# take the cores from the loop that flies. NumPy reads this when it is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {
     "fly": ("fly", "Plan a mission, check it, and fly it."),

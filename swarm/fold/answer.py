@@ -46,6 +46,12 @@ def movement(lifted: Numbers, fraction: Numbers, upright: float) -> Numbers:
 
 
 @compiled
+def most_movement(lifted: float) -> float:
+    """The most that :func:`movement` says of any point of a strand."""
+    return float(np.sqrt(1.45**2 + max(lifted, 1.0) ** 2))
+
+
+@compiled
 def far_movement(
     points: Floats, ratio: float, chord: float, fraction: float, upright: float, tracking: float
 ) -> float:

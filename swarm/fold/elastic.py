@@ -38,8 +38,8 @@ _ASKED = 0.1
 _BENDING = 0.3
 """Cost of a second difference of a metre in a vehicle's path, next to a missed unit of margin."""
 
-_STRAIGHT = 1.0
-"""The same while the whole motion is straightened."""
+_STRAIGHT, _STRAIGHTENING = 1.0, 240
+"""The same while the whole motion is straightened, and steps by which it is."""
 
 _LAZY = 0.0005
 """Cost of giving way by a metre at a stage, next to a missed unit of margin."""
@@ -67,24 +67,14 @@ class Eased:
     missed: Floats
 
 
-def eased(
-    crew: Crew,
-    places: Floats,
-    offsets: Floats,
-    sampled: csr_array,
-    more: More,
-    straightening: int = 0,
-) -> Eased:
+def eased(crew: Crew, places: Floats, offsets: Floats, sampled: csr_array, more: More) -> Eased:
     """Find offsets with which a team misses its margins, and what is asked beyond them, least.
 
     ``places`` (s, n, 3) without offsets; ``offsets`` (c, n, 3) to begin with; ``sampled`` (s, c)
     are the weights of control points at the moments, which include all stages; ``more`` of s
-    moments. In the end all of the motion is straightened by so many steps: who need not give
-    way any more cuts corners, and the fold gets quicker.
+    moments. Strands stay on the sides of each other on which they pass to begin with.
     """
-    density = (len(places) - 1) // (len(offsets) - 1)
-    sides = sides_of(crew.hung(places), _AROUND * density)
-    band = _Band(crew, places, sides, more, sampled, density)
+    band = _banded(crew, places, offsets, sampled, more)
     stages = sampled.argmax(axis=1)
     missed = band.missed(offsets)
     worth = np.where(more.asked, _ASKED * _STRAINED, _STRAINED)
@@ -98,9 +88,25 @@ def eased(
         missed = band.missed(offsets)
         if missed.sum() > _TOO_SLOW * before:
             break
-    if straightening and missed.max() <= HOPELESS**2:
-        offsets = band.relaxed(offsets, slice(0, len(offsets)), straightening, _STRAIGHT)
     return Eased(offsets, band.missed(offsets, wishes=False))
+
+
+def straightened(
+    crew: Crew, places: Floats, offsets: Floats, sampled: csr_array, more: More
+) -> Floats:
+    """Offsets (c, n, 3) with which all of the motion is straighter: arguments as for :func:`eased`.
+
+    Who need not give way any more cuts corners, and the fold gets quicker.
+    """
+    band = _banded(crew, places, offsets, sampled, more)
+    return band.relaxed(offsets, slice(0, len(offsets)), _STRAIGHTENING, _STRAIGHT)
+
+
+def _banded(crew: Crew, places: Floats, offsets: Floats, sampled: csr_array, more: More) -> "_Band":
+    density = (len(places) - 1) // (len(offsets) - 1)
+    flown = places + (sampled @ offsets.reshape(len(offsets), -1)).reshape(places.shape)
+    sides = sides_of(crew.hung(flown), _AROUND * density)
+    return _Band(crew, places, sides, more, sampled, density)
 
 
 def _windows(strained: npt.NDArray[np.intp], stages: int, aside: int) -> list[slice]:

@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array
 
-from swarm.fold.elastic import HOPELESS, eased
+from swarm.fold.elastic import HOPELESS, eased, straightened
 from swarm.fold.lanes import found_ways
 from swarm.fold.layout import Hanging
 from swarm.fold.margins import Margins
@@ -28,9 +28,6 @@ _EVENED = 3.0
 
 _DENSITIES = (1, 4)
 """Moments per stage at which the team is looked at, while it is eased."""
-
-_STRAIGHTENING = 240
-"""Steps by which a new schedule's whole motion is straightened, looked at by the least of these."""
 
 _NEAR = 2.5
 """Stages around a moment for which more is asked."""
@@ -97,25 +94,33 @@ def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Sc
     crew = Crew(layout.lengths, margins)
     more = nothing_more(len(progress))
     plan = Schedule(found.path, crew, progress, offsets, np.zeros(1), more)
-    return improved(plan, _STRAIGHTENING)
+    plan = improved(plan)
+    return straight(plan) if plan.worst <= HOPELESS else plan
 
 
-def improved(plan: Schedule, straightening: int = 0) -> Schedule:
-    """Let vehicles give way beside γ where the team misses margins.
-
-    First the whole motion is straightened by so many steps.
-    """
+def improved(plan: Schedule) -> Schedule:
+    """Let vehicles give way beside γ where the team misses margins."""
     for density in _DENSITIES:
-        sampled = _sampled(len(plan.progress), density)
-        along = sampled @ plan.progress
-        places = np.stack([plan.path.at(i, row)[0] for i, row in enumerate(along.T)], axis=1)
-        stages = np.arange(len(along)) // density
-        found = eased(plan.crew, places, plan.offsets, sampled, plan.more[stages], straightening)
+        found = eased(*_looked_at(plan, density))
         plan = replace(plan, offsets=found.offsets, missed=found.missed)
         if plan.worst > HOPELESS:
             break
-        straightening = 0
     return plan
+
+
+def straight(plan: Schedule) -> Schedule:
+    """Straighten the whole motion, looked at coarsely; then let vehicles give way again."""
+    offsets = straightened(*_looked_at(plan, _DENSITIES[0]))
+    return improved(replace(plan, offsets=offsets))
+
+
+def _looked_at(plan: Schedule, density: int) -> tuple[Crew, Floats, Floats, csr_array, More]:
+    """The team, its places without offsets and what more is asked, at so many moments per stage."""
+    sampled = _sampled(len(plan.progress), density)
+    along = sampled @ plan.progress
+    places = np.stack([plan.path.at(i, row)[0] for i, row in enumerate(along.T)], axis=1)
+    stages = np.arange(len(along)) // density
+    return plan.crew, places, plan.offsets, sampled, plan.more[stages]
 
 
 def asked_more(plan: Schedule, margin: str, stages: Floats, metres: Floats) -> Schedule:

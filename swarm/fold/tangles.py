@@ -17,6 +17,7 @@ from swarm.fold.answer import (
     follow,
     lift,
     most_far_movement,
+    most_movement,
     movement,
 )
 from swarm.fold.margins import Margins
@@ -41,49 +42,74 @@ def strands_apart(
 ) -> None:
     """Strands that do not share a vehicle; ``sides`` (s, pairs) as in :class:`Sides`."""
     count = ratio.shape[1]
-    unit = margins.cable + 2.0 * margins.tracking
-    lifted = np.empty(count)
-    push = np.empty(3)
+    wanted = margins.cable + WANTED * (margins.cable + 2.0 * margins.tracking)
+    lifted, error = np.empty(count), np.empty(count)
     for s in range(len(points)):
-        lifted[:] = lift(ratio[s])
+        for i in range(count):
+            lifted[i] = lift(ratio[s, i])
+            error[i] = margins.tracking * most_movement(lifted[i])
         pair = -1
         for i in range(count):
             for j in range(i + 2, count):
                 pair += 1
-                most = margins.cable + WANTED * unit + more[s]
-                most += margins.tracking * (lifted[i] + lifted[j])
-                if not boxes_near(middle[s, i], reach[s, i], middle[s, j], reach[s, j], most):
-                    continue
-                one, other = points[s, i], points[s, j]
-                distance, error, here, there = _near(one, lifted[i], other, lifted[j], push)
-                side = sides[s, pair]
-                wrong = side != 0 and height_over(one, other) * side < 0.0
-                if wrong:
-                    distance = -distance
-                short = distance - margins.cable - more[s] - margins.tracking * error
-                short = WANTED - short / unit
-                if short <= 0.0:
-                    continue
-                missed[s] += short * short
-                push *= short / unit if wrong else -short / unit
-                follow(slopes[s], i, here, lifted[i], one, push)
-                push *= -1.0
-                follow(slopes[s], j, there, lifted[j], other, push)
+                most = wanted + more[s] + error[i] + error[j]
+                if boxes_near(middle[s, i], reach[s, i], middle[s, j], reach[s, j], most):
+                    missed[s] += _pair(
+                        points[s], i, j, lifted, sides[s, pair], most, more[s], margins, slopes[s]
+                    )
 
 
 @compiled
-def _near(
-    one: Floats, lifted: float, other: Floats, lifted_other: float, towards: Floats
-) -> tuple[float, float, float, float]:
-    """Distance of strands, how it answers their ends, and at which shares of them they are near.
+def _pair(
+    points: Floats,
+    i: int,
+    j: int,
+    lifted: Floats,
+    side: int,
+    most: float,
+    more: float,
+    margins: Margins,
+    slopes: Floats,
+) -> float:
+    """Square of what two strands miss, which is nothing where they are so far apart."""
+    one, other = points[i], points[j]
+    unit = margins.cable + 2.0 * margins.tracking
+    wrong = side != 0 and height_over(one, other) * side < 0.0
+    distance, here, there = nearest(one, other, np.inf if wrong else most)
+    if distance >= most and not wrong:
+        return 0.0
+    push = np.empty(3)
+    error, here, there = _answered(one, lifted[i], here, other, lifted[j], there, distance, push)
+    signed = -distance if wrong else distance
+    short = WANTED - (signed - margins.cable - more - margins.tracking * error) / unit
+    if short <= 0.0:
+        return 0.0
+    push *= short / unit if wrong else -short / unit
+    follow(slopes, i, here, lifted[i], one, push)
+    push *= -1.0
+    follow(slopes, j, there, lifted[j], other, push)
+    return short * short
+
+
+@compiled
+def _answered(
+    one: Floats,
+    lifted: float,
+    here: float,
+    other: Floats,
+    lifted_other: float,
+    there: float,
+    distance: float,
+    towards: Floats,
+) -> tuple[float, float, float]:
+    """How the distance of strands answers their ends, and at which shares of them they are near.
 
     Writes the unit vector (3,) from the second to the first there.
     """
-    distance, here, there = nearest(one, other, np.inf)
     upright = _towards(one, here, other, there, distance, towards)
     here, there = here / PIECES, there / PIECES
     error = movement(lifted, here, upright) + movement(lifted_other, there, upright)
-    return distance, error, here, there
+    return error, here, there
 
 
 @compiled
@@ -97,7 +123,10 @@ def margins_kept(
     towards = np.empty(3)
     for q in range(len(one)):
         lifted, lifted_other = lift(ratio[q]), lift(ratio_other[q])
-        distance, error, _, _ = _near(one[q], lifted, other[q], lifted_other, towards)
+        distance, here, there = nearest(one[q], other[q], np.inf)
+        error, _, _ = _answered(
+            one[q], lifted, here, other[q], lifted_other, there, distance, towards
+        )
         found[q] = distance - margins.cable - margins.tracking * error
 
 
@@ -118,6 +147,7 @@ def neighbours_apart(
     free = np.maximum(0.5, 1.0 - margins.hand / lengths)
     unit = margins.cable + 2.0 * margins.tracking
     enough = 1.3 * margins.cable + margins.beside + 2.6 * margins.tracking
+    part = np.empty((PIECES + 1, 3))
     for s in range(len(points)):
         for i in range(len(lengths) - 1):
             before, after = points[s, i], points[s, i + 1]
@@ -131,11 +161,37 @@ def neighbours_apart(
                 continue
             if room * sine < reach:
                 _beyond_hand(
-                    points, ratio, lengths, free, s, i, i + 1, reach, more, margins, missed, slopes
+                    points,
+                    ratio,
+                    lengths,
+                    free,
+                    part,
+                    s,
+                    i,
+                    i + 1,
+                    reach,
+                    sine,
+                    more,
+                    margins,
+                    missed,
+                    slopes,
                 )
             if room_after * sine < reach:
                 _beyond_hand(
-                    points, ratio, lengths, free, s, i + 1, i, reach, more, margins, missed, slopes
+                    points,
+                    ratio,
+                    lengths,
+                    free,
+                    part,
+                    s,
+                    i + 1,
+                    i,
+                    reach,
+                    sine,
+                    more,
+                    margins,
+                    missed,
+                    slopes,
                 )
 
 
@@ -170,30 +226,37 @@ def _beyond_hand(
     ratio: Floats,
     lengths: Floats,
     free: Floats,
+    part: Floats,
     s: int,
     own: int,
     beside: int,
     reach: float,
+    sine: float,
     more: Floats,
     margins: Margins,
     missed: Floats,
     slopes: Floats,
 ) -> None:
-    """The free part of one strand against all of the neighbouring one, where nearer than reach."""
+    """The free part of one strand against all of the neighbouring one, where nearer than reach.
+
+    ``part`` (PIECES + 1, 3) is written over.
+    """
     strand, other = points[s, own], points[s, beside]
     unit = margins.cable + 2.0 * margins.tracking
-    part, shares = np.empty((PIECES + 1, 3)), np.empty(PIECES + 1)
     for k in range(PIECES + 1):
-        share = k / PIECES
-        shares[k] = min(share, free[own]) if own < beside else max(share, 1.0 - free[own])
-        _point(strand, shares[k] * PIECES, part[k])
-    distance, here, there = nearest(part, other, reach)
+        _point(strand, PIECES * _free_share(k, free[own], own < beside), part[k])
+    low, high = _nearer(part, other[-1] if own > beside else other[0], reach, sine, own > beside)
+    from_, to = _nearer(other, other[-1] if own > beside else other[0], reach, sine, own < beside)
+    distance, here, there = nearest(part[low:high], other[from_:to], reach)
     if distance >= reach:
         return
+    here, there = here + low, there + from_
     push = np.empty(3)
     upright = _towards(part, here, other, there, distance, push)
     piece = min(int(here), PIECES - 1)
-    here = shares[piece] + (here - piece) * (shares[piece + 1] - shares[piece])
+    begin = _free_share(piece, free[own], own < beside)
+    end = _free_share(piece + 1, free[own], own < beside)
+    here = begin + (here - piece) * (end - begin)
     there = there / PIECES
     at_end = 1.0 if beside > own else 0.0
     tracking = margins.tracking
@@ -213,6 +276,31 @@ def _beyond_hand(
     follow(slopes[s], own, here, lift(ratio[s, own]), strand, push)
     push *= -1.0
     follow(slopes[s], beside, there, lift(ratio[s, beside]), other, push)
+
+
+@compiled
+def _nearer(
+    points: Floats, at: Floats, reach: float, sine: float, outward: bool
+) -> tuple[int, int]:
+    """The points of a strand, from one to before the other, between which it may come so near.
+
+    In plan view each is at least ``sine`` times as far from the other strand as from the vehicle
+    ``at`` which holds both; the strand leads ``outward`` from there, or toward it.
+    """
+    low, high = 0, len(points)
+    if outward:
+        while high > 2 and _level(points, float(high - 2), at) * sine >= reach:
+            high -= 1
+    else:
+        while high - low > 2 and _level(points, low + 1.0, at) * sine >= reach:
+            low += 1
+    return low, high
+
+
+@compiled
+def _free_share(k: int, free: float, first: bool) -> float:
+    """Share of a strand at the k-th point of its free part; the first's hand is at its end."""
+    return min(k / PIECES, free) if first else max(k / PIECES, 1.0 - free)
 
 
 @compiled
