@@ -17,19 +17,6 @@ AIR_DENSITY = 1.2
 WASH_FACTOR = 3.0
 """Felt downwash over its drag on the body: rotors lose thrust in falling air, as in a climb."""
 _GUST_LENGTH = 30.0
-_UPRIGHT_SHARE = np.array([1.0, 1.0, 0.5])
-
-
-def gusts(before: Array, fresh: Array, intensity: float, speed: float, interval: float) -> Array:
-    """Return gusts (m, 3) in m/s after ``interval`` seconds of wind at ``speed``.
-
-    ``fresh`` (m, 3) are standard normal. Dryden's first-order longitudinal filter on every axis
-    (MIL-F-8785C, low altitude), upright with half the ``intensity``.
-    """
-    keep = math.exp(-interval * max(1.0, speed) / _GUST_LENGTH)
-    drawn = fresh * _UPRIGHT_SHARE
-    after: Array = keep * before + math.sqrt(1 - keep**2) * intensity * drawn
-    return after
 
 
 def jets(lift: Array, radius: Array, below: Array, distance: Array) -> Array:
@@ -52,13 +39,16 @@ def jets(lift: Array, radius: Array, below: Array, distance: Array) -> Array:
 def blow(b: "Bodies", interval: float) -> None:
     """Advance gusts and downwash by ``interval`` seconds.
 
-    Four fifths of a gust are common to the whole team, whose vehicles are close together.
+    Dryden's first-order longitudinal filter on every axis (MIL-F-8785C, low altitude), upright with
+    half the intensity. Four fifths of a gust are common to the whole team, whose vehicles are close
+    together.
     """
     if b.gust_intensity > 0:
         fresh = b.rng.standard_normal((b.count + 1, 3))
         speed = math.hypot(*b.steady_wind[0].tolist())
-        b.gust = gusts(b.gust, fresh, b.gust_intensity, speed, interval)
-        b.wind = b.steady_wind + 0.8 * b.gust[0] + 0.6 * b.gust[1:]
+        keep = math.exp(-interval * max(1.0, speed) / _GUST_LENGTH)
+        motion.gusts(b.gust, fresh, keep, b.gust_intensity)
+        motion.winds(b.steady_wind, b.gust, b.wind)
     _downwash(b)
 
 

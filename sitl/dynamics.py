@@ -149,7 +149,6 @@ class Bodies:
         self.goal_velocity = now[..., motion.SPEED]
         self.goal_acceleration = now[..., motion.ACCELERATION]
         self._offset = now[..., motion.OFFSET]
-        self._air = now[..., motion.AIR]
         self._pushed = now[..., motion.PUSH]
         self._bytes = memoryview(cast("Any", now)).cast("B")
         self.armed, self.landed, self.tumbling = self.marks
@@ -179,7 +178,6 @@ class Bodies:
             )
         )  # fmt: skip
         self._per_mass = 1.0 / self.mass[:, None]
-        self._drag = self.drag[:, None]
         self._renew_air()
         self._noise_sigma = NOISE_SIGMA * (self.noise_scale > 0)
         self._noisy = bool(self.noise_scale.any())
@@ -187,9 +185,7 @@ class Bodies:
     def _renew_air(self) -> None:
         self._rows: Rows | None = None
         self._said: bytes | None = None
-        self._offset[:] = self.bias + self.noise
-        self._air[:] = self._drag * (self.wind + self.wash)
-        self._air[:, 2] -= GRAVITY
+        motion.renew_air(self.now, self.bias, self.noise, self.drag, self.wind, self.wash)
 
     def aim(
         self,
@@ -276,15 +272,12 @@ class Bodies:
 
         Noise is first-order Gauss–Markov, `NOISE_SIGMA` metres over `_NOISE_TIME` seconds.
         """
-        if np.count_nonzero(np.abs(self.integral) > _LARGEST_INTEGRAL):
-            np.clip(self.integral, -_LARGEST_INTEGRAL, _LARGEST_INTEGRAL, out=self.integral)
+        keep, fresh = 1.0, np.zeros((self.count, 3))
         if self._noisy:
             keep = math.exp(-interval / _NOISE_TIME)
-            self.noise *= keep
             fresh = self.rng.standard_normal((self.count, 3))
             fresh *= math.sqrt(1 - keep**2) * self._noise_sigma
-            self.noise += fresh
-        if np.count_nonzero(self.drift):
-            self.bias += interval * self.drift
+        drift = interval * self.drift
+        motion.wander(self.now, self.noise, fresh, keep, self.bias, drift, _LARGEST_INTEGRAL)
         air.blow(self, interval)
         self._renew_air()

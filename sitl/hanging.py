@@ -147,3 +147,53 @@ def pulls(load: Array, down: Array, flat: Array, figures: Array, force: Array) -
             force[count + i, k] = load[i] * figures[HIGH, i] * down[k] - level * flat[i, k]
         most = max(most, load[i] * (figures[A, i] + figures[USED, i]))
     return most
+
+
+@compiled
+def points(
+    span_of: Indices, along: Array, lengths: Array, start: Array, flat: Array, figures: Array,
+    resting: Flags, floor: float, down: Array, target: Array, samples: Indices,
+) -> None:  # fmt: skip
+    """Put the samples of solved spans where they are, into ``target`` at ``samples`` (m,).
+
+    ``span_of`` (m,) is whose they are, and ``along`` (m,) how far from its start.
+    """
+    for m in range(len(samples)):
+        j, place = span_of[m], target[samples[m]]
+        a, low, across = figures[A, j], figures[LOW, j], figures[ACROSS, j]
+        if resting[j]:
+            high = figures[HIGH, j]
+            sideways, height = _lying(along[m], lengths[j], across, a, low, high)
+            for k in range(3):
+                place[k] = start[j, k] + sideways / across * flat[j, k]
+            place[2] = floor + height
+            continue
+        s = along[m] * figures[USED, j] / lengths[j] - low
+        sideways = a * (math.asinh(s / a) + math.asinh(low / a))
+        drop = math.hypot(low, a) - math.hypot(s, a)
+        for k in range(3):
+            place[k] = start[j, k] + sideways / across * flat[j, k] + drop * down[k]
+
+
+@compiled
+def _lying(
+    along: float, length: float, across: float, a: float, low: float, high: float
+) -> tuple[float, float]:
+    """Where a place of a span that rests is: how far from its start, and above the floor.
+
+    Down one end, along the floor, up the other.
+    """
+    curved = a > LEAST
+    first = a * math.asinh(low / a) if curved else 0.0
+    last = a * math.asinh(high / a) if curved else 0.0
+    ground = max(across - first - last, 0.0)
+    lies = max(length - low - high, 1e-9)
+    place = first + min(max((along - low) / lies, 0.0), 1.0) * ground
+    height = 0.0
+    for end in range(2):
+        s = low - along if end == 0 else high - (length - along)
+        if s > 0.0:
+            height = max(height, math.hypot(s, a) - a if curved else s)
+            out = a * math.asinh(s / a) if curved else 0.0
+            place = first - out if end == 0 else across - last + out
+    return place, height

@@ -5,9 +5,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from swarm.compiled import compiled
+
 if TYPE_CHECKING:
     from sitl.dynamics import Bodies
 
+Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _YAW_RATE = 1.0
@@ -21,6 +24,10 @@ _TUMBLE_RATE = 5.0
 
 def supervise(b: "Bodies", interval: float) -> None:
     """Take-off ramp, land detector and yaw, every ``interval`` seconds (call at 25 Hz)."""
+    if b.settled and _nothing_to_do(
+        b.advance, b.goal_yaw, b.yaw, b.marks, b.contact, b.velocity_goal
+    ):
+        return
     if b.advance.tobytes() != b.nothing:
         b.goal_position += (interval * b.advance)[:, None] * b.goal_velocity
     if b.goal_yaw.tobytes() != b.yaw.tobytes():
@@ -35,6 +42,19 @@ def supervise(b: "Bodies", interval: float) -> None:
     if not aloft or np.count_nonzero(down) or b.contact.tobytes() != b.nothing:
         _detect_landing(b, down, interval)
         b.settled = b.settled and b.contact.tobytes() == b.nothing
+
+
+@compiled
+def _nothing_to_do(
+    advance: Array, goal_yaw: Array, yaw: Array, marks: Flags, contact: Array, goal: Array
+) -> bool:
+    """Whether all fly, look where they should, and nobody goes down or touches the ground."""
+    for i in range(len(yaw)):
+        flies = marks[0, i] and not (marks[1, i] or marks[2, i])
+        still = advance[i] == 0.0 and contact[i] == 0.0 and yaw[i] == goal_yaw[i]
+        if not (flies and still) or goal[i, 2] < _DESCENDING:
+            return False
+    return True
 
 
 def _turn(b: "Bodies", interval: float) -> None:

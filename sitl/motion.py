@@ -28,6 +28,7 @@ TUNINGS = 18
 
 _FREQUENCY, _DAMPING = 14.0, 0.9
 _IDLE = 0.08 * GRAVITY
+_UPRIGHT = 0.5
 _CRASH_SPEED = 3.0
 _WASHED, _LOWEST, _HIGHEST = 4.0, 0.1, 10.0
 
@@ -120,6 +121,49 @@ def grips(now: Array, offset: Array) -> Array:
         if length < 1.0:
             points[i, 2] -= offset[i]
     return points
+
+
+@compiled
+def wander(
+    now: Array, noise: Array, fresh: Array, keep: float, bias: Array, drift: Array, most: float
+) -> None:
+    """Advance estimators' ``noise`` and ``bias``, in place, and keep integrals within ``most``.
+
+    Noise keeps a share of itself; ``fresh`` and ``drift`` (n, 3) in metres are added.
+    """
+    for i in range(len(now)):
+        for k in range(3):
+            noise[i, k] = keep * noise[i, k] + fresh[i, k]
+            bias[i, k] += drift[i, k]
+            now[i, k, INTEGRAL] = min(max(now[i, k, INTEGRAL], -most), most)
+
+
+@compiled
+def renew_air(now: Array, bias: Array, noise: Array, drag: Array, wind: Array, wash: Array) -> None:
+    """Put offsets of estimators, and what air and gravity do at rest, into ``now``."""
+    for i in range(len(now)):
+        for k in range(3):
+            now[i, k, OFFSET] = bias[i, k] + noise[i, k]
+            now[i, k, AIR] = drag[i] * (wind[i, k] + wash[i, k])
+        now[i, 2, AIR] -= GRAVITY
+
+
+@compiled
+def gusts(gust: Array, fresh: Array, keep: float, intensity: float) -> None:
+    """Advance gusts (m, 3), in place; see `sitl.air.blow`."""
+    for i in range(len(gust)):
+        for k in range(3):
+            share = 1.0 if k < 2 else _UPRIGHT
+            drawn = math.sqrt(1.0 - keep * keep) * intensity * share * fresh[i, k]
+            gust[i, k] = keep * gust[i, k] + drawn
+
+
+@compiled
+def winds(steady: Array, gust: Array, wind: Array) -> None:
+    """Put the wind at every vehicle into ``wind`` (n, 3): the first gust is common to all."""
+    for i in range(len(wind)):
+        for k in range(3):
+            wind[i, k] = steady[i, k] + 0.8 * gust[0, k] + 0.6 * gust[i + 1, k]
 
 
 @compiled

@@ -333,7 +333,7 @@ class Rope:
         if held.count:
             fresh = solved and self.spans.figures.shape[1] == held.count
             hung = self.spans if fresh else held.hang(grips, self.down, still=self._still)
-            target[held.samples] = held.points(hung, self.down)
+            held.place(hung, self.down, target)
         for end in self._ends:
             _hang_end(target, grips[end.vehicle], end, self.floor)
         return target

@@ -157,35 +157,10 @@ class Spans:
         )  # fmt: skip
         return Hung(start, stop, flat, figures, resting if rests else None, self.load, self.lengths)
 
-    def points(self, hung: Hung, down: Array) -> Array:
-        """Where the samples of solved spans are (m, 3)."""
-        k = self.span_of
-        a, low = hung.a[k], hung.low[k]
-        s = self._along * (hung.length_used / self.lengths)[k] - low
-        sideways = a * (np.arcsinh(s / a) + np.arcsinh(low / a))
-        drop = np.hypot(low, a) - np.hypot(s, a)
-        points: Array = hung.start[k] + (sideways / hung.across[k])[:, None] * hung.flat[k]
-        points += drop[:, None] * down
-        if hung.resting is not None:
-            lying = np.nonzero(hung.resting[k])[0]
-            points[lying] = self._lying_points(hung, k[lying], self._along[lying])
-        return points
-
-    def _lying_points(self, hung: Hung, k: Indices, along: Array) -> Array:
-        """Points of spans that rest on the floor: down one end, along the floor, up the other."""
-        a, arcs = hung.a[k], (hung.low[k], hung.high[k])
-        length = self.lengths[k]
-        reach = [a * np.arcsinh(arc / a) * (a > hanging.LEAST) for arc in arcs]
-        ground = np.maximum(hung.across[k] - reach[0] - reach[1], 0.0)
-        flat = np.maximum(length - arcs[0] - arcs[1], 1e-9)
-        x = reach[0] + np.clip((along - arcs[0]) / flat, 0.0, 1.0) * ground
-        z = np.full(len(k), self.floor)
-        for end, distance in enumerate((along, length - along)):
-            s = np.maximum(arcs[end] - distance, 0.0)
-            z = np.maximum(z, self.floor + np.where(a > hanging.LEAST, np.hypot(s, a) - a, s))
-            out = a * np.arcsinh(s / a) * (a > hanging.LEAST)
-            inward = reach[0] - out if end == 0 else hung.across[k] - reach[1] + out
-            x = np.where(s > 0, inward, x)
-        points: Array = hung.start[k] + (x / hung.across[k])[:, None] * hung.flat[k]
-        points[:, 2] = z
-        return points
+    def place(self, hung: Hung, down: Array, target: Array) -> None:
+        """Put the samples of solved spans where they are, into ``target`` (m, 3) of all samples."""
+        resting = np.zeros(self.count, np.bool_) if hung.resting is None else hung.resting
+        hanging.points(
+            self.span_of, self._along, self.lengths, hung.start, hung.flat, hung.figures, resting,
+            self.floor, down, target, self.samples,
+        )  # fmt: skip
