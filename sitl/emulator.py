@@ -202,19 +202,18 @@ class Emulator:
             if link.outgoing:
                 channel = down[vehicle.index]
                 if vehicle.frozen:
-                    link.outgoing.clear()
-                    continue
-                if channel.busy():
-                    for frame in link.outgoing:
-                        channel.push((link, frame), len(frame), self.time)
+                    pass
+                elif channel.fault is not None or channel.queue:
+                    channel.push_all(link, link.outgoing, self.time)
                 else:
                     sent.append((vehicle, link, b"".join(link.outgoing)))
                 link.outgoing.clear()
-        troubled = down if self.injector.troubled else ()
-        for vehicle, channel in zip(self.vehicles, troubled, strict=False):
-            if channel.queue:
-                together = itertools.groupby(channel.pop(self.time), key=_link_of)
-                for link, frames in together:
+        if not self.injector.troubled:
+            return sent
+        limit = self.time + 1e-9
+        for vehicle, channel in zip(self.vehicles, down, strict=True):
+            if channel.queue and channel.queue[0][0] <= limit:
+                for link, frames in itertools.groupby(channel.pop(self.time), key=_link_of):
                     sent.append((vehicle, link, b"".join([frame for _, frame in frames])))
         return sent
 

@@ -166,6 +166,23 @@ class Channel:
         """Whether anything is delayed or could be harmed."""
         return self.fault is not None or bool(self.queue)
 
+    def push_all(self, link: Any, frames: list[bytes], now: float) -> None:
+        """Send frames of a link into the channel, as `push` does one after the other."""
+        fault = self.fault
+        if fault is None or fault.burst or fault.reorder or fault.bandwidth or fault.duplicate:
+            for frame in frames:
+                self.push((link, frame), len(frame), now)
+            return
+        roll, queue, count = self.dice.roll, self.queue, self.count
+        loss, jitter, soonest = fault.loss, fault.jitter, now + fault.latency
+        for frame in frames:
+            if loss > 0.0 and (loss >= 1.0 or roll() < loss):
+                continue
+            count += 1
+            at = soonest + jitter * roll() if jitter else soonest
+            heapq.heappush(queue, (at, count, (link, frame)))
+        self.count = count
+
     def push(self, item: Any, size: int, now: float) -> None:
         """Send one frame into the channel."""
         fault, roll, at = self.fault, self.dice.roll, now

@@ -17,7 +17,8 @@ from pymavlink.dialects.v20 import common as dialect
 
 MAGIC = 0xFD
 SETPOINT_LOCAL = 84
-_pack_head = struct.Struct("<BBBBBBBH").pack
+_pack_head = struct.Struct("<6BHx").pack
+_pack_checksum = struct.Struct("<H").pack
 _SETPOINT = struct.Struct("<I11fHBBB")
 _WHOLE_SETPOINT = struct.Struct("<5xBB3x4x11fHBBB2x")
 SETPOINT_LENGTH = _WHOLE_SETPOINT.size
@@ -141,20 +142,21 @@ class Sender:
         self.signer: Signer | None = None
 
     def frame(self, number: int, body: bytes, seed: bytes, now_ticks: int = 0) -> bytes:
-        """Return a whole MAVLink 2 frame around ``body``, whose trailing zeros are dropped."""
+        """Return a whole MAVLink 2 frame around ``body``, whose trailing zeros are dropped.
+
+        ``number`` is below 65536, as all messages' are that vehicles send.
+        """
         if not body[-1]:
             body = body.rstrip(b"\0") or b"\0"
         self.sequence = sequence = (self.sequence + 1) & 0xFF
         signer = self.signer
-        flags = 1 if signer else 0
-        inner = _pack_head(
-            len(body), flags, 0, sequence, self.system, self.component, number & 0xFF, number >> 8
-        )
-        inner += body
-        out = b"\xfd" + inner + _crc(inner + seed).to_bytes(2, "little")
-        if signer:
-            out += signer.sign(out, now_ticks)
-        return out
+        if signer is None:
+            inner = _pack_head(len(body), 0, 0, sequence, self.system, self.component, number)
+            inner += body
+            return b"\xfd%b%b" % (inner, _pack_checksum(_crc(inner + seed)))
+        inner = _pack_head(len(body), 1, 0, sequence, self.system, self.component, number) + body
+        out = b"\xfd" + inner + _pack_checksum(_crc(inner + seed))
+        return out + signer.sign(out, now_ticks)
 
     def pack(self, name: str, now_ticks: int = 0, **fields: Any) -> bytes:
         """Return the frame of a message given by name and named fields."""
