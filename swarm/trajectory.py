@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
+from swarm.compiled import compiled
+
 Floats = npt.NDArray[np.float64]
 
 
@@ -31,15 +33,31 @@ class Motion:
         Outside the motion the nearest end is held at rest.
         """
         asked = np.asarray(times, dtype=np.float64)
-        inside = np.clip(asked, self.times[0], self.times[-1])
-        piece = np.searchsorted(self.times[1:-1], inside, side="right")
-        u = (inside - self.times[piece])[..., None, None]
-        c = np.moveaxis(self.coefficients[piece], -3, 0)
-        position = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))))
-        velocity = c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * 5 * c[5])))
-        acceleration = 2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * 20 * c[5]))
-        moving = ((asked >= self.times[0]) & (asked <= self.times[-1]))[..., None, None]
-        return position, np.where(moving, velocity, 0.0), np.where(moving, acceleration, 0.0)
+        found = np.empty((3, asked.size, *self.coefficients.shape[2:]))
+        breaks, coefficients, flat = (
+            np.require(values, requirements=["C", "W"])
+            for values in (self.times, self.coefficients, asked.reshape(-1))
+        )
+        _followed(breaks, coefficients, flat, found)
+        position, velocity, acceleration = found.reshape(3, *asked.shape, *found.shape[2:])
+        return position, velocity, acceleration
+
+
+@compiled
+def _followed(breaks: Floats, coefficients: Floats, asked: Floats, found: Floats) -> None:
+    """Write position, velocity and acceleration (3, q, n, 3) at times (q,)."""
+    for q in range(len(asked)):
+        inside = min(max(asked[q], breaks[0]), breaks[-1])
+        moving = 1.0 if inside == asked[q] else 0.0
+        piece = np.searchsorted(breaks[1:-1], inside, side="right")
+        u, c = inside - breaks[piece], coefficients[piece]
+        for i in range(c.shape[1]):
+            for x in range(3):
+                c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
+                found[0, q, i, x] = c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+                rate = c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))
+                bend = 2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5))
+                found[1, q, i, x], found[2, q, i, x] = moving * rate, moving * bend
 
 
 def through_states(

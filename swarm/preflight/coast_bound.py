@@ -16,6 +16,7 @@ import numpy.typing as npt
 from swarm.cable.distance import polyline_polyline
 from swarm.cable.sketch import sketch
 from swarm.plans import Plan
+from swarm.preflight.coast_pairs import left_of_pairs, near_strands
 from swarm.preflight.course import Course
 from swarm.preflight.limits import TAUT
 from swarm.preflight.sensitivity import BOTH_ENDS, LARGEST_RATIO, sensitivity
@@ -115,17 +116,11 @@ class CoastBound:
 
     def __init__(self, plan: Plan, ways: Ways, end: float) -> None:
         """``end`` is the mission time beyond which nobody goes."""
-        n = plan.vehicles
         self._course, self._ways, self._end = Course(plan.motion), ways, end
         self._lengths = plan.layout.lengths
         self._asked = plan.mission.clearance
         self._thick = plan.mission.cable.diameter
         self._ball = plan.mission.vehicles.tracking
-        chords = np.arange(n - 1)
-        self._chords = _Touched(n, chords, chords + 1)
-        self._pairs = _Touched(n, *np.triu_indices(n, 1))
-        first, second = np.triu_indices(n - 1, 2)
-        self._strands = _Touched(n, first, second, first + 1, second + 1)
         self._spacing = float(self._lengths.max(initial=0.0)) / _PIECES
 
     def keeps(self, start: Floats, end: Floats, rate: Floats) -> Flags:
@@ -175,11 +170,7 @@ class CoastBound:
         middles = self._middles(boxes, rate)
         strayed = self._deviation(boxes, middles) > self._ball
         boxes, middles = boxes.taken(strayed), middles.taken(strayed)
-        low, here = np.empty(len(boxes)), np.empty(len(boxes))
-        # what one vehicle's end touches is little of what the end of all does
-        for group in (boxes.case == 0, boxes.case > 0):
-            if group.any():
-                low[group], here[group] = self._left(boxes.taken(group), middles.taken(group))
+        low, here = self._left(boxes, middles)
         most = self._ways.most_on(np.maximum(boxes.case - 1, 0), boxes.coasted)
         real = (boxes.case == 0) | ((boxes.on >= boxes.coasted) & (boxes.on <= most))
         kept[boxes.interval[real & (here < -TOLERANCE)]] = False
@@ -187,7 +178,7 @@ class CoastBound:
         return boxes.taken(open_).halved(middles.doubts[open_])
 
     def _left(self, boxes: _Boxes, middles: _Middles) -> tuple[Floats, Floats]:
-        """Bounds (m,) of what is left of all, and what is in the middle; cases all 0 or none."""
+        """Bounds (m,) of what is left of all, and what is in the middle."""
         low, here = self._simple(boxes, middles)
         look = low > -TOLERANCE
         if look.any():
@@ -258,43 +249,26 @@ class CoastBound:
 
     def _simple(self, boxes: _Boxes, middles: _Middles) -> tuple[Floats, Floats]:
         """Bounds (m,) of what is left of chords and between vehicles, and what is in the middle."""
-        place, along, loose = middles.place, middles.along, middles.loose
-        lows, heres = [], []
-        half = boxes.half[:, None]
-        for touched, chords in ((self._chords, True), (self._pairs, False)):
-            first, second = touched.by(boxes.case)
-            apart = _of(place, second) - _of(place, first)
-            turn = np.linalg.norm(_of(along, second) - _of(along, first), axis=-1) * half
-            moved = turn + _of(loose, first) + _of(loose, second)
-            if chords:
-                here = TAUT * self._lengths[first] - np.linalg.norm(apart, axis=-1)
-            else:
-                level = np.hypot(apart[..., 0], apart[..., 1]) - self._asked.vehicle
-                upright = np.abs(apart[..., 2]) - self._asked.downwash
-                here = np.maximum(level, upright)
-            lows.append((here - moved).min(axis=1))
-            heres.append(here.min(axis=1))
-        return np.minimum(*lows), np.minimum(*heres)
+        low, here = np.empty((2, len(boxes)))
+        left_of_pairs(
+            boxes.case, boxes.half, middles.place, middles.along, middles.loose,
+            TAUT * self._lengths, self._asked.vehicle, self._asked.downwash, low, here,
+        )  # fmt: skip
+        return low, here
 
     def _by_strands(self, boxes: _Boxes, middles: _Middles) -> tuple[Floats, Floats]:
         """The same between strands that share no vehicle."""
-        place, along, loose = middles.place, middles.along, middles.loose
         count = len(boxes)
         low, here = np.full(count, np.inf), np.full(count, np.inf)
-        if not self._strands.count:
-            return low, here
-        first, second = self._strands.by(boxes.case)
-        ends = np.stack([first, first + 1, second, second + 1])
-        going = np.stack([_of(along, end) for end in ends])
-        moved = np.linalg.norm(going - going.mean(axis=0), axis=-1)
-        moved = moved * boxes.half[:, None] + np.stack([_of(loose, end) for end in ends])
-        one, other = moved[:2].max(axis=0), moved[2:].max(axis=0)
         required = self._asked.cable + self._thick
-        row, pair = np.nonzero(self._boxed(place, first, second, one, other) < required)
+        row, first, second, one, other = near_strands(
+            boxes.case, boxes.half, middles.place, middles.along, middles.loose,
+            self._lengths, required,
+        )  # fmt: skip
         if not len(row):
             return low, here
-        a = self._strand(place[row], first[row, pair], one[row, pair])
-        b = self._strand(place[row], second[row, pair], other[row, pair])
+        place = middles.place[row]
+        a, b = self._strand(place, first, one), self._strand(place, second, other)
         off = a[1] + b[1]
         # from above by the points, from below by a spacing less; in between it is worth measuring
         most = _between_points(a[0], b[0]) - required
@@ -305,29 +279,6 @@ class CoastBound:
         np.minimum.at(low, row, apart - off)
         np.minimum.at(here, row, most)
         return low, here
-
-    def _boxed(
-        self, place: Floats, first: Ints, second: Ints, one: Floats, other: Floats
-    ) -> Floats:
-        """Distances (m, p) that strands keep because of the upright boxes that they cannot leave.
-
-        A strand that comes down by d below its lower end is at least as long as two straight lines
-        down to there: length² ≥ span² + (2d + rise)².
-        """
-        low, high = [], []
-        for which, moved in ((first, one), (second, other)):
-            start, end = _of(place, which), _of(place, which + 1)
-            span = np.hypot(end[..., 0] - start[..., 0], end[..., 1] - start[..., 1])
-            rise = np.abs(end[..., 2] - start[..., 2])
-            level = self._lengths[which] ** 2 - np.maximum(span - 2.0 * moved, 0.0) ** 2
-            dip = np.sqrt(np.maximum(level, 0.0)) - np.maximum(rise - 2.0 * moved, 0.0)
-            lowest = np.minimum(start, end) - moved[..., None]
-            lowest[..., 2] -= np.maximum(0.5 * dip, 0.0)
-            low.append(lowest)
-            high.append(np.maximum(start, end) + moved[..., None])
-        gap = np.maximum(np.maximum(low[0] - high[1], low[1] - high[0]), 0.0)
-        apart: Floats = np.sqrt(np.einsum("mpi,mpi->mp", gap, gap))
-        return apart
 
     def _strand(self, place: Floats, which: Ints, moved: Floats) -> tuple[Floats, Floats]:
         """Points (b, k, 3) of strands, and how far (b,) they and what is between them can be off
@@ -366,39 +317,3 @@ def _lost(case: Ints, n: int) -> Flags:
     """Who (m, n) has lost the stream."""
     lost: Flags = (case == 0)[:, None] | (np.arange(1, n + 1) == case[:, None])
     return lost
-
-
-def _of(values: Floats, which: Ints) -> Floats:
-    """What each of m rows has at its own places (m, p) of its second axis."""
-    found: Floats = values[np.arange(len(values))[:, None], which]
-    return found
-
-
-class _Touched:
-    """Pairs of things, and which of these a case touches: what all others keep among themselves is
-    as certified."""
-
-    def __init__(self, n: int, first: Ints, second: Ints, *others: Ints) -> None:
-        """Pairs (p,) of things named by their first vehicle; they are held by others, too."""
-        self._things = np.stack([first, second])
-        held = np.stack([first, second, *others])
-        touching = [np.flatnonzero((held == vehicle).any(axis=0)) for vehicle in range(n)]
-        most = max((len(each) for each in touching), default=0)
-        # a case that touches fewer pairs looks at some of them twice
-        self._touching = np.array(
-            [np.resize(each, most) if len(each) else np.zeros(most) for each in touching],
-            dtype=np.intp,
-        )
-
-    @property
-    def count(self) -> int:
-        """How many pairs there are."""
-        return len(self._things[0])
-
-    def by(self, case: Ints) -> tuple[Ints, Ints]:
-        """First and second things (m, p) of the pairs that cases touch; cases all 0 or none."""
-        if case[0] == 0:
-            first, second = np.repeat(self._things[:, None], len(case), axis=1)
-        else:
-            first, second = self._things[:, self._touching[case - 1]]
-        return first, second
