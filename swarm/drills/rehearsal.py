@@ -7,12 +7,13 @@ from typing import Literal, get_args
 
 from pymavlink.dialects.v20 import common
 
-from swarm.drills.copies import branch
 from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
+from swarm.flight.copies import branch
 from swarm.flight.parameters import demands_of_plan, rules
 from swarm.flight.snapshot import Event
+from swarm.flight.warm import lasting
 from swarm.flight.world import emulated_world
 from swarm.preflight.findings import ProvenPlan
 from swarm.rehearse import Emulator, parse_world
@@ -78,8 +79,7 @@ class Rehearsal:
 
     def copy(self) -> "Rehearsal":
         """Return the same flight, to be flown on apart from this one."""
-        shared = (self.proven, self.proven.plan, self.fleet, *_lasting(self.conductor))
-        return branch(self, shared)
+        return branch(self, lasting(self.conductor))
 
     def step(self, *, station: bool = True) -> None:
         """One step of virtual time; without ``station`` the ground station does nothing."""
@@ -113,17 +113,6 @@ class Rehearsal:
         return all(vehicle.commands.idle for vehicle in self.conductor.flyers) and not any(
             vehicle.later for vehicle in self.emulator.vehicles
         )
-
-
-def _lasting(conductor: Conductor) -> tuple[object, ...]:
-    """What a flight never changes, and its copies share."""
-    return (
-        conductor.windows,
-        conductor.escapes,
-        conductor.coast,
-        conductor.monitor,
-        conductor.gates,
-    )
 
 
 class LosesAck:

@@ -21,6 +21,7 @@ from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockTeller
+from swarm.flight.warm import warm_up
 from swarm.flight.world import emulated_world
 from swarm.ground.audit import Auditor, save_parameters
 from swarm.ground.emulator import EmulatorProcess
@@ -75,7 +76,7 @@ def fly(
     :class:`swarm.errors.InputError` where the record cannot be written.
     """
     _refuse_unflyable(fleet, speed)
-    conductor = Conductor(proven, fleet, no_cable=no_cable, left=left, then=then)
+    conductor = _conductor(proven, fleet, left, then, no_cable=no_cable)
     links = open_links(fleet.links)
     emulator: EmulatorProcess | None = None
     record: Record | None = None
@@ -139,6 +140,14 @@ def fly(
 def _refuse_unflyable(fleet: Fleet, speed: float) -> None:
     if fleet.emulated is None and speed != 1.0:
         raise Refused("only emulated vehicles fly faster than time")
+
+
+def _conductor(
+    proven: ProvenPlan, fleet: Fleet, left: LeftOff | None, then: Then, *, no_cable: bool
+) -> Conductor:
+    conductor = Conductor(proven, fleet, no_cable=no_cable, left=left, then=then)
+    warm_up(conductor)
+    return conductor
 
 
 def _emulator(

@@ -40,6 +40,7 @@ from rich.console import Console
 from swarm.fleet import Fleet, parse_fleet
 from swarm.flight.conductor import Conductor
 from swarm.flight.parameters import STREAM_LOSS_TIME
+from swarm.flight.warm import warm_up
 from swarm.ground.loop import Loop
 from swarm.ground.priority import follow, prefer
 from swarm.ground.record import Record
@@ -139,6 +140,7 @@ def ours(
     coast = CoastCertificate(free, np.ones(2), Worst(1.0, 0.0, 0), np.array([]), coasting)
     proven = prove(proven.plan, replace(proven.assessment, coast=coast))
     conductor = Conductor(proven, fleet)
+    warm_up(conductor)
     links = open_links(conductor.fleet.links)
     if not chosen.normal:
         prefer()

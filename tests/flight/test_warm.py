@@ -1,0 +1,67 @@
+"""Nothing is compiled while vehicles fly: that would hold setpoints back for seconds."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FLY = """
+import sys
+from numba.core.dispatcher import Dispatcher
+from swarm.fleet import emulated_fleet
+from swarm.flight.warm import warm_up
+from tests.network import Network, small_plan
+
+def compiled():
+    return {
+        f"{name}.{key}": len(value.signatures)
+        for name, module in list(sys.modules.items()) if name.startswith("swarm")
+        for key, value in vars(module).items() if isinstance(value, Dispatcher)
+    }
+
+flight = Network(small_plan(), emulated_fleet(3, ("px4", "ardupilot")))
+conductor = flight.conductor
+if "cold" not in sys.argv:
+    warm_up(conductor)
+assert conductor.stage == "prepare" and not conductor.events() and conductor.flown == []
+tick, late = conductor.tick, set()
+
+def watched(now):
+    before = compiled()
+    sending = tick(now)
+    late.update(name for name, count in compiled().items() if count != before.get(name, 0))
+    return sending
+
+conductor.tick = watched
+flight.until_phase("fold", 3.0)
+if "leave" in sys.argv:
+    conductor.request("release")
+assert flight.run().word == ("interrupted" if "leave" in sys.argv else "done")
+print(*sorted(late))
+"""
+
+
+def compiled_in_flight(*how: str) -> list[str]:
+    """What a process of its own, that knows nothing compiled yet, compiles after take-off."""
+    done = subprocess.run(
+        [sys.executable, "-c", FLY, *how],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize("how", ["leave", pytest.param("to the end", marks=pytest.mark.full)])
+def test_nothing_is_compiled_in_flight(how):
+    assert compiled_in_flight(how) == []
+
+
+@pytest.mark.full
+def test_without_going_through_it_before_something_would_be():
+    assert "swarm.flight.reckoning.aimed" in compiled_in_flight("cold")
