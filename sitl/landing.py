@@ -25,7 +25,7 @@ _TUMBLE_RATE = 5.0
 def supervise(b: "Bodies", interval: float) -> None:
     """Take-off ramp, land detector and yaw, every ``interval`` seconds (call at 25 Hz)."""
     if b.settled and _nothing_to_do(
-        b.advance, b.goal_yaw, b.yaw, b.marks, b.contact, b.velocity_goal
+        b.advance, b.goal_yaw, b.yaw, b.marks, b.contact, b.velocity_goal, b.velocity
     ):
         return
     if b.advance.tobytes() != b.nothing:
@@ -46,13 +46,17 @@ def supervise(b: "Bodies", interval: float) -> None:
 
 @compiled
 def _nothing_to_do(
-    advance: Array, goal_yaw: Array, yaw: Array, marks: Flags, contact: Array, goal: Array
-) -> bool:
-    """Whether all fly, look where they should, and nobody goes down or touches the ground."""
+    advance: Array, goal_yaw: Array, yaw: Array, marks: Flags, contact: Array, goal: Array,
+    velocity: Array,
+) -> bool:  # fmt: skip
+    """Whether all fly, look where they should, and nobody comes down without getting lower."""
     for i in range(len(yaw)):
         flies = marks[0, i] and not (marks[1, i] or marks[2, i])
         still = advance[i] == 0.0 and contact[i] == 0.0 and yaw[i] == goal_yaw[i]
-        if not (flies and still) or goal[i, 2] < _DESCENDING:
+        slow = True
+        for k in range(3):
+            slow = slow and abs(velocity[i, k]) < _SLOW[k]
+        if not (flies and still) or (slow and goal[i, 2] < _DESCENDING):
             return False
     return True
 

@@ -59,9 +59,11 @@ def emit_due(v: Vehicle, link: Link, now: float) -> None:
     ticks = 0
     if sender.signer:
         ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
-    limit = now + 1e-6
-    while due and due[0][0] <= limit:
+    limit, frame = now + 1e-6, sender.frame
+    while due:
         time, name = due[0]
+        if time > limit:
+            return
         interval = intervals.get(name)
         if interval is None:
             heappop(due)
@@ -71,7 +73,7 @@ def emit_due(v: Vehicle, link: Link, now: float) -> None:
         say, number, seed = _SAYING[name]
         body = say(v)
         if body is not None:
-            outgoing.append(sender.frame(number, body, seed, ticks))
+            outgoing.append(frame(number, body, seed, ticks))
 
 
 def _heartbeat(v: Vehicle, message: Any, _: Link) -> None:

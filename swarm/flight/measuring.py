@@ -33,16 +33,12 @@ def measure(flight: "Conductor") -> None:
     rows = np.array(said).reshape(-1, 7)
     states = rows[:, :6].reshape(-1, 2, 3)
     flight.reported, velocity = flight.frames.states_to_mission(states)
-    age = flight.now - rows[:, 6]
     flight.velocity = velocity
-    flight.position = reckoning.brought_to_now(
-        flight.reported, velocity, age, flight.lift, FRESHEST
-    )
-    known = (age <= flight.fleet.limits.silence) & flight.streaming
-    elapsed = flight.now - flight.last
-    flight.error = reckoning.errors(
-        flight.position, flight.setpoint, flight.setpoint_velocity, elapsed, known
-    )
+    limits = FRESHEST, flight.fleet.limits.silence, flight.now - flight.last
+    flight.position, flight.error = reckoning.measured(
+        flight.reported, velocity, flight.now - rows[:, 6], flight.lift, flight.setpoint,
+        flight.setpoint_velocity, flight.streaming, limits,
+    )  # fmt: skip
 
 
 def follow_jump(flight: "Conductor", k: int, jump: Floats) -> None:

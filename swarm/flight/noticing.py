@@ -5,6 +5,7 @@ Looked at every tick. What follows is :data:`swarm.flight.failures.TABLE`.
 
 import math
 from dataclasses import dataclass, field
+from statistics import median
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -241,15 +242,15 @@ def _watch_heights(flight: "Conductor") -> None:
     fresh = np.isnan(reports.heights)
     reports.heights[fresh] = apart[fresh]
     moved = apart - reports.heights
-    if np.isnan(moved).any() or len(moved) < 3:
+    if np.count_nonzero(np.isnan(moved)) or len(moved) < 3:
         return
-    off = moved - np.median(moved)
+    off = moved - median(moved.tolist())
     accuracy = np.array([vehicle.upright_accuracy for vehicle in flight.flyers])
     stated = np.where(np.isnan(accuracy), np.inf, accuracy)
     least, most = HEIGHTS_APART
     least = least if reports.aloft else most
     most = max(most, float(np.nan_to_num(accuracy).max()))
-    allowed = np.clip(_ACCURACIES * np.maximum(stated, np.median(stated)), least, most)
+    allowed = np.clip(_ACCURACIES * np.maximum(stated, median(stated.tolist())), least, most)
     for k in np.flatnonzero(np.abs(off) > allowed):
         vehicle = flight.flyers[k]
         if flight.expected_armed[k] and reports.first("height", int(k)):

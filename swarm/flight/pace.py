@@ -48,7 +48,7 @@ def rewind_end(flight: "Conductor") -> float:
 def steer(flight: "Conductor") -> None:
     """Set the rate that the clock should have: held, or slowed by the worst of the team."""
     clock = flight.clock
-    known = (error for error in flight.error.tolist() if not math.isnan(error))
+    known = [error for error in flight.error.tolist() if error == error]  # noqa: PLR0124 - not NaN
     worst = max(known, default=0.0) / flight.budget
     if worst > 1.0:
         flight.budget_kept_since = clock.time

@@ -16,39 +16,28 @@ Flags = npt.NDArray[np.bool_]
 
 
 @compiled
-def brought_to_now(
-    reported: Floats, velocity: Floats, age: Floats, lift: Floats, freshest: float
-) -> Floats:
-    """Where the grip points (n, 3) are now that were ``reported`` ``age`` (n,) seconds ago.
+def measured(
+    reported: Floats, velocity: Floats, age: Floats, lift: Floats, setpoint: Floats,
+    setpoint_velocity: Floats, streaming: Flags, limits: tuple[float, float, float],
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Where the grip points (n, 3) are now, and how far (n,) from where setpoints have led.
 
-    Reports are of centres, ``lift`` (3,) above the grips; they are carried on with the velocity for
-    ``freshest`` seconds at most.
+    Centres were ``reported`` ``age`` (n,) seconds ago, ``lift`` (3,) above the grips. Setpoints are
+    the last tick's; nothing is known (NaN) of those who do not get any, or are silent. ``limits``
+    in seconds: for how long reports are carried on with their velocity, from when on a vehicle is
+    silent, and how long ago the last tick was.
     """
-    position = np.empty(reported.shape)
+    freshest, silence, elapsed = limits
+    position, error = np.empty(reported.shape), np.full(len(reported), np.nan)
     for i in range(len(reported)):
-        carried = min(age[i], freshest)
+        carried, square = min(age[i], freshest), 0.0
         for k in range(3):
             position[i, k] = reported[i, k] - lift[k] + velocity[i, k] * carried
-    return position
-
-
-@compiled
-def errors(
-    position: Floats, setpoint: Floats, setpoint_velocity: Floats, elapsed: float, known: Flags
-) -> Floats:
-    """Distances (n,) from where setpoints have led by now; NaN where they are not ``known`` (n,).
-
-    ``setpoint`` (n, 3) is the last tick's, ``elapsed`` seconds ago.
-    """
-    error = np.full(len(position), np.nan)
-    for i in range(len(position)):
-        if known[i]:
-            square = 0.0
-            for k in range(3):
-                led = setpoint[i, k] + setpoint_velocity[i, k] * elapsed
-                square += (position[i, k] - led) ** 2
+            led = setpoint[i, k] + setpoint_velocity[i, k] * elapsed
+            square += (position[i, k] - led) ** 2
+        if streaming[i] and age[i] <= silence:
             error[i] = math.sqrt(square)
-    return error
+    return position, error
 
 
 @compiled

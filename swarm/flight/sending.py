@@ -21,9 +21,10 @@ def setpoints(flight: "Conductor") -> list[Outgoing]:
         return []
     # a setpoint stands until the next one comes: aim at the middle of its time
     lead = 0.5 / flight.fleet.rates.setpoint
-    relief = np.zeros_like(state.position)
     if flight.carries and all(vehicle.gripped for vehicle in flight.flyers):
         relief = flight.pull.at(flight.clock.time) / flight.plan.mission.vehicles.mass
+    else:
+        relief = np.zeros(state.position.shape)
     states = aimed(*state, lead, flight.lift, relief)
     sending = flight.team.setpoints(
         flight.systems,

@@ -38,6 +38,9 @@ _ROUTES_PER_VEHICLE = 4
 _MOST_UNKNOWN = 300
 """Datagrams that are read between two heartbeats from an address from which no vehicle speaks."""
 _HEARTBEAT = int(common.MAVLINK_MSG_ID_HEARTBEAT)
+_OWN_HEARTBEAT = common.MAVLink_heartbeat_message(
+    common.MAV_TYPE_GCS, common.MAV_AUTOPILOT_INVALID, 0, 0, common.MAV_STATE_ACTIVE, 3
+)
 
 
 class Outgoing(NamedTuple):
@@ -251,18 +254,10 @@ class Team:
         return outgoing
 
     def _heartbeats(self) -> Iterable[Outgoing]:
-        heartbeat = common.MAVLink_heartbeat_message(
-            common.MAV_TYPE_GCS,
-            common.MAV_AUTOPILOT_INVALID,
-            0,
-            0,
-            common.MAV_STATE_ACTIVE,
-            3,
-        )
         spoken_to = {id(route) for ways in self._ways.values() for route in ways.values()}
         for route in self._routes.values():
             if route.address is None or id(route) in spoken_to:
-                data = self.sealed(route.link, route.encoder.encode(heartbeat))
+                data = self.sealed(route.link, route.encoder.encode(_OWN_HEARTBEAT))
                 yield Outgoing(route.link, route.address, data)
 
     def _send(self, outgoing: list[Outgoing], sysid: int, messages: Iterable[Message]) -> None:

@@ -14,20 +14,16 @@ def some(*shape: int) -> np.ndarray:
 
 
 def test_reports_are_carried_on_to_this_moment_for_a_bounded_time():
-    reported, velocity = some(4, 3), some(4, 3)
+    reported, velocity, setpoint, told = (some(4, 3) for _ in range(4))
     age = np.array([0.0, 0.3, 2.0, np.inf])
-    found = reckoning.brought_to_now(reported, velocity, age, LIFT, 0.5)
+    streaming = np.array([True, False, True, True])
+    found, error = reckoning.measured(
+        reported, velocity, age, LIFT, setpoint, told, streaming, (0.5, 2.0, 0.05)
+    )
     carried = np.array([0.0, 0.3, 0.5, 0.5])[:, None]
     assert found == pytest.approx(reported - LIFT + velocity * carried, abs=1e-12)
-
-
-def test_errors_are_distances_from_where_setpoints_have_led_and_unknown_where_nothing_is_known():
-    position, setpoint, velocity = some(3, 3), some(3, 3), some(3, 3)
-    known = np.array([True, False, True])
-    found = reckoning.errors(position, setpoint, velocity, 0.05, known)
-    expected = np.linalg.norm(position - setpoint - 0.05 * velocity, axis=1)
-    assert found[known] == pytest.approx(expected[known], abs=1e-12)
-    assert np.isnan(found[1])
+    led = np.linalg.norm(found - setpoint - 0.05 * told, axis=1)
+    assert error == pytest.approx(np.where(streaming & (age <= 2.0), led, np.nan), nan_ok=True)
 
 
 def test_setpoints_aim_ahead_of_centres_and_are_relieved_of_what_pulls():
