@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sitl import air, landing, wire
+from sitl import air, landing, motion, wire
 from sitl.ardupilot import ArduPilot
 from sitl.contacts import Contacts
 from sitl.dynamics import STEP, Array, Bodies, Flags
@@ -174,7 +174,7 @@ class Emulator:
         channel = self.injector.up[vehicle.index]
         if not channel.busy():
             return False
-        channel.push((link, data), len(data), now)
+        channel.push_all(link, [data], now)
         return True
 
     def _arrive(self, now: float) -> None:
@@ -225,10 +225,8 @@ class Emulator:
         """Return ground truth, for tests and the record only."""
         b = self.bodies
         rope = self.rope
-        up = np.linalg.norm(b.thrust, axis=1)
-        tilt = np.where(up > 1.0, np.arccos(np.clip(b.thrust[:, 2] / np.maximum(up, 1), -1, 1)), 0)
-        tilt = np.where(b.tumbling, np.abs((b.tumble + np.pi) % (2 * np.pi) - np.pi), tilt)
-        arcs = [rope.arc_of(i) if rope else float("nan") for i in range(b.count)]
+        held = {holder: arc for arc, holder in rope.grips} if rope else {}
+        arcs = [held.get(i, math.nan) for i in range(b.count)]
         spans = rope.spans if rope else None
         empty = np.zeros(0)
         grips = b.grip_points()
@@ -237,7 +235,7 @@ class Emulator:
             ids=tuple(v.system for v in self.vehicles),
             position=grips,
             velocity=b.velocity.copy(),
-            tilt=tilt,
+            tilt=motion.tilts(b.now, b.tumbling, b.tumble),
             armed=b.armed.copy(),
             landed=b.landed.copy(),
             gripped=np.array([v.gripped for v in self.vehicles]),

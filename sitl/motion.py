@@ -236,5 +236,19 @@ def _attitude(body: Array, tumbles: bool, tumble: float, yaw: float) -> tuple[fl
 
 
 @compiled
+def tilts(now: Array, tumbling: Flags, tumble: Array) -> Array:
+    """By how much everybody's thrust leans (n,), radians from upright."""
+    leans = np.zeros(len(now))
+    for i in range(len(now)):
+        body = now[i]
+        level = math.hypot(body[0, THRUST], body[1, THRUST])
+        if tumbling[i]:
+            leans[i] = abs(_wrap(tumble[i]))
+        elif math.hypot(level, body[2, THRUST]) > 1.0:
+            leans[i] = math.atan2(level, body[2, THRUST])
+    return leans
+
+
+@compiled
 def _wrap(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi

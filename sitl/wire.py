@@ -82,6 +82,10 @@ NUMBERS: dict[str, int] = {name: layout.number for name, layout in LAYOUTS.items
 _BY_NUMBER = {number: LAYOUTS[message.msgname] for number, message in dialect.mavlink_map.items()}
 
 
+_BRIEF = {NUMBERS[name]: (name, tuple(LAYOUTS[name].places)) for name in ("HEARTBEAT", "TIMESYNC")}
+"""What ground stations keep sending, and is read without pymavlink for speed."""
+
+
 def payload(name: str, fields: dict[str, Any]) -> bytes:
     """Pack named fields (missing ones are zero) into the message's payload.
 
@@ -210,6 +214,33 @@ def setpoint_in(data: bytes) -> Setpoint | None:
     return _setpoint((v[0], v[1], v[14], v[15], v[16], v[13], v[2:11], v[11], v[12]))
 
 
+class Brief:
+    """A message of numbers alone, with what handlers ask of pymavlink's."""
+
+    def __init__(self, name: str, number: int, data: bytes, values: dict[str, Any]) -> None:
+        self._name, self._number, self._data = name, number, data
+        self.__dict__.update(values)
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(f"{self._name} has no field {name}")
+
+    def get_type(self) -> str:
+        """The message's name."""
+        return self._name
+
+    def get_msgId(self) -> int:  # noqa: N802 - as pymavlink has it
+        """The message's number."""
+        return self._number
+
+    def get_srcSystem(self) -> int:  # noqa: N802 - as pymavlink has it
+        """Who sent it."""
+        return self._data[5]
+
+    def get_srcComponent(self) -> int:  # noqa: N802 - as pymavlink has it
+        """Which of the sender's components."""
+        return self._data[6]
+
+
 class Receiver:
     """Parses what arrives on one link; garbage is dropped and counted, never raised.
 
@@ -293,7 +324,13 @@ class Receiver:
         layout = _BY_NUMBER.get(int.from_bytes(data[7:10], "little"))
         if layout is None or _crc(data[1:-2] + layout.seed) != data[-2] | data[-1] << 8:
             return []
-        return [self._parser.decode(bytearray(data))]
+        brief = _BRIEF.get(layout.number)
+        if brief is None:
+            return [self._parser.decode(bytearray(data))]
+        name, names = brief
+        body = data[_HEADER_LENGTH:-2][: layout.struct.size].ljust(layout.struct.size, b"\0")
+        values = dict(zip(names, layout.struct.unpack(body), strict=True))
+        return [Brief(name, layout.number, data, values)]
 
     def _reset(self) -> None:
         self.bad += 1
