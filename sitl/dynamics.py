@@ -84,8 +84,7 @@ class Bodies:
         self.bias = np.zeros((n, 3))
         self.noise = np.zeros((n, 3))
         self.noise_scale = np.zeros((n, 1))
-        self.origin = np.zeros((n, 3))
-        self.scale = np.ones((n, 2))
+        self.frames = np.ones((n, 5))
 
     def _make_goals(self, world: World) -> None:
         n = self.count
@@ -239,8 +238,7 @@ class Bodies:
         """Return `motion.said` as bytes, made once a step."""
         if self._said is None:
             self._said = motion.said(
-                self.now, self.tumbling, self.tumble, self.yaw, self.yaw_rate, self.origin,
-                self.scale,
+                self.now, self.tumbling, self.tumble, self.yaw, self.yaw_rate, self.frames
             ).tobytes()  # fmt: skip
         return self._said
 

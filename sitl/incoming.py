@@ -16,7 +16,6 @@ from sitl.vehicle import Link, Vehicle
 from swarm.compiled import compiled
 
 Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 Indices = NDArray[np.intp]
 
 LENGTH = wire.SETPOINT_LENGTH
@@ -54,13 +53,10 @@ class Incoming:
         b = self._bodies
         while self._waiting:
             waiting, self._waiting = self._waiting, []
-            packets = np.frombuffer(b"".join([data for _, _, data, _ in waiting]), np.uint8)
-            who = np.array([vehicle.index for vehicle, _, _, _ in waiting])
-            taken = _take(
-                packets.reshape(-1, LENGTH), who, self._systems, b.now, b.origin, b.scale,
-                b.goal_yaw,
-            )  # fmt: skip
-            for vehicle, _, data, now in waiting[:taken]:
+            packets = b"".join([data for _, _, data, _ in waiting])
+            who = bytes([vehicle.index for vehicle, _, _, _ in waiting])
+            taken = _take(packets, who, self._systems, b.now, b.frames, b.goal_yaw)
+            for vehicle, _, data, now in waiting if taken == len(waiting) else waiting[:taken]:
                 vehicle.personality.followed(data, now)
             if taken < len(waiting):
                 _hand_over(*waiting[taken][:3])
@@ -74,61 +70,60 @@ def _hand_over(vehicle: Vehicle, link: Link, data: bytes) -> None:
 
 @compiled
 def _take(
-    packets: Bytes, who: Indices, systems: Indices, now: Array, origin: Array, scale: Array,
-    goal_yaw: Array,
-) -> int:  # fmt: skip
-    """Take setpoints (m, LENGTH) for the vehicles ``who`` (m,) into ``now``; return how many.
+    packets: bytes, who: bytes, systems: Indices, now: Array, frames: Array, goal_yaw: Array
+) -> int:
+    """Take m setpoints, of LENGTH bytes each, for the vehicles ``who`` into ``now``; how many.
 
-    The first one that is not taken ends it. ``systems`` (n,) are the vehicles' numbers, ``origin``
-    (n, 3) and ``scale`` (n, 2) those of their frames.
+    The first one that is not taken ends it. ``systems`` (n,) are the vehicles' numbers, ``frames``
+    (n, 5) origin and scale of their frames.
     """
     single = np.empty(10, np.float32)
     raw = single.view(np.uint8)
-    for m in range(len(packets)):
-        packet, i = packets[m], who[m]
-        if not (_is_setpoint(packet) and _is_meant_for(packet, systems[i])):
+    for m in range(len(who)):
+        at, i = LENGTH * m, who[m]
+        if not (_is_setpoint(packets, at) and _is_meant_for(packets, at, systems[i])):
             return m
         for k in range(40):
-            raw[k] = packet[_VALUES + k]
+            raw[k] = packets[at + _VALUES + k]
         for k in range(9):
             if not math.isfinite(single[k]):
                 return m
         for k in range(3):
             # NED to ENU: the second axis is east
             axis, sign = (1 - k, 1.0) if k < 2 else (2, -1.0)
-            step = float(single[axis]) / scale[i, k] if k < 2 else float(single[axis])
-            now[i, k, motion.PLACE] = origin[i, k] + sign * step
+            step = float(single[axis]) / frames[i, 3 + k] if k < 2 else float(single[axis])
+            now[i, k, motion.PLACE] = frames[i, k] + sign * step
             now[i, k, motion.SPEED] = sign * single[3 + axis]
             now[i, k, motion.ACCELERATION] = sign * single[6 + axis]
-        mask = packet[_MASK] | packet[_MASK + 1] << 8
+        mask = packets[at + _MASK] | packets[at + _MASK + 1] << 8
         if not mask & _NO_YAW and math.isfinite(single[9]):
             goal_yaw[i] = 0.5 * math.pi - single[9]
-    return len(packets)
+    return len(who)
 
 
 @compiled
-def _is_setpoint(packet: Bytes) -> bool:
-    """Whether it is a SET_POSITION_TARGET_LOCAL_NED with a good checksum."""
-    number = packet[7] | packet[8] << 8 | packet[9] << 16
+def _is_setpoint(data: bytes, at: int) -> bool:
+    """Whether there is a SET_POSITION_TARGET_LOCAL_NED with a good checksum."""
+    number = data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
     if number != wire.SETPOINT_LOCAL:
         return False
     for k in range(3):
-        if packet[k] != _HEAD[k]:
+        if data[at + k] != _HEAD[k]:
             return False
     checksum = 0xFFFF
     for k in range(1, _SUM):
-        checksum = _more(checksum, packet[k])
+        checksum = _more(checksum, data[at + k])
     checksum = _more(checksum, _SEED)
-    return bool(checksum == packet[_SUM] | packet[_SUM + 1] << 8)
+    return bool(checksum == data[at + _SUM] | data[at + _SUM + 1] << 8)
 
 
 @compiled
-def _is_meant_for(packet: Bytes, system: int) -> bool:
+def _is_meant_for(data: bytes, at: int, system: int) -> bool:
     """Whether it is for this vehicle's autopilot, with all axes, in its own frame."""
-    target, component, frame = packet[_TARGET], packet[_TARGET + 1], packet[_TARGET + 2]
-    mask = packet[_MASK] | packet[_MASK + 1] << 8
+    target, component = data[at + _TARGET], data[at + _TARGET + 1]
+    mask = data[at + _MASK] | data[at + _MASK + 1] << 8
     addressed = (target in (0, system)) and component < 2
-    return bool(addressed and frame == _LOCAL_NED and not mask & _NEITHER)
+    return bool(addressed and data[at + _TARGET + 2] == _LOCAL_NED and not mask & _NEITHER)
 
 
 @compiled

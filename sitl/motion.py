@@ -198,22 +198,21 @@ def downwash(now: Array, mass: Array, radius: Array, density: float, apart: Arra
 
 @compiled
 def said(
-    now: Array, tumbling: Flags, tumble: Array, yaw: Array, yaw_rate: Array, origin: Array,
-    scale: Array,
-) -> NDArray[np.float32]:  # fmt: skip
+    now: Array, tumbling: Flags, tumble: Array, yaw: Array, yaw_rate: Array, frames: Array
+) -> NDArray[np.float32]:
     """What LOCAL_POSITION_NED and ATTITUDE say after the time, as they lie on the wire: (n, 12).
 
-    ``yaw`` and ``yaw_rate`` (n,) are counter-clockwise from east; estimators' frames start at
-    ``origin`` (n, 3), and make of a metre east and north ``scale`` (n, 2). Attitudes are those that
+    ``yaw`` and ``yaw_rate`` (n,) are counter-clockwise from east; ``frames`` (n, 5) are where
+    estimators' frames start, and what they make of a metre east and north. Attitudes are those that
     point the thrust where it points.
     """
     rows = np.zeros((len(now), 12), np.float32)
     for i in range(len(now)):
         body, row = now[i], rows[i]
-        east = body[0, POSITION] + body[0, OFFSET] - origin[i, 0]
-        north = body[1, POSITION] + body[1, OFFSET] - origin[i, 1]
-        row[0], row[1] = north * scale[i, 1], east * scale[i, 0]
-        row[2] = origin[i, 2] - (body[2, POSITION] + body[2, OFFSET])
+        east = body[0, POSITION] + body[0, OFFSET] - frames[i, 0]
+        north = body[1, POSITION] + body[1, OFFSET] - frames[i, 1]
+        row[0], row[1] = north * frames[i, 4], east * frames[i, 3]
+        row[2] = frames[i, 2] - (body[2, POSITION] + body[2, OFFSET])
         row[3], row[4], row[5] = body[1, VELOCITY], body[0, VELOCITY], -body[2, VELOCITY]
         roll, pitch, turned = _attitude(body, tumbling[i], tumble[i], 0.5 * math.pi - yaw[i])
         row[6], row[7], row[8], row[11] = roll, pitch, turned, -yaw_rate[i]

@@ -211,7 +211,7 @@ class Vehicle:
         self.scale = (1.0, 1.0)
         if world.projection == "autopilot" and not world.indoor:
             self.scale = self.around.geodesy.scale(self.spec.autopilot)
-        self.bodies.scale[self.index] = self.scale
+        self.bodies.frames[self.index, 3:] = self.scale
         self.move_origin(self.origin)
 
     def _open_mailbox(self) -> None:
@@ -253,7 +253,7 @@ class Vehicle:
         """Give the estimator another local origin (world ENU)."""
         self.origin = np.array(origin, dtype=float)
         self.place: tuple[float, float, float] = tuple(self.origin.tolist())
-        self.bodies.origin[self.index] = self.origin
+        self.bodies.frames[self.index, :3] = self.origin
         self.bodies.touch()
 
     def to_local(self, place: Any) -> tuple[float, float, float]:
