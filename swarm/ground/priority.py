@@ -10,15 +10,19 @@ _BEHIND = 5
 _SWITCH_INTERVAL = 0.0005
 
 
-def prefer(priority: int = PRIORITY) -> bool:
-    """Give the calling thread a real-time priority, where permitted; return whether it was.
-
-    Processes and threads that begin later do not inherit it. What Python keeps is no longer looked
-    through for garbage again and again.
-    """
+def settle() -> None:
+    """Look through what Python keeps for garbage now, and never again; let threads take turns."""
     gc.collect()
     gc.freeze()
     sys.setswitchinterval(_SWITCH_INTERVAL)
+
+
+def prefer(priority: int = PRIORITY) -> bool:
+    """Give the calling thread a real-time priority, where permitted; return whether it was.
+
+    Processes and threads that begin later do not inherit it. Permitted or not, it settles.
+    """
+    settle()
     try:
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
         os.sched_setscheduler(0, policy, os.sched_param(priority))

@@ -30,6 +30,8 @@ from swarm.mavlink.packets import split
 from swarm.preflight.findings import ProvenPlan
 
 WRITE_INTERVAL = 0.25
+_AT_ONCE, _BREATH = 40, 0.001
+"""Packets that are made ready to be written in one go, and seconds of rest after that."""
 _MOST_WAITING = 200_000
 _STAMP = struct.Struct(">Q")
 
@@ -84,7 +86,10 @@ class Record:
     def _write_waiting(self) -> None:
         packets: list[bytes] = []
         events: list[bytes] = []
-        for _ in range(len(self._waiting)):
+        for done in range(len(self._waiting)):
+            if done % _AT_ONCE == _AT_ONCE - 1:
+                # while this holds the interpreter, the flight's loop waits for it
+                self._closing.wait(_BREATH)
             what = self._waiting.popleft()
             if isinstance(what, Event):
                 events.append(json.dumps(asdict(what), ensure_ascii=False).encode() + b"\n")

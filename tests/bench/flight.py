@@ -2,8 +2,8 @@
 
     python tests/bench/flight.py [--vehicles 100] [--rate 50] [--seconds 15] [--normal] [--only X]
 
-A process stands in for the vehicles: it speaks as they do and notes when each setpoint arrives and
-for which tick it was meant. Against it run: our flight loop with recording and a live view
+A process stands in for the vehicles: it speaks as they do and notes when each setpoint arrives (by
+the system's stamp) and for which tick it was meant. Against it run: our flight loop with recording and a live view
 (a terminal's screen and a Rerun file, drawn by a process of their own), a plain pymavlink loop, and
 MAVSDK's offboard plugin, each at the same load. Lateness is from when a tick was due, by the
 sender's absolute schedule, to the arrival at the receiver, on one clock. With --normal nobody has
@@ -42,7 +42,7 @@ from swarm.flight.conductor import Conductor
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.warm import warm_up
 from swarm.ground.loop import Loop
-from swarm.ground.priority import follow, prefer
+from swarm.ground.priority import follow, prefer, settle
 from swarm.ground.record import Record
 from swarm.ground.sockets import open_links
 from swarm.mavlink.frames import shared_frames
@@ -142,8 +142,7 @@ def ours(
     conductor = Conductor(proven, fleet)
     warm_up(conductor)
     links = open_links(conductor.fleet.links)
-    if not chosen.normal:
-        prefer()
+    (settle if chosen.normal else prefer)()
     record = Record(folder / "record", time.time())
     watcher = Watcher(proven.plan, folder)
     receiver = Receiver([links.port("a")], chosen)

@@ -3,7 +3,8 @@
     python tests/bench/vehicles.py PORTS COUNT SECONDS FILE PRIORITY
 
 PORTS is a JSON list: one port for all, or one each. Setpoints are kept in FILE (.npz): vehicle,
-arrival, boot time and north.
+arrival, boot time and north. Arrival is when the system took the packet in, by its own stamp: how
+soon this process gets round to reading it is not the sender's lateness.
 """
 
 import gc
@@ -11,6 +12,7 @@ import json
 import os
 import select
 import socket
+import struct
 import sys
 import time
 from contextlib import suppress
@@ -18,6 +20,8 @@ from contextlib import suppress
 import numpy as np
 from pymavlink.dialects.v20 import common
 
+STAMPS = 35
+"""SO_TIMESTAMPNS, which Python has no name for."""
 SETPOINT = common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
 
@@ -32,6 +36,7 @@ def vehicles(ports: list[int], count: int, seconds: float, path: str, priority: 
         one.bind(("127.0.0.1", 0))
         one.setblocking(False)
         one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        one.setsockopt(socket.SOL_SOCKET, STAMPS, 1)
     senders = [common.MAVLink(None, srcSystem=k + 1, srcComponent=1) for k in range(count)]
     targets = ports if len(ports) == count else ports * count
     arrivals: list[tuple[int, float, bytes]] = []
@@ -52,16 +57,27 @@ def vehicles(ports: list[int], count: int, seconds: float, path: str, priority: 
             k = index[number]
             with suppress(BlockingIOError):
                 while True:
-                    data = sockets[k].recv(2048)
+                    data, ((_, _, stamp),), _, _ = sockets[k].recvmsg(2048, 64)
                     if data[7] == SETPOINT:
-                        arrivals.append((k, time.monotonic(), data[10:18]))
+                        arrivals.append((k, stamp, data[10:18]))
     np.savez(
         path,
         vehicle=np.array([row[0] for row in arrivals]),
-        arrived=np.array([row[1] for row in arrivals]),
+        arrived=np.array([_seconds(row[1]) for row in arrivals]) + _offset(),
         boot=np.array([int.from_bytes(row[2][:4], "little") for row in arrivals]),
         north=np.frombuffer(b"".join(row[2][4:8] for row in arrivals), "<f4"),
     )
+
+
+def _seconds(stamp: bytes) -> float:
+    whole, nanoseconds = struct.unpack("<qq", stamp[:16])
+    return float(whole + 1e-9 * nanoseconds)
+
+
+def _offset() -> float:
+    """Seconds by which the monotonic clock is ahead of the system's."""
+    found = [time.monotonic() - 0.5 * (time.time() + time.time()) for _ in range(100)]
+    return float(np.median(found))
 
 
 def _speak(one: socket.socket, mav: common.MAVLink, tick: int, port: int) -> None:
