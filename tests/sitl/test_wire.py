@@ -160,12 +160,14 @@ def what_was_taken(emulator: Emulator, pieces: list[bytes]) -> list[Any]:
     b = emulator.bodies
     autopilot: Any = emulator.vehicles[0].personality
     before = b.now.copy(), b.goal_yaw.copy(), b.position_axes.copy(), b.velocity_axes.copy()
+    axes = dict(b._axes)
     last, at = autopilot.offboard, autopilot.offboard_at
     for piece in pieces:
         emulator.receive(1, piece, emulator.time + 0.5)
     taken = [b.now[0].tolist(), b.goal_yaw[0], b.position_axes[0].tolist(), autopilot.offboard_at]
     taken.append(repr(autopilot.offboard))
     b.now[:], b.goal_yaw[:], b.position_axes[:], b.velocity_axes[:] = before
+    b._axes = axes
     b.touch()
     autopilot.offboard, autopilot.offboard_at = last, at
     autopilot.all_axes = True
