@@ -10,6 +10,7 @@ from pathlib import Path
 from sitl import server
 from sitl.emulator import Emulator
 from sitl.faults import load_scenario
+from sitl.warm import warm_up
 from sitl.world import WorldError, default_world, load_key, load_world, schema
 
 
@@ -82,6 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
     except WorldError as error:
         sys.stderr.write(f"{error}\n")
         return 2
+    warm_up()
     try:
         if target is not None:
             running = server.to_target(emulator, target, given.host, given.speed)

@@ -212,7 +212,7 @@ class ArduPilot:
         speeds = (p["WPNAV_SPEED"], p["WPNAV_SPEED_UP"], p["WPNAV_SPEED_DN"])
         demand.limits(self.v, *(max(0.1, speed / 100.0) for speed in speeds))
 
-    def arm(self, *, force: bool) -> int:
+    def arm(self, force: bool) -> int:
         """Arm, if nothing speaks against it; return the MAV_RESULT."""
         v = self.v
         if v.armed:

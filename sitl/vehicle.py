@@ -119,6 +119,10 @@ class Personality(Protocol):
     def leave(self) -> None:
         """Leave the mode that follows setpoints."""
 
+    def arm(self, force: bool) -> int:
+        """Arm, if nothing speaks against it; return the MAV_RESULT."""
+        ...
+
     def disarm(self, text: str) -> None:
         """Stop the motors at once."""
 

@@ -1,0 +1,60 @@
+"""What is compiled when it is first called is called before any vehicle is heard of.
+
+On a new machine a first call takes seconds, in which emulated vehicles would fall silent.
+"""
+
+import numpy as np
+from pymavlink.dialects.v20 import common as dialect
+
+from sitl.emulator import Emulator
+from sitl.vehicle import Vehicle
+from sitl.world import parse_world
+
+_STEP = 0.05
+_WORLD = """
+schema: 1
+wind: {steady: [0.5, 0, 0], gust: 0.2}
+cable: {points: [[0, 0, 0], [7.2, 0, 0]], attached: [0, 3.6, 7.2]}
+vehicles:
+  - {id: 1, autopilot: px4, pad: [0, 0, 0], gripper: attached}
+  - {id: 2, autopilot: ardupilot, pad: [3, 0, 0], gripper: attached}
+  - {id: 3, autopilot: px4, pad: [6, 0, 0], gripper: attached}
+"""
+
+
+_FLY = {"px4": 6 << 16, "ardupilot": 4}
+_LAND = {"px4": 4 << 16 | 6 << 24, "ardupilot": 9}
+
+
+def _take_off(vehicle: Vehicle) -> None:
+    """Have a vehicle armed and flying by setpoints, whatever it takes."""
+    vehicle.personality.set_mode(1, _FLY[vehicle.spec.autopilot])
+    vehicle.personality.arm(force=True)
+    vehicle.bodies.may_lift[vehicle.index] = True
+
+
+def warm_up() -> None:
+    """Fly three vehicles with a cable in virtual time: up, across, let go, and down."""
+    emulator = Emulator(parse_world(_WORLD))
+    ground = dialect.MAVLink(None, 255, 190)
+    places = np.array([[0.0, 0.0, 3.0], [2.5, 0.0, 3.5], [4.5, 1.0, 3.0]])
+    for tick in range(round(14.0 / _STEP)):
+        now = tick * _STEP
+        packets = []
+        for vehicle, place in zip(emulator.vehicles, places, strict=True):
+            north, east, down = vehicle.to_local(place)
+            setpoint = dialect.MAVLink_set_position_target_local_ned_message(
+                0, vehicle.system, 1, 1, 2048, north, east, down, *[0.0] * 6, 0.0, 0.0
+            )
+            packets.append((vehicle.system, setpoint.pack(ground)))
+        if now < 8.0:
+            emulator.receive_all(packets, now)
+            emulator.receive(*packets[0], now)
+        for vehicle in emulator.vehicles:
+            if tick == 20:
+                _take_off(vehicle)
+            elif tick == 160:
+                vehicle.around.release(vehicle.index)
+                vehicle.personality.set_mode(1, _LAND[vehicle.spec.autopilot])
+        emulator.step(now)
+    emulator.truth()
