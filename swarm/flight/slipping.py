@@ -35,13 +35,17 @@ SHARE = 0.6
 """
 FAINTEST = 0.2
 """Newtons; a slip that changes the team's level loads by less is not told from noise."""
-FITS = 0.6
-"""Share of what differs that the pattern must explain."""
+FITS, HARDLY_FITS = 0.6, 0.4
+"""Shares of what differs that the pattern must explain: to be seen, and to be seen faintly, as
+where it is no stronger than what the model has wrong by 0.2 N all over the team."""
+MOST = 1.6
+"""Share of a pattern beyond which something faint is not taken for it."""
 FROM_OUTSIDE = 0.8
 """Force from outside the team per force that differs, beyond which something else than the cable
 pulls: where a strand is caught, its two vehicles are pulled the same way, and this is above 1."""
-LOOKS = 2
-"""Looks in a row that must see the same vehicle's pattern."""
+ENOUGH, CLEARLY, FAINTLY = 4, 2, 1
+"""What looks in a row that see the same vehicle's pattern must add up to, and what each counts. In
+whole flights without a slip no look sees one even faintly."""
 _OLDEST = 0.6
 """Seconds by which the newest position may be old."""
 
@@ -86,10 +90,10 @@ class Grasps:
         if self._usual is None:
             self._usual = left
         self._usual += (left - self._usual) * (INTERVAL / USUAL_FOR)
-        who = self._whose(left - self._usual, held)
-        self._seen = self._seen + 1 if who is not None and who == self._suspect else 1
+        who, counts = self._whose(left - self._usual, held)
+        self._seen = self._seen + counts if who == self._suspect else counts
         self._suspect = -1 if who is None else who
-        return who if self._seen >= LOOKS else None
+        return who if self._seen >= ENOUGH else None
 
     def shows(self, grips: Floats) -> npt.NDArray[np.bool_]:
         """Return of which vehicles (n,) a slip would change the level pulls enough to be seen."""
@@ -113,8 +117,9 @@ class Grasps:
         pull[1:] += on_last
         return _Held(above, on_first, on_last, pull)
 
-    def _whose(self, left: Floats, held: "_Held") -> int | None:
-        """The vehicle whose pattern explains what differs (n, 2) from the model best, if any.
+    def _whose(self, left: Floats, held: "_Held") -> tuple[int | None, int]:
+        """The vehicle whose pattern explains best what differs (n, 2) from the model, if any does,
+        and how much that counts.
 
         Patterns are only worked out where one could fit: the vehicle's own pull is part of it.
         """
@@ -124,9 +129,9 @@ class Grasps:
         around[1:] += squared[:-1]
         around[:-1] += squared[1:]
         own = np.vecdot(held.pull[:, :2], held.pull[:, :2])
-        least = np.maximum(SHARE**2 * np.maximum(own, FAINTEST**2), FITS * squared.sum())
+        least = np.maximum(SHARE**2 * np.maximum(own, FAINTEST**2), HARDLY_FITS * squared.sum())
         if not np.count_nonzero(around > (1.0 - 1e-9) * least):
-            return None
+            return None, 0
         return _whose(left, shared, self._patterns(held))
 
     def _patterns(self, held: "_Held") -> Floats:
@@ -153,19 +158,25 @@ class _Held(NamedTuple):
     pull: Floats
 
 
-def _whose(left: Floats, shared: Floats, patterns: Floats) -> int | None:
+def _whose(left: Floats, shared: Floats, patterns: Floats) -> tuple[int | None, int]:
     norm = np.einsum("kij,kij->k", patterns, patterns)
     along = np.einsum("kij,ij->k", patterns, shared)
     explained = along * along / np.maximum(norm, 1e-9)
-    fits = (norm > FAINTEST**2) & (along > SHARE * norm)
-    fits &= explained > FITS * float(np.sum(shared * shared))
+    differs = float(np.sum(shared * shared))
+    like = (norm > FAINTEST**2) & (along > SHARE * norm)
+    fits, counts = like & (explained > FITS * differs), CLEARLY
     if not fits.any():
-        return None
+        fits = like & (explained > HARDLY_FITS * differs) & (along < MOST * norm)
+        counts = FAINTLY
+    if not fits.any():
+        return None, 0
     k = int(np.argmax(np.where(fits, explained, 0.0)))
     near = np.abs(np.arange(len(left)) - k) <= 1
     own = left[near] - (left[~near].mean(axis=0) if not near.all() else 0.0)
     outside = float(np.linalg.norm(own.sum(axis=0)))
-    return k if outside < FROM_OUTSIDE * float(np.linalg.norm(own)) else None
+    if outside >= FROM_OUTSIDE * float(np.linalg.norm(own)):
+        return None, 0
+    return k, counts
 
 
 def lean(attitude: Floats) -> Floats:
