@@ -161,6 +161,8 @@ class Channel:
     free_at: float = 0.0
     outage: bool = False
     checked_at: float = 0.0
+    _judged: Fault | None = None
+    _figures: tuple[float, float, float] | None = None
 
     def busy(self) -> bool:
         """Whether anything is delayed or could be harmed."""
@@ -168,13 +170,13 @@ class Channel:
 
     def push_all(self, link: Any, frames: list[bytes], now: float) -> None:
         """Send frames of a link into the channel, as `push` does one after the other."""
-        fault = self.fault
-        if fault is None or fault.burst or fault.reorder or fault.bandwidth or fault.duplicate:
+        plain = self._plain()
+        if plain is None:
             for frame in frames:
                 self.push((link, frame), len(frame), now)
             return
-        roll, queue, count = self.dice.roll, self.queue, self.count
-        loss, jitter, soonest = fault.loss, fault.jitter, now + fault.latency
+        loss, latency, jitter = plain
+        roll, queue, count, soonest = self.dice.roll, self.queue, self.count, now + latency
         for frame in frames:
             if loss > 0.0 and (loss >= 1.0 or roll() < loss):
                 continue
@@ -182,6 +184,17 @@ class Channel:
             at = soonest + jitter * roll() if jitter else soonest
             heapq.heappush(queue, (at, count, (link, frame)))
         self.count = count
+
+    def _plain(self) -> tuple[float, float, float] | None:
+        """Loss, latency and jitter where these are all the troubles, worked out once for each."""
+        fault = self.fault
+        if fault is not self._judged:
+            self._judged, self._figures = fault, None
+            if fault is not None and not (
+                fault.burst or fault.reorder or fault.bandwidth or fault.duplicate
+            ):
+                self._figures = fault.loss, fault.latency, fault.jitter
+        return self._figures
 
     def push(self, item: Any, size: int, now: float) -> None:
         """Send one frame into the channel."""
