@@ -5,6 +5,7 @@ a copy of the flight shortly before (both sides are state machines without socke
 one fault, flies on in virtual time and is judged by the emulator's ground truth.
 """
 
+import gc
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -121,16 +122,21 @@ def _fly_rows(
     fleet = drill_fleet(proven.plan.vehicles, personality, seeds[0])
     stages: dict[Part, list[Rehearsal]] = {}
     flown = []
+    gc.collect()
+    gc.freeze()
     for row in rows:
         if row.part not in stages:
             rng = np.random.default_rng(seeds)
             stages[row.part] = list(_stages(proven, fleet, row.part, times, rng, seeds[0]))
         victims = np.random.default_rng((*seeds, zlib.crc32(row.name.encode())))
-        trials = [
-            _fly(stage.copy(), row, int(victims.integers(proven.plan.vehicles)))
-            for stage in stages[row.part]
-        ]
+        trials = []
+        for stage in stages[row.part]:
+            trials.append(_fly(stage.copy(), row, int(victims.integers(proven.plan.vehicles))))
+            # a flight's parts know each other: few objects, which Python is in no hurry to look
+            # through, and large arrays
+            gc.collect()
         flown.append((row.name, trials))
+    gc.unfreeze()
     return personality, flown
 
 
