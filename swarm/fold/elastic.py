@@ -72,9 +72,9 @@ def eased(crew: Crew, places: Floats, offsets: Floats, sampled: csr_array, more:
 
     ``places`` (s, n, 3) without offsets; ``offsets`` (c, n, 3) to begin with; ``sampled`` (s, c)
     are the weights of control points at the moments, which include all stages; ``more`` of s
-    moments. Strands stay on the sides of each other on which they pass to begin with.
+    moments. Strands pass on the sides of each other on which they pass without offsets.
     """
-    band = _banded(crew, places, offsets, sampled, more)
+    band = _banded(crew, places, len(offsets), sampled, more)
     stages = sampled.argmax(axis=1)
     missed = band.missed(offsets)
     worth = np.where(more.asked, _ASKED * _STRAINED, _STRAINED)
@@ -98,14 +98,13 @@ def straightened(
 
     Who need not give way any more cuts corners, and the fold gets quicker.
     """
-    band = _banded(crew, places, offsets, sampled, more)
+    band = _banded(crew, places, len(offsets), sampled, more)
     return band.relaxed(offsets, slice(0, len(offsets)), _STRAIGHTENING, _STRAIGHT)
 
 
-def _banded(crew: Crew, places: Floats, offsets: Floats, sampled: csr_array, more: More) -> "_Band":
-    density = (len(places) - 1) // (len(offsets) - 1)
-    flown = places + (sampled @ offsets.reshape(len(offsets), -1)).reshape(places.shape)
-    sides = sides_of(crew.hung(flown), _AROUND * density)
+def _banded(crew: Crew, places: Floats, stages: int, sampled: csr_array, more: More) -> "_Band":
+    density = (len(places) - 1) // (stages - 1)
+    sides = sides_of(crew.hung(places), _AROUND * density)
     return _Band(crew, places, sides, more, sampled, density)
 
 

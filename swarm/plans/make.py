@@ -10,6 +10,7 @@ from scipy.spatial.distance import pdist
 from swarm.cable.catenary import hang
 from swarm.errors import Refused
 from swarm.fold.answer import lift
+from swarm.fold.elastic import HOPELESS
 from swarm.fold.layout import Hanging, Shape, given, hanging
 from swarm.fold.margins import Margins
 from swarm.fold.paper import dips, printed_motion
@@ -105,6 +106,8 @@ def _mended(
             break
         folding = replace(folding, plan=improved(with_more(folding, made, missing)))
         tried.append("gave way by more where the certificate missed something")
+        if folding.plan.worst > HOPELESS:
+            break
 
 
 def _refuse_unplanned(mission: Mission) -> None:
