@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,9 @@ from typing import Any
 from swarm.errors import VehicleError
 
 _STOP_PATIENCE = 3.0
+
+_STARTING, _LOOK_AGAIN = 60.0, 0.02
+"""Seconds that it may take to start; on a new machine most of them are for compiling."""
 
 
 class EmulatorProcess:
@@ -44,6 +48,15 @@ class EmulatorProcess:
                 stderr=errors,
                 start_new_session=True,
             )
+        self._wait_until_ready()
+
+    def _wait_until_ready(self) -> None:
+        """Wait for the vehicles to speak: flight time begins with them, and may run fast."""
+        latest = time.monotonic() + _STARTING
+        while self._process.poll() is None and time.monotonic() < latest:
+            if b'"ready"' in self._errors.read_bytes():
+                return
+            time.sleep(_LOOK_AGAIN)
 
     @property
     def pid(self) -> int:
