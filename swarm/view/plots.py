@@ -349,7 +349,7 @@ def draw_clock(axes: Axes, trace: Trace) -> None:
 def draw_flown_view(axes: Axes, plan: Plan, trace: Trace) -> None:
     """Draw the knot's plan view as planned, and the last positions reported during the hold."""
     draw_plan_view(axes, plan.layout)
-    held = trace.position[np.array(trace.phase) == "hold"]
+    held = trace.position[np.array(trace.phase, dtype=str) == "hold"]
     known = held[np.isfinite(held).all(axis=(1, 2))]
     if len(known):
         axes.plot(*known[-1][:, :2].T, "x", color=ALARM, markersize=7, zorder=8)
@@ -358,6 +358,8 @@ def draw_flown_view(axes: Axes, plan: Plan, trace: Trace) -> None:
 
 def _shade_phases(axes: Axes, trace: Trace) -> None:
     """Shade every second phase, and name those that are long enough to be read."""
+    if not len(trace.time):
+        return
     names = np.array(trace.phase)
     edges = np.flatnonzero(np.append(True, names[1:] != names[:-1]))
     span = trace.time[-1] - trace.time[0]

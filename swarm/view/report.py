@@ -374,6 +374,8 @@ def _held(trace: Trace) -> npt.NDArray[np.bool_]:
 
 def _every(trace: Trace) -> int:
     """Return how many instants make a step of the sampled curves."""
+    if len(trace.time) < 2:
+        return 1
     step = float(np.median(np.diff(trace.time)))
     return max(1, round(CLEARANCE_STEP / step))
 

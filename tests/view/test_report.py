@@ -143,6 +143,15 @@ def test_a_failed_flight_is_not_green() -> None:
     assert "imply 0_1 in the cable model, which is not what was planned." in Reader(source).words
 
 
+def test_a_flight_that_ended_before_anything_was_heard_has_its_page() -> None:
+    none = np.empty((0, PLAN.vehicles, 3))
+    nothing = Trace(np.empty(0), np.empty(0), none, none, ())
+    ended = outcome(outcome="failed", explanation="vehicle 4: no answer")
+    read = Reader(flight_report(PLAN, assessment(), ended, nothing, []))
+    assert "Failed: vehicle 4: no answer." in read.words
+    assert read.images == 3
+
+
 def test_whatever_a_mission_is_called_stays_text() -> None:
     name = '<img src=x onerror="alert(1)">'
     plan = replace(PLAN, mission=PLAN.mission.model_copy(update={"name": name}))
