@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import expm
 
 from swarm.cable.catenary import STANDARD_GRAVITY
 from swarm.mission import Mission
@@ -30,7 +31,7 @@ _JET_WIDENING = 0.1
 STEP = 0.1
 LEAST_SINKING = 0.01
 """Metres; less is not worth a word."""
-_ANSWER = ((1.0, 0.0), (1.0, 4.0, 6.0, 2.0))
+_ANSWER = (2.0, 6.0, 4.0)
 """An autopilot's vertical error for a disturbing acceleration, as a transfer function: with PX4's
 defaults MPC_Z_P 1, MPC_Z_VEL_P_ACC 4 and MPC_Z_VEL_I_ACC 2 it is s / (s³ + 4s² + 6s + 2)."""
 
@@ -97,8 +98,6 @@ def deepest_sinking(plan: Plan) -> Sinking | None:
     autopilot answers with _ANSWER. The largest speed counts where
     several jets meet. None where nobody passes below anybody.
     """
-    from scipy.signal import bilinear, lfilter  # noqa: PLC0415 - slow to import
-
     held = [phase for phase in plan.phases if phase.cable in {"lifting", "aloft"}]
     if not held or plan.vehicles < 2:
         return None
@@ -112,7 +111,7 @@ def deepest_sinking(plan: Plan) -> Sinking | None:
         sources[:, vehicle] = blown.argmax(axis=1)
         speeds[:, vehicle] = blown.max(axis=1)
     lost = np.minimum(0.5, speeds / (2.0 * induced_speed(plan.mission))) * STANDARD_GRAVITY
-    depth = lfilter(*bilinear(*_ANSWER, fs=1.0 / STEP), lost, axis=0)
+    depth = _error(lost)
     instant, who = np.unravel_index(np.argmax(depth), depth.shape)
     if depth[instant, who] < LEAST_SINKING:
         return None
@@ -128,3 +127,16 @@ def deepest_sinking(plan: Plan) -> Sinking | None:
         speed=float(speeds[worst, who]),
         time=float(time[worst]),
     )
+
+
+def _error(disturbance: Floats) -> Floats:
+    """Vertical errors (k, n), metres, for accelerations (k, n) that last a STEP each."""
+    # States are 1, s and s² over the polynomial, and the disturbance, which is held for a step.
+    rates = np.diag(np.ones(3), 1)
+    rates[2, :3] = -np.array(_ANSWER)
+    held = expm(STEP * rates)[:3]
+    state, error = np.zeros((3, disturbance.shape[1])), np.empty_like(disturbance)
+    for k, now in enumerate(disturbance):
+        state = held @ np.vstack([state, now])
+        error[k] = state[1]
+    return error
