@@ -18,28 +18,24 @@ _SOURCES: dict[str, frozenset[str]] = {}
 def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
     """Compile a function of numbers and arrays when it is first called.
 
-    The machine code is kept beside the module or else in the user's cache, so that it is compiled
-    once per machine; where neither can be written, once per process. It is compiled anew when its
-    file or that of any compiled function which it may call has changed. Division by 0 gives what
-    NumPy gives.
+    The machine code is kept in the user's cache, so that it is compiled once per machine; where
+    that cannot be written, once per process. It is compiled anew when its file or that of any
+    compiled function which it may call has changed. Division by 0 gives what NumPy gives.
     """
     before = numba.config.CACHE_DIR
     try:
-        for folder in _folders(function):
-            numba.config.CACHE_DIR = str(folder)
-            try:
-                made = numba.njit(function, cache=True, error_model="numpy", nogil=True)
-            except (RuntimeError, OSError):
-                continue
-            return cast("Callable[Parameters, Result]", made)
+        # Not beside the module: what pip did not install stays behind when it uninstalls, and
+        # Python takes the folders that are left for a package.
+        numba.config.CACHE_DIR = str(_folder(function))
+        made = numba.njit(function, cache=True, error_model="numpy", nogil=True)
+    except (RuntimeError, OSError):
+        made = numba.njit(function, error_model="numpy", nogil=True)
     finally:
         numba.config.CACHE_DIR = before
-    return cast(
-        "Callable[Parameters, Result]", numba.njit(function, error_model="numpy", nogil=True)
-    )
+    return cast("Callable[Parameters, Result]", made)
 
 
-def _folders(function: Callable[..., object]) -> tuple[Path, Path]:
+def _folder(function: Callable[..., object]) -> Path:
     """Where machine code that is made from these very sources may be kept."""
     own = function.__code__.co_filename
     callable_here = [
@@ -51,5 +47,5 @@ def _folders(function: Callable[..., object]) -> tuple[Path, Path]:
     _SOURCES[own] = _SOURCES.get(own, frozenset()) | sources
     stamps = [(name, os.stat(name).st_mtime_ns, os.stat(name).st_size) for name in sorted(sources)]
     stamp = hashlib.sha256(repr(stamps).encode()).hexdigest()[:16]
-    beside = Path(own).parent / "__pycache__" / "compiled" / stamp
-    return beside, Path.home() / ".cache" / "swarm" / stamp
+    caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(caches) / "swarm" / stamp

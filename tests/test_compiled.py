@@ -1,5 +1,6 @@
 """Compiled functions are made anew when what they were made from has changed."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,8 +14,10 @@ OUTER = (
 
 def run(folder: Path) -> str:
     done = subprocess.run(
-        [sys.executable, "-B", "outer.py"], cwd=folder, capture_output=True, text=True, check=True
-    )
+        [sys.executable, "-B", "outer.py"],
+        env=os.environ | {"XDG_CACHE_HOME": str(folder / "cache")},
+        cwd=folder, capture_output=True, text=True, check=True,
+    )  # fmt: skip
     return done.stdout.strip()
 
 
@@ -22,6 +25,13 @@ def test_a_change_in_a_function_that_is_called_is_noticed(tmp_path: Path) -> Non
     (tmp_path / "outer.py").write_text(OUTER)
     (tmp_path / "inner.py").write_text(INNER.format(1))
     assert run(tmp_path) == "42"
-    assert list((tmp_path / "__pycache__" / "compiled").rglob("*outer*.nbi"))
+    assert list((tmp_path / "cache" / "swarm").rglob("*outer*.nbi"))
     (tmp_path / "inner.py").write_text(INNER.format(2))
     assert run(tmp_path) == "44"
+
+
+def test_without_a_cache_it_is_compiled_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / "outer.py").write_text(OUTER)
+    (tmp_path / "inner.py").write_text(INNER.format(1))
+    (tmp_path / "cache").write_text("not a folder")
+    assert run(tmp_path) == "42"

@@ -84,10 +84,12 @@ def fly(
     keyed = ExitStack()
     try:
         conductor.team.signing = keyed.enter_context(signing_with(fleet.signing_key))
-        began = time.time()
-        record = Record(record_folder, began)
-        record.before(proven, fleet, {"speed": speed, "no_cable": no_cable, "began": began})
+        record = Record(record_folder, time.time())
         emulator = _emulator(proven, fleet, links, record_folder, speed, no_cable=no_cable)
+        # Flight time begins once an emulator speaks, which takes it a while to do.
+        record.began = time.time()
+        options = {"speed": speed, "no_cable": no_cable, "began": record.began}
+        record.before(proven, fleet, options)
         if emulator is not None and on_emulator is not None:
             on_emulator(emulator.pid)
         desk = Desk(conductor, lambda: conductor.snapshot(conductor.now).available)

@@ -45,7 +45,7 @@ class Record:
     def __init__(self, folder: Path, began: float) -> None:
         """Raise :class:`InputError` where the folder cannot be made or holds a flight's record."""
         self.folder = folder
-        self._began = began
+        self.began = began
         self.problem: str | None = None
         self.dropped = 0
         try:
@@ -100,7 +100,7 @@ class Record:
 
     def _stamped(self, stream: str, now: float, data: bytes) -> Iterator[bytes]:
         """Yield the packets with their times: eight bytes, microseconds since 1970, big-endian."""
-        stamp = _STAMP.pack(int((self._began + now) * 1e6))
+        stamp = _STAMP.pack(int((self.began + now) * 1e6))
         whole, cut = split(self._cut.get(stream, b"") + data)
         if stream:
             self._cut[stream] = cut
