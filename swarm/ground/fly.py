@@ -88,8 +88,7 @@ def fly(
         emulator = _emulator(proven, fleet, links, record_folder, speed, no_cable=no_cable)
         # Flight time begins once an emulator speaks, which takes it a while to do.
         record.began = time.time()
-        options = {"speed": speed, "no_cable": no_cable, "began": record.began}
-        record.before(proven, fleet, options)
+        record.before(proven, fleet, {"speed": speed, "no_cable": no_cable, "began": record.began})
         if emulator is not None and on_emulator is not None:
             on_emulator(emulator.pid)
         desk = Desk(conductor, lambda: conductor.snapshot(conductor.now).available)
