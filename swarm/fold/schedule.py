@@ -29,6 +29,9 @@ _EVENED = 3.0
 _DENSITIES = (1, 4)
 """Moments per stage at which the team is looked at, while it is eased."""
 
+_FINE = 0.3
+"""Units of missed margin at the worst moment that straightening may leave for mending."""
+
 _NEAR = 2.5
 """Stages around a moment for which more is asked."""
 
@@ -95,7 +98,10 @@ def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Sc
     more = nothing_more(len(progress))
     plan = Schedule(found.path, crew, progress, offsets, np.zeros(1), more)
     plan = improved(plan)
-    return straight(plan) if plan.worst <= HOPELESS else plan
+    if plan.worst > HOPELESS:
+        return plan
+    quicker = straight(plan)
+    return quicker if quicker.worst <= max(plan.worst, _FINE) else plan
 
 
 def improved(plan: Schedule) -> Schedule:
