@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from swarm.cable.shape import half_angle_for_stretch
+from swarm.cable.shape import half_angle
 from swarm.compiled import compiled
 
 Floats = NDArray[np.float64]
@@ -21,36 +21,6 @@ _TAUTEST = 1e-6
 _NEARLY_ON_FLOOR = 1e-18
 """Metres of height that stand for none at all."""
 _NEWTON, _SETTLED = 60, 1e-9
-_ROOTS = np.linspace(0.0, 2.0, 801)
-"""Square roots of the stretch, of which the half angle is nearly a straight line."""
-_HALF_ANGLES = half_angle_for_stretch(_ROOTS**2)
-
-
-@compiled
-def half_angle(stretch: float) -> float:
-    """Solve log(sinh(x) / x) = stretch for x ≥ 0, as ``half_angle_for_stretch`` does.
-
-    From a table, or the asymptote of x − log 2x, by Halley's method.
-    """
-    root = math.sqrt(stretch)
-    step = _ROOTS[1]
-    place = int(root / step)
-    if place + 1 >= len(_ROOTS):
-        x = stretch + math.log(2.0 * (stretch + math.log(2.0 * stretch + 4.0)))
-    else:
-        share = root / step - place
-        x = _HALF_ANGLES[place] + share * (_HALF_ANGLES[place + 1] - _HALF_ANGLES[place])
-        if x < 0.05:
-            # log(sinh(x) / x) = x²/6 − x⁴/180 + x⁶/2835 − …, inverted: exact to rounding here
-            return math.sqrt(6.0 * stretch * (1.0 + stretch * (0.2 + stretch * 4.0 / 1050.0)))
-    for _ in range(2):
-        fading, inverse = math.exp(-2.0 * x), 1.0 / x
-        left = 1.0 / (1.0 - fading)
-        value = x + math.log((0.5 - 0.5 * fading) * inverse) - stretch
-        first = (1.0 + fading) * left - inverse
-        second = inverse * inverse - 4.0 * fading * left * left
-        x -= value * first / (first * first - 0.5 * value * second)
-    return x
 
 
 @compiled

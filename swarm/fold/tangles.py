@@ -159,40 +159,12 @@ def neighbours_apart(
             room_after = _level(after, (1.0 - free[i + 1]) * PIECES, after[0])
             if sine == 1.0 and more[s] == 0.0 and min(room, room_after) > enough:
                 continue
-            if room * sine < reach:
-                _beyond_hand(
-                    points,
-                    ratio,
-                    lengths,
-                    free,
-                    part,
-                    s,
-                    i,
-                    i + 1,
-                    reach,
-                    sine,
-                    more,
-                    margins,
-                    missed,
-                    slopes,
-                )
-            if room_after * sine < reach:
-                _beyond_hand(
-                    points,
-                    ratio,
-                    lengths,
-                    free,
-                    part,
-                    s,
-                    i + 1,
-                    i,
-                    reach,
-                    sine,
-                    more,
-                    margins,
-                    missed,
-                    slopes,
-                )
+            for own, beside, near in ((i, i + 1, room), (i + 1, i, room_after)):
+                if near * sine < reach:
+                    _beyond_hand(
+                        points, ratio, lengths, free, part, s, own, beside, reach, sine, more,
+                        margins, missed, slopes,
+                    )  # fmt: skip
 
 
 @compiled
