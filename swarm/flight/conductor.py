@@ -183,8 +183,9 @@ class Conductor:
         measure(self)
         if self.outcome is None:
             STAGES[self.stage](self)
-        outgoing = self.team.tick(now)
-        outgoing.extend(setpoints(self))
+        # setpoints first: whatever else is sent comes behind them
+        outgoing = setpoints(self)
+        outgoing.extend(self.team.tick(now))
         keep_trace(self)
         return outgoing
 

@@ -85,7 +85,7 @@ def watch(flight: "Conductor") -> None:
     reports = flight.reports
     at = [vehicle.position_at for vehicle in flight.flyers]
     told = at != reports.at
-    step = np.subtract(at, reports.at) if told else None
+    step = _steps(reports.at, at) if told else None
     if (step is not None and not _moves_as_told(flight, step)) or not _healthy(flight):
         for k, vehicle in enumerate(flight.flyers):
             if flight.expected_armed[k] and not may_be_down(flight, vehicle):
@@ -99,6 +99,11 @@ def watch(flight: "Conductor") -> None:
     if flight.now >= flight.reports.next_heights:
         flight.reports.next_heights = flight.now + 1.0
         _watch_heights(flight)
+
+
+def _steps(before: list[float], at: list[float]) -> Floats:
+    """Seconds from each one's last report to this; 0 where there is no new one, or never was."""
+    return np.array([new - old if new > old else 0.0 for old, new in zip(before, at, strict=True)])
 
 
 def _watch_links(flight: "Conductor") -> None:

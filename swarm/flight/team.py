@@ -4,6 +4,7 @@ Only vehicles that the fleet file lists are heard and spoken to, each at the add
 first heard.
 """
 
+import math
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -34,6 +35,11 @@ Address = Hashable
 
 HEARTBEAT_INTERVAL = 1.0
 TIMESYNC_INTERVAL = 2.0
+_CLOCKS_AT_ONCE = 10
+"""Vehicles whose clocks are asked for in one tick, if there is time for more: a hundred at once
+would take longer than setpoints may be late."""
+_ROUNDING = 1e-6
+"""Seconds: an interval of one tick must not become one of two now and then."""
 _ROUTES_PER_VEHICLE = 4
 _MOST_UNKNOWN = 300
 """Datagrams that are read between two heartbeats from an address from which no vehicle speaks."""
@@ -89,8 +95,9 @@ class Team:
         self._strangers: set[int] = set()
         self._stations: set[int] = set()
         self._next_heartbeat = 0.0
-        self._next_timesync = 0.0
+        self._next_timesync = self._ticked = 0.0
         self._timesync_interval = TIMESYNC_INTERVAL
+        self._clocks_to_ask: list[int] = []
         self._packer: SetpointPacker | None = None
         self._packed: tuple[int, ...] = ()
         self.rejected = 0
@@ -234,6 +241,7 @@ class Team:
     def tick(self, now: float) -> list[Outgoing]:
         """Return heartbeats, commands and clock requests that are due."""
         outgoing: list[Outgoing] = []
+        passed, self._ticked = now - self._ticked, now
         if self.signing is not None:
             self.signing.follow(now)
         if now >= self._next_heartbeat:
@@ -241,13 +249,7 @@ class Team:
             for route in self._routes.values():
                 route.unknown = 0
             outgoing.extend(self._heartbeats())
-        if now >= self._next_timesync:
-            self._next_timesync = now + self._timesync_interval
-            for sysid in self.vehicles:
-                # zero would read as "not a request of ours", so the clock starts at one
-                stamp = int(now * 1e9) + 1
-                request = common.MAVLink_timesync_message(0, stamp)
-                self._send(outgoing, sysid, [request])
+        outgoing.extend(self._clock_requests(now, passed))
         for sysid, vehicle in self.vehicles.items():
             if vehicle.commands:
                 self._send(outgoing, sysid, vehicle.tick(now))
@@ -259,6 +261,21 @@ class Team:
             if route.address is None or id(route) in spoken_to:
                 data = self.sealed(route.link, route.encoder.encode(_OWN_HEARTBEAT))
                 yield Outgoing(route.link, route.address, data)
+
+    def _clock_requests(self, now: float, passed: float) -> Iterable[Outgoing]:
+        """Ask for clocks, some vehicles after the other; ``passed`` seconds since the last tick."""
+        if now > self._next_timesync - _ROUNDING and not self._clocks_to_ask:
+            self._next_timesync = now + self._timesync_interval
+            self._clocks_to_ask = list(self.vehicles)
+        share = math.ceil(len(self.vehicles) * passed / self._timesync_interval)
+        asked = self._clocks_to_ask[: max(_CLOCKS_AT_ONCE, share)]
+        del self._clocks_to_ask[: len(asked)]
+        # zero would read as "not a request of ours", so the clock starts at one
+        request = common.MAVLink_timesync_message(0, int(now * 1e9) + 1)
+        outgoing: list[Outgoing] = []
+        for sysid in asked:
+            self._send(outgoing, sysid, [request])
+        return outgoing
 
     def _send(self, outgoing: list[Outgoing], sysid: int, messages: Iterable[Message]) -> None:
         route = self.way_to(sysid)

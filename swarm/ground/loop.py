@@ -1,8 +1,8 @@
 """The flight loop: the only place that joins sockets, the clock and the conductor.
 
 Deadlines are absolute; a tick that was missed is not made up for, so nothing stale is sent. What is
-sent at a deadline is worked out just before it, for that moment. Packets are taken as they come in
-between.
+sent at a deadline is worked out well before it, for that moment, so that nothing comes first then
+but sending. Packets are taken as they come in between.
 """
 
 import time
@@ -18,9 +18,12 @@ from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links
 
-_FORGET = 0.98
-_LONGEST_LEAD = 0.4
-"""Share of a tick that working it out may begin before its deadline."""
+_LEAD = 0.4
+"""Share of a tick by which working it out begins before its deadline."""
+_CATCH_UP = 0.2
+"""Share of a tick for which packets that wait are taken although it is high time for the tick."""
+_STILL = 0.0003
+"""Seconds before a deadline in which nothing is begun any more: about what a packet takes."""
 
 
 class Flown(Protocol):
@@ -64,20 +67,16 @@ class Loop:
         began, cpu = time.monotonic(), time.process_time()
         self.began = began
         deadline = began
-        lead = 0.0
         while not conductor.over:
-            while (left := deadline - lead - time.monotonic()) > 0.0:
-                self._receive(began, left)
-            self._receive(began, 0.0)
-            moment = time.monotonic()
-            now = (max(moment, deadline) - began) * self.speed
+            begin = deadline - _LEAD * interval
+            self._receive(began, begin, max(begin, time.monotonic() + _CATCH_UP * interval))
+            now = (max(time.monotonic(), deadline) - began) * self.speed
             outgoing = conductor.tick(now)
             if self.relay is not None:
                 outgoing.extend(self.relay.to_vehicles())
-            ready = time.monotonic()
-            lead = min(max(_FORGET * lead, ready - moment), _LONGEST_LEAD * interval)
-            if ready < deadline:
-                time.sleep(deadline - ready)
+            self._receive(began, deadline - _STILL, deadline - _STILL)
+            if (left := deadline - time.monotonic()) > 0.0:
+                time.sleep(left)
             self.lateness.append(time.monotonic() - deadline)
             links.send(outgoing)
             if self.record is not None:
@@ -89,15 +88,23 @@ class Loop:
         elapsed = time.monotonic() - began
         self.cpu = (time.process_time() - cpu) / max(elapsed, 1e-9)
 
-    def _receive(self, began: float, timeout: float) -> None:
-        for link, address, data in self.links.wait(timeout):
-            now = (time.monotonic() - began) * self.speed
-            if not self.conductor.receive(link, address, data, now):
-                continue  # a flood does not go into the record
-            if self.relay is not None:
-                self.relay.from_vehicles(link, address, data)
-            if self.record is not None:
-                self.record.packet(data, now, "" if address is not None else link)
+    def _receive(self, began: float, until: float, stop: float) -> None:
+        """Take packets as they come, until a time; those that wait by then, up to ``stop``."""
+        while (moment := time.monotonic()) < stop:
+            for link, address, data in self.links.wait(until - moment):
+                self._take(link, address, data, (time.monotonic() - began) * self.speed)
+                if time.monotonic() >= stop:
+                    return
+            if time.monotonic() >= until:
+                return
+
+    def _take(self, link: str, address: Address | None, data: bytes, now: float) -> None:
+        if not self.conductor.receive(link, address, data, now):
+            return  # a flood does not go into the record
+        if self.relay is not None:
+            self.relay.from_vehicles(link, address, data)
+        if self.record is not None:
+            self.record.packet(data, now, "" if address is not None else link)
 
     def lateness_quantiles(self) -> tuple[float, float]:
         """Return median and 99 % of how late ticks were, in seconds."""

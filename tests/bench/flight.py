@@ -1,13 +1,17 @@
 """How late setpoints arrive, and what the loop that sends them costs, beside other ways to do it.
 
-    python tests/bench/flight.py [--vehicles 100] [--rate 50] [--seconds 15] [--normal] [--only X]
+    python -m tests.bench.flight [--vehicles 100] [--rate 50] [--seconds 15] [--normal] [--only X]
 
 A process stands in for the vehicles: it speaks as they do and notes when each setpoint arrives (by
 the system's stamp) and for which tick it was meant. Against it run: our flight loop with recording and a live view
 (a terminal's screen and a Rerun file, drawn by a process of their own), a plain pymavlink loop, and
-MAVSDK's offboard plugin, each at the same load. Lateness is from when a tick was due, by the
-sender's absolute schedule, to the arrival at the receiver, on one clock. With --normal nobody has
-real-time priority; otherwise the receiver and our loop have it where the system permits.
+MAVSDK's offboard plugin, each at the same load. Before each of them a loop that does nothing but
+wake up and send one packet shows what the machine can do at that time: nobody is less late. Where
+it is a virtual one, `stolen` says how much of the processors its host took for others meanwhile,
+some milliseconds at a time, whatever anybody's priority.
+Lateness is from when a tick was due, by the sender's absolute schedule, to the arrival at the
+receiver, on one clock. With --normal nobody has real-time priority; otherwise the receiver, the
+bare loop and ours have it where the system permits.
 """
 
 import argparse
@@ -53,6 +57,7 @@ from swarm.view.terminal import FlightScreen
 from tests.network import small_plan
 
 WARM_UP = 3.0
+_ROOT = Path(__file__).parents[2]
 
 
 class Receiver:
@@ -106,7 +111,9 @@ class Watcher:
         ours, theirs = socket.socketpair()
         arguments = ["--as-watcher", str(theirs.fileno()), "--path", str(folder)]
         self._process = subprocess.Popen(
-            [sys.executable, __file__, *arguments], pass_fds=[theirs.fileno()]
+            [sys.executable, "-m", "tests.bench.flight", *arguments],
+            pass_fds=[theirs.fileno()],
+            cwd=_ROOT,
         )
         theirs.close()
         self._pipe = Connection(ours.detach())
@@ -246,6 +253,48 @@ def with_mavsdk(
     return found, began + found["north"] / chosen.rate, used
 
 
+def bare(chosen: argparse.Namespace) -> np.ndarray:
+    """Return how late a loop is that only wakes up and sends one packet: the machine's own."""
+    script = (
+        "import json, socket, sys, time\n"
+        "from swarm.ground.priority import prefer, settle\n"
+        "(prefer if sys.argv[3] == '1' else settle)()\n"
+        "one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\n"
+        "one.bind(('127.0.0.1', 0))\n"
+        "late, interval, due = [], 1.0 / float(sys.argv[1]), time.monotonic()\n"
+        "for tick in range(int(float(sys.argv[2]) / interval)):\n"
+        "    due += interval\n"
+        "    time.sleep(max(0.0, due - time.monotonic()))\n"
+        "    one.sendto(bytes(65), one.getsockname())\n"
+        "    late.append(time.monotonic() - due)\n"
+        "print(json.dumps(late))\n"
+    )
+    arguments = [str(chosen.rate), str(chosen.seconds), "0" if chosen.normal else "1"]
+    found = subprocess.run(
+        [sys.executable, "-c", script, *arguments],
+        cwd=_ROOT, check=True, stdout=subprocess.PIPE,
+    )  # fmt: skip
+    return np.array(json.loads(found.stdout))
+
+
+def stolen() -> float:
+    """Return the processors' time in seconds that a virtual machine's host has taken for others."""
+    with suppress(OSError, IndexError, ValueError):
+        first = Path("/proc/stat").read_text().splitlines()[0]
+        return int(first.split()[8]) / os.sysconf("SC_CLK_TCK")
+    return 0.0
+
+
+def _share(taken: float, since: float) -> str:
+    return f"  stolen {(stolen() - taken) / (time.monotonic() - since):5.1%}"
+
+
+def in_words(late: np.ndarray) -> str:
+    """Return lateness in seconds as its quantiles."""
+    p50, p99, worst = 1000.0 * np.quantile(late, [0.5, 0.99, 1.0])
+    return f"late p50 {p50:6.2f} ms  p99 {p99:6.2f} ms  worst {worst:6.1f} ms"
+
+
 WAYS = {"swarm": ours, "pymavlink": plain, "MAVSDK": with_mavsdk}
 
 
@@ -271,16 +320,18 @@ def main() -> None:
     for name, way in WAYS.items():
         if chosen.only not in {None, name}:
             continue
+        taken, since = stolen(), time.monotonic()
+        print(f"{'(machine)':10} {'':29}{in_words(bare(chosen))}{_share(taken, since)}")
+        taken, since = stolen(), time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             found, due, used[name] = way(chosen, Path(folder))
         settled = found["arrived"] > found["arrived"].min() + WARM_UP
-        late = 1000.0 * (found["arrived"] - due)[settled]
+        late = (found["arrived"] - due)[settled]
         duration = np.ptp(found["arrived"][settled])
         share = settled.sum() / (chosen.vehicles * chosen.rate * duration)
-        p50, p99, worst = np.quantile(late, [0.5, 0.99, 1.0])
         print(
-            f"{name:10} {share:6.1%} of setpoints arrived, late p50 {p50:6.2f} ms  p99 {p99:6.2f} ms"
-            f"  worst {worst:6.1f} ms  cpu {used[name]:6.1%} of one core"
+            f"{name:10} {share:6.1%} of setpoints arrived, {in_words(late)}"
+            f"{_share(taken, since)}  cpu {used[name]:6.1%} of one core"
         )
     if len(used) == len(WAYS):
         print(
