@@ -81,11 +81,11 @@ def fly_drills(
 
     ``times`` is the number of trials per row and personality; ``jobs`` processes fly them (None: as
     many as there are cores); ``tell`` is told how many trials are done, and of how many. The same
-    seed gives the same drills.
+    seed gives the same drills, whichever else are flown beside them.
     """
     # one task flies one personality at a few times: the flight up to there is flown once
     counts = [min(_TIMES_PER_TASK, times - k) for k in range(0, times, _TIMES_PER_TASK)]
-    tasks = [(p, count, (seed, k, n)) for n, p in enumerate(personalities)
+    tasks = [(p, count, (seed, k, PERSONALITIES.index(p))) for p in personalities
              for k, count in enumerate(counts)]  # fmt: skip
     total, done = len(rows) * len(personalities) * times, 0
     found: dict[tuple[str, str], list[Trial]] = {}
