@@ -172,9 +172,9 @@ class Emulator:
         if not self.injector.troubled:
             return False
         channel = self.injector.up[vehicle.index]
-        if not channel.busy():
+        if channel.fault is None and not channel.queue:
             return False
-        channel.push_all(link, [data], now)
+        channel.push_all(link, (data,), now)
         return True
 
     def _arrive(self, now: float) -> None:

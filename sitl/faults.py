@@ -15,9 +15,10 @@ vehicle a ``radio``. ``snag`` holds the cable where it is by friction on other c
 nobody holds any.
 """
 
-import heapq
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from heapq import heappop, heappush
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -145,9 +146,13 @@ class Dice:
 
     def roll(self) -> float:
         """Return the next number."""
-        if not self._left:
-            self._left = self._rng.random(_BLOCK)[::-1].tolist()
-        return self._left.pop()
+        return self.ready(1).pop()
+
+    def ready(self, count: int) -> list[float]:
+        """Return at least ``count`` numbers, to be taken from the end; what is left comes next."""
+        while len(self._left) < count:
+            self._left[:0] = self._rng.random(_BLOCK)[::-1].tolist()
+        return self._left
 
 
 @dataclass
@@ -168,7 +173,7 @@ class Channel:
         """Whether anything is delayed or could be harmed."""
         return self.fault is not None or bool(self.queue)
 
-    def push_all(self, link: Any, frames: list[bytes], now: float) -> None:
+    def push_all(self, link: Any, frames: Sequence[bytes], now: float) -> None:
         """Send frames of a link into the channel, as `push` does one after the other."""
         plain = self._plain()
         if plain is None:
@@ -176,13 +181,14 @@ class Channel:
                 self.push((link, frame), len(frame), now)
             return
         loss, latency, jitter = plain
-        roll, queue, count, soonest = self.dice.roll, self.queue, self.count, now + latency
+        roll, queue = self.dice.ready(2 * len(frames)).pop, self.queue
+        count, soonest = self.count, now + latency
         for frame in frames:
             if loss > 0.0 and (loss >= 1.0 or roll() < loss):
                 continue
             count += 1
             at = soonest + jitter * roll() if jitter else soonest
-            heapq.heappush(queue, (at, count, (link, frame)))
+            heappush(queue, (at, count, (link, frame)))
         self.count = count
 
     def _plain(self) -> tuple[float, float, float] | None:
@@ -215,10 +221,10 @@ class Channel:
                     return
                 at += self.free_at - now
         self.count += 1
-        heapq.heappush(self.queue, (at, self.count, item))
+        heappush(self.queue, (at, self.count, item))
         if fault is not None and fault.duplicate and roll() < fault.duplicate:
             self.count += 1
-            heapq.heappush(self.queue, (at + 0.01 * roll(), self.count, item))
+            heappush(self.queue, (at + 0.01 * roll(), self.count, item))
 
     def _in_burst(self, fault: Fault, now: float) -> bool:
         """Whether a frame falls into a run of losses of mean length ``burst`` (Gilbert's model)."""
@@ -237,5 +243,5 @@ class Channel:
         arrived: list[Any] = []
         queue, limit = self.queue, now + 1e-9
         while queue and queue[0][0] <= limit:
-            arrived.append(heapq.heappop(queue)[2])
+            arrived.append(heappop(queue)[2])
         return arrived

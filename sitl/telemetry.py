@@ -27,6 +27,10 @@ _SAID = 48
 _MODE_AGAIN = 0.49
 
 
+def _boot(v: Vehicle) -> bytes:
+    return _pack_boot(int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST)
+
+
 def boot_ms(v: Vehicle) -> int:
     """Milliseconds since boot by the vehicle's clock."""
     return int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST
@@ -66,12 +70,12 @@ def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
 
 def _local(v: Vehicle) -> bytes:
     at = _SAID * v.index
-    return _pack_boot(boot_ms(v)) + v.bodies.said()[at : at + 24]
+    return _boot(v) + v.bodies.said()[at : at + 24]
 
 
 def _attitude(v: Vehicle) -> bytes:
     at = _SAID * v.index
-    return _pack_boot(boot_ms(v)) + v.bodies.said()[at + 24 : at + 48]
+    return _boot(v) + v.bodies.said()[at + 24 : at + 48]
 
 
 def _quaternion(v: Vehicle) -> bytes:

@@ -29,14 +29,14 @@ def measure(flight: "Conductor") -> None:
         return
     said: list[float] = []
     for vehicle in flight.flyers:
-        said += (*vehicle.position, *vehicle.velocity, vehicle.position_at)
-    rows = np.array(said).reshape(-1, 7)
-    states = rows[:, :6].reshape(-1, 2, 3)
-    flight.reported, velocity = flight.frames.states_to_mission(states)
-    flight.velocity = velocity
+        said += vehicle.position
+        said += vehicle.velocity
+    states = np.array(said).reshape(-1, 2, 3)
+    at = np.array([vehicle.position_at for vehicle in flight.flyers])
+    flight.reported, flight.velocity = flight.frames.states_to_mission(states)
     limits = FRESHEST, flight.fleet.limits.silence, flight.now - flight.last
     flight.position, flight.error = reckoning.measured(
-        flight.reported, velocity, flight.now - rows[:, 6], flight.lift, flight.setpoint,
+        flight.reported, flight.velocity, flight.now - at, flight.lift, flight.setpoint,
         flight.setpoint_velocity, flight.streaming, limits,
     )  # fmt: skip
 

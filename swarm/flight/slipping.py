@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import STANDARD_GRAVITY
+from swarm.compiled import compiled
 from swarm.flight.failures import failure
 from swarm.flight.load import TAUT, end_forces
 from swarm.plans import Plan
@@ -123,16 +124,9 @@ class Grasps:
 
         Patterns are only worked out where one could fit: the vehicle's own pull is part of it.
         """
-        shared = left - left.mean(axis=0)
-        squared = np.vecdot(shared, shared)
-        around = squared.copy()
-        around[1:] += squared[:-1]
-        around[:-1] += squared[1:]
-        own = np.vecdot(held.pull[:, :2], held.pull[:, :2])
-        least = np.maximum(SHARE**2 * np.maximum(own, FAINTEST**2), HARDLY_FITS * squared.sum())
-        if not np.count_nonzero(around > (1.0 - 1e-9) * least):
+        if not _could_fit(left, held.pull):
             return None, 0
-        return _whose(left, shared, self._patterns(held))
+        return _whose(left, left - left.mean(axis=0), self._patterns(held))
 
     def _patterns(self, held: "_Held") -> Floats:
         """How the level pulls (n, n, 2) change where the vehicle of the first index holds nothing;
@@ -156,6 +150,29 @@ class _Held(NamedTuple):
     on_first: Floats
     on_last: Floats
     pull: Floats
+
+
+@compiled
+def _could_fit(left: Floats, pull: Floats) -> bool:
+    """Whether some vehicle's pattern could explain enough of what differs (n, 2) from the model.
+
+    Its own pull (n, 3) is part of its pattern, which lies on it and its neighbours.
+    """
+    count = len(left)
+    squared = np.zeros(count)
+    for axis in range(2):
+        mean = 0.0
+        for k in range(count):
+            mean += left[k, axis] / count
+        for k in range(count):
+            squared[k] += (left[k, axis] - mean) ** 2
+    differs = HARDLY_FITS * squared.sum()
+    for k in range(count):
+        around = squared[max(k - 1, 0) : k + 2].sum()
+        own = pull[k, 0] ** 2 + pull[k, 1] ** 2
+        if around > (1.0 - 1e-9) * max(SHARE**2 * max(own, FAINTEST**2), differs):
+            return True
+    return False
 
 
 def _whose(left: Floats, shared: Floats, patterns: Floats) -> tuple[int | None, int]:

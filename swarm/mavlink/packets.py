@@ -29,6 +29,8 @@ GROUND_COMPONENT = int(common.MAV_COMP_ID_MISSIONPLANNER)
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _SIGNED = 0x01
 _SHORTEST = 12
+_HEAD = Struct("<BBBxBBBHB").unpack_from
+"""Magic byte, length, flags, sequence, system, component, and the number in two parts."""
 
 
 class Encoder:
@@ -126,20 +128,19 @@ class Decoder:
         layouts, wanted = _LAYOUTS, self.wanted
         start, end = 0, len(data)
         while end - start >= _SHORTEST:
-            layout = layouts.get(data[start + 7] | data[start + 8] << 8 | data[start + 9] << 16)
-            close = start + 10 + data[start + 1]
-            if data[start] != _MAGIC_2 or data[start + 2] or close + 2 > end or layout is None:
+            magic, length, flags, sequence, system, component, number, high = _HEAD(data, start)
+            layout = layouts.get(number)
+            close = start + 10 + length
+            if magic != _MAGIC_2 or flags or high or close + 2 > end or layout is None:
                 break
             if _checksum(data[start + 1 : close] + layout.extra) != (
                 data[close] | data[close + 1] << 8
             ):
                 break
-            number, message = layout.number, None
+            message = None
             if wanted is None or number in wanted:
                 message = layout.unpack(data[start + 10 : close])
-            packets.append(
-                _packet((number, data[start + 5], data[start + 6], data[start + 4], message))
-            )
+            packets.append(_packet((number, system, component, sequence, message)))
             start = close + 2
         return start
 

@@ -134,7 +134,8 @@ class Vehicle:
             self._sequences[component] = sequence
             self.lost_packets += gap - 1
             self._missing.discard((component, sequence))
-            self._missing |= {(component, sequence - back & 0xFF) for back in range(1, gap)}
+            for back in range(1, gap):
+                self._missing.add((component, sequence - back & 0xFF))
         elif (component, sequence) in self._missing:
             self._missing.remove((component, sequence))
             self.lost_packets -= 1
