@@ -1,6 +1,8 @@
-"""The order in which tests are run, where several processes run them."""
+"""What is made ready for the tests, and their order, where several processes run all of them."""
 
 import pytest
+
+from tests import machine_code
 
 LONGEST = (
     "test_the_overhand_flies_over_udp_and_leaves_its_record",
@@ -13,6 +15,13 @@ LONGEST = (
     "test_a_killed_emulator_is_explained",
 )
 """Parts of the names of tests that take ten seconds and more, longest first."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile once what each process of pytest-xdist would otherwise compile for itself."""
+    in_processes = config.getoption("numprocesses", None) and not config.option.collectonly
+    if in_processes and config.args == config.getini("testpaths"):
+        machine_code.prepare()
 
 
 @pytest.hookimpl(trylast=True)
