@@ -33,9 +33,11 @@ def prepare() -> None:
 def _mark() -> Path:
     """The file that says that it has been done, in the folder of `swarm.compiled`."""
     sources = [path for name in ("swarm", "sitl") for path in sorted((ROOT / name).rglob("*.py"))]
-    texts = [text for text in (path.read_bytes() for path in sources) if b"@compiled" in text]
+    compiled = [path for path in sources if b"@compiled" in path.read_bytes()]
+    stamps = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in compiled]
+    stamp = hashlib.sha256(repr(stamps).encode()).hexdigest()[:16]
     caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(caches) / "swarm" / f"tests-{hashlib.sha256(b''.join(texts)).hexdigest()[:16]}"
+    return Path(caches) / "swarm" / f"tests-{stamp}"
 
 
 def _plan() -> None:
