@@ -22,11 +22,13 @@ class Trial:
     """One fault at one time, and what came of it.
 
     ``at`` is mission time; ``noticed`` seconds until the first event that says so, None if none
-    does, ``hidden`` those in which there was nothing to notice; ``response`` the words of what the
-    team did; ``clearance`` the smallest distance between strands, ``apart`` the smallest level
-    distance between vehicles that are not apart in height, both metres (infinite: never judged);
-    ``chord`` the largest chord over length. ``strikes`` of rotors on cable, ``lost`` vehicles,
-    ``problems`` what is not as asked.
+    does, ``hidden`` and ``shown`` those in which there was nothing, and something, to notice where
+    a row hides (``shown`` up to the end); ``response`` the words of what the team did;
+    ``clearance`` the smallest distance between strands, ``apart`` the smallest level distance
+    between vehicles that are not apart in height, both metres (infinite: never judged); ``chord``
+    the largest chord over length. ``strikes`` of rotors on cable, ``falling`` those of them that
+    came with the fault, before anybody could answer; ``lost`` vehicles, ``problems`` what is not as
+    asked.
     """
 
     at: float
@@ -41,19 +43,21 @@ class Trial:
     end: str
     problems: tuple[str, ...]
     hidden: float = 0.0
+    shown: float = 0.0
+    falling: int = 0
 
 
 class Judge:
     """Looks at what really is, from the fault on.
 
-    ``hidden`` are the seconds in which a slip of ``slipping`` would not show, ``unseen`` whether it
-    does not now.
+    ``hidden`` are the seconds in which a slip of ``slipping`` would not show, ``shown`` those in
+    which it would, ``unseen`` whether it does not now.
     """
 
     def __init__(self, flight: Rehearsal, slipping: int | None = None) -> None:
         self._flight = flight
         self._slipping = slipping
-        self.hidden, self.unseen = 0.0, False
+        self.hidden, self.shown, self.unseen = 0.0, 0.0, False
         self._monitor = Monitor(flight.proven.plan)
         truth = flight.emulator.truth()
         self._strikes, self._contacts = len(truth.strikes), len(truth.contacts)
@@ -69,9 +73,11 @@ class Judge:
             return
         self._next = flight.now + LOOK_EVERY
         if self._slipping is not None and flight.conductor.stage == "fly":
-            shown = flight.conductor.grasps.shows(flight.conductor.setpoint)
-            self.unseen = not bool(shown[self._slipping])
+            shows = flight.conductor.grasps.shows(flight.conductor.setpoint)
+            aloft = flight.conductor.phase.cable == "aloft"
+            self.unseen = not (aloft and bool(shows[self._slipping]))
             self.hidden += LOOK_EVERY if self.unseen else 0.0
+            self.shown += 0.0 if self.unseen else LOOK_EVERY
         truth = flight.emulator.truth()
         place = truth.position
         flying = ~flight.emulator.bodies.tumbling & (place[:, 2] > _LOW)
@@ -87,9 +93,10 @@ class Judge:
             (seen,) = self._monitor.look(place[None], "free")
             self.apart = min(self.apart, seen.vehicle)
 
-    def strikes(self) -> int:
-        """Return how often a rotor struck cable."""
-        return len(self._flight.emulator.truth().strikes) - self._strikes
+    def strikes(self, until: float = np.inf) -> int:
+        """Return how often a rotor struck cable, up to a time of the flight."""
+        strikes = self._flight.emulator.truth().strikes[self._strikes :]
+        return sum(strike["time"] <= until for strike in strikes)
 
     def lost(self) -> int:
         """Return how many vehicles came down hard, or struck each other."""
@@ -137,6 +144,8 @@ def judged(
         end=end,
         problems=(),
         hidden=judge.hidden,
+        shown=judge.shown,
+        falling=judge.strikes(began + row.falls) if row.falls else 0,
     )
     return replace(trial, problems=_problems(flight, row, trial))
 
@@ -151,11 +160,12 @@ def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
     if trial.end not in row.ends:
         problems.append(f"ended as {trial.end}")
     seen = None if trial.noticed is None else trial.noticed - trial.hidden
-    if row.within is not None and (seen is None or seen > row.within + 1e-6):
+    never = seen is None and not (row.hides and trial.shown <= (row.within or 0.0))
+    if row.within is not None and (never or (seen or 0.0) > row.within + 1e-6):
         after = "never" if seen is None else f"after {seen:.2f} s"
         problems.append(f"noticed {after}, not within {row.within:g} s")
-    if trial.strikes > row.strikes and not row.dead:
-        problems.append(f"{trial.strikes} rotor strikes")
+    if trial.strikes - trial.falling > row.strikes and not row.dead:
+        problems.append(f"{trial.strikes - trial.falling} rotor strikes")
     if trial.lost > int(row.dead):
         problems.append(f"{trial.lost} vehicles lost")
     taken_along = row.drifts and trial.end != "released and landed"

@@ -21,6 +21,7 @@ class Row:
     says that the fault itself takes a vehicle out of the air; ``moves`` that it moves vehicles or
     cable beyond what was certified, ``drifts`` that it does so with one vehicle, and with the cable
     only where nobody may let go; ``strikes`` how many rotors may touch cable then, with ``why``.
+    In the first ``falls`` seconds any may: it is what the fault lets fall on whoever is below.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Row:
     moves: bool = False
     drifts: bool = False
     strikes: int = 0
+    falls: float = 0.0
     why: str = ""
     station: Station | None = None
     lasts: float = 0.0
@@ -189,9 +191,10 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "gripper slips", "one vehicle", ("landed", *_ON), ({"kind": "gripper_slip"},),
-        within=10.0, hides=True, moves=True,
+        within=10.0, hides=True, moves=True, falls=1.0,
         why="the cable between its neighbours is one long strand from then on; it shows by their "
-        "leaning, and where that changes by less than 0.2 N only when the team has moved on",
+        "leaning, and where that changes by less than 0.2 N only when the team has moved on; where "
+        "it passed over a vehicle close below, it falls on its rotor within a second",
     ),
     Row(
         "gripper sticks shut at release", "one vehicle", ("landed",),

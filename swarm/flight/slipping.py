@@ -8,6 +8,7 @@ for. Wind pushes all alike and fits no pattern; what a sensor or the model has w
 learnt as usual. The level parts are enough, and forces within the team cancel out in them.
 """
 
+import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -43,7 +44,9 @@ MOST = 1.6
 """Share of a pattern beyond which something faint is not taken for it."""
 FROM_OUTSIDE = 0.8
 """Force from outside the team per force that differs, beyond which something else than the cable
-pulls: where a strand is caught, its two vehicles are pulled the same way, and this is above 1."""
+pulls: where a strand is caught, its two vehicles are pulled the same way, and this is above 1. What
+the model has wrong of the vehicles farther away is allowed for: faint slips differ by little more.
+"""
 ENOUGH, CLEARLY, FAINTLY = 4, 2, 1
 """What looks in a row that see the same vehicle's pattern must add up to, and what each counts. In
 whole flights without a slip no look sees one even faintly."""
@@ -190,10 +193,20 @@ def _whose(left: Floats, shared: Floats, patterns: Floats) -> tuple[int | None, 
     k = int(np.argmax(np.where(fits, explained, 0.0)))
     near = np.abs(np.arange(len(left)) - k) <= 1
     own = left[near] - (left[~near].mean(axis=0) if not near.all() else 0.0)
-    outside = float(np.linalg.norm(own.sum(axis=0)))
+    outside = float(np.linalg.norm(own.sum(axis=0))) - _wrong_in_sum(left[~near], len(own))
     if outside >= FROM_OUTSIDE * float(np.linalg.norm(own)):
         return None, 0
     return k, counts
+
+
+def _wrong_in_sum(left: Floats, count: int) -> float:
+    """By how much the sum of ``count`` vehicles' differences from the mean of the others (n, 2),
+    whose pull is as modelled, is wrong as a rule: 0 where there are too few to tell."""
+    others = len(left)
+    if others < 2:
+        return 0.0
+    spread = float(np.sum((left - left.mean(axis=0)) ** 2)) / (others - 1)
+    return math.sqrt(spread * (count + count * count / others))
 
 
 def lean(attitude: Floats) -> Floats:

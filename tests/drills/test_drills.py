@@ -5,13 +5,15 @@ random times with every personality, tying a knot.
 """
 
 import ast
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from swarm import api
-from swarm.drills import CITED, PERSONALITIES, ROWS, fly_drills
+from swarm.drills import CITED, PERSONALITIES, ROWS, Trial, fly_drills, judging
 from swarm.drills.rehearsal import Rehearsal, drill_fleet
 from swarm.flight.failures import LOSES_A_VEHICLE, TABLE
 from swarm.mission import mission_for_knot
@@ -60,6 +62,31 @@ def test_every_failure_of_a_team_that_ties_a_knot(overhand, row):
     assert [drill.personality for drill in drills] == list(PERSONALITIES)
     failed = [drill.document() for drill in drills if not drill.passed]
     assert not failed
+
+
+def judged(row, **found):
+    """What is wrong with a trial of a row that went well but for ``found``."""
+    fine = Trial(50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[row].ends[0], ())
+    return judging._problems(SimpleNamespace(proven=PLAN), BY_NAME[row], replace(fine, **found))
+
+
+def test_what_falls_with_the_fault_is_no_fault_of_the_teams_and_what_follows_is():
+    assert judged("gripper slips", strikes=1, falling=1) == ()
+    assert judged("gripper slips", strikes=2, falling=1) == ("1 rotor strikes",)
+    assert judged("pilot takes over", strikes=1) == ("noticed after 1.00 s, not within 0.5 s",
+                                                     "1 rotor strikes")  # fmt: skip
+
+
+def test_a_slip_counts_from_when_it_shows_and_is_asked_for_only_where_it_does():
+    assert judged("gripper slips", noticed=14.0, hidden=6.0) == ()
+    assert judged("gripper slips", noticed=14.0, hidden=2.0) == (
+        "noticed after 12.00 s, not within 10 s",
+    )
+    assert judged("gripper slips", noticed=None, hidden=30.0, shown=4.0) == ()
+    assert judged("gripper slips", noticed=None, hidden=3.0, shown=12.0) == (
+        "noticed never, not within 10 s",
+    )
+    assert judged("motor lost", noticed=None) == ("noticed never, not within 0.3 s",)
 
 
 def test_a_copy_of_a_flight_in_mid_air_flies_on_exactly_as_the_original():

@@ -5,6 +5,7 @@ import pytest
 
 from swarm.drills.rehearsal import Rehearsal, drill_fleet
 from swarm.fleet import emulated_fleet
+from swarm.flight import slipping
 from swarm.flight.slipping import Grasps, lean
 from swarm.rehearse import Fault
 from tests.network import Network, small_plan
@@ -70,3 +71,36 @@ def test_what_is_always_off_is_usual():
     attitude = np.column_stack([rng.normal(0.0, 0.03, (5, 2)), rng.uniform(-3, 3, 5)])
     for k in range(80):
         assert grasps.look(0.25 * k, attitude, np.zeros((5, 3)), grips) is None
+
+
+WRONG = 0.05
+"""Newtons along an axis that the model has wrong of every vehicle, here."""
+
+
+def told(pulled, patterns, count=400):
+    """How often whose pattern is seen in what is pulled (n, 2) and what the model has wrong."""
+    rng = np.random.default_rng(3)
+    found = []
+    for _ in range(count):
+        left = pulled + rng.normal(0.0, WRONG, pulled.shape)
+        found.append(slipping._whose(left, left - left.mean(axis=0), patterns)[0])
+    return [found.count(k) / count for k in (None, *range(len(pulled)))]
+
+
+def test_a_faint_slip_near_the_cables_end_is_not_taken_for_a_force_from_outside():
+    """0.25 N, as an overhand has it, among errors that look like a force on three together."""
+    patterns = np.zeros((9, 9, 2))
+    change = np.array([[-0.02, -0.09], [0.11, 0.16], [-0.09, -0.07]])
+    for k in range(1, 8):
+        patterns[k, k - 1 : k + 2] = change
+    wrong = np.zeros((9, 2))
+    wrong[:3] = [0.05, 0.06]
+    _, *whose = told(patterns[1] + wrong, patterns)
+    assert whose[1] > 0.75
+    assert sum(whose) - whose[1] < 0.02
+    # a strand that is caught pulls both of its vehicles the same way, and is no slip
+    for force in (0.2, 0.5, 2.0):
+        caught = np.zeros((9, 2))
+        caught[3:5] = [0.6 * force, 0.8 * force]
+        nobody, *_ = told(caught, patterns)
+        assert nobody > 0.97
