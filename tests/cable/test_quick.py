@@ -7,14 +7,6 @@ from hypothesis import strategies as st
 
 from swarm.cable import quick
 from swarm.cable.catenary import hang
-from swarm.cable.shape import half_angle_for_stretch
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.one_of(st.floats(0.0, 1e-3), st.floats(0.0, 5.0), st.floats(0.0, 1e4)))
-def test_half_angles_are_those_of_the_batch(stretch):
-    exact = float(half_angle_for_stretch(np.array([stretch]))[0])
-    assert quick.half_angle(stretch) == pytest.approx(exact, rel=1e-10, abs=1e-150)
 
 
 @settings(max_examples=100, deadline=None)
