@@ -43,10 +43,21 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option(
     "--times", type=click.IntRange(1, 1000), help="With --failures: random times of each [2]."
 )
+@click.option(
+    "--team",
+    multiple=True,
+    type=click.Choice(["px4", "ardupilot", "mixed"]),
+    help="With --failures: only this kind of team; may be given many times.",
+)
 @click.option("--row", multiple=True, help="With --failures: only what has this in its name.")
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Trials at a time; all cores if absent.")
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Fly trials on this Dask cluster.")
-@click.option("--results", type=FILE, help="With --trials: one row per trial (Parquet).")
+@click.option(
+    "--results",
+    type=FILE,
+    help="With --trials: one row per trial (Parquet). With --failures: a line for each that is "
+    "flown, at once (JSON); what it holds already is not flown again.",
+)
 @click.option(
     "--compare", is_flag=True, help="With --trials or --rope: the paper's trajectory beside it."
 )
@@ -98,7 +109,7 @@ def dry_run(
     if options["failures"]:
         from swarm.cli.failures import run_failures  # noqa: PLC0415 - slow to import
 
-        chosen = _chosen(options, "times", "row", "jobs", "report")
+        chosen = _chosen(options, "times", "team", "row", "jobs", "report", "results")
         run_failures(context, planned, seed=seed, as_json=as_json, **chosen)
         return
     if options["trials"] is not None:
@@ -174,8 +185,9 @@ _NEEDS = {
     "jobs": ("trials", "failures"),
     "times": ("failures",),
     "row": ("failures",),
+    "team": ("failures",),
     "scheduler": ("trials",),
-    "results": ("trials",),
+    "results": ("trials", "failures"),
     "compare": ("trials", "rope"),
     "links": ("rope",),
     "no_contact": ("rope",),

@@ -1,6 +1,7 @@
 """What ``swarm dry-run --failures`` does: let everything go wrong once, and print what follows."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,15 @@ from rich.table import Table
 
 from swarm import api
 from swarm.cli.inputs import print_json, write_text
-from swarm.drills import CITED, ROWS, Drill, Row, fly_drills
+from swarm.drills import CITED, PERSONALITIES, ROWS, Drill, Personality, fly_drills
+from swarm.drills.kept import Flown, Heading, heading, line, read_kept
 from swarm.errors import InputError, Problem, Refused
 from swarm.plans import Plan
 from swarm.view.failures import failures_report
 
 TIMES = 2
 """Random times at which each thing goes wrong, with each autopilot."""
+_LARGEST = 256 * 1024 * 1024
 
 
 def run_failures(
@@ -26,10 +29,12 @@ def run_failures(
     planned: api.Planned,
     *,
     times: int | None,
+    team: tuple[Personality, ...],
     row: tuple[str, ...],
     seed: int,
     jobs: int | None,
     report: Path | None,
+    results: Path | None,
     as_json: bool,
 ) -> None:
     """Fly the drills, print or write what they say, and end the command with its exit code."""
@@ -41,7 +46,13 @@ def run_failures(
     rows = [one for one in rows if one.part in _parts(planned.plan)]
     if not rows:
         raise Refused("this mission folds no cable in the air: there is nothing to drill")
-    told = [drill.document() for drill in _flown(planned, rows, times or TIMES, seed, jobs)]
+    teams = [one for one in PERSONALITIES if not team or one in team]
+    drills = _fly(
+        planned, rows=rows, personalities=teams, times=times or TIMES, seed=seed, jobs=jobs,
+        known=_known(results, heading(planned.plan, seed)) if results else (),
+        keep=partial(_keep, results) if results else None,
+    )  # fmt: skip
+    told = [drill.document() for drill in drills]
     if report:
         write_text(report, failures_report(planned.plan, told, CITED))
     if as_json:
@@ -65,9 +76,38 @@ def _parts(plan: Plan) -> set[str]:
     return {"fold", *(part for gate, part in parts.items() if gate in conditions)}
 
 
-def _flown(
-    planned: api.Planned, rows: list[Row], times: int, seed: int, jobs: int | None
-) -> tuple[Drill, ...]:
+def _known(path: Path, belongs: Heading) -> list[Flown]:
+    """Return the drills that a file of results holds; begin it where there is none."""
+    try:
+        with path.open("a+b") as file:
+            file.seek(0)
+            # a line without an end was cut off, and is flown again
+            whole, end, _ = file.read(_LARGEST).rpartition(b"\n")
+            known = read_kept(whole.decode().splitlines(), belongs)
+            file.truncate(len(whole + end))
+            if not whole:
+                file.write(line(belongs).encode())
+        return known
+    except OSError as error:
+        reason = (error.strerror or "cannot be written").lower()
+    except UnicodeDecodeError:
+        reason = "line 1 is not a line of drills"
+    except InputError as error:
+        reason = str(error)
+    raise InputError([Problem(str(path), reason)])
+
+
+def _keep(path: Path, flown: Flown) -> None:
+    """Add drills to a file of results."""
+    try:
+        with path.open("a", encoding="utf-8", newline="\n") as file:
+            file.write(line(flown))
+    except OSError as error:
+        reason = (error.strerror or "cannot be written").lower()
+        raise InputError([Problem(str(path), reason)]) from None
+
+
+def _fly(planned: api.Planned, **chosen: Any) -> tuple[Drill, ...]:
     console = Console(stderr=True)
     with Progress(
         TextColumn("drills"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn(),
@@ -78,7 +118,7 @@ def _flown(
         def tell(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        return fly_drills(planned.proven(), rows=rows, times=times, seed=seed, jobs=jobs, tell=tell)
+        return fly_drills(planned.proven(), tell=tell, **chosen)
 
 
 def failures_table(told: Sequence[Mapping[str, Any]]) -> Table:

@@ -6,8 +6,9 @@ one fault, flies on in virtual time and is judged by the emulator's ground truth
 """
 
 import gc
+import itertools
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy.typing as npt
 from joblib import Parallel, delayed
 
 from swarm.drills.judging import Judge, Trial, judged
+from swarm.drills.kept import Flown
 from swarm.drills.rehearsal import PERSONALITIES, LosesAck, Personality, Rehearsal, drill_fleet
 from swarm.drills.rows import ROWS, Part, Row
 from swarm.fleet import Fleet
@@ -76,32 +78,44 @@ def fly_drills(
     seed: int = 1,
     jobs: int | None = None,
     tell: Callable[[int, int], None] | None = None,
+    known: Iterable[Flown] = (),
+    keep: Callable[[Flown], None] | None = None,
 ) -> tuple[Drill, ...]:
     """Fly every row at random times of its part of the flight, with each personality.
 
     ``times`` is the number of trials per row and personality; ``jobs`` processes fly them (None: as
-    many as there are cores); ``tell`` is told how many trials are done, and of how many. The same
-    seed gives the same drills, whichever else are flown beside them.
+    many as there are cores); ``tell`` is told how many trials are done, and of how many. What is
+    ``known`` from an earlier run with the same plan and seed is not flown again; ``keep`` is given
+    what is flown as it comes. The same seed gives the same drills, whichever else are flown beside
+    them.
     """
     # one task flies one personality at a few times: the flight up to there is flown once
     counts = [min(_TIMES_PER_TASK, times - k) for k in range(0, times, _TIMES_PER_TASK)]
     tasks = [(p, count, (seed, k, PERSONALITIES.index(p))) for p in personalities
              for k, count in enumerate(counts)]  # fmt: skip
-    total, done = len(rows) * len(personalities) * times, 0
-    found: dict[tuple[str, str], list[Trial]] = {}
+    total = len(rows) * len(personalities) * times
+    wanted = {(row.name, p, seeds, count) for p, count, seeds in tasks for row in rows}
+    found = {flown.key: flown for flown in known if flown.key in wanted}
+    left = [
+        (p, count, seeds, [row for row in rows if (row.name, p, seeds, count) not in found])
+        for p, count, seeds in tasks
+    ]
     flying = Parallel(n_jobs=jobs or -1, return_as="generator_unordered")(
         delayed(_fly_rows)(proven, part, personality, count, seeds)
-        for personality, count, seeds in tasks
-        for part in _portions(rows)
+        for personality, count, seeds, these in left
+        for part in _portions(these)
     )
-    for personality, flown in flying:
-        for name, trials in flown:
-            found.setdefault((name, personality), []).extend(trials)
-            done += len(trials)
+    for flown in itertools.chain.from_iterable(flying):
+        found[flown.key] = flown
+        if keep is not None:
+            keep(flown)
         if tell is not None:
-            tell(done, total)
+            tell(sum(len(one.trials) for one in found.values()), total)
+    trials: dict[tuple[str, Personality], list[Trial]] = {}
+    for flown in found.values():
+        trials.setdefault((flown.row, flown.personality), []).extend(flown.trials)
     return tuple(
-        Drill(row, p, tuple(sorted(found[row.name, p], key=lambda trial: trial.at)))
+        Drill(row, p, tuple(sorted(trials[row.name, p], key=lambda trial: trial.at)))
         for row in rows
         for p in personalities
     )
@@ -116,8 +130,8 @@ def _fly_rows(
     rows: Sequence[Row],
     personality: Personality,
     times: int,
-    seeds: tuple[int, ...],
-) -> tuple[Personality, list[tuple[str, list[Trial]]]]:
+    seeds: tuple[int, int, int],
+) -> list[Flown]:
     """Fly some rows with one personality, all from the same moments."""
     fleet = drill_fleet(proven.plan.vehicles, personality, seeds[0])
     stages: dict[Part, list[Rehearsal]] = {}
@@ -135,9 +149,9 @@ def _fly_rows(
             # a flight's parts know each other: few objects, which Python is in no hurry to look
             # through, and large arrays
             gc.collect()
-        flown.append((row.name, trials))
+        flown.append(Flown(row.name, personality, seeds, tuple(trials)))
     gc.unfreeze()
-    return personality, flown
+    return flown
 
 
 def _stages(
