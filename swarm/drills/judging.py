@@ -155,7 +155,7 @@ def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
 
     Where neither the fault nor a fall moves what was certified, the certified worst case holds.
     """
-    certified = flight.proven.assessment
+    cable, vehicle = _certified(flight, row)
     problems = []
     if trial.end not in row.ends:
         problems.append(f"ended as {trial.end}")
@@ -172,12 +172,20 @@ def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
     if not (row.moves or row.dead or taken_along):
         if trial.chord >= 1.0:
             problems.append(f"a chord of {trial.chord:.3f} of its length")
-        if certified.cable is not None and trial.clearance < certified.cable.distance:
+        if trial.clearance < cable:
             problems.append(f"strands {trial.clearance:.2f} m apart")
-    near = certified.vehicle is not None and trial.apart < certified.vehicle.distance
-    if near and not (row.moves or row.drifts or row.dead):
+    if trial.apart < vehicle and not (row.moves or row.drifts or row.dead):
         problems.append(f"vehicles {trial.apart:.2f} m apart")
     return tuple(problems)
+
+
+def _certified(flight: Rehearsal, row: Row) -> tuple[float, float]:
+    """Return the least distances between strands and between vehicles that are certified."""
+    known, required = flight.proven.assessment, flight.proven.plan.mission.clearance
+    if row.coasts and known.coast is not None and known.coast.worst.margin >= 0.0:
+        return required.cable, required.vehicle
+    cable = known.cable.distance if known.cable is not None else 0.0
+    return cable, known.vehicle.distance if known.vehicle is not None else 0.0
 
 
 def _end(flight: Rehearsal, row: Row) -> str:

@@ -4,6 +4,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+from swarm.flight.parameters import STREAM_LOSS_TIME
+
 Part = Literal["fold", "grab", "release"]
 Group = Literal["one vehicle", "links", "ground station", "world"]
 Station = Literal["asleep", "killed", "interrupted", "interrupted twice"]
@@ -22,6 +24,8 @@ class Row:
     cable beyond what was certified, ``drifts`` that it does so with one vehicle, and with the cable
     only where nobody may let go; ``strikes`` how many rotors may touch cable then, with ``why``.
     In the first ``falls`` seconds any may: it is what the fault lets fall on whoever is below.
+    Where somebody ``coasts`` for want of setpoints, the coast certificate's worst case counts: the
+    mission's own clearances.
     """
 
     name: str
@@ -38,6 +42,7 @@ class Row:
     drifts: bool = False
     strikes: int = 0
     falls: float = 0.0
+    coasts: bool = False
     why: str = ""
     station: Station | None = None
     lasts: float = 0.0
@@ -123,6 +128,7 @@ def _gaps() -> Iterator[Row]:
                     slows=direction == "up",
                     whole_team=whole,
                     lasts=seconds,
+                    coasts=direction != "down" and seconds >= STREAM_LOSS_TIME,
                 )
 
 
@@ -215,13 +221,14 @@ ROWS: tuple[Row, ...] = (
     Row("one ACK lost at the release", "links", _ON, part="release", lose="ack"),
     Row(
         "starved of CPU for 1 s", "ground station", (*_ON, "landed"), station="asleep", lasts=1.0,
-        slows=True,
+        slows=True, coasts=True,
     ),
     Row("interrupted once", "ground station", ("landed",), station="interrupted", within=0.1),
     Row(
         "interrupted twice", "ground station", ("landed",), station="interrupted twice", within=0.1,
     ),
-    Row("killed", "ground station", ("landed by failsafe",), station="killed"),
+    Row("killed", "ground station", ("landed by failsafe",), station="killed",
+        coasts=True),
     Row(
         "wind beyond w*", "world", (*_ON, *_DOWN), ({"kind": "wind"},), within=3.0, slows=True,
         moves=True, strikes=1,

@@ -17,6 +17,8 @@ from swarm.drills import CITED, PERSONALITIES, ROWS, Trial, fly_drills, judging
 from swarm.drills.rehearsal import Rehearsal, drill_fleet
 from swarm.flight.failures import LOSES_A_VEHICLE, TABLE
 from swarm.mission import mission_for_knot
+from swarm.preflight.coast import CoastCertificate, Coasting, Worst
+from swarm.preflight.findings import prove
 from swarm.rehearse import Fault
 from tests.network import small_plan
 
@@ -64,10 +66,10 @@ def test_every_failure_of_a_team_that_ties_a_knot(overhand, row):
     assert not failed
 
 
-def judged(row, **found):
+def judged(row, proven=PLAN, **found):
     """What is wrong with a trial of a row that went well but for ``found``."""
     fine = Trial(50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[row].ends[0], ())
-    return judging._problems(SimpleNamespace(proven=PLAN), BY_NAME[row], replace(fine, **found))
+    return judging._problems(SimpleNamespace(proven=proven), BY_NAME[row], replace(fine, **found))
 
 
 def test_what_falls_with_the_fault_is_no_fault_of_the_teams_and_what_follows_is():
@@ -75,6 +77,20 @@ def test_what_falls_with_the_fault_is_no_fault_of_the_teams_and_what_follows_is(
     assert judged("gripper slips", strikes=2, falling=1) == ("1 rotor strikes",)
     assert judged("pilot takes over", strikes=1) == ("noticed after 1.00 s, not within 0.5 s",
                                                      "1 rotor strikes")  # fmt: skip
+
+
+def test_who_coasts_keeps_what_is_certified_of_coasting():
+    """Which is the mission's clearance (here 1 m), and less than what the plan keeps elsewhere."""
+    kept = replace(PLAN.assessment, vehicle=replace(PLAN.assessment.vehicle, distance=1.2))
+    coast = CoastCertificate(np.zeros(0), np.zeros(0), Worst(0.0, 0.0, 1), np.zeros(0), Coasting())
+    without = prove(PLAN.plan, kept)
+    coasting = prove(PLAN.plan, replace(kept, coast=coast))
+    near = 1.1
+    words = (f"vehicles {near:.2f} m apart",)
+    assert judged("two-way gap of 2 s, one", coasting, apart=near) == ()
+    assert judged("two-way gap of 2 s, one", coasting, apart=0.9) == ("vehicles 0.90 m apart",)
+    assert judged("two-way gap of 2 s, one", without, apart=near) == words
+    assert judged("telemetry gap of 2 s, one", coasting, apart=near) == words
 
 
 def test_a_slip_counts_from_when_it_shows_and_is_asked_for_only_where_it_does():
