@@ -90,10 +90,15 @@ class ArduPilot:
     def _found_position(self) -> None:
         v = self.v
         self.has_origin = True
-        if v.global_valid:
-            v.home = np.array(v.estimated())
+        self._home_is_here()
         v.text(_INFO, "EKF3 IMU0 origin set")
         v.text(_INFO, "EKF3 IMU0 is using GPS")
+
+    def _home_is_here(self) -> None:
+        """Home is where it is armed; indoors too, once the estimator has been given an origin."""
+        v = self.v
+        if v.global_valid or (v.around.indoor and v.local_valid):
+            v.home = np.array(v.estimated())
 
     def apply_gains(self) -> None:
         """Carry controller parameters into the batch."""
@@ -231,8 +236,7 @@ class ArduPilot:
         self.idle_since = v.now
         self.flew = False
         self.submode = ""
-        if v.global_valid:
-            v.home = np.array(v.estimated())
+        self._home_is_here()
         v.text(_INFO, "Arming motors")
         v.around.event("armed", v.system)
         return ACCEPTED

@@ -41,7 +41,8 @@ def _armed(flight: "Conductor", now: float) -> bool:
     """Bring everybody into offboard mode, then arm, then take off where that is needed.
 
     Every step is taken by all before the next one begins, so that nobody sits armed and waiting
-    longer than its disarm timer allows.
+    longer than its disarm timer allows (PX4: COM_DISARM_PRFLT, 10 s from arming). Those that take
+    off by themselves are armed first: the others wait on the ground until they have.
     """
     flyers = flight.flyers
     for k, vehicle in enumerate(flyers):
@@ -56,7 +57,7 @@ def _armed(flight: "Conductor", now: float) -> bool:
         return False
     unarmed = [vehicle for vehicle in flyers if not vehicle.armed]
     if unarmed:
-        for vehicle in unarmed:
+        for vehicle in [one for one in unarmed if one.takes_off] or unarmed:
             vehicle.arm()
         return False
     flight.expect_armed()

@@ -11,7 +11,15 @@ from pymavlink.dialects.v20 import common
 from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit
-from swarm.flight.readiness import assigned, levelled, placement, readiness, rough_frames
+from swarm.flight.readiness import (
+    assigned,
+    levelled,
+    named,
+    placement,
+    readiness,
+    rough_frames,
+    told_later,
+)
 from swarm.flight.result import Outcome
 from swarm.flight.team import Team
 from swarm.mavlink.frames import Frames
@@ -148,6 +156,12 @@ def prepared_team(
         for vehicle in heard
         if vehicle not in flyers
     )
+    findings.extend(
+        Finding("info", "ready", f"{named(vehicle, number)}: whether it would arm is told in "
+                "offboard mode only; on the ground it misses a global position")
+        for number, vehicle in enumerate(flyers, 1)
+        if told_later(vehicle, fleet)
+    )  # fmt: skip
     return Prepared(
         flyers,
         frames,

@@ -69,12 +69,24 @@ def _problems(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, str
         problems.append(("origin", "its estimator's origin is unknown"))
     if vehicle.autopilot.offboard_early and not vehicle.in_mode("offboard"):
         problems.append(("mode", f"is in {vehicle.mode}, not guided"))
-    if vehicle.ready is False:
+    if vehicle.ready is False and not told_later(vehicle, fleet):
         said = vehicle.recent_words(now, within=30.0)
         problems.append(("ready", "not ready to arm" + (f" ({said})" if said else "")))
     elif vehicle.ready is None:
         problems.append(("ready", "has not said whether it is ready to arm"))
     return problems
+
+
+def told_later(vehicle: Vehicle, fleet: Fleet) -> bool:
+    """Whether a vehicle that says that it is not ready may well be.
+
+    PX4 judges by the mode that it is in (Commander: ``canArm(nav_state)``). On the ground that is
+    Hold, which wants a global position; indoors there is none, and only offboard mode, with
+    setpoints coming in, can be armed in. Whether it can shows when it is asked to, before anybody
+    takes off.
+    """
+    early = vehicle.autopilot is not None and vehicle.autopilot.offboard_early
+    return fleet.frame == "shared" and vehicle.ready is False and not early
 
 
 def rough_frames(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> Frames:

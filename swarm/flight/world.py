@@ -24,6 +24,7 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
         "seed": seed,
         "floor": 0.0,
         "projection": "autopilot",
+        "indoor": fleet.frame == "shared",
         "wind": {"steady": [mission.wind.steady, 0.0, 0.0], "gust": mission.wind.gust},
         "biases": fleet.emulated.biases if fleet.emulated else "default",
         "vehicles": [
@@ -77,6 +78,7 @@ def bare_world(fleet: Fleet) -> dict[str, Any]:
         "schema": 1,
         "seed": fleet.emulated.seed if fleet.emulated else 1,
         "projection": "autopilot",
+        "indoor": fleet.frame == "shared",
         "vehicles": [
             {"id": listed.sysid, "autopilot": listed.autopilot, "pad": [3.0 * place, 0.0, 0.0]}
             for place, listed in enumerate(fleet.vehicles)

@@ -1,0 +1,47 @@
+"""A team indoors, in the shared frame of motion capture: there is no global position."""
+
+import pytest
+
+from swarm.fleet import emulated_fleet
+from tests.network import Network, small_plan
+
+
+@pytest.mark.parametrize(
+    "autopilots", [("px4",), ("ardupilot",), ("px4", "ardupilot")], ids="-".join
+)
+def test_a_team_flies_where_there_is_no_global_position(autopilots):
+    fleet = emulated_fleet(3, autopilots).model_copy(update={"frame": "shared"})
+    flight = Network(small_plan(), fleet)
+    outcome = flight.run()
+    assert outcome is not None
+    assert outcome.word == "done"
+    told = [f.message for f in flight.conductor.audit.findings if f.check == "ready"]
+    # what PX4 says of itself in Hold says nothing of offboard mode
+    assert len(told) == sum(v.autopilot.name == "px4" for v in flight.conductor.flyers)
+    assert all("in offboard mode only" in words for words in told)
+
+
+def test_outdoors_who_is_not_ready_is_waited_for_and_refused():
+    fleet = emulated_fleet(3, ("px4",))
+    fleet = fleet.model_copy(update={"limits": fleet.limits.model_copy(update={"ready": 5.0})})
+    flight = Network(small_plan(), fleet)
+    flight.emulator.vehicles[1].refuse_arming = "Compass needs calibration"
+    outcome = flight.run()
+    assert outcome is not None
+    assert outcome.word == "refused"
+    assert "vehicle 2: not ready to arm" in outcome.explanation
+
+
+def test_in_a_mixed_team_nobody_sits_armed_on_the_ground_longer_than_its_timer_allows():
+    flight = Network(small_plan(vehicles=4), emulated_fleet(4, ("px4", "ardupilot")))
+    flight.until_phase("takeoff", 2.0)
+    at = {kind: {e.vehicle: e.time for e in flight.events if e.kind == kind}
+          for kind in ("armed", "airborne")}  # fmt: skip
+    px4 = {v for v in at["armed"] if flight.conductor.flyers[v - 1].autopilot.name == "px4"}
+    assert len(px4) == 2
+    first = max(time for vehicle, time in at["armed"].items() if vehicle not in px4)
+    assert all(at["armed"][vehicle] > first for vehicle in px4)
+    waited = {vehicle: at["airborne"][vehicle] - time for vehicle, time in at["armed"].items()}
+    assert max(waited.values()) < 6.0, "COM_DISARM_PRFLT and DISARM_DELAY are 10 s"
+    # and nobody leaves the ground before all are armed
+    assert min(at["airborne"].values()) > max(at["armed"].values())
