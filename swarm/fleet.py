@@ -81,7 +81,11 @@ class Limits(Section):
         90.0, "s", "How long to wait until all vehicles are ready to arm.", above=1.0
     )
     descent: float = number(
-        0.5, "m/s", "Speed at which the team lands together.", above=0.05, most=2.0
+        0.6,
+        "m/s",
+        "Speed at which the team lands together; PX4 documents 0.6 as the least.",
+        above=0.05,
+        most=2.0,
     )
 
 

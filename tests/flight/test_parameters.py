@@ -181,3 +181,12 @@ def test_the_flight_keeps_the_pace_that_the_audited_vehicles_allow():
     conductor.stage = "ready"
     conductor.start(go(proven, Audit((1, 2, 3), (), known)))
     assert conductor.coast is known
+
+
+def test_the_common_pace_of_landing_is_one_that_both_autopilots_document():
+    """MPC_LAND_SPEED has 0.6 m/s as its least, LAND_SPEED 30 to 200 cm/s."""
+    demands = demands_of(Vehicles(), FLEET)
+    wanted = {r.name: r.should for kind in ("px4", "ardupilot") for r in rules(kind, demands)}
+    assert wanted["MPC_LAND_SPEED"] >= 0.6
+    assert 30 <= wanted["LAND_SPEED"] <= 200
+    assert wanted["LAND_SPEED"] == pytest.approx(100.0 * wanted["MPC_LAND_SPEED"])
