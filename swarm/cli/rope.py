@@ -17,7 +17,7 @@ from swarm.flight.trace import Trace
 from swarm.mission import Mission
 from swarm.plans import Plan
 from swarm.view.plots import save
-from swarm.view.report import rope_report
+from swarm.view.rehearsal_report import rope_report
 from swarm.view.rope_plots import Moved, rope_figure
 
 if TYPE_CHECKING:

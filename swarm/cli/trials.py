@@ -33,7 +33,7 @@ from swarm.trials import (
     summary,
 )
 from swarm.view.plots import save
-from swarm.view.report import trials_report
+from swarm.view.rehearsal_report import trials_report
 from swarm.view.trial_plots import NAMES, Distances, trials_figure
 
 

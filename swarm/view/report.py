@@ -10,7 +10,6 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from swarm import __version__
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.plans import Plan
@@ -18,21 +17,23 @@ from swarm.preflight.findings import Assessment, Tightest
 from swarm.view import plots, scene
 from swarm.view.distances import CLEARANCE_STEP, distances_of_strands, strand_distances
 from swarm.view.page import Html, key_figures, page, picture, pictures, section, table, tag
+from swarm.view.report_parts import (
+    CERTIFIED,
+    CLEARANCES,
+    findings,
+    footer,
+    kept,
+    knot_in_words,
+    plan_figures,
+)
 from swarm.view.words import ROUTINE, clock, level, merged, metres, seconds, sentence
 
-CERTIFIED: Final = "certified in the quasi-static cable model"
-SEVERITIES: Final = {"error": "bad", "warning": "warn", "info": "dim"}
-CLEARANCES: Final = {
-    "cable": "cable to cable",
-    "vehicle": "vehicle to vehicle",
-    "vehicle_cable": "vehicle to cable",
-}
-TRIAL_DISTANCES: Final = {**CLEARANCES, "hung": "cable to cable, as the emulator's cable hung"}
 LEVELS: Final = {"ERROR": "bad", "WARN": "warn", "INFO": ""}
 
 
 def plan_report(plan: Plan, assessment: Assessment) -> str:
     """Return the page of a plan: verdict, findings, figures, pictures, tables."""
+    asked_for = knot_in_words(plan.knot.type, plan.knot.chirality)
     verdict = (
         tag("div", f"Cleared: {CERTIFIED}.", kind="verdict good")
         if assessment.cleared
@@ -40,15 +41,15 @@ def plan_report(plan: Plan, assessment: Assessment) -> str:
     )
     return page(
         f"Plan: {plan.mission.name}",
-        tag("h1", f"{plan.mission.name}: plan for {_knot(plan.knot.type, plan.knot.chirality)}"),
+        tag("h1", f"{plan.mission.name}: plan for {asked_for}"),
         tag("p", f"Gauss code {plan.knot.gauss}", kind="dim"),
         verdict,
-        key_figures(_plan_figures(plan, assessment)),
-        section("Findings", _findings(assessment)),
+        key_figures(plan_figures(plan, assessment)),
+        section("Findings", findings(assessment)),
         section("Smallest distances", _certified(assessment)),
         section("Pictures", pictures(*_plan_pictures(plan, assessment))),
         *_plan_tables(plan),
-        _footer(),
+        footer(),
     )
 
 
@@ -65,12 +66,12 @@ def flight_report(
     flown and certified, tracking, timing.
     """
     done = outcome["outcome"] == "done"
-    implied = _knot(outcome["knot"]["type"], outcome["knot"]["chirality"])
+    implied = knot_in_words(outcome["knot"]["type"], outcome["knot"]["chirality"])
     as_planned = outcome["knot"]["as_planned"]
     return page(
         f"Flight: {plan.mission.name}",
         tag("h1", f"{plan.mission.name}: flight"),
-        tag("p", f"Asked for {_knot(plan.knot.type, plan.knot.chirality)}", kind="dim"),
+        tag("p", f"Asked for {knot_in_words(plan.knot.type, plan.knot.chirality)}", kind="dim"),
         tag(
             "div",
             f"{outcome['outcome'].capitalize()}: {outcome['explanation']}. "
@@ -85,151 +86,9 @@ def flight_report(
         section("Pictures", pictures(*_flight_pictures(plan, trace))),
         section("Tracking error", _tracking(outcome["tracking"], plan)),
         section("Events", _events(events)),
-        section("The plan", key_figures(_plan_figures(plan, assessment)), _findings(assessment)),
-        _footer(),
+        section("The plan", key_figures(plan_figures(plan, assessment)), findings(assessment)),
+        footer(),
     )
-
-
-def trials_report(
-    plan: Plan, assessment: Assessment, told: Sequence[Mapping[str, Any]], figure: Figure
-) -> str:
-    """Return the page of many dry runs: what they say, pictures, worst trials, and the plan.
-
-    ``told`` are the JSON objects that ``swarm dry-run --trials --json`` prints, of this plan first,
-    ``figure`` is what is drawn of them.
-    """
-    first = told[0]
-    sound, below = first["no_vehicle_failing"], first["certificate"]["below"]
-    good = sound["completed"]["count"] == sound["trials"] and not below
-    words = (
-        f"{sound['completed']['count']} of {sound['trials']} trials without a failing vehicle "
-        f"were completed as planned; {len(below)} of {first['certificate']['compared']} came "
-        "closer than was certified for their tracking error."
-    )
-    return page(
-        f"Trials: {plan.mission.name}",
-        tag("h1", f"{plan.mission.name}: {first['trials']} dry runs"),
-        tag("p", f"Seed {first['seed']}; virtual time, emulated vehicles and cable", kind="dim"),
-        tag("div", words, kind="verdict good" if good else "verdict bad"),
-        key_figures(_trial_figures(first)),
-        section(
-            "Pictures", pictures(picture(figure, "Smallest distances of all trials", wide=True))
-        ),
-        *(section(_whose(one), _distances_table(one), _reasons(one)) for one in told),
-        section("Worth a look", _worst_trials(first)),
-        section("What was drawn", _drawn(first["spread"])),
-        section("The plan", key_figures(_plan_figures(plan, assessment)), _findings(assessment)),
-        _footer(),
-    )
-
-
-def rope_report(
-    plan: Plan, assessment: Assessment, told: Sequence[Mapping[str, Any]], figure: Figure
-) -> str:
-    """Return the page of a simulated rope.
-
-    ``told`` are the JSON objects that ``swarm dry-run --rope --json`` prints, this plan's first.
-    """
-    first = told[0]
-    implied = _knot(first["knot"]["type"], first["knot"]["chirality"])
-    good = first["knot"]["as_planned"] and not first["void"]
-    words = (
-        f"This run shows nothing: {'; '.join(first['void'])}."
-        if first["void"]
-        else f"The rope ends in {implied}{'' if good else ', which is not what was planned'}."
-    )
-    return page(
-        f"Rope: {plan.mission.name}",
-        tag("h1", f"{plan.mission.name}: a rope of {first['links']} links"),
-        tag("p", f"Asked for {_knot(plan.knot.type, plan.knot.chirality)}", kind="dim"),
-        tag("div", words, kind="verdict good" if good else "verdict bad"),
-        section("Pictures", pictures(picture(figure, "The rope's motion and end", wide=True))),
-        section("Figures", _rope_table(told)),
-        section("The plan", key_figures(_plan_figures(plan, assessment)), _findings(assessment)),
-        _footer(),
-    )
-
-
-def _rope_table(told: Sequence[Mapping[str, Any]]) -> Html:
-    def depth(one: Mapping[str, Any]) -> str:
-        return (
-            f"{one['penetration']['radii']:.2f} radii (void beyond {one['penetration']['most']:g})"
-        )
-
-    rows = [
-        ("knot", *(_knot(one["knot"]["type"], one["knot"]["chirality"]) for one in told)),
-        ("shows something", *("no" if one["void"] else "yes" for one in told)),
-        ("closest strands", *(_or_dash(one["smallest_distance"], "m") for one in told)),
-        ("deepest penetration", *map(depth, told)),
-        ("largest stretch", *(f"{one['stretch']['share']:.2%}" for one in told)),
-        ("top speed", *(f"{one['speed']['metres_per_second']:.1f} m/s" for one in told)),
-        (
-            "farthest from the quasi-static cable",
-            *(metres(one["stray"]["largest"]) for one in told),
-        ),
-        ("the budget's sway and stop", *(metres(one["stray"]["budget"]) for one in told)),
-        ("simulated, took", *(f"{one['simulated']:.0f} s, {one['took']:.0f} s" for one in told)),
-    ]
-    return table(("", *(one["trajectory"] for one in told)), rows)
-
-
-def _whose(told: Mapping[str, Any]) -> str:
-    return "The paper's trajectory" if told["method"] == "paper" else "This plan"
-
-
-def _trial_figures(told: Mapping[str, Any]) -> list[tuple[str, object]]:
-    sound = told["no_vehicle_failing"]
-    low, high = sound["completed"]["interval"] or (0.0, 1.0)
-    return [
-        ("trials", told["trials"]),
-        ("of them with a failing vehicle", told["one_vehicle_failing"]["trials"]),
-        (f"completed, {told['confidence']:.0%} interval", f"{low:.1%} to {high:.1%}"),
-        ("with a rotor on cable", told["trials_with_strikes"]),
-        ("with vehicles touching", told["trials_with_collisions"]),
-        ("vehicles lost", told["vehicles_lost"]),
-    ]
-
-
-def _distances_table(told: Mapping[str, Any]) -> Html:
-    rows = []
-    for kind, values in told["no_vehicle_failing"]["clearance"].items():
-        if values["count"]:
-            cells = [_kept(values["smallest"], values["required"])]
-            for share in ("0.05", "0.5"):
-                quantile = values["quantiles"][share]
-                low, high = (f"{v:.2f}" if v is not None else "?" for v in quantile["interval"])
-                cells.append(Html(f"{metres(quantile['value'])} [{low}, {high}]"))
-            rows.append((TRIAL_DISTANCES[kind], *cells, metres(values["required"])))
-    head = ("no vehicle failing", "smallest", "5 %", "median", "required")
-    return table(head, rows, frozenset({1, 2, 3, 4}))
-
-
-def _reasons(told: Mapping[str, Any]) -> Html:
-    rows = [(reason, count) for reason, count in told["reasons"].items()]
-    return table(("not completed, because of", "trials"), rows, frozenset({1}))
-
-
-def _worst_trials(told: Mapping[str, Any]) -> Html:
-    rows = [
-        (
-            one["trial"],
-            "unknown" if one["cable"] is None else metres(one["cable"]),
-            one["outcome"],
-            one["failing"] or "–",
-            one["reason"] or "–",
-        )
-        for one in told["worst"]
-    ]
-    head = ("trial", "cable to cable", "outcome", "what was made to fail", "reason")
-    return table(head, rows, frozenset({0, 1}))
-
-
-def _drawn(spread: Mapping[str, Any]) -> Html:
-    rows = [
-        (name, ", ".join(value) if isinstance(value, list) else f"{value:g}")
-        for name, value in spread.items()
-    ]
-    return table(("key of the scenario's spread", "value"), rows)
 
 
 def _left_the_ball(plan: Plan, outcome: Mapping[str, Any]) -> Html:
@@ -252,46 +111,10 @@ def _errors(assessment: Assessment) -> str:
     return f"{count} error{'s' if count > 1 else ''}"
 
 
-def _knot(name: str, chirality: str) -> str:
-    return name if chirality == "none" else f"{name}, {chirality}-handed"
-
-
-def _plan_figures(plan: Plan, assessment: Assessment) -> list[tuple[str, object]]:
-    fold = plan.phase("fold")
-    robustness = assessment.robustness
-    return [
-        ("vehicles", plan.vehicles),
-        ("cable", metres(float(plan.layout.lengths.sum()))),
-        ("fold", seconds(fold.end - fold.start)),
-        ("from take-off to the ground", seconds(plan.duration)),
-        ("tracking error certified for", metres(plan.mission.vehicles.tracking)),
-        ("largest tracking error e*", _or_dash(robustness.tracking, "m")),
-        ("largest steady wind w*", _or_dash(robustness.wind, "m/s")),
-    ]
-
-
-def _or_dash(value: float | None, unit: str) -> str:
-    return "–" if value is None else f"{value:.2f} {unit}"
-
-
-def _findings(assessment: Assessment) -> Html:
-    order = list(SEVERITIES)
-    rows = [
-        (
-            tag("span", finding.severity, kind=SEVERITIES[finding.severity]),
-            finding.check,
-            finding.message,
-            "" if finding.at_time is None else seconds(finding.at_time),
-        )
-        for finding in sorted(assessment.findings, key=lambda found: order.index(found.severity))
-    ]
-    return table(("severity", "check", "says", "at"), rows, frozenset({3}))
-
-
 def _certified(assessment: Assessment) -> Html:
     rows = [
-        (name, _kept(kept.distance, kept.required), metres(kept.required), *_where(kept))
-        for name, kept in zip(
+        (name, kept(least.distance, least.required), metres(least.required), *_where(least))
+        for name, least in zip(
             CLEARANCES.values(),
             (assessment.cable, assessment.vehicle, assessment.vehicle_cable),
             strict=True,
@@ -301,14 +124,10 @@ def _certified(assessment: Assessment) -> Html:
     return table(head, rows, frozenset({1, 2, 3}))
 
 
-def _where(kept: Tightest) -> tuple[str, str]:
-    if not np.isfinite(kept.distance):
+def _where(least: Tightest) -> tuple[str, str]:
+    if not np.isfinite(least.distance):
         return "–", "–"
-    return seconds(kept.time), " and ".join(kept.between)
-
-
-def _kept(distance: float, required: float) -> Html:
-    return tag("span", metres(distance), kind="good" if distance >= required else "bad")
+    return seconds(least.time), " and ".join(least.between)
 
 
 @mpl.rc_context(plots.STYLE)
@@ -450,7 +269,7 @@ def _flown(outcome: Mapping[str, Any]) -> Html:
         rows.append(
             (
                 CLEARANCES[name],
-                "unknown" if was is None else _kept(was["distance"], certified["required"]),
+                "unknown" if was is None else kept(was["distance"], certified["required"]),
                 metres(certified["distance"]),
                 metres(certified["required"]),
                 "" if was is None else seconds(was["time"]),
@@ -488,12 +307,3 @@ def _events(events: Iterable[Event]) -> Html:
         for event, others in told
     ]
     return table(("time", "event"), rows, frozenset({0}))
-
-
-def _footer() -> Html:
-    return tag(
-        "footer",
-        f"swarm {__version__}. {CERTIFIED.capitalize()} means: for every displacement of every "
-        "grip point within the tracking ball, as long as the cable hangs as catenaries do. It is "
-        "not a proof about the real cable, and no eye has seen the knot.",
-    )

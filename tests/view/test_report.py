@@ -18,7 +18,8 @@ from swarm.flight.trace import Trace
 from swarm.preflight.findings import Finding
 from swarm.view.failures import failures_report
 from swarm.view.page import Html, page, table, tag
-from swarm.view.report import flight_report, plan_report, rope_report, trials_report
+from swarm.view.rehearsal_report import rope_report, trials_report
+from swarm.view.report import flight_report, plan_report
 from tests.view.synthetic import events, trefoil_plan
 from tests.view.test_terminal import assessment
 
