@@ -1,8 +1,14 @@
 """What is made ready for the tests, and their order, where several processes run all of them."""
 
+import hypothesis
 import pytest
 
 from tests import machine_code
+
+# How long an example takes says nothing of what it tests: machines are shared, and the first one
+# may compile.
+hypothesis.settings.register_profile("patient", deadline=None)
+hypothesis.settings.load_profile("patient")
 
 LONGEST = (
     "test_the_overhand_flies_over_udp_and_leaves_its_record",

@@ -71,13 +71,14 @@ def test_its_record_is_complete(flown):
 
 
 def test_a_dead_emulator_is_explained_and_is_a_vehicle_error(tmp_path):
-    pids = []
-    killer = threading.Timer(4.0, lambda: os.kill(pids[0], signal.SIGKILL))
-    killer.start()
-    result = fly(
-        PROVEN, emulated_fleet(3), tmp_path / "record", speed=SPEED, on_emulator=pids.append
-    )
-    killer.join()
+    killers = []
+
+    def kill_soon(pid):
+        killers.append(threading.Timer(2.0, lambda: os.kill(pid, signal.SIGKILL)))
+        killers[0].start()
+
+    result = fly(PROVEN, emulated_fleet(3), tmp_path / "record", speed=SPEED, on_emulator=kill_soon)
+    killers[0].join()
     assert result.outcome.exit_code == 3
     assert "the emulator ended (signal 9)" in result.outcome.explanation
     assert isinstance(result.outcome.error(), VehicleError)
