@@ -332,7 +332,7 @@ def _judged(
         void.append("contact is switched off: whatever knot comes out, it shows nothing")
     if log.penetration > MOST_PENETRATION * radius:
         void.append(
-            f"strands were {log.penetration / radius:.1f} radii deep in each other; more than "
+            f"strands were {log.penetration / radius:.2f} radii deep in each other; more than "
             f"{MOST_PENETRATION:g} is not to be trusted"
         )
     if log.stretch > MOST_STRETCH:

@@ -252,10 +252,15 @@ def draw_fold(axes: Axes, layout: Layout) -> None:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(high - low, zoom=0.95)
     axes.view_init(elev=28, azim=-62)
-    for side, axis in zip(high - low, (axes.xaxis, axes.yaxis, axes.zaxis), strict=True):
-        axis.set_major_locator(MaxNLocator(3 if side < 0.6 * (high - low).max() else 7))
+    sparse_ticks(axes, high - low)
     axes.set(xlabel="east, m", ylabel="north, m", zlabel="up, m")
     axes.set_title("Folded cable, distances at crossings in m")
+
+
+def sparse_ticks(axes: Axes, sides: Floats) -> None:
+    """Give the short ones of a box's ``sides`` (3,) so few ticks that their figures stay apart."""
+    for side, axis in zip(sides, (axes.xaxis, axes.yaxis, axes.zaxis), strict=True):
+        axis.set_major_locator(MaxNLocator(3 if side < 0.6 * sides.max() else 7))
 
 
 def draw_schedule(axes: Axes, plan: Plan) -> None:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from swarm.view.plots import ALARM, END, INK, START, STYLE, Axes
+from swarm.view.plots import ALARM, END, INK, START, STYLE, Axes, sparse_ticks
 
 Floats = npt.NDArray[np.float64]
 
@@ -73,7 +73,8 @@ def draw_apart(axes: Axes, runs: Sequence[Moved], required: float) -> None:
 def _say_at(axes: Axes, height: float, words: str) -> None:
     axes.annotate(
         words, (1.0, height), xycoords=("axes fraction", "data"), color=ALARM, fontsize=7.5,
-        ha="right", va="bottom",
+        ha="right", va="bottom", zorder=9,
+        bbox={"facecolor": "white", "alpha": 0.85, "linewidth": 0, "pad": 1},
     )  # fmt: skip
 
 
@@ -101,6 +102,8 @@ def draw_rope(axes: Axes, run: Moved) -> None:
     for k in range(len(shape) - 1):
         axes.plot(*shape[k : k + 2].T, color=colours[k], linewidth=1.6)
     low, high = shape.min(axis=0), shape.max(axis=0)
-    axes.set_box_aspect(np.maximum(high - low, 0.2 * (high - low).max()), zoom=0.95)
+    sides = np.maximum(high - low, 0.2 * (high - low).max())
+    axes.set_box_aspect(sides, zoom=0.95)
+    sparse_ticks(axes, sides)
     axes.view_init(elev=28, azim=-62)
     axes.set(xlabel="east, m", ylabel="north, m", zlabel="up, m", title="in space, at the end")
