@@ -14,6 +14,10 @@ from swarm.view.viewers import Process, free_port, proxy_url, run_viewer
 SETTLED: Final = 6.0
 """Seconds until a loaded recording is drawn and the viewer's own notices have faded."""
 
+AGAIN: Final = 3.0
+"""Seconds until the next picture: on a busy machine all of that takes longer, and what is taken is
+the first picture that is like the one before."""
+
 MENU: Final = 37
 """Height of the viewer's menu and warnings, which are no part of the picture, in pixels."""
 
@@ -51,7 +55,7 @@ def screenshot(
         _wait_loaded(client, until)
         client.set_time(duration=at or 0.0, play_state="paused")
         time.sleep(SETTLED)
-        png = client.take_screenshot(_view_id(client, view))
+        png = _settled(client, _view_id(client, view), until)
     except RuntimeError as error:
         raise NoPicture(f"the viewer gave no picture: {error}") from None
     finally:
@@ -62,6 +66,14 @@ def screenshot(
         shown = shown.crop((0, MENU, *shown.size))
     # A palette of 256 colours: a third of the bytes, and nobody sees it.
     shown.convert("RGB").quantize(256).save(picture, format="PNG", optimize=True)
+
+
+def _settled(client: ViewerClient, view: str | None, until: float) -> bytes:
+    before, png = b"", bytes(client.take_screenshot(view))
+    while png != before and time.monotonic() < until:
+        time.sleep(AGAIN)
+        before, png = png, bytes(client.take_screenshot(view))
+    return png
 
 
 def _view_id(client: ViewerClient, name: str | None) -> str | None:
