@@ -164,7 +164,8 @@ def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
     if row.within is not None and (never or (seen or 0.0) > row.within + 1e-6):
         after = "never" if seen is None else f"after {seen:.2f} s"
         problems.append(f"noticed {after}, not within {row.within:g} s")
-    if trial.strikes - trial.falling > row.strikes and not row.dead:
+    allowed = row.strikes + (row.stays and _nowhere_to_go(flight))
+    if trial.strikes - trial.falling > allowed and not row.dead:
         problems.append(f"{trial.strikes - trial.falling} rotor strikes")
     if trial.lost > int(row.dead):
         problems.append(f"{trial.lost} vehicles lost")
@@ -177,6 +178,14 @@ def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
     if trial.apart < vehicle and not (row.moves or row.drifts or row.dead):
         problems.append(f"vehicles {trial.apart:.2f} m apart")
     return tuple(problems)
+
+
+def _nowhere_to_go(flight: Rehearsal) -> bool:
+    """Whether the team left the plan where all can neither land nor let go as they stand."""
+    conductor = flight.conductor
+    time, windows = conductor.clock.time, conductor.windows
+    left = conductor.way_out is not None
+    return left and not (windows.landable(time) or windows.releasable(time))
 
 
 def _certified(flight: Rehearsal, row: Row) -> tuple[float, float]:

@@ -23,6 +23,8 @@ class Row:
     says that the fault itself takes a vehicle out of the air; ``moves`` that it moves vehicles or
     cable beyond what was certified, ``drifts`` that it does so with one vehicle, and with the cable
     only where nobody may let go; ``strikes`` how many rotors may touch cable then, with ``why``.
+    Where one ``stays`` where it is, and the others with it, one more rotor may where all can
+    neither land nor let go without cable coming down on somebody.
     In the first ``falls`` seconds any may: it is what the fault lets fall on whoever is below.
     Where somebody ``coasts`` for want of setpoints, the coast certificate's worst case counts: the
     mission's own clearances.
@@ -41,6 +43,7 @@ class Row:
     moves: bool = False
     drifts: bool = False
     strikes: int = 0
+    stays: bool = False
     falls: float = 0.0
     coasts: bool = False
     why: str = ""
@@ -99,6 +102,10 @@ CITED: tuple[Cited, ...] = (
 _ON: tuple[End, ...] = ("goes on", "flown to the end")
 _DOWN: tuple[End, ...] = ("landed", "released and landed")
 _FALLS = "it is out of the air; as it falls its rotors may strike what hangs there"
+_STAYS = (
+    "it no longer follows, so that nobody can move to where all can land together; where they can "
+    "neither land nor let go as they stand, they land, and cable may touch a rotor on the ground"
+)
 _SILENCE = 1.2
 """Seconds: the fleet's limits.silence, and a packet's time."""
 
@@ -180,9 +187,12 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "pilot takes over", "one vehicle", ("landed",), ({"kind": "pilot"},), within=0.5,
-        by_hand=True,
+        by_hand=True, stays=True, why=_STAYS,
     ),
-    Row("leaves offboard", "one vehicle", ("landed",), ({"kind": "leave_offboard"},), within=0.5),
+    Row(
+        "leaves offboard", "one vehicle", ("landed",), ({"kind": "leave_offboard"},), within=0.5,
+        stays=True, why=_STAYS,
+    ),
     Row("disarms", "one vehicle", _DOWN, ({"kind": "disarm"},), within=0.3, dead=True,
         why=_FALLS),
     Row("reboots", "one vehicle", _DOWN, ({"kind": "reboot"},), within=1.5, dead=True,

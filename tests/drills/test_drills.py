@@ -66,10 +66,16 @@ def test_every_failure_of_a_team_that_ties_a_knot(overhand, row):
     assert not failed
 
 
-def judged(row, proven=PLAN, **found):
-    """What is wrong with a trial of a row that went well but for ``found``."""
+def judged(row, proven=PLAN, left=False, **found):
+    """What is wrong with a trial of a row that went well but for ``found``; the team has ``left``
+    its plan where it can neither land nor let go."""
     fine = Trial(50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[row].ends[0], ())
-    return judging._problems(SimpleNamespace(proven=proven), BY_NAME[row], replace(fine, **found))
+    windows = SimpleNamespace(landable=lambda _: False, releasable=lambda _: False)
+    conductor = SimpleNamespace(
+        way_out=object() if left else None, windows=windows, clock=SimpleNamespace(time=50.0)
+    )
+    flight = SimpleNamespace(proven=proven, conductor=conductor)
+    return judging._problems(flight, BY_NAME[row], replace(fine, **found))
 
 
 def test_what_falls_with_the_fault_is_no_fault_of_the_teams_and_what_follows_is():
@@ -77,6 +83,13 @@ def test_what_falls_with_the_fault_is_no_fault_of_the_teams_and_what_follows_is(
     assert judged("gripper slips", strikes=2, falling=1) == ("1 rotor strikes",)
     assert judged("pilot takes over", strikes=1) == ("noticed after 1.00 s, not within 0.5 s",
                                                      "1 rotor strikes")  # fmt: skip
+
+
+def test_who_cannot_follow_may_cost_a_rotor_only_where_nothing_else_is_left():
+    assert judged("leaves offboard", left=True, noticed=0.2, strikes=1) == ()
+    assert judged("leaves offboard", left=True, noticed=0.2, strikes=2) == ("2 rotor strikes",)
+    assert judged("leaves offboard", noticed=0.2, strikes=1) == ("1 rotor strikes",)
+    assert judged("battery low", left=True, noticed=0.2, strikes=1) == ("1 rotor strikes",)
 
 
 def test_who_coasts_keeps_what_is_certified_of_coasting():
