@@ -170,6 +170,7 @@ def fly(
                 take_keys=(emulated or yes) and sys.stdin.isatty(),
                 on_snapshot=on_snapshot,
                 on_event=on_event,
+                gives_way=True,
             )
     finally:
         viewer.close()

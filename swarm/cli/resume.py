@@ -65,6 +65,7 @@ def resume_flight(
                 take_keys=sys.stdin.isatty(),
                 on_snapshot=on_snapshot,
                 on_event=on_event,
+                gives_way=True,
             )
     finally:
         viewer.close()

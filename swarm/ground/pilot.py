@@ -14,7 +14,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -29,7 +29,7 @@ from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.fly import fly
 from swarm.ground.operator import keys
-from swarm.ground.priority import follow, prefer
+from swarm.ground.priority import follow, giving_way, prefer
 from swarm.preflight.findings import ProvenPlan
 
 _POLL = 0.05
@@ -59,12 +59,14 @@ def fly_apart(
     on_snapshot: Callable[[Snapshot], None] | None = None,
     on_event: Callable[[Event], None] | None = None,
     take_keys: bool = False,
+    gives_way: bool = False,
 ) -> FlightResult:
     """Fly in a process of its own; callbacks are called here, and may be slow.
 
     The same as :func:`swarm.ground.fly.fly` otherwise; raises what that raises, and
     :class:`VehicleError` where the process ends before the flight does. SIGINT and SIGTERM are
-    passed on: the first lands the team after a hold, the second at once.
+    passed on: the first lands the team after a hold, the second at once. A caller that
+    ``gives_way`` runs behind the flight meanwhile.
     """
     ours, theirs = socket.socketpair()
     process = subprocess.Popen(  # noqa: S603
@@ -78,6 +80,7 @@ def fly_apart(
     asking = threading.Event()
     try:
         with ExitStack() as around:
+            around.enter_context(giving_way() if gives_way else nullcontext())
             around.enter_context(_passed_on(process, asking))
             pipe.send(flight)
             desk = _Typed(pipe)

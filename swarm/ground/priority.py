@@ -3,10 +3,13 @@
 import gc
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 PRIORITY = 10
 _BEHIND = 5
+BEHIND_ALL = 10
+"""Niceness of what helps a flight: drawing, waiting for a person."""
 _SWITCH_INTERVAL = 0.0005
 
 
@@ -42,3 +45,25 @@ def follow() -> None:
             ahead = os.sched_getparam(os.getpid()).sched_priority
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(0, policy, os.sched_param(max(1, ahead - _BEHIND)))
+
+
+def give_way(process: int = 0, to: int = BEHIND_ALL) -> None:
+    """Let a process that draws or waits (0: this one) run behind the flight's, as nice as ``to``.
+
+    Where the flight has no real-time priority this is what keeps it ahead of its own helpers.
+    Processes that it begins later run behind, too. It stays so where the system does not permit
+    to be less nice again.
+    """
+    with suppress(OSError, AttributeError):
+        os.setpriority(os.PRIO_PROCESS, process, to)
+
+
+@contextmanager
+def giving_way() -> Iterator[None]:
+    """Run behind the flight for a while."""
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    give_way()
+    try:
+        yield
+    finally:
+        give_way(to=before)

@@ -12,6 +12,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from swarm.ground.priority import give_way
+
 LOOPBACK = "127.0.0.1"
 
 Process = subprocess.Popen[bytes]
@@ -59,13 +61,15 @@ def run_viewer(arguments: Sequence[str], *, own_group: bool = False) -> Process:
 
     With ``own_group`` it outlives the process group that started it, as a window should.
     """
-    return subprocess.Popen(  # noqa: S603 - our own arguments to the installed program
+    process = subprocess.Popen(  # noqa: S603 - our own arguments to the installed program
         [str(viewer_binary()), "--bind", LOOPBACK, *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=own_group,
     )
+    give_way(process.pid)
+    return process
 
 
 def serve(port: int, web_port: int | None, *files: Path) -> Process:

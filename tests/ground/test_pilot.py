@@ -12,16 +12,18 @@ import pytest
 from swarm.errors import InputError, VehicleError
 from swarm.fleet import emulated_fleet
 from swarm.ground.pilot import Flight, fly_apart
+from swarm.ground.priority import BEHIND_ALL
 from tests.network import small_plan
 
 PROVEN = small_plan()
 
 
 def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
-    shown, said, asked = [], [], []
+    shown, said, asked, nice = [], [], [], set()
 
     def slow(snapshot):
         shown.append(snapshot)
+        nice.add(os.getpriority(os.PRIO_PROCESS, 0))
         end = time.monotonic() + 0.3
         while time.monotonic() < end:  # busy, as a screen that is drawn is
             pass
@@ -32,10 +34,12 @@ def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
         confirm=lambda audit: asked.append(audit) or True,
         on_snapshot=slow,
         on_event=said.append,
+        gives_way=True,
     )
     assert result.outcome.word == "done", result.events[-5:]
     assert [audit.systems for audit in asked] == [(1, 2, 3)]
     assert result.statistics.lateness[0] < 0.01
+    assert nice == {BEHIND_ALL}
     assert 0 < len(shown) < len(result.trace.time)
     assert [event.kind for event in said] == [event.kind for event in result.events]
 
@@ -85,6 +89,7 @@ import sys
 from pathlib import Path
 from swarm.fleet import emulated_fleet
 from swarm.ground.pilot import Flight, fly_apart
+from swarm.ground.priority import BEHIND_ALL
 from tests.network import small_plan
 flight = Flight(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
 fly_apart(flight)
