@@ -46,7 +46,7 @@ from swarm.flight.conductor import Conductor
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.warm import warm_up
 from swarm.ground.loop import Loop
-from swarm.ground.priority import follow, prefer, settle
+from swarm.ground.priority import follow, give_way, prefer, settle
 from swarm.ground.record import Record
 from swarm.ground.sockets import open_links
 from swarm.mavlink.frames import shared_frames
@@ -116,6 +116,7 @@ class Watcher:
             cwd=_ROOT,
         )
         theirs.close()
+        give_way(self._process.pid)
         self._pipe = Connection(ours.detach())
         self._pipe.send(plan)
         self._waiting: queue.Queue[object] = queue.Queue(200)
