@@ -357,7 +357,7 @@ def draw_flown_view(axes: Axes, plan: Plan, trace: Trace) -> None:
     held = trace.position[np.array(trace.phase, dtype=str) == "hold"]
     known = held[np.isfinite(held).all(axis=(1, 2))]
     if len(known):
-        axes.plot(*known[-1][:, :2].T, "x", color=ALARM, markersize=7, zorder=8)
+        axes.plot(*known[-1][:, :2].T, "x", color=ALARM, markersize=13, zorder=3)
     axes.set_title("Plan view; × where the vehicles held it" if len(known) else "Plan view")
 
 
