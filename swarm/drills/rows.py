@@ -106,6 +106,9 @@ _STAYS = (
     "it no longer follows, so that nobody can move to where all can land together; where they can "
     "neither land nor let go as they stand, they land, and cable may touch a rotor on the ground"
 )
+_BEHIND = (
+    "it shows by how far somebody falls behind, and takes longer where the plan hardly moves them"
+)
 _SILENCE = 1.2
 """Seconds: the fleet's limits.silence, and a packet's time."""
 
@@ -131,11 +134,12 @@ def _gaps() -> Iterator[Row]:
                     "links",
                     (*_ON, *left, *(late if left else ())),
                     _gap(seconds, direction),
-                    within=None if seconds < 1.0 else 2.0 if direction == "up" else _SILENCE,
+                    within=None if seconds < 1.0 else 2.5 if direction == "up" else _SILENCE,
                     slows=direction == "up",
                     whole_team=whole,
                     lasts=seconds,
                     coasts=direction != "down" and seconds >= STREAM_LOSS_TIME,
+                    why=_BEHIND if direction == "up" else "",
                 )
 
 
