@@ -137,9 +137,11 @@ def _print(told: dict[str, Any], plan: Plan, console: Console) -> None:
     if smallest is not None:
         say(f"segments that share no vehicle came as close as {smallest:.2f} m")
     stray = told["stray"]
+    beyond = "more than " if stray["largest"] > stray["budget"] else ""
     say(
         f"strayed from the quasi-static cable by up to {stray['largest']:.2f} m "
-        f"(the budget allows {stray['budget']:.2f} m for sway and a stop)"
+        f"({beyond}the {stray['budget']:.2f} m of the budget for sway and a stop, which is of the "
+        "tightest moments)"
     )
     depth, stretch, speed = told["penetration"], told["stretch"], told["speed"]
     say(

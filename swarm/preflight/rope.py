@@ -36,6 +36,9 @@ Progress = Callable[[str, float], None]
 STEP: Final = 0.002
 """Seconds; at 5 ms strands were seen to pass through each other."""
 
+TIGHTENING_STEP: Final = 0.0005
+"""Seconds, once the inner vehicles have let go: rope that falls three metres is so much faster."""
+
 SAMPLE_INTERVAL: Final = 0.2
 LINK: Final = 0.17
 """Metres of a link where no number of links is asked for."""
@@ -48,12 +51,15 @@ MOST_STRETCH: Final = 0.01
 
 BESIDE_GRIP: Final = 0.3
 """Metres of rope. A held node is put from place to place, and no constraint knows how fast it
-moves: links beside it lag by its speed times CONTACT_TIME, some millimetres."""
+moves: links beside it lag by its speed times two steps, some millimetres."""
 
 MOST_SPEED: Final = 12.0
 """m/s of any node; faster is a spike of the solver, not a rope of this kind."""
 
-CONTACT_TIME: Final = 0.004
+CONTACT_STEPS: Final = 2
+"""Steps in which contacts and links answer, MuJoCo's least: a strand comes in by its speed times
+this, and may leave on the other side."""
+
 STIFF: Final = "0.99 0.999 0.001"
 """Impedance of links and contacts (MuJoCo's solimp): by default short links stretch by 3 %."""
 
@@ -150,7 +156,8 @@ def move_rope(
             progress("moving the rope", done / whole)
     if pulled is not None:
         folded = float(grips.times[-1] - grips.times[0])
-        rope = _Rope(plan, rope.nodes(), held[[0, -1]], contact, np.array(wind), rope.speeds())
+        held, speeds = held[[0, -1]], rope.speeds()
+        rope = _Rope(plan, rope.nodes(), held, contact, np.array(wind), speeds, TIGHTENING_STEP)
         log.tightening = True
         for done in rope.run(pulled, log):
             if progress:
@@ -196,12 +203,14 @@ class _Rope:
         contact: bool,
         wind: Floats,
         speeds: Floats | None = None,
+        step: float = STEP,
     ) -> None:
+        self._step = step
         cable = plan.mission.cable
         links = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
         mass = cable.mass_per_length * float(links.mean())
         self._model = mujoco.MjModel.from_xml_string(
-            _description(nodes, set(held.tolist()), 0.5 * cable.diameter, mass, contact)
+            _description(nodes, set(held.tolist()), 0.5 * cable.diameter, mass, contact, step)
         )
         self._data = mujoco.MjData(self._model)
         self._start = nodes
@@ -232,14 +241,15 @@ class _Rope:
     def run(self, grips: Grips, log: "_Log") -> Iterator[float]:
         """Step through the motion, writing to the log; yields the seconds done, now and then."""
         model, data = self._model, self._data
-        steps = round(float(grips.times[-1] - grips.times[0]) / STEP)
-        every = round(SAMPLE_INTERVAL / STEP)
+        step = self._step
+        steps = round(float(grips.times[-1] - grips.times[0]) / step)
+        every = round(SAMPLE_INTERVAL / step)
         for begin in range(0, steps, every):
             count = min(every, steps - begin)
-            times = grips.times[0] + STEP * np.arange(begin, begin + count + 1)
+            times = grips.times[0] + step * np.arange(begin, begin + count + 1)
             places = grips.at(times)
             for k in range(count):
-                self._speed_of_held = (places[k + 1] - places[k]) / STEP
+                self._speed_of_held = (places[k + 1] - places[k]) / step
                 data.mocap_pos[:] = places[k + 1]
                 if k % _DRAG_EVERY == 0:
                     self._drag()
@@ -247,7 +257,7 @@ class _Rope:
                 if k % _WATCH_EVERY == 0:
                     self._watch(log)
             log.sample(float(times[-1]), self.nodes(), places[-1])
-            yield STEP * (begin + count)
+            yield step * (begin + count)
 
     def _drag(self) -> None:
         """Drag of a cylinder across the flow on every node's share of the rope (Morison)."""
@@ -370,8 +380,11 @@ def sway_budget(plan: Plan) -> float:
     return max((row.sway + row.stop for row in rows), default=0.0)
 
 
-def _description(nodes: Floats, held: set[int], radius: float, mass: float, contact: bool) -> str:
+def _description(
+    nodes: Floats, held: set[int], radius: float, mass: float, contact: bool, step: float
+) -> str:
     """Return the rope as MuJoCo's XML: point masses that slide freely, and held ones."""
+    answer = CONTACT_STEPS * step
     bodies = []
     slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
     point = f'<inertial pos="0 0 0" mass="{mass:.9g}" diaginertia="1e-9 1e-9 1e-9"/>'
@@ -384,22 +397,24 @@ def _description(nodes: Floats, held: set[int], radius: float, mass: float, cont
     links = " ".join(f"{k} {k + 1}" for k in range(len(nodes) - 1))
     collide = "auto" if contact else "none"
     floor = (
-        '<geom type="plane" size="500 500 1" friction="0.3" solref="0.004 1"/>' if contact else ""
+        f'<geom type="plane" size="500 500 1" friction="0.3" solref="{answer} 1"/>'
+        if contact
+        else ""
     )
     return f"""<mujoco>
   <compiler boundinertia="1e-12"/>
-  <option timestep="{STEP}" integrator="implicitfast" solver="Newton" jacobian="sparse"
+  <option timestep="{step}" integrator="implicitfast" solver="Newton" jacobian="sparse"
     gravity="0 0 {-STANDARD_GRAVITY}"/>
   <size memory="256M"/>
   <worldbody>{floor}{"".join(bodies)}</worldbody>
   <deformable>
     <flex name="rope" dim="1" radius="{radius:.9g}" body="{names}"
       vertex="{" ".join(["0 0 0"] * len(nodes))}" element="{links}">
-      <contact selfcollide="{collide}" condim="3" solref="{CONTACT_TIME} 1" solimp="{STIFF}"
+      <contact selfcollide="{collide}" condim="3" solref="{answer} 1" solimp="{STIFF}"
         friction="{FRICTION} 0.005 0.0001"/>
     </flex>
   </deformable>
-  <equality><flex flex="rope" solref="{CONTACT_TIME} 1" solimp="{STIFF}"/></equality>
+  <equality><flex flex="rope" solref="{answer} 1" solimp="{STIFF}"/></equality>
 </mujoco>"""
 
 

@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarm import api
 from swarm.cable.catenary import hang
 from swarm.errors import Refused
+from swarm.mission import mission_for_knot
 from swarm.plans import KnotSummary, Layout, Plan
 from tests.network import small_plan
 
@@ -74,6 +76,16 @@ def test_strands_stop_each_other_only_with_contact(contact):
         assert higher < -0.1
         assert run.contacts == 0
         assert run.void == ("contact is switched off: whatever knot comes out, it shows nothing",)
+
+
+@pytest.mark.full
+def test_a_tightened_overhand_keeps_its_knot():
+    mission = mission_for_knot("overhand", ("finish=tighten",))
+    plan = api.plan(mission, robustness=False).plan
+    run = rope.move_rope(plan, rope.planned_grips(plan))
+    assert run.void == ()
+    assert (run.knot, run.chirality, run.as_planned) == ("3_1", "right", True)
+    assert run.span > 0.8 * plan.layout.lengths.sum()
 
 
 def test_a_rope_that_is_torn_taut_is_void():
