@@ -251,7 +251,9 @@ srcdoc="%s"></iframe><script>addEventListener("load", () => {
   document.title = JSON.stringify({
     sideways: page.documentElement.scrollWidth - wide,
     broken: [...page.images].filter((i) => !(i.complete && i.naturalWidth)).length,
-    outside: [...page.body.querySelectorAll("*")].filter(out).length }) })</script>"""
+    outside: [...page.body.querySelectorAll("*")].filter(out).length,
+    cut: [...page.querySelectorAll(".scroll")].filter(
+      (e) => e.scrollWidth > e.clientWidth + 1).length }) })</script>"""
 
 
 @pytest.mark.skipif(BROWSER is None, reason="needs a Chromium to look with")
@@ -275,4 +277,6 @@ def test_a_browser_shows_it_without_sideways_scrolling(width: int, tmp_path: Pat
             check=True, capture_output=True, text=True, timeout=60,
         ).stdout  # fmt: skip
         found = json.loads(seen.split("<title>")[1].split("</title>")[0])
+        cut = found.pop("cut")
+        assert cut == 0 or name != "plan", f"{cut} tables of a plan are cut off"
         assert found == {"sideways": 0, "broken": 0, "outside": 0}
