@@ -1,6 +1,5 @@
 """``swarm check``: the vehicles on the ground, before anything is armed."""
 
-import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime
@@ -28,14 +27,13 @@ from swarm.exports import finding_object
 from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.hop import HEIGHT, HOVER, hop, hover_findings
 from swarm.flight.parameters import Row
+from swarm.flight.words import in_common, numbers, of_systems
 from swarm.ground.check import CheckReport, Wanted
 from swarm.ground.check import check as check_fleet
 from swarm.ground.fly import fly
 from swarm.preflight.findings import Finding, ProvenPlan
 from swarm.view.sheet import layout_sheet
-from swarm.view.words import numbers
 
-_SYSTEM = re.compile(r"system (\d+): ")
 STYLES = {"error": "bold red", "warning": "yellow", "info": "green"}
 
 
@@ -220,14 +218,16 @@ def _show(report: CheckReport, console: Console) -> None:
         system, words = line.removeprefix("system ").split(": ", 1)
         changed.setdefault(words, []).append(int(system))
     for words, systems in changed.items():
-        console.print(f"set {_of_systems(systems)}{words}", highlight=False)
+        console.print(f"set {of_systems(systems)}{words}", highlight=False)
     wrong = [row for vehicle in report.vehicles for row in vehicle.wrong]
     if wrong:
         console.print(parameter_table(wrong))
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     for heading in ("", "check", "found"):
         table.add_column(heading)
-    for severity, check, words in _same_words(report.findings):
+    # parameters have a table of their own
+    found = [finding for finding in report.findings if finding.check != "parameters"]
+    for severity, check, words in in_common(found):
         table.add_row(Text(severity, STYLES[severity]), check, words)
     console.print(table)
     console.print()
@@ -240,28 +240,6 @@ def _show(report: CheckReport, console: Console) -> None:
         console.print(Text("GO for flight", "bold green"))
     else:
         console.print(Text("NO-GO: nothing may be armed like this", "bold red"))
-
-
-def _same_words(findings: Iterable[Finding]) -> list[tuple[str, str, str]]:
-    """Return severity, check and words; what was found of many systems is one line."""
-    merged: dict[tuple[str, str, str], list[int]] = {}
-    for finding in findings:
-        named = _SYSTEM.match(finding.message)
-        words = finding.message[named.end() :] if named else finding.message
-        systems = merged.setdefault((finding.severity, finding.check, words), [])
-        if named:
-            systems.append(int(named[1]))
-    return [
-        (severity, check, _of_systems(systems) + words)
-        for (severity, check, words), systems in merged.items()
-        if check != "parameters"
-    ]
-
-
-def _of_systems(systems: Sequence[int]) -> str:
-    if not systems:
-        return ""
-    return f"system{'s' if len(systems) > 1 else ''} {numbers(systems)}: "
 
 
 def _object(report: CheckReport, folder: Path) -> dict[str, Any]:

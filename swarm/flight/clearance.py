@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from swarm.errors import Refused
+from swarm.flight.words import in_common
 from swarm.preflight.coast import CoastCertificate
 from swarm.preflight.findings import Finding, ProvenPlan
 
@@ -40,7 +41,10 @@ class ClearedPlan:
                 f"{len(self.audit.systems)} were audited"
             )
         if errors:
-            raise Refused("\n".join(f"{finding.check}: {finding.message}" for finding in errors))
+            words = [f"{check}: {found}" for _, check, found in in_common(errors)]
+            if any(finding.check == "parameters" for finding in errors):
+                words.append("swarm check MISSION --fleet FLEET --fix asks, and sets parameters")
+            raise Refused("\n".join(words))
 
 
 def go(proven: ProvenPlan, audit: Audit) -> ClearedPlan:

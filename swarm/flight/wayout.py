@@ -13,6 +13,7 @@ from swarm.flight.pace import advance_clock, rewind_end
 from swarm.flight.team import TIMESYNC_INTERVAL
 from swarm.mavlink.vehicle import Vehicle
 from swarm.preflight.escape import escape, wanted_apart
+from swarm.preflight.windows import nothing_above
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
@@ -117,7 +118,18 @@ class WayOut:
             self._begin_release()
 
     def _may_release(self) -> bool:
-        return self._flight.windows.releasable(self._flight.clock.time)
+        """Whether nothing hangs above anybody: as planned, and where those are who do not follow.
+
+        They stopped by themselves, the others along the path: some decimetres from each other.
+        """
+        flight = self._flight
+        if not flight.windows.releasable(flight.clock.time):
+            return False
+        places, apart = flight.setpoint.copy(), False
+        for k in np.flatnonzero(~flight.streaming).tolist():
+            if k not in flight.dead and np.isfinite(flight.position[k]).all():
+                places[k], apart = flight.position[k], True
+        return not apart or bool(nothing_above(flight.plan, places[None])[0])
 
     def _begin_release(self) -> None:
         """Let all go together; but first, who has not answered lately and may not hear of it: what

@@ -100,13 +100,13 @@ def windows(plan: Plan, *, whole: bool = False) -> Windows:
         place, held = plan.motion.at(time[part])[0], hangs[part]
         even = ~held
         if held.any():
-            release[part][held] = _nothing_above(plan, place[held])
+            release[part][held] = nothing_above(plan, place[held])
             even[held] = _uneven(plan, place[held])
         land[part] = release[part] & _apart(plan, place) & even
     return Windows(time, land, release)
 
 
-def _nothing_above(plan: Plan, place: Floats) -> Flags:
+def nothing_above(plan: Plan, place: Floats) -> Flags:
     """Whether no cable is above any rotor disc, for grip points (k, n, 3)."""
     vehicles, lengths = plan.mission.vehicles, plan.layout.lengths
     chords = np.linalg.norm(np.diff(place, axis=1), axis=-1)

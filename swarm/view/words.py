@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.flight.snapshot import Event
+from swarm.flight.words import numbers
 
 ROUTINE: Final = frozenset(
     {"heard", "mode", "armed", "disarmed", "airborne", "landed", "done", "interval"}
@@ -53,17 +54,6 @@ def merged(events: Iterable[Event]) -> list[tuple[Event, list[int]]]:
         else:
             found.append((event, []))
     return found
-
-
-def numbers(listed: Sequence[int]) -> str:
-    """Return numbers in words, runs as ranges: ``1–3, 7``."""
-    runs: list[list[int]] = []
-    for number in listed:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
-    return ", ".join(f"{r[0]}–{r[-1]}" if len(r) > 1 else str(r[0]) for r in runs)
 
 
 def metres(value: float) -> str:

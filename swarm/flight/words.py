@@ -1,0 +1,41 @@
+"""What many vehicles have in common, said once."""
+
+import re
+from collections.abc import Iterable, Sequence
+
+from swarm.preflight.findings import Finding
+
+_SYSTEM = re.compile(r"system (\d+): ")
+
+
+def numbers(listed: Sequence[int]) -> str:
+    """Return numbers in words, runs as ranges: ``1–3, 7``."""
+    runs: list[list[int]] = []
+    for number in listed:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(f"{r[0]}–{r[-1]}" if len(r) > 1 else str(r[0]) for r in runs)
+
+
+def in_common(findings: Iterable[Finding]) -> list[tuple[str, str, str]]:
+    """Return severity, check and words; what was found of many systems is one line."""
+    merged: dict[tuple[str, str, str], list[int]] = {}
+    for finding in findings:
+        named = _SYSTEM.match(finding.message)
+        words = finding.message[named.end() :] if named else finding.message
+        systems = merged.setdefault((finding.severity, finding.check, words), [])
+        if named:
+            systems.append(int(named[1]))
+    return [
+        (severity, check, of_systems(systems) + words)
+        for (severity, check, words), systems in merged.items()
+    ]
+
+
+def of_systems(systems: Sequence[int]) -> str:
+    """Return whom words are about: ``systems 1–3, 7: ``, or nothing."""
+    if not systems:
+        return ""
+    return f"system{'s' if len(systems) > 1 else ''} {numbers(systems)}: "
