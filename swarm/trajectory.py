@@ -203,15 +203,20 @@ def timed(
 
 def slowed(motion: Motion, max_speed: float, max_acceleration: float) -> Motion:
     """Stretch time evenly until dense samples keep the limits; unchanged where they do."""
-    within = np.linspace(0.0, 1.0, 17)
-    times = (motion.times[:-1, None] + np.diff(motion.times)[:, None] * within).ravel()
-    _, velocity, acceleration = motion.at(times)
-    stretch = max(
-        1.0,
-        float(np.linalg.norm(velocity, axis=2).max()) / max_speed,
-        float(np.sqrt(np.linalg.norm(acceleration, axis=2).max() / max_acceleration)),
-    )
-    if stretch == 1.0:
+
+    def stretches(pieces: npt.NDArray[np.intp], samples: int) -> Floats:
+        """By how much time is to be stretched (k,), at least, for each of some pieces (k,)."""
+        within = np.diff(motion.times)[pieces, None] * np.linspace(0.0, 1.0, samples)
+        _, velocity, acceleration = motion.at(motion.times[pieces, None] + within)
+        speed = np.linalg.norm(velocity, axis=3).max(axis=(1, 2))
+        change = np.linalg.norm(acceleration, axis=3).max(axis=(1, 2))
+        found: Floats = np.maximum(speed / max_speed, np.sqrt(change / max_acceleration))
+        return found
+
+    rough = stretches(np.arange(len(motion.times) - 1), 17)
+    closely = np.flatnonzero(rough > 0.9 * rough.max())
+    stretch = float(stretches(closely, 129).max())
+    if stretch <= 1.0:
         return motion
     scale = (stretch * 1.0005) ** -np.arange(6.0)
     return Motion(motion.times * stretch * 1.0005, motion.coefficients * scale[:, None, None])

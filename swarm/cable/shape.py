@@ -153,11 +153,32 @@ def half_angle_for_sag(sag: Floats, gradient: Floats) -> Floats:
 
 def half_angle_for_drop(drop: Floats, fraction: Floats, gradient: Floats) -> Floats:
     """Invert :func:`drop_per_span` for x by bisection of its logarithm."""
-    target = np.log(drop)
-    low, high = np.full(drop.shape, -25.0), np.full(drop.shape, 6.0)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        short = np.log(drop_per_span(np.exp(middle), fraction, gradient)) < target
-        low, high = np.where(short, middle, low), np.where(short, high, middle)
-    x: Floats = np.exp(0.5 * (low + high))
-    return x
+    found = np.empty(drop.size)
+    fraction, gradient = (np.broadcast_to(each, drop.shape) for each in (fraction, gradient))
+    _bisected(drop.ravel(), fraction.ravel(), gradient.ravel(), found)
+    return found.reshape(drop.shape)
+
+
+@compiled
+def _bisected(drop: Floats, fraction: Floats, gradient: Floats, found: Floats) -> None:
+    for k in range(len(drop)):
+        low, high = -25.0, 6.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            if _drop(np.exp(middle), fraction[k], gradient[k]) < drop[k]:
+                low = middle
+            else:
+                high = middle
+        found[k] = np.exp(0.5 * (low + high))
+
+
+@compiled
+def _drop(x: float, fraction: float, gradient: float) -> float:
+    """As :func:`drop_per_span`, of one strand."""
+    sinh = np.sinh(x)
+    level = np.sinh(x * fraction) * np.sinh(x * (1.0 - fraction)) / x
+    if gradient == 0.0:
+        return float(level)
+    side = 2.0 * fraction - 1.0
+    tilt = side - np.sinh(x * side) / sinh
+    return float(level * np.hypot(1.0, gradient * x / sinh) + 0.5 * gradient * tilt)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d
+from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
@@ -20,11 +20,14 @@ from swarm.fold.strain import Crew, More
 
 Floats = npt.NDArray[np.float64]
 
-_SMOOTH = 2.0
-"""Stages over which vehicles give way at the least."""
+_LOOSE = 1.0
+"""Curvature of the cost of giving way by a metre at a stage, next to that of bending by a metre."""
 
-_FADE = 8
-"""Stages at the ends of a window in which offsets fade to what they are outside."""
+_HELD, _HOLD = 3, 1e4
+"""Stages at the ends of a window in which offsets stay, and how stiffly."""
+
+_NOTHING = 1e-6
+"""Share of the largest weight below which weights are left out."""
 
 _ASIDE = 12
 """Stages before and after a moment that misses margins in which vehicles may give way for it."""
@@ -38,7 +41,7 @@ _ASKED = 0.1
 _BENDING = 0.3
 """Cost of a second difference of a metre in a vehicle's path, next to a missed unit of margin."""
 
-_STRAIGHT, _STRAIGHTENING = 1.0, 240
+_STRAIGHT, _STRAIGHTENING = 1.0, 60
 """The same while the whole motion is straightened, and steps by which it is."""
 
 _LAZY = 0.0005
@@ -46,6 +49,9 @@ _LAZY = 0.0005
 
 _ROUNDS, _ITERATIONS = 4, 30
 """How often windows are chosen anew, and steps of the quasi-Newton method in each."""
+
+_SETTLED, _STRAIGHT_ENOUGH = 3e-3, 3e-4
+"""Shares of the cost by which a step must lower it, if it is not to be the last."""
 
 _TOO_SLOW = 0.7
 """What a round may leave of missed margins if there is to be another one."""
@@ -84,7 +90,7 @@ def eased(crew: Crew, places: Floats, offsets: Floats, sampled: csr_array, more:
             break
         before = missed.sum()
         for window in _windows(strained, len(offsets), _ASIDE * (1 + done)):
-            offsets = band.relaxed(offsets, window, _ITERATIONS, _BENDING)
+            offsets = band.relaxed(offsets, window, _ITERATIONS, _BENDING, _SETTLED)
         missed = band.missed(offsets)
         if missed.sum() > _TOO_SLOW * before:
             break
@@ -99,7 +105,8 @@ def straightened(
     Who need not give way any more cuts corners, and the fold gets quicker.
     """
     band = _banded(crew, places, len(offsets), sampled, more)
-    return band.relaxed(offsets, slice(0, len(offsets)), _STRAIGHTENING, _STRAIGHT)
+    whole = slice(0, len(offsets))
+    return band.relaxed(offsets, whole, _STRAIGHTENING, _STRAIGHT, _STRAIGHT_ENOUGH)
 
 
 def _banded(crew: Crew, places: Floats, stages: int, sampled: csr_array, more: More) -> "_Band":
@@ -138,9 +145,11 @@ class _Band:
         strain = self.crew.strain(self.moved(offsets), self.sides, self.more, wishes=wishes)
         return strain.missed
 
-    def relaxed(self, offsets: Floats, window: slice, iterations: int, bending: float) -> Floats:
+    def relaxed(
+        self, offsets: Floats, window: slice, iterations: int, bending: float, settled: float
+    ) -> Floats:
         """Offsets changed for the better within a window of stages."""
-        smooth = _smoothing(window.stop - window.start)
+        smooth = _smoothing(window.stop - window.start, bending)
         inside = self.sampled[:, window]
         moments = np.flatnonzero(np.diff(inside.indptr))
         weights = csr_array(inside[moments] @ smooth)
@@ -161,7 +170,11 @@ class _Band:
 
         begin = np.zeros(weights.shape[1] * base[0].size)
         found = minimize(
-            cost, begin, jac=True, method="L-BFGS-B", options={"maxiter": iterations, "maxcor": 12}
+            cost,
+            begin,
+            jac=True,
+            method="L-BFGS-B",
+            options={"maxiter": iterations, "maxcor": 12, "ftol": settled},
         )
         changed = offsets.copy()
         change = smooth @ found.x.reshape(weights.shape[1], -1)
@@ -178,9 +191,16 @@ def _unbent(bent: Floats) -> Floats:
     return slope
 
 
-def _smoothing(stages: int) -> csr_array:
-    """Weights (stages, stages) that make offsets of wishes: smooth, and fading at both ends."""
-    fade = (np.minimum(np.arange(stages), np.arange(stages)[::-1]) - 2.0) / _FADE
-    fade = np.clip(fade, 0.0, 1.0) ** 2
-    smooth = gaussian_filter1d(np.eye(stages), _SMOOTH, axis=0, mode="constant")
-    return csr_array(2.0 * fade[:, None] * smooth)
+def _smoothing(stages: int, bending: float) -> csr_array:
+    """Weights (stages, stages) that make offsets of wishes: smooth, and next to none at both ends.
+
+    Wishes of one size make offsets that cost about the same, whether they are long or short: with
+    the cost's curvature LᵀL they are L⁻¹ of the wishes (as CHOMP's covariant gradient has it), so
+    that few steps even out what is bent over many stages.
+    """
+    ends = np.minimum(np.arange(stages), np.arange(stages)[::-1]) < _HELD
+    second = np.diff(np.eye(stages), 2, axis=0)
+    curvature = bending * (second.T @ second + _LOOSE * np.eye(stages)) + np.diag(_HOLD * ends)
+    smooth = solve_triangular(cholesky(curvature), np.eye(stages))
+    smooth[ends] = 0.0
+    return csr_array(np.where(np.abs(smooth) > _NOTHING * np.abs(smooth).max(), smooth, 0.0))

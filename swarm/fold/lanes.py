@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from swarm.fold.layout import Hanging
 from swarm.fold.margins import Margins
-from swarm.fold.passage import Way, passage, surfaces, walked
+from swarm.fold.passage import Way, passages, walked
 from swarm.fold.path import FoldPath, Guide, last_lane
 
 Floats = npt.NDArray[np.float64]
@@ -45,12 +45,10 @@ def found_ways(layout: Hanging, guide: Guide, margins: Margins, step: float) -> 
         span = float(guide.stations[edge + 1] - guide.stations[edge])
         lane = float(lanes[edge, edge + 1])
         lanes[edge, edge + 1] = last_lane(lane, span, guide.slope, float(taut))
-    path, between = FoldPath(guide, lanes), surfaces(layout)
-    ways = [
-        walked(passage(segment, path, between, margins, step), margins.spacing * float(length))
-        for segment, length in enumerate(layout.lengths)
-    ]
-    return Ways(path, tuple(ways))
+    path = FoldPath(guide, lanes)
+    tables = passages(layout, path, margins, step)
+    spacings = margins.spacing * layout.lengths
+    return Ways(path, tuple(map(walked, tables, spacings)))
 
 
 def _loop_room(layout: Hanging) -> Floats:

@@ -77,8 +77,7 @@ def candidates(
     doubtful: list[Folding] = []
     layouts = list(shapes(mission, margins))
     best = ranked(opened, layouts[0], margins, progress)
-    roomy = layouts[1:] if len(opened[0].corners) > _MANY and len(layouts) > 1 else layouts
-    for folding in _foldings(best, roomy, margins, progress):
+    for folding in _foldings(best, layouts, margins, progress):
         worst = folding.plan.worst
         tried.append(
             f"tried a cell of {folding.layout.cell:.2f} m: misses its margins by {worst:.2g}"
@@ -153,14 +152,11 @@ def _foldings(
 _MENDINGS = 8
 """So often a plan that nearly holds is judged."""
 
-_GOOD = 0.3
+_GOOD = 0.5
 """Schedules that miss their margins by less, at the worst moment, are likely to be certified."""
 
 _DOUBTFUL = 2
 """So many of the others are judged, the best first, once nothing better was found."""
-
-_MANY = 16
-"""Teams of more vehicles than this begin with the second of these."""
 
 
 def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:

@@ -33,7 +33,9 @@ def with_more(folding: Folding, made: Plan, missing: Shortfalls) -> Schedule:
             times, metres = np.array(found).T
             apart = made.motion.at(times)[0][:, None] - places
             at = stages[np.argmin((apart**2).sum(axis=(2, 3)), axis=1)]
-            asked = np.minimum(1.1 * metres + SAMPLING, _MOST)
+            # What was asked for there before was not enough: twice as much, then.
+            before = getattr(plan.more, margin)[at.astype(np.intp)]
+            asked = np.minimum(np.maximum(1.1 * metres + SAMPLING, before), _MOST)
             plan = asked_more(plan, margin, at, asked)
     return plan
 

@@ -20,8 +20,11 @@ Progress = Callable[[str, float], None]
 SAMPLING = 0.015
 """What sampled distances between polygons may miss of the least ones, metres."""
 
-_OPENINGS = 12
-"""Openings of the grid diagram that are compared."""
+_OPENINGS, _MORE = 12, 96
+"""Openings of the grid diagram that are compared, and how many where these are in the way."""
+
+_IN_THE_WAY = 12.0
+"""Cost of ways, for every segment, from which on more openings are compared."""
 
 _BEST = 3
 """So many of them are tried with each layout."""
@@ -116,11 +119,13 @@ def ranked(
     opened: list[OpenGrid], shape: Shape, margins: Margins, progress: Progress | None
 ) -> list[OpenGrid]:
     """The openings along whose paths segments are least in the way of others, best first."""
-    opened = opened[:_OPENINGS]
-    costs = []
-    for k, diagram in enumerate(opened):
+    costs: list[float] = []
+    for k, diagram in enumerate(opened[:_MORE]):
+        enough = _IN_THE_WAY * len(diagram.corners)
+        if k == _OPENINGS and min(costs) < enough:
+            break
         if progress:
-            progress("comparing openings of the grid diagram", k / len(opened))
+            progress("comparing openings of the grid diagram", k / len(opened[:_MORE]))
         fit = fitted(diagram, shape, margins)
         layout = hung_apart(diagram, fit, margins)
         guide = guided(layout, fit.slope, fit.rounding)
