@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from swarm.mission import Mission
 from swarm.plans import Plan, Shortfall, candidates
 from swarm.preflight.assess import assess, with_robustness
+from swarm.preflight.certificate import tightest_moments
 from swarm.preflight.findings import Assessment, ProvenPlan, prove
 
 Progress = Callable[[str, float], None]
@@ -36,26 +37,25 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
     """
     search = candidates(mission, progress=progress)
     made = next(search)
-    first: Planned | None = None
+    first = None
     for _ in range(_ATTEMPTS):
-        assessment = assess(made, progress=progress)
-        if assessment.cleared:
-            if robustness:
-                assessment = with_robustness(made, assessment, progress)
-            return Planned(made, assessment)
-        first = first or Planned(made, assessment)
+        moments = tightest_moments(made, progress=progress)
+        first = first or (made, moments)
+        missing = [
+            Shortfall(moment.check, moment.time, -moment.margin)
+            for moment in moments
+            if moment.margin < 0.0
+        ]
+        if not missing:
+            assessment = assess(made, moments=moments, progress=progress)
+            if assessment.cleared:
+                if robustness:
+                    assessment = with_robustness(made, assessment, progress)
+                return Planned(made, assessment)
         try:
-            made = search.send(_missing(assessment))
+            made = search.send(missing)
         except StopIteration:
             break
     assert first is not None  # noqa: S101 - the first plan was judged
-    return first
-
-
-def _missing(assessment: Assessment) -> list[Shortfall]:
-    """Moments that fall short of what they should keep."""
-    return [
-        Shortfall(moment.check, moment.time, -moment.margin)
-        for moment in assessment.moments
-        if moment.margin < 0.0
-    ]
+    made, moments = first
+    return Planned(made, assess(made, moments=moments, progress=progress))

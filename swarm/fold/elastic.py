@@ -41,7 +41,7 @@ _ASKED = 0.1
 _BENDING = 0.3
 """Cost of a second difference of a metre in a vehicle's path, next to a missed unit of margin."""
 
-_STRAIGHT, _STRAIGHTENING = 1.0, 60
+_STRAIGHT, _STRAIGHTENING = 1.0, 100
 """The same while the whole motion is straightened, and steps by which it is."""
 
 _LAZY = 0.0005

@@ -20,7 +20,7 @@ from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
 from swarm.plans.flight import whole_flight
 from swarm.plans.formation import formation_plan
-from swarm.plans.mending import Shortfalls, with_more
+from swarm.plans.mending import MENDABLE, Shortfalls, with_more
 from swarm.plans.plan import KnotSummary, Layout, Plan
 from swarm.plans.shapes import (
     Folding,
@@ -101,7 +101,7 @@ def _mended(
     for _ in range(_MENDINGS):
         made = _planned(mission, knot, folding, tried)
         missing = yield made
-        if not missing:
+        if not missing or any(each.check not in MENDABLE for each in missing):
             break
         folding = replace(folding, plan=improved(with_more(folding, made, missing)))
         tried.append("gave way by more where the certificate missed something")

@@ -27,7 +27,7 @@ def with_more(folding: Folding, made: Plan, missing: Shortfalls) -> Schedule:
     plan = folding.plan
     stages = np.arange(4.0 * plan.last) / 4.0
     places = plan.at(stages)[0] + (made.layout.corners[0] - folding.layout.corners[0])
-    for check, margin in _MARGINS.items():
+    for check, margin in MENDABLE.items():
         found = [(each.time, each.metres) for each in missing if each.check == check]
         if found:
             times, metres = np.array(found).T
@@ -40,7 +40,7 @@ def with_more(folding: Folding, made: Plan, missing: Shortfalls) -> Schedule:
     return plan
 
 
-_MARGINS = {
+MENDABLE = {
     "cable clearance": "cable",
     "neighbouring segments": "beside",
     "vehicle clearance": "vehicle",

@@ -56,13 +56,20 @@ _OUTSIDE = {
 """Where the model ends, for each finish."""
 
 
-def assess(plan: Plan, *, progress: Progress | None = None, robustness: bool = False) -> Assessment:
+def assess(
+    plan: Plan,
+    *,
+    moments: tuple[Moment, ...] | None = None,
+    progress: Progress | None = None,
+    robustness: bool = False,
+) -> Assessment:
     """Check a plan and return everything found out about it.
 
-    ``progress`` is called with a stage's name and the share of it that is done. ``robustness`` asks
-    for e* and w* too (:func:`with_robustness`).
+    ``moments`` are its :func:`tightest_moments`, where they are known. ``progress`` is called with
+    a stage's name and the share of it that is done. ``robustness`` asks for e* and w* too
+    (:func:`with_robustness`).
     """
-    moments = tightest_moments(plan, progress=progress)
+    moments = moments or tightest_moments(plan, progress=progress)
     findings = [
         *_meeting(plan, moments),
         *(_clearance_finding(plan, moment) for moment in _failing(moments)),

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import hang
+from swarm.compiled import compiled
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -28,6 +29,7 @@ LARGEST_RATIO = 0.999
 
 _STEP = 0.04
 _CLASSES = np.radians([20.0, 40.0, 60.0, 70.0, 80.0, 90.0])
+_SINES = np.sin(_CLASSES[:-1])
 _DEPTH = 6
 _INFLATION = 1.02
 """Covers what lies between the samples of elevation; checked adversarially in the tests."""
@@ -53,41 +55,65 @@ class Sensitivity:
         ratio, ``sine`` the largest |rise| / chord on the way (1 if in doubt), ``ends`` one of
         BOTH_ENDS, FAR_END, NEAR_END, ``piece`` heap numbers of pieces (1 is the whole strand).
         """
-        steepness = np.searchsorted(np.sin(_CLASSES[:-1]), sine)
-        while np.any(deep := piece >= 2 ** (_DEPTH + 1)):
-            piece = np.where(deep, piece // 2, piece)
-        low = np.clip(ratio, 0.0, LARGEST_RATIO)
-        high = np.clip(ratio + np.maximum(reach, 1e-9), 1e-9, LARGEST_RATIO + 1e-9)
+        ratio, reach, sine, ends, piece = np.broadcast_arrays(ratio, reach, sine, ends, piece)
+        found = np.empty((2, ratio.size))
+        _largest(
+            self.norm, self.integral, ratio.ravel(), reach.ravel(), sine.ravel(),
+            ends.ravel(), piece.ravel(), found,
+        )  # fmt: skip
+        across, up = found.reshape(2, *ratio.shape)
+        return across, up
+
+
+@compiled
+def _largest(
+    norm: Floats,
+    integral: Floats,
+    ratio: Floats,
+    reach: Floats,
+    sine: Floats,
+    ends: Ints,
+    piece: Ints,
+    found: Floats,
+) -> None:
+    """Write :meth:`Sensitivity.largest` of k strands, found (2, k)."""
+    for k in range(len(ratio)):
+        steepness = np.searchsorted(_SINES, sine[k])
+        part = piece[k]
+        while part >= 2 ** (_DEPTH + 1):
+            part //= 2
+        low = min(max(ratio[k], 0.0), LARGEST_RATIO)
+        high = ratio[k] + max(reach[k], 1e-9)
+        high = min(max(high, 1e-9), LARGEST_RATIO + 1e-9)
         low_bin, high_bin = _bin(low), _bin(high)
-        one_bin = low_bin == high_bin
-        found = []
-        for direction in (0, 1):
-            norm, integral = self.norm[:, :, direction], self.integral[:, :, direction]
-            at_high: Floats = norm[steepness, ends, high_bin, piece]
-            at_low: Floats = norm[steepness, ends, low_bin, piece]
-            to_high: Floats = integral[steepness, ends, high_bin, piece]
-            to_low: Floats = integral[steepness, ends, low_bin, piece]
-            to_high = to_high + at_high * (high - _ratio_of(high_bin))
-            to_low = to_low + at_low * (low - _ratio_of(low_bin))
-            mean = (to_high - to_low) / np.maximum(high - low, 1e-12)
-            found.append(np.where(one_bin, at_high, np.minimum(mean, at_high)))
-        return found[0], found[1]
+        over, above = low - _ratio_of(low_bin), high - _ratio_of(high_bin)
+        for direction in range(2):
+            norms = norm[steepness, ends[k], direction]
+            at_high = norms[high_bin, part]
+            found[direction, k] = at_high
+            if low_bin != high_bin:
+                whole = integral[steepness, ends[k], direction]
+                to_high = whole[high_bin, part] + at_high * above
+                to_low = whole[low_bin, part] + norms[low_bin, part] * over
+                mean = (to_high - to_low) / max(high - low, 1e-12)
+                found[direction, k] = min(mean, at_high)
 
 
-def _bin(ratio: Floats) -> Ints:
-    return np.floor(-np.log1p(-ratio) / _STEP).astype(np.intp)
+@compiled
+def _bin(ratio: float) -> int:
+    return int(np.floor(-np.log1p(-ratio) / _STEP))
 
 
-def _ratio_of(index: Ints) -> Floats:
-    ratio: Floats = -np.expm1(-_STEP * index)
-    return ratio
+@compiled
+def _ratio_of(index: int) -> float:
+    return float(-np.expm1(-_STEP * index))
 
 
 @cache
 def sensitivity() -> Sensitivity:
     """Return the tables; computed once, in about 0.2 s."""
-    bins = int(_bin(np.array(LARGEST_RATIO + 1e-9))) + 1
-    upper = _ratio_of(np.arange(1, bins + 1))
+    bins = _bin(LARGEST_RATIO + 1e-9) + 1
+    upper = -np.expm1(-_STEP * np.arange(1, bins + 1))
     nearly_plumb = [89.0, 89.8, 89.96, 89.99, 89.999]
     elevation = np.radians(np.concatenate([np.arange(0.0, 90.0, 4.0), nearly_plumb]))
     fractions = np.linspace(0.0, 1.0, 2**_DEPTH + 1)
