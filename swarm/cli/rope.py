@@ -21,7 +21,8 @@ from swarm.view.rehearsal_report import rope_report
 from swarm.view.rope_plots import Moved, rope_figure
 
 if TYPE_CHECKING:
-    from swarm.preflight.rope import Grips, RopeRun
+    from swarm.preflight.rope import RopeRun
+    from swarm.preflight.rope_model import Grips
 
 
 def run_rope(
@@ -97,7 +98,7 @@ def _wind(plan: Plan) -> tuple[float, float, float]:
 
 def _flown_grips(trace: Trace, record: Path) -> "Grips":
     """Return where the vehicles were reported in fold and hold, on the flight's own clock."""
-    from swarm.preflight.rope import Grips  # noqa: PLC0415 - an optional extra
+    from swarm.preflight.rope_model import Grips  # noqa: PLC0415 - an optional extra
 
     known = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
     known &= np.isfinite(trace.position).all(axis=(1, 2))
