@@ -7,6 +7,7 @@ Khatib 1993) and CHOMP (Ratliff et al. 2009) do, with strands for bodies. Offset
 beginning and the end.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,20 +39,11 @@ _STRAINED = 0.05
 _ASKED = 0.1
 """Share of these that is worth it where more is asked for than margins."""
 
-_BENDING = 0.3
-"""Cost of a second difference of a metre in a vehicle's path, next to a missed unit of margin."""
-
-_STRAIGHT, _STRAIGHTENING = 1.0, 100
-"""The same while the whole motion is straightened, and steps by which it is."""
-
 _LAZY = 0.0005
 """Cost of giving way by a metre at a stage, next to a missed unit of margin."""
 
-_ROUNDS, _ITERATIONS = 4, 30
-"""How often windows are chosen anew, and steps of the quasi-Newton method in each."""
-
-_SETTLED, _STRAIGHT_ENOUGH = 3e-3, 3e-4
-"""Shares of the cost by which a step must lower it, if it is not to be the last."""
+_ROUNDS = 4
+"""How often windows are chosen anew."""
 
 _TOO_SLOW = 0.7
 """What a round may leave of missed margins if there is to be another one."""
@@ -63,6 +55,40 @@ _AROUND = 2
 
 HOPELESS = 1.0
 """Units of missed margin at the worst moment that looking closer will not mend."""
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """How a motion is changed for the better: ``steps`` of the quasi-Newton method at most.
+
+    ``bending`` is the cost of second differences (c, n, 3) of vehicles' paths, in metres, next to a
+    missed unit of margin, by ``measure``, which also gives half its slope. A step which lowers the
+    cost by less than a share ``settled`` is the last.
+    """
+
+    steps: int
+    bending: float
+    settled: float
+    measure: Callable[[Floats], tuple[float, Floats]]
+
+
+def _square(bent: Floats) -> tuple[float, Floats]:
+    """Everybody's bends, squared."""
+    return float((bent**2).sum()), bent
+
+
+def _sharpest(bent: Floats) -> tuple[float, Floats]:
+    """The bends at every stage, squared, of those above all who bend most: they set the pace."""
+    square = (bent**2).sum(axis=2, keepdims=True)
+    size = np.sqrt((square**2).sum(axis=1, keepdims=True)) + _NO_BEND
+    return float(size.sum()), square / size * bent
+
+
+_NO_BEND = 1e-9
+"""Square metres of bend that count as none."""
+
+_GIVING_WAY = _Effort(steps=30, bending=0.3, settled=3e-3, measure=_square)
+_STRAIGHTENING = _Effort(steps=100, bending=10.0, settled=1e-4, measure=_sharpest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +116,7 @@ def eased(crew: Crew, places: Floats, offsets: Floats, sampled: csr_array, more:
             break
         before = missed.sum()
         for window in _windows(strained, len(offsets), _ASIDE * (1 + done)):
-            offsets = band.relaxed(offsets, window, _ITERATIONS, _BENDING, _SETTLED)
+            offsets = band.relaxed(offsets, window, _GIVING_WAY)
         missed = band.missed(offsets)
         if missed.sum() > _TOO_SLOW * before:
             break
@@ -105,8 +131,7 @@ def straightened(
     Who need not give way any more cuts corners, and the fold gets quicker.
     """
     band = _banded(crew, places, len(offsets), sampled, more)
-    whole = slice(0, len(offsets))
-    return band.relaxed(offsets, whole, _STRAIGHTENING, _STRAIGHT, _STRAIGHT_ENOUGH)
+    return band.relaxed(offsets, slice(0, len(offsets)), _STRAIGHTENING)
 
 
 def _banded(crew: Crew, places: Floats, stages: int, sampled: csr_array, more: More) -> "_Band":
@@ -145,11 +170,9 @@ class _Band:
         strain = self.crew.strain(self.moved(offsets), self.sides, self.more, wishes=wishes)
         return strain.missed
 
-    def relaxed(
-        self, offsets: Floats, window: slice, iterations: int, bending: float, settled: float
-    ) -> Floats:
+    def relaxed(self, offsets: Floats, window: slice, effort: _Effort) -> Floats:
         """Offsets changed for the better within a window of stages."""
-        smooth = _smoothing(window.stop - window.start, bending)
+        smooth = _smoothing(window.stop - window.start, effort.bending)
         inside = self.sampled[:, window]
         moments = np.flatnonzero(np.diff(inside.indptr))
         weights = csr_array(inside[moments] @ smooth)
@@ -164,8 +187,10 @@ class _Band:
             strain = self.crew.strain(places, sides, more)
             slope = 2.0 * strain.slopes.reshape(len(base), -1)
             bent = np.diff(paths + smooth @ wishes, 2, axis=0)
-            total = strain.missed.sum() + bending * (bent**2).sum() + _LAZY * (wishes**2).sum()
-            gradient = back @ slope + 2.0 * bending * (smooth_back @ _unbent(bent))
+            bends, straighten = effort.measure(bent.reshape(len(bent), -1, 3))
+            total = strain.missed.sum() + effort.bending * bends + _LAZY * (wishes**2).sum()
+            straighten = _unbent(straighten.reshape(bent.shape))
+            gradient = back @ slope + 2.0 * effort.bending * (smooth_back @ straighten)
             return float(total), (gradient + 2.0 * _LAZY * wishes).ravel()
 
         begin = np.zeros(weights.shape[1] * base[0].size)
@@ -174,7 +199,7 @@ class _Band:
             begin,
             jac=True,
             method="L-BFGS-B",
-            options={"maxiter": iterations, "maxcor": 12, "ftol": settled},
+            options={"maxiter": effort.steps, "maxcor": 12, "ftol": effort.settled},
         )
         changed = offsets.copy()
         change = smooth @ found.x.reshape(weights.shape[1], -1)

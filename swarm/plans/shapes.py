@@ -20,8 +20,9 @@ Progress = Callable[[str, float], None]
 SAMPLING = 0.015
 """What sampled distances between polygons may miss of the least ones, metres."""
 
-_OPENINGS, _MORE = 12, 96
-"""Openings of the grid diagram that are compared, and how many where these are in the way."""
+_OPENINGS, _IN_VAIN, _MORE = 12, 30, 96
+"""Openings of the grid diagram that are compared, and how many where these are in the way: until so
+many in a row were no better than the best of those before."""
 
 _IN_THE_WAY = 12.0
 """Cost of ways, for every segment, from which on more openings are compared."""
@@ -122,7 +123,7 @@ def ranked(
     costs: list[float] = []
     for k, diagram in enumerate(opened[:_MORE]):
         enough = _IN_THE_WAY * len(diagram.corners)
-        if k == _OPENINGS and min(costs) < enough:
+        if k >= _OPENINGS and (min(costs) < enough or k - int(np.argmin(costs)) > _IN_VAIN):
             break
         if progress:
             progress("comparing openings of the grid diagram", k / len(opened[:_MORE]))
