@@ -10,7 +10,7 @@ PRIORITY = 10
 _BEHIND = 5
 BEHIND_ALL = 10
 """Niceness of what helps a flight: drawing, waiting for a person."""
-_SWITCH_INTERVAL = 0.0005
+_SWITCH_INTERVAL = 0.0001
 
 
 def settle() -> None:

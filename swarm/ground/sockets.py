@@ -155,7 +155,9 @@ class Links:
     """The open links of a fleet."""
 
     ports: Mapping[str, Port]
-    _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector)
+    # select() waits for microseconds; epoll and poll for whole milliseconds, rounded up, which is
+    # more than a setpoint may be late
+    _selector: selectors.BaseSelector = field(default_factory=selectors.SelectSelector)
 
     def __post_init__(self) -> None:
         for one in self.ports.values():
