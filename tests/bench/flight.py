@@ -6,12 +6,11 @@ A process stands in for the vehicles: it speaks as they do and notes when each s
 the system's stamp) and for which tick it was meant. Against it run: our flight loop with recording and a live view
 (a terminal's screen and a Rerun file, drawn by a process of their own), a plain pymavlink loop, and
 MAVSDK's offboard plugin, each at the same load. Before each of them a loop that does nothing but
-wake up and send one packet shows what the machine can do at that time: nobody is less late. Where
-it is a virtual one, `stolen` says how much of the processors its host took for others meanwhile,
-some milliseconds at a time, whatever anybody's priority.
-Lateness is from when a tick was due, by the sender's absolute schedule, to the arrival at the
-receiver, on one clock. With --normal nobody has real-time priority; otherwise the receiver, the
-bare loop and ours have it where the system permits.
+wake up and send as many packets shows what the machine can do at that time. Where it is a virtual
+one, `stolen` says how much of the processors its host took for others meanwhile, some milliseconds
+at a time, whatever anybody's priority. Lateness is from when a tick was due, by the sender's
+absolute schedule, to the arrival at the receiver, on one clock. With --normal nobody has real-time
+priority; otherwise the receiver, the bare loop and ours have it where the system permits.
 """
 
 import argparse
@@ -255,22 +254,29 @@ def with_mavsdk(
 
 
 def bare(chosen: argparse.Namespace) -> np.ndarray:
-    """Return how late a loop is that only wakes up and sends one packet: the machine's own."""
+    """Return how late a loop is that only wakes up and sends as many packets: the machine's own."""
     script = (
         "import json, socket, sys, time\n"
         "from swarm.ground.priority import prefer, settle\n"
         "(prefer if sys.argv[3] == '1' else settle)()\n"
         "one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\n"
         "one.bind(('127.0.0.1', 0))\n"
+        "place, packet = one.getsockname(), bytes(65)\n"
         "late, interval, due = [], 1.0 / float(sys.argv[1]), time.monotonic()\n"
         "for tick in range(int(float(sys.argv[2]) / interval)):\n"
         "    due += interval\n"
         "    time.sleep(max(0.0, due - time.monotonic()))\n"
-        "    one.sendto(bytes(65), one.getsockname())\n"
-        "    late.append(time.monotonic() - due)\n"
+        "    for _ in range(int(sys.argv[4])):\n"
+        "        one.sendto(packet, place)\n"
+        "        late.append(time.monotonic() - due)\n"
         "print(json.dumps(late))\n"
     )
-    arguments = [str(chosen.rate), str(chosen.seconds), "0" if chosen.normal else "1"]
+    arguments = [
+        str(chosen.rate),
+        str(chosen.seconds),
+        "0" if chosen.normal else "1",
+        str(chosen.vehicles),
+    ]
     found = subprocess.run(
         [sys.executable, "-c", script, *arguments],
         cwd=_ROOT, check=True, stdout=subprocess.PIPE,
