@@ -65,7 +65,11 @@ class Limits(Section):
     """When the flight stops waiting or stops going on."""
 
     silence: float = number(
-        1.0, "s", "A vehicle that is not heard for so long holds the whole team.", above=0.1
+        0.7,
+        "s",
+        "A vehicle that is not heard for so long holds the whole team; the longer, the "
+        "slower the team flies where one that stops would be in the others' way.",
+        above=0.1,
     )
     lost: float = number(
         5.0, "s", "A vehicle that is not heard for so long is lost: the others land.", above=0.2

@@ -27,7 +27,7 @@ Flags = npt.NDArray[np.bool_]
 
 STEP = 0.5
 """Seconds of mission time between the moments that are looked at."""
-RATES = (1.0, 0.8, 0.6, 0.45, 0.3)
+RATES = (1.0, 0.85, 0.72, 0.61, 0.52, 0.45, 0.38, 0.34, 0.3)
 """Rates of the clock that are tried, fastest first."""
 BRAKING = 0.3
 """Seconds for which a vehicle that is told to stop moves on at its speed: both autopilots brake
@@ -51,7 +51,7 @@ class Coasting:
     """
 
     after: tuple[float, ...] = (0.5,)
-    silence: float = 1.0
+    silence: float = 0.7
     sinking: tuple[float, ...] = (0.0,)
 
     def ways(self, mission: Mission, n: int) -> Ways:

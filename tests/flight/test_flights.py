@@ -187,7 +187,7 @@ def test_one_silent_vehicle_holds_the_team_and_after_t_all_land_as_its_failsafe_
     since = flight.now
     flight.downlink = lambda _now, system, _data: system != 2
     flight.run(lambda: flight.conductor.holding is not None, most=3.0)
-    assert flight.now - since == pytest.approx(1.0, abs=0.2)
+    assert flight.now - since == pytest.approx(0.7, abs=0.2)
     flight.run(lambda: flight.conductor.stage == "leave", most=12.0)
     assert flight.now - since == pytest.approx(9.0, abs=0.3)
     outcome = flight.run(most=80.0)
