@@ -355,12 +355,13 @@ class Conductor:
         elif self.way_out is not None and len(self.dead) == 1:
             self.way_out.cut()
 
-    def leave(self, kind: Kind, words: str, *, move: bool) -> None:
-        """Leave the plan: land together, or release, separate and land together."""
+    def leave(self, kind: Kind, words: str, *, move: bool, told: str = "") -> None:
+        """Leave the plan: land together, or release, separate and land together; it is ``told`` as
+        that, or as something else."""
         if self.stage in {"prepare", "ready"}:
             self.finish_as("interrupted", words)
         elif self.stage == "fly":
-            self.say("leave", f"{_LEAVING[kind]}: {words}")
+            self.say("leave", f"{told or _LEAVING[kind]}: {words}")
             self.waiting = False
             self.rewinding = False
             self.enter("leave")

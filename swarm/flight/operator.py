@@ -148,7 +148,7 @@ def _grant_kill(flight: "Conductor") -> None:
         vehicle.kill()
     flight.expected_armed[:] = False
     if flight.stage == "fly":
-        flight.leave("land", "killed by the operator", move=False)
+        flight.leave("land", "killed by the operator", move=False, told="all motors stopped")
 
 
 def _grant_interrupt(flight: "Conductor") -> None:

@@ -161,6 +161,7 @@ def test_kill_stops_the_motors():
     flight.conductor.request("kill")
     assert flight.run(most=20.0).word == "failed"
     assert not flight.emulator.truth().armed.any()
+    assert flight.words("leave") == ["all motors stopped: killed by the operator"]
 
 
 def test_an_interrupt_holds_and_lands_and_a_second_one_lands_at_once():
