@@ -182,10 +182,8 @@ def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
 
 def _nowhere_to_go(flight: Rehearsal) -> bool:
     """Whether the team left the plan where all can neither land nor let go as they stand."""
-    conductor = flight.conductor
-    time, windows = conductor.clock.time, conductor.windows
-    left = conductor.way_out is not None
-    return left and not (windows.landable(time) or windows.releasable(time))
+    way_out = flight.conductor.way_out
+    return way_out is not None and way_out.cornered
 
 
 def _certified(flight: Rehearsal, row: Row) -> tuple[float, float]:

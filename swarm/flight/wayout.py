@@ -42,7 +42,8 @@ class WayOut:
     def __init__(self, flight: "Conductor", kind: Kind, *, move: bool) -> None:
         """``move`` allows going along the plan to the nearest moment that permits ``kind``.
 
-        Only a team that follows as one can: where one does not, everybody stays where it is.
+        Only a team that follows as one can: where one does not, everybody stays where it is. The
+        team is ``cornered`` where it lands although landing is not open, and letting go neither.
         """
         self._flight = flight
         self.kind: Kind = kind
@@ -53,6 +54,7 @@ class WayOut:
         self._landing: set[int] = set()
         self._on_ground_since: dict[int, float] = {}
         self._others_wait = False
+        self.cornered = False
         self._down_since: float | None = None
         if kind == "cut loose":
             self.cut()
@@ -101,7 +103,9 @@ class WayOut:
         tired = flight.now - self._stage_since > flight.fleet.limits.hold
         if clock.stopped and (arrived or tired):
             held = any(vehicle.gripped for vehicle in flight.flyers)
-            drop = not flight.windows.landable(clock.time) and self._may_release()
+            landable = flight.windows.landable(clock.time)
+            drop = not landable and self._may_release()
+            self.cornered = held and not landable and not drop
             if held and (self.kind == "release" or drop):
                 self._begin_release()
             else:

@@ -70,10 +70,7 @@ def judged(row, proven=PLAN, left=False, **found):
     """What is wrong with a trial of a row that went well but for ``found``; the team has ``left``
     its plan where it can neither land nor let go."""
     fine = Trial(50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[row].ends[0], ())
-    windows = SimpleNamespace(landable=lambda _: False, releasable=lambda _: False)
-    conductor = SimpleNamespace(
-        way_out=object() if left else None, windows=windows, clock=SimpleNamespace(time=50.0)
-    )
+    conductor = SimpleNamespace(way_out=SimpleNamespace(cornered=True) if left else None)
     flight = SimpleNamespace(proven=proven, conductor=conductor)
     return judging._problems(flight, BY_NAME[row], replace(fine, **found))
 
