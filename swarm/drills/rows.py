@@ -110,7 +110,7 @@ _BEHIND = (
     "it shows by how far somebody falls behind, and takes longer where the plan hardly moves them"
 )
 _SILENCE = 1.2
-"""Seconds: the fleet's limits.silence, and a packet's time."""
+"""Seconds: more than the fleet's limits.silence and a packet's time."""
 
 
 def _gap(seconds: float, direction: str) -> tuple[Mapping[str, Any], ...]:
@@ -134,7 +134,7 @@ def _gaps() -> Iterator[Row]:
                     "links",
                     (*_ON, *left, *(late if left else ())),
                     _gap(seconds, direction),
-                    within=None if seconds < 1.0 else 2.5 if direction == "up" else _SILENCE,
+                    within=None if seconds < 1.0 else 2.0 if direction == "up" else _SILENCE,
                     slows=direction == "up",
                     whole_team=whole,
                     lasts=seconds,
