@@ -28,7 +28,7 @@ _MODE_AGAIN = 0.49
 
 
 def _boot(v: Vehicle) -> bytes:
-    return _pack_boot(int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST)
+    return _pack_boot(boot_ms(v))
 
 
 def boot_ms(v: Vehicle) -> int:

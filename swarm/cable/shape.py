@@ -165,7 +165,7 @@ def _bisected(drop: Floats, fraction: Floats, gradient: Floats, found: Floats) -
         low, high = -25.0, 6.0
         for _ in range(60):
             middle = 0.5 * (low + high)
-            if _drop(np.exp(middle), fraction[k], gradient[k]) < drop[k]:
+            if drop_of(np.exp(middle), fraction[k], gradient[k]) < drop[k]:
                 low = middle
             else:
                 high = middle
@@ -173,7 +173,7 @@ def _bisected(drop: Floats, fraction: Floats, gradient: Floats, found: Floats) -
 
 
 @compiled
-def _drop(x: float, fraction: float, gradient: float) -> float:
+def drop_of(x: float, fraction: float, gradient: float) -> float:
     """As :func:`drop_per_span`, of one strand."""
     sinh = np.sinh(x)
     level = np.sinh(x * fraction) * np.sinh(x * (1.0 - fraction)) / x

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import hang
-from swarm.fold.answer import PIECES
-from swarm.fold.intruders import discs_entered
+from swarm.compiled import compiled
+from swarm.fold.answer import PIECES, Numbers
 from swarm.fold.margins import Margins
 from swarm.fold.tangles import boxed, margins_kept
 
@@ -85,37 +85,19 @@ def _cross(one: Floats, other: Floats) -> Floats:
     return product
 
 
-def shortfall(margin: Floats) -> Floats:
+@compiled
+def shortfall(margin: Numbers) -> Numbers:
     """Cost of margins in units of what is wanted: steep below 0, slight below 1."""
     short = np.maximum(-margin, 0.0)
     slight = np.maximum(1.0 - margin, 0.0)
-    cost: Floats = 5.0 * short + 10.0 * short**2 + 5e-3 * slight**2
+    cost: Numbers = 5.0 * short + 10.0 * short**2 + 5e-3 * slight**2
     return cost
 
 
-def vehicle_cost(one: Floats, others: Floats, margins: Margins) -> Floats:
-    """Cost (b,) of vehicles at (b, 3) being too close to others (j, b, 3)."""
-    apart = one - others
+@compiled
+def vehicle_cost(one: Floats, other: Floats, margins: Margins) -> float:
+    """Cost of a vehicle at (3,) being too close to another."""
     error = 2.0 * margins.tracking
-    level = np.hypot(apart[..., 0], apart[..., 1]) / (margins.vehicle + error)
-    above = np.abs(apart[..., 2]) / (margins.downwash + error)
-    cost: Floats = shortfall(2.0 * (np.maximum(level, above) - 1.0) + 0.2).sum(axis=0)
-    return cost
-
-
-def rotor_cost(place: Floats, strand: Strands, margins: Margins) -> Floats:
-    """Cost (b,) of a vehicle's own strand entering its rotor disc."""
-    found = np.empty(len(place))
-    discs_entered(place, strand.points, np.zeros(len(place)), margins, found)
-    return found
-
-
-def chord_cost(strand: Strands, margins: Margins) -> Floats:
-    """Cost (b,) of chords that come near taut (steep) or stray from the preferred share."""
-    over = (strand.ratio + 2.0 * margins.tracking / strand.length) / margins.taut
-    cost: Floats = (
-        3e-2 * (strand.ratio - margins.spacing) ** 2
-        + 0.5 * np.maximum(over - 0.98, 0.0)
-        + 200.0 * np.maximum(over - 0.995, 0.0)
-    )
-    return cost
+    level = np.hypot(one[0] - other[0], one[1] - other[1]) / (margins.vehicle + error)
+    above = abs(one[2] - other[2]) / (margins.downwash + error)
+    return float(shortfall(2.0 * (max(level, above) - 1.0) + 0.2))

@@ -40,7 +40,7 @@ _ASKED = 0.1
 """Share of these that is worth it where more is asked for than margins."""
 
 _LAZY = 0.0005
-"""Cost of giving way by a metre at a stage, next to a missed unit of margin."""
+"""Cost of a wish of size 1 to give way at a stage, next to a missed unit of margin."""
 
 _ROUNDS = 4
 """How often windows are chosen anew."""

@@ -11,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable import quick
+from swarm.cable.shape import drop_of
 from swarm.compiled import compiled
 from swarm.fold.answer import PIECES, lift, movement
+from swarm.fold.clear import shortfall, vehicle_cost
 from swarm.fold.intruders import disc_entered
 from swarm.fold.margins import Margins
 
@@ -105,15 +107,6 @@ def _distance(one: Floats, other: Floats) -> float:
 
 
 @compiled
-def _shortfall(margin: float) -> float:
-    """Cost of a margin in units of what is wanted: steep below 0, slight below 1."""
-    if margin >= 1.0:
-        return 0.0
-    short = max(-margin, 0.0)
-    return 5.0 * short + 10.0 * short**2 + 5e-3 * (1.0 - margin) ** 2
-
-
-@compiled
 def _alone(
     rear: Floats, front: Floats, chord: float, length: float, margins: Margins, points: Floats
 ) -> float:
@@ -122,10 +115,7 @@ def _alone(
     over = (ratio + 2.0 * margins.tracking / length) / margins.taut
     cost = 3e-2 * (ratio - margins.spacing) ** 2
     cost += 0.5 * max(over - 0.98, 0.0) + 200.0 * max(over - 0.995, 0.0)
-    level = math.hypot(rear[0] - front[0], rear[1] - front[1])
-    aside = level / (margins.vehicle + 2.0 * margins.tracking)
-    above = abs(rear[2] - front[2]) / (margins.downwash + 2.0 * margins.tracking)
-    cost += _shortfall(2.0 * (max(aside, above) - 1.0) + 0.2)
+    cost += vehicle_cost(rear, front, margins)
     if abs(rear[2] - front[2]) > margins.grip_offset - 1.5 * margins.tracking:
         quick.sketch(rear, front, max(length, chord * 1.001 + 1e-9), points)
         cost += disc_entered(rear, points, 0.0, margins)
@@ -185,7 +175,7 @@ def _passing(
         error = movement(lifted, share, 1.0) + movement(between.lifted[edge], fraction, 1.0)
         needed = 0.5 * margins.cable + 0.5 * margins.tracking * error
         unit = margins.cable + 2.0 * margins.tracking
-        cost += _shortfall((apart / math.sqrt(1.0 + steep * steep) - needed) / unit)
+        cost += shortfall((apart / math.sqrt(1.0 + steep * steep) - needed) / unit)
     return cost
 
 
@@ -202,7 +192,7 @@ def _side(edge: int, behind: int, ahead: int, between: Between) -> int:
 def _surface(edge: int, fraction: float, side: int, span: float, between: Between) -> float:
     """Height of the surface over (side 1) or under (−1) an edge at a fraction of it."""
     x = between.half_angle[edge]
-    drop = span * math.sinh(x * fraction) * math.sinh(x * (1.0 - fraction)) / x
+    drop = span * drop_of(x, fraction, 0.0)
     count = between.crossed[edge]
     gap = 0.0
     if count:
@@ -227,7 +217,7 @@ def _at_corners(
         share = min(max((x * own_x + y * own_y) / square, 0.0), 1.0)
         x, y = x - share * own_x, y - share * own_y
         if x * x + y * y < (needed + unit) ** 2:
-            cost += _shortfall((math.sqrt(x * x + y * y) - needed) / unit)
+            cost += shortfall((math.sqrt(x * x + y * y) - needed) / unit)
     return cost
 
 

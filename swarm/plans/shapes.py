@@ -120,13 +120,14 @@ def ranked(
     opened: list[OpenGrid], shape: Shape, margins: Margins, progress: Progress | None
 ) -> list[OpenGrid]:
     """The openings along whose paths segments are least in the way of others, best first."""
+    opened = opened[:_MORE]
     costs: list[float] = []
-    for k, diagram in enumerate(opened[:_MORE]):
+    for k, diagram in enumerate(opened):
         enough = _IN_THE_WAY * len(diagram.corners)
         if k >= _OPENINGS and (min(costs) < enough or k - int(np.argmin(costs)) > _IN_VAIN):
             break
         if progress:
-            progress("comparing openings of the grid diagram", k / len(opened[:_MORE]))
+            progress("comparing openings of the grid diagram", k / len(opened))
         fit = fitted(diagram, shape, margins)
         layout = hung_apart(diagram, fit, margins)
         guide = guided(layout, fit.slope, fit.rounding)
