@@ -105,8 +105,9 @@ def test_the_papers_own_trajectory_is_shown_and_refused_because_strands_meet(
     assert phases == ["takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land"]
 
 
+@pytest.mark.usefixtures("in_real_time")
 def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> None:
-    result = swarm("fly", OVERHAND, "--speed", "8", "--record", "flight", "--json", cwd=tmp_path)
+    result = swarm("fly", OVERHAND, "--speed", "5", "--record", "flight", "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     flown = json.loads(result.stdout)
     assert flown["outcome"] == "done"
@@ -124,6 +125,7 @@ def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> No
     assert json.loads(verified.stdout)["knot"] == flown["knot"]
 
 
+@pytest.mark.usefixtures("in_real_time")
 def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None:
     flight = subprocess.Popen(
         [SWARM, "fly", HOVER, "--speed", "8", "--record", "flight"],

@@ -12,6 +12,7 @@ from swarm.ground import fly
 from tests.network import small_plan
 
 PROVEN = small_plan()
+pytestmark = pytest.mark.usefixtures("in_real_time")
 RATE = 100_000
 LATEST = 0.1
 """Seconds by which one of 100 setpoints may be late in the flood: a fifth of what autopilots wait

@@ -16,6 +16,7 @@ from swarm.ground.priority import BEHIND_ALL
 from tests.network import small_plan
 
 PROVEN = small_plan()
+pytestmark = pytest.mark.usefixtures("in_real_time")
 
 
 def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
@@ -28,7 +29,7 @@ def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
         while time.monotonic() < end:  # busy, as a screen that is drawn is
             pass
 
-    flight = Flight(PROVEN, emulated_fleet(3), tmp_path / "record", speed=10.0, asks=True)
+    flight = Flight(PROVEN, emulated_fleet(3), tmp_path / "record", speed=5.0, asks=True)
     result = fly_apart(
         flight,
         confirm=lambda audit: asked.append(audit) or True,

@@ -7,12 +7,15 @@ import subprocess
 import sys
 from contextlib import contextmanager
 
+import pytest
+
 from swarm.fleet import emulated_fleet
 from swarm.flight.world import emulated_world
 from tests.command import run
 from tests.ground.station import PROVEN, fleet_on
 
-SPEED = "5"
+SPEED = "4"
+pytestmark = pytest.mark.usefixtures("in_real_time")
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from mavsdk.plugins.param import Param, ParamError
 from mavsdk.plugins.telemetry import Telemetry
 
 SPEED = 5.0
+pytestmark = pytest.mark.usefixtures("in_real_time")
 HOLD, RETURN, LAND, OFFBOARD = 3, 5, 6, 7
 VERSIONS = {"px4": (1, 16), "ardupilot": (4, 6)}
 
