@@ -14,6 +14,7 @@ import rerun as rr
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.plans import Plan
 from swarm.view import scene
+from swarm.view.curves import Curves
 from swarm.view.words import clock, level, sentence
 
 Floats = npt.NDArray[np.float64]
@@ -127,7 +128,7 @@ def quadrotor(radius: float, grip_offset: float) -> rr.Mesh3D:
 
 
 class Recorder:
-    """Logs a flight as it happens; a tick costs the same dozen calls for any number of vehicles."""
+    """Logs a flight as it happens; a tick costs the same few calls for any number of vehicles."""
 
     def __init__(self, stream: rr.RecordingStream, plan: Plan) -> None:
         self._stream = stream
@@ -143,6 +144,7 @@ class Recorder:
         self._words: dict[str, str] = {}
         self._next: dict[float, float] = {}
         self._counts = np.zeros((2, plan.vehicles))
+        self._curves = Curves(stream)
         log_plan(stream, plan)
         self._log_styles()
 
@@ -156,27 +158,33 @@ class Recorder:
         often = self._due(OFTEN, snapshot.time)
         self._log_vehicles(snapshot)
         self._log_cable(snapshot, colours=often)
-        self._stream.log("plots/error", rr.Scalars(scene.tracking_errors(snapshot)))
+        self._draw("error", snapshot, scene.tracking_errors(snapshot))
         if often:
             self._log_trails(snapshot)
-            self._stream.log("plots/rate", rr.Scalars(snapshot.rate))
-            self._stream.log(
-                "plots/link",
-                rr.Scalars(np.where(np.isfinite(snapshot.link_age), snapshot.link_age, np.nan)),
-            )
+            self._draw("rate", snapshot, snapshot.rate)
+            age = snapshot.link_age
+            self._draw("link", snapshot, np.where(np.isfinite(age), age, np.nan))
             self._log_margins(snapshot)
         if self._due(SELDOM, snapshot.time):
             self._log_tightest(snapshot)
-            self._stream.log("plots/battery", rr.Scalars(100.0 * snapshot.battery))
+            self._draw("battery", snapshot, 100.0 * snapshot.battery)
             self._log_links(snapshot)
-            self._stream.log("plots/error/limit", rr.Scalars(self._limit))
-            self._stream.log("plots/link/limit", rr.Scalars(scene.SILENT_AFTER))
+            self._draw("error/limit", snapshot, self._limit)
+            self._draw("link/limit", snapshot, scene.SILENT_AFTER)
+        self._curves.pass_on(snapshot.time)
         self._say("states/phase", snapshot.phase)
         self._say("states/gate", snapshot.waiting_for or "–")
 
     def event(self, event: Event) -> None:
         """Log something that happened."""
         log_event(self._stream, event)
+
+    def finish(self) -> None:
+        """Log the ends of the curves."""
+        self._curves.send()
+
+    def _draw(self, curve: str, snapshot: Snapshot, values: npt.ArrayLike) -> None:
+        self._curves.add(f"plots/{curve}", snapshot.time, snapshot.mission_time, values)
 
     def _log_styles(self) -> None:
         n = self._plan.vehicles
@@ -266,18 +274,18 @@ class Recorder:
         lengths = self._plan.layout.lengths
         self._held, self._gripped = scene.held_points(self._held, self._gripped, snapshot)
         self._strips = scene.strands(self._held, lengths, scene.POINTS_PER_SEGMENT)
-        self._stream.log("flight/cable", rr.LineStrips3D.from_fields(strips=self._strips))
-        if colours:
-            tints = scene.tautness_colours(scene.tautness(self._held, lengths))
-            self._stream.log("flight/cable", rr.LineStrips3D.from_fields(colors=tints))
+        tints = scene.tautness_colours(scene.tautness(self._held, lengths)) if colours else None
+        self._stream.log(
+            "flight/cable", rr.LineStrips3D.from_fields(strips=self._strips, colors=tints)
+        )
 
     def _log_margins(self, snapshot: Snapshot) -> None:
         found, asked = snapshot.clearances, self._plan.mission.clearance
         if found is not None:
             left = np.array([found.cable - asked.cable, found.vehicle - asked.vehicle])
             left[~np.isfinite(left)] = np.nan
-            self._stream.log("plots/margin", rr.Scalars(left))
-            self._stream.log("plots/margin/limit", rr.Scalars(0.0))
+            self._draw("margin", snapshot, left)
+            self._draw("margin/limit", snapshot, 0.0)
         for wish, (is_open, _) in snapshot.available.items():
             self._say(f"states/windows/{wish}", "open" if is_open else "closed")
 
@@ -285,12 +293,12 @@ class Recorder:
         """Log the latest round trips, and the share of packets lost since the last time."""
         if not len(snapshot.received):
             return
-        self._stream.log("plots/round_trip", rr.Scalars(1e3 * snapshot.round_trip))
+        self._draw("round_trip", snapshot, 1e3 * snapshot.round_trip)
         counts = np.stack([snapshot.received, snapshot.lost])
         received, lost = counts - self._counts
         self._counts = counts
         share = 100.0 * lost / np.maximum(received + lost, 1.0)
-        self._stream.log("plots/loss", rr.Scalars(share))
+        self._draw("loss", snapshot, share)
 
     def _log_tightest(self, snapshot: Snapshot) -> None:
         aloft = self._plan.phase("fold").start <= snapshot.mission_time

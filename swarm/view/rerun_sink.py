@@ -53,6 +53,7 @@ def main() -> None:
             recorder.event(item)
         else:
             recorder.snapshot(item)
+    recorder.finish()
     if server is None:
         stream.disconnect()
     else:

@@ -51,6 +51,7 @@ def milliseconds(plan: Plan, snapshots: list[Snapshot]) -> tuple[float, float]:
             began = time.thread_time()
             recorder.snapshot(snapshot)
             took.append(1e3 * (time.thread_time() - began))
+        recorder.finish()
         stream.disconnect()
     return float(np.mean(took)), float(np.percentile(took, 99))
 
