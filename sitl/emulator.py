@@ -20,7 +20,7 @@ from sitl.contacts import Contacts
 from sitl.dynamics import STEP, Array, Bodies, Flags
 from sitl.faults import Fault
 from sitl.geodesy import GRAVITY, Geodesy
-from sitl.incoming import Incoming
+from sitl.incoming import Heard, Incoming
 from sitl.injector import Injector
 from sitl.parameter_protocol import pump_parameters
 from sitl.px4 import Px4
@@ -146,15 +146,8 @@ class Emulator:
 
     def receive_all(self, sent: Iterable[tuple[int, bytes]], now: float) -> None:
         """As `receive`, of (vehicle, bytes) for any number of vehicles at once, and quicker."""
-        troubled = self.injector.troubled
-        for sysid, data in sent:
-            vehicle = self.by_id.get(sysid)
-            if vehicle is None:
-                continue
-            link = vehicle.links[0]
-            if not (troubled and self._delayed(vehicle, link, data, now)):
-                self._incoming.hear(vehicle, link, data, now)
-        self._incoming.take()
+        known = [(self.by_id[sysid], data) for sysid, data in sent if sysid in self.by_id]
+        self._deliver([(vehicle, vehicle.links[0], data) for vehicle, data in known], now)
 
     def step(self, now: float) -> list[tuple[int, bytes]]:
         """Advance to ``now`` seconds; return (vehicle, bytes) that were sent meanwhile."""
@@ -163,29 +156,31 @@ class Emulator:
 
     def deliver(self, vehicle: Vehicle, link: Link, data: bytes, now: float) -> None:
         """As `receive`, on one of a vehicle's links."""
-        if not self._delayed(vehicle, link, data, now):
-            self._incoming.hear(vehicle, link, data, now)
-            self._incoming.take()
+        self._deliver([(vehicle, link, data)], now)
 
-    def _delayed(self, vehicle: Vehicle, link: Link, data: bytes, now: float) -> bool:
-        """Send bytes into a troubled link; tell whether it is one."""
-        if not self.injector.troubled:
-            return False
-        channel = self.injector.up[vehicle.index]
-        if channel.fault is None and not channel.queue:
-            return False
-        channel.push_all(link, (data,), now)
-        return True
+    def _deliver(self, sent: list[Heard], now: float) -> None:
+        """Give bytes to vehicles, those of troubled links to these."""
+        if self.injector.troubled:
+            at_once = []
+            for one in sent:
+                channel = self.injector.up[one[0].index]
+                if channel.fault is None and not channel.queue:
+                    at_once.append(one)
+                else:
+                    channel.push_all(one[1], one[2:], now)
+            sent = at_once
+        self._incoming.hear(sent, now)
 
     def _arrive(self, now: float) -> None:
-        """Hand over what comes late through a troubled link."""
+        """Hand over what comes late through troubled links."""
         if not self.injector.troubled:
             return
+        limit, arrived = now + 1e-9, []
         for vehicle, channel in zip(self.vehicles, self.injector.up, strict=True):
-            if channel.queue and channel.queue[0][0] <= now + 1e-9:
-                for link, data in channel.pop(now):
-                    self._incoming.hear(vehicle, link, data, now)
-        self._incoming.take()
+            if channel.queue and channel.queue[0][0] <= limit:
+                arrived += [(vehicle, link, data) for link, data in channel.pop(now)]
+        if arrived:
+            self._incoming.hear(arrived, now)
 
     def advance(self, now: float) -> None:
         """Advance physics and autopilots to ``now`` seconds; what they say waits in the links."""
@@ -221,15 +216,25 @@ class Emulator:
         """Put a fault on the agenda; one whose time is past begins at the next step."""
         self.injector.add(fault)
 
+    def held(self) -> tuple[Array, Array, Array]:
+        """Grip points (n, 3), where along the cable they hold it (n,), NaN where they do not, and
+        the cable's samples (m, 3): the part of ground truth that dry runs keep looking at."""
+        rope = self.rope
+        arcs = np.full(self.bodies.count, math.nan)
+        for arc, holder in rope.grips if rope else ():
+            if holder < len(arcs):
+                arcs[holder] = arc
+        grips = self.bodies.grip_points()
+        cable = rope.follow(self._held()[0], 0.0).copy() if rope else np.zeros((0, 3))
+        return grips, arcs, cable
+
     def truth(self) -> Truth:
         """Return ground truth, for tests and the record only."""
         b = self.bodies
         rope = self.rope
-        held = {holder: arc for arc, holder in rope.grips} if rope else {}
-        arcs = [held.get(i, math.nan) for i in range(b.count)]
+        grips, arcs, cable = self.held()
         spans = rope.spans if rope else None
         empty = np.zeros(0)
-        grips = b.grip_points()
         return Truth(
             time=self.time,
             ids=tuple(v.system for v in self.vehicles),
@@ -239,8 +244,8 @@ class Emulator:
             armed=b.armed.copy(),
             landed=b.landed.copy(),
             gripped=np.array([v.gripped for v in self.vehicles]),
-            grip_arc=np.array(arcs),
-            cable=rope.follow(self._held()[0], 0.0).copy() if rope else np.zeros((0, 3)),
+            grip_arc=arcs,
+            cable=cable,
             tension=spans.tension.copy() if spans else empty,
             chord=spans.chord.copy() if spans else empty,
             length=spans.length.copy() if spans else empty,
@@ -277,10 +282,7 @@ class Emulator:
             for vehicle in self.vehicles:
                 if vehicle.awake_at <= now:
                     self._tick(vehicle, now)
-        limit = now + 1e-6
-        for vehicle, link in self._links:
-            if link.due and link.due[0][0] <= limit:
-                emit_due(vehicle, link, now)
+        emit_due(self._links, now)
 
     def _crashed(self, hit: Flags) -> None:
         for i in np.nonzero(hit)[0]:

@@ -150,9 +150,10 @@ class Dice:
 
     def ready(self, count: int) -> list[float]:
         """Return at least ``count`` numbers, to be taken from the end; what is left comes next."""
-        while len(self._left) < count:
-            self._left[:0] = self._rng.random(_BLOCK)[::-1].tolist()
-        return self._left
+        left = self._left
+        while len(left) < count:
+            left[:0] = self._rng.random(_BLOCK)[::-1].tolist()
+        return left
 
 
 @dataclass
@@ -166,21 +167,27 @@ class Channel:
     free_at: float = 0.0
     outage: bool = False
     checked_at: float = 0.0
-    _judged: Fault | None = None
-    _figures: tuple[float, float, float] | None = None
+    _plain: tuple[float, float, float] | None = field(init=False)
+    """Loss, latency and jitter, where these are all the troubles."""
 
-    def busy(self) -> bool:
-        """Whether anything is delayed or could be harmed."""
-        return self.fault is not None or bool(self.queue)
+    def __post_init__(self) -> None:
+        self.suffer(self.fault)
+
+    def suffer(self, fault: Fault | None) -> None:
+        """Have a fault, or none, from now on."""
+        self.fault, self._plain = fault, None
+        if fault is not None and not (
+            fault.burst or fault.reorder or fault.bandwidth or fault.duplicate
+        ):
+            self._plain = fault.loss, fault.latency, fault.jitter
 
     def push_all(self, link: Any, frames: Sequence[bytes], now: float) -> None:
         """Send frames of a link into the channel, as `push` does one after the other."""
-        plain = self._plain()
-        if plain is None:
+        if self._plain is None:
             for frame in frames:
                 self.push((link, frame), len(frame), now)
             return
-        loss, latency, jitter = plain
+        loss, latency, jitter = self._plain
         roll, queue = self.dice.ready(2 * len(frames)).pop, self.queue
         count, soonest = self.count, now + latency
         for frame in frames:
@@ -190,17 +197,6 @@ class Channel:
             at = soonest + jitter * roll() if jitter else soonest
             heappush(queue, (at, count, (link, frame)))
         self.count = count
-
-    def _plain(self) -> tuple[float, float, float] | None:
-        """Loss, latency and jitter where these are all the troubles, worked out once for each."""
-        fault = self.fault
-        if fault is not self._judged:
-            self._judged, self._figures = fault, None
-            if fault is not None and not (
-                fault.burst or fault.reorder or fault.bandwidth or fault.duplicate
-            ):
-                self._figures = fault.loss, fault.latency, fault.jitter
-        return self._figures
 
     def push(self, item: Any, size: int, now: float) -> None:
         """Send one frame into the channel."""

@@ -5,7 +5,7 @@ vehicle's own frame is left to `sitl.wire` and the vehicle's personality.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,40 +30,53 @@ _NEITHER = 0x1FF | 512
 _NO_YAW = 1024
 
 
+Heard = tuple[Vehicle, Link, bytes]
+"""Bytes that have come for a vehicle on one of its links."""
+
+
 class Incoming:
-    """Hands bytes to vehicles, and keeps setpoints that are followed anyway until `take`."""
+    """Hands bytes to vehicles; setpoints that are followed anyway all at once."""
 
     def __init__(self, bodies: Bodies, systems: Sequence[int]) -> None:
         self._bodies = bodies
         self._systems = np.array(systems)
-        self._waiting: list[tuple[Vehicle, Link, bytes, float]] = []
 
-    def hear(self, vehicle: Vehicle, link: Link, data: bytes, now: float) -> None:
-        """Hand bytes to a vehicle, after what came for anybody before."""
-        vehicle.now = max(vehicle.now, now)
-        follows = vehicle.personality.follows and not vehicle.frozen
-        if follows and len(data) == LENGTH and link.receiver.plain:
-            self._waiting.append((vehicle, link, data, vehicle.now))
-            return
-        self.take()
-        _hand_over(vehicle, link, data)
+    def hear(self, heard: Iterable[Heard], now: float) -> None:
+        """Hand bytes to vehicles at emulated time ``now``, in the order in which they came."""
+        waiting: list[Heard] = []
+        for one in heard:
+            vehicle, link, data = one
+            vehicle.now = max(vehicle.now, now)
+            if (
+                len(data) == LENGTH
+                and vehicle.personality.follows
+                and link.receiver.plain
+                and not vehicle.frozen
+            ):
+                waiting.append(one)
+            else:
+                self._take(waiting)
+                waiting = []
+                _hand_over(one)
+        self._take(waiting)
 
-    def take(self) -> None:
-        """Take the setpoints that wait, in the order in which they came."""
+    def _take(self, waiting: list[Heard]) -> None:
+        """Take the setpoints that wait; what only looks like one as everything else."""
         b = self._bodies
-        while self._waiting:
-            waiting, self._waiting = self._waiting, []
-            packets = b"".join([data for _, _, data, _ in waiting])
-            who = bytes([vehicle.index for vehicle, _, _, _ in waiting])
+        while waiting:
+            packets = b"".join([data for _, _, data in waiting])
+            who = bytes([vehicle.index for vehicle, _, _ in waiting])
             taken = _take(packets, who, self._systems, b.now, b.frames, b.goal_yaw)
-            for vehicle, _, data, now in waiting if taken == len(waiting) else waiting[:taken]:
-                vehicle.personality.followed(data, now)
-            if taken < len(waiting):
-                _hand_over(*waiting[taken][:3])
-                self._waiting = waiting[taken + 1 :]
+            for vehicle, _, data in waiting if taken == len(waiting) else waiting[:taken]:
+                vehicle.personality.followed(data, vehicle.now)
+            if taken == len(waiting):
+                return
+            _hand_over(waiting[taken])
+            waiting = waiting[taken + 1 :]
 
 
-def _hand_over(vehicle: Vehicle, link: Link, data: bytes) -> None:
+def _hand_over(one: Heard) -> None:
+    vehicle, link, data = one
     for message in link.receiver.feed(data):
         vehicle.handle(message, link)
 

@@ -113,7 +113,7 @@ class Injector:
         mine = [f for f, sysid in self.active if sysid == v.system and f.kind == "link"]
         for channel, way in ((self.up[v.index], "up"), (self.down[v.index], "down")):
             faults = [fault for fault in mine if fault.direction in {way, "both"}]
-            channel.fault = faults[-1] if faults else None
+            channel.suffer(faults[-1] if faults else None)
 
     def _motor_loss(self, v: Vehicle, _: Fault) -> None:
         """A quadrotor without one motor keeps little thrust, and turns over."""

@@ -5,7 +5,7 @@ Commands, message rates, logs, file transfer, time, positions, signing; missions
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from heapq import heappop, heapreplace
 from typing import Any
 
@@ -52,28 +52,35 @@ def emit(v: Vehicle, name: str, link: Link) -> bool:
     return True
 
 
-def emit_due(v: Vehicle, link: Link, now: float) -> None:
-    """Send what a link's streams have due, and set their next time."""
-    v.now = max(v.now, now)
-    due, intervals, outgoing, sender = link.due, link.intervals, link.outgoing, link.sender
-    ticks = 0
-    if sender.signer:
-        ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
-    limit, frame = now + 1e-6, sender.frame
-    while due:
-        time, name = due[0]
-        if time > limit:
-            return
-        interval = intervals.get(name)
-        if interval is None:
-            heappop(due)
+def emit_due(links: Iterable[tuple[Vehicle, Link]], now: float) -> None:
+    """Send what the streams of these links have due, and set their next time.
+
+    A sixth of a rehearsal's time is spent here.
+    """
+    limit, saying = now + 1e-6, _SAYING
+    for v, link in links:
+        due = link.due
+        if not due or due[0][0] > limit:
             continue
-        following = time + interval
-        heapreplace(due, (following if following > now - interval else now, name))
-        say, number, seed = _SAYING[name]
-        body = say(v)
-        if body is not None:
-            outgoing.append(frame(number, body, seed, ticks))
+        v.now = max(v.now, now)
+        intervals, outgoing, sender = link.intervals, link.outgoing, link.sender
+        frame, ticks = sender.frame, 0
+        if sender.signer:
+            ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
+        while due:
+            time, name = due[0]
+            if time > limit:
+                break
+            interval = intervals.get(name)
+            if interval is None:
+                heappop(due)
+                continue
+            following = time + interval
+            heapreplace(due, (following if following > now - interval else now, name))
+            say, number, seed = saying[name]
+            body = say(v)
+            if body is not None:
+                outgoing.append(frame(number, body, seed, ticks))
 
 
 def _heartbeat(v: Vehicle, message: Any, _: Link) -> None:

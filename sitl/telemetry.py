@@ -27,10 +27,6 @@ _SAID = 48
 _MODE_AGAIN = 0.49
 
 
-def _boot(v: Vehicle) -> bytes:
-    return _pack_boot(boot_ms(v))
-
-
 def boot_ms(v: Vehicle) -> int:
     """Milliseconds since boot by the vehicle's clock."""
     return int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST
@@ -70,12 +66,14 @@ def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
 
 def _local(v: Vehicle) -> bytes:
     at = _SAID * v.index
-    return _boot(v) + v.bodies.said()[at : at + 24]
+    boot = int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST
+    return _pack_boot(boot) + v.bodies.said()[at : at + 24]
 
 
 def _attitude(v: Vehicle) -> bytes:
     at = _SAID * v.index
-    return _boot(v) + v.bodies.said()[at + 24 : at + 48]
+    boot = int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST
+    return _pack_boot(boot) + v.bodies.said()[at + 24 : at + 48]
 
 
 def _quaternion(v: Vehicle) -> bytes:

@@ -120,9 +120,10 @@ def _exchange(
     conductor: Conductor, emulator: Emulator, recorder: Recorder | None, now: float
 ) -> None:
     """One step of virtual time: what the vehicles sent, then what the conductor answers."""
-    for sysid, data in emulator.step(now):
-        conductor.receive(_LINK, sysid, data, now)
-        if recorder is not None:
+    arrived = emulator.step(now)
+    conductor.receive_all(_LINK, arrived, now)
+    if recorder is not None:
+        for _, data in arrived:
             recorder.packet(data, now)
     outgoing = conductor.tick(now)
     arriving = [(one.address, one.data) for one in outgoing if isinstance(one.address, int)]

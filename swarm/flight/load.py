@@ -69,11 +69,20 @@ class PlannedPull:
         grips = plan.motion.at(times)[0]
         self._pull = cable_pull(grips, plan.layout.lengths, plan.mission.cable.mass_per_length)
         self._change = np.diff(self._pull, axis=0)
+        self._nothing = np.zeros_like(self._pull[0])
 
     def at(self, time: float) -> Floats:
         """Return the pull (n, 3) in newtons, ENU, at a mission time, everybody holding on."""
+        before, change, share = self.around(time)
+        pull: Floats = before + change * share
+        return pull
+
+    def around(self, time: float) -> tuple[Floats, Floats, float]:
+        """Return the pull at the moment before, its change to the next, and the share of that."""
         place = min(max((time - self._start) / STEP, 0.0), len(self._pull) - 1.001)
         before = int(place)
-        pull: Floats = self._change[before] * (place - before)
-        pull += self._pull[before]
-        return pull
+        return self._pull[before], self._change[before], place - before
+
+    def nothing(self) -> tuple[Floats, Floats, float]:
+        """Return as `around` that nothing is held."""
+        return self._nothing, self._nothing, 0.0

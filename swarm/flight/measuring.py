@@ -27,18 +27,14 @@ def measure(flight: "Conductor") -> None:
     """Bring what the vehicles say to this moment, in mission ENU, as grip points."""
     if flight.frames is None:
         return
-    said: list[float] = []
-    for vehicle in flight.flyers:
-        said += vehicle.position
-        said += vehicle.velocity
-    states = np.array(said).reshape(-1, 2, 3)
-    at = np.array([vehicle.position_at for vehicle in flight.flyers])
-    flight.reported, flight.velocity = flight.frames.states_to_mission(states)
-    limits = FRESHEST, flight.fleet.limits.silence, flight.now - flight.last
-    flight.position, flight.error = reckoning.measured(
-        flight.reported, flight.velocity, flight.now - at, flight.lift, flight.setpoint,
-        flight.setpoint_velocity, flight.streaming, limits,
+    n = len(flight.rows)
+    found = flight.measured = reckoning.Measured(np.empty((3, n, 3)), np.empty((2, n)))
+    times = flight.now, FRESHEST, flight.fleet.limits.silence, flight.now - flight.last
+    reckoning.measure(
+        flight.team.columns.table, flight.rows, flight.frames.back, flight.lift, flight.setpoint,
+        flight.setpoint_velocity, flight.streaming, times, found.places, found.numbers,
     )  # fmt: skip
+    flight.position, flight.velocity, flight.error = found.position, found.velocity, found.error
 
 
 def follow_jump(flight: "Conductor", k: int, jump: Floats) -> None:
@@ -51,7 +47,7 @@ def follow_jump(flight: "Conductor", k: int, jump: Floats) -> None:
     by = np.zeros((len(flight.flyers), 3))
     by[k] = -jump
     flight.frames = flight.frames.shifted(by)
-    flight.reported[k] -= jump
+    flight.measured.reported[k] -= jump
     flight.position[k] -= jump
 
 
@@ -102,7 +98,6 @@ def keep_trace(flight: "Conductor") -> None:
         return
     flight.next_trace = flight.now + TRACE_INTERVAL
     phase = flight.phase.name if flight.stage == "fly" else ""
-    stale = [flight.now - v.position_at > FRESH_IN_TRACE for v in flight.flyers]
     position = flight.position.copy()
-    position[stale] = np.nan
+    position[flight.now - flight.measured.at > FRESH_IN_TRACE] = np.nan
     flight.flown.append((flight.now, flight.clock.time, position, flight.setpoint.copy(), phase))

@@ -47,7 +47,9 @@ FELL_AFTER = 0.5
 PULLED = 0.3
 """Metres by which it is below its place then."""
 NO_FIX = 3
-_CALM = LONGEST_STEP, SINKING, SINKING_TOO, 0.5 * JUMP
+_CALM = LONGEST_STEP, SINKING, SINKING_TOO, 0.5 * JUMP, TURNED_OVER
+"""What `reckoning.news` finds as it should is never noticed by `_watch_motion`, but not all that is
+looked at more closely is noticed."""
 _LANDS = frozenset({"land", "precision land"})
 _HOME = frozenset({"return", "smart return", "auto return"})
 
@@ -56,9 +58,8 @@ _HOME = frozenset({"return", "smart return", "auto return"})
 class Reports:
     """What was last reported by each of n vehicles, to compare the next report with."""
 
-    at: list[float]
-    position: Floats
-    velocity: Floats
+    last: reckoning.Measured
+    step: Floats
     heights: Floats
     told: set[tuple[str, int]] = field(default_factory=set)
     next_heights: float = 0.0
@@ -67,8 +68,7 @@ class Reports:
     @classmethod
     def of(cls, n: int) -> "Reports":
         """Return the reports of n vehicles that have said nothing yet."""
-        nothing = np.full((n, 3), np.nan)
-        return cls([-math.inf] * n, nothing.copy(), nothing.copy(), np.full(n, np.nan))
+        return cls(reckoning.Measured.of(n), np.zeros(n), np.full(n, np.nan))
 
     def first(self, what: str, k: int) -> bool:
         """Whether this is said of a vehicle for the first time."""
@@ -79,39 +79,34 @@ class Reports:
 
 def watch(flight: "Conductor") -> None:
     """Look at the links, and at how everybody moves."""
-    _watch_links(flight)
+    reports, now, last = flight.reports, flight.measured, flight.reports.last
+    told, calm, heard = reckoning.news(
+        flight.team.columns.table, flight.rows, now.places, now.at, last.places, last.at,
+        flight.setpoint_velocity, flight.streaming, _CALM, reports.step,
+    )  # fmt: skip
+    _watch_links(flight, heard)
     if flight.frames is None or flight.over:
         return
-    reports = flight.reports
-    at = [vehicle.position_at for vehicle in flight.flyers]
-    told = at != reports.at
-    step = _steps(reports.at, at) if told else None
-    if (step is not None and not _moves_as_told(flight, step)) or not _healthy(flight):
+    if (told and not calm) or not _healthy(flight):
         for k, vehicle in enumerate(flight.flyers):
             if flight.expected_armed[k] and not may_be_down(flight, vehicle):
                 _watch_motion(flight, k, vehicle)
                 _watch_health(flight, k, vehicle)
-    if step is not None:
-        reports.at = at
-        fresh = (step > 0.0)[:, None]
-        np.copyto(reports.position, flight.reported, where=fresh)
-        np.copyto(reports.velocity, flight.velocity, where=fresh)
+    if told:
+        reckoning.note(now.places, now.at, last.places, last.at, reports.step)
     if flight.now >= flight.reports.next_heights:
         flight.reports.next_heights = flight.now + 1.0
         _watch_heights(flight)
 
 
-def _steps(before: list[float], at: list[float]) -> Floats:
-    """Seconds from each one's last report to this; 0 where there is no new one, or never was."""
-    return np.array([new - old if new > old else 0.0 for old, new in zip(before, at, strict=True)])
+def _watch_links(flight: "Conductor", earliest: float) -> None:
+    """Notice vehicles that fall silent, and that are heard again.
 
-
-def _watch_links(flight: "Conductor") -> None:
-    """Notice vehicles that fall silent, and that are heard again."""
+    ``earliest`` is when the one was heard who has been silent for longest.
+    """
     limits = flight.fleet.limits
     longest = min(FELL_AFTER, limits.silence, limits.lost or limits.silence)
-    latest = min(vehicle.heard_at for vehicle in flight.flyers)
-    if not flight.silent and flight.now - latest <= longest:
+    if not flight.silent and flight.now - earliest <= longest:
         return
     lost = [vehicle for vehicle in flight.flyers if not flight.heard(vehicle, limits.lost)]
     for k, vehicle in enumerate(flight.flyers):
@@ -158,26 +153,6 @@ def _pulled_down(flight: "Conductor", k: int) -> bool:
     )
 
 
-def _moves_as_told(flight: "Conductor", step: Floats) -> bool:
-    """Whether nobody can be falling, turned over or jumping, told of the whole team at once.
-
-    What :func:`_watch_motion` notices is never told to be as it should, but not all that is looked
-    at more closely is noticed. ``step`` (n,) are the seconds from each one's last report to this.
-    """
-    # a first report is infinitely later than none, and so looked at more closely
-    reports = flight.reports
-    if not reckoning.moves_as_told(
-        step, flight.setpoint_velocity, flight.streaming, reports.velocity, flight.velocity,
-        reports.position, flight.reported, _CALM,
-    ):  # fmt: skip
-        return False
-    for vehicle in flight.flyers:
-        roll, pitch, _ = vehicle.attitude
-        if abs(roll) > TURNED_OVER or abs(pitch) > TURNED_OVER:
-            return False
-    return True
-
-
 def _healthy(flight: "Conductor") -> bool:
     """Whether there is nothing in batteries and positions that :func:`_watch_health` notices."""
     return not any(
@@ -193,10 +168,11 @@ def _mode_known(flight: "Conductor", vehicle: Vehicle) -> bool:
 
 def _watch_motion(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
     """Notice who falls, and whose position jumps."""
-    if vehicle.position_at <= flight.reports.at[k]:
+    found, last = flight.measured, flight.reports.last
+    if found.at[k] <= last.at[k]:
         return
-    step = vehicle.position_at - flight.reports.at[k]
-    before, up = flight.reports.velocity[k], float(flight.velocity[k, 2])
+    step = float(found.at[k] - last.at[k])
+    before, up = last.velocity[k], float(flight.velocity[k, 2])
     told = min(0.0, float(flight.setpoint_velocity[k, 2])) if flight.streaming[k] else -SINKING
     if not _mode_known(flight, vehicle):
         told = -math.inf
@@ -212,8 +188,8 @@ def _watch_motion(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
         return
     if step > LONGEST_STEP or k in flight.dead:
         return
-    expected = flight.reports.position[k] + 0.5 * step * (before + flight.velocity[k])
-    jump = flight.reported[k] - expected
+    expected = last.reported[k] + 0.5 * step * (before + flight.velocity[k])
+    jump = found.reported[k] - expected
     size = float(np.linalg.norm(jump))
     if size > JUMP:
         follow_jump(flight, k, jump)

@@ -5,39 +5,105 @@ ENU, SI.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.compiled import compiled
+from swarm.mavlink.columns import ANGLES, HEARD_AT, PLACE, POSITION_AT, SPEED
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.int64]
+
+
+_REPORTED, _VELOCITY, _POSITION = range(3)
+_AT, _ERROR = range(2)
+
+
+class Measured(NamedTuple):
+    """Where n vehicles were when they said so last, and where they are now.
+
+    ``places`` (3, n, 3) are their centres as reported, their velocities, and their grip points now,
+    mission ENU; ``numbers`` (2, n) are when they reported, and how far grip points are from where
+    setpoints have led.
+    """
+
+    places: Floats
+    numbers: Floats
+
+    @classmethod
+    def of(cls, n: int) -> "Measured":
+        """Return what is measured of n vehicles that have said nothing."""
+        numbers = np.full((2, n), np.nan)
+        numbers[_AT] = -np.inf
+        return cls(np.full((3, n, 3), np.nan), numbers)
+
+    @property
+    def reported(self) -> Floats:
+        """Centres as reported (n, 3)."""
+        part: Floats = self.places[_REPORTED]
+        return part
+
+    @property
+    def velocity(self) -> Floats:
+        """Velocities as reported (n, 3)."""
+        part: Floats = self.places[_VELOCITY]
+        return part
+
+    @property
+    def position(self) -> Floats:
+        """Grip points now (n, 3)."""
+        part: Floats = self.places[_POSITION]
+        return part
+
+    @property
+    def at(self) -> Floats:
+        """When they reported (n,), seconds."""
+        part: Floats = self.numbers[_AT]
+        return part
+
+    @property
+    def error(self) -> Floats:
+        """How far grip points are from where setpoints have led (n,), metres; NaN: not known."""
+        part: Floats = self.numbers[_ERROR]
+        return part
 
 
 @compiled
-def measured(
-    reported: Floats, velocity: Floats, age: Floats, lift: Floats, setpoint: Floats,
-    setpoint_velocity: Floats, streaming: Flags, limits: tuple[float, float, float],
-) -> tuple[Floats, Floats]:  # fmt: skip
-    """Where the grip points (n, 3) are now, and how far (n,) from where setpoints have led.
+def measure(
+    said: Floats, rows: Indices, back: tuple[Floats, Floats], lift: Floats, setpoint: Floats,
+    setpoint_velocity: Floats, streaming: Flags, times: tuple[float, float, float, float],
+    places: Floats, numbers: Floats,
+) -> None:  # fmt: skip
+    """Bring what vehicles ``rows`` (n,) of a team's columns ``said`` to this moment.
 
-    Centres were ``reported`` ``age`` (n,) seconds ago, ``lift`` (3,) above the grips. Setpoints are
-    the last tick's; nothing is known (NaN) of those who do not get any, or are silent. ``limits``
-    in seconds: for how long reports are carried on with their velocity, from when on a vehicle is
-    silent, and how long ago the last tick was.
+    ``back`` are the maps from their NED, ``lift`` (3,) from grip points to centres. Setpoints are
+    the last tick's; errors are not known (NaN) of those who do not get any, or are silent.
+    ``times`` in seconds: now, for how long reports are carried on with their velocity, from when on
+    a vehicle is silent, and how long ago the last tick was. ``places`` and ``numbers`` are filled
+    in as `Measured` has them.
     """
-    freshest, silence, elapsed = limits
-    position, error = np.empty(reported.shape), np.full(len(reported), np.nan)
-    for i in range(len(reported)):
-        carried, square = min(age[i], freshest), 0.0
+    now, freshest, silence, elapsed = times
+    turn, offset = back
+    for i in range(len(rows)):
+        row = said[rows[i]]
+        age = now - row[POSITION_AT]
+        carried, square = min(age, freshest), 0.0
         for k in range(3):
-            position[i, k] = reported[i, k] - lift[k] + velocity[i, k] * carried
+            place = speed = 0.0
+            for m in range(3):
+                place += turn[i, k, m] * row[PLACE + m]
+                speed += turn[i, k, m] * row[SPEED + m]
+            place += offset[i, k]
+            here = place - lift[k] + speed * carried
             led = setpoint[i, k] + setpoint_velocity[i, k] * elapsed
-            square += (position[i, k] - led) ** 2
-        if streaming[i] and age[i] <= silence:
-            error[i] = math.sqrt(square)
-    return position, error
+            square += (here - led) ** 2
+            places[_REPORTED, i, k], places[_VELOCITY, i, k] = place, speed
+            places[_POSITION, i, k] = here
+        numbers[_AT, i] = row[POSITION_AT]
+        numbers[_ERROR, i] = math.sqrt(square) if streaming[i] and age <= silence else math.nan
 
 
 @compiled
@@ -62,44 +128,77 @@ def sampled(coefficients: Floats, u: float, rate: float, slope: float) -> Floats
 
 @compiled
 def aimed(
-    position: Floats, velocity: Floats, acceleration: Floats, lead: float, lift: Floats,
-    relief: Floats,
+    state: tuple[Floats, Floats, Floats], lead: float, lift: Floats, mass: float,
+    pull: tuple[Floats, Floats, float], frames: tuple[Floats, Floats],
 ) -> Floats:  # fmt: skip
-    """Setpoints (n, 3, 3) of centres: positions ``lead`` seconds ahead, velocities, accelerations.
+    """Setpoints (n, 3, 3) of centres, in each vehicle's NED: positions, velocities, accelerations.
 
-    ``lift`` (3,) from grip point to centre; ``relief`` (n, 3) is subtracted from accelerations.
+    ``state`` are position, velocity and acceleration (n, 3) of grip points, ``lift`` (3,) from
+    there to centres; positions are ``lead`` seconds ahead. Accelerations are relieved of what the
+    cable pulls at ``mass``: ``pull`` is the one at a moment (n, 3), its change to the next, and the
+    share of that. ``frames`` are rotations (n, 3, 3) and translations (n, 3).
     """
+    position, velocity, acceleration = state
+    before, change, share = pull
+    rotation, translation = frames
     states = np.empty((len(position), 3, 3))
+    enu = np.empty((3, 3))
     for i in range(len(position)):
         for k in range(3):
             ahead = velocity[i, k] + 0.5 * lead * acceleration[i, k]
-            states[i, 0, k] = position[i, k] + lead * ahead + lift[k]
-            states[i, 1, k] = velocity[i, k]
-            states[i, 2, k] = acceleration[i, k] - relief[i, k]
+            enu[0, k] = position[i, k] + lead * ahead + lift[k]
+            enu[1, k] = velocity[i, k]
+            enu[2, k] = acceleration[i, k] - (change[i, k] * share + before[i, k]) / mass
+        for j in range(3):
+            for k in range(3):
+                states[i, j, k] = (
+                    rotation[i, k, 0] * enu[j, 0]
+                    + rotation[i, k, 1] * enu[j, 1]
+                    + rotation[i, k, 2] * enu[j, 2]
+                )
+        for k in range(3):
+            states[i, 0, k] += translation[i, k]
     return states
 
 
 @compiled
-def moves_as_told(
-    step: Floats, told: Floats, streaming: Flags, before: Floats, velocity: Floats,
-    last: Floats, reported: Floats, limits: tuple[float, float, float, float],
-) -> bool:  # fmt: skip
-    """Whether nobody sinks faster than told, jumps, or has not been heard for too long.
+def news(
+    said: Floats, rows: Indices, places: Floats, at: Floats, last: Floats, last_at: Floats,
+    told: Floats, streaming: Flags, limits: tuple[float, float, float, float, float], step: Floats,
+) -> tuple[bool, bool, float]:  # fmt: skip
+    """Whether anybody has reported since the last time; whether all of them move as they were told
+    to; and when the one was heard who was not heard for longest.
 
-    ``step`` (n,) are the seconds between the last report (place and velocity (n, 3) then) and this;
-    ``told`` (n, 3) the velocities of setpoints. ``limits``: the longest step in seconds, how fast
-    those may sink that are not streamed to, by how much anybody may beyond what was told, in m/s,
-    and the largest jump along an axis in metres.
+    ``places`` and ``last`` are those of `Measured`, reported ``at`` and ``last_at`` (n,); ``step``
+    (n,) becomes the seconds between, 0 where there is no new report. As they should move all who do
+    not sink faster than ``told`` (n, 3), jump, turn over, or have not been heard for too long.
+    ``limits``: the longest step in seconds, how fast those may sink that are not streamed to, by
+    how much anybody may beyond what was told, in m/s, the largest jump along an axis in metres, and
+    the largest roll or pitch.
     """
-    longest, sinking, too_much, jump = limits
-    for i in range(len(step)):
-        if not step[i] <= longest:
-            return False
+    longest, sinking, too_much, jump, tilt = limits
+    heard, reported, calm = math.inf, False, True
+    for i in range(len(rows)):
+        row = said[rows[i]]
+        heard = min(heard, row[HEARD_AT])
+        step[i] = at[i] - last_at[i] if at[i] > last_at[i] else 0.0
+        reported = reported or step[i] > 0.0
         down = min(told[i, 2], 0.0) if streaming[i] else -sinking
-        if down - velocity[i, 2] > too_much:
-            return False
+        calm = calm and step[i] <= longest and not down - places[_VELOCITY, i, 2] > too_much
+        calm = calm and not (abs(row[ANGLES]) > tilt or abs(row[ANGLES + 1]) > tilt)
         for k in range(3):
-            middle = 0.5 * step[i] * (before[i, k] + velocity[i, k])
-            if not abs(reported[i, k] - last[i, k] - middle) <= jump:
-                return False
-    return True
+            middle = 0.5 * step[i] * (last[_VELOCITY, i, k] + places[_VELOCITY, i, k])
+            moved = places[_REPORTED, i, k] - last[_REPORTED, i, k]
+            calm = calm and abs(moved - middle) <= jump
+    return reported, calm, heard
+
+
+@compiled
+def note(places: Floats, at: Floats, last: Floats, last_at: Floats, step: Floats) -> None:
+    """Remember what was reported after ``step`` (n,) seconds as each one's last report."""
+    for i in range(len(step)):
+        last_at[i] = at[i]
+        if step[i] > 0.0:
+            for k in range(3):
+                last[_REPORTED, i, k] = places[_REPORTED, i, k]
+                last[_VELOCITY, i, k] = places[_VELOCITY, i, k]

@@ -21,17 +21,14 @@ def setpoints(flight: "Conductor") -> list[Outgoing]:
         return []
     # a setpoint stands until the next one comes: aim at the middle of its time
     lead = 0.5 / flight.fleet.rates.setpoint
-    if flight.carries and all(vehicle.gripped for vehicle in flight.flyers):
-        relief = flight.pull.at(flight.clock.time) / flight.plan.mission.vehicles.mass
-    else:
-        relief = np.zeros(state.position.shape)
-    states = aimed(*state, lead, flight.lift, relief)
+    held = flight.carries and all(vehicle.gripped for vehicle in flight.flyers)
+    pull = flight.pull.around(flight.clock.time) if held else flight.pull.nothing()
+    frames = flight.frames.rotation, flight.frames.translation
+    mass = flight.plan.mission.vehicles.mass
+    going = state.position, state.velocity, state.acceleration
+    states = aimed(going, lead, flight.lift, mass, pull, frames)
     sending = flight.team.setpoints(
-        flight.systems,
-        flight.streaming,
-        flight.now,
-        flight.frames.to_vehicles(states),
-        flight.yaw,
+        flight.systems, flight.streaming, flight.now, states, flight.yaw
     )
     flight.setpoints_sent += len(sending)
     return sending

@@ -80,16 +80,14 @@ class Grasps:
         mission ENU.
         """
         held = self._held(grips)
-        pull = held.pull
-        bears = STANDARD_GRAVITY - pull[:, 2] / self._mass
-        force = self._mass * bears[:, None] * lean(attitude) + pull[:, :2]
+        force = thrust(attitude, held.pull, self._mass)
         if self._looks and now - self._looks[-1][0] > 2.0 * INTERVAL:
             self.forget()
         self._looks.append((now, velocity[:, :2].copy(), force))
         if len(self._looks) <= WINDOW:
             return None
         time = now - self._looks[0][0]
-        mean = sum(force for _, _, force in list(self._looks)[1:]) / WINDOW
+        mean = sum([force for _, _, force in self._looks][1:]) / WINDOW
         left = self._mass * (velocity[:, :2] - self._looks[0][1]) / time - mean
         if self._usual is None:
             self._usual = left
@@ -105,21 +103,9 @@ class Grasps:
         shown: npt.NDArray[np.bool_] = np.linalg.norm(patterns, axis=(1, 2)) > FAINTEST
         return shown
 
-    def _strands(self, above: Floats, every: int) -> tuple[Floats, Floats]:
-        """Forces on both ends of the strands from each vehicle to the next, or the next but one."""
-        first, last = above[:-every], above[every:]
-        apart = last - first
-        chords = np.sqrt(np.vecdot(apart, apart))
-        lengths = np.maximum(self._lengths[every], chords / TAUT)
-        return end_forces(first, last, lengths, self._weight)
-
     def _held(self, grips: Floats) -> "_Held":
         above = np.maximum(grips, [-np.inf, -np.inf, 0.0])
-        on_first, on_last = self._strands(above, 1)
-        pull = np.zeros_like(above)
-        pull[:-1] += on_first
-        pull[1:] += on_last
-        return _Held(above, on_first, on_last, pull)
+        return _Held(above, *_pulls(above, 1, self._lengths[1], self._weight))
 
     def _whose(self, left: Floats, held: "_Held") -> tuple[int | None, int]:
         """The vehicle whose pattern explains best what differs (n, 2) from the model, if any does,
@@ -137,7 +123,7 @@ class Grasps:
         n = len(held.pull)
         patterns = np.zeros((n, n, 2))
         who, inner = np.arange(n), np.arange(1, n - 1)
-        joined_first, joined_last = self._strands(held.above, 2)
+        joined_first, joined_last, _ = _pulls(held.above, 2, self._lengths[2], self._weight)
         patterns[who, who] = -held.pull[:, :2]
         patterns[who[1:], who[:-1]] = -held.on_first[:, :2]
         patterns[who[:-1], who[1:]] = -held.on_last[:, :2]
@@ -209,15 +195,56 @@ def _wrong_in_sum(left: Floats, count: int) -> float:
     return math.sqrt(spread * (count + count * count / others))
 
 
-def lean(attitude: Floats) -> Floats:
-    """Return the level part of the thrust per upward part, (n, 2) east and north."""
-    (across, sine, turned), (upright, cosine, ahead) = np.sin(attitude.T), np.cos(attitude.T)
-    along, upward = upright * sine, upright * cosine
-    upward = np.where(np.abs(upward) < 0.1, np.nan, upward)
-    level = np.empty((len(attitude), 2))
-    level[:, 0] = (across * ahead - along * turned) / upward
-    level[:, 1] = (-along * ahead - across * turned) / upward
-    return level
+@compiled
+def _pulls(
+    above: Floats, every: int, lengths: Floats, mass_per_length: float
+) -> tuple[Floats, Floats, Floats]:
+    """Forces on both ends of the strands from each of n vehicles to the next, or the next but one,
+    and their sums (n, 3); newtons, ENU."""
+    count = len(above) - every
+    reaching = np.empty(count)
+    for i in range(count):
+        square = 0.0
+        for k in range(3):
+            square += (above[i + every, k] - above[i, k]) ** 2
+        reaching[i] = max(lengths[i], math.sqrt(square) / TAUT)
+    on_first, on_last = end_forces(above[:count], above[every:], reaching, mass_per_length)
+    pull = np.zeros(above.shape)
+    for i in range(count):
+        for k in range(3):
+            pull[i, k] += on_first[i, k]
+            pull[i + every, k] += on_last[i, k]
+    return on_first, on_last, pull
+
+
+@compiled
+def thrust(attitude: Floats, pull: Floats, mass: float) -> Floats:
+    """Return the level forces (n, 2), east and north, of thrusts that carry what they must, and of
+    the cable's pulls (n, 3); newtons.
+
+    ``attitude`` (n, 3) as for :func:`lean`.
+    """
+    force = np.empty((len(pull), 2))
+    for i in range(len(pull)):
+        bears = mass * (STANDARD_GRAVITY - pull[i, 2] / mass)
+        east, north = lean(attitude[i, 0], attitude[i, 1], attitude[i, 2])
+        force[i, 0], force[i, 1] = bears * east + pull[i, 0], bears * north + pull[i, 1]
+    return force
+
+
+@compiled
+def lean(roll: float, pitch: float, yaw: float) -> tuple[float, float]:
+    """Return the level part of the thrust per upward part, east and north.
+
+    Angles of NED in radians; NaN where the thrust hardly points up.
+    """
+    upward = math.cos(roll) * math.cos(pitch)
+    if abs(upward) < 0.1:
+        return math.nan, math.nan
+    across, along = math.sin(roll), math.cos(roll) * math.sin(pitch)
+    east = across * math.cos(yaw) - along * math.sin(yaw)
+    north = -along * math.cos(yaw) - across * math.sin(yaw)
+    return east / upward, north / upward
 
 
 def watch_grasps(flight: "Conductor") -> None:
@@ -226,7 +253,6 @@ def watch_grasps(flight: "Conductor") -> None:
     if flight.now < grasps.next_look or flight.heedless:
         return
     grasps.next_look = flight.now + INTERVAL
-    oldest = min(vehicle.position_at for vehicle in flight.flyers)
     held = flight.carries and all(vehicle.gripped for vehicle in flight.flyers)
     if not (
         held and len(flight.flyers) > 2 and flight.phase.cable == "aloft" and flight.streaming.all()
@@ -234,7 +260,7 @@ def watch_grasps(flight: "Conductor") -> None:
         grasps.forget()
         return
     attitude = np.array([vehicle.attitude for vehicle in flight.flyers])
-    if flight.now - oldest > _OLDEST or not np.isfinite(attitude).all():
+    if flight.now - min(flight.measured.at.tolist()) > _OLDEST or not np.isfinite(attitude).all():
         grasps.forget()
         return
     k = grasps.look(flight.now, attitude, flight.velocity, flight.position)

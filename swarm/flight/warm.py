@@ -12,7 +12,10 @@ from pymavlink.dialects.v20 import common
 
 from swarm.flight.copies import branch
 from swarm.mavlink.autopilots import PX4
+from swarm.mavlink.columns import take
 from swarm.mavlink.frames import shared_frames
+from swarm.mavlink.packets import EXTRAS, Decoder, Encoder
+from swarm.mavlink.vehicle import Vehicle
 from swarm.plans import Phase
 
 if TYPE_CHECKING:
@@ -42,12 +45,23 @@ def lasting(flight: "Conductor") -> tuple[object, ...]:
 
 def warm_up(flight: "Conductor") -> None:
     """Have everything compiled that this flight may call, as one that has not begun."""
+    _hear()
     for phase in flight.plan.phases:
         if phase.end > phase.start:
             _fly(branch(flight, lasting(flight)), phase)
     aloft = [phase for phase in flight.plan.phases if phase.cable == "aloft"]
     for way in _WAYS if aloft else ():
         _fly(branch(flight, lasting(flight)), aloft[0], way)
+
+
+def _hear() -> None:
+    """Hear a vehicle that is none, packet by packet and all at once."""
+    said, vehicle = common.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3), Vehicle(1)
+    data, known = Encoder(1, 1).encode(said), vehicle.columns
+    for packet in Decoder().feed(data):
+        vehicle.receive(packet, 0.0)
+    origins = np.array([(len(data), vehicle.row, vehicle.system)])
+    take(data, origins, EXTRAS, 0.0, known.table, known.sequences, known.missing)
 
 
 def _fly(spare: "Conductor", phase: Phase, way: "Kind | None" = None) -> None:

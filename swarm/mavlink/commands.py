@@ -82,9 +82,8 @@ class CommandQueue:
     _underway: dict[int, _Underway] = field(default_factory=dict)
     _waiting: list[Command] = field(default_factory=list)
     _outcomes: list[Outcome] = field(default_factory=list)
-
-    def __bool__(self) -> bool:
-        return bool(self._underway or self._waiting or self._outcomes)
+    busy: bool = False
+    """Whether a command may be under way, waiting, or done and not yet reported."""
 
     @property
     def idle(self) -> bool:
@@ -94,6 +93,7 @@ class CommandQueue:
     def put(self, command: Command) -> None:
         """Queue a command; it is sent at the next tick unless one of its kind is under way."""
         self._waiting.append(command)
+        self.busy = True
 
     def has(self, name: str) -> bool:
         """Whether a command of that name is under way or waiting."""
@@ -143,6 +143,7 @@ class CommandQueue:
             self._underway[command.number] = one
             self._advance(one, now, sending)
         outcomes, self._outcomes = self._outcomes, []
+        self.busy = not self.idle
         return sending, outcomes
 
     def _startable(self) -> Command | None:

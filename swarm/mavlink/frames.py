@@ -68,20 +68,14 @@ class Frames:
         turned: Floats = np.matmul(self._inverse, (points - self.translation)[:, :, None])[:, :, 0]
         return turned
 
-    def states_to_mission(self, states: Floats) -> tuple[Floats, Floats]:
-        """Return positions and velocities (n, 2, 3), each in its vehicle's NED, in mission ENU.
-
-        The result is two arrays (n, 3).
-        """
-        return _to_mission(states, self._inverse, self._offset)
+    @cached_property
+    def back(self) -> tuple[Floats, Floats]:
+        """The maps back: matrices (n, 3, 3) and (n, 3), ENU = matrix · NED + offset."""
+        return self._inverse, self.points_to_mission(np.zeros_like(self.translation))
 
     @cached_property
     def _inverse(self) -> Floats:
         return np.ascontiguousarray(np.linalg.inv(self.rotation).astype(np.float64))
-
-    @cached_property
-    def _offset(self) -> Floats:
-        return self.points_to_mission(np.zeros_like(self.translation))
 
     def shifted(self, by: Floats) -> "Frames":
         """Return the frames after moving each vehicle's mission points by (n, 3) ENU metres."""
@@ -104,22 +98,6 @@ def _to_vehicles(states: Floats, rotation: Floats, translation: Floats) -> Float
         for k in range(3):
             turned[i, 0, k] += translation[i, k]
     return turned
-
-
-@compiled
-def _to_mission(states: Floats, inverse: Floats, offset: Floats) -> tuple[Floats, Floats]:
-    """Turn positions and velocities (n, 2, 3) back by n rotations' inverses."""
-    count = len(states)
-    position, velocity = np.empty((count, 3)), np.empty((count, 3))
-    for i in range(count):
-        for k in range(3):
-            place = speed = 0.0
-            for m in range(3):
-                place += inverse[i, k, m] * states[i, 0, m]
-                speed += inverse[i, k, m] * states[i, 1, m]
-            position[i, k] = place + offset[i, k]
-            velocity[i, k] = speed
-    return position, velocity
 
 
 def shared_frames(vehicles: int, heading: float = 0.0) -> Frames:

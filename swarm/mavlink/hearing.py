@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.autopilots import AUTOPILOTS
+from swarm.mavlink.columns import REBOOTED
 from swarm.mavlink.frames import Origin, to_local
 from swarm.mavlink.packets import CURRENT_MODE, Message
 
@@ -63,7 +64,7 @@ def _local_position(vehicle: "Vehicle", message: Message, now: float) -> None:
 
 
 def _boot_time(vehicle: "Vehicle", boot_ms: int) -> None:
-    if boot_ms < vehicle.boot_ms - 2000:
+    if boot_ms < vehicle.boot_ms - REBOOTED:
         vehicle.say("rebooted", "rebooted: its clock went back")
     vehicle.boot_ms = boot_ms
 

@@ -1,8 +1,7 @@
-"""Bytes and messages: decoding what vehicles send, encoding what we send, setpoints in batches.
+"""Bytes and messages: decoding what vehicles send, encoding what we send.
 
-Single messages go through pymavlink. Setpoints for the whole team are packed with NumPy: X25 is
-affine over GF(2) at a fixed length, so that the checksum of every packet of a batch is one table
-lookup per byte and an exclusive or.
+Layouts and checksums are pymavlink's. :mod:`swarm.mavlink.columns` reads what is said most often
+for the whole team at once, :mod:`swarm.mavlink.setpoints` packs setpoints.
 """
 
 from collections import namedtuple
@@ -242,6 +241,14 @@ class _CurrentMode:
 
 _LAYOUTS = {number: _Layout(kind) for number, kind in common.mavlink_map.items()}
 _LAYOUTS[CURRENT_MODE] = _Layout(_CurrentMode)
+EXTRAS = np.full(max(_LAYOUTS) + 1, -1, np.int64)
+"""By message number what its checksum begins with beside the packet; negative: no such message."""
+EXTRAS[list(_LAYOUTS)] = [layout.extra[0] for layout in _LAYOUTS.values()]
+
+
+def unpack(number: int, payload: bytes) -> Message:
+    """Return the message of a number that lies in a payload."""
+    return _LAYOUTS[number].unpack(payload)
 
 
 def message_name(number: int) -> str:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
 from swarm.compiled import compiled
+from swarm.mavlink.columns import more
 from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
 
 Floats = npt.NDArray[np.float64]
@@ -111,14 +112,6 @@ def _write(
             packet[_STATE + k] = raw[k]
         checksum = 0xFFFF
         for k in range(1, _SUM):
-            checksum = _more(checksum, packet[k])
-        checksum = _more(checksum, _EXTRA)
+            checksum = more(checksum, packet[k])
+        checksum = more(checksum, _EXTRA)
         packet[_SUM], packet[_SUM + 1] = checksum & 0xFF, checksum >> 8
-
-
-@compiled
-def _more(checksum: int, byte: int) -> int:
-    """The X25 checksum with one more byte."""
-    change = (byte ^ checksum) & 0xFF
-    change = (change ^ change << 4) & 0xFF
-    return checksum >> 8 ^ change << 8 ^ change << 3 ^ change >> 4

@@ -14,12 +14,27 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError
 from swarm.mavlink.autopilots import BY_HAND, Autopilot, Mode
+from swarm.mavlink.columns import (
+    ANGLES,
+    BOOT,
+    COMPONENT,
+    HEARD_AT,
+    LOST,
+    PACKETS,
+    PLACE,
+    POSITION_AT,
+    SPEED,
+    Columns,
+    Number,
+    Three,
+    Triple,
+    Whole,
+    count,
+)
 from swarm.mavlink.commands import STATE_PATIENCE, Command, CommandQueue
 from swarm.mavlink.frames import Origin
 from swarm.mavlink.hearing import HANDLERS, IN_AIR, ON_GROUND, TAKING_OFF
 from swarm.mavlink.packets import Message, Packet, message_name
-
-Triple = tuple[float, float, float]
 
 _CUSTOM = int(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _KILL = 21196.0
@@ -27,8 +42,6 @@ TAKEOFF_PATIENCE = 15.0
 """Seconds from a take-off's acknowledgement until it flies: motors spool up first."""
 _ECHOES = frozenset({int(common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)})
 """What autopilots say of their own goals once they are armed, at the rate of positions."""
-_OVERTAKEN = 128
-"""A sequence number that is farther ahead than this is a packet that was overtaken."""
 
 
 @dataclass(frozen=True)
@@ -53,20 +66,16 @@ class Vehicle:
     """
 
     system: int
-    component: int = 1
     autopilot: Autopilot | None = None
+    columns: Columns = field(default_factory=lambda: Columns(1), repr=False)
+    row: int = 0
 
-    heard_at: float = -math.inf
     heartbeat_at: float = -math.inf
     mode_at: float = -math.inf
     armed: bool = False
     custom_mode: int = -1
     system_status: int = 0
     landed_state: int = 0
-    position: Triple = (math.nan, math.nan, math.nan)
-    velocity: Triple = (math.nan, math.nan, math.nan)
-    position_at: float = -math.inf
-    attitude: Triple = (math.nan, math.nan, math.nan)
     origin: Origin | None = None
     ask_origin_at: float = -math.inf
     place: Origin | None = None
@@ -81,27 +90,38 @@ class Vehicle:
     upright_accuracy: float = math.nan
     height_gap: float = math.nan
     gaps: Triple = (math.nan, math.nan, math.nan)
-    boot_ms: int = -1
     round_trip: float = math.nan
     latest_round_trip: float = math.nan
     clock_offset: float = math.nan
     answered_at: float = -math.inf
-    lost_packets: int = 0
-    packets: int = 0
     gripped: bool = False
     unused: dict[int, int] = field(default_factory=dict)
 
     commands: CommandQueue = field(init=False)
     texts: list[tuple[float, int, str]] = field(default_factory=list)
     _events: list[VehicleEvent] = field(default_factory=list)
-    _sequences: dict[int, int] = field(default_factory=dict)
-    _missing: set[tuple[int, int]] = field(default_factory=set)
     chunks: dict[int, list[str]] = field(default_factory=dict)
     _quietened: set[int] = field(default_factory=set)
     speaks_as: int = 1
     out_of_step: int = 0
 
+    heard_at = Number(HEARD_AT)
+    position_at = Number(POSITION_AT)
+    position = Three(PLACE)
+    velocity = Three(SPEED)
+    attitude = Three(ANGLES)
+    boot_ms = Whole(BOOT)
+    packets = Whole(PACKETS)
+    lost_packets = Whole(LOST)
+    component = Whole(COMPONENT)
+
     _HANDLERS: ClassVar[Mapping[int, Callable[["Vehicle", Message, float], None]]] = HANDLERS
+
+    def __copy__(self) -> "Vehicle":
+        twin = object.__new__(type(self))
+        twin.__dict__.update(self.__dict__)
+        twin.columns, twin.row = self.columns.copied(self.row), 0
+        return twin
 
     def __post_init__(self) -> None:
         self.commands = CommandQueue(self.system, self.component)
@@ -109,36 +129,20 @@ class Vehicle:
     # What comes in
 
     def receive(self, packet: Packet, now: float) -> None:
-        """Take a packet that this vehicle sent; a camera aboard is not heard for the autopilot."""
+        """Take a packet that this vehicle sent."""
         number, _, component, sequence, message = packet
-        if component == self.component:
-            self.heard_at = now
-        self.packets += 1
-        if self._sequences.get(component) == (sequence - 1) & 0xFF:
-            self._sequences[component] = sequence
-            if self._missing:
-                self._missing.discard((component, sequence))
-        else:
-            self._out_of_order(component, sequence)
+        known = self.columns
+        count(known.table, known.sequences, known.missing, self.row, component, sequence, now)
+        self.read(number, component, message, now)
+
+    def read(self, number: int, component: int, message: Message | None, now: float) -> None:
+        """Take what a packet of this vehicle's says, which has been counted."""
         handler = self._HANDLERS.get(number)
         if handler is None or message is None:
             self.unused[number] = self.unused.get(number, 0) + 1
         else:
             self.speaks_as = component
             handler(self, message, now)
-
-    def _out_of_order(self, component: int, sequence: int) -> None:
-        """Count the packets before this one that have not come; one that comes late is not lost."""
-        gap = (sequence - self._sequences.get(component, sequence - 1)) & 0xFF
-        if 0 < gap < _OVERTAKEN:
-            self._sequences[component] = sequence
-            self.lost_packets += gap - 1
-            self._missing.discard((component, sequence))
-            for back in range(1, gap):
-                self._missing.add((component, sequence - back & 0xFF))
-        elif (component, sequence) in self._missing:
-            self._missing.remove((component, sequence))
-            self.lost_packets -= 1
 
     def take_events(self) -> list[VehicleEvent]:
         """Return the events since the last call."""
@@ -147,7 +151,7 @@ class Vehicle:
 
     def tick(self, now: float) -> list[Message]:
         """Return the messages to send now."""
-        if not self.commands:
+        if not self.commands.busy:
             return []
         sending, outcomes = self.commands.tick(now)
         for outcome in outcomes:

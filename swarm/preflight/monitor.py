@@ -64,6 +64,7 @@ class Monitor:
         self._matters = plan.mission.clearance.cable + plan.mission.cable.diameter + 1.5 * CAUTION
         self._longest = TAUT * self._lengths
         self._spacing = float(self._lengths.max(initial=0.0)) / _POINTS
+        self._room = np.zeros((len(self._lengths), _POINTS + 1, 3))
 
     def look(self, moments: Floats, cable: CableState) -> list[Clearances]:
         """Return the clearances of grip points (k, n, 3), mission ENU, at each of k moments."""
@@ -100,24 +101,39 @@ class Monitor:
 
         As from :meth:`look`, which knows more of strands that are far apart.
         """
-        asked = self._asked.vehicle, self._asked.downwash
-        margin = _least_apart(moments, *asked)
-        if cable == "aloft":
-            margin = min(margin, _least_slack(moments, self._longest))
-            if margin > 0.0:
-                strands = self._between_strands(moments, 0.0)
-                margin = min(margin, float(strands.min()) - self._asked.cable)
+        asked = self._asked
+        margin = _margin(
+            moments, (asked.vehicle, asked.downwash, asked.cable, self._diameter),
+            cable == "aloft", self._longest, self._lengths, self._strands, self._matters,
+            self._spacing, self._room,
+        )  # fmt: skip
         return min(1.0, max(0.0, margin / CAUTION))
 
     def _between_strands(self, moments: Floats, far: float) -> Floats:
         """Smallest distances (k,) between strands, or lower bounds of what is far apart."""
         distance = np.empty(len(moments))
-        seen = np.zeros((len(self._lengths), _POINTS + 1, 3))
         for moment, grips in enumerate(moments):
             distance[moment] = _strands_apart(
-                grips, self._lengths, self._strands, self._matters, far, self._spacing, seen
+                grips, self._lengths, self._strands, self._matters, far, self._spacing, self._room
             )
         return distance - self._diameter
+
+
+@compiled
+def _margin(
+    moments: Floats, asked: tuple[float, float, float, float], aloft: bool, longest: Floats,
+    lengths: Floats, strands: npt.NDArray[np.intp], matters: float, spacing: float, room: Floats,
+) -> float:  # fmt: skip
+    """What is least left at the moments (k, n, 3) of the distances asked for: of vehicles, level
+    and upright, and of strands, as thick as is said last."""
+    margin = _least_apart(moments, asked[0], asked[1])
+    if aloft:
+        margin = min(margin, _least_slack(moments, longest))
+        if margin > 0.0:
+            for grips in moments:
+                apart = _strands_apart(grips, lengths, strands, matters, 0.0, spacing, room)
+                margin = min(margin, apart - asked[3] - asked[2])
+    return margin
 
 
 @compiled

@@ -103,16 +103,17 @@ class _Witness:
         phase = flight.phase.name if flight.stage == "fly" else ""
         if phase not in {"fold", "hold"} or _lets_go(flight):
             return
-        truth = emulator.truth()
-        order = [truth.ids.index(system) for system in flight.systems]
-        arcs = truth.grip_arc[order]
+        grips, held, cable = emulator.held()
+        ids = [vehicle.system for vehicle in emulator.vehicles]
+        order = [ids.index(system) for system in flight.systems]
+        arcs = held[order]
         hung = None
         if np.isfinite(arcs).all() and emulator.rope is not None:
             wanted = arcs[:-1, None] + _SHARES * np.diff(arcs)[:, None]
             hung = np.stack(
-                [np.interp(wanted, emulator.rope.arc, truth.cable[:, i]) for i in range(3)], -1
+                [np.interp(wanted, emulator.rope.arc, cable[:, i]) for i in range(3)], -1
             )
-        self.rows.append((now, flight.clock.time, phase, truth.position[order], hung))
+        self.rows.append((now, flight.clock.time, phase, grips[order], hung))
 
     def _count(self, emulator: Emulator) -> None:
         contacts = emulator.contacts

@@ -1,12 +1,10 @@
 """What is noticed in flight, however the reports come."""
 
-import math
 
 import pytest
 
 from sitl.faults import Fault
 from swarm.fleet import emulated_fleet
-from swarm.flight import noticing
 from swarm.rehearse import rehearse
 from tests.network import Network, small_plan
 
@@ -39,9 +37,3 @@ def test_a_heedless_flight_keeps_its_pace():
     result = rehearse(TOO_NEAR, heedless=True)
     assert result.outcome.word == "done"
     assert not [event for event in result.events if event.kind in {"failure", "hold"}]
-
-
-def test_the_time_between_reports_is_none_where_there_was_no_report():
-    never = -math.inf
-    found = noticing._steps([never, 1.0, never, 2.0], [never, 1.5, 2.0, 2.0])
-    assert found.tolist() == [0.0, 0.5, math.inf, 0.0]

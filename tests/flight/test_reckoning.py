@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from swarm.flight import reckoning
+from swarm.flight.reckoning import Measured
+from swarm.mavlink.columns import ANGLES, HEARD_AT, PLACE, POSITION_AT, SPEED, WIDTH
 
 RNG = np.random.default_rng(5)
 LIFT = np.array([0.0, 0.0, 0.6])
@@ -17,51 +19,97 @@ def test_reports_are_carried_on_to_this_moment_for_a_bounded_time():
     reported, velocity, setpoint, told = (some(4, 3) for _ in range(4))
     age = np.array([0.0, 0.3, 2.0, np.inf])
     streaming = np.array([True, False, True, True])
-    found, error = reckoning.measured(
-        reported, velocity, age, LIFT, setpoint, told, streaming, (0.5, 2.0, 0.05)
+    turn, offset, rows, now = some(4, 3, 3), some(4, 3), np.array([2, 0, 3, 1]), 7.0
+    said = np.full((4, WIDTH), np.nan)
+    said[rows, POSITION_AT] = now - age
+    said[rows, PLACE : PLACE + 3] = np.linalg.solve(turn, (reported - offset)[..., None])[..., 0]
+    said[rows, SPEED : SPEED + 3] = np.linalg.solve(turn, velocity[..., None])[..., 0]
+    found = Measured.of(4)
+    reckoning.measure(
+        said, rows, (turn, offset), LIFT, setpoint, told, streaming, (now, 0.5, 2.0, 0.05), *found
     )
     carried = np.array([0.0, 0.3, 0.5, 0.5])[:, None]
-    assert found == pytest.approx(reported - LIFT + velocity * carried, abs=1e-12)
-    led = np.linalg.norm(found - setpoint - 0.05 * told, axis=1)
-    assert error == pytest.approx(np.where(streaming & (age <= 2.0), led, np.nan), nan_ok=True)
+    assert found.reported == pytest.approx(reported, abs=1e-9)
+    assert found.velocity == pytest.approx(velocity, abs=1e-9)
+    assert found.position == pytest.approx(reported - LIFT + velocity * carried, abs=1e-9)
+    assert found.at == pytest.approx(now - age)
+    led = np.linalg.norm(found.position - setpoint - 0.05 * told, axis=1)
+    error = np.where(streaming & (age <= 2.0), led, np.nan)
+    assert found.error == pytest.approx(error, nan_ok=True)
 
 
 def test_setpoints_aim_ahead_of_centres_and_are_relieved_of_what_pulls():
-    position, velocity, acceleration, relief = (some(3, 3) for _ in range(4))
-    states = reckoning.aimed(position, velocity, acceleration, 0.025, LIFT, relief)
+    position, velocity, acceleration, pull, change = (some(3, 3) for _ in range(5))
+    turn, move = some(3, 3, 3), some(3, 3)
+    states = reckoning.aimed(
+        (position, velocity, acceleration), 0.025, LIFT, 1.6, (pull, change, 0.3), (turn, move)
+    )
     ahead = position + 0.025 * velocity + 0.5 * 0.025**2 * acceleration + LIFT
-    expected = np.stack([ahead, velocity, acceleration - relief], axis=1)
+    relieved = acceleration - (pull + 0.3 * change) / 1.6
+    enu = np.stack([ahead, velocity, relieved], axis=1)
+    expected = np.einsum("nij,nkj->nki", turn, enu)
+    expected[:, 0] += move
     assert states == pytest.approx(expected, abs=1e-12)
 
 
-LIMITS = 0.5, 1.0, 0.4, 0.25
+LIMITS = 0.5, 1.0, 0.4, 0.25, 1.0
 
 
 @pytest.mark.parametrize(
-    ("change", "as_told"),
+    ("change", "told", "calm"),
     [
-        ({}, True),
-        ({"step": np.array([0.1, np.inf])}, False),
-        ({"step": np.array([0.1, np.nan])}, False),
-        ({"velocity": np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.0]])}, False),
-        ({"told": np.array([[0.0, 0.0, -0.4], [0.0, 0.0, 0.0]]),
-          "velocity": np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.0]])}, True),
-        ({"streaming": np.array([False, True]),
-          "velocity": np.array([[0.0, 0.0, -1.3], [0.0, 0.0, 0.0]])}, True),
-        ({"reported": np.array([[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]])}, False),
-        ({"reported": np.array([[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]]),
-          "velocity": np.array([[0.0, 0.0, 0.0], [0.0, 3.0, 0.0]])}, True),
-        ({"last": np.full((2, 3), np.nan)}, False),
+        ({}, True, True),
+        ({"at": [5.0, 5.0], "last_at": [5.0, 5.0]}, False, True),
+        ({"last_at": [4.9, -np.inf]}, True, False),
+        ({"last_at": [4.9, 4.4]}, True, False),
+        ({"velocity": [[0.0, 0.0, -0.5], [0.0, 0.0, 0.0]]}, True, False),
+        ({"told": [[0.0, 0.0, -0.4], [0.0, 0.0, 0.0]],
+          "velocity": [[0.0, 0.0, -0.5], [0.0, 0.0, 0.0]]}, True, True),
+        ({"streaming": [False, True],
+          "velocity": [[0.0, 0.0, -1.3], [0.0, 0.0, 0.0]]}, True, True),
+        ({"reported": [[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]]}, True, False),
+        ({"reported": [[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]],
+          "velocity": [[0.0, 0.0, 0.0], [0.0, 6.0, 0.0]]}, True, True),
+        ({"last": np.full((2, 3), np.nan)}, True, False),
+        ({"angles": [[0.0, 0.0, 3.0], [0.0, -1.1, 0.0]]}, True, False),
     ],
 )  # fmt: skip
-def test_who_sinks_or_jumps_does_not_move_as_told(change, as_told):
-    calm = {
-        "step": np.array([0.1, 0.1]),
-        "told": np.zeros((2, 3)),
-        "streaming": np.array([True, True]),
-        "before": np.zeros((2, 3)),
-        "velocity": np.zeros((2, 3)),
-        "last": np.zeros((2, 3)),
-        "reported": np.zeros((2, 3)),
-    }
-    assert reckoning.moves_as_told(*{**calm, **change}.values(), LIMITS) == as_told
+def test_who_sinks_jumps_or_turns_over_does_not_move_as_told(change, told, calm):
+    have = {"at": [5.0, 5.0], "last_at": [4.9, 4.9], "streaming": [True, True]} | change
+
+    def of(name):
+        return np.array(have.get(name, np.zeros((2, 3))))
+
+    said, step = np.full((2, WIDTH), np.nan), np.zeros(2)
+    said[:, HEARD_AT], said[:, ANGLES : ANGLES + 3] = [5.0, 4.8], of("angles")
+    now = np.array([of("reported"), of("velocity"), np.zeros((2, 3))])
+    last = np.array([of("last"), of("before"), np.zeros((2, 3))])
+    found = reckoning.news(
+        said, np.arange(2), now, of("at"), last, of("last_at"), of("told"), of("streaming"),
+        LIMITS, step,
+    )  # fmt: skip
+    assert found == (told, calm, 4.8)
+    assert (step > 0).any() == told
+
+
+def test_the_time_between_reports_is_none_where_there_was_no_report():
+    before, at = Measured.of(4), Measured.of(4)
+    before.numbers[0] = [-np.inf, 1.0, -np.inf, 2.0]
+    at.numbers[0] = [-np.inf, 1.5, 2.0, 2.0]
+    said, step = np.full((4, WIDTH), np.nan), np.ones(4)
+    none = np.zeros((4, 3))
+    reckoning.news(
+        said, np.arange(4), at.places, at.at, before.places, before.at, none, np.ones(4, bool),
+        LIMITS, step,
+    )  # fmt: skip
+    assert step.tolist() == [0.0, 0.5, np.inf, 0.0]
+
+
+def test_only_new_reports_are_noted():
+    now, last = Measured.of(2), Measured.of(2)
+    now.places[:], now.numbers[0] = 1.0, 5.0
+    last.places[:], last.numbers[0] = 0.0, [4.9, 5.0]
+    reckoning.note(now.places, now.at, last.places, last.at, np.array([0.1, 0.0]))
+    assert last.reported.tolist() == [[1.0] * 3, [0.0] * 3]
+    assert last.velocity.tolist() == [[1.0] * 3, [0.0] * 3]
+    assert last.at.tolist() == [5.0, 5.0]

@@ -59,7 +59,8 @@ def test_a_flight_without_cable_has_none_to_lose(monkeypatch):
 def test_leaning_is_where_the_thrust_points():
     """Nose down flies where the nose points; the right side down flies to the right."""
     angle, east, north = 0.1, np.pi / 2, 0.0
-    leaning = lean(np.array([[0, -angle, east], [0, -angle, north], [angle, 0, north]]))
+    attitudes = [(0.0, -angle, east), (0.0, -angle, north), (angle, 0.0, north)]
+    leaning = np.array([lean(*attitude) for attitude in attitudes])
     assert leaning == pytest.approx(np.tan(angle) * np.array([[1, 0], [0, 1], [1, 0]]), abs=1e-12)
 
 

@@ -247,7 +247,7 @@ def test_what_nobody_reads_is_stopped_and_given_back():
     }
     assert answered(wire, 2.0) == {(message, -1.0) for message in unread}
     wire.vehicle.quieten(0.0, 2.0)
-    assert not wire.vehicle.commands
+    assert wire.vehicle.commands.idle
     wire.vehicle.restore_streams()
     assert answered(wire, 3.0) == {(message, 0.0) for message in unread}
 
