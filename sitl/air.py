@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl import motion
+from sitl.motion import AIR_DENSITY
 
 if TYPE_CHECKING:
     from sitl.dynamics import Bodies
 
 Array = NDArray[np.float64]
 
-AIR_DENSITY = 1.2
 WASH_FACTOR = 3.0
 """Felt downwash over its drag on the body: rotors lose thrust in falling air, as in a climb."""
 _GUST_LENGTH = 30.0
@@ -36,25 +35,14 @@ def jets(lift: Array, radius: Array, below: Array, distance: Array) -> Array:
     return felt
 
 
-def blow(b: "Bodies", interval: float) -> None:
-    """Advance gusts and downwash by ``interval`` seconds.
+def gust_keeps(steady: Array, interval: float) -> float:
+    """Share of a gust that is left after ``interval`` seconds in a steady wind (3,).
 
     Dryden's first-order longitudinal filter on every axis (MIL-F-8785C, low altitude), upright with
     half the intensity. Four fifths of a gust are common to the whole team, whose vehicles are close
     together.
     """
-    if b.gust_intensity > 0:
-        fresh = b.rng.standard_normal((b.count + 1, 3))
-        speed = math.hypot(*b.steady_wind[0].tolist())
-        keep = math.exp(-interval * max(1.0, speed) / _GUST_LENGTH)
-        motion.gusts(b.gust, fresh, keep, b.gust_intensity)
-        motion.winds(b.steady_wind, b.gust, b.wind)
-    _downwash(b)
-
-
-def _downwash(b: "Bodies") -> None:
-    """Air pushed down on vehicles below others, as a vertical wind in their drag."""
-    b.wash[:, 2] = -WASH_FACTOR * motion.downwash(b.now, b.mass, b.radius, AIR_DENSITY, b.apart)
+    return math.exp(-interval * max(1.0, math.hypot(*steady.tolist())) / _GUST_LENGTH)
 
 
 def wash_at(b: "Bodies", places: Array) -> Array:

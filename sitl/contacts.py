@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.dynamics import Bodies
+from sitl.motion import POSITION
+from swarm.compiled import compiled
 
 _HEIGHT = 0.25
 _DISC = 0.06
@@ -59,22 +61,34 @@ class Contacts:
         spinning = b.armed & (b.lifting > 0)
         if not spinning.any():
             return
-        up = np.abs(cable[:, None, 2] - b.position[:, 2]) < _DISC
-        up &= spinning
-        sample, vehicle = np.nonzero(up)
-        if not len(sample):
-            return
-        across = cable[sample, :2] - b.position[vehicle, :2]
-        inside = np.vecdot(across, across) < b.radius[vehicle] ** 2
-        struck = vehicle[inside]
-        for i in np.unique(struck).tolist():
+        first = _touched(cable, b.now, b.radius, spinning)
+        for i in np.flatnonzero(first >= 0).tolist():
             if self._new(now, "strike", i, i):
-                where = cable[sample[inside][np.argmax(struck == i)]]
                 self.strikes.append(
-                    {"time": now, "vehicle": ids[i], "place": [float(x) for x in where]}
+                    {"time": now, "vehicle": ids[i], "place": cable[first[i]].tolist()}
                 )
 
     def _new(self, now: float, kind: str, i: int, j: int) -> bool:
         before = self._last.get((kind, i, j), -np.inf)
         self._last[(kind, i, j)] = now
         return now - before > _AGAIN
+
+
+@compiled
+def _touched(
+    cable: NDArray[np.float64], now: NDArray[np.float64], radius: NDArray[np.float64],
+    spinning: NDArray[np.bool_],
+) -> NDArray[np.int64]:  # fmt: skip
+    """The first of the cable's samples (m, 3) in each spinning rotor's disc (n,); -1: none is."""
+    first = np.full(len(now), -1)
+    for i in range(len(now)):
+        if not spinning[i]:
+            continue
+        east, north, up = now[i, 0, POSITION], now[i, 1, POSITION], now[i, 2, POSITION]
+        for m in range(len(cable)):
+            if abs(cable[m, 2] - up) < _DISC:
+                across = (cable[m, 0] - east) ** 2 + (cable[m, 1] - north) ** 2
+                if across < radius[i] ** 2:
+                    first[i] = m
+                    break
+    return first

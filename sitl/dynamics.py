@@ -83,6 +83,7 @@ class Bodies:
         self.yaw_rate = np.zeros(n)
         self.bias = np.zeros((n, 3))
         self.noise = np.zeros((n, 3))
+        self._fresh = np.zeros((2 * n + 1, 3))
         self.noise_scale = np.zeros((n, 1))
         self.frames = np.ones((n, 5))
 
@@ -270,12 +271,17 @@ class Bodies:
 
         Noise is first-order Gauss–Markov, `NOISE_SIGMA` metres over `_NOISE_TIME` seconds.
         """
-        keep, fresh = 1.0, np.zeros((self.count, 3))
+        keep, gust_keep, fresh = 1.0, 1.0, self._fresh
         if self._noisy:
             keep = math.exp(-interval / _NOISE_TIME)
-            fresh = self.rng.standard_normal((self.count, 3))
-            fresh *= math.sqrt(1 - keep**2) * self._noise_sigma
-        drift = interval * self.drift
-        motion.wander(self.now, self.noise, fresh, keep, self.bias, drift, _LARGEST_INTEGRAL)
-        air.blow(self, interval)
-        self._renew_air()
+            fresh[: self.count] = self.rng.standard_normal((self.count, 3))
+        if self.gust_intensity > 0:
+            fresh[self.count :] = self.rng.standard_normal((self.count + 1, 3))
+            gust_keep = air.gust_keeps(self.steady_wind[0], interval)
+        self._rows = self._said = None
+        motion.breathe(
+            self.now, fresh, (keep, gust_keep), interval,
+            (_LARGEST_INTEGRAL, float(self.gust_intensity), air.WASH_FACTOR), self.noise,
+            self._noise_sigma, self.bias, self.drift, self.gust, self.steady_wind, self.wind,
+            self.wash, self.drag, self.mass, self.radius, self.apart,
+        )  # fmt: skip

@@ -31,6 +31,7 @@ _IDLE = 0.08 * GRAVITY
 _UPRIGHT = 0.5
 _CRASH_SPEED = 3.0
 _WASHED, _LOWEST, _HIGHEST = 4.0, 0.1, 10.0
+AIR_DENSITY = 1.2
 
 
 @compiled
@@ -124,18 +125,34 @@ def grips(now: Array, offset: Array) -> Array:
 
 
 @compiled
-def wander(
-    now: Array, noise: Array, fresh: Array, keep: float, bias: Array, drift: Array, most: float
-) -> None:
-    """Advance estimators' ``noise`` and ``bias``, in place, and keep integrals within ``most``.
+def breathe(
+    now: Array, fresh: Array, keeps: tuple[float, float], interval: float,
+    most: tuple[float, float, float], noise: Array, sigma: Array, bias: Array, drift: Array,
+    gust: Array, steady: Array, wind: Array, wash: Array, drag: Array, mass: Array, radius: Array,
+    apart: Array,
+) -> None:  # fmt: skip
+    """Advance all that changes slowly by ``interval`` seconds, in place.
 
-    Noise keeps a share of itself; ``fresh`` and ``drift`` (n, 3) in metres are added.
+    Estimators' ``noise`` (n, 3) of deviation ``sigma``, and their ``bias``, which has a ``drift``
+    in m/s; ``gust`` (n + 1, 3) on the ``steady`` wind; downwash; and what these do to ``now``.
+    ``fresh`` (2 n + 1, 3) are normal numbers for noise and gusts, ``keeps`` the shares that these
+    keep of themselves. ``most``: the largest integral, the gusts' intensity and the factor of
+    downwash on vehicles.
     """
-    for i in range(len(now)):
+    count, (keep, gust_keep), (integral, intensity, factor) = len(now), keeps, most
+    for i in range(count):
         for k in range(3):
-            noise[i, k] = keep * noise[i, k] + fresh[i, k]
-            bias[i, k] += drift[i, k]
-            now[i, k, INTEGRAL] = min(max(now[i, k, INTEGRAL], -most), most)
+            drawn = fresh[i, k] * (math.sqrt(1.0 - keep**2) * sigma[i, k])
+            noise[i, k] = keep * noise[i, k] + drawn
+            bias[i, k] += interval * drift[i, k]
+            now[i, k, INTEGRAL] = min(max(now[i, k, INTEGRAL], -integral), integral)
+    if intensity > 0.0:
+        _gusts(gust, fresh[count:], gust_keep, intensity)
+        _winds(steady, gust, wind)
+    felt = _downwash(now, mass, radius, apart)
+    for i in range(count):
+        wash[i, 2] = -factor * felt[i]
+    renew_air(now, bias, noise, drag, wind, wash)
 
 
 @compiled
@@ -149,8 +166,8 @@ def renew_air(now: Array, bias: Array, noise: Array, drag: Array, wind: Array, w
 
 
 @compiled
-def gusts(gust: Array, fresh: Array, keep: float, intensity: float) -> None:
-    """Advance gusts (m, 3), in place; see `sitl.air.blow`."""
+def _gusts(gust: Array, fresh: Array, keep: float, intensity: float) -> None:
+    """Advance gusts (m, 3), in place; see `sitl.air.gust_keeps`."""
     for i in range(len(gust)):
         for k in range(3):
             share = 1.0 if k < 2 else _UPRIGHT
@@ -159,7 +176,7 @@ def gusts(gust: Array, fresh: Array, keep: float, intensity: float) -> None:
 
 
 @compiled
-def winds(steady: Array, gust: Array, wind: Array) -> None:
+def _winds(steady: Array, gust: Array, wind: Array) -> None:
     """Put the wind at every vehicle into ``wind`` (n, 3): the first gust is common to all."""
     for i in range(len(wind)):
         for k in range(3):
@@ -167,7 +184,7 @@ def winds(steady: Array, gust: Array, wind: Array) -> None:
 
 
 @compiled
-def downwash(now: Array, mass: Array, radius: Array, density: float, apart: Array) -> Array:
+def _downwash(now: Array, mass: Array, radius: Array, apart: Array) -> Array:
     """Downward air speed (n,) at every vehicle from those above it, as `sitl.air.jets` has it.
 
     Level distances squared go to ``apart`` (n, n).
@@ -185,7 +202,7 @@ def downwash(now: Array, mass: Array, radius: Array, density: float, apart: Arra
         return felt
     for j in range(count):
         lift = max(now[j, 2, THRUST], 0.0) * mass[j]
-        jet = 2.0 * math.sqrt(lift / (2.0 * density * math.pi)) / radius[j]
+        jet = 2.0 * math.sqrt(lift / (2.0 * AIR_DENSITY * math.pi)) / radius[j]
         for i in range(count):
             below = now[j, 2, POSITION] - now[i, 2, POSITION]
             if _LOWEST < below < _HIGHEST:
