@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl import hanging, reach
-from sitl.air import AIR_DENSITY
 from sitl.geodesy import GRAVITY
 from sitl.motion import AIR_DENSITY
 from sitl.spans import NOTHING, Hung, Spans
