@@ -67,6 +67,29 @@ def sketch(start: Floats, end: Floats, length: float, points: Floats) -> None:
 
 
 @compiled
+def outline(start: Floats, end: Floats, length: float, points: Floats) -> None:
+    """Fill ``points`` (k, 3) with the corners of a polygon that goes along a strand.
+
+    They are equally far apart in plan view. So, steep or level, every edge is as far from the
+    strand as every other, where corners that are equally far apart along it cut off the bottom of a
+    narrow loop. Corners lie below the strand by as much as edges lie above it.
+    """
+    span, parameter, slope = hang(start, end, length, _TAUTEST)
+    angle, last = math.asinh(slope), len(points) - 1
+    half = 0.5 * span / parameter
+    lower = parameter * math.sinh(0.5 * half / last) ** 2
+    for k in range(last + 1):
+        share = k / last
+        turned = half * share
+        up = 2.0 * parameter * math.sinh(turned) * math.sinh(angle + turned)
+        if 0 < k < last:
+            up -= lower * math.cosh(angle + 2.0 * turned)
+        points[k, 0] = start[0] + share * (end[0] - start[0])
+        points[k, 1] = start[1] + share * (end[1] - start[1])
+        points[k, 2] = start[2] + up
+
+
+@compiled
 def end_forces(
     start: Floats, end: Floats, length: float, weight: float, on_start: Floats, on_end: Floats
 ) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.catenary import hang
+from swarm.cable import quick
 from swarm.compiled import compiled
 from swarm.fold.answer import PIECES, Numbers
 from swarm.fold.margins import Margins
@@ -23,7 +23,7 @@ Index = Any
 
 @dataclass(frozen=True, eq=False)
 class Strands:
-    """Hanging strands: points (…, PIECES + 1, 3), their boxes, chord per length and length (…,)."""
+    """Hanging strands: outlines (…, PIECES + 1, 3), their boxes, chord per length, length (…,)."""
 
     points: Floats
     middle: Floats
@@ -45,11 +45,21 @@ def strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Strands:
     """Hang strands of given lengths between ends (…, 3); over-stretched ones are straight."""
     chord = np.linalg.norm(end - start, axis=-1)
     length = np.broadcast_to(np.asarray(length, dtype=np.float64), chord.shape)
-    enough = np.maximum(length, chord * 1.001 + 1e-9)
-    points = hang(start, end, enough).points(np.linspace(0.0, 1.0, PIECES + 1))
+    points = np.empty((*chord.shape, PIECES + 1, 3))
     middle, reach = np.empty(start.shape), np.empty(start.shape)
-    boxed(points.reshape(-1, *points.shape[-2:]), middle.reshape(-1, 3), reach.reshape(-1, 3))
+    corners = points.reshape(-1, PIECES + 1, 3)
+    _outlined(start.reshape(-1, 3), end.reshape(-1, 3), length.ravel(), corners)
+    boxed(corners, middle.reshape(-1, 3), reach.reshape(-1, 3))
     return Strands(points, middle, reach, chord / length, length)
+
+
+@compiled
+def _outlined(start: Floats, end: Floats, length: Floats, points: Floats) -> None:
+    """Fill in the outlines (q, k, 3) of strands; over-stretched ones are straight."""
+    for q in range(len(length)):
+        x, y, z = end[q, 0] - start[q, 0], end[q, 1] - start[q, 1], end[q, 2] - start[q, 2]
+        chord = np.sqrt(x * x + y * y + z * z)
+        quick.outline(start[q], end[q], max(length[q], chord * 1.001 + 1e-9), points[q])
 
 
 def strand_cost(one: Strands, other: Strands, margins: Margins) -> Floats:
@@ -57,32 +67,6 @@ def strand_cost(one: Strands, other: Strands, margins: Margins) -> Floats:
     kept = np.empty(len(one.points))
     margins_kept(one.points, one.ratio, other.points, other.ratio, margins, kept)
     return shortfall(kept / (margins.cable + 2.0 * margins.tracking))
-
-
-def meeting(one: Strands, other: Strands) -> tuple[Floats, Floats]:
-    """Where strands (b) and others meet in plan view, as shares (b,) of their spans, 0…1 within.
-
-    A strand hangs in a vertical plane, so from above both are straight.
-    """
-    p, q = one.points[:, 0, :2], other.points[:, 0, :2]
-    return shares(p, one.points[:, -1, :2] - p, q, other.points[:, -1, :2] - q)
-
-
-def shares(p: Floats, u: Floats, q: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """Shares (b,) of u (b, 2) and w at which lines from p along u and from q along w meet.
-
-    Where they are parallel they meet at infinity.
-    """
-    area = _cross(u, w)
-    parallel = np.abs(area) < 1e-12
-    area = np.where(parallel, 1.0, area)
-    here, there = _cross(q - p, w) / area, _cross(q - p, u) / area
-    return np.where(parallel, np.inf, here), np.where(parallel, np.inf, there)
-
-
-def _cross(one: Floats, other: Floats) -> Floats:
-    product: Floats = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
-    return product
 
 
 @compiled

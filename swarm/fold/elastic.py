@@ -16,7 +16,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
-from swarm.fold.sides import Sides, sides_of
+from swarm.fold.sides import Sides
 from swarm.fold.strain import Crew, More
 
 Floats = npt.NDArray[np.float64]
@@ -47,10 +47,6 @@ _ROUNDS = 4
 
 _TOO_SLOW = 0.7
 """What a round may leave of missed margins if there is to be another one."""
-
-
-_AROUND = 2
-"""Stages before and after strands cross in which vehicles that pass them keep the side."""
 
 
 HOPELESS = 1.0
@@ -99,17 +95,14 @@ class Eased:
     missed: Floats
 
 
-def eased(crew: Crew, places: Floats, offsets: Floats, sampled: csr_array, more: More) -> Eased:
+def eased(band: "Band", offsets: Floats) -> Eased:
     """Find offsets with which a team misses its margins, and what is asked beyond them, least.
 
-    ``places`` (s, n, 3) without offsets; ``offsets`` (c, n, 3) to begin with; ``sampled`` (s, c)
-    are the weights of control points at the moments, which include all stages; ``more`` of s
-    moments. Strands pass on the sides of each other on which they pass without offsets.
+    ``offsets`` (c, n, 3) are what to begin with.
     """
-    band = _banded(crew, places, len(offsets), sampled, more)
-    stages = sampled.argmax(axis=1)
+    stages = band.sampled.argmax(axis=1)
     missed = band.missed(offsets)
-    worth = np.where(more.asked, _ASKED * _STRAINED, _STRAINED)
+    worth = np.where(band.more.asked, _ASKED * _STRAINED, _STRAINED)
     for done in range(_ROUNDS):
         strained = np.unique(stages[missed > worth])
         if not len(strained):
@@ -123,21 +116,12 @@ def eased(crew: Crew, places: Floats, offsets: Floats, sampled: csr_array, more:
     return Eased(offsets, band.missed(offsets, wishes=False))
 
 
-def straightened(
-    crew: Crew, places: Floats, offsets: Floats, sampled: csr_array, more: More
-) -> Floats:
+def straightened(band: "Band", offsets: Floats) -> Floats:
     """Offsets (c, n, 3) with which all of the motion is straighter: arguments as for :func:`eased`.
 
     Who need not give way any more cuts corners, and the fold gets quicker.
     """
-    band = _banded(crew, places, len(offsets), sampled, more)
     return band.relaxed(offsets, slice(0, len(offsets)), _STRAIGHTENING)
-
-
-def _banded(crew: Crew, places: Floats, stages: int, sampled: csr_array, more: More) -> "_Band":
-    density = (len(places) - 1) // (stages - 1)
-    sides = sides_of(crew.hung(places), _AROUND * density)
-    return _Band(crew, places, sides, more, sampled, density)
 
 
 def _windows(strained: npt.NDArray[np.intp], stages: int, aside: int) -> list[slice]:
@@ -151,14 +135,25 @@ def _windows(strained: npt.NDArray[np.intp], stages: int, aside: int) -> list[sl
 
 
 @dataclass(frozen=True, eq=False)
-class _Band:
+class Band:
+    """A team's motion to give way in, looked at at s moments, some in each stage.
+
+    ``places`` (s, n, 3) are without offsets; ``sides`` and ``more`` are to be kept at these
+    moments. ``sampled`` (s, c) are the weights of control points, one per stage, at them; they
+    include all stages.
+    """
+
     crew: Crew
     places: Floats
     sides: Sides
     more: More
     sampled: csr_array
-    density: int
-    """Moments per stage."""
+
+    @property
+    def density(self) -> int:
+        """Moments per stage."""
+        moments, stages = self.sampled.shape
+        return int((moments - 1) // (stages - 1))
 
     def moved(self, offsets: Floats) -> Floats:
         """Places (s, n, 3) with offsets."""

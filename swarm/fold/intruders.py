@@ -9,7 +9,7 @@ import numpy.typing as npt
 from swarm.compiled import compiled
 from swarm.fold.answer import PIECES, follow, lift, movement
 from swarm.fold.margins import Margins
-from swarm.fold.tangles import WANTED, boxes_near
+from swarm.fold.tangles import WANTED, boxes_near, height_at
 
 Floats = npt.NDArray[np.float64]
 
@@ -72,23 +72,23 @@ def _body(
     """Square of what one vehicle misses to one strand."""
     unit = margins.vehicle_cable + 2.0 * margins.tracking
     place, lifted = places[vehicle], lift(ratio)
-    apart, at, lowest = np.empty(3), 0, np.inf
-    under, under_level, under_at = 0.0, np.inf, 0
-    for k in range(2 * PIECES + 1):
-        _apart(strand, k, place, apart)
+    apart, at, lowest = np.empty(3), 0.0, np.inf
+    for k in range(PIECES):
+        here = k + _nearest(strand[k], strand[k + 1], place, 0.5 * margins.grip_offset)
+        _apart(strand, here, place, apart)
         level = np.sqrt(apart[0] ** 2 + apart[1] ** 2)
-        error = 1.0 + movement(lifted, k / (2 * PIECES), 0.7)
+        error = 1.0 + movement(lifted, here / PIECES, 0.7)
         distance = cone_distance(level, apart[2], margins) - margins.tracking * error
         if distance < lowest:
-            lowest, at = distance, k
-        if level < under_level:
-            under, under_level, under_at = apart[2], level, k
+            lowest, at = distance, here
     short = WANTED - (lowest - margins.vehicle_cable - more) / unit
     if short <= 0.0:
         return 0.0
     push = np.zeros(3)
+    beside = _beside(strand, place)
+    under = height_at(strand, beside) - place[2]
     beyond = under if side > 0 else margins.grip_offset - under
-    if side != 0 and beyond > 0.0 and 0 < under_at < 2 * PIECES:
+    if side != 0 and beyond > 0.0 and 0.0 < beside < 1.0:
         # The vehicle is on the wrong side of the strand: over it (side 1) or under it (−1).
         short = WANTED + (margins.vehicle_cable + beyond) / unit
         push[2] = -side * short / unit
@@ -99,15 +99,35 @@ def _body(
     for axis in range(3):
         slopes[vehicle, axis] += push[axis]
     push *= -1.0
-    follow(slopes, segment, at / (2 * PIECES), lifted, strand, push)
+    follow(slopes, segment, at / PIECES, lifted, strand, push)
     return short * short
 
 
 @compiled
-def _apart(strand: Floats, k: int, place: Floats, found: Floats) -> None:
-    """Write where, from a place, a strand's point (3,) is: every other k is between two points."""
+def _apart(strand: Floats, at: float, place: Floats, found: Floats) -> None:
+    """Write where a strand is, from a vehicle's place: index of the piece plus fraction of it."""
+    piece = min(int(at), len(strand) - 2)
+    share = at - piece
     for axis in range(3):
-        found[axis] = 0.5 * (strand[k // 2, axis] + strand[(k + 1) // 2, axis]) - place[axis]
+        on = strand[piece, axis] + share * (strand[piece + 1, axis] - strand[piece, axis])
+        found[axis] = on - place[axis]
+
+
+@compiled
+def _nearest(begin: Floats, end: Floats, place: Floats, higher: float) -> float:
+    """Share of a piece at which it is nearest to so much over a vehicle's place."""
+    x, y, z = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
+    along = x * (place[0] - begin[0]) + y * (place[1] - begin[1])
+    along += z * (place[2] + higher - begin[2])
+    return float(min(max(along / max(x * x + y * y + z * z, 1e-18), 0.0), 1.0))
+
+
+@compiled
+def _beside(strand: Floats, place: Floats) -> float:
+    """Share of a strand's span at which it is nearest to a vehicle's place in plan view."""
+    x, y = strand[-1, 0] - strand[0, 0], strand[-1, 1] - strand[0, 1]
+    along = x * (place[0] - strand[0, 0]) + y * (place[1] - strand[0, 1])
+    return float(min(max(along / max(x * x + y * y, 1e-18), 0.0), 1.0))
 
 
 @compiled
@@ -199,7 +219,7 @@ def disc_entered(place: Floats, strand: Floats, wider: float, margins: Margins) 
     radius = margins.radius + wider + 1.5 * margins.tracking
     inside, apart = 0.0, np.empty(3)
     for k in range(2 * PIECES + 1):
-        _apart(strand, k, place, apart)
+        _apart(strand, 0.5 * k, place, apart)
         if apart[2] > lowest:
             aside = radius - np.sqrt(apart[0] ** 2 + apart[1] ** 2)
             inside = max(inside, min(aside, apart[2] - lowest))

@@ -13,12 +13,13 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array
 
-from swarm.fold.elastic import HOPELESS, eased, straightened
+from swarm.fold.elastic import HOPELESS, Band, eased, straightened
 from swarm.fold.lanes import found_ways
 from swarm.fold.layout import Hanging
 from swarm.fold.margins import Margins
 from swarm.fold.passage import Way, trailing
 from swarm.fold.path import FoldPath, Guide
+from swarm.fold.sides import Sides, sides_of
 from swarm.fold.strain import Crew, More, nothing_more
 
 Floats = npt.NDArray[np.float64]
@@ -28,6 +29,9 @@ _EVENED = 3.0
 
 _DENSITIES = (1, 4)
 """Moments per stage at which the team is looked at, while it is eased."""
+
+_AROUND = 2
+"""Stages before and after strands cross in which vehicles that pass them keep the side."""
 
 _FINE = 0.3
 """Units of missed margin at the worst moment that straightening may leave for mending."""
@@ -43,15 +47,18 @@ _REST = 4
 class Schedule:
     """Progress of n vehicles along γ over a common stage variable, and offsets from it; C².
 
-    ``progress`` (c, n) and ``offsets`` (c, n, 3) are control points, one per stage. ``missed`` (m,)
-    is how much margins are missed from moment to moment, squared, in units of a margin; ``more``
-    is what the stages (c,) should keep beyond the margins.
+    ``progress`` (c, n) and ``offsets`` (c, n, 3) are control points, one per stage. ``sides`` says,
+    of as many moments per stage as are ever looked at, on which sides of each other strands pass
+    along γ; offsets do not change that. ``missed`` (m,) is how much margins are missed from moment
+    to moment, squared, in units of a margin; ``more`` is what the stages (c,) should keep beyond
+    the margins.
     """
 
     path: FoldPath
     crew: Crew
     progress: Floats
     offsets: Floats
+    sides: Sides
     missed: Floats
     more: More
 
@@ -96,7 +103,9 @@ def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Sc
     offsets = np.zeros((*progress.shape, 3))
     crew = Crew(layout.lengths, margins)
     more = nothing_more(len(progress))
-    plan = Schedule(found.path, crew, progress, offsets, np.zeros(1), more)
+    along = _places(found.path, _sampled(len(progress), _DENSITIES[-1]) @ progress)
+    sides = sides_of(crew.hung(along), _AROUND * _DENSITIES[-1])
+    plan = Schedule(found.path, crew, progress, offsets, sides, np.zeros(1), more)
     plan = improved(plan)
     if plan.worst > HOPELESS:
         return plan
@@ -107,7 +116,7 @@ def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Sc
 def improved(plan: Schedule) -> Schedule:
     """Let vehicles give way beside γ where the team misses margins."""
     for density in _DENSITIES:
-        found = eased(*_looked_at(plan, density))
+        found = eased(_looked_at(plan, density), plan.offsets)
         plan = replace(plan, offsets=found.offsets, missed=found.missed)
         if plan.worst > HOPELESS:
             break
@@ -116,17 +125,22 @@ def improved(plan: Schedule) -> Schedule:
 
 def straight(plan: Schedule) -> Schedule:
     """Straighten the whole motion, looked at coarsely; then let vehicles give way again."""
-    offsets = straightened(*_looked_at(plan, _DENSITIES[0]))
+    offsets = straightened(_looked_at(plan, _DENSITIES[0]), plan.offsets)
     return improved(replace(plan, offsets=offsets))
 
 
-def _looked_at(plan: Schedule, density: int) -> tuple[Crew, Floats, Floats, csr_array, More]:
-    """The team, its places without offsets and what more is asked, at so many moments per stage."""
+def _looked_at(plan: Schedule, density: int) -> Band:
+    """The team and what it is to keep, at so many moments per stage."""
     sampled = _sampled(len(plan.progress), density)
-    along = sampled @ plan.progress
-    places = np.stack([plan.path.at(i, row)[0] for i, row in enumerate(along.T)], axis=1)
-    stages = np.arange(len(along)) // density
-    return plan.crew, places, plan.offsets, sampled, plan.more[stages]
+    places = _places(plan.path, sampled @ plan.progress)
+    moments = np.arange(len(places))
+    sides = plan.sides[moments * (_DENSITIES[-1] // density)]
+    return Band(plan.crew, places, sides, plan.more[moments // density], sampled)
+
+
+def _places(path: FoldPath, progress: Floats) -> Floats:
+    """Places (m, n, 3) of all vehicles on γ at progress (m, n)."""
+    return np.stack([path.at(i, along)[0] for i, along in enumerate(progress.T)], axis=1)
 
 
 def asked_more(plan: Schedule, margin: str, stages: Floats, metres: Floats) -> Schedule:

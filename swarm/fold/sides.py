@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.fold.clear import Strands, meeting
-from swarm.fold.tangles import heights_over
+from swarm.fold.clear import Strands
+from swarm.fold.crossings import crossings, kept_sides
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -37,38 +37,27 @@ def pairs(count: int) -> tuple[Ints, Ints]:
 def sides_of(hung: Strands, around: int) -> Sides:
     """Which of strands (s, n − 1) are to pass over others, and which vehicles over which strands.
 
-    Over a time in which two strands cross in plan view one of them is over the other. If that time
-    ends with the motion, it is the one that is over at the end; else the one that mostly is. The
-    vehicle whose passing begins or ends that time passes on its strand's side. All that counts
-    for ``around`` moments before and after, too: who gives way may cross a little sooner or later.
+    Those do that are over at the end, and whoever is joined to them by :mod:`.crossings`. The
+    vehicle whose passing begins or ends a time in which two strands cross passes on its strand's
+    side. All that counts for ``around`` moments before and after, too: who gives way may cross a
+    little sooner or later.
     """
     moments, count = hung.ratio.shape
     first, second = pairs(count)
     found = np.zeros((moments, len(first)), dtype=np.int8)
     bodies = np.zeros((moments, count + 1, count), dtype=np.int8)
-    over = np.empty(moments)
-    for p, (one, other) in enumerate(zip(first, second, strict=True)):
-        heights_over(hung.points[:, one], hung.points[:, other], over)
-        crossing = over != 0.0
-        if not crossing.any():
-            continue
-        edges = np.diff(crossing, prepend=False)
-        number = np.cumsum(edges) * crossing
-        mostly = np.bincount(number, over)
-        if crossing[-1]:
-            mostly[number[-1]] = over[-1]
-        found[:, p] = _longer(np.sign(mostly[number]) * crossing, around)
-        begins = np.flatnonzero(edges & crossing)
-        ends = np.flatnonzero(np.diff(crossing, append=crossing[-1]) & crossing)
-        for moment in np.concatenate([begins, ends]):
-            side = found[moment, p]
-            vehicle, strand = _passing(hung, moment, one, other)
-            near = slice(max(moment - around, 0), moment + around + 1)
-            bodies[near, vehicle, strand] = side if strand == other else -side
+    crossed = crossings(hung, first, second)
+    for each, side in zip(crossed, kept_sides(crossed, count), strict=True):
+        found[each.begin : each.end + 1, each.pair] = side
+        for passing in each.passings:
+            near = slice(max(passing.moment - around, 0), passing.moment + around + 1)
+            bodies[near, passing.vehicle, passing.strand] = side * each.as_passed(passing)
+    for pair in np.unique([each.pair for each in crossed]).astype(np.intp):
+        found[:, pair] = _longer(found[:, pair], around)
     return Sides(found, bodies)
 
 
-def _longer(sides: Floats, around: int) -> Floats:
+def _longer(sides: Signs, around: int) -> Signs:
     """Sides (s,), where there are none taken from the nearest moment that is at most so far."""
     known = np.flatnonzero(sides)
     moments = np.arange(len(sides))
@@ -76,15 +65,5 @@ def _longer(sides: Floats, around: int) -> Floats:
     before = np.maximum(after - 1, 0)
     nearer = np.abs(known[before] - moments) < np.abs(known[after] - moments)
     nearest = known[np.where(nearer, before, after)]
-    found: Floats = sides[nearest] * (np.abs(nearest - moments) <= around)
+    found: Signs = sides[nearest] * (np.abs(nearest - moments) <= around)
     return found
-
-
-def _passing(hung: Strands, moment: int, one: int, other: int) -> tuple[int, int]:
-    """The vehicle that just passes a strand, where two begin or cease to cross, and the strand."""
-    pair = hung[moment : moment + 1, one], hung[moment : moment + 1, other]
-    here, there = (float(share[0]) for share in meeting(*pair))
-    ends = [(here, one, other), (1.0 - here, one + 1, other)]
-    ends += [(there, other, one), (1.0 - there, other + 1, one)]
-    _, vehicle, strand = min(ends)
-    return vehicle, strand

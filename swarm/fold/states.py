@@ -117,7 +117,7 @@ def _alone(
     cost += 0.5 * max(over - 0.98, 0.0) + 200.0 * max(over - 0.995, 0.0)
     cost += vehicle_cost(rear, front, margins)
     if abs(rear[2] - front[2]) > margins.grip_offset - 1.5 * margins.tracking:
-        quick.sketch(rear, front, max(length, chord * 1.001 + 1e-9), points)
+        quick.outline(rear, front, max(length, chord * 1.001 + 1e-9), points)
         cost += disc_entered(rear, points, 0.0, margins)
         cost += disc_entered(front, points, 0.0, margins)
     return cost

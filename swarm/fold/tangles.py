@@ -2,8 +2,8 @@
 
 Functions add, for every moment, the squares of what is missed in units of a margin to ``missed``
 (s,), and half the derivative of these by all places to ``slopes`` (s, n, 3). Strands are given by
-points (s, n − 1, k, 3), the middles and reaches of their boxes (s, n − 1, 3) and chords over
-lengths (s, n − 1).
+outlines (s, n − 1, k, 3), the middles and reaches of their boxes (s, n − 1, 3) and chords over
+lengths (s, n − 1). A *place* on one is the index of a piece plus a fraction of that piece.
 """
 
 import numpy as np
@@ -74,21 +74,28 @@ def _pair(
     """Square of what two strands miss, which is nothing where they are so far apart."""
     one, other = points[i], points[j]
     unit = margins.cable + 2.0 * margins.tracking
-    wrong = side != 0 and height_over(one, other) * side < 0.0
-    distance, here, there = nearest(one, other, np.inf if wrong else most)
-    if distance >= most and not wrong:
-        return 0.0
-    push = np.empty(3)
-    error, here, there = _answered(one, lifted[i], here, other, lifted[j], there, distance, push)
-    signed = -distance if wrong else distance
-    short = WANTED - (signed - margins.cable - more - margins.tracking * error) / unit
+    push = np.zeros(3)
+    beyond = -side * height_over(one, other) if side else 0.0
+    if beyond > 0.0:
+        # The wrong one is over: loops come out of others upward and downward, not through them.
+        here, there = crossing(one, other)
+        distance, push[2] = -beyond, side
+        error = movement(lifted[i], here, 1.0) + movement(lifted[j], there, 1.0)
+    else:
+        distance, here, there = nearest(one, other, most)
+        if distance >= most:
+            return 0.0
+        error, here, there = _answered(
+            one, lifted[i], here, other, lifted[j], there, distance, push
+        )
+    short = WANTED - (distance - margins.cable - more - margins.tracking * error) / unit
     if short <= 0.0:
         return 0.0
-    push *= short / unit if wrong else -short / unit
+    push *= -short / unit
     follow(slopes, i, here, lifted[i], one, push)
     push *= -1.0
     follow(slopes, j, there, lifted[j], other, push)
-    return short * short
+    return float(short * short)
 
 
 @compiled
@@ -155,14 +162,17 @@ def neighbours_apart(
             reach = margins.cable + WANTED * unit + margins.beside + more[s]
             reach += margins.tracking * error
             sine = _sine(before, after)
-            room = _level(before, free[i] * PIECES, after[0])
-            room_after = _level(after, (1.0 - free[i + 1]) * PIECES, after[0])
+            ends, begins = along(before, free[i]), along(after, 1.0 - free[i + 1])
+            room, room_after = _level(before, ends, after[0]), _level(after, begins, after[0])
             if sine == 1.0 and more[s] == 0.0 and min(room, room_after) > enough:
                 continue
-            for own, beside, near in ((i, i + 1, room), (i + 1, i, room_after)):
+            for own, beside, free_to, near in (
+                (i, i + 1, ends, room),
+                (i + 1, i, begins, room_after),
+            ):
                 if near * sine < reach:
                     _beyond_hand(
-                        points, ratio, lengths, free, part, s, own, beside, reach, sine, more,
+                        points, ratio, lengths, free_to, part, s, own, beside, reach, sine, more,
                         margins, missed, slopes,
                     )  # fmt: skip
 
@@ -197,7 +207,7 @@ def _beyond_hand(
     points: Floats,
     ratio: Floats,
     lengths: Floats,
-    free: Floats,
+    free_to: float,
     part: Floats,
     s: int,
     own: int,
@@ -211,12 +221,12 @@ def _beyond_hand(
 ) -> None:
     """The free part of one strand against all of the neighbouring one, where nearer than reach.
 
-    ``part`` (PIECES + 1, 3) is written over.
+    It is free up to the place ``free_to``. ``part`` (PIECES + 1, 3) is written over.
     """
     strand, other = points[s, own], points[s, beside]
     unit = margins.cable + 2.0 * margins.tracking
     for k in range(PIECES + 1):
-        _point(strand, PIECES * _free_share(k, free[own], own < beside), part[k])
+        _point(strand, _free(float(k), free_to, own < beside), part[k])
     low, high = _nearer(part, other[-1] if own > beside else other[0], reach, sine, own > beside)
     from_, to = _nearer(other, other[-1] if own > beside else other[0], reach, sine, own < beside)
     distance, here, there = nearest(part[low:high], other[from_:to], reach)
@@ -226,18 +236,17 @@ def _beyond_hand(
     push = np.empty(3)
     upright = _towards(part, here, other, there, distance, push)
     piece = min(int(here), PIECES - 1)
-    begin = _free_share(piece, free[own], own < beside)
-    end = _free_share(piece + 1, free[own], own < beside)
-    here = begin + (here - piece) * (end - begin)
-    there = there / PIECES
+    begin = _free(float(piece), free_to, own < beside)
+    here = begin + (here - piece) * (_free(piece + 1.0, free_to, own < beside) - begin)
     at_end = 1.0 if beside > own else 0.0
     tracking = margins.tracking
     error = far_movement(
-        strand, ratio[s, own], ratio[s, own] * lengths[own], abs(here - at_end), upright, tracking
-    )
-    error += far_movement(
-        other, ratio[s, beside], ratio[s, beside] * lengths[beside], abs(there - 1.0 + at_end),
+        strand, ratio[s, own], ratio[s, own] * lengths[own], abs(share_of(strand, here) - at_end),
         upright, tracking,
+    )  # fmt: skip
+    error += far_movement(
+        other, ratio[s, beside], ratio[s, beside] * lengths[beside],
+        abs(share_of(other, there) - 1.0 + at_end), upright, tracking,
     )  # fmt: skip
     spare = distance - margins.cable - tracking * error - margins.beside - more[s]
     short = WANTED - spare / unit
@@ -245,9 +254,9 @@ def _beyond_hand(
         return
     missed[s] += short * short
     push *= -short / unit
-    follow(slopes[s], own, here, lift(ratio[s, own]), strand, push)
+    follow(slopes[s], own, here / PIECES, lift(ratio[s, own]), strand, push)
     push *= -1.0
-    follow(slopes[s], beside, there, lift(ratio[s, beside]), other, push)
+    follow(slopes[s], beside, there / PIECES, lift(ratio[s, beside]), other, push)
 
 
 @compiled
@@ -270,9 +279,45 @@ def _nearer(
 
 
 @compiled
-def _free_share(k: int, free: float, first: bool) -> float:
-    """Share of a strand at the k-th point of its free part; the first's hand is at its end."""
-    return min(k / PIECES, free) if first else max(k / PIECES, 1.0 - free)
+def _free(place: float, free_to: float, first: bool) -> float:
+    """The place on the free part of a strand that is next to a place; the first's hand ends it."""
+    return min(place, free_to) if first else max(place, free_to)
+
+
+@compiled
+def along(points: Floats, share: float) -> float:
+    """The place on a polyline after a share of its length."""
+    left = share * _length(points, len(points) - 1)
+    for k in range(len(points) - 1):
+        piece = _distance(points[k], points[k + 1])
+        if piece >= left:
+            return k + left / max(piece, 1e-12)
+        left -= piece
+    return len(points) - 1.0
+
+
+@compiled
+def share_of(points: Floats, place: float) -> float:
+    """The share of a polyline's length before a place on it."""
+    piece = min(int(place), len(points) - 2)
+    before = _length(points, piece)
+    before += (place - piece) * _distance(points[piece], points[piece + 1])
+    return before / max(_length(points, len(points) - 1), 1e-12)
+
+
+@compiled
+def _length(points: Floats, pieces: int) -> float:
+    """Length of the first pieces of a polyline."""
+    length = 0.0
+    for k in range(pieces):
+        length += _distance(points[k], points[k + 1])
+    return length
+
+
+@compiled
+def _distance(one: Floats, other: Floats) -> float:
+    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    return float(np.sqrt(x * x + y * y + z * z))
 
 
 @compiled
@@ -332,32 +377,31 @@ def heights_over(one: Floats, other: Floats, found: Floats) -> None:
 
 @compiled
 def height_over(one: Floats, other: Floats) -> float:
-    """How high a strand passes over another where they cross in plan view, 0 where they do not.
+    """How high a strand passes over another where they cross in plan view, 0 where they do not."""
+    here, there = crossing(one, other)
+    if not (0.0 < here < 1.0 and 0.0 < there < 1.0):
+        return 0.0
+    return height_at(one, here) - height_at(other, there)
 
-    A strand hangs in a vertical plane, so from above both are straight.
+
+@compiled
+def crossing(one: Floats, other: Floats) -> tuple[float, float]:
+    """The shares of two strands' spans at which the lines along them cross in plan view.
+
+    A strand hangs in a vertical plane, so from above both are straight. −1 where they are parallel.
     """
     u_x, u_y = one[-1, 0] - one[0, 0], one[-1, 1] - one[0, 1]
     w_x, w_y = other[-1, 0] - other[0, 0], other[-1, 1] - other[0, 1]
     apart_x, apart_y = other[0, 0] - one[0, 0], other[0, 1] - one[0, 1]
     area = u_x * w_y - u_y * w_x
     if abs(area) < 1e-12:
-        return 0.0
-    here, there = (apart_x * w_y - apart_y * w_x) / area, (apart_x * u_y - apart_y * u_x) / area
-    if not (0.0 < here < 1.0 and 0.0 < there < 1.0):
-        return 0.0
-    return _height_at(one, here) - _height_at(other, there)
+        return -1.0, -1.0
+    return (apart_x * w_y - apart_y * w_x) / area, (apart_x * u_y - apart_y * u_x) / area
 
 
 @compiled
-def _height_at(points: Floats, share: float) -> float:
-    """Height of a strand at a share of its span in plan view."""
-    x, y = points[-1, 0] - points[0, 0], points[-1, 1] - points[0, 1]
-    goal = share * (x * x + y * y)
-    before = 0.0
-    for k in range(1, len(points)):
-        after = (points[k, 0] - points[0, 0]) * x + (points[k, 1] - points[0, 1]) * y
-        if after > goal or k == len(points) - 1:
-            part = (goal - before) / max(after - before, 1e-12)
-            return float(points[k - 1, 2] * (1.0 - part) + points[k, 2] * part)
-        before = after
-    return float(points[0, 2])
+def height_at(points: Floats, share: float) -> float:
+    """Height of a strand's outline at a share of its span in plan view."""
+    place = share * (len(points) - 1)
+    piece = min(int(place), len(points) - 2)
+    return float(points[piece, 2] + (place - piece) * (points[piece + 1, 2] - points[piece, 2]))

@@ -19,3 +19,23 @@ def test_points_are_those_of_the_catenary(seed, slack):
     quick.sketch(start, end, length, points)
     strand = hang(start[None], end[None], np.array([length]))
     assert points == pytest.approx(strand.points(np.linspace(0.0, 1.0, 21))[0], abs=1e-6)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.001, 12.0))
+def test_an_outline_is_near_its_strand_everywhere_however_narrow_the_loop(seed, slack):
+    rng = np.random.default_rng(seed)
+    start, end = rng.normal([0.0, 0.0, 5.0], 1.0, (2, 3))
+    length = float(np.linalg.norm(end - start)) * (1.0 + slack)
+    outline = np.empty((7, 3))
+    quick.outline(start, end, length, outline)
+    strand = hang(start, end, length)
+    level = outline[:, :2] - start[:2]
+    np.testing.assert_allclose(level, np.linspace(0, 1, 7)[:, None] * level[-1], atol=1e-9)
+    np.testing.assert_allclose(outline[[0, -1]], [start, end], atol=1e-9)
+
+    share = np.linspace(0.0, 1.0, 601)
+    above = np.interp(share, np.linspace(0, 1, 7), outline[:, 2]) - strand.at_span(share)[:, 2]
+    across = above / np.hypot(1.0, np.gradient(strand.at_span(share)[:, 2], strand.span / 600.0))
+    assert np.abs(across).max() < 0.009 * length
+    assert across.max() >= 0.0 >= across.min()

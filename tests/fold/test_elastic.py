@@ -7,7 +7,7 @@ from scipy.sparse import csr_array, eye_array
 from scipy.spatial.distance import cdist
 
 from swarm.cable.catenary import hang
-from swarm.fold.elastic import eased
+from swarm.fold.elastic import Band, eased
 from swarm.fold.margins import Margins
 from swarm.fold.sides import sides_of
 from swarm.fold.strain import Crew, nothing_more
@@ -16,6 +16,12 @@ MARGINS = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.05, radius=0.25, grip_offset=0.
 
 
 CREW = Crew(np.array([4.4, 9.0, 6.6]), MARGINS)
+
+
+def band(places: npt.NDArray[np.float64], sampled: csr_array) -> Band:
+    """The team on its way, to keep its margins and the sides on which its strands pass there."""
+    sides = sides_of(CREW.hung(places), 2)
+    return Band(CREW, places, sides, nothing_more(len(places)), sampled)
 
 
 def led_over(height: float) -> npt.NDArray[np.float64]:
@@ -41,9 +47,7 @@ def test_a_strand_led_too_low_over_another_is_raised() -> None:
     places = led_over(1.5)
     sampled = csr_array(eye_array(81))
     before = CREW.strain(places, sides_of(CREW.hung(places), 0)).missed
-    found = eased(
-        CREW, places, np.zeros((81, 4, 3)), sampled, nothing_more(len(sampled.indptr) - 1)
-    )
+    found = eased(band(places, sampled), np.zeros((81, 4, 3)))
     assert before.max() > 1.0
     assert found.missed.max() < 0.07
     moved = places + found.offsets
@@ -53,9 +57,7 @@ def test_a_strand_led_too_low_over_another_is_raised() -> None:
 
 
 def test_who_keeps_all_margins_stays() -> None:
-    found = eased(
-        CREW, led_over(2.5), np.zeros((81, 4, 3)), csr_array(eye_array(81)), nothing_more(81)
-    )
+    found = eased(band(led_over(2.5), csr_array(eye_array(81))), np.zeros((81, 4, 3)))
     assert np.all(found.offsets == 0.0)
     assert found.missed.max() < 0.05
 
@@ -64,7 +66,7 @@ def test_moments_between_stages_count() -> None:
     places = led_over(1.5)
     sampled = csr_array(BSpline.design_matrix(np.linspace(0.0, 80.0, 161), KNOTS, 1))
     dense = np.asarray(sampled @ places.reshape(81, -1)).reshape(-1, 4, 3)
-    found = eased(CREW, dense, np.zeros((81, 4, 3)), sampled, nothing_more(len(sampled.indptr) - 1))
+    found = eased(band(dense, sampled), np.zeros((81, 4, 3)))
     assert found.missed.max() < 0.07
 
 
