@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from swarm.cable.catenary import hang
+from swarm.cable.chain import crossing_fractions
 from swarm.fold.layout import Hanging
 from swarm.fold.margins import Margins
 from swarm.fold.passage import Way, passages, walked
@@ -37,9 +39,11 @@ def found_ways(layout: Hanging, guide: Guide, margins: Margins, step: float) -> 
 
     ``step`` is that of the lattice of progress, in metres. Lanes over corners are at least so high
     that slack loops of a vehicle's segments pass; its last lane is as low as its segment needs it.
+    Lanes under strands are no higher than these sag: that much is flown, not given way by.
     """
     lanes = np.repeat(layout.lanes[:, None], len(layout.corners), axis=1)
     lanes = np.maximum(lanes, np.where(lanes > 0.0, _loop_room(layout), -np.inf))
+    lanes = np.minimum(lanes, np.where(lanes < 0.0, _below_sags(layout), np.inf))
     for edge, length in enumerate(layout.lengths):
         taut = margins.taut * length - 2.0 * margins.tracking
         span = float(guide.stations[edge + 1] - guide.stations[edge])
@@ -49,6 +53,17 @@ def found_ways(layout: Hanging, guide: Guide, margins: Margins, step: float) -> 
     tables = passages(layout, path, margins, step)
     spacings = margins.spacing * layout.lengths
     return Ways(path, tuple(map(walked, tables, spacings)))
+
+
+def _below_sags(layout: Hanging) -> Floats:
+    """Height (n − 1, 1) of the lowest of the strands that in the end hang over each edge."""
+    height = np.full((len(layout.lengths), 1), np.inf)
+    if layout.crossings:
+        over, under = np.array(layout.crossings, dtype=np.intp).T
+        at = crossing_fractions(layout.corners, layout.crossings)[:, 0]
+        strand = hang(layout.corners[over], layout.corners[over + 1], layout.lengths[over])
+        np.minimum.at(height[:, 0], under, strand.at_span(at)[:, 2])
+    return height
 
 
 def _loop_room(layout: Hanging) -> Floats:
