@@ -159,7 +159,7 @@ def keeping(mission: Mission) -> Margins:
         radius=vehicles.radius,
         grip_offset=vehicles.grip_offset,
         hand=4.0 * (clearance.cable + mission.cable.diameter + vehicles.tracking) + SAMPLING,
-        beside=0.3 * vehicles.tracking,
+        beside=0.6 * vehicles.tracking,
     )
 
 
