@@ -34,7 +34,7 @@ from swarm.trials import (
 )
 from swarm.view.plots import save
 from swarm.view.rehearsal_report import trials_report
-from swarm.view.trial_plots import NAMES, Distances, trials_figure
+from swarm.view.trial_plots import KINDS, NAMES, Distances, trials_figure
 
 
 def load_scenario(path: Path | None) -> tuple[Spread, tuple[Fault, ...]]:
@@ -93,14 +93,14 @@ def run_trials(
     if results:
         write_results(results, [(plan, flown) for plan, flown, _ in done], seed, spread)
     if plot or report:
-        figure = trials_figure(
-            [_distances(plan, flown, certified) for plan, flown, certified in done],
-            {name: getattr(planned.plan.mission.clearance, name) for name in CLEARANCES},
-        )
+        drawn = [_distances(plan, flown, certified) for plan, flown, certified in done]
+        required = {name: getattr(planned.plan.mission.clearance, name) for name in CLEARANCES}
         if plot:
-            save(figure, plot)
+            save(trials_figure(drawn, required), plot)
         if report:
-            page = trials_report(planned.plan, planned.assessment, told, figure)
+            # one by one, so that a phone shows them one below the other
+            figures = [trials_figure(drawn, required, [kind]) for kind in KINDS]
+            page = trials_report(planned.plan, planned.assessment, told, figures)
             write_text(report, page)
     if as_json:
         print_json(told[0] if len(told) == 1 else {"ours": told[0], "paper": told[1]})

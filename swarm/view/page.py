@@ -48,7 +48,8 @@ pre { columns: 2 18rem; background: var(--soft); padding: .7rem; border-radius: 
   overflow-x: auto; font-size: .8rem; }
 footer { margin-top: 2.5rem; color: var(--dim); font-size: .85rem; }
 @media (max-width: 30rem) { table { font-size: .76rem; line-height: 1.4; }
-  th, td { padding-right: .35rem; } th, th.number { white-space: normal; } }
+  th, td { padding-right: .35rem; } th, th.number { white-space: normal; }
+  .range { display: block; } }
 @media print { body { max-width: none; padding: 0; font-size: 11px; }
   h2 { break-after: avoid; } tr { break-inside: avoid; } .scroll { overflow: visible; }
   pre { white-space: pre-wrap; } }

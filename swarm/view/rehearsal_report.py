@@ -23,12 +23,15 @@ TRIAL_DISTANCES: Final = {**CLEARANCES, "hung": "cable to cable, as the emulator
 
 
 def trials_report(
-    plan: Plan, assessment: Assessment, told: Sequence[Mapping[str, Any]], figure: Figure
+    plan: Plan,
+    assessment: Assessment,
+    told: Sequence[Mapping[str, Any]],
+    figures: Sequence[Figure],
 ) -> str:
     """Return the page of many dry runs: what they say, pictures, worst trials, and the plan.
 
     ``told`` are the JSON objects that ``swarm dry-run --trials --json`` prints, of this plan first,
-    ``figure`` is what is drawn of them.
+    ``figures`` are what is drawn of them.
     """
     first = told[0]
     sound, below = first["no_vehicle_failing"], first["certificate"]["below"]
@@ -45,7 +48,8 @@ def trials_report(
         tag("div", words, kind="verdict good" if good else "verdict bad"),
         key_figures(_trial_figures(first)),
         section(
-            "Pictures", pictures(picture(figure, "Smallest distances of all trials", wide=True))
+            "Pictures",
+            pictures(*(picture(one, "Smallest distances of all trials") for one in figures)),
         ),
         *(section(_whose(one), _distances_table(one), _reasons(one)) for one in told),
         section("Worth a look", _worst_trials(first)),
@@ -130,7 +134,8 @@ def _distances_table(told: Mapping[str, Any]) -> Html:
             for share in ("0.05", "0.5"):
                 quantile = values["quantiles"][share]
                 low, high = (f"{v:.2f}" if v is not None else "?" for v in quantile["interval"])
-                cells.append(Html(f"{metres(quantile['value'])} [{low}, {high}]"))
+                between = tag("span", f"[{low}, {high}]", kind="range")
+                cells.append(Html(f"{metres(quantile['value'])} {between}"))
             rows.append((TRIAL_DISTANCES[kind], *cells, metres(values["required"])))
     head = ("no vehicle failing", "smallest", "5 %", "median", "required")
     return table(head, rows, frozenset({1, 2, 3, 4}))

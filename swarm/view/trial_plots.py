@@ -40,16 +40,21 @@ class Distances:
     certified: Mapping[str, Floats]
 
 
-def trials_figure(runs: Sequence[Distances], required: Mapping[str, float]) -> Figure:
-    """Return the whole picture: distributions of all trajectories, and certificates of the first.
+KINDS: Final = ("cable", "vehicle", "vehicle_cable")
 
-    ``required`` maps the kinds of distances to what the mission asks for, metres.
+
+def trials_figure(
+    runs: Sequence[Distances], required: Mapping[str, float], kinds: Sequence[str] = KINDS
+) -> Figure:
+    """Return the picture: distributions of all trajectories, and certificates of the first.
+
+    ``required`` maps the kinds of distances to what the mission asks for, metres; ``kinds`` are
+    those that are drawn, one beside the other.
     """
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(11.0, 6.4), layout="constrained")
+        figure = Figure(figsize=(3.7 * len(kinds), 6.4), layout="constrained")
         FigureCanvasAgg(figure)
-        axes = figure.subplots(2, 3)
-        kinds = ("cable", "vehicle", "vehicle_cable")
+        axes = figure.subplots(2, len(kinds), squeeze=False)
         for above, below, kind in zip(axes[0], axes[1], kinds, strict=True):
             draw_distribution(above, runs, kind, required[kind])
             draw_promise(below, runs[0], kind, required[kind])
@@ -58,8 +63,8 @@ def trials_figure(runs: Sequence[Distances], required: Mapping[str, float]) -> F
         handles, words = axes[0, 0].get_legend_handles_labels()
         more, further = axes[1, 0].get_legend_handles_labels()
         figure.legend(
-            handles + more, words + further, loc="outside lower center", ncols=5, fontsize=8.5,
-            frameon=False,
+            handles + more, words + further, loc="outside lower center",
+            ncols=5 if len(kinds) > 1 else 1, fontsize=8.5, frameon=False,
         )  # fmt: skip
         return figure
 

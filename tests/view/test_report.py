@@ -187,7 +187,7 @@ def made_trials_report(below: tuple[int, ...] = ()) -> str:
         "reasons": {"lost": 1}, "worst": [worst],
         "certificate": {"compared": 3, "below": list(below)},
     }  # fmt: skip
-    return trials_report(PLAN, assessment(), [told, {**told, "method": "paper"}], drawn())
+    return trials_report(PLAN, assessment(), [told, {**told, "method": "paper"}], [drawn()])
 
 
 def made_rope_report(*void: str) -> str:
