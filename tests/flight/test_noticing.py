@@ -1,6 +1,5 @@
 """What is noticed in flight, however the reports come."""
 
-
 import pytest
 
 from sitl.faults import Fault
