@@ -33,6 +33,9 @@ _DENSITIES = (1, 4)
 _AROUND = 2
 """Stages before and after strands cross in which vehicles that pass them keep the side."""
 
+_CROOKED = 2.5
+"""Units of missed margin at the worst moment that straightening will not mend."""
+
 _FINE = 0.3
 """Units of missed margin at the worst moment that straightening may leave for mending."""
 
@@ -107,7 +110,7 @@ def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Sc
     sides = sides_of(crew.hung(along), _AROUND * _DENSITIES[-1])
     plan = Schedule(found.path, crew, progress, offsets, sides, np.zeros(1), more)
     plan = improved(plan)
-    if plan.worst > HOPELESS:
+    if plan.worst > _CROOKED:
         return plan
     quicker = straight(plan)
     return quicker if quicker.worst <= max(plan.worst, _FINE) else plan
