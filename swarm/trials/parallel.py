@@ -95,8 +95,8 @@ def _parallel(
 def _keep_what_is_loaded() -> None:
     """Have Python no longer look through what is loaded for what nobody uses, and less often.
 
-    That takes a tenth of a second, in every other trial. A trial leaves little behind that is not
-    gone at once.
+    That takes a tenth of a second, in every other trial. What a trial leaves behind is looked
+    through when it ends.
     """
     gc.collect()
     gc.freeze()
@@ -115,4 +115,8 @@ def _in_worker(
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     _keep_what_is_loaded()
-    return fly_trial(proven, spread, seed, trial, faults=faults, heedless=heedless)[0]
+    flown = fly_trial(proven, spread, seed, trial, faults=faults, heedless=heedless)[0]
+    # A flight's parts know each other: few objects, which Python is in no hurry to look through,
+    # and large arrays.
+    gc.collect()
+    return flown
