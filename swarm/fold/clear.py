@@ -15,7 +15,7 @@ from swarm.cable import quick
 from swarm.compiled import compiled
 from swarm.fold.answer import PIECES, Numbers
 from swarm.fold.margins import Margins
-from swarm.fold.tangles import boxed, margins_kept
+from swarm.fold.tangles import boxed, margins_kept, points_apart
 
 Floats = npt.NDArray[np.float64]
 Index = Any
@@ -57,8 +57,7 @@ def strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Strands:
 def _outlined(start: Floats, end: Floats, length: Floats, points: Floats) -> None:
     """Fill in the outlines (q, k, 3) of strands; over-stretched ones are straight."""
     for q in range(len(length)):
-        x, y, z = end[q, 0] - start[q, 0], end[q, 1] - start[q, 1], end[q, 2] - start[q, 2]
-        chord = np.sqrt(x * x + y * y + z * z)
+        chord = points_apart(start[q], end[q])
         quick.outline(start[q], end[q], max(length[q], chord * 1.001 + 1e-9), points[q])
 
 

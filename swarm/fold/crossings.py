@@ -47,8 +47,12 @@ class Crossing:
     begin: int
     end: int
     passings: tuple[Passing, ...]
-    lasts: bool
     over: float
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it ends with the motion."""
+        return len(self.passings) == 1
 
     def as_passed(self, passing: Passing) -> int:
         """1 where the first is over if the vehicle passes over the strand, else −1."""
@@ -69,7 +73,7 @@ def crossings(hung: Strands, first: Ints, second: Ints) -> list[Crossing]:
                 Crossing(
                     pair, one, other, begin, end,
                     tuple(_passing(hung, moment, one, other) for moment in moments),
-                    lasts, float(over[-1] if lasts else over[begin : end + 1].sum()),
+                    float(over[-1] if lasts else over[begin : end + 1].sum()),
                 )
             )  # fmt: skip
     return found

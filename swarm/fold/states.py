@@ -17,6 +17,7 @@ from swarm.fold.answer import PIECES, lift, movement
 from swarm.fold.clear import shortfall, vehicle_cost
 from swarm.fold.intruders import disc_entered
 from swarm.fold.margins import Margins
+from swarm.fold.tangles import points_apart
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -84,7 +85,7 @@ def fill(
     for a in range(len(ahead.progress)):
         for b in range(len(behind.progress)):
             rear, front = behind.places[b], ahead.places[a]
-            chord = _distance(rear, front)
+            chord = points_apart(rear, front)
             station = ahead.station[a] - behind.station[b]
             if (
                 chord + 2.0 * margins.tracking > margins.taut * length + 1e-6
@@ -98,12 +99,6 @@ def fill(
             found += _passing(rear, front, chord, length, edges, between, margins)
             found += _at_corners(rear, front, edges, between.corners, margins)
             cost[a, b] = min(found, 0.1 * BLOCKED)
-
-
-@compiled
-def _distance(one: Floats, other: Floats) -> float:
-    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
-    return math.sqrt(x * x + y * y + z * z)
 
 
 @compiled

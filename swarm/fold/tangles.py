@@ -162,7 +162,7 @@ def neighbours_apart(
             reach = margins.cable + WANTED * unit + margins.beside + more[s]
             reach += margins.tracking * error
             sine = _sine(before, after)
-            ends, begins = along(before, free[i]), along(after, 1.0 - free[i + 1])
+            ends, begins = _along(before, free[i]), _along(after, 1.0 - free[i + 1])
             room, room_after = _level(before, ends, after[0]), _level(after, begins, after[0])
             if sine == 1.0 and more[s] == 0.0 and min(room, room_after) > enough:
                 continue
@@ -241,12 +241,12 @@ def _beyond_hand(
     at_end = 1.0 if beside > own else 0.0
     tracking = margins.tracking
     error = far_movement(
-        strand, ratio[s, own], ratio[s, own] * lengths[own], abs(share_of(strand, here) - at_end),
+        strand, ratio[s, own], ratio[s, own] * lengths[own], abs(_share_of(strand, here) - at_end),
         upright, tracking,
     )  # fmt: skip
     error += far_movement(
         other, ratio[s, beside], ratio[s, beside] * lengths[beside],
-        abs(share_of(other, there) - 1.0 + at_end), upright, tracking,
+        abs(_share_of(other, there) - 1.0 + at_end), upright, tracking,
     )  # fmt: skip
     spare = distance - margins.cable - tracking * error - margins.beside - more[s]
     short = WANTED - spare / unit
@@ -285,11 +285,11 @@ def _free(place: float, free_to: float, first: bool) -> float:
 
 
 @compiled
-def along(points: Floats, share: float) -> float:
+def _along(points: Floats, share: float) -> float:
     """The place on a polyline after a share of its length."""
     left = share * _length(points, len(points) - 1)
     for k in range(len(points) - 1):
-        piece = _distance(points[k], points[k + 1])
+        piece = points_apart(points[k], points[k + 1])
         if piece >= left:
             return k + left / max(piece, 1e-12)
         left -= piece
@@ -297,11 +297,11 @@ def along(points: Floats, share: float) -> float:
 
 
 @compiled
-def share_of(points: Floats, place: float) -> float:
+def _share_of(points: Floats, place: float) -> float:
     """The share of a polyline's length before a place on it."""
     piece = min(int(place), len(points) - 2)
     before = _length(points, piece)
-    before += (place - piece) * _distance(points[piece], points[piece + 1])
+    before += (place - piece) * points_apart(points[piece], points[piece + 1])
     return before / max(_length(points, len(points) - 1), 1e-12)
 
 
@@ -310,12 +310,13 @@ def _length(points: Floats, pieces: int) -> float:
     """Length of the first pieces of a polyline."""
     length = 0.0
     for k in range(pieces):
-        length += _distance(points[k], points[k + 1])
+        length += points_apart(points[k], points[k + 1])
     return length
 
 
 @compiled
-def _distance(one: Floats, other: Floats) -> float:
+def points_apart(one: Floats, other: Floats) -> float:
+    """Distance of two points (3,)."""
     x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
     return float(np.sqrt(x * x + y * y + z * z))
 

@@ -9,12 +9,16 @@ from swarm.cable import quick
 from swarm.cable.catenary import hang
 
 
+def drawn(seed, slack):
+    """Ends of a strand, and its length."""
+    start, end = np.random.default_rng(seed).normal([0.0, 0.0, 5.0], 1.0, (2, 3))
+    return start, end, float(np.linalg.norm(end - start)) * (1.0 + slack)
+
+
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.0001, 3.0))
 def test_points_are_those_of_the_catenary(seed, slack):
-    rng = np.random.default_rng(seed)
-    start, end = rng.normal([0.0, 0.0, 5.0], 1.0, (2, 3))
-    length = float(np.linalg.norm(end - start)) * (1.0 + slack)
+    start, end, length = drawn(seed, slack)
     points = np.empty((21, 3))
     quick.sketch(start, end, length, points)
     strand = hang(start[None], end[None], np.array([length]))
@@ -24,9 +28,7 @@ def test_points_are_those_of_the_catenary(seed, slack):
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.001, 12.0))
 def test_an_outline_is_near_its_strand_everywhere_however_narrow_the_loop(seed, slack):
-    rng = np.random.default_rng(seed)
-    start, end = rng.normal([0.0, 0.0, 5.0], 1.0, (2, 3))
-    length = float(np.linalg.norm(end - start)) * (1.0 + slack)
+    start, end, length = drawn(seed, slack)
     outline = np.empty((7, 3))
     quick.outline(start, end, length, outline)
     strand = hang(start, end, length)
