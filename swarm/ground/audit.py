@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -173,7 +174,7 @@ def discovered(ports: Mapping[int, int]) -> Iterator[dict[int, Any]]:
 
     Raises :class:`VehicleError` that names those not found.
     """
-    log_subscribe(lambda *_: True)
+    _quiet()
     configuration = Configuration.create_manual(GROUND_SYSTEM, GROUND_COMPONENT, False)
     with Mavsdk(configuration) as mavsdk:
         for port in ports.values():
@@ -188,6 +189,12 @@ def discovered(ports: Mapping[int, int]) -> Iterator[dict[int, Any]]:
             missing = ", ".join(str(s) for s in sorted(ports.keys() - found.keys()))
             raise VehicleError(f"not found by MAVSDK: system {missing}")
         yield found
+
+
+@cache
+def _quiet() -> None:
+    """Keep the library's log off the terminal; once, since it frees what it was given before."""
+    log_subscribe(lambda *_: True)
 
 
 def save_parameters(folder: Path, audits: Sequence[VehicleAudit]) -> None:

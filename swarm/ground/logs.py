@@ -2,7 +2,7 @@
 
 import queue
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from mavsdk.plugins.log_files import Entry, LogFiles, LogFilesError, LogFilesResult
@@ -59,6 +59,8 @@ class _Fetching:
     folder: Path
     tell: Tell
     patience: float
+    callbacks: list[object] = field(default_factory=list)
+    """What the library may still call, until it is gone."""
 
     def run(self) -> tuple[FetchedLog, ...]:
         missing = self.attendance.hear()
@@ -117,6 +119,9 @@ class _Fetching:
         logs.download_log_file_async(
             entry, str(path), lambda result, data, _: said.put((result, data.progress))
         )
+        # The library frees these with `logs`, but what it has queued by then, after a download that
+        # was given up, it still calls: it would jump into memory that is something else by now.
+        self.callbacks += logs._callbacks
         silent, share = 0.0, 0.0
         while silent < self.patience:
             try:

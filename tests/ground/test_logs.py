@@ -6,11 +6,14 @@ import random
 import socket
 import threading
 import time
+import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 
 import pytest
 from click.testing import CliRunner
+from mavsdk import Mavsdk
+from mavsdk.plugins.log_files import LogFiles
 from pymavlink.dialects.v20 import common
 
 from swarm.cli.check import check
@@ -168,6 +171,26 @@ def test_nothing_is_fetched_from_an_armed_team(tmp_path):
     ):
         fetch_logs(fleet, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_the_library_has_queued_is_not_freed_before_the_library(tmp_path, monkeypatch):
+    callbacks, alive = [], []
+    download, destroy = LogFiles.download_log_file_async, Mavsdk.destroy
+
+    def watched_download(self, *arguments):
+        download(self, *arguments)
+        callbacks.append(weakref.ref(self._callbacks[-1]))
+
+    def watched_destroy(self):
+        destroy(self)
+        alive.append([callback() is not None for callback in callbacks])
+
+    monkeypatch.setattr(LogFiles, "download_log_file_async", watched_download)
+    monkeypatch.setattr(Mavsdk, "destroy", watched_destroy)
+    log = {"autopilot": PX4, "logs": {0: (NEW, content(1, 400_000))}, "arms": 700}
+    with team(log) as (fleet, _), pytest.raises(Refused, match="system 1 is armed"):
+        fetch_logs(fleet, tmp_path)
+    assert alive[0] == [True]
 
 
 def test_the_command_says_who_has_no_logs_and_exits_with_3(tmp_path):
