@@ -86,6 +86,7 @@ class Bodies:
         self._fresh = np.zeros((2 * n + 1, 3))
         self.noise_scale = np.zeros((n, 1))
         self.frames = np.ones((n, 5))
+        self._spoken = np.zeros((n, 12), np.float32)
 
     def _make_goals(self, world: World) -> None:
         n = self.count
@@ -238,14 +239,18 @@ class Bodies:
     def said(self) -> bytes:
         """Return `motion.said` as bytes, made once a step."""
         if self._said is None:
-            self._said = motion.said(
-                self.now, self.tumbling, self.tumble, self.yaw, self.yaw_rate, self.frames
-            ).tobytes()  # fmt: skip
+            motion.said(
+                self.now, self.tumbling, self.tumble, self.yaw, self.yaw_rate, self.frames,
+                self._spoken,
+            )  # fmt: skip
+            self._said = self._spoken.tobytes()
         return self._said
 
     def grip_points(self) -> Array:
         """Where the grip points are: a stiff dropper along the body's own down axis (n, 3)."""
-        return motion.grips(self.now, self.grip_offset)
+        points = np.empty((self.count, 3))
+        motion.grips(self.now, self.grip_offset, points)
+        return points
 
     # One step.
 

@@ -161,13 +161,13 @@ class Emulator:
     def _deliver(self, sent: list[Heard], now: float) -> None:
         """Give bytes to vehicles, those of troubled links to these."""
         if self.injector.troubled:
-            at_once = []
+            at_once, up = [], self.injector.up
             for one in sent:
-                channel = self.injector.up[one[0].index]
+                channel = up[one[0].index]
                 if channel.fault is None and not channel.queue:
                     at_once.append(one)
                 else:
-                    channel.push_all(one[1], one[2:], now)
+                    channel.push_all((one,), now)
             sent = at_once
         self._incoming.hear(sent, now)
 
@@ -175,10 +175,12 @@ class Emulator:
         """Hand over what comes late through troubled links."""
         if not self.injector.troubled:
             return
-        limit, arrived = now + 1e-9, []
-        for vehicle, channel in zip(self.vehicles, self.injector.up, strict=True):
-            if channel.queue and channel.queue[0][0] <= limit:
-                arrived += [(vehicle, link, data) for link, data in channel.pop(now)]
+        limit = now + 1e-9
+        arrived: list[Heard] = []
+        for channel in self.injector.up:
+            queue = channel.queue
+            if queue and queue[0][0] <= limit:
+                arrived += channel.pop(now)
         if arrived:
             self._incoming.hear(arrived, now)
 
@@ -199,7 +201,7 @@ class Emulator:
                 if vehicle.frozen:
                     pass
                 elif channel.fault is not None or channel.queue:
-                    channel.push_all(link, link.outgoing, self.time)
+                    channel.push_all([(link, frame) for frame in link.outgoing], self.time)
                 else:
                     sent.append((vehicle, link, b"".join(link.outgoing)))
                 link.outgoing.clear()
@@ -208,7 +210,11 @@ class Emulator:
         limit = self.time + 1e-9
         for vehicle, channel in zip(self.vehicles, down, strict=True):
             if channel.queue and channel.queue[0][0] <= limit:
-                for link, frames in itertools.groupby(channel.pop(self.time), key=_link_of):
+                arrived = channel.pop(self.time)
+                if len(arrived) == 1:
+                    sent.append((vehicle, *arrived[0]))
+                    continue
+                for link, frames in itertools.groupby(arrived, key=_link_of):
                     sent.append((vehicle, link, b"".join([frame for _, frame in frames])))
         return sent
 

@@ -181,21 +181,20 @@ class Channel:
         ):
             self._plain = fault.loss, fault.latency, fault.jitter
 
-    def push_all(self, link: Any, frames: Sequence[bytes], now: float) -> None:
-        """Send frames of a link into the channel, as `push` does one after the other."""
+    def push_all(self, items: Sequence[tuple[Any, ...]], now: float) -> None:
+        """Send items that end with their frames into the channel, as `push` does one by one."""
         if self._plain is None:
-            for frame in frames:
-                self.push((link, frame), len(frame), now)
+            for item in items:
+                self.push(item, len(item[-1]), now)
             return
         loss, latency, jitter = self._plain
-        roll, queue = self.dice.ready(2 * len(frames)).pop, self.queue
+        roll, queue = self.dice.ready(2 * len(items)).pop, self.queue
         count, soonest = self.count, now + latency
-        for frame in frames:
+        for item in items:
             if loss > 0.0 and (loss >= 1.0 or roll() < loss):
                 continue
             count += 1
-            at = soonest + jitter * roll() if jitter else soonest
-            heappush(queue, (at, count, (link, frame)))
+            heappush(queue, (soonest + jitter * roll() if jitter else soonest, count, item))
         self.count = count
 
     def push(self, item: Any, size: int, now: float) -> None:

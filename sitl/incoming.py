@@ -55,10 +55,12 @@ class Incoming:
             ):
                 waiting.append(one)
             else:
-                self._take(waiting)
-                waiting = []
+                if waiting:
+                    self._take(waiting)
+                    waiting = []
                 _hand_over(one)
-        self._take(waiting)
+        if waiting:
+            self._take(waiting)
 
     def _take(self, waiting: list[Heard]) -> None:
         """Take the setpoints that wait; what only looks like one as everything else."""

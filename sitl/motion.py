@@ -109,9 +109,9 @@ def _stand(body: Array, height: float) -> None:
 
 
 @compiled
-def grips(now: Array, offset: Array) -> Array:
-    """Where the grip points are: a stiff dropper along the body's own down axis (n, 3)."""
-    points = np.empty((len(now), 3))
+def grips(now: Array, offset: Array, points: Array) -> None:
+    """Where the grip points are, into ``points`` (n, 3): a stiff dropper along the body's own down
+    axis."""
     for i in range(len(now)):
         body = now[i]
         length = math.sqrt(body[0, THRUST] ** 2 + body[1, THRUST] ** 2 + body[2, THRUST] ** 2)
@@ -121,7 +121,6 @@ def grips(now: Array, offset: Array) -> Array:
                 points[i, k] -= body[k, THRUST] * (offset[i] / length)
         if length < 1.0:
             points[i, 2] -= offset[i]
-    return points
 
 
 @compiled
@@ -215,15 +214,16 @@ def _downwash(now: Array, mass: Array, radius: Array, apart: Array) -> Array:
 
 @compiled
 def said(
-    now: Array, tumbling: Flags, tumble: Array, yaw: Array, yaw_rate: Array, frames: Array
-) -> NDArray[np.float32]:
-    """What LOCAL_POSITION_NED and ATTITUDE say after the time, as they lie on the wire: (n, 12).
+    now: Array, tumbling: Flags, tumble: Array, yaw: Array, yaw_rate: Array, frames: Array,
+    rows: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """What LOCAL_POSITION_NED and ATTITUDE say after the time, as it lies on the wire, into
+    ``rows`` (n, 12), whose rates of roll and pitch stay as they are.
 
     ``yaw`` and ``yaw_rate`` (n,) are counter-clockwise from east; ``frames`` (n, 5) are where
     estimators' frames start, and what they make of a metre east and north. Attitudes are those that
     point the thrust where it points.
     """
-    rows = np.zeros((len(now), 12), np.float32)
     for i in range(len(now)):
         body, row = now[i], rows[i]
         east = body[0, POSITION] + body[0, OFFSET] - frames[i, 0]
@@ -233,7 +233,6 @@ def said(
         row[3], row[4], row[5] = body[1, VELOCITY], body[0, VELOCITY], -body[2, VELOCITY]
         roll, pitch, turned = _attitude(body, tumbling[i], tumble[i], 0.5 * math.pi - yaw[i])
         row[6], row[7], row[8], row[11] = roll, pitch, turned, -yaw_rate[i]
-    return rows
 
 
 @compiled

@@ -21,6 +21,7 @@ _fill_home = wire.template(
     "HOME_POSITION", "latitude longitude altitude x y z time_usec", q=(1.0, 0.0, 0.0, 0.0)
 )
 _fill_origin = wire.template("GPS_GLOBAL_ORIGIN", "latitude longitude altitude time_usec")
+_pack_mode = wire.LAYOUTS["CURRENT_MODE"].struct.pack
 _LARGEST = 2**32
 _LOCAL_NED = 1
 _SAID = 48
@@ -257,7 +258,7 @@ def _current_mode(v: Vehicle) -> bytes | None:
     if mode == told and v.now - at < _MODE_AGAIN:
         return None
     v.mode_told = mode, v.now
-    return wire.payload("CURRENT_MODE", {"custom_mode": mode, "intended_custom_mode": mode})
+    return _pack_mode(mode, mode, 0)
 
 
 MESSAGES: dict[str, Callable[[Vehicle], bytes | None]] = {

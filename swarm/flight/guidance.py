@@ -38,8 +38,7 @@ class Sampler:
 
     def __init__(self, motion: Motion) -> None:
         self._times = motion.times.tolist()
-        pieces, orders, self._points, _ = motion.coefficients.shape
-        self._coefficients = np.ascontiguousarray(motion.coefficients).reshape(pieces, orders, -1)
+        self._coefficients = np.ascontiguousarray(motion.coefficients)
 
     def at(self, time: float, rate: float = 1.0, slope: float = 0.0) -> State:
         """Return the state at a time; outside the motion its nearest end at rest.
@@ -51,8 +50,9 @@ class Sampler:
         piece = min(bisect_right(times, inside) - 1, len(times) - 2)
         if inside != time:
             rate = slope = 0.0
-        found = reckoning.sampled(self._coefficients[piece], inside - times[piece], rate, slope)
-        states = found.reshape(3, self._points, 3)
+        coefficients = self._coefficients[piece]
+        states = np.empty((3, *coefficients.shape[1:]))
+        reckoning.sampled(coefficients, inside - times[piece], rate, slope, states)
         return State(states[0], states[1], states[2])
 
 

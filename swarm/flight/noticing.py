@@ -155,10 +155,10 @@ def _pulled_down(flight: "Conductor", k: int) -> bool:
 
 def _healthy(flight: "Conductor") -> bool:
     """Whether there is nothing in batteries and positions that :func:`_watch_health` notices."""
-    return not any(
-        vehicle.battery <= BATTERY_LOW or not vehicle.located or 0 <= vehicle.fix < NO_FIX
-        for vehicle in flight.flyers
-    )
+    for vehicle in flight.flyers:
+        if vehicle.battery <= BATTERY_LOW or not vehicle.located or 0 <= vehicle.fix < NO_FIX:
+            return False
+    return True
 
 
 def _mode_known(flight: "Conductor", vehicle: Vehicle) -> bool:
@@ -225,17 +225,18 @@ def _watch_heights(flight: "Conductor") -> None:
     moved = apart - reports.heights
     if np.count_nonzero(np.isnan(moved)) or len(moved) < 3:
         return
-    off = moved - median(moved.tolist())
-    accuracy = np.array([vehicle.upright_accuracy for vehicle in flight.flyers])
-    stated = np.where(np.isnan(accuracy), np.inf, accuracy)
+    middle = median(moved.tolist())
+    stated = [vehicle.upright_accuracy for vehicle in flight.flyers]
+    known = [accuracy for accuracy in stated if not math.isnan(accuracy)]
+    stated = [math.inf if math.isnan(accuracy) else accuracy for accuracy in stated]
     least, most = HEIGHTS_APART
     least = least if reports.aloft else most
-    most = max(most, float(np.nan_to_num(accuracy).max()))
-    allowed = np.clip(_ACCURACIES * np.maximum(stated, median(stated.tolist())), least, most)
-    for k in np.flatnonzero(np.abs(off) > allowed):
-        vehicle = flight.flyers[k]
-        if flight.expected_armed[k] and reports.first("height", int(k)):
-            words = f"{flight.name(vehicle)}'s height has drifted by {off[k]:+.1f} m"
+    most, usual = max(most, *known) if known else most, median(stated)
+    for k, (vehicle, by) in enumerate(zip(flight.flyers, moved.tolist(), strict=True)):
+        off = by - middle
+        allowed = min(max(_ACCURACIES * max(stated[k], usual), least), most)
+        if abs(off) > allowed and flight.expected_armed[k] and reports.first("height", k):
+            words = f"{flight.name(vehicle)}'s height has drifted by {off:+.1f} m"
             failure(flight, "heights disagree", words, vehicle)
 
 

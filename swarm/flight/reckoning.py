@@ -1,7 +1,8 @@
 """What is reckoned for the whole team at every tick, compiled: loops over a handful of vehicles.
 
-As array operations the same would cost ten times as much. Everything is of grip points, mission
-ENU, SI.
+As array operations the same would cost ten times as much. Results go into arrays that are given: to
+make one in compiled code costs more than most of what is reckoned. Everything is of grip points,
+mission ENU, SI.
 """
 
 import math
@@ -107,31 +108,32 @@ def measure(
 
 
 @compiled
-def sampled(coefficients: Floats, u: float, rate: float, slope: float) -> Floats:
-    """Position, velocity and acceleration (3, m) of a piece of quintics (6, m), at ``u`` in it.
+def sampled(coefficients: Floats, u: float, rate: float, slope: float, states: Floats) -> None:
+    """Position, velocity and acceleration (3, n, 3) of a piece of quintics (6, n, 3), at ``u`` in
+    it, into ``states``.
 
     ``rate`` is how fast time passes there, and ``slope`` how fast the rate grows, in 1/s.
     """
-    orders, count = coefficients.shape
-    states = np.empty((3, count))
-    for j in range(count):
-        place = speed = growth = 0.0
-        for k in range(orders - 1, -1, -1):
-            growth = growth * u + speed
-            speed = speed * u + place
-            place = place * u + coefficients[k, j]
-        states[0, j] = place
-        states[1, j] = rate * speed
-        states[2, j] = rate * rate * 2.0 * growth + slope * speed
-    return states
+    orders, count, axes = coefficients.shape
+    for i in range(count):
+        for j in range(axes):
+            place = speed = growth = 0.0
+            for k in range(orders - 1, -1, -1):
+                growth = growth * u + speed
+                speed = speed * u + place
+                place = place * u + coefficients[k, i, j]
+            states[0, i, j] = place
+            states[1, i, j] = rate * speed
+            states[2, i, j] = rate * rate * 2.0 * growth + slope * speed
 
 
 @compiled
 def aimed(
     state: tuple[Floats, Floats, Floats], lead: float, lift: Floats, mass: float,
-    pull: tuple[Floats, Floats, float], frames: tuple[Floats, Floats],
-) -> Floats:  # fmt: skip
-    """Setpoints (n, 3, 3) of centres, in each vehicle's NED: positions, velocities, accelerations.
+    pull: tuple[Floats, Floats, float], frames: tuple[Floats, Floats], states: Floats,
+) -> None:  # fmt: skip
+    """Setpoints of centres, in each vehicle's NED, into ``states`` (n, 3, 3): positions,
+    velocities, accelerations.
 
     ``state`` are position, velocity and acceleration (n, 3) of grip points, ``lift`` (3,) from
     there to centres; positions are ``lead`` seconds ahead. Accelerations are relieved of what the
@@ -141,7 +143,6 @@ def aimed(
     position, velocity, acceleration = state
     before, change, share = pull
     rotation, translation = frames
-    states = np.empty((len(position), 3, 3))
     enu = np.empty((3, 3))
     for i in range(len(position)):
         for k in range(3):
@@ -158,7 +159,6 @@ def aimed(
                 )
         for k in range(3):
             states[i, 0, k] += translation[i, k]
-    return states
 
 
 @compiled

@@ -26,7 +26,8 @@ def setpoints(flight: "Conductor") -> list[Outgoing]:
     frames = flight.frames.rotation, flight.frames.translation
     mass = flight.plan.mission.vehicles.mass
     going = state.position, state.velocity, state.acceleration
-    states = aimed(going, lead, flight.lift, mass, pull, frames)
+    states = np.empty((len(flight.systems), 3, 3))
+    aimed(going, lead, flight.lift, mass, pull, frames, states)
     sending = flight.team.setpoints(
         flight.systems, flight.streaming, flight.now, states, flight.yaw
     )

@@ -19,6 +19,7 @@ from swarm.cable.catenary import STANDARD_GRAVITY
 from swarm.compiled import compiled
 from swarm.flight.failures import failure
 from swarm.flight.load import TAUT, end_forces
+from swarm.mavlink.columns import ANGLES
 from swarm.plans import Plan
 
 if TYPE_CHECKING:
@@ -259,7 +260,7 @@ def watch_grasps(flight: "Conductor") -> None:
     ):
         grasps.forget()
         return
-    attitude = np.array([vehicle.attitude for vehicle in flight.flyers])
+    attitude = flight.team.columns.table[flight.rows, ANGLES : ANGLES + 3]
     if flight.now - min(flight.measured.at.tolist()) > _OLDEST or not np.isfinite(attitude).all():
         grasps.forget()
         return

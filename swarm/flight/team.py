@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.fleet import Fleet
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
-from swarm.mavlink.columns import Columns, take
+from swarm.mavlink.columns import Columns, room_for, take
 from swarm.mavlink.hearing import READ
 from swarm.mavlink.packets import (
     EXTRAS,
@@ -164,26 +164,29 @@ class Team:
         there is anything but plain packets from where their vehicles speak.
         """
         speakers: list[Vehicle] = []
-        for address, _ in arrived:
-            route = self._routes.get((link, address))
+        origins: list[int] = []
+        routes = self._routes
+        for address, data in arrived:
+            route = routes.get((link, address))
             if route is None or route.alone is None or self.signing is not None:
                 return None
-            speakers.append(route.alone)
+            vehicle = route.alone
+            speakers.append(vehicle)
+            origins += (len(data), vehicle.row, vehicle.system)
         if not arrived:
             return []
         known = self.columns
         together = b"".join([data for _, data in arrived])
-        origins = [
-            (len(data), v.row, v.system) for (_, data), v in zip(arrived, speakers, strict=True)
-        ]
-        rows = take(
-            together, np.array(origins), EXTRAS, now, known.table, known.sequences, known.missing
-        ).tolist()
-        if rows and rows[0][1] < 0:
+        rows = room_for(together)
+        left = take(
+            together, np.array(origins).reshape(-1, 3), EXTRAS, now, known.table, known.sequences,
+            known.missing, rows,
+        )  # fmt: skip
+        if left < 0:
             return None
         return [
             (speakers[which], number, component, together[start:end])
-            for which, number, component, start, end in rows
+            for which, number, component, start, end in rows[:left].tolist()
         ]
 
     def trusts(self, link: str, address: Address | None, packet: bytes) -> bool:

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.flight.copies import branch
 from swarm.mavlink.autopilots import PX4
-from swarm.mavlink.columns import take
+from swarm.mavlink.columns import room_for, take
 from swarm.mavlink.frames import shared_frames
 from swarm.mavlink.packets import EXTRAS, Decoder, Encoder
 from swarm.mavlink.vehicle import Vehicle
@@ -61,7 +61,8 @@ def _hear() -> None:
     for packet in Decoder().feed(data):
         vehicle.receive(packet, 0.0)
     origins = np.array([(len(data), vehicle.row, vehicle.system)])
-    take(data, origins, EXTRAS, 0.0, known.table, known.sequences, known.missing)
+    rows = room_for(data)
+    take(data, origins, EXTRAS, 0.0, known.table, known.sequences, known.missing, rows)
 
 
 def _fly(spare: "Conductor", phase: Phase, way: "Kind | None" = None) -> None:

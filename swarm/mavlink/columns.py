@@ -124,27 +124,25 @@ def count(
 @compiled
 def take(
     data: bytes, origins: Indices, extras: Indices, now: float, table: Floats,
-    sequences: Sequences, missing: Bits,
-) -> Indices:  # fmt: skip
-    """Take what datagrams say into the columns; return what else is in them.
+    sequences: Sequences, missing: Bits, rows: Indices,
+) -> int:  # fmt: skip
+    """Take what datagrams say into the columns; tell how much else is in them.
 
     ``data`` are m datagrams one after the other; ``origins`` (m, 3) are their lengths, the rows of
     the vehicles that speak in them, and their systems. ``extras`` are the extra bytes of the
-    checksums by message number, negative where there is no such message. Returns rows of datagram,
-    message number, component, start and end of the payload: all packets that are not read here, in
-    their order. They have been counted. Where there is anything but whole MAVLink 2 packets of
-    known messages of their vehicles, without signatures, nothing is taken, and the only row has
-    number -1.
+    checksums by message number, negative where there is no such message. All packets that are not
+    read here, in their order, go to as many of ``rows`` (as many as there may be packets, 5):
+    datagram, message number, component, start and end of the payload. They have been counted.
+    Where there is anything but whole MAVLink 2 packets of known messages of their vehicles, without
+    signatures, nothing is taken, and what is returned is negative.
     """
-    rows = np.empty((len(data) // _SHORTEST + 1, 5), np.int64)
     in_order = np.zeros(len(table), np.bool_)
     start = 0
     for m in range(len(origins)):
         end = start + origins[m, 0]
         good, compared = _look(data, start, end, origins[m, 2], extras)
         if not good:
-            rows[0, 1] = -1
-            return rows[:1]
+            return -1
         in_order[origins[m, 1]] |= compared
         start = end
     single = np.empty(7, np.float32)
@@ -162,7 +160,12 @@ def take(
                 rows[used, 3], rows[used, 4] = at + _HEADER, close
                 used += 1
             at = close + 2
-    return rows[:used]
+    return used
+
+
+def room_for(data: bytes) -> Indices:
+    """Return rows for as many packets as data can hold."""
+    return np.empty((len(data) // _SHORTEST + 1, 5), np.int64)
 
 
 @compiled

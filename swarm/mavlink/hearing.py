@@ -112,7 +112,8 @@ def _compare(vehicle: "Vehicle", place: Origin, now: float) -> None:
     if vehicle.origin is None or vehicle.autopilot is None or not age < _IN_STEP:
         return
     local = to_local(vehicle.autopilot.name, vehicle.origin, place)
-    off = [local[k] - vehicle.position[k] - age * vehicle.velocity[k] for k in (0, 1)]
+    position, velocity = vehicle.position, vehicle.velocity
+    off = [local[k] - position[k] - age * velocity[k] for k in (0, 1)]
     apart = math.hypot(*off)
     vehicle.out_of_step = vehicle.out_of_step + 1 if apart > _FRAMES_APART else 0
     if vehicle.out_of_step == _SAMPLES_APART:

@@ -41,9 +41,9 @@ def test_reports_are_carried_on_to_this_moment_for_a_bounded_time():
 def test_setpoints_aim_ahead_of_centres_and_are_relieved_of_what_pulls():
     position, velocity, acceleration, pull, change = (some(3, 3) for _ in range(5))
     turn, move = some(3, 3, 3), some(3, 3)
-    states = reckoning.aimed(
-        (position, velocity, acceleration), 0.025, LIFT, 1.6, (pull, change, 0.3), (turn, move)
-    )
+    states = np.empty((3, 3, 3))
+    moving, frames = (position, velocity, acceleration), (turn, move)
+    reckoning.aimed(moving, 0.025, LIFT, 1.6, (pull, change, 0.3), frames, states)
     ahead = position + 0.025 * velocity + 0.5 * 0.025**2 * acceleration + LIFT
     relieved = acceleration - (pull + 0.3 * change) / 1.6
     enu = np.stack([ahead, velocity, relieved], axis=1)
