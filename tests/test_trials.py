@@ -2,6 +2,7 @@
 
 import json
 import math
+import signal
 import sys
 from dataclasses import replace
 from functools import cache
@@ -18,6 +19,7 @@ from swarm.trials import (
     Spread,
     Trial,
     below_certificate,
+    certificates,
     draw,
     flown_anyway,
     fly_trial,
@@ -25,6 +27,7 @@ from swarm.trials import (
     read_scenario,
     summary,
     trial_scenario_schema,
+    workers_starting,
     worst,
 )
 from tests.network import small_plan
@@ -93,10 +96,23 @@ def test_a_trial_flies_the_plan_and_measures_where_vehicles_really_are():
 
 
 def test_trials_in_processes_are_the_trials_flown_alone():
+    """In processes that have been started before."""
+    answer = signal.getsignal(signal.SIGINT)
+    with workers_starting(2):
+        assert signal.getsignal(signal.SIGINT) is answer
     together = {
         t.number: t for t in fly_trials(PROVEN, Spread(failing=0), seed=5, trials=[0, 1], jobs=2)
     }
     assert together == {0: flown(0), 1: flown(1)}
+    alone, shared = (certificates(PLAN, [flown(0)], jobs) for jobs in (1, 2))
+    for name in ("radius", "cable", "vehicle", "vehicle_cable"):
+        assert np.array_equal(getattr(alone, name), getattr(shared, name))
+
+
+def test_an_interrupt_while_processes_start_is_all_that_is_said(recwarn):
+    with pytest.raises(KeyboardInterrupt), workers_starting(2):
+        raise KeyboardInterrupt
+    assert not recwarn.list
 
 
 def test_trials_on_a_cluster_are_the_trials_flown_alone(monkeypatch):

@@ -1,5 +1,6 @@
 """``swarm dry-run``: the same conductor and packets against the emulator, in virtual time."""
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,7 @@ def dry_run(
     _refuse_strays(options)
     loaded = load_mission(mission, overrides)
     console = Console(quiet=as_json)
-    with progress_bar(Console(stderr=True)) as progress:
+    with progress_bar(Console(stderr=True)) as progress, _workers(options):
         planned = api.plan(loaded, progress)
     if options["rope"]:
         from swarm.cli.rope import run_rope  # noqa: PLC0415 - needs an optional extra
@@ -146,6 +147,15 @@ def dry_run(
     if error is not None:
         raise error
     context.exit(0 if flown.as_planned else 1)
+
+
+def _workers(options: dict[str, Any]) -> AbstractContextManager[None]:
+    """While a plan is made that many trials will fly, have the processes start that fly them."""
+    if options["trials"] is None or options["scheduler"] is not None:
+        return nullcontext()
+    from swarm.trials import workers_starting  # noqa: PLC0415 - slow to import
+
+    return workers_starting(options["jobs"])
 
 
 def _chosen(options: dict[str, Any], *names: str) -> dict[str, Any]:

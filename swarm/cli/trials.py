@@ -7,8 +7,6 @@ from typing import Any
 
 import click
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -28,12 +26,11 @@ from swarm.trials import (
     certificates,
     flown_anyway,
     fly_trials,
+    processes,
     read_scenario,
     rows,
     summary,
 )
-from swarm.view.plots import save
-from swarm.view.rehearsal_report import trials_report
 from swarm.view.trial_plots import KINDS, NAMES, Distances, trials_figure
 
 
@@ -83,7 +80,8 @@ def run_trials(
         )
         if not flown:
             raise Interrupted("stopped before any trial was done")
-        done.append((plan, flown, certificates(plan, flown)))
+        together = 1 if interrupted else processes(jobs)
+        done.append((plan, flown, certificates(plan, flown, together)))
         if interrupted:
             break
     told = [
@@ -93,6 +91,9 @@ def run_trials(
     if results:
         write_results(results, [(plan, flown) for plan, flown, _ in done], seed, spread)
     if plot or report:
+        from swarm.view.plots import save  # noqa: PLC0415 - slow to import
+        from swarm.view.rehearsal_report import trials_report  # noqa: PLC0415 - slow to import
+
         drawn = [_distances(plan, flown, certified) for plan, flown, certified in done]
         required = {name: getattr(planned.plan.mission.clearance, name) for name in CLEARANCES}
         if plot:
@@ -169,6 +170,9 @@ def write_results(
     path: Path, done: Sequence[tuple[Plan, Sequence[Trial]]], seed: int, spread: Spread
 ) -> None:
     """Write one row per trial as Parquet, with what made them in the file's metadata."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
+
     table = pa.Table.from_pylist(
         [
             {"method": plan.mission.fold.method, "seed": seed, **row}

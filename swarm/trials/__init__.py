@@ -4,7 +4,7 @@ A trial is a rehearsal in a world that is not quite what the plan expects. Seed 
 trial decide everything in it, so that any of them can be flown again alone.
 """
 
-from swarm.trials.parallel import fly_trials
+from swarm.trials.parallel import fly_trials, processes, workers_starting
 from swarm.trials.spread import (
     FAILURES,
     Conditions,
@@ -51,9 +51,11 @@ __all__ = [
     "flown_anyway",
     "fly_trial",
     "fly_trials",
+    "processes",
     "read_scenario",
     "rows",
     "summary",
     "trial_scenario_schema",
+    "workers_starting",
     "worst",
 ]

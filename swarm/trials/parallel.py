@@ -6,8 +6,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Generator, Iterable, Sequence
-from contextlib import AbstractContextManager
+import warnings
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from joblib import Parallel, delayed, parallel_config
@@ -37,16 +38,47 @@ def fly_trials(
     pace whatever comes near. Closing the iterator ends what is being flown. Raises
     :class:`SwarmError` where the cluster's packages are missing or it is not there.
     """
-    if scheduler is None and jobs == 1:
+    if scheduler is None and processes(jobs) == 1:
         for trial in trials:
             yield fly_trial(proven, spread, seed, trial, faults=faults, heedless=heedless)[0]
         return
     if scheduler is None:
-        with parallel_config(backend="loky", n_jobs=jobs or os.cpu_count() or 1):
+        with parallel_config(backend="loky", n_jobs=processes(jobs)):
             yield from _parallel(proven, spread, seed, trials, faults, heedless)
         return
     with _cluster(scheduler), parallel_config(backend="dask"):
         yield from _parallel(proven, spread, seed, trials, faults, heedless)
+
+
+def processes(jobs: int | None) -> int:
+    """Return how many processes of this machine share the work; None: as many as it has cores."""
+    return jobs or os.cpu_count() or 1
+
+
+@contextmanager
+def workers_starting(jobs: int | None) -> Iterator[None]:
+    """Have the processes of :func:`fly_trials` start, and load what a trial needs, meanwhile.
+
+    That takes three seconds of a core each: while a plan is made there is one that has nothing to
+    do. An interrupt is the parent's to answer, so they begin with interrupts ignored.
+    """
+    count = processes(jobs)
+    if count == 1 or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    answer = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with parallel_config(backend="loky", n_jobs=count):
+            work = Parallel(return_as="generator_unordered")
+            starting = work(delayed(_keep_what_is_loaded)() for _ in range(count))
+    finally:
+        signal.signal(signal.SIGINT, answer)
+    try:
+        yield
+        for _ in starting:
+            pass
+    finally:
+        _end(starting)
 
 
 def _cluster(scheduler: str) -> AbstractContextManager[Any]:
@@ -88,7 +120,14 @@ def _parallel(
     try:
         yield from done
     finally:
-        done.close()
+        _end(done)
+
+
+def _end(work: Generator[Any, None, None]) -> None:
+    """End what workers still do, which whoever interrupts it knows."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "[0-9]+ tasks ", UserWarning)
+        work.close()
 
 
 @functools.cache

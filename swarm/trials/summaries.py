@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from joblib import Parallel, delayed
 
 from swarm.plans import Plan
 from swarm.preflight.certificate import tightest_moments
@@ -44,24 +44,28 @@ class Certificates:
         return float(getattr(self, name)[index]) if index < len(self.radius) else -math.inf
 
 
-def certificates(plan: Plan, trials: Sequence[Trial]) -> Certificates:
-    """Certify a plan for the tracking errors that its trials had, and for smaller ones."""
+def certificates(plan: Plan, trials: Sequence[Trial], jobs: int = 1) -> Certificates:
+    """Certify a plan for the tracking errors that its trials had, and for smaller ones.
+
+    ``jobs`` processes of this machine share the work, which is some tenths of a second per error.
+    """
     errors = [trial.error for trial in trials if trial.error is not None]
     had = np.ceil(np.array(errors) / RADIUS_STEP - 1e-9)
     had = had[had * RADIUS_STEP <= _HOPELESS]
     between = np.linspace(0.0, had.max(initial=1.0), _BETWEEN).round()
     radius = RADIUS_STEP * np.unique(np.concatenate([between, had]))
-    rows = []
-    for tracking in radius:
-        moments = tightest_moments(plan, tracking=float(tracking), checks=_CHECKS)
-        rows.append(
-            [
-                min((one.distance for one in moments if one.check == check), default=math.inf)
-                for check in _CHECKS
-            ]
-        )
+    rows = Parallel(n_jobs=jobs)(delayed(_certified)(plan, float(one)) for one in radius)
     table = np.array(rows).reshape(-1, len(_CHECKS))
     return Certificates(radius, *table.T)
+
+
+def _certified(plan: Plan, tracking: float) -> list[float]:
+    """Smallest distances of each kind that are certified for a tracking error, metres."""
+    moments = tightest_moments(plan, tracking=tracking, checks=_CHECKS)
+    return [
+        min((one.distance for one in moments if one.check == check), default=math.inf)
+        for check in _CHECKS
+    ]
 
 
 def below_certificate(trials: Sequence[Trial], certified: Certificates) -> list[int]:
@@ -174,6 +178,8 @@ def _counted(words: Iterable[str]) -> dict[str, int]:
 def _share(flags: Sequence[bool]) -> dict[str, Any]:
     if not flags:
         return {"count": 0, "share": None, "interval": None}
+    from scipy import stats  # noqa: PLC0415 - slow to import, and trials need none of it
+
     count = sum(flags)
     interval = stats.binomtest(count, len(flags)).proportion_ci(CONFIDENCE, "exact")
     return {
@@ -206,6 +212,8 @@ def _quantile_interval(values: Floats, share: float) -> list[float | None]:
 
     The number of values below the quantile is binomial, whatever their distribution.
     """
+    from scipy import stats  # noqa: PLC0415 - slow to import, and trials need none of it
+
     count = len(values)
     outside = 0.5 * (1.0 - CONFIDENCE)
     low = int(stats.binom.ppf(outside, count, share)) - 1
