@@ -72,12 +72,7 @@ def run_rope(
     ]
     if plot or report:
         figure = rope_figure(
-            [
-                Moved(name, _verdict(run), run.times, run.stray, run.apart, run.shape)
-                for name, _, run, _ in runs
-            ],
-            told[0]["stray"]["budget"],
-            plan.mission.clearance.cable,
+            [_moved(name, run) for name, _, run, _ in runs], plan.mission.clearance.cable
         )
         if plot:
             save(figure, plot)
@@ -105,6 +100,21 @@ def _flown_grips(trace: Trace, record: Path) -> "Grips":
     if known.sum() < 2:
         raise InputError([Problem(str(record), "expected a flight that reached its fold")])
     return Grips(trace.time[known], trace.position[known])
+
+
+def _moved(name: str, run: "RopeRun") -> Moved:
+    """What is drawn of a run: at each moment of the segment that strays farthest."""
+    beyond = np.where(run.stray > run.swing, run.stray, -np.inf).max(axis=1, initial=-np.inf)
+    return Moved(
+        label=name,
+        verdict=_verdict(run),
+        times=run.times,
+        stray=run.stray.max(axis=1, initial=0.0),
+        farther=np.where(np.isfinite(beyond), beyond, np.nan),
+        apart=run.apart,
+        still_apart=run.still_apart,
+        shape=run.shape,
+    )
 
 
 def _verdict(run: "RopeRun") -> str:
@@ -136,14 +146,24 @@ def _print(told: dict[str, Any], plan: Plan, console: Console) -> None:
         say(f"pulled until its ends were {told['ends_apart']:.2f} m apart")
     smallest = told["smallest_distance"]
     if smallest is not None:
-        say(f"segments that share no vehicle came as close as {smallest:.2f} m")
+        still = told["smallest_distance_of_quasi_static_cable"]
+        say(
+            f"segments that share no vehicle came as close as {smallest:.2f} m "
+            f"(the quasi-static cable: {still:.2f} m)"
+        )
     stray = told["stray"]
-    beyond = "more than " if stray["largest"] > stray["budget"] else ""
     say(
-        f"strayed from the quasi-static cable by up to {stray['largest']:.2f} m "
-        f"({beyond}the {stray['budget']:.2f} m of the budget for sway and a stop, which is of the "
-        "tightest moments)"
+        f"strayed from the quasi-static cable by up to {stray['largest']:.2f} m: segment "
+        f"{stray['segment']} at {stray['time']:.0f} s, for which the budget's models of sway and a "
+        f"stop allow {stray['sway_and_stop']:.2f} m then"
     )
+    farther = stray["farther"]
+    if farther["share"]:
+        say(
+            f"it strayed farther than these, by up to {farther['by']:.2f} m, at "
+            f"{farther['share']:.0%} of moments and segments: strands swing on after a movement, "
+            "which the budget leaves out"
+        )
     depth, stretch, speed = told["penetration"], told["stretch"], told["speed"]
     say(
         f"deepest penetration {depth['radii']:.2f} radii (void beyond {depth['most']:g}), largest "

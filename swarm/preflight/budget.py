@@ -150,7 +150,7 @@ def _budget(plan: Plan, moment: Moment) -> Budget:
         ),
         grip=sum(size * strand.answer() for size, strand in zip(grip, strands, strict=True)),
         sway=sum(
-            abs(strand.moved(down=_felt(a))) for a, strand in zip(leaning, strands, strict=True)
+            abs(strand.moved(down=felt(a))) for a, strand in zip(leaning, strands, strict=True)
         ),
         stop=_stop(strands, mission.vehicles.braking_acceleration),
         wind=_wind(plan, strands),
@@ -191,7 +191,7 @@ def _closest(
     return size - plan.mission.cable.diameter, (one, other)
 
 
-def _felt(acceleration: Floats) -> Floats:
+def felt(acceleration: Floats) -> Floats:
     """Direction of the gravity that a strand feels that is accelerated along with its ends."""
     return np.array([0.0, 0.0, -STANDARD_GRAVITY]) - acceleration
 
@@ -204,7 +204,7 @@ def _stop(strands: tuple[_Strand, _Strand], braking: float) -> float:
     headings = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
     return sum(
         max(
-            abs(strand.moved(down=_felt(braking * np.array([math.cos(h), math.sin(h), 0.0]))))
+            abs(strand.moved(down=felt(braking * np.array([math.cos(h), math.sin(h), 0.0]))))
             for h in headings
         )
         for strand in strands

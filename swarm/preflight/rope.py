@@ -23,9 +23,8 @@ from swarm.knots.curve import curve_gauss
 from swarm.knots.gauss import same_code
 from swarm.knots.invariants import identify_curve
 from swarm.plans import Plan
-from swarm.preflight.budget import budgets
-from swarm.preflight.certificate import tightest_moments
 from swarm.preflight.rope_model import STEP, TIGHTENING_STEP, Grips, Rope, Seen
+from swarm.preflight.swing import swings
 from swarm.preflight.topology import layout_code
 
 Floats = npt.NDArray[np.float64]
@@ -46,6 +45,8 @@ MOST_SPEED: Final = 12.0
 
 _TAUT: Final = 0.9995
 _STRANDS: Final = 24
+_AROUND: Final = 5
+"""Samples of the grips' motion before and after a moment that tell how they accelerate at it."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,11 @@ class RopeRun:
     ``as_planned`` compares the crossing code with the layout's, or after tightening the knot with
     the plan's. ``penetration`` is the deepest of all contacts, ``stretch`` the largest of links
     that are not beside a grip, ``speed`` the fastest of all nodes. ``void`` says why the run shows
-    nothing; empty where it does show something. ``stray`` is the largest distance of a node from
-    the quasi-static cable between the same grips, ``apart`` the smallest between segments that
-    share no vehicle, surface to surface.
+    nothing; empty where it does show something. ``stray`` (k, m) is the largest distance of a node
+    of each segment from the quasi-static cable between the same grips, ``swing`` (k, m) how far the
+    budget's models of sway and a stop let that segment move at that moment. ``apart`` is the
+    smallest distance between segments that share no vehicle, surface to surface, and
+    ``still_apart`` that of the quasi-static cable.
     """
 
     links: int
@@ -77,7 +80,9 @@ class RopeRun:
     void: tuple[str, ...]
     times: Floats
     stray: Floats
+    swing: Floats
     apart: Floats
+    still_apart: Floats
     shape: Floats
 
 
@@ -109,7 +114,7 @@ def move_rope(
         raise Refused("the rope cannot hang between its grips: they begin too far apart")
     counts = _links_of(lengths, links or max(len(lengths), round(lengths.sum() / LINK)))
     held = np.concatenate([[0], np.cumsum(counts)])
-    seen, log = Seen(), _Log(plan, counts, held)
+    seen, log = Seen(), _Log(plan, grips, counts, held)
     cable, air = plan.mission.cable, np.array(wind)
     rope = Rope(cable, _hanging(start, lengths, counts), held, contact, air, seen)
     pulled = _tightening(plan)
@@ -158,18 +163,35 @@ def _tightening(plan: Plan) -> Grips | None:
 class _Log:
     """Where a rope was while it was folded, every SAMPLE_INTERVAL."""
 
-    def __init__(self, plan: Plan, counts: Ints, held: Ints) -> None:
-        self._plan, self._counts, self._held = plan, counts, held
+    def __init__(self, plan: Plan, grips: Grips, counts: Ints, held: Ints) -> None:
+        self._plan, self._grips, self._counts, self._held = plan, grips, counts, held
         self._pairs = np.stack(np.triu_indices(len(counts), 2), axis=1)
         self.times: list[float] = []
-        self.stray: list[float] = []
+        self.stray: list[Floats] = []
+        self.swing: list[Floats] = []
         self.apart: list[float] = []
+        self.still_apart: list[float] = []
 
     def sample(self, time: float, nodes: Floats, places: Floats) -> None:
-        still = _hanging(places, self._plan.layout.lengths, self._counts)
+        lengths = self._plan.layout.lengths
+        still = _hanging(places, lengths, self._counts)
         self.times.append(time)
-        self.stray.append(float(np.linalg.norm(nodes - still, axis=1).max()))
+        stray = np.linalg.norm(nodes - still, axis=1)
+        # a segment's first and last nodes are in its grips, where nothing strays
+        self.stray.append(np.maximum.reduceat(stray, self._held[:-1]))
+        braking = self._plan.mission.vehicles.braking_acceleration
+        self.swing.append(swings(places, self._acceleration(time), lengths, braking))
         self.apart.append(self._apart(nodes))
+        self.still_apart.append(self._apart(still))
+
+    def _acceleration(self, time: float) -> Floats:
+        """The grips' acceleration (n, 3) about a moment, from where they are around it."""
+        times = self._grips.times
+        step = _AROUND * float(np.median(np.diff(times)))
+        within = max(min(time, float(times[-1]) - step), float(times[0]) + step)
+        before, now, after = self._grips.at(within + step * np.array([-1.0, 0.0, 1.0]))
+        acceleration: Floats = (before - 2.0 * now + after) / step**2
+        return acceleration
 
     def _apart(self, nodes: Floats) -> float:
         if not len(self._pairs):
@@ -230,19 +252,32 @@ def _judged(
         speed=seen.speed,
         void=tuple(void),
         times=np.array(log.times),
-        stray=np.array(log.stray),
+        stray=np.array(log.stray).reshape(-1, len(plan.layout.lengths)),
+        swing=np.array(log.swing).reshape(-1, len(plan.layout.lengths)),
         apart=np.array(log.apart),
+        still_apart=np.array(log.still_apart),
         shape=nodes,
     )
 
 
-def sway_budget(plan: Plan) -> float:
-    """Return the sway that the budget allows for: the most at any of the tightest moments, metres.
-
-    Leaning with the planned acceleration and the swing after a stop, of both strands together.
-    """
-    rows = budgets(plan, tightest_moments(plan, checks=("cable clearance",)))
-    return max((row.sway + row.stop for row in rows), default=0.0)
+def stray_told(run: RopeRun) -> dict[str, Any]:
+    """Return how far a rope strayed, as one JSON-ready object: where farthest, and what the
+    budget's models of sway and a stop make of it there; how often it strayed farther than these,
+    and by how much."""
+    if not run.stray.size:
+        return {"largest": 0.0, "farther": {"share": 0.0, "by": 0.0}}
+    moment, segment = np.unravel_index(int(run.stray.argmax()), run.stray.shape)
+    farther = run.stray - run.swing
+    return {
+        "largest": float(run.stray[moment, segment]),
+        "segment": int(segment) + 1,
+        "time": float(run.times[moment]),
+        "sway_and_stop": float(run.swing[moment, segment]),
+        "farther": {
+            "share": float(np.mean(farther > 0.0)),
+            "by": max(float(farther.max()), 0.0),
+        },
+    }
 
 
 def told(run: RopeRun, plan: Plan) -> dict[str, Any]:
@@ -269,6 +304,11 @@ def told(run: RopeRun, plan: Plan) -> dict[str, Any]:
         "stretch": {"share": run.stretch, "most": MOST_STRETCH},
         "speed": {"metres_per_second": run.speed, "most": MOST_SPEED},
         "ends_apart": run.span,
-        "smallest_distance": float(run.apart.min()) if np.isfinite(run.apart).all() else None,
-        "stray": {"largest": float(run.stray.max(initial=0.0)), "budget": sway_budget(plan)},
+        "smallest_distance": _smallest(run.apart),
+        "smallest_distance_of_quasi_static_cable": _smallest(run.still_apart),
+        "stray": stray_told(run),
     }
+
+
+def _smallest(apart: Floats) -> float | None:
+    return float(apart.min()) if np.isfinite(apart).all() else None

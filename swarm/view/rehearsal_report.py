@@ -96,6 +96,10 @@ def _rope_table(told: Sequence[Mapping[str, Any]]) -> Html:
         ("knot", *(knot_in_words(one["knot"]["type"], one["knot"]["chirality"]) for one in told)),
         ("shows something", *("no" if one["void"] else "yes" for one in told)),
         ("closest strands", *(or_dash(one["smallest_distance"], "m") for one in told)),
+        (
+            "those of the quasi-static cable",
+            *(or_dash(one["smallest_distance_of_quasi_static_cable"], "m") for one in told),
+        ),
         ("deepest penetration", *map(depth, told)),
         ("largest stretch", *(f"{one['stretch']['share']:.2%}" for one in told)),
         ("top speed", *(f"{one['speed']['metres_per_second']:.1f} m/s" for one in told)),
@@ -103,7 +107,11 @@ def _rope_table(told: Sequence[Mapping[str, Any]]) -> Html:
             "farthest from the quasi-static cable",
             *(metres(one["stray"]["largest"]) for one in told),
         ),
-        ("the budget's sway and stop", *(metres(one["stray"]["budget"]) for one in told)),
+        (
+            "there and then by sway and a stop, in the budget's models",
+            *(metres(one["stray"]["sway_and_stop"]) for one in told),
+        ),
+        ("farther than these by", *(metres(one["stray"]["farther"]["by"]) for one in told)),
         ("simulated, took", *(f"{one['simulated']:.0f} s, {one['took']:.0f} s" for one in told)),
     ]
     return table(("", *(one["trajectory"] for one in told)), rows)

@@ -21,25 +21,31 @@ _COLOURS: Final = (START, END)
 class Moved:
     """A rope's run under its trajectory's name.
 
-    ``stray`` and ``apart`` (k,) at times (k,), ``shape`` (m, 3) at the end; metres and seconds.
-    ``verdict`` says in words what came of it.
+    At times (k,): ``stray`` (k,) of the segment that is farthest from the quasi-static cable then,
+    and ``farther`` (k,) of the one that is farthest of those that are farther from it than the
+    budget's models of sway and a stop have that segment at that moment (NaN: none is); ``apart``
+    and ``still_apart`` (k,), the smallest distances of the rope's segments and of the quasi-static
+    cable's. ``shape`` (m, 3) is at the end; metres and seconds. ``verdict`` says in words what came
+    of it.
     """
 
     label: str
     verdict: str
     times: Floats
     stray: Floats
+    farther: Floats
     apart: Floats
+    still_apart: Floats
     shape: Floats
 
 
-def rope_figure(runs: Sequence[Moved], sway: float, required: float) -> Figure:
-    """Return the whole picture; ``sway`` is what the budget allows, ``required`` the clearance."""
+def rope_figure(runs: Sequence[Moved], required: float) -> Figure:
+    """Return the whole picture; ``required`` is the clearance."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 2.9 + 3.6 * len(runs)), layout="constrained")
         FigureCanvasAgg(figure)
         cells = figure.add_gridspec(1 + len(runs), 2, height_ratios=[2.9, *[3.6] * len(runs)])
-        draw_stray(figure.add_subplot(cells[0, 0]), runs, sway)
+        draw_stray(figure.add_subplot(cells[0, 0]), runs)
         draw_apart(figure.add_subplot(cells[0, 1]), runs, required)
         for row, run in enumerate(runs, 1):
             draw_rope_above(figure.add_subplot(cells[row, 0]), run)
@@ -47,23 +53,31 @@ def rope_figure(runs: Sequence[Moved], sway: float, required: float) -> Figure:
         return figure
 
 
-def draw_stray(axes: Axes, runs: Sequence[Moved], sway: float) -> None:
-    """Draw how far the rope was from the quasi-static cable, over time."""
+def draw_stray(axes: Axes, runs: Sequence[Moved]) -> None:
+    """Draw how far the rope was from the quasi-static cable over time, and where farther than the
+    budget's models of sway and a stop have it."""
     for run, colour in zip(runs, _COLOURS, strict=False):
         axes.plot(run.times, run.stray, color=colour, linewidth=1.4, label=run.label)
-    axes.axhline(sway, color=ALARM, linewidth=1.2, linestyle="--")
-    _say_at(axes, sway, f"sway and stop in the budget: {sway:.2f} m")
+    words: str | None = "farther than sway and a stop in the budget, of that segment then"
+    for run in runs:
+        if np.isfinite(run.farther).any():
+            axes.plot(run.times, run.farther, "o", color=ALARM, markersize=3.0, label=words)
+            words = None
     axes.set(xlabel="time, s", ylabel="largest distance, m")
     axes.set_title("Rope from the quasi-static cable")
     axes.set_ylim(bottom=0.0)
-    if len(runs) > 1:
-        axes.legend(fontsize=7.5, frameon=False)
+    axes.legend(fontsize=7.5, frameon=False)
 
 
 def draw_apart(axes: Axes, runs: Sequence[Moved], required: float) -> None:
     """Draw the smallest distance of segments that share no vehicle, over time."""
     for run, colour in zip(runs, _COLOURS, strict=False):
         axes.plot(run.times, run.apart, color=colour, linewidth=1.4, label=run.label)
+        axes.plot(
+            run.times, run.still_apart, color=colour, linewidth=0.9, linestyle="--",
+            label="the quasi-static cable",
+        )  # fmt: skip
+    axes.legend(fontsize=7.5, frameon=False)
     axes.axhline(required, color=ALARM, linewidth=1.2, linestyle="--")
     _say_at(axes, required, f"required {required:.2f} m")
     axes.set(xlabel="time, s", ylabel="smallest distance, m", title="Strand to strand, as it moved")

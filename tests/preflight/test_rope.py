@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from swarm import api
-from swarm.cable.catenary import hang
+from swarm.cable.catenary import STANDARD_GRAVITY, hang
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot
 from swarm.plans import KnotSummary, Layout, Plan
+from swarm.preflight.swing import swings
 from tests.network import small_plan
 
 rope = pytest.importorskip("swarm.preflight.rope")
@@ -42,6 +43,35 @@ def test_a_rope_at_rest_hangs_as_the_catenary():
     assert run.stray.max() < 0.02
     drop = hang(start, end, length).points(np.linspace(0, 1, 200))[:, 2].min()
     assert run.shape[:41, 2].min() == pytest.approx(drop, abs=0.01)
+
+
+def test_sway_turns_a_strand_about_its_chord():
+    """Gravity that is felt aslant turns a strand between level ends, whose lowest point moves by
+    the chord of an arc around them."""
+    ends = np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0]])
+    length, sideways = np.array([3.0]), np.tile([0.0, 2.0, 0.0], (2, 1))
+    sag = float(hang(*ends, length[0]).sag())
+    turned = 2.0 * sag * np.sin(0.5 * np.arctan2(2.0, STANDARD_GRAVITY))
+    assert swings(ends, sideways, length, 0.0) == pytest.approx(turned, rel=1e-3)
+    at_rest = swings(ends, 0.0 * sideways, length, 2.0)
+    assert at_rest >= turned * (1.0 - 1e-3)
+    assert swings(ends, sideways, length, 2.0) == pytest.approx(turned + at_rest, rel=1e-3)
+
+
+def test_a_rope_that_swings_on_is_told_to_stray_farther_than_sway_and_a_stop():
+    line = np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0], [4.0, 0.0, 5.0]])
+    layout = replace(PLAN.layout, corners=line, lengths=np.array([3.0, 2.02]))
+    sag = float(hang(line[0], line[1], 3.0).sag())
+    rate = np.sqrt(STANDARD_GRAVITY / (0.8 * sag))  # of a parabola's swing about its chord
+    times = np.arange(0.0, 8.0 * np.pi / rate, 0.02)
+    aside = 0.5 / rate**2 * np.sin(rate * times)
+    grips = rope.Grips(times, line + aside[:, None, None] * [0.0, 1.0, 0.0])
+    run = rope.move_rope(replace(PLAN, layout=layout), grips, links=50)
+    told = rope.stray_told(run)
+    assert told["segment"] == 1
+    assert told["largest"] == run.stray.max() > 2.0 * told["sway_and_stop"] > 0.0
+    assert 0.0 < told["farther"]["share"] < 0.5
+    assert told["farther"]["by"] == pytest.approx((run.stray - run.swing).max())
 
 
 def test_wind_blows_the_rope_aside_as_its_drag_says():

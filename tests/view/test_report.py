@@ -196,7 +196,11 @@ def made_rope_report(*void: str) -> str:
         "knot": {"type": "3_1", "chirality": "right", "as_planned": True}, "void": list(void),
         "smallest_distance": None, "penetration": {"radii": 0.2, "most": 1.5},
         "stretch": {"share": 0.004}, "speed": {"metres_per_second": 1.5},
-        "stray": {"largest": 0.29, "budget": 0.57},
+        "smallest_distance_of_quasi_static_cable": 0.61,
+        "stray": {
+            "largest": 0.29, "segment": 2, "time": 40.0, "sway_and_stop": 0.17,
+            "farther": {"share": 0.1, "by": 0.12},
+        },
     }  # fmt: skip
     return rope_report(PLAN, assessment(), [told], drawn())
 

@@ -46,9 +46,10 @@ def test_the_upper_strand_of_a_rope_covers_the_lower() -> None:
     second = np.column_stack([0 * along, -along, 0 * along + 1.0])
     shape = np.concatenate([first, back, second])
     moved = rope_plots.Moved(
-        "this plan", "0_1", np.arange(3.0), np.array([0.0, 0.1, 0.2]), np.ones(3), shape
-    )
-    figure = rope_plots.rope_figure([moved], 0.3, 0.15)
+        "this plan", "0_1", np.arange(3.0), np.array([0.0, 0.1, 0.2]), np.full(3, 0.1), np.ones(3),
+        np.ones(3), shape,
+    )  # fmt: skip
+    figure = rope_plots.rope_figure([moved], 0.15)
     above = figure.axes[2]
     assert ink_at(figure, above, 0.0, 0.3)
     assert ink_at(figure, above, 0.5, 0.0)
