@@ -8,8 +8,9 @@ from contextlib import contextmanager, suppress
 
 PRIORITY = 10
 _BEHIND = 5
-BEHIND_ALL = 10
-"""Niceness of what helps a flight: drawing, waiting for a person."""
+_BEHIND_ALL = 10
+"""By how much nicer what helps a flight is: drawing, waiting for a person."""
+_NICEST = 19
 _SWITCH_INTERVAL = 0.0001
 
 
@@ -47,21 +48,34 @@ def follow() -> None:
             os.sched_setscheduler(0, policy, os.sched_param(max(1, ahead - _BEHIND)))
 
 
-def give_way(process: int = 0, to: int = BEHIND_ALL) -> None:
-    """Let a process that draws or waits (0: this one) run behind the flight's, as nice as ``to``.
+def _niceness() -> int:
+    return os.getpriority(os.PRIO_PROCESS, 0) if hasattr(os, "getpriority") else 0
+
+
+_BEFORE = _niceness()
+
+
+def behind_all() -> int:
+    """Return the niceness of what helps a flight that is as nice as this program when it began."""
+    return min(_BEFORE + _BEHIND_ALL, _NICEST)
+
+
+def give_way(process: int = 0, to: int | None = None) -> None:
+    """Let a process that draws or waits (0: this one) run behind the flight's, as nice as ``to``
+    (None: :func:`behind_all`).
 
     Where the flight has no real-time priority this is what keeps it ahead of its own helpers.
     Processes that it begins later run behind, too. It stays so where the system does not permit
     to be less nice again.
     """
     with suppress(OSError, AttributeError):
-        os.setpriority(os.PRIO_PROCESS, process, to)
+        os.setpriority(os.PRIO_PROCESS, process, behind_all() if to is None else to)
 
 
 @contextmanager
 def giving_way() -> Iterator[None]:
     """Run behind the flight for a while."""
-    before = os.getpriority(os.PRIO_PROCESS, 0)
+    before = _niceness()
     give_way()
     try:
         yield

@@ -7,8 +7,8 @@ import pytest
 from swarm.errors import InputError, VehicleError
 from swarm.fleet import emulated_fleet, parse_fleet
 from swarm.flight.listening import LinkQuality, radio_finding, radio_findings
-from swarm.ground import fly
 from swarm.ground.check import Wanted, check
+from swarm.ground.fly import fly
 from tests.network import small_plan
 
 

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from swarm.fleet import emulated_fleet
-from swarm.ground import fly
+from swarm.ground.fly import fly
 from tests.network import small_plan
 
 PROVEN = small_plan()

@@ -16,7 +16,7 @@ from pymavlink import mavutil
 from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.errors import VehicleError
 from swarm.fleet import emulated_fleet
-from swarm.ground import fly
+from swarm.ground.fly import fly
 from swarm.ground.sockets import open_links
 from swarm.verify import judge
 from tests.network import small_plan
@@ -89,7 +89,7 @@ SCRIPT = """
 import sys
 from pathlib import Path
 from swarm.fleet import emulated_fleet
-from swarm.ground import fly
+from swarm.ground.fly import fly
 from tests.network import small_plan
 result = fly(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
 sys.exit(result.outcome.exit_code)

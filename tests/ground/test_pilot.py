@@ -12,7 +12,7 @@ import pytest
 from swarm.errors import InputError, VehicleError
 from swarm.fleet import emulated_fleet
 from swarm.ground.pilot import Flight, fly_apart
-from swarm.ground.priority import BEHIND_ALL
+from swarm.ground.priority import behind_all
 from tests.network import small_plan
 
 PROVEN = small_plan()
@@ -40,7 +40,7 @@ def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
     assert result.outcome.word == "done", result.events[-5:]
     assert [audit.systems for audit in asked] == [(1, 2, 3)]
     assert result.statistics.lateness[0] < 0.01
-    assert nice == {BEHIND_ALL}
+    assert nice == {behind_all()}
     assert 0 < len(shown) < len(result.trace.time)
     assert [event.kind for event in said] == [event.kind for event in result.events]
 
@@ -90,7 +90,6 @@ import sys
 from pathlib import Path
 from swarm.fleet import emulated_fleet
 from swarm.ground.pilot import Flight, fly_apart
-from swarm.ground.priority import BEHIND_ALL
 from tests.network import small_plan
 flight = Flight(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
 fly_apart(flight)

@@ -11,7 +11,7 @@ from rerun.chunk import RrdReader
 
 from swarm.errors import InputError
 from swarm.flight.snapshot import Event
-from swarm.ground.priority import BEHIND_ALL
+from swarm.ground.priority import behind_all
 from swarm.plans import Plan
 from swarm.view.rerun_log import NEWEST_SNAPSHOTS, Viewer, start
 from tests.view.synthetic import events, fly, snapshot_at, trefoil_plan
@@ -180,6 +180,6 @@ def test_what_draws_runs_behind_the_flight(plan: Plan, tmp_path: Path) -> None:
     viewer = start(plan, tmp_path / "flight.rrd", None)
     try:
         nice = os.getpriority(os.PRIO_PROCESS, viewer._feeds[0]._process.pid)
-        assert nice == BEHIND_ALL > os.getpriority(os.PRIO_PROCESS, 0)
+        assert nice == behind_all() > os.getpriority(os.PRIO_PROCESS, 0)
     finally:
         viewer.close()
