@@ -49,9 +49,13 @@ def quadrature_oracle(span: float, rise: float, length: float, guess: Catenaries
             if cuts[-1] < cut < upto:
                 cuts.append(cut)
         cuts.append(upto)
-        across = mpmath.quad(lambda s: 1 / mpmath.sqrt(1 + ((s - c) / a) ** 2), cuts)
-        up = mpmath.quad(lambda s: ((s - c) / a) / mpmath.sqrt(1 + ((s - c) / a) ** 2), cuts)
-        return across, up
+
+        def tangent(s):
+            steep = (s - c) / a
+            return mpmath.mpc(1, steep) / mpmath.sqrt(1 + steep * steep)
+
+        end = mpmath.quad(tangent, cuts)
+        return end.real, end.imag
 
     def mismatch(log_a, slope):
         a = mpmath.exp(log_a)
