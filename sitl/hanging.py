@@ -150,6 +150,53 @@ def pulls(load: Array, down: Array, flat: Array, figures: Array, force: Array) -
 
 
 @compiled
+def stretch(
+    start: Array, stop: Array, starts: Indices, stops: Indices, lengths: Array, figures: Array,
+    velocity: Array, stiff: tuple[float, float, float, float], force: Array, elastic: Array,
+) -> None:  # fmt: skip
+    """Add the elastic pulls (m,) of over-stretched spans to ``force`` (2 m, 3), and note them.
+
+    ``velocity`` (n, 3) is of all holders, of which ``starts`` and ``stops`` (m,) hold the spans;
+    ``stiff`` are the cable's axial stiffness in newtons, the stiffest that a span is taken for in
+    N/m, its damping ratio and the mass in kg at its ends.
+    """
+    axial, stiffest, ratio, mass = stiff
+    count = len(lengths)
+    along = np.empty(3)
+    for i in range(count):
+        chord = max(math.hypot(figures[ACROSS, i], figures[UPWARD, i]), 1e-9)
+        opening = 0.0
+        for k in range(3):
+            along[k] = (stop[i, k] - start[i, k]) / chord
+            opening += (velocity[stops[i], k] - velocity[starts[i], k]) * along[k]
+        stiffness = min(axial / lengths[i], stiffest)
+        damping = 2 * ratio * math.sqrt(stiffness * mass)
+        pull = max(stiffness * figures[STRETCH, i] + damping * opening, 0.0)
+        elastic[i] = pull if figures[STRETCH, i] > 0 else 0.0
+        for k in range(3):
+            force[i, k] += elastic[i] * along[k]
+            force[count + i, k] -= elastic[i] * along[k]
+
+
+@compiled
+def end(target: Array, samples: Indices, away: Array, grip: Array, floor: float) -> None:
+    """Hang a loose end straight down from its ``grip`` (3,): its ``samples``, that are ``away``
+    from there along the cable (k,), in ``target`` (m, 3) of all samples.
+
+    What does not hang lies where it lay, or is drawn along: nothing is farther from the grip than
+    the cable between reaches.
+    """
+    height = max(grip[2] - floor, 0.0)
+    for j in range(len(samples)):
+        place = target[samples[j]]
+        east, north = place[0] - grip[0], place[1] - grip[1]
+        reach = max(away[j] - height, 0.0)
+        share = min(1.0, reach / max(math.hypot(east, north), 1e-9))
+        place[0], place[1] = grip[0] + share * east, grip[1] + share * north
+        place[2] = max(grip[2] - away[j], floor)
+
+
+@compiled
 def points(
     span_of: Indices, along: Array, lengths: Array, start: Array, flat: Array, figures: Array,
     resting: Flags, floor: float, down: Array, target: Array, samples: Indices,

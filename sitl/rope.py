@@ -248,17 +248,13 @@ class Rope:
 
     def _stretch(self, hung: Hung, velocity: Array, pulls: Array) -> None:
         """Add the elastic pull of over-stretched spans to those on starts and stops, in place."""
-        chord = hung.stop - hung.start
-        along = chord / np.maximum(hung.chord, 1e-9)[:, None]
         held = self._set
-        stiffness = np.minimum(self.spec.stiffness / held.lengths, _STIFFEST)
-        opening = np.einsum("ij,ij->i", velocity[held.stops] - velocity[held.starts], along)
-        damping = 2 * _DAMPING_RATIO * np.sqrt(stiffness * _NODE_MASS)
-        pull = np.maximum(stiffness * hung.stretch + damping * opening, 0.0)
-        pull *= hung.stretch > 0
-        pulls[: held.count] += pull[:, None] * along
-        pulls[held.count :] -= pull[:, None] * along
-        self.spans = hung._replace(elastic=pull)
+        elastic = np.empty(held.count)
+        hanging.stretch(
+            hung.start, hung.stop, held.starts, held.stops, held.lengths, hung.figures, velocity,
+            (self.spec.stiffness, _STIFFEST, _DAMPING_RATIO, _NODE_MASS), pulls, elastic,
+        )  # fmt: skip
+        self.spans = hung._replace(elastic=elastic)
 
     def _tear(self) -> None:
         """Break the cable where it is pulled hardest, if harder than it bears: beside a grip."""
@@ -335,22 +331,6 @@ class Rope:
             hung = self.spans if fresh else held.hang(grips, self.down, still=self._still)
             held.place(hung, self.down, target)
         for end in self._ends:
-            _hang_end(target, grips[end.vehicle], end, self.floor)
+            if len(end.samples):
+                hanging.end(target, end.samples, end.away, grips[end.vehicle], self.floor)
         return target
-
-
-def _hang_end(target: Array, grip: Array, end: End, floor: float) -> None:
-    """A loose end hangs straight down from its grip; the rest lies where it lay, or is drawn along.
-
-    Nothing is farther from the grip than the cable between reaches.
-    """
-    if not len(end.samples):
-        return
-    height = max(float(grip[2]) - floor, 0.0)
-    apart = target[end.samples] - grip
-    distance = np.hypot(apart[:, 0], apart[:, 1])
-    reach = np.maximum(end.away - height, 0.0)
-    share = np.minimum(1.0, reach / np.maximum(distance, 1e-9))
-    points = grip + share[:, None] * apart
-    points[:, 2] = np.maximum(grip[2] - end.away, floor)
-    target[end.samples] = points

@@ -14,7 +14,7 @@ _STEP = 0.05
 _WORLD = """
 schema: 1
 wind: {steady: [0.5, 0, 0], gust: 0.2}
-cable: {points: [[0, 0, 0], [7.2, 0, 0]], attached: [0, 3.6, 7.2]}
+cable: {points: [[-0.3, 0, 0], [7.5, 0, 0]], attached: [0.3, 3.9, 7.5]}
 vehicles:
   - {id: 1, autopilot: px4, pad: [0, 0, 0], gripper: attached}
   - {id: 2, autopilot: ardupilot, pad: [3, 0, 0], gripper: attached}
@@ -34,10 +34,11 @@ def _take_off(vehicle: Vehicle) -> None:
 
 
 def warm_up() -> None:
-    """Fly three vehicles with a cable in virtual time: up, across, let go, and down."""
+    """Fly three vehicles with a cable in virtual time: up, across until it is taut, let go, and
+    down. It has a loose end."""
     emulator = Emulator(parse_world(_WORLD))
     ground = dialect.MAVLink(None, 255, 190)
-    places = np.array([[0.0, 0.0, 3.0], [2.5, 0.0, 3.5], [4.5, 1.0, 3.0]])
+    places = np.array([[0.0, 0.0, 3.0], [2.5, 0.0, 3.5], [5.97, 1.0, 3.0]])
     for tick in range(round(14.0 / _STEP)):
         now = tick * _STEP
         packets = []

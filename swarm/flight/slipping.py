@@ -166,24 +166,36 @@ def _could_fit(left: Floats, pull: Floats) -> bool:
 
 
 def _whose(left: Floats, shared: Floats, patterns: Floats) -> tuple[int | None, int]:
-    norm = np.einsum("kij,kij->k", patterns, patterns)
-    along = np.einsum("kij,ij->k", patterns, shared)
-    explained = along * along / np.maximum(norm, 1e-9)
-    differs = float(np.sum(shared * shared))
-    like = (norm > FAINTEST**2) & (along > SHARE * norm)
-    fits, counts = like & (explained > FITS * differs), CLEARLY
-    if not fits.any():
-        fits = like & (explained > HARDLY_FITS * differs) & (along < MOST * norm)
-        counts = FAINTLY
-    if not fits.any():
+    k, counts = _fitting(shared, patterns)
+    if k < 0:
         return None, 0
-    k = int(np.argmax(np.where(fits, explained, 0.0)))
     near = np.abs(np.arange(len(left)) - k) <= 1
     own = left[near] - (left[~near].mean(axis=0) if not near.all() else 0.0)
     outside = float(np.linalg.norm(own.sum(axis=0))) - _wrong_in_sum(left[~near], len(own))
     if outside >= FROM_OUTSIDE * float(np.linalg.norm(own)):
         return None, 0
     return k, counts
+
+
+@compiled
+def _fitting(shared: Floats, patterns: Floats) -> tuple[int, int]:
+    """The vehicle whose pattern fits what differs (n, 2) best, and how much that counts; -1, 0:
+    none fits."""
+    differs = np.sum(shared * shared)
+    best, clear, faint, faintly = -1, 0.0, -1, 0.0
+    for k in range(len(patterns)):
+        pattern = patterns[k]
+        norm, along = np.sum(pattern * pattern), np.sum(pattern * shared)
+        if not (norm > FAINTEST**2 and along > SHARE * norm):
+            continue
+        explained = along * along / max(norm, 1e-9)
+        if explained > FITS * differs and explained > clear:
+            best, clear = k, explained
+        if explained > HARDLY_FITS * differs and along < MOST * norm and explained > faintly:
+            faint, faintly = k, explained
+    if best >= 0:
+        return best, CLEARLY
+    return (faint, FAINTLY) if faint >= 0 else (-1, 0)
 
 
 def _wrong_in_sum(left: Floats, count: int) -> float:
