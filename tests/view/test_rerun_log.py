@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 
 from swarm.errors import InputError
@@ -14,6 +15,7 @@ from swarm.flight.snapshot import Event
 from swarm.ground.priority import behind_all
 from swarm.plans import Plan
 from swarm.view.rerun_log import NEWEST_SNAPSHOTS, Viewer, start
+from swarm.view.rerun_scene import Recorder
 from tests.view.synthetic import events, fly, snapshot_at, trefoil_plan
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="stops processes by signals")
@@ -61,8 +63,10 @@ def test_records_a_flight(plan: Plan, tmp_path: Path) -> None:
 def test_the_wind_that_is_reckoned_with_is_drawn(plan: Plan, tmp_path: Path) -> None:
     wind = plan.mission.wind.model_copy(update={"steady": 1.0, "gust": 0.5})
     windy = replace(plan, mission=plan.mission.model_copy(update={"wind": wind}))
-    viewer = start(windy, tmp_path / "windy.rrd", None)
-    assert viewer.close(timeout=60.0)
+    stream = rr.RecordingStream("swarm")
+    stream.save(tmp_path / "windy.rrd")
+    Recorder(stream, windy).finish()
+    stream.disconnect()
     assert rows(tmp_path / "windy.rrd")["/wind"] == 1
 
 
@@ -89,12 +93,18 @@ def test_a_killed_sink_holds_up_nobody(plan: Plan, tmp_path: Path) -> None:
 
 
 @posix
-def test_the_keyboard_interrupt_of_the_flight_does_not_reach_the_record(
+def test_what_draws_runs_behind_the_flight_and_is_not_interrupted_with_it(
     plan: Plan, tmp_path: Path
 ) -> None:
+    """An interrupt of the keyboard goes to the flight's group of processes."""
     viewer = start(plan, tmp_path / "flight.rrd", None)
-    assert os.getpgid(sink_pid(viewer)) != os.getpgid(0)
-    assert viewer.close(timeout=60.0)
+    try:
+        nice = os.getpriority(os.PRIO_PROCESS, sink_pid(viewer))
+        assert nice == behind_all() > os.getpriority(os.PRIO_PROCESS, 0)
+        assert os.getpgid(sink_pid(viewer)) != os.getpgid(0)
+    finally:
+        os.kill(sink_pid(viewer), signal.SIGKILL)
+        viewer.close(timeout=5.0)
 
 
 def test_without_a_display_the_record_is_written_and_the_user_told(
@@ -173,13 +183,3 @@ def listening(port: int) -> set[str]:
                     else address
                 )
     return found
-
-
-@posix
-def test_what_draws_runs_behind_the_flight(plan: Plan, tmp_path: Path) -> None:
-    viewer = start(plan, tmp_path / "flight.rrd", None)
-    try:
-        nice = os.getpriority(os.PRIO_PROCESS, viewer._feeds[0]._process.pid)
-        assert nice == behind_all() > os.getpriority(os.PRIO_PROCESS, 0)
-    finally:
-        viewer.close()
