@@ -146,22 +146,15 @@ class Team:
         self, link: str, arrived: Sequence[tuple[Address | None, bytes]], now: float
     ) -> None:
         """As :meth:`receive`, of bytes from any number of addresses at once, and quicker."""
-        left = self._take(link, arrived, now)
-        if left is None:
+        if not self._take(link, arrived, now):
             for address, data in arrived:
                 self.receive(link, address, data, now)
-            return
-        for vehicle, number, component, payload in left:
-            message = unpack(number, payload) if number in READ else None
-            vehicle.read(number, component, message, now)
 
-    def _take(
-        self, link: str, arrived: Sequence[tuple[Address | None, bytes]], now: float
-    ) -> list[tuple[Vehicle, int, int, bytes]] | None:
-        """Take what is said most often; return the other packets, counted.
+    def _take(self, link: str, arrived: Sequence[tuple[Address | None, bytes]], now: float) -> bool:
+        """Take what is said most often all at once, and then the other packets.
 
-        They are vehicle, number, component and payload of each. None, and nothing is taken, where
-        there is anything but plain packets from where their vehicles speak.
+        False, and nothing is taken, where there is anything but plain packets from where their
+        vehicles speak.
         """
         speakers: list[Vehicle] = []
         origins: list[int] = []
@@ -169,12 +162,12 @@ class Team:
         for address, data in arrived:
             route = routes.get((link, address))
             if route is None or route.alone is None or self.signing is not None:
-                return None
+                return False
             vehicle = route.alone
             speakers.append(vehicle)
             origins += (len(data), vehicle.row, vehicle.system)
         if not arrived:
-            return []
+            return True
         known = self.columns
         together = b"".join([data for _, data in arrived])
         rows = room_for(together)
@@ -182,12 +175,10 @@ class Team:
             together, np.array(origins).reshape(-1, 3), EXTRAS, now, known.table, known.sequences,
             known.missing, rows,
         )  # fmt: skip
-        if left < 0:
-            return None
-        return [
-            (speakers[which], number, component, together[start:end])
-            for which, number, component, start, end in rows[:left].tolist()
-        ]
+        for which, number, component, start, end in rows[: max(left, 0)].tolist():
+            message = unpack(number, together[start:end]) if number in READ else None
+            speakers[which].read(number, component, message, now)
+        return left >= 0
 
     def trusts(self, link: str, address: Address | None, packet: bytes) -> bool:
         """Whether a packet is from where its vehicle speaks, and signed if it must be."""
