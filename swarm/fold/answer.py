@@ -1,9 +1,7 @@
 """How strands answer when the vehicles that hold them move: the more, the tauter they are.
 
-All functions are compiled; they take numbers or arrays alike.
+All functions but :func:`lifts` are compiled, and for one strand.
 """
-
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +9,6 @@ import numpy.typing as npt
 from swarm.compiled import compiled
 
 Floats = npt.NDArray[np.float64]
-Numbers = TypeVar("Numbers", float, Floats)
 
 PIECES = 6
 """A strand is handled as this many chords."""
@@ -26,14 +23,34 @@ _FAR_STEEP = np.array([0.3, 0.6, 0.7, 0.75, 0.95, 1.02, 1.02])
 
 
 @compiled
-def lift(ratio: Numbers) -> Numbers:
+def lift(ratio: float) -> float:
     """How far the middle of a level strand moves vertically per metre of both its ends."""
-    moved: Numbers = 1.0 + np.interp(ratio, _RATIOS, _LIFTS)
+    return 1.0 + read(ratio, _RATIOS, _LIFTS)
+
+
+def lifts(ratio: Floats) -> Floats:
+    """As :func:`lift`, for many strands (…)."""
+    moved: Floats = 1.0 + np.interp(ratio, _RATIOS, _LIFTS)
     return moved
 
 
 @compiled
-def movement(lifted: Numbers, fraction: Numbers, upright: float) -> Numbers:
+def read(at: float, places: Floats, values: Floats) -> float:
+    """Read a table of values at rising places (k,) between two of these; its ends go on level.
+
+    As ``np.interp``, which makes arrays of its own for one number, too.
+    """
+    if not at > places[0]:
+        return float(values[0])
+    for k in range(len(places) - 1):
+        if at < places[k + 1]:
+            slope = (values[k + 1] - values[k]) / (places[k + 1] - places[k])
+            return float(slope * (at - places[k]) + values[k])
+    return float(values[-1])
+
+
+@compiled
+def movement(lifted: float, fraction: float, upright: float) -> float:
     """Movement of a strand's point per metre of its ends, along a direction this much upright.
 
     ``lifted`` is the strand's :func:`lift`, ``fraction`` where on the strand the point is.
@@ -41,8 +58,7 @@ def movement(lifted: Numbers, fraction: Numbers, upright: float) -> Numbers:
     bulge = 4.0 * fraction * (1.0 - fraction)
     vertical = 1.0 + (lifted - 1.0) * bulge
     level = 1.0 + 0.45 * bulge
-    moved: Numbers = level * np.sqrt(1.0 - upright**2) + vertical * upright
-    return moved
+    return float(level * np.sqrt(1.0 - upright**2) + vertical * upright)
 
 
 @compiled
@@ -62,19 +78,19 @@ def far_movement(
     """
     sine = (abs(points[-1, 2] - points[0, 2]) + 2.0 * tracking) / max(chord - 2.0 * tracking, 1e-9)
     steep = min(max((np.arcsin(min(sine, 1.0)) - 1.05) / 0.52, 0.0), 1.0)
-    level = np.interp(fraction, _FROM_GRIP, _FAR_LEVEL)
+    level = read(fraction, _FROM_GRIP, _FAR_LEVEL)
     if steep > 0.0:
-        level += steep * (np.interp(fraction, _FROM_GRIP, _FAR_STEEP) - level)
+        level += steep * (read(fraction, _FROM_GRIP, _FAR_STEEP) - level)
     level *= min(0.4 + 0.75 * ratio, 1.0)
     vertical = min(1.05, level * (0.5 + 1.5 * ratio**2))
-    vertical *= max(1.0, 0.5 * (1.0 + np.interp(ratio, _RATIOS, _LIFTS)))
+    vertical *= max(1.0, 0.5 * (1.0 + read(ratio, _RATIOS, _LIFTS)))
     return float(2.0 * (level * np.sqrt(1.0 - upright**2) + vertical * upright))
 
 
 @compiled
 def most_far_movement(ratio: float) -> float:
     """The most that :func:`far_movement` says of any point of a strand."""
-    vertical = 1.05 * max(1.0, 0.5 * (1.0 + np.interp(ratio, _RATIOS, _LIFTS)))
+    vertical = 1.05 * max(1.0, 0.5 * (1.0 + read(ratio, _RATIOS, _LIFTS)))
     return float(2.0 * np.sqrt(1.02**2 + vertical**2))
 
 

@@ -6,19 +6,20 @@ may eat on top of the clearance. A strand answers its ends the more, the tauter 
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.cable import quick
 from swarm.compiled import compiled
-from swarm.fold.answer import PIECES, Numbers
+from swarm.fold.answer import PIECES
 from swarm.fold.margins import Margins
 from swarm.fold.tangles import boxed, margins_kept, points_apart
 
 Floats = npt.NDArray[np.float64]
 Index = Any
+Numbers = TypeVar("Numbers", float, Floats)
 
 
 @dataclass(frozen=True, eq=False)

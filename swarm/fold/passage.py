@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from swarm.cable.catenary import hang
 from swarm.cable.chain import crossing_fractions, crossing_gaps
-from swarm.fold.answer import lift
+from swarm.fold.answer import lifts
 from swarm.fold.layout import Hanging
 from swarm.fold.margins import Margins
 from swarm.fold.path import FoldPath
@@ -59,7 +59,7 @@ def surfaces(layout: Hanging) -> Between:
     return Between(
         corners=corners,
         half_angle=final.half_angle,
-        lifted=lift(final.span / layout.lengths),
+        lifted=lifts(final.span / layout.lengths),
         side=side,
         above=-np.sign(layout.lanes).astype(np.int8),
         fractions=np.take_along_axis(fractions, order, axis=1),

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from swarm.cable import quick
 from swarm.cable.shape import drop_of
 from swarm.compiled import compiled
-from swarm.fold.answer import PIECES, lift, movement
+from swarm.fold.answer import PIECES, lift, movement, read
 from swarm.fold.clear import shortfall, vehicle_cost
 from swarm.fold.intruders import disc_entered
 from swarm.fold.margins import Margins
@@ -191,7 +191,7 @@ def _surface(edge: int, fraction: float, side: int, span: float, between: Betwee
     count = between.crossed[edge]
     gap = 0.0
     if count:
-        gap = np.interp(fraction, between.fractions[edge, :count], between.gaps[edge, :count])
+        gap = read(fraction, between.fractions[edge, :count], between.gaps[edge, :count])
     return float(between.corners[edge, 2] - drop + side * gap)
 
 

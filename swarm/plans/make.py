@@ -9,7 +9,7 @@ from scipy.spatial.distance import pdist
 
 from swarm.cable.catenary import hang
 from swarm.errors import Refused
-from swarm.fold.answer import lift
+from swarm.fold.answer import lifts
 from swarm.fold.elastic import HOPELESS
 from swarm.fold.layout import Hanging, Shape, given, hanging
 from swarm.fold.margins import Margins
@@ -312,7 +312,7 @@ def _height(mission: Mission, fold: Motion, lengths: Floats) -> float:
     chord = np.linalg.norm(np.diff(places, axis=1), axis=2)
     hanging = hang(places[:, :-1], places[:, 1:], np.maximum(lengths, chord))
     ratio = chord / lengths
-    error = mission.vehicles.tracking * 1.1 * lift(ratio.ravel()).reshape(ratio.shape)
+    error = mission.vehicles.tracking * 1.1 * lifts(ratio)
     lowest = float((hanging.lowest()[..., 2] - error).min()) - 0.1
     margin = mission.clearance.floor + 0.5 * mission.cable.diameter
     return float(np.ceil(10.0 * (margin - lowest)) / 10.0)
