@@ -1,7 +1,7 @@
 """Motion as piecewise quintics: the one form in which everything here moves.
 
 All grip points share the breakpoints, so that a setpoint of the whole team is one lookup and one
-polynomial. Time scaling to speed and acceleration limits lives here too.
+polynomial.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,6 @@ from math import comb
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from swarm.compiled import compiled
 
@@ -149,88 +148,3 @@ def rest_to_rest_time(distance: float, max_speed: float, max_acceleration: float
     by_speed = 1.875 * distance / max_speed
     by_acceleration = float(np.sqrt(10.0 / np.sqrt(3.0) * distance / max_acceleration))
     return max(1.0, 1.001 * by_speed, 1.001 * by_acceleration)
-
-
-def timed(
-    parameter: Floats,
-    position: Floats,
-    first: Floats,
-    second: Floats,
-    *,
-    max_speed: float,
-    max_acceleration: float,
-    piece: float = 0.2,
-) -> Motion:
-    """Fly a path of the team as fast as the limits allow, C².
-
-    ``parameter`` (k,) is evenly spaced; ``position``, ``first`` and ``second`` (k, n, 3) are the
-    path and its derivatives by the parameter, which must all be at rest at both ends (vanishing
-    derivatives). The parameter's rate follows from limits on speed and acceleration of every
-    vehicle at every sample; ``piece`` is about the duration of a polynomial, in seconds.
-
-    The squared rate w obeys |q″·w + q′·w′/2| ≤ a (Verscheure 2009 for the substitution). In sweeps
-    it is raised where the acceleration next to it leaves room, lowered where that is exceeded, and
-    smoothed; the quickest profile found is slowed evenly until it keeps the limits everywhere.
-    """
-    step = parameter[1] - parameter[0]
-    slope = np.linalg.norm(first, axis=2).max(axis=1)
-    bend = np.linalg.norm(second, axis=2).max(axis=1)
-    tiny = 1e-12
-    fastest = 4.0 * (max_speed / max(float(np.percentile(slope, 90)), tiny)) ** 2
-    cap = np.minimum(max_speed**2 / np.maximum(slope, tiny) ** 2, fastest)
-    rate_squared = np.minimum(cap, 0.5 * max_acceleration / np.maximum(bend, tiny))
-    least, best = np.inf, rate_squared
-    for _ in range(_SWEEPS):
-        even = gaussian_filter1d(rate_squared, _EVEN / step, mode="nearest")
-        rate_squared = np.minimum(even, cap)
-        acceleration = _accelerations(rate_squared, first, second, step)
-        excess = np.linalg.norm(acceleration, axis=2).max(axis=1) / max_acceleration
-        takes = np.sum(1.0 / np.sqrt(rate_squared)) * np.sqrt(max(1.0, excess.max()))
-        if takes < least:
-            least, best = takes, rate_squared / max(1.0, excess.max())
-        near = maximum_filter1d(excess, 2 * round(_NEAR / step) + 1, mode="nearest")
-        rate_squared = rate_squared * np.clip(near, 0.3, 4.0) ** -0.25
-    rate_squared = best
-    acceleration = _accelerations(rate_squared, first, second, step)
-    rate = np.sqrt(rate_squared)
-    times = np.concatenate([[0.0], np.cumsum(2.0 * step / (rate[1:] + rate[:-1]))])
-    wanted = np.linspace(0.0, times[-1], int(np.ceil(times[-1] / piece)) + 1)
-    chosen = np.unique(np.searchsorted(times, wanted - 1e-9).clip(0, len(times) - 1))
-    speed = first * rate[:, None, None]
-    motion = through_states(times[chosen], position[chosen], speed[chosen], acceleration[chosen])
-    return slowed(motion, max_speed, max_acceleration)
-
-
-def slowed(motion: Motion, max_speed: float, max_acceleration: float) -> Motion:
-    """Stretch time evenly until dense samples keep the limits; unchanged where they do."""
-
-    def stretches(pieces: npt.NDArray[np.intp], samples: int) -> Floats:
-        """By how much time is to be stretched (k,), at least, for each of some pieces (k,)."""
-        within = np.diff(motion.times)[pieces, None] * np.linspace(0.0, 1.0, samples)
-        _, velocity, acceleration = motion.at(motion.times[pieces, None] + within)
-        speed = np.linalg.norm(velocity, axis=3).max(axis=(1, 2))
-        change = np.linalg.norm(acceleration, axis=3).max(axis=(1, 2))
-        found: Floats = np.maximum(speed / max_speed, np.sqrt(change / max_acceleration))
-        return found
-
-    rough = stretches(np.arange(len(motion.times) - 1), 17)
-    closely = np.flatnonzero(rough > 0.9 * rough.max())
-    stretch = float(stretches(closely, 129).max())
-    if stretch <= 1.0:
-        return motion
-    scale = (stretch * 1.0005) ** -np.arange(6.0)
-    return Motion(motion.times * stretch * 1.0005, motion.coefficients * scale[:, None, None])
-
-
-_SWEEPS = 40
-"""How often a path's rate is raised where it may and lowered where it must."""
-
-_EVEN, _NEAR = 0.15, 0.5
-"""Units of the parameter over which the squared rate is smoothed, and within which it reacts."""
-
-
-def _accelerations(rate_squared: Floats, first: Floats, second: Floats, step: float) -> Floats:
-    """Accelerations (k, n, 3) along a path with derivatives (k, n, 3), flown at a rate (k,)."""
-    change = 0.5 * np.gradient(rate_squared, step)
-    found: Floats = second * rate_squared[:, None, None] + first * change[:, None, None]
-    return found

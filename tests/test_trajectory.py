@@ -5,7 +5,6 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.interpolate import CubicSpline
 
 from swarm.trajectory import (
     Motion,
@@ -14,10 +13,8 @@ from swarm.trajectory import (
     followed,
     joined,
     leg,
-    slowed,
     staggered,
     through_states,
-    timed,
 )
 
 Floats = npt.NDArray[np.float64]
@@ -95,57 +92,6 @@ def test_legs_keep_limits(distance: float, speed: float, thrust: float, delay: f
     np.testing.assert_allclose(position[0], start, atol=1e-9)
     np.testing.assert_allclose(position[-1], end, atol=1e-9)
     assert np.abs(velocity[times < delay - 1e-6, 1]).max(initial=0.0) < 1e-6
-
-
-def winding(seed: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """A random path of three points that begins and ends with vanishing derivatives."""
-    rng = np.random.default_rng(seed)
-    knots = np.cumsum(rng.uniform(-1.0, 2.0, (8, 9)), axis=0)
-    spline = CubicSpline(np.linspace(0.0, 1.0, 8), knots.reshape(8, 3, 3), axis=0)
-    parameter = np.linspace(0.0, 40.0, 801)
-    u = parameter / 40.0
-    ease = u**3 * (10 - 15 * u + 6 * u**2)
-    rate = 30 * u**2 * (1 - u) ** 2 / 40.0
-    bend = 60 * u * (1 - u) * (1 - 2 * u) / 1600.0
-    first, second = spline(ease, 1), spline(ease, 2)
-    return (
-        parameter,
-        spline(ease),
-        first * rate[:, None, None],
-        second * (rate**2)[:, None, None] + first * bend[:, None, None],
-    )
-
-
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize(("speed", "thrust"), [(2.0, 1.0), (0.5, 3.0), (5.0, 0.3)])
-def test_timed_keeps_limits_and_the_path(seed: int, speed: float, thrust: float) -> None:
-    path = winding(seed)
-    motion = timed(*path, max_speed=speed, max_acceleration=thrust)
-    times = np.linspace(0.0, motion.times[-1], 20_000)
-    position, velocity, acceleration = motion.at(times)
-    fastest = np.linalg.norm(velocity, axis=2).max()
-    hardest = np.linalg.norm(acceleration, axis=2).max()
-    assert fastest <= speed * 1.002
-    assert hardest <= thrust * 1.01
-    assert max(fastest / speed, hardest / thrust) > 0.5, "needlessly slow"
-    assert jumps(motion).max() < 1e-6
-    for states in motion.at(motion.times[[0, -1]])[1:]:
-        assert np.abs(states).max() < 1e-6
-    for vehicle in range(3):
-        off = [
-            np.linalg.norm(path[1][:, vehicle] - place, axis=1).min()
-            for place in position[::400, vehicle]
-        ]
-        assert max(off) < 0.15
-
-
-def test_slowed_stretches_time_only_where_needed() -> None:
-    motion = leg(np.zeros((1, 3)), np.ones((1, 3)), 1.0, 1.0)
-    assert slowed(motion, 1.0, 1.0) is motion
-    slower = slowed(motion, 0.25, 1.0)
-    _, velocity, _ = slower.at(np.linspace(0.0, slower.times[-1], 1000))
-    assert np.linalg.norm(velocity, axis=2).max() <= 0.25
-    np.testing.assert_allclose(slower.at(slower.times[-1])[0], 1.0)
 
 
 def test_backwards_is_the_same_way_at_the_same_pace() -> None:

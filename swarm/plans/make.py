@@ -32,7 +32,8 @@ from swarm.plans.shapes import (
     ranked,
     shapes,
 )
-from swarm.trajectory import Motion, through_states, timed
+from swarm.plans.timing import timed
+from swarm.trajectory import Motion, through_states
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
