@@ -1,5 +1,6 @@
 """Lanes for every vehicle, and the way of every segment along them."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,11 +29,6 @@ class Ways:
     path: FoldPath
     ways: tuple[Way, ...]
 
-    @property
-    def cost(self) -> float:
-        """How much the ways miss their margins, in all."""
-        return sum(float(np.maximum(way.cost - _FINE, 0.0).sum()) for way in self.ways)
-
 
 def found_ways(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Ways:
     """Find a way for every segment, with lanes for every vehicle.
@@ -41,6 +37,29 @@ def found_ways(layout: Hanging, guide: Guide, margins: Margins, step: float) -> 
     that slack loops of a vehicle's segments pass; its last lane is as low as its segment needs it.
     Lanes under strands are no higher than these sag: that much is flown, not given way by.
     """
+    path, ways = _finding(layout, guide, margins, step)
+    return Ways(path, tuple(ways))
+
+
+def cost_of_ways(
+    layout: Hanging, guide: Guide, margins: Margins, step: float, enough: float = np.inf
+) -> float:
+    """How much the ways that :func:`found_ways` finds miss their margins, in all.
+
+    Where they miss more than ``enough``, something more than that: the rest is not found.
+    """
+    missed = 0.0
+    for way in _finding(layout, guide, margins, step)[1]:
+        missed += float(np.maximum(way.cost - _FINE, 0.0).sum())
+        if missed > enough:
+            break
+    return missed
+
+
+def _finding(
+    layout: Hanging, guide: Guide, margins: Margins, step: float
+) -> tuple[FoldPath, Iterator[Way]]:
+    """Paths of all vehicles, and one segment's way after the other."""
     lanes = np.repeat(layout.lanes[:, None], len(layout.corners), axis=1)
     lanes = np.maximum(lanes, np.where(lanes > 0.0, _loop_room(layout), -np.inf))
     lanes = np.minimum(lanes, np.where(lanes < 0.0, _below_sags(layout), np.inf))
@@ -52,7 +71,7 @@ def found_ways(layout: Hanging, guide: Guide, margins: Margins, step: float) -> 
     path = FoldPath(guide, lanes)
     tables = passages(layout, path, margins, step)
     spacings = margins.spacing * layout.lengths
-    return Ways(path, tuple(map(walked, tables, spacings)))
+    return path, map(walked, tables, spacings)
 
 
 def _below_sags(layout: Hanging) -> Floats:

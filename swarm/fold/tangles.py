@@ -361,11 +361,12 @@ def _towards(
 
     Returns how much of it is vertical; all of it where they touch.
     """
-    at = np.empty(3)
-    _point(one, here, found)
-    _point(other, there, at)
+    piece, beside = min(int(here), len(one) - 2), min(int(there), len(other) - 2)
+    share, part = here - piece, there - beside
     for axis in range(3):
-        found[axis] = (found[axis] - at[axis]) / max(distance, 1e-6)
+        apart = (1.0 - share) * one[piece, axis] + share * one[piece + 1, axis]
+        apart -= (1.0 - part) * other[beside, axis] + part * other[beside + 1, axis]
+        found[axis] = apart / max(distance, 1e-6)
     return min(abs(found[2]), 1.0) if distance > 1e-3 else 1.0
 
 

@@ -23,7 +23,8 @@ Floats = npt.NDArray[np.float64]
 LAID_SHARE = 0.99
 """Distance of grasp points on the floor over the cable between them: a stretched cable jerks."""
 
-_STAGGER = 1.5
+_STAGGER = 0.6
+"""Seconds from one vehicle's descent to the cable to the next one's."""
 
 _TIMEOUTS: dict[Condition, float] = {
     "armed": 60.0,

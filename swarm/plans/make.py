@@ -76,6 +76,7 @@ def candidates(
     _refuse_crowding(mission, knot, opened, margins)
     tried: list[str] = []
     doubtful: list[Folding] = []
+    overlong: list[Plan] = []
     layouts = list(shapes(mission, margins))
     best = ranked(opened, layouts[0], margins, progress)
     for folding in _foldings(best, layouts, margins, progress):
@@ -84,12 +85,14 @@ def candidates(
             f"tried a cell of {folding.layout.cell:.2f} m: misses its margins by {worst:.2g}"
         )
         if worst < _GOOD:
-            yield from _mended(mission, knot, folding, tried)
+            yield from _mended(mission, knot, folding, tried, overlong)
         else:
             doubtful.append(folding)
     doubtful.sort(key=lambda folding: folding.plan.worst)
     for folding in doubtful[:_DOUBTFUL]:
-        yield from _mended(mission, knot, folding, tried)
+        yield from _mended(mission, knot, folding, tried, overlong)
+    if overlong:
+        yield min(overlong, key=lambda made: made.duration)
 
 
 def _mended(
@@ -97,10 +100,19 @@ def _mended(
     knot: KnotSummary,
     folding: Folding,
     tried: list[str],
+    overlong: list[Plan],
 ) -> Generator[Plan, Shortfalls | None, None]:
-    """A plan, and better ones of the same kind while its certificate says what is missing."""
+    """A plan, and better ones of the same kind while its certificate says what is missing.
+
+    One that outlasts the batteries is put aside: no certificate mends that.
+    """
     for _ in range(_MENDINGS):
         made = _planned(mission, knot, folding, tried)
+        endurance = mission.vehicles.endurance
+        if made.duration > endurance:
+            tried.append(f"that took {made.duration:.0f} s of {endurance:g} s in the air")
+            overlong.append(made)
+            break
         missing = yield made
         if not missing or any(each.check not in MENDABLE for each in missing):
             break
@@ -234,8 +246,10 @@ def _as_given(
             f"tried lanes {apart * shortest:.2f} m apart: misses its margins by {plan.worst:.2g}"
         )
     foldings.sort(key=lambda folding: folding.plan.worst)
+    overlong: list[Plan] = []
     for folding in foldings[:_MENDINGS]:
-        yield from _mended(mission, knot, folding, tried)
+        yield from _mended(mission, knot, folding, tried, overlong)
+    yield from overlong[:1]
 
 
 _GIVEN = ((0.19, 0.17, 0.2), (0.1, 0.3, 0.15), (0.25, 0.3, 0.15))

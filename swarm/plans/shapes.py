@@ -7,7 +7,7 @@ import numpy as np
 
 from swarm.errors import Refused
 from swarm.fold.clear import strand_cost, strands
-from swarm.fold.lanes import found_ways
+from swarm.fold.lanes import cost_of_ways
 from swarm.fold.layout import Hanging, Shape, hanging
 from swarm.fold.margins import Margins
 from swarm.fold.path import Guide
@@ -131,7 +131,9 @@ def ranked(
         fit = fitted(diagram, shape, margins)
         layout = hung_apart(diagram, fit, margins)
         guide = guided(layout, fit.slope, fit.rounding)
-        costs.append(found_ways(layout, guide, margins, _STEP * fit.cell).cost)
+        chosen = sorted(costs)[:_BEST]
+        worse = chosen[-1] if len(chosen) == _BEST else np.inf
+        costs.append(cost_of_ways(layout, guide, margins, _STEP * fit.cell, worse))
     return [opened[k] for k in np.argsort(costs, kind="stable")[:_BEST]]
 
 

@@ -84,7 +84,8 @@ def assess(
     stops, stopping = stops_of(plan)
     findings += stopping
     # A plan that is refused anyway never meets the end of its setpoints.
-    refused = any(finding.severity == "error" for finding in findings)
+    refusing = [*findings, *endurance_findings(plan)]
+    refused = any(finding.severity == "error" for finding in refusing)
     coasting = None if refused else coast(plan)
     findings += coasting.findings() if coasting else []
     findings += endurance_findings(plan, coasting.slowed if coasting else 0.0)
