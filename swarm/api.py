@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from swarm.mission import Mission
 from swarm.plans import Plan, Shortfall, candidates
 from swarm.preflight.assess import assess, with_robustness
-from swarm.preflight.certificate import tightest_moments
+from swarm.preflight.certificate import Moment, tightest_moments
 from swarm.preflight.findings import Assessment, ProvenPlan, prove
 
 Progress = Callable[[str, float], None]
@@ -38,14 +38,16 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
     search = candidates(mission, progress=progress)
     made = next(search)
     first = None
+    doubted: frozenset[str] = frozenset()
     for _ in range(_ATTEMPTS):
-        moments = tightest_moments(made, progress=progress)
+        moments = _judged(made, doubted, progress)
         first = first or (made, moments)
         missing = [
             Shortfall(moment.check, moment.time, -moment.margin)
             for moment in moments
             if moment.margin < 0.0
         ]
+        doubted = frozenset(shortfall.check for shortfall in missing)
         if not missing:
             assessment = assess(made, moments=moments, progress=progress)
             if assessment.cleared:
@@ -59,3 +61,14 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
     assert first is not None  # noqa: S101 - the first plan was judged
     made, moments = first
     return Planned(made, assess(made, moments=moments, progress=progress))
+
+
+def _judged(made: Plan, doubted: frozenset[str], progress: Progress | None) -> tuple[Moment, ...]:
+    """The tightest moments of a plan; of the doubted kinds alone, where these fail already.
+
+    Whoever mends plans need not know everything about one that is to be mended again.
+    """
+    known = tightest_moments(made, checks=tuple(doubted), progress=progress) if doubted else ()
+    if any(moment.margin < 0.0 for moment in known):
+        return known
+    return tightest_moments(made, known=known, progress=progress)

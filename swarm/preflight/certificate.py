@@ -109,21 +109,25 @@ def tightest_moments(
     tracking: float | None = None,
     down: Place = STILL_AIR,
     checks: Sequence[str] | None = None,
+    known: Sequence[Moment] = (),
     progress: Progress | None = None,
 ) -> tuple[Moment, ...]:
     """Return the tightest moments of each kind of clearance, at most five per kind.
 
     ``tracking`` replaces the mission's; ``down`` is the unit vector of the effective gravity;
-    ``checks`` names the kinds to look at (default: all).
+    ``checks`` names the kinds to look at (default: all); kinds of which moments are ``known`` are
+    not looked at again, and these come first.
     """
     if tracking is None:
         tracking = plan.mission.vehicles.tracking
+    looked_at = {moment.check for moment in known}
     wanted = [
         family
         for family in families(plan, tracking, down)
         if (checks is None or family.check in checks) and family.spans and family.names
+        if family.check not in looked_at
     ]
-    found: list[Moment] = []
+    found = list(known)
     for done, family in enumerate(wanted):
         if progress:
             progress("certificate", done / len(wanted))
