@@ -84,7 +84,7 @@ _NO_BEND = 1e-9
 """Square metres of bend that count as none."""
 
 _GIVING_WAY = _Effort(steps=30, bending=0.3, settled=3e-3, measure=_square)
-_STRAIGHTENING = _Effort(steps=100, bending=2.0, settled=1e-4, measure=_sharpest)
+_STRAIGHTENING = _Effort(steps=100, bending=2.0, settled=1e-3, measure=_sharpest)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,6 @@ class Margins(NamedTuple):
     radius: float
     grip_offset: float
     hand: float = 0.0
-    spacing: float = 0.85
+    spacing: float = 0.79
     taut: float = 0.985
     beside: float = 0.0

@@ -119,22 +119,29 @@ def folded(diagram: OpenGrid, shape: Shape, margins: Margins) -> Folding:
 def ranked(
     opened: list[OpenGrid], shape: Shape, margins: Margins, progress: Progress | None
 ) -> list[OpenGrid]:
-    """The openings along whose paths segments are least in the way of others, best first."""
+    """The openings along whose paths segments are least in the way of others, best first.
+
+    Of openings that are about as good, those that take less cable, and with it less time.
+    """
     opened = opened[:_MORE]
     costs: list[float] = []
+    scores: list[float] = []
     for k, diagram in enumerate(opened):
-        enough = _IN_THE_WAY * len(diagram.corners)
-        if k >= _OPENINGS and (min(costs) < enough or k - int(np.argmin(costs)) > _IN_VAIN):
-            break
+        if k >= _OPENINGS:
+            leading = int(np.argmin(scores))
+            if costs[leading] < _IN_THE_WAY * len(diagram.corners) or k - leading > _IN_VAIN:
+                break
         if progress:
             progress("comparing openings of the grid diagram", k / len(opened))
         fit = fitted(diagram, shape, margins)
         layout = hung_apart(diagram, fit, margins)
         guide = guided(layout, fit.slope, fit.rounding)
-        chosen = sorted(costs)[:_BEST]
-        worse = chosen[-1] if len(chosen) == _BEST else np.inf
-        costs.append(cost_of_ways(layout, guide, margins, _STEP * fit.cell, worse))
-    return [opened[k] for k in np.argsort(costs, kind="stable")[:_BEST]]
+        square = float(layout.lengths.sum()) ** 2
+        chosen = sorted(scores)[:_BEST]
+        enough = chosen[-1] / square if len(chosen) == _BEST else np.inf
+        costs.append(cost_of_ways(layout, guide, margins, _STEP * fit.cell, enough))
+        scores.append(costs[-1] * square)
+    return [opened[k] for k in np.argsort(scores, kind="stable")[:_BEST]]
 
 
 def different(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
