@@ -27,10 +27,10 @@ _WEIGHTS = (30.0, 300.0, 3000.0)
 """Weight of squared accelerations beyond the limits', next to the share of the time that it takes,
 one after the other."""
 
-_STEPS, _MORE_STEPS = 60, 30
+_STEPS, _MORE_STEPS = 40, 20
 """Steps of the quasi-Newton method for each weight, and in rounds after that."""
 
-_ROUNDS = 6
+_ROUNDS = 5
 """So often limits are lowered where polynomials exceed them between the samples."""
 
 
