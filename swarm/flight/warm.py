@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 _SECONDS = 3.0
 """For which each phase is flown: what looks rarely looks, and often enough to judge."""
-_LEAN = 0.02
-"""Radians by which everybody leans, now this way and now that, as if pulled."""
+_LEAN = 0.3
+"""Radians by which one leans, now this way and now that: as much as where a gripper slips, for who
+slips is only looked for where somebody is pulled hard."""
 _WAYS: tuple["Kind", ...] = ("land", "release", "cut loose")
 
 
