@@ -117,13 +117,30 @@ def nearest(first: Floats, second: Floats, limit: float) -> tuple[float, float, 
     Where they are not nearer than ``limit``, that is returned as their distance. Pieces whose
     enclosing spheres are farther apart than that, or than what was found already, are left out.
     """
+    sizes = np.empty(len(second) - 1)
+    for j in range(len(sizes)):
+        sizes[j] = _size(second, j)
+    return nearest_of(first, second, sizes, limit)
+
+
+@compiled
+def nearest_of(
+    first: Floats, second: Floats, sizes: Floats, limit: float
+) -> tuple[float, float, float]:
+    """As :func:`nearest`, where the sizes (k − 1,) of the second's pieces are known."""
     best, here, there = limit, 0.0, 0.0
     for i in range(len(first) - 1):
         own = _size(first, i)
+        x, y = first[i, 0] + first[i + 1, 0], first[i, 1] + first[i + 1, 1]
+        z = first[i, 2] + first[i + 1, 2]
         for j in range(len(second) - 1):
             # The spheres are half as large as the pieces; a hair's breadth more, for rounding.
-            reach = 2.0 * best + own + _size(second, j)
-            if _middles_apart(first, i, second, j) * (1.0 - 1e-12) > reach * reach:
+            # Compared is twice of what middles are apart, and of what is reached.
+            reach = 2.0 * best + own + sizes[j]
+            square = (x - second[j, 0] - second[j + 1, 0]) ** 2
+            square += (y - second[j, 1] - second[j + 1, 1]) ** 2
+            square += (z - second[j, 2] - second[j + 1, 2]) ** 2
+            if square * (1.0 - 1e-12) > reach * reach:
                 continue
             square, s, t = _pieces(first, i, second, j)
             if np.isnan(square):
@@ -139,16 +156,6 @@ def _size(points: Floats, i: int) -> float:
     x, y = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
     z = points[i + 1, 2] - points[i, 2]
     return float(np.sqrt(x * x + y * y + z * z))
-
-
-@compiled
-def _middles_apart(first: Floats, i: int, second: Floats, j: int) -> float:
-    """Square of twice the distance between the middles of two pieces."""
-    square = 0.0
-    for axis in range(3):
-        apart = first[i, axis] + first[i + 1, axis] - second[j, axis] - second[j + 1, axis]
-        square += apart * apart
-    return square
 
 
 @compiled

@@ -75,18 +75,23 @@ def outline(start: Floats, end: Floats, length: float, points: Floats) -> None:
     narrow loop. Corners lie below the strand by as much as edges lie above it.
     """
     span, parameter, slope = hang(start, end, length, _TAUTEST)
-    angle, last = math.asinh(slope), len(points) - 1
-    half = 0.5 * span / parameter
-    lower = parameter * math.sinh(0.5 * half / last) ** 2
+    last = len(points) - 1
+    # Hyperbolic functions by powers of one exponential: of the angle at the start, and per piece.
+    root = math.sqrt(1.0 + slope * slope)
+    begun = slope + root if slope > 0.0 else 1.0 / (root - slope)
+    half = math.exp(0.25 * span / parameter / last)
+    lower = 0.25 * parameter * (half - 1.0 / half) ** 2
+    piece, turned = half * half, 1.0
     for k in range(last + 1):
-        share = k / last
-        turned = half * share
-        up = 2.0 * parameter * math.sinh(turned) * math.sinh(angle + turned)
+        share, here = k / last, begun * turned
+        up = 0.5 * parameter * (turned - 1.0 / turned) * (here - 1.0 / here)
         if 0 < k < last:
-            up -= lower * math.cosh(angle + 2.0 * turned)
+            here *= turned
+            up -= 0.5 * lower * (here + 1.0 / here)
         points[k, 0] = start[0] + share * (end[0] - start[0])
         points[k, 1] = start[1] + share * (end[1] - start[1])
         points[k, 2] = start[2] + up
+        turned *= piece
 
 
 @compiled

@@ -18,6 +18,9 @@ Floats = npt.NDArray[np.float64]
 _LOOP = 0.34
 """Height of lanes over the corners as a share of the longest segment, so that its loops pass."""
 
+_PLAY = 0.05
+"""Metres that chords on the floor keep beyond what is asked, for what evens them out."""
+
 _FINE = 0.05
 """Cost of a state while all margins are kept."""
 
@@ -70,8 +73,33 @@ def _finding(
         lanes[edge, edge + 1] = last_lane(lane, span, guide.slope, float(taut))
     path = FoldPath(guide, lanes)
     tables = passages(layout, path, margins, step)
-    spacings = margins.spacing * layout.lengths
-    return path, map(walked, tables, spacings)
+    chords = spacings(layout.lengths, np.diff(path.stops), margins, step)
+    return path, map(walked, tables, chords)
+
+
+def spacings(lengths: Floats, stops: Floats, margins: Margins, step: float) -> Floats:
+    """Chords (n − 1,) to begin with, on lattices of ``step`` that end ``stops`` (n − 1,) apart.
+
+    The preferred ones, or longer: on the floor a segment reaches beyond its ends by half of what
+    its chord is shorter, and those before and after a short one must not reach each other.
+    """
+    chords = stops + step * np.round((margins.spacing * lengths - stops) / step)
+    longest = margins.taut * lengths - 2.0 * margins.tracking - _PLAY
+    apart = margins.cable + 2.0 * margins.tracking + _PLAY
+    middle = 1
+    while middle < len(lengths) - 1:
+        around = [middle - 1, middle + 1]
+        loose = lengths[around] - chords[around]
+        wider = [
+            each
+            for each in (*np.take(around, np.argsort(-loose)), middle)
+            if chords[each] + step <= longest[each]
+        ]
+        if 0.5 * loose.sum() + apart <= chords[middle] or not wider:
+            middle += 1
+        else:
+            chords[wider[0]] += step
+    return chords
 
 
 def _below_sags(layout: Hanging) -> Floats:

@@ -9,7 +9,7 @@ lengths (s, n − 1). A *place* on one is the index of a piece plus a fraction o
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.distance import nearest
+from swarm.cable.distance import nearest, nearest_of
 from swarm.compiled import compiled
 from swarm.fold.answer import (
     PIECES,
@@ -154,15 +154,18 @@ def neighbours_apart(
     free = np.maximum(0.5, 1.0 - margins.hand / lengths)
     unit = margins.cable + 2.0 * margins.tracking
     enough = 1.3 * margins.cable + margins.beside + 2.6 * margins.tracking
-    part = np.empty((PIECES + 1, 3))
+    part, sizes = np.empty((PIECES + 1, 3)), np.empty((len(lengths), PIECES))
     for s in range(len(points)):
+        wanted = margins.cable + WANTED * unit + margins.beside + more[s]
+        for i in range(len(lengths)):
+            for k in range(PIECES):
+                sizes[i, k] = points_apart(points[s, i, k], points[s, i, k + 1])
         for i in range(len(lengths) - 1):
             before, after = points[s, i], points[s, i + 1]
             error = most_far_movement(ratio[s, i]) + most_far_movement(ratio[s, i + 1])
-            reach = margins.cable + WANTED * unit + margins.beside + more[s]
-            reach += margins.tracking * error
+            reach = wanted + margins.tracking * error
             sine = _sine(before, after)
-            ends, begins = _along(before, free[i]), _along(after, 1.0 - free[i + 1])
+            ends, begins = _along(sizes[i], free[i]), _along(sizes[i + 1], 1.0 - free[i + 1])
             room, room_after = _level(before, ends, after[0]), _level(after, begins, after[0])
             if sine == 1.0 and more[s] == 0.0 and min(room, room_after) > enough:
                 continue
@@ -172,8 +175,8 @@ def neighbours_apart(
             ):
                 if near * sine < reach:
                     _beyond_hand(
-                        points, ratio, lengths, free_to, part, s, own, beside, reach, sine, more,
-                        margins, missed, slopes,
+                        points, sizes, ratio, lengths, free_to, part, s, own, beside, reach, sine,
+                        wanted, margins, missed, slopes,
                     )  # fmt: skip
 
 
@@ -205,6 +208,7 @@ def _level(points: Floats, place: float, at: Floats) -> float:
 @compiled
 def _beyond_hand(
     points: Floats,
+    sizes: Floats,
     ratio: Floats,
     lengths: Floats,
     free_to: float,
@@ -214,68 +218,70 @@ def _beyond_hand(
     beside: int,
     reach: float,
     sine: float,
-    more: Floats,
+    wanted: float,
     margins: Margins,
     missed: Floats,
     slopes: Floats,
 ) -> None:
     """The free part of one strand against all of the neighbouring one, where nearer than reach.
 
-    It is free up to the place ``free_to``. ``part`` (PIECES + 1, 3) is written over.
+    It is free up to the place ``free_to``; ``sizes`` (n − 1, PIECES) are those of strands' pieces,
+    ``part`` (PIECES + 1, 3) is written over.
     """
-    strand, other = points[s, own], points[s, beside]
-    unit = margins.cable + 2.0 * margins.tracking
-    for k in range(PIECES + 1):
-        _point(strand, _free(float(k), free_to, own < beside), part[k])
-    low, high = _nearer(part, other[-1] if own > beside else other[0], reach, sine, own > beside)
-    from_, to = _nearer(other, other[-1] if own > beside else other[0], reach, sine, own < beside)
-    distance, here, there = nearest(part[low:high], other[from_:to], reach)
+    strand, other, outward = points[s, own], points[s, beside], own > beside
+    low, high = _nearer(strand, reach, sine, outward)
+    from_, to = _nearer(other, reach, sine, not outward)
+    if outward:
+        low = min(int(free_to), PIECES - 1)
+    else:
+        high = min(int(free_to), PIECES - 1) + 2
+    for k in range(low, high):
+        _point(strand, _free(float(k), free_to, not outward), part[k])
+    distance, here, there = nearest_of(
+        part[low:high], other[from_:to], sizes[beside, from_ : to - 1], reach
+    )
     if distance >= reach:
         return
     here, there = here + low, there + from_
     push = np.empty(3)
     upright = _towards(part, here, other, there, distance, push)
     piece = min(int(here), PIECES - 1)
-    begin = _free(float(piece), free_to, own < beside)
-    here = begin + (here - piece) * (_free(piece + 1.0, free_to, own < beside) - begin)
-    at_end = 1.0 if beside > own else 0.0
+    begin = _free(float(piece), free_to, not outward)
+    here = begin + (here - piece) * (_free(piece + 1.0, free_to, not outward) - begin)
+    at_end = 0.0 if outward else 1.0
     tracking = margins.tracking
     error = far_movement(
-        strand, ratio[s, own], ratio[s, own] * lengths[own], abs(_share_of(strand, here) - at_end),
-        upright, tracking,
+        strand, ratio[s, own], ratio[s, own] * lengths[own],
+        abs(_share_of(sizes[own], here) - at_end), upright, tracking,
     )  # fmt: skip
     error += far_movement(
         other, ratio[s, beside], ratio[s, beside] * lengths[beside],
-        abs(_share_of(other, there) - 1.0 + at_end), upright, tracking,
+        abs(_share_of(sizes[beside], there) - 1.0 + at_end), upright, tracking,
     )  # fmt: skip
-    spare = distance - margins.cable - tracking * error - margins.beside - more[s]
-    short = WANTED - spare / unit
+    short = (wanted + tracking * error - distance) / (margins.cable + 2.0 * tracking)
     if short <= 0.0:
         return
     missed[s] += short * short
-    push *= -short / unit
+    push *= -short / (margins.cable + 2.0 * tracking)
     follow(slopes[s], own, here / PIECES, lift(ratio[s, own]), strand, push)
     push *= -1.0
     follow(slopes[s], beside, there / PIECES, lift(ratio[s, beside]), other, push)
 
 
 @compiled
-def _nearer(
-    points: Floats, at: Floats, reach: float, sine: float, outward: bool
-) -> tuple[int, int]:
+def _nearer(points: Floats, reach: float, sine: float, outward: bool) -> tuple[int, int]:
     """The points of a strand, from one to before the other, between which it may come so near.
 
-    In plan view each is at least ``sine`` times as far from the other strand as from the vehicle
-    ``at`` which holds both; the strand leads ``outward`` from there, or toward it.
+    In plan view they are equally far apart, and each is at least ``sine`` times as far from the
+    other strand as from the vehicle that holds both; the strand leads ``outward`` from there, or
+    toward it.
     """
-    low, high = 0, len(points)
-    if outward:
-        while high > 2 and _level(points, float(high - 2), at) * sine >= reach:
-            high -= 1
-    else:
-        while high - low > 2 and _level(points, low + 1.0, at) * sine >= reach:
-            low += 1
-    return low, high
+    x, y = points[-1, 0] - points[0, 0], points[-1, 1] - points[0, 1]
+    step = np.sqrt(x * x + y * y) / PIECES * sine
+    count = PIECES
+    while count > 1 and step * (count - 1) >= reach:
+        count -= 1
+    return (0, count + 1) if outward else (PIECES - count, PIECES + 1)
 
 
 @compiled
@@ -285,33 +291,22 @@ def _free(place: float, free_to: float, first: bool) -> float:
 
 
 @compiled
-def _along(points: Floats, share: float) -> float:
-    """The place on a polyline after a share of its length."""
-    left = share * _length(points, len(points) - 1)
-    for k in range(len(points) - 1):
-        piece = points_apart(points[k], points[k + 1])
-        if piece >= left:
-            return k + left / max(piece, 1e-12)
-        left -= piece
-    return len(points) - 1.0
+def _along(sizes: Floats, share: float) -> float:
+    """The place on a polyline with pieces of these sizes (k,) after a share of its length."""
+    left = share * sizes.sum()
+    for k in range(len(sizes)):
+        if sizes[k] >= left:
+            return float(k + left / max(sizes[k], 1e-12))
+        left -= sizes[k]
+    return float(len(sizes))
 
 
 @compiled
-def _share_of(points: Floats, place: float) -> float:
-    """The share of a polyline's length before a place on it."""
-    piece = min(int(place), len(points) - 2)
-    before = _length(points, piece)
-    before += (place - piece) * points_apart(points[piece], points[piece + 1])
-    return before / max(_length(points, len(points) - 1), 1e-12)
-
-
-@compiled
-def _length(points: Floats, pieces: int) -> float:
-    """Length of the first pieces of a polyline."""
-    length = 0.0
-    for k in range(pieces):
-        length += points_apart(points[k], points[k + 1])
-    return length
+def _share_of(sizes: Floats, place: float) -> float:
+    """The share before a place on it of the length of a polyline with pieces of sizes (k,)."""
+    piece = min(int(place), len(sizes) - 1)
+    before = sizes[:piece].sum() + (place - piece) * sizes[piece]
+    return float(before / max(sizes.sum(), 1e-12))
 
 
 @compiled

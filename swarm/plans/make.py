@@ -154,13 +154,16 @@ def _refuse_crowding(
 def _foldings(
     opened: list[OpenGrid], layouts: list[Shape], margins: Margins, progress: Progress | None
 ) -> Iterator[Folding]:
-    """Foldings of all openings in each layout."""
-    for shape in layouts:
-        for k, diagram in enumerate(opened):
+    """Foldings of all openings in the first layout, and of the first ones in the others."""
+    for number, shape in enumerate(layouts):
+        for k, diagram in enumerate(opened[:_IN_OTHERS] if number else opened):
             if progress:
                 progress(f"folding with a cell of {shape.cell:.2f} m", k / len(opened))
             yield folded(diagram, shape, margins)
 
+
+_IN_OTHERS = 3
+"""So many openings are tried with each layout but the smallest one."""
 
 _MENDINGS = 8
 """So often a plan that nearly holds is judged."""

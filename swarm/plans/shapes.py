@@ -27,8 +27,8 @@ many in a row were no better than the best of those before."""
 _IN_THE_WAY = 12.0
 """Cost of ways, for every segment, from which on more openings are compared."""
 
-_BEST = 3
-"""So many of them are tried with each layout."""
+_BEST = 6
+"""So many of them are tried with the smallest layout."""
 
 _STEP = 0.4
 """Step of the lattice of progress, in cells."""
