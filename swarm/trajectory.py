@@ -46,17 +46,32 @@ class Motion:
 def _followed(breaks: Floats, coefficients: Floats, asked: Floats, found: Floats) -> None:
     """Write position, velocity and acceleration (3, q, n, 3) at times (q,)."""
     for q in range(len(asked)):
-        inside = min(max(asked[q], breaks[0]), breaks[-1])
-        moving = 1.0 if inside == asked[q] else 0.0
-        piece = np.searchsorted(breaks[1:-1], inside, side="right")
-        u, c = inside - breaks[piece], coefficients[piece]
-        for i in range(c.shape[1]):
-            for x in range(3):
-                c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
-                found[0, q, i, x] = c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
-                rate = c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))
-                bend = 2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5))
-                found[1, q, i, x], found[2, q, i, x] = moving * rate, moving * bend
+        piece, since, moving = piece_at(breaks, asked[q])
+        for i in range(coefficients.shape[2]):
+            state_of(
+                coefficients[piece], i, since, moving, found[0, q, i], found[1, q, i],
+                found[2, q, i],
+            )  # fmt: skip
+
+
+@compiled
+def piece_at(breaks: Floats, time: float) -> tuple[int, float, float]:
+    """The piece of a motion at a time, the seconds since its start, and 1; 0 where all rest."""
+    inside = min(max(time, breaks[0]), breaks[-1])
+    piece = np.searchsorted(breaks[1:-1], inside, side="right")
+    return piece, inside - breaks[piece], 1.0 if inside == time else 0.0
+
+
+@compiled
+def state_of(
+    c: Floats, i: int, u: float, moving: float, place: Floats, speed: Floats, push: Floats
+) -> None:
+    """Write position, velocity and acceleration (3,) of one of n in a piece (6, n, 3)."""
+    for x in range(3):
+        c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
+        place[x] = c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+        speed[x] = moving * (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5))))
+        push[x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
 
 
 def through_states(

@@ -231,5 +231,9 @@ def discs_entered(
     places: Floats, strands: Floats, wider: Floats, margins: Margins, found: Floats
 ) -> None:
     """Write what :func:`disc_entered` gives for places (k, 3), strands (k, p, 3), wider (k,)."""
+    lowest = margins.grip_offset - 1.5 * margins.tracking
     for k in range(len(places)):
-        found[k] = disc_entered(places[k], strands[k], wider[k], margins)
+        found[k] = 0.0
+        # No strand is anywhere higher than its ends are.
+        if max(strands[k, 0, 2], strands[k, -1, 2]) - places[k, 2] > lowest:
+            found[k] = disc_entered(places[k], strands[k], wider[k], margins)

@@ -152,14 +152,24 @@ def _refuse_crowding(
 
 
 def _foldings(
-    opened: list[OpenGrid], layouts: list[Shape], margins: Margins, progress: Progress | None
+    opened: Iterator[OpenGrid], layouts: list[Shape], margins: Margins, progress: Progress | None
 ) -> Iterator[Folding]:
     """Foldings of all openings in the first layout, and of the first ones in the others."""
-    for number, shape in enumerate(layouts):
-        for k, diagram in enumerate(opened[:_IN_OTHERS] if number else opened):
-            if progress:
-                progress(f"folding with a cell of {shape.cell:.2f} m", k / len(opened))
-            yield folded(diagram, shape, margins)
+    best: list[OpenGrid] = []
+    for diagram in opened:
+        best.append(diagram)
+        yield _folding(diagram, layouts[0], margins, progress)
+    for shape in layouts[1:]:
+        for diagram in best[:_IN_OTHERS]:
+            yield _folding(diagram, shape, margins, progress)
+
+
+def _folding(
+    diagram: OpenGrid, shape: Shape, margins: Margins, progress: Progress | None
+) -> Folding:
+    if progress:
+        progress(f"folding with a cell of {shape.cell:.2f} m", 0.0)
+    return folded(diagram, shape, margins)
 
 
 _IN_OTHERS = 3

@@ -22,13 +22,13 @@ SAMPLING = 0.015
 
 _OPENINGS, _IN_VAIN, _MORE = 12, 30, 96
 """Openings of the grid diagram that are compared, and how many where these are in the way: until so
-many in a row were no better than the best of those before."""
+many in a row were no better than the best of those before. All of the last, where none folds."""
 
 _IN_THE_WAY = 12.0
 """Cost of ways, for every segment, from which on more openings are compared."""
 
-_BEST = 6
-"""So many of them are tried with the smallest layout."""
+_BEST, _OTHERS = 3, 9
+"""So many of them are tried, and so many more where none of those folds."""
 
 _STEP = 0.4
 """Step of the lattice of progress, in cells."""
@@ -118,18 +118,34 @@ def folded(diagram: OpenGrid, shape: Shape, margins: Margins) -> Folding:
 
 def ranked(
     opened: list[OpenGrid], shape: Shape, margins: Margins, progress: Progress | None
-) -> list[OpenGrid]:
-    """The openings along whose paths segments are least in the way of others, best first.
+) -> Iterator[OpenGrid]:
+    """Openings along whose paths segments are least in the way of others, best first.
 
-    Of openings that are about as good, those that take less cable, and with it less time.
+    Of openings that are about as good, those that take less cable, and with it less time. More are
+    compared once the first ones were taken.
     """
     opened = opened[:_MORE]
+    best = _best(opened, shape, margins, _BEST, _IN_VAIN, progress)
+    yield from (opened[k] for k in best)
+    others = [diagram for k, diagram in enumerate(opened) if k not in best]
+    yield from (others[k] for k in _best(others, shape, margins, _OTHERS, _MORE, progress))
+
+
+def _best(
+    opened: list[OpenGrid],
+    shape: Shape,
+    margins: Margins,
+    wanted: int,
+    in_vain: int,
+    progress: Progress | None,
+) -> list[int]:
+    """Which openings are the best, as many as are wanted."""
     costs: list[float] = []
     scores: list[float] = []
     for k, diagram in enumerate(opened):
         if k >= _OPENINGS:
             leading = int(np.argmin(scores))
-            if costs[leading] < _IN_THE_WAY * len(diagram.corners) or k - leading > _IN_VAIN:
+            if costs[leading] < _IN_THE_WAY * len(diagram.corners) or k - leading > in_vain:
                 break
         if progress:
             progress("comparing openings of the grid diagram", k / len(opened))
@@ -137,11 +153,11 @@ def ranked(
         layout = hung_apart(diagram, fit, margins)
         guide = guided(layout, fit.slope, fit.rounding)
         square = float(layout.lengths.sum()) ** 2
-        chosen = sorted(scores)[:_BEST]
-        enough = chosen[-1] / square if len(chosen) == _BEST else np.inf
+        chosen = sorted(scores)[:wanted]
+        enough = chosen[-1] / square if len(chosen) == wanted else np.inf
         costs.append(cost_of_ways(layout, guide, margins, _STEP * fit.cell, enough))
         scores.append(costs[-1] * square)
-    return [opened[k] for k in np.argsort(scores, kind="stable")[:_BEST]]
+    return [int(k) for k in np.argsort(scores, kind="stable")[:wanted]]
 
 
 def different(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:

@@ -1,106 +1,183 @@
-"""Which pairs of a team come how near after lost setpoints, box by box of a coast; compiled.
+"""How near the pairs of a team come after lost setpoints, in one box of a coast; compiled.
 
-Boxes (m,) have a ``case`` (0: all have lost the stream, else that vehicle) and a ``half`` width in
-time; their middles have everybody's ``place`` (m, n, 3), how fast they go ``along`` with the time,
-and how much else they may move, ``loose`` (m, n). A case touches the pairs which its vehicle holds:
-what all others keep among themselves is as certified.
+A case touches the pairs which its vehicle holds: what all others keep among themselves is as
+certified. Of what is left of a clearance in a box, functions return a lower bound, and what is left
+in the box's middle.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm.cable import quick
+from swarm.cable.distance import nearest
 from swarm.compiled import compiled
+from swarm.preflight.coast_team import Standing
+from swarm.preflight.sensitivity import BOTH_ENDS, LARGEST_RATIO, largest_of
 
 Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.intp]
+
+TOLERANCE = 0.005
+"""Metres by which a clearance may fall short and still count as kept: exactly at a limit nothing
+can be told."""
+_PIECES = 16
+
+
+class Kept(NamedTuple):
+    """What is to be kept: chords no longer than ``tautest`` (n − 1,), vehicles ``beside`` or
+    ``under`` each other, strands (their middles) ``strands`` apart, metres. ``lengths`` (n − 1,)
+    are theirs; ``norm`` and ``integral`` are the tables of their sensitivity.
+    """
+
+    tautest: Floats
+    beside: float
+    under: float
+    strands: float
+    lengths: Floats
+    norm: Floats
+    integral: Floats
+
+
+class Sketches(NamedTuple):
+    """Points (n − 1, k, 3) of strands between vehicles where they stand, how far (n − 1,) strands
+    bow out between these, and which are drawn (n − 1,)."""
+
+    points: Floats
+    bow: Floats
+    drawn: npt.NDArray[np.bool_]
+
+
+def sketches_for(strands: int) -> Sketches:
+    """Room for so many strands."""
+    points = np.empty((strands, _PIECES + 1, 3))
+    return Sketches(points, np.empty(strands), np.zeros(strands, dtype=np.bool_))
 
 
 @compiled
-def left_of_pairs(
-    case: Ints,
-    half: Floats,
-    place: Floats,
-    along: Floats,
-    loose: Floats,
-    tautest: Floats,
-    beside: float,
-    under: float,
-    low: Floats,
-    here: Floats,
-) -> None:
-    """Write bounds (m,) of what is left of chords and between vehicles, and what is in the middle.
-
-    Chords may be as long as ``tautest`` (n − 1,); vehicles keep ``beside`` or ``under``, metres.
-    """
-    for m in range(len(case)):
-        low[m] = here[m] = np.inf
-        for i in range(place.shape[1]):
-            for j in range(i + 1, place.shape[1]):
-                if case[m] > 0 and case[m] - 1 != i and case[m] - 1 != j:
-                    continue
-                x, y = place[m, j, 0] - place[m, i, 0], place[m, j, 1] - place[m, i, 1]
-                z, turn = place[m, j, 2] - place[m, i, 2], 0.0
-                for axis in range(3):
-                    turn += (along[m, j, axis] - along[m, i, axis]) ** 2
-                moved = np.sqrt(turn) * half[m] + loose[m, i] + loose[m, j]
-                left = max(np.sqrt(x * x + y * y) - beside, abs(z) - under)
-                if j == i + 1:
-                    left = min(left, tautest[i] - np.sqrt(x * x + y * y + z * z))
-                low[m], here[m] = min(low[m], left - moved), min(here[m], left)
+def left_of_pairs(case: int, half: float, standing: Standing, kept: Kept) -> tuple[float, float]:
+    """What is left of chords and between vehicles."""
+    place, along, loose = standing.place, standing.along, standing.loose
+    low = here = np.inf
+    for i in range(len(loose)):
+        for j in range(i + 1, len(loose)):
+            if case not in (0, i + 1, j + 1):
+                continue
+            x, y = place[j, 0] - place[i, 0], place[j, 1] - place[i, 1]
+            z, turn = place[j, 2] - place[i, 2], 0.0
+            for axis in range(3):
+                turn += (along[j, axis] - along[i, axis]) ** 2
+            moved = np.sqrt(turn) * half + loose[i] + loose[j]
+            left = max(np.sqrt(x * x + y * y) - kept.beside, abs(z) - kept.under)
+            if j == i + 1:
+                left = min(left, kept.tautest[i] - np.sqrt(x * x + y * y + z * z))
+            low, here = min(low, left - moved), min(here, left)
+    return float(low), float(here)
 
 
 @compiled
-def near_strands(
-    case: Ints,
-    half: Floats,
-    place: Floats,
-    along: Floats,
-    loose: Floats,
-    lengths: Floats,
-    required: float,
-) -> tuple[Ints, Ints, Ints, Floats, Floats]:
-    """Pairs of strands that share no vehicle and are not shown to keep ``required`` by their boxes.
+def left_of_strands(
+    case: int, half: float, standing: Standing, kept: Kept, sketches: Sketches
+) -> tuple[float, float]:
+    """What is left between strands that share no vehicle."""
+    sketches.drawn[:] = False
+    count, low, here = len(kept.lengths), np.inf, np.inf
+    for i in range(count):
+        held = case in (0, i + 1, i + 2)
+        for j in range(
+            i + 2 if held else max(i + 2, case - 2), count if held else min(case, count)
+        ):
+            first, second = _moved(i, j, standing.along, standing.loose, half)
+            apart = _boxes_apart(standing.place, kept.lengths, i, j, first, second, kept.strands)
+            if apart < kept.strands:
+                left = _left_of(i, j, (first, second), standing.place, kept, sketches)
+                low, here = min(low, left[0]), min(here, left[1])
+    return low, here
 
-    Returns their boxes' rows, both strands, and how far each one's ends may move.
-    """
-    strands = len(lengths)
-    near = np.zeros((len(case), strands, strands), dtype=np.bool_)
-    for m in range(len(case)):
-        lost = case[m] - 1
-        for i in range(strands):
-            for j in range(i + 2, strands):
-                if lost < 0 or lost in (i, i + 1, j, j + 1):
-                    first, second = _moved(i, j, along[m], loose[m], half[m])
-                    apart = _boxes_apart(place[m], lengths, i, j, first, second)
-                    near[m, i, j] = apart < required
-    row, one, other = np.nonzero(near)
-    moved = np.empty((2, len(row)))
-    for k in range(len(row)):
-        m = row[k]
-        moved[0, k], moved[1, k] = _moved(one[k], other[k], along[m], loose[m], half[m])
-    return row, one, other, moved[0], moved[1]
+
+@compiled
+def _left_of(
+    i: int, j: int, moved: tuple[float, float], place: Floats, kept: Kept, sketches: Sketches
+) -> tuple[float, float]:
+    """What is left between two strands whose ends move."""
+    off = _off(i, moved[0], place, kept, sketches) + _off(j, moved[1], place, kept, sketches)
+    # From above by the points, from below by a spacing less: lines through points that are a
+    # spacing apart come nearer by a spacing at most, half of it on each.
+    most = _between_points(sketches.points[i], sketches.points[j]) - kept.strands
+    least = most - kept.lengths.max() / _PIECES
+    if least < off and most >= off - TOLERANCE:
+        limit = most + kept.strands
+        least = most = nearest(sketches.points[i], sketches.points[j], limit)[0] - kept.strands
+    return least - off, most
+
+
+@compiled
+def _off(i: int, moved: float, place: Floats, kept: Kept, sketches: Sketches) -> float:
+    """How far a strand and what is between its points can be off when its ends move; draws it."""
+    start, end, length = place[i], place[i + 1], kept.lengths[i]
+    rise = abs(end[2] - start[2])
+    chord = np.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + rise * rise)
+    if not sketches.drawn[i]:
+        sketches.drawn[i] = True
+        sketches.bow[i] = _drawn(start, end, max(length, chord / LARGEST_RATIO), sketches.points[i])
+    if chord + 2.0 * moved >= LARGEST_RATIO * length:
+        return np.inf
+    steep = min((rise + 2.0 * moved) / max(chord - 2.0 * moved, 1e-9), 1.0)
+    level, upright = largest_of(
+        kept.norm, kept.integral, chord / length, 2.0 * moved / length, steep, BOTH_ENDS, 1
+    )
+    return float(sketches.bow[i] + np.sqrt(level * level + upright * upright) * moved)
+
+
+@compiled
+def _drawn(start: Floats, end: Floats, length: float, points: Floats) -> float:
+    """Write a strand's points (k, 3); how far it bows out between these at most."""
+    quick.sketch(start, end, length, points)
+    arc, shortest = length / (len(points) - 1), np.inf
+    for k in range(len(points) - 1):
+        square = 0.0
+        for axis in range(3):
+            square += (points[k + 1, axis] - points[k, axis]) ** 2
+        shortest = min(shortest, square)
+    return 0.5 * float(np.sqrt(max(arc * arc - shortest, 0.0)))
+
+
+@compiled
+def _between_points(first: Floats, second: Floats) -> float:
+    """Smallest distance of points (k, 3) from others."""
+    least = np.inf
+    for i in range(len(first)):
+        x, y, z = first[i, 0], first[i, 1], first[i, 2]
+        for j in range(len(second)):
+            square = (second[j, 0] - x) ** 2 + (second[j, 1] - y) ** 2 + (second[j, 2] - z) ** 2
+            least = min(least, square)
+    return float(np.sqrt(least))
 
 
 @compiled
 def _moved(i: int, j: int, along: Floats, loose: Floats, half: float) -> tuple[float, float]:
     """How far the ends of two strands may move, but for what all four go together."""
-    ends = (i, i + 1, j, j + 1)
-    size = np.zeros(4)
-    for axis in range(3):
-        mean = 0.25 * (along[i, axis] + along[i + 1, axis] + along[j, axis] + along[j + 1, axis])
-        for k in range(4):
-            size[k] += (along[ends[k], axis] - mean) ** 2
-    for k in range(4):
-        size[k] = np.sqrt(size[k]) * half + loose[ends[k]]
-    return max(size[0], size[1]), max(size[2], size[3])
+    x = 0.25 * (along[i, 0] + along[i + 1, 0] + along[j, 0] + along[j + 1, 0])
+    y = 0.25 * (along[i, 1] + along[i + 1, 1] + along[j, 1] + along[j + 1, 1])
+    z = 0.25 * (along[i, 2] + along[i + 1, 2] + along[j, 2] + along[j + 1, 2])
+    first = second = 0.0
+    for k in (i, i + 1):
+        speed = np.sqrt((along[k, 0] - x) ** 2 + (along[k, 1] - y) ** 2 + (along[k, 2] - z) ** 2)
+        first = max(first, speed * half + loose[k])
+    for k in (j, j + 1):
+        speed = np.sqrt((along[k, 0] - x) ** 2 + (along[k, 1] - y) ** 2 + (along[k, 2] - z) ** 2)
+        second = max(second, speed * half + loose[k])
+    return first, second
 
 
 @compiled
 def _boxes_apart(
-    place: Floats, lengths: Floats, i: int, j: int, moved: float, other_moved: float
+    place: Floats, lengths: Floats, i: int, j: int, moved: float, other_moved: float, enough: float
 ) -> float:
-    """Distance that two strands keep because of the upright boxes that they cannot leave."""
-    below, other_below = _dip(place, lengths, i, moved), _dip(place, lengths, j, other_moved)
+    """Distance that two strands keep because of the upright boxes that they cannot leave.
+
+    Where that is ``enough`` or more, not necessarily how much.
+    """
     square = 0.0
     for axis in range(3):
         low = min(place[i, axis], place[i + 1, axis]) - moved
@@ -108,7 +185,10 @@ def _boxes_apart(
         other_low = min(place[j, axis], place[j + 1, axis]) - other_moved
         other_high = max(place[j, axis], place[j + 1, axis]) + other_moved
         if axis == 2:
-            low, other_low = low - below, other_low - other_below
+            if square >= enough * enough:
+                return enough
+            low -= _dip(place, lengths, i, moved)
+            other_low -= _dip(place, lengths, j, other_moved)
         gap = max(low - other_high, other_low - high, 0.0)
         square += gap * gap
     return float(np.sqrt(square))

@@ -7,6 +7,7 @@ from math import comb, perm
 import numpy as np
 import numpy.typing as npt
 
+from swarm.compiled import compiled
 from swarm.trajectory import Motion
 
 Floats = npt.NDArray[np.float64]
@@ -32,23 +33,25 @@ class Course:
         return np.stack(jumps, axis=1)
 
     @cached_property
-    def _largest_acceleration(self) -> tuple[Floats, ...]:
+    def accelerations(self) -> Floats:
+        """Largest accelerations (l, k, n) on runs of 2^l pieces; see :func:`run_between`."""
         return self._largest(2)
 
     @cached_property
-    def _largest_jerk(self) -> tuple[Floats, ...]:
+    def jerks(self) -> Floats:
+        """The same of jerks."""
         return self._largest(3)
 
     def acceleration_bound(self, start: Floats, end: Floats) -> Floats:
         """Upper bounds (m, n) of every grip point's acceleration on the intervals (m,), m/s²."""
-        return self._over(self._largest_acceleration, start, end)
+        return self._over(self.accelerations, start, end)
 
     def jerk_bound(self, start: Floats, end: Floats) -> Floats:
         """Upper bounds (m, n) of every grip point's jerk on the intervals (m,), m/s³."""
-        return self._over(self._largest_jerk, start, end)
+        return self._over(self.jerks, start, end)
 
-    def _largest(self, order: int) -> tuple[Floats, ...]:
-        """Bounds of a derivative on 2^l consecutive pieces: per l one table (k − 2^l + 1, n).
+    def _largest(self, order: int) -> Floats:
+        """Bounds (l, k, n) of a derivative on 2^l consecutive pieces, from every one of them on.
 
         On one piece, a polynomial's Bernstein coefficients enclose its values.
         """
@@ -61,19 +64,38 @@ class Course:
         to_bernstein = [[comb(row, p) / comb(degree, p) for p in power] for row in power]
         control = np.einsum("bp,kpnx->kbnx", to_bernstein, scaled)
         tables = [np.linalg.norm(control, axis=-1).max(axis=1)]
-        while len(tables[0]) >= 2 ** len(tables):
-            half = 2 ** (len(tables) - 1)
-            tables.append(np.maximum(tables[-1][:-half], tables[-1][half:]))
-        return tuple(tables)
+        while len(self.motion.coefficients) >= 2 ** len(tables):
+            half, wider = 2 ** (len(tables) - 1), tables[-1].copy()
+            wider[:-half] = np.maximum(tables[-1][:-half], tables[-1][half:])
+            tables.append(wider)
+        return np.stack(tables)
 
-    def _over(self, tables: tuple[Floats, ...], start: Floats, end: Floats) -> Floats:
-        joints = self.motion.times[1:-1]
-        first = np.searchsorted(joints, start, side="left")
-        last = np.searchsorted(joints, end, side="right")
-        level = np.frexp(last - first + 1)[1] - 1
-        bound = np.empty((len(start), self.motion.coefficients.shape[2]))
-        for height in np.unique(level):
-            at = level == height
-            table = tables[height]
-            bound[at] = np.maximum(table[first[at]], table[last[at] - 2**height + 1])
+    def _over(self, tables: Floats, start: Floats, end: Floats) -> Floats:
+        bound = np.empty((len(start), tables.shape[2]))
+        joints = np.require(self.motion.times[1:-1], requirements=["C", "W"])
+        start, end = np.ascontiguousarray(start), np.ascontiguousarray(end)
+        _bounds_between(tables, joints, start, end, bound)
         return bound
+
+
+@compiled
+def _bounds_between(
+    tables: Floats, joints: Floats, start: Floats, end: Floats, found: Floats
+) -> None:
+    """Write the largest that ``tables`` know of all (n,) in intervals (m,)."""
+    for m in range(len(start)):
+        first, last, level = run_between(joints, start[m], end[m])
+        for i in range(found.shape[1]):
+            found[m, i] = max(tables[level, first, i], tables[level, last, i])
+
+
+@compiled
+def run_between(joints: Floats, start: float, end: float) -> tuple[int, int, int]:
+    """Where tables of a course have what is between two times: of two runs the first pieces and the
+    level. ``joints`` are the times at which the course's pieces join."""
+    first = np.searchsorted(joints, start)
+    last = np.searchsorted(joints, end, side="right")
+    level, run = 0, 1
+    while 2 * run <= last - first + 1:
+        level, run = level + 1, 2 * run
+    return int(first), int(last - run + 1), level

@@ -78,25 +78,48 @@ def _largest(
 ) -> None:
     """Write :meth:`Sensitivity.largest` of k strands, found (2, k)."""
     for k in range(len(ratio)):
-        steepness = np.searchsorted(_SINES, sine[k])
-        part = piece[k]
-        while part >= 2 ** (_DEPTH + 1):
-            part //= 2
-        low = min(max(ratio[k], 0.0), LARGEST_RATIO)
-        high = ratio[k] + max(reach[k], 1e-9)
-        high = min(max(high, 1e-9), LARGEST_RATIO + 1e-9)
-        low_bin, high_bin = _bin(low), _bin(high)
-        over, above = low - _ratio_of(low_bin), high - _ratio_of(high_bin)
-        for direction in range(2):
-            norms = norm[steepness, ends[k], direction]
-            at_high = norms[high_bin, part]
-            found[direction, k] = at_high
-            if low_bin != high_bin:
-                whole = integral[steepness, ends[k], direction]
-                to_high = whole[high_bin, part] + at_high * above
-                to_low = whole[low_bin, part] + norms[low_bin, part] * over
-                mean = (to_high - to_low) / max(high - low, 1e-12)
-                found[direction, k] = min(mean, at_high)
+        found[0, k], found[1, k] = largest_of(
+            norm, integral, ratio[k], reach[k], sine[k], ends[k], piece[k]
+        )
+
+
+@compiled
+def largest_of(
+    norm: Floats,
+    integral: Floats,
+    ratio: float,
+    reach: float,
+    sine: float,
+    ends: int,
+    piece: int,
+) -> tuple[float, float]:
+    """As :meth:`Sensitivity.largest` of one strand, with the tables of that."""
+    steepness = np.searchsorted(_SINES, sine)
+    part = piece
+    while part >= 2 ** (_DEPTH + 1):
+        part //= 2
+    low = min(max(ratio, 0.0), LARGEST_RATIO)
+    high = ratio + max(reach, 1e-9)
+    high = min(max(high, 1e-9), LARGEST_RATIO + 1e-9)
+    bins = _bin(low), _bin(high)
+    return (
+        _mean(norm[steepness, ends, 0], integral[steepness, ends, 0], part, bins, (low, high)),
+        _mean(norm[steepness, ends, 1], integral[steepness, ends, 1], part, bins, (low, high)),
+    )
+
+
+@compiled
+def _mean(
+    norms: Floats, integrals: Floats, part: int, bins: tuple[int, int], ratios: tuple[float, float]
+) -> float:
+    """The mean norm between two ratios, which lie in these bins."""
+    at_high = float(norms[bins[1], part])
+    if bins[0] == bins[1]:
+        return at_high
+    to_low = integrals[bins[0], part] + norms[bins[0], part] * (ratios[0] - _ratio_of(bins[0]))
+    to_high = integrals[bins[1], part] + at_high * (ratios[1] - _ratio_of(bins[1]))
+    mean = float((to_high - to_low) / max(ratios[1] - ratios[0], 1e-12))
+    return min(mean, at_high)
 
 
 @compiled
