@@ -14,7 +14,13 @@ from swarm.cable import quick
 from swarm.cable.distance import nearest
 from swarm.compiled import compiled
 from swarm.preflight.coast_team import Standing
-from swarm.preflight.sensitivity import BOTH_ENDS, LARGEST_RATIO, largest_of
+from swarm.preflight.sensitivity import (
+    BOTH_ENDS,
+    LARGEST_RATIO,
+    largest_of,
+    on_the_way,
+    steepness,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -124,8 +130,9 @@ def _off(i: int, moved: float, place: Floats, kept: Kept, sketches: Sketches) ->
         return np.inf
     steep = min((rise + 2.0 * moved) / max(chord - 2.0 * moved, 1e-9), 1.0)
     level, upright = largest_of(
-        kept.norm, kept.integral, chord / length, 2.0 * moved / length, steep, BOTH_ENDS, 1
-    )
+        kept.norm, kept.integral, steepness(steep), BOTH_ENDS, 1,
+        on_the_way(chord / length, 2.0 * moved / length),
+    )  # fmt: skip
     return float(sketches.bow[i] + np.sqrt(level * level + upright * upright) * moved)
 
 

@@ -13,11 +13,13 @@ K₁₁ = [θ − tanh θ], K₂₂ = [tanh θ], K₁₂ = [sech θ]. What is be
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import Catenaries, hang
+from swarm.compiled import compiled
 from swarm.preflight.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO
 
 Floats = npt.NDArray[np.float64]
@@ -25,7 +27,9 @@ Ints = npt.NDArray[np.intp]
 
 _INFLATION = 1.1
 _CLASSES = np.radians([20.0, 40.0, 60.0, 80.0])
+_SINES = np.sin(_CLASSES)
 _BINS = 48
+_COLUMNS = float(_BINS / np.log1p(-LARGEST_RATIO))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,70 +76,105 @@ def response(
     """
     up = -np.einsum("bi,bi->b", normal, strands.down)
     along = np.einsum("bi,bi->b", normal, strands.heading)
-    across = np.sqrt(np.maximum(1.0 - up * up - along * along, 0.0))
-    turn = strands.length / strands.parameter
-    first, last, here, begin, end = (
-        np.arcsinh(strands.slope + share * turn) for share in (0.0, 1.0, fraction, *piece)
+    found = np.empty((3, len(up)))
+    _responses(
+        np.stack([strands.length, strands.parameter, strands.slope, strands.span, strands.rise]),
+        np.stack([along, up, fraction, *piece, stretch, sine]), ends, curvatures(), found,
+    )  # fmt: skip
+    known = np.isfinite(found[0])
+    at_point, per_arc, curvature = np.where(known, found, 0.0)
+    return Response(at_point, per_arc, curvature, known)
+
+
+@compiled
+def _responses(strands: Floats, asked: Floats, ends: Ints, table: Floats, found: Floats) -> None:
+    """Write what :func:`respond` gives (3, b) for figures of strands (5, b) and what is asked of
+    them (7, b): the parts of normals, fractions, pieces' begins and ends, stretches and sines."""
+    for k in range(len(ends)):
+        length, parameter, slope, span, rise = strands[:, k]
+        along, up, fraction, begin, end, stretch, sine = asked[:, k]
+        strand = Strand(length, parameter, slope, span, rise)
+        found[0, k], found[1, k], found[2, k] = respond(
+            strand, (along, up), fraction, (begin, end), ends[k], stretch, sine, table
+        )
+
+
+class Strand(NamedTuple):
+    """The figures of one of :class:`swarm.cable.catenary.Catenaries`."""
+
+    length: float
+    parameter: float
+    slope: float
+    span: float
+    rise: float
+
+
+@compiled
+def respond(
+    strand: Strand,
+    normal: tuple[float, float],
+    fraction: float,
+    piece: tuple[float, float],
+    ends: int,
+    stretch: float,
+    sine: float,
+    table: Floats,
+) -> tuple[float, float, float]:
+    """Of one strand what :func:`response` says of many: at the point, per arc, and curvature.
+
+    ``normal`` is a unit vector's part along the strand's heading and upward, ``table`` that of
+    :func:`curvatures`. All infinite where nothing is known.
+    """
+    along, up = normal
+    across = 1.0 - up * up - along * along
+    turn = strand.length / strand.parameter
+    # Slopes, and by them the angles' hyperbolic functions: sinh θ, 1 / cosh θ and tanh θ.
+    low, high = strand.slope, strand.slope + turn
+    at = strand.slope + fraction * turn
+    sech_low, sech_high = 1.0 / np.sqrt(1.0 + low * low), 1.0 / np.sqrt(1.0 + high * high)
+    sech_at = 1.0 / np.sqrt(1.0 + at * at)
+    first, whole, part = np.arcsinh(low), np.arcsinh(high), np.arcsinh(at)
+    whole, part = whole - first, part - first
+    level, cross = high * sech_high - low * sech_low, sech_high - sech_low
+    level_part, cross_part = at * sech_at - low * sech_low, sech_at - sech_low
+    bent, bent_part = whole - level, part - level_part
+    determinant = bent * level - cross * cross
+    # q = K(ℓ)⁻¹ K(s) n, the transposed response of the point in the plane.
+    pulled, raised = bent_part * along + cross_part * up, cross_part * along + level_part * up
+    by_along = (level * pulled - cross * raised) / determinant
+    by_up = (bent * raised - cross * pulled) / determinant
+    share = part / whole
+    aside = max(across, 0.0)
+    by_end = np.sqrt(by_along**2 + by_up**2 + share**2 * aside)
+    by_start = np.sqrt((along - by_along) ** 2 + (up - by_up) ** 2 + (1.0 - share) ** 2 * aside)
+    trace = bent + level
+    softest = 0.5 * (trace + np.sqrt(max(trace * trace - 4.0 * determinant, 0.0)))
+    begin, end = strand.slope + piece[0] * turn, strand.slope + piece[1] * turn
+    lowest = 0.0 if begin * end <= 0.0 else min(abs(begin), abs(end))
+    flattest = np.sqrt(1.0 + lowest * lowest)
+    per_arc = max(
+        softest / determinant / (strand.parameter * flattest), 1.0 / (strand.span * flattest)
     )
-    whole, part = _stiffness(first, last), _stiffness(first, here)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        determinant = whole[0] * whole[2] - whole[1] ** 2
-        # q = K(ℓ)⁻¹ K(s) n, the transposed response of the point in the plane.
-        pulled = part[0] * along + part[1] * up, part[1] * along + part[2] * up
-        in_plane = (
-            (whole[2] * pulled[0] - whole[1] * pulled[1]) / determinant,
-            (whole[0] * pulled[1] - whole[1] * pulled[0]) / determinant,
-        )
-        share = (here - first) / (last - first)
-        by_end = np.sqrt(in_plane[0] ** 2 + in_plane[1] ** 2 + (share * across) ** 2)
-        by_start = np.sqrt(
-            (along - in_plane[0]) ** 2 + (up - in_plane[1]) ** 2 + ((1.0 - share) * across) ** 2
-        )
-        trace = whole[0] + whole[2]
-        softest = 0.5 * (trace + np.sqrt(np.maximum(trace**2 - 4.0 * determinant, 0.0)))
-        lowest = np.where(begin * end <= 0.0, 0.0, np.minimum(np.abs(begin), np.abs(end)))
-        flattest = np.cosh(np.minimum(lowest, 300.0))
-        per_arc = np.maximum(
-            softest / determinant / (strands.parameter * flattest), 1.0 / (strands.span * flattest)
-        )
-        curvature = _curvature(strands, stretch, sine)
-        answer = np.where(
-            ends == BOTH_ENDS, by_start + by_end, np.where(ends == FAR_END, by_end, by_start)
-        )
-    known = (determinant > 1e-12) & np.isfinite(answer + per_arc + curvature)
-    return Response(
-        np.where(known, answer, 0.0),
-        np.where(known, per_arc, 0.0),
-        np.where(known, curvature, 0.0),
-        known,
-    )
+    answer = by_end if ends == FAR_END else by_start
+    if ends == BOTH_ENDS:
+        answer = by_start + by_end
+    curvature = _curvature(strand, stretch, sine, table)
+    if determinant > 1e-12 and np.isfinite(answer + per_arc + curvature):
+        return answer, per_arc, curvature
+    return np.inf, np.inf, np.inf
 
 
-def _stiffness(first: Floats, last: Floats) -> tuple[Floats, Floats, Floats]:
-    """K₁₁, K₁₂, K₂₂ between two angles."""
-    level = np.tanh(last) - np.tanh(first)
-    cross = 1.0 / np.cosh(np.clip(last, -300.0, 300.0)) - 1.0 / np.cosh(np.clip(first, -300, 300))
-    return (last - first) - level, cross, level
-
-
-def _curvature(strands: Catenaries, stretch: Floats, sine: Floats) -> Floats:
+@compiled
+def _curvature(strand: Strand, stretch: float, sine: float, table: Floats) -> float:
     """Upper bound of M while the ends move by up to ``stretch`` relative to each other."""
-    chord = np.hypot(strands.span, strands.rise)
-    ratio = (chord + stretch) / strands.length
-    narrowest = strands.span - stretch
-    steepness = np.searchsorted(np.sin(_CLASSES), sine)
-    column = np.minimum(_column(np.minimum(ratio, LARGEST_RATIO)), _BINS - 1)
-    table = curvatures()
-    bound = table[np.minimum(steepness, len(_CLASSES) - 1), column] / narrowest
-    possible = (
-        (narrowest > 0.05 * strands.length) & (steepness < len(_CLASSES)) & (ratio < LARGEST_RATIO)
-    )
-    return np.where(possible, bound, np.inf)
-
-
-def _column(ratio: Floats) -> Ints:
-    column: Ints = np.floor(np.log1p(-ratio) / np.log1p(-LARGEST_RATIO) * _BINS).astype(np.intp)
-    return column
+    chord = np.sqrt(strand.span * strand.span + strand.rise * strand.rise)
+    ratio = (chord + stretch) / strand.length
+    narrowest = strand.span - stretch
+    steepness = np.searchsorted(_SINES, sine)
+    if narrowest <= 0.05 * strand.length or steepness >= len(_SINES) or not ratio < LARGEST_RATIO:
+        return np.inf
+    column = min(int(np.floor(np.log1p(-ratio) * _COLUMNS)), _BINS - 1)
+    return float(table[steepness, column] / narrowest)
 
 
 @cache

@@ -11,6 +11,7 @@ and its integral over ρ. Horizontal and vertical movement are kept apart: what 
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,8 @@ LARGEST_RATIO = 0.999
 """Beyond this share of the length a strand counts as taut; nothing is certified there."""
 
 _STEP = 0.04
+_RATIOS = -np.expm1(-_STEP * np.arange(np.ceil(-np.log1p(-LARGEST_RATIO - 1e-9) / _STEP) + 1.0))
+"""Where the bins of ratios begin."""
 _CLASSES = np.radians([20.0, 40.0, 60.0, 70.0, 80.0, 90.0])
 _SINES = np.sin(_CLASSES[:-1])
 _DEPTH = 6
@@ -79,57 +82,65 @@ def _largest(
     """Write :meth:`Sensitivity.largest` of k strands, found (2, k)."""
     for k in range(len(ratio)):
         found[0, k], found[1, k] = largest_of(
-            norm, integral, ratio[k], reach[k], sine[k], ends[k], piece[k]
+            norm, integral, steepness(sine[k]), ends[k], piece[k], on_the_way(ratio[k], reach[k])
         )
+
+
+class OnTheWay(NamedTuple):
+    """Ratios between which a strand's is on its way, and the bins of the tables that hold them."""
+
+    low: float
+    high: float
+    low_bin: int
+    high_bin: int
+
+
+@compiled
+def on_the_way(ratio: float, reach: float) -> OnTheWay:
+    """The ratios of a strand that is ``ratio`` taut and gets tauter by ``reach`` at most."""
+    low = min(max(ratio, 0.0), LARGEST_RATIO)
+    high = min(max(ratio + max(reach, 1e-9), 1e-9), LARGEST_RATIO + 1e-9)
+    return OnTheWay(low, high, _bin(low), _bin(high))
+
+
+@compiled
+def steepness(sine: float) -> int:
+    """The elevation class of a strand whose chord has this sine of an elevation at most."""
+    found = 0
+    while found < len(_SINES) and _SINES[found] < sine:
+        found += 1
+    return found
 
 
 @compiled
 def largest_of(
-    norm: Floats,
-    integral: Floats,
-    ratio: float,
-    reach: float,
-    sine: float,
-    ends: int,
-    piece: int,
+    norm: Floats, integral: Floats, steep: int, ends: int, piece: int, way: OnTheWay
 ) -> tuple[float, float]:
     """As :meth:`Sensitivity.largest` of one strand, with the tables of that."""
-    steepness = np.searchsorted(_SINES, sine)
-    part = piece
-    while part >= 2 ** (_DEPTH + 1):
-        part //= 2
-    low = min(max(ratio, 0.0), LARGEST_RATIO)
-    high = ratio + max(reach, 1e-9)
-    high = min(max(high, 1e-9), LARGEST_RATIO + 1e-9)
-    bins = _bin(low), _bin(high)
+    while piece >= 2 ** (_DEPTH + 1):
+        piece //= 2
     return (
-        _mean(norm[steepness, ends, 0], integral[steepness, ends, 0], part, bins, (low, high)),
-        _mean(norm[steepness, ends, 1], integral[steepness, ends, 1], part, bins, (low, high)),
+        _mean(norm[steep, ends, 0], integral[steep, ends, 0], piece, way),
+        _mean(norm[steep, ends, 1], integral[steep, ends, 1], piece, way),
     )
 
 
 @compiled
-def _mean(
-    norms: Floats, integrals: Floats, part: int, bins: tuple[int, int], ratios: tuple[float, float]
-) -> float:
-    """The mean norm between two ratios, which lie in these bins."""
-    at_high = float(norms[bins[1], part])
-    if bins[0] == bins[1]:
+def _mean(norms: Floats, integrals: Floats, piece: int, way: OnTheWay) -> float:
+    """The mean norm of a piece on the way."""
+    at_high = float(norms[way.high_bin, piece])
+    if way.low_bin == way.high_bin:
         return at_high
-    to_low = integrals[bins[0], part] + norms[bins[0], part] * (ratios[0] - _ratio_of(bins[0]))
-    to_high = integrals[bins[1], part] + at_high * (ratios[1] - _ratio_of(bins[1]))
-    mean = float((to_high - to_low) / max(ratios[1] - ratios[0], 1e-12))
+    to_low = integrals[way.low_bin, piece]
+    to_low += norms[way.low_bin, piece] * (way.low - _RATIOS[way.low_bin])
+    to_high = integrals[way.high_bin, piece] + at_high * (way.high - _RATIOS[way.high_bin])
+    mean = float((to_high - to_low) / max(way.high - way.low, 1e-12))
     return min(mean, at_high)
 
 
 @compiled
 def _bin(ratio: float) -> int:
     return int(np.floor(-np.log1p(-ratio) / _STEP))
-
-
-@compiled
-def _ratio_of(index: int) -> float:
-    return float(-np.expm1(-_STEP * index))
 
 
 @cache

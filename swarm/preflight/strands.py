@@ -15,15 +15,19 @@ import numpy.typing as npt
 
 from swarm.cable.catenary import Catenaries, hang
 from swarm.cable.distance import segment_segment
+from swarm.compiled import compiled
 from swarm.preflight.course import Course
-from swarm.preflight.response import response
+from swarm.preflight.response import Strand, curvatures, respond
 from swarm.preflight.search import Boxes, Enclosure
 from swarm.preflight.sensitivity import (
     BOTH_ENDS,
     FAR_END,
     LARGEST_RATIO,
     NEAR_END,
+    largest_of,
+    on_the_way,
     sensitivity,
+    steepness,
 )
 
 Floats = npt.NDArray[np.float64]
@@ -101,41 +105,76 @@ class Pieces:
         there, and so part the doubt that comes from the piece's size from that of the interval.
         Each is the better of two bounds: by the worst shape, and by the strand's own response.
         """
-        fraction = self.begin + along * (self.end - self.begin)
-        own = response(
-            self.strands, fraction, self.moving, normal, (self.begin, self.end),
-            self.stretch, self.sine,
+        strands = self.strands
+        up = -np.einsum("bi,bi->b", normal, strands.down)
+        ahead = np.einsum("bi,bi->b", normal, strands.heading)
+        found, tables = np.empty((3, len(along))), sensitivity()
+        _moved(
+            strands.length, strands.parameter, strands.slope, strands.span, strands.rise,
+            ahead, up, along, self.begin, self.end, self.number, self.moving, self.ratio, self.sine,
+            np.stack([self.loose, self.still, self.stretch, self.still_stretch]),
+            curvatures(), tables.norm, tables.integral, found,
         )  # fmt: skip
-        arc = self.strands.length * np.maximum(fraction - self.begin, self.end - fraction)
-        at_point = own.movement(self.loose, self.stretch)
-        in_ball = own.movement(self.still, self.still_stretch)
-        point = _finest(fraction)
-        return (
-            np.minimum(
-                self._by_worst_shape(normal, self.number, self.stretch) * self.loose,
-                at_point + own.elsewhere(arc, self.stretch),
-            ),
-            np.minimum(self._by_worst_shape(normal, point, self.stretch) * self.loose, at_point),
-            np.minimum(
-                self._by_worst_shape(normal, point, self.still_stretch) * self.still, in_ball
-            ),
-        )
-
-    def _by_worst_shape(self, normal: Floats, piece: Ints, stretch: Floats) -> Floats:
-        up = np.minimum(np.abs(np.einsum("bi,bi->b", normal, self.strands.down)), 1.0)
-        across = np.sqrt(1.0 - up * up)
-        horizontal, vertical = sensitivity().largest(
-            self.ratio, stretch / self.strands.length, self.sine, self.moving, piece
-        )
-        movement: Floats = across * horizontal + up * vertical
-        return movement
+        return found[0], found[1], found[2]
 
 
-def _finest(fraction: Floats, depth: int = 6) -> Ints:
-    """Heap number of the smallest piece in the sensitivity's tables that holds a point."""
-    cells = 2**depth
-    finest: Ints = cells + np.minimum((fraction * cells).astype(np.intp), cells - 1)
-    return finest
+@compiled
+def _moved(
+    length: Floats,
+    parameter: Floats,
+    slope: Floats,
+    span: Floats,
+    rise: Floats,
+    ahead: Floats,
+    up: Floats,
+    along: Floats,
+    begin: Floats,
+    end: Floats,
+    number: Ints,
+    moving: Ints,
+    ratio: Floats,
+    sine: Floats,
+    ways: Floats,
+    table: Floats,
+    norm: Floats,
+    integral: Floats,
+    found: Floats,
+) -> None:
+    """Write :meth:`Pieces.movement` of pieces (3, b), normals being ``ahead`` and ``up``; ``ways``
+    (4, b) are how far grips move: loose, still, and both relative to each other."""
+    for k in range(len(length)):
+        loose, still, stretch, still_stretch = ways[0, k], ways[1, k], ways[2, k], ways[3, k]
+        fraction = begin[k] + along[k] * (end[k] - begin[k])
+        strand = Strand(length[k], parameter[k], slope[k], span[k], rise[k])
+        at_point, per_arc, curvature = respond(
+            strand, (ahead[k], up[k]), fraction, (begin[k], end[k]), moving[k], stretch, sine[k],
+            table,
+        )  # fmt: skip
+        upright = min(abs(up[k]), 1.0)
+        across = np.sqrt(1.0 - upright * upright)
+        # The smallest piece in the tables that holds the point.
+        point = _FINEST + min(int(fraction * _FINEST), _FINEST - 1)
+        steep = steepness(sine[k])
+        on_way = on_the_way(ratio[k], stretch / length[k])
+        in_ball = on_the_way(ratio[k], still_stretch / length[k])
+        for which in range(3):
+            way, relative = (loose, stretch) if which < 2 else (still, still_stretch)
+            level, rising = largest_of(
+                norm, integral, steep, moving[k], number[k] if which == 0 else point,
+                on_way if which < 2 else in_ball,
+            )  # fmt: skip
+            worst = (across * level + upright * rising) * way
+            if at_point < np.inf:
+                bound = at_point * way + 0.5 * curvature * relative * relative
+                if which == 0:
+                    arc = length[k] * max(fraction - begin[k], end[k] - fraction)
+                    bound += per_arc * arc * stretch
+                worst = min(worst, bound)
+            found[which, k] = worst
+
+
+_FINEST = 64
+"""Number of the first of the smallest pieces of a strand that sensitivities tell apart."""
 
 
 def _taken(strands: Catenaries, where: Ints) -> Catenaries:
