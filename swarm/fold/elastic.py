@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 
 from swarm.fold.sides import Sides
 from swarm.fold.strain import Crew, More
+from swarm.fold.tangles import not_calm
 
 Floats = npt.NDArray[np.float64]
 
@@ -174,12 +175,13 @@ class Band:
         back, smooth_back = csr_array(weights.T), csr_array(smooth.T)
         base = self.moved(offsets)[moments]
         sides, more = self.sides[moments], self.more[moments]
+        calm = not_calm(len(moments), len(self.crew.lengths))
         paths = (self.places[:: self.density] + offsets)[window].reshape(smooth.shape[0], -1)
 
         def cost(flat: Floats) -> tuple[float, Floats]:
             wishes = flat.reshape(weights.shape[1], -1)
             places = base + (weights @ wishes).reshape(base.shape)
-            strain = self.crew.strain(places, sides, more)
+            strain = self.crew.strain(places, sides, more, calm=calm)
             slope = 2.0 * strain.slopes.reshape(len(base), -1)
             bent = np.diff(paths + smooth @ wishes, 2, axis=0)
             bends, straighten = effort.measure(bent.reshape(len(bent), -1, 3))

@@ -73,14 +73,22 @@ class Crew:
         return strands(places[:, :-1], places[:, 1:], self.lengths)
 
     def strain(
-        self, places: Floats, sides: Sides, more: More | None = None, *, wishes: bool = True
+        self,
+        places: Floats,
+        sides: Sides,
+        more: More | None = None,
+        *,
+        wishes: bool = True,
+        calm: tangles.Calm | None = None,
     ) -> Strain:
         """Missed margins at places (s, n, 3); ``sides`` of s moments as from :func:`sides_of`.
 
         ``more`` is asked of them beyond the margins. ``wishes`` asks for what a team should do, but
-        need not, too: to keep out of jets.
+        need not, too: to keep out of jets. ``calm`` is what is known of these moments from places
+        near these, and is noted for others near them.
         """
         more = more or nothing_more(len(places))
+        calm = calm or tangles.not_calm(len(places), len(self.lengths))
         margins, hung = self.margins, self.hung(places)
         found = Strain(np.zeros(len(places)), np.zeros(places.shape))
         add = found.missed, found.slopes
@@ -88,7 +96,7 @@ class Crew:
         tangles.strands_apart(
             points, middle, reach, ratio, sides.strands, more.cable, margins, *add
         )
-        tangles.neighbours_apart(points, ratio, self.lengths, more.beside, margins, *add)
+        tangles.neighbours_apart(points, ratio, self.lengths, more.beside, margins, calm, *add)
         intruders.strands_off_bodies(
             places, points, middle, reach, ratio, sides.bodies, more.vehicle_cable, margins, *add
         )

@@ -6,6 +6,8 @@ outlines (s, n − 1, k, 3), the middles and reaches of their boxes (s, n − 1,
 lengths (s, n − 1). A *place* on one is the index of a piece plus a fraction of that piece.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -137,6 +139,23 @@ def margins_kept(
         found[q] = distance - margins.cable - margins.tracking * error
 
 
+class Calm(NamedTuple):
+    """Neighbouring strands that need no look: what they keep beyond what is wanted.
+
+    ``spare`` (s, n − 2) are metres, negative where nothing is known, and ``places``
+    (s, n − 2, 3, 3) where their three vehicles were then.
+    """
+
+    spare: Floats
+    places: Floats
+
+
+def not_calm(moments: int, segments: int) -> Calm:
+    """Nothing known of so many moments."""
+    pairs = max(segments - 1, 0)
+    return Calm(np.full((moments, pairs), -1.0), np.zeros((moments, pairs, 3, 3)))
+
+
 @compiled
 def neighbours_apart(
     points: Floats,
@@ -144,40 +163,66 @@ def neighbours_apart(
     lengths: Floats,
     more: Floats,
     margins: Margins,
+    calm: Calm,
     missed: Floats,
     slopes: Floats,
 ) -> None:
     """Strands that meet at a vehicle, beyond its hand.
 
-    The free part of each is held against all of the other.
+    The free part of each is held against all of the other. What is ``calm`` is left out, and noted
+    anew where it is not; it holds for as long as nothing but places changes.
     """
     free = np.maximum(0.5, 1.0 - margins.hand / lengths)
     unit = margins.cable + 2.0 * margins.tracking
     enough = 1.3 * margins.cable + margins.beside + 2.6 * margins.tracking
-    part, sizes = np.empty((PIECES + 1, 3)), np.empty((len(lengths), PIECES))
+    part, sizes = np.empty((PIECES + 1, 3)), np.empty((2, PIECES))
     for s in range(len(points)):
         wanted = margins.cable + WANTED * unit + margins.beside + more[s]
-        for i in range(len(lengths)):
-            for k in range(PIECES):
-                sizes[i, k] = points_apart(points[s, i, k], points[s, i, k + 1])
         for i in range(len(lengths) - 1):
             before, after = points[s, i], points[s, i + 1]
+            if _calm(
+                before, after, ratio[s, i], ratio[s, i + 1], calm.spare[s, i], calm.places[s, i]
+            ):
+                continue
+            for k in range(PIECES):
+                sizes[0, k] = points_apart(before[k], before[k + 1])
+                sizes[1, k] = points_apart(after[k], after[k + 1])
             error = most_far_movement(ratio[s, i]) + most_far_movement(ratio[s, i + 1])
             reach = wanted + margins.tracking * error
             sine = _sine(before, after)
-            ends, begins = _along(sizes[i], free[i]), _along(sizes[i + 1], 1.0 - free[i + 1])
+            ends, begins = _along(sizes[0], free[i]), _along(sizes[1], 1.0 - free[i + 1])
             room, room_after = _level(before, ends, after[0]), _level(after, begins, after[0])
             if sine == 1.0 and more[s] == 0.0 and min(room, room_after) > enough:
+                calm.spare[s, i] = min(room, room_after) - enough
                 continue
-            for own, beside, free_to, near in (
-                (i, i + 1, ends, room),
-                (i + 1, i, begins, room_after),
-            ):
-                if near * sine < reach:
-                    _beyond_hand(
-                        points, sizes, ratio, lengths, free_to, part, s, own, beside, reach, sine,
-                        wanted, margins, missed, slopes,
+            spare = np.inf
+            for own, free_to, near in ((i, ends, room), (i + 1, begins, room_after)):
+                left = near * sine - reach
+                if left < 0.0:
+                    left = _beyond_hand(
+                        points[s], sizes, ratio[s], lengths, i, own, free_to, part, reach, sine,
+                        wanted, margins, missed[s : s + 1], slopes[s],
                     )  # fmt: skip
+                spare = min(spare, left)
+            calm.spare[s, i] = spare
+
+
+@compiled
+def _calm(
+    before: Floats, after: Floats, ratio: float, ratio_after: float, spare: float, places: Floats
+) -> bool:
+    """Whether strands cannot have used up what they had to spare; notes their vehicles, if not."""
+    ends = (before[0], after[0], after[-1])
+    if spare > 0.0:
+        farthest = 0.0
+        for k in range(3):
+            farthest = max(farthest, points_apart(ends[k], places[k]))
+        if spare > (most_movement(lift(ratio)) + most_movement(lift(ratio_after))) * farthest:
+            return True
+    for k in range(3):
+        for axis in range(3):
+            places[k, axis] = ends[k][axis]
+    return False
 
 
 @compiled
@@ -211,24 +256,25 @@ def _beyond_hand(
     sizes: Floats,
     ratio: Floats,
     lengths: Floats,
+    first: int,
+    own: int,
     free_to: float,
     part: Floats,
-    s: int,
-    own: int,
-    beside: int,
     reach: float,
     sine: float,
     wanted: float,
     margins: Margins,
     missed: Floats,
     slopes: Floats,
-) -> None:
-    """The free part of one strand against all of the neighbouring one, where nearer than reach.
+) -> float:
+    """The free part of one strand against all of its neighbour, where nearer than reach.
 
-    It is free up to the place ``free_to``; ``sizes`` (n − 1, PIECES) are those of strands' pieces,
+    Returns what is left beyond what is wanted. The strands are the ``first`` and the next one;
+    ``sizes`` (2, PIECES) are those of their pieces. The strand is free up to the place ``free_to``;
     ``part`` (PIECES + 1, 3) is written over.
     """
-    strand, other, outward = points[s, own], points[s, beside], own > beside
+    beside = 2 * first + 1 - own
+    strand, other, outward = points[own], points[beside], own > beside
     low, high = _nearer(strand, reach, sine, outward)
     from_, to = _nearer(other, reach, sine, not outward)
     if outward:
@@ -238,10 +284,10 @@ def _beyond_hand(
     for k in range(low, high):
         _point(strand, _free(float(k), free_to, not outward), part[k])
     distance, here, there = nearest_of(
-        part[low:high], other[from_:to], sizes[beside, from_ : to - 1], reach
+        part[low:high], other[from_:to], sizes[beside - first, from_ : to - 1], reach
     )
     if distance >= reach:
-        return
+        return 0.0
     here, there = here + low, there + from_
     push = np.empty(3)
     upright = _towards(part, here, other, there, distance, push)
@@ -251,21 +297,22 @@ def _beyond_hand(
     at_end = 0.0 if outward else 1.0
     tracking = margins.tracking
     error = far_movement(
-        strand, ratio[s, own], ratio[s, own] * lengths[own],
-        abs(_share_of(sizes[own], here) - at_end), upright, tracking,
+        strand, ratio[own], ratio[own] * lengths[own],
+        abs(_share_of(sizes[own - first], here) - at_end), upright, tracking,
     )  # fmt: skip
     error += far_movement(
-        other, ratio[s, beside], ratio[s, beside] * lengths[beside],
-        abs(_share_of(sizes[beside], there) - 1.0 + at_end), upright, tracking,
+        other, ratio[beside], ratio[beside] * lengths[beside],
+        abs(_share_of(sizes[beside - first], there) - 1.0 + at_end), upright, tracking,
     )  # fmt: skip
-    short = (wanted + tracking * error - distance) / (margins.cable + 2.0 * tracking)
-    if short <= 0.0:
-        return
-    missed[s] += short * short
-    push *= -short / (margins.cable + 2.0 * tracking)
-    follow(slopes[s], own, here / PIECES, lift(ratio[s, own]), strand, push)
-    push *= -1.0
-    follow(slopes[s], beside, there / PIECES, lift(ratio[s, beside]), other, push)
+    left = distance - wanted - tracking * error
+    if left < 0.0:
+        short = -left / (margins.cable + 2.0 * tracking)
+        missed[0] += short * short
+        push *= -short / (margins.cable + 2.0 * tracking)
+        follow(slopes, own, here / PIECES, lift(ratio[own]), strand, push)
+        push *= -1.0
+        follow(slopes, beside, there / PIECES, lift(ratio[beside]), other, push)
+    return left
 
 
 @compiled
