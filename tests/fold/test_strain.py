@@ -9,6 +9,7 @@ from swarm.fold.clear import strands
 from swarm.fold.margins import Margins
 from swarm.fold.sides import Sides, pairs, sides_of
 from swarm.fold.strain import Crew, More
+from swarm.fold.tangles import not_calm
 
 Floats = npt.NDArray[np.float64]
 
@@ -171,3 +172,24 @@ def test_vehicles_wish_to_be_out_of_the_jets_of_others() -> None:
     assert blown.missed[0] > crew.strain(below, sides, wishes=False).missed[0] + 0.05
     assert blown.slopes[0, 1, 0] < 0.0 < blown.slopes[0, 0, 0]
     assert crew.strain(beside, sides).missed[0] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_is_calm_misses_nothing(seed: int) -> None:
+    """Teams that wander in small steps miss the same, whether or not it is known what was calm."""
+    rng = np.random.default_rng(seed)
+    vehicles, moments = 7, 12
+    crew = Crew(rng.uniform(2.5, 6.0, vehicles - 1), ERRING)
+    heading = np.cumsum(rng.uniform(-1.6, 1.6, (moments, vehicles)), axis=1)
+    step = np.stack([np.cos(heading), np.sin(heading), rng.uniform(-0.3, 0.3, heading.shape)], -1)
+    places = np.cumsum(step * np.append(crew.lengths, 1.0)[:, None] * 0.7, axis=1)
+    sides, calm = unsided(moments, vehicles - 1), not_calm(moments, vehicles - 1)
+    rested = 0
+    for _ in range(60):
+        places = places + rng.normal(scale=0.01, size=places.shape)
+        before = calm.places.copy()
+        with_calm, plainly = crew.strain(places, sides, calm=calm), crew.strain(places, sides)
+        rested += int((calm.places == before).all(axis=(2, 3)).sum())
+        np.testing.assert_allclose(with_calm.missed, plainly.missed, atol=1e-9)
+        np.testing.assert_allclose(with_calm.slopes, plainly.slopes, atol=1e-9)
+    assert rested > 0.1 * 60 * calm.spare.size
