@@ -79,33 +79,15 @@ def far_movement(
     ``points`` (k, 3) are the strand's, ``fraction`` is from the grip that rests. Strands between
     ends far above each other swing more.
     """
-    level, vertical = swung(fraction, swing(points, ratio, chord, tracking))
-    return float(2.0 * (level * np.sqrt(1.0 - upright**2) + vertical * upright))
-
-
-@compiled
-def swing(
-    points: Floats, ratio: float, chord: float, tracking: float
-) -> tuple[float, float, float, float]:
-    """What :func:`swung` must know of a strand: how steep it hangs, and what multiplies levels,
-    uprights by levels, and uprights."""
     sine = (abs(points[-1, 2] - points[0, 2]) + 2.0 * tracking) / max(chord - 2.0 * tracking, 1e-9)
-    steep = 0.0
+    level = read(fraction, _FROM_GRIP, _FAR_LEVEL)
     if sine > _NOT_STEEP:
         steep = min(max((np.arcsin(min(sine, 1.0)) - 1.05) / 0.52, 0.0), 1.0)
-    lifted = max(1.0, 0.5 * (1.0 + read(ratio, _RATIOS, _LIFTS)))
-    return steep, min(0.4 + 0.75 * ratio, 1.0), 0.5 + 1.5 * ratio**2, lifted
-
-
-@compiled
-def swung(fraction: float, swings: tuple[float, float, float, float]) -> tuple[float, float]:
-    """How far a strand's point moves, level and upright, per metre of its far end."""
-    steep, levels, uprights, lifted = swings
-    level = read(fraction, _FROM_GRIP, _FAR_LEVEL)
-    if steep > 0.0:
         level += steep * (read(fraction, _FROM_GRIP, _FAR_STEEP) - level)
-    level *= levels
-    return level, min(1.05, level * uprights) * lifted
+    level *= min(0.4 + 0.75 * ratio, 1.0)
+    vertical = min(1.05, level * (0.5 + 1.5 * ratio**2))
+    vertical *= max(1.0, 0.5 * (1.0 + read(ratio, _RATIOS, _LIFTS)))
+    return float(2.0 * (level * np.sqrt(1.0 - upright**2) + vertical * upright))
 
 
 @compiled

@@ -216,6 +216,9 @@ def out_of_jets(places: Floats, margins: Margins, missed: Floats, slopes: Floats
 def disc_entered(place: Floats, strand: Floats, wider: float, margins: Margins) -> float:
     """What it costs that a vehicle's own strand enters its rotor disc, ``wider`` by metres."""
     lowest = margins.grip_offset - 1.5 * margins.tracking
+    # No strand is anywhere higher than its ends are.
+    if max(strand[0, 2], strand[-1, 2]) - place[2] <= lowest:
+        return 0.0
     radius = margins.radius + wider + 1.5 * margins.tracking
     inside, apart = 0.0, np.empty(3)
     for k in range(2 * PIECES + 1):
@@ -231,9 +234,5 @@ def discs_entered(
     places: Floats, strands: Floats, wider: Floats, margins: Margins, found: Floats
 ) -> None:
     """Write what :func:`disc_entered` gives for places (k, 3), strands (k, p, 3), wider (k,)."""
-    lowest = margins.grip_offset - 1.5 * margins.tracking
     for k in range(len(places)):
-        found[k] = 0.0
-        # No strand is anywhere higher than its ends are.
-        if max(strands[k, 0, 2], strands[k, -1, 2]) - places[k, 2] > lowest:
-            found[k] = disc_entered(places[k], strands[k], wider[k], margins)
+        found[k] = disc_entered(places[k], strands[k], wider[k], margins)

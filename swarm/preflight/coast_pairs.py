@@ -164,17 +164,26 @@ def _between_points(first: Floats, second: Floats) -> float:
 @compiled
 def _moved(i: int, j: int, along: Floats, loose: Floats, half: float) -> tuple[float, float]:
     """How far the ends of two strands may move, but for what all four go together."""
-    x = 0.25 * (along[i, 0] + along[i + 1, 0] + along[j, 0] + along[j + 1, 0])
-    y = 0.25 * (along[i, 1] + along[i + 1, 1] + along[j, 1] + along[j + 1, 1])
-    z = 0.25 * (along[i, 2] + along[i + 1, 2] + along[j, 2] + along[j + 1, 2])
-    first = second = 0.0
-    for k in (i, i + 1):
-        speed = np.sqrt((along[k, 0] - x) ** 2 + (along[k, 1] - y) ** 2 + (along[k, 2] - z) ** 2)
-        first = max(first, speed * half + loose[k])
-    for k in (j, j + 1):
-        speed = np.sqrt((along[k, 0] - x) ** 2 + (along[k, 1] - y) ** 2 + (along[k, 2] - z) ** 2)
-        second = max(second, speed * half + loose[k])
-    return first, second
+    common = (
+        0.25 * (along[i, 0] + along[i + 1, 0] + along[j, 0] + along[j + 1, 0]),
+        0.25 * (along[i, 1] + along[i + 1, 1] + along[j, 1] + along[j + 1, 1]),
+        0.25 * (along[i, 2] + along[i + 1, 2] + along[j, 2] + along[j + 1, 2]),
+    )
+    return (
+        max(_end(i, common, along, loose, half), _end(i + 1, common, along, loose, half)),
+        max(_end(j, common, along, loose, half), _end(j + 1, common, along, loose, half)),
+    )
+
+
+@compiled
+def _end(
+    k: int, common: tuple[float, float, float], along: Floats, loose: Floats, half: float
+) -> float:
+    """How far one end may move but for what is common."""
+    square = 0.0
+    for axis in range(3):
+        square += (along[k, axis] - common[axis]) ** 2
+    return float(np.sqrt(square) * half + loose[k])
 
 
 @compiled

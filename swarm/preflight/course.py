@@ -84,9 +84,9 @@ def _bounds_between(
 ) -> None:
     """Write the largest that ``tables`` know of all (n,) in intervals (m,)."""
     for m in range(len(start)):
-        first, last, level = run_between(joints, start[m], end[m])
+        run = run_between(joints, start[m], end[m])
         for i in range(found.shape[1]):
-            found[m, i] = max(tables[level, first, i], tables[level, last, i])
+            found[m, i] = largest_in(tables, run, i)
 
 
 @compiled
@@ -99,3 +99,10 @@ def run_between(joints: Floats, start: float, end: float) -> tuple[int, int, int
     while 2 * run <= last - first + 1:
         level, run = level + 1, 2 * run
     return int(first), int(last - run + 1), level
+
+
+@compiled
+def largest_in(tables: Floats, run: tuple[int, int, int], i: int) -> float:
+    """The largest that ``tables`` know of one of n between the times of :func:`run_between`."""
+    first, last, level = run
+    return float(max(tables[level, first, i], tables[level, last, i]))

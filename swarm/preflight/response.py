@@ -13,7 +13,7 @@ K₁₁ = [θ − tanh θ], K₂₂ = [tanh θ], K₁₂ = [sech θ]. What is be
 
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from swarm.preflight.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
+Numbers = TypeVar("Numbers", float, Floats)
 
 _INFLATION = 1.1
 _CLASSES = np.radians([20.0, 40.0, 60.0, 80.0])
@@ -51,12 +52,24 @@ class Response:
 
         ``relative`` (b,) bounds how far they move relative to each other. Infinite where unknown.
         """
-        bound = self.at_point * size + 0.5 * self.curvature * relative * relative
+        bound = movement(self.at_point, self.curvature, size, relative)
         return np.where(self.known, bound, np.inf)
 
     def elsewhere(self, arc: Floats, relative: Floats) -> Floats:
         """How much farther points up to ``arc`` (b,) metres along may move."""
-        return np.where(self.known, self.per_arc * arc * relative, np.inf)
+        return np.where(self.known, elsewhere(self.per_arc, arc, relative), np.inf)
+
+
+@compiled
+def movement(at_point: Numbers, curvature: Numbers, size: Numbers, relative: Numbers) -> Numbers:
+    """As :meth:`Response.movement` of what is known: to first order, and what is beyond it."""
+    return at_point * size + 0.5 * curvature * relative * relative
+
+
+@compiled
+def elsewhere(per_arc: Numbers, arc: Numbers, relative: Numbers) -> Numbers:
+    """As :meth:`Response.elsewhere` of what is known."""
+    return per_arc * arc * relative
 
 
 def response(

@@ -34,6 +34,8 @@ _RATIOS = -np.expm1(-_STEP * np.arange(np.ceil(-np.log1p(-LARGEST_RATIO - 1e-9) 
 _CLASSES = np.radians([20.0, 40.0, 60.0, 70.0, 80.0, 90.0])
 _SINES = np.sin(_CLASSES[:-1])
 _DEPTH = 6
+FINEST = 2**_DEPTH
+"""Heap number of the first of the smallest pieces of a strand, and how many there are."""
 _INFLATION = 1.02
 """Covers what lies between the samples of elevation; checked adversarially in the tests."""
 

@@ -17,11 +17,12 @@ from swarm.cable.catenary import Catenaries, hang
 from swarm.cable.distance import segment_segment
 from swarm.compiled import compiled
 from swarm.preflight.course import Course
-from swarm.preflight.response import Strand, curvatures, respond
+from swarm.preflight.response import Strand, curvatures, elsewhere, movement, respond
 from swarm.preflight.search import Boxes, Enclosure
 from swarm.preflight.sensitivity import (
     BOTH_ENDS,
     FAR_END,
+    FINEST,
     LARGEST_RATIO,
     NEAR_END,
     largest_of,
@@ -153,7 +154,7 @@ def _moved(
         upright = min(abs(up[k]), 1.0)
         across = np.sqrt(1.0 - upright * upright)
         # The smallest piece in the tables that holds the point.
-        point = _FINEST + min(int(fraction * _FINEST), _FINEST - 1)
+        point = FINEST + min(int(fraction * FINEST), FINEST - 1)
         steep = steepness(sine[k])
         on_way = on_the_way(ratio[k], stretch / length[k])
         in_ball = on_the_way(ratio[k], still_stretch / length[k])
@@ -165,16 +166,12 @@ def _moved(
             )  # fmt: skip
             worst = (across * level + upright * rising) * way
             if at_point < np.inf:
-                bound = at_point * way + 0.5 * curvature * relative * relative
+                bound = movement(at_point, curvature, way, relative)
                 if which == 0:
                     arc = length[k] * max(fraction - begin[k], end[k] - fraction)
-                    bound += per_arc * arc * stretch
+                    bound += elsewhere(per_arc, arc, stretch)
                 worst = min(worst, bound)
             found[which, k] = worst
-
-
-_FINEST = 64
-"""Number of the first of the smallest pieces of a strand that sensitivities tell apart."""
 
 
 def _taken(strands: Catenaries, where: Ints) -> Catenaries:
