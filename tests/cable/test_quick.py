@@ -26,6 +26,17 @@ def test_points_are_those_of_the_catenary(seed, slack):
 
 
 @settings(max_examples=100, deadline=None)
+@given(
+    st.tuples(*[st.floats(-10.0, 10.0)] * 3), st.one_of(st.floats(0.0, 20.0), st.floats(0.0, 1e-6))
+)
+def test_no_strand_comes_down_farther_than_its_dip(across, more):
+    start, end = np.zeros(3), np.array(across)
+    length = float(np.linalg.norm(end)) * (1.0 + 1e-9) + more + 0.01
+    lowest = hang(start, end, length).points(np.linspace(0.0, 1.0, 21))[:, 2].min()
+    assert lowest >= min(0.0, across[2]) - quick.dip(start, end, length) - 1e-9
+
+
+@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.001, 12.0))
 def test_an_outline_is_near_its_strand_everywhere_however_narrow_the_loop(seed, slack):
     start, end, length = drawn(seed, slack)
