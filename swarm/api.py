@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from swarm.mission import Mission
 from swarm.plans import Plan, Shortfall, candidates
 from swarm.preflight.assess import assess, with_robustness
-from swarm.preflight.certificate import Moment, tightest_moments
+from swarm.preflight.certificate import Moment, shortfalls, tightest_moments
 from swarm.preflight.findings import Assessment, ProvenPlan, prove
 
 Progress = Callable[[str, float], None]
@@ -40,22 +40,19 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
     first = None
     doubted: frozenset[str] = frozenset()
     for _ in range(_ATTEMPTS):
-        moments = _judged(made, doubted, progress)
+        missing, moments = _judged(made, doubted, progress)
         first = first or (made, moments)
-        missing = [
-            Shortfall(moment.check, moment.time, -moment.margin)
-            for moment in moments
-            if moment.margin < 0.0
-        ]
-        doubted = frozenset(shortfall.check for shortfall in missing)
         if not missing:
             assessment = assess(made, moments=moments, progress=progress)
             if assessment.cleared:
                 if robustness:
                     assessment = with_robustness(made, assessment, progress)
                 return Planned(made, assessment)
+        doubted = frozenset(moment.check for moment in missing)
         try:
-            made = search.send(missing)
+            made = search.send(
+                [Shortfall(moment.check, moment.time, -moment.margin) for moment in missing]
+            )
         except StopIteration:
             break
     assert first is not None  # noqa: S101 - the first plan was judged
@@ -63,12 +60,17 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
     return Planned(made, assess(made, moments=moments, progress=progress))
 
 
-def _judged(made: Plan, doubted: frozenset[str], progress: Progress | None) -> tuple[Moment, ...]:
-    """The tightest moments of a plan; of the doubted kinds alone, where these fail already.
+def _judged(
+    made: Plan, doubted: frozenset[str], progress: Progress | None
+) -> tuple[tuple[Moment, ...], tuple[Moment, ...]]:
+    """Where a plan falls short, and its tightest moments; none where it fails in what is doubted.
 
-    Whoever mends plans need not know everything about one that is to be mended again.
+    Whoever mends plans need not know everything about one that is to be mended again, but all
+    moments that need it: mended one by one they would take a round each.
     """
-    known = tightest_moments(made, checks=tuple(doubted), progress=progress) if doubted else ()
-    if any(moment.margin < 0.0 for moment in known):
-        return known
-    return tightest_moments(made, known=known, progress=progress)
+    missing = shortfalls(made, doubted) if doubted else ()
+    if missing:
+        return missing, ()
+    moments = tightest_moments(made, progress=progress)
+    failed = {moment.check for moment in moments if moment.margin < 0.0}
+    return shortfalls(made, failed) if failed else (), moments

@@ -53,6 +53,19 @@ def dip(start: Floats, end: Floats, length: float) -> float:
 
 
 @compiled
+def steepest(rise: float, span: float, reach: float) -> float:
+    """Sine of the largest elevation that a chord may get, with its ends moving by ``reach``.
+
+    That is relative to each other, in metres as ``rise`` and ``span``; it turns the chord by an
+    angle of which the sine is reach / chord at most.
+    """
+    if reach >= span:
+        return 1.0
+    square = rise * rise + span * span
+    return (abs(rise) * math.sqrt(square - reach * reach) + span * reach) / square
+
+
+@compiled
 def sketch(start: Floats, end: Floats, length: float, points: Floats) -> None:
     """Fill ``points`` (k, 3) with those of a strand, equally far apart along it."""
     span, parameter, slope = hang(start, end, length, _TAUTEST)

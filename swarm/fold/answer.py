@@ -6,6 +6,7 @@ All functions but :func:`lifts` are compiled, and for one strand.
 import numpy as np
 import numpy.typing as npt
 
+from swarm.cable.quick import steepest
 from swarm.compiled import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -79,10 +80,11 @@ def far_movement(
     ``points`` (k, 3) are the strand's, ``fraction`` is from the grip that rests. Strands between
     ends far above each other swing more.
     """
-    sine = (abs(points[-1, 2] - points[0, 2]) + 2.0 * tracking) / max(chord - 2.0 * tracking, 1e-9)
+    rise = points[-1, 2] - points[0, 2]
+    sine = steepest(rise, np.sqrt(max(chord * chord - rise * rise, 0.0)), 2.0 * tracking)
     level = read(fraction, _FROM_GRIP, _FAR_LEVEL)
     if sine > _NOT_STEEP:
-        steep = min(max((np.arcsin(min(sine, 1.0)) - 1.05) / 0.52, 0.0), 1.0)
+        steep = min(max((np.arcsin(sine) - 1.05) / 0.52, 0.0), 1.0)
         level += steep * (read(fraction, _FROM_GRIP, _FAR_STEEP) - level)
     level *= min(0.4 + 0.75 * ratio, 1.0)
     vertical = min(1.05, level * (0.5 + 1.5 * ratio**2))

@@ -5,7 +5,7 @@ an interval of time; :func:`swarm.preflight.search.smallest` bisects. "Certified
 quasi-static cable model, every segment the catenary of its length between its two grip points.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ from swarm.preflight.limits import (
     SpeedLeft,
 )
 from swarm.preflight.reach import ReachPairs, ReachVehicles
-from swarm.preflight.search import Evaluator, holds, roots, smallest
+from swarm.preflight.search import Evaluator, Minima, holds, roots, short_boxes, smallest
 from swarm.preflight.strands import HeldCable, StrandPairs, all_pairs
 
 Floats = npt.NDArray[np.float64]
@@ -109,25 +109,21 @@ def tightest_moments(
     tracking: float | None = None,
     down: Place = STILL_AIR,
     checks: Sequence[str] | None = None,
-    known: Sequence[Moment] = (),
     progress: Progress | None = None,
 ) -> tuple[Moment, ...]:
     """Return the tightest moments of each kind of clearance, at most five per kind.
 
     ``tracking`` replaces the mission's; ``down`` is the unit vector of the effective gravity;
-    ``checks`` names the kinds to look at (default: all); kinds of which moments are ``known`` are
-    not looked at again, and these come first.
+    ``checks`` names the kinds to look at (default: all).
     """
     if tracking is None:
         tracking = plan.mission.vehicles.tracking
-    looked_at = {moment.check for moment in known}
     wanted = [
         family
         for family in families(plan, tracking, down)
         if (checks is None or family.check in checks) and family.spans and family.names
-        if family.check not in looked_at
     ]
-    found = list(known)
+    found: list[Moment] = []
     for done, family in enumerate(wanted):
         if progress:
             progress("certificate", done / len(wanted))
@@ -135,6 +131,25 @@ def tightest_moments(
     if progress:
         progress("certificate", 1.0)
     return tuple(found)
+
+
+def shortfalls(plan: Plan, checks: Collection[str]) -> tuple[Moment, ...]:
+    """Return where clearances of the named checks do not hold.
+
+    Of every pair, the worst moment of every second or less in which it fails: what is to be mended.
+    """
+    found: list[Moment] = []
+    for family in families(plan, plan.mission.vehicles.tracking, STILL_AIR):
+        if family.spans and family.names and family.check in checks:
+            found += _short(family)
+    return tuple(found)
+
+
+def _short(family: Family) -> list[Moment]:
+    seconds = roots(len(family.names), family.spans, ROOT)
+    minima = short_boxes(family.evaluate, seconds)
+    failing = np.flatnonzero(minima.low < 0.0)
+    return [_moment(family, int(seconds.pair[k]), minima, int(k)) for k in failing]
 
 
 def certified(plan: Plan, *, tracking: float, down: Place = STILL_AIR) -> bool:
@@ -155,20 +170,22 @@ def moments_of(family: Family) -> list[Moment]:
     minima = smallest(family.evaluate, count, roots(count, family.spans, ROOT))
     moments: list[Moment] = []
     for pair in minima.tightest():
-        x, y, z = (float(value) for value in minima.place[pair])
         if family.names[pair] in (moment.between for moment in moments):
             continue  # of the two entries of a pair of neighbours, the tighter one came first
-        moments.append(
-            Moment(
-                check=family.check,
-                between=family.names[pair],
-                distance=float(minima.low[pair]) + family.required,
-                required=family.required,
-                time=float(minima.time[pair]),
-                where=(x, y, z),
-            )
-        )
+        moments.append(_moment(family, pair, minima, pair))
     return moments
+
+
+def _moment(family: Family, pair: int, minima: Minima, entry: int) -> Moment:
+    x, y, z = (float(value) for value in minima.place[entry])
+    return Moment(
+        check=family.check,
+        between=family.names[pair],
+        distance=float(minima.low[entry]) + family.required,
+        required=family.required,
+        time=float(minima.time[entry]),
+        where=(x, y, z),
+    )
 
 
 def spans_of(plan: Plan, chosen: Callable[[Phase], bool]) -> Spans:

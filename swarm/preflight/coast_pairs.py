@@ -121,16 +121,17 @@ def _left_of(
 def _off(i: int, moved: float, place: Floats, kept: Kept, sketches: Sketches) -> float:
     """How far a strand and what is between its points can be off when its ends move; draws it."""
     start, end, length = place[i], place[i + 1], kept.lengths[i]
-    rise = abs(end[2] - start[2])
-    chord = np.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + rise * rise)
+    rise = end[2] - start[2]
+    span = np.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2)
+    chord = np.sqrt(span * span + rise * rise)
     if not sketches.drawn[i]:
         sketches.drawn[i] = True
         sketches.bow[i] = _drawn(start, end, max(length, chord / LARGEST_RATIO), sketches.points[i])
     if chord + 2.0 * moved >= LARGEST_RATIO * length:
         return np.inf
-    steep = min((rise + 2.0 * moved) / max(chord - 2.0 * moved, 1e-9), 1.0)
+    steep = steepness(quick.steepest(rise, span, 2.0 * moved))
     level, upright = largest_of(
-        kept.norm, kept.integral, steepness(steep), BOTH_ENDS, 1,
+        kept.norm, kept.integral, steep, BOTH_ENDS, 1,
         on_the_way(chord / length, 2.0 * moved / length),
     )  # fmt: skip
     return float(sketches.bow[i] + np.sqrt(level * level + upright * upright) * moved)

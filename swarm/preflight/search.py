@@ -7,7 +7,7 @@ with their lower bound; the others are cut where they are least certain.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,9 @@ TOLERANCE = 0.004
 
 MOMENTS = 5
 """How many of the tightest pairs are told exactly; of the others, that they are not tighter."""
+
+_SURELY = 0.05
+"""Margins by so much of the tolerance above 0 are shown not to be negative."""
 
 _SMALLEST_HALF = 1e-6
 _DEEPEST_PIECE = 2**20
@@ -79,8 +82,12 @@ class Minima:
     boxes: int
 
     def tightest(self, count: int = MOMENTS) -> Ints:
-        """Return the pairs with the smallest margins, tightest first."""
-        order = np.argsort(self.high, kind="stable")[:count]
+        """Return the pairs with the smallest margins, tightest first.
+
+        Those that cannot be shown to have a margin come before all others.
+        """
+        margin = np.where(self.low < 0.0, self.low, self.high)
+        order = np.argsort(margin, kind="stable")[:count]
         found: Ints = order[np.isfinite(self.high[order])]
         return found
 
@@ -106,13 +113,19 @@ def roots(pairs: int, spans: list[tuple[float, float]], width: float) -> Boxes:
 
 
 def smallest(
-    evaluate: Evaluator, pairs: int, boxes: Boxes, *, tolerance: float = TOLERANCE
+    evaluate: Evaluator,
+    pairs: int,
+    boxes: Boxes,
+    *,
+    tolerance: float = TOLERANCE,
+    below: float = np.inf,
 ) -> Minima:
     """Enclose every pair's smallest margin over its boxes.
 
     The MOMENTS tightest pairs are told to ``tolerance``, or to 5 % of the margin (10 % of a
     shortfall) where that is more; of the others ``low`` is a true lower bound, not below that of
-    the tightest.
+    the tightest. Near 0 margins are told more exactly, for nothing to fail by tolerance alone.
+    Where ``below`` is given, all pairs are told of which the margin is less, and nothing of others.
     """
     low, high = np.full(pairs, np.inf), np.full(pairs, np.inf)
     time, place = np.full(pairs, np.nan), np.full((pairs, 3), np.nan)
@@ -121,8 +134,8 @@ def smallest(
         count += len(boxes)
         found = _evaluated(evaluate, boxes)
         _note(boxes, found, high, time, place)
-        limit = np.minimum(high, _nth_smallest(high, MOMENTS))
-        limit -= np.maximum(tolerance, np.maximum(0.05 * limit, -0.1 * high))
+        limit = high if below < np.inf else np.minimum(high, _nth_smallest(high, MOMENTS))
+        limit = np.minimum(_doubted(limit, high, tolerance), below)
         exhausted = (boxes.half < _SMALLEST_HALF) | (
             np.maximum(boxes.first, boxes.second) > _DEEPEST_PIECE
         )
@@ -130,6 +143,23 @@ def smallest(
         np.minimum.at(low, boxes.pair[done], found.low[done])
         boxes = _cut(boxes.taken(~done), found.doubts[~done])
     return Minima(low, high, time, place, count)
+
+
+def _doubted(limit: Floats, high: Floats, tolerance: float) -> Floats:
+    """Where to stop looking at margins of which the smallest found are ``high``."""
+    lower = limit - np.maximum(tolerance, np.maximum(0.05 * limit, -0.1 * high))
+    doubtful = (lower < 0.0) & (limit > _SURELY * tolerance)
+    return np.where(doubtful, 0.0, lower)
+
+
+def short_boxes(evaluate: Evaluator, boxes: Boxes) -> Minima:
+    """Enclose the smallest margin of every given box by itself, of those where it is negative."""
+    alone = replace(boxes, pair=np.arange(len(boxes)))
+
+    def apart(cut: Boxes) -> Enclosure:
+        return evaluate(replace(cut, pair=boxes.pair[cut.pair]))
+
+    return smallest(apart, len(boxes), alone, below=0.0)
 
 
 def holds(evaluate: Evaluator, boxes: Boxes) -> bool:

@@ -115,11 +115,28 @@ def steepness(sine: float) -> int:
 
 
 @compiled
+def finest_in(piece: int, fraction: float) -> int:
+    """The smallest piece in the tables that holds a point of a piece, and is part of it.
+
+    Where two of them meet, tables may say much more of one than of the other: of a point at the end
+    of a piece, the part of that piece is meant.
+    """
+    first = last = piece
+    while first >= 2 * FINEST:
+        first //= 2
+        last //= 2
+    while first < FINEST:
+        first, last = 2 * first, 2 * last + 1
+    point: int = min(max(FINEST + int(fraction * FINEST), first), last)
+    return point
+
+
+@compiled
 def largest_of(
     norm: Floats, integral: Floats, steep: int, ends: int, piece: int, way: OnTheWay
 ) -> tuple[float, float]:
     """As :meth:`Sensitivity.largest` of one strand, with the tables of that."""
-    while piece >= 2 ** (_DEPTH + 1):
+    while piece >= 2 * FINEST:
         piece //= 2
     return (
         _mean(norm[steep, ends, 0], integral[steep, ends, 0], piece, way),

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from swarm.cable.catenary import Catenaries, hang
 from swarm.cable.distance import segment_segment
+from swarm.cable.quick import steepest
 from swarm.compiled import compiled
 from swarm.preflight.course import Course
 from swarm.preflight.response import Strand, curvatures, elsewhere, movement, respond
@@ -22,9 +23,9 @@ from swarm.preflight.search import Boxes, Enclosure
 from swarm.preflight.sensitivity import (
     BOTH_ENDS,
     FAR_END,
-    FINEST,
     LARGEST_RATIO,
     NEAR_END,
+    finest_in,
     largest_of,
     on_the_way,
     sensitivity,
@@ -89,7 +90,6 @@ class Pieces:
     ends: Floats
     bow: Floats
     ratio: Floats
-    sine: Floats
     number: Ints
     begin: Floats
     end: Floats
@@ -112,7 +112,7 @@ class Pieces:
         found, tables = np.empty((3, len(along))), sensitivity()
         _moved(
             strands.length, strands.parameter, strands.slope, strands.span, strands.rise,
-            ahead, up, along, self.begin, self.end, self.number, self.moving, self.ratio, self.sine,
+            ahead, up, along, self.begin, self.end, self.number, self.moving, self.ratio,
             np.stack([self.loose, self.still, self.stretch, self.still_stretch]),
             curvatures(), tables.norm, tables.integral, found,
         )  # fmt: skip
@@ -134,7 +134,6 @@ def _moved(
     number: Ints,
     moving: Ints,
     ratio: Floats,
-    sine: Floats,
     ways: Floats,
     table: Floats,
     norm: Floats,
@@ -147,15 +146,15 @@ def _moved(
         loose, still, stretch, still_stretch = ways[0, k], ways[1, k], ways[2, k], ways[3, k]
         fraction = begin[k] + along[k] * (end[k] - begin[k])
         strand = Strand(length[k], parameter[k], slope[k], span[k], rise[k])
+        sine = steepest(rise[k], span[k], stretch)
         at_point, per_arc, curvature = respond(
-            strand, (ahead[k], up[k]), fraction, (begin[k], end[k]), moving[k], stretch, sine[k],
+            strand, (ahead[k], up[k]), fraction, (begin[k], end[k]), moving[k], stretch, sine,
             table,
         )  # fmt: skip
         upright = min(abs(up[k]), 1.0)
         across = np.sqrt(1.0 - upright * upright)
-        # The smallest piece in the tables that holds the point.
-        point = FINEST + min(int(fraction * FINEST), FINEST - 1)
-        steep = steepness(sine[k])
+        point = finest_in(number[k], fraction)
+        steep = steepness(sine)
         on_way = on_the_way(ratio[k], stretch / length[k])
         in_ball = on_the_way(ratio[k], still_stretch / length[k])
         for which in range(3):
@@ -240,13 +239,11 @@ def pieces(
         np.where(moving == FAR_END, drift_last, drift_first),
     )  # fmt: skip
     ball = 2.0 * cable.tracking
-    steep = np.abs(taken.rise) + stretch + ball
     return Pieces(
         strands=taken,
         ends=ends,
         bow=0.5 * np.sqrt(np.maximum(arc * arc - across * across, 0.0)),
         ratio=chord / taken.length,
-        sine=np.minimum(steep / np.maximum(chord - stretch - ball, 1e-9), 1.0),
         number=number,
         begin=begin,
         end=end,

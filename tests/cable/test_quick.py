@@ -1,5 +1,7 @@
 """Strands one at a time, compiled, against the same in batches."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -34,6 +36,31 @@ def test_no_strand_comes_down_farther_than_its_dip(across, more):
     length = float(np.linalg.norm(end)) * (1.0 + 1e-9) + more + 0.01
     lowest = hang(start, end, length).points(np.linspace(0.0, 1.0, 21))[:, 2].min()
     assert lowest >= min(0.0, across[2]) - quick.dip(start, end, length) - 1e-9
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.floats(-10.0, 10.0),
+    st.floats(0.01, 10.0),
+    st.floats(0.0, 12.0),
+    st.floats(-math.pi, math.pi),
+    st.floats(-1.0, 1.0),
+)
+def test_no_chord_gets_steeper_than_the_steepest(rise, span, reach, ahead, upright):
+    level = reach * math.sqrt(1.0 - upright**2)
+    moved = np.array([span + level * math.cos(ahead), level * math.sin(ahead)])
+    after = rise + reach * upright
+    steep = abs(after) / max(math.hypot(*moved, after), 1e-12)
+    assert steep <= quick.steepest(rise, span, reach) + 1e-9
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(0.0, 1.3), st.floats(1.0, 10.0), st.floats(0.0, 0.2))
+def test_the_steepest_is_reached_by_turning_upward(elevation, chord, turned):
+    """An end that goes square to the chord it will be: by chord times the sine of the turn."""
+    rise, span = chord * math.sin(elevation), chord * math.cos(elevation)
+    steep = quick.steepest(rise, span, chord * math.sin(turned))
+    assert steep == pytest.approx(math.sin(elevation + turned), abs=1e-9)
 
 
 @settings(max_examples=100, deadline=None)

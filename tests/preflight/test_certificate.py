@@ -58,17 +58,34 @@ def test_brute_force_never_finds_strands_closer_than_certified(seed, tracking):
 def test_brute_force_never_finds_neighbours_closer_than_certified(seed):
     rng = np.random.default_rng(100 + seed)
     plan = plan_of(wandering(rng, 5, 4, size=0.3, spacing=2.3), LENGTHS, "vehicles.tracking=0.05")
-    beyond = beyond_shared_vehicle(plan)
     for between, moment in tightest(plan, "neighbouring segments").items():
-        i, j = numbers(between)
         times = times_about(rng, moment, plan, 100)
         places = displaced(rng, plan.motion.at(times)[0], 0.05)
-        first, second = strand(plan, places, i, 100), strand(plan, places, j, 100)
-        arcs_first = _arc(first)[..., -1:] - _arc(first)
-        arcs_second = _arc(second)
-        apart = np.linalg.norm(first[..., :, None, :] - second[..., None, :, :], axis=-1)
-        counts = (arcs_first[..., :, None] >= beyond) | (arcs_second[..., None, :] >= beyond)
-        assert np.where(counts, apart, np.inf).min() - 0.006 >= moment.distance
+        assert neighbours_apart(plan, places, numbers(between)[0]).min() - 0.006 >= moment.distance
+
+
+@pytest.mark.parametrize("steep", [0.6, 1.0, 1.17, 1.25])
+def test_beside_a_steep_strand_the_certificate_is_near_what_brute_force_finds(steep):
+    """A strand of which the chord is steep, though far from plumb, is not taken for a plumb one."""
+    rng = np.random.default_rng(7)
+    hanging = [6.4 * np.cos(steep), 0.0, -6.4 * np.sin(steep)]
+    line = np.array([[-4.0, 8.2, -0.6], [0.0, 0.0, 0.0], hanging]) + [0.0, 0.0, 30.0]
+    plan = plan_of(moving([0.0, 1.0], [line, line + [0.3, 0.1, 0.0]]), [16.0, 7.7])
+    (moment,) = tightest(plan, "neighbouring segments").values()
+    places = displaced(rng, np.repeat(plan.motion.at(np.array([0.0, 1.0]))[0], 400, axis=0), 0.1)
+    sampled = neighbours_apart(plan, places, 0)
+    assert moment.distance <= sampled.min() - 0.006
+    assert moment.distance >= sampled.min() - 0.16
+
+
+def neighbours_apart(plan, places, segment):
+    """Distances of a segment and the next one but for what is in the hand of their vehicle."""
+    beyond = beyond_shared_vehicle(plan)
+    first, second = (strand(plan, places, k, 100) for k in (segment, segment + 1))
+    from_hand = _arc(first)[..., -1:] - _arc(first)
+    apart = np.linalg.norm(first[..., :, None, :] - second[..., None, :, :], axis=-1)
+    counts = (from_hand[..., :, None] >= beyond) | (_arc(second)[..., None, :] >= beyond)
+    return np.where(counts, apart, np.inf).min(axis=(-1, -2))
 
 
 def _arc(points):

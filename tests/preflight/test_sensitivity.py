@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from swarm.preflight.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, NEAR_END, sensitivity
+from swarm.preflight.sensitivity import (
+    BOTH_ENDS,
+    FAR_END,
+    LARGEST_RATIO,
+    NEAR_END,
+    finest_in,
+    sensitivity,
+)
 from tests.preflight.oracle import catenary
 
 
@@ -65,3 +72,17 @@ def test_the_bound_is_sharp_for_a_level_strand_pulled_at_both_ends():
         ratio * one, 2 * size * one, 0 * one, np.array([BOTH_ENDS]), np.array([middle])
     )
     assert abs(moved[2]) <= size * vertical[0] <= 1.12 * abs(moved[2])
+
+
+@pytest.mark.parametrize("piece", [1, 2, 3, 7, 15, 64, 100, 127, 118 * 16 + 15, 2**20 - 1])
+def test_a_point_is_looked_up_in_a_part_of_its_own_piece(piece):
+    level = piece.bit_length() - 1
+    begin = piece / 2**level - 1.0
+    end = begin + 0.5**level
+    for fraction in np.linspace(begin, end, 9):
+        finest = finest_in(piece, fraction)
+        assert 64 <= finest < 128
+        assert finest / 64 - 1.0 <= fraction <= (finest + 1) / 64 - 1.0
+        # It is part of the piece, or holds it.
+        assert finest / 64 - 1.0 < end
+        assert (finest + 1) / 64 - 1.0 > begin
