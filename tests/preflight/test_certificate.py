@@ -69,8 +69,8 @@ def test_beside_a_steep_strand_the_certificate_is_near_what_brute_force_finds(st
     """A strand of which the chord is steep, though far from plumb, is not taken for a plumb one."""
     rng = np.random.default_rng(7)
     hanging = [6.4 * np.cos(steep), 0.0, -6.4 * np.sin(steep)]
-    line = np.array([[-4.0, 8.2, -0.6], [0.0, 0.0, 0.0], hanging]) + [0.0, 0.0, 30.0]
-    plan = plan_of(moving([0.0, 1.0], [line, line + [0.3, 0.1, 0.0]]), [16.0, 7.7])
+    line = np.array([[-4.0, 8.2, -0.6], [0.0, 0.0, 0.0], hanging]) + np.array([0.0, 0.0, 30.0])
+    plan = plan_of(moving([0.0, 1.0], [line, line + np.array([0.3, 0.1, 0.0])]), [16.0, 7.7])
     (moment,) = tightest(plan, "neighbouring segments").values()
     places = displaced(rng, np.repeat(plan.motion.at(np.array([0.0, 1.0]))[0], 400, axis=0), 0.1)
     sampled = neighbours_apart(plan, places, 0)
