@@ -8,11 +8,13 @@ weight of a metre (Routh, *Statics*, § 443; the cable turns by ν·δF/T where 
 
 and across the plane B is the share of the span. K is elementary in θ, sinh θ the slope:
 K₁₁ = [θ − tanh θ], K₂₂ = [tanh θ], K₁₂ = [sech θ]. What is beyond the first order is at most
-½·G²·M when the ends move by G relative to each other; M·span is tabulated.
+½·G²·M when the ends move by G relative to each other; M·span is tabulated. It is much less of
+points near a grip than of others.
 """
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -27,9 +29,14 @@ Ints = npt.NDArray[np.intp]
 Numbers = TypeVar("Numbers", float, Floats)
 
 _INFLATION = 1.1
-_CLASSES = np.radians([20.0, 40.0, 60.0, 80.0])
-_SINES = np.sin(_CLASSES)
+_BANDS = np.array([0.0, 20.0, 40.0, 60.0, 70.0, 76.0, 80.0, 84.0, 88.0])
+"""Elevations of chords, in degrees, between which largest second derivatives are told apart."""
+_SINES = np.sin(np.radians(_BANDS[1:]))
 _BINS = 48
+_STEPS = 2
+"""Steps in which the largest second derivative on the way is read."""
+_PARTS = 16
+"""Parts of a strand of which the largest second derivatives are told apart."""
 _COLUMNS = float(_BINS / np.log1p(-LARGEST_RATIO))
 
 
@@ -171,47 +178,96 @@ def respond(
     answer = by_end if ends == FAR_END else by_start
     if ends == BOTH_ENDS:
         answer = by_start + by_end
-    curvature = _curvature(strand, stretch, sine, table)
+    curvature = _curvature(strand, piece, stretch, sine, table)
     if determinant > 1e-12 and np.isfinite(answer + per_arc + curvature):
         return answer, per_arc, curvature
     return np.inf, np.inf, np.inf
 
 
 @compiled
-def _curvature(strand: Strand, stretch: float, sine: float, table: Floats) -> float:
-    """Upper bound of M while the ends move by up to ``stretch`` relative to each other."""
-    chord = np.sqrt(strand.span * strand.span + strand.rise * strand.rise)
-    ratio = (chord + stretch) / strand.length
-    narrowest = strand.span - stretch
-    steepness = np.searchsorted(_SINES, sine)
-    if narrowest <= 0.05 * strand.length or steepness >= len(_SINES) or not ratio < LARGEST_RATIO:
+def _curvature(
+    strand: Strand, piece: tuple[float, float], stretch: float, sine: float, table: Floats
+) -> float:
+    """Upper bound of M of a piece while the ends move by up to ``stretch`` to each other.
+
+    What is beyond the first order is ∫(1 − t)·G²·M(t) over the way, t from 0 to 1: the first steps
+    count most, when the strand is not yet as taut as at the end.
+    """
+    square = strand.span * strand.span + strand.rise * strand.rise
+    chord = np.sqrt(square)
+    if strand.span - stretch <= 0.05 * strand.length:
         return np.inf
-    column = min(int(np.floor(np.log1p(-ratio) * _COLUMNS)), _BINS - 1)
-    return float(table[steepness, column] / narrowest)
+    along = np.sqrt(square - stretch * stretch)
+    shallowest = (abs(strand.rise) * along - strand.span * stretch) / square
+    first = 0
+    while first < len(_SINES) and _SINES[first] < shallowest:
+        first += 1
+    last = first
+    while last < len(_SINES) and _SINES[last] < sine:
+        last += 1
+    if last >= len(_SINES):
+        return np.inf
+    mean = 0.0
+    for step in range(_STEPS):
+        reach = stretch * (step + 1) / _STEPS
+        ratio, narrowest = (chord + reach) / strand.length, strand.span - reach
+        if not ratio < LARGEST_RATIO:
+            return np.inf
+        column = min(int(np.floor(np.log1p(-ratio) * _COLUMNS)), _BINS - 1)
+        largest = 0.0
+        for band in range(first, last + 1):
+            # Counted from the lower end; either may be that of a strand that is nearly level.
+            if strand.rise >= -reach:
+                here = _largest(table[band, column], piece[0], piece[1])
+                largest = max(largest, here)
+            if strand.rise <= reach:
+                here = _largest(table[band, column], 1.0 - piece[1], 1.0 - piece[0])
+                largest = max(largest, here)
+        mean += (2 * (_STEPS - step) - 1) / _STEPS**2 * largest / narrowest
+    return float(mean)
+
+
+@compiled
+def _largest(parts: Floats, begin: float, end: float) -> float:
+    """The largest value of the parts of a strand that hold some of a piece of it."""
+    first = max(int(begin * _PARTS - 1e-9), 0)
+    last = min(int(end * _PARTS + 1e-9), _PARTS - 1)
+    largest = 0.0
+    for part in range(first, last + 1):
+        largest = max(largest, parts[part])
+    return float(largest)
 
 
 @cache
 def curvatures() -> Floats:
-    """Largest second derivative times span over ratios up to a bin's end: (elevation class, bin).
+    """Largest second derivative times span over ratios up to a bin's end: (band, bin, part).
 
-    By central differences over all fractions and directions, for strands of length 1.
+    Bands are of elevations; parts of strands are counted from the lower end, and those beside one
+    count for it, too. By central differences over fractions and directions, for strands of
+    length 1.
     """
     upper = -np.expm1(np.log1p(-LARGEST_RATIO) * np.arange(1, _BINS + 1) / _BINS)
-    elevation = np.radians([0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0])
-    ratio, steep = np.meshgrid(upper, elevation, indexing="ij")
+    degrees = np.concatenate([np.arange(0.0, 60.0, 4.0), np.arange(60.0, 89.0, 2.0)])
+    ratio, steep = np.meshgrid(upper, np.radians(degrees), indexing="ij")
     end = np.stack([ratio * np.cos(steep), 0.0 * ratio, ratio * np.sin(steep)], axis=-1)
     angle = np.linspace(0.0, np.pi, 12, endpoint=False)
     in_plane = np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=-1)
     sideways = [[0.0, 1.0, 0.0], [0.7071, 0.7071, 0.0], [0.0, 0.7071, 0.7071]]
     ways = np.concatenate([in_plane, sideways])
     step = 1e-3 * np.minimum(1.0 - ratio, np.minimum(0.3, ratio * np.cos(steep)))[..., None]
-    fractions = np.linspace(0.0, 1.0, 33)[1:-1]
-    largest = np.zeros_like(ratio)
+    fractions = np.linspace(0.0, 1.0, 4 * _PARTS + 1)
+    largest = np.zeros((*ratio.shape, len(fractions)))
     still = hang(np.zeros(3), end, 1.0).points(fractions)
     for way in ways:
         ahead = hang(np.zeros(3), end + step * way, 1.0).points(fractions)
         back = hang(np.zeros(3), end - step * way, 1.0).points(fractions)
         second = (ahead - 2.0 * still + back) / step[..., None] ** 2
-        largest = np.maximum(largest, np.linalg.norm(second, axis=-1).max(axis=-1))
-    scaled = np.maximum.accumulate(_INFLATION * largest * end[..., 0], axis=0)
-    return np.stack([scaled[:, elevation <= most + 0.01].max(axis=1) for most in _CLASSES])
+        largest = np.maximum(largest, np.linalg.norm(second, axis=-1))
+    around = np.pad(largest, ((0, 0), (0, 0), (2, 2)))
+    parts = np.lib.stride_tricks.sliding_window_view(around, 9, axis=-1)[..., ::4, :].max(axis=-1)
+    scaled = np.maximum.accumulate(_INFLATION * parts * end[..., :1], axis=0)
+    bands = [
+        scaled[:, (low <= degrees) & (degrees <= high)].max(axis=1)
+        for low, high in pairwise(_BANDS)
+    ]
+    return np.stack(bands)

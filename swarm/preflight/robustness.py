@@ -10,7 +10,7 @@ from swarm.plans import Plan
 from swarm.preflight.air import wind_down
 from swarm.preflight.certificate import ROOT, STILL_AIR, Family, Moment, families
 from swarm.preflight.findings import Robustness
-from swarm.preflight.search import Boxes, failing, holds, roots
+from swarm.preflight.search import Boxes, failing, holds, roots, whole
 
 Progress = Callable[[str, float], None]
 
@@ -168,8 +168,7 @@ def _boxes(family: Family, known: set[tuple[int, float]]) -> Boxes:
         low, high = max(start, time - 0.5 * ROOT), min(end, time + 0.5 * ROOT)
         rows.append((pair, 0.5 * (low + high), 0.5 * (high - low)))
     pairs, middles, halves = (np.array(column) for column in zip(*rows, strict=True))
-    ones = np.ones(len(pairs), dtype=np.intp)
-    return Boxes(pairs.astype(np.intp), middles, halves, ones, ones)
+    return whole(pairs.astype(np.intp), middles, halves)
 
 
 Tight = Mapping[tuple[str, tuple[str, str]], Iterable[float]]

@@ -30,13 +30,17 @@ _DEEPEST_PIECE = 2**20
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """m boxes: pair, middle and half width in time, heap number of a piece of each thing."""
+    """m boxes: pair, middle and half width in time, heap number of a piece of each thing.
+
+    ``known`` is what margins in each box have been shown to be at least.
+    """
 
     pair: Ints
     time: Floats
     half: Floats
     first: Ints
     second: Ints
+    known: Floats
 
     def __len__(self) -> int:
         return len(self.pair)
@@ -49,6 +53,7 @@ class Boxes:
             self.half[where],
             self.first[where],
             self.second[where],
+            self.known[where],
         )
 
     def instants(self) -> tuple[Floats, Floats, Ints]:
@@ -105,11 +110,13 @@ def roots(pairs: int, spans: list[tuple[float, float]], width: float) -> Boxes:
         middles.append(start + width * np.arange(1.0, 2.0 * count, 2.0))
         halves.append(np.full(count, width))
     time, half = np.concatenate(middles), np.concatenate(halves)
-    ones = np.ones(pairs * len(time), dtype=np.intp)
-    return Boxes(
-        np.repeat(np.arange(pairs), len(time)), np.tile(time, pairs), np.tile(half, pairs),
-        ones, ones,
-    )  # fmt: skip
+    return whole(np.repeat(np.arange(pairs), len(time)), np.tile(time, pairs), np.tile(half, pairs))
+
+
+def whole(pair: Ints, time: Floats, half: Floats) -> Boxes:
+    """Return boxes (m,) of pairs at times and within half widths, of which nothing is known."""
+    ones = np.ones(len(pair), dtype=np.intp)
+    return Boxes(pair, time, half, ones, ones, np.full(len(pair), -np.inf))
 
 
 def smallest(
@@ -141,7 +148,7 @@ def smallest(
         )
         done = (found.low >= limit[boxes.pair]) | exhausted
         np.minimum.at(low, boxes.pair[done], found.low[done])
-        boxes = _cut(boxes.taken(~done), found.doubts[~done])
+        boxes = _cut(boxes, found, ~done)
     return Minima(low, high, time, place, count)
 
 
@@ -180,15 +187,17 @@ def failing(evaluate: Evaluator, boxes: Boxes) -> tuple[int, float] | None:
         if lost.any():
             worst = int(np.argmin(np.where(lost, found.high, np.inf)))
             return int(boxes.pair[worst]), float(boxes.time[worst])
-        boxes = _cut(boxes.taken(open_yet), found.doubts[open_yet])
+        boxes = _cut(boxes, found, open_yet)
     return None
 
 
 def _evaluated(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
+    """Enclose margins in boxes; what was shown of larger boxes holds in their parts, too."""
     found = evaluate(boxes)
     if np.any(np.isnan(found.low)):
         raise ValueError("a margin is not a number: the motion or the lengths are not finite")
-    return found
+    low = np.maximum(found.low, boxes.known)
+    return replace(found, low=low, high=np.maximum(found.high, low))
 
 
 def _note(boxes: Boxes, found: Enclosure, high: Floats, time: Floats, place: Floats) -> None:
@@ -207,8 +216,10 @@ def _nth_smallest(values: Floats, count: int) -> float:
     return float(np.partition(values, count - 1)[count - 1])
 
 
-def _cut(boxes: Boxes, doubts: Floats) -> Boxes:
-    """Halve every box in all dimensions that matter about as much as its worst."""
+def _cut(boxes: Boxes, found: Enclosure, where: npt.NDArray[np.bool_]) -> Boxes:
+    """Halve some of the boxes, in all dimensions that matter about as much as the worst."""
+    doubts = found.doubts[where]
+    boxes = replace(boxes.taken(where), known=found.low[where])
     worst = doubts.max(axis=1)
     for dimension in range(3):
         split = doubts[:, dimension] >= 0.5 * worst
@@ -223,20 +234,10 @@ def _halves(boxes: Boxes, dimension: int) -> tuple[Boxes, Boxes]:
     if dimension == 0:
         half = 0.5 * boxes.half
         before, after = boxes.time - half, boxes.time + half
-        return (
-            Boxes(boxes.pair, before, half, boxes.first, boxes.second),
-            Boxes(boxes.pair, after, half, boxes.first, boxes.second),
-        )
-    first, second = (
-        (2 * boxes.first if dimension == 1 else boxes.first),
-        (2 * boxes.second if dimension == 2 else boxes.second),
-    )
-    return (
-        Boxes(boxes.pair, boxes.time, boxes.half, first, second),
-        Boxes(
-            boxes.pair, boxes.time, boxes.half, first + (dimension == 1), second + (dimension == 2)
-        ),
-    )
+        return replace(boxes, time=before, half=half), replace(boxes, time=after, half=half)
+    name = "first" if dimension == 1 else "second"
+    piece = 2 * getattr(boxes, name)
+    return replace(boxes, **{name: piece}), replace(boxes, **{name: piece + 1})
 
 
 def _joined(*parts: Boxes) -> Boxes:
@@ -246,4 +247,5 @@ def _joined(*parts: Boxes) -> Boxes:
         np.concatenate([part.half for part in parts]),
         np.concatenate([part.first for part in parts]),
         np.concatenate([part.second for part in parts]),
+        np.concatenate([part.known for part in parts]),
     )

@@ -6,8 +6,9 @@ from swarm.preflight.response import response
 from swarm.preflight.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, NEAR_END
 
 
+@pytest.mark.parametrize(("shallowest", "steepest"), [(0.0, 1.4), (1.0, 1.53)])
 @pytest.mark.parametrize("ends", [BOTH_ENDS, FAR_END, NEAR_END])
-def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends):
+def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends, shallowest, steepest):
     """Random strands, ends, directions and sizes; outward pulls and swings about the chord too."""
     rng = np.random.default_rng(ends)
     sharpest = 0.0
@@ -18,7 +19,7 @@ def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends):
             rng.uniform(0.05, 0.9, count),
             1.0 - 10.0 ** rng.uniform(-2.5, -0.7, count),
         )
-        elevation = rng.uniform(-1.4, 1.4, count)
+        elevation = rng.uniform(shallowest, steepest, count) * rng.choice([-1.0, 1.0], count)
         chord = np.stack([np.cos(elevation), np.zeros(count), np.sin(elevation)], axis=-1)
         size = np.minimum(10.0 ** rng.uniform(-4.0, -0.8, count), 0.45 * (LARGEST_RATIO - ratio))
         at_start, at_end = _directions(rng, chord)
@@ -37,8 +38,8 @@ def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends):
             np.clip(at - rng.uniform(0.0, 0.1, count), 0.0, 1.0),
             np.clip(at + rng.uniform(0.0, 0.1, count), 0.0, 1.0),
         )
-        steepest = np.abs(elevation) + np.arcsin(np.minimum(growth / ratio, 1.0))
-        sine = np.sin(np.minimum(steepest, np.pi / 2))
+        turned = np.abs(elevation) + np.arcsin(np.minimum(growth / ratio, 1.0))
+        sine = np.sin(np.minimum(turned, np.pi / 2))
         answer = response(before, at, np.full(count, ends), normal, piece, growth, sine)
         bound = answer.movement(size, growth)
 
@@ -50,7 +51,7 @@ def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends):
         other = piece[0] + rng.uniform(size=count) * (piece[1] - piece[0])
         farthest = np.maximum(at - piece[0], piece[1] - at)
         assert np.all(moved(other) <= bound + answer.elsewhere(farthest, growth) + 1e-12)
-        assert np.isfinite(bound).mean() > 0.8
+        assert np.isfinite(bound).mean() > (0.8 if shallowest == 0.0 else 0.5)
         sharpest = max(sharpest, float(np.max(moved(at) / bound)))
     assert sharpest > 0.95
 
