@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
 from swarm.fold.sides import Sides
-from swarm.fold.strain import Crew, More
+from swarm.fold.strain import Crew, More, Strain
 from swarm.fold.tangles import not_calm
 
 Floats = npt.NDArray[np.float64]
@@ -84,7 +84,7 @@ def _sharpest(bent: Floats) -> tuple[float, Floats]:
 _NO_BEND = 1e-9
 """Square metres of bend that count as none."""
 
-_GIVING_WAY = _Effort(steps=30, bending=0.3, settled=3e-3, measure=_square)
+GIVING_WAY = _Effort(steps=30, bending=0.3, settled=3e-3, measure=_square)
 _STRAIGHTENING = _Effort(steps=100, bending=2.0, settled=1e-3, measure=_sharpest)
 
 
@@ -102,7 +102,7 @@ def eased(band: "Band", offsets: Floats) -> Eased:
     ``offsets`` (c, n, 3) are what to begin with.
     """
     stages = band.sampled.argmax(axis=1)
-    missed = band.missed(offsets)
+    missed = band.strain(offsets).missed
     worth = np.where(band.more.asked, _ASKED * _STRAINED, _STRAINED)
     for done in range(_ROUNDS):
         strained = np.unique(stages[missed > worth])
@@ -110,11 +110,11 @@ def eased(band: "Band", offsets: Floats) -> Eased:
             break
         before = missed.sum()
         for window in _windows(strained, len(offsets), _ASIDE * (1 + done)):
-            offsets = band.relaxed(offsets, window, _GIVING_WAY)
-        missed = band.missed(offsets)
+            offsets = band.relaxed(offsets, window, GIVING_WAY)
+        missed = band.strain(offsets).missed
         if missed.sum() > _TOO_SLOW * before:
             break
-    return Eased(offsets, band.missed(offsets, wishes=False))
+    return Eased(offsets, band.strain(offsets, wishes=False).missed)
 
 
 def straightened(band: "Band", offsets: Floats) -> Floats:
@@ -161,10 +161,12 @@ class Band:
         flat: Floats = self.sampled @ offsets.reshape(len(offsets), -1)
         return self.places + flat.reshape(self.places.shape)
 
-    def missed(self, offsets: Floats, *, wishes: bool = True) -> Floats:
-        """What the team misses (s,) with offsets."""
-        strain = self.crew.strain(self.moved(offsets), self.sides, self.more, wishes=wishes)
-        return strain.missed
+    def strain(
+        self, offsets: Floats, moments: slice = slice(None), *, wishes: bool = True
+    ) -> Strain:
+        """What the team misses with offsets, at some moments or all."""
+        places, sides, more = self.moved(offsets)[moments], self.sides[moments], self.more[moments]
+        return self.crew.strain(places, sides, more, wishes=wishes)
 
     def relaxed(self, offsets: Floats, window: slice, effort: _Effort) -> Floats:
         """Offsets changed for the better within a window of stages."""

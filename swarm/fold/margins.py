@@ -11,8 +11,7 @@ class Margins(NamedTuple):
     tracking ball; ``radius`` and ``grip_offset`` describe the vehicle. ``hand`` is how much
     cable on either side of a vehicle need not keep apart from the neighbouring segment's.
     ``spacing`` is the preferred chord of a segment in motion, as a share of its length, and
-    ``taut`` the largest one, less what two tracking errors add. Neighbouring segments keep
-    ``beside`` metres more than others.
+    ``taut`` the largest one, less what two tracking errors add.
     """
 
     cable: float
@@ -25,4 +24,3 @@ class Margins(NamedTuple):
     hand: float = 0.0
     spacing: float = 0.79
     taut: float = 0.985
-    beside: float = 0.0

@@ -21,6 +21,7 @@ from swarm.fold.passage import Way, trailing
 from swarm.fold.path import FoldPath, Guide
 from swarm.fold.sides import Sides, sides_of
 from swarm.fold.strain import Crew, More, nothing_more
+from swarm.fold.stuck import freed
 
 Floats = npt.NDArray[np.float64]
 
@@ -35,6 +36,9 @@ _AROUND = 2
 
 _CROOKED = 2.5
 """Units of missed margin at the worst moment that straightening will not mend."""
+
+_STUCK = 0.5
+"""Units of missed margin at the worst moment from which on the team counts as stuck."""
 
 _FINE = 0.3
 """Units of missed margin at the worst moment that straightening may leave for mending."""
@@ -112,6 +116,9 @@ def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Sc
     plan = improved(plan)
     if plan.worst > _CROOKED:
         return plan
+    if plan.worst > _STUCK:
+        offsets = freed(_looked_at(plan, _DENSITIES[-1]), plan.offsets)
+        plan = improved(replace(plan, offsets=offsets))
     quicker = straight(plan)
     return quicker if quicker.worst <= max(plan.worst, _FINE) else plan
 

@@ -24,7 +24,7 @@ class Sides:
     strands: Signs
     bodies: Signs
 
-    def __getitem__(self, moments: Ints) -> "Sides":
+    def __getitem__(self, moments: Ints | slice) -> "Sides":
         return Sides(self.strands[moments], self.bodies[moments])
 
 

@@ -35,7 +35,7 @@ class More:
     disc: Floats
     play: Floats
 
-    def __getitem__(self, moments: Ints) -> "More":
+    def __getitem__(self, moments: Ints | slice) -> "More":
         return More(*(getattr(self, each.name)[moments] for each in fields(self)))
 
     @property

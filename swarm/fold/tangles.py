@@ -174,10 +174,10 @@ def neighbours_apart(
     """
     free = np.maximum(0.5, 1.0 - margins.hand / lengths)
     unit = margins.cable + 2.0 * margins.tracking
-    enough = 1.3 * margins.cable + margins.beside + 2.6 * margins.tracking
+    enough = 1.3 * margins.cable + 2.6 * margins.tracking
     part, sizes = np.empty((PIECES + 1, 3)), np.empty((2, PIECES))
     for s in range(len(points)):
-        wanted = margins.cable + WANTED * unit + margins.beside + more[s]
+        wanted = margins.cable + WANTED * unit + more[s]
         for i in range(len(lengths) - 1):
             before, after = points[s, i], points[s, i + 1]
             if _calm(

@@ -184,7 +184,6 @@ def keeping(mission: Mission) -> Margins:
         radius=vehicles.radius,
         grip_offset=vehicles.grip_offset,
         hand=4.0 * (clearance.cable + mission.cable.diameter + vehicles.tracking) + SAMPLING,
-        beside=0.2 * vehicles.tracking,
     )
 
 
