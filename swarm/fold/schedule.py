@@ -116,11 +116,13 @@ def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Sc
     plan = improved(plan)
     if plan.worst > _CROOKED:
         return plan
-    if plan.worst > _STUCK:
-        offsets = freed(_looked_at(plan, _DENSITIES[-1]), plan.offsets)
-        plan = improved(replace(plan, offsets=offsets))
-    quicker = straight(plan)
-    return quicker if quicker.worst <= max(plan.worst, _FINE) else plan
+    plan = straight(plan)
+    if plan.worst <= _STUCK:
+        return plan
+    offsets = freed(_looked_at(plan, _DENSITIES[-1]), plan.offsets)
+    if offsets is plan.offsets:
+        return plan
+    return straight(improved(replace(plan, offsets=offsets)))
 
 
 def improved(plan: Schedule) -> Schedule:
@@ -134,9 +136,13 @@ def improved(plan: Schedule) -> Schedule:
 
 
 def straight(plan: Schedule) -> Schedule:
-    """Straighten the whole motion, looked at coarsely; then let vehicles give way again."""
+    """Straighten the whole motion, looked at coarsely; then let vehicles give way again.
+
+    Where that misses more than before, and more than may be mended, all stays as it is.
+    """
     offsets = straightened(_looked_at(plan, _DENSITIES[0]), plan.offsets)
-    return improved(replace(plan, offsets=offsets))
+    quicker = improved(replace(plan, offsets=offsets))
+    return quicker if quicker.worst <= max(plan.worst, _FINE) else plan
 
 
 def _looked_at(plan: Schedule, density: int) -> Band:

@@ -19,12 +19,12 @@ _SPOTS = 4
 _FREE = 0.45
 """Units of missed margin up to which a moment does not count as stuck."""
 
-_PUSHED = 3
+_PUSHED = 2
 """So many vehicles are moved aside, those that are pushed hardest first."""
 
-_HOP, _WHILE, _WINDOW = 2.0, 4.0, 24
-"""Metres aside; stages over which, as a Gaussian's deviation; stages before and after in which all
-may give way."""
+_HOPS = ((1.7, 4.0, 24), (2.9, 6.0, 32))
+"""How far aside, in distances that vehicles keep; over how many stages, as a Gaussian's deviation;
+stages before and after in which all may give way."""
 
 _WAYS = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, -1.0], [-1.0, 0, 0], [0, -1.0, 0], [0, 0, 1.0]])
 
@@ -49,16 +49,17 @@ def freed(band: Band, offsets: Floats) -> Floats:
 
 def _hopped(band: Band, offsets: Floats, stage: int, who: npt.NDArray[np.intp]) -> Floats | None:
     """Offsets with which nobody is stuck about a stage, by moving one of some vehicles aside."""
-    begin, end = stage - _WINDOW, stage + _WINDOW
-    if begin < 0 or end > len(offsets):
-        return None
-    window, moments = slice(begin, end), slice(begin * band.density, end * band.density)
-    bump = _HOP * np.exp(-0.5 * ((np.arange(begin, end) - stage) / _WHILE) ** 2)
-    for way, vehicle in product(_WAYS, who):
+    margins = band.crew.margins
+    apart = margins.vehicle + 2.0 * margins.tracking
+    for (far, long, near), way, vehicle in product(_HOPS, _WAYS, who):
+        begin, end = stage - near, stage + near
+        if begin < 0 or end > len(offsets):
+            continue
+        bump = np.exp(-0.5 * ((np.arange(begin, end) - stage) / long) ** 2)
         moved = offsets.copy()
-        moved[window, vehicle] += bump[:, None] * way
-        moved = band.relaxed(moved, window, GIVING_WAY)
-        missed = band.strain(moved, moments, wishes=False).missed
-        if missed.max() <= _FREE**2:
+        moved[begin:end, vehicle] += far * apart * bump[:, None] * way
+        moved = band.relaxed(moved, slice(begin, end), GIVING_WAY)
+        moments = slice(begin * band.density, end * band.density)
+        if band.strain(moved, moments, wishes=False).missed.max() <= _FREE**2:
             return moved
     return None

@@ -178,7 +178,7 @@ _IN_OTHERS = 3
 _MENDINGS = 8
 """So often a plan that nearly holds is judged."""
 
-_GOOD = 0.5
+_GOOD = 0.6
 """Schedules that miss their margins by less, at the worst moment, are likely to be certified."""
 
 _DOUBTFUL = 2
