@@ -58,3 +58,15 @@ def test_every_second_that_falls_short_is_found_and_no_other():
     assert [(int(boxes.pair[k]), float(boxes.time[k])) for k in short] == [(1, 0.5), (1, 2.5)]
     assert found.time[short] == pytest.approx([0.4, 2.6], abs=0.02)
     assert found.low[short] == pytest.approx([-0.1, -0.1], abs=0.02)
+
+
+def test_what_was_shown_of_a_box_holds_in_its_parts():
+    """Bounds of parts may be poorer, by another way to find them; what is known stays known."""
+
+    def evaluate(boxes):
+        whole = boxes.half >= 0.5
+        doubts = np.stack([boxes.half, 0.0 * boxes.half, 0.0 * boxes.half], axis=1)
+        low, high = np.where(whole, 0.005, -0.1), np.where(whole, 0.02, -0.1)
+        return Enclosure(low, high, doubts, np.zeros((len(boxes), 3)))
+
+    assert smallest(evaluate, 1, roots(1, SPAN, 1.0)).low[0] == 0.005
