@@ -1,8 +1,8 @@
 """How long plans and their certificates take, how that grows with the team, and what they reach.
 
 Run it: ``python tests/bench/planning.py [KNOT …]`` (default: 3_1 4_1 8_18); ``--growth`` adds torus
-knots and sums up to twelve crossings and fits the exponent in the number of vehicles. Times are of
-one core's processor time. Two missions each: the default one, and the line of figures that earlier
+knots and sums up to twelve crossings and fits the exponent in the number of vehicles, and that of
+the flights themselves. Times are of one core's processor time. Two missions each: the default one, and the line of figures that earlier
 work is compared by (cell 1 m, tracking 0, radius 0.1 m, clearances 0.15, 0.8 and 0.8 m).
 """
 
@@ -35,7 +35,7 @@ def main() -> None:
     """Plan and print."""
     asked = [name for name in sys.argv[1:] if not name.startswith("--")]
     growth = "--growth" in sys.argv[1:]
-    measured: list[tuple[int, float]] = []
+    measured: list[tuple[int, float, float]] = []
     for name in asked or (GROWTH if growth else tuple(BUDGET)):
         taken = _planned(name, (), BUDGET.get(name))
         if taken is not None:
@@ -43,15 +43,17 @@ def main() -> None:
         if not growth:
             _planned(name, LINE, None)
     if growth and len(measured) > 2:
-        vehicles, seconds = np.log(np.array(measured)).T
+        vehicles, seconds, flight = np.log(np.array(measured)).T
         print(
             f"time grows with the number of vehicles to the {np.polyfit(vehicles, seconds, 1)[0]:.2f}"
+            f", and what is planned, vehicles times seconds of the fold, to the "
+            f"{1.0 + np.polyfit(vehicles, flight, 1)[0]:.2f}"
         )
 
 
 def _planned(
     name: str, overrides: tuple[str, ...], budget: float | None
-) -> tuple[int, float] | None:
+) -> tuple[int, float, float] | None:
     begun = time.process_time()
     what = f"{name:<12} {'line' if overrides else 'default':<8}"
     try:
@@ -73,7 +75,7 @@ def _planned(
         errors = sorted({f.check for f in found.findings if f.severity == "error"})
         words += f"; NOT cleared: {', '.join(errors)}"
     print(f"{what} {words}", flush=True)
-    return plan.vehicles, taken
+    return plan.vehicles, taken, fold.end - fold.start
 
 
 if __name__ == "__main__":
