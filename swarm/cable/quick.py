@@ -66,6 +66,15 @@ def steepest(rise: float, span: float, reach: float) -> float:
 
 
 @compiled
+def shallowest(rise: float, span: float, reach: float) -> float:
+    """As :func:`steepest`, of the smallest elevation; 0 where the chord may get level."""
+    square = rise * rise + span * span
+    if reach * reach >= rise * rise:
+        return 0.0
+    return (abs(rise) * math.sqrt(square - reach * reach) - span * reach) / square
+
+
+@compiled
 def sketch(start: Floats, end: Floats, length: float, points: Floats) -> None:
     """Fill ``points`` (k, 3) with those of a strand, equally far apart along it."""
     span, parameter, slope = hang(start, end, length, _TAUTEST)

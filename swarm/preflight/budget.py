@@ -113,7 +113,7 @@ class _Strand:
         strands = hang(hung.start[None], hung.end[None], hung.length[None])
         found = response(
             strands, self.fraction * one, np.array([BOTH_ENDS]), self.normal[None],
-            (self.fraction * one, self.fraction * one), 0.0 * one, 0.0 * one,
+            (self.fraction * one, self.fraction * one), 0.0 * one,
         )  # fmt: skip
         return float(found.at_point[0]) if found.known[0] else 1.0
 

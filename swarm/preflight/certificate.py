@@ -23,7 +23,7 @@ from swarm.preflight.limits import (
     SpeedLeft,
 )
 from swarm.preflight.reach import ReachPairs, ReachVehicles
-from swarm.preflight.search import Evaluator, Minima, holds, roots, short_boxes, smallest
+from swarm.preflight.search import Boxes, Evaluator, Minima, holds, roots, short_boxes, smallest
 from swarm.preflight.strands import HeldCable, StrandPairs, all_pairs
 
 Floats = npt.NDArray[np.float64]
@@ -82,6 +82,10 @@ class Family:
     spans: Spans
     evaluate: Evaluator
 
+    def roots(self) -> Boxes:
+        """Return boxes of a root's width for all pairs over all spans of time."""
+        return roots(len(self.names), self.spans, ROOT)
+
 
 def segment_name(index: int) -> str:
     """Name a segment, counted from 1 along the cable."""
@@ -121,7 +125,7 @@ def tightest_moments(
     wanted = [
         family
         for family in families(plan, tracking, down)
-        if (checks is None or family.check in checks) and family.spans and family.names
+        if checks is None or family.check in checks
     ]
     found: list[Moment] = []
     for done, family in enumerate(wanted):
@@ -140,13 +144,13 @@ def shortfalls(plan: Plan, checks: Collection[str]) -> tuple[Moment, ...]:
     """
     found: list[Moment] = []
     for family in families(plan, plan.mission.vehicles.tracking, STILL_AIR):
-        if family.spans and family.names and family.check in checks:
+        if family.check in checks:
             found += _short(family)
     return tuple(found)
 
 
 def _short(family: Family) -> list[Moment]:
-    seconds = roots(len(family.names), family.spans, ROOT)
+    seconds = family.roots()
     minima = short_boxes(family.evaluate, seconds)
     failing = np.flatnonzero(minima.low < 0.0)
     return [_moment(family, int(seconds.pair[k]), minima, int(k)) for k in failing]
@@ -157,17 +161,12 @@ def certified(plan: Plan, *, tracking: float, down: Place = STILL_AIR) -> bool:
 
     Much quicker than :func:`tightest_moments`, since it measures nothing beyond yes and no.
     """
-    return all(
-        holds(family.evaluate, roots(len(family.names), family.spans, ROOT))
-        for family in families(plan, tracking, down)
-        if family.spans and family.names
-    )
+    return all(holds(family.evaluate, family.roots()) for family in families(plan, tracking, down))
 
 
 def moments_of(family: Family) -> list[Moment]:
     """Return the tightest moments of a family, at most five, tightest first."""
-    count = len(family.names)
-    minima = smallest(family.evaluate, count, roots(count, family.spans, ROOT))
+    minima = smallest(family.evaluate, len(family.names), family.roots())
     moments: list[Moment] = []
     for pair in minima.tightest():
         if family.names[pair] in (moment.between for moment in moments):
@@ -202,7 +201,7 @@ def spans_of(plan: Plan, chosen: Callable[[Phase], bool]) -> Spans:
 
 
 def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
-    """Return everything that must keep apart, with when and how far."""
+    """Return everything that must keep apart, with when and how far; no family is empty."""
     mission, count = plan.mission, plan.vehicles
     clearance, vehicles, diameter = mission.clearance, mission.vehicles, mission.cable.diameter
     course = Course(plan.motion)
@@ -232,7 +231,7 @@ def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
         )  # fmt: skip
         return Family(check, names, required, aloft, evaluate)
 
-    return (
+    every = (
         Family(
             "taut", segments, 0.0, held, Slack(cable),
         ),
@@ -282,6 +281,7 @@ def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
         ),
         *_fences(plan, course, tracking, aloft, always),
     )  # fmt: skip
+    return tuple(family for family in every if family.spans and family.names)
 
 
 def limits(plan: Plan) -> tuple[Family, ...]:

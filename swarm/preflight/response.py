@@ -21,8 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.cable.catenary import Catenaries, hang
+from swarm.cable.quick import shallowest, steepest
 from swarm.compiled import compiled
-from swarm.preflight.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO
+from swarm.preflight.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, class_of
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -86,20 +87,18 @@ def response(
     normal: Floats,
     piece: tuple[Floats, Floats],
     stretch: Floats,
-    sine: Floats,
 ) -> Response:
     """Return the response of strands (b,) at fractions (b,) along unit vectors (b, 3).
 
     ``ends`` says which ends move; ``piece`` gives the fractions between which ``per_arc`` must
-    hold. ``stretch`` (b,) is how far the ends may move relative to each other and ``sine`` (b,) the
-    largest |rise| / chord on the way.
+    hold. ``stretch`` (b,) is how far the ends may move relative to each other.
     """
     up = -np.einsum("bi,bi->b", normal, strands.down)
     along = np.einsum("bi,bi->b", normal, strands.heading)
     found = np.empty((3, len(up)))
     _responses(
         np.stack([strands.length, strands.parameter, strands.slope, strands.span, strands.rise]),
-        np.stack([along, up, fraction, *piece, stretch, sine]), ends, curvatures(), found,
+        np.stack([along, up, fraction, *piece, stretch]), ends, curvatures(), found,
     )  # fmt: skip
     known = np.isfinite(found[0])
     at_point, per_arc, curvature = np.where(known, found, 0.0)
@@ -109,13 +108,13 @@ def response(
 @compiled
 def _responses(strands: Floats, asked: Floats, ends: Ints, table: Floats, found: Floats) -> None:
     """Write what :func:`respond` gives (3, b) for figures of strands (5, b) and what is asked of
-    them (7, b): the parts of normals, fractions, pieces' begins and ends, stretches and sines."""
+    them (6, b): the parts of normals, fractions, pieces' begins and ends, and stretches."""
     for k in range(len(ends)):
         length, parameter, slope, span, rise = strands[:, k]
-        along, up, fraction, begin, end, stretch, sine = asked[:, k]
+        along, up, fraction, begin, end, stretch = asked[:, k]
         strand = Strand(length, parameter, slope, span, rise)
         found[0, k], found[1, k], found[2, k] = respond(
-            strand, (along, up), fraction, (begin, end), ends[k], stretch, sine, table
+            strand, (along, up), fraction, (begin, end), ends[k], stretch, table
         )
 
 
@@ -137,7 +136,6 @@ def respond(
     piece: tuple[float, float],
     ends: int,
     stretch: float,
-    sine: float,
     table: Floats,
 ) -> tuple[float, float, float]:
     """Of one strand what :func:`response` says of many: at the point, per arc, and curvature.
@@ -178,35 +176,26 @@ def respond(
     answer = by_end if ends == FAR_END else by_start
     if ends == BOTH_ENDS:
         answer = by_start + by_end
-    curvature = _curvature(strand, piece, stretch, sine, table)
+    curvature = _curvature(strand, piece, stretch, table)
     if determinant > 1e-12 and np.isfinite(answer + per_arc + curvature):
         return answer, per_arc, curvature
     return np.inf, np.inf, np.inf
 
 
 @compiled
-def _curvature(
-    strand: Strand, piece: tuple[float, float], stretch: float, sine: float, table: Floats
-) -> float:
+def _curvature(strand: Strand, piece: tuple[float, float], stretch: float, table: Floats) -> float:
     """Upper bound of M of a piece while the ends move by up to ``stretch`` to each other.
 
     What is beyond the first order is ∫(1 − t)·G²·M(t) over the way, t from 0 to 1: the first steps
     count most, when the strand is not yet as taut as at the end.
     """
-    square = strand.span * strand.span + strand.rise * strand.rise
-    chord = np.sqrt(square)
     if strand.span - stretch <= 0.05 * strand.length:
         return np.inf
-    along = np.sqrt(square - stretch * stretch)
-    shallowest = (abs(strand.rise) * along - strand.span * stretch) / square
-    first = 0
-    while first < len(_SINES) and _SINES[first] < shallowest:
-        first += 1
-    last = first
-    while last < len(_SINES) and _SINES[last] < sine:
-        last += 1
+    first = class_of(shallowest(strand.rise, strand.span, stretch), _SINES)
+    last = class_of(steepest(strand.rise, strand.span, stretch), _SINES)
     if last >= len(_SINES):
         return np.inf
+    chord = np.sqrt(strand.span * strand.span + strand.rise * strand.rise)
     mean = 0.0
     for step in range(_STEPS):
         reach = stretch * (step + 1) / _STEPS

@@ -10,7 +10,7 @@ from swarm.plans import Plan
 from swarm.preflight.air import wind_down
 from swarm.preflight.certificate import ROOT, STILL_AIR, Family, Moment, families
 from swarm.preflight.findings import Robustness
-from swarm.preflight.search import Boxes, failing, holds, roots, whole
+from swarm.preflight.search import Boxes, failing, holds, whole
 
 Progress = Callable[[str, float], None]
 
@@ -150,9 +150,7 @@ class _Search:
         cases = self._cases(value)
         for case in self._likely_first(value):
             for index, family in enumerate(cases[case]()):
-                if not (family.spans and family.names):
-                    continue
-                found = failing(family.evaluate, roots(len(family.names), family.spans, ROOT))
+                found = failing(family.evaluate, family.roots())
                 if found is not None:
                     self._known.setdefault((case, index), set()).add(found)
                     self._worst = case

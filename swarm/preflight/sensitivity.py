@@ -108,10 +108,24 @@ def on_the_way(ratio: float, reach: float) -> OnTheWay:
 @compiled
 def steepness(sine: float) -> int:
     """The elevation class of a strand whose chord has this sine of an elevation at most."""
+    return class_of(sine, _SINES)
+
+
+@compiled
+def class_of(sine: float, sines: Floats) -> int:
+    """The first of rising classes that reaches up to a sine; their number where none does."""
     found = 0
-    while found < len(_SINES) and _SINES[found] < sine:
+    while found < len(sines) and sines[found] < sine:
         found += 1
     return found
+
+
+@compiled
+def _tabulated(piece: int) -> int:
+    """The smallest piece in the tables that holds a whole piece."""
+    while piece >= 2 * FINEST:
+        piece //= 2
+    return piece
 
 
 @compiled
@@ -121,10 +135,7 @@ def finest_in(piece: int, fraction: float) -> int:
     Where two of them meet, tables may say much more of one than of the other: of a point at the end
     of a piece, the part of that piece is meant.
     """
-    first = last = piece
-    while first >= 2 * FINEST:
-        first //= 2
-        last //= 2
+    first = last = _tabulated(piece)
     while first < FINEST:
         first, last = 2 * first, 2 * last + 1
     point: int = min(max(FINEST + int(fraction * FINEST), first), last)
@@ -136,8 +147,7 @@ def largest_of(
     norm: Floats, integral: Floats, steep: int, ends: int, piece: int, way: OnTheWay
 ) -> tuple[float, float]:
     """As :meth:`Sensitivity.largest` of one strand, with the tables of that."""
-    while piece >= 2 * FINEST:
-        piece //= 2
+    piece = _tabulated(piece)
     return (
         _mean(norm[steep, ends, 0], integral[steep, ends, 0], piece, way),
         _mean(norm[steep, ends, 1], integral[steep, ends, 1], piece, way),

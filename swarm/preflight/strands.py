@@ -146,15 +146,13 @@ def _moved(
         loose, still, stretch, still_stretch = ways[0, k], ways[1, k], ways[2, k], ways[3, k]
         fraction = begin[k] + along[k] * (end[k] - begin[k])
         strand = Strand(length[k], parameter[k], slope[k], span[k], rise[k])
-        sine = steepest(rise[k], span[k], stretch)
         at_point, per_arc, curvature = respond(
-            strand, (ahead[k], up[k]), fraction, (begin[k], end[k]), moving[k], stretch, sine,
-            table,
+            strand, (ahead[k], up[k]), fraction, (begin[k], end[k]), moving[k], stretch, table
         )  # fmt: skip
         upright = min(abs(up[k]), 1.0)
         across = np.sqrt(1.0 - upright * upright)
         point = finest_in(number[k], fraction)
-        steep = steepness(sine)
+        steep = steepness(steepest(rise[k], span[k], stretch))
         on_way = on_the_way(ratio[k], stretch / length[k])
         in_ball = on_the_way(ratio[k], still_stretch / length[k])
         for which in range(3):

@@ -18,7 +18,7 @@ from swarm.plans import Plan, make_plan
 from swarm.preflight.assess import assess
 from swarm.preflight.certificate import Moment, families, tightest_moments
 from swarm.preflight.robustness import largest_tracking, largest_wind
-from swarm.preflight.search import roots, smallest
+from swarm.preflight.search import smallest
 
 FRACTIONS = np.linspace(0.0, 1.0, 101)
 
@@ -42,11 +42,9 @@ def measure(plan: Plan) -> None:
     assessment = assess(plan)
     print(f"  everything {time.process_time() - started:7.2f} s   cleared: {assessment.cleared}")
     for family in families(plan, plan.mission.vehicles.tracking, (0.0, 0.0, -1.0)):
-        if not family.spans or not family.names:
-            continue
         started = time.process_time()
         count = len(family.names)
-        found = smallest(family.evaluate, count, roots(count, family.spans, 1.0))
+        found = smallest(family.evaluate, count, family.roots())
         print(f"  {family.check:<26} {time.process_time() - started:7.2f} s"
               f" {found.boxes:>9} boxes {count:>5} pairs")  # fmt: skip
     for what, find in (("e*", largest_tracking), ("w*", largest_wind)):

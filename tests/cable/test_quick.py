@@ -46,12 +46,15 @@ def test_no_strand_comes_down_farther_than_its_dip(across, more):
     st.floats(-math.pi, math.pi),
     st.floats(-1.0, 1.0),
 )
-def test_no_chord_gets_steeper_than_the_steepest(rise, span, reach, ahead, upright):
+def test_no_chord_gets_steeper_than_the_steepest_or_shallower_than_the_shallowest(
+    rise, span, reach, ahead, upright
+):
     level = reach * math.sqrt(1.0 - upright**2)
     moved = np.array([span + level * math.cos(ahead), level * math.sin(ahead)])
     after = rise + reach * upright
     steep = abs(after) / max(math.hypot(*moved, after), 1e-12)
     assert steep <= quick.steepest(rise, span, reach) + 1e-9
+    assert steep >= quick.shallowest(rise, span, reach) - 1e-9
 
 
 @settings(max_examples=100, deadline=None)

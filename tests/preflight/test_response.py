@@ -38,9 +38,7 @@ def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends, shall
             np.clip(at - rng.uniform(0.0, 0.1, count), 0.0, 1.0),
             np.clip(at + rng.uniform(0.0, 0.1, count), 0.0, 1.0),
         )
-        turned = np.abs(elevation) + np.arcsin(np.minimum(growth / ratio, 1.0))
-        sine = np.sin(np.minimum(turned, np.pi / 2))
-        answer = response(before, at, np.full(count, ends), normal, piece, growth, sine)
+        answer = response(before, at, np.full(count, ends), normal, piece, growth)
         bound = answer.movement(size, growth)
 
         def moved(fraction, before=before, after=after, normal=normal):
