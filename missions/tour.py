@@ -41,7 +41,7 @@ def main(mission_file: Path, folder: Path) -> None:
     (folder / "motion.csv").write_text("\n".join(motion_rows(plan)) + "\n")
 
     try:
-        proven = planned.proven()
+        proven = planned.certified()
     except Refused as refusal:
         print(f"refused, and so it is not flown:\n{refusal}")
         return

@@ -5,9 +5,16 @@ from dataclasses import dataclass
 
 from swarm.mission import Mission
 from swarm.plans import Plan, Shortfall, candidates
-from swarm.preflight.assess import assess, with_robustness
-from swarm.preflight.certificate import Moment, shortfalls, tightest_moments
-from swarm.preflight.findings import Assessment, ProvenPlan, prove
+from swarm.preflight.certificate import Moment, shortfalls
+from swarm.preflight.certify import (
+    Certificate,
+    CertifiedPlan,
+    MeasuredClearances,
+    certify,
+    certify_robustness,
+    measure_clearances,
+)
+from swarm.preflight.findings import Assessment
 
 Progress = Callable[[str, float], None]
 
@@ -17,14 +24,19 @@ _ATTEMPTS = 16
 
 @dataclass(frozen=True)
 class Planned:
-    """A plan and what the checks say of it."""
+    """A plan and its certificate, cleared or not."""
 
     plan: Plan
-    assessment: Assessment
+    certificate: Certificate
 
-    def proven(self) -> ProvenPlan:
+    @property
+    def assessment(self) -> Assessment:
+        """What the checks found."""
+        return self.certificate.assessment
+
+    def certified(self) -> CertifiedPlan:
         """Return the plan as cleared; raises :class:`swarm.errors.Refused` with every error."""
-        return prove(self.plan, self.assessment)
+        return CertifiedPlan(self.plan, self.certificate)
 
 
 def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool = True) -> Planned:
@@ -40,14 +52,14 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
     first = None
     doubted: frozenset[str] = frozenset()
     for _ in range(_ATTEMPTS):
-        missing, moments = _judged(made, doubted, progress)
-        first = first or (made, moments)
+        missing, measured = _judged(made, doubted, progress)
+        first = first or (made, measured)
         if not missing:
-            assessment = assess(made, moments=moments, progress=progress)
-            if assessment.cleared:
+            certificate = certify(made, measured=measured, progress=progress)
+            if certificate.cleared:
                 if robustness:
-                    assessment = with_robustness(made, assessment, progress)
-                return Planned(made, assessment)
+                    certificate = certify_robustness(made, certificate, progress)
+                return Planned(made, certificate)
         doubted = frozenset(moment.check for moment in missing)
         try:
             made = search.send(
@@ -56,21 +68,21 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
         except StopIteration:
             break
     assert first is not None  # noqa: S101 - the first plan was judged
-    made, moments = first
-    return Planned(made, assess(made, moments=moments, progress=progress))
+    made, measured = first
+    return Planned(made, certify(made, measured=measured, progress=progress))
 
 
 def _judged(
     made: Plan, doubted: frozenset[str], progress: Progress | None
-) -> tuple[tuple[Moment, ...], tuple[Moment, ...]]:
-    """Where a plan falls short, and its tightest moments; none where it fails in what is doubted.
+) -> tuple[tuple[Moment, ...], MeasuredClearances | None]:
+    """Where a plan falls short, and its clearances; None where it fails in what is doubted.
 
     Whoever mends plans need not know everything about one that is to be mended again, but all
     moments that need it: mended one by one they would take a round each.
     """
     missing = shortfalls(made, doubted) if doubted else ()
     if missing:
-        return missing, ()
-    moments = tightest_moments(made, progress=progress)
-    failed = {moment.check for moment in moments if moment.margin < 0.0}
-    return shortfalls(made, failed) if failed else (), moments
+        return missing, None
+    measured = measure_clearances(made, progress)
+    failed = {moment.check for moment in measured.moments if moment.margin < 0.0}
+    return shortfalls(made, failed) if failed else (), measured

@@ -13,12 +13,13 @@ from sitl.world import WorldError, parse_world
 from sitl.world import schema as world_schema
 from swarm.errors import InputError, Problem, Refused
 from swarm.fleet import Fleet, emulated_fleet
+from swarm.flight.adherence import adherence
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
+from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.world import emulated_world
-from swarm.preflight.findings import ProvenPlan
 
 __all__ = [
     "Emulator", "Fault", "Observer", "Recorder", "faults_from", "parse_world", "rehearse",
@@ -59,12 +60,12 @@ def scenario_schema() -> dict[str, Any]:
 
 
 def rehearse(
-    proven: ProvenPlan,
+    proven: FlightPlan,
     *,
     fleet: Fleet | None = None,
     seed: int = 1,
     no_cable: bool = False,
-    heedless: bool = False,
+    open_loop: bool = False,
     world: Mapping[str, Any] | None = None,
     faults: Sequence[Fault] = (),
     observer: Observer | None = None,
@@ -72,17 +73,17 @@ def rehearse(
     on_event: Callable[[Event], None] | None = None,
     recorder: Recorder | None = None,
 ) -> FlightResult:
-    """Fly a proven plan in virtual time against the emulator; returns how it went.
+    """Fly a plan in virtual time against the emulator; returns how it went.
 
     ``fleet`` is an emulated one, by default of PX4 vehicles; ``world`` is what the emulator is told
-    instead of what the plan expects, ``faults`` are what goes wrong. ``heedless`` keeps the planned
-    pace whatever comes near, which shows what a trajectory would do that no clock protects.
+    instead of what the plan expects, ``faults`` are what goes wrong. ``open_loop`` keeps the
+    planned pace whatever comes near, which shows what a trajectory would do that no clock protects.
     ``on_snapshot`` is called ten times a second of flight time, ``observer`` after every step: it
     alone sees what really is.
     Raises :class:`swarm.errors.Refused` where the fleet does not fit.
     """
     fleet = fleet or emulated_fleet(proven.plan.vehicles, seed=seed)
-    conductor = Conductor(proven, fleet, no_cable=no_cable, heedless=heedless)
+    conductor = Conductor(proven, fleet, no_cable=no_cable, open_loop=open_loop)
     if world is None:
         world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
     emulator = Emulator(parse_world(json.dumps(world)), faults)
@@ -108,11 +109,14 @@ def rehearse(
             conductor.give_up("the flight does not end")
         tick += 1
     _tell(conductor, events, recorder, on_event)
+    trace = conductor.trace()
     return FlightResult(
         outcome=conductor.finished,
-        trace=conductor.trace(),
+        trace=trace,
         events=tuple(events),
         statistics=conductor.statistics(),
+        basis=conductor.basis,
+        adherence=adherence(proven.plan, trace, conductor.basis),
     )
 
 

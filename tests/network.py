@@ -8,6 +8,7 @@ import itertools
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -16,13 +17,14 @@ from sitl.world import parse_world
 from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
+from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.flight.result import Outcome
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
 from swarm.mission import Mission, mission_for_knot
 from swarm.plans import KnotSummary, Layout, Plan
 from swarm.plans.flight import whole_flight
-from swarm.preflight.findings import Assessment, ProvenPlan, Tightest, prove
+from swarm.preflight.certify import CertifiedPlan, certify
 from swarm.trajectory import followed, leg
 
 Keep = Callable[[float, int, bytes], bool]
@@ -34,8 +36,21 @@ def small_mission(*overrides: str) -> Mission:
     return mission_for_knot("3_1", overrides)
 
 
-def small_plan(*overrides: str, vehicles: int = 3, height: float = 5.0) -> ProvenPlan:
-    """A real flight around a fold that moves the whole line sideways and back."""
+@cache
+def small_plan(*overrides: str, vehicles: int = 3, height: float = 5.0) -> CertifiedPlan:
+    """A real flight around a fold that moves the whole line sideways and back, certified."""
+    plan = sideways(*overrides, vehicles=vehicles, height=height)
+    return CertifiedPlan(plan, certify(plan))
+
+
+def uncleared(*overrides: str) -> ComparisonFlight:
+    """The same flight with a mission that it does not keep to."""
+    plan = sideways(*overrides)
+    return ComparisonFlight(plan, certify(plan))
+
+
+def sideways(*overrides: str, vehicles: int = 3, height: float = 5.0) -> Plan:
+    """The plan of :func:`small_plan`."""
     mission = small_mission(*overrides)
     spacing, length = 3.0, 3.6
     line = np.array([[spacing * k, 0.0, height] for k in range(vehicles)])
@@ -52,9 +67,7 @@ def small_plan(*overrides: str, vehicles: int = 3, height: float = 5.0) -> Prove
         cell=0.0,
     )
     summary = KnotSummary("0_1", "none", "", ())
-    plan = Plan(mission, summary, layout, flight.motion, flight.phases, flight.gates, line)
-    fine = Tightest(1.0, 0.1, 0.0, ("segment 1", "segment 2"))
-    return prove(plan, Assessment((), fine, fine, fine, "0_1", "none", ""))
+    return Plan(mission, summary, layout, flight.motion, flight.phases, flight.gates, line)
 
 
 @dataclass
@@ -67,7 +80,7 @@ class Network:
     sockets, where they come between its ticks.
     """
 
-    proven: ProvenPlan
+    proven: FlightPlan
     fleet: Fleet | None = None
     no_cable: bool = False
     seed: int = 1

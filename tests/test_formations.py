@@ -9,7 +9,7 @@ from swarm.errors import InputError, Refused
 from swarm.mission import Mission, parse_mission
 from swarm.plans import make_plan
 from swarm.preflight.assess import assess
-from swarm.preflight.findings import prove
+from swarm.preflight.certify import CertifiedPlan, certify
 from swarm.verify import judge
 from tests.network import Network
 
@@ -33,7 +33,7 @@ def refusal(keys: str) -> str:
 def test_first_steps_are_certified_and_flown_to_their_end(name: str) -> None:
     path = FIRST_STEPS / f"{name}.yaml"
     plan = make_plan(parse_mission(path.read_text(), str(path)))
-    proven = prove(plan, assess(plan))
+    proven = CertifiedPlan(plan, certify(plan))
     network = Network(proven)
     outcome = network.run(most=600.0)
     assert outcome is not None

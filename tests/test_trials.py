@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from swarm.cli.trials import write_results
-from swarm.errors import InputError, SwarmError
+from swarm.errors import InputError, Refused, SwarmError
 from swarm.fleet import emulated_fleet
-from swarm.preflight.findings import Finding, Refused, prove
+from swarm.ground.fly import fly
+from swarm.preflight.certify import CertifiedPlan, certify
 from swarm.trials import (
     Certificates,
     Spread,
@@ -21,7 +22,6 @@ from swarm.trials import (
     below_certificate,
     certificates,
     draw,
-    flown_anyway,
     fly_trial,
     fly_trials,
     read_scenario,
@@ -30,7 +30,7 @@ from swarm.trials import (
     workers_starting,
     worst,
 )
-from tests.network import small_plan
+from tests.network import small_plan, uncleared
 
 PROVEN = small_plan(vehicles=4)
 PLAN = PROVEN.plan
@@ -211,12 +211,22 @@ def test_a_bad_scenario_is_refused_at_its_place(text, said):
     assert said in str(caught.value)
 
 
-def test_only_the_emulator_flies_a_refused_plan():
-    wrong = replace(PROVEN.assessment, findings=(Finding("error", "cable clearance", "too close"),))
-    with pytest.raises(Refused, match="too close"):
-        prove(PLAN, wrong)
-    proven = flown_anyway(PLAN, wrong)
-    assert [finding.severity for finding in proven.assessment.findings] == ["warning"]
+def test_only_the_emulator_flies_a_refused_plan(tmp_path):
+    wrong = uncleared("clearance.vehicle=3.5")
+    errors = [found for found in wrong.assessment.findings if found.severity == "error"]
+    assert errors
+    with pytest.raises(Refused, match="vehicle clearance: "):
+        CertifiedPlan(wrong.plan, wrong.certificate)
+    fleet = emulated_fleet(3)
+    with pytest.raises(Refused, match="a comparison is flown by swarm dry-run alone"):
+        fly(wrong, fleet, tmp_path / "record")
+    assert not (tmp_path / "record").exists()
+    flown, result = fly_trial(wrong, CALM, 1, 0, open_loop=True)
+    assert flown.outcome == "done"
+    assert result.basis.kind == "comparison"
+    assert result.basis.checked == "not certified: flown for comparison"
+    assert result.exit_code == 3
+    assert "nothing was certified" in result.adherence.words
 
 
 def test_results_are_one_row_per_trial(tmp_path):
@@ -240,5 +250,6 @@ def test_what_is_let_go_at_the_end_of_the_hold_has_not_been_lost():
         for gate in plan.gates
     )
     slow = Spread(wind=0, gust=0, loss=0, latency=0, jitter=0, mass=0, failing=0)
-    flown, _ = fly_trial(replace(PROVEN, plan=replace(plan, gates=early)), slow, 5, 0)
+    earlier = replace(plan, gates=early)
+    flown, _ = fly_trial(CertifiedPlan(earlier, certify(earlier)), slow, 5, 0)
     assert (flown.outcome, flown.reason) == ("done", "")

@@ -31,7 +31,8 @@ from swarm.flight.words import in_common, numbers, of_systems
 from swarm.ground.check import CheckReport, Wanted
 from swarm.ground.check import check as check_fleet
 from swarm.ground.fly import fly
-from swarm.preflight.findings import Finding, ProvenPlan
+from swarm.preflight.certify import CertifiedPlan
+from swarm.preflight.findings import Finding
 from swarm.view.sheet import layout_sheet
 
 STYLES = {"error": "bold red", "warning": "yellow", "info": "green"}
@@ -145,12 +146,12 @@ def check(
     context.exit(0 if report.passed else 1)
 
 
-def _proven(mission: str, overrides: tuple[str, ...]) -> ProvenPlan:
+def _proven(mission: str, overrides: tuple[str, ...]) -> CertifiedPlan:
     with progress_bar(Console(stderr=True)) as progress:
-        return api.plan(load_mission(mission, overrides), progress).proven()
+        return api.plan(load_mission(mission, overrides), progress).certified()
 
 
-def _of_plan(proven: ProvenPlan) -> Finding:
+def _of_plan(proven: CertifiedPlan) -> Finding:
     plan, limit = proven.plan, proven.assessment.robustness.tracking
     words = f"{plan.mission.name}, {plan.vehicles} vehicles, certified for tracking errors of "
     words += f"{plan.mission.vehicles.tracking:g} m"
@@ -171,7 +172,7 @@ def _asker(console: Console, *, yes: bool) -> Callable[[Sequence[Row]], bool]:
 
 def _hop(
     report: CheckReport,
-    proven: ProvenPlan,
+    proven: CertifiedPlan,
     fleet: Fleet,
     folder: Path,
     speed: float,

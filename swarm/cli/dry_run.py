@@ -143,7 +143,7 @@ def dry_run(
         print_json(outcome)
     else:
         print_outcome(planned.plan, result, flown, planned.assessment, console)
-    error = result.outcome.error()
+    error = result.error()
     if error is not None:
         raise error
     context.exit(0 if flown.as_planned else 1)
@@ -166,7 +166,7 @@ def _fly(
     planned: api.Planned, screen: FlightScreen, seed: int, options: dict[str, Any]
 ) -> FlightResult:
     """One flight: as the plan expects the world, or under the conditions of one trial."""
-    proven = planned.proven()
+    proven = planned.certified()
     if options["trial"] is None:
         return rehearse(
             proven,

@@ -118,7 +118,7 @@ def _fly(planned: api.Planned, **chosen: Any) -> tuple[Drill, ...]:
         def tell(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        return fly_drills(planned.proven(), tell=tell, **chosen)
+        return fly_drills(planned.certified(), tell=tell, **chosen)
 
 
 def failures_table(told: Sequence[Mapping[str, Any]]) -> Table:

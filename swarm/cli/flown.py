@@ -35,7 +35,7 @@ def end_with(
     else:
         print_outcome(plan, result, flown, assessment, console)
         console.print(f"Record: {folder}", soft_wrap=True, highlight=False)
-    error = result.outcome.error()
+    error = result.error()
     if error is not None:
         raise error
     context.exit(0 if flown.as_planned else 1)

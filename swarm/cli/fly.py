@@ -121,7 +121,7 @@ def fly(
         planned = api.plan(loaded, progress)
     plan_summary(planned.plan, planned.assessment, console)
     team = given or emulated_fleet(planned.plan.vehicles)
-    proven = raised(planned.proven(), team, no_cable=no_cable)
+    proven = raised(planned.certified(), team, no_cable=no_cable)
     plan = proven.plan
     if plan is not planned.plan:
         console.print(_BARE, style="dim", highlight=False, soft_wrap=True)

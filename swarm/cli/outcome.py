@@ -1,6 +1,7 @@
 """What a flight or a dry run comes to, for people and for scripts."""
 
 from collections.abc import Iterable
+from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
@@ -8,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from swarm.exports import tightest_object
+from swarm.flight.adherence import Adherence, adherence_object
 from swarm.flight.result import FlightResult
 from swarm.plans import Plan
 from swarm.preflight.findings import Assessment, Tightest
@@ -21,6 +23,8 @@ def outcome_object(result: FlightResult, flown: Flown, assessment: Assessment) -
         "outcome": result.outcome.word,
         "explanation": result.outcome.explanation,
         "record": str(result.record) if result.record else None,
+        "certificate": {**asdict(result.basis), "words": result.basis.words},
+        "adherence": adherence_object(result.adherence),
         **flown_object(flown, assessment),
         "duration": statistics.duration,
         "setpoints": statistics.setpoints,
@@ -65,7 +69,14 @@ def flown_object(flown: Flown, assessment: Assessment) -> dict[str, Any]:
 def print_outcome(
     plan: Plan, result: FlightResult, flown: Flown, assessment: Assessment, console: Console
 ) -> None:
-    """Print what was flown: knot, clearances beside what was certified, tracking, timing."""
+    """Print what was flown: knot, clearances beside what was certified, tracking, timing.
+
+    A flight outside its certificate is said first.
+    """
+    print_adherence(result.adherence, console)
+    if not result.basis.cable:
+        words = "Flown without cable: the knot below is what the positions would have tied."
+        console.print(words, highlight=False, soft_wrap=True)
     print_flown(plan, flown, assessment, console)
     statistics = result.statistics
     line = f"{statistics.duration:.0f} s of flight, {statistics.setpoints} setpoints"
@@ -92,6 +103,13 @@ def print_flown(plan: Plan, flown: Flown, assessment: Assessment, console: Conso
     console.print(line, highlight=False, soft_wrap=True)
     for note in flown.notes:
         console.print(f"[yellow]note[/] {note}", highlight=False, soft_wrap=True)
+
+
+def print_adherence(kept: Adherence, console: Console) -> None:
+    """Print one line where a flight was outside its certificate; nothing otherwise."""
+    if not kept.within:
+        line = f"[bold red]{kept.words[0].upper()}{kept.words[1:]}.[/]"
+        console.print(line, highlight=False, soft_wrap=True)
 
 
 def _clearances(

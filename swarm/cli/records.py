@@ -9,9 +9,11 @@ from swarm.borders import LARGEST_FILE
 from swarm.cli.inputs import read_record
 from swarm.errors import InputError, Problem
 from swarm.fleet import Fleet
-from swarm.flight.archive import read_plan
+from swarm.flight.archive import read_certificate, read_plan
+from swarm.flight.flight_plan import Basis
 from swarm.flight.tlog import Replayed, replay
-from swarm.plans import Plan
+from swarm.plans import Plan, digest
+from swarm.preflight.findings import Assessment
 
 LARGEST_PLAN = 64 << 20
 """Bytes that a record's plan or motion may have."""
@@ -31,6 +33,37 @@ def recorded_plan(record: Path) -> Plan:
     except OSError as error:
         reason = "expected a flight's record with plan.json and motion.npz in it"
         raise InputError([Problem(str(record), reason)]) from error
+
+
+def recorded_certificate(record: Path) -> tuple[Basis, Assessment]:
+    """Return on what a record's flight was flown, and what the checks found before it.
+
+    Raises :class:`InputError` where the record does not say.
+    """
+    path = record / "certificate.json"
+    try:
+        return read_certificate(json.loads(read_record(path, LARGEST_PLAN)))
+    except RecursionError:
+        raise InputError([Problem(str(path), "not valid JSON: nested too deeply")]) from None
+    except ValueError as error:
+        raise InputError([Problem(str(path), f"not valid JSON: {error}")]) from None
+    except OSError as error:
+        reason = "expected a flight's record with certificate.json in it"
+        raise InputError([Problem(str(record), reason)]) from error
+
+
+def recorded_basis(record: Path, plan: Plan) -> Basis | None:
+    """Return on what a record's flight was flown; None where the record is older than that.
+
+    Raises :class:`InputError` where the recorded plan is not the one that was flown.
+    """
+    if not (record / "certificate.json").exists():
+        return None
+    basis, _ = recorded_certificate(record)
+    if basis.digest != digest(plan):
+        message = "not the plan that certificate.json belongs to: its digest differs"
+        raise InputError([Problem(str(record / "plan.json"), message)])
+    return basis
 
 
 def recorded_flight(record: Path, plan: Plan) -> Replayed:

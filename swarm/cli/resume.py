@@ -10,14 +10,13 @@ from rich.console import Console
 
 from swarm.cli.flown import end_with
 from swarm.cli.inputs import read_text
-from swarm.cli.records import recorded_plan
+from swarm.cli.records import recorded_certificate, recorded_plan
 from swarm.errors import InputError, Problem, Refused
 from swarm.fleet import Fleet
+from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import Then, left_off
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.pilot import Flight, fly_apart
-from swarm.plans import Plan
-from swarm.preflight.findings import Assessment, Finding, ProvenPlan, Tightest, prove
 from swarm.view import rerun_log
 from swarm.view.terminal import FlightScreen
 
@@ -37,12 +36,14 @@ def resume_flight(
     """Take up the flight of a record, and end the command with its exit code."""
     console = Console(quiet=as_json)
     plan, (fleet, tlog) = recorded_plan(record), _recorded(record)
+    basis, assessment = recorded_certificate(record)
+    proven = ResumedFlight(plan, basis, assessment)
     if fleet.emulated is not None:
         raise Refused("the built-in emulator ended with its ground station: nobody flies any more")
     left = left_off(tlog, plan, fleet)
-    proven = _flown_before(plan)
+    attached = "carrying cable" if basis.cable else "without cable"
     console.print(
-        f"Broke off at {left.mission_time:.1f} s of the plan; looking for "
+        f"Broke off at {left.mission_time:.1f} s of the plan, {attached}; looking for "
         f"{plan.vehicles} vehicles.",
         highlight=False,
     )
@@ -61,7 +62,15 @@ def resume_flight(
     try:
         with screen:
             result = fly_apart(
-                Flight(proven, fleet, folder, control=control, left=left, then=then),
+                Flight(
+                    proven,
+                    fleet,
+                    folder,
+                    no_cable=not basis.cable,
+                    control=control,
+                    left=left,
+                    then=then,
+                ),
                 take_keys=sys.stdin.isatty(),
                 on_snapshot=on_snapshot,
                 on_event=on_event,
@@ -69,7 +78,7 @@ def resume_flight(
             )
     finally:
         viewer.close()
-    end_with(context, plan, proven.assessment, result, folder, as_json=as_json)
+    end_with(context, plan, assessment, result, folder, as_json=as_json)
 
 
 def _recorded(record: Path) -> tuple[Fleet, bytes]:
@@ -84,15 +93,3 @@ def _recorded(record: Path) -> tuple[Fleet, bytes]:
         raise InputError([Problem(str(log), reason)]) from None
     except ValidationError:
         raise InputError([Problem(str(listed), "expected the fleet of a flight")]) from None
-
-
-def _flown_before(plan: Plan) -> ProvenPlan:
-    """Return a recorded plan as proven: it was cleared before it took off, and time runs now."""
-    fine = Tightest(0.0, 0.0, 0.0, ("", ""))
-    words = "this plan was cleared before the flight that is resumed; it is not checked again"
-    note = Finding("info", "resumed", words)
-    knot = plan.knot
-    return prove(
-        plan,
-        Assessment((note,), fine, fine, fine, knot.type, knot.chirality, knot.gauss),
-    )

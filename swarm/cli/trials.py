@@ -14,9 +14,9 @@ from rich.table import Table
 from swarm import __version__, api
 from swarm.cli.inputs import print_json, progress_bar, read_text, write_text
 from swarm.errors import InputError, Interrupted, Problem
+from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.mission import Mission
 from swarm.plans import Plan
-from swarm.preflight.findings import ProvenPlan
 from swarm.rehearse import Fault
 from swarm.trials import (
     CLEARANCES,
@@ -24,7 +24,6 @@ from swarm.trials import (
     Spread,
     Trial,
     certificates,
-    flown_anyway,
     fly_trials,
     processes,
     read_scenario,
@@ -65,18 +64,18 @@ def run_trials(
     """Fly the trials, print or write what they say, and end the command with its exit code."""
     console = Console(quiet=as_json)
     spread, faults = load_scenario(scenario)
-    runs: list[tuple[Plan, ProvenPlan]] = [(planned.plan, planned.proven())]
+    runs: list[tuple[Plan, FlightPlan]] = [(planned.plan, planned.certified())]
     if compare:
         with progress_bar(Console(stderr=True)) as progress:
             other = api.plan(paper_mission(mission), progress)
-        runs.append((other.plan, flown_anyway(other.plan, other.assessment)))
+        runs.append((other.plan, ComparisonFlight(other.plan, other.certificate)))
     done: list[tuple[Plan, list[Trial], Certificates]] = []
     interrupted = False
     for plan, proven in runs:
         # the paper has no clock that waits: with ours its trajectory would stop, not come close
-        heedless = plan is not planned.plan
+        open_loop = plan is not planned.plan
         flown, interrupted = _fly(
-            proven, spread, seed, trials, faults, jobs, scheduler, heedless=heedless
+            proven, spread, seed, trials, faults, jobs, scheduler, open_loop=open_loop
         )
         if not flown:
             raise Interrupted("stopped before any trial was done")
@@ -120,7 +119,7 @@ def _as_certified(told: Mapping[str, Any]) -> bool:
 
 
 def _fly(
-    proven: ProvenPlan,
+    proven: FlightPlan,
     spread: Spread,
     seed: int,
     trials: int,
@@ -128,14 +127,14 @@ def _fly(
     jobs: int | None,
     scheduler: str | None,
     *,
-    heedless: bool,
+    open_loop: bool,
 ) -> tuple[list[Trial], bool]:
     """Fly with a progress bar; return the trials done, and whether it was interrupted."""
     flown: list[Trial] = []
     console = Console(stderr=True)
     flying = fly_trials(
         proven, spread, seed=seed, trials=range(trials), faults=faults, jobs=jobs,
-        scheduler=scheduler, heedless=heedless,
+        scheduler=scheduler, open_loop=open_loop,
     )  # fmt: skip
     with Progress(
         TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(),

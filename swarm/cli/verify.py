@@ -12,8 +12,10 @@ from rich.table import Table
 
 from swarm.cli.inputs import JSON, print_json
 from swarm.cli.observations import Observation, enter, observation, observations
-from swarm.cli.outcome import flown_object, print_flown
-from swarm.cli.records import recorded_flight, recorded_plan
+from swarm.cli.outcome import flown_object, print_adherence, print_flown
+from swarm.cli.records import recorded_basis, recorded_flight, recorded_plan
+from swarm.flight.adherence import Adherence, adherence, adherence_object
+from swarm.flight.flight_plan import Basis
 from swarm.flight.tlog import Replayed
 from swarm.plans import Plan
 from swarm.preflight.assess import assess
@@ -41,14 +43,17 @@ def verify(
 
     Reads the positions that the vehicles reported and the setpoints that were sent from the .tlog,
     and judges them in the cable model against the recorded plan. Exit code 0 when they imply the
-    knot that was asked for (and nobody saw another one), 1 when not.
+    knot that was asked for (and nobody saw another one) and cable was carried within its
+    certificate, 1 when not.
     """
     plan = recorded_plan(record)
+    basis = recorded_basis(record, plan)
     seen = observations(record)
     if observed is not None:
         seen.append(observation(observed, datetime.now(UTC)))
     replayed = recorded_flight(record, plan)
     assessment, flown = assess(plan), judge(plan, replayed.trace)
+    kept = adherence(plan, replayed.trace, basis) if basis else None
     if observed is not None:
         enter(record, seen[-1])
     if plot:
@@ -58,6 +63,8 @@ def verify(
     if as_json:
         found = {
             "record": str(record),
+            "certificate": asdict(basis) if basis else None,
+            "adherence": adherence_object(kept) if kept else None,
             **flown_object(flown, assessment),
             **_links_object(replayed),
             "observed": [asdict(one) for one in seen],
@@ -65,12 +72,24 @@ def verify(
         print_json(found)
     else:
         console = Console()
+        _print_basis(basis, kept, console)
         print_flown(plan, flown, assessment, console)
         _print_tracking(flown.tracking, console)
         _print_links(replayed, console)
         _print_observations(plan, seen, console)
     agreed = seen[-1].agrees(plan.knot) if seen else True
-    context.exit(0 if flown.as_planned and agreed else 1)
+    outside = kept is not None and not kept.within and basis is not None and basis.cable
+    context.exit(0 if flown.as_planned and agreed and not outside else 1)
+
+
+def _print_basis(basis: Basis | None, kept: Adherence | None, console: Console) -> None:
+    if basis is None:
+        words = "This record does not say what was certified, nor whether cable was carried."
+        console.print(words, style="dim", highlight=False, soft_wrap=True)
+        return
+    if kept is not None:
+        print_adherence(kept, console)
+    console.print(f"Flown {basis.words}.", highlight=False, soft_wrap=True)
 
 
 def _links_object(replayed: Replayed) -> dict[str, Any]:

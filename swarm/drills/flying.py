@@ -21,7 +21,7 @@ from swarm.drills.kept import Flown
 from swarm.drills.rehearsal import PERSONALITIES, LosesAck, Personality, Rehearsal, drill_fleet
 from swarm.drills.rows import ROWS, Part, Row
 from swarm.fleet import Fleet
-from swarm.preflight.findings import ProvenPlan
+from swarm.preflight.certify import CertifiedPlan
 from swarm.rehearse import Fault
 
 Floats = npt.NDArray[np.float64]
@@ -70,7 +70,7 @@ class Drill:
 
 
 def fly_drills(
-    proven: ProvenPlan,
+    proven: CertifiedPlan,
     *,
     rows: Sequence[Row] = ROWS,
     personalities: Sequence[Personality] = PERSONALITIES,
@@ -126,7 +126,7 @@ def _portions(rows: Sequence[Row]) -> list[Sequence[Row]]:
 
 
 def _fly_rows(
-    proven: ProvenPlan,
+    proven: CertifiedPlan,
     rows: Sequence[Row],
     personality: Personality,
     times: int,
@@ -155,7 +155,7 @@ def _fly_rows(
 
 
 def _stages(
-    proven: ProvenPlan, fleet: Fleet, part: Part, times: int, rng: np.random.Generator, seed: int
+    proven: CertifiedPlan, fleet: Fleet, part: Part, times: int, rng: np.random.Generator, seed: int
 ) -> Iterator[Rehearsal]:
     """Yield copies of a flight at random moments of one of its parts."""
     plan = proven.plan
@@ -217,7 +217,7 @@ def _fly(flight: Rehearsal, row: Row, victim: int) -> Trial:
     return judged(flight, row, judge, at, victim, began, slowed)
 
 
-def _worst(proven: ProvenPlan, kind: str, victim: int) -> dict[str, Any]:
+def _worst(proven: CertifiedPlan, kind: str, victim: int) -> dict[str, Any]:
     """Return what a plan makes of a fault: wind half again as strong as the strongest that it is
     certified for, and strong in any case; a snag in the middle of a segment."""
     lengths = proven.plan.layout.lengths

@@ -15,7 +15,7 @@ from swarm.flight.parameters import demands_of_plan, rules
 from swarm.flight.snapshot import Event
 from swarm.flight.warm import lasting
 from swarm.flight.world import emulated_world
-from swarm.preflight.findings import ProvenPlan
+from swarm.preflight.certify import CertifiedPlan
 from swarm.rehearse import Emulator, parse_world
 
 Personality = Literal["px4", "ardupilot", "mixed"]
@@ -39,7 +39,7 @@ def drill_fleet(vehicles: int, personality: Personality, seed: int = 1) -> Fleet
     return fleet.model_copy(update={"limits": limits})
 
 
-def pass_audit(emulator: Emulator, proven: ProvenPlan, fleet: Fleet) -> None:
+def pass_audit(emulator: Emulator, proven: CertifiedPlan, fleet: Fleet) -> None:
     """Give emulated vehicles the parameters with which they would pass the audit."""
     demands = demands_of_plan(proven.plan, fleet)
     for vehicle in emulator.vehicles:
@@ -56,7 +56,7 @@ def pass_audit(emulator: Emulator, proven: ProvenPlan, fleet: Fleet) -> None:
 class Rehearsal:
     """Both sides of a flight and the time, one step after the other; can be copied at any time."""
 
-    proven: ProvenPlan
+    proven: CertifiedPlan
     fleet: Fleet
     conductor: Conductor
     emulator: Emulator
@@ -65,7 +65,7 @@ class Rehearsal:
     keeps: Callable[[int, bytes], bool] | None = None
 
     @classmethod
-    def of(cls, proven: ProvenPlan, fleet: Fleet, seed: int) -> "Rehearsal":
+    def of(cls, proven: CertifiedPlan, fleet: Fleet, seed: int) -> "Rehearsal":
         """Return a flight before its first tick; its vehicles' parameters pass the audit."""
         world = emulated_world(proven.plan, fleet, with_cable=True, seed=seed)
         emulator = Emulator(parse_world(json.dumps(world)))

@@ -1,4 +1,4 @@
-"""Plans as data: what a record keeps of a plan, and the plan made from it again.
+"""Plans as data: what a record keeps of a plan and its certificate, and both made from it again.
 
 Numbers and words only, read without running anything.
 """
@@ -6,15 +6,19 @@ Numbers and words only, read without running anything.
 import io
 import zlib
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, fields
+from math import inf
+from typing import Any, get_args
 from zipfile import BadZipFile
 
 import numpy as np
 
 from swarm.errors import InputError
+from swarm.exports import finding_object, tightest_object
+from swarm.flight.flight_plan import Basis, Kind
 from swarm.mission import Mission
 from swarm.plans import Gate, KnotSummary, Layout, Phase, Plan
+from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
 from swarm.trajectory import Motion
 
 _UNREADABLE = (
@@ -22,6 +26,7 @@ _UNREADABLE = (
     NotImplementedError, RuntimeError,
 )  # fmt: skip
 """What damaged JSON and .npz files raise in the libraries that read them."""
+_CLEARANCES = ("cable", "vehicle", "vehicle_cable")
 _LARGEST_MEMBER = 256 * 1024 * 1024
 
 
@@ -82,6 +87,61 @@ def read_plan(document: Mapping[str, Any], motion: bytes) -> Plan:
         )
     except _UNREADABLE as error:
         raise InputError(f"the record's plan cannot be read: {error}") from None
+
+
+def certificate_document(basis: Basis, found: Assessment) -> dict[str, Any]:
+    """Return on what a flight is flown, and what the checks found, as plain data for JSON."""
+    return {
+        "schema": 1,
+        **asdict(basis),
+        "cleared": found.cleared,
+        "knot": {"type": found.knot, "chirality": found.chirality, "gauss": found.gauss},
+        "clearance": {name: tightest_object(getattr(found, name)) for name in _CLEARANCES},
+        "robustness": asdict(found.robustness),
+        "findings": [finding_object(finding) for finding in found.findings],
+    }
+
+
+def read_certificate(document: Mapping[str, Any]) -> tuple[Basis, Assessment]:
+    """Return what :func:`certificate_document` wrote; raises :class:`InputError` otherwise."""
+    try:
+        basis = Basis(**{field.name: document[field.name] for field in fields(Basis)})
+        if not isinstance(basis.cable, bool) or basis.kind not in get_args(Kind):
+            raise ValueError("cable or kind is none of its values")
+        return basis, Assessment(
+            findings=tuple(_read_finding(finding) for finding in document["findings"]),
+            cable=_read_tightest(document["clearance"]["cable"]),
+            vehicle=_read_tightest(document["clearance"]["vehicle"]),
+            vehicle_cable=_read_tightest(document["clearance"]["vehicle_cable"]),
+            knot=str(document["knot"]["type"]),
+            chirality=document["knot"]["chirality"],
+            gauss=str(document["knot"]["gauss"]),
+            robustness=Robustness(**document["robustness"]),
+        )
+    except _UNREADABLE as error:
+        raise InputError(f"the record's certificate cannot be read: {error}") from None
+
+
+def _read_finding(document: Mapping[str, Any]) -> Finding:
+    where = document["where"]
+    x, y, z = where if where is not None else (0.0, 0.0, 0.0)
+    return Finding(
+        document["severity"],
+        str(document["check"]),
+        str(document["message"]),
+        document["at_time"],
+        None if where is None else (float(x), float(y), float(z)),
+    )
+
+
+def _read_tightest(document: Mapping[str, Any]) -> Tightest:
+    distance, (one, other) = document["distance"], document["between"]
+    return Tightest(
+        inf if distance is None else float(distance),
+        float(document["required"]),
+        float(document["time"]),
+        (str(one), str(other)),
+    )
 
 
 def _read_motion(data: bytes) -> Motion:

@@ -1,11 +1,13 @@
-"""From a proven plan and an audited team to the only thing that may fly."""
+"""From a checked plan and an audited team to the only thing that may fly."""
 
 from dataclasses import dataclass
 
 from swarm.errors import Refused
+from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.words import in_common
+from swarm.plans import digest
 from swarm.preflight.coast import CoastCertificate
-from swarm.preflight.findings import Finding, ProvenPlan
+from swarm.preflight.findings import Finding
 
 
 @dataclass(frozen=True)
@@ -28,18 +30,25 @@ class Audit:
 
 @dataclass(frozen=True)
 class ClearedPlan:
-    """A proven plan together with an audit without errors. Made by :func:`go` alone."""
+    """A plan that was checked, together with an audit without errors.
 
-    proven: ProvenPlan
+    Raises :class:`Refused` where the plan was changed since, or the audit belongs to another one.
+    """
+
+    proven: FlightPlan
     audit: Audit
 
     def __post_init__(self) -> None:
+        self.proven.check()
         errors = [f for f in self.audit.findings if f.severity == "error"]
         if len(self.audit.systems) != self.proven.plan.vehicles:
             raise Refused(
                 f"the plan is for {self.proven.plan.vehicles} vehicles, "
                 f"{len(self.audit.systems)} were audited"
             )
+        coast = self.audit.coast
+        if coast is not None and coast.digest != digest(self.proven.plan):
+            raise Refused("the audit worked out lost setpoints for another plan")
         if errors:
             words = [f"{check}: {found}" for _, check, found in in_common(errors)]
             if any(finding.check == "parameters" for finding in errors):
@@ -47,6 +56,6 @@ class ClearedPlan:
             raise Refused("\n".join(words))
 
 
-def go(proven: ProvenPlan, audit: Audit) -> ClearedPlan:
+def go(proven: FlightPlan, audit: Audit) -> ClearedPlan:
     """Return the plan as cleared for flight; raises :class:`Refused` with every error."""
     return ClearedPlan(proven, audit)

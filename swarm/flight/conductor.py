@@ -18,6 +18,7 @@ from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit, ClearedPlan
 from swarm.flight.clock import MissionClock
+from swarm.flight.flight_plan import FlightPlan, basis_of
 from swarm.flight.gates import check_rest
 from swarm.flight.guidance import Guidance
 from swarm.flight.load import PlannedPull
@@ -45,7 +46,6 @@ from swarm.mavlink.vehicle import Vehicle
 from swarm.plans import Phase
 from swarm.preflight.coast import Coasting, coast
 from swarm.preflight.escape import escapes
-from swarm.preflight.findings import ProvenPlan
 from swarm.preflight.monitor import Clearances, Monitor
 from swarm.preflight.windows import windows
 
@@ -57,28 +57,30 @@ LOOSE_BUDGET = 0.5
 
 
 class Conductor:
-    """Flies a proven plan with a fleet.
+    """Flies a plan that was checked with a fleet.
 
     ``now`` is seconds since the flight's record began, in every call.
     """
 
     def __init__(
         self,
-        proven: ProvenPlan,
+        proven: FlightPlan,
         fleet: Fleet,
         *,
         no_cable: bool = False,
         left: LeftOff | None = None,
         then: Then = "hold",
-        heedless: bool = False,
+        open_loop: bool = False,
     ) -> None:
-        """Raise :class:`Refused` where the fleet is too small or the plan does not rest at gates.
+        """Raise :class:`Refused` where the fleet is too small, the plan does not rest at gates, is
+        not the one that was checked, or would carry cable that was not.
 
         ``no_cable`` flies the same plan with nothing attached: grips are simulated. ``left`` is
         where a flight broke off that is to be taken up again, ``then`` what follows once everybody
-        has been found. ``heedless`` keeps the planned pace whatever comes near, pulls or falls
+        has been found. ``open_loop`` keeps the planned pace whatever comes near, pulls or falls
         behind: for comparisons in the emulator alone.
         """
+        proven.check()
         plan = proven.plan
         if len(fleet.vehicles) < plan.vehicles:
             raise Refused(
@@ -86,18 +88,19 @@ class Conductor:
                 f"has {len(fleet.vehicles)}"
             )
         self.proven, self.plan, self.fleet = proven, plan, fleet
-        self.heedless = heedless
+        self.open_loop = open_loop
         tied_on = plan.mission.grab == "attached"
         self.grips = fleet.gripper == "mavlink" and not no_cable and not tied_on
         self.carries = not no_cable
+        self.basis = basis_of(proven, cable=self.carries)
         self.bare = is_bare(fleet, no_cable=no_cable)
         self.gates = tuple(sorted(plan.gates, key=lambda gate: gate.time))
         check_rest(proven.plan)
         self.windows = windows(plan, whole=True)
         self.escapes = escapes(plan)
         coasting = Coasting((STREAM_LOSS_TIME,), fleet.limits.silence)
-        known = proven.assessment.coast
-        fits = known is not None and known.coasting == coasting
+        known = proven.coast
+        fits = known is not None and known.holds_for(plan, coasting)
         self.coast = known if known is not None and fits else coast(plan, coasting)
         self.monitor = Monitor(plan)
         self.pull = PlannedPull(plan)
@@ -206,7 +209,7 @@ class Conductor:
         if cleared.audit.coast is not None:
             self.coast = cleared.audit.coast
         self.enter("fly")
-        self.say("flight", "cleared for flight")
+        self.say("flight", f"cleared for flight: {self.basis.words}")
 
     def refuse(self, words: str) -> None:
         """End the flight before it begins: the audit did not pass."""

@@ -6,9 +6,11 @@ How well vehicles hover is what a plan's tracking ball must hold; it is measured
 import numpy as np
 
 from swarm.errors import Refused
+from swarm.flight.flight_plan import CableFreeFlight
 from swarm.flight.trace import Trace
 from swarm.plans import Gate, Phase, Plan
-from swarm.preflight.findings import Finding, ProvenPlan, Tightest, prove
+from swarm.preflight.certify import CertifiedPlan, certify, without_cable
+from swarm.preflight.findings import Finding
 from swarm.trajectory import at_rest, followed, leg
 
 HEIGHT = 2.0
@@ -18,7 +20,7 @@ HOVER = 15.0
 _SPEED = 0.5
 
 
-def hop(proven: ProvenPlan) -> ProvenPlan:
+def hop(proven: CertifiedPlan) -> CableFreeFlight:
     """Return the hop of a plan's vehicles from the plan's pads.
 
     Straight up and down from pads at rest, so that only their distances count; raises
@@ -65,16 +67,10 @@ def hop(proven: ProvenPlan) -> ProvenPlan:
         path=up,
         notes=("a hop: straight up and down, nothing attached",),
     )
-    kept = Tightest(nearest, clearance.vehicle, 0.0, ("pad", "pad"))
-    free = Tightest(np.inf, 0.0, 0.0, ("nothing", "nothing"))
-    assessment = proven.assessment
-    return prove(
-        flown,
-        type(assessment)((), free, kept, free, assessment.knot, assessment.chirality, ""),
-    )
+    return CableFreeFlight(flown, certify(without_cable(flown)), "hop")
 
 
-def hover_findings(trace: Trace, proven: ProvenPlan) -> list[Finding]:
+def hover_findings(trace: Trace, proven: CertifiedPlan) -> list[Finding]:
     """Return how well everybody hovered in a hop, against the plan's tracking ball and its e*.
 
     Errors are of reported positions: what an estimator does not see is not in them.

@@ -53,7 +53,7 @@ def steer(flight: "Conductor") -> None:
     if worst > 1.0:
         flight.budget_kept_since = clock.time
     _notice_standstill(flight, worst)
-    if flight.holds or flight.heedless:
+    if flight.holds or flight.open_loop:
         clock.target = 0.0 if flight.holds else 1.0
         return
     pace = min(1.0, max(0.0, (1.0 - worst) / (1.0 - SLOW_FROM)))
@@ -75,7 +75,7 @@ def _notice_standstill(flight: "Conductor", worst: float) -> None:
     Somebody cannot follow; or all do, and stand where nothing is left of clearances or chords.
     """
     standing = abs(flight.clock.rate) < STANDS_STILL and not flight.rewinding
-    if not (standing or "stands still" in flight.holds) or flight.heedless:
+    if not (standing or "stands still" in flight.holds) or flight.open_loop:
         flight.still_since = flight.now
         return
     off = worst >= SLOW_FROM

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from swarm.fleet import Fleet
+from swarm.flight.flight_plan import CableFreeFlight
 from swarm.plans import Plan
-from swarm.preflight.findings import ProvenPlan, prove
+from swarm.preflight.certify import CertifiedPlan, certify, without_cable
 from swarm.trajectory import Motion
 
 RAISED = 1.0
@@ -19,11 +20,13 @@ def is_bare(fleet: Fleet, *, no_cable: bool) -> bool:
     return no_cable and fleet.gripper == "none"
 
 
-def raised(proven: ProvenPlan, fleet: Fleet, *, no_cable: bool) -> ProvenPlan:
+def raised(
+    proven: CertifiedPlan, fleet: Fleet, *, no_cable: bool
+) -> CertifiedPlan | CableFreeFlight:
     """Return a plan for vehicles that could not hold a cable, flown RAISED higher.
 
-    Distances between vehicles stay as they are. It is the plan itself where it does not go down to
-    the floor between take-off and landing, or where there is no room above it.
+    It is certified anew, without cable. It is the plan itself where it does not go down to the
+    floor between take-off and landing, or where there is no room above it.
     """
     plan = proven.plan
     highest = float(plan.motion.at(plan.motion.times)[0][..., 2].max()) + RAISED
@@ -31,7 +34,8 @@ def raised(proven: ProvenPlan, fleet: Fleet, *, no_cable: bool) -> ProvenPlan:
     room = highest + plan.mission.vehicles.grip_offset <= plan.mission.workspace.ceiling
     if not (is_bare(fleet, no_cable=no_cable) and grabs and room):
         return proven
-    return prove(replace(plan, motion=_lifted(plan)), proven.assessment)
+    lifted = replace(plan, motion=_lifted(plan))
+    return CableFreeFlight(lifted, certify(without_cable(lifted)), "raised")
 
 
 def _lifted(plan: Plan) -> Motion:

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 from swarm.errors import Interrupted, Refused, SwarmError, VehicleError
+from swarm.flight.adherence import Adherence
+from swarm.flight.flight_plan import Basis
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 
@@ -61,10 +63,32 @@ class Statistics:
 
 @dataclass(frozen=True)
 class FlightResult:
-    """A flight: outcome, what was measured, what happened, and where its record is."""
+    """A flight: outcome, what was measured, what happened, and where its record is.
+
+    ``basis`` is what it was certified for, ``adherence`` how it kept to that.
+    """
 
     outcome: Outcome
     trace: Trace
     events: tuple[Event, ...]
     statistics: Statistics
+    basis: Basis
+    adherence: Adherence
     record: Path | None = None
+
+    def error(self) -> SwarmError | None:
+        """Return what went wrong; None where all went well.
+
+        A flight that carried cable outside its certificate is a failure of its vehicles, however
+        it ended.
+        """
+        error = self.outcome.error()
+        if error is None and self.basis.cable and not self.adherence.within:
+            return VehicleError(self.adherence.words)
+        return error
+
+    @property
+    def exit_code(self) -> int:
+        """The command line's exit code, as far as the flight itself decides it."""
+        error = self.error()
+        return error.exit_code if error is not None else 0

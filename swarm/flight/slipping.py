@@ -263,7 +263,7 @@ def lean(roll: float, pitch: float, yaw: float) -> tuple[float, float]:
 def watch_grasps(flight: "Conductor") -> None:
     """Notice a gripper that has lost the cable without saying so."""
     grasps = flight.grasps
-    if flight.now < grasps.next_look or flight.heedless:
+    if flight.now < grasps.next_look or flight.open_loop:
         return
     grasps.next_look = flight.now + INTERVAL
     held = flight.carries and all(vehicle.gripped for vehicle in flight.flyers)

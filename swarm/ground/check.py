@@ -25,7 +25,8 @@ from swarm.ground.attendance import Attendance, attended
 from swarm.ground.audit import Auditor, VehicleAudit, save_parameters
 from swarm.mission import Vehicles
 from swarm.plans import Plan
-from swarm.preflight.findings import Finding, ProvenPlan, Severity
+from swarm.preflight.certify import CertifiedPlan
+from swarm.preflight.findings import Finding, Severity
 
 _SETTLE = 2.5
 """Seconds after the first heartbeats until streams run as they were asked for."""
@@ -124,7 +125,7 @@ class Wanted:
 
 
 def check(
-    fleet: Fleet, folder: Path, proven: ProvenPlan | None = None, wanted: Wanted | None = None
+    fleet: Fleet, folder: Path, proven: CertifiedPlan | None = None, wanted: Wanted | None = None
 ) -> CheckReport:
     """Check a fleet on the ground; parameters are saved in ``folder`` before anything is changed.
 

@@ -14,8 +14,10 @@ from typing import Any
 
 from swarm.errors import Refused, SwarmError
 from swarm.fleet import Fleet
+from swarm.flight.adherence import adherence
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
+from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.flight.parameters import coasting_findings, coasting_of, demands_of_plan
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
@@ -32,7 +34,6 @@ from swarm.ground.priority import follow
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links, open_links
-from swarm.preflight.findings import ProvenPlan
 
 SNAPSHOT_INTERVAL = 0.1
 _MOST_WAITING = 200
@@ -41,7 +42,7 @@ Confirm = Callable[[Audit], bool]
 
 
 def fly(
-    proven: ProvenPlan,
+    proven: FlightPlan,
     fleet: Fleet,
     record_folder: Path,
     *,
@@ -58,7 +59,7 @@ def fly(
     left: LeftOff | None = None,
     then: Then = "hold",
 ) -> FlightResult:
-    """Fly a proven plan; returns how it went, with the record in ``record_folder``.
+    """Fly a checked plan; returns how it went, with the record in ``record_folder``.
 
     ``confirm`` is asked, in a thread of its own, once the team has been audited on the ground; no
     answer, no flight. Without it a clean audit is enough. ``on_snapshot`` is called about ten times
@@ -75,7 +76,7 @@ def fly(
     Raises :class:`swarm.errors.VehicleError` where a link cannot be opened, and
     :class:`swarm.errors.InputError` where the record cannot be written.
     """
-    _refuse_unflyable(fleet, speed)
+    _refuse_unflyable(proven, fleet, speed)
     conductor = _conductor(proven, fleet, left, then, no_cable=no_cable)
     links = open_links(fleet.links)
     emulator: EmulatorProcess | None = None
@@ -88,7 +89,12 @@ def fly(
         emulator = _emulator(proven, fleet, links, record_folder, speed, no_cable=no_cable)
         # Flight time begins once an emulator speaks, which takes it a while to do.
         record.began = time.time()
-        record.before(proven, fleet, {"speed": speed, "no_cable": no_cable, "began": record.began})
+        record.before(
+            proven,
+            conductor.basis,
+            fleet,
+            {"speed": speed, "no_cable": no_cable, "began": record.began},
+        )
         if emulator is not None and on_emulator is not None:
             on_emulator(emulator.pid)
         desk = Desk(conductor, lambda: conductor.snapshot(conductor.now).available)
@@ -110,23 +116,7 @@ def fly(
             loop = Loop(conductor, links, record, speed, shell.each_tick, shell.relay)
             loop.run()
             shell.each_tick(conductor.now)
-        outcome = conductor.finished
-        if outcome is None:
-            raise AssertionError("the loop ends when the conductor has finished")
-        if emulator is not None and outcome.word == "failed" and (how := emulator.ended()):
-            outcome = replace(outcome, explanation=f"{outcome.explanation}; {how}")
-        result = FlightResult(
-            outcome=outcome,
-            trace=conductor.trace(),
-            events=tuple(events),
-            statistics=replace(
-                conductor.statistics(),
-                lateness=loop.lateness_quantiles(),
-                cpu=loop.cpu,
-                unsent=links.dropped(),
-            ),
-            record=record_folder,
-        )
+        result = _result(conductor, emulator, loop, tuple(events), record_folder)
         record.after(result)
         return result
     finally:
@@ -138,13 +128,44 @@ def fly(
         links.close()
 
 
-def _refuse_unflyable(fleet: Fleet, speed: float) -> None:
+def _result(
+    conductor: Conductor,
+    emulator: EmulatorProcess | None,
+    loop: Loop,
+    events: tuple[Event, ...],
+    folder: Path,
+) -> FlightResult:
+    outcome = conductor.finished
+    if outcome is None:
+        raise AssertionError("the loop ends when the conductor has finished")
+    if emulator is not None and outcome.word == "failed" and (how := emulator.ended()):
+        outcome = replace(outcome, explanation=f"{outcome.explanation}; {how}")
+    trace = conductor.trace()
+    return FlightResult(
+        outcome=outcome,
+        trace=trace,
+        events=events,
+        statistics=replace(
+            conductor.statistics(),
+            lateness=loop.lateness_quantiles(),
+            cpu=loop.cpu,
+            unsent=loop.links.dropped(),
+        ),
+        basis=conductor.basis,
+        adherence=adherence(conductor.plan, trace, conductor.basis),
+        record=folder,
+    )
+
+
+def _refuse_unflyable(proven: FlightPlan, fleet: Fleet, speed: float) -> None:
+    if isinstance(proven, ComparisonFlight):
+        raise Refused("a comparison is flown by swarm dry-run alone: its plan need not be cleared")
     if fleet.emulated is None and speed != 1.0:
         raise Refused("only emulated vehicles fly faster than time")
 
 
 def _conductor(
-    proven: ProvenPlan, fleet: Fleet, left: LeftOff | None, then: Then, *, no_cable: bool
+    proven: FlightPlan, fleet: Fleet, left: LeftOff | None, then: Then, *, no_cable: bool
 ) -> Conductor:
     conductor = Conductor(proven, fleet, no_cable=no_cable, left=left, then=then)
     warm_up(conductor)
@@ -152,7 +173,7 @@ def _conductor(
 
 
 def _emulator(
-    proven: ProvenPlan, fleet: Fleet, links: Links, folder: Path, speed: float, *, no_cable: bool
+    proven: FlightPlan, fleet: Fleet, links: Links, folder: Path, speed: float, *, no_cable: bool
 ) -> EmulatorProcess | None:
     """Start the emulator where the fleet is flown by it."""
     if fleet.emulated is None:

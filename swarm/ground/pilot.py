@@ -24,13 +24,13 @@ from typing import Any
 from swarm.errors import SwarmError, VehicleError
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit
+from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.fly import fly
 from swarm.ground.operator import keys
 from swarm.ground.priority import follow, giving_way, prefer
-from swarm.preflight.findings import ProvenPlan
 
 _POLL = 0.05
 _SET_PARENT_DEATH_SIGNAL = 1
@@ -40,7 +40,7 @@ _SET_PARENT_DEATH_SIGNAL = 1
 class Flight:
     """What is to be flown, as it is handed to the process."""
 
-    proven: ProvenPlan
+    proven: FlightPlan
     fleet: Fleet
     folder: Path
     speed: float = 1.0

@@ -22,12 +22,13 @@ import numpy as np
 from swarm import __version__
 from swarm.errors import InputError, Problem
 from swarm.fleet import Fleet
-from swarm.flight.archive import plan_document, plan_motion
+from swarm.flight.adherence import adherence_object
+from swarm.flight.archive import certificate_document, plan_document, plan_motion
+from swarm.flight.flight_plan import Basis, FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event
 from swarm.ground.priority import follow
 from swarm.mavlink.packets import split
-from swarm.preflight.findings import ProvenPlan
 
 WRITE_INTERVAL = 0.25
 _AT_ONCE, _BREATH = 40, 0.001
@@ -116,7 +117,9 @@ class Record:
             self.dropped += len(chunks)
             self.problem = (error.strerror or "cannot be written").lower()
 
-    def before(self, proven: ProvenPlan, fleet: Fleet, facts: Mapping[str, Any]) -> None:
+    def before(
+        self, proven: FlightPlan, basis: Basis, fleet: Fleet, facts: Mapping[str, Any]
+    ) -> None:
         """Write down what is about to be flown, with what."""
         plan = proven.plan
         mission = plan.mission.model_dump_json(by_alias=True, indent=1)
@@ -124,6 +127,8 @@ class Record:
         self._file("fleet.json", fleet.model_dump_json(by_alias=True, indent=1).encode())
         self._file("plan.json", json.dumps(plan_document(plan), indent=1).encode())
         self._file("motion.npz", plan_motion(plan))
+        certificate = certificate_document(basis, proven.assessment)
+        self._file("certificate.json", json.dumps(certificate, indent=1).encode())
         self._file("versions.json", json.dumps({**_versions(), **facts}, indent=1).encode())
 
     def after(self, result: FlightResult) -> None:
@@ -132,7 +137,9 @@ class Record:
         summary = {
             "outcome": result.outcome.word,
             "explanation": result.outcome.explanation,
-            "exit_code": result.outcome.exit_code,
+            "exit_code": result.exit_code,
+            "certificate": asdict(result.basis),
+            "adherence": adherence_object(result.adherence),
             "statistics": statistics,
             "record": {"dropped": self.dropped, "problem": self.problem},
         }

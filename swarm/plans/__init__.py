@@ -1,5 +1,6 @@
 """The plan, and how it is made from a mission."""
 
+from swarm.plans.digest import digest
 from swarm.plans.make import candidates, make_plan
 from swarm.plans.mending import Shortfall
 from swarm.plans.plan import (
@@ -24,5 +25,6 @@ __all__ = [
     "Plan",
     "Shortfall",
     "candidates",
+    "digest",
     "make_plan",
 ]

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.mission import Mission
-from swarm.plans import CableState, Plan
+from swarm.plans import CableState, Plan, digest
 from swarm.preflight.coast_bound import CoastBound, Ways
 from swarm.preflight.findings import Finding
 from swarm.preflight.limits import TAUT
@@ -79,7 +79,7 @@ class CoastCertificate:
 
     ``worst`` is the moment with the smallest margin at the capped rate, of those that were looked
     at; ``hopeless`` are the times from which on even the slowest rate leaves none, or none could be
-    shown to be left; ``coasting`` is what it holds for.
+    shown to be left; ``coasting`` is what it holds for, ``digest`` of which plan.
     """
 
     times: Floats
@@ -87,6 +87,11 @@ class CoastCertificate:
     worst: Worst
     hopeless: Floats
     coasting: Coasting
+    digest: str
+
+    def holds_for(self, plan: Plan, coasting: Coasting) -> bool:
+        """Whether it was computed from exactly this plan and these vehicles."""
+        return self.coasting == coasting and self.digest == digest(plan)
 
     def cap(self, time: float) -> float:
         """Return the largest rate at a mission time."""
@@ -143,7 +148,9 @@ def coast(plan: Plan, coasting: Coasting = Coasting()) -> CoastCertificate:
     fold = [one for one in plan.phases if one.name == "fold" and one.cable == "aloft"]
     if not fold or plan.vehicles < 2:
         nothing = np.empty(0)
-        return CoastCertificate(nothing, nothing, Worst(np.inf, 0.0, 0), nothing, coasting)
+        return CoastCertificate(
+            nothing, nothing, Worst(np.inf, 0.0, 0), nothing, coasting, digest(plan)
+        )
     times = np.append(np.arange(fold[0].start, fold[-1].end, STEP), fold[-1].end)
     monitor = Monitor(plan)
     ways = coasting.ways(plan.mission, plan.vehicles)
@@ -163,8 +170,9 @@ def coast(plan: Plan, coasting: Coasting = Coasting()) -> CoastCertificate:
     tightest = int(np.argmin(margins))
     worst = Worst(float(margins[tightest]), float(times[tightest]), int(whose[tightest]))
     return CoastCertificate(
-        times, _reachable(plan.mission, times, rates), worst, times[lost | unshown], coasting
-    )
+        times, _reachable(plan.mission, times, rates), worst, times[lost | unshown], coasting,
+        digest(plan),
+    )  # fmt: skip
 
 
 def _lowered(bound: CoastBound, times: Floats, rates: Floats, lost: Flags) -> Flags:

@@ -1,10 +1,8 @@
-"""What the checks say of a plan, and the type that only a plan without errors can have."""
+"""What the checks say of a plan."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-from swarm.errors import Refused
-from swarm.plans import Plan
 from swarm.preflight.budget import Budget
 from swarm.preflight.certificate import CLEARANCES, Moment
 
@@ -107,21 +105,3 @@ class Assessment:
     def cleared(self) -> bool:
         """Whether no finding is an error."""
         return all(finding.severity != "error" for finding in self.findings)
-
-
-@dataclass(frozen=True)
-class ProvenPlan:
-    """A plan that the checks have cleared: what a dry run flies. Made by :func:`prove` alone."""
-
-    plan: Plan
-    assessment: Assessment
-
-    def __post_init__(self) -> None:
-        if not self.assessment.cleared:
-            errors = [f for f in self.assessment.findings if f.severity == "error"]
-            raise Refused("\n".join(f"{finding.check}: {finding.message}" for finding in errors))
-
-
-def prove(plan: Plan, assessment: Assessment) -> ProvenPlan:
-    """Return the plan as cleared for a dry run; raises :class:`Refused` with every error."""
-    return ProvenPlan(plan, assessment)

@@ -28,7 +28,6 @@ from swarm.trials.trial import (
     COLUMNS,
     SAMPLE_INTERVAL,
     Trial,
-    flown_anyway,
     fly_trial,
     rows,
 )
@@ -48,7 +47,6 @@ __all__ = [
     "below_certificate",
     "certificates",
     "draw",
-    "flown_anyway",
     "fly_trial",
     "fly_trials",
     "processes",

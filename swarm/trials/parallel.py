@@ -14,14 +14,14 @@ from typing import Any
 from joblib import Parallel, delayed, parallel_config
 
 from swarm.errors import SwarmError
-from swarm.preflight.findings import ProvenPlan
+from swarm.flight.flight_plan import FlightPlan
 from swarm.rehearse import Fault
 from swarm.trials.spread import Spread
 from swarm.trials.trial import Trial, fly_trial
 
 
 def fly_trials(
-    proven: ProvenPlan,
+    proven: FlightPlan,
     spread: Spread,
     *,
     seed: int,
@@ -29,25 +29,25 @@ def fly_trials(
     faults: Sequence[Fault] = (),
     jobs: int | None = None,
     scheduler: str | None = None,
-    heedless: bool = False,
+    open_loop: bool = False,
 ) -> Generator[Trial, None, None]:
     """Fly trials in parallel; yields each as soon as it is done, in no order.
 
     ``jobs`` processes of this machine (None: as many as it has cores), or the workers of the Dask
-    cluster whose ``scheduler`` is given (tcp://host:port). ``heedless`` trials keep the planned
+    cluster whose ``scheduler`` is given (tcp://host:port). ``open_loop`` trials keep the planned
     pace whatever comes near. Closing the iterator ends what is being flown. Raises
     :class:`SwarmError` where the cluster's packages are missing or it is not there.
     """
     if scheduler is None and processes(jobs) == 1:
         for trial in trials:
-            yield fly_trial(proven, spread, seed, trial, faults=faults, heedless=heedless)[0]
+            yield fly_trial(proven, spread, seed, trial, faults=faults, open_loop=open_loop)[0]
         return
     if scheduler is None:
         with parallel_config(backend="loky", n_jobs=processes(jobs)):
-            yield from _parallel(proven, spread, seed, trials, faults, heedless)
+            yield from _parallel(proven, spread, seed, trials, faults, open_loop)
         return
     with _cluster(scheduler), parallel_config(backend="dask"):
-        yield from _parallel(proven, spread, seed, trials, faults, heedless)
+        yield from _parallel(proven, spread, seed, trials, faults, open_loop)
 
 
 def processes(jobs: int | None) -> int:
@@ -106,16 +106,16 @@ def _cluster(scheduler: str) -> AbstractContextManager[Any]:
 
 
 def _parallel(
-    proven: ProvenPlan,
+    proven: FlightPlan,
     spread: Spread,
     seed: int,
     trials: Iterable[int],
     faults: Sequence[Fault],
-    heedless: bool,
+    open_loop: bool,
 ) -> Generator[Trial, None, None]:
     work = Parallel(return_as="generator_unordered")
     done = work(
-        delayed(_in_worker)(proven, spread, seed, trial, faults, heedless) for trial in trials
+        delayed(_in_worker)(proven, spread, seed, trial, faults, open_loop) for trial in trials
     )
     try:
         yield from done
@@ -143,18 +143,18 @@ def _keep_what_is_loaded() -> None:
 
 
 def _in_worker(
-    proven: ProvenPlan,
+    proven: FlightPlan,
     spread: Spread,
     seed: int,
     trial: int,
     faults: Sequence[Fault],
-    heedless: bool,
+    open_loop: bool,
 ) -> Trial:
     """One trial in a worker: an interrupt is the parent's to answer."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     _keep_what_is_loaded()
-    flown = fly_trial(proven, spread, seed, trial, faults=faults, heedless=heedless)[0]
+    flown = fly_trial(proven, spread, seed, trial, faults=faults, open_loop=open_loop)[0]
     # A flight's parts know each other: few objects, which Python is in no hurry to look through,
     # and large arrays.
     gc.collect()

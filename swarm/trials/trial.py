@@ -1,7 +1,7 @@
 """One trial: a rehearsal in a world that is drawn for it, and how it went."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
 import numpy as np
@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.conductor import Conductor
+from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.trace import Trace
 from swarm.plans import Plan
-from swarm.preflight.findings import Assessment, ProvenPlan
 from swarm.rehearse import Emulator, Fault, rehearse
 from swarm.trials.spread import Conditions, Spread, draw
 from swarm.verify import closest_strands, judge
@@ -73,18 +73,6 @@ def rows(trials: Iterable[Trial]) -> list[dict[str, Any]]:
 COLUMNS: Final = tuple(field.name for field in fields(Trial))
 
 
-def flown_anyway(plan: Plan, assessment: Assessment) -> ProvenPlan:
-    """Return a plan for trials whatever the checks say of it: its errors become warnings.
-
-    For comparisons in the emulator only; nothing real is flown by :mod:`swarm.trials`.
-    """
-    findings = tuple(
-        replace(found, severity="warning") if found.severity == "error" else found
-        for found in assessment.findings
-    )
-    return ProvenPlan(plan, replace(assessment, findings=findings))
-
-
 class _Witness:
     """Takes down what really is, while the cable is folded and held."""
 
@@ -139,7 +127,7 @@ def _lets_go(flight: Conductor) -> bool:
 
 
 def fly_trial(
-    proven: ProvenPlan,
+    proven: FlightPlan,
     spread: Spread,
     seed: int,
     trial: int,

@@ -68,18 +68,20 @@ def flight_report(
     done = outcome["outcome"] == "done"
     implied = knot_in_words(outcome["knot"]["type"], outcome["knot"]["chirality"])
     as_planned = outcome["knot"]["as_planned"]
+    good = done and as_planned and outcome["adherence"]["within"]
     return page(
         f"Flight: {plan.mission.name}",
         tag("h1", f"{plan.mission.name}: flight"),
         tag("p", f"Asked for {knot_in_words(plan.knot.type, plan.knot.chirality)}", kind="dim"),
+        tag("p", f"Flown {outcome['certificate']['words']}.", kind="dim"),
+        _outside_certificate(outcome),
         tag(
             "div",
             f"{outcome['outcome'].capitalize()}: {outcome['explanation']}. "
             f"The reported positions imply {implied} in the cable model"
             f"{'' if as_planned else ', which is not what was planned'}.",
-            kind="verdict good" if done and as_planned else "verdict bad",
+            kind="verdict good" if good else "verdict bad",
         ),
-        _left_the_ball(plan, outcome),
         key_figures(_flight_figures(plan, outcome)),
         section("Smallest distances", _flown(outcome)),
         section("Notes", *(tag("p", note) for note in outcome["notes"])),
@@ -91,15 +93,11 @@ def flight_report(
     )
 
 
-def _left_the_ball(plan: Plan, outcome: Mapping[str, Any]) -> Html:
-    ball, worst = plan.mission.vehicles.tracking, _worst_in_fold(outcome)
-    if not worst > ball:
+def _outside_certificate(outcome: Mapping[str, Any]) -> Html:
+    kept = outcome["adherence"]
+    if kept["within"]:
         return Html("")
-    words = (
-        f"Tracking errors reached {metres(worst)} in the fold. The plan is certified for "
-        f"{metres(ball)}: what it promises did not hold for this flight."
-    )
-    return tag("div", words, kind="verdict warn")
+    return tag("div", f"{kept['words'][0].upper()}{kept['words'][1:]}.", kind="verdict bad")
 
 
 def _worst_in_fold(outcome: Mapping[str, Any]) -> float:

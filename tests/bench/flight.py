@@ -25,7 +25,6 @@ import tempfile
 import threading
 import time
 from contextlib import suppress
-from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -42,15 +41,12 @@ from rich.console import Console
 
 from swarm.fleet import Fleet, parse_fleet
 from swarm.flight.conductor import Conductor
-from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.warm import warm_up
 from swarm.ground.loop import Loop
 from swarm.ground.priority import follow, give_way, prefer, settle
 from swarm.ground.record import Record
 from swarm.ground.sockets import open_links
 from swarm.mavlink.frames import shared_frames
-from swarm.preflight.coast import CoastCertificate, Coasting, Worst
-from swarm.preflight.findings import prove
 from swarm.view import rerun_log
 from swarm.view.terminal import FlightScreen
 from tests.network import small_plan
@@ -141,11 +137,6 @@ def ours(
     """Run our flight loop, put into mid-fold."""
     count, rate = chosen.vehicles, chosen.rate
     proven, fleet = small_plan(vehicles=count), fleet_of(count, rate)
-    # worked out with the plan, not while flying; for a hundred vehicles it would take minutes here
-    coasting = Coasting((STREAM_LOSS_TIME,), fleet.limits.silence)
-    free = np.array([0.0, proven.plan.duration])
-    coast = CoastCertificate(free, np.ones(2), Worst(1.0, 0.0, 0), np.array([]), coasting)
-    proven = prove(proven.plan, replace(proven.assessment, coast=coast))
     conductor = Conductor(proven, fleet)
     warm_up(conductor)
     links = open_links(conductor.fleet.links)

@@ -24,7 +24,7 @@ FLIGHTS = 3
 def main() -> None:
     arguments = [word for word in sys.argv[1:] if not word.startswith("-")]
     path = Path(arguments[0] if arguments else "missions/overhand.yaml")
-    proven = api.plan(parse_mission(path.read_text(), str(path))).proven()
+    proven = api.plan(parse_mission(path.read_text(), str(path))).certified()
     if "--profile" in sys.argv:
         profile = cProfile.Profile()
         profile.runcall(rehearse, proven)

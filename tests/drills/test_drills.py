@@ -17,8 +17,8 @@ from swarm.drills import CITED, PERSONALITIES, ROWS, Trial, fly_drills, judging
 from swarm.drills.rehearsal import Rehearsal, drill_fleet
 from swarm.flight.failures import LOSES_A_VEHICLE, TABLE
 from swarm.mission import mission_for_knot
+from swarm.plans import digest
 from swarm.preflight.coast import CoastCertificate, Coasting, Worst
-from swarm.preflight.findings import prove
 from swarm.rehearse import Fault
 from tests.network import small_plan
 
@@ -54,7 +54,7 @@ def test_the_team_answers_as_the_table_of_drills_asks(personality, names):
 
 @pytest.fixture(scope="module")
 def overhand():
-    return api.plan(mission_for_knot("overhand", ())).proven()
+    return api.plan(mission_for_knot("overhand", ())).certified()
 
 
 @pytest.mark.full
@@ -92,9 +92,11 @@ def test_who_cannot_follow_may_cost_a_rotor_only_where_nothing_else_is_left():
 def test_who_coasts_keeps_what_is_certified_of_coasting():
     """Which is the mission's clearance (here 1 m), and less than what the plan keeps elsewhere."""
     kept = replace(PLAN.assessment, vehicle=replace(PLAN.assessment.vehicle, distance=1.2))
-    coast = CoastCertificate(np.zeros(0), np.zeros(0), Worst(0.0, 0.0, 1), np.zeros(0), Coasting())
-    without = prove(PLAN.plan, kept)
-    coasting = prove(PLAN.plan, replace(kept, coast=coast))
+    nothing = np.zeros(0)
+    worst = Worst(0.0, 0.0, 1)
+    coast = CoastCertificate(nothing, nothing, worst, nothing, Coasting(), digest(PLAN.plan))
+    without = SimpleNamespace(plan=PLAN.plan, assessment=replace(kept, coast=None))
+    coasting = SimpleNamespace(plan=PLAN.plan, assessment=replace(kept, coast=coast))
     near = 1.1
     words = (f"vehicles {near:.2f} m apart",)
     assert judged("two-way gap of 2 s, one", coasting, apart=near) == ()

@@ -5,10 +5,10 @@ import pytest
 from sitl.faults import Fault
 from swarm.fleet import emulated_fleet
 from swarm.rehearse import rehearse
-from tests.network import Network, small_plan
+from tests.network import Network, small_plan, uncleared
 
 PLAN = small_plan()
-TOO_NEAR = small_plan("clearance.vehicle=3.5")
+TOO_NEAR = uncleared("clearance.vehicle=3.5")
 
 
 @pytest.mark.parametrize("early", [0.0, 0.013], ids=["in step", "between ticks"])
@@ -32,7 +32,7 @@ def test_a_clock_that_stands_for_want_of_clearance_is_told_and_ends_in_landing()
     assert result.statistics.duration < 90.0
 
 
-def test_a_heedless_flight_keeps_its_pace():
-    result = rehearse(TOO_NEAR, heedless=True)
+def test_an_open_loop_flight_keeps_its_pace():
+    result = rehearse(TOO_NEAR, open_loop=True)
     assert result.outcome.word == "done"
     assert not [event for event in result.events if event.kind in {"failure", "hold"}]

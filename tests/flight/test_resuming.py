@@ -1,12 +1,17 @@
 """A flight whose ground station dies in mid-fold is found again and taken up, in virtual time."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from swarm.drills.rehearsal import pass_audit
-from swarm.errors import InputError
+from swarm.errors import InputError, Refused
 from swarm.fleet import emulated_fleet
+from swarm.flight.archive import certificate_document, read_certificate
 from swarm.flight.conductor import Conductor
+from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
 from swarm.flight.tlog import ClockTeller
 from tests.network import Network, small_plan
@@ -43,9 +48,9 @@ class Recorded(Network):
             self._keep(self.now, self.teller.tell(self.now, conductor.clock.time, phase))
 
 
-def broken_off(autopilots, after, silent_for):
+def broken_off(autopilots, after, silent_for, *, no_cable=False):
     """A flight that was killed so long into its fold, and the emulator some seconds later."""
-    flight = Recorded(PLAN, emulated_fleet(3, autopilots))
+    flight = Recorded(PLAN, emulated_fleet(3, autopilots), no_cable=no_cable)
     flight.until_phase("fold", after)
     flight.uplink = lambda *_: False
     left = left_off(bytes(flight.tlog), PLAN.plan, flight.fleet)
@@ -59,7 +64,13 @@ def broken_off(autopilots, after, silent_for):
 
 
 def taken_up(flight, left, then):
-    flight.conductor = Conductor(PLAN, flight.fleet, left=left, then=then)
+    """The next ground station, which knows what the record says and nothing else."""
+    document = certificate_document(flight.conductor.basis, flight.proven.assessment)
+    basis, found = read_certificate(json.loads(json.dumps(document)))
+    resumed = ResumedFlight(PLAN.plan, basis, found)
+    flight.conductor = Conductor(
+        resumed, flight.fleet, no_cable=not basis.cable, left=left, then=then
+    )
     flight.uplink = lambda *_: True
     flight.downlink = lambda *_: True
     flight.events.clear()
@@ -128,6 +139,37 @@ def test_without_a_word_from_the_operator_the_team_holds_and_then_lands():
     assert flight.conductor.holding is not None, flight.words()
     assert flight.run(most=120.0).word == "interrupted"
     assert not flight.emulator.truth().armed.any()
+
+
+@pytest.mark.parametrize("autopilots", [("px4",), ("ardupilot",)], ids="-".join)
+def test_a_flight_without_cable_is_resumed_without_cable(autopilots):
+    """Its vehicles lean as vehicles without cable do, and no gripper has lost anything."""
+    flight, left = broken_off(autopilots, 3.0, 3.0, no_cable=True)
+    taken_up(flight, left, "continue")
+    assert not flight.conductor.carries
+    outcome = flight.run(most=300.0)
+    assert outcome.word == "done", flight.words("failure")
+    assert flight.words("failure") == []
+    basis = flight.conductor.basis
+    assert (basis.kind, basis.cable) == ("resumed", False)
+    assert basis.checked == (
+        "certified in the quasi-static cable model for tracking errors of up to 0.1 m, "
+        "before it was interrupted; not checked again"
+    )
+
+
+def test_a_flight_without_cable_cannot_be_resumed_with_cable():
+    flight, left = broken_off(("px4",), 3.0, 3.0, no_cable=True)
+    resumed = ResumedFlight(PLAN.plan, flight.conductor.basis, PLAN.assessment)
+    with pytest.raises(Refused, match="the flight that is resumed carried no cable"):
+        Conductor(resumed, flight.fleet, left=left)
+
+
+def test_a_recorded_plan_that_was_changed_is_not_resumed():
+    flight, _ = broken_off(("px4",), 3.0, 0.0)
+    faster = replace(PLAN.plan, gates=PLAN.plan.gates[1:])
+    with pytest.raises(Refused, match="the recorded plan is not the plan that was flown"):
+        ResumedFlight(faster, flight.conductor.basis, PLAN.assessment)
 
 
 def test_a_vehicle_that_is_not_found_is_named():

@@ -9,9 +9,11 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common
 
+from swarm.cli.records import recorded_certificate, recorded_plan
 from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
+from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
 from swarm.flight.team import Outgoing
 from swarm.flight.tlog import ClockTeller
@@ -41,7 +43,7 @@ def run(conductor: Conductor, folder: Path, speed: float) -> None:
     """Fly until it is over, keeping a record and printing what happens."""
     links = open_links(conductor.fleet.links)
     record = Record(folder, time.time())
-    record.before(conductor.proven, conductor.fleet, {})
+    record.before(conductor.proven, conductor.basis, conductor.fleet, {})
     teller = ClockTeller(conductor.plan)
 
     def each_tick(now: float) -> None:
@@ -68,7 +70,8 @@ if __name__ == "__main__":
     if what == "fly":
         run(Conductor(PROVEN, fleet), Path(folder), float(speed))
     else:
+        resumed = ResumedFlight(recorded_plan(Path(folder)), *recorded_certificate(Path(folder)))
         tlog = (Path(folder) / "flight.tlog").read_bytes()
-        left = left_off(tlog, PROVEN.plan, fleet)
-        conductor = Conductor(PROVEN, fleet, left=left, then=then[0])
+        left = left_off(tlog, resumed.plan, fleet)
+        conductor = Conductor(resumed, fleet, left=left, then=then[0])
         run(conductor, Path(folder) / "resumed", float(speed))

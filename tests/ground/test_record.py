@@ -7,9 +7,17 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common
 
+from swarm.cli.records import recorded_basis, recorded_certificate
 from swarm.errors import InputError
 from swarm.fleet import emulated_fleet
-from swarm.flight.archive import plan_document, plan_motion, read_plan
+from swarm.flight.archive import (
+    certificate_document,
+    plan_document,
+    plan_motion,
+    read_certificate,
+    read_plan,
+)
+from swarm.flight.flight_plan import basis_of
 from swarm.flight.snapshot import Event
 from swarm.ground.record import Record
 from swarm.mavlink.packets import Encoder
@@ -70,11 +78,36 @@ def test_events_are_lines_of_json(tmp_path):
 
 def test_what_is_flown_is_written_down_before_it_flies(tmp_path):
     record = Record(tmp_path, began=0.0)
-    record.before(PROVEN, emulated_fleet(3), {"speed": 2.0})
+    basis = basis_of(PROVEN, cable=False)
+    record.before(PROVEN, basis, emulated_fleet(3), {"speed": 2.0})
     record.close()
     document = json.loads((tmp_path / "plan.json").read_text())
     assert read_plan(document, (tmp_path / "motion.npz").read_bytes()).vehicles == 3
     assert json.loads((tmp_path / "versions.json").read_text())["speed"] == 2.0
+    again, found = recorded_certificate(tmp_path)
+    assert again == basis
+    assert not again.cable
+    kept = PROVEN.assessment
+    assert (found.findings, found.robustness) == (kept.findings, kept.robustness)
+    assert (found.cable, found.vehicle) == (kept.cable, kept.vehicle)
+    assert recorded_basis(tmp_path, PROVEN.plan) == basis
+    other = small_plan(height=6.0).plan
+    with pytest.raises(
+        InputError, match=r"plan\.json: not the plan that certificate\.json belongs"
+    ):
+        recorded_basis(tmp_path, other)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{}, {"cable": "yes"}, {"kind": "believed"}, {"clearance": {}}, {"findings": [3]}],
+    ids=str,
+)
+def test_a_broken_certificate_is_an_input_error(wrong):
+    document = certificate_document(basis_of(PROVEN, cable=True), PROVEN.assessment)
+    broken = {**document, **wrong} if wrong else {}
+    with pytest.raises(InputError, match="the record's certificate cannot be read"):
+        read_certificate(json.loads(json.dumps(broken)))
 
 
 def test_a_full_disk_costs_the_record_and_not_the_flight(tmp_path):

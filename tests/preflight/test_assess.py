@@ -8,7 +8,7 @@ import pytest
 from swarm.errors import Refused
 from swarm.plans import Plan
 from swarm.preflight.assess import assess
-from swarm.preflight.findings import prove
+from swarm.preflight.certify import CertifiedPlan, certify
 from swarm.preflight.what_if import endurance_findings
 from swarm.trajectory import Motion, joined, through_states
 from tests.preflight.synthetic import moving, plan_of
@@ -30,9 +30,9 @@ def changed(plan: Plan, change) -> Plan:
     return replace(plan, motion=through_states(times, *states))
 
 
-def test_our_own_overhand_is_cleared(overhand, overhand_assessed):
+def test_our_own_overhand_is_cleared(overhand_assessed):
     assert [f.message for f in overhand_assessed.findings if f.severity == "error"] == []
-    assert prove(overhand, overhand_assessed).plan is overhand
+    assert overhand_assessed.cleared
     assert (overhand_assessed.knot, overhand_assessed.chirality) == ("3_1", "right")
     assert overhand_assessed.cable.distance >= overhand_assessed.cable.required == 0.15
     tightest = [f for f in overhand_assessed.findings if f.check == "tightest"]
@@ -147,7 +147,7 @@ def test_refusal_carries_every_error(overhand):
     broken = replace(overhand, layout=replace(overhand.layout, lengths=lengths))
     assessment = assess(broken)
     with pytest.raises(Refused) as refusal:
-        prove(broken, assessment)
+        CertifiedPlan(broken, certify(broken))
     wrong = [finding for finding in assessment.findings if finding.severity == "error"]
     assert len(str(refusal.value).splitlines()) == len(wrong) > 1
 

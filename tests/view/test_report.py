@@ -76,6 +76,8 @@ def outcome(**changed: Any) -> dict[str, Any]:
             "vehicle": {"flown": None, "certified": kept},
             "vehicle_cable": {"flown": kept, "certified": kept},
         },
+        "certificate": {"words": "certified for tracking errors of up to 0.1 m; carrying cable"},
+        "adherence": {"within": True, "words": ""},
         "largest_chord": 0.94,
         "tracking": [
             {"phase": "fold", "vehicle": v, "rms": 0.03, "p999": 0.1, "max": 0.17} for v in (0, 1)
@@ -131,7 +133,16 @@ def test_flight_report_says_what_was_flown() -> None:
     assert "vehicles 1–3: Landing detected" in read.words
     assert "mode land" not in read.words
     assert read.images == 5
-    assert "errors reached 0.17 m in the fold. The plan is certified for 0.10 m" in read.words
+    assert "Flown certified for tracking errors of up to 0.1 m; carrying cable." in read.words
+    assert "outside its certificate" not in read.words
+
+
+def test_a_flight_outside_its_certificate_is_not_green() -> None:
+    words = "flown outside its certificate: vehicle 1 was 0.17 m off"
+    source = made_flight_report(adherence={"within": False, "words": words})
+    read = Reader(source)
+    assert read.words.index("Flown outside its certificate") < read.words.index("Done: all")
+    assert 'class="verdict good"' not in source
 
 
 def test_a_failed_flight_is_not_green() -> None:
