@@ -266,6 +266,19 @@ class Mission(Section):
         "tighten (the inner vehicles let go, the ends pull apart); hold, put down as it hangs.",
     )
 
+    def document(self) -> dict[str, Any]:
+        """Return the mission as plain data that makes the same mission again, defaults included.
+
+        Keys that say nothing of a formation are left out, as they must be in a file.
+        """
+        document = self.model_dump(mode="json", by_alias=True)
+        unused: set[str] = set()
+        if self.formation is not None:
+            unused |= {"layout", "fold"}
+            if not self.formation.lengths:
+                unused |= {"grab", "finish"}
+        return {key: value for key, value in document.items() if key not in unused}
+
     @model_validator(mode="after")
     def _one_thing(self) -> Self:
         if (self.knot is None) == (self.formation is None):

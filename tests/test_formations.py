@@ -27,6 +27,13 @@ def refusal(keys: str) -> str:
     return str(caught.value)
 
 
+def test_a_plan_without_cable_carries_none() -> None:
+    path = FIRST_STEPS / "hover.yaml"
+    plan = make_plan(parse_mission(path.read_text(), str(path)))
+    basis = Network(CertifiedPlan(plan, certify(plan))).conductor.basis
+    assert basis.words == "certified for tracking errors of up to 0.1 m; no cable is carried"
+
+
 @pytest.mark.parametrize(
     "name", ["hover", "two_carry", pytest.param("pass_over", marks=pytest.mark.full)]
 )

@@ -74,7 +74,7 @@ def print_outcome(
     A flight outside its certificate is said first.
     """
     print_adherence(result.adherence, console)
-    if not result.basis.cable:
+    if not result.basis.cable and len(plan.layout.lengths):
         words = "Flown without cable: the knot below is what the positions would have tied."
         console.print(words, highlight=False, soft_wrap=True)
     print_flown(plan, flown, assessment, console)

@@ -181,7 +181,7 @@ def write_results(
     )
     made_by = {
         "swarm": __version__,
-        "mission": done[0][0].mission.model_dump_json(by_alias=True),
+        "mission": json.dumps(done[0][0].mission.document()),
         "spread": json.dumps(spread.model_dump(mode="json")),
     }
     try:

@@ -35,7 +35,7 @@ def plan_document(plan: Plan) -> dict[str, Any]:
     layout = plan.layout
     return {
         "schema": 1,
-        "mission": plan.mission.model_dump(mode="json", by_alias=True),
+        "mission": plan.mission.document(),
         "knot": asdict(plan.knot),
         "layout": {
             "corners": layout.corners.tolist(),

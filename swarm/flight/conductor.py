@@ -91,7 +91,7 @@ class Conductor:
         self.open_loop = open_loop
         tied_on = plan.mission.grab == "attached"
         self.grips = fleet.gripper == "mavlink" and not no_cable and not tied_on
-        self.carries = not no_cable
+        self.carries = not no_cable and len(plan.layout.lengths) > 0
         self.basis = basis_of(proven, cable=self.carries)
         self.bare = is_bare(fleet, no_cable=no_cable)
         self.gates = tuple(sorted(plan.gates, key=lambda gate: gate.time))

@@ -152,7 +152,8 @@ def basis_of(flight_plan: FlightPlan, *, cable: bool) -> Basis:
         }[flight_plan.purpose]
         words = f"{what}, certified without cable for {ball}"
         return Basis(flight_plan.purpose, words, name, False, largest)
-    words = f"certified in the quasi-static cable model for {ball}"
+    model = " in the quasi-static cable model" if len(plan.layout.lengths) else ""
+    words = f"certified{model} for {ball}"
     return Basis("certified", words, name, cable, largest)
 
 

@@ -122,8 +122,7 @@ class Record:
     ) -> None:
         """Write down what is about to be flown, with what."""
         plan = proven.plan
-        mission = plan.mission.model_dump_json(by_alias=True, indent=1)
-        self._file("mission.json", mission.encode())
+        self._file("mission.json", json.dumps(plan.mission.document(), indent=1).encode())
         self._file("fleet.json", fleet.model_dump_json(by_alias=True, indent=1).encode())
         self._file("plan.json", json.dumps(plan_document(plan), indent=1).encode())
         self._file("motion.npz", plan_motion(plan))

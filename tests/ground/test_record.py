@@ -1,6 +1,8 @@
 """The record: complete, readable by others, and never in the way of a flight."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +23,8 @@ from swarm.flight.flight_plan import basis_of
 from swarm.flight.snapshot import Event
 from swarm.ground.record import Record
 from swarm.mavlink.packets import Encoder
+from swarm.mission import parse_mission
+from swarm.plans import digest
 from tests.network import small_plan
 
 PROVEN = small_plan()
@@ -36,6 +40,24 @@ def test_a_plan_comes_back_from_its_record_as_it_was():
     assert again.knot == plan.knot
     assert np.array_equal(again.motion.coefficients, plan.motion.coefficients)
     assert np.array_equal(again.layout.lengths, plan.layout.lengths)
+
+
+MISSIONS = sorted((Path(__file__).parents[2] / "missions").glob("**/*.yaml"))
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in MISSIONS if "knot:" in path.read_text() or "formation:" in path.read_text()],
+    ids=lambda path: path.stem,
+)
+def test_every_mission_comes_back_from_its_record(path):
+    """A formation has keys that its file may not have; the record of its flight was unreadable."""
+    mission = parse_mission(path.read_text(), str(path))
+    plan = replace(PROVEN.plan, mission=mission)
+    document = json.loads(json.dumps(plan_document(plan)))
+    again = read_plan(document, plan_motion(plan))
+    assert again.mission == mission
+    assert digest(again) == digest(plan)
 
 
 @pytest.mark.parametrize(
