@@ -6,7 +6,6 @@ cores and spares the tests more than twice of that.
 """
 
 import hashlib
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -32,12 +31,12 @@ def prepare() -> None:
 
 def _mark() -> Path:
     """The file that says that it has been done, in the folder of `swarm.compiled`."""
+    from swarm.compiled import cache, key
+
     sources = [path for name in ("swarm", "sitl") for path in sorted((ROOT / name).rglob("*.py"))]
     compiled = [path for path in sources if b"@compiled" in path.read_bytes()]
-    stamps = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in compiled]
-    stamp = hashlib.sha256(repr(stamps).encode()).hexdigest()[:16]
-    caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(caches) / "swarm" / f"tests-{stamp}"
+    keys = [str(ROOT), *(key(str(path)) for path in compiled)]
+    return cache() / f"tests-{hashlib.sha256(repr(keys).encode()).hexdigest()[:16]}"
 
 
 def _plan() -> None:

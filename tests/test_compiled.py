@@ -1,37 +1,154 @@
 """Compiled functions are made anew when what they were made from has changed."""
 
 import os
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
-INNER = "from swarm.compiled import compiled\n\n@compiled\ndef inner(x):\n    return x + {}\n"
-OUTER = (
-    "from inner import inner\nfrom swarm.compiled import compiled\n\n"
-    "@compiled\ndef outer(x):\n    return 2 * inner(x)\n\nprint(outer(20))\n"
-)
+import pytest
+
+from swarm import compiled
+
+PACKAGE = {
+    "inner.py": (
+        "from swarm.compiled import compiled\nfrom swarm.numbers import STEP\n\n"
+        "@compiled\ndef inner(x):\n    return x + STEP\n"
+    ),
+    "numbers.py": "from swarm.folder import STEP\n\nTIMES = 2\n",
+    "folder/__init__.py": "STEP = 1\n",
+    "outer.py": (
+        "from swarm import inner, numbers\nfrom swarm.compiled import compiled\n\n"
+        "@compiled\ndef outer(x):\n    return numbers.TIMES * inner.inner(x)\n\nprint(outer(20))\n"
+    ),
+    "aside.py": "STEP = 1\n",
+}
+"""A small package of our name: its compiled functions read each other through modules."""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    for name, text in PACKAGE.items():
+        (tmp_path / "swarm" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "swarm" / name).write_text(text)
+    for name in ("__init__.py", "compiled.py"):
+        shutil.copy(Path(compiled.__file__).parent / name, tmp_path / "swarm" / name)
+    return tmp_path
 
 
 def run(folder: Path) -> str:
     done = subprocess.run(
-        [sys.executable, "-B", "outer.py"],
-        env=os.environ | {"XDG_CACHE_HOME": str(folder / "cache")},
+        [sys.executable, "-B", "-m", "swarm.outer"],
+        env=os.environ | {"XDG_CACHE_HOME": str(folder / "cache"), "PYTHONPATH": str(folder)},
         cwd=folder, capture_output=True, text=True, check=True,
     )  # fmt: skip
     return done.stdout.strip()
 
 
-def test_a_change_in_a_function_that_is_called_is_noticed(tmp_path: Path) -> None:
-    (tmp_path / "outer.py").write_text(OUTER)
-    (tmp_path / "inner.py").write_text(INNER.format(1))
-    assert run(tmp_path) == "42"
-    assert list((tmp_path / "cache" / "swarm").rglob("*outer*.nbi"))
-    (tmp_path / "inner.py").write_text(INNER.format(2))
-    assert run(tmp_path) == "44"
+def kept(folder: Path) -> set[Path]:
+    return set((folder / "cache").rglob("*.nbi"))
 
 
-def test_without_a_cache_it_is_compiled_all_the_same(tmp_path: Path) -> None:
-    (tmp_path / "outer.py").write_text(OUTER)
-    (tmp_path / "inner.py").write_text(INNER.format(1))
-    (tmp_path / "cache").write_text("not a folder")
-    assert run(tmp_path) == "42"
+CHANGES = (
+    ("inner.py", "x + STEP", "x + STEP + 2", "46"),  # a function, reached through its module
+    ("numbers.py", "TIMES = 2", "TIMES = 3", "69"),  # a constant, reached through its module
+    ("folder/__init__.py", "STEP = 1", "STEP = 5", "81"),  # one imported by what is imported
+)
+
+
+def test_changes_in_other_files_are_noticed(package):
+    assert run(package) == "42"
+    for name, before, after, result in CHANGES:
+        file = package / "swarm" / name
+        file.write_text(file.read_text().replace(before, after))
+        assert run(package) == result
+
+
+def test_what_is_not_imported_makes_no_difference(package):
+    assert run(package) == "42"
+    before = kept(package)
+    assert before
+    (package / "swarm" / "aside.py").write_text("STEP = 2\n")
+    assert run(package) == "42"
+    assert kept(package) == before
+
+
+def test_a_script_is_compiled_anew_when_a_file_beside_it_has_changed(tmp_path):
+    (tmp_path / "constant.py").write_text("STEP = 1\n")
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from swarm.compiled import compiled\nfrom constant import STEP\n\n"
+        "@compiled\ndef more(x):\n    return x + STEP\n\nprint(more(1))\n"
+    )
+
+    def result() -> str:
+        root = str(Path(compiled.__file__).parents[1])
+        environment = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": root}
+        command = [sys.executable, "-B", str(script)]
+        return subprocess.check_output(command, env=os.environ | environment, text=True).strip()
+
+    assert result() == "2"
+    assert kept(tmp_path)
+    (tmp_path / "constant.py").write_text("STEP = 2\n")
+    assert result() == "3"
+
+
+def test_a_file_that_has_changed_since_it_was_imported_has_no_key(tmp_path):
+    file = tmp_path / "later.py"
+    file.write_text("from swarm.compiled import compiled\n")
+    with pytest.raises(OSError, match="has changed since this process began"):
+        compiled.key(str(file))
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "value"),
+    [
+        (compiled.numba, "__version__", "99"),
+        (compiled.llvmlite, "__version__", "99"),
+        (compiled.sys, "version", "99"),
+        (compiled.llvmlite.binding, "get_host_cpu_name", lambda: "another"),
+    ],
+)
+def test_the_versions_and_the_processor_are_part_of_the_key(monkeypatch, owner, name, value):
+    before = compiled.key(compiled.__file__)
+    monkeypatch.setattr(owner, name, value)
+    compiled.made_by.cache_clear()
+    compiled.key.cache_clear()
+    changed = compiled.key(compiled.__file__)
+    monkeypatch.undo()
+    compiled.made_by.cache_clear()
+    compiled.key.cache_clear()
+    assert before == compiled.key(compiled.__file__) != changed
+
+
+def test_what_was_not_used_for_long_is_removed(tmp_path):
+    ages = {"new": 0.0, "used": compiled.KEPT - 1, "old": compiled.KEPT + 1}
+    for name, days in ages.items():
+        (tmp_path / name / "place").mkdir(parents=True)
+        (tmp_path / name / "place" / "code.nbc").write_text("")
+        (tmp_path / f"tests-{name}").write_text("")
+        then = time.time() - days * 86400
+        for path in (tmp_path / name, tmp_path / f"tests-{name}"):
+            os.utime(path, (then, then))
+    compiled.prune(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "new", "tests-new", "tests-used", "used",
+    ]  # fmt: skip
+    compiled.prune(tmp_path / "missing")
+
+
+def test_a_folder_that_is_used_is_marked_as_used(package):
+    assert run(package) == "42"
+    folders = list((package / "cache" / "swarm").iterdir())
+    assert len(folders) == 2  # one for each file with compiled functions
+    then = time.time() - (compiled.KEPT - 1) * 86400
+    for folder in folders:
+        os.utime(folder, (then, then))
+    assert run(package) == "42"
+    assert all(time.time() - folder.stat().st_mtime < 86400 for folder in folders)
+
+
+def test_without_a_cache_it_is_compiled_all_the_same(package: Path) -> None:
+    (package / "cache").write_text("not a folder")
+    assert run(package) == "42"
