@@ -17,6 +17,8 @@ from swarm.cli.inputs import JSON, SET, print_json, read_text
 from swarm.cli.knots_planned import Wanted, print_planned
 from swarm.errors import InputError, Problem
 from swarm.knots.catalog import KnotChoice, lookup, names
+from swarm.knots.flaws import flaw
+from swarm.knots.gauss import KnotError
 from swarm.knots.invariants import Identification, identify_curve
 from swarm.knots.names import COMMON
 from swarm.knots.survey import SurveyRow, survey
@@ -207,16 +209,29 @@ def identify(file: Path, closed: bool, as_json: bool) -> None:
 
     The ends of an open curve are taken straight up and joined above it.
     """
-    points = parse_curve(read_text(file), str(file))
-    known = identify_curve(points, closed=closed)
+    known, count = _identified(read_text(file), str(file), closed)
     if as_json:
         print_json(identification_object(known))
         return
     console = Console(highlight=False)
     console.print(f"{known}", style="bold")
-    console.print(f"{len(points)} points; at most {known.crossings} crossings")
+    console.print(f"{count} points; at most {known.crossings} crossings")
     console.print(f"Jones polynomial      {_polynomial(known.invariants['jones'])}")
     console.print(f"Alexander polynomial  {_polynomial(known.invariants['alexander'])}")
+
+
+def _identified(text: str, place: str, closed: bool) -> tuple[Identification, int]:
+    """The knot of a file's curve, and how many points it has; errors say where in the file."""
+    points, lines = parse_curve(text, place)
+    wrong = flaw(points, closed=closed)
+    if wrong:
+        numbers = " and ".join(str(lines[index]) for index in wrong.points)
+        where = f": line{'s' * (len(wrong.points) > 1)} {numbers}" if numbers else ""
+        raise InputError([Problem(f"{place}{where}", wrong.message)])
+    try:
+        return identify_curve(points, closed=closed), len(points)
+    except KnotError as error:
+        raise InputError([Problem(place, str(error))]) from None
 
 
 def identification_object(known: Identification) -> dict[str, Any]:
@@ -230,8 +245,8 @@ def identification_object(known: Identification) -> dict[str, Any]:
     }
 
 
-def parse_curve(text: str, place: str) -> NDArray[np.float64]:
-    """Points (n, 3) from rows of three numbers, or from the columns called x, y and z.
+def parse_curve(text: str, place: str) -> tuple[NDArray[np.float64], list[int]]:
+    """Points (n, 3) from rows of three numbers, or from the columns called x, y and z; their lines.
 
     Commas, semicolons or spaces separate; lines that begin with # do not count. Raises InputError
     that names each wrong line (at most ten).
@@ -246,6 +261,7 @@ def parse_curve(text: str, place: str) -> NDArray[np.float64]:
             raise InputError([Problem(f"{place}: line {number}", message)])
         columns, width = (words.index("x"), words.index("y"), words.index("z")), len(words)
     rows: list[list[float]] = []
+    kept: list[int] = []
     problems: list[Problem] = []
     for number, fields in lines:
         where = f"{place}: line {number}"
@@ -258,11 +274,12 @@ def parse_curve(text: str, place: str) -> NDArray[np.float64]:
             problems.append(Problem(where, f'expected finite numbers, got "{wrong[0]}"'))
         else:
             rows.append([float(field) for field in chosen])
-    if len(rows) < 2 and not problems:
-        problems.append(Problem(place, f"expected at least 2 points, got {len(rows)}"))
+            kept.append(number)
+    if len(rows) < 3 and not problems:
+        problems.append(Problem(place, f"expected at least 3 points, got {len(rows)}"))
     if problems:
         raise InputError(problems[:10])
-    return np.array(rows)
+    return np.array(rows), kept
 
 
 def _fields(text: str) -> Iterator[tuple[int, list[str]]]:

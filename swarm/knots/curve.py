@@ -66,7 +66,7 @@ def curve_gauss(
     view = _view(curve, closed, tilt)
     if len(view.corners) < 3:
         return SignedGauss((), closed)
-    pairs = _candidates(view)
+    pairs = candidates(view.corners, closed=closed, margin=2 * NUDGE * view.extent)
     code = _code(view, pairs)
     if code is not None:
         return code
@@ -113,22 +113,25 @@ def checked(points: Points, *, closed: bool) -> Points:
     if not np.all(np.isfinite(curve)):
         row = int(np.flatnonzero(~np.isfinite(curve).all(axis=1))[0])
         raise KnotError(f"point {row + 1} of the curve is not finite")
-    same = REPEATED * float(np.max(np.ptp(curve, axis=0)))
-    steps = np.max(np.abs(np.diff(curve, axis=0)), axis=1)
+    with np.errstate(over="ignore"):
+        same = REPEATED * float(np.max(np.ptp(curve, axis=0)))
+        steps = np.max(np.abs(np.diff(curve, axis=0)), axis=1)
     curve = curve[np.concatenate([[True], steps > same])]
     if closed and len(curve) > 1 and np.max(np.abs(curve[0] - curve[-1])) <= same:
         return curve[:-1]
     return curve
 
 
-def _candidates(view: _View) -> NDArray[np.int64]:
-    """Pairs (k, 2) of segments, not neighbours, whose plan boxes overlap."""
-    start = view.corners
+def candidates(corners: Points, *, closed: bool, margin: float) -> NDArray[np.int64]:
+    """Pairs (k, 2) of segments, not neighbours, whose boxes overlap, of corners (n, d).
+
+    Each box is ``margin`` larger, on every side, than its segment.
+    """
+    start = corners
     end = np.roll(start, -1, axis=0)
-    if not view.closed:
+    if not closed:
         start, end = start[:-1], end[:-1]
     count = len(start)
-    margin = 2 * NUDGE * view.extent
     low, high = np.minimum(start, end) - margin, np.maximum(start, end) + margin
     block = max(8, int(np.sqrt(count) / 3))
     edges = np.arange(0, count, block)
@@ -146,7 +149,7 @@ def _candidates(view: _View) -> NDArray[np.int64]:
         second = two[blocks, None, None] * block + offset[None, None, :]
         first, second = (part.ravel() for part in np.broadcast_arrays(first, second))
         valid = (first + 1 < second) & (second < count)
-        if view.closed:
+        if closed:
             valid &= ~((first == 0) & (second == count - 1))
         first, second = first[valid], second[valid]
         overlap = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)

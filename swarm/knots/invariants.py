@@ -13,9 +13,10 @@ from functools import lru_cache
 from typing import Any
 
 from swarm.knots.alexander import alexander
-from swarm.knots.curve import Points
+from swarm.knots.curve import Points, checked
 from swarm.knots.diagram import Diagram
 from swarm.knots.draw import drawn
+from swarm.knots.flaws import flaw
 from swarm.knots.gauss import SignedGauss
 from swarm.knots.groups import separated
 from swarm.knots.hand import hand_of
@@ -75,9 +76,14 @@ def identify_curve(points: Points, *, closed: bool = False) -> Identification:
     """Name the knot of a curve (n, 3) in space; an open one is closed straight up, above itself.
 
     Degenerate curves (collinear, axis-parallel, repeated points) are looked at from a direction in
-    which they are not. Raises KnotError where the curve meets itself, or is not a curve at all.
+    which they are not. Raises KnotError where the curve meets itself, has fewer than 3 different
+    points, or is not a curve at all.
     """
-    return identify_diagram(curve_diagram(points, closed=closed))
+    curve = checked(points, closed=closed)
+    wrong = flaw(points, closed=closed)
+    if wrong:
+        raise wrong.error()
+    return identify_diagram(curve_diagram(curve, closed=closed))
 
 
 def identify_diagram(diagram: Diagram) -> Identification:

@@ -26,7 +26,8 @@ def curve_diagram(points: Points, *, closed: bool = False) -> Diagram:
             return Diagram(curve_gauss(curve, closed=True, tilt=tilt))
         except KnotError as error:
             reason = error
-    raise KnotError(f"the curve is degenerate from every side: {reason}")
+    how = "" if closed else ", closed straight up from its ends,"
+    raise KnotError(f"the curve{how} is degenerate from every side: {reason}")
 
 
 def closed_upward(curve: Points) -> Points:

@@ -118,8 +118,20 @@ def test_columns_may_be_named_and_more(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "expected at least 2 points, got 0"),
-        ("0,0,0\n", "expected at least 2 points, got 1"),
+        ("", "expected at least 3 points, got 0"),
+        ("0,0,0\n", "expected at least 3 points, got 1"),
+        ("0,0,0\n1,0,0\n", "expected at least 3 points, got 2"),
+        ("1 1 1\n" * 9, "expected at least 3 different points, got 1"),
+        ("# x y z\n0 0 0\n1 0 0\n\n.5 0 0\n1 1 0\n", "line 3: the curve goes back along itself"),
+        (
+            "0 0 0\n2 0 0\n2 0 0\n2 1 0\n1 1 0\n1 -1 0\n",
+            "lines 1 and 5: the segments of the curve that begin here meet",
+        ),
+        ("0 0 0\n1e308 0 0\n-1e308 1 0\n", "expected a curve of 1e-100 to 1e+100 in size, got inf"),
+        (
+            "0 0 0\n1 0 0\n1 0 1\n0 0 1\n0 0 2\n1 0 2\n",
+            "the curve, closed straight up from its ends, is degenerate from every side: two strands",
+        ),
         ("0,0,0\n1,0\n", "line 2: expected 3 numbers, got 2 entries"),
         ("0,0,0\n1,nan,0\n", 'line 2: expected finite numbers, got "nan"'),
         ("0,0,0\n1,one,0\n", 'line 2: expected finite numbers, got "one"'),
@@ -134,3 +146,10 @@ def test_wrong_files(tmp_path: Path, text: str, message: str) -> None:
     assert message in str(caught.value)
     assert str(caught.value).startswith(file)
     assert CliRunner().invoke(identify, [str(tmp_path / "absent.csv")]).exit_code != 0
+
+
+def test_a_curve_that_is_closed_onto_itself_is_refused(tmp_path: Path) -> None:
+    file = write(tmp_path / "line.csv", "0 0 0\n1 0 0\n2 0 0\n")
+    assert "0_1" in run("identify", file).output
+    with pytest.raises(InputError, match=r"line.csv: line 1: the curve goes back along itself"):
+        run("identify", file, "--closed")

@@ -1,0 +1,107 @@
+"""Why a curve in space is that of no knot: too few points, or strands that meet."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarm.knots.curve import REPEATED, Points, candidates
+from swarm.knots.gauss import KnotError
+
+LARGEST: Final = 1e100
+SMALLEST: Final = 1e-100
+"""Extents of a curve whose products neither overflow nor vanish."""
+
+
+@dataclass(frozen=True)
+class Flaw:
+    """What is wrong with a curve, and at which of its points, counted from 0."""
+
+    points: tuple[int, ...]
+    message: str
+
+    def error(self) -> KnotError:
+        """Return the error for a curve that is an array."""
+        numbers = " and ".join(str(index + 1) for index in self.points)
+        where = f" (point{'s' * (len(self.points) > 1)} {numbers})" if numbers else ""
+        return KnotError(self.message + where)
+
+
+def flaw(points: Points, *, closed: bool) -> Flaw | None:
+    """Why a curve (n, 3) of finite points has no knot, or None where it has one.
+
+    Points that follow each other in the same place count once. Strands meet where they come within
+    ``REPEATED`` × the curve's extent of each other, which is as exact as numbers are. Whether an
+    open curve meets what closes it is not looked at.
+    """
+    with np.errstate(over="ignore"):
+        extent = float(np.max(np.ptp(points, axis=0)))
+    if extent > LARGEST or (0.0 < extent < SMALLEST):
+        return Flaw((), f"expected a curve of {SMALLEST:g} to {LARGEST:g} in size, got {extent:g}")
+    kept = _kept(points, REPEATED * extent, closed)
+    if len(kept) < 3:
+        return Flaw((), f"expected at least 3 different points, got {len(kept)}")
+    # From 0 to 1, so that no product of theirs overflows or vanishes.
+    curve = (points[kept] - points[kept].min(axis=0)) / extent
+    return _turned_back(curve, kept, closed) or _met(curve, kept, closed)
+
+
+def _kept(points: Points, same: float, closed: bool) -> NDArray[np.int64]:
+    """The points that are not in the place of the one before them."""
+    steps = np.max(np.abs(np.diff(points, axis=0)), axis=1)
+    kept = np.flatnonzero(np.concatenate([[True], steps > same])[: len(points)])
+    if closed and len(kept) > 1 and np.max(np.abs(points[kept[-1]] - points[kept[0]])) <= same:
+        kept = kept[:-1]
+    return kept
+
+
+def _turned_back(curve: Points, kept: NDArray[np.int64], closed: bool) -> Flaw | None:
+    """Where a curve goes back along the segment that it has just come along."""
+    come = curve - np.roll(curve, 1, axis=0)
+    go = np.roll(curve, -1, axis=0) - curve
+    aside = np.linalg.norm(np.cross(come, go), axis=1)
+    sizes = np.linalg.norm(come, axis=1) * np.linalg.norm(go, axis=1)
+    back = (aside <= REPEATED * sizes) & (np.sum(come * go, axis=1) < 0.0)
+    if not closed:
+        back[[0, -1]] = False
+    at = np.flatnonzero(back)
+    if not len(at):
+        return None
+    return Flaw((int(kept[at[0]]),), "the curve goes back along itself from here")
+
+
+def _met(curve: Points, kept: NDArray[np.int64], closed: bool) -> Flaw | None:
+    """Where two segments that do not follow each other meet."""
+    start, end = curve, np.roll(curve, -1, axis=0)
+    pairs = candidates(curve, closed=closed, margin=REPEATED)
+    first, second = pairs.T
+    gap = _gap(start[first], end[first], start[second], end[second])
+    at = np.flatnonzero(gap <= REPEATED)
+    if not len(at):
+        return None
+    one, two = sorted(int(kept[index]) for index in pairs[at[0]])
+    return Flaw((one, two), "the segments of the curve that begin here meet")
+
+
+def _gap(a: Points, b: Points, c: Points, d: Points) -> NDArray[np.float64]:
+    """Distances (n,) between segments from a to b and from c to d, each (n, 3), none of length 0.
+
+    After Ericson, Real-Time Collision Detection, 2005, 5.1.9.
+    """
+    one, two, between = b - a, d - c, a - c
+    own, other, shared = _dot(one, one), _dot(two, two), _dot(one, two)
+    on_one, on_two = _dot(one, between), _dot(two, between)
+    area = own * other - shared**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = np.where(area > 0.0, (shared * on_two - on_one * other) / area, 0.0)
+    s = np.clip(s, 0.0, 1.0)  # any s will do where they are parallel
+    t = np.clip((shared * s + on_two) / other, 0.0, 1.0)
+    s = np.clip((shared * t - on_one) / own, 0.0, 1.0)
+    apart = between + s[:, None] * one - t[:, None] * two
+    return np.sqrt(_dot(apart, apart))
+
+
+def _dot(a: Points, b: Points) -> NDArray[np.float64]:
+    product: NDArray[np.float64] = np.sum(a * b, axis=1)
+    return product
