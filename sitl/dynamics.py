@@ -33,6 +33,8 @@ _LANE, _WANTED = 8 * motion.LANES, 8 * motion.PLACE
 _LARGEST_INTEGRAL = 5.0
 _NOISE_TIME = 4.0
 NOISE_SIGMA = np.array([0.015, 0.015, 0.02])
+_DISTURBANCE_TIME = 2.0
+"""Seconds over which disturbances change."""
 
 
 class Rows(NamedTuple):
@@ -135,6 +137,9 @@ class Bodies:
         self.wind = self.steady_wind.copy()
         self.gust_intensity = world.wind.gust
         self.gust = np.zeros((n + 1, 3))
+        self.disturbance = np.zeros((n, 3))
+        self._disturbance_sigma = np.array([[spec.disturbance] for spec in world.vehicles])
+        self._disturbed = bool(self._disturbance_sigma.any())
         self.wash = np.zeros((n, 3))
         self.apart = np.full((n, n), np.inf)
 
@@ -187,6 +192,12 @@ class Bodies:
         self._rows: Rows | None = None
         self._said: bytes | None = None
         motion.renew_air(self.now, self.bias, self.noise, self.drag, self.wind, self.wash)
+        self._disturb()
+
+    def _disturb(self) -> None:
+        """Add the disturbances to what the air does."""
+        if self._disturbed:
+            self.now[..., motion.AIR] += self.disturbance
 
     def aim(
         self,
@@ -274,7 +285,8 @@ class Bodies:
     def wander(self, interval: float) -> None:
         """Advance estimator noise, gusts and downwash by ``interval`` seconds (call at 10 Hz).
 
-        Noise is first-order Gauss–Markov, `NOISE_SIGMA` metres over `_NOISE_TIME` seconds.
+        Noise is first-order Gauss–Markov, `NOISE_SIGMA` metres over `_NOISE_TIME` seconds; so are
+        disturbances, m/s² over `_DISTURBANCE_TIME` seconds.
         """
         keep, gust_keep, fresh = 1.0, 1.0, self._fresh
         if self._noisy:
@@ -290,3 +302,8 @@ class Bodies:
             self._noise_sigma, self.bias, self.drift, self.gust, self.steady_wind, self.wind,
             self.wash, self.drag, self.mass, self.radius, self.apart,
         )  # fmt: skip
+        if self._disturbed:
+            keeps = math.exp(-interval / _DISTURBANCE_TIME)
+            drawn = self._disturbance_sigma * self.rng.standard_normal((self.count, 3))
+            self.disturbance = keeps * self.disturbance + math.sqrt(1.0 - keeps**2) * drawn
+            self._disturb()

@@ -76,6 +76,12 @@ class VehicleSpec(_Strict):
         description="metres by which its receiver's altitude jumps about (standard deviation; the "
         "place by 0.4 of it), but not its estimate; 0.5 is PX4's simulated receiver",
     )
+    disturbance: NotNegative = Field(
+        default=0.0,
+        description="m/s² on each axis, standard deviation of a random acceleration that its "
+        "controller must reject (first-order Gauss-Markov over 2 s), as errors of an attitude "
+        "estimate cause; with 0.6 it hovers as PX4 does in its own simulator (SIH): 0.35 m RMS",
+    )
     endurance: Positive = Field(default=900.0, description="hovering time of a full battery, s")
 
 

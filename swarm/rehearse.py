@@ -72,6 +72,7 @@ def rehearse(
     on_snapshot: Callable[[Snapshot], None] | None = None,
     on_event: Callable[[Event], None] | None = None,
     recorder: Recorder | None = None,
+    stray_limit: float | None = None,
 ) -> FlightResult:
     """Fly a plan in virtual time against the emulator; returns how it went.
 
@@ -79,11 +80,13 @@ def rehearse(
     instead of what the plan expects, ``faults`` are what goes wrong. ``open_loop`` keeps the
     planned pace whatever comes near, which shows what a trajectory would do that no clock protects.
     ``on_snapshot`` is called ten times a second of flight time, ``observer`` after every step: it
-    alone sees what really is.
+    alone sees what really is. ``stray_limit`` is as in :class:`Conductor`.
     Raises :class:`swarm.errors.Refused` where the fleet does not fit.
     """
     fleet = fleet or emulated_fleet(proven.plan.vehicles, seed=seed)
-    conductor = Conductor(proven, fleet, no_cable=no_cable, open_loop=open_loop)
+    conductor = Conductor(
+        proven, fleet, no_cable=no_cable, open_loop=open_loop, stray_limit=stray_limit
+    )
     if world is None:
         world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
     emulator = Emulator(parse_world(json.dumps(world)), faults)

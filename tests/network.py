@@ -43,9 +43,9 @@ def small_plan(*overrides: str, vehicles: int = 3, height: float = 5.0) -> Certi
     return CertifiedPlan(plan, certify(plan))
 
 
-def uncleared(*overrides: str) -> ComparisonFlight:
+def uncleared(*overrides: str, vehicles: int = 3) -> ComparisonFlight:
     """The same flight with a mission that it does not keep to."""
-    plan = sideways(*overrides)
+    plan = sideways(*overrides, vehicles=vehicles)
     return ComparisonFlight(plan, certify(plan))
 
 

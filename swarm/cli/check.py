@@ -13,6 +13,7 @@ from rich.text import Text
 
 from swarm import api
 from swarm.cli.fleets import load_fleet
+from swarm.cli.hop import Hopped, fly_hop
 from swarm.cli.inputs import (
     JSON,
     SET,
@@ -25,12 +26,10 @@ from swarm.cli.logs import fetch
 from swarm.errors import InputError, Problem
 from swarm.exports import finding_object
 from swarm.fleet import Fleet, emulated_fleet
-from swarm.flight.hop import HEIGHT, HOVER, hop, hover_findings
 from swarm.flight.parameters import Row
 from swarm.flight.words import in_common, numbers, of_systems
 from swarm.ground.check import CheckReport, Wanted
 from swarm.ground.check import check as check_fleet
-from swarm.ground.fly import fly
 from swarm.preflight.certify import CertifiedPlan
 from swarm.preflight.findings import Finding
 from swarm.view.sheet import layout_sheet
@@ -66,7 +65,7 @@ STYLES = {"error": "bold red", "warning": "yellow", "info": "green"}
     "--hop",
     "with_hop",
     is_flag=True,
-    help="Fly a short test hop and compare the hover error with the plan's.",
+    help="Fly a test hop, measure hover errors, and tell which vehicles.tracking to plan with.",
 )
 @click.option(
     "--sheet",
@@ -134,12 +133,14 @@ def check(
     report = check_fleet(fleet, folder, proven, wanted)
     if proven is not None:
         report = report.having(_of_plan(proven))
+    hopped = None
     if proven is not None and with_hop:
-        report = report.having(*_hop(report, proven, fleet, folder, speed, yes=yes))
+        hopped = _hop(report, proven, fleet, folder / "hop", speed, console, yes=yes)
+        report = report.having(*hopped.findings)
     if sheet and proven is not None:
         write_text(sheet, layout_sheet(proven.plan, fleet, report.order))
     if as_json:
-        print_json(_object(report, folder))
+        print_json({**_object(report, folder), "hop": hopped.document() if hopped else None})
     else:
         _show(report, console)
         console.print(f"Parameters saved in {folder}", soft_wrap=True, highlight=False)
@@ -176,21 +177,14 @@ def _hop(
     fleet: Fleet,
     folder: Path,
     speed: float,
+    console: Console,
     *,
     yes: bool,
-) -> list[Finding]:
+) -> Hopped:
     """Fly the hop, unless something speaks against it; return what came of it."""
     if not report.passed and fleet.emulated is None:
-        return [Finding("warning", "hop", "not flown: first mend what is a no-go")]
-    words = f"Arm {proven.plan.vehicles} vehicles and hover for {HOVER:g} s at {HEIGHT:g} m?"
-    asks = fleet.emulated is None and not yes
-    if asks and not (sys.stdin.isatty() and click.confirm(words, err=True)):
-        return [Finding("warning", "hop", "not flown: not confirmed")]
-    result = fly(hop(proven), fleet, folder / "hop", speed=speed, no_cable=True, audit=False)
-    if result.outcome.word != "done":
-        text = f"the hop ended as {result.outcome.word}: {result.outcome.explanation}"
-        return [Finding("error", "hop", text)]
-    return hover_findings(result.trace, proven)
+        return Hopped((Finding("warning", "hop", "not flown: first mend what is a no-go"),))
+    return fly_hop(proven, fleet, folder, speed, console, yes=yes)
 
 
 def parameter_table(rows: Iterable[Row]) -> Table:

@@ -71,6 +71,7 @@ class Conductor:
         left: LeftOff | None = None,
         then: Then = "hold",
         open_loop: bool = False,
+        stray_limit: float | None = None,
     ) -> None:
         """Raise :class:`Refused` where the fleet is too small, the plan does not rest at gates, is
         not the one that was checked, or would carry cable that was not.
@@ -78,7 +79,8 @@ class Conductor:
         ``no_cable`` flies the same plan with nothing attached: grips are simulated. ``left`` is
         where a flight broke off that is to be taken up again, ``then`` what follows once everybody
         has been found. ``open_loop`` keeps the planned pace whatever comes near, pulls or falls
-        behind: for comparisons in the emulator alone.
+        behind: for comparisons in the emulator alone. With a ``stray_limit`` in metres tracking
+        errors slow and hold nothing in a hold; beyond it, or too near each other, all land.
         """
         proven.check()
         plan = proven.plan
@@ -88,7 +90,7 @@ class Conductor:
                 f"has {len(fleet.vehicles)}"
             )
         self.proven, self.plan, self.fleet = proven, plan, fleet
-        self.open_loop = open_loop
+        self.open_loop, self.stray_limit = open_loop, stray_limit
         tied_on = plan.mission.grab == "attached"
         self.grips = fleet.gripper == "mavlink" and not no_cable and not tied_on
         self.carries = not no_cable and len(plan.layout.lengths) > 0
@@ -271,8 +273,10 @@ class Conductor:
         """Tracking error in metres at which the clock stands still.
 
         The tracking ball, where a cable is held or pretended to be; vehicles that never could hold
-        one need not keep within it.
+        one need not keep within it. Where a flight measures errors, as far as they are allowed.
         """
+        if self.stray_limit is not None:
+            return self.stray_limit
         tracking = self.plan.mission.vehicles.tracking
         held = self.phase.cable in {"lifting", "aloft"} and not self.bare
         return tracking if held and tracking > 0 else max(tracking, LOOSE_BUDGET)

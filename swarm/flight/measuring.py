@@ -77,7 +77,7 @@ class Sight:
 
 def look(flight: "Conductor") -> None:
     """Look at the clearances, now and a moment ahead, ten times a second."""
-    if flight.now < flight.next_look or flight.open_loop:
+    if flight.now < flight.next_look or flight.open_loop or flight.stray_limit is not None:
         return
     if np.count_nonzero(np.isfinite(flight.position)) < flight.position.size:
         return

@@ -57,6 +57,8 @@ def steer(flight: "Conductor") -> None:
         clock.target = 0.0 if flight.holds else 1.0
         return
     pace = min(1.0, max(0.0, (1.0 - worst) / (1.0 - SLOW_FROM)))
+    if flight.stray_limit is not None and flight.phase.name == "hold":
+        pace = 1.0  # what is measured here must not decide for how long
     if flight.sight is not None:
         pace = min(pace, flight.sight.pace)
     pace = min(pace, flight.coast.cap(clock.time))
@@ -75,7 +77,8 @@ def _notice_standstill(flight: "Conductor", worst: float) -> None:
     Somebody cannot follow; or all do, and stand where nothing is left of clearances or chords.
     """
     standing = abs(flight.clock.rate) < STANDS_STILL and not flight.rewinding
-    if not (standing or "stands still" in flight.holds) or flight.open_loop:
+    unwatched = flight.open_loop or flight.stray_limit is not None
+    if not (standing or "stands still" in flight.holds) or unwatched:
         flight.still_since = flight.now
         return
     off = worst >= SLOW_FROM

@@ -14,6 +14,7 @@ from swarm.flight.rejoining import bring_back
 from swarm.flight.result import Outcome
 from swarm.flight.resuming import find, go_on
 from swarm.flight.slipping import watch_grasps
+from swarm.flight.straying import watch_stray
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
@@ -54,6 +55,7 @@ def _fly(flight: "Conductor") -> None:
     go_on(flight)
     look(flight)
     watch_grasps(flight)
+    watch_stray(flight)
     bound_hold(flight)
     if flight.stage != "fly":
         return

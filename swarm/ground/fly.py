@@ -58,6 +58,7 @@ def fly(
     audit: bool | None = None,
     left: LeftOff | None = None,
     then: Then = "hold",
+    stray_limit: float | None = None,
 ) -> FlightResult:
     """Fly a checked plan; returns how it went, with the record in ``record_folder``.
 
@@ -71,13 +72,16 @@ def fly(
     firmware, health and parameters through MAVSDK before the go; None does so for real ones. The
     first SIGINT holds and lands the team, the second lands it at once. ``left`` is where a flight
     broke off whose vehicles still fly: they are found and the plan is taken up there, and ``then``
-    follows.
+    follows. ``stray_limit`` is for flights that measure tracking errors: metres beyond which all
+    land, and up to which nothing is slowed or held in a hold.
 
     Raises :class:`swarm.errors.VehicleError` where a link cannot be opened, and
     :class:`swarm.errors.InputError` where the record cannot be written.
     """
     _refuse_unflyable(proven, fleet, speed)
-    conductor = _conductor(proven, fleet, left, then, no_cable=no_cable)
+    conductor = _warm(
+        Conductor(proven, fleet, no_cable=no_cable, left=left, then=then, stray_limit=stray_limit)
+    )
     links = open_links(fleet.links)
     emulator: EmulatorProcess | None = None
     record: Record | None = None
@@ -164,10 +168,7 @@ def _refuse_unflyable(proven: FlightPlan, fleet: Fleet, speed: float) -> None:
         raise Refused("only emulated vehicles fly faster than time")
 
 
-def _conductor(
-    proven: FlightPlan, fleet: Fleet, left: LeftOff | None, then: Then, *, no_cable: bool
-) -> Conductor:
-    conductor = Conductor(proven, fleet, no_cable=no_cable, left=left, then=then)
+def _warm(conductor: Conductor) -> Conductor:
     warm_up(conductor)
     return conductor
 

@@ -1,0 +1,30 @@
+"""The test hop of ``swarm check``, flown through sockets by the emulator's process."""
+
+import io
+import json
+
+from rich.console import Console
+
+from swarm.cli.hop import fly_hop
+from swarm.fleet import emulated_fleet
+from swarm.flight.hop import HOVER
+from tests.network import small_plan
+
+
+def test_a_hop_says_for_each_vehicle_how_well_it_hovers_and_what_to_plan_with(tmp_path):
+    console = Console(file=io.StringIO(), width=100)
+    plan = small_plan()
+    hopped = fly_hop(plan, emulated_fleet(3), tmp_path / "hop", 20.0, console, yes=True)
+    advice, *each = [finding.message for finding in hopped.findings]
+    assert advice.startswith("plan with vehicles.tracking of 0.")
+    assert [words.split(" m RMS")[0].split("0.")[0] for words in each] == [
+        f"vehicle {number}: level " for number in (1, 2, 3)
+    ]
+    document = json.loads(json.dumps(hopped.document()))
+    assert 0.0 < document["tracking_to_plan_with"] < 0.5
+    for one in document["vehicles"]:
+        assert one["seconds"] > 0.9 * HOVER
+        assert 0.0 < one["level"]["rms"] <= one["level"]["largest"] <= one["both"]["largest"]
+        assert 0.0 < one["up"]["rms"] <= one["up"]["largest"]
+    assert "phase hold" in console.file.getvalue()
+    assert (tmp_path / "hop" / "summary.json").exists()
