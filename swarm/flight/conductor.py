@@ -72,6 +72,7 @@ class Conductor:
         then: Then = "hold",
         open_loop: bool = False,
         stray_limit: float | None = None,
+        speed: float = 1.0,
     ) -> None:
         """Raise :class:`Refused` where the fleet is too small, the plan does not rest at gates, is
         not the one that was checked, or would carry cable that was not.
@@ -81,6 +82,7 @@ class Conductor:
         has been found. ``open_loop`` keeps the planned pace whatever comes near, pulls or falls
         behind: for comparisons in the emulator alone. With a ``stray_limit`` in metres tracking
         errors slow and hold nothing in a hold; beyond it, or too near each other, all land.
+        ``speed`` is how many seconds of flight time pass in one of real time.
         """
         proven.check()
         plan = proven.plan
@@ -122,7 +124,7 @@ class Conductor:
         self.fly_with(list(self.team.vehicles.values())[: plan.vehicles])
         self.lift = np.array([0.0, 0.0, vehicles.grip_offset])
         standing = self.guidance.planned(0.0).position + self.lift
-        self.preparation = Preparation(self.team, fleet, standing)
+        self.preparation = Preparation(self.team, fleet, standing, speed)
         self._reset_flight()
         self._reset_numbers(plan.vehicles)
         self.then: Then = then

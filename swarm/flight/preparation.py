@@ -50,12 +50,14 @@ class Prepared:
 class Preparation:
     """Prepares the fleet's vehicles and finds out who stands on which pad.
 
-    ``standing`` (n, 3) is where the plan has the vehicles' centres before take-off, mission ENU.
+    ``standing`` (n, 3) is where the plan has the vehicles' centres before take-off, mission ENU;
+    ``speed`` is how many seconds of flight time pass in one of real time, in which vehicles start.
     """
 
     team: Team
     fleet: Fleet
     standing: Floats
+    speed: float = 1.0
     _began: float | None = None
     _enough_at: float | None = None
     _heard: list[Vehicle] = field(default_factory=list)
@@ -66,7 +68,7 @@ class Preparation:
         """Go on preparing: None until the team is ready, or cannot be."""
         if self._began is None:
             self._began = now
-        late = now - self._began > self.fleet.limits.ready
+        late = now - self._began > self._starting(self.fleet.limits.ready)
         if self._heard_at is None:
             return self._listen(now, late=late)
         self._ask(now)
@@ -81,6 +83,10 @@ class Preparation:
             vehicle.quieten(self._heard_at, now)
         return self._finish()
 
+    def _starting(self, seconds: float) -> float:
+        """Return flight time in which so many seconds have passed for programs that start, too."""
+        return seconds * max(1.0, self.speed)
+
     @property
     def everybody_heard(self) -> bool:
         """Whether every vehicle that will fly has been heard."""
@@ -92,7 +98,8 @@ class Preparation:
         heard = [v for v in everybody if v.autopilot is not None and v.heartbeat_at > -math.inf]
         if len(heard) >= len(self.standing) and self._enough_at is None:
             self._enough_at = now
-        patient = self._enough_at is not None and now - self._enough_at > SPARE_PATIENCE
+        patience = self._starting(SPARE_PATIENCE)
+        patient = self._enough_at is not None and now - self._enough_at > patience
         if len(heard) == len(everybody) or patient:
             self._heard, self._heard_at = heard, now
             for vehicle in heard:

@@ -4,6 +4,7 @@ The loop keeps the links; what asks runs in a thread of its own and speaks throu
 """
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -69,12 +70,11 @@ class Attendance:
 
     def until(self, condition: Callable[[], bool], patience: float) -> bool:
         """Wait until a condition holds; return whether it did within so many seconds."""
-        waited = 0.0
+        latest = time.monotonic() + patience
         while not condition():
-            if waited > patience:
+            if time.monotonic() >= latest:
                 return False
             self.wait(_LISTEN)
-            waited += _LISTEN
         return True
 
     def hear(self) -> list[int]:

@@ -13,8 +13,9 @@ from swarm.errors import VehicleError
 
 _STOP_PATIENCE = 3.0
 
-_STARTING, _LOOK_AGAIN = 60.0, 0.02
-"""Seconds that it may take to start; on a new machine most of them are for compiling."""
+STARTING = 180.0
+"""Seconds that it may take to start; on a new and busy machine most of them are for compiling."""
+_LOOK_AGAIN = 0.02
 
 
 class EmulatorProcess:
@@ -27,8 +28,12 @@ class EmulatorProcess:
         port: int,
         speed: float,
         signing_key: str | None = None,
+        patience: float = STARTING,
     ) -> None:
-        """Write the world file and start; ``port`` is where the vehicles shall speak to."""
+        """Write the world file and start; ``port`` is where the vehicles shall speak to.
+
+        Raises :class:`VehicleError` where it does not speak within ``patience`` seconds.
+        """
         path = folder / "world.json"
         self._errors = folder / "emulator.txt"
         try:
@@ -48,14 +53,20 @@ class EmulatorProcess:
                 stderr=errors,
                 start_new_session=True,
             )
-        self._wait_until_ready()
+        try:
+            self._wait_until_ready(patience)
+        except BaseException:
+            self.stop()
+            raise
 
-    def _wait_until_ready(self) -> None:
+    def _wait_until_ready(self, patience: float) -> None:
         """Wait for the vehicles to speak: flight time begins with them, and may run fast."""
-        latest = time.monotonic() + _STARTING
-        while self._process.poll() is None and time.monotonic() < latest:
+        latest = time.monotonic() + patience
+        while self._process.poll() is None:
             if b'"ready"' in self._errors.read_bytes():
                 return
+            if time.monotonic() >= latest:
+                raise VehicleError(f"the emulator has not started in {patience:g} s")
             time.sleep(_LOOK_AGAIN)
 
     @property

@@ -80,7 +80,15 @@ def fly(
     """
     _refuse_unflyable(proven, fleet, speed)
     conductor = _warm(
-        Conductor(proven, fleet, no_cable=no_cable, left=left, then=then, stray_limit=stray_limit)
+        Conductor(
+            proven,
+            fleet,
+            no_cable=no_cable,
+            left=left,
+            then=then,
+            stray_limit=stray_limit,
+            speed=speed,
+        )
     )
     links = open_links(fleet.links)
     emulator: EmulatorProcess | None = None

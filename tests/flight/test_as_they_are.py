@@ -124,3 +124,12 @@ def test_a_team_that_wanders_as_simulated_ones_do_flies_to_the_end(monkeypatch):
     trace = flight.conductor.trace()
     error = np.linalg.norm(trace.position - trace.setpoint, axis=2)
     assert np.nanmax(error) > 2 * PLAN.plan.mission.vehicles.tracking
+
+
+@pytest.mark.parametrize(("speed", "word"), [(5.0, None), (1.0, "failed")])
+def test_programs_start_in_real_time_however_fast_flight_time_runs(speed, word):
+    """After 100 s of flight time 20 s have passed at five times real time: not too late."""
+    flight = network(("px4",), downlink=lambda now, *_: now > 100.0)
+    flight.conductor = Conductor(PLAN, flight.fleet, no_cable=True, speed=speed)
+    flight.run(lambda: flight.conductor.stage == "fly", most=120.0)
+    assert (flight.conductor.outcome and flight.conductor.outcome.word) == word

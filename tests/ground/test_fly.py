@@ -16,6 +16,8 @@ from pymavlink import mavutil
 from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.errors import VehicleError
 from swarm.fleet import emulated_fleet
+from swarm.flight.world import emulated_world
+from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.fly import fly
 from swarm.ground.sockets import open_links
 from swarm.verify import judge
@@ -89,6 +91,8 @@ SCRIPT = """
 import sys
 from pathlib import Path
 from swarm.fleet import emulated_fleet
+from swarm.flight.world import emulated_world
+from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.fly import fly
 from tests.network import small_plan
 result = fly(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
@@ -164,3 +168,22 @@ def test_links_that_cannot_be_opened_are_all_named():
         open_links({"a": "udpin://192.0.2.1:14550", "b": "tcp://127.0.0.1:1"})
     assert "link a (udpin://192.0.2.1:14550) cannot be opened" in str(caught.value)
     assert "link b (tcp://127.0.0.1:1) cannot be opened: connection refused" in str(caught.value)
+
+
+def test_vehicles_may_take_as_long_to_start_however_fast_flight_time_runs(tmp_path):
+    """At 20 times real time, 3 s of it are over in 0.15 s: no program starts within that."""
+    fleet = emulated_fleet(3)
+    limits = fleet.limits.model_copy(update={"ready": 3.0})
+    fleet = fleet.model_copy(update={"limits": limits})
+    asked = []
+    result = fly(
+        PROVEN, fleet, tmp_path, speed=20.0, confirm=lambda audit: bool(asked.append(audit))
+    )
+    assert result.outcome.explanation == "not confirmed"
+    assert len(asked) == 1
+
+
+def test_an_emulator_that_does_not_start_in_time_is_said_and_ended(tmp_path):
+    world = emulated_world(PROVEN.plan, emulated_fleet(3), with_cable=False, seed=1)
+    with pytest.raises(VehicleError, match="the emulator has not started in 0 s"):
+        EmulatorProcess(world, tmp_path, 14999, 1.0, patience=0.0)
