@@ -44,7 +44,9 @@ class Autopilot:
     ``modes`` are parameters 2 and 3 of DO_SET_MODE. ``takes_off`` says that it must be told to
     take off and must not see setpoints until it flies; without it, it lifts with the setpoint.
     ``offboard_early`` says that it judges its readiness in offboard mode only. ``tells_mode`` is
-    the message whose rate says how soon a change of mode is heard of.
+    the message whose rate says how soon a change of mode is heard of. ``prearm_present`` says that
+    SYS_STATUS lists the pre-arm check among the sensors present: ArduPilot does. PX4 (1.14 and
+    later) sets its bit in the sensors' health alone, while the present mode can be armed in.
     """
 
     name: Projection
@@ -53,6 +55,7 @@ class Autopilot:
     takes_off: bool
     offboard_early: bool
     tells_mode: int
+    prearm_present: bool
 
     def custom_mode(self, mode: Mode) -> int:
         """Return what HEARTBEAT shows in this mode."""
@@ -75,6 +78,7 @@ PX4 = Autopilot(
     takes_off=False,
     offboard_early=False,
     tells_mode=CURRENT_MODE,
+    prearm_present=False,
 )
 
 ARDUPILOT = Autopilot(
@@ -84,6 +88,7 @@ ARDUPILOT = Autopilot(
     takes_off=True,
     offboard_early=True,
     tells_mode=int(common.MAVLINK_MSG_ID_HEARTBEAT),
+    prearm_present=True,
 )
 
 AUTOPILOTS: Mapping[int, Autopilot] = {kind.identifier: kind for kind in (PX4, ARDUPILOT)}

@@ -147,7 +147,9 @@ def _system_status(vehicle: "Vehicle", message: Message, _now: float) -> None:
     vehicle.voltage = message.voltage_battery / 1000.0
     asked = message.onboard_control_sensors_enabled & _LOCATING
     vehicle.located = not asked & ~message.onboard_control_sensors_health
-    if message.onboard_control_sensors_present & _PREARM:
+    autopilot = vehicle.autopilot
+    told = autopilot is not None and not autopilot.prearm_present
+    if told or message.onboard_control_sensors_present & _PREARM:
         vehicle.ready = bool(message.onboard_control_sensors_health & _PREARM)
 
 

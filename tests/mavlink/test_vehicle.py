@@ -112,13 +112,25 @@ def test_readiness_is_unknown_until_it_is_said():
             present, present, health, 0, 16000, 0, 87, 0, 0, 0, 0, 0, 0
         )
 
-    wire(status(1, 1))
+    wire(status(1, bit))
+    assert wire.vehicle.ready is None
+    wire(heartbeat(ARDUPILOT))
+    wire(status(1, bit))
     assert wire.vehicle.ready is None
     wire(status(bit, 0))
     assert wire.vehicle.ready is False
     wire(status(bit, bit))
     assert wire.vehicle.ready is True
     assert wire.vehicle.battery == pytest.approx(0.87)
+
+
+def test_px4_says_that_it_is_ready_in_its_health_alone():
+    wire = Wire()
+    wire(heartbeat(PX4))
+    bit = common.MAV_SYS_STATUS_PREARM_CHECK
+    for health, ready in ((1, False), (1 | bit, True), (1, False)):
+        wire(common.MAVLink_sys_status_message(1, 1, health, 0, 16000, 0, 87, 0, 0, 0, 0, 0, 0))
+        assert wire.vehicle.ready is ready
 
 
 def test_an_unknown_battery_is_not_an_empty_one():
