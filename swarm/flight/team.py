@@ -299,7 +299,7 @@ class Team:
             outgoing.extend(self._heartbeats())
         outgoing.extend(self._clock_requests(now, passed))
         for sysid, vehicle in self.vehicles.items():
-            if vehicle.commands.busy:
+            if vehicle.busy:
                 self._send(outgoing, sysid, vehicle.tick(now))
         return outgoing
 

@@ -47,6 +47,8 @@ class Autopilot:
     the message whose rate says how soon a change of mode is heard of. ``prearm_present`` says that
     SYS_STATUS lists the pre-arm check among the sensors present: ArduPilot does. PX4 (1.14 and
     later) sets its bit in the sensors' health alone, while the present mode can be armed in.
+    ``bytewise`` says that whole
+    numbers among its parameters travel as the bytes of an integer.
     """
 
     name: Projection
@@ -56,6 +58,7 @@ class Autopilot:
     offboard_early: bool
     tells_mode: int
     prearm_present: bool
+    bytewise: bool
 
     def custom_mode(self, mode: Mode) -> int:
         """Return what HEARTBEAT shows in this mode."""
@@ -79,6 +82,7 @@ PX4 = Autopilot(
     offboard_early=False,
     tells_mode=CURRENT_MODE,
     prearm_present=False,
+    bytewise=True,
 )
 
 ARDUPILOT = Autopilot(
@@ -89,6 +93,7 @@ ARDUPILOT = Autopilot(
     offboard_early=True,
     tells_mode=int(common.MAVLINK_MSG_ID_HEARTBEAT),
     prearm_present=True,
+    bytewise=False,
 )
 
 AUTOPILOTS: Mapping[int, Autopilot] = {kind.identifier: kind for kind in (PX4, ARDUPILOT)}

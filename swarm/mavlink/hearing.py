@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common
 from swarm.mavlink.autopilots import AUTOPILOTS
 from swarm.mavlink.columns import REBOOTED
 from swarm.mavlink.frames import Origin, to_local
-from swarm.mavlink.packets import CURRENT_MODE, Message
+from swarm.mavlink.packets import CURRENT_MODE, PARAM_VALUE, Message
 
 if TYPE_CHECKING:
     from swarm.mavlink.vehicle import Vehicle
@@ -194,6 +194,12 @@ def _distance(one: Origin, other: Origin) -> float:
     return math.hypot(north, east, one.altitude - other.altitude)
 
 
+def _parameter(vehicle: "Vehicle", message: Message, now: float) -> None:
+    if vehicle.autopilot is not None:
+        bytewise = vehicle.autopilot.bytewise
+        vehicle.parameters.receive(message, bytewise=bytewise, now=now)
+
+
 HANDLERS: Final[Mapping[int, Callable[["Vehicle", Message, float], None]]] = {
     int(common.MAVLINK_MSG_ID_HEARTBEAT): _heartbeat,
     CURRENT_MODE: _current_mode,
@@ -207,6 +213,7 @@ HANDLERS: Final[Mapping[int, Callable[["Vehicle", Message, float], None]]] = {
     int(common.MAVLINK_MSG_ID_STATUSTEXT): _status_text,
     int(common.MAVLINK_MSG_ID_COMMAND_ACK): _acknowledged,
     int(common.MAVLINK_MSG_ID_TIMESYNC): _timesync,
+    PARAM_VALUE: _parameter,
 }
 
 READ: Final = frozenset(HANDLERS)

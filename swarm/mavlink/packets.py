@@ -239,8 +239,26 @@ class _CurrentMode:
     fieldtypes = ("uint32_t", "uint32_t", "uint8_t")
 
 
+PARAM_VALUE = int(common.MAVLINK_MSG_ID_PARAM_VALUE)
+
+
+class _WithBits(_Layout):
+    """PARAM_VALUE, whose value is given as ``bits``, too: a float cannot carry every integer's."""
+
+    def __init__(self, kind: Any) -> None:
+        super().__init__(kind)
+        fields = _named(kind.msgname, (*kind.ordered_fieldnames, "bits"))
+        self._make = partial(tuple.__new__, fields)
+
+    def unpack(self, payload: bytes) -> Message:
+        """Return the message; what was cut off at the end is zero."""
+        payload = payload[: self._size].ljust(self._size, b"\0")
+        return self._make((*self._unpack(payload), int.from_bytes(payload[:4], "little")))
+
+
 _LAYOUTS = {number: _Layout(kind) for number, kind in common.mavlink_map.items()}
 _LAYOUTS[CURRENT_MODE] = _Layout(_CurrentMode)
+_LAYOUTS[PARAM_VALUE] = _WithBits(common.mavlink_map[PARAM_VALUE])
 EXTRAS = np.full(max(_LAYOUTS) + 1, -1, np.int64)
 """By message number what its checksum begins with beside the packet; negative: no such message."""
 EXTRAS[list(_LAYOUTS)] = [layout.extra[0] for layout in _LAYOUTS.values()]

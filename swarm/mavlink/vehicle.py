@@ -35,6 +35,7 @@ from swarm.mavlink.commands import STATE_PATIENCE, Command, CommandQueue
 from swarm.mavlink.frames import Origin
 from swarm.mavlink.hearing import HANDLERS, IN_AIR, ON_GROUND, TAKING_OFF
 from swarm.mavlink.packets import Message, Packet, message_name
+from swarm.mavlink.parameters import Parameters
 
 _CUSTOM = int(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _KILL = 21196.0
@@ -98,6 +99,7 @@ class Vehicle:
     unused: dict[int, int] = field(default_factory=dict)
 
     commands: CommandQueue = field(init=False)
+    parameters: Parameters = field(default_factory=Parameters)
     texts: list[tuple[float, int, str]] = field(default_factory=list)
     _events: list[VehicleEvent] = field(default_factory=list)
     chunks: dict[int, list[str]] = field(default_factory=dict)
@@ -149,11 +151,20 @@ class Vehicle:
         events, self._events = self._events, []
         return events
 
+    @property
+    def busy(self) -> bool:
+        """Whether there may be anything to send."""
+        return self.commands.busy or self.parameters.busy
+
     def tick(self, now: float) -> list[Message]:
         """Return the messages to send now."""
-        if not self.commands.busy:
+        if not self.busy:
             return []
         sending, outcomes = self.commands.tick(now)
+        if self.parameters.busy and self.autopilot is not None:
+            sending += self.parameters.tick(
+                self.system, self.component, bytewise=self.autopilot.bytewise, now=now
+            )
         for outcome in outcomes:
             name = outcome.command.name
             if outcome.succeeded:

@@ -1,0 +1,183 @@
+"""The parameter protocol with one vehicle: pymavlink's own messages are what it is judged by."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common
+
+from swarm.mavlink.packets import Decoder, Encoder
+from swarm.mavlink.parameters import ATTEMPTS, PATIENCE, Parameters, bits_of, value_of
+
+INT32, REAL32, INT8 = 6, 9, 2
+STEP = 0.05
+
+
+class Vehicle:
+    """Carries parameters as pymavlink packs them; says or loses what it is asked."""
+
+    def __init__(self, table, *, bytewise, loses=lambda _: False):
+        self.table, self.bytewise, self.loses = dict(table), bytewise, loses
+        self.names = list(self.table)
+        self.link = common.MAVLink(None, srcSystem=7, srcComponent=1)
+        self.asked = []
+
+    def value(self, name, index=None):
+        value = self.table[name]
+        whole = isinstance(value, int) and self.bytewise
+        kind = INT32 if isinstance(value, int) else REAL32
+        raw = struct.pack("<i", value) if whole else struct.pack("<f", value)
+        body = raw + struct.pack(
+            "<HH", len(self.names), self.names.index(name) if index is None else index
+        )
+        body += name.encode().ljust(16, b"\0") + bytes([kind])
+        head = bytes([len(body), 0, 0, 0, 7, 1, 22, 0, 0])
+        return (
+            b"\xfd" + head + body + struct.pack("<H", common.x25crc(head + body + bytes([220])).crc)
+        )
+
+    def answer(self, packet):
+        (message,) = common.MAVLink(None).parse_buffer(packet)
+        self.asked.append(message.get_type())
+        if message.get_type() == "PARAM_REQUEST_LIST":
+            return [self.value(name) for name in self.names if not self.loses(name)]
+        if message.get_type() == "PARAM_REQUEST_READ":
+            name = self.names[message.param_index]
+            return [] if self.loses(name) else [self.value(name)]
+        name = message.param_id
+        raw = bytes(message.get_msgbuf())[10:14]
+        whole = isinstance(self.table[name], int)
+        taken = struct.unpack("<i" if whole and self.bytewise else "<f", raw)[0]
+        if not self.loses("set"):
+            self.table[name] = round(taken) if whole else taken
+        return [] if self.loses(name) else [self.value(name)]
+
+
+def talk(parameters, vehicle, begin=0.0, most=30.0):
+    """Let both speak until nothing is under way; the time that it took."""
+    encoder, decoder, now = Encoder(), Decoder(), begin
+    while parameters.busy and now < begin + most:
+        for message in parameters.tick(7, 1, bytewise=vehicle.bytewise, now=now):
+            for reply in vehicle.answer(encoder.encode(message)):
+                (packet,) = decoder.feed(reply)
+                parameters.receive(packet.message, bytewise=vehicle.bytewise, now=now)
+        now += STEP
+    assert not parameters.busy
+    return now - begin
+
+
+def table(count):
+    rng = np.random.default_rng(2)
+    whole = {f"INT_{k:04d}": int(rng.integers(-(2**31), 2**31)) for k in range(count // 2)}
+    return whole | {
+        f"REAL_{k:04d}": float(np.float32(rng.normal(0.0, 100.0)))
+        for k in range(count - count // 2)
+    }
+
+
+def test_all_of_a_real_autopilots_number_come_exactly():
+    vehicle = Vehicle(table(1400), bytewise=True)
+    parameters = Parameters()
+    parameters.fetch()
+    took = talk(parameters, vehicle)
+    assert parameters.values == vehicle.table
+    assert vehicle.asked == ["PARAM_REQUEST_LIST"]
+    assert took < 1.0
+
+
+@pytest.mark.parametrize("share", [0.05, 0.4])
+def test_what_is_lost_is_asked_for_again_and_nothing_else(share):
+    rng = np.random.default_rng(5)
+    vehicle = Vehicle(table(300), bytewise=True, loses=lambda _: rng.random() < share)
+    parameters = Parameters()
+    parameters.fetch()
+    talk(parameters, vehicle)
+    assert parameters.values == vehicle.table
+    assert vehicle.asked.count("PARAM_REQUEST_LIST") == 1
+    assert vehicle.asked.count("PARAM_REQUEST_READ") < 300 * share * 3
+
+
+def test_one_that_never_comes_ends_in_words_and_in_time():
+    vehicle = Vehicle(table(300), bytewise=True, loses=lambda name: name == "INT_0007")
+    parameters = Parameters()
+    parameters.fetch()
+    assert talk(parameters, vehicle) < PATIENCE + 1.0
+    assert parameters.problem == "299 of 300 of its parameters came, and nothing more for 5 s"
+
+
+def test_a_silent_vehicle_ends_in_words_and_in_time():
+    parameters = Parameters()
+    parameters.fetch()
+    assert talk(parameters, Vehicle({"A": 1}, bytewise=True, loses=lambda _: True)) < PATIENCE + 1.0
+    assert parameters.problem == "none of its parameters came, and nothing more for 5 s"
+
+
+@pytest.mark.parametrize("bytewise", [True, False])
+def test_what_is_set_is_read_back_although_answers_are_lost(bytewise):
+    rng = np.random.default_rng(1)
+    vehicle = Vehicle({"COUNT": 3, "SPEED": 2.5, "KEPT": 9}, bytewise=bytewise)
+    parameters = Parameters()
+    parameters.fetch()
+    talk(parameters, vehicle)
+    vehicle.loses = lambda _: rng.random() < 0.3
+    vehicle.asked.clear()
+    parameters.put({"COUNT": 5.0, "SPEED": 0.3})
+    talk(parameters, vehicle, 10.0)
+    assert parameters.refused == []
+    assert vehicle.table == {"COUNT": 5, "SPEED": pytest.approx(0.3), "KEPT": 9}
+    assert parameters.values["COUNT"] == 5.0
+    assert set(vehicle.asked) == {"PARAM_SET"}
+
+
+def test_what_a_vehicle_does_not_take_is_named_with_what_it_says():
+    vehicle = Vehicle({"COUNT": 3}, bytewise=True)
+    parameters = Parameters()
+    parameters.fetch()
+    talk(parameters, vehicle)
+    vehicle.loses = lambda what: what == "set"
+    parameters.put({"COUNT": 5.0})
+    talk(parameters, vehicle, 10.0)
+    assert parameters.refused == [("COUNT", 5.0, 3.0)]
+    assert vehicle.asked.count("PARAM_SET") == ATTEMPTS
+
+
+def test_a_fraction_is_not_sent_to_an_integer():
+    vehicle = Vehicle({"COUNT": 3}, bytewise=False)
+    parameters = Parameters()
+    parameters.fetch()
+    talk(parameters, vehicle)
+    parameters.put({"COUNT": 5.5})
+    talk(parameters, vehicle, 10.0)
+    assert parameters.refused == [("COUNT", 5.5, 3.0)]
+    assert "PARAM_SET" not in vehicle.asked
+
+
+def test_checksums_and_values_that_are_said_unasked_are_not_taken_for_the_list():
+    vehicle = Vehicle({"A": 1, "B": 2}, bytewise=True)
+    parameters = Parameters()
+    parameters.fetch()
+    parameters.tick(7, 1, bytewise=True, now=0.0)
+    vehicle.table["_HASH_CHECK"] = 12345
+    decoder = Decoder()
+    for packet in (vehicle.value("_HASH_CHECK", 65535), vehicle.value("A", 65535)):
+        parameters.receive(decoder.feed(packet)[0].message, bytewise=True, now=0.0)
+    assert parameters.busy
+    assert parameters.values == {"A": 1.0}
+
+
+@settings(max_examples=200, deadline=None)
+@given(value=st.integers(-(2**31), 2**31 - 1))
+def test_every_integer_survives_as_bytes(value):
+    """Also those whose bytes are a float's signalling NaN, which a float would change."""
+    assert value_of(bits_of(value, INT32, bytewise=True), INT32, bytewise=True) == value
+    assert bits_of(value, INT32, bytewise=True) == struct.unpack("<I", struct.pack("<i", value))[0]
+
+
+@given(value=st.integers(-128, 127))
+def test_small_integers_travel_either_way(value):
+    for bytewise in (True, False):
+        assert value_of(bits_of(value, INT8, bytewise=bytewise), INT8, bytewise=bytewise) == value
+    with pytest.raises(ValueError, match="does not fit its type"):
+        bits_of(value + 256.0, INT8, bytewise=True)
