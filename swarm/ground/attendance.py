@@ -77,10 +77,17 @@ class Attendance:
             self.wait(_LISTEN)
         return True
 
-    def hear(self) -> list[int]:
-        """Wait until everybody is heard; return who is not within the fleet's ``limits.ready``."""
-        limit = self.listening.fleet.limits.ready
-        self.until(lambda: not self.listening.missing, limit)
+    def hear(self, tell: Callable[[], None] = lambda: None) -> list[int]:
+        """Wait until all vehicles are heard; return those not heard within ``limits.ready``.
+
+        ``tell`` is called now and then meanwhile.
+        """
+
+        def all_heard() -> bool:
+            tell()
+            return not self.listening.missing
+
+        self.until(all_heard, self.listening.fleet.limits.ready)
         return self.listening.missing
 
 

@@ -1,39 +1,34 @@
-"""The vehicles before arming, asked through MAVSDK: firmware, health in words, parameters.
+"""The vehicles before arming: parameters by our own protocol, the rest in words through MAVSDK.
 
-The library speaks through the relay's loopback endpoints; it has its own threads and wall-clock
-timers, and is gone before anything is armed.
+Each vehicle's parameters are fetched once, all vehicles side by side; what is set counts when it
+has been read back. Both happen on the links that the loop keeps; this is the blocking part, for a
+thread of its own.
 """
 
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
-from functools import cache
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
-
-from mavsdk import Configuration, Mavsdk, log_subscribe
-from mavsdk.exceptions import MavsdkError
-from mavsdk.plugins.events import Events
-from mavsdk.plugins.info import Info
-from mavsdk.plugins.param import Param
-from mavsdk.plugins.telemetry import Telemetry
 
 from swarm.errors import VehicleError
 from swarm.flight.parameters import Demands, Row, judge, rules
+from swarm.ground.mavsdk_link import Report, reports
+from swarm.ground.relay import Relay
 from swarm.mavlink.frames import Projection
-from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
+from swarm.mavlink.vehicle import Vehicle
 from swarm.preflight.findings import Finding
 
-DISCOVERY = 10.0
-"""Seconds within which every vehicle must be discovered."""
-HEALTH = 5.0
 BATTERY_RESERVE = 25.0
-"""Percent of a battery that must be left when everybody has landed."""
+"""Percent of a battery that must be left when all vehicles have landed."""
+_LONGEST = 60.0
+"""Seconds that fetching or setting may take, however slow the link."""
 _POLL = 0.05
+_FIRMWARE = {"px4": "PX4", "ardupilot": "ArduPilot"}
+
+Tell = Callable[[str, float], None]
+"""Is told what is being done, in words, and the share of it that is done."""
 
 
 @dataclass(frozen=True)
@@ -83,153 +78,134 @@ class VehicleAudit:
 
 @dataclass
 class Auditor:
-    """Asks a team of vehicles; ``ports`` are loopback UDP ports by system id.
+    """Asks a team of vehicles on the ground, through the links of a relay's team.
 
-    ``names`` tell each vehicle's autopilot. Used as a context; blocking, so not for the flight's
-    thread.
+    ``names`` tell the autopilot of each vehicle that is asked. Blocking, so not for the loop's
+    thread. Raises :class:`VehicleError` that names all vehicles which do not answer.
     """
 
-    ports: Mapping[int, int]
+    relay: Relay
     names: Mapping[int, Projection]
     demands: Demands
-    _systems: dict[int, Any] = field(default_factory=dict)
-
-    @contextmanager
-    def connected(self) -> Iterator["Auditor"]:
-        """Discover the vehicles; raises :class:`VehicleError` that names those not found."""
-        with discovered(self.ports) as found:
-            self._systems = found
-            yield self
-            self._systems = {}
+    tell: Tell = lambda *_: None
+    _reports: dict[int, Report] = field(default_factory=dict)
 
     def audit(self) -> list[VehicleAudit]:
-        """Ask all vehicles, at the same time."""
-        with ThreadPoolExecutor(len(self.ports)) as pool:
-            return list(pool.map(self._one, sorted(self.ports)))
+        """Fetch all parameters, and ask MAVSDK for the rest; all vehicles at the same time."""
+        vehicles = self._vehicles()
+        for vehicle in vehicles.values():
+            vehicle.parameters.fetch()
+        self._until_done("parameters", lambda: _fetched(vehicles.values()))
+        problems = [
+            f"system {system}: {vehicle.parameters.problem}"
+            for system, vehicle in vehicles.items()
+            if vehicle.parameters.problem
+        ]
+        if problems:
+            raise VehicleError("\n".join(problems))
+        self._ask_mavsdk()
+        return [self._judged(system) for system in vehicles]
 
     def fix(self, rows: Sequence[Row]) -> list[str]:
         """Set the parameters of rows that are wrong; return what was changed, in words."""
-        changed = []
+        wanted: dict[int, dict[str, float]] = {}
         for row in rows:
             if row.value is not None:
-                self._set(row.system, {row.name: row.should})
-                changed.append(f"system {row.system}: {row.name} {row.value:g} → {row.should:g}")
-        return changed
+                wanted.setdefault(row.system, {})[row.name] = row.should
+        return self.set(wanted)
 
-    def restore(self, system: int, values: Mapping[str, float]) -> None:
-        """Set parameters back to saved values."""
-        self._set(system, values)
+    def set(self, wanted: Mapping[int, Mapping[str, float]]) -> list[str]:
+        """Set parameters of each system and read them back; return what was changed, in words.
 
-    def _set(self, system: int, values: Mapping[str, float]) -> None:
-        param = Param(self._systems[system])
-        everything = param.get_all_params()
-        whole = {one.name for one in everything.int_params}
-        for name, value in values.items():
-            try:
-                if name in whole:
-                    param.set_param_int(name, round(value))
-                else:
-                    param.set_param_float(name, float(value))
-            except MavsdkError as error:
-                raise VehicleError(f"system {system}: {name} cannot be set: {error}") from None
+        Raises :class:`VehicleError` that names those which are not what they were set to.
+        """
+        vehicles = {system: self.relay.team.vehicles[system] for system in wanted}
+        before = {system: dict(vehicle.parameters.values) for system, vehicle in vehicles.items()}
+        for system, vehicle in vehicles.items():
+            vehicle.parameters.put(wanted[system])
+        number = sum(len(values) for values in wanted.values())
+        self._until_done("setting parameters", lambda: _set(vehicles.values(), number))
+        problems = [
+            f"system {system}: {refusal.name} was set to {refusal.wanted:g}, "
+            + ("and nothing came back" if refusal.said is None else f"and is {refusal.said:g}")
+            for system, vehicle in vehicles.items()
+            for refusal in vehicle.parameters.refused
+        ]
+        if problems:
+            raise VehicleError("\n".join(problems))
+        return [
+            f"system {system}: {name} {before[system][name]:g} → {value:g}"
+            for system, values in wanted.items()
+            for name, value in values.items()
+        ]
 
-    def _one(self, system: int) -> VehicleAudit:
-        handle = self._systems[system]
-        telemetry = Telemetry(handle)
-        _wait(telemetry.health_all_ok, HEALTH)
-        try:
-            everything = Param(handle).get_all_params()
-        except MavsdkError as error:
-            raise VehicleError(f"system {system}: parameters cannot be read: {error}") from None
-        values = {
-            one.name: float(one.value) for one in (*everything.int_params, *everything.float_params)
-        }
-        name = self.names[system]
+    def judged_again(self, audits: Sequence[VehicleAudit]) -> list[VehicleAudit]:
+        """Return audits by what the parameters are now; nothing is asked again."""
+        return [
+            replace(audit, parameters=again.parameters, wrong=again.wrong, good=again.good)
+            for audit, again in ((one, self._judged(one.system)) for one in audits)
+        ]
+
+    def _vehicles(self) -> dict[int, Vehicle]:
+        return {system: self.relay.team.vehicles[system] for system in sorted(self.names)}
+
+    def _ask_mavsdk(self) -> None:
+        """Have MAVSDK say what it knows of every vehicle."""
+        ports = {system: self.relay.ports[system] for system in sorted(self.names)}
+        what, told = "health and firmware", [0]
+        self.tell(what, 0.0)
+
+        def one_more(_: int) -> None:
+            told[0] += 1
+            self.tell(f"{what}: {told[0]} of {len(ports)} vehicles", told[0] / len(ports))
+
+        self._reports = reports(ports, one_more)
+
+    def _judged(self, system: int) -> VehicleAudit:
+        report, name = self._reports[system], self.names[system]
+        values = dict(self.relay.team.vehicles[system].parameters.values)
         wrong, good = judge(system, values, rules(name, self.demands))
-        health = telemetry.health()
+        number = report.firmware
         return VehicleAudit(
             system=system,
-            firmware=_firmware(handle, name),
-            health={
-                "gyroscope": health.is_gyrometer_calibration_ok,
-                "accelerometer": health.is_accelerometer_calibration_ok,
-                "magnetometer": health.is_magnetometer_calibration_ok,
-                "local position": health.is_local_position_ok,
-                "global position": health.is_global_position_ok,
-                "home position": health.is_home_position_ok,
-                "armable": health.is_armable,
-            },
-            battery=float(telemetry.battery().remaining_percent),
-            satellites=int(telemetry.gps_info().num_satellites),
-            problems=_arming_problems(handle),
+            firmware=f"{_FIRMWARE[name]} {number}" if number else f"{name}, version unknown",
+            health=report.health,
+            battery=report.battery,
+            satellites=report.satellites,
+            problems=report.problems,
             parameters=values,
             wrong=tuple(wrong),
             good=tuple(good),
         )
 
-
-@contextmanager
-def discovered(ports: Mapping[int, int]) -> Iterator[dict[int, Any]]:
-    """Give the library's handles of the vehicles behind loopback ports, by system id.
-
-    Raises :class:`VehicleError` that names those not found.
-    """
-    _quiet()
-    configuration = Configuration.create_manual(GROUND_SYSTEM, GROUND_COMPONENT, False)
-    with Mavsdk(configuration) as mavsdk:
-        for port in ports.values():
-            mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
-        found: dict[int, Any] = {}
-
-        def everybody() -> bool:
-            found.update({s.get_system_id(): s for s in mavsdk.get_systems()})
-            return found.keys() >= ports.keys()
-
-        if not _wait(everybody, DISCOVERY):
-            missing = ", ".join(str(s) for s in sorted(ports.keys() - found.keys()))
-            raise VehicleError(f"not found by MAVSDK: system {missing}")
-        yield found
+    def _until_done(self, what: str, progress: Callable[[], tuple[int, int]]) -> None:
+        """Wait until all that is fetched or set has come, telling how much has."""
+        pause, deadline = threading.Event(), time.monotonic() + _LONGEST
+        vehicles = self._vehicles().values()
+        while any(vehicle.parameters.busy for vehicle in vehicles):
+            done, of = progress()
+            if of:
+                self.tell(f"{what}: {done} of {of}", done / of)
+            if time.monotonic() > deadline:
+                slow = [v.system for v in vehicles if v.parameters.busy]
+                names = ", ".join(str(system) for system in slow)
+                raise VehicleError(f"{what} of system {names}: not done in {_LONGEST:g} s")
+            pause.wait(_POLL)
 
 
-@cache
-def _quiet() -> None:
-    """Keep the library's log off the terminal; once, since it frees what it was given before."""
-    log_subscribe(lambda *_: True)
+def _fetched(vehicles: Iterable[Vehicle]) -> tuple[int, int]:
+    known = [vehicle.parameters for vehicle in vehicles]
+    return sum(one.have for one in known), sum(one.count for one in known)
+
+
+def _set(vehicles: Iterable[Vehicle], number: int) -> tuple[int, int]:
+    return number - sum(vehicle.parameters.to_set for vehicle in vehicles), number
 
 
 def save_parameters(folder: Path, audits: Sequence[VehicleAudit]) -> None:
-    """Keep everybody's parameters below a folder, one file per vehicle."""
+    """Keep all vehicles' parameters below a folder, one file per vehicle."""
     below = folder / "parameters"
     below.mkdir(parents=True, exist_ok=True)
     for audit in audits:
         text = json.dumps(dict(sorted(audit.parameters.items())), indent=1)
         (below / f"{audit.system}.json").write_text(text, encoding="utf-8")
-
-
-def _firmware(handle: Any, name: str) -> str:
-    with suppress(MavsdkError):
-        version = Info(handle).get_version()
-        number = f"{version.flight_sw_major}.{version.flight_sw_minor}.{version.flight_sw_patch}"
-        return f"{'ArduPilot' if name == 'ardupilot' else 'PX4'} {number}"
-    return f"{name}, version unknown"
-
-
-def _arming_problems(handle: Any) -> tuple[str, ...]:
-    """What PX4's health and arming checks complain of; other firmware has no such report."""
-    with suppress(MavsdkError):
-        report = Events(handle).get_health_and_arming_checks_report()
-        return tuple(
-            f"{problem.message}{': ' + problem.description if problem.description else ''}"
-            for problem in report.all_problems
-        )
-    return ()
-
-
-def _wait(condition: Callable[[], bool], seconds: float) -> bool:
-    deadline = time.monotonic() + seconds
-    pause = threading.Event()
-    while not condition():
-        if time.monotonic() >= deadline:
-            return False
-        pause.wait(_POLL)
-    return True

@@ -22,7 +22,7 @@ from swarm.flight.parameters import (
 )
 from swarm.flight.preparation import Prepared
 from swarm.ground.attendance import Attendance, attended
-from swarm.ground.audit import Auditor, VehicleAudit, save_parameters
+from swarm.ground.audit import Auditor, Tell, VehicleAudit, save_parameters
 from swarm.mission import Vehicles
 from swarm.plans import Plan
 from swarm.preflight.certify import CertifiedPlan
@@ -30,6 +30,8 @@ from swarm.preflight.findings import Finding, Severity
 
 _SETTLE = 2.5
 """Seconds after the first heartbeats until streams run as they were asked for."""
+_STEADY = 5.0
+"""Seconds that a vehicle which has run for long is given to say that it is ready."""
 _HOLD_PATIENCE = 15.0
 
 SUBJECTS = {
@@ -116,12 +118,13 @@ class Wanted:
 
     ``soak`` measures the links for so many seconds. ``fix`` is shown the rows that are wrong and
     says whether to set them; ``restore`` is a folder of an earlier check or flight whose
-    parameters are put back.
+    parameters are put back; ``tell`` is told what is being done, from another thread.
     """
 
     soak: float = 0.0
     fix: Asked | None = None
     restore: Path | None = None
+    tell: Tell = lambda *_: None
 
 
 def check(
@@ -159,25 +162,24 @@ class _Work:
 
     def run(self) -> CheckReport:
         self._hear()
-        self.attendance.wait(_SETTLE)
-        standing, order = self._standing()
         names = {
             vehicle.system: vehicle.autopilot.name
             for vehicle in self.listening.heard
             if vehicle.autopilot is not None
         }
-        with Auditor(self.attendance.relay.ports, names, self._demands()).connected() as auditor:
-            audits = auditor.audit()
-            save_parameters(self.folder, audits)
-            changed: list[str] = []
-            if self.wanted.restore is not None:
-                changed += _put_back(auditor, audits, self.wanted.restore)
-            wrong = [row for audit in audits for row in audit.wrong if row.value is not None]
-            if wrong and self.wanted.fix is not None and self.wanted.fix(wrong):
-                changed += auditor.fix(wrong)
-            if changed:
-                audits = auditor.audit()
+        auditor = Auditor(self.attendance.relay, names, self._demands(), self.wanted.tell)
+        audits = auditor.audit()
         self.attendance.relay.closed = True
+        save_parameters(self.folder, audits)
+        changed: list[str] = []
+        if self.wanted.restore is not None:
+            changed += auditor.set(_saved_otherwise(audits, self.wanted.restore))
+            audits = auditor.judged_again(audits)
+        wrong = [row for audit in audits for row in audit.wrong if row.value is not None]
+        if wrong and self.wanted.fix is not None and self.wanted.fix(wrong):
+            changed += auditor.fix(wrong)
+            audits = auditor.judged_again(audits)
+        standing, order = self._standing()
         hold = self._hold()
         links = self._soak()
         return self._report(audits, links, changed, [*standing, *hold], order)
@@ -192,15 +194,31 @@ class _Work:
         return demands_of_plan(self.plan, fleet) if self.plan else demands_of(Vehicles(), fleet)
 
     def _hear(self) -> None:
-        missing = self.attendance.hear()
+        """Wait until all vehicles are heard and their streams run."""
+        fleet = self.listening.fleet
+        self.wanted.tell(f"listening to {fleet.name}", 0.0)
+        missing = self.attendance.hear(self._tell_heard)
         if missing:
             names = ", ".join(f"system {system}" for system in missing)
             raise VehicleError(f"not heard: {names}")
+        self.attendance.wait(_SETTLE)
+
+    def _tell_heard(self) -> None:
+        heard, of = len(self.listening.heard), len(self.listening.fleet.vehicles)
+        self.wanted.tell(f"heard {heard} of {of} vehicles", heard / of)
 
     def _standing(self) -> tuple[list[Finding], tuple[int, ...]]:
-        """Wait until vehicles are ready; tell why not, and where they stand."""
+        """Wait until vehicles are ready; tell why not, and where they stand.
+
+        A vehicle gets the fleet's ``limits.ready`` from its own start: one that has run for longer
+        will not become ready by waiting.
+        """
         listening = self.listening
-        self.attendance.until(lambda: not listening.not_ready(), listening.fleet.limits.ready)
+        self.wanted.tell("waiting until all are ready to arm", 0.0)
+        ready = listening.fleet.limits.ready
+        self.attendance.until(lambda: not listening.not_ready(), _STEADY)
+        youngest = min((vehicle.boot_ms / 1000.0 for vehicle in listening.heard), default=ready)
+        self.attendance.until(lambda: not listening.not_ready(), ready - youngest)
         findings = [replace(finding, check="ready") for finding in listening.not_ready()]
         if not findings:
             words = f"{len(listening.heard)} vehicles are ready"
@@ -216,6 +234,7 @@ class _Work:
     def _hold(self) -> list[Finding]:
         """Try Hold on everybody; on ArduPilot that is Brake."""
         listening = self.listening
+        self.wanted.tell("trying Hold", 0.0)
         listening.try_hold()
         self.attendance.until(lambda: listening.holds is not None, _HOLD_PATIENCE)
         findings = []
@@ -233,6 +252,7 @@ class _Work:
     def _soak(self) -> Sequence[LinkQuality]:
         if self.wanted.soak <= 0.0:
             return ()
+        self.wanted.tell(f"measuring the links for {self.wanted.soak:g} s", 0.0)
         self.listening.begin_soak()
         self.attendance.wait(self.wanted.soak)
         return self.listening.soak()
@@ -266,20 +286,16 @@ class _Work:
         return CheckReport(tuple(audits), tuple(links), tuple(changed), tuple(findings), order)
 
 
-def _put_back(auditor: Auditor, audits: Sequence[VehicleAudit], folder: Path) -> list[str]:
-    changed = []
-    for audit in audits:
-        different = {
+def _saved_otherwise(audits: Sequence[VehicleAudit], folder: Path) -> dict[int, dict[str, float]]:
+    """Return which parameters of which system are other than they were saved, as saved."""
+    return {
+        audit.system: {
             name: value
             for name, value in _saved(folder, audit.system).items()
             if name in audit.parameters and abs(audit.parameters[name] - value) > 1e-6
         }
-        auditor.restore(audit.system, different)
-        changed += [
-            f"system {audit.system}: {name} {audit.parameters[name]:g} → {value:g}"
-            for name, value in different.items()
-        ]
-    return changed
+        for audit in audits
+    }
 
 
 def _saved(folder: Path, system: int) -> Mapping[str, float]:

@@ -312,10 +312,8 @@ class _Asking:
     def _with_vehicles(self, relay: Relay) -> Audit:
         flyers = self._conductor.flyers
         names = {v.system: v.autopilot.name for v in flyers if v.autopilot is not None}
-        ports = {system: relay.ports[system] for system in names}
         plan, fleet = self._conductor.plan, self._conductor.fleet
-        with Auditor(ports, names, demands_of_plan(plan, fleet)).connected() as auditor:
-            audits = auditor.audit()
+        audits = Auditor(relay, names, demands_of_plan(plan, fleet)).audit()
         with suppress(OSError):
             save_parameters(self._folder, audits)
         values = {one.system: one.parameters for one in audits}

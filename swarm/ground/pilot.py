@@ -5,7 +5,6 @@ question before the flight come back over a pipe; what the caller does not take 
 over there. The process dies with its caller, as if it were one.
 """
 
-import ctypes
 import queue
 import signal
 import socket
@@ -28,12 +27,12 @@ from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.snapshot import Event, Snapshot
+from swarm.ground.child import die_with_parent
 from swarm.ground.fly import fly
 from swarm.ground.operator import keys
 from swarm.ground.priority import follow, giving_way, prefer
 
 _POLL = 0.05
-_SET_PARENT_DEATH_SIGNAL = 1
 
 
 @dataclass(frozen=True)
@@ -252,12 +251,6 @@ class _Pilot:
                 elif kind == "key":
                     self._keys.put(what)
         self._answers.put(False)
-
-
-def die_with_parent() -> None:
-    """End this process when its parent ends, where the system knows how."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
 
 
 def main() -> None:

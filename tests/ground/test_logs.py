@@ -20,6 +20,7 @@ from swarm.cli.check import check
 from swarm.errors import Refused
 from swarm.fleet import Fleet, emulated_fleet
 from swarm.ground.logs import fetch_logs
+from swarm.ground.mavsdk_child import Fetching
 
 OLD, NEW = 1_763_700_000, 1_763_730_000
 PX4, ARDUPILOT = 12, 3
@@ -187,10 +188,13 @@ def test_what_the_library_has_queued_is_not_freed_before_the_library(tmp_path, m
 
     monkeypatch.setattr(LogFiles, "download_log_file_async", watched_download)
     monkeypatch.setattr(Mavsdk, "destroy", watched_destroy)
-    log = {"autopilot": PX4, "logs": {0: (NEW, content(1, 400_000))}, "arms": 700}
-    with team(log) as (fleet, _), pytest.raises(Refused, match="system 1 is armed"):
-        fetch_logs(fleet, tmp_path)
+    log = {"autopilot": PX4, "logs": {0: (NEW, content(1, 400_000))}}
+    with team(log) as (fleet, vehicles):
+        port = int(fleet.links["loopback"].rpartition(":")[2])
+        fetching = Fetching(tmp_path, 5.0, lambda _: None, lambda: vehicles[0]._sent >= 700)
+        fetching.run({1: port}, (255, 190), {1: ".ulg"})
     assert alive[0] == [True]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_command_says_who_has_no_logs_and_exits_with_3(tmp_path):

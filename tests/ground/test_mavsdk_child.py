@@ -1,0 +1,123 @@
+"""MAVSDK's process is killed and stopped by real signals: another try, then words, never our end."""
+
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from swarm.errors import VehicleError
+from swarm.fleet import emulated_fleet
+from swarm.ground.check import check
+from swarm.ground.fly import fly
+from swarm.ground.logs import fetch_logs
+from swarm.ground.mavsdk_link import TRIES, reports
+from tests.command import run
+from tests.ground.test_logs import NEW, PX4, content, team
+from tests.network import small_plan
+
+
+def children() -> list[int]:
+    listed = subprocess.run(
+        ["ps", "-o", "pid=,stat=,args=", "--ppid", str(os.getpid())],
+        capture_output=True, text=True, check=False,
+    ).stdout  # fmt: skip
+    rows = [row.split(maxsplit=2) for row in listed.splitlines()]
+    return [
+        int(pid)
+        for pid, state, what in rows
+        if "mavsdk_child" in what and not state.startswith("Z")
+    ]
+
+
+@contextmanager
+def killing(number: int, most: int = 100) -> Iterator[set[int]]:
+    """Send a signal to up to so many of our processes of MAVSDK, once each, as they appear."""
+    killed: set[int] = set()
+    over = threading.Event()
+
+    def kill() -> None:
+        while not over.wait(0.02):
+            for pid in children():
+                if pid not in killed and len(killed) < most:
+                    killed.add(pid)
+                    os.kill(pid, number)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        yield killed
+    finally:
+        over.set()
+        killer.join()
+
+
+def test_a_crash_is_followed_by_another_try(tmp_path):
+    with killing(signal.SIGSEGV, most=2) as killed:
+        report = check(emulated_fleet(2, ("px4", "ardupilot")), tmp_path)
+    assert len(killed) == 2
+    assert [one.firmware for one in report.vehicles] == ["PX4 1.16.0", "ArduPilot 4.6.2"]
+
+
+def test_crashes_in_every_try_are_told_by_the_command_with_exit_code_3(tmp_path):
+    with killing(signal.SIGSEGV) as killed:
+        said = run("check", "--record", str(tmp_path), "--json")
+    assert len(killed) == TRIES
+    assert said.returncode == 3
+    assert (
+        said.stderr.strip()
+        .splitlines()[-1]
+        .endswith(
+            "MAVSDK failed in 3 tries of 3 when asked about system 1, 2, 3, 4, 5, 6, 7, 8, 9: "
+            "its process ended (signal 11)"
+        )
+    )
+
+
+def test_crashes_refuse_a_flight_and_leave_its_record(tmp_path):
+    with killing(signal.SIGABRT):
+        result = fly(small_plan(), emulated_fleet(3), tmp_path / "record", audit=True)
+    assert result.outcome.word == "refused"
+    assert result.outcome.explanation == (
+        "MAVSDK failed in 3 tries of 3 when asked about system 1, 2, 3: "
+        "its process ended (signal 6)"
+    )
+    assert (tmp_path / "record" / "flight.tlog").stat().st_size > 0
+
+
+def test_a_process_that_hangs_is_given_up_in_time():
+    with (
+        killing(signal.SIGSTOP) as stopped,
+        pytest.raises(VehicleError, match="its process said nothing for 1 s") as error,
+    ):
+        reports({4: 9}, silence=1.0)
+    assert str(error.value).startswith("MAVSDK failed in 3 tries of 3 when asked about system 4: ")
+    assert len(stopped) == TRIES
+    assert children() == []
+
+
+def test_a_crash_in_one_vehicles_log_does_not_keep_others_from_sending_theirs(tmp_path):
+    large = {"autopilot": PX4, "logs": {0: (NEW, content(1, 400_000))}}
+    small = {"autopilot": PX4, "logs": {0: (NEW, content(2, 900))}}
+
+    def crash(in_turns: list[int]) -> Callable[[int, float], None]:
+        def tell(system: int, share: float) -> None:
+            if system == 1 and share > 0.1 and in_turns:
+                in_turns.pop()
+                for pid in children():
+                    os.kill(pid, signal.SIGSEGV)
+
+        return tell
+
+    with team(large, small) as (fleet, _):
+        never, other = fetch_logs(fleet, tmp_path / "never", crash([1] * 100))
+        assert never.path is None
+        assert never.problem == "MAVSDK failed in 3 tries of 3: its process ended (signal 11)"
+        assert other.path is not None
+        assert [path.name for path in (tmp_path / "never").iterdir()] == [other.path.name]
+        late, _ = fetch_logs(fleet, tmp_path / "late", crash([1, 1]))
+        assert late.path is not None
+        assert late.path.read_bytes() == content(1, 400_000)
