@@ -47,8 +47,7 @@ class Autopilot:
     the message whose rate says how soon a change of mode is heard of. ``prearm_present`` says that
     SYS_STATUS lists the pre-arm check among the sensors present: ArduPilot does. PX4 (1.14 and
     later) sets its bit in the sensors' health alone, while the present mode can be armed in.
-    ``bytewise`` says that whole
-    numbers among its parameters travel as the bytes of an integer.
+    ``bytewise`` says that whole numbers among its parameters travel as the bytes of an integer.
     """
 
     name: Projection
