@@ -244,9 +244,11 @@ def hear(flight: "Conductor") -> None:
     """Turn what vehicles reported into events, and failures of theirs into responses."""
     for vehicle in flight.team.vehicles.values():
         for event in vehicle.take_events():
+            flies = vehicle.system in flight.number
             if not (event.kind == "done" and event.subject.startswith("interval")):
-                flight.say(event.kind, event.message, vehicle)
-            if vehicle.system in flight.number:
+                spare = "" if flies else f"system {vehicle.system}: "
+                flight.say(event.kind, spare + event.message, vehicle)
+            if flies:
                 _judge(flight, vehicle, event)
 
 

@@ -166,7 +166,13 @@ def _status_text(vehicle: "Vehicle", message: Message, now: float) -> None:
     if not text:
         return
     vehicle.texts = [*vehicle.texts[-31:], (now, message.severity, text)]
-    vehicle.say("text", text)
+    vehicle.say(_text_kind(message.severity), text)
+
+
+def _text_kind(severity: int) -> str:
+    if severity <= common.MAV_SEVERITY_ERROR:
+        return "text error"
+    return "text warning" if severity == common.MAV_SEVERITY_WARNING else "text"
 
 
 def _acknowledged(vehicle: "Vehicle", message: Message, now: float) -> None:

@@ -49,8 +49,9 @@ _ECHOES = frozenset({int(common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)})
 class VehicleEvent:
     """Something that happened to a vehicle.
 
-    ``kind`` is one of heard, armed, disarmed, mode, landed, airborne, text, origin, rebooted, done,
-    failed; ``subject`` is the command's or mode's name.
+    ``kind`` is one of heard, armed, disarmed, mode, landed, airborne, text, text warning, text
+    error (by its severity), origin, rebooted, done, failed; ``subject`` is the command's or mode's
+    name.
     """
 
     kind: str

@@ -18,7 +18,8 @@ from rich.text import Text
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.plans import Plan
 from swarm.view import scene
-from swarm.view.words import ROUTINE, clip_rows, clock, level, merged, metres, sentence
+from swarm.view.texts import Texts
+from swarm.view.words import ROUTINE, TEXTS, clip_rows, clock, level, merged, metres, sentence
 
 STATE_STYLES: Final = {
     "idle": "dim",
@@ -37,7 +38,8 @@ class FlightScreen:
 
     Use it as a context manager, :meth:`show` it every snapshot (it redraws a few times a second)
     and tell it every :meth:`event`. In a pipe it prints events and phases as lines. What every
-    vehicle does in every flight (modes, arming, …) is in the table, not among the events.
+    vehicle does in every flight (modes, arming, …) is in the table, not among the events. Of the
+    vehicles' own texts only warnings and worse are shown, each once, with all that say it.
     """
 
     def __init__(self, plan: Plan, console: Console) -> None:
@@ -46,6 +48,7 @@ class FlightScreen:
         self._events: deque[Event] = deque(maxlen=RECENT_EVENTS)
         self._snapshot: Snapshot | None = None
         self._said: str | None = None
+        self._texts = Texts()
         self._live = (
             Live(
                 console=console, auto_refresh=True, refresh_per_second=5, get_renderable=self._draw
@@ -65,12 +68,14 @@ class FlightScreen:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._say_texts(self._texts.rest())
         if self._live is not None:
             self._live.stop()
 
     def show(self, snapshot: Snapshot) -> None:
         """Show the team as it is now."""
         self._snapshot = snapshot
+        self._say_texts(self._texts.due(snapshot.time))
         if self._live is None:
             self._say_phase(snapshot)
 
@@ -78,10 +83,25 @@ class FlightScreen:
         """Show something that happened."""
         if event.kind in ROUTINE:
             return
-        if self._live is None:
-            self._console.print(_event_line(event), soft_wrap=True)
+        self._say_texts(self._texts.due(event.time))
+        if event.kind in TEXTS:
+            self._texts.hear(event)
             return
-        self._events.append(event)
+        if level(event) == "ERROR":
+            self._say_texts(self._texts.rest())  # which may be its cause
+        self._say([event])
+
+    def _say_texts(self, texts: Sequence[Sequence[Event]]) -> None:
+        for events in texts:
+            self._say(events)
+
+    def _say(self, events: Sequence[Event]) -> None:
+        """Say what happened to several vehicles at about the same time."""
+        if self._live is None:
+            others = [event.vehicle for event in events[1:] if event.vehicle is not None]
+            self._console.print(_event_line(events[0], others), soft_wrap=True)
+        else:
+            self._events.extend(events)
 
     def countdown(self, left: int) -> None:
         """Show the seconds that are left before take-off."""

@@ -15,11 +15,14 @@ ROUTINE: Final = frozenset(
 )
 """Kinds of events that every vehicle has in every flight: for the record, not for the screen."""
 
-ALARMING: Final = frozenset({"failure", "failed", "refused", "rebooted", "error"})
+TEXTS: Final = frozenset({"text", "text warning", "text error"})
+"""Kinds of events that are a vehicle's own words: notices and less, warnings, errors and worse."""
+
+ALARMING: Final = frozenset({"failure", "failed", "refused", "rebooted", "error", "text error"})
 SAME_WITHIN: Final = 5.0
 """Seconds within which the same words of several vehicles are one line."""
 
-NOTABLE: Final = frozenset({"hold", "land", "link", "origin", "warning", "timeout"})
+NOTABLE: Final = frozenset({"hold", "land", "link", "origin", "warning", "timeout", "text warning"})
 
 
 def level(event: Event) -> Literal["ERROR", "WARN", "INFO"]:

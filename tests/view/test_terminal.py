@@ -116,11 +116,13 @@ def test_the_same_words_of_several_vehicles_share_a_line() -> None:
     console = screen()
     with FlightScreen(PLAN, console) as shown:
         for vehicle in (1, 2, 3, 5):
+            shown.event(Event(40.0 + 0.1 * vehicle, "text warning", "GPS glitch", vehicle))
             shown.event(Event(40.0 + 0.1 * vehicle, "text", "Landing detected", vehicle))
-        shown.event(Event(50.0, "text", "Landing detected", 9))
+        shown.event(Event(50.0, "text warning", "GPS glitch", 9))
     text = printed(console)
-    assert "vehicles 1–3, 5: Landing detected" in text
-    assert "vehicle 9: Landing detected" in text
+    assert "vehicles 1–3, 5: GPS glitch" in text
+    assert "vehicle 9: GPS glitch" in text
+    assert "Landing detected" not in text
 
 
 def test_levels_of_events() -> None:
