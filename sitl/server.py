@@ -289,16 +289,24 @@ def connect_help(server: Server) -> str:
         + ", ".join(words.format(one[key]) for key, words in _WORDS.items() if one.get(key))
         for one in server.description
     ]
-    px4 = [one for one in server.description if one["autopilot"] == "px4"]
+    first = server.description[0]
     tcp = [one["tcp"] for one in server.description if one.get("tcp")]
-    lines.append("")
-    if px4:
-        lines.append(f"MAVSDK          udpin://{px4[0]['udp_to']} (vehicle {px4[0]['id']})")
-    elif tcp:
-        lines.append(f"MAVSDK          tcpout://{tcp[0]}")
-    first = f"tcp:{tcp[0]}" if tcp else "udpin:127.0.0.1:14550"
-    lines.append(f"MAVProxy        mavproxy.py --master={first}")
-    lines.append("QGroundControl  finds all of them by itself (UDP 14550)")
+    ground = first.get("udp_ground") or first["udp_to"]
+    if "udp_to" in first or not tcp:
+        address = first.get("udp_to", ground)
+        which = "all vehicles" if address == ground else f"vehicle {first['id']}"
+        mavsdk = f"udpin://{address} ({which})"
+    else:
+        mavsdk = f"tcpout://{tcp[0]}"
+    port = int(ground.rpartition(":")[2])
+    lines += [
+        "",
+        f"MAVSDK          {mavsdk}",
+        f"MAVProxy        mavproxy.py --master={f'tcp:{tcp[0]}' if tcp else f'udpin:{ground}'}",
+        "QGroundControl  finds all of them by itself (UDP 14550)"
+        if port == GROUND
+        else f"QGroundControl  needs a UDP link on port {port} (Application Settings, Comm Links)",
+    ]
     return "\n".join(lines)
 
 

@@ -175,7 +175,8 @@ class Vehicle:
         self.clock_rate = 1.0
         self.unix_offset = 0.0
         if world.biases == "default":
-            self.origin = self.origin + rng.uniform(-1.0, 1.0, 3) * (30.0, 30.0, 3.0)
+            begun = rng.uniform(-1.0, 1.0, 3) * (30.0, 30.0, 3.0)
+            self.origin = self.origin + (begun if world.local_origin == "anywhere" else 0.0)
             self.booted_at = -float(rng.uniform(30.0, 90.0))
             self.unix_offset = float(rng.normal(0.0, 0.05))
             self.bodies.bias[index] = rng.normal(0.0, 1.0, 3) * (0.012, 0.012, 0.015)

@@ -113,6 +113,11 @@ class World(_Strict):
     vehicles: Annotated[list[VehicleSpec], Field(min_length=1, max_length=250)]
     cable: CableSpec | None = None
     biases: Literal["default", "none"] = "default"
+    local_origin: Literal["anywhere", "pad"] = Field(
+        default="anywhere",
+        description="where estimators began, from which local positions count: each anywhere "
+        "within 30 m of its vehicle's pad, 3 m up or down (with `biases: default`), or on the pad",
+    )
     projection: Literal["exact", "autopilot"] = Field(
         default="autopilot",
         description="how estimators turn degrees into local metres: as each autopilot does (PX4 on "
@@ -239,7 +244,8 @@ def default_world(
     """Return ``count`` vehicles on a square grid of pads ALONE apart, without a cable.
 
     As in the autopilots' own simulators none ever meets another: ground stations that take each
-    vehicle's place for where it should stand may fly them through each other there.
+    vehicle's place for where it should stand may fly them through each other there. Local positions
+    count from the pads, as they do there.
     """
     side = math.ceil(math.sqrt(count))
     vehicles = [
@@ -250,7 +256,7 @@ def default_world(
         )
         for i in range(count)
     ]
-    return World(schema=1, seed=seed, vehicles=vehicles)
+    return World(schema=1, seed=seed, vehicles=vehicles, local_origin="pad")
 
 
 def schema() -> dict[str, Any]:

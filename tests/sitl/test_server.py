@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import select
 import signal
 import socket
@@ -15,6 +16,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import common as dialect
 
+from sitl import Emulator, default_world, server
 from sitl.__main__ import main
 
 
@@ -41,6 +43,19 @@ def ground_socket() -> socket.socket:
     sock.bind(("127.0.0.1", 0))
     sock.settimeout(5.0)
     return sock
+
+
+@pytest.mark.parametrize("kinds", [["px4"], ["ardupilot"], ["px4", "ardupilot"]])
+def test_what_it_says_of_connecting_is_where_it_sends(kinds: list) -> None:
+    """Everything goes to one address: hints at 14540, 14550 or TCP lead nowhere."""
+    emulator = Emulator(default_world(2, kinds))
+    running = server.to_target(emulator, ("127.0.0.1", 14777), "127.0.0.1", 1.0)
+    words = server.connect_help(running)
+    running.close()
+    assert "MAVSDK          udpin://127.0.0.1:14777 (all vehicles)\n" in words
+    assert "mavproxy.py --master=udpin:127.0.0.1:14777\n" in words
+    assert "QGroundControl  needs a UDP link on port 14777" in words
+    assert not {"14540", "14550", "5760"} & set(re.findall(r"\d+", words))
 
 
 def test_every_vehicle_from_its_own_port_to_one_target() -> None:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sitl import Emulator, WorldError, default_world, load_world, parse_world
+from sitl.telemetry import local_ned
 from sitl.world import schema
 
 GOOD = """
@@ -86,6 +87,16 @@ def test_schema_and_default_world() -> None:
     assert schema()["properties"]["schema"]["const"] == 1
     assert len(default_world(90).vehicles) == 90
     assert default_world(2, ["px4", "ardupilot"]).vehicles[1].autopilot == "ardupilot"
+
+
+def test_without_a_world_file_vehicles_begin_at_zero_as_real_ones_do() -> None:
+    emulator = Emulator(default_world(4, ["px4", "ardupilot"]))
+    for step in range(40):
+        emulator.step(0.05 * step)
+    for vehicle in emulator.vehicles:
+        assert max(map(abs, local_ned(vehicle)[:3])) < 0.15
+    anywhere = default_world(4).model_copy(update={"local_origin": "anywhere"})
+    assert any(abs(local_ned(vehicle)[2]) > 1.0 for vehicle in Emulator(anywhere).vehicles)
 
 
 ANYTHING = st.recursive(
