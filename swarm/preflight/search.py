@@ -27,6 +27,14 @@ _SURELY = 0.05
 _SMALLEST_HALF = 1e-6
 _DEEPEST_PIECE = 2**20
 
+MOST_BOXES = 2_000_000
+MOST_PER_ROOT = 64
+"""A search ends after so many boxes, and so many for each that it began with: what is not shown by
+then is not shown."""
+
+_PORTION = 2**17
+"""Boxes that are looked at together: what they take of memory is bounded."""
+
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
@@ -78,7 +86,10 @@ class Enclosure:
 
 @dataclass(frozen=True, eq=False)
 class Minima:
-    """Per pair: a lower bound of its margin, the margin found, and when and where (q, 3)."""
+    """Per pair: a lower bound of its margin, the margin found, and when and where (q, 3).
+
+    The bound is −∞ where nothing could be shown of a pair.
+    """
 
     low: Floats
     high: Floats
@@ -92,8 +103,7 @@ class Minima:
         Those that cannot be shown to have a margin come before all others.
         """
         margin = np.where(self.low < 0.0, self.low, self.high)
-        order = np.argsort(margin, kind="stable")[:count]
-        found: Ints = order[np.isfinite(self.high[order])]
+        found: Ints = np.argsort(margin, kind="stable")[:count]
         return found
 
 
@@ -106,11 +116,12 @@ def roots(pairs: int, spans: list[tuple[float, float]], width: float) -> Boxes:
     halves: list[Floats] = [np.empty(0)]
     for start, end in spans:
         count = max(1, int(np.ceil((end - start) / width)))
-        width = 0.5 * (end - start) / count
-        middles.append(start + width * np.arange(1.0, 2.0 * count, 2.0))
-        halves.append(np.full(count, width))
-    time, half = np.concatenate(middles), np.concatenate(halves)
-    return whole(np.repeat(np.arange(pairs), len(time)), np.tile(time, pairs), np.tile(half, pairs))
+        half = 0.5 * (end - start) / count
+        middles.append(start + half * np.arange(1.0, 2.0 * count, 2.0))
+        halves.append(np.full(count, half))
+    times, widths = np.concatenate(middles), np.concatenate(halves)
+    pair = np.repeat(np.arange(pairs), len(times))
+    return whole(pair, np.tile(times, pairs), np.tile(widths, pairs))
 
 
 def whole(pair: Ints, time: Floats, half: Floats) -> Boxes:
@@ -133,28 +144,42 @@ def smallest(
     shortfall) where that is more; of the others ``low`` is a true lower bound, not below that of
     the tightest. Near 0 margins are told more exactly, for nothing to fail by tolerance alone.
     Where ``below`` is given, all pairs are told of which the margin is less, and nothing of others.
+    The search ends after MOST_BOXES boxes, with what is shown by then; a pair of which no box has a
+    margin is one of which nothing is shown.
     """
     low, high = np.full(pairs, np.inf), np.full(pairs, np.inf)
     time, place = np.full(pairs, np.nan), np.full((pairs, 3), np.nan)
-    count = 0
+    time[boxes.pair] = boxes.time
+    count, most = 0, _most(boxes)
     while len(boxes):
         count += len(boxes)
         found = _evaluated(evaluate, boxes)
         _note(boxes, found, high, time, place)
         limit = high if below < np.inf else np.minimum(high, _nth_smallest(high, MOMENTS))
         limit = np.minimum(_doubted(limit, high, tolerance), below)
-        exhausted = (boxes.half < _SMALLEST_HALF) | (
-            np.maximum(boxes.first, boxes.second) > _DEEPEST_PIECE
-        )
-        done = (found.low >= limit[boxes.pair]) | exhausted
+        done = (found.low >= limit[boxes.pair]) | _exhausted(boxes, found) | (count >= most)
         np.minimum.at(low, boxes.pair[done], found.low[done])
         boxes = _cut(boxes, found, ~done)
-    return Minima(low, high, time, place, count)
+    return Minima(np.where(low < np.inf, low, -np.inf), high, time, place, count)
+
+
+def _most(boxes: Boxes) -> int:
+    """How many boxes a search may look at that begins with some."""
+    return MOST_BOXES + MOST_PER_ROOT * len(boxes)
+
+
+def _exhausted(boxes: Boxes, found: Enclosure) -> npt.NDArray[np.bool_]:
+    """Boxes that are not to be cut: they are too small, nothing counts there, or is a number."""
+    deepest = np.maximum(boxes.first, boxes.second)
+    small = (boxes.half < _SMALLEST_HALF) | (deepest > _DEEPEST_PIECE)
+    done: npt.NDArray[np.bool_] = small | (found.low == np.inf) | (found.high == -np.inf)
+    return done
 
 
 def _doubted(limit: Floats, high: Floats, tolerance: float) -> Floats:
     """Where to stop looking at margins of which the smallest found are ``high``."""
-    lower = limit - np.maximum(tolerance, np.maximum(0.05 * limit, -0.1 * high))
+    finite = np.where(np.isfinite(limit), limit, 0.0)
+    lower = limit - np.maximum(tolerance, np.maximum(0.05 * finite, -0.1 * np.minimum(high, 0.0)))
     doubtful = (lower < 0.0) & (limit > _SURELY * tolerance)
     return np.where(doubtful, 0.0, lower)
 
@@ -175,29 +200,55 @@ def holds(evaluate: Evaluator, boxes: Boxes) -> bool:
 
 
 def failing(evaluate: Evaluator, boxes: Boxes) -> tuple[int, float] | None:
-    """Return pair and time of a margin that cannot be certified not to be negative, if any."""
+    """Return pair and time of a margin that cannot be certified not to be negative, if any.
+
+    So is a pair of which no box has a margin, and what is not shown after MOST_BOXES boxes.
+    """
+    count, most = 0, _most(boxes)
+    first = boxes
+    counted = np.zeros(int(boxes.pair.max(initial=-1)) + 1, dtype=bool)
     while len(boxes):
+        count += len(boxes)
         found = _evaluated(evaluate, boxes)
+        counted[boxes.pair[found.low < np.inf]] = True
         open_yet = found.low < 0.0
-        exhausted = (boxes.half < _SMALLEST_HALF) | (
-            np.maximum(boxes.first, boxes.second) > _DEEPEST_PIECE
-        )
         narrow = found.doubts.sum(axis=1) < 0.5 * TOLERANCE
-        lost = (found.high < 0.0) | (open_yet & (exhausted | narrow))
+        given_up = _exhausted(boxes, found) | narrow | (count >= most)
+        lost = (found.high < 0.0) | (open_yet & given_up)
         if lost.any():
             worst = int(np.argmin(np.where(lost, found.high, np.inf)))
             return int(boxes.pair[worst]), float(boxes.time[worst])
         boxes = _cut(boxes, found, open_yet)
-    return None
+    unseen = np.flatnonzero(~counted[first.pair])
+    return (int(first.pair[unseen[0]]), float(first.time[unseen[0]])) if len(unseen) else None
 
 
 def _evaluated(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
-    """Enclose margins in boxes; what was shown of larger boxes holds in their parts, too."""
-    found = evaluate(boxes)
-    if np.any(np.isnan(found.low)):
-        raise ValueError("a margin is not a number: the motion or the lengths are not finite")
-    low = np.maximum(found.low, boxes.known)
-    return replace(found, low=low, high=np.maximum(found.high, low))
+    """Enclose margins in boxes; what was shown of larger boxes holds in their parts, too.
+
+    Of what is not a number nothing is known: its bound is −∞, and so is what is found there.
+    """
+    found = _in_portions(evaluate, boxes)
+    unknown = np.isnan(found.low) | np.isnan(found.high)
+    low = np.where(unknown, -np.inf, np.maximum(found.low, boxes.known))
+    high = np.where(unknown, -np.inf, np.maximum(found.high, low))
+    doubts = np.where(np.isnan(found.doubts), np.inf, found.doubts)
+    return replace(found, low=low, high=high, doubts=doubts)
+
+
+def _in_portions(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
+    if len(boxes) <= _PORTION:
+        return evaluate(boxes)
+    parts = [
+        evaluate(boxes.taken(np.arange(begin, min(begin + _PORTION, len(boxes)))))
+        for begin in range(0, len(boxes), _PORTION)
+    ]
+    return Enclosure(
+        np.concatenate([part.low for part in parts]),
+        np.concatenate([part.high for part in parts]),
+        np.concatenate([part.doubts for part in parts]),
+        np.concatenate([part.place for part in parts]),
+    )
 
 
 def _note(boxes: Boxes, found: Enclosure, high: Floats, time: Floats, place: Floats) -> None:

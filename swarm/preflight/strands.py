@@ -36,6 +36,10 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
 
+MOST_EXEMPT = 0.5
+"""Largest share of the shorter of two neighbours that is exempt at the vehicle that they share."""
+
+
 @dataclass(frozen=True, eq=False)
 class HeldCable:
     """A cable in the hands of a moving team: n grip points and n − 1 segments between them.
@@ -307,7 +311,8 @@ def all_pairs(lengths: Floats, beyond: float) -> tuple[Ints, Floats]:
     """Return all pairs (q, 2) of segments that must keep apart, and the parts (q, 2, 2) that count.
 
     Of neighbours, each must keep apart from the whole of the other where it is at least ``beyond``
-    metres of cable away from the vehicle that they share: two entries per pair.
+    metres of cable away from the vehicle that they share, or half of the shorter one where that is
+    less: two entries per pair.
     """
     first, second = np.triu_indices(len(lengths), 1)
     pairs = np.stack([first, second], axis=1)
@@ -315,8 +320,9 @@ def all_pairs(lengths: Floats, beyond: float) -> tuple[Ints, Floats]:
     neighbours = second == first + 1
     i, j = pairs[neighbours].T
     left, right = whole[neighbours].copy(), whole[neighbours].copy()
-    left[:, 0, 1] = np.maximum(1.0 - beyond / lengths[i], 0.0)
-    right[:, 1, 0] = np.minimum(beyond / lengths[j], 1.0)
+    near = np.minimum(beyond, MOST_EXEMPT * np.minimum(lengths[i], lengths[j]))
+    left[:, 0, 1] = 1.0 - near / lengths[i]
+    right[:, 1, 0] = near / lengths[j]
     return (
         np.concatenate([pairs[~neighbours], pairs[neighbours], pairs[neighbours]]),
         np.concatenate([whole[~neighbours], left, right]),

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from swarm.preflight.search import TOLERANCE, Enclosure, roots, short_boxes, smallest
+from swarm.preflight.search import (
+    MOST_BOXES,
+    TOLERANCE,
+    Enclosure,
+    failing,
+    holds,
+    roots,
+    short_boxes,
+    smallest,
+)
 
 SPAN = [(0.0, 4.0)]
 
@@ -70,3 +79,55 @@ def test_what_was_shown_of_a_box_holds_in_its_parts():
         return Enclosure(low, high, doubts, np.zeros((len(boxes), 3)))
 
     assert smallest(evaluate, 1, roots(1, SPAN, 1.0)).low[0] == 0.005
+
+
+def test_every_span_has_boxes_of_the_asked_width():
+    boxes = roots(2, [(0.0, 4.0), (10.0, 14.0), (20.0, 20.5), (30.0, 32.2)], 1.0)
+    assert np.unique(boxes.half) == pytest.approx([0.25, 2.2 / 6, 0.5])
+    assert len(boxes) == 2 * (4 + 4 + 1 + 3)
+
+
+def enclosing(low, high, doubt):
+    """An evaluator that says the same of every box."""
+
+    def evaluate(boxes):
+        size = len(boxes)
+        place, doubts = np.zeros((size, 3)), np.full((size, 3), doubt)
+        return Enclosure(np.full(size, low), np.full(size, high), doubts, place)
+
+    return evaluate
+
+
+def test_a_search_that_never_comes_to_an_end_is_ended_with_what_is_shown():
+    begun = roots(1, SPAN, 1.0)
+    found = smallest(enclosing(-0.5, 1.0, 1.0), 1, begun)
+    assert found.boxes < 10 * MOST_BOXES
+    assert found.low.tolist() == [-0.5]
+    assert not holds(enclosing(-0.5, 1.0, 1.0), begun)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "doubt"),
+    [(np.inf, np.inf, 0.0), (np.nan, 1.0, 1.0), (1.0, np.nan, 1.0), (-np.inf, 1.0, np.nan)],
+)
+def test_what_is_no_margin_is_never_clear(low, high, doubt):
+    """Nothing counts anywhere, or it is not a number: neither is a margin that is kept."""
+    begun = roots(2, SPAN, 1.0)
+
+    def evaluate(boxes):
+        first = boxes.pair == 0
+        found = enclosing(low, high, doubt)(boxes)
+        kept = enclosing(0.3, 0.3, 0.0)(boxes)
+        return Enclosure(
+            np.where(first, found.low, kept.low),
+            np.where(first, found.high, kept.high),
+            np.where(first[:, None], found.doubts, kept.doubts),
+            found.place,
+        )
+
+    found = smallest(evaluate, 2, begun)
+    assert found.low.tolist() == [-np.inf, pytest.approx(0.3)]
+    assert found.tightest().tolist() == [0, 1]
+    assert failing(evaluate, begun) is not None
+    short = short_boxes(evaluate, begun).low < 0.0
+    assert short.tolist() == [True] * 4 + [False] * 4
