@@ -66,11 +66,11 @@ def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
 
 
 def moment_object(moment: Moment) -> dict[str, Any]:
-    """Return a tight moment as a JSON-ready object."""
+    """Return a tight moment as a JSON-ready object; no distance where nothing could be shown."""
     return {
         "check": moment.check,
         "between": list(moment.between),
-        "distance": moment.distance,
+        "distance": moment.distance if isfinite(moment.distance) else None,
         "required": moment.required,
         "time": moment.time,
         "where": list(moment.where),

@@ -10,9 +10,11 @@ from swarm.cable.chain import crossing_gaps
 from swarm.errors import SwarmError
 from swarm.knots.gauss import SignedGauss, parse_gauss, same_code
 from swarm.plans import Plan
+from swarm.plans.order import finish_of
 from swarm.preflight.budget import budgets
 from swarm.preflight.certificate import (
     Moment,
+    beyond_shared_vehicle,
     limits,
     moments_of,
     segment_name,
@@ -21,8 +23,10 @@ from swarm.preflight.certificate import (
 from swarm.preflight.coast import coast
 from swarm.preflight.course import Course
 from swarm.preflight.findings import Assessment, Finding, Severity, Tightest
+from swarm.preflight.held import LYING, held
 from swarm.preflight.limits import TAUT
-from swarm.preflight.robustness import holds_in_wind, robust_to
+from swarm.preflight.robustness import DIRECTIONS, holds_in_wind, robust_to
+from swarm.preflight.strands import MOST_EXEMPT
 from swarm.preflight.topology import end_code, end_knot, end_time, layout_code
 from swarm.preflight.what_if import (
     budget_findings,
@@ -36,22 +40,23 @@ from swarm.preflight.what_if import (
 Progress = Callable[[str, float], None]
 Chirality = Literal["left", "right", "none"]
 
-LIMIT_TOLERANCE = 0.006
-"""m/s and m/s²: what the enclosure of speeds and accelerations may add to a plan at its limit."""
+LIMIT_TOLERANCE = 1e-4
+"""m/s and m/s²: how closely the largest speeds and accelerations are found."""
 
 BUDGETS = 3
 SMOOTH = (("position", "m", 1e-6), ("velocity", "m/s", 1e-3), ("acceleration", "m/s²", 0.05))
 """What may jump where pieces of the motion join: rounding."""
 
 _OUTSIDE = {
-    "release": "from contract to hold; what the cable does after its release, and with it the "
-    "knot, is outside the model",
-    "tighten": "from contract to hold; how the cable falls from the inner vehicles and whether the "
-    "ends draw the knot tight is outside the model, in which only vehicles are kept apart then",
-    "unfold": "from contract to hold and back to the floor; how slack cable lies down there is "
-    "outside the model",
-    "hold": "from contract to hold; coming straight down together, everything keeps its distances "
-    "until it touches the floor, and how the strands then lie on each other is outside the model",
+    None: "to the end of the motion",
+    "release": "to its release; what the cable does after that, and with it the knot, is outside "
+    "the model",
+    "tighten": "until the inner vehicles let go of it; how the cable falls from them and whether "
+    "the ends draw the knot tight is outside the model, in which only vehicles are kept apart then",
+    "unfold": "through the hold and back to the floor; how slack cable lies down there is outside "
+    "the model",
+    "hold": "through the hold; coming straight down together, everything keeps its distances until "
+    "it touches the floor, and how the strands then lie on each other is outside the model",
 }
 """Where the model ends, for each finish."""
 
@@ -71,6 +76,7 @@ def assess(
     """
     moments = moments or tightest_moments(plan, progress=progress)
     findings = [
+        *(Finding("error", "phases", *problem) for problem in held(plan).problems),
         *_meeting(plan, moments),
         *(_clearance_finding(plan, moment) for moment in _failing(moments)),
         *_wind_findings(plan),
@@ -131,12 +137,18 @@ def _clearance_finding(plan: Plan, moment: Moment) -> Finding:
     tracking = plan.mission.vehicles.tracking
     one, other = moment.between
     errors = f" when tracking errs by up to {tracking:g} m" if tracking > 0 else ""
-    if moment.check == "taut":
+    if not np.isfinite(moment.distance):
+        message = f"{one} and {other}: nothing can be shown of what they keep"
+    elif moment.check == "taut":
         message = f"{one} is {-moment.margin:.3f} m beyond {TAUT:.1%} of its length{errors}"
     elif moment.check == "over-stretched on the floor":
         message = f"{one} is pulled {-moment.margin:.3f} m beyond its length on the floor"
     elif moment.check == "rotor disc":
         message = f"{other} runs into the rotor disc of its own {one}{errors}"
+    elif moment.check in _CLAIMS:
+        message = _CLAIMS[moment.check].format(one=one, other=other)
+    elif moment.check == "ground":
+        message = f"{one} goes as low as {-moment.margin:.3f} m below the floor"
     elif moment.check in {"ceiling", "fence"}:
         message = f"{one} crosses {other} by {-moment.margin:.3f} m{errors}"
     else:
@@ -147,6 +159,18 @@ def _clearance_finding(plan: Plan, moment: Moment) -> Finding:
         )
         message = f"{one} {distance} {other}{errors}; {moment.required:g} m are required"
     return _at("error", moment.check, message, moment)
+
+
+_CLAIMS = {
+    "lying": f"{{one}} is more than {LYING:g} m above the floor while its cable is to lie there",
+    "drawn out": "{one} and {other} are not drawn out in a line while cable may lie on the floor: "
+    "they are more than 60° off it in plan view",
+    "beside rotors": "{one} is too steep beside the rotors of its vehicles while cable may lie on "
+    "the floor",
+    "straight down": "{one} does not come straight down together with the others: the knot that "
+    "they carry would change its shape",
+}
+"""What fails where cable is not looked at as hanging."""
 
 
 def _at(severity: Severity, check: str, message: str, moment: Moment) -> Finding:
@@ -201,7 +225,7 @@ def _limit_findings(plan: Plan) -> list[Finding]:
     reserve = f" ({vehicles.max_acceleration:g} less {vehicles.braking_acceleration:g} to brake)"
     findings = []
     for family in limits(plan):
-        failing = [m for m in moments_of(family) if m.margin < -LIMIT_TOLERANCE]
+        failing = [m for m in moments_of(family, LIMIT_TOLERANCE) if m.margin < 0.0]
         if not failing:
             continue
         worst = failing[0]
@@ -224,7 +248,10 @@ def _wind_findings(plan: Plan) -> list[Finding]:
     if steady == 0.0:
         return []
     if holds_in_wind(plan, steady):
-        message = f"every clearance holds in a steady wind of {steady:g} m/s from any direction"
+        message = (
+            f"cable that hangs free keeps every clearance, and from floor and fence, in a steady "
+            f"wind of {steady:g} m/s from each of {DIRECTIONS} directions"
+        )
         return [Finding("info", "wind", message)]
     message = f"the clearances do not hold in the mission's steady wind of {steady:g} m/s"
     return [Finding("error", "wind", message)]
@@ -329,11 +356,24 @@ def _scope(plan: Plan) -> Finding:
         if tracking > 0
         else "for exact tracking only (vehicles.tracking is 0: geometry only)"
     )
-    if all(phase.cable != "aloft" for phase in plan.phases):
+    when = held(plan)
+    if not when.ever:
         message = f"distances of vehicles are certified {ball}; no cable is carried"
         return Finding("info", "scope", message)
+    names = [phase.name for phase in plan.phases]
+    exempt = ""
+    if plan.vehicles > 2:
+        near = beyond_shared_vehicle(plan)
+        exempt = (
+            f"; of two segments that share a vehicle, cable within {near:.2f} m of its grip (at "
+            f"most {MOST_EXEMPT:.0%} of the shorter one) is exempt from the clearance between them"
+        )
+        if when.low:
+            exempt += ", and so is all of both while cable lies on the floor in a line"
     return Finding(
         "info",
         "scope",
-        f"certified in the quasi-static cable model, {ball}, {_OUTSIDE[plan.mission.finish]}",
+        f"certified in the quasi-static cable model, {ball}, from {when.gripped:.1f} s, when the "
+        f"cable is gripped, {_OUTSIDE[finish_of(names)]}; all vehicles hold it until "
+        f"{when.released:.1f} s{exempt}",
     )

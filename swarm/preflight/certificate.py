@@ -5,36 +5,48 @@ an interval of time; :func:`swarm.preflight.search.smallest` bisects. "Certified
 quasi-static cable model, every segment the catenary of its length between its two grip points.
 """
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.plans import Phase, Plan
+from swarm.plans import Plan
 from swarm.preflight.bodies import Body, VehiclePairs, VehicleStrands, vehicle_segments
 from swarm.preflight.course import Course
-from swarm.preflight.limits import (
-    AboveFloor,
-    AccelerationLeft,
-    BelowCeiling,
-    InsideFence,
-    Slack,
-    SpeedLeft,
+from swarm.preflight.fence import BlownInsideFence, InsideFence
+from swarm.preflight.held import (
+    BELOW,
+    LYING,
+    Above,
+    AsItHung,
+    BesideRotors,
+    DrawnOut,
+    Held,
+    Spans,
+    held,
 )
+from swarm.preflight.limits import AboveFloor, AccelerationLeft, BelowCeiling, Slack, SpeedLeft
 from swarm.preflight.reach import ReachPairs, ReachVehicles
-from swarm.preflight.search import Boxes, Evaluator, Minima, holds, roots, short_boxes, smallest
+from swarm.preflight.search import (
+    TOLERANCE,
+    Boxes,
+    Evaluator,
+    Minima,
+    holds,
+    roots,
+    short_boxes,
+    smallest,
+)
 from swarm.preflight.strands import HeldCable, StrandPairs, all_pairs
 
 Floats = npt.NDArray[np.float64]
-Spans = list[tuple[float, float]]
 Place = tuple[float, float, float]
 Progress = Callable[[str, float], None]
 
 STILL_AIR = (0.0, 0.0, -1.0)
-_DRAGGED = frozenset({"contract", "spread"})
-"""Phases in which the cable is held and drawn along the floor."""
-
 ROOT = 1.0
 """Seconds; the widest interval that is tried."""
 
@@ -56,7 +68,8 @@ class Moment:
     """The tightest moment of two things.
 
     ``distance`` is the certified lower bound over the whole plan, within the tracking ball;
-    ``required`` what is asked; both metres. ``time`` and ``where`` tell where it was found.
+    ``required`` what is asked; both metres. ``time`` and ``where`` tell where it was found. The
+    distance is −∞ where nothing could be shown.
     """
 
     check: str
@@ -161,12 +174,14 @@ def certified(plan: Plan, *, tracking: float, down: Place = STILL_AIR) -> bool:
 
     Much quicker than :func:`tightest_moments`, since it measures nothing beyond yes and no.
     """
-    return all(holds(family.evaluate, family.roots()) for family in families(plan, tracking, down))
+    return not held(plan).problems and all(
+        holds(family.evaluate, family.roots()) for family in families(plan, tracking, down)
+    )
 
 
-def moments_of(family: Family) -> list[Moment]:
-    """Return the tightest moments of a family, at most five, tightest first."""
-    minima = smallest(family.evaluate, len(family.names), family.roots())
+def moments_of(family: Family, tolerance: float = TOLERANCE) -> list[Moment]:
+    """Return the tightest moments of a family, at most five, tightest first, to a tolerance."""
+    minima = smallest(family.evaluate, len(family.names), family.roots(), tolerance=tolerance)
     moments: list[Moment] = []
     for pair in minima.tightest():
         if family.names[pair] in (moment.between for moment in moments):
@@ -176,7 +191,7 @@ def moments_of(family: Family) -> list[Moment]:
 
 
 def _moment(family: Family, pair: int, minima: Minima, entry: int) -> Moment:
-    x, y, z = (float(value) for value in minima.place[entry])
+    x, y, z = (float(value) for value in np.nan_to_num(minima.place[entry]))
     return Moment(
         check=family.check,
         between=family.names[pair],
@@ -187,136 +202,180 @@ def _moment(family: Family, pair: int, minima: Minima, entry: int) -> Moment:
     )
 
 
-def spans_of(plan: Plan, chosen: Callable[[Phase], bool]) -> Spans:
-    """Return start and end of the phases that are chosen, adjoining ones as one."""
-    spans: Spans = []
-    for phase in plan.phases:
-        if not chosen(phase) or phase.end <= phase.start:
-            continue
-        if spans and spans[-1][1] == phase.start:
-            spans[-1] = (spans[-1][0], phase.end)
-        else:
-            spans.append((phase.start, phase.end))
-    return spans
-
-
 def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
     """Return everything that must keep apart, with when and how far; no family is empty."""
-    mission, count = plan.mission, plan.vehicles
-    clearance, vehicles, diameter = mission.clearance, mission.vehicles, mission.cable.diameter
-    course = Course(plan.motion)
+    course, cable_held = Course(plan.motion), held(plan)
     cable = HeldCable(course, plan.layout.lengths, tracking, down)
-    aloft = spans_of(plan, lambda phase: phase.cable == "aloft")
-    low = spans_of(plan, lambda phase: phase.cable == "lifting" or phase.name in _DRAGGED)
-    held = spans_of(plan, lambda phase: phase.cable in {"aloft", "lifting", "landing"})
-    always = [(float(plan.motion.times[0]), float(plan.motion.times[-1]))]
+    every = (
+        *_strands(plan, cable, cable_held),
+        *_on_the_floor(plan, cable, cable_held),
+        *_vehicles(plan, course, tracking),
+        *_bodies(plan, cable, cable_held),
+        *_fences(plan, cable, cable_held),
+    )
+    return tuple(family for family in every if family.spans and family.names)
 
+
+def _always(plan: Plan) -> Spans:
+    return [(float(plan.motion.times[0]), float(plan.motion.times[-1]))]
+
+
+def _segments(plan: Plan, other: str) -> list[tuple[str, str]]:
+    return [(segment_name(i), other) for i in range(plan.vehicles - 1)]
+
+
+def _each_vehicle(plan: Plan, other: str) -> list[tuple[str, str]]:
+    return [(vehicle_name(i), other) for i in range(plan.vehicles)]
+
+
+def _strands(plan: Plan, cable: HeldCable, when: Held) -> tuple[Family, ...]:
+    """Strands that hang: not taut, apart, and above the floor."""
+    clearance, diameter = plan.mission.clearance, plan.mission.cable.diameter
     pairs, parts = all_pairs(plan.layout.lengths, beyond_shared_vehicle(plan))
     neighbours = pairs[:, 1] == pairs[:, 0] + 1
-    apart = pairs[~neighbours]
-    team = np.stack(np.triu_indices(count, 1), axis=1)
-    other, own = vehicle_segments(count)
-    segments = [(segment_name(i), "its length") for i in range(count - 1)]
 
-    def strands(which: npt.NDArray[np.bool_], check: str) -> Family:
+    def apart(which: npt.NDArray[np.bool_], check: str) -> Family:
         names = [(segment_name(i), segment_name(j)) for i, j in pairs[which]]
         evaluate = StrandPairs(cable, pairs[which], parts[which], diameter, clearance.cable)
-        return Family(check, names, clearance.cable, aloft, evaluate)
+        return Family(check, names, clearance.cable, when.aloft, evaluate)
 
-    def bodies(chosen: npt.NDArray[np.intp], check: str, required: float) -> Family:
-        names = [(vehicle_name(i), segment_name(j)) for i, j in chosen]
-        evaluate = VehicleStrands(
-            cable, chosen, Body(vehicles.radius, vehicles.grip_offset), diameter,
-            np.full(len(chosen), required),
-        )  # fmt: skip
-        return Family(check, names, required, aloft, evaluate)
+    return (
+        Family("taut", _segments(plan, "its length"), 0.0, when.hanging, Slack(cable)),
+        apart(~neighbours, "cable clearance"),
+        apart(neighbours, "neighbouring segments"),
+        Family(
+            "floor", _segments(plan, "the floor"), clearance.floor, when.aloft,
+            AboveFloor(cable, diameter, clearance.floor),
+        ),
+    )  # fmt: skip
 
-    every = (
+
+def _on_the_floor(plan: Plan, cable: HeldCable, when: Held) -> tuple[Family, ...]:
+    """Cable that lies or is lifted as a line, and a knot that comes down: that it is so, and apart.
+
+    What the model says of cable that hangs is not asked where these hold.
+    """
+    clearance, vehicles = plan.mission.clearance, plan.mission.vehicles
+    course, diameter = cable.course, plan.mission.cable.diameter
+    first, second = np.triu_indices(plan.vehicles - 1, 2)
+    apart = np.stack([first, second], axis=1)
+    other, _ = vehicle_segments(plan.vehicles)
+    half = 0.5 * diameter
+    rim = max(vehicles.grip_offset - half, 0.0) / (vehicles.radius + half)
+    line = [(segment_name(i), segment_name(i + 1)) for i in range(plan.vehicles - 2)]
+    begins = np.array([start for start, _ in when.landing])
+    return (
         Family(
-            "taut", segments, 0.0, held, Slack(cable),
+            "reach on the floor", [(segment_name(i), segment_name(j)) for i, j in apart],
+            clearance.cable, when.low, ReachPairs(cable, apart, diameter, clearance.cable),
         ),
-        strands(~neighbours, "cable clearance"),
-        strands(neighbours, "neighbouring segments"),
         Family(
-            "reach on the floor",
-            [(segment_name(i), segment_name(j)) for i, j in apart],
-            clearance.cable, low, ReachPairs(cable, apart, diameter, clearance.cable),
-        ),
-        Family(
-            "reach on the floor",
-            [(vehicle_name(i), segment_name(j)) for i, j in other],
-            clearance.vehicle_cable,
-            low,
+            "reach on the floor", [(vehicle_name(i), segment_name(j)) for i, j in other],
+            clearance.vehicle_cable, when.low,
             ReachVehicles(
-                cable,
-                other,
-                vehicles.radius,
-                vehicles.grip_offset,
-                diameter,
+                cable, other, vehicles.radius, vehicles.grip_offset, diameter,
                 clearance.vehicle_cable,
             ),
         ),
         Family(
-            "over-stretched on the floor",
-            segments,
-            0.0,
-            spans_of(plan, lambda phase: phase.name in _DRAGGED),
+            "over-stretched on the floor", _segments(plan, "its length"), 0.0, when.dragged,
             Slack(HeldCable(course, plan.layout.lengths, 0.0), share=1.0),
         ),
         Family(
-            "vehicle clearance",
-            [(vehicle_name(i), vehicle_name(j)) for i, j in team],
+            "lying", _each_vehicle(plan, "the floor"), 0.0, when.dragged,
+            Above(course, LYING, -1.0),
+        ),
+        Family("drawn out", line, 0.0, when.low, DrawnOut(course)),
+        Family(
+            "beside rotors", _segments(plan, "its vehicles"), 0.0, when.low,
+            BesideRotors(course, cable.tracking, rim),
+        ),
+        Family(
+            "straight down", _each_vehicle(plan, "the others"), 0.0, when.landing,
+            AsItHung(course, begins),
+        ),
+    )  # fmt: skip
+
+
+def _vehicles(plan: Plan, course: Course, tracking: float) -> tuple[Family, ...]:
+    """Vehicles by themselves: apart, on or above the floor, and below the ceiling."""
+    mission, always = plan.mission, _always(plan)
+    clearance = mission.clearance
+    team = np.stack(np.triu_indices(plan.vehicles, 1), axis=1)
+    return (
+        Family(
+            "vehicle clearance", [(vehicle_name(i), vehicle_name(j)) for i, j in team],
             clearance.vehicle, always,
             VehiclePairs(course, team, tracking, clearance.vehicle, clearance.downwash),
         ),
-        bodies(other, "vehicle-cable clearance", clearance.vehicle_cable),
-        bodies(own, "rotor disc", 0.0),
         Family(
-            "floor", [(segment_name(i), "the floor") for i in range(count - 1)],
-            clearance.floor, aloft, AboveFloor(cable, diameter, clearance.floor),
+            "ground", _each_vehicle(plan, "the floor"), 0.0, always, Above(course, -BELOW, 1.0),
         ),
         Family(
-            "ceiling", [(vehicle_name(i), "the ceiling") for i in range(count)], 0.0, always,
-            BelowCeiling(course, tracking, mission.workspace.ceiling, vehicles.grip_offset),
+            "ceiling", _each_vehicle(plan, "the ceiling"), 0.0, always,
+            BelowCeiling(
+                course, tracking, mission.workspace.ceiling, mission.vehicles.grip_offset
+            ),
         ),
-        *_fences(plan, course, tracking, aloft, always),
     )  # fmt: skip
-    return tuple(family for family in every if family.spans and family.names)
+
+
+def _bodies(plan: Plan, cable: HeldCable, when: Held) -> tuple[Family, ...]:
+    """Vehicles and cable that hangs."""
+    vehicles = plan.mission.vehicles
+    other, own = vehicle_segments(plan.vehicles)
+    body = Body(vehicles.radius, vehicles.grip_offset)
+
+    def bodies(chosen: npt.NDArray[np.intp], check: str, required: float) -> Family:
+        names = [(vehicle_name(i), segment_name(j)) for i, j in chosen]
+        evaluate = VehicleStrands(
+            cable, chosen, body, plan.mission.cable.diameter, np.full(len(chosen), required)
+        )
+        return Family(check, names, required, when.aloft, evaluate)
+
+    return (
+        bodies(other, "vehicle-cable clearance", plan.mission.clearance.vehicle_cable),
+        bodies(own, "rotor disc", 0.0),
+    )
 
 
 def limits(plan: Plan) -> tuple[Family, ...]:
     """Return the limits of vehicles' motion: their margins are m/s and m/s², not metres.
 
     Of the acceleration, what braking along the path needs is kept: a setpoint's acceleration is
-    r²a + ṙv at the clock's rate r.
+    r²a + ṙv at the clock's rate r. Every piece of the motion is looked at by itself, since jerk is
+    bounded within pieces only.
     """
     vehicles = plan.mission.vehicles
     course = Course(plan.motion)
-    always = [(float(plan.motion.times[0]), float(plan.motion.times[-1]))]
-    names = [(vehicle_name(i), "") for i in range(plan.vehicles)]
+    pieces = list(pairwise(plan.motion.times.tolist()))
+    names = _each_vehicle(plan, "")
     reserve = vehicles.max_acceleration - vehicles.braking_acceleration
     return (
-        Family("speed", names, 0.0, always, SpeedLeft(course, vehicles.max_speed)),
-        Family("acceleration", names, 0.0, always, AccelerationLeft(course, reserve)),
+        Family("speed", names, 0.0, pieces, SpeedLeft(course, vehicles.max_speed)),
+        Family("acceleration", names, 0.0, pieces, AccelerationLeft(course, reserve)),
     )
 
 
-def _fences(
-    plan: Plan, course: Course, tracking: float, aloft: Spans, always: Spans
-) -> tuple[Family, ...]:
+def _fences(plan: Plan, cable: HeldCable, when: Held) -> tuple[Family, ...]:
+    """Vehicles and held cable within the fence; in wind only cable that hangs free, as it leans."""
     if plan.mission.workspace.fence is None:
         return ()
     fence = np.array(plan.mission.workspace.fence)
-    who = np.arange(plan.vehicles)
-    half = 0.5 * plan.mission.cable.diameter
-    radius = plan.mission.vehicles.radius
+    who, diameter = np.arange(plan.vehicles), plan.mission.cable.diameter
+    course, tracking = cable.course, cable.tracking
+    reach = np.full(len(who) - 1, 0.5 * diameter)
+    upright = InsideFence(course, tracking, fence, who[:-1], who[1:], reach)
+    if math.hypot(*cable.down[:2]) > 0.0:
+        leaning = BlownInsideFence(cable, fence, diameter)
+        strands = Family("fence", _segments(plan, "the fence"), 0.0, when.aloft, leaning)
+    else:
+        strands = Family("fence", _segments(plan, "the fence"), 0.0, when.ever, upright)
+    radius = np.full(len(who), plan.mission.vehicles.radius)
     return (
         Family(
-            "fence", [(vehicle_name(i), "the fence") for i in range(len(who))], 0.0, always,
-            InsideFence(course, tracking, fence, who, who, np.full(len(who), radius)),
+            "fence", _each_vehicle(plan, "the fence"), 0.0, _always(plan),
+            InsideFence(course, tracking, fence, who, who, radius),
         ),
-        Family(
-            "fence", [(segment_name(i), "the fence") for i in range(len(who) - 1)], 0.0, aloft,
-            InsideFence(course, tracking, fence, who[:-1], who[1:], np.full(len(who) - 1, half)),
-        ),
+        strands,
     )  # fmt: skip

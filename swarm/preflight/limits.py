@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.distance import segment_segment
 from swarm.preflight.course import Course
 from swarm.preflight.search import Boxes, Enclosure
 from swarm.preflight.sensitivity import BOTH_ENDS
@@ -97,50 +96,6 @@ class BelowCeiling:
         climb += team.swerve[when, boxes.pair]
         high = self.ceiling - self.grip_offset - self.tracking - place[:, 2]
         return _in_time(high, climb, place)
-
-
-@dataclass(frozen=True, eq=False)
-class InsideFence:
-    """Room between the plan view of things and a fence; negative outside.
-
-    ``fence`` (m, 2). Things are given by the grip points ``first`` and ``last`` (q,) between which
-    they lie straight in plan view (twice the same for a vehicle), and by how far they reach to the
-    side ``reach`` (q,).
-    """
-
-    course: Course
-    tracking: float
-    fence: Floats
-    first: Ints
-    last: Ints
-    reach: Floats
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, when = boxes.instants()
-        team = Team.at(self.course, time, half)
-        first, last = self.first[boxes.pair], self.last[boxes.pair]
-        ends = np.stack([team.position[when, first], team.position[when, last]], axis=1)
-        ends[..., 2] = 0.0
-        corners = np.pad(self.fence, ((0, 0), (0, 1)))
-        sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-        distance = segment_segment(ends[:, None], sides[None]).distance.min(axis=1)
-        inside = _inside(ends[:, 0], sides) & _inside(ends[:, 1], sides)
-        high = np.where(inside, distance, -distance)
-        still = np.zeros((len(boxes), 3))
-        drift = np.maximum(team.drift(when, first, still), team.drift(when, last, still))
-        return _in_time(high - self.tracking - self.reach[boxes.pair], drift, ends.mean(axis=1))
-
-
-def _inside(point: Floats, sides: Floats) -> npt.NDArray[np.bool_]:
-    """Whether points (b, 3) lie within the polygon with the given sides (m, 2, 3), in plan view."""
-    x, y = point[:, None, 0], point[:, None, 1]
-    (x0, y0), (x1, y1) = sides[:, 0, :2].T, sides[:, 1, :2].T
-    straddles = (y0 > y) != (y1 > y)
-    rise = np.where(y1 == y0, 1.0, y1 - y0)
-    crossed = straddles & (x < x0 + (y - y0) / rise * (x1 - x0))
-    inside: npt.NDArray[np.bool_] = np.count_nonzero(crossed, axis=1) % 2 == 1
-    return inside
 
 
 @dataclass(frozen=True, eq=False)

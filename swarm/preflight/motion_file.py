@@ -14,7 +14,8 @@ from swarm.cable.catenary import sag_for_length
 from swarm.cable.chain import crossing_gaps, plan_crossings
 from swarm.errors import InputError, Problem, SwarmError
 from swarm.mission import Mission
-from swarm.plans import CableState, KnotSummary, Layout, Phase, PhaseName, Plan
+from swarm.plans import Gate, KnotSummary, Layout, Phase, PhaseName, Plan
+from swarm.plans.order import declared, misplaced
 from swarm.trajectory import through_states
 
 Floats = npt.NDArray[np.float64]
@@ -22,22 +23,10 @@ Floats = npt.NDArray[np.float64]
 COLUMNS = ("time", "vehicle", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "phase")
 MOST_PROBLEMS = 20
 
-_CABLE: dict[str, CableState] = {
-    "takeoff": "floor",
-    "grab": "floor",
-    "contract": "floor",
-    "lift": "lifting",
-    "fold": "aloft",
-    "hold": "aloft",
-    "unfold": "aloft",
-    "lower": "lifting",
-    "spread": "floor",
-    "descend": "landing",
-    "tighten": "free",
-    "finish": "free",
-    "land": "free",
-}
-"""What the phases of the format say of the cable."""
+LEAST_STEP = 1e-4
+"""Seconds between two rows of a vehicle, at least: below it rounding makes the motion."""
+
+_RELEASE_TIMEOUT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +41,9 @@ class MotionFile:
 def read_motion(text: str, source: str) -> MotionFile:
     """Read a motion table: one row per time and vehicle, ENU metres, m/s, m/s² and the phase.
 
-    Raises :class:`InputError` with up to MOST_PROBLEMS problems, each with its line.
+    Phases come in the one order that a flight has (:mod:`swarm.plans.order`), the same for all
+    vehicles at a time: from it follows when the cable is gripped and let go of. Raises
+    :class:`InputError` with up to MOST_PROBLEMS problems, each with its line.
     """
     reader = csv.DictReader(text.splitlines())
     missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
@@ -62,7 +53,7 @@ def read_motion(text: str, source: str) -> MotionFile:
         )
     problems: list[Problem] = []
     times: list[float] = []
-    phases: list[str] = []
+    phases: list[PhaseName] = []
     rows: list[list[list[float]]] = []
     for line, row in enumerate(reader, start=2):
         try:
@@ -73,6 +64,11 @@ def read_motion(text: str, source: str) -> MotionFile:
             if len(problems) == MOST_PROBLEMS:
                 break
             continue
+        wrong = _phase_problem(phases, phase, vehicle)
+        if wrong:
+            problems.append(Problem(f"{source}: line {line}", f"phase: {wrong}"))
+            if len(problems) == MOST_PROBLEMS:
+                break
         if vehicle == 1:
             times.append(time)
             phases.append(phase)
@@ -87,7 +83,7 @@ def read_motion(text: str, source: str) -> MotionFile:
     problems += [] if problems else _shape_problems(source, times, rows)
     if problems:
         raise InputError(problems)
-    return MotionFile(np.array(times), np.array(rows), tuple(phases))  # type: ignore[arg-type]
+    return MotionFile(np.array(times), np.array(rows), tuple(phases))
 
 
 _WORDS = {"vehicle", "phase"}
@@ -109,11 +105,21 @@ def _vehicle(text: str | None) -> int:
     return int(text)
 
 
-def _phase(text: str | None) -> str:
+def _phase(text: str | None) -> PhaseName:
     name = (text or "").strip()
-    if name not in get_args(PhaseName):
-        raise ValueError(f"phase: expected one of {', '.join(get_args(PhaseName))}, got {text!r}")
-    return name
+    for known in get_args(PhaseName):
+        if name == known:
+            return known  # type: ignore[no-any-return]
+    raise ValueError(f"phase: expected one of {', '.join(get_args(PhaseName))}, got {text!r}")
+
+
+def _phase_problem(phases: list[PhaseName], phase: PhaseName, vehicle: int) -> str | None:
+    """What is wrong with a row's phase after those of the times so far, if anything."""
+    if vehicle == 1 and (not phases or phase != phases[-1]):
+        return misplaced(phases[-1] if phases else None, phase)
+    if phases and phase != phases[-1]:
+        return f"expected {phases[-1]} as for vehicle 1 at that time, got {phase}"
+    return None
 
 
 def _shape_problems(
@@ -132,6 +138,13 @@ def _shape_problems(
         Problem(source, f"expected times to increase, got {after:g} s after {before:g} s")
         for before, after in pairwise(times)
         if after <= before
+    ]
+    wrong += [
+        Problem(
+            source, f"expected {LEAST_STEP:g} s or more between times, got {before} and {after}"
+        )
+        for before, after in pairwise(times)
+        if 0.0 < after - before < LEAST_STEP
     ]
     return wrong[:MOST_PROBLEMS]
 
@@ -195,7 +208,7 @@ def plan_of_motion(
     if len(lengths) != count - 1:
         message = f"expected {count - 1} segments for {count} vehicles, got {len(lengths)}"
         raise InputError([Problem("cable", message)])
-    phases = _phases(motion)
+    phases, gates = _phases(motion, attached=mission.grab == "attached")
     folded = [phase.end for phase in phases if phase.name in {"fold", "hold"}]
     if not folded:
         raise InputError([Problem("phase", "expected rows in the phase fold or hold, got none")])
@@ -207,23 +220,30 @@ def plan_of_motion(
         layout=_layout(corners, lengths),
         motion=through_states(motion.time, position, velocity, acceleration),
         phases=phases,
-        gates=(),
+        gates=gates,
         path=corners,
     )
 
 
-def _phases(motion: MotionFile) -> tuple[Phase, ...]:
-    """Phases from row to row: each begins at its first row and lasts to the next one's first."""
+def _phases(motion: MotionFile, *, attached: bool) -> tuple[tuple[Phase, ...], tuple[Gate, ...]]:
+    """Phases from row to row, each to the next one's first, and where vehicles let go of the cable.
+
+    A phase of the last row alone has no time; it says at most that the cable is let go of there.
+    """
     starts = [0] + [
         i for i in range(1, len(motion.phase)) if motion.phase[i] != motion.phase[i - 1]
     ]
-    ends = [*starts[1:], len(motion.phase) - 1]
-    return tuple(
-        Phase(name, float(motion.time[start]), float(motion.time[end]), _CABLE[name], False)
-        for start, end in zip(starts, ends, strict=True)
-        for name in (motion.phase[start],)
-        if end > start
+    edges = [float(motion.time[i]) for i in starts] + [float(motion.time[-1])]
+    names = [motion.phase[start] for start in starts]
+    says = declared(names, attached=attached)
+    phases = tuple(
+        Phase(name, start, end, cable, False)
+        for name, (start, end), cable in zip(names, pairwise(edges), says.cable, strict=True)
     )
+    gates = []
+    if says.held_until < len(names):
+        gates.append(Gate(edges[says.held_until], "released", _RELEASE_TIMEOUT, says.inner_first))
+    return phases, tuple(gates)
 
 
 def _layout(corners: Floats, lengths: Floats) -> Layout:

@@ -55,11 +55,11 @@ def largest_tracking(plan: Plan, moments: Iterable[Moment] = ()) -> float | None
 
 
 def largest_wind(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
-    """Return w*, m/s: the largest steady wind from any direction for which the certificate holds.
+    """Return w*, m/s: the largest steady wind that the certificate bears, from DIRECTIONS headings.
 
-    All strands tilt with their drag, at the mission's tracking ball; DIRECTIONS directions are
-    tried. None where the certificate does not hold in still air. At most MOST_WIND. ``moments``
-    as for :func:`largest_tracking`.
+    All strands that hang free tilt with their drag, at the mission's tracking ball, and keep from
+    each other, from vehicles, floor and fence. None where the certificate does not hold in still
+    air. At most MOST_WIND. ``moments`` as for :func:`largest_tracking`.
     """
     moments = tuple(moments)
     search = _Search(lambda speed: _windy(plan, speed), _tight(moments))
@@ -79,7 +79,7 @@ Cases = Mapping[int, Callable[[], tuple[Family, ...]]]
 
 
 def _windy(plan: Plan, speed: float) -> Cases:
-    """Still air, or the wind from every direction; vehicles do not care, in this model."""
+    """Still air, or the wind from every direction that is tried; it moves no vehicle here."""
     tracking = plan.mission.vehicles.tracking
     if speed == 0.0:
         return {0: lambda: families(plan, tracking, STILL_AIR)}
@@ -92,8 +92,13 @@ def _windy(plan: Plan, speed: float) -> Cases:
     return {k: partial(blown, float(heading)) for k, heading in enumerate(headings)}
 
 
-_WINDLESS = frozenset({"taut", "vehicle clearance", "ceiling", "over-stretched on the floor"})
-"""Checks that are the same in any wind: of vehicles and of chords alone."""
+_WINDLESS = frozenset(
+    {
+        "taut", "vehicle clearance", "ground", "ceiling", "reach on the floor",
+        "over-stretched on the floor", "lying", "drawn out", "beside rotors", "straight down",
+    }
+)  # fmt: skip
+"""Checks that are the same in any wind: of vehicles, of chords, and of what cable can reach."""
 
 
 class _Search:

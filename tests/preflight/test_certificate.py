@@ -7,6 +7,7 @@ import pytest
 
 from swarm.cable.catenary import hang
 from swarm.preflight.certificate import beyond_shared_vehicle, certified, tightest_moments
+from swarm.preflight.strands import all_pairs
 from swarm.trajectory import joined, through_states
 from tests.preflight.oracle import catenary, closest, displaced
 from tests.preflight.synthetic import moving, plan_of, wandering
@@ -293,3 +294,28 @@ def test_the_lowest_point_in_wind_is_the_lowest_there_is():
     moment = tightest(plan, "floor", down=tuple(down))[("segment 1", "the floor")]
     strand_ = hang(places[0], places[1], 3.0, down=down).points(np.linspace(0, 1, 2001))
     assert moment.distance == pytest.approx(strand_[:, 2].min() - 0.003, abs=1e-4)
+
+
+@pytest.mark.parametrize("lengths", [[1.0, 4.0], [4.0, 1.0], [0.2, 0.2]])
+def test_neighbours_no_longer_than_what_is_exempt_are_looked_at(lengths):
+    """One strand straight above the other: apart only within what is in the vehicle's hand."""
+    near, far = 0.9 * min(lengths), 0.9 * max(lengths)
+    out, back = (near, far) if lengths[0] < lengths[1] else (far, near)
+    places = np.array([[0.0, 0.02, 9.0], [out, 0, 9.0], [out - back, -0.02, 9.0]])
+    plan = plan_of(
+        moving([0, 2], [places] * 2), lengths, "clearance.vehicle=0.01", "clearance.downwash=0.01"
+    )
+    (moment,) = tightest(plan, "neighbouring segments").values()
+    assert moment.margin < 0.0
+    assert not certified(plan, tracking=0.0)
+
+
+def test_what_is_exempt_is_at_most_half_of_the_shorter_segment():
+    pairs, parts = all_pairs(np.array([1.0, 4.0, 10.0]), 1.02)
+    beside = parts[pairs[:, 1] == pairs[:, 0] + 1]
+    assert sorted(part.ravel().round(3).tolist() for part in beside) == [
+        [0.0, 0.5, 0.0, 1.0],
+        [0.0, 0.745, 0.0, 1.0],
+        [0.0, 1.0, 0.102, 1.0],
+        [0.0, 1.0, 0.125, 1.0],
+    ]

@@ -117,7 +117,7 @@ def test_lengths_must_fit_the_vehicles_and_some_cable_must_be_aloft():
     with pytest.raises(InputError, match="expected 1 segments for 2 vehicles, got 2"):
         plan_of_motion(motion, np.array([3.0, 3.0]), mission)
     landed = read_motion(
-        "\n".join([HEADER, *(row(t, v, "land", 2 * v) for t in (0, 1) for v in (1, 2))]), "m"
+        "\n".join([HEADER, *(row(t, v, "takeoff", 2 * v) for t in (0, 1) for v in (1, 2))]), "m"
     )
     with pytest.raises(InputError, match="expected rows in the phase fold or hold"):
         plan_of_motion(landed, np.array([3.0]), mission)
