@@ -85,6 +85,17 @@ def test_vehicles_alone_may_fly_in_formation_and_are_kept_apart() -> None:
     assert assess(make_plan(mission(f"formation: {{places: [{PAIR}]}}"))).cleared
 
 
+def test_three_vehicles_without_cable_are_certified_and_flown() -> None:
+    """With two, empty arrays of segments happen to fit; with three they did not."""
+    places = "[[0, 0, 3], [2.5, 0, 3], [5, 0, 3]]", "[[0, 0, 4], [2.5, 2, 4], [5, 0, 4]]"
+    plan = make_plan(mission(f"formation: {{places: [{', '.join(places)}]}}"))
+    network = Network(CertifiedPlan(plan, certify(plan)))
+    outcome = network.run(most=600.0)
+    assert outcome is not None
+    assert outcome.word == "done", network.words()[-8:]
+    assert not network.conductor.basis.cable
+
+
 @pytest.mark.parametrize(
     ("keys", "message"),
     [

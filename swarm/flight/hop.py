@@ -88,7 +88,8 @@ def hop(proven: FlightPlan) -> CableFreeFlight:
         path=up,
         notes=("a hop: straight up and down, nothing attached",),
     )
-    return CableFreeFlight(flown, certify(without_cable(flown)), "hop")
+    flown = without_cable(flown)
+    return CableFreeFlight(flown, certify(flown), "hop")
 
 
 def _nearest(pads: Floats) -> float:

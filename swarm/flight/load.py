@@ -28,7 +28,10 @@ def cable_pull(grip_points: Floats, lengths: Floats, mass_per_length: float) -> 
 
     ``grip_points`` (…, n, 3) in metres above the floor at z = 0, ``lengths`` (n − 1,) of the
     segments between them. Parts that reach the floor lie on it and pull with what is lifted.
+    Without segments nothing pulls.
     """
+    if not len(lengths):
+        return np.zeros_like(grip_points)
     above = np.maximum(grip_points, [-np.inf, -np.inf, 0.0])
     start, end = above[..., :-1, :], above[..., 1:, :]
     chords = np.linalg.norm(end - start, axis=-1)

@@ -7,6 +7,8 @@ together with its certificate and compares the two; nothing else says that a pla
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, replace
 
+import numpy as np
+
 from swarm.errors import Refused
 from swarm.plans import Gate, Phase, Plan, digest
 from swarm.preflight.assess import assess, with_robustness
@@ -106,7 +108,9 @@ def certify_robustness(
 def without_cable(plan: Plan) -> Plan:
     """Return the same motion with nothing attached: what its vehicles do is left to be checked."""
     phases = tuple(_free(phase) for phase in plan.phases)
-    return replace(plan, phases=phases, gates=tuple(_without_grips(plan.gates)))
+    none = np.empty(0)
+    layout = replace(plan.layout, sags=none, lengths=none, lanes=none, crossings=())
+    return replace(plan, layout=layout, phases=phases, gates=tuple(_without_grips(plan.gates)))
 
 
 def _free(phase: Phase) -> Phase:

@@ -40,8 +40,8 @@ def loads(plan: Plan) -> Loads:
     ]
     time = np.unique(np.concatenate(instants)) if instants else np.empty(0)
     place = plan.motion.at(time)[0]
-    start, end = place[:, :-1], place[:, 1:]
-    length = plan.layout.lengths
+    length = plan.layout.lengths  # none where no cable is carried
+    start, end = place[:, : len(length)], place[:, 1 : len(length) + 1]
     weight = mission.cable.mass_per_length
     at_setpoint = _forces(_hung(start, end, length), weight)
     chord = np.linalg.norm(end - start, axis=-1, keepdims=True)

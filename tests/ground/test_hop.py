@@ -3,6 +3,7 @@
 import io
 import json
 
+import pytest
 from rich.console import Console
 
 from swarm.cli.hop import fly_hop
@@ -11,10 +12,11 @@ from swarm.flight.hop import HOVER
 from tests.network import small_plan
 
 
+@pytest.mark.usefixtures("in_real_time")
 def test_a_hop_says_for_each_vehicle_how_well_it_hovers_and_what_to_plan_with(tmp_path):
     console = Console(file=io.StringIO(), width=100)
     plan = small_plan()
-    hopped = fly_hop(plan, emulated_fleet(3), tmp_path / "hop", 20.0, console, yes=True)
+    hopped = fly_hop(plan, emulated_fleet(3), tmp_path / "hop", 8.0, console, yes=True)
     advice, *each = [finding.message for finding in hopped.findings]
     assert advice.startswith("plan with vehicles.tracking of 0.")
     assert [words.split(" m RMS")[0].split("0.")[0] for words in each] == [

@@ -137,7 +137,8 @@ def test_a_hop_carries_no_cable_and_says_what_was_checked():
         "a hop straight up and down, certified without cable for tracking errors of up to 0.1 m"
     )
     with pytest.raises(Refused, match="a hop flight carries no cable: none was checked"):
-        Conductor(flight, emulated_fleet(3))
+        basis_of(flight, cable=True)
+    assert not Conductor(flight, emulated_fleet(3)).carries
     checks = {finding.check for finding in flight.certificate.findings}
     assert "scope" in checks
 
