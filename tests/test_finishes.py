@@ -10,6 +10,7 @@ from swarm.mission import mission_for_knot, parse_mission
 from swarm.plans import Plan
 from swarm.plans.finishes import MOST_TIGHTENED
 from swarm.plans.flight import whole_flight
+from swarm.plans.formation import formation_plan
 from swarm.preflight.assess import assess
 from swarm.trajectory import Motion
 from tests.network import Network, small_plan
@@ -159,3 +160,19 @@ def test_what_does_not_go_together_is_refused(keys: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_mission(text, "m.yaml")
     assert str(caught.value) == message
+
+
+def test_a_formation_of_different_heights_is_levelled_before_it_comes_down() -> None:
+    """Only a team at one height keeps its cable's shape down to the floor."""
+    text = """
+schema: 1
+name: steps
+formation:
+  lengths: [4.0, 4.0]
+  places: [[[-3.0, 0.0, 4.0], [0.0, 0.0, 4.4], [3.0, 0.0, 4.0]]]
+finish: hold
+"""
+    plan = formation_plan(mission := parse_mission(text, "steps.yaml"), mission.formation)
+    heights = at(plan, "descend")[:, 2]
+    np.testing.assert_allclose(heights, 4.4, atol=1e-9)
+    assert [f for f in assess(plan).findings if f.severity == "error"] == []

@@ -55,6 +55,9 @@ def certify(
 ) -> None:
     """Certify MOTION, a table of every grip point's motion as `swarm plan --export` writes it.
 
+    The order of the phases says when the cable is gripped and let go of; while it is held, what it
+    does follows from the motion.
+
     Says which knot the cable ends in, how close things come for every tracking error within
     vehicles.tracking, and what fails. Exit code 0 when everything holds, 1 when it does not.
     """

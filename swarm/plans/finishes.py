@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,9 @@ MOST_TIGHTENED = 0.9
 TIGHTENING_TIME = 4.0
 """Seconds for which the ends stay pulled apart."""
 
+_ONE_HEIGHT = 1e-4
+"""Metres by which heights may differ that are one."""
+
 _CLIMB_OVER = 0.3
 """Metres beyond the downwash clearance by which the inner vehicles climb over the ends' ways."""
 
@@ -39,7 +43,7 @@ def finish(
         case "release":
             return _let_go(hold), *_spread_and_land(mission, folded)
         case "hold":
-            return hold, *_put_down(mission, folded)
+            return _put_down(mission, hold)
         case "unfold":
             return hold, *_unfold(mission, before)
         case "tighten":
@@ -50,8 +54,13 @@ def _let_go(part: Part, *, inner: bool = False) -> Part:
     return Part(part.name, part.motion, part.cable, part.reversible, "released", inner)
 
 
-def _put_down(mission: Mission, folded: Floats) -> tuple[Part, ...]:
-    """All straight down together with the knot, let go of it on the floor, and stay there."""
+def _put_down(mission: Mission, hold: Part) -> tuple[Part, ...]:
+    """Hold, all straight down together with the knot, let go of it on the floor, and stay there.
+
+    Vehicles at different heights first climb to that of the highest, while the cable hangs: only a
+    team at one height comes down to the floor as it is.
+    """
+    hold, folded = _levelled(mission, hold)
     near, low, ground = folded.copy(), folded.copy(), folded.copy()
     near[:, 2] = np.minimum(1.0, folded[:, 2])
     low[:, 2] = GRAB_HEIGHT
@@ -59,11 +68,28 @@ def _put_down(mission: Mission, folded: Floats) -> tuple[Part, ...]:
     down = _down(mission, folded, near, low)
     last = leg(low, ground, TOUCHDOWN_SPEED, 0.5)
     if mission.grab == "attached":
-        return Part("descend", down, "landing"), Part("land", last, "landing", then="landed")
+        return (
+            hold,
+            Part("descend", down, "landing"),
+            Part("land", last, "landing", then="landed"),
+        )
     return (
+        hold,
         Part("descend", down, "landing", then="released"),
         Part("land", last, "free", then="landed"),
     )
+
+
+def _levelled(mission: Mission, hold: Part) -> tuple[Part, Floats]:
+    """The hold, with all at one height at its end, and where that is (n, 3)."""
+    folded = hold.motion.at(hold.motion.times[0])[0]
+    level = folded.copy()
+    level[:, 2] = folded[:, 2].max()
+    if np.ptp(folded[:, 2]) < _ONE_HEIGHT:
+        return hold, folded
+    climb = leg(folded, level, DESCENT_SPEED, 0.5 * thrust(mission))
+    motion = followed(hold.motion, climb, at_rest(level, mission.hold_time))
+    return replace(hold, motion=motion), level
 
 
 def _unfold(mission: Mission, before: Sequence[Part]) -> tuple[Part, ...]:

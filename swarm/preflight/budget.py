@@ -96,7 +96,7 @@ class _Strand:
     def pulled_down(self) -> Floats:
         """Movement (3,) of the place if a great weight hung there: both parts straight."""
         chord_vector = self.end - self.start
-        chord = float(np.linalg.norm(chord_vector))
+        chord = max(float(np.linalg.norm(chord_vector)), 1e-9)
         along = chord_vector / chord
         first, last = self.fraction * self.length, (1.0 - self.fraction) * self.length
         foot = (first**2 - last**2 + chord**2) / (2.0 * chord)

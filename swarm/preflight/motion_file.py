@@ -26,6 +26,13 @@ MOST_PROBLEMS = 20
 LEAST_STEP = 1e-4
 """Seconds between two rows of a vehicle, at least: below it rounding makes the motion."""
 
+LARGEST = 1e4
+"""Largest coordinate, speed, acceleration and length; beyond it there is no number to compute with
+that is as exact as a certificate must be."""
+
+LONGEST = 14_400.0
+"""Seconds that a motion may last."""
+
 _RELEASE_TIMEOUT = 20.0
 
 
@@ -96,6 +103,8 @@ def _finite(text: str | None, name: str) -> float:
         raise ValueError(f"{name}: expected a number, got {text!r}") from None
     if not math.isfinite(value):
         raise ValueError(f"{name}: expected a finite number, got {text!r}")
+    if name != "time" and abs(value) > LARGEST:
+        raise ValueError(f"{name}: expected at most {LARGEST:g} either way, got {text!r}")
     return value
 
 
@@ -146,6 +155,9 @@ def _shape_problems(
         for before, after in pairwise(times)
         if 0.0 < after - before < LEAST_STEP
     ]
+    if times[-1] - times[0] > LONGEST:
+        lasts = times[-1] - times[0]
+        wrong.append(Problem(source, f"expected at most {LONGEST:g} s of motion, got {lasts:g} s"))
     return wrong[:MOST_PROBLEMS]
 
 
@@ -162,9 +174,12 @@ def read_lengths(text: str, source: str) -> Floats:
         if values and not _is_number(values[0]):
             values = values[1:]
     wrong = [
-        Problem(f"{source}: segment {index}", f"expected a length > 0 in metres, got {value!r}")
+        Problem(
+            f"{source}: segment {index}",
+            f"expected a length > 0 in metres{_at_most(value)}, got {value!r}",
+        )
         for index, value in enumerate(values, start=1)
-        if isinstance(value, bool) or not _is_number(value) or not 0.0 < float(value) < math.inf
+        if isinstance(value, bool) or not _is_number(value) or not 0.0 < float(value) <= LARGEST
     ]
     if wrong or not values:
         raise InputError(wrong[:MOST_PROBLEMS] or [Problem(source, "expected lengths, got none")])
@@ -185,6 +200,11 @@ def _listed(text: str, source: str) -> list[Any]:
         message = "expected a list of lengths, or an object with segments or cable.segments"
         raise InputError([Problem(source, message)])
     return document
+
+
+def _at_most(value: Any) -> str:
+    too_long = not isinstance(value, bool) and _is_number(value) and float(value) > LARGEST
+    return f", at most {LARGEST:g}" if too_long else ""
 
 
 def _is_number(value: Any) -> bool:

@@ -27,8 +27,8 @@ _SURELY = 0.05
 _SMALLEST_HALF = 1e-6
 _DEEPEST_PIECE = 2**20
 
-MOST_BOXES = 2_000_000
-MOST_PER_ROOT = 64
+MOST_BOXES = 500_000
+MOST_PER_ROOT = 128
 """A search ends after so many boxes, and so many for each that it began with: what is not shown by
 then is not shown."""
 

@@ -82,6 +82,41 @@ def test_a_table_of_the_wrong_shape(lines, message):
 
 
 @pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (
+            [row(0, 1, x="1e300"), row(0, 2)],
+            "m.csv: line 2: x: expected at most 10000 either way, got '1e300'",
+        ),
+        (
+            [row(t, v, x=2 * v) for t in (0, 1e-9) for v in (1, 2)],
+            "m.csv: expected 0.0001 s or more between times, got 0.0 and 1e-09",
+        ),
+        (
+            [row(t, v, x=2 * v) for t in (1.7e9, 1.7e9 + 2e4) for v in (1, 2)],
+            "m.csv: expected at most 14400 s of motion, got 20000 s",
+        ),
+    ],
+)
+def test_numbers_that_no_flight_has(rows, message):
+    assert problems("\n".join([HEADER, *rows]))[0] == message
+
+
+def test_a_motion_of_great_numbers_is_refused_within_seconds():
+    """Two vehicles in one place, and one that is kilometres off: nothing is shown, and said so."""
+    places = [[[0, 0, 5.0], [0, 0, 5.0], [9e3, 0, 5.0]]] * 2
+    rows = [
+        f"{t},{v},{','.join(str(x) for x in place)},0,0,0,0,0,0,fold"
+        for t, team in zip((0, 3), places, strict=True)
+        for v, place in enumerate(team, start=1)
+    ]
+    motion = read_motion("\n".join([HEADER, *rows]), "m.csv")
+    plan = plan_of_motion(motion, np.array([3.0, 3.0]), mission_for_knot("overhand"))
+    checks = {finding.check for finding in assess(plan).findings if finding.severity == "error"}
+    assert {"taut", "vehicle clearance"} <= checks
+
+
+@pytest.mark.parametrize(
     "text",
     ["[1.5, 2]", '{"segments": [1.5, 2]}', '{"cable": {"segments": [1.5, 2]}}', "1.5\n2\n",
      "length\n1.5\n2", "segment,length\n1,1.5\n2,2\n"],
