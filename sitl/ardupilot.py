@@ -8,8 +8,6 @@ place: without a pilot LOITER and its like hold, as with centred sticks.
 import math
 from typing import Any
 
-import numpy as np
-
 from sitl import (
     ardupilot_commands,
     ardupilot_failsafes,
@@ -37,6 +35,17 @@ _INFO, _WARNING, _CRITICAL = 6, 4, 2
 _SLOW_BEAT = 0.4
 _PREARM_EVERY = 30.0
 _CRASH_TIME = 2.0
+_TAKEN_OFF = 0.9
+"""Share of the height at which a take-off is over."""
+_ARMING_DELAY = 2.0
+"""Seconds for which its motors stand still when it has been armed."""
+_CHECKED_EVERY = 1.0
+_LOGS_ON = 15.0
+"""Seconds for which the log goes on when it is disarmed."""
+_ALIGNED_AFTER = 5.0
+"""Seconds of flight after which its estimator says that it knows its heading."""
+_IDLE_TIME = 0.4
+"""Seconds on the ground after which it disarms when it has landed by itself."""
 
 
 class ArduPilot:
@@ -59,14 +68,15 @@ class ArduPilot:
         self.submode = ""
         self.setpoint_at = -math.inf
         self.takeoff_at = -math.inf
-        self.takeoff_height = 0.0
+        self.takeoff_height = self.takeoff_from = 0.0
         self.idle_since = 0.0
         self.flew = False
         self.goal: Any = None
         self.stage = ""
         self.stage_at = 0.0
         self.taken_mask: int | None = None
-        self.gcs_seen = False
+        self.gcs_seen = self.gcs_lost = False
+        self.checked = (-math.inf, False)
         self.radio_seen = False
         self.outside = 0
         self.route = Route(self.v, 1)
@@ -75,6 +85,8 @@ class ArduPilot:
         self.lost_at: float | None = None
         self.prearm_at = 0.0
         self.tumbled_at: float | None = None
+        self.landed_at = math.inf
+        self.disarmed_at = -math.inf
         self.slow_at = -math.inf
         self.all_axes = False
         self.pilot = False
@@ -98,7 +110,8 @@ class ArduPilot:
         """Home is where it is armed; indoors too, once the estimator has been given an origin."""
         v = self.v
         if v.global_valid or (v.around.indoor and v.local_valid):
-            v.home = np.array(v.estimated())
+            v.home_is_here()
+            v.tell("GPS_GLOBAL_ORIGIN", "HOME_POSITION")
 
     def apply_gains(self) -> None:
         """Carry controller parameters into the batch."""
@@ -111,7 +124,7 @@ class ArduPilot:
         )
         angle = min(80.0, max(10.0, p["ANGLE_MAX"] / 100.0))
         b.tilt_limit[i] = math.tan(math.radians(angle))
-        b.spool_time[i] = max(0.1, p["MOT_SPOOL_TIME"])
+        b.spool_time[i] = _ARMING_DELAY + max(0.1, p["MOT_SPOOL_TIME"])
         b.ramp_time[i] = max(0.1, 0.5 * p["TKOFF_SLEW_TIME"])
         b.land_time[i] = 1.0
         b.cut_time[i] = 0.6
@@ -138,14 +151,36 @@ class ArduPilot:
             (needs_position, "Need Position Estimate"),
             (bool(v.bodies.crashed[v.index]), "Motors: Check frame"),
             (v.spec.radio and v.radio_lost, "Radio failsafe on"),
+            (self.gcs_lost, "GCS failsafe on"),
             (bool(ardupilot_failsafes.beyond_fence(self)), "Vehicle breaching fence"),
             (self.battery_level > 0, "Battery 1 low voltage failsafe"),
         )
         return next((f"PreArm: {text}" for failed, text in checks if failed), None)
 
     def ready(self) -> bool:
-        """The pre-arm bit: checks of the present mode are passed."""
-        return self.refusal() is None
+        """The pre-arm bit: checks of the present mode were passed, when they were last made."""
+        now = self.v.now
+        if not 0.0 <= now - self.checked[0] < _CHECKED_EVERY:
+            self.checked = now, self.refusal() is None
+        return self.checked[1]
+
+    @property
+    def logging(self) -> bool:
+        """Whether it logs: while it is armed, and a while after."""
+        return self.v.armed or self.v.now - self.disarmed_at < _LOGS_ON
+
+    @property
+    def critical(self) -> bool:
+        """Whether HEARTBEAT says that a failsafe is active, in flight or not."""
+        return self.failsafe or self.gcs_lost
+
+    @property
+    def taking_off(self) -> bool:
+        """Whether NAV_TAKEOFF is being carried out: until its height, or a setpoint."""
+        if self.submode != "takeoff":
+            return False
+        height = float(self.v.estimated()[2]) - self.takeoff_from
+        return height < _TAKEN_OFF * (self.takeoff_height - self.takeoff_from)
 
     def custom_mode(self) -> int:
         """The mode's number."""
@@ -248,6 +283,7 @@ class ArduPilot:
             return
         v.bodies.armed[v.index] = False
         v.bodies.landed[v.index] = True
+        self.disarmed_at = v.now
         v.bodies.advance[v.index] = 0.0
         demand.idle(v)
         self.submode = ""
@@ -297,6 +333,8 @@ class ArduPilot:
             self.slow_at = v.now + _SLOW_BEAT
         if not v.armed:
             self._complain()
+            if slow:
+                ardupilot_failsafes.watch_ground_station(self)
             return
         if v.bodies.tumbling[v.index] and self._fell():
             return
@@ -305,9 +343,17 @@ class ArduPilot:
         if v.landed:
             self._on_ground()
             return
+        if not self.flew:
+            v.later.append((v.now + _ALIGNED_AFTER, self._aligned))
         self.flew = True
-        self.idle_since = v.now
+        self.idle_since, self.landed_at = v.now, math.inf
         ardupilot_flight.steer(self)
+
+    def _aligned(self) -> None:
+        if not self.v.landed:
+            for core in (0, 1):
+                text = f"EKF3 IMU{core} MAG0 in-flight yaw alignment complete"
+                self.v.text(_INFO, text)
 
     def _fell(self) -> bool:
         """The crash check: turned over for two seconds with motors running, it disarms."""
@@ -332,8 +378,11 @@ class ArduPilot:
     def _on_ground(self) -> None:
         v = self.v
         if self.flew and (self.mode == LAND or self.stage == "land"):
-            v.around.event("landed", v.system)
-            self.disarm("landed")
+            if self.landed_at == math.inf:
+                self.landed_at = v.now
+                v.around.event("landed", v.system)
+            if v.now - self.landed_at >= _IDLE_TIME:
+                self.disarm("landed")
         elif self.submode in {"takeoff", "auto"} and v.bodies.may_lift[v.index]:
             self.idle_since = v.now
         elif 0 < v.parameters["DISARM_DELAY"] < v.now - self.idle_since:

@@ -47,7 +47,7 @@ def _takeoff(copter: "ArduPilot", command: Command) -> int:
     copter.takeoff_at = v.now
     home = v.home if v.home is not None else v.origin
     here = v.estimated()
-    copter.takeoff_height = float(home[2]) + p[6]
+    copter.takeoff_height, copter.takeoff_from = float(home[2]) + p[6], float(here[2])
     v.bodies.may_lift[v.index] = True
     v.bodies.advance[v.index] = 0.0
     copter.cruise()

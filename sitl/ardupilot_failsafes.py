@@ -35,13 +35,8 @@ _FENCES = {_ALTITUDE: "Max Alt", _CIRCLE: "Circle", _POLYGON: "Polygon"}
 
 def watch(copter: "ArduPilot") -> None:
     """Look at everything that can be lost, a few times a second while armed."""
-    v, p = copter.v, copter.v.parameters
-    latest = v.last_heartbeat.get(p.integer("SYSID_MYGCS"), -math.inf)
-    if v.now - latest <= p["FS_GCS_TIMEOUT"]:
-        copter.gcs_seen = True
-    elif copter.gcs_seen:
-        copter.gcs_seen = False
-        _ground_station_lost(copter)
+    v = copter.v
+    watch_ground_station(copter)
     _watch_radio(copter)
     _watch_fence(copter)
     _watch_battery(copter)
@@ -51,10 +46,29 @@ def watch(copter: "ArduPilot") -> None:
         _watch_position(copter)
 
 
+def watch_ground_station(copter: "ArduPilot") -> None:
+    """Notice a ground station that is lost (FS_GCS_ENABLE), and heard again, armed or not."""
+    v, p = copter.v, copter.v.parameters
+    latest = v.last_heartbeat.get(p.integer("SYSID_MYGCS"), -math.inf)
+    if v.now - latest <= p["FS_GCS_TIMEOUT"]:
+        copter.gcs_seen = True
+        if copter.gcs_lost:
+            copter.gcs_lost = False
+            v.text(_WARNING, "GCS Failsafe Cleared")
+    elif copter.gcs_seen:
+        copter.gcs_seen = False
+        _ground_station_lost(copter)
+
+
 def _ground_station_lost(copter: "ArduPilot") -> None:
     v, p = copter.v, copter.v.parameters
     action = GROUND_STATION_LOSS.get(p.integer("FS_GCS_ENABLE"))
-    if action is None or v.landed:
+    if action is None:
+        return
+    copter.gcs_lost = True
+    if v.landed:
+        v.text(_WARNING, "GCS Failsafe - Disarming" if v.armed else "GCS Failsafe")
+        copter.disarm("ground station lost")
         return
     options = p.integer("FS_OPTIONS")
     by_hand = not MODES[copter.mode].by_itself

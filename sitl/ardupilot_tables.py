@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from sitl.parameters import INT8, INT16
+from sitl.parameters import INT8, INT16, INT32
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,21 @@ PARAMETERS: dict[str, float | int] = {
     "WPNAV_ACCEL_Z": 100.0, "WPNAV_JERK": 1.0, "WPNAV_RADIUS": 200.0, "WPNAV_SPEED": 1000.0,
     "WPNAV_SPEED_DN": 150.0, "WPNAV_SPEED_UP": 250.0, "WP_YAW_BEHAVIOR": 2,
 }  # fmt: skip
+_WIDE = (
+    "ARMING_CHECK", "AUTO_OPTIONS", "BATT_CAPACITY", "FLIGHT_OPTIONS", "FS_OPTIONS",
+    "GUID_OPTIONS", "RTL_ALT", "RTL_LOIT_TIME",
+)  # fmt: skip
+_MIDDLE = ("FS_DR_TIMEOUT", "SERVO9_FUNCTION", "SR0_EXTRA1", "SR0_POSITION", "SYSID_THISMAV")
 KINDS = {
     name: INT16 if abs(value) > 100 or "SPEED" in name or "ALT" in name else INT8
     for name, value in PARAMETERS.items()
     if isinstance(value, int) and abs(value) < 32768
 }
+KINDS |= dict.fromkeys(_WIDE, INT32) | dict.fromkeys(_MIDDLE, INT16)
+KINDS |= dict.fromkeys(("SIM_ENGINE_FAIL", "SIM_RC_FAIL"), INT8)
 
-STREAMS: dict[str, dict[str, float]] = {"onboard": {"HEARTBEAT": 1}, "gcs": {"HEARTBEAT": 1}}
+_ALWAYS: dict[str, float] = {"HEARTBEAT": 1, "TIMESYNC": 0.1}
+STREAMS: dict[str, dict[str, float]] = {"onboard": _ALWAYS, "gcs": _ALWAYS}
 _STATUS = ("SYS_STATUS", "MISSION_CURRENT", "GPS_RAW_INT", "NAV_CONTROLLER_OUTPUT")
 _PLACE = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED")
 _CHANNELS = ("SERVO_OUTPUT_RAW", "RC_CHANNELS")

@@ -25,7 +25,7 @@ from sitl.injector import Injector
 from sitl.parameter_protocol import pump_parameters
 from sitl.px4 import Px4
 from sitl.rope import Rope
-from sitl.services import default_streams, emit_due
+from sitl.services import default_streams, emit_due, tell
 from sitl.truth import Truth
 from sitl.vehicle import Link, Surroundings, Vehicle
 from sitl.world import World
@@ -82,13 +82,14 @@ class Emulator:
             for kind in kinds:
                 self.open_link(vehicle, kind)
             if vehicle.global_valid:
-                vehicle.home = np.array(vehicle.estimated())
+                vehicle.home_is_here()
         self._links = [(v, link) for v in self.vehicles for link in v.links]
         self._tie_attached()
         self.injector = Injector(
             self.vehicles, self.bodies, self.rope, faults, np.random.default_rng(seeds[-1])
         )
         for vehicle in self.vehicles:
+            vehicle.tell = functools.partial(tell, vehicle)
             vehicle.inject = functools.partial(self.injector.inject, vehicle)
             vehicle.simulation_changed = functools.partial(self.injector.simulate, vehicle)
 
@@ -111,6 +112,7 @@ class Emulator:
     def open_link(self, vehicle: Vehicle, kind: str) -> Link:
         """Add a connection of a kind ("onboard" or "gcs") with the autopilot's default streams."""
         link = vehicle.add_link(kind)
+        vehicle.origin_told_at = vehicle.now
         self._keyed(link, len(vehicle.links) - 1)
         rates = default_streams(vehicle, link)
         spread = np.linspace(0.0, 1.0, len(rates) * 7)[1:]

@@ -1,5 +1,6 @@
 """The parameter protocol: list, read, set; SIM_* ones break things (`sitl.fault_ways`)."""
 
+import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -7,17 +8,42 @@ from sitl import wire
 from sitl.vehicle import Link, Vehicle, addressed
 
 _PARAMETERS_PER_TICK = 20
+_INFO = 6
+_BANNER = ("ArduCopter V4.6.2 (1a132e4b)",)
+
+
+_HASH, _UINT32 = "_HASH_CHECK", 5
+_NO_PLACE = 65535
 
 
 def send_parameter(v: Vehicle, link: Link, name: str) -> None:
-    """Send one PARAM_VALUE."""
+    """Send one PARAM_VALUE of the list."""
     p = v.parameters
+    _send(v, link, name, p.encode(name), p.kinds[name], p.places[name])
+
+
+def _send_changed(v: Vehicle, link: Link, name: str) -> None:
+    """Send one that was asked for by name, or set: ArduPilot does not say its place."""
+    p = v.parameters
+    place = p.places[name] if v.spec.autopilot == "px4" else _NO_PLACE
+    _send(v, link, name, p.encode(name), p.kinds[name], place)
+
+
+def _send_hash(v: Vehicle, link: Link) -> None:
+    """PX4's checksum of all parameters, by which clients tell whether they know them already."""
+    p = v.parameters
+    everything = b"".join(name.encode() + p.encode(name) for name in p.names)
+    value = zlib.crc32(everything).to_bytes(4, "little")
+    _send(v, link, _HASH, value, _UINT32, _NO_PLACE)
+
+
+def _send(v: Vehicle, link: Link, name: str, value: bytes, kind: int, place: int) -> None:
     body = (
-        p.encode(name)
-        + len(p.names).to_bytes(2, "little")
-        + p.places[name].to_bytes(2, "little")
+        value
+        + len(v.parameters.names).to_bytes(2, "little")
+        + place.to_bytes(2, "little")
         + name.encode().ljust(16, b"\0")
-        + bytes([p.kinds[name]])
+        + bytes([kind])
     )
     layout = wire.LAYOUTS["PARAM_VALUE"]
     ticks = wire.signing_ticks(v.around.unix_time + v.now + v.unix_offset)
@@ -26,6 +52,11 @@ def send_parameter(v: Vehicle, link: Link, name: str) -> None:
 
 def _param_list(v: Vehicle, message: Any, link: Link) -> None:
     if addressed(v, message):
+        if v.spec.autopilot == "px4":
+            _send_hash(v, link)
+        else:
+            for text in (*_BANNER, f"emulated {v.system:03}", "Frame: QUAD/PLUS"):
+                v.text(_INFO, text)
         v.parameter_queue = [entry for entry in v.parameter_queue if entry[0] is not link]
         v.parameter_queue += [(link, k) for k in range(len(v.parameters.names))]
 
@@ -52,7 +83,9 @@ def _param_read(v: Vehicle, message: Any, link: Link) -> None:
         return
     name = _name(message.param_id)
     if name in p.values:
-        send_parameter(v, link, name)
+        _send_changed(v, link, name)
+    elif name == _HASH and v.spec.autopilot == "px4":
+        _send_hash(v, link)
 
 
 def _param_set(v: Vehicle, message: Any, _: Link) -> None:
@@ -70,7 +103,7 @@ def _param_set(v: Vehicle, message: Any, _: Link) -> None:
         if name.startswith("SIM_") and v.simulation_changed is not None:
             v.simulation_changed(name, p.values)
     for target in v.links:
-        send_parameter(v, target, name)
+        _send_changed(v, target, name)
 
 
 HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {

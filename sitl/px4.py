@@ -8,8 +8,6 @@ software-in-the-loop build. In one place it is milder: a mode's detailed preflig
 import math
 from typing import Any
 
-import numpy as np
-
 from sitl import demand, fault_ways, px4_commands, px4_failsafes, px4_flight, wire
 from sitl.px4_tables import (
     BY_NUMBER,
@@ -29,6 +27,10 @@ from sitl.vehicle import (
 
 _BOOT_TIME = 12.0
 _SLOW_BEAT = 0.4
+_MOVED = 1.0
+"""Metres from home at which a vehicle that is not armed takes its place for its home."""
+_AUTO, _OFFBOARD = 4, 6
+_UNHEALTHY = "Resolve system health failures first"
 _INFO, _CRITICAL, _EMERGENCY = 6, 2, 0
 
 
@@ -64,7 +66,7 @@ class Px4:
         self.delayed: str | None = None
         self.battery_level = 0
         self.battery_at_arming = 0
-        self.gcs_seen = False
+        self.gcs_seen = self.gcs_known = False
         self.radio_seen = False
         self.radio_lost_at: float | None = None
         self.outside = False
@@ -130,8 +132,23 @@ class Px4:
 
     def _found_home(self) -> None:
         if self.v.global_valid:
-            self.v.home = np.array(self.v.estimated())
+            self.v.home_is_here()
         self.v.text(_INFO, "Ready for takeoff!\t")
+
+    @property
+    def logging(self) -> bool:
+        """Whether it logs: SDLOG_MODE 0 does while it is armed."""
+        return self.v.armed
+
+    @property
+    def critical(self) -> bool:
+        """Whether HEARTBEAT says that a failsafe is active."""
+        return self.failsafe and self.v.armed
+
+    @property
+    def taking_off(self) -> bool:
+        """Whether it climbs in its take-off mode."""
+        return self.state == "TAKEOFF"
 
     # What is possible.
 
@@ -166,15 +183,15 @@ class Px4:
         """Why arming would be denied now, None if it would not."""
         v = self.v
         if v.now < self.ready_at:
-            return "Resolve system health failures first"
+            return _UNHEALTHY
         if v.refuse_arming:
             return v.refuse_arming
         if MODES[self.intended].prevents_arming:
             return f"Mode '{MODES[self.intended].label}' prevents arming"
-        if not self.can_run(self.intended) or v.bodies.crashed[v.index]:
-            return "Resolve system health failures first"
-        if self.battery_level >= 2 or px4_failsafes.beyond_fence(self):
-            return "Resolve system health failures first"
+        alone = not self.gcs_seen and v.parameters["NAV_DLL_ACT"] > 0
+        weak = self.battery_level >= 2 or px4_failsafes.beyond_fence(self)
+        if alone or weak or not self.can_run(self.intended) or v.bodies.crashed[v.index]:
+            return _UNHEALTHY
         return None
 
     # Numbers in HEARTBEAT.
@@ -187,7 +204,11 @@ class Px4:
     def base_mode(self) -> int:
         """MAV_MODE_FLAG bits of the state that flies."""
         mode = MODES[self.state]
-        flags = 1 | 16 | (64 if mode.main in {1, 2, 3, 5, 7} else 4 | 8)
+        flags = 1 | 16
+        if mode.main == _AUTO:
+            flags |= 4 | 8
+        elif mode.main != _OFFBOARD:
+            flags |= 64
         return flags | (128 if self.v.armed else 0)
 
     # Commands.
@@ -245,7 +266,7 @@ class Px4:
         self.radio_seen, self.radio_lost_at = v.radio_heard, None
         self.outside = False
         if v.global_valid:
-            v.home = np.array(v.estimated())
+            v.home_is_here()
         v.text(_INFO, "Armed by external command\t")
         v.around.event("armed", v.system)
         self.state = ""
@@ -300,15 +321,20 @@ class Px4:
         if v.now >= self.slow_at:
             self.slow_at = v.now + _SLOW_BEAT
             px4_failsafes.watch_battery(self)
+            px4_failsafes.watch_ground_station(self)
             if v.armed:
-                px4_failsafes.watch_links(self)
+                px4_failsafes.watch_radio(self)
                 px4_failsafes.watch_fence(self)
+            else:
+                self._follow_home()
         elif self._steadily_offboard():
             return
         self.evaluate()
         if not v.armed:
             return
         if not v.landed:
+            if not self.flew:
+                self._took_off()
             self.flew = True
             self.landed_at = None
             px4_flight.steer(self)
@@ -316,6 +342,18 @@ class Px4:
             self._after_landing()
         elif v.now - self.armed_at > v.parameters["COM_DISARM_PRFLT"] > 0:
             self.disarm("Disarmed by auto preflight disarming")
+
+    def _took_off(self) -> None:
+        v = self.v
+        if v.global_valid:
+            v.home_is_here()
+        v.text(_INFO, "Takeoff detected\t")
+
+    def _follow_home(self) -> None:
+        """Home goes with a vehicle that is carried elsewhere, or has landed there."""
+        v = self.v
+        if v.home is not None and v.global_valid and math.dist(v.home, v.estimated()) > _MOVED:
+            v.home_is_here()
 
     def _steadily_offboard(self) -> bool:
         """Whether nothing needs looking at: the most frequent case, for speed."""

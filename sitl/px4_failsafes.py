@@ -12,7 +12,7 @@ from sitl.px4_tables import BATTERY, GEOFENCE, LINK_LOSS, MODES
 if TYPE_CHECKING:
     from sitl.px4 import Px4
 
-_WARNING, _CRITICAL = 4, 2
+_INFO, _WARNING, _CRITICAL = 6, 4, 2
 _NO_STICKS = 4
 _EXCEPTIONS = {"MISSION": 1, "LOITER": 2, "OFFBOARD": 4}
 
@@ -31,22 +31,26 @@ def watch_battery(px4: "Px4") -> None:
     px4.battery_level = max(level, px4.battery_level if v.armed else 0)
 
 
-def watch_links(px4: "Px4") -> None:
-    """Notice a lost ground station (NAV_DLL_ACT), and a lost radio (NAV_RCL_ACT)."""
+def watch_ground_station(px4: "Px4") -> None:
+    """Notice a ground station that is heard, lost (NAV_DLL_ACT) and heard again."""
     v, p = px4.v, px4.v.parameters
     latest = max(v.last_heartbeat.values(), default=-math.inf)
     lost = v.now - latest > p["COM_DL_LOSS_T"]
-    if not lost:
-        px4.gcs_seen = True
-    elif px4.gcs_seen:
+    if not lost and not px4.gcs_seen:
+        if px4.gcs_known:
+            v.text(_INFO, "GCS connection regained\t")
+        px4.gcs_seen = px4.gcs_known = True
+    elif lost and px4.gcs_seen:
         px4.gcs_seen = False
-        v.text(_WARNING, "Connection to ground station lost\t")
-        _link_lost(px4, "NAV_DLL_ACT", "COM_DLL_EXCEPT")
-    _watch_radio(px4)
+        v.text(_INFO, "Connection to ground station lost\t")
+        if v.armed:
+            _link_lost(px4, "NAV_DLL_ACT", "COM_DLL_EXCEPT")
 
 
-def _watch_radio(px4: "Px4") -> None:
-    """A radio that was off when the vehicle armed is optional until it is heard."""
+def watch_radio(px4: "Px4") -> None:
+    """Notice a lost radio (NAV_RCL_ACT).
+
+    One that was off when the vehicle armed is optional until it is heard."""
     v, p = px4.v, px4.v.parameters
     if v.radio_heard:
         px4.radio_seen, px4.radio_lost_at = True, None

@@ -37,6 +37,9 @@ BY_NUMBER = {(mode.main, mode.sub): name for name, mode in MODES.items() if name
 BY_NUMBER[(1, 0)] = "MANUAL"
 BY_NUMBER[(4, 6)] = "LAND"
 
+# MAV_STANDARD_MODE, by main and sub mode; the others have none.
+STANDARD_MODES = {(3, 0): 1, (2, 0): 4, (4, 5): 5, (4, 4): 6, (4, 6): 7, (4, 2): 8}
+
 # What each failsafe action falls through to when its mode cannot run (failsafe framework).
 FALLBACK = {"LOITER": "RTL", "RTL": "LAND", "LAND": "DESCEND"}
 
@@ -86,22 +89,29 @@ PARAMETERS: dict[str, float | int] = {
     "UAVCAN_ENABLE": 0, "CAL_ACC0_ID": 1310988, "CAL_GYRO0_ID": 1310988, "CAL_MAG0_ID": 197388,
 }  # fmt: skip
 
+# What it sends on every link, beside what is more frequent on some.
+_SLOW: dict[str, float] = {
+    "TIMESYNC": 10, "PING": 1, "MISSION_CURRENT": 1, "SCALED_PRESSURE": 1, "VIBRATION": 0.5,
+    "LINK_NODE_STATUS": 1, "TIME_ESTIMATE_TO_TARGET": 0.5, "CURRENT_EVENT_SEQUENCE": 0.33,
+    "CURRENT_MODE": 0.5,
+}  # fmt: skip
 # Streams of PX4's onboard and normal MAVLink modes (those that the emulator has), hertz.
 STREAMS: dict[str, dict[str, float]] = {
     "onboard": {
         "HEARTBEAT": 1, "LOCAL_POSITION_NED": 30, "ATTITUDE": 50, "ALTITUDE": 10, "ODOMETRY": 30,
         "ATTITUDE_QUATERNION": 50, "BATTERY_STATUS": 0.5, "ESTIMATOR_STATUS": 1,
         "EXTENDED_SYS_STATE": 5, "GLOBAL_POSITION_INT": 50, "GPS_GLOBAL_ORIGIN": 1,
-        "GPS_RAW_INT": 5, "HOME_POSITION": 0.5, "NAV_CONTROLLER_OUTPUT": 10,
-        "POSITION_TARGET_LOCAL_NED": 10, "RC_CHANNELS": 20, "SERVO_OUTPUT_RAW": 10,
-        "SYS_STATUS": 5, "SYSTEM_TIME": 1, "VFR_HUD": 10,
+        "GPS_RAW_INT": 5, "HOME_POSITION": 0.5, "POSITION_TARGET_LOCAL_NED": 10,
+        "RC_CHANNELS": 20, "SERVO_OUTPUT_RAW": 10, "SYS_STATUS": 5, "SYSTEM_TIME": 1,
+        "VFR_HUD": 10, "HIGHRES_IMU": 50, "DISTANCE_SENSOR": 10, "ATTITUDE_TARGET": 10,
+        **_SLOW,
     },
     "gcs": {
         "HEARTBEAT": 1, "LOCAL_POSITION_NED": 1, "ATTITUDE": 15, "ALTITUDE": 1,
         "ATTITUDE_QUATERNION": 10, "BATTERY_STATUS": 0.5, "ESTIMATOR_STATUS": 0.5,
         "EXTENDED_SYS_STATE": 1, "GLOBAL_POSITION_INT": 5, "GPS_GLOBAL_ORIGIN": 1,
-        "GPS_RAW_INT": 5, "HOME_POSITION": 0.5, "NAV_CONTROLLER_OUTPUT": 1,
-        "POSITION_TARGET_LOCAL_NED": 1.5, "RC_CHANNELS": 5, "SERVO_OUTPUT_RAW": 1,
-        "SYS_STATUS": 1, "VFR_HUD": 4,
+        "GPS_RAW_INT": 5, "HOME_POSITION": 0.5, "POSITION_TARGET_LOCAL_NED": 1.5,
+        "RC_CHANNELS": 5, "SERVO_OUTPUT_RAW": 1, "SYS_STATUS": 1, "VFR_HUD": 4,
+        "ATTITUDE_TARGET": 2, "DISTANCE_SENSOR": 0.5, **_SLOW,
     },
 }  # fmt: skip

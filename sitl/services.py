@@ -52,6 +52,13 @@ def emit(v: Vehicle, name: str, link: Link) -> bool:
     return True
 
 
+def tell(v: Vehicle, *names: str) -> None:
+    """Send telemetry messages now on all links, beside their streams."""
+    for link in v.links:
+        for name in names:
+            emit(v, name, link)
+
+
 def emit_due(links: Iterable[tuple[Vehicle, Link]], now: float) -> None:
     """Send what the streams of these links have due, and set their next time.
 
@@ -120,18 +127,29 @@ def _command(v: Vehicle, message: Any, p: list[float], xy: tuple[int, int], link
 _NO_ANSWER = -1
 _NOT_PX4 = frozenset({"EKF_STATUS_REPORT", "HEARTBEAT"})
 """Messages whose rate cannot be set: PX4's heartbeats come once a second."""
-_NOT_ARDUPILOT = frozenset({"CURRENT_MODE"})
+_NOT_ARDUPILOT = frozenset(
+    {"COMPONENT_METADATA", "CURRENT_EVENT_SEQUENCE", "CURRENT_MODE", "LINK_NODE_STATUS", "PING",
+     "TIMESYNC", "TIME_ESTIMATE_TO_TARGET"}
+)  # fmt: skip
 _INJECT_FAILURE = 420
 
 
 def _request_message(v: Vehicle, command: Command) -> int:
-    """PX4 denies what it has nothing to say of; ArduPilot takes the request, and says nothing."""
-    name = NAMES.get(int(command.p[0]))
+    """PX4 denies what it has nothing to say of, and answers after it has said the rest.
+
+    ArduPilot answers first, and takes the request where it then says nothing.
+    """
+    name = str(NAMES.get(int(command.p[0])))
     known = name in telemetry.MESSAGES
-    said = known and emit(v, str(name), command.link)
     if v.spec.autopilot == "px4":
-        return ACCEPTED if said else DENIED
-    return ACCEPTED if known else FAILED
+        if name == "GPS_GLOBAL_ORIGIN":
+            v.origin_told_at = v.now
+        return ACCEPTED if known and emit(v, name, command.link) else DENIED
+    if not known or name in _NOT_ARDUPILOT:
+        return FAILED
+    v.acknowledge(command.number, ACCEPTED, command.link, command.system, command.component)
+    emit(v, name, command.link)
+    return _NO_ANSWER
 
 
 def _set_interval(v: Vehicle, command: Command) -> int:
@@ -198,7 +216,7 @@ def _set_home(v: Vehicle, command: Command) -> int:
         if max(abs(x), abs(y), abs(z)) > _FARTHEST:
             return DENIED
         place = np.array([x, y, z])
-    v.home = place
+    v.home, v.home_set_at = place, v.clock()
     return ACCEPTED
 
 

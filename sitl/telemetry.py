@@ -8,7 +8,8 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from sitl import health, wire
+from sitl import health, px4_telemetry, wire
+from sitl.px4_tables import STANDARD_MODES
 from sitl.vehicle import Vehicle
 
 _pack_boot = struct.Struct("<I").pack
@@ -16,16 +17,35 @@ _pack_quaternion = wire.LAYOUTS["ATTITUDE_QUATERNION"].struct.pack
 _pack_global = wire.LAYOUTS["GLOBAL_POSITION_INT"].struct.pack
 _pack_hud = wire.LAYOUTS["VFR_HUD"].struct.pack
 _pack_target = wire.LAYOUTS["POSITION_TARGET_LOCAL_NED"].struct.pack
+
+
+def _diagonal(*variances: float) -> list[float]:
+    """Return the upper triangle of a covariance, row by row, of which the diagonal is known."""
+    return [variances[i] if i == j else math.nan for i in range(6) for j in range(i, 6)]
+
+
+_NO_QUATERNION = (math.nan,) * 4
 _pack_time = wire.LAYOUTS["SYSTEM_TIME"].struct.pack
-_fill_home = wire.template(
-    "HOME_POSITION", "latitude longitude altitude x y z time_usec", q=(1.0, 0.0, 0.0, 0.0)
-)
+_fill_home = {
+    "px4": wire.template(
+        "HOME_POSITION", "latitude longitude altitude x y z time_usec", q=(1.0, 0.0, 0.0, 0.0)
+    ),
+    "ardupilot": wire.template(
+        "HOME_POSITION", "latitude longitude altitude x y z time_usec", q=_NO_QUATERNION
+    ),
+}
 _fill_origin = wire.template("GPS_GLOBAL_ORIGIN", "latitude longitude altitude time_usec")
 _pack_mode = wire.LAYOUTS["CURRENT_MODE"].struct.pack
+_AUTOPILOTS_OWN = 8
+_POSE_COVARIANCE = _diagonal(2.5e-3, 2.5e-3, 2.5e-3, 3e-4, 3e-4, 1e-2)
+_SPEED_COVARIANCE = _diagonal(1e-2, 1e-2, 1e-2, math.nan, math.nan, math.nan)
+_PX4_DISARMED = 900
+_NO_MOTION = 63
 _LARGEST = 2**32
 _LOCAL_NED = 1
 _SAID = 48
 _MODE_AGAIN = 0.49
+_ORIGIN_NEW = 1.0
 
 
 def boot_ms(v: Vehicle) -> int:
@@ -127,17 +147,21 @@ def _home(v: Vehicle) -> bytes | None:
     if v.home is None or not v.global_valid:
         return None
     latitude, longitude, altitude = v.around.geodesy.degrees(*v.home.tolist())
-    return _fill_home(
+    px4 = v.spec.autopilot == "px4"
+    return _fill_home[v.spec.autopilot](
         round(latitude * 1e7),
         round(longitude * 1e7),
         round(altitude * 1e3),
         *v.to_local(v.home),
-        round(v.clock() * 1e6),
+        round((v.home_set_at if px4 else v.clock()) * 1e6),
     )
 
 
 def _origin(v: Vehicle) -> bytes | None:
+    """PX4 says it when asked, and once when it is new."""
     if v.around.indoor or not v.personality.has_origin:
+        return None
+    if v.spec.autopilot == "px4" and v.now - v.origin_told_at >= _ORIGIN_NEW:
         return None
     latitude, longitude, altitude = v.around.geodesy.degrees(*v.place)
     return _fill_origin(
@@ -185,7 +209,7 @@ def _system_time(v: Vehicle) -> bytes:
 def _target(v: Vehicle) -> bytes | None:
     mask = getattr(v.personality, "target_mask", None)
     if mask is None:
-        return None
+        return _idle_target(v)
     b, i = v.bodies, v.index
     north, east, down = v.to_local(b.goal_position[i])
     vx, vy, vz = b.goal_velocity[i].tolist()
@@ -196,14 +220,23 @@ def _target(v: Vehicle) -> bytes | None:
     )
 
 
+def _idle_target(v: Vehicle) -> bytes | None:
+    """PX4's controller on the ground: no position or velocity, and full acceleration downwards."""
+    if v.spec.autopilot != "px4" or v.armed:
+        return None
+    nothing = (math.nan,) * 6
+    yaw = _wrap(math.pi / 2 - float(v.bodies.yaw[v.index]))
+    return _pack_target(boot_ms(v), *nothing, 0.0, 0.0, 100.0, yaw, 0.0, _NO_MOTION, _LOCAL_NED)
+
+
 def _odometry(v: Vehicle) -> bytes:
     x, y, z, vx, vy, vz = local_ned(v)
     return wire.payload(
         "ODOMETRY",
         {
             "time_usec": round(v.clock() * 1e6),
-            "frame_id": 1,
-            "child_frame_id": 8,
+            "frame_id": _LOCAL_NED,
+            "child_frame_id": _LOCAL_NED,
             "x": x,
             "y": y,
             "z": z,
@@ -211,8 +244,9 @@ def _odometry(v: Vehicle) -> bytes:
             "vx": vx,
             "vy": vy,
             "vz": vz,
-            "estimator_type": 3,
-            "quality": 100,
+            "pose_covariance": _POSE_COVARIANCE,
+            "velocity_covariance": _SPEED_COVARIANCE,
+            "estimator_type": _AUTOPILOTS_OWN,
         },
     )
 
@@ -231,7 +265,10 @@ def _nav(v: Vehicle) -> bytes:
     )
 
 
-def _channels(v: Vehicle) -> bytes:
+def _channels(v: Vehicle) -> bytes | None:
+    """PX4 says nothing of a radio that it does not hear."""
+    if not v.radio_heard and v.spec.autopilot == "px4":
+        return None
     return wire.payload("RC_CHANNELS", {"time_boot_ms": boot_ms(v), "chancount": 0, "rssi": 255})
 
 
@@ -239,13 +276,17 @@ def _servo(v: Vehicle) -> bytes:
     share = float(v.bodies.thrust[v.index, 2] / v.bodies.thrust_limit[v.index]) if v.armed else 0.0
     value = round(1000 + 1000 * max(0.0, min(1.0, share)))
     fields: dict[str, Any] = {f"servo{k}_raw": value for k in range(1, 5)}
+    if v.spec.autopilot == "px4" and not v.armed:
+        fields = {f"servo{k}_raw": _PX4_DISARMED for k in range(1, 17)}
     return wire.payload(
         "SERVO_OUTPUT_RAW", {"time_usec": int(v.clock() * 1e6) % _LARGEST, **fields}
     )
 
 
 def _mission_current(v: Vehicle) -> bytes:
-    fields = {"seq": v.personality.route.seq, "total": len(v.mission[0])}
+    items = len(v.mission[0])
+    none = 0xFFFF if v.spec.autopilot == "px4" else 0
+    fields = {"seq": v.personality.route.seq, "total": items or none}
     return wire.payload("MISSION_CURRENT", fields)
 
 
@@ -258,7 +299,8 @@ def _current_mode(v: Vehicle) -> bytes | None:
     if mode == told and v.now - at < _MODE_AGAIN:
         return None
     v.mode_told = mode, v.now
-    return _pack_mode(mode, mode, 0)
+    standard = STANDARD_MODES.get((mode >> 16 & 0xFF, mode >> 24 & 0xFF), 0)
+    return _pack_mode(mode, mode, standard)
 
 
 MESSAGES: dict[str, Callable[[Vehicle], bytes | None]] = {
@@ -286,4 +328,5 @@ MESSAGES: dict[str, Callable[[Vehicle], bytes | None]] = {
     "SERVO_OUTPUT_RAW": _servo,
     "MISSION_CURRENT": _mission_current,
     "CURRENT_MODE": _current_mode,
+    **px4_telemetry.MESSAGES,
 }

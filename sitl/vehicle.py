@@ -103,6 +103,23 @@ class Personality(Protocol):
         """Whether arming would be allowed: the pre-arm bit."""
         ...
 
+    @property
+    def critical(self) -> bool:
+        """Whether HEARTBEAT says that a failsafe is active."""
+        ...
+
+    @property
+    def taking_off(self) -> bool:
+        """Whether EXTENDED_SYS_STATE says that a take-off is under way."""
+        ...
+
+    landing: bool
+
+    @property
+    def logging(self) -> bool:
+        """Whether it writes its log."""
+        ...
+
     def parameter_changed(self, name: str) -> None:
         """React to PARAM_SET."""
 
@@ -186,6 +203,7 @@ class Vehicle:
             self.origin = np.zeros(3)
         self._settle(world)
         self.home: np.ndarray[Any, Any] | None = None
+        self.home_set_at = 0.0
         self.barometer = 0.0
         self.gps_noise = spec.gps_noise
         self.charge = 1.0
@@ -196,6 +214,7 @@ class Vehicle:
         self.global_valid = not world.indoor
         self.frozen = False
         self.mode_told = (-1, -math.inf)
+        self.origin_told_at = -math.inf
         self.awake_at = -math.inf
         self.vision_at = -math.inf
         self.vision_lost = False
@@ -226,6 +245,7 @@ class Vehicle:
         self.parameters = Parameters()
         self.parameter_queue: list[tuple[Link, int]] = []
         self.text_id = 0
+        self.tell: Callable[..., None] = _tell_nothing
 
     # Frequently used views of the batch.
 
@@ -254,9 +274,15 @@ class Vehicle:
         b = self.bodies
         return b.position[i] + b.bias[i] + b.noise[i]
 
+    def home_is_here(self) -> None:
+        """Take the place where it is for its home."""
+        self.home = np.array(self.estimated())
+        self.home_set_at = self.clock()
+
     def move_origin(self, origin: Any) -> None:
         """Give the estimator another local origin (world ENU)."""
         self.origin = np.array(origin, dtype=float)
+        self.origin_told_at = self.now
         self.place: tuple[float, float, float] = tuple(self.origin.tolist())
         self.bodies.frames[self.index, :3] = self.origin
         self.bodies.touch()
@@ -284,9 +310,13 @@ class Vehicle:
             target.outgoing.append(target.sender.pack(name, ticks, **fields))
 
     def text(self, severity: int, text: str) -> None:
-        """Say something in STATUSTEXT, in chunks of 50 characters where it is longer."""
+        """Say something in STATUSTEXT, in chunks of 50 characters where it is longer.
+
+        PX4 gives every text a number; others give one to texts of several chunks only.
+        """
         data = text.encode()
-        if len(data) <= _TEXT_LENGTH:
+        px4 = self.spec.autopilot == "px4"
+        if len(data) <= _TEXT_LENGTH and not px4:
             self.send("STATUSTEXT", severity=severity, text=data)
             return
         self.text_id = self.text_id % 65535 + 1
@@ -387,6 +417,10 @@ class Vehicle:
         handler = HANDLERS.get(message.get_type())
         if handler is not None:
             handler(self, message, link)
+
+
+def _tell_nothing(*names: str) -> None:
+    """Before the emulator has given a vehicle its telemetry, there is nothing to tell."""
 
 
 HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {}

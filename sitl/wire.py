@@ -58,8 +58,28 @@ def _layouts() -> dict[str, Layout]:
         seed = bytes([message.crc_extra])
         found[message.msgname] = Layout(number, message.unpacker, seed, blank, places)
     found["EKF_STATUS_REPORT"] = _ekf_status_report()
-    found["CURRENT_MODE"] = _current_mode()
+    found |= {name: _newer(*described) for name, described in _NEWER.items()}
     return found
+
+
+_NEWER: dict[str, tuple[int, int, str, str]] = {
+    "LINK_NODE_STATUS": (8, 117, "<QIIIIIHHHBB",
+        "timestamp tx_rate rx_rate messages_sent messages_received messages_lost rx_parse_err "
+        "tx_overflows rx_overflows tx_buf rx_buf"),
+    "TIME_ESTIMATE_TO_TARGET": (380, 232, "<iiiii",
+        "safe_return land mission_next_item mission_end commanded_action"),
+    "COMPONENT_METADATA": (397, 182, "<II100s", "time_boot_ms file_crc uri"),
+    "CURRENT_EVENT_SEQUENCE": (411, 106, "<HB", "sequence flags"),
+    "CURRENT_MODE": (436, 193, "<IIB", "custom_mode intended_custom_mode standard_mode"),
+}  # fmt: skip
+"""PX4's messages that common.xml has and the library has not yet: number, CRC seed, structure,
+fields in wire order."""
+
+
+def _newer(number: int, seed: int, packed: str, names: str) -> Layout:
+    places = {name: (place, 0) for place, name in enumerate(names.split())}
+    blank: list[Any] = [b"" if name == "uri" else 0 for name in places]
+    return Layout(number, struct.Struct(packed), bytes([seed]), blank, places)
 
 
 def _ekf_status_report() -> Layout:
@@ -68,13 +88,6 @@ def _ekf_status_report() -> Layout:
     names = (*(f"{name}_variance" for name in variances), "flags", "airspeed_variance")
     places = {name: (place, 0) for place, name in enumerate(names)}
     return Layout(193, struct.Struct("<5fHf"), bytes([71]), [0] * len(names), places)
-
-
-def _current_mode() -> Layout:
-    """PX4's mode, as common.xml has had it since 2024 and the library does not yet."""
-    names = ("custom_mode", "intended_custom_mode", "standard_mode")
-    places = {name: (place, 0) for place, name in enumerate(names)}
-    return Layout(436, struct.Struct("<IIB"), bytes([193]), [0] * len(names), places)
 
 
 LAYOUTS: dict[str, Layout] = _layouts()
