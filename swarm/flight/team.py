@@ -197,7 +197,9 @@ class Team:
         key = (link, address)
         route = self._routes.get(key)
         if route is None and len(self._routes) < self._most_routes:
-            route = Route(link, address, decoder=Decoder(link in self._streams, READ))
+            route = Route(
+                link, address, decoder=Decoder(link in self._streams, READ, unknown_too=True)
+            )
             self._routes[key] = route
         return route
 

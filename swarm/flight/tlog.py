@@ -192,7 +192,7 @@ def replay(data: bytes, plan: Plan, fleet: Fleet) -> Replayed:
     as before the flight. Raises :class:`InputError` where the log does not tell them.
     """
     heard = _Heard(fleet, _vehicles(fleet))
-    decoder = Decoder(wanted=_WANTED)
+    decoder = Decoder(wanted=_WANTED, unknown_too=True)
     first = last = math.nan
     holes = 0
     for now, packet in packets(data):

@@ -84,11 +84,13 @@ class Decoder:
     Datagrams hold whole packets: what is left at the end of one is dropped and counted. On a
     ``stream`` (serial, TCP) it is kept for the next call. Packets with a wrong checksum or an
     unknown message are counted, and never end the flight. Only messages whose number is in
-    ``wanted`` are unpacked; None unpacks all.
+    ``wanted`` are unpacked; None unpacks all. With ``unknown_too``, packets of unknown messages are
+    returned without content where they came in whole datagrams: their checksums cannot be checked.
     """
 
     stream: bool = False
     wanted: Container[int] | None = None
+    unknown_too: bool = False
     damaged: int = 0
     unknown: int = 0
     _kept: bytes = b""
@@ -163,6 +165,9 @@ class Decoder:
         layout = _LAYOUTS.get(number)
         if layout is None:
             self.unknown += 1
+            packet = data[start : start + length]
+            if second and self._passes_on_unknown(packet, signing):
+                packets.append(Packet(number, system, component, sequence, None))
             return start + length
         close = start + header + data[start + 1]
         checksum = _checksum(data[start + 1 : close] + layout.extra)
@@ -176,6 +181,12 @@ class Decoder:
             message = layout.unpack(data[start + header : close])
         packets.append(Packet(number, system, component, sequence, message))
         return start + length
+
+    def _passes_on_unknown(self, packet: bytes, signing: Signing | None) -> bool:
+        """Whether a packet of an unknown message is returned: it is counted, if nothing else."""
+        if not self.unknown_too or self.stream:
+            return False
+        return signing is None or signing.judge(packet) == "genuine"
 
 
 _packet: Callable[[tuple[Any, ...]], Packet] = partial(tuple.__new__, Packet)
@@ -256,8 +267,28 @@ class _WithBits(_Layout):
         return self._make((*self._unpack(payload), int.from_bytes(payload[:4], "little")))
 
 
-_LAYOUTS = {number: _Layout(kind) for number, kind in common.mavlink_map.items()}
-_LAYOUTS[CURRENT_MODE] = _Layout(_CurrentMode)
+class _Unread:
+    """A message that is newer than the library, of which only the checksum is needed."""
+
+    unpacker = Struct("<")
+    ordered_fieldnames: tuple[str, ...] = ()
+    fieldnames, lengths, fieldtypes = ordered_fieldnames, (), ()
+
+    def __init__(self, number: int, crc_extra: int, msgname: str) -> None:
+        self.id, self.crc_extra, self.msgname = number, crc_extra, msgname
+
+
+_NEWER = (
+    _CurrentMode,
+    _Unread(8, 117, "LINK_NODE_STATUS"),
+    _Unread(380, 232, "TIME_ESTIMATE_TO_TARGET"),
+    _Unread(397, 182, "COMPONENT_METADATA"),
+    _Unread(410, 160, "EVENT"),
+    _Unread(411, 106, "CURRENT_EVENT_SEQUENCE"),
+)
+"""What PX4 sends beside what the library knows."""
+_NEWER_NAMES = {kind.id: kind.msgname for kind in _NEWER}
+_LAYOUTS = {int(kind.id): _Layout(kind) for kind in (*common.mavlink_map.values(), *_NEWER)}
 _LAYOUTS[PARAM_VALUE] = _WithBits(common.mavlink_map[PARAM_VALUE])
 EXTRAS = np.full(max(_LAYOUTS) + 1, -1, np.int64)
 """By message number what its checksum begins with beside the packet; negative: no such message."""
@@ -272,7 +303,9 @@ def unpack(number: int, payload: bytes) -> Message:
 def message_name(number: int) -> str:
     """Return what a message is called."""
     known = common.mavlink_map.get(number)
-    return _CurrentMode.msgname if known is None else str(known.msgname)
+    if known is None:
+        return _NEWER_NAMES.get(number, f"message {number}")
+    return str(known.msgname)
 
 
 def _slow_checksum(data: bytes) -> int:
