@@ -17,6 +17,7 @@ from swarm.cli.hop import Hopped, fly_hop
 from swarm.cli.inputs import (
     JSON,
     SET,
+    Shown,
     load_mission,
     print_json,
     progress_bar,
@@ -128,9 +129,10 @@ def check(
         fleet = emulated_fleet(proven.plan.vehicles if proven else 9)
     console = Console(quiet=as_json)
     folder = record or Path("checks") / f"{datetime.now().astimezone():%Y-%m-%dT%H-%M-%S}"
-    wanted = Wanted(soak, _asker(console, yes=yes) if fix else None, restore)
     console.print(f"{fleet.name}: {len(fleet.vehicles)} vehicles listed", highlight=False)
-    report = check_fleet(fleet, folder, proven, wanted)
+    with progress_bar(Console(stderr=True), f"listening to {fleet.name}") as shown:
+        wanted = Wanted(soak, _asker(console, shown, yes=yes) if fix else None, restore, shown)
+        report = check_fleet(fleet, folder, proven, wanted)
     if proven is not None:
         report = report.having(_of_plan(proven))
     hopped = None
@@ -159,14 +161,15 @@ def _of_plan(proven: CertifiedPlan) -> Finding:
     return Finding("info", "plan", words + (f", holds {limit:.2f} m" if limit is not None else ""))
 
 
-def _asker(console: Console, *, yes: bool) -> Callable[[Sequence[Row]], bool]:
+def _asker(console: Console, shown: Shown, *, yes: bool) -> Callable[[Sequence[Row]], bool]:
     def ask(rows: Sequence[Row]) -> bool:
-        console.print(parameter_table(rows))
-        if yes:
-            return True
-        if not sys.stdin.isatty():
-            return False
-        return click.confirm(f"Set these {len(rows)} parameters?", err=True)
+        with shown.away():
+            console.print(parameter_table(rows))
+            if yes:
+                return True
+            if not sys.stdin.isatty():
+                return False
+            return click.confirm(f"Set these {len(rows)} parameters?", err=True)
 
     return ask
 

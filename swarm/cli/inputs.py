@@ -1,14 +1,15 @@
 """What commands are given: mission files, knot names, overrides; and progress while they work."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from swarm.borders import LARGEST_FILE
 from swarm.errors import InputError, Problem
@@ -77,9 +78,30 @@ def _refuse_unknown_knot(mission: Mission, source: str) -> None:
         raise InputError(problems) from None
 
 
+@dataclass(frozen=True)
+class Shown:
+    """A line on the terminal that says what is being done; called with stage and share done."""
+
+    bar: Progress
+    task: TaskID
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Show a stage and how much of it is done."""
+        self.bar.update(self.task, description=stage, completed=share)
+
+    @contextmanager
+    def away(self) -> Iterator[None]:
+        """Take the line off the terminal while something else is asked or printed there."""
+        self.bar.stop()
+        try:
+            yield
+        finally:
+            self.bar.start()
+
+
 @contextmanager
-def progress_bar(console: Console) -> Iterator[Callable[[str, float], None]]:
-    """Show long work as ``progress(stage, share done)``; silent where nobody watches."""
+def progress_bar(console: Console, first: str = "planning") -> Iterator[Shown]:
+    """Show long work as ``progress(stage, share done)``; silent where it is not a terminal."""
     with Progress(
         SpinnerColumn(),
         TextColumn("{task.description}"),
@@ -89,12 +111,7 @@ def progress_bar(console: Console) -> Iterator[Callable[[str, float], None]]:
         transient=True,
         disable=not console.is_terminal,
     ) as bar:
-        task = bar.add_task("planning", total=1.0)
-
-        def show(stage: str, share: float) -> None:
-            bar.update(task, description=stage, completed=share)
-
-        yield show
+        yield Shown(bar, bar.add_task(first, total=1.0))
 
 
 def write_text(path: Path, text: str) -> None:

@@ -32,6 +32,8 @@ _ASK_AGAIN = 1.0
 SPARE_PATIENCE = 5.0
 """Seconds to wait for vehicles beyond those that the plan needs."""
 
+GATHERING = 1.5
+"""Seconds after the first system id that is two vehicles in which others show, too."""
 STANDING_TIME = 1.0
 """Seconds over which the positions of standing vehicles are averaged."""
 
@@ -62,6 +64,7 @@ class Preparation:
     _enough_at: float | None = None
     _heard: list[Vehicle] = field(default_factory=list)
     _heard_at: float | None = None
+    _conflict_at: float | None = None
     _samples: list[tuple[float, Floats]] = field(default_factory=list)
 
     def tick(self, now: float) -> Prepared | Outcome | None:
@@ -69,6 +72,12 @@ class Preparation:
         if self._began is None:
             self._began = now
         late = now - self._began > self._starting(self.fleet.limits.ready)
+        if conflicts := self.team.conflicts():
+            self._conflict_at = now if self._conflict_at is None else self._conflict_at
+            if now - self._conflict_at >= GATHERING:
+                return Outcome("refused", "\n".join(finding.message for finding in conflicts))
+            return None
+        self._conflict_at = None
         if self._heard_at is None:
             return self._listen(now, late=late)
         self._ask(now)

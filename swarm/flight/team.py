@@ -15,6 +15,7 @@ import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
 from swarm.fleet import Fleet
+from swarm.flight.identities import Identities
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.columns import Columns, room_for, take
 from swarm.mavlink.hearing import READ
@@ -90,6 +91,9 @@ class Team:
             listed.sysid: Vehicle(listed.sysid, named.get(listed.autopilot), self.columns, row)
             for row, listed in enumerate(fleet.vehicles)
         }
+        self._identities = Identities(
+            {listed.sysid: named.get(listed.autopilot) for listed in fleet.vehicles}
+        )
         self._allowed = {listed.sysid: listed.links for listed in fleet.vehicles}
         self._streams = {
             name for name, url in fleet.links.items() if not url.startswith(("udpin", "udpout"))
@@ -132,8 +136,10 @@ class Team:
         signing = self.signing
         before = signing.dropped.total() if signing else 0
         for packet in route.decoder.feed(data, signing):
-            vehicle = route.speakers.get(packet[1]) or self._sender(route, packet)
+            vehicle = route.speakers.get(packet[1]) or self._sender(route, packet, now)
             if vehicle is not None:
+                if packet[0] == _HEARTBEAT:
+                    self._beat(vehicle.system, route, packet.message)
                 vehicle.receive(packet, now)
         if signing is not None and signing.dropped.total() > before:
             self.rejected += signing.dropped.total() - before
@@ -178,6 +184,9 @@ class Team:
         for which, number, component, start, end in rows[: max(left, 0)].tolist():
             message = unpack(number, together[start:end]) if number in READ else None
             speakers[which].read(number, component, message, now)
+            if number == _HEARTBEAT and message is not None:
+                system = speakers[which].system
+                self._identities.heartbeat(system, link, arrived[which][0], message.autopilot)
         return left >= 0
 
     def trusts(self, link: str, address: Address | None, packet: bytes) -> bool:
@@ -203,7 +212,11 @@ class Team:
             self._routes[key] = route
         return route
 
-    def _sender(self, route: Route, packet: Packet) -> Vehicle | None:
+    def _beat(self, system: int, route: Route, message: Message | None) -> None:
+        if message is not None:
+            self._identities.heartbeat(system, route.link, route.address, message.autopilot)
+
+    def _sender(self, route: Route, packet: Packet, now: float) -> Vehicle | None:
         """Return the vehicle whose message this is, if it may speak from there."""
         sysid = packet.system
         vehicle = self.vehicles.get(sysid)
@@ -214,6 +227,8 @@ class Team:
         known = ways.get(route.link)
         if known is not None or route.link not in self._allowed[sysid]:
             self.rejected += 1
+            place = route.link, route.address
+            self._identities.elsewhere(packet, place, now, vehicle.set_back_at)
             self._once(
                 ("address" if known else "link", sysid, route.link),
                 "security",
@@ -260,19 +275,18 @@ class Team:
         """System ids of other ground stations."""
         return sorted(self._stations)
 
+    def conflicts(self) -> list[Finding]:
+        """Return an error for each system id that is not one vehicle, or not the listed one."""
+        return list(self._identities.findings(self.vehicles))
+
     def findings(self) -> list[Finding]:
         """Return who is on the links and should not be, for the go/no-go before a flight."""
-        doubles = sorted({key[1] for key in self._noticed if key[0] == "address"})
         return [
             *(
                 Finding("error", "fleet", f"system {s} is heard and not in the fleet file")
                 for s in self.strangers
             ),
-            *(
-                Finding("error", "fleet", f"system {s} is heard from two places: two vehicles "
-                        "have this system id, or one is connected twice")
-                for s in doubles
-            ),
+            *self.conflicts(),
             *(
                 Finding("warning", "fleet", f"another ground station (system {s}) is heard: its "
                         "heartbeats defeat the vehicles' link-loss failsafe")

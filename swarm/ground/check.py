@@ -20,7 +20,7 @@ from swarm.flight.parameters import (
     demands_of,
     demands_of_plan,
 )
-from swarm.flight.preparation import Prepared
+from swarm.flight.preparation import GATHERING, Prepared
 from swarm.ground.attendance import Attendance, attended
 from swarm.ground.audit import Auditor, Tell, VehicleAudit, save_parameters
 from swarm.mission import Vehicles
@@ -202,8 +202,14 @@ class _Work:
             names = ", ".join(f"system {system}" for system in missing)
             raise VehicleError(f"not heard: {names}")
         self.attendance.wait(_SETTLE)
+        self._tell_heard()
 
     def _tell_heard(self) -> None:
+        """Tell how many vehicles are heard; refuse to ask more where one id is two vehicles."""
+        if self.listening.team.conflicts():
+            self.attendance.wait(GATHERING)
+            if conflicts := self.listening.team.conflicts():
+                raise Refused("\n".join(finding.message for finding in conflicts))
         heard, of = len(self.listening.heard), len(self.listening.fleet.vehicles)
         self.wanted.tell(f"heard {heard} of {of} vehicles", heard / of)
 

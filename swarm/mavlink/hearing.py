@@ -60,11 +60,12 @@ def _local_position(vehicle: "Vehicle", message: Message, now: float) -> None:
     vehicle.position = (message.x, message.y, message.z)
     vehicle.velocity = (message.vx, message.vy, message.vz)
     vehicle.position_at = now
-    _boot_time(vehicle, message.time_boot_ms)
+    _boot_time(vehicle, message.time_boot_ms, now)
 
 
-def _boot_time(vehicle: "Vehicle", boot_ms: int) -> None:
+def _boot_time(vehicle: "Vehicle", boot_ms: int, now: float) -> None:
     if boot_ms < vehicle.boot_ms - REBOOTED:
+        vehicle.set_back, vehicle.set_back_at = vehicle.set_back + 1, now
         vehicle.say("rebooted", "rebooted: its clock went back")
     vehicle.boot_ms = boot_ms
 

@@ -107,6 +107,8 @@ class Vehicle:
     _quietened: set[int] = field(default_factory=set)
     speaks_as: int = 1
     out_of_step: int = 0
+    set_back: int = 0
+    set_back_at: float = -math.inf
 
     heard_at = Number(HEARD_AT)
     position_at = Number(POSITION_AT)

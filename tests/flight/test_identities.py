@@ -1,0 +1,196 @@
+"""Two vehicles with one system id: emulated ones in memory, and two emulators on one UDP port."""
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from sitl import Emulator
+from sitl.world import default_world
+from swarm.fleet import Fleet, emulated_fleet
+from swarm.flight.listening import Listening
+from tests.command import run
+from tests.network import Network, small_plan
+
+LINKS = {"radio": "udpin://127.0.0.1:1", "spare": "udpin://127.0.0.1:2"}
+Places = Callable[[int], list[tuple[str, object]]]
+
+
+def emulated(kind: str, seed: int = 1) -> Emulator:
+    return Emulator(default_world(2, (kind,), seed))
+
+
+def fleet_of(links: tuple[str, ...] = ("radio",), autopilot: str = "detect") -> Fleet:
+    fleet = emulated_fleet(2)
+    listed = tuple(
+        one.model_copy(update={"links": links, "autopilot": autopilot}) for one in fleet.vehicles
+    )
+    return fleet.model_copy(update={"links": LINKS, "vehicles": listed, "emulated": None})
+
+
+def at_home(number: int) -> Places:
+    return lambda system: [("radio", ("10.0.0.9", 1000 * number + system))]
+
+
+def heard(fleet: Fleet, *speaking: tuple[Emulator, Places], seconds: float = 6.0) -> list[str]:
+    """What is said against vehicles after so long; each speaks from all of its places."""
+    listening = Listening(fleet)
+    for tick in range(int(20 * seconds)):
+        now = 0.05 * tick
+        for emulator, places in speaking:
+            for system, data in emulator.step(now):
+                for link, address in places(system):
+                    listening.receive(link, address, data, now)
+        for one in listening.tick(now):
+            for emulator, places in speaking:
+                for system in (1, 2):
+                    if (one.link, one.address) in places(system):
+                        emulator.receive(system, one.data, now)
+    assert not listening.missing
+    return [finding.message for finding in listening.team.conflicts()]
+
+
+def test_two_autopilots_are_told_with_both_addresses():
+    said = heard(fleet_of(), (emulated("px4"), at_home(1)), (emulated("ardupilot"), at_home(2)))
+    assert said == [
+        f"system {k} is two vehicles: PX4 at 10.0.0.9:100{k} on link radio and ArduPilot at "
+        f"10.0.0.9:200{k} on link radio: give each vehicle a system id of its own"
+        for k in (1, 2)
+    ]
+
+
+def test_two_clocks_are_told():
+    said = heard(fleet_of(), (emulated("px4"), at_home(1)), (emulated("px4", 3), at_home(2)))
+    assert [words.split(" s apart")[0].rsplit(" ", 1)[0] for words in said] == [
+        f"system {k} is two vehicles: PX4 at 10.0.0.9:100{k} on link radio and PX4 at "
+        f"10.0.0.9:200{k} on link radio, started"
+        for k in (1, 2)
+    ]
+
+
+def test_two_ways_on_one_link_are_told_although_nothing_tells_the_vehicles_apart():
+    def places(system: int) -> list[tuple[str, object]]:
+        return [*at_home(1)(system), *at_home(2)(system)]
+
+    said = heard(fleet_of(), (emulated("px4"), places))
+    assert len(said) == 2
+    assert said[0].startswith(
+        "system 1 is heard from two places: PX4 at 10.0.0.9:1001 on link radio and PX4 at "
+        "10.0.0.9:2001 on link radio: two vehicles have this system id, or one is connected twice"
+    )
+
+
+@pytest.mark.parametrize("links", [("radio", "spare"), ("radio",)])
+def test_a_vehicle_on_two_links_is_one_vehicle_whether_both_are_listed_or_not(links):
+    def places(system: int) -> list[tuple[str, object]]:
+        return [("radio", ("10.0.0.9", system)), ("spare", ("10.0.0.9", 50 + system))]
+
+    assert heard(fleet_of(links), (emulated("px4"), places)) == []
+
+
+@pytest.mark.parametrize("links", [("radio", "spare"), ("radio",)])
+def test_another_vehicle_on_another_link_is_told(links):
+    other: Places = lambda system: [("spare", ("10.0.0.9", 50 + system))]  # noqa: E731
+    both = (emulated("px4"), at_home(1)), (emulated("ardupilot"), other)
+    said = heard(fleet_of(links), *both)
+    assert (
+        "PX4 at 10.0.0.9:1001 on link radio and ArduPilot at 10.0.0.9:51 on link spare" in said[0]
+    )
+
+
+def test_a_router_that_forwards_many_vehicles_is_fine():
+    router: Places = lambda _: [("radio", ("10.0.0.9", 14550))]  # noqa: E731
+    assert heard(fleet_of(), (emulated("ardupilot"), router)) == []
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        ("px4", "two vehicles have this system id behind one address"),
+        ("ardupilot", "ArduPilot and PX4 at 10.0.0.9:14550 on link radio"),
+    ],
+)
+def test_two_vehicles_behind_one_router_are_told(other, words):
+    router: Places = lambda _: [("radio", ("10.0.0.9", 14550))]  # noqa: E731
+    said = heard(fleet_of(), (emulated("px4"), router), (emulated(other, 3), router))
+    assert {one.split(" ")[1].rstrip(":") for one in said} == {"1", "2"}
+    assert words in said[0]
+
+
+def test_an_autopilot_other_than_the_listed_one_is_told():
+    said = heard(fleet_of(autopilot="px4"), (emulated("ardupilot"), at_home(1)))
+    assert said[0] == (
+        "system 1 is ArduPilot at 10.0.0.9:1001 on link radio, and PX4 in the fleet file"
+    )
+
+
+def test_a_vehicle_that_is_restarted_once_is_still_one_vehicle():
+    emulator = emulated("px4")
+    emulator.vehicles[0].later.append((3.0, emulator.vehicles[0].reboot))
+    assert heard(fleet_of(), (emulator, at_home(1)), seconds=20.0) == []
+
+
+def test_a_flight_is_refused_on_the_ground_at_once():
+    flight = Network(small_plan(), emulated_fleet(3))
+    other = Emulator(default_world(3, ("ardupilot",)))
+
+    def double() -> bool:
+        for system, data in other.step(flight.now):
+            flight.conductor.receive("loopback", ("10.0.0.9", system), data, flight.now)
+        return False
+
+    outcome = flight.run(double, most=10.0)
+    assert outcome is not None
+    assert outcome.word == "refused"
+    assert (
+        "system 2 is two vehicles: PX4 at 2 on link loopback and ArduPilot at 10.0.0.9:2 on "
+        in (outcome.explanation)
+    )
+    assert flight.now < 5.0
+
+
+@contextmanager
+def processes(port: int, *kinds: str) -> Iterator[None]:
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-m", "sitl", "-n", "2", "--autopilot", kind, "--json", "--target",
+             f"127.0.0.1:{port}", "--follow-parent"],
+            stdout=subprocess.PIPE,
+        )
+        for kind in kinds
+    ]  # fmt: skip
+    try:
+        for one in started:
+            assert one.stdout is not None
+            assert one.stdout.readline()
+        yield
+    finally:
+        for one in started:
+            one.terminate()
+            one.communicate()
+
+
+def test_two_emulators_on_one_port_are_refused_by_the_check_in_seconds(tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    vehicles = [{"sysid": k, "links": ["ground"], "autopilot": "px4"} for k in (1, 2)]
+    links = {"ground": f"udpin://127.0.0.1:{port}"}
+    file = tmp_path / "fleet.json"
+    file.write_text(json.dumps({"schema": 1, "name": "two", "links": links, "vehicles": vehicles}))
+    with processes(port, "px4", "ardupilot"):
+        began = time.monotonic()
+        said = run("check", "--fleet", str(file), "--record", str(tmp_path / "record"))
+        took = time.monotonic() - began
+    assert said.returncode == 1
+    for k in (1, 2):
+        (line,) = (one for one in said.stderr.splitlines() if f"system {k} is two vehicles" in one)
+        assert line.count("127.0.0.1:") == 2
+        assert "PX4 at" in line
+        assert "ArduPilot at" in line
+    assert took < 15.0
