@@ -188,6 +188,7 @@ def test_two_emulators_on_one_port_are_refused_by_the_check_in_seconds(tmp_path)
         said = run("check", "--fleet", str(file), "--record", str(tmp_path / "record"))
         took = time.monotonic() - began
     assert said.returncode == 1
+    assert "listening" not in said.stderr
     for k in (1, 2):
         (line,) = (one for one in said.stderr.splitlines() if f"system {k} is two vehicles" in one)
         assert line.count("127.0.0.1:") == 2

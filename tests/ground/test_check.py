@@ -1,14 +1,19 @@
 """Ground checks through MAVSDK: what is found, set and put back."""
 
 import json
+import sys
+from collections import Counter
 
+import pexpect
 import pytest
+from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, VehicleError
 from swarm.fleet import emulated_fleet, parse_fleet
 from swarm.flight.listening import LinkQuality, radio_finding, radio_findings
 from swarm.ground.check import Wanted, check
 from swarm.ground.fly import fly
+from swarm.ground.sockets import Links
 from tests.network import small_plan
 
 
@@ -95,3 +100,52 @@ def test_gaps_beyond_the_stream_timeout_are_errors():
     bad = LinkQuality(3, 12.0, 0.8, 0.2, 0.05).findings(0.5)
     assert [finding.severity for finding in bad] == ["info", "error", "warning"]
     assert len(LinkQuality(3, 12.0, 0.2, 0.0, 0.05).findings(0.5)) == 1
+
+
+def test_each_vehicles_parameters_are_asked_for_once_and_progress_is_told(tmp_path, monkeypatch):
+    asked: Counter[tuple[int, int]] = Counter()
+    send = Links.send
+
+    def watched(self, outgoing):
+        packets = list(outgoing)
+        for one in packets:
+            for message in common.MAVLink(None).parse_buffer(one.data) or []:
+                asked[message.get_msgId(), getattr(message, "target_system", 0)] += 1
+        send(self, packets)
+
+    monkeypatch.setattr(Links, "send", watched)
+    told = []
+    wanted = Wanted(fix=lambda _: True, tell=lambda stage, share: told.append((stage, share)))
+    report = check(emulated_fleet(2, ("px4", "ardupilot")), tmp_path, wanted=wanted)
+    for vehicle in report.vehicles:
+        lists = asked[common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST, vehicle.system]
+        sets = asked[common.MAVLINK_MSG_ID_PARAM_SET, vehicle.system]
+        changed = [one for one in report.changed if one.startswith(f"system {vehicle.system}:")]
+        assert lists == 1
+        assert 0 < len(changed) <= sets < 2 * len(changed)
+        assert [row for row in vehicle.wrong if row.value is not None] == []
+    stages = " ".join(stage for stage, _ in told)
+    for words in ("heard 2 of 2 vehicles", "parameters: ", "setting parameters: ",
+                  "health and firmware: 2 of 2 vehicles", "trying Hold"):  # fmt: skip
+        assert words in stages
+    assert all(0.0 <= share <= 1.0 for _, share in told)
+
+
+def test_a_parameter_that_is_not_taken_is_named_with_what_it_is(tmp_path):
+    saved = tmp_path / "parameters" / "1.json"
+    saved.parent.mkdir()
+    saved.write_text('{"COM_OBL_RC_ACT": 0.5, "COM_OF_LOSS_T": 0.25}')
+    with pytest.raises(VehicleError) as error:
+        check(emulated_fleet(1), tmp_path / "record", wanted=Wanted(restore=tmp_path))
+    assert str(error.value) == "system 1: COM_OBL_RC_ACT was set to 0.5, and is 0"
+
+
+def test_progress_is_shown_on_a_terminal(tmp_path):
+    code = "from swarm.cli.main import main; main()"
+    program = ["-c", code, "check", "--record", str(tmp_path)]
+    terminal = pexpect.spawn(sys.executable, program, encoding="utf-8", timeout=60)
+    for words in ("heard 9 of 9", "parameters: ", "health and firmware: "):
+        terminal.expect(words)
+    terminal.expect(pexpect.EOF)
+    terminal.close()
+    assert terminal.exitstatus == 1
