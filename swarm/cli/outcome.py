@@ -89,16 +89,15 @@ def print_outcome(
 
 
 def print_flown(plan: Plan, flown: Flown, assessment: Assessment, console: Console) -> None:
-    """Print the knot implied, the clearances beside what was certified, and the tracking."""
-    asked = f"{plan.knot.type} {_hand(plan.knot.chirality)}".strip() or "none"
-    implied = f"{flown.knot} {_hand(flown.chirality)}".strip()
-    style = "green" if flown.as_planned else "bold red"
-    console.print(
-        f"Knot implied by the reported positions: [{style}]{implied}[/] (asked for: {asked})",
-        highlight=False,
-        soft_wrap=True,
-    )
-    console.print(_clearance_table(flown, assessment))
+    """Print the knot implied, the clearances beside what was certified, and the tracking.
+
+    Without a cable, or before the fold, there is less to say: what there is not is left out.
+    """
+    if len(plan.layout.lengths):
+        console.print(_knot_line(plan, flown), highlight=False, soft_wrap=True)
+    table = _clearance_table(flown, assessment)
+    if table.row_count:
+        console.print(table)
     line = _tracking_line(flown.tracking, plan.mission.vehicles.tracking)
     console.print(line, highlight=False, soft_wrap=True)
     for note in flown.notes:
@@ -110,6 +109,17 @@ def print_adherence(kept: Adherence, console: Console) -> None:
     if not kept.within:
         line = f"[bold red]{kept.words[0].upper()}{kept.words[1:]}.[/]"
         console.print(line, highlight=False, soft_wrap=True)
+
+
+def _knot_line(plan: Plan, flown: Flown) -> str:
+    asked = f"{plan.knot.type} {_hand(plan.knot.chirality)}".strip() or "none"
+    style = "green" if flown.as_planned else "bold red"
+    if flown.knot == "unknown":
+        return f"Which knot the cable has is [{style}]not known[/] (asked for: {asked})"
+    implied = f"{flown.knot} {_hand(flown.chirality)}".strip()
+    if not plan.knot.type and flown.knot == "0_1":
+        implied = "none"
+    return f"Knot implied by the reported positions: [{style}]{implied}[/] (asked for: {asked})"
 
 
 def _clearances(
@@ -126,15 +136,15 @@ def _clearance_table(flown: Flown, assessment: Assessment) -> Table:
         table.add_column(heading, justify="left" if heading in {"smallest distance"} else "right")
     names = {"cable": "cable to cable", "vehicle": "vehicle to vehicle"}
     for name, was, certified in _clearances(flown, assessment):
-        enough = was is not None and was.distance >= certified.required
-        if was is None and not isfinite(certified.distance):
-            continue  # there are no two things of this kind
+        if was is None:
+            continue  # nothing of this kind was seen, or there are no two things of it
+        enough = was.distance >= certified.required
         table.add_row(
             names.get(name, "vehicle to cable"),
-            f"[{'green' if enough else 'red'}]{was.distance:.2f} m[/]" if was else "unknown",
-            f"{certified.distance:.2f} m",
+            f"[{'green' if enough else 'red'}]{was.distance:.2f} m[/]",
+            f"{certified.distance:.2f} m" if isfinite(certified.distance) else "–",
             f"{certified.required:.2f} m",
-            " and ".join(was.between) if was else "",
+            " and ".join(was.between),
         )
     return table
 
@@ -142,7 +152,7 @@ def _clearance_table(flown: Flown, assessment: Assessment) -> Table:
 def _tracking_line(errors: tuple[TrackingError, ...], ball: float) -> str:
     fold = [error for error in errors if error.phase == "fold" and error.vehicle]
     if not fold:
-        return "Tracking error in the fold: unknown"
+        return "The fold was not flown: no tracking error in it"
     worst = max(fold, key=lambda error: error.largest)
     together = [error for error in errors if error.phase == "fold" and error.vehicle == 0]
     rms = together[0].rms if together else max(error.rms for error in fold)

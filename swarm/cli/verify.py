@@ -163,7 +163,7 @@ def _print_links(replayed: Replayed, console: Console) -> None:
 
 
 def _print_observations(plan: Plan, seen: list[Observation], console: Console) -> None:
-    if not seen:
+    if not seen and len(plan.layout.lengths):
         words = 'Nobody has entered what was seen: --observed "3_1 right by camera"'
         console.print(words, style="dim", highlight=False, soft_wrap=True)
     for one in seen:

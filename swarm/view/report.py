@@ -18,10 +18,11 @@ from swarm.view import plots, scene
 from swarm.view.distances import CLEARANCE_STEP, distances_of_strands, strand_distances
 from swarm.view.page import Html, key_figures, page, picture, pictures, section, table, tag
 from swarm.view.report_parts import (
-    CERTIFIED,
     CLEARANCES,
+    certified_in_words,
     findings,
     footer,
+    implied_in_words,
     kept,
     knot_in_words,
     plan_figures,
@@ -35,14 +36,14 @@ def plan_report(plan: Plan, assessment: Assessment) -> str:
     """Return the page of a plan: verdict, findings, figures, pictures, tables."""
     asked_for = knot_in_words(plan.knot.type, plan.knot.chirality)
     verdict = (
-        tag("div", f"Cleared: {CERTIFIED}.", kind="verdict good")
+        tag("div", f"Cleared: {certified_in_words(plan)}.", kind="verdict good")
         if assessment.cleared
         else tag("div", f"Refused: {_errors(assessment)}.", kind="verdict bad")
     )
     return page(
         f"Plan: {plan.mission.name}",
         tag("h1", f"{plan.mission.name}: plan for {asked_for}"),
-        tag("p", f"Gauss code {plan.knot.gauss}", kind="dim"),
+        tag("p", f"Gauss code {plan.knot.gauss}", kind="dim") if plan.knot.gauss else Html(""),
         verdict,
         key_figures(plan_figures(plan, assessment)),
         section("Findings", findings(assessment)),
@@ -66,7 +67,7 @@ def flight_report(
     flown and certified, tracking, timing.
     """
     done = outcome["outcome"] == "done"
-    implied = knot_in_words(outcome["knot"]["type"], outcome["knot"]["chirality"])
+    implied = implied_in_words(plan, outcome["knot"])
     as_planned = outcome["knot"]["as_planned"]
     good = done and as_planned and outcome["adherence"]["within"]
     return page(
@@ -77,9 +78,7 @@ def flight_report(
         _outside_certificate(outcome),
         tag(
             "div",
-            f"{outcome['outcome'].capitalize()}: {outcome['explanation']}. "
-            f"The reported positions imply {implied} in the cable model"
-            f"{'' if as_planned else ', which is not what was planned'}.",
+            f"{outcome['outcome'].capitalize()}: {outcome['explanation']}. {implied}".rstrip(),
             kind="verdict good" if good else "verdict bad",
         ),
         key_figures(_flight_figures(plan, outcome)),
@@ -259,7 +258,10 @@ def _lateness(lateness: Sequence[float] | None) -> str:
 
 
 def _flown(outcome: Mapping[str, Any]) -> Html:
+    """The smallest distances that were flown; nothing where the fold was not."""
     rows = []
+    if all(both["flown"] is None for both in outcome["clearance"].values()):
+        return Html("")
     for name, both in outcome["clearance"].items():
         was, certified = both["flown"], both["certified"]
         if certified["distance"] is None:

@@ -1,6 +1,7 @@
 """What the pages of plans, flights and dry runs have in common."""
 
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 from swarm import __version__
 from swarm.plans import Plan
@@ -19,7 +20,29 @@ CLEARANCES: Final = {
 
 def knot_in_words(name: str, chirality: str) -> str:
     """Return a knot's name with its handedness."""
+    if not name:
+        return "no knot"
     return name if chirality == "none" else f"{name}, {chirality}-handed"
+
+
+def implied_in_words(plan: Plan, knot: Mapping[str, Any]) -> str:
+    """Return what reported positions tell of the knot, a sentence; nothing without a cable.
+
+    ``knot`` is the outcome's: type, chirality, as_planned.
+    """
+    if not len(plan.layout.lengths):
+        return ""
+    if knot["type"] == "unknown":
+        return "Which knot the cable has is not known."
+    untied = knot["type"] == "0_1" and not plan.knot.type
+    implied = "no knot" if untied else knot_in_words(knot["type"], knot["chirality"])
+    unplanned = "" if knot["as_planned"] else ", which is not what was planned"
+    return f"The reported positions imply {implied} in the cable model{unplanned}."
+
+
+def certified_in_words(plan: Plan) -> str:
+    """Return what a cleared plan is certified for."""
+    return CERTIFIED if len(plan.layout.lengths) else "distances between vehicles are certified"
 
 
 def or_dash(value: float | None, unit: str) -> str:

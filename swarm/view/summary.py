@@ -12,6 +12,7 @@ from swarm.plans import Plan
 from swarm.preflight.budget import Budget
 from swarm.preflight.certificate import Moment
 from swarm.preflight.findings import Assessment, Finding, Tightest, Window
+from swarm.view.report_parts import CERTIFIED, certified_in_words
 from swarm.view.words import metres, seconds
 
 SEVERITY_STYLES: Final = {"error": "bold red", "warning": "yellow", "info": "dim"}
@@ -24,7 +25,7 @@ def plan_summary(plan: Plan, assessment: Assessment, console: Console) -> None:
     console.print(_headline(plan, assessment))
     tables = [_figures(plan, assessment)]
     if plan.vehicles > 1:
-        tables.append(_clearances(assessment))
+        tables.append(_clearances(plan, assessment))
     if assessment.tightest:
         tables.append(_tightest_moments(assessment.tightest))
     if assessment.budget:
@@ -34,16 +35,18 @@ def plan_summary(plan: Plan, assessment: Assessment, console: Console) -> None:
     found = assessment.findings
     if assessment.moments:
         found = tuple(finding for finding in found if finding.check not in _IN_TABLES)
-    findings(found, assessment.cleared, console)
+    findings(found, assessment.cleared, console, certified_in_words(plan))
 
 
-def findings(found: tuple[Finding, ...], cleared: bool, console: Console) -> None:
+def findings(
+    found: tuple[Finding, ...], cleared: bool, console: Console, certified: str = CERTIFIED
+) -> None:
     """Print what the checks have to say, errors before warnings before remarks, and the verdict."""
     if found:
         console.print(Padding(findings_table(found), (1, 0, 0, 2), expand=False))
     errors = sum(finding.severity == "error" for finding in found)
     verdict = (
-        Text("Cleared: certified in the quasi-static cable model.", "green")
+        Text(f"Cleared: {certified}.", "green")
         if cleared
         else Text(f"Refused: {errors} error{'s' if errors > 1 else ''}.", "bold red")
     )
@@ -159,7 +162,7 @@ def _budget(rows: tuple[Budget, ...]) -> Table:
     return table
 
 
-def _clearances(assessment: Assessment) -> Table:
+def _clearances(plan: Plan, assessment: Assessment) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     table.add_column("Smallest distance")
     for name in ("kept", "required", "at"):
@@ -170,7 +173,8 @@ def _clearances(assessment: Assessment) -> Table:
         ("vehicle to vehicle", assessment.vehicle),
         ("vehicle to cable", assessment.vehicle_cable),
     ):
-        table.add_row(kind, *_tightest(tightest))
+        if "cable" not in kind or len(plan.layout.lengths):
+            table.add_row(kind, *_tightest(tightest))
     return table
 
 

@@ -1,0 +1,53 @@
+"""What is said at the end of flights that carry no cable, tie no knot, or do not get that far."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from swarm.cli.outcome import flown_object, print_flown
+from swarm.flight.trace import Trace
+from swarm.verify import judge
+from swarm.view.report import flight_report
+from tests.command import run
+from tests.network import small_plan
+from tests.view.test_report import Reader, outcome
+
+
+@pytest.fixture(scope="module")
+def hover(tmp_path_factory):
+    page = tmp_path_factory.mktemp("hover") / "report.html"
+    said = run("dry-run", "missions/first-steps/hover.yaml", "--report", str(page))
+    return said, Reader(page.read_text()).words
+
+
+def test_a_flight_without_a_cable_says_nothing_of_knots_and_has_no_empty_table(hover):
+    said, words = hover
+    assert said.returncode == 0
+    after = said.stdout.split("phase finished\n")[1].splitlines()
+    assert after[0].startswith("Tracking error in the fold: 0.0")
+    assert len(after) == 2
+    assert "quasi-static" not in said.stdout
+    assert "Cleared: distances between vehicles are certified." in said.stdout
+    assert "Asked for no knot" in words
+    assert "imply" not in words
+    assert "Smallest distances" not in words
+
+
+def test_a_flight_that_ends_before_the_fold_has_no_table_of_unknowns():
+    proven = small_plan()
+    positions = proven.plan.motion.at(0.0)[0][None]
+    trace = Trace(*[positions[:, 0, 0]] * 2, positions, positions, ("takeoff",))
+    flown = judge(proven.plan, trace)
+    console = Console(file=io.StringIO(), width=100)
+    print_flown(proven.plan, flown, proven.assessment, console)
+    assert console.file.getvalue().splitlines() == [
+        "Which knot the cable has is not known (asked for: 0_1)",
+        "The fold was not flown: no tracking error in it",
+        "note no positions were reported during the hold",
+    ]
+    told = outcome(**flown_object(flown, proven.assessment), outcome="failed", explanation="down")
+    words = Reader(flight_report(proven.plan, proven.assessment, told, trace, [])).words
+    assert "Failed: down. Which knot the cable has is not known." in words
+    assert "Smallest distances" not in words
+    assert "unknown" not in words
