@@ -183,10 +183,10 @@ def hover_findings(trace: Trace, proven: CertifiedPlan) -> list[Finding]:
             f"most; up {one.up.rms:.3f} m RMS, {one.up.largest:.3f} m at most"
         )
         if one.both.largest > most:
-            words += f"; the plan holds up to {most:g} m"
+            words += f"; the plan holds up to {most:.2f} m"
             found.append(Finding("error", "hop", words))
         elif one.both.largest > tracking:
-            words += f"; the plan is certified for {tracking:g} m, would hold {most:g} m"
+            words += f"; the plan is certified for {tracking:g} m, would hold {most:.2f} m"
             found.append(Finding("warning", "hop", words))
         else:
             found.append(Finding("info", "hop", words))
@@ -208,5 +208,5 @@ def _advice(measured: Sequence[Hover], tracking: float, most: float) -> Finding:
     if needed <= tracking:
         return Finding("info", "hop", words)
     if largest <= most:
-        return Finding("warning", "hop", f"{words} and would hold {most:g} m")
-    return Finding("error", "hop", f"{words} and holds up to {most:g} m")
+        return Finding("warning", "hop", f"{words} and would hold {most:.2f} m")
+    return Finding("error", "hop", f"{words} and holds up to {most:.2f} m")

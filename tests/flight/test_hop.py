@@ -31,11 +31,12 @@ LIKE_SIH = 0.6
 
 
 def flown(disturbance: float, autopilot: str = "px4", **options: Any) -> FlightResult:
-    """A hop of nine vehicles whose controllers have to reject random accelerations."""
+    """A hop of nine vehicles whose controllers have to reject random accelerations, and whose
+    receivers are as noisy as SIH's."""
     plan, fleet = hop(PLAN), emulated_fleet(9, (autopilot,))
     world = emulated_world(plan.plan, fleet, with_cable=False, seed=1)
     for vehicle in world["vehicles"]:
-        vehicle["disturbance"] = disturbance
+        vehicle |= {"disturbance": disturbance, "gps_noise": 0.5 if disturbance else 0.0}
     return rehearse(
         plan, fleet=fleet, no_cable=True, world=world, stray_limit=ERROR_LIMIT, **options
     )
