@@ -212,13 +212,19 @@ def load_world(path: str | Path) -> World:
     return parse_world(read_text(path), str(path))
 
 
+def _said(error: OSError) -> str:
+    return error.strerror or repr(error)
+
+
 def load_key(path: Path) -> bytes:
     """Read a signing key, 64 hexadecimal digits or 32 bytes; `WorldError` if it is none."""
     try:
         data = path.read_bytes()[:1024]
         key = data if len(data) == _KEY_LENGTH else bytes.fromhex(data.decode("ascii"))
     except OSError as error:
-        raise WorldError(f"{path}: expected a readable file, got {error.strerror}") from None
+        raise WorldError(
+            f"{path}: expected a readable file, got {error.strerror or error!r}"
+        ) from None
     except ValueError:
         key = b""
     if len(key) != _KEY_LENGTH:
@@ -233,7 +239,9 @@ def read_text(path: Path) -> str:
             data = file.read(_LARGEST_FILE + 1)
         return data.decode("utf-8")
     except OSError as error:
-        raise WorldError(f"{path}: expected a readable file, got {error.strerror}") from None
+        raise WorldError(
+            f"{path}: expected a readable file, got {error.strerror or error!r}"
+        ) from None
     except UnicodeDecodeError as error:
         raise WorldError(f"{path}: expected UTF-8 text, got byte {error.start} otherwise") from None
 

@@ -28,6 +28,17 @@ class Problem:
         return f"{self.place}: {self.message}" if self.place else self.message
 
 
+def reason(error: BaseException) -> str:
+    """Return what went wrong in words that are never empty, as they stand after a colon.
+
+    What the system says of a failed call is without its path, for messages begin with that.
+    """
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror[:1].lower() + error.strerror[1:]
+    said = str(error).strip()
+    return said or f"failed without saying why ({type(error).__name__})"
+
+
 class SwarmError(Exception):
     """Root of the errors that are meant for the user."""
 

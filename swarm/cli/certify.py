@@ -6,7 +6,7 @@ import click
 from rich.console import Console
 
 from swarm.cli.inputs import JSON, SET, print_json, progress_bar, read_text
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, reason
 from swarm.exports import finding_object, tightest_object
 from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.preflight.assess import assess
@@ -92,8 +92,7 @@ def _read(path: Path) -> str:
     except UnicodeDecodeError:
         raise InputError([Problem(str(path), "expected UTF-8 text")]) from None
     except OSError as error:
-        reason = (error.strerror or "cannot be read").lower()
-        raise InputError([Problem(str(path), reason)]) from None
+        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def _object(assessment: Assessment) -> dict[str, object]:

@@ -15,7 +15,7 @@ from swarm import api
 from swarm.cli.inputs import print_json, write_text
 from swarm.drills import CITED, PERSONALITIES, ROWS, Drill, Personality, fly_drills
 from swarm.drills.kept import Flown, Heading, heading, line, read_kept
-from swarm.errors import InputError, Problem, Refused
+from swarm.errors import InputError, Problem, Refused, reason
 from swarm.plans import Plan
 from swarm.view.failures import failures_report
 
@@ -89,12 +89,12 @@ def _known(path: Path, belongs: Heading) -> list[Flown]:
                 file.write(line(belongs).encode())
         return known
     except OSError as error:
-        reason = (error.strerror or "cannot be written").lower()
+        said = reason(error)
     except UnicodeDecodeError:
-        reason = "line 1 is not a line of drills"
+        said = "line 1 is not a line of drills"
     except InputError as error:
-        reason = str(error)
-    raise InputError([Problem(str(path), reason)])
+        said = str(error)
+    raise InputError([Problem(str(path), said)])
 
 
 def _keep(path: Path, flown: Flown) -> None:
@@ -103,8 +103,7 @@ def _keep(path: Path, flown: Flown) -> None:
         with path.open("a", encoding="utf-8", newline="\n") as file:
             file.write(line(flown))
     except OSError as error:
-        reason = (error.strerror or "cannot be written").lower()
-        raise InputError([Problem(str(path), reason)]) from None
+        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def _fly(planned: api.Planned, **chosen: Any) -> tuple[Drill, ...]:

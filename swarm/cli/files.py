@@ -8,7 +8,7 @@ import click
 
 from swarm.borders import Section
 from swarm.cli.inputs import print_json, write_text
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, reason
 from swarm.fleet import fleet_schema
 from swarm.knots.catalog import choose
 from swarm.mission import Mission, mission_for_knot, mission_schema
@@ -54,7 +54,7 @@ def schema(kind: str, write: Path | None) -> None:
     try:
         write.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError([Problem(str(write), (error.strerror or "").lower())]) from None
+        raise InputError([Problem(str(write), reason(error))]) from None
     for one in KINDS:
         path = write / f"{one}.json"
         write_text(path, json.dumps(schema_of(one), indent=2) + "\n")

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from swarm.borders import LARGEST_FILE
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, reason
 from swarm.knots.catalog import choose
 from swarm.mission import Mission, mission_for_knot, parse_mission
 
@@ -35,8 +35,7 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError:
         raise InputError([Problem(str(path), "expected UTF-8 text")]) from None
     except OSError as error:
-        reason = (error.strerror or "cannot be read").lower()
-        raise InputError([Problem(str(path), reason)]) from None
+        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def read_record(path: Path, largest: int) -> bytes:
@@ -119,8 +118,7 @@ def write_text(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        reason = (error.strerror or "cannot be written").lower()
-        raise InputError([Problem(str(path), reason)]) from None
+        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def print_json(value: Any) -> None:

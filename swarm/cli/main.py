@@ -1,10 +1,15 @@
 """The ``swarm`` command: a shell around the library that turns errors into exit codes."""
 
 import os
+import signal
 import sys
 import tempfile
+import threading
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from types import FrameType
 
 import click
 
@@ -68,7 +73,8 @@ def cli() -> None:
 def main() -> None:
     """Run the command line and exit with its code."""
     try:
-        code = cli(standalone_mode=False)
+        with ends_as_interrupted():
+            code = cli(standalone_mode=False)
     except click.ClickException as error:
         error.show()
         code = InputError.exit_code
@@ -83,6 +89,36 @@ def main() -> None:
     except Exception as error:
         code = _own_fault(error)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+@contextmanager
+def ends_as_interrupted() -> Iterator[None]:
+    """Have SIGTERM and SIGHUP end a command as Ctrl-C does.
+
+    Otherwise they would end this process on the spot: its children would stay, and its temporary
+    folders. A signal that is ignored (nohup) stays so, and a flight answers for itself.
+    """
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        for each in before:
+            signal.signal(each, signal.SIG_IGN)  # what cleans up is not interrupted once more
+        raise KeyboardInterrupt
+
+    names = ("SIGTERM", "SIGHUP")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    before = {
+        number: signal.getsignal(number)
+        for number in numbers
+        if signal.getsignal(number) == signal.SIG_DFL
+        and threading.current_thread() is threading.main_thread()
+    }
+    for number in before:
+        signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _own_fault(error: Exception) -> int:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, reason
 from swarm.knots.catalog import choose
 from swarm.plans import KnotSummary
 
@@ -33,8 +33,8 @@ def observation(words: str, at: datetime) -> Observation:
     """Turn words such as "3_1 right by camera" into an observation; "unknot" is a knot, too."""
     found = _WORDS.fullmatch(words.strip())
     if found is None:
-        reason = f'expected words such as "3_1 right by camera", got {words!r}'
-        raise InputError([Problem("--observed", reason)])
+        wrong = f'expected words such as "3_1 right by camera", got {words!r}'
+        raise InputError([Problem("--observed", wrong)])
     name = found["knot"].strip()
     if name.lower() in {"0_1", "unknot", "nothing"}:
         knot = "0_1"
@@ -54,7 +54,7 @@ def enter(record: Path, seen: Observation) -> None:
         with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(asdict(seen), ensure_ascii=False) + "\n")
     except OSError as error:
-        raise InputError([Problem(str(path), (error.strerror or "").lower())]) from None
+        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def observations(record: Path) -> list[Observation]:

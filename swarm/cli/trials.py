@@ -13,7 +13,7 @@ from rich.table import Table
 
 from swarm import __version__, api
 from swarm.cli.inputs import print_json, progress_bar, read_text, write_text
-from swarm.errors import InputError, Interrupted, Problem
+from swarm.errors import InputError, Interrupted, Problem, reason
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.mission import Mission
 from swarm.plans import Plan
@@ -187,8 +187,7 @@ def write_results(
     try:
         pq.write_table(table.replace_schema_metadata(made_by), path)
     except OSError as error:
-        reason = (error.strerror or "cannot be written").lower()
-        raise InputError([Problem(str(path), reason)]) from None
+        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def print_summary(told: Mapping[str, Any], console: Console) -> None:
@@ -223,8 +222,8 @@ def print_summary(told: Mapping[str, Any], console: Console) -> None:
         f"trials with a rotor on cable: {told['trials_with_strikes']}, with vehicles touching: "
         f"{told['trials_with_collisions']}; vehicles lost: {told['vehicles_lost']}",
     )
-    for reason, count in told["reasons"].items():
-        _say(console, f"not completed: {count} × {reason}")
+    for words, count in told["reasons"].items():
+        _say(console, f"not completed: {count} × {words}")
     checked = told["certificate"]
     style = "red" if checked["below"] else "green"
     _say(

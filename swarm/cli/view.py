@@ -1,5 +1,6 @@
 """``swarm view``: open a flight's record, a recording or a plan in the Rerun viewer."""
 
+import math
 import tempfile
 from pathlib import Path
 
@@ -9,10 +10,23 @@ from rich.console import Console
 from swarm import api
 from swarm.cli.inputs import SET, load_mission, progress_bar
 from swarm.cli.records import recorded_flight, recorded_plan
-from swarm.errors import InputError, Interrupted, Problem, SwarmError
+from swarm.errors import InputError, Interrupted, Problem, reason
 from swarm.view.replay import write_flight, write_plan
-from swarm.view.screenshot import NoPicture, screenshot
-from swarm.view.viewers import free_port, has_display, open_window, serve, web_url
+from swarm.view.screenshot import screenshot
+from swarm.view.viewers import (
+    Process,
+    ViewerFailed,
+    ended,
+    ending,
+    free_port,
+    has_display,
+    serve,
+    web_url,
+    window,
+)
+
+_RECORDING = b"RRF"
+"""What a Rerun recording begins with; the version follows."""
 
 
 @click.command()
@@ -27,7 +41,10 @@ from swarm.view.viewers import free_port, has_display, open_window, serve, web_u
 )
 @click.option("--at", type=float, metavar="SECONDS", help="With --screenshot: the moment to show.")
 @click.option(
-    "--only", metavar="VIEW", help="With --screenshot: one of the views, for example Knot."
+    "--only",
+    metavar="VIEW",
+    help="With --screenshot: one of the views: Knot or Field (of a flight or a plan), Planned or "
+    "Flown (with --compare), or another by the name that it is shown with.",
 )
 @click.option(
     "--compare", is_flag=True, help="With RECORD: planned and flown side by side, from its .tlog."
@@ -52,22 +69,30 @@ def view(
     A mission (a file or a knot's name) is planned first. The command ends when the window is
     closed; with --web, when it is interrupted.
     """
-    with tempfile.TemporaryDirectory(prefix="swarm-") as folder:
+    if picture is None and (at is not None or only is not None):
+        raise click.UsageError("--at and --only belong to --screenshot")
+    if at is not None and not 0.0 <= at < math.inf:
+        raise click.UsageError(f"--at: expected seconds from 0 on, got {at:g}")
+    with tempfile.TemporaryDirectory(prefix="swarm-", ignore_cleanup_errors=True) as name:
+        folder = Path(name)
         recording = find_recording(Path(source))
         if recording is None:
-            recording = output or Path(folder) / "plan.rrd"
+            recording = output or folder / "plan.rrd"
             with progress_bar(Console(stderr=True)) as progress:
                 planned = api.plan(load_mission(source, overrides), progress)
             write_plan(planned.plan, recording)
+        else:
+            _require_recording(recording)
         sources = [recording]
         if compare:
-            sources = [_verification(Path(source), Path(folder) / "verification.rrd")]
+            sources = [_verification(Path(source), folder / "verification.rrd")]
         if picture is not None:
             _picture(sources, picture, at, only)
         elif web:
-            _serve(sources)
+            _serve(sources, folder)
         elif has_display():
-            open_window(*map(str, sources)).wait()
+            with ending(window(*map(str, sources), folder=folder)) as shown:
+                _wait(shown, folder)
         else:
             click.echo("no display here; see it with --web, or as a picture with --screenshot")
 
@@ -96,24 +121,40 @@ def find_recording(source: Path) -> Path | None:
     return None
 
 
+def _require_recording(path: Path) -> None:
+    """Raise :class:`InputError` for a file that cannot be read or does not begin as recordings do.
+
+    The viewer would show nothing and say nothing.
+    """
+    try:
+        with path.open("rb") as file:
+            begins = file.read(len(_RECORDING))
+    except OSError as error:
+        raise InputError([Problem(str(path), reason(error))]) from None
+    if begins != _RECORDING:
+        got = "something else" if begins else "an empty file"
+        raise InputError([Problem(str(path), f"expected a Rerun recording, got {got}")])
+
+
 def _picture(sources: list[Path], picture: Path, at: float | None, only: str | None) -> None:
     try:
         screenshot(sources, picture, at=at, view=only)
-    except NoPicture as error:
-        raise SwarmError(str(error)) from None
     except OSError as error:
-        raise InputError([Problem(str(picture), (error.strerror or "").lower())]) from None
+        raise InputError([Problem(str(picture), reason(error))]) from None
     click.echo(f"{picture}")
 
 
-def _serve(sources: list[Path]) -> None:
+def _serve(sources: list[Path], folder: Path) -> None:
     port, web_port = free_port(), free_port()
-    server = serve(port, web_port, *sources)
-    click.echo(f"{web_url(web_port, port)} — ends with Ctrl-C")
     try:
-        server.wait()
+        with ending(serve(port, web_port, *sources, folder=folder)) as server:
+            click.echo(f"{web_url(web_port, port)} — ends with Ctrl-C")
+            _wait(server, folder)
     except KeyboardInterrupt:
         raise Interrupted("no longer served") from None
-    finally:
-        server.terminate()
-        server.wait()
+
+
+def _wait(process: Process, folder: Path) -> None:
+    """Wait for the viewer's end; raises :class:`ViewerFailed` where it failed."""
+    if process.wait():
+        raise ViewerFailed(ended(process, folder))

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, reason
 from swarm.ground.priority import follow
 from swarm.mavlink.signing import KEY_LENGTH, TICKS_PER_SECOND, Signing, ticks_at
 
@@ -27,13 +27,13 @@ def read_key(path: Path) -> bytes:
             status = os.fstat(file.fileno())
             data = file.read(_LARGEST)
     except OSError as error:
-        raise _problem(path, (error.strerror or "cannot be read").lower()) from None
+        raise _problem(path, reason(error)) from None
     if not stat.S_ISREG(status.st_mode):
         raise _problem(path, "expected a file")
     if status.st_mode & 0o077:
         mode = stat.S_IMODE(status.st_mode)
-        reason = f"others may read this key (mode {mode:03o}); make it private: chmod 600 {path}"
-        raise _problem(path, reason)
+        wrong = f"others may read this key (mode {mode:03o}); make it private: chmod 600 {path}"
+        raise _problem(path, wrong)
     if status.st_uid != os.getuid():
         raise _problem(path, "expected a key file of this user's own")
     if len(data) == KEY_LENGTH:
@@ -62,8 +62,7 @@ def signing_with(file: str | None) -> Iterator[Signing | None]:
     try:
         _keep(beside, signing.timestamp)
     except OSError as error:
-        reason = f"the timestamp cannot be kept: {(error.strerror or '').lower()}"
-        raise _problem(beside, reason) from None
+        raise _problem(beside, f"the timestamp cannot be kept: {reason(error)}") from None
     over = threading.Event()
 
     def work() -> None:
@@ -98,5 +97,5 @@ def _keep(path: Path, timestamp: int) -> None:
     new.replace(path)
 
 
-def _problem(path: Path, reason: str) -> InputError:
-    return InputError([Problem(str(path), reason)])
+def _problem(path: Path, message: str) -> InputError:
+    return InputError([Problem(str(path), message)])

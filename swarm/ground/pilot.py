@@ -194,6 +194,9 @@ def _passed_on(process: "subprocess.Popen[bytes]", asking: threading.Event) -> I
             raise KeyboardInterrupt
 
     before = {number: signal.signal(number, catch) for number in (signal.SIGINT, signal.SIGTERM)}
+    if hasattr(signal, "SIGHUP") and callable(signal.getsignal(signal.SIGHUP)):
+        # Without its terminal it can tell nobody anything: it ends on the spot, and the flight.
+        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     try:
         yield
     finally:

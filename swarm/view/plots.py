@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, reason
 from swarm.flight.trace import Trace
 from swarm.plans import KnotSummary, Layout, Plan
 from swarm.preflight.findings import Tightest
@@ -151,8 +151,7 @@ def save(figure: Figure, path: Path) -> None:
     try:
         figure.savefig(path, dpi=130, format="png")
     except OSError as error:
-        reason = (error.strerror or "cannot be written").lower()
-        raise InputError([Problem(str(path), reason)]) from None
+        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def along_colours(count: int) -> Floats:

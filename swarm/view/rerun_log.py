@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final, Literal, cast
 
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, reason
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.priority import give_way
 from swarm.plans import Plan
@@ -104,8 +104,7 @@ def _require_writable(path: Path) -> None:
     try:
         path.open("wb").close()
     except OSError as error:
-        reason = (error.strerror or "cannot be written").lower()
-        raise InputError([Problem(str(path), reason)]) from None
+        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 class Feed:

@@ -6,24 +6,49 @@ told not to.
 
 import importlib.util
 import os
+import re
 import socket
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
+from swarm.errors import SwarmError, reason
 from swarm.ground.priority import give_way
 
 LOOPBACK = "127.0.0.1"
 
+DRIVER: Final = (
+    "without a graphics card it needs a software Vulkan driver "
+    "(Debian, Ubuntu: apt install mesa-vulkan-drivers)"
+)
+
+_PATIENCE: Final = 5.0
+"""Seconds that a process may take to end when it is asked to."""
+
+_SAID: Final = "rerun.txt"
+
+_WINDOW: Final = ("--port", "auto", "--hide-welcome-screen")
+
+_COLOURS: Final = re.compile(r"\x1b\[[0-9;]*m")
+
 Process = subprocess.Popen[bytes]
 
 
+class ViewerFailed(SwarmError):  # noqa: N818 - it says what happened
+    """Rerun's program is missing, did not start or failed, and why."""
+
+
 def viewer_binary() -> Path:
-    """Return the path of the rerun program that the installed package brings along."""
+    """Return the path of the rerun program that the installed package brings along.
+
+    Raises :class:`ViewerFailed` where there is none.
+    """
     spec = importlib.util.find_spec("rerun_cli")
     if spec is None or not spec.submodule_search_locations:
-        raise FileNotFoundError("the rerun program is not installed")
+        raise ViewerFailed("the rerun program is not installed: pip install rerun-sdk")
     folder = Path(spec.submodule_search_locations[0])
     bundled = folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun"
     if sys.platform == "darwin" and bundled.exists():
@@ -56,23 +81,59 @@ def has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def run_viewer(arguments: Sequence[str], *, own_group: bool = False) -> Process:
+def run_viewer(
+    arguments: Sequence[str], *, own_group: bool = False, folder: Path | None = None
+) -> Process:
     """Start the rerun program, quiet and bound to loopback.
 
-    With ``own_group`` it outlives the process group that started it, as a window should.
+    With ``own_group`` it outlives the process group that started it, as a window should. What it
+    says and leaves goes into ``folder``, where one is given. Raises :class:`ViewerFailed` where it
+    cannot be started.
     """
-    process = subprocess.Popen(  # noqa: S603 - our own arguments to the installed program
-        [str(viewer_binary()), "--bind", LOOPBACK, *arguments],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=own_group,
-    )
+    program = str(viewer_binary())
+    environment = os.environ if folder is None else os.environ | {"TMPDIR": str(folder)}
+    try:
+        with (folder / _SAID if folder else Path(os.devnull)).open("wb") as said:
+            process = subprocess.Popen(  # noqa: S603 - our own arguments to the installed program
+                [program, "--bind", LOOPBACK, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                start_new_session=own_group,
+                env=environment,
+            )
+    except OSError as error:
+        raise ViewerFailed(f"{program} cannot be started: {reason(error)}") from None
     give_way(process.pid)
     return process
 
 
-def serve(port: int, web_port: int | None, *files: Path) -> Process:
+@contextmanager
+def ending(process: Process) -> Iterator[Process]:
+    """End a process with what is done meanwhile, however that ends."""
+    try:
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def ended(process: Process, folder: Path) -> str:
+    """Return how the rerun program ended, and its last words, which are in ``folder``."""
+    code = process.wait()
+    how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    said = _COLOURS.sub("", (folder / _SAID).read_text(errors="replace"))
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    worst = [line for line in lines if "panicked at" in line or " ERROR " in line]
+    last = (worst or lines or ["it said nothing"])[-1]
+    return f"the rerun program ended ({how}): {last}"
+
+
+def serve(port: int, web_port: int | None, *files: Path, folder: Path | None = None) -> Process:
     """Start a server that keeps what is logged for viewers that come and go, and given files.
 
     It remembers the newest 256 MiB; with ``web_port`` it also serves the viewer as a page.
@@ -81,9 +142,15 @@ def serve(port: int, web_port: int | None, *files: Path) -> Process:
     if web_port is not None:
         kind = ["--serve-web", "--web-viewer-port", str(web_port)]
     sources = [str(file) for file in files]
-    return run_viewer([*kind, "--port", str(port), "--server-memory-limit", "256MiB", *sources])
+    options = ["--port", str(port), "--server-memory-limit", "256MiB"]
+    return run_viewer([*kind, *options, *sources], folder=folder)
 
 
 def open_window(*sources: str) -> Process:
     """Open a viewer's window that stays when the flight is over."""
-    return run_viewer(["--port", "auto", "--hide-welcome-screen", *sources], own_group=True)
+    return run_viewer([*_WINDOW, *sources], own_group=True)
+
+
+def window(*sources: str, folder: Path) -> Process:
+    """Open a viewer's window that belongs to this process; see :func:`run_viewer`."""
+    return run_viewer([*_WINDOW, *sources], folder=folder)
