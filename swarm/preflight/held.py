@@ -24,11 +24,12 @@ Spans = list[tuple[float, float]]
 LYING = 0.25
 """Metres above the floor up to which a grip point may hold cable that counts as lying on it."""
 
-RIGID = 0.002
-"""Metres by which a team that comes down with a knot may change its shape: rounding of files."""
+RIGID = 0.005
+"""Metres by which a team that comes down with a knot may change its shape: rounding of files, and
+what yes or no may be wrong by (:data:`swarm.preflight.search.TOLERANCE`)."""
 
-BELOW = 0.001
-"""Metres by which a grip point may be below the floor, on which it stands: rounding of files."""
+BELOW = 0.005
+"""Metres by which a grip point may be below the floor, on which it stands; for the same reasons."""
 
 _SAME = 1e-6
 """Seconds by which times may differ that are one moment."""

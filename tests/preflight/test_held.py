@@ -252,3 +252,16 @@ def test_the_scope_says_what_is_held_when_and_what_is_exempt(overhand, overhand_
     let_go = through_each_other("fold", "tighten")
     (scope,) = [f.message for f in assess(let_go).findings if f.check == "scope"]
     assert "all vehicles hold it until 2.0 s" in scope
+
+
+def test_yes_and_no_agree_with_the_findings_for_whole_flights(overhand):
+    """Standing on the floor and coming down as it hung leave little to what is allowed there."""
+    assert certified(overhand, tracking=0.1)
+    assert certified(overhand, tracking=0.1, down=wind_down(overhand, 1.0, 0.0))
+    high, low = np.add(ABOVE, [0.0, 0.0, 4.0]), np.array(ABOVE)
+    plan = plan_of(moving([0.0, 2.0, 14.0], [high, high, low]), LENGTHS)
+    phases = (
+        Phase("hold", 0.0, 2.0, "aloft", False),
+        Phase("descend", 2.0, 14.0, "landing", False),
+    )
+    assert certified(replace(plan, phases=phases), tracking=0.1)
