@@ -1,5 +1,6 @@
 """``swarm certify``: check anybody's trajectories in the cable model."""
 
+import csv
 from pathlib import Path
 
 import click
@@ -62,11 +63,14 @@ def certify(
     vehicles.tracking, and what fails. Exit code 0 when everything holds, 1 when it does not.
     """
     overrides = (*overrides, *(f"clearance.{clearance}" for clearance in clearances))
-    plan = plan_of_motion(
-        read_motion(_read(motion), str(motion)),
-        read_lengths(read_text(cable), str(cable)),
-        _limits(mission, overrides),
-    )
+    try:
+        path = motion
+        moved = read_motion(_read(motion), str(motion))
+        path = cable
+        lengths = read_lengths(read_text(cable), str(cable))
+    except csv.Error as error:
+        raise InputError([Problem(str(path), f"not valid CSV: {error}")]) from None
+    plan = plan_of_motion(moved, lengths, _limits(mission, overrides))
     with progress_bar(Console(stderr=True)) as progress:
         assessment = assess(plan, progress=progress, robustness=robustness)
     if as_json:

@@ -24,6 +24,9 @@ from swarm.knots.names import COMMON
 from swarm.knots.survey import SurveyRow, survey
 from swarm.view.grid_text import grid_text
 
+_SHOWN = 80
+"""Characters of a wrong entry that are shown."""
+
 
 @click.command()
 @click.argument("name", required=False)
@@ -257,7 +260,8 @@ def parse_curve(text: str, place: str) -> tuple[NDArray[np.float64], list[int]]:
         number, header = lines.pop(0)
         words = [field.lower() for field in header]
         if not {"x", "y", "z"} <= set(words):
-            message = f"expected numbers, or columns called x, y and z, got {', '.join(header)}"
+            got = ", ".join(header)[:_SHOWN]
+            message = f"expected numbers, or columns called x, y and z, got {got}"
             raise InputError([Problem(f"{place}: line {number}", message)])
         columns, width = (words.index("x"), words.index("y"), words.index("z")), len(words)
     rows: list[list[float]] = []
@@ -271,7 +275,7 @@ def parse_curve(text: str, place: str) -> tuple[NDArray[np.float64], list[int]]:
         chosen = [fields[column] for column in columns]
         wrong = [field for field in chosen if not _is_number(field) or not isfinite(float(field))]
         if wrong:
-            problems.append(Problem(where, f'expected finite numbers, got "{wrong[0]}"'))
+            problems.append(Problem(where, f'expected finite numbers, got "{wrong[0][:_SHOWN]}"'))
         else:
             rows.append([float(field) for field in chosen])
             kept.append(number)
@@ -288,7 +292,10 @@ def _fields(text: str) -> Iterator[tuple[int, list[str]]]:
         bare = line.strip()
         if bare and not bare.startswith("#"):
             marked = "," in bare or ";" in bare
-            entries = next(csv.reader([bare.replace(";", ",")])) if marked else bare.split()
+            try:
+                entries = next(csv.reader([bare.replace(";", ",")])) if marked else bare.split()
+            except csv.Error:
+                entries = [bare]  # one entry is longer than any number
             yield number, [entry.strip() for entry in entries]
 
 

@@ -50,6 +50,9 @@ class Named:
     text: str
 
 
+_LARGEST_TORUS = 125
+"""Largest arc index of a torus knot, p + q: 2N − 1 vehicles have MAVLink's system ids, to 250."""
+
 _TORUS = re.compile(r"(m?)(?:torus|t)\(?\s*(-?\d+)\s*[,\s]\s*(-?\d+)\s*\)?")
 _TABLE = re.compile(r"(m?)(\d+)[_\-. ](\d+)")
 
@@ -103,6 +106,11 @@ def _torus(match: re.Match[str], hand: str | None, text: str) -> Named:
     small, large = sorted((abs(p), abs(q)))
     if small <= 1:
         return Named((), (0, 0), None, text)
+    if small + large > _LARGEST_TORUS:
+        raise KnotError(
+            f"torus({p},{q}) needs {2 * (small + large) - 1} vehicles; there are at most "
+            f"{2 * _LARGEST_TORUS - 1}"
+        )
     return Named(None, (small, large), hand or ("left" if left else None), text)
 
 

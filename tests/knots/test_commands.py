@@ -137,6 +137,7 @@ def test_columns_may_be_named_and_more(tmp_path: Path) -> None:
         ("0,0,0\n1,one,0\n", 'line 2: expected finite numbers, got "one"'),
         ("a,b,c\n1,2,3\n", "line 1: expected numbers, or columns called x, y and z, got a, b, c"),
         ("0 0 0\n1 0 x\n2\n", "line 2: expected finite numbers"),
+        ("0,0,0\n" + "7" * 200_000 + ",1,2\n", "line 2: expected 3 numbers, got 1 entries"),
     ],
 )
 def test_wrong_files(tmp_path: Path, text: str, message: str) -> None:
@@ -153,3 +154,9 @@ def test_a_curve_that_is_closed_onto_itself_is_refused(tmp_path: Path) -> None:
     assert "0_1" in run("identify", file).output
     with pytest.raises(InputError, match=r"line.csv: line 1: the curve goes back along itself"):
         run("identify", file, "--closed")
+
+
+def test_a_torus_knot_that_no_team_can_fly_is_refused_at_once() -> None:
+    with pytest.raises(InputError) as caught:
+        run("knots", "torus(1000001,3)")
+    assert str(caught.value) == "torus(1000001,3) needs 2000007 vehicles; there are at most 249"
