@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from swarm.cli.main import COMMANDS
+from swarm.cli.main import COMMANDS, _own_fault
+from swarm.errors import reason
 from tests.command import run
 
 ROOT = Path(__file__).parent.parent
@@ -177,3 +178,25 @@ def test_what_no_plan_would_do_is_refused_rather_than_ignored() -> None:
         "start: serpentine is not planned: the fold begins on a straight line that takes most of "
         "the cable's length, so a bent lay line would save no room"
     )
+
+
+def test_a_bug_is_told_where_its_traceback_cannot_be_kept(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
+    assert _own_fault(ZeroDivisionError()) == 70
+    assert capsys.readouterr().err == (
+        "swarm has a bug: ZeroDivisionError: failed without saying why (ZeroDivisionError)\n"
+        "What to report with it cannot be kept: no such file or directory\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (ConnectionError(), "failed without saying why (ConnectionError)"),
+        (OSError("no words from the system"), "no words from the system"),
+        (PermissionError(13, "Permission denied", "/a/path"), "permission denied"),
+        (ValueError("  "), "failed without saying why (ValueError)"),
+    ],
+)
+def test_a_reason_is_never_empty(error, words):
+    assert reason(error) == words

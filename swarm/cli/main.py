@@ -14,7 +14,7 @@ from types import FrameType
 import click
 
 from swarm import __version__
-from swarm.errors import InputError, Interrupted, SwarmError
+from swarm.errors import InputError, Interrupted, SwarmError, reason
 
 # Vectors here are too short to be worth several threads, which spin while they wait for more and
 # take the cores from the loop that flies. NumPy reads this when it is imported.
@@ -123,10 +123,14 @@ def ends_as_interrupted() -> Iterator[None]:
 
 def _own_fault(error: Exception) -> int:
     """Say that this is our bug, keep the traceback in a file for the report, return EX_SOFTWARE."""
-    with tempfile.NamedTemporaryFile(
-        "w", prefix="swarm-", suffix=".txt", delete=False, encoding="utf-8"
-    ) as file:
-        traceback.print_exception(error, file=file)
-    click.echo(f"swarm has a bug: {type(error).__name__}: {error}", err=True)
-    click.echo(f"Please report it together with {file.name}", err=True)
+    click.echo(f"swarm has a bug: {type(error).__name__}: {reason(error)}", err=True)
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="swarm-", suffix=".txt", delete=False, encoding="utf-8"
+        ) as file:
+            traceback.print_exception(error, file=file)
+    except OSError as full:
+        click.echo(f"What to report with it cannot be kept: {reason(full)}", err=True)
+    else:
+        click.echo(f"Please report it together with {file.name}", err=True)
     return 70
