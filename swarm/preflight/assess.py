@@ -25,7 +25,7 @@ from swarm.preflight.course import Course
 from swarm.preflight.findings import Assessment, Finding, Severity, Tightest
 from swarm.preflight.held import LYING, held
 from swarm.preflight.limits import TAUT
-from swarm.preflight.robustness import DIRECTIONS, holds_in_wind, robust_to
+from swarm.preflight.robustness import DIRECTIONS, lost_in_wind, robust_to
 from swarm.preflight.strands import MOST_EXEMPT
 from swarm.preflight.topology import end_code, end_knot, end_time, layout_code
 from swarm.preflight.what_if import (
@@ -247,14 +247,19 @@ def _wind_findings(plan: Plan) -> list[Finding]:
     steady = plan.mission.wind.steady
     if steady == 0.0:
         return []
-    if holds_in_wind(plan, steady):
+    lost = lost_in_wind(plan, steady)
+    if lost is None:
         message = (
             f"cable that hangs free keeps every clearance, and from floor and fence, in a steady "
             f"wind of {steady:g} m/s from each of {DIRECTIONS} directions"
         )
         return [Finding("info", "wind", message)]
-    message = f"the clearances do not hold in the mission's steady wind of {steady:g} m/s"
-    return [Finding("error", "wind", message)]
+    check, (one, other), time = lost
+    message = (
+        f"the clearances do not hold in the mission's steady wind of {steady:g} m/s: {check}, "
+        f"{one} and {other} (at {time:.2f} s)"
+    )
+    return [Finding("error", "wind", message, time)]
 
 
 def _wrong_crossings(plan: Plan, at_time: float) -> list[Finding]:

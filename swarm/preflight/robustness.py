@@ -66,12 +66,18 @@ def largest_wind(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
     return _largest(search, 0.0, _all_held(moments), MOST_WIND, WIND_STEP)
 
 
-def holds_in_wind(plan: Plan, speed: float) -> bool:
-    """Whether the certificate holds with the strands tilted by a steady wind, m/s.
+def lost_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], float] | None:
+    """Return what the certificate loses first with the strands tilted by a steady wind, m/s.
 
-    At the mission's tracking ball, for DIRECTIONS directions.
+    That is the check, between which two things, and when; None where everything holds. At the
+    mission's tracking ball, for DIRECTIONS directions.
     """
-    return _Search(lambda x: _windy(plan, x), {}).holds(speed)
+    for case in _windy(plan, speed).values():
+        for family in case():
+            found = failing(family.evaluate, family.roots())
+            if found is not None:
+                return family.check, family.names[found[0]], found[1]
+    return None
 
 
 Cases = Mapping[int, Callable[[], tuple[Family, ...]]]

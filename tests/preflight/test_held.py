@@ -206,7 +206,10 @@ def in_wind(north, steady=6.0):
 
 def test_cable_that_the_wind_blows_over_the_fence_is_refused():
     assert errors(assess(in_wind(3.6, 0.0)).findings) == set()
-    assert errors(assess(in_wind(3.6)).findings) == {"wind"}
+    found = assess(in_wind(3.6)).findings
+    assert errors(found) == {"wind"}
+    (said,) = [finding.message for finding in found if finding.check == "wind"]
+    assert ": fence, segment 1 and the fence (at " in said
     assert errors(assess(in_wind(9.0)).findings) == set()
 
 

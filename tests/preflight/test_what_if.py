@@ -12,7 +12,7 @@ from swarm.preflight.assess import assess
 from swarm.preflight.budget import budgets, table
 from swarm.preflight.certificate import certified, tightest_moments
 from swarm.preflight.loads import dead_vehicle, loads, stuck_gripper
-from swarm.preflight.robustness import holds_in_wind, largest_tracking, largest_wind
+from swarm.preflight.robustness import largest_tracking, largest_wind, lost_in_wind
 from swarm.preflight.what_if import downwash_findings, stops_of
 from swarm.preflight.windows import longest_stop, windows
 from tests.preflight.synthetic import moving, plan_of
@@ -159,8 +159,8 @@ def test_a_wind_across_the_vehicles_blows_strands_together():
     """Side by side, a taut and a slack strand lean by different amounts."""
     side = [[0, 0, 60], [3, 0, 60], [40, -20, 60], [40, 30, 60], [3, 1.2, 59.4], [0, 1.2, 59.4]]
     plan = still(side, [5.0, 50.0, 60.0, 55.0, 3.2], "vehicles.tracking=0.02")
-    assert holds_in_wind(plan, 0.0)
-    assert not holds_in_wind(plan, 8.0)
+    assert lost_in_wind(plan, 0.0) is None
+    assert lost_in_wind(plan, 8.0) is not None
 
 
 def test_strands_that_are_only_just_apart_bear_no_wind():
