@@ -22,6 +22,8 @@ vehicles:
 """
 
 
+_SPUN_UP = 10.0
+"""Seconds after arming when any autopilot's motors turn."""
 _FLY = {"px4": 6 << 16, "ardupilot": 4}
 _LAND = {"px4": 4 << 16 | 6 << 24, "ardupilot": 9}
 
@@ -31,6 +33,7 @@ def _take_off(vehicle: Vehicle) -> None:
     vehicle.personality.set_mode(1, _FLY[vehicle.spec.autopilot])
     vehicle.personality.arm(force=True)
     vehicle.bodies.may_lift[vehicle.index] = True
+    vehicle.bodies.armed_for[vehicle.index] = _SPUN_UP
 
 
 def warm_up() -> None:
@@ -38,7 +41,7 @@ def warm_up() -> None:
     down. It has a loose end."""
     emulator = Emulator(parse_world(_WORLD))
     ground = dialect.MAVLink(None, 255, 190)
-    places = np.array([[0.0, 0.0, 3.0], [2.5, 0.0, 3.5], [5.97, 1.0, 3.0]])
+    places = np.array([[0.0, 0.0, 3.0], [2.5, 0.0, 3.5], [6.8, 1.0, 3.0]])
     for tick in range(round(14.0 / _STEP)):
         now = tick * _STEP
         packets = []

@@ -65,7 +65,9 @@ def test_its_record_is_complete(flown):
         message = log.recv_match()
         if message is None:
             break
-        systems.add((message.get_srcSystem(), message.get_type()))
+        # pymavlink does not read the header of a message that it does not know
+        if not message.get_type().startswith("UNKNOWN"):
+            systems.add((message.get_srcSystem(), message.get_type()))
     log.close()
     assert {system for system, _ in systems} == {1, 2, 3, 255}
     assert (255, "SET_POSITION_TARGET_LOCAL_NED") in systems
