@@ -11,7 +11,6 @@ is an error:
 - a boot clock that goes back again and again: two vehicles behind one address.
 """
 
-import math
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -25,7 +24,10 @@ from swarm.preflight.findings import Finding
 Address = Hashable
 
 CLOCKS_APART = 2.0
-"""Seconds between the starts of two clocks that are not one: more than packets are ever late."""
+"""Seconds between two clocks that are not one: more than packets are late."""
+LASTING = 2.0
+"""Seconds for which clocks must be apart: after a restart one of two ways tells it first, and what
+has waited in a socket is old. Clocks of simulators drift by seconds, but on all ways alike."""
 SET_BACK = 3
 """How often a clock may not go back before take-off: a vehicle may be restarted once or twice."""
 _WORDS = {"px4": "PX4", "ardupilot": "ArduPilot"}
@@ -39,22 +41,34 @@ class Place:
     """A link and an address from which a system id is heard.
 
     ``spoken_to`` says whether it is taken for the vehicle. ``autopilots`` are the kinds that its
-    heartbeats name; ``began`` is when its clock was zero, by the message that told:
-    the earliest estimate, since delays only make it later; ``since`` when the first was made.
+    heartbeats name; ``differs`` has since when its clock is not the
+    vehicle's, by the message that tells, ``apart`` by how much and when that was last told.
     """
 
     link: str
     address: Address | None
     spoken_to: bool
     autopilots: set[str] = field(default_factory=set)
-    began: dict[int, float] = field(default_factory=dict)
-    since: dict[int, float] = field(default_factory=dict)
+    differs: dict[int, float] = field(default_factory=dict)
+    apart: dict[int, tuple[float, float]] = field(default_factory=dict)
 
-    def tell_clock(self, kind: int, clock: float, now: float, restarted: float) -> None:
-        """Take what a clock shows; what was told before the vehicle ``restarted`` is forgotten."""
-        if self.since.get(kind, -math.inf) <= restarted:
-            self.since[kind], self.began[kind] = now, math.inf
-        self.began[kind] = min(self.began[kind], now - clock)
+    def compare(self, kind: int, ahead: float, now: float) -> None:
+        """Take by how many seconds its clock is ahead of the vehicle's, NaN where not known."""
+        if not abs(ahead) > CLOCKS_APART:
+            self.differs.pop(kind, None)
+            return
+        self.differs.setdefault(kind, now)
+        self.apart[kind] = abs(ahead), now
+
+    @property
+    def apart_by(self) -> float:
+        """Seconds between its clock and the vehicle's, 0 where they may be one."""
+        lasting = [
+            self.apart[kind][0]
+            for kind, since in self.differs.items()
+            if self.apart[kind][1] - since >= LASTING
+        ]
+        return max(lasting, default=0.0)
 
     def __str__(self) -> str:
         kinds = " and ".join(_WORDS[name] for name in sorted(self.autopilots)) or "unknown"
@@ -79,22 +93,21 @@ class Identities:
             self._place(system, link, address, spoken_to=True).autopilots.add(known.name)
 
     def elsewhere(
-        self, packet: Packet, place: tuple[str, Address | None], now: float, restarted: float
+        self, vehicle: Vehicle, packet: Packet, link: str, address: Address | None, now: float
     ) -> None:
-        """Take a packet that came from a link and address where its system is not spoken to.
-
-        ``restarted`` is when the vehicle's clock last went back.
-        """
-        heard = self._place(packet.system, *place, spoken_to=False)
+        """Take a packet that came from where its system, the vehicle's, is not spoken to."""
+        place = self._place(packet.system, link, address, spoken_to=False)
         message = packet.message
         if message is None:
             return
         if packet.number == _HEARTBEAT and message.autopilot in AUTOPILOTS:
-            heard.autopilots.add(AUTOPILOTS[message.autopilot].name)
-        elif packet.number == _POSITION:
-            heard.tell_clock(_POSITION, message.time_boot_ms * 1e-3, now, restarted)
+            place.autopilots.add(AUTOPILOTS[message.autopilot].name)
+        elif packet.number == _POSITION and vehicle.boot_ms >= 0:
+            known = vehicle.boot_ms * 1e-3 + now - vehicle.position_at
+            place.compare(_POSITION, message.time_boot_ms * 1e-3 - known, now)
         elif packet.number == _TIMESYNC and message.tc1 == 0:
-            heard.tell_clock(_TIMESYNC, message.ts1 * 1e-9, now, restarted)
+            known = now + vehicle.latest_clock_offset
+            place.compare(_TIMESYNC, message.ts1 * 1e-9 - known, now)
 
     def _place(self, system: int, link: str, address: Address | None, *, spoken_to: bool) -> Place:
         places = self._places.setdefault(system, {})
@@ -122,8 +135,8 @@ class Identities:
         kinds = set().union(*(place.autopilots for place in places))
         if len(kinds) > 1:
             return f"is two vehicles: {both}: {remedy}"
-        apart = max((_apart(vehicle, place) for place in _others(places)), default=0.0)
-        if apart > CLOCKS_APART:
+        apart = max((place.apart_by for place in _others(places)), default=0.0)
+        if apart:
             return f"is two vehicles: {both}, started {apart:.0f} s apart: {remedy}"
         listed = self.listed[vehicle.system]
         if listed is not None and kinds - {listed.name}:
@@ -139,20 +152,3 @@ class Identities:
 
 def _others(places: list[Place]) -> list[Place]:
     return [place for place in places if not place.spoken_to]
-
-
-def _apart(vehicle: Vehicle, place: Place) -> float:
-    """Return seconds between the start of a vehicle's clock and of the one at another place.
-
-    Only what the vehicle has said since counts, unless it was restarted meanwhile: after a restart
-    one of two ways tells the new clock before the other does.
-    """
-    told = {_POSITION: (vehicle.position_at - vehicle.boot_ms * 1e-3, vehicle.position_at)}
-    if not vehicle.set_back:
-        told[_TIMESYNC] = (-vehicle.clock_offset, vehicle.answered_at)
-    gaps = [0.0]
-    for kind, began in place.began.items():
-        known, at = told.get(kind, (math.nan, math.nan))
-        if vehicle.set_back_at < place.since[kind] <= at and math.isfinite(known):
-            gaps.append(abs(known - began))
-    return max(gaps)

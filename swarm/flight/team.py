@@ -227,8 +227,7 @@ class Team:
         known = ways.get(route.link)
         if known is not None or route.link not in self._allowed[sysid]:
             self.rejected += 1
-            place = route.link, route.address
-            self._identities.elsewhere(packet, place, now, vehicle.set_back_at)
+            self._identities.elsewhere(vehicle, packet, route.link, route.address, now)
             self._once(
                 ("address" if known else "link", sysid, route.link),
                 "security",

@@ -22,7 +22,7 @@ from swarm.preflight.findings import Finding
 
 BATTERY_RESERVE = 25.0
 """Percent of a battery that must be left when all vehicles have landed."""
-_LONGEST = 60.0
+_LONGEST = 300.0
 """Seconds that fetching or setting may take, however slow the link."""
 _POLL = 0.05
 _FIRMWARE = {"px4": "PX4", "ardupilot": "ArduPilot"}

@@ -60,12 +60,12 @@ def _local_position(vehicle: "Vehicle", message: Message, now: float) -> None:
     vehicle.position = (message.x, message.y, message.z)
     vehicle.velocity = (message.vx, message.vy, message.vz)
     vehicle.position_at = now
-    _boot_time(vehicle, message.time_boot_ms, now)
+    _boot_time(vehicle, message.time_boot_ms)
 
 
-def _boot_time(vehicle: "Vehicle", boot_ms: int, now: float) -> None:
+def _boot_time(vehicle: "Vehicle", boot_ms: int) -> None:
     if boot_ms < vehicle.boot_ms - REBOOTED:
-        vehicle.set_back, vehicle.set_back_at = vehicle.set_back + 1, now
+        vehicle.set_back += 1
         vehicle.say("rebooted", "rebooted: its clock went back")
     vehicle.boot_ms = boot_ms
 
@@ -188,8 +188,9 @@ def _timesync(vehicle: "Vehicle", message: Message, now: float) -> None:
         return
     round_trip = vehicle.latest_round_trip = now - sent
     vehicle.answered_at = now
+    vehicle.latest_clock_offset = message.tc1 * 1e-9 - (sent + now) / 2.0
     if not vehicle.round_trip <= round_trip:
-        vehicle.clock_offset = message.tc1 * 1e-9 - (sent + now) / 2.0
+        vehicle.clock_offset = vehicle.latest_clock_offset
         vehicle.round_trip = round_trip
 
 

@@ -95,6 +95,7 @@ class Vehicle:
     round_trip: float = math.nan
     latest_round_trip: float = math.nan
     clock_offset: float = math.nan
+    latest_clock_offset: float = math.nan
     answered_at: float = -math.inf
     gripped: bool = False
     unused: dict[int, int] = field(default_factory=dict)
@@ -108,7 +109,6 @@ class Vehicle:
     speaks_as: int = 1
     out_of_step: int = 0
     set_back: int = 0
-    set_back_at: float = -math.inf
 
     heard_at = Number(HEARD_AT)
     position_at = Number(POSITION_AT)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
+from pymavlink.dialects.v20 import common
 
 from sitl import Emulator
 from sitl.world import default_world
@@ -35,6 +36,10 @@ def fleet_of(links: tuple[str, ...] = ("radio",), autopilot: str = "detect") -> 
 
 def at_home(number: int) -> Places:
     return lambda system: [("radio", ("10.0.0.9", 1000 * number + system))]
+
+
+def both_links(system: int) -> list[tuple[str, object]]:
+    return [("radio", ("10.0.0.9", system)), ("spare", ("10.0.0.9", 50 + system))]
 
 
 def heard(fleet: Fleet, *speaking: tuple[Emulator, Places], seconds: float = 6.0) -> list[str]:
@@ -87,10 +92,7 @@ def test_two_ways_on_one_link_are_told_although_nothing_tells_the_vehicles_apart
 
 @pytest.mark.parametrize("links", [("radio", "spare"), ("radio",)])
 def test_a_vehicle_on_two_links_is_one_vehicle_whether_both_are_listed_or_not(links):
-    def places(system: int) -> list[tuple[str, object]]:
-        return [("radio", ("10.0.0.9", system)), ("spare", ("10.0.0.9", 50 + system))]
-
-    assert heard(fleet_of(links), (emulated("px4"), places)) == []
+    assert heard(fleet_of(links), (emulated("px4"), both_links)) == []
 
 
 @pytest.mark.parametrize("links", [("radio", "spare"), ("radio",)])
@@ -132,7 +134,36 @@ def test_an_autopilot_other_than_the_listed_one_is_told():
 def test_a_vehicle_that_is_restarted_once_is_still_one_vehicle():
     emulator = emulated("px4")
     emulator.vehicles[0].later.append((3.0, emulator.vehicles[0].reboot))
-    assert heard(fleet_of(), (emulator, at_home(1)), seconds=20.0) == []
+    assert heard(fleet_of(), (emulator, both_links), seconds=20.0) == []
+
+
+def test_clocks_that_drift_as_simulators_do_are_one_clock_on_both_ways():
+    emulator = emulated("px4")
+    for vehicle in emulator.vehicles:
+        vehicle.clock_rate = 0.8
+    assert heard(fleet_of(), (emulator, both_links), seconds=30.0) == []
+
+
+def test_a_second_vehicle_that_is_never_asked_is_told_by_its_clock_requests():
+    """An ArduCopter sends heartbeats and TIMESYNC only, until it is asked for more."""
+    listening, vehicle = Listening(fleet_of(("radio",))), emulated("ardupilot")
+    silent = common.MAVLink(None, srcSystem=1, srcComponent=1)
+    beat = common.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3).pack(silent)
+    for tick in range(160):
+        now = 0.05 * tick
+        for system, data in vehicle.step(now):
+            listening.receive("radio", ("10.0.0.9", system), data, now)
+        if tick % 20 == 0:
+            clock = common.MAVLink_timesync_message(0, int((now + 7.0) * 1e9)).pack(silent)
+            listening.receive("spare", ("10.0.0.9", 99), beat + clock, now)
+        for one in listening.tick(now):
+            if one.address:
+                vehicle.receive(one.address[1], one.data, now)
+    (said,) = listening.team.conflicts()
+    assert said.message.startswith(
+        "system 1 is two vehicles: ArduPilot at 10.0.0.9:1 on link radio"
+    )
+    assert "ArduPilot at 10.0.0.9:99 on link spare, started " in said.message
 
 
 def test_a_flight_is_refused_on_the_ground_at_once():
