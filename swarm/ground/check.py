@@ -135,7 +135,7 @@ def check(
     With a plan the vehicles are judged by what it asks and stand against its pads.
 
     Raises :class:`VehicleError` where links or vehicles are missing, and :class:`Refused` where
-    the fleet is too small for the plan.
+    the fleet is too small for the plan or one system id is two vehicles, of which nothing is asked.
     """
     if proven is not None and len(fleet.vehicles) < proven.plan.vehicles:
         raise Refused(
