@@ -93,13 +93,17 @@ def rough_frames(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> Fra
     """Return the vehicles' frames before heights are levelled.
 
     ``pads`` (n, 3) is where those vehicles that have their pad from the fleet file should stand
-    (NaN for the others); it places the mission on the earth where the fleet file does not.
+    (NaN for the others); it places the mission on the earth where the fleet file does not. Raises
+    :class:`Refused` where an origin that is needed is not known.
     """
     place = fleet.origin
     turned = -math.radians(place.heading) if place else 0.0
     if fleet.frame != "gps":
         return shared_frames(len(vehicles), turned)
     origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
+    if len(origins) < len(vehicles):
+        without = ", ".join(str(v.system) for v in vehicles if v.origin is None)
+        raise Refused(f"the estimators' origins are not known of systems {without}")
     projections = [v.autopilot.name if v.autopilot else "px4" for v in vehicles]
     if place is None:
         mission, turned = _fitted(vehicles, pads)

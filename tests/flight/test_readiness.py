@@ -56,6 +56,14 @@ def test_an_origin_without_a_place_for_the_mission_is_refused():
         rough_frames(vehicles, fleet(), np.full((4, 3), np.nan))
 
 
+def test_vehicles_whose_origin_is_not_known_are_named():
+    vehicles, _ = standing(Origin(47, 8, 0), 0.0, [Origin(47, 8, 0)] * 4)
+    vehicles[1].origin = vehicles[3].origin = None
+    gps = fleet("origin: {latitude: 47, longitude: 8, altitude: 400}")
+    with pytest.raises(Refused, match="not known of systems 2, 4"):
+        rough_frames(vehicles, gps, PADS)
+
+
 def test_heights_are_levelled_and_places_are_not():
     vehicles, measured = standing(Origin(47, 8, 400), 0.0, [Origin(47, 8, 390)] * 4, height=2.0)
     measured[1, 0] += 0.3
