@@ -222,9 +222,7 @@ def load_key(path: Path) -> bytes:
         data = path.read_bytes()[:1024]
         key = data if len(data) == _KEY_LENGTH else bytes.fromhex(data.decode("ascii"))
     except OSError as error:
-        raise WorldError(
-            f"{path}: expected a readable file, got {error.strerror or error!r}"
-        ) from None
+        raise WorldError(f"{path}: expected a readable file, got {_said(error)}") from None
     except ValueError:
         key = b""
     if len(key) != _KEY_LENGTH:
@@ -239,9 +237,7 @@ def read_text(path: Path) -> str:
             data = file.read(_LARGEST_FILE + 1)
         return data.decode("utf-8")
     except OSError as error:
-        raise WorldError(
-            f"{path}: expected a readable file, got {error.strerror or error!r}"
-        ) from None
+        raise WorldError(f"{path}: expected a readable file, got {_said(error)}") from None
     except UnicodeDecodeError as error:
         raise WorldError(f"{path}: expected UTF-8 text, got byte {error.start} otherwise") from None
 

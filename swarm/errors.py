@@ -12,6 +12,7 @@ Only :mod:`swarm.cli` turns these into text and exit codes. Anything else that r
 a bug of ours.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -31,10 +32,13 @@ class Problem:
 def reason(error: BaseException) -> str:
     """Return what went wrong in words that are never empty, as they stand after a colon.
 
-    What the system says of a failed call is without its path, for messages begin with that.
+    What the system says of a failed call is without its path, for messages begin with that;
+    libraries put theirs into ``strerror``.
     """
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror[:1].lower() + error.strerror[1:]
+    if isinstance(error, OSError):
+        words = os.strerror(error.errno) if error.errno else error.strerror or ""
+        if words:
+            return words[:1].lower() + words[1:]
     said = str(error).strip()
     return said or f"failed without saying why ({type(error).__name__})"
 
