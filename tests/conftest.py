@@ -9,6 +9,10 @@ import pytest
 
 from tests import machine_code
 
+# Before NumPy is imported: one thread for sums of arrays, as the goldens were made. Several processes
+# share the cores anyway.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
 # How long an example takes says nothing of what it tests: machines are shared, and the first one
 # may compile.
 hypothesis.settings.register_profile("patient", deadline=None)

@@ -1,0 +1,197 @@
+"""Goldens of failures: what follows from each row of the table of drills, line by line.
+
+Every row is flown from the same moment of a small flight, by a team of PX4 and by one of ArduPilot
+vehicles; what goes wrong goes wrong with the vehicle in the middle.
+"""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from difflib import SequenceMatcher, unified_diff
+from functools import cache
+
+from swarm.drills import ROWS, Personality, Row, Trial
+from swarm.drills.flying import _fly
+from swarm.drills.rehearsal import Rehearsal, drill_fleet, pass_audit
+from swarm.drills.rows import Part
+from swarm.flight.conductor import Conductor
+from swarm.flight.world import emulated_world
+from swarm.rehearse import parse_world
+from tests.golden.environment import environment
+from tests.golden.transcripts import fault_line, transcript
+from tests.golden.wire import Tapped, numbers_of
+from tests.network import small_plan
+
+TEAMS: tuple[Personality, ...] = ("px4", "ardupilot")
+VICTIM = 1
+SEED = 1
+INTO_FOLD, BEFORE_GATE = 3.0, 1.0
+"""Seconds: faults come so long after the fold began, or before the gate of their part."""
+SAME_TIME = 0.5
+"""Seconds by which an event may come sooner or later on another CPU: values cross limits and are
+looked at every 0.05 s, vehicles report every 0.1 to 0.5 s."""
+_SHOWN = 12
+"""Lines of a difference that are shown; the rest is counted."""
+
+
+def name_of(row: Row) -> str:
+    """Return what a row's file is called."""
+    return re.sub(r"[^a-z0-9.]+", "-", row.name.lower().replace("%", "percent")).strip("-")
+
+
+NAMES: Mapping[str, Row] = {name_of(row): row for row in ROWS}
+
+
+def make(name: str) -> str:
+    """Fly a row with each team and return its golden."""
+    row = NAMES[name]
+    lines = [f"# failure: {row.name}", f"# environment: {environment()}"]
+    for team in TEAMS:
+        lines += ["", *_flown(row, team)]
+    return "\n".join(lines) + "\n"
+
+
+def _flown(row: Row, team: Personality) -> list[str]:
+    stage = _stage(team, row.part)
+    flight = stage.copy()
+    since, at = flight.now, flight.conductor.clock.time
+    trial = _fly(flight, row, VICTIM)
+    emulator = flight.emulator
+    assert isinstance(emulator, Tapped)
+    heading = f"# team {team} · vehicle {VICTIM + 1} · {row.part}, mission time {at:.2f} s"
+    after = transcript(emulator.wire, flight.events, since + 1e-6)
+    return [heading, fault_line(_fault(row)), *after, _verdict(trial)]
+
+
+@cache
+def _stage(team: Personality, part: Part) -> Rehearsal:
+    """Return a flight shortly before something goes wrong in that part of it."""
+    proven = small_plan(vehicles=3)
+    fleet = drill_fleet(3, team, SEED)
+    world = emulated_world(proven.plan, fleet, with_cable=True, seed=SEED)
+    emulator = Tapped(parse_world(json.dumps(world)))
+    pass_audit(emulator, proven, fleet)
+    flight = Rehearsal(proven, fleet, Conductor(proven, fleet), emulator)
+    moment = _moment(flight, part)
+    while flight.conductor.clock.time < moment or not flight.quiet:
+        assert flight.conductor.finished is None, flight.conductor.finished
+        flight.step()
+        # two seconds tell what is known of the vehicles when something goes wrong
+        emulator.wire[:] = [one for one in emulator.wire if one.time > flight.now - 2.0]
+    return flight
+
+
+def _moment(flight: Rehearsal, part: Part) -> float:
+    plan = flight.proven.plan
+    if part == "fold":
+        return plan.phase("fold").start + INTO_FOLD
+    condition = "gripped" if part == "grab" else "released"
+    return next(gate.time for gate in plan.gates if gate.condition == condition) - BEFORE_GATE
+
+
+def _fault(row: Row) -> str:
+    """What goes wrong, in the words of the table of drills."""
+    words = [
+        f"{fault['kind']} " + " ".join(f"{k}={v}" for k, v in fault.items() if k != "kind")
+        for fault in row.faults
+    ]
+    if row.station:
+        words.append(f"ground station {row.station}")
+    if row.lose:
+        words.append(f"one {row.lose} is lost")
+    target = " · all vehicles" if row.whole_team else ""
+    return ", ".join(one.strip() for one in words) + target
+
+
+def _verdict(trial: Trial) -> str:
+    noticed = "not noticed" if trial.noticed is None else f"noticed after {trial.noticed:.2f} s"
+    problems = "; ".join(trial.problems) or "as the table asks"
+    return (
+        f"== {trial.end} · {noticed} · {trial.strikes} rotor strikes · {trial.lost} vehicles lost "
+        f"· {problems}"
+    )
+
+
+# Comparing
+
+
+def disagreements(old: str, new: str) -> list[str]:
+    """Return where two transcripts differ by more than another CPU explains.
+
+    Every event and command must come as often, for the same vehicles and at nearly the same times;
+    figures in their words are not compared. What vehicles say in between is left to the last bits.
+    """
+    words: list[str] = []
+    before, after = _sections(old), _sections(new)
+    if list(before) != list(after):
+        return [f"teams: expected {', '.join(before)}, got {', '.join(after)}"]
+    for team, lines in before.items():
+        was, now = _answers(lines), _answers(after[team])
+        for answer in [*was, *(one for one in now if one not in was)]:
+            expected, got = was.get(answer, []), now.get(answer, [])
+            close = [abs(a - b) <= SAME_TIME for a, b in zip(expected, got, strict=False)]
+            if len(expected) != len(got) or not all(close):
+                words.append(f"{team}: {answer}: expected {_times(expected)}, got {_times(got)}")
+    return words
+
+
+def _times(times: Sequence[float]) -> str:
+    return "after " + ", ".join(f"{time:.2f}" for time in times) + " s" if times else "never"
+
+
+def differences(old: str, new: str) -> list[str]:
+    """Return what a renewal changes: lines that are gone (−) and new (+), and ends that differ."""
+    before, after = _body(old), _body(new)
+    if before == after:
+        return []
+    gone, new_lines = 0, 0
+    for code, a, b, c, d in SequenceMatcher(None, before, after, autojunk=False).get_opcodes():
+        if code != "equal":
+            gone, new_lines = gone + b - a, new_lines + d - c
+    return [f"lines: {gone} removed, {new_lines} added", *_diff(before, after)]
+
+
+def _diff(before: Sequence[str], after: Sequence[str]) -> list[str]:
+    lines = [
+        line
+        for line in unified_diff(before, after, lineterm="", n=0)
+        if not line.startswith(("---", "+++", "@@"))
+    ]
+    more = [f"… and {len(lines) - _SHOWN} lines more"] if len(lines) > _SHOWN else []
+    return lines[:_SHOWN] + more
+
+
+def _body(text: str) -> list[str]:
+    return [line for line in text.splitlines() if not line.startswith("# environment")]
+
+
+def _sections(text: str) -> dict[str, list[str]]:
+    sections: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        if found := re.match(r"# team (\w+)", line):
+            sections[found[1]] = lines = []
+        elif sections:
+            lines.append(line)
+    return sections
+
+
+_ANSWER = re.compile(
+    r"<< +(?P<time>-?\d+\.\d+)  (?:event|command) +(?P<words>.*?)"
+    r"(?: ×(?P<count>\d+))?(?: · (?:of|to) (?P<systems>[\d–, ]+))?$"
+)
+
+
+def _answers(lines: Sequence[str]) -> dict[str, list[float]]:
+    """Events and commands of each vehicle, with their times; and the end, without its figures."""
+    found: dict[str, list[float]] = {}
+    for line in lines:
+        if answer := _ANSWER.match(line):
+            words = re.sub(r"\d+\.\d+", "#", answer["words"])
+            systems = numbers_of(answer["systems"]) if answer["systems"] else [0]
+            for system in systems:
+                about = f"{words} · vehicle {system}" if system else words
+                times = [float(answer["time"])] * int(answer["count"] or 1)
+                found.setdefault(about, []).extend(times)
+        elif line.startswith("== "):
+            found[line.split(" · ")[0]] = [0.0]
+    return found
