@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from threadpoolctl import threadpool_limits
+
 from swarm.mission import Mission
 from swarm.plans import Plan, Shortfall, candidates
 from swarm.preflight.certificate import Moment, shortfalls
@@ -47,6 +49,13 @@ def plan(mission: Mission, progress: Progress | None = None, *, robustness: bool
     :class:`swarm.errors.Refused` when no motion was found at all; a motion that was found and does
     not pass is returned, with its findings.
     """
+    # Sums of arrays depend on how many threads share them, and plans with them: another machine
+    # would make another plan. Arrays here are small, so that one thread is quicker, too.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _plan(mission, progress, robustness=robustness)
+
+
+def _plan(mission: Mission, progress: Progress | None, *, robustness: bool) -> Planned:
     search = candidates(mission, progress=progress)
     made = next(search)
     first = None

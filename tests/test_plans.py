@@ -5,10 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
+from swarm import api
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot
-from swarm.plans import Plan, make_plan
+from swarm.plans import Plan, digest, make_plan
 
 STILL = ("takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land")
 
@@ -116,3 +118,13 @@ def test_a_plan_knows_its_phases(printed: Plan) -> None:
     assert printed.phase_at(printed.duration + 1.0).name == "land"
     with pytest.raises(KeyError):
         replace(printed, phases=()).phase("fold")
+
+
+def test_a_plan_does_not_depend_on_the_threads_of_a_machine() -> None:
+    """With two threads for sums of arrays, 5_2 had another plan than with one."""
+    mission = mission_for_knot("5_2", ())
+    with threadpool_limits(limits=1, user_api="blas"):
+        one = digest(api.plan(mission, robustness=False).plan)
+    with threadpool_limits(limits=2, user_api="blas"):
+        two = digest(api.plan(mission, robustness=False).plan)
+    assert one == two
