@@ -1,3 +1,5 @@
 """swarm: a ground station that makes a team of quadrotors tie a knot in a cable in mid-air."""
 
-__version__ = "0.1.0"
+from swarm.version import __version__
+
+__all__ = ["__version__"]

@@ -9,10 +9,11 @@ from swarm.borders import LARGEST_FILE
 from swarm.cli.inputs import read_record
 from swarm.errors import InputError, Problem
 from swarm.fleet import Fleet
-from swarm.flight.archive import read_certificate, read_plan
+from swarm.flight.archive import read_certificate
 from swarm.flight.flight_plan import Basis
 from swarm.flight.tlog import Replayed, replay
 from swarm.plans import Plan, digest
+from swarm.plans.archive import read_plan
 from swarm.preflight.findings import Assessment
 
 LARGEST_PLAN = 64 << 20

@@ -19,16 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from swarm import __version__
 from swarm.errors import InputError, Problem
 from swarm.fleet import Fleet
 from swarm.flight.adherence import adherence_object
-from swarm.flight.archive import certificate_document, plan_document, plan_motion
+from swarm.flight.archive import certificate_document
 from swarm.flight.flight_plan import Basis, FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event
 from swarm.ground.priority import follow
 from swarm.mavlink.packets import split
+from swarm.plans.archive import plan_document, plan_motion
+from swarm.version import __version__
 
 WRITE_INTERVAL = 0.25
 _AT_ONCE, _BREATH = 40, 0.001

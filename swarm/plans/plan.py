@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from swarm.knots.names import in_words
 from swarm.mission import Mission
 from swarm.trajectory import Motion
 
@@ -84,7 +85,7 @@ class KnotSummary:
     grid_columns: tuple[tuple[int, int], ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Plan:
     """Everything that will be flown, not yet certified.
 
@@ -101,6 +102,19 @@ class Plan:
     gates: tuple[Gate, ...]
     path: Floats
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Plan {self.mission.name}: {', '.join(self.figures().values())}>"
+
+    def figures(self) -> dict[str, str]:
+        """Return what one line says of the plan, by name: knot, vehicles, cable and duration."""
+        count, cable = self.vehicles, float(self.layout.lengths.sum())
+        return {
+            "knot": in_words(self.knot.type, self.knot.chirality),
+            "vehicles": f"{count} vehicle{'s' if count > 1 else ''}",
+            "cable": f"{cable:.1f} m of cable" if cable else "no cable",
+            "duration": f"{self.duration:.0f} s",
+        }
 
     @property
     def vehicles(self) -> int:

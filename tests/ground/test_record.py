@@ -12,19 +12,14 @@ from pymavlink.dialects.v20 import common
 from swarm.cli.records import recorded_basis, recorded_certificate
 from swarm.errors import InputError
 from swarm.fleet import emulated_fleet
-from swarm.flight.archive import (
-    certificate_document,
-    plan_document,
-    plan_motion,
-    read_certificate,
-    read_plan,
-)
+from swarm.flight.archive import certificate_document, read_certificate
 from swarm.flight.flight_plan import basis_of
 from swarm.flight.snapshot import Event
 from swarm.ground.record import Record
 from swarm.mavlink.packets import Encoder
 from swarm.mission import parse_mission
 from swarm.plans import digest
+from swarm.plans.archive import plan_document, plan_motion, read_plan
 from tests.network import small_plan
 
 PROVEN = small_plan()
