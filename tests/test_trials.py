@@ -10,7 +10,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from swarm.cli.trials import write_results
 from swarm.errors import InputError, Refused, SwarmError
 from swarm.fleet import emulated_fleet
 from swarm.ground.fly import fly
@@ -30,6 +29,7 @@ from swarm.trials import (
     workers_starting,
     worst,
 )
+from swarm.trials.results import write_results
 from tests.network import small_plan, uncleared
 
 PROVEN = small_plan(vehicles=4)

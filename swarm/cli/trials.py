@@ -1,19 +1,17 @@
 """What ``swarm dry-run --trials`` does: fly many, keep what is done, tell what they say."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from swarm import __version__, api
+from swarm import api
 from swarm.cli.inputs import print_json, progress_bar, read_text, write_text
-from swarm.errors import InputError, Interrupted, Problem, reason
+from swarm.errors import Interrupted
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.mission import Mission
 from swarm.plans import Plan
@@ -27,10 +25,10 @@ from swarm.trials import (
     fly_trials,
     processes,
     read_scenario,
-    rows,
     summary,
 )
-from swarm.view.trial_plots import KINDS, NAMES, Distances, trials_figure
+from swarm.trials.results import write_results
+from swarm.view.trial_plots import KINDS, NAMES, distances_of, trials_figure
 
 
 def load_scenario(path: Path | None) -> tuple[Spread, tuple[Fault, ...]]:
@@ -93,7 +91,7 @@ def run_trials(
         from swarm.view.plots import save  # noqa: PLC0415 - slow to import
         from swarm.view.rehearsal_report import trials_report  # noqa: PLC0415 - slow to import
 
-        drawn = [_distances(plan, flown, certified) for plan, flown, certified in done]
+        drawn = [distances_of(plan, flown, certified) for plan, flown, certified in done]
         required = {name: getattr(planned.plan.mission.clearance, name) for name in CLEARANCES}
         if plot:
             save(trials_figure(drawn, required), plot)
@@ -149,45 +147,6 @@ def _fly(
             flying.close()
             return sorted(flown, key=lambda one: one.number), True
     return sorted(flown, key=lambda one: one.number), False
-
-
-def _distances(plan: Plan, flown: Sequence[Trial], certified: Certificates) -> Distances:
-    def column(name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-        return np.array([np.nan if (v := getattr(t, name)) is None else v for t in flown])
-
-    return Distances(
-        label="the paper's trajectory" if plan.mission.fold.method == "paper" else "this plan",
-        by_kind={name: column(name) for name in (*CLEARANCES, "hung")},
-        error=column("error"),
-        failing=np.array([bool(trial.failing) for trial in flown]),
-        radius=certified.radius,
-        certified={name: getattr(certified, name) for name in CLEARANCES},
-    )
-
-
-def write_results(
-    path: Path, done: Sequence[tuple[Plan, Sequence[Trial]]], seed: int, spread: Spread
-) -> None:
-    """Write one row per trial as Parquet, with what made them in the file's metadata."""
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
-    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
-
-    table = pa.Table.from_pylist(
-        [
-            {"method": plan.mission.fold.method, "seed": seed, **row}
-            for plan, flown in done
-            for row in rows(flown)
-        ]
-    )
-    made_by = {
-        "swarm": __version__,
-        "mission": json.dumps(done[0][0].mission.document()),
-        "spread": json.dumps(spread.model_dump(mode="json")),
-    }
-    try:
-        pq.write_table(table.replace_schema_metadata(made_by), path)
-    except OSError as error:
-        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def print_summary(told: Mapping[str, Any], console: Console) -> None:

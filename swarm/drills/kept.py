@@ -12,11 +12,11 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from swarm import __version__
 from swarm.drills.judging import Trial
 from swarm.drills.rehearsal import Personality
 from swarm.errors import InputError
 from swarm.plans import Plan
+from swarm.version import __version__
 
 _NEVER_JUDGED = ("clearance", "apart")
 """What is infinite where there was nothing to judge, and null in JSON."""

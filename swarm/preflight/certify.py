@@ -4,12 +4,14 @@ A certificate carries the digest of the plan that it was computed from. Whatever
 together with its certificate and compares the two; nothing else says that a plan is certified.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, replace
 
 import numpy as np
 
 from swarm.errors import Refused
+from swarm.notebook import table
 from swarm.plans import Gate, Phase, Plan, digest
 from swarm.preflight.assess import assess, with_robustness
 from swarm.preflight.certificate import Moment, tightest_moments
@@ -39,12 +41,18 @@ class MeasuredClearances:
         _refuse_forgery(made_by, "measured clearances")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Certificate:
-    """What the checks found out about the plan with this digest. Made by :func:`certify` alone."""
+    """What the checks found out about the plan with this digest. Made by :func:`certify` alone.
+
+    ``digest`` is :func:`swarm.plans.digest` of the plan, ``tracking`` the tracking error in metres
+    for which it was checked (the mission's ``vehicles.tracking``), ``assessment`` everything that
+    the checks found.
+    """
 
     digest: str
     assessment: Assessment
+    tracking: float
     made_by: InitVar[object]
 
     def __post_init__(self, made_by: object) -> None:
@@ -59,6 +67,51 @@ class Certificate:
     def findings(self) -> tuple[Finding, ...]:
         """Everything that the checks have to say."""
         return self.assessment.findings
+
+    @property
+    def tightest(self) -> tuple[Moment, ...]:
+        """The five tightest moments of all clearances, tightest first: what, where, when, metres.
+
+        Distances are certified lower bounds for every tracking error up to ``tracking``.
+        """
+        return self.assessment.tightest
+
+    @property
+    def max_tracking_error(self) -> float | None:
+        """e*: the largest tracking error in metres for which every clearance still holds.
+
+        None where it was not worked out, and where clearances do not even hold for exact tracking.
+        """
+        return self.assessment.robustness.tracking
+
+    @property
+    def max_wind(self) -> float | None:
+        """w*: the largest steady wind in m/s, from any direction, for which clearances still hold.
+
+        None where it was not worked out, and where clearances do not hold in still air.
+        """
+        return self.assessment.robustness.wind
+
+    def __repr__(self) -> str:
+        return f"<Certificate: {', '.join(self._words())}>"
+
+    def _repr_html_(self) -> str:
+        cleared, *held = self._words()
+        rows = [(found.severity, f"{found.check}: {found.message}") for found in self.findings]
+        return table(f"Certificate: {', '.join((cleared, *held))}", rows)
+
+    def _words(self) -> list[str]:
+        """What one line says: cleared or not, and for how much more than asked it would hold."""
+        words = [f"{'' if self.cleared else 'not '}cleared for {self.tracking:g} m"]
+        errors = sum(finding.severity == "error" for finding in self.findings)
+        if errors:
+            words.append(f"{errors} error{'s' if errors > 1 else ''}")
+        # Rounded down: a certificate never says more than it holds for.
+        if self.max_tracking_error is not None:
+            words.append(f"e* {math.floor(100.0 * self.max_tracking_error) / 100.0:g} m")
+        if self.max_wind is not None:
+            words.append(f"w* {math.floor(10.0 * self.max_wind) / 10.0:g} m/s")
+        return words
 
     def of(self, plan: Plan) -> bool:
         """Whether this certificate was computed from exactly this plan."""
@@ -90,7 +143,7 @@ def certify(
     if measured.digest != name:
         raise ValueError("the clearances were measured on another plan")
     found = assess(plan, moments=measured.moments, progress=progress, robustness=robustness)
-    return Certificate(name, found, _MADE_HERE)
+    return Certificate(name, found, plan.mission.vehicles.tracking, _MADE_HERE)
 
 
 def certify_robustness(
@@ -102,7 +155,7 @@ def certify_robustness(
     """
     refuse_other(plan, certificate)
     found = with_robustness(plan, certificate.assessment, progress)
-    return Certificate(certificate.digest, found, _MADE_HERE)
+    return replace(certificate, assessment=found, made_by=_MADE_HERE)
 
 
 def without_cable(plan: Plan) -> Plan:
