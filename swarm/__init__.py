@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING
 from swarm.version import __version__
 
 if TYPE_CHECKING:
+    from swarm.certification.certificate import Certificate
+    from swarm.certification.findings import Finding, Tightest
     from swarm.errors import InputError, Refused, SwarmError, VehicleError
     from swarm.flight.trace import Trace
     from swarm.front.certificates import Cable, Motion, certify
@@ -29,9 +31,7 @@ if TYPE_CHECKING:
     from swarm.front.recordings import Recording
     from swarm.front.trials import Trials, monte_carlo
     from swarm.mission import Mission
-    from swarm.preflight.certify import Certificate
-    from swarm.preflight.findings import Finding, Tightest
-    from swarm.trials import Spread, Trial
+    from swarm.simulation.monte_carlo import Spread, Trial
 else:
     _HOMES = {
         "swarm.errors": ("InputError", "Refused", "SwarmError", "VehicleError"),
@@ -44,9 +44,9 @@ else:
         "swarm.front.recordings": ("Recording",),
         "swarm.front.trials": ("Trials", "monte_carlo"),
         "swarm.mission": ("Mission",),
-        "swarm.preflight.certify": ("Certificate",),
-        "swarm.preflight.findings": ("Finding", "Tightest"),
-        "swarm.trials": ("Spread", "Trial"),
+        "swarm.certification.certificate": ("Certificate",),
+        "swarm.certification.findings": ("Finding", "Tightest"),
+        "swarm.simulation.monte_carlo": ("Spread", "Trial"),
     }
     _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

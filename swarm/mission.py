@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from swarm.borders import Section, apply_overrides, number, parse_yaml, validate
 from swarm.errors import InputError, Problem
 from swarm.notebook import table
+from swarm.validation import Section, apply_overrides, number, parse_yaml, validate
 
 Auto = Literal["auto"]
 Number = Annotated[float, Field(strict=True)]

@@ -10,7 +10,7 @@ from math import comb
 import numpy as np
 import numpy.typing as npt
 
-from swarm.compiled import compiled
+from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm.cable.catenary import OverStretched, hang
 from swarm.errors import InputError
+from swarm.geometry.catenary import OverStretched, hang
 from swarm.mission import parse_mission
-from swarm.plans import make_plan
-from swarm.plans.cable_shape import cable_shape
+from swarm.planning import make_plan
+from swarm.planning.cable_shape import cable_shape
 from tests.network import sideways
 
 PLAN = sideways()

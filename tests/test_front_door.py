@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import swarm
-from swarm.plans import digest
+from swarm.planning import digest
 from swarm.version import __version__
 from tests.network import sideways, small_plan, uncleared
 

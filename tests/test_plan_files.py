@@ -10,8 +10,8 @@ import pytest
 
 from swarm.errors import InputError
 from swarm.mission import parse_mission
-from swarm.plans import digest, make_plan
-from swarm.plans.archive import plan_file, read_plan_file
+from swarm.planning import digest, make_plan
+from swarm.planning.archive import plan_file, read_plan_file
 from tests.network import sideways
 from tests.view.synthetic import trefoil_plan
 

@@ -11,10 +11,10 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
-from swarm.borders import LARGEST_FILE
 from swarm.errors import InputError, Problem, reason
 from swarm.front.files import load, refuse_unknown_knot
 from swarm.mission import Mission, mission_for_knot
+from swarm.validation import LARGEST_FILE
 
 MISSION = click.argument("mission", metavar="MISSION")
 SET = click.option(

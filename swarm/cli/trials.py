@@ -14,9 +14,9 @@ from swarm.cli.inputs import print_json, progress_bar, read_text, write_text
 from swarm.errors import Interrupted
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.mission import Mission
-from swarm.plans import Plan
-from swarm.rehearse import Fault
-from swarm.trials import (
+from swarm.planning import Plan
+from swarm.simulation.loop import Fault
+from swarm.simulation.monte_carlo import (
     CLEARANCES,
     Certificates,
     Spread,
@@ -27,7 +27,7 @@ from swarm.trials import (
     read_scenario,
     summary,
 )
-from swarm.trials.results import write_results
+from swarm.simulation.monte_carlo.results import write_results
 from swarm.view.trial_plots import KINDS, NAMES, distances_of, trials_figure
 
 
@@ -69,11 +69,11 @@ def run_trials(
         runs.append((other.plan, ComparisonFlight(other.plan, other.certificate)))
     done: list[tuple[Plan, list[Trial], Certificates]] = []
     interrupted = False
-    for plan, proven in runs:
+    for plan, flight_plan in runs:
         # the paper has no clock that waits: with ours its trajectory would stop, not come close
         open_loop = plan is not planned.plan
         flown, interrupted = _fly(
-            proven, spread, seed, trials, faults, jobs, scheduler, open_loop=open_loop
+            flight_plan, spread, seed, trials, faults, jobs, scheduler, open_loop=open_loop
         )
         if not flown:
             raise Interrupted("stopped before any trial was done")
@@ -117,7 +117,7 @@ def _as_certified(told: Mapping[str, Any]) -> bool:
 
 
 def _fly(
-    proven: FlightPlan,
+    flight_plan: FlightPlan,
     spread: Spread,
     seed: int,
     trials: int,
@@ -131,14 +131,14 @@ def _fly(
     flown: list[Trial] = []
     console = Console(stderr=True)
     flying = fly_trials(
-        proven, spread, seed=seed, trials=range(trials), faults=faults, jobs=jobs,
+        flight_plan, spread, seed=seed, trials=range(trials), faults=faults, jobs=jobs,
         scheduler=scheduler, open_loop=open_loop,
     )  # fmt: skip
     with Progress(
         TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(),
         TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
     ) as bar:  # fmt: skip
-        task = bar.add_task(f"trials ({proven.plan.mission.fold.method})", total=trials)
+        task = bar.add_task(f"trials ({flight_plan.plan.mission.fold.method})", total=trials)
         try:
             for trial in flying:
                 flown.append(trial)

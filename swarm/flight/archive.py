@@ -8,11 +8,11 @@ from dataclasses import asdict, fields
 from math import inf
 from typing import Any, get_args
 
+from swarm.certification.findings import Assessment, Finding, Robustness, Tightest
 from swarm.errors import InputError
 from swarm.exports import finding_object, tightest_object
 from swarm.flight.flight_plan import Basis, Kind
-from swarm.plans.archive import UNREADABLE
-from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
+from swarm.planning.archive import UNREADABLE
 
 _CLEARANCES = ("cable", "vehicle", "vehicle_cable")
 

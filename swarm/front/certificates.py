@@ -7,18 +7,18 @@ from typing import Self, overload
 
 import numpy as np
 
-from swarm import plans
-from swarm.borders import validate
+from swarm import planning
+from swarm.certification.certificate import Certificate
+from swarm.certification.certificate import certify as certified
+from swarm.certification.motion_file import MotionFile, plan_of_motion, read_motion
 from swarm.errors import InputError, Problem
 from swarm.front.files import read_text
 from swarm.front.plans import Plan
 from swarm.mission import Cable as CableSection
 from swarm.mission import Mission, mission_for_knot
-from swarm.preflight.certify import Certificate
-from swarm.preflight.certify import certify as certified
-from swarm.preflight.motion_file import MotionFile, plan_of_motion, read_motion
 from swarm.trajectory import Motion as Quintics
 from swarm.trajectory import through_states
+from swarm.validation import validate
 
 Progress = Callable[[str, float], None]
 
@@ -85,7 +85,7 @@ class Motion(Quintics):
         Columns: time, vehicle (1…n along the cable), x, y, z, vx, vy, vz, ax, ay, az (ENU, m, m/s,
         m/s²), phase. Raises :class:`swarm.InputError` with the lines of what is wrong.
 
-        Source: :func:`swarm.preflight.motion_file.read_motion`.
+        Source: :func:`swarm.certification.motion_file.read_motion`.
         """
         read = read_motion(read_text(path, LARGEST_MOTION), os.fspath(path))
         made = through_states(read.time, *np.split(read.states, 3, axis=-1))
@@ -99,7 +99,7 @@ class Motion(Quintics):
         Raises :class:`swarm.InputError` where the lengths are not one fewer than the vehicles, or
         no row has the cable aloft.
 
-        Source: :func:`swarm.preflight.motion_file.plan_of_motion`.
+        Source: :func:`swarm.certification.motion_file.plan_of_motion`.
         """
         limits = mission or mission_for_knot("overhand")
         limits = limits.model_copy(update={"cable": cable.section(limits.cable)})
@@ -109,7 +109,7 @@ class Motion(Quintics):
 
 @overload
 def certify(
-    motion: plans.Plan, *, robustness: bool = True, progress: Progress | None = None
+    motion: planning.Plan, *, robustness: bool = True, progress: Progress | None = None
 ) -> Certificate: ...
 
 
@@ -125,7 +125,7 @@ def certify(
 
 
 def certify(
-    motion: plans.Plan | Motion,
+    motion: planning.Plan | Motion,
     *,
     cable: Cable | None = None,
     mission: Mission | None = None,
@@ -146,8 +146,8 @@ def certify(
 
     Raises :class:`swarm.InputError` where a cable is missing, is given with a plan or does not fit.
 
-    Source: :mod:`swarm.preflight.certify`; interval bounds and bisection in
-    :mod:`swarm.preflight.certificate`.
+    Source: :mod:`swarm.certification.certificate`; interval bounds and bisection in
+    :mod:`swarm.certification.clearances`.
     """
     if isinstance(motion, Motion):
         if cable is None:

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarm import plans
+from swarm import planning
+from swarm.certification.certificate import Certificate, CertifiedPlan
+from swarm.certification.findings import Tightest
 from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.flight.result import FlightResult, Word
@@ -15,9 +17,7 @@ from swarm.flight.trace import Trace
 from swarm.front.recordings import Recording
 from swarm.knots.names import in_words
 from swarm.notebook import table
-from swarm.preflight.certify import Certificate, CertifiedPlan
-from swarm.preflight.findings import Tightest
-from swarm.rehearse import Fault, rehearse
+from swarm.simulation.loop import Fault, rehearse
 from swarm.verify import Flown, judge
 
 if TYPE_CHECKING:
@@ -42,11 +42,11 @@ class FlownClearances:
 class Flight:
     """A simulated flight: its ``plan``, the ``result``, and what it implies, ``flown``.
 
-    Made by :func:`swarm.simulate`. Source: :mod:`swarm.rehearse` (the flight software against the
-    emulator) and :mod:`swarm.verify` (what reported positions imply).
+    Made by :func:`swarm.simulate`. Source: :mod:`swarm.simulation.loop` (the flight software
+    against the emulator) and :mod:`swarm.verify` (what reported positions imply).
     """
 
-    plan: plans.Plan
+    plan: planning.Plan
     result: FlightResult
     flown: Flown
 
@@ -141,7 +141,7 @@ class Flight:
         return figures
 
 
-def flyable(plan: plans.Plan, certificate: Certificate) -> CertifiedPlan:
+def flyable(plan: planning.Plan, certificate: Certificate) -> CertifiedPlan:
     """Return the plan as certified; raises :class:`Refused` where it cannot be flown."""
     if not any(gate.condition == "armed" for gate in plan.gates):
         raise Refused(
@@ -152,7 +152,7 @@ def flyable(plan: plans.Plan, certificate: Certificate) -> CertifiedPlan:
 
 
 def simulate(
-    plan: plans.Plan,
+    plan: planning.Plan,
     certificate: Certificate,
     *,
     seed: int = 1,
@@ -164,16 +164,16 @@ def simulate(
 
     The same ``seed`` gives the same flight. ``fleet`` is an emulated one, by default of PX4
     vehicles (:func:`swarm.fleet.emulated_fleet`); ``faults`` are what goes
-    wrong during it (:class:`swarm.rehearse.Fault`); ``world`` is what the emulator is told instead
-    of what the plan expects (`swarm schema world`).
+    wrong during it (:class:`swarm.simulation.loop.Fault`); ``world`` is what the emulator is told
+    instead of what the plan expects (`swarm schema world`).
 
     A flight that does not end as planned is returned, with its ``outcome``.
     Raises :class:`swarm.Refused` where the certificate belongs to another plan or holds errors,
     where the fleet does not fit the plan, and for a :class:`swarm.Motion` of others, which has no
     gates at which vehicles arm, grip and settle.
 
-    Source: :func:`swarm.rehearse.rehearse`, :func:`swarm.verify.judge`.
+    Source: :func:`swarm.simulation.loop.rehearse`, :func:`swarm.verify.judge`.
     """
-    proven = flyable(plan, certificate)
-    result = rehearse(proven, fleet=fleet, seed=seed, faults=faults, world=world)
+    flight_plan = flyable(plan, certificate)
+    result = rehearse(flight_plan, fleet=fleet, seed=seed, faults=faults, world=world)
     return Flight(plan, result, judge(plan, result.trace))

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from swarm import api, plans
+from swarm import api, planning
+from swarm.certification.certificate import Certificate, refuse_errors
 from swarm.errors import Refused
 from swarm.exports import MOTION_STEP, motion_rows
 from swarm.front.files import read_bytes, write_bytes
 from swarm.front.recordings import Recording
 from swarm.mission import Mission
 from swarm.notebook import table
-from swarm.plans.archive import plan_file, read_plan_file
-from swarm.plans.cable_shape import cable_shape
-from swarm.preflight.certify import Certificate, refuse_errors
+from swarm.planning.archive import plan_file, read_plan_file
+from swarm.planning.cable_shape import cable_shape
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +42,7 @@ class NotCleared(Refused):
         super().__init__(message)
 
 
-class Plan(plans.Plan):
+class Plan(planning.Plan):
     """Everything that will be flown: the motion of n grip points, phases, gates, knot and layout.
 
     Made by :func:`swarm.plan` and :func:`swarm.load_plan`. Immutable: change the mission and plan
@@ -52,11 +52,11 @@ class Plan(plans.Plan):
 
     ``motion(t)`` gives position, velocity and acceleration, each (…, n, 3), for times (…,);
     ``duration``, ``vehicles``, ``phase(name)``, ``layout.lengths`` (n − 1,) and ``knot`` say the
-    rest. Source: :class:`swarm.plans.Plan`.
+    rest. Source: :class:`swarm.planning.Plan`.
     """
 
     @classmethod
-    def of(cls, plan: plans.Plan) -> Self:
+    def of(cls, plan: planning.Plan) -> Self:
         """Return a plan of the planning layer with this class's methods; nothing is copied."""
         return cls(**{field.name: getattr(plan, field.name) for field in fields(plan)})
 
@@ -70,7 +70,7 @@ class Plan(plans.Plan):
         Raises :class:`swarm.InputError` for times that are not finite or fewer than 2 points, and
         :class:`swarm.SwarmError` where a chord is longer than its cable (in no cleared plan).
 
-        Source: :func:`swarm.plans.cable_shape.cable_shape`; the catenary is Routh's, *Statics*.
+        Source: :func:`swarm.planning.cable_shape.cable_shape`; the catenary is Routh's, *Statics*.
         """
         return cable_shape(self, time, points)
 
@@ -80,7 +80,7 @@ class Plan(plans.Plan):
         A ZIP archive of JSON and NumPy arrays with the plan's digest; equal plans give equal files.
         Raises :class:`swarm.InputError` where the file cannot be written.
 
-        Source: :mod:`swarm.plans.archive`.
+        Source: :mod:`swarm.planning.archive`.
         """
         write_bytes(path, plan_file(self))
 
@@ -136,7 +136,7 @@ def plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
     :class:`swarm.NotCleared` with the plan and its certificate, where none of those found is
     cleared. Raises :class:`swarm.InputError` for a knot that does not exist.
 
-    Source: :func:`swarm.api.plan`, the loop of :func:`swarm.plans.candidates` (grid diagram,
+    Source: :func:`swarm.api.plan`, the loop of :func:`swarm.planning.candidates` (grid diagram,
     layout, folding) and :func:`swarm.certify`.
     """
     found = api.plan(mission, progress, robustness=False)
@@ -155,7 +155,7 @@ def load_plan(path: str | os.PathLike[str]) -> Plan:
     changed, or has another version of the format. A certificate of the plan that was saved belongs
     to the plan that is read.
 
-    Source: :mod:`swarm.plans.archive`.
+    Source: :mod:`swarm.planning.archive`.
     """
     name = os.fspath(path)
     return Plan.of(read_plan_file(read_bytes(path, LARGEST_PLAN), name))

@@ -7,13 +7,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
-from swarm import plans
+from swarm import planning
+from swarm.certification.certificate import Certificate
 from swarm.errors import InputError, Problem, SwarmError
 from swarm.front.flights import flyable
 from swarm.notebook import table
-from swarm.preflight.certify import Certificate
-from swarm.rehearse import Fault
-from swarm.trials import (
+from swarm.simulation.loop import Fault
+from swarm.simulation.monte_carlo import (
     CLEARANCES,
     Certificates,
     Spread,
@@ -23,7 +23,7 @@ from swarm.trials import (
     processes,
     summary,
 )
-from swarm.trials.results import results_table, write_results
+from swarm.simulation.monte_carlo.results import results_table, write_results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,7 +39,7 @@ class Trials(Sequence[Trial]):
     same seed, number and spread fly the same trial again.
     """
 
-    plan: plans.Plan
+    plan: planning.Plan
     trials: tuple[Trial, ...]
     seed: int
     spread: Spread
@@ -64,7 +64,7 @@ class Trials(Sequence[Trial]):
         """Return a :class:`pyarrow.Table` with one row per trial.
 
         Columns are ``method``, ``seed`` and the fields of :class:`swarm.Trial` (metres, seconds,
-        m/s). Source: :func:`swarm.trials.results.results_table`.
+        m/s). Source: :func:`swarm.simulation.monte_carlo.results.results_table`.
         """
         return results_table([(self.plan, self.trials)], self.seed, self.spread)
 
@@ -72,7 +72,7 @@ class Trials(Sequence[Trial]):
         """Return the table of :meth:`to_arrow` as a :class:`pandas.DataFrame`.
 
         Raises :class:`swarm.SwarmError` where pandas is not installed; it is no requirement of this
-        package. Source: :func:`swarm.trials.results.results_table`.
+        package. Source: :func:`swarm.simulation.monte_carlo.results.results_table`.
         """
         try:
             import pandas  # noqa: F401, PLC0415 - optional
@@ -85,7 +85,7 @@ class Trials(Sequence[Trial]):
         """Write the table of :meth:`to_arrow` as a Parquet file.
 
         Raises :class:`swarm.InputError` where it cannot be written.
-        Source: :func:`swarm.trials.results.write_results`.
+        Source: :func:`swarm.simulation.monte_carlo.results.write_results`.
         """
         write_results(Path(path), [(self.plan, self.trials)], self.seed, self.spread)
 
@@ -93,7 +93,7 @@ class Trials(Sequence[Trial]):
     def certified(self) -> Certificates:
         """What is certified for the tracking errors that the trials had; worked out once, seconds.
 
-        Source: :func:`swarm.trials.certificates`.
+        Source: :func:`swarm.simulation.monte_carlo.certificates`.
         """
         return certificates(self.plan, self.trials, processes(self.jobs))
 
@@ -101,7 +101,7 @@ class Trials(Sequence[Trial]):
         """Return what the trials say: shares and distributions with 95 % intervals, and the worst.
 
         Distances in metres. ``["certificate"]["below"]`` lists trials that came closer than was
-        certified for their tracking error. Source: :func:`swarm.trials.summary`.
+        certified for their tracking error. Source: :func:`swarm.simulation.monte_carlo.summary`.
         """
         return summary(
             self.plan, self.trials, seed=self.seed, spread=self.spread, certified=self.certified
@@ -136,7 +136,7 @@ class Trials(Sequence[Trial]):
 
 
 def monte_carlo(
-    plan: plans.Plan,
+    plan: planning.Plan,
     certificate: Certificate,
     *,
     trials: int = 200,
@@ -160,7 +160,7 @@ def monte_carlo(
     :class:`swarm.InputError` for numbers out of range, and :class:`swarm.SwarmError` where the
     cluster's packages are missing or it is not there.
 
-    Source: :func:`swarm.trials.fly_trials`.
+    Source: :func:`swarm.simulation.monte_carlo.fly_trials`.
     """
     problems = [
         Problem(name, f"expected a whole number >= 1, got {value!r}")

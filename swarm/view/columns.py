@@ -9,8 +9,8 @@ import numpy.typing as npt
 import rerun as rr
 
 from swarm.flight.trace import Trace
-from swarm.plans import Plan
-from swarm.plans.cable_shape import planned_grip
+from swarm.planning import Plan
+from swarm.planning.cable_shape import planned_grip
 from swarm.view import scene
 from swarm.view.distances import (
     CLEARANCE_STEP,

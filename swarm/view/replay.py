@@ -8,8 +8,8 @@ import rerun as rr
 
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
-from swarm.plans import Plan
-from swarm.plans.cable_shape import planned_grip
+from swarm.planning import Plan
+from swarm.planning.cable_shape import planned_grip
 from swarm.view import scene
 from swarm.view.blueprint import comparison_blueprint, plan_blueprint
 from swarm.view.columns import (

@@ -12,8 +12,8 @@ import numpy.typing as npt
 import rerun as rr
 
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.plans import Plan
-from swarm.plans.cable_shape import resting_places
+from swarm.planning import Plan
+from swarm.planning.cable_shape import resting_places
 from swarm.view import scene
 from swarm.view.curves import Curves
 from swarm.view.words import clock, level, sentence

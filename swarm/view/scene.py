@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.catenary import hang
-from swarm.cable.distance import strand_strand
 from swarm.flight.snapshot import Snapshot
-from swarm.plans import Layout, Plan
-from swarm.plans.cable_shape import planned_grip, resting_places
+from swarm.geometry.catenary import hang
+from swarm.geometry.distance import strand_strand
+from swarm.planning import Layout, Plan
+from swarm.planning.cable_shape import planned_grip, resting_places
 
 Floats = npt.NDArray[np.float64]
 Colours = npt.NDArray[np.uint8]

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from swarm.plans import Plan
-from swarm.trials import CLEARANCES, Certificates, Trial
+from swarm.planning import Plan
+from swarm.simulation.monte_carlo import CLEARANCES, Certificates, Trial
 from swarm.view.plots import ALARM, END, FAINT, INK, START, STYLE, Axes
 
 Floats = npt.NDArray[np.float64]

@@ -14,8 +14,8 @@ from swarm.fleet import emulated_fleet, parse_fleet
 from swarm.flight.tlog import replay
 from swarm.mavlink.packets import Decoder
 from swarm.mission import parse_mission
-from swarm.plans.archive import plan_document, plan_motion, read_plan
-from swarm.rehearse import faults_from
+from swarm.planning.archive import plan_document, plan_motion, read_plan
+from swarm.simulation.loop import faults_from
 from tests.network import Network, small_plan
 
 PLAN = small_plan()

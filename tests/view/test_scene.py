@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from swarm.plans.cable_shape import resting_places
+from swarm.planning.cable_shape import resting_places
 from swarm.view import scene
 from tests.view.synthetic import CROSSINGS, snapshot_at, trefoil_plan
 
