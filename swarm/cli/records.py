@@ -9,9 +9,9 @@ from swarm.certification.findings import Assessment
 from swarm.cli.inputs import read_record
 from swarm.errors import InputError, Problem
 from swarm.fleet import Fleet
-from swarm.flight.archive import read_certificate
+from swarm.flight.archive import read_certificate, read_frames
 from swarm.flight.flight_plan import Basis
-from swarm.flight.tlog import Replayed, replay
+from swarm.flight.tlog import KnownFrames, Replayed, replay
 from swarm.planning import Plan, digest
 from swarm.planning.archive import read_plan
 from swarm.validation import LARGEST_FILE
@@ -80,4 +80,15 @@ def recorded_flight(record: Path, plan: Plan) -> Replayed:
         raise InputError([Problem(str(record), reason)]) from error
     except ValidationError:
         raise InputError([Problem(str(listed), "expected the fleet of a flight")]) from None
-    return replay(data, plan, fleet)
+    return replay(data, plan, fleet, recorded_frames(record, plan))
+
+
+def recorded_frames(record: Path, plan: Plan) -> KnownFrames | None:
+    """Return the frames that a resumed flight's record keeps; None where it keeps none."""
+    path = record / "frames.json"
+    if not path.exists():
+        return None
+    try:
+        return read_frames(json.loads(read_record(path, LARGEST_FILE)), plan)
+    except ValueError as error:
+        raise InputError([Problem(str(path), f"not valid JSON: {error}")]) from None

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from swarm.cli.flown import end_with
 from swarm.cli.inputs import read_text
-from swarm.cli.records import recorded_certificate, recorded_plan
+from swarm.cli.records import recorded_certificate, recorded_frames, recorded_plan
 from swarm.errors import InputError, Problem, Refused
 from swarm.fleet import Fleet
 from swarm.flight.flight_plan import ResumedFlight
@@ -40,7 +40,7 @@ def resume_flight(
     flight_plan = ResumedFlight(plan, basis, assessment)
     if fleet.emulated is not None:
         raise Refused("the built-in emulator ended with its ground station: nobody flies any more")
-    left = left_off(tlog, plan, fleet)
+    left = left_off(tlog, plan, fleet, recorded_frames(record, plan))
     attached = "carrying cable" if basis.cable else "without cable"
     console.print(
         f"Broke off at {left.mission_time:.1f} s of the plan, {attached}; looking for "

@@ -8,10 +8,15 @@ from dataclasses import asdict, fields
 from math import inf
 from typing import Any, get_args
 
+import numpy as np
+
 from swarm.certification.findings import Assessment, Finding, Robustness, Tightest
 from swarm.errors import InputError
 from swarm.exports import finding_object, tightest_object
 from swarm.flight.flight_plan import Basis, Kind
+from swarm.flight.tlog import KnownFrames
+from swarm.mavlink.frames import Frames
+from swarm.planning import Plan
 from swarm.planning.archive import UNREADABLE
 
 _CLEARANCES = ("cable", "vehicle", "vehicle_cable")
@@ -48,6 +53,36 @@ def read_certificate(document: Mapping[str, Any]) -> tuple[Basis, Assessment]:
         )
     except UNREADABLE as error:
         raise InputError(f"the record's certificate cannot be read: {error}") from None
+
+
+def frames_document(known: KnownFrames) -> dict[str, Any]:
+    """Return frames as plain data for JSON: what a resumed flight's record cannot tell itself."""
+    return {
+        "schema": 1,
+        "systems": list(known.systems),
+        "rotation": known.frames.rotation.tolist(),
+        "translation": known.frames.translation.tolist(),
+        "yaw": known.yaw.tolist(),
+    }
+
+
+def read_frames(document: Mapping[str, Any], plan: Plan) -> KnownFrames:
+    """Return what :func:`frames_document` wrote; raises :class:`InputError` otherwise."""
+    n = plan.vehicles
+    try:
+        systems = tuple(int(system) for system in document["systems"])
+        rotation = np.array(document["rotation"], dtype=np.float64)
+        translation = np.array(document["translation"], dtype=np.float64)
+        yaw = np.array(document["yaw"], dtype=np.float64)
+        if (len(systems), rotation.shape, translation.shape, yaw.shape) != (
+            n, (n, 3, 3), (n, 3), (n,),
+        ):  # fmt: skip
+            raise ValueError(f"not of {n} vehicles")
+        if not all(np.isfinite(array).all() for array in (rotation, translation, yaw)):
+            raise ValueError("numbers that are not finite")
+        return KnownFrames(systems, Frames(rotation, translation), yaw)
+    except UNREADABLE as error:
+        raise InputError(f"the record's frames cannot be read: {error}") from None
 
 
 def _read_finding(document: Mapping[str, Any]) -> Finding:

@@ -14,7 +14,7 @@ from swarm.errors import InputError
 from swarm.fleet import Fleet
 from swarm.flight.preparation import request_streams
 from swarm.flight.rejoining import rejoin
-from swarm.flight.tlog import replay
+from swarm.flight.tlog import KnownFrames, replay
 from swarm.mavlink.frames import Frames
 from swarm.planning import Plan
 
@@ -47,14 +47,19 @@ class LeftOff:
     gate: int
     gripped: bool
 
+    @property
+    def known(self) -> KnownFrames:
+        """The frames, as a record keeps them."""
+        return KnownFrames(self.systems, self.frames, self.yaw)
 
-def left_off(tlog: bytes, plan: Plan, fleet: Fleet) -> LeftOff:
-    """Return where a flight broke off, from its .tlog.
+
+def left_off(tlog: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = None) -> LeftOff:
+    """Return where a flight broke off, from its .tlog; ``known`` are frames that it cannot tell.
 
     Raises :class:`InputError` where the record does not tell, or the flight was over or had not
     left the ground.
     """
-    told = replay(tlog, plan, fleet)
+    told = replay(tlog, plan, fleet, known)
     time, phase = float(told.trace.mission_time[-1]), told.trace.phase[-1]
     if not phase:
         raise InputError("the team was leaving the plan, or had not begun it: nothing to resume")

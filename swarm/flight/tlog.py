@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, Refused
 from swarm.fleet import Fleet
-from swarm.flight.preparation import STANDING_TIME, Prepared, prepared_team
+from swarm.flight.preparation import STANDING_TIME, prepared_team
 from swarm.flight.trace import Trace
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.frames import Frames
@@ -185,11 +185,21 @@ class _Heard:
             self.latencies.setdefault(command, []).append(now - since)
 
 
-def replay(data: bytes, plan: Plan, fleet: Fleet) -> Replayed:
+@dataclass(frozen=True, eq=False)
+class KnownFrames:
+    """Frames and yaw (n,) in radians of vehicles ``systems``, in order along the cable."""
+
+    systems: tuple[int, ...]
+    frames: Frames
+    yaw: Floats
+
+
+def replay(data: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = None) -> Replayed:
     """Recompute what was flown from the bytes of a .tlog, the plan and the fleet.
 
     Frames and places along the cable are found from where vehicles stood before they were armed,
-    as before the flight. Raises :class:`InputError` where the log does not tell them.
+    as before the flight. Where they flew already (a resumed flight), the log cannot tell them and
+    they must be ``known``. Raises :class:`InputError` where the log does not tell them.
     """
     heard = _Heard(fleet, _vehicles(fleet))
     decoder = Decoder(wanted=_WANTED, unknown_too=True)
@@ -205,14 +215,13 @@ def replay(data: bytes, plan: Plan, fleet: Fleet) -> Replayed:
             heard.take(now - first, one)
     if math.isnan(first) or not heard.clock:
         raise InputError("the record's flight.tlog tells of no flight")
-    prepared = _frames(heard, plan)
-    frames, flyers = prepared.frames, prepared.flyers
+    known = known or _frames(heard, plan)
     notes = [f"the .tlog has {holes} damaged places"] if holes else []
     return Replayed(
-        trace=_trace(heard, plan, frames, [v.system for v in flyers], last - first),
-        systems=tuple(v.system for v in flyers),
-        frames=frames,
-        yaw=prepared.yaw,
+        trace=_trace(heard, plan, known.frames, list(known.systems), last - first),
+        systems=known.systems,
+        frames=known.frames,
+        yaw=known.yaw,
         commands=tuple(_commands(heard)),
         received={v.system: v.packets for v in heard.vehicles.values()},
         lost={v.system: v.lost_packets for v in heard.vehicles.values()},
@@ -229,7 +238,7 @@ def _vehicles(fleet: Fleet) -> dict[int, Vehicle]:
     }
 
 
-def _frames(heard: _Heard, plan: Plan) -> Prepared:
+def _frames(heard: _Heard, plan: Plan) -> KnownFrames:
     """Tie frames to the mission by where vehicles stood when all were ready."""
     flown = [system for system in heard.vehicles if system in heard.places]
     streamed = [system for system in flown if system in heard.asked]
@@ -245,11 +254,14 @@ def _frames(heard: _Heard, plan: Plan) -> Prepared:
     lift = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
     standing = plan.motion.at(0.0)[0] + lift
     try:
-        return prepared_team(
+        prepared = prepared_team(
             [heard.standing[s] for s in flown], heard.fleet, standing, np.array(measured)
         )
     except Refused as error:
         raise InputError(f"the .tlog does not tell where the vehicles were: {error}") from None
+    return KnownFrames(
+        tuple(vehicle.system for vehicle in prepared.flyers), prepared.frames, prepared.yaw
+    )
 
 
 def _trace(heard: _Heard, plan: Plan, frames: Frames, systems: list[int], duration: float) -> Trace:

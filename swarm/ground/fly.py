@@ -107,6 +107,8 @@ def fly(
             fleet,
             {"speed": speed, "no_cable": no_cable, "began": record.began},
         )
+        if left is not None:
+            record.frames(left.known)
         if emulator is not None and on_emulator is not None:
             on_emulator(emulator.pid)
         desk = Desk(conductor, lambda: conductor.snapshot(conductor.now).available)

@@ -22,10 +22,11 @@ import numpy as np
 from swarm.errors import InputError, Problem
 from swarm.fleet import Fleet
 from swarm.flight.adherence import adherence_object
-from swarm.flight.archive import certificate_document
+from swarm.flight.archive import certificate_document, frames_document
 from swarm.flight.flight_plan import Basis, FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event
+from swarm.flight.tlog import KnownFrames
 from swarm.ground.priority import follow
 from swarm.mavlink.packets import split
 from swarm.planning.archive import plan_document, plan_motion
@@ -130,6 +131,10 @@ class Record:
         certificate = certificate_document(basis, flight_plan.assessment)
         self._file("certificate.json", json.dumps(certificate, indent=1).encode())
         self._file("versions.json", json.dumps({**_versions(), **facts}, indent=1).encode())
+
+    def frames(self, known: KnownFrames) -> None:
+        """Keep the frames of vehicles that fly already: this record cannot tell them."""
+        self._file("frames.json", json.dumps(frames_document(known), indent=1).encode())
 
     def after(self, result: FlightResult) -> None:
         """Write the summary and the trace, and close the record."""

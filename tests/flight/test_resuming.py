@@ -8,11 +8,16 @@ import pytest
 
 from swarm.errors import InputError, Refused
 from swarm.fleet import emulated_fleet
-from swarm.flight.archive import certificate_document, read_certificate
+from swarm.flight.archive import (
+    certificate_document,
+    frames_document,
+    read_certificate,
+    read_frames,
+)
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
-from swarm.flight.tlog import ClockTeller
+from swarm.flight.tlog import ClockTeller, replay
 from swarm.simulation.fault_injection.rehearsal import pass_audit
 from tests.network import Network, small_plan
 
@@ -156,6 +161,29 @@ def test_a_flight_without_cable_is_resumed_without_cable(autopilots):
         "certified in the quasi-static cable model for tracking errors of up to 0.1 m, "
         "before it was interrupted; not checked again"
     )
+
+
+def test_a_resumed_flight_is_replayed_in_the_frames_of_its_record():
+    """It begins in mid-air, where no log tells on which pads vehicles stood."""
+    flight, left = broken_off(("px4",), 3.0, 3.0)
+    document = json.loads(json.dumps(frames_document(left.known)))
+    known = read_frames(document, PLAN.plan)
+    assert known.systems == left.systems
+    assert np.array_equal(known.frames.translation, left.frames.translation)
+    for wrong in ({}, {**document, "yaw": [0.0]}, {**document, "rotation": None}):
+        with pytest.raises(InputError, match="the record's frames cannot be read"):
+            read_frames(wrong, PLAN.plan)
+    flight.tlog.clear()
+    taken_up(flight, left, "continue")
+    flight.downlink = lambda now, _system, data: flight._keep(now, data)
+    assert flight.run(most=300.0).word == "done"
+    told = replay(bytes(flight.tlog), PLAN.plan, flight.fleet, known).trace
+    folding = np.array(told.phase) == "fold"
+    assert np.count_nonzero(folding) > 20
+    error = np.linalg.norm(told.position - told.setpoint, axis=2)[folding]
+    off = np.linalg.norm(told.position - PLAN.plan.motion.at(told.mission_time)[0], axis=2)[folding]
+    assert np.nanmax(error) < 0.3
+    assert np.nanmax(off) < 0.6, "in the mission's frame"
 
 
 def test_a_flight_without_cable_cannot_be_resumed_with_cable():

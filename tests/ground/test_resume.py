@@ -9,8 +9,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.fleet import emulated_fleet
 from swarm.flight.world import emulated_world
+from swarm.verify import judge
 from tests.command import run
 from tests.ground.station import FLIGHT_PLAN, fleet_on
 
@@ -63,6 +65,12 @@ def test_after_sigkill_in_mid_fold_the_team_is_found_and_the_flight_goes_on(tmp_
     assert "resume: found everybody at " in said
     assert "vehicle 3 follows again" in said, said[:3000]
     assert "outcome: done: all vehicles have landed and disarmed" in said, said[-2000:]
+    resumed = record / "resumed"
+    plan = recorded_plan(resumed)
+    flown = judge(plan, recorded_flight(resumed, plan).trace)
+    assert flown.as_planned, "in the frames that its record keeps, for it begins in mid-air"
+    largest = max(error.largest for error in flown.tracking if error.phase == "fold")
+    assert largest < 0.3
 
 
 def test_what_cannot_be_resumed_is_refused_in_words(tmp_path):
