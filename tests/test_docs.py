@@ -117,3 +117,21 @@ def test_the_citation_names_this_version_and_the_paper():
     (paper,) = cited["references"]
     assert paper["title"] == "Folding Knots Using a Team of Aerial Robots"
     assert [author["family-names"] for author in paper["authors"]] == ["D'Antonio", "Saldaña"]
+
+
+def test_continuous_integration_runs_every_python_that_is_named():
+    workflow = YAML(typ="safe").load((ROOT / ".github" / "workflows" / "test.yml").read_text())
+    job = workflow["jobs"]["test"]
+    described = (ROOT / "pyproject.toml").read_text()
+    named_there = re.findall(r"Python :: (3\.\d+)\"", described)
+    assert job["strategy"]["matrix"]["python"] == named_there
+    assert {"run": ".ci/run"} in job["steps"]
+
+
+def test_hooks_before_a_commit_run_the_tools_of_the_house_rules():
+    hooks = YAML(typ="safe").load((ROOT / ".pre-commit-config.yaml").read_text())
+    entries = [hook["entry"] for repo in hooks["repos"] for hook in repo["hooks"]]
+    rules = (ROOT / "tests" / "test_house.py").read_text()
+    for entry in entries:
+        assert ", ".join(f'"{word}"' for word in entry.split()) in rules
+    assert len(entries) == 4
