@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from sitl.__main__ import argument_parser
+from sitl.faults import KINDS
 from swarm.cli.main import COMMANDS, cli
 
 ROOT = Path(__file__).parents[1]
@@ -127,13 +128,27 @@ def _schema(kind: str) -> str:
         f"The JSON schema is `missions/schemas/{kind}.json`; `swarm schema {kind}` prints it.\n",
         *_section(schema),
     ]
-    for name, section in schema.get("$defs", {}).items():
+    inline = {key: field for key, field in schema["properties"].items() if "properties" in field}
+    for name, section in (inline | schema.get("$defs", {})).items():
         found += [
             f"## {name}\n",
             f"{_one_line(section.get('description', ''))}\n",
             *_section(section),
         ]
+    if kind == "scenario":
+        found += ["## Keys of each kind of fault\n", *_fault_keys()]
     return "\n".join(found)
+
+
+def _fault_keys() -> Iterator[str]:
+    yield "Beside `at`, `kind`, `vehicle` and `duration`:\n"
+    yield from _table(
+        ("kind", "keys"),
+        (
+            (f"`{kind}`", ", ".join(f"`{key}`" for key in keys) or "–")
+            for kind, keys in KINDS.items()
+        ),
+    )
 
 
 def _section(schema: Mapping[str, Any]) -> Iterator[str]:
@@ -164,8 +179,8 @@ def _expected(field: Mapping[str, Any]) -> str:
     """Say what a key takes: the program's own words where the schema has them."""
     if "expected" in field:
         return str(field["expected"])
-    if "$ref" in field:
-        name = field["$ref"].rsplit("/", 1)[-1]
+    if "$ref" in field or "properties" in field:
+        name = field["$ref"].rsplit("/", 1)[-1] if "$ref" in field else field["title"]
         return f"[{name}](#{name.lower()})"
     for several in ("anyOf", "oneOf"):
         if several in field:
