@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -108,6 +109,16 @@ def test_every_command_is_shown_somewhere():
 @pytest.mark.parametrize("page", WRITTEN, ids=named)
 def test_words_are_plain(page):
     assert re.findall(rf"\b({NOT_PLAIN})\b", page.read_text(), re.I) == []
+
+
+def test_the_table_of_layers_is_the_import_contract():
+    described = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    contract = described["tool"]["importlinter"]["contracts"][0]["layers"]
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| (`swarm\.[^|]*) \|", page, re.M)
+    assert [set(re.findall(r"`swarm\.(\w+)`", row)) for row in rows] == [
+        set(layer.split(" | ")) for layer in contract
+    ]
 
 
 def test_the_citation_names_this_version_and_the_paper():
