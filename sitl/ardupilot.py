@@ -12,8 +12,8 @@ from sitl import (
     ardupilot_commands,
     ardupilot_failsafes,
     ardupilot_flight,
-    demand,
-    fault_ways,
+    controller_goals,
+    fault_mapping,
     wire,
 )
 from sitl.ardupilot_tables import (
@@ -54,7 +54,7 @@ class ArduPilot:
     def __init__(self, vehicle: Vehicle) -> None:
         self.v = vehicle
         vehicle.parameters.bytewise = False
-        table = {**PARAMETERS, **fault_ways.PARAMETERS, "SYSID_THISMAV": vehicle.system}
+        table = {**PARAMETERS, **fault_mapping.PARAMETERS, "SYSID_THISMAV": vehicle.system}
         vehicle.parameters.load(table, KINDS)
         self.booted = -math.inf
         self.has_origin = True
@@ -116,7 +116,7 @@ class ArduPilot:
     def apply_gains(self) -> None:
         """Carry controller parameters into the batch."""
         p, b, i = self.v.parameters, self.v.bodies, self.v.index
-        demand.gains(
+        controller_goals.gains(
             self.v,
             (p["PSC_POSXY_P"], p["PSC_POSZ_P"]),
             (p["PSC_VELXY_P"], p["PSC_VELZ_P"]),
@@ -238,19 +238,19 @@ class ArduPilot:
         if not v.armed:
             return
         if self.mode == AUTO:
-            demand.hold(v)
+            controller_goals.hold(v)
             self.submode = "" if v.landed else "auto"
         elif self.mode == LAND:
-            demand.hold(v)
-            demand.sink(v, p["LAND_SPEED"] / 100.0, steer=v.local_valid)
+            controller_goals.hold(v)
+            controller_goals.sink(v, p["LAND_SPEED"] / 100.0, steer=v.local_valid)
         else:
-            demand.hold(v)
+            controller_goals.hold(v)
 
     def cruise(self) -> None:
         """Set the speed limits of flying by itself."""
         p = self.v.parameters
         speeds = (p["WPNAV_SPEED"], p["WPNAV_SPEED_UP"], p["WPNAV_SPEED_DN"])
-        demand.limits(self.v, *(max(0.1, speed / 100.0) for speed in speeds))
+        controller_goals.limits(self.v, *(max(0.1, speed / 100.0) for speed in speeds))
 
     def arm(self, force: bool) -> int:
         """Arm, if nothing speaks against it; return the MAV_RESULT."""
@@ -285,7 +285,7 @@ class ArduPilot:
         v.bodies.landed[v.index] = True
         self.disarmed_at = v.now
         v.bodies.advance[v.index] = 0.0
-        demand.idle(v)
+        controller_goals.idle(v)
         self.submode = ""
         self.landing = False
         v.text(_INFO, "Disarming motors")

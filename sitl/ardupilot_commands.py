@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl import ardupilot_flight, demand
+from sitl import ardupilot_flight, controller_goals
 from sitl.ardupilot_tables import AUTO, GUIDED, LAND, RTL
 from sitl.vehicle import ACCEPTED, DENIED, FAILED, Command
 
@@ -51,7 +51,7 @@ def _takeoff(copter: "ArduPilot", command: Command) -> int:
     v.bodies.may_lift[v.index] = True
     v.bodies.advance[v.index] = 0.0
     copter.cruise()
-    demand.go(v, (here[0], here[1], max(copter.takeoff_height, float(here[2]))))
+    controller_goals.go(v, (here[0], here[1], max(copter.takeoff_height, float(here[2]))))
     copter.all_axes = True
     return ACCEPTED
 
@@ -103,7 +103,7 @@ def _reposition(copter: "ArduPilot", command: Command) -> int:
     place = (*v.around.geodesy.metres(x * 1e-7, y * 1e-7), p[6] - v.around.geodesy.altitude)
     copter.cruise()
     copter.submode = "position"
-    demand.go(v, place)
+    controller_goals.go(v, place)
     return ACCEPTED
 
 

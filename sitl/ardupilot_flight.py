@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sitl import demand, wire
+from sitl import controller_goals, wire
 from sitl.ardupilot_tables import AUTO, GUIDED, LAND, RTL
 from sitl.route import DONE, LANDING, RETURNING
 
@@ -38,16 +38,16 @@ def _return(copter: "ArduPilot") -> None:
         top = max(float(here[2]), float(home[2]) + p["RTL_ALT"] / 100.0)
         copter.goal = np.array([here[0], here[1], top])
         copter.stage = "climb"
-        demand.go(v, copter.goal)
+        controller_goals.go(v, copter.goal)
     elif copter.stage == "climb" and here[2] > copter.goal[2] - 0.5:
         copter.goal = np.array([home[0], home[1], copter.goal[2]])
         copter.stage = "home"
-        demand.go(v, copter.goal)
+        controller_goals.go(v, copter.goal)
     elif copter.stage == "home" and away < 0.5:
         copter.stage, copter.stage_at = "wait", v.now
     elif copter.stage == "wait" and v.now - copter.stage_at > p["RTL_LOIT_TIME"] / 1000.0:
         copter.stage, copter.landing = "land", True
-        demand.sink(v, p["LAND_SPEED"] / 100.0, steer=True)
+        controller_goals.sink(v, p["LAND_SPEED"] / 100.0, steer=True)
     elif copter.stage == "land":
         land(copter)
 
@@ -80,10 +80,10 @@ def _fly_mission(copter: "ArduPilot") -> None:
     elif result == DONE:
         copter.route.restart()
         copter.submode = "done"
-        demand.hold(v)
+        controller_goals.hold(v)
     elif result == LANDING:
         copter.stage, copter.landing = "land", True
-        demand.sink(v, p["LAND_SPEED"] / 100.0, steer=True)
+        controller_goals.sink(v, p["LAND_SPEED"] / 100.0, steer=True)
 
 
 def steer(copter: "ArduPilot") -> None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sitl.dynamics import Bodies
 from sitl.motion import POSITION
-from swarm.compiled import compiled
+from swarm.jit import compiled
 
 _HEIGHT = 0.25
 _DISC = 0.06

@@ -7,7 +7,7 @@
 
 Times are emulated seconds since the start. A fault without ``duration`` stays. The same faults are
 reached by ``MAV_CMD_INJECT_FAILURE`` (so that other people's test tools drive them) and by
-``SIM_*`` parameters: see `sitl.fault_ways`.
+``SIM_*`` parameters: see `sitl.fault_mapping`.
 
 A frozen autopilot neither hears nor speaks nor looks at its timers; its controller goes on with the
 last goal. A rebooting one stops its motors. ``rc_loss`` matters where the world file gives a

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from swarm.compiled import compiled
+from swarm.jit import compiled
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sitl import motion, wire
 from sitl.dynamics import Bodies
 from sitl.vehicle import Link, Vehicle
-from swarm.compiled import compiled
+from swarm.jit import compiled
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

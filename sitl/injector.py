@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sitl.dynamics import STEP, Array, Bodies
-from sitl.fault_ways import INJECTED, UNITS, injected, simulated
+from sitl.fault_mapping import INJECTED, UNITS, injected, simulated
 from sitl.faults import WORLDWIDE, Channel, Dice, Fault
 from sitl.rope import Rope
 from sitl.vehicle import Vehicle

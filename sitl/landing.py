@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from swarm.compiled import compiled
+from swarm.jit import compiled
 
 if TYPE_CHECKING:
     from sitl.dynamics import Bodies

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.geodesy import GRAVITY
-from swarm.compiled import compiled
+from swarm.jit import compiled
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""The parameter protocol: list, read, set; SIM_* ones break things (`sitl.fault_ways`)."""
+"""The parameter protocol: list, read, set; SIM_* ones break things (`sitl.fault_mapping`)."""
 
 import zlib
 from collections.abc import Callable

@@ -8,7 +8,7 @@ software-in-the-loop build. In one place it is milder: a mode's detailed preflig
 import math
 from typing import Any
 
-from sitl import demand, fault_ways, px4_commands, px4_failsafes, px4_flight, wire
+from sitl import controller_goals, fault_mapping, px4_commands, px4_failsafes, px4_flight, wire
 from sitl.px4_tables import (
     BY_NUMBER,
     FALLBACK,
@@ -40,7 +40,7 @@ class Px4:
     def __init__(self, vehicle: Vehicle) -> None:
         self.v = vehicle
         self.has_origin = True
-        table = {**PARAMETERS, **fault_ways.PARAMETERS}
+        table = {**PARAMETERS, **fault_mapping.PARAMETERS}
         table["MAV_SYS_ID"] = vehicle.system
         vehicle.parameters.load(table)
         self._fresh()
@@ -108,7 +108,7 @@ class Px4:
     def apply_gains(self) -> None:
         """Carry controller parameters into the batch."""
         p, b, i = self.v.parameters, self.v.bodies, self.v.index
-        demand.gains(
+        controller_goals.gains(
             self.v,
             (p["MPC_XY_P"], p["MPC_Z_P"]),
             (p["MPC_XY_VEL_P_ACC"], p["MPC_Z_VEL_P_ACC"]),
@@ -280,7 +280,7 @@ class Px4:
             return
         v.bodies.armed[v.index] = False
         v.bodies.landed[v.index] = True
-        demand.idle(v)
+        controller_goals.idle(v)
         self.intended = self.after_disarm
         self.latched = None
         self.delay_until = None

@@ -6,7 +6,7 @@
 import math
 from typing import TYPE_CHECKING
 
-from sitl import demand, fences
+from sitl import controller_goals, fences
 from sitl.px4_tables import BATTERY, GEOFENCE, LINK_LOSS, MODES
 
 if TYPE_CHECKING:
@@ -120,4 +120,4 @@ def trigger(px4: "Px4", action: str) -> None:
         v.text(_CRITICAL, f"Failsafe activated: {MODES[action].label}\t")
         if px4.state == "LOITER" and px4.goal is not None:
             px4.goal = None
-            demand.hold(v)
+            controller_goals.hold(v)

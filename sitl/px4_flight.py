@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sitl import demand, wire
+from sitl import controller_goals, wire
 from sitl.route import DONE, LANDING, RETURNING
 
 if TYPE_CHECKING:
@@ -19,29 +19,30 @@ def begin(px4: "Px4", name: str) -> None:
     v, p = px4.v, px4.v.parameters
     b, i = v.bodies, v.index
     b.may_lift[i] = name in {"OFFBOARD", "TAKEOFF", "POSCTL", "MISSION"}
-    demand.limits(v, p["MPC_XY_CRUISE"], p["MPC_Z_V_AUTO_UP"], p["MPC_Z_V_AUTO_DN"])
+    controller_goals.limits(v, p["MPC_XY_CRUISE"], p["MPC_Z_V_AUTO_UP"], p["MPC_Z_V_AUTO_DN"])
     px4.all_axes = False
     if name == "OFFBOARD":
-        demand.limits(v, p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"])
+        up, down = p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"]
+        controller_goals.limits(v, p["MPC_XY_VEL_MAX"], up, down)
         if px4.offboard is not None:
             received = px4.offboard_at
             take(px4, px4.offboard)
             px4.offboard_at = received
     elif name == "TAKEOFF" and px4.goal is not None:
-        demand.limits(v, p["MPC_XY_CRUISE"], p["MPC_TKO_SPEED"], p["MPC_Z_V_AUTO_DN"])
-        demand.go(v, px4.goal)
+        controller_goals.limits(v, p["MPC_XY_CRUISE"], p["MPC_TKO_SPEED"], p["MPC_Z_V_AUTO_DN"])
+        controller_goals.go(v, px4.goal)
     elif name == "LOITER" and px4.goal is not None:
-        demand.go(v, px4.goal)
+        controller_goals.go(v, px4.goal)
     elif name == "MISSION":
-        demand.hold(v)
+        controller_goals.hold(v)
         steer(px4)
     elif name == "LAND":
-        demand.hold(v)
-        demand.sink(v, p["MPC_LAND_SPEED"], steer=True)
+        controller_goals.hold(v)
+        controller_goals.sink(v, p["MPC_LAND_SPEED"], steer=True)
     elif name == "DESCEND":
-        demand.sink(v, p["MPC_LAND_SPEED"], steer=False)
+        controller_goals.sink(v, p["MPC_LAND_SPEED"], steer=False)
     elif name != "TERMINATION":
-        demand.hold(v)
+        controller_goals.hold(v)
 
 
 def _take_off(px4: "Px4") -> None:
@@ -75,15 +76,15 @@ def _return(px4: "Px4") -> None:
     if px4.stage == "":
         px4.goal = np.array([here[0], here[1], top if away > 1.0 else here[2]])
         px4.stage = "climb"
-        demand.go(v, px4.goal)
+        controller_goals.go(v, px4.goal)
     elif px4.stage == "climb" and here[2] > px4.goal[2] - 0.5:
         px4.goal = np.array([home[0], home[1], px4.goal[2]])
         px4.stage = "home"
-        demand.go(v, px4.goal)
+        controller_goals.go(v, px4.goal)
     elif px4.stage == "home" and away < 0.5:
         px4.stage = "land"
         px4.landing = True
-        demand.sink(v, p["MPC_LAND_SPEED"], steer=True)
+        controller_goals.sink(v, p["MPC_LAND_SPEED"], steer=True)
 
 
 def _fly_mission(px4: "Px4") -> None:
@@ -99,7 +100,7 @@ def _fly_mission(px4: "Px4") -> None:
         px4.intend("LOITER")
     elif result == LANDING:
         px4.stage, px4.landing = "land", True
-        demand.sink(v, p["MPC_LAND_SPEED"], steer=True)
+        controller_goals.sink(v, p["MPC_LAND_SPEED"], steer=True)
 
 
 def steer(px4: "Px4") -> None:

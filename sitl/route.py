@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sitl import demand
+from sitl import controller_goals
 from sitl.vehicle import Vehicle
 
 _WAYPOINT, _LOITER, _LOITER_TIME, _RETURN, _LAND, _TAKEOFF, _DELAY = 16, 17, 19, 20, 21, 22, 93
@@ -88,7 +88,7 @@ class Route:
         v = self.v
         if self.goal is None:
             self.goal = self._place(item)
-            demand.go(v, self.goal)
+            controller_goals.go(v, self.goal)
             if math.isfinite(item["param4"]) and item["param4"] and item["command"] == _WAYPOINT:
                 v.bodies.goal_yaw[v.index] = math.pi / 2 - math.radians(item["param4"])
         away = self.goal - v.estimated()
@@ -120,7 +120,7 @@ def _take_off(route: Route, item: dict[str, Any], _: float) -> bool:
     if route.goal is None:
         route.goal = route._place(item)
         route.goal[:2] = v.estimated()[:2]
-        demand.go(v, route.goal)
+        controller_goals.go(v, route.goal)
     return bool(v.estimated()[2] > route.goal[2] - 0.5)
 
 
@@ -130,7 +130,7 @@ def _land(route: Route, item: dict[str, Any], acceptance: float) -> bool:
     if route.wait_until is None:
         if route.goal is None:
             route.goal = route._place({**item, "z": math.nan})
-            demand.go(v, route.goal)
+            controller_goals.go(v, route.goal)
         away = route.goal - v.estimated()
         if np.hypot(away[0], away[1]) >= min(acceptance, 1.0):
             return False

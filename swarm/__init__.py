@@ -1,3 +1,95 @@
-"""swarm: a ground station that makes a team of quadrotors tie a knot in a cable in mid-air."""
+"""swarm: a ground station that makes a team of quadrotors tie a knot in a cable in mid-air.
 
-__version__ = "0.1.0"
+::
+
+    mission = swarm.load("missions/overhand.yaml")   # or swarm.Mission.for_knot("3_1")
+    plan = swarm.plan(mission)                       # a Plan, or Refused with every reason
+    certificate = swarm.certify(plan)                # what holds, and with which margins
+    flight = swarm.simulate(plan, certificate)       # in virtual time, against the emulator
+
+Lengths are in metres, times in seconds, places in ENU (x east, y north, z up), arrays (n, 3)
+float64. Errors are :class:`Refused` (the checks say no), :class:`InputError` (a file or an argument
+is wrong; every problem at once) and :class:`SwarmError`, the root of both.
+
+Names are loaded when they are first used: ``import swarm`` itself loads none of the libraries.
+"""
+
+from typing import TYPE_CHECKING
+
+from swarm.version import __version__
+
+if TYPE_CHECKING:
+    from swarm.certification.certificate import Certificate
+    from swarm.certification.findings import Finding, Tightest
+    from swarm.errors import InputError, Refused, SwarmError, VehicleError
+    from swarm.flight.trace import Trace
+    from swarm.front.certificates import Cable, Motion, certify
+    from swarm.front.files import load
+    from swarm.front.flights import Flight, simulate
+    from swarm.front.knots import identify
+    from swarm.front.plans import NotCleared, Plan, load_plan, plan
+    from swarm.front.recordings import Recording
+    from swarm.front.trials import Trials, monte_carlo
+    from swarm.mission import Mission
+    from swarm.simulation.monte_carlo import Spread, Trial
+else:
+    _HOMES = {
+        "swarm.errors": ("InputError", "Refused", "SwarmError", "VehicleError"),
+        "swarm.flight.trace": ("Trace",),
+        "swarm.front.certificates": ("Cable", "Motion", "certify"),
+        "swarm.front.files": ("load",),
+        "swarm.front.flights": ("Flight", "simulate"),
+        "swarm.front.knots": ("identify",),
+        "swarm.front.plans": ("NotCleared", "Plan", "load_plan", "plan"),
+        "swarm.front.recordings": ("Recording",),
+        "swarm.front.trials": ("Trials", "monte_carlo"),
+        "swarm.mission": ("Mission",),
+        "swarm.certification.certificate": ("Certificate",),
+        "swarm.certification.findings": ("Finding", "Tightest"),
+        "swarm.simulation.monte_carlo": ("Spread", "Trial"),
+    }
+    _HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+    def __getattr__(name):
+        """Load a public name from its module (PEP 562)."""
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module  # noqa: PLC0415 - nothing is loaded before it is used
+
+        value = getattr(import_module(_HOME[name]), name)
+        globals()[name] = value
+        return value
+
+    def __dir__():
+        """List the public names, loaded or not."""
+        return sorted({*globals(), *__all__})
+
+
+__all__ = [
+    "Cable",
+    "Certificate",
+    "Finding",
+    "Flight",
+    "InputError",
+    "Mission",
+    "Motion",
+    "NotCleared",
+    "Plan",
+    "Recording",
+    "Refused",
+    "Spread",
+    "SwarmError",
+    "Tightest",
+    "Trace",
+    "Trial",
+    "Trials",
+    "VehicleError",
+    "__version__",
+    "certify",
+    "identify",
+    "load",
+    "load_plan",
+    "monte_carlo",
+    "plan",
+    "simulate",
+]

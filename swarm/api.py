@@ -5,10 +5,7 @@ from dataclasses import dataclass
 
 from threadpoolctl import threadpool_limits
 
-from swarm.mission import Mission
-from swarm.plans import Plan, Shortfall, candidates
-from swarm.preflight.certificate import Moment, shortfalls
-from swarm.preflight.certify import (
+from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
     MeasuredClearances,
@@ -16,7 +13,10 @@ from swarm.preflight.certify import (
     certify_robustness,
     measure_clearances,
 )
-from swarm.preflight.findings import Assessment
+from swarm.certification.clearances import Moment, shortfalls
+from swarm.certification.findings import Assessment
+from swarm.mission import Mission
+from swarm.planning import Plan, Shortfall, candidates
 
 Progress = Callable[[str, float], None]
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from swarm.certification.clearances import Moment
+from swarm.certification.findings import Assessment, Finding, Stops, Tightest
 from swarm.errors import Refused
 from swarm.mission import Mission
-from swarm.plans import Plan
-from swarm.preflight.certificate import Moment
-from swarm.preflight.findings import Assessment, Finding, Stops, Tightest
+from swarm.planning import Plan
 
 MOTION_COLUMNS = (
     "time", "vehicle", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "phase",

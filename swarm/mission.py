@@ -4,12 +4,14 @@ Text in, a frozen :class:`Mission` out; every error with its key path. Reading t
 shell's work.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from swarm.borders import Section, apply_overrides, number, parse_yaml, validate
+from swarm.errors import InputError, Problem
+from swarm.notebook import table
+from swarm.validation import Section, apply_overrides, number, parse_yaml, validate
 
 Auto = Literal["auto"]
 Number = Annotated[float, Field(strict=True)]
@@ -266,6 +268,52 @@ class Mission(Section):
         "tighten (the inner vehicles let go, the ends pull apart); hold, put down as it hangs.",
     )
 
+    @classmethod
+    def for_knot(
+        cls,
+        knot: str,
+        *,
+        chirality: Literal["left", "right", "either"] = "either",
+        tracking: float | None = None,
+        **keys: Any,
+    ) -> Self:
+        """Return the default mission for a knot's name, such as "3_1", "overhand" or "3_1#m3_1".
+
+        A chiral knot is tied right-handed unless its name (m3_1) or ``chirality`` says otherwise.
+        ``tracking`` is the tracking error in metres to certify for (``vehicles.tracking``); other
+        ``keys`` are those of mission files: ``clearance={"cable": 0.2}``, ``finish="unfold"``.
+
+        Raises :class:`swarm.errors.InputError` with every problem. Whether the knot exists is told
+        when it is planned. Source: :class:`Mission`; `swarm schema mission` prints all keys.
+        """
+        described = {"name": knot, "chirality": chirality}
+        document: dict[str, Any] = {"schema": 1, "name": knot, "knot": described}
+        for key, value in keys.items():
+            document[key] = value.model_dump() if isinstance(value, Section) else value
+        vehicles = document.get("vehicles", {})
+        if tracking is not None and isinstance(vehicles, Mapping):
+            if "tracking" in vehicles:
+                message = "expected this key or tracking, got both"
+                raise InputError([Problem(f"{knot}: vehicles.tracking", message)])
+            document["vehicles"] = {**vehicles, "tracking": tracking}
+        return validate(cls, document, knot)
+
+    def __repr__(self) -> str:
+        return f"<Mission {self.name}: {', '.join(self._figures().values())}>"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return table(f"Mission {self.name}", self._figures().items())
+
+    def _figures(self) -> dict[str, str]:
+        """What one line says of a mission, by name."""
+        return {
+            "task": _task(self),
+            "tracking": f"tracking errors up to {self.vehicles.tracking:g} m",
+            "finish": f"finish {self.finish}",
+        }
+
     def document(self) -> dict[str, Any]:
         """Return the mission as plain data that makes the same mission again, defaults included.
 
@@ -335,6 +383,22 @@ class Mission(Section):
         elif self.vehicles.breakaway is not None:
             raise ValueError("expected vehicles.breakaway only with grab: attached")
         return self
+
+
+def _task(mission: Mission) -> str:
+    """What a mission is for, in a few words."""
+    if mission.formation is not None:
+        count = len(mission.formation.places)
+        return f"{count} formation{'s' if count > 1 else ''}"
+    assert mission.knot is not None  # noqa: S101 - a mission has one or the other
+    told = mission.knot.model_dump(exclude_none=True)
+    hand = told.pop("chirality", "either")
+    described, value = next(iter(told.items()))
+    task = str(value) if described == "name" else f"a knot given by its {_CODES[described]}"
+    return task if hand == "either" else f"{task}, {hand}-handed"
+
+
+_CODES = {"gauss": "Gauss code", "dt": "DT code", "pd": "PD code", "grid": "grid diagram"}
 
 
 def parse_mission(text: str, source: str, overrides: Iterable[str] = ()) -> Mission:

@@ -6,11 +6,11 @@ from math import isfinite
 from typing import Any, Final
 
 from swarm import api
+from swarm.certification.findings import Assessment, Tightest
+from swarm.certification.robustness import largest_tracking, robust_to
 from swarm.errors import InputError, Refused
 from swarm.knots.catalog import lookup, names
 from swarm.mission import Mission, mission_for_knot
-from swarm.preflight.findings import Assessment, Tightest
-from swarm.preflight.robustness import largest_tracking, robust_to
 
 Progress = Callable[[str, float], None]
 Clock = Callable[[], float]

@@ -10,12 +10,12 @@ from math import comb
 import numpy as np
 import numpy.typing as npt
 
-from swarm.compiled import compiled
+from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Motion:
     """Piecewise quintics of n points.
 
@@ -25,6 +25,15 @@ class Motion:
 
     times: Floats
     coefficients: Floats
+
+    def __call__(self, times: npt.ArrayLike) -> tuple[Floats, Floats, Floats]:
+        """Return position, velocity and acceleration, each (…, n, 3), as :meth:`at` does."""
+        return self.at(times)
+
+    def __repr__(self) -> str:
+        count, duration = self.coefficients.shape[2], self.times[-1] - self.times[0]
+        pieces = len(self.coefficients)
+        return f"<Motion of {count} grip points: {duration:.0f} s in {pieces} quintic pieces>"
 
     def at(self, times: npt.ArrayLike) -> tuple[Floats, Floats, Floats]:
         """Return position, velocity and acceleration, each (…, n, 3), at times (…,).

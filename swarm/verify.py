@@ -11,18 +11,18 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.catenary import hang
-from swarm.cable.distance import polyline_polyline
+from swarm.certification.bodies import Body, vehicle_segments
+from swarm.certification.clearances import segment_name, vehicle_name
+from swarm.certification.findings import Tightest
+from swarm.certification.topology import hanging_curve, layout_code
 from swarm.errors import SwarmError
 from swarm.flight.trace import Trace
+from swarm.geometry.catenary import hang
+from swarm.geometry.distance import polyline_polyline
 from swarm.knots.curve import curve_gauss
 from swarm.knots.gauss import same_code
 from swarm.knots.invariants import identify_curve
-from swarm.plans import Plan
-from swarm.preflight.bodies import Body, vehicle_segments
-from swarm.preflight.certificate import segment_name, vehicle_name
-from swarm.preflight.findings import Tightest
-from swarm.preflight.topology import hanging_curve, layout_code
+from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]

@@ -30,8 +30,8 @@ def prepare() -> None:
 
 
 def _mark() -> Path:
-    """The file that says that it has been done, in the folder of `swarm.compiled`."""
-    from swarm.compiled import cache, key
+    """The file that says that it has been done, in the folder of `swarm.jit`."""
+    from swarm.jit import cache, key
 
     sources = [path for name in ("swarm", "sitl") for path in sorted((ROOT / name).rglob("*.py"))]
     compiled = [path for path in sources if b"@compiled" in path.read_bytes()]
@@ -41,17 +41,17 @@ def _mark() -> Path:
 
 def _plan() -> None:
     from swarm.mission import mission_for_knot
-    from swarm.plans import make_plan
+    from swarm.planning import make_plan
 
     make_plan(mission_for_knot("overhand"))
 
 
 def _fly() -> None:
     from sitl.warm import warm_up
-    from swarm.preflight.assess import assess
-    from swarm.rehearse import rehearse
+    from swarm.certification.assess import assess
+    from swarm.simulation.loop import rehearse
+    from tests.certification.conftest import recorded_overhand
     from tests.network import small_plan
-    from tests.preflight.conftest import recorded_overhand
 
     warm_up()
     rehearse(small_plan())

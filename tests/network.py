@@ -14,6 +14,7 @@ import numpy as np
 
 from sitl import Emulator
 from sitl.world import parse_world
+from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
@@ -22,9 +23,8 @@ from swarm.flight.result import Outcome
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
 from swarm.mission import Mission, mission_for_knot
-from swarm.plans import KnotSummary, Layout, Plan
-from swarm.plans.flight import whole_flight
-from swarm.preflight.certify import CertifiedPlan, certify
+from swarm.planning import KnotSummary, Layout, Plan
+from swarm.planning.flight import whole_flight
 from swarm.trajectory import followed, leg
 
 Keep = Callable[[float, int, bytes], bool]
@@ -80,7 +80,7 @@ class Network:
     sockets, where they come between its ticks.
     """
 
-    proven: FlightPlan
+    flight_plan: FlightPlan
     fleet: Fleet | None = None
     no_cable: bool = False
     seed: int = 1
@@ -96,9 +96,9 @@ class Network:
     now: float = 0.0
 
     def __post_init__(self) -> None:
-        plan = self.proven.plan
+        plan = self.flight_plan.plan
         self.fleet = self.fleet or emulated_fleet(plan.vehicles)
-        self.conductor = Conductor(self.proven, self.fleet, no_cable=self.no_cable)
+        self.conductor = Conductor(self.flight_plan, self.fleet, no_cable=self.no_cable)
         world = emulated_world(plan, self.fleet, with_cable=not self.no_cable, seed=self.seed)
         self.emulator = Emulator(parse_world(json.dumps(world)))
         self.step = 1.0 / self.fleet.rates.setpoint
@@ -130,12 +130,12 @@ class Network:
                 self._post(now, system, outgoing.data, up=True)
         self._deliver(now)
         if self.conductor.stage == "ready" and self.conductor.audit is not None:
-            self.conductor.start(go(self.proven, self.conductor.audit))
+            self.conductor.start(go(self.flight_plan, self.conductor.audit))
         self.events.extend(self.conductor.events())
 
     def until_phase(self, name: str, after: float = 0.0) -> None:
         """Run until so many seconds into a phase of the plan."""
-        start = self.proven.plan.phase(name).start + after  # type: ignore[arg-type]
+        start = self.flight_plan.plan.phase(name).start + after  # type: ignore[arg-type]
         self.run(lambda: self.conductor.clock.time >= start)
         assert self.conductor.stage == "fly", self.words()[-12:]
 

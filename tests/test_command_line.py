@@ -140,7 +140,9 @@ def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None
         ["ps", "-o", "pid=,ppid=,args=", "-e"], capture_output=True, text=True, check=True
     ).stdout
     rows = [row.split(maxsplit=2) for row in listed.splitlines()]
-    (pilot,) = [pid for pid, parent, args in rows if int(parent) == flight.pid and "pilot" in args]
+    (pilot,) = [
+        pid for pid, parent, args in rows if int(parent) == flight.pid and "flight_process" in args
+    ]
     (emulator,) = [int(pid) for pid, parent, args in rows if parent == pilot and "sitl" in args]
     os.kill(emulator, signal.SIGKILL)
     _, errors = flight.communicate(timeout=120)

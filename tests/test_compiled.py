@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from swarm import compiled
+from swarm import jit
 
 PACKAGE = {
     "inner.py": (
-        "from swarm.compiled import compiled\nfrom swarm.numbers import STEP\n\n"
+        "from swarm.jit import compiled\nfrom swarm.numbers import STEP\n\n"
         "@compiled\ndef inner(x):\n    return x + STEP\n"
     ),
     "numbers.py": "from swarm.folder import STEP\n\nTIMES = 2\n",
     "folder/__init__.py": "STEP = 1\n",
     "outer.py": (
-        "from swarm import inner, numbers\nfrom swarm.compiled import compiled\n\n"
+        "from swarm import inner, numbers\nfrom swarm.jit import compiled\n\n"
         "@compiled\ndef outer(x):\n    return numbers.TIMES * inner.inner(x)\n\nprint(outer(20))\n"
     ),
     "aside.py": "STEP = 1\n",
@@ -32,8 +32,8 @@ def package(tmp_path: Path) -> Path:
     for name, text in PACKAGE.items():
         (tmp_path / "swarm" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "swarm" / name).write_text(text)
-    for name in ("__init__.py", "compiled.py"):
-        shutil.copy(Path(compiled.__file__).parent / name, tmp_path / "swarm" / name)
+    for name in ("__init__.py", "jit.py"):
+        shutil.copy(Path(jit.__file__).parent / name, tmp_path / "swarm" / name)
     return tmp_path
 
 
@@ -78,12 +78,12 @@ def test_a_script_is_compiled_anew_when_a_file_beside_it_has_changed(tmp_path):
     (tmp_path / "constant.py").write_text("STEP = 1\n")
     script = tmp_path / "script.py"
     script.write_text(
-        "from swarm.compiled import compiled\nfrom constant import STEP\n\n"
+        "from swarm.jit import compiled\nfrom constant import STEP\n\n"
         "@compiled\ndef more(x):\n    return x + STEP\n\nprint(more(1))\n"
     )
 
     def result() -> str:
-        root = str(Path(compiled.__file__).parents[1])
+        root = str(Path(jit.__file__).parents[1])
         environment = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": root}
         command = [sys.executable, "-B", str(script)]
         return subprocess.check_output(command, env=os.environ | environment, text=True).strip()
@@ -96,34 +96,34 @@ def test_a_script_is_compiled_anew_when_a_file_beside_it_has_changed(tmp_path):
 
 def test_a_file_that_has_changed_since_it_was_imported_has_no_key(tmp_path):
     file = tmp_path / "later.py"
-    file.write_text("from swarm.compiled import compiled\n")
+    file.write_text("from swarm.jit import compiled\n")
     with pytest.raises(OSError, match="has changed since this process began"):
-        compiled.key(str(file))
+        jit.key(str(file))
 
 
 @pytest.mark.parametrize(
     ("owner", "name", "value"),
     [
-        (compiled.numba, "__version__", "99"),
-        (compiled.llvmlite, "__version__", "99"),
-        (compiled.sys, "version", "99"),
-        (compiled.llvmlite.binding, "get_host_cpu_name", lambda: "another"),
+        (jit.numba, "__version__", "99"),
+        (jit.llvmlite, "__version__", "99"),
+        (jit.sys, "version", "99"),
+        (jit.llvmlite.binding, "get_host_cpu_name", lambda: "another"),
     ],
 )
 def test_the_versions_and_the_processor_are_part_of_the_key(monkeypatch, owner, name, value):
-    before = compiled.key(compiled.__file__)
+    before = jit.key(jit.__file__)
     monkeypatch.setattr(owner, name, value)
-    compiled.made_by.cache_clear()
-    compiled.key.cache_clear()
-    changed = compiled.key(compiled.__file__)
+    jit.made_by.cache_clear()
+    jit.key.cache_clear()
+    changed = jit.key(jit.__file__)
     monkeypatch.undo()
-    compiled.made_by.cache_clear()
-    compiled.key.cache_clear()
-    assert before == compiled.key(compiled.__file__) != changed
+    jit.made_by.cache_clear()
+    jit.key.cache_clear()
+    assert before == jit.key(jit.__file__) != changed
 
 
 def test_what_was_not_used_for_long_is_removed(tmp_path):
-    ages = {"new": 0.0, "used": compiled.KEPT - 1, "old": compiled.KEPT + 1}
+    ages = {"new": 0.0, "used": jit.KEPT - 1, "old": jit.KEPT + 1}
     for name, days in ages.items():
         (tmp_path / name / "place").mkdir(parents=True)
         (tmp_path / name / "place" / "code.nbc").write_text("")
@@ -131,18 +131,18 @@ def test_what_was_not_used_for_long_is_removed(tmp_path):
         then = time.time() - days * 86400
         for path in (tmp_path / name, tmp_path / f"tests-{name}"):
             os.utime(path, (then, then))
-    compiled.prune(tmp_path)
+    jit.prune(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "new", "tests-new", "tests-used", "used",
     ]  # fmt: skip
-    compiled.prune(tmp_path / "missing")
+    jit.prune(tmp_path / "missing")
 
 
 def test_a_folder_that_is_used_is_marked_as_used(package):
     assert run(package) == "42"
     folders = list((package / "cache" / "swarm").iterdir())
     assert len(folders) == 2  # one for each file with compiled functions
-    then = time.time() - (compiled.KEPT - 1) * 86400
+    then = time.time() - (jit.KEPT - 1) * 86400
     for folder in folders:
         os.utime(folder, (then, then))
     assert run(package) == "42"

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarm.certification.assess import assess
 from swarm.errors import InputError
 from swarm.mission import mission_for_knot, parse_mission
-from swarm.plans import Plan
-from swarm.plans.finishes import MOST_TIGHTENED
-from swarm.plans.flight import whole_flight
-from swarm.plans.formation import formation_plan
-from swarm.preflight.assess import assess
+from swarm.planning import Plan
+from swarm.planning.finishes import MOST_TIGHTENED
+from swarm.planning.flight import whole_flight
+from swarm.planning.formation import formation_plan
 from swarm.trajectory import Motion
+from tests.certification.conftest import recorded_overhand
 from tests.network import Network, small_plan
-from tests.preflight.conftest import recorded_overhand
 
 TIED_ON = ("grab=attached", "vehicles.breakaway=6.0")
 BEFORE = ("takeoff", "grab", "contract", "lift", "fold", "hold")

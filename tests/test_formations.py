@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarm.certification.assess import assess
+from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused
 from swarm.mission import Mission, parse_mission
-from swarm.plans import make_plan
-from swarm.preflight.assess import assess
-from swarm.preflight.certify import CertifiedPlan, certify
+from swarm.planning import make_plan
 from swarm.verify import judge
 from tests.network import Network
 
@@ -40,8 +40,8 @@ def test_a_plan_without_cable_carries_none() -> None:
 def test_first_steps_are_certified_and_flown_to_their_end(name: str) -> None:
     path = FIRST_STEPS / f"{name}.yaml"
     plan = make_plan(parse_mission(path.read_text(), str(path)))
-    proven = CertifiedPlan(plan, certify(plan))
-    network = Network(proven)
+    flight_plan = CertifiedPlan(plan, certify(plan))
+    network = Network(flight_plan)
     outcome = network.run(most=600.0)
     assert outcome is not None
     assert outcome.word == "done", network.words()[-8:]

@@ -7,8 +7,8 @@ from swarm.errors import InputError, Refused
 from swarm.knots.catalog import lookup
 from swarm.knots.grid import openings
 from swarm.mission import Mission, mission_for_knot, parse_mission
-from swarm.plans import make_plan
-from swarm.plans.shapes import fitted, hung_apart, keeping, shapes
+from swarm.planning import make_plan
+from swarm.planning.shapes import fitted, hung_apart, keeping, shapes
 
 
 def refusal(*overrides: str) -> str:

@@ -35,19 +35,21 @@ def test_a_flight_without_a_cable_says_nothing_of_knots_and_has_no_empty_table(h
 
 
 def test_a_flight_that_ends_before_the_fold_has_no_table_of_unknowns():
-    proven = small_plan()
-    positions = proven.plan.motion.at(0.0)[0][None]
+    flight_plan = small_plan()
+    positions = flight_plan.plan.motion.at(0.0)[0][None]
     trace = Trace(*[positions[:, 0, 0]] * 2, positions, positions, ("takeoff",))
-    flown = judge(proven.plan, trace)
+    flown = judge(flight_plan.plan, trace)
     console = Console(file=io.StringIO(), width=100)
-    print_flown(proven.plan, flown, proven.assessment, console)
+    print_flown(flight_plan.plan, flown, flight_plan.assessment, console)
     assert console.file.getvalue().splitlines() == [
         "Which knot the cable has is not known (asked for: 0_1)",
         "The fold was not flown: no tracking error in it",
         "note no positions were reported during the hold",
     ]
-    told = outcome(**flown_object(flown, proven.assessment), outcome="failed", explanation="down")
-    words = Reader(flight_report(proven.plan, proven.assessment, told, trace, [])).words
+    told = outcome(
+        **flown_object(flown, flight_plan.assessment), outcome="failed", explanation="down"
+    )
+    words = Reader(flight_report(flight_plan.plan, flight_plan.assessment, told, trace, [])).words
     assert "Failed: down. Which knot the cable has is not known." in words
     assert "Smallest distances" not in words
     assert "unknown" not in words

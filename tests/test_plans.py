@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from swarm import api
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot
-from swarm.plans import Plan, digest, make_plan
+from swarm.planning import Plan, digest, make_plan
 
 STILL = ("takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land")
 

@@ -5,7 +5,7 @@ import numpy.typing as npt
 import pytest
 from scipy.interpolate import CubicSpline
 
-from swarm.plans.timing import slowed, timed
+from swarm.planning.timing import slowed, timed
 from swarm.trajectory import leg
 from tests.test_trajectory import jumps
 

@@ -14,8 +14,9 @@ def test_the_tour_plans_certifies_draws_and_rehearses(tmp_path):
         check=True, capture_output=True, text=True, timeout=240,
     )  # fmt: skip
     assert "2 vehicles" in done.stdout
-    assert "rehearsed: done" in done.stdout
+    assert "<Certificate: cleared for 0.1 m, e* " in done.stdout
+    assert "<Flight two-carry: done, " in done.stdout
     assert done.stderr == ""
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "flight.png", "motion.csv", "plan.png", "schedule.png",
+        "flight.png", "mission.plan", "motion.csv", "plan.png", "schedule.png",
     ]  # fmt: skip

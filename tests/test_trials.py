@@ -10,12 +10,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from swarm.cli.trials import write_results
+from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused, SwarmError
 from swarm.fleet import emulated_fleet
 from swarm.ground.fly import fly
-from swarm.preflight.certify import CertifiedPlan, certify
-from swarm.trials import (
+from swarm.simulation.monte_carlo import (
     Certificates,
     Spread,
     Trial,
@@ -30,17 +29,18 @@ from swarm.trials import (
     workers_starting,
     worst,
 )
+from swarm.simulation.monte_carlo.results import write_results
 from tests.network import small_plan, uncleared
 
-PROVEN = small_plan(vehicles=4)
-PLAN = PROVEN.plan
+FLIGHT_PLAN = small_plan(vehicles=4)
+PLAN = FLIGHT_PLAN.plan
 FLEET = emulated_fleet(4)
 CALM = Spread(wind=0, gust=0, loss=0, latency=0, jitter=0, mass=0, grip=0, length=0, failing=0)
 
 
 @cache
 def flown(number: int) -> Trial:
-    return fly_trial(PROVEN, Spread(failing=0), 5, number)[0]
+    return fly_trial(FLIGHT_PLAN, Spread(failing=0), 5, number)[0]
 
 
 def trial(number: int = 0, **changed) -> Trial:
@@ -101,7 +101,8 @@ def test_trials_in_processes_are_the_trials_flown_alone():
     with workers_starting(2):
         assert signal.getsignal(signal.SIGINT) is answer
     together = {
-        t.number: t for t in fly_trials(PROVEN, Spread(failing=0), seed=5, trials=[0, 1], jobs=2)
+        t.number: t
+        for t in fly_trials(FLIGHT_PLAN, Spread(failing=0), seed=5, trials=[0, 1], jobs=2)
     }
     assert together == {0: flown(0), 1: flown(1)}
     alone, shared = (certificates(PLAN, [flown(0)], jobs) for jobs in (1, 2))
@@ -122,19 +123,21 @@ def test_trials_on_a_cluster_are_the_trials_flown_alone(monkeypatch):
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:
         address = cluster.scheduler_address
-        on_cluster = fly_trials(PROVEN, Spread(failing=0), seed=5, trials=[1], scheduler=address)
+        on_cluster = fly_trials(
+            FLIGHT_PLAN, Spread(failing=0), seed=5, trials=[1], scheduler=address
+        )
         assert {t.number: t for t in on_cluster} == {1: flown(1)}
 
 
 def test_a_scheduler_that_is_not_there_is_said():
     with pytest.raises(SwarmError, match="no Dask scheduler at tcq://nowhere:1"):
-        next(fly_trials(PROVEN, CALM, seed=1, trials=[0], scheduler="tcq://nowhere:1"))
+        next(fly_trials(FLIGHT_PLAN, CALM, seed=1, trials=[0], scheduler="tcq://nowhere:1"))
 
 
 def test_a_lost_vehicle_is_told_as_such():
     spread = CALM.model_copy(update={"failing": 1.0, "failures": ("motor_loss",)})
     seed = next(s for s in range(99) if 25 < (draw(PLAN, FLEET, spread, s, 0).failing_at or 0) < 60)
-    one, result = fly_trial(PROVEN, spread, seed, 0)
+    one, result = fly_trial(FLIGHT_PLAN, spread, seed, 0)
     assert one.failing.endswith("motor_loss")
     assert (one.outcome, one.completed) == ("failed", False)
     assert one.reason
@@ -244,7 +247,7 @@ def test_results_are_one_row_per_trial(tmp_path):
 
 def test_what_is_let_go_at_the_end_of_the_hold_has_not_been_lost():
     """The gate of the release may lie a rounding before the end of the hold."""
-    plan = PROVEN.plan
+    plan = FLIGHT_PLAN.plan
     early = tuple(
         replace(gate, time=gate.time - 1e-12) if gate.condition == "released" else gate
         for gate in plan.gates

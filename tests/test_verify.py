@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.cable.chain import segment_lengths
-from swarm.cable.distance import strand_strand
 from swarm.flight.trace import Trace
+from swarm.geometry.chain import segment_lengths
+from swarm.geometry.distance import strand_strand
 from swarm.mission import mission_for_knot
-from swarm.plans import KnotSummary, Layout, Phase, Plan
+from swarm.planning import KnotSummary, Layout, Phase, Plan
 from swarm.trajectory import through_states
 from swarm.verify import closest_strands, judge, tracking_errors
 

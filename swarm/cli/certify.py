@@ -6,13 +6,13 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from swarm.certification.assess import assess
+from swarm.certification.findings import Assessment
+from swarm.certification.motion_file import plan_of_motion, read_lengths, read_motion
 from swarm.cli.inputs import JSON, SET, print_json, progress_bar, read_text
 from swarm.errors import InputError, Problem, reason
 from swarm.exports import finding_object, tightest_object
 from swarm.mission import Mission, mission_for_knot, parse_mission
-from swarm.preflight.assess import assess
-from swarm.preflight.findings import Assessment
-from swarm.preflight.motion_file import plan_of_motion, read_lengths, read_motion
 from swarm.view.summary import findings
 
 LARGEST_MOTION = 500_000_000

@@ -12,6 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from swarm import api
+from swarm.certification.certificate import CertifiedPlan
+from swarm.certification.findings import Finding
 from swarm.cli.fleets import load_fleet
 from swarm.cli.hop import Hopped, fly_hop
 from swarm.cli.inputs import (
@@ -31,8 +33,6 @@ from swarm.flight.parameters import Row
 from swarm.flight.words import in_common, numbers, of_systems
 from swarm.ground.check import CheckReport, Wanted
 from swarm.ground.check import check as check_fleet
-from swarm.preflight.certify import CertifiedPlan
-from swarm.preflight.findings import Finding
 from swarm.view.sheet import layout_sheet
 
 STYLES = {"error": "bold red", "warning": "yellow", "info": "green"}
@@ -124,23 +124,23 @@ def check(
         what = "--hop" if with_hop else "--sheet" if sheet else "--set"
         raise InputError([Problem(what, "expected a MISSION to go with it")])
     fleet = load_fleet(fleet_file) if fleet_file else None
-    proven = _proven(mission, overrides) if mission is not None else None
+    flight_plan = _proven(mission, overrides) if mission is not None else None
     if fleet is None:
-        fleet = emulated_fleet(proven.plan.vehicles if proven else 9)
+        fleet = emulated_fleet(flight_plan.plan.vehicles if flight_plan else 9)
     console = Console(quiet=as_json)
     folder = record or Path("checks") / f"{datetime.now().astimezone():%Y-%m-%dT%H-%M-%S}"
     console.print(f"{fleet.name}: {len(fleet.vehicles)} vehicles listed", highlight=False)
     with progress_bar(Console(stderr=True), f"listening to {fleet.name}") as shown:
         wanted = Wanted(soak, _asker(console, shown, yes=yes) if fix else None, restore, shown)
-        report = check_fleet(fleet, folder, proven, wanted)
-    if proven is not None:
-        report = report.having(_of_plan(proven))
+        report = check_fleet(fleet, folder, flight_plan, wanted)
+    if flight_plan is not None:
+        report = report.having(_of_plan(flight_plan))
     hopped = None
-    if proven is not None and with_hop:
-        hopped = _hop(report, proven, fleet, folder / "hop", speed, console, yes=yes)
+    if flight_plan is not None and with_hop:
+        hopped = _hop(report, flight_plan, fleet, folder / "hop", speed, console, yes=yes)
         report = report.having(*hopped.findings)
-    if sheet and proven is not None:
-        write_text(sheet, layout_sheet(proven.plan, fleet, report.order))
+    if sheet and flight_plan is not None:
+        write_text(sheet, layout_sheet(flight_plan.plan, fleet, report.order))
     if as_json:
         print_json({**_object(report, folder), "hop": hopped.document() if hopped else None})
     else:
@@ -154,8 +154,8 @@ def _proven(mission: str, overrides: tuple[str, ...]) -> CertifiedPlan:
         return api.plan(load_mission(mission, overrides), progress).certified()
 
 
-def _of_plan(proven: CertifiedPlan) -> Finding:
-    plan, limit = proven.plan, proven.assessment.robustness.tracking
+def _of_plan(flight_plan: CertifiedPlan) -> Finding:
+    plan, limit = flight_plan.plan, flight_plan.assessment.robustness.tracking
     words = f"{plan.mission.name}, {plan.vehicles} vehicles, certified for tracking errors of "
     words += f"{plan.mission.vehicles.tracking:g} m"
     return Finding("info", "plan", words + (f", holds {limit:.2f} m" if limit is not None else ""))
@@ -176,7 +176,7 @@ def _asker(console: Console, shown: Shown, *, yes: bool) -> Callable[[Sequence[R
 
 def _hop(
     report: CheckReport,
-    proven: CertifiedPlan,
+    flight_plan: CertifiedPlan,
     fleet: Fleet,
     folder: Path,
     speed: float,
@@ -187,7 +187,7 @@ def _hop(
     """Fly the hop, unless something speaks against it; return what came of it."""
     if not report.passed and fleet.emulated is None:
         return Hopped((Finding("warning", "hop", "not flown: first mend what is a no-go"),))
-    return fly_hop(proven, fleet, folder, speed, console, yes=yes)
+    return fly_hop(flight_plan, fleet, folder, speed, console, yes=yes)
 
 
 def parameter_table(rows: Iterable[Row]) -> Table:

@@ -12,7 +12,7 @@ from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progr
 from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.errors import InputError
 from swarm.flight.result import FlightResult
-from swarm.rehearse import rehearse
+from swarm.simulation.loop import rehearse
 from swarm.verify import judge
 from swarm.view.summary import plan_summary
 from swarm.view.terminal import FlightScreen
@@ -153,7 +153,7 @@ def _workers(options: dict[str, Any]) -> AbstractContextManager[None]:
     """While a plan is made that many trials will fly, have the processes start that fly them."""
     if options["trials"] is None or options["scheduler"] is not None:
         return nullcontext()
-    from swarm.trials import workers_starting  # noqa: PLC0415 - slow to import
+    from swarm.simulation.monte_carlo import workers_starting  # noqa: PLC0415 - slow to import
 
     return workers_starting(options["jobs"])
 
@@ -166,21 +166,21 @@ def _fly(
     planned: api.Planned, screen: FlightScreen, seed: int, options: dict[str, Any]
 ) -> FlightResult:
     """One flight: as the plan expects the world, or under the conditions of one trial."""
-    proven = planned.certified()
+    flight_plan = planned.certified()
     if options["trial"] is None:
         return rehearse(
-            proven,
+            flight_plan,
             seed=seed,
             no_cable=options["no_cable"],
             on_snapshot=screen.show,
             on_event=screen.event,
         )
     from swarm.cli.trials import load_scenario  # noqa: PLC0415 - slow to import
-    from swarm.trials import fly_trial  # noqa: PLC0415 - slow to import
+    from swarm.simulation.monte_carlo import fly_trial  # noqa: PLC0415 - slow to import
 
     spread, faults = load_scenario(options["scenario"])
     return fly_trial(
-        proven,
+        flight_plan,
         spread,
         seed,
         options["trial"],

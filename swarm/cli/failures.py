@@ -13,10 +13,17 @@ from rich.table import Table
 
 from swarm import api
 from swarm.cli.inputs import print_json, write_text
-from swarm.drills import CITED, PERSONALITIES, ROWS, Drill, Personality, fly_drills
-from swarm.drills.kept import Flown, Heading, heading, line, read_kept
 from swarm.errors import InputError, Problem, Refused, reason
-from swarm.plans import Plan
+from swarm.planning import Plan
+from swarm.simulation.fault_injection import (
+    CITED,
+    PERSONALITIES,
+    ROWS,
+    FailureTest,
+    Personality,
+    run_failure_tests,
+)
+from swarm.simulation.fault_injection.kept import Flown, Heading, heading, line, read_kept
 from swarm.view.failures import failures_report
 
 TIMES = 2
@@ -106,7 +113,7 @@ def _keep(path: Path, flown: Flown) -> None:
         raise InputError([Problem(str(path), reason(error))]) from None
 
 
-def _fly(planned: api.Planned, **chosen: Any) -> tuple[Drill, ...]:
+def _fly(planned: api.Planned, **chosen: Any) -> tuple[FailureTest, ...]:
     console = Console(stderr=True)
     with Progress(
         TextColumn("drills"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn(),
@@ -117,7 +124,7 @@ def _fly(planned: api.Planned, **chosen: Any) -> tuple[Drill, ...]:
         def tell(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        return fly_drills(planned.certified(), tell=tell, **chosen)
+        return run_failure_tests(planned.certified(), tell=tell, **chosen)
 
 
 def failures_table(told: Sequence[Mapping[str, Any]]) -> Table:

@@ -6,12 +6,12 @@ from typing import Any
 
 import click
 
-from swarm.borders import Section
 from swarm.cli.inputs import print_json, write_text
 from swarm.errors import InputError, Problem, reason
 from swarm.fleet import fleet_schema
 from swarm.knots.catalog import choose
 from swarm.mission import Mission, mission_for_knot, mission_schema
+from swarm.validation import Section
 
 KINDS = ("mission", "fleet", "world", "scenario")
 
@@ -68,10 +68,10 @@ def schema_of(kind: str) -> dict[str, Any]:
     if kind == "fleet":
         return fleet_schema()
     if kind == "world":
-        from swarm.rehearse import world_schema  # noqa: PLC0415 - slow to import
+        from swarm.simulation.loop import world_schema  # noqa: PLC0415 - slow to import
 
         return world_schema()
-    from swarm.trials import trial_scenario_schema  # noqa: PLC0415 - slow to import
+    from swarm.simulation.monte_carlo import trial_scenario_schema  # noqa: PLC0415 - slow to import
 
     return trial_scenario_schema()
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from swarm.certification.findings import Assessment
 from swarm.cli.inputs import print_json, write_text
 from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.flight.result import FlightResult
-from swarm.plans import Plan
-from swarm.preflight.findings import Assessment
+from swarm.planning import Plan
 from swarm.verify import judge
 
 

@@ -23,12 +23,12 @@ from swarm.cli.inputs import (
 from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
 from swarm.fleet import emulated_fleet
+from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.clearance import Audit
 from swarm.flight.conductor import LOOSE_BUDGET
-from swarm.flight.raised import RAISED, raised
 from swarm.flight.resuming import Then
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.ground.pilot import Flight, fly_apart
+from swarm.ground.flight_process import Flight, fly_apart
 from swarm.view import rerun_log
 from swarm.view.summary import findings_table, plan_summary
 from swarm.view.terminal import FlightScreen
@@ -121,8 +121,8 @@ def fly(
         planned = api.plan(loaded, progress)
     plan_summary(planned.plan, planned.assessment, console)
     team = given or emulated_fleet(planned.plan.vehicles)
-    proven = raised(planned.certified(), team, no_cable=no_cable)
-    plan = proven.plan
+    flight_plan = raised(planned.certified(), team, no_cable=no_cable)
+    plan = flight_plan.plan
     if plan is not planned.plan:
         console.print(_BARE, style="dim", highlight=False, soft_wrap=True)
     folder = record or _record_folder(loaded.name)
@@ -158,7 +158,7 @@ def fly(
                 shown.enter_context(screen)
             result = fly_apart(
                 Flight(
-                    proven,
+                    flight_plan,
                     team,
                     folder,
                     speed=speed,

@@ -8,6 +8,8 @@ from typing import Any
 import click
 from rich.console import Console
 
+from swarm.certification.certificate import CertifiedPlan
+from swarm.certification.findings import Finding
 from swarm.fleet import Fleet
 from swarm.flight.hop import (
     ERROR_LIMIT,
@@ -20,8 +22,6 @@ from swarm.flight.hop import (
     tracking_to_plan_with,
 )
 from swarm.ground.fly import fly
-from swarm.preflight.certify import CertifiedPlan
-from swarm.preflight.findings import Finding
 from swarm.view.terminal import FlightScreen
 
 
@@ -41,21 +41,27 @@ class Hopped:
 
 
 def fly_hop(
-    proven: CertifiedPlan, fleet: Fleet, folder: Path, speed: float, console: Console, *, yes: bool
+    flight_plan: CertifiedPlan,
+    fleet: Fleet,
+    folder: Path,
+    speed: float,
+    console: Console,
+    *,
+    yes: bool,
 ) -> Hopped:
     """Fly the hop of a plan's vehicles, after asking; its record goes to ``folder``.
 
     ``speed`` is for emulated fleets only, which are not asked for.
     """
-    clearance = proven.plan.mission.clearance.vehicle
+    clearance = flight_plan.plan.mission.clearance.vehicle
     words = (
-        f"Arm {proven.plan.vehicles} vehicles and hover for {HOVER:g} s at {HEIGHT:g} m? All land "
-        f"where one is more than {ERROR_LIMIT:g} m off, or two are within {clearance:g} m."
+        f"Arm {flight_plan.plan.vehicles} vehicles and hover for {HOVER:g} s at {HEIGHT:g} m? "
+        f"All land where one is more than {ERROR_LIMIT:g} m off, or two are within {clearance:g} m."
     )
     asks = fleet.emulated is None and not yes
     if asks and not (sys.stdin.isatty() and click.confirm(words, err=True)):
         return Hopped((Finding("warning", "hop", "not flown: not confirmed"),))
-    flown = hop(proven)
+    flown = hop(flight_plan)
     with FlightScreen(flown.plan, console) as screen:
         result = fly(
             flown,
@@ -68,7 +74,7 @@ def fly_hop(
             on_event=screen.event,
             stray_limit=ERROR_LIMIT,
         )
-    measured, found = hovers(result.trace), hover_findings(result.trace, proven)
+    measured, found = hovers(result.trace), hover_findings(result.trace, flight_plan)
     if result.outcome.word != "done":
         text = f"the hop ended as {result.outcome.word}: {result.outcome.explanation}"
         found = [Finding("error", "hop", text), *(found if measured else ())]

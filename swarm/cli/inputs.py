@@ -11,10 +11,10 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
-from swarm.borders import LARGEST_FILE
 from swarm.errors import InputError, Problem, reason
-from swarm.knots.catalog import choose
-from swarm.mission import Mission, mission_for_knot, parse_mission
+from swarm.front.files import load, refuse_unknown_knot
+from swarm.mission import Mission, mission_for_knot
+from swarm.validation import LARGEST_FILE
 
 MISSION = click.argument("mission", metavar="MISSION")
 SET = click.option(
@@ -57,24 +57,10 @@ def load_mission(mission: str, overrides: tuple[str, ...]) -> Mission:
     """
     path = Path(mission)
     if path.is_file() or path.suffix in {".yaml", ".yml"} or "/" in mission:
-        loaded = parse_mission(read_text(path), mission, overrides)
-    else:
-        loaded = mission_for_knot(mission, overrides)
-    _refuse_unknown_knot(loaded, mission)
+        return load(mission, *overrides)
+    loaded = mission_for_knot(mission, overrides)
+    refuse_unknown_knot(loaded, mission)
     return loaded
-
-
-def _refuse_unknown_knot(mission: Mission, source: str) -> None:
-    """Say where in the file a knot stands that is none; only topology knows what is one."""
-    if mission.knot is None:
-        return
-    described = mission.knot.model_dump()
-    try:
-        choose(**described)
-    except InputError as error:
-        key = next(key for key, value in described.items() if value is not None)
-        problems = [Problem(f"{source}: knot.{key}", str(one)) for one in error.problems]
-        raise InputError(problems) from None
 
 
 @dataclass(frozen=True)

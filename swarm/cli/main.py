@@ -13,8 +13,8 @@ from types import FrameType
 
 import click
 
-from swarm import __version__
 from swarm.errors import InputError, Interrupted, SwarmError, reason
+from swarm.version import __version__
 
 # Vectors here are too short to be worth several threads, which spin while they wait for more and
 # take the cores from the loop that flies. NumPy reads this when it is imported.

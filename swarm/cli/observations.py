@@ -8,7 +8,7 @@ from pathlib import Path
 
 from swarm.errors import InputError, Problem, reason
 from swarm.knots.catalog import choose
-from swarm.plans import KnotSummary
+from swarm.planning import KnotSummary
 
 _WORDS = re.compile(r"(?P<knot>.+?)(?:,?\s+(?P<hand>left|right)(?:-handed)?)?\s+by\s+(?P<who>.+)")
 _MOST = 1000

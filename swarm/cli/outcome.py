@@ -8,11 +8,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from swarm.certification.findings import Assessment, Tightest
 from swarm.exports import tightest_object
 from swarm.flight.adherence import Adherence, adherence_object
 from swarm.flight.result import FlightResult
-from swarm.plans import Plan
-from swarm.preflight.findings import Assessment, Tightest
+from swarm.planning import Plan
 from swarm.verify import Flown, TrackingError
 
 

@@ -5,15 +5,16 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from swarm.borders import LARGEST_FILE
+from swarm.certification.findings import Assessment
 from swarm.cli.inputs import read_record
 from swarm.errors import InputError, Problem
 from swarm.fleet import Fleet
-from swarm.flight.archive import read_certificate, read_plan
+from swarm.flight.archive import read_certificate
 from swarm.flight.flight_plan import Basis
 from swarm.flight.tlog import Replayed, replay
-from swarm.plans import Plan, digest
-from swarm.preflight.findings import Assessment
+from swarm.planning import Plan, digest
+from swarm.planning.archive import read_plan
+from swarm.validation import LARGEST_FILE
 
 LARGEST_PLAN = 64 << 20
 """Bytes that a record's plan or motion may have."""

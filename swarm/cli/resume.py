@@ -16,7 +16,7 @@ from swarm.fleet import Fleet
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import Then, left_off
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.ground.pilot import Flight, fly_apart
+from swarm.ground.flight_process import Flight, fly_apart
 from swarm.view import rerun_log
 from swarm.view.terminal import FlightScreen
 
@@ -37,7 +37,7 @@ def resume_flight(
     console = Console(quiet=as_json)
     plan, (fleet, tlog) = recorded_plan(record), _recorded(record)
     basis, assessment = recorded_certificate(record)
-    proven = ResumedFlight(plan, basis, assessment)
+    flight_plan = ResumedFlight(plan, basis, assessment)
     if fleet.emulated is not None:
         raise Refused("the built-in emulator ended with its ground station: nobody flies any more")
     left = left_off(tlog, plan, fleet)
@@ -63,7 +63,7 @@ def resume_flight(
         with screen:
             result = fly_apart(
                 Flight(
-                    proven,
+                    flight_plan,
                     fleet,
                     folder,
                     no_cable=not basis.cable,

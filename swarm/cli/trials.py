@@ -1,24 +1,22 @@
 """What ``swarm dry-run --trials`` does: fly many, keep what is done, tell what they say."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from swarm import __version__, api
+from swarm import api
 from swarm.cli.inputs import print_json, progress_bar, read_text, write_text
-from swarm.errors import InputError, Interrupted, Problem, reason
+from swarm.errors import Interrupted
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.mission import Mission
-from swarm.plans import Plan
-from swarm.rehearse import Fault
-from swarm.trials import (
+from swarm.planning import Plan
+from swarm.simulation.loop import Fault
+from swarm.simulation.monte_carlo import (
     CLEARANCES,
     Certificates,
     Spread,
@@ -27,10 +25,10 @@ from swarm.trials import (
     fly_trials,
     processes,
     read_scenario,
-    rows,
     summary,
 )
-from swarm.view.trial_plots import KINDS, NAMES, Distances, trials_figure
+from swarm.simulation.monte_carlo.results import write_results
+from swarm.view.trial_plots import KINDS, NAMES, distances_of, trials_figure
 
 
 def load_scenario(path: Path | None) -> tuple[Spread, tuple[Fault, ...]]:
@@ -71,11 +69,11 @@ def run_trials(
         runs.append((other.plan, ComparisonFlight(other.plan, other.certificate)))
     done: list[tuple[Plan, list[Trial], Certificates]] = []
     interrupted = False
-    for plan, proven in runs:
+    for plan, flight_plan in runs:
         # the paper has no clock that waits: with ours its trajectory would stop, not come close
         open_loop = plan is not planned.plan
         flown, interrupted = _fly(
-            proven, spread, seed, trials, faults, jobs, scheduler, open_loop=open_loop
+            flight_plan, spread, seed, trials, faults, jobs, scheduler, open_loop=open_loop
         )
         if not flown:
             raise Interrupted("stopped before any trial was done")
@@ -93,7 +91,7 @@ def run_trials(
         from swarm.view.plots import save  # noqa: PLC0415 - slow to import
         from swarm.view.rehearsal_report import trials_report  # noqa: PLC0415 - slow to import
 
-        drawn = [_distances(plan, flown, certified) for plan, flown, certified in done]
+        drawn = [distances_of(plan, flown, certified) for plan, flown, certified in done]
         required = {name: getattr(planned.plan.mission.clearance, name) for name in CLEARANCES}
         if plot:
             save(trials_figure(drawn, required), plot)
@@ -119,7 +117,7 @@ def _as_certified(told: Mapping[str, Any]) -> bool:
 
 
 def _fly(
-    proven: FlightPlan,
+    flight_plan: FlightPlan,
     spread: Spread,
     seed: int,
     trials: int,
@@ -133,14 +131,14 @@ def _fly(
     flown: list[Trial] = []
     console = Console(stderr=True)
     flying = fly_trials(
-        proven, spread, seed=seed, trials=range(trials), faults=faults, jobs=jobs,
+        flight_plan, spread, seed=seed, trials=range(trials), faults=faults, jobs=jobs,
         scheduler=scheduler, open_loop=open_loop,
     )  # fmt: skip
     with Progress(
         TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(),
         TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
     ) as bar:  # fmt: skip
-        task = bar.add_task(f"trials ({proven.plan.mission.fold.method})", total=trials)
+        task = bar.add_task(f"trials ({flight_plan.plan.mission.fold.method})", total=trials)
         try:
             for trial in flying:
                 flown.append(trial)
@@ -149,45 +147,6 @@ def _fly(
             flying.close()
             return sorted(flown, key=lambda one: one.number), True
     return sorted(flown, key=lambda one: one.number), False
-
-
-def _distances(plan: Plan, flown: Sequence[Trial], certified: Certificates) -> Distances:
-    def column(name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-        return np.array([np.nan if (v := getattr(t, name)) is None else v for t in flown])
-
-    return Distances(
-        label="the paper's trajectory" if plan.mission.fold.method == "paper" else "this plan",
-        by_kind={name: column(name) for name in (*CLEARANCES, "hung")},
-        error=column("error"),
-        failing=np.array([bool(trial.failing) for trial in flown]),
-        radius=certified.radius,
-        certified={name: getattr(certified, name) for name in CLEARANCES},
-    )
-
-
-def write_results(
-    path: Path, done: Sequence[tuple[Plan, Sequence[Trial]]], seed: int, spread: Spread
-) -> None:
-    """Write one row per trial as Parquet, with what made them in the file's metadata."""
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
-    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
-
-    table = pa.Table.from_pylist(
-        [
-            {"method": plan.mission.fold.method, "seed": seed, **row}
-            for plan, flown in done
-            for row in rows(flown)
-        ]
-    )
-    made_by = {
-        "swarm": __version__,
-        "mission": json.dumps(done[0][0].mission.document()),
-        "spread": json.dumps(spread.model_dump(mode="json")),
-    }
-    try:
-        pq.write_table(table.replace_schema_metadata(made_by), path)
-    except OSError as error:
-        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def print_summary(told: Mapping[str, Any], console: Console) -> None:

@@ -10,6 +10,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from swarm.certification.assess import assess
 from swarm.cli.inputs import JSON, print_json
 from swarm.cli.observations import Observation, enter, observation, observations
 from swarm.cli.outcome import flown_object, print_adherence, print_flown
@@ -17,8 +18,7 @@ from swarm.cli.records import recorded_basis, recorded_flight, recorded_plan
 from swarm.flight.adherence import Adherence, adherence, adherence_object
 from swarm.flight.flight_plan import Basis
 from swarm.flight.tlog import Replayed
-from swarm.plans import Plan
-from swarm.preflight.assess import assess
+from swarm.planning import Plan
 from swarm.verify import TrackingError, judge
 
 

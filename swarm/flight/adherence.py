@@ -7,7 +7,7 @@ import numpy as np
 
 from swarm.flight.flight_plan import Basis
 from swarm.flight.trace import Trace
-from swarm.plans import Plan
+from swarm.planning import Plan
 
 _CERTIFIED_PHASES = frozenset({"lifting", "aloft"})
 """States of the cable in which tracking errors count against the certificate."""

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
+from swarm.certification.findings import Finding
+from swarm.certification.stream_loss import CoastCertificate
 from swarm.errors import Refused
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.words import in_common
-from swarm.plans import digest
-from swarm.preflight.coast import CoastCertificate
-from swarm.preflight.findings import Finding
+from swarm.planning import digest
 
 
 @dataclass(frozen=True)
@@ -35,19 +35,19 @@ class ClearedPlan:
     Raises :class:`Refused` where the plan was changed since, or the audit belongs to another one.
     """
 
-    proven: FlightPlan
+    flight_plan: FlightPlan
     audit: Audit
 
     def __post_init__(self) -> None:
-        self.proven.check()
+        self.flight_plan.check()
         errors = [f for f in self.audit.findings if f.severity == "error"]
-        if len(self.audit.systems) != self.proven.plan.vehicles:
+        if len(self.audit.systems) != self.flight_plan.plan.vehicles:
             raise Refused(
-                f"the plan is for {self.proven.plan.vehicles} vehicles, "
+                f"the plan is for {self.flight_plan.plan.vehicles} vehicles, "
                 f"{len(self.audit.systems)} were audited"
             )
         coast = self.audit.coast
-        if coast is not None and coast.digest != digest(self.proven.plan):
+        if coast is not None and coast.digest != digest(self.flight_plan.plan):
             raise Refused("the audit worked out lost setpoints for another plan")
         if errors:
             words = [f"{check}: {found}" for _, check, found in in_common(errors)]
@@ -56,6 +56,6 @@ class ClearedPlan:
             raise Refused("\n".join(words))
 
 
-def go(proven: FlightPlan, audit: Audit) -> ClearedPlan:
+def go(flight_plan: FlightPlan, audit: Audit) -> ClearedPlan:
     """Return the plan as cleared for flight; raises :class:`Refused` with every error."""
-    return ClearedPlan(proven, audit)
+    return ClearedPlan(flight_plan, audit)

@@ -14,40 +14,40 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.contingency_windows import windows
+from swarm.certification.monitor import Clearances, Monitor
+from swarm.certification.separation import escapes
+from swarm.certification.stream_loss import Coasting, coast
 from swarm.errors import Refused
 from swarm.fleet import Fleet
+from swarm.flight.bench_flight import is_bare
 from swarm.flight.clearance import Audit, ClearedPlan
 from swarm.flight.clock import MissionClock
+from swarm.flight.contingency import Contingency, Kind
+from swarm.flight.estimation import Measured
+from swarm.flight.failure_detection import Reports, hear
 from swarm.flight.flight_plan import FlightPlan, basis_of
 from swarm.flight.gates import check_rest
+from swarm.flight.grip_slip import GripSlipDetector
 from swarm.flight.guidance import Guidance
 from swarm.flight.load import PlannedPull
 from swarm.flight.measuring import Sight, keep_trace, measure
-from swarm.flight.noticing import Reports, hear
 from swarm.flight.operator import GRANT, Request, available
 from swarm.flight.pace import LONGEST_TICK
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.preparation import Preparation
-from swarm.flight.raised import is_bare
 from swarm.flight.readiness import named
-from swarm.flight.reckoning import Measured
 from swarm.flight.reporting import snapshot_of, statistics_of, trace_of
 from swarm.flight.result import Outcome, Statistics, Word
 from swarm.flight.resuming import LeftOff, Then
+from swarm.flight.router import Address, Outgoing, Team
 from swarm.flight.sending import setpoints
-from swarm.flight.slipping import Grasps
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.stages import STAGES
-from swarm.flight.team import Address, Outgoing, Team
 from swarm.flight.trace import Trace
-from swarm.flight.wayout import Kind, WayOut
 from swarm.mavlink.frames import Frames
 from swarm.mavlink.vehicle import Vehicle
-from swarm.plans import Phase
-from swarm.preflight.coast import Coasting, coast
-from swarm.preflight.escape import escapes
-from swarm.preflight.monitor import Clearances, Monitor
-from swarm.preflight.windows import windows
+from swarm.planning import Phase
 
 Floats = npt.NDArray[np.float64]
 Stage = Literal["prepare", "ready", "find", "fly", "leave", "finished"]
@@ -64,7 +64,7 @@ class Conductor:
 
     def __init__(
         self,
-        proven: FlightPlan,
+        flight_plan: FlightPlan,
         fleet: Fleet,
         *,
         no_cable: bool = False,
@@ -84,26 +84,26 @@ class Conductor:
         errors slow and hold nothing in a hold; beyond it, or too near each other, all land.
         ``speed`` is how many seconds of flight time pass in one of real time.
         """
-        proven.check()
-        plan = proven.plan
+        flight_plan.check()
+        plan = flight_plan.plan
         if len(fleet.vehicles) < plan.vehicles:
             raise Refused(
                 f"the plan needs {plan.vehicles} vehicles, the fleet {fleet.name} "
                 f"has {len(fleet.vehicles)}"
             )
-        self.proven, self.plan, self.fleet = proven, plan, fleet
+        self.flight_plan, self.plan, self.fleet = flight_plan, plan, fleet
         self.open_loop, self.stray_limit = open_loop, stray_limit
         tied_on = plan.mission.grab == "attached"
         self.grips = fleet.gripper == "mavlink" and not no_cable and not tied_on
         self.carries = not no_cable and len(plan.layout.lengths) > 0
-        self.basis = basis_of(proven, cable=self.carries)
+        self.basis = basis_of(flight_plan, cable=self.carries)
         self.bare = is_bare(fleet, no_cable=no_cable)
         self.gates = tuple(sorted(plan.gates, key=lambda gate: gate.time))
-        check_rest(proven.plan)
+        check_rest(flight_plan.plan)
         self.windows = windows(plan, whole=True)
         self.escapes = escapes(plan)
         coasting = Coasting((STREAM_LOSS_TIME,), fleet.limits.silence)
-        known = proven.coast
+        known = flight_plan.coast
         fits = known is not None and known.holds_for(plan, coasting)
         self.coast = known if known is not None and fits else coast(plan, coasting)
         self.monitor = Monitor(plan)
@@ -150,7 +150,7 @@ class Conductor:
         self.hold_since: float | None = None
         self.dead: set[int] = set()
         self.rejoining: dict[int, float] = {}
-        self.way_out: WayOut | None = None
+        self.way_out: Contingency | None = None
         self._failed: str | None = None
         self.interrupted = False
         self.silent: set[int] = set()
@@ -162,7 +162,7 @@ class Conductor:
         self.start_position = np.full((n, 3), np.nan)
         self.measured = Measured.of(n)
         self.reports = Reports.of(n)
-        self.grasps = Grasps(self.plan)
+        self.grasps = GripSlipDetector(self.plan)
         self.position = np.full((n, 3), np.nan)
         self.velocity = np.full((n, 3), np.nan)
         self.setpoint = np.full((n, 3), np.nan)
@@ -208,7 +208,7 @@ class Conductor:
 
     def start(self, cleared: ClearedPlan) -> None:
         """Begin the flight; only a cleared plan can, and only once it is ready."""
-        if cleared.proven is not self.proven or self.stage != "ready":
+        if cleared.flight_plan is not self.flight_plan or self.stage != "ready":
             raise Refused("this flight is not ready for that plan")
         if cleared.audit.coast is not None:
             self.coast = cleared.audit.coast
@@ -386,7 +386,7 @@ class Conductor:
             self.waiting = False
             self.rewinding = False
             self.enter("leave")
-            self.way_out = WayOut(self, kind, move=move)
+            self.way_out = Contingency(self, kind, move=move)
             if not np.any(self.expected_armed):
                 for vehicle in self.flyers:
                     vehicle.disarm()

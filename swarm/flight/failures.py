@@ -2,7 +2,7 @@
 
 The choices are the group's, never one vehicle's: vehicles that hold one cable must not part.
 Returning to launch, alone or together, is not among them. How things are noticed is in
-:mod:`swarm.flight.noticing`.
+:mod:`swarm.flight.failure_detection`.
 """
 
 from collections.abc import Mapping

@@ -8,17 +8,17 @@ resumed flight was certified before it was interrupted, and a comparison stays i
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from swarm.errors import Refused
-from swarm.plans import Plan, digest
-from swarm.preflight.certify import (
+from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
     refuse_errors,
     refuse_other,
     without_cable,
 )
-from swarm.preflight.coast import CoastCertificate
-from swarm.preflight.findings import Assessment
+from swarm.certification.findings import Assessment
+from swarm.certification.stream_loss import CoastCertificate
+from swarm.errors import Refused
+from swarm.planning import Plan, digest
 
 Kind = Literal["certified", "hop", "raised", "resumed", "comparison"]
 

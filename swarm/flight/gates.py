@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from swarm.errors import Refused
-from swarm.plans import Condition, Plan
+from swarm.planning import Condition, Plan
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.flight import reckoning
+from swarm.flight import estimation
 from swarm.flight.clock import MissionClock
 from swarm.trajectory import Motion
 
@@ -52,7 +52,7 @@ class Sampler:
             rate = slope = 0.0
         coefficients = self._coefficients[piece]
         states = np.empty((3, *coefficients.shape[1:]))
-        reckoning.sampled(coefficients, inside - times[piece], rate, slope, states)
+        estimation.sampled(coefficients, inside - times[piece], rate, slope, states)
         return State(states[0], states[1], states[2])
 
 

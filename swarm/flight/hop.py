@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.certificate import CertifiedPlan, certify, without_cable
+from swarm.certification.findings import Finding
 from swarm.errors import Refused
 from swarm.flight.flight_plan import CableFreeFlight, FlightPlan
 from swarm.flight.trace import Trace
-from swarm.plans import Gate, Phase, Plan
-from swarm.preflight.certify import CertifiedPlan, certify, without_cable
-from swarm.preflight.findings import Finding
+from swarm.planning import Gate, Phase, Plan
 from swarm.trajectory import at_rest, followed, leg
 
 Floats = npt.NDArray[np.float64]
@@ -38,14 +38,14 @@ nine vehicles leaves it, where errors are normal, along one direction, and new e
 _SPEED = 0.5
 
 
-def hop(proven: FlightPlan) -> CableFreeFlight:
+def hop(flight_plan: FlightPlan) -> CableFreeFlight:
     """Return the hop of a plan's vehicles from the plan's pads.
 
     Straight up and down from pads at rest, so that only their distances count; raises
     :class:`Refused` where pads are nearer than the mission's clearance and its tracking allow, or
     where the ceiling is too low.
     """
-    plan = proven.plan
+    plan = flight_plan.plan
     mission = plan.mission
     vehicles, clearance = mission.vehicles, mission.clearance
     pads = plan.motion.at(0.0)[0]
@@ -165,16 +165,16 @@ def tracking_to_plan_with(measured: Sequence[Hover]) -> float | None:
     return math.ceil(100.0 * max(one.tracking for one in measured) - 1e-9) / 100.0
 
 
-def hover_findings(trace: Trace, proven: CertifiedPlan) -> list[Finding]:
+def hover_findings(trace: Trace, flight_plan: CertifiedPlan) -> list[Finding]:
     """Return how well all vehicles hovered in a hop, against a plan's tracking ball and its e*.
 
     First what to plan with, then each vehicle's errors.
     """
-    measured, vehicles = hovers(trace), proven.plan.vehicles
+    measured, vehicles = hovers(trace), flight_plan.plan.vehicles
     if not measured:
         return [Finding("error", "hop", "no positions were reported while hovering")]
-    tracking = proven.plan.mission.vehicles.tracking
-    limit = proven.assessment.robustness.tracking
+    tracking = flight_plan.plan.mission.vehicles.tracking
+    limit = flight_plan.assessment.robustness.tracking
     most = tracking if limit is None else max(tracking, limit)
     found = [_advice(measured if len(measured) == vehicles else (), tracking, most)]
     for one in measured:

@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import common
 
+from swarm.certification.findings import Finding
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.packets import Packet
 from swarm.mavlink.vehicle import Vehicle
-from swarm.preflight.findings import Finding
 
 Address = Hashable
 

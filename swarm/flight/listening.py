@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
+from swarm.certification.findings import Finding, Severity
 from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.flight.preparation import (
@@ -18,11 +19,10 @@ from swarm.flight.preparation import (
     request_streams,
 )
 from swarm.flight.readiness import readiness
+from swarm.flight.router import Address, Outgoing, Team
 from swarm.flight.snapshot import Event
-from swarm.flight.team import Address, Outgoing, Team
 from swarm.mavlink.frames import to_mission
 from swarm.mavlink.vehicle import Vehicle, VehicleEvent
-from swarm.preflight.findings import Finding, Severity
 
 Floats = npt.NDArray[np.float64]
 

@@ -8,11 +8,11 @@ is known in the cable model, so it goes into the acceleration setpoint as feed-f
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable import quick
-from swarm.cable.catenary import STANDARD_GRAVITY
-from swarm.cable.floor import rest_on_floor
-from swarm.compiled import compiled
-from swarm.plans import Plan
+from swarm.geometry import quick
+from swarm.geometry.catenary import STANDARD_GRAVITY
+from swarm.geometry.floor import rest_on_floor
+from swarm.jit import compiled
+from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
 
@@ -50,7 +50,8 @@ def end_forces(
     """Return the forces (n, 3) of n strands on their starts and ends; newtons, ENU.
 
     ``start`` and ``end`` (n, 3) in metres above the floor at z = 0, no farther apart than
-    ``lengths`` (n,). What :func:`swarm.cable.floor.rest_on_floor` has, quickly enough for flight.
+    ``lengths`` (n,). What :func:`swarm.geometry.floor.rest_on_floor` has, quickly enough for
+    flight.
     """
     on_start, on_end = np.empty(start.shape), np.empty(start.shape)
     weight = STANDARD_GRAVITY * mass_per_length

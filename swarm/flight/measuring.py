@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from swarm.flight import reckoning
-from swarm.plans import CableState
-from swarm.preflight.monitor import AHEAD, Clearances, Monitor
+from swarm.certification.monitor import AHEAD, Clearances, Monitor
+from swarm.flight import estimation
+from swarm.planning import CableState
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
@@ -28,9 +28,9 @@ def measure(flight: "Conductor") -> None:
     if flight.frames is None:
         return
     n = len(flight.rows)
-    found = flight.measured = reckoning.Measured(np.empty((3, n, 3)), np.empty((2, n)))
+    found = flight.measured = estimation.Measured(np.empty((3, n, 3)), np.empty((2, n)))
     times = flight.now, FRESHEST, flight.fleet.limits.silence, flight.now - flight.last
-    reckoning.measure(
+    estimation.measure(
         flight.team.columns.table, flight.rows, flight.frames.back, flight.lift, flight.setpoint,
         flight.setpoint_velocity, flight.streaming, times, found.places, found.numbers,
     )  # fmt: skip

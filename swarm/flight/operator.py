@@ -15,29 +15,29 @@ Request = Literal[
 REQUESTS: tuple[Request, ...] = get_args(Request)
 
 
-class Wish(NamedTuple):
+class Availability(NamedTuple):
     """Whether a wish can be granted now, and what would follow, in words."""
 
     open: bool
     words: str
 
 
-def available(flight: "Conductor") -> Mapping[Request, Wish]:
+def available(flight: "Conductor") -> Mapping[Request, Availability]:
     """Return what each wish would do at this moment of the flight."""
     if flight.stage == "finished":
-        return dict.fromkeys(REQUESTS, Wish(False, "the flight is over"))
+        return dict.fromkeys(REQUESTS, Availability(False, "the flight is over"))
     if flight.stage == "find":
-        closed = Wish(False, "the team has not been found yet")
-        end = Wish(True, "ends here: everybody lands by itself after the fleet's hold time")
+        closed = Availability(False, "the team has not been found yet")
+        end = Availability(True, "ends here: everybody lands by itself after the fleet's hold time")
         return {**dict.fromkeys(REQUESTS, closed), "interrupt": end}
     if flight.stage in {"prepare", "ready"}:
-        closed = Wish(False, "nothing flies yet")
-        end = Wish(True, "ends here: nothing is armed")
+        closed = Availability(False, "nothing flies yet")
+        end = Availability(True, "ends here: nothing is armed")
         return {**dict.fromkeys(REQUESTS, closed), "interrupt": end, "abort": closed}
-    kill = Wish(True, "stops all motors at once, wherever they are")
-    interrupt = Wish(True, "holds, then lands everybody together; again: lands at once")
+    kill = Availability(True, "stops all motors at once, wherever they are")
+    interrupt = Availability(True, "holds, then lands everybody together; again: lands at once")
     if flight.leaving:
-        closed = Wish(False, "the team is leaving the plan already")
+        closed = Availability(False, "the team is leaving the plan already")
         return {**dict.fromkeys(REQUESTS, closed), "kill": kill, "interrupt": interrupt}
     return {
         "hold": _hold(flight),
@@ -52,59 +52,63 @@ def available(flight: "Conductor") -> Mapping[Request, Wish]:
     }
 
 
-def _hold(flight: "Conductor") -> Wish:
+def _hold(flight: "Conductor") -> Availability:
     if flight.holding:
-        return Wish(False, f"already holding: {flight.holding}")
+        return Availability(False, f"already holding: {flight.holding}")
     limit = flight.fleet.limits.hold
-    return Wish(True, f"everybody stops along the path; after {limit:g} s all land together")
+    return Availability(
+        True, f"everybody stops along the path; after {limit:g} s all land together"
+    )
 
 
-def _resume(flight: "Conductor") -> Wish:
+def _resume(flight: "Conductor") -> Availability:
     if not flight.holding:
-        return Wish(False, "nothing is on hold")
-    return Wish(True, "goes on with the plan")
+        return Availability(False, "nothing is on hold")
+    return Availability(True, "goes on with the plan")
 
 
-def _rewind(flight: "Conductor") -> Wish:
+def _rewind(flight: "Conductor") -> Availability:
     if not flight.phase.reversible:
-        return Wish(False, f"the phase {flight.phase.name} does not run backwards")
+        return Availability(False, f"the phase {flight.phase.name} does not run backwards")
     if flight.waiting:
-        return Wish(False, "the clock waits at a gate")
+        return Availability(False, "the clock waits at a gate")
     back = flight.clock.time - rewind_end(flight)
     if back < 0.5:
-        return Wish(False, "this is as far back as it is safe")
-    return Wish(True, f"goes back along the path by up to {back:.0f} s, then holds")
+        return Availability(False, "this is as far back as it is safe")
+    return Availability(True, f"goes back along the path by up to {back:.0f} s, then holds")
 
 
-def _land(flight: "Conductor") -> Wish:
+def _land(flight: "Conductor") -> Availability:
     if flight.windows.landable(flight.clock.time):
-        return Wish(True, "everybody straight down together, here")
-    return Wish(True, "somebody is above somebody: moves to where all can land, then lands")
+        return Availability(True, "everybody straight down together, here")
+    return Availability(True, "somebody is above somebody: moves to where all can land, then lands")
 
 
-def _release(flight: "Conductor") -> Wish:
+def _release(flight: "Conductor") -> Availability:
     if not any(vehicle.gripped for vehicle in flight.flyers):
-        return Wish(False, "nobody holds the cable")
+        return Availability(False, "nobody holds the cable")
     if flight.windows.releasable(flight.clock.time):
-        return Wish(True, "drops the cable, separates upwards and lands")
-    return Wish(True, "cable hangs above a vehicle: moves to where it does not, then releases")
+        return Availability(True, "drops the cable, separates upwards and lands")
+    return Availability(
+        True, "cable hangs above a vehicle: moves to where it does not, then releases"
+    )
 
 
-def _rejoin(flight: "Conductor") -> Wish:
+def _rejoin(flight: "Conductor") -> Availability:
     away = outside(flight)
     if not away:
-        return Wish(False, "everybody who can be streamed to is")
+        return Availability(False, "everybody who can be streamed to is")
     names = ", ".join(flight.name(flight.flyers[k]) for k in away)
     if not flight.clock.stopped:
-        return Wish(False, f"the clock still runs: {names} can rejoin a team that holds")
-    return Wish(True, f"takes {names} into the team again, from where it is, and holds")
+        return Availability(False, f"the clock still runs: {names} can rejoin a team that holds")
+    return Availability(True, f"takes {names} into the team again, from where it is, and holds")
 
 
-def _abort(flight: "Conductor") -> Wish:
+def _abort(flight: "Conductor") -> Availability:
     held = any(vehicle.gripped for vehicle in flight.flyers)
     if held and flight.windows.releasable(flight.clock.time):
-        return Wish(True, "drops the cable here, separates upwards and lands")
-    return Wish(True, "everybody straight down together, here")
+        return Availability(True, "drops the cable here, separates upwards and lands")
+    return Availability(True, "everybody straight down together, here")
 
 
 def _grant_hold(flight: "Conductor") -> None:

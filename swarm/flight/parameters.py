@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swarm.certification.findings import Finding, Severity
+from swarm.certification.stream_loss import CoastCertificate, Coasting, coast
 from swarm.fleet import Fleet, Limits
 from swarm.mavlink.frames import Projection
 from swarm.mission import Vehicles
-from swarm.plans import Plan
-from swarm.preflight.coast import CoastCertificate, Coasting, coast
-from swarm.preflight.findings import Finding, Severity
+from swarm.planning import Plan
 
 Value = float
 STREAM_LOSS_TIME = 0.5

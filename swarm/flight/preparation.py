@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
+from swarm.certification.findings import Finding
 from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit
@@ -21,10 +22,9 @@ from swarm.flight.readiness import (
     told_later,
 )
 from swarm.flight.result import Outcome
-from swarm.flight.team import Team
+from swarm.flight.router import Team
 from swarm.mavlink.frames import Frames
 from swarm.mavlink.vehicle import Vehicle
-from swarm.preflight.findings import Finding
 
 Floats = npt.NDArray[np.float64]
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
+from swarm.certification.findings import Finding, Severity
 from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.mavlink.frames import (
@@ -22,7 +23,6 @@ from swarm.mavlink.frames import (
     to_mission,
 )
 from swarm.mavlink.vehicle import Vehicle
-from swarm.preflight.findings import Finding, Severity
 
 Floats = npt.NDArray[np.float64]
 

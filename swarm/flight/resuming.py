@@ -16,7 +16,7 @@ from swarm.flight.preparation import request_streams
 from swarm.flight.rejoining import rejoin
 from swarm.flight.tlog import replay
 from swarm.mavlink.frames import Frames
-from swarm.plans import Plan
+from swarm.planning import Plan
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarm.flight.reckoning import aimed
-from swarm.flight.team import Outgoing
+from swarm.flight.estimation import aimed
+from swarm.flight.router import Outgoing
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from swarm.preflight.monitor import Clearances
+from swarm.certification.monitor import Clearances
 
 Floats = npt.NDArray[np.float64]
 

@@ -3,17 +3,17 @@
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Final
 
+from swarm.flight.failure_detection import watch
 from swarm.flight.failures import failure
 from swarm.flight.gates import GATES
+from swarm.flight.grip_slip import watch_grasps
 from swarm.flight.measuring import look, measure
-from swarm.flight.noticing import watch
 from swarm.flight.pace import advance_clock, bound_hold, steer
 from swarm.flight.preparation import Prepared
 from swarm.flight.readiness import readiness
 from swarm.flight.rejoining import bring_back
 from swarm.flight.result import Outcome
 from swarm.flight.resuming import find, go_on
-from swarm.flight.slipping import watch_grasps
 from swarm.flight.straying import watch_stray
 
 if TYPE_CHECKING:

@@ -20,10 +20,10 @@ from swarm.flight.preparation import STANDING_TIME, Prepared, prepared_team
 from swarm.flight.trace import Trace
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.frames import Frames
-from swarm.mavlink.hearing import READ
+from swarm.mavlink.message_handlers import READ
 from swarm.mavlink.packets import GROUND_SYSTEM, Decoder, Encoder, Packet, packet_length
 from swarm.mavlink.vehicle import Vehicle
-from swarm.plans import Plan
+from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 
-from swarm.preflight.findings import Finding
+from swarm.certification.findings import Finding
 
 _SYSTEM = re.compile(r"system (\d+): ")
 

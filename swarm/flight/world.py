@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.fleet import Fleet, Place
-from swarm.plans import Plan
+from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
 

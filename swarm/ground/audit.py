@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from swarm.certification.findings import Finding
 from swarm.errors import VehicleError
 from swarm.flight.parameters import Demands, Row, judge, rules
 from swarm.ground.mavsdk_link import Report, reports
 from swarm.ground.relay import Relay
 from swarm.mavlink.frames import Projection
 from swarm.mavlink.vehicle import Vehicle
-from swarm.preflight.findings import Finding
 
 BATTERY_RESERVE = 25.0
 """Percent of a battery that must be left when all vehicles have landed."""

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from swarm.certification.certificate import CertifiedPlan
+from swarm.certification.findings import Finding, Severity
 from swarm.errors import InputError, Problem, Refused, VehicleError
 from swarm.fleet import Fleet
 from swarm.flight.listening import LinkQuality, Listening, radio_findings
@@ -21,12 +23,10 @@ from swarm.flight.parameters import (
     demands_of_plan,
 )
 from swarm.flight.preparation import GATHERING, Prepared
-from swarm.ground.attendance import Attendance, attended
 from swarm.ground.audit import Auditor, Tell, VehicleAudit, save_parameters
+from swarm.ground.survey import Survey, attended
 from swarm.mission import Vehicles
-from swarm.plans import Plan
-from swarm.preflight.certify import CertifiedPlan
-from swarm.preflight.findings import Finding, Severity
+from swarm.planning import Plan
 
 _SETTLE = 2.5
 """Seconds after the first heartbeats until streams run as they were asked for."""
@@ -128,7 +128,10 @@ class Wanted:
 
 
 def check(
-    fleet: Fleet, folder: Path, proven: CertifiedPlan | None = None, wanted: Wanted | None = None
+    fleet: Fleet,
+    folder: Path,
+    flight_plan: CertifiedPlan | None = None,
+    wanted: Wanted | None = None,
 ) -> CheckReport:
     """Check a fleet on the ground; parameters are saved in ``folder`` before anything is changed.
 
@@ -137,16 +140,16 @@ def check(
     Raises :class:`VehicleError` where links or vehicles are missing, and :class:`Refused` where
     the fleet is too small for the plan or one system id is two vehicles, of which nothing is asked.
     """
-    if proven is not None and len(fleet.vehicles) < proven.plan.vehicles:
+    if flight_plan is not None and len(fleet.vehicles) < flight_plan.plan.vehicles:
         raise Refused(
-            f"the plan needs {proven.plan.vehicles} vehicles, the fleet {fleet.name} "
+            f"the plan needs {flight_plan.plan.vehicles} vehicles, the fleet {fleet.name} "
             f"has {len(fleet.vehicles)}"
         )
     restore = (wanted or Wanted()).restore
     if restore is not None:
         for system in fleet.systems:
             _saved(restore, system)
-    plan = proven.plan if proven else None
+    plan = flight_plan.plan if flight_plan else None
     with attended(fleet, folder, plan) as attendance:
         return attendance.run(_Work(attendance, folder, plan, wanted or Wanted()).run)
 
@@ -155,7 +158,7 @@ def check(
 class _Work:
     """The blocking part, in a thread of its own beside the loop."""
 
-    attendance: Attendance
+    attendance: Survey
     folder: Path
     plan: Plan | None
     wanted: Wanted

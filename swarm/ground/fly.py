@@ -18,12 +18,12 @@ from swarm.flight.adherence import adherence
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
+from swarm.flight.jit_warm_up import warm_up
 from swarm.flight.parameters import coasting_findings, coasting_of, demands_of_plan
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockTeller
-from swarm.flight.warm import warm_up
 from swarm.flight.world import emulated_world
 from swarm.ground.audit import Auditor, save_parameters
 from swarm.ground.emulator import EmulatorProcess
@@ -42,7 +42,7 @@ Confirm = Callable[[Audit], bool]
 
 
 def fly(
-    proven: FlightPlan,
+    flight_plan: FlightPlan,
     fleet: Fleet,
     record_folder: Path,
     *,
@@ -78,10 +78,10 @@ def fly(
     Raises :class:`swarm.errors.VehicleError` where a link cannot be opened, and
     :class:`swarm.errors.InputError` where the record cannot be written.
     """
-    _refuse_unflyable(proven, fleet, speed)
+    _refuse_unflyable(flight_plan, fleet, speed)
     conductor = _warm(
         Conductor(
-            proven,
+            flight_plan,
             fleet,
             no_cable=no_cable,
             left=left,
@@ -98,11 +98,11 @@ def fly(
     try:
         conductor.team.signing = keyed.enter_context(signing_with(fleet.signing_key))
         record = Record(record_folder, time.time())
-        emulator = _emulator(proven, fleet, links, record_folder, speed, no_cable=no_cable)
+        emulator = _emulator(flight_plan, fleet, links, record_folder, speed, no_cable=no_cable)
         # Flight time begins once an emulator speaks, which takes it a while to do.
         record.began = time.time()
         record.before(
-            proven,
+            flight_plan,
             conductor.basis,
             fleet,
             {"speed": speed, "no_cable": no_cable, "began": record.began},
@@ -169,8 +169,8 @@ def _result(
     )
 
 
-def _refuse_unflyable(proven: FlightPlan, fleet: Fleet, speed: float) -> None:
-    if isinstance(proven, ComparisonFlight):
+def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, speed: float) -> None:
+    if isinstance(flight_plan, ComparisonFlight):
         raise Refused("a comparison is flown by swarm dry-run alone: its plan need not be cleared")
     if fleet.emulated is None and speed != 1.0:
         raise Refused("only emulated vehicles fly faster than time")
@@ -182,13 +182,19 @@ def _warm(conductor: Conductor) -> Conductor:
 
 
 def _emulator(
-    proven: FlightPlan, fleet: Fleet, links: Links, folder: Path, speed: float, *, no_cable: bool
+    flight_plan: FlightPlan,
+    fleet: Fleet,
+    links: Links,
+    folder: Path,
+    speed: float,
+    *,
+    no_cable: bool,
 ) -> EmulatorProcess | None:
     """Start the emulator where the fleet is flown by it."""
     if fleet.emulated is None:
         return None
     seed = fleet.emulated.seed
-    world = emulated_world(proven.plan, fleet, with_cable=not no_cable, seed=seed)
+    world = emulated_world(flight_plan.plan, fleet, with_cable=not no_cable, seed=seed)
     port = links.port(next(iter(fleet.links)))
     return EmulatorProcess(world, folder, port, speed, fleet.signing_key)
 
@@ -274,7 +280,7 @@ class _Shell:
                 self.relay.closed = True
             if isinstance(answer, Audit):
                 try:
-                    self._conductor.start(go(self._conductor.proven, answer))
+                    self._conductor.start(go(self._conductor.flight_plan, answer))
                 except Refused as error:
                     self._conductor.refuse(str(error))
             else:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from swarm.errors import Refused
 from swarm.fleet import Fleet
-from swarm.ground.attendance import Attendance, attended
 from swarm.ground.mavsdk_link import fetch
+from swarm.ground.survey import Survey, attended
 
 PATIENCE = 15.0
 """Seconds without a piece of a log after which it is given up."""
@@ -50,7 +50,7 @@ def fetch_logs(
 class _Fetching:
     """The blocking part, in a thread of its own beside the loop."""
 
-    attendance: Attendance
+    attendance: Survey
     folder: Path
     tell: Tell
     patience: float

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from swarm.fleet import Fleet
-from swarm.flight.team import Address, Outgoing
+from swarm.flight.router import Address, Outgoing
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links

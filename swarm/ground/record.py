@@ -19,16 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from swarm import __version__
 from swarm.errors import InputError, Problem
 from swarm.fleet import Fleet
 from swarm.flight.adherence import adherence_object
-from swarm.flight.archive import certificate_document, plan_document, plan_motion
+from swarm.flight.archive import certificate_document
 from swarm.flight.flight_plan import Basis, FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event
 from swarm.ground.priority import follow
 from swarm.mavlink.packets import split
+from swarm.planning.archive import plan_document, plan_motion
+from swarm.version import __version__
 
 WRITE_INTERVAL = 0.25
 _AT_ONCE, _BREATH = 40, 0.001
@@ -118,15 +119,15 @@ class Record:
             self.problem = (error.strerror or "cannot be written").lower()
 
     def before(
-        self, proven: FlightPlan, basis: Basis, fleet: Fleet, facts: Mapping[str, Any]
+        self, flight_plan: FlightPlan, basis: Basis, fleet: Fleet, facts: Mapping[str, Any]
     ) -> None:
         """Write down what is about to be flown, with what."""
-        plan = proven.plan
+        plan = flight_plan.plan
         self._file("mission.json", json.dumps(plan.mission.document(), indent=1).encode())
         self._file("fleet.json", fleet.model_dump_json(by_alias=True, indent=1).encode())
         self._file("plan.json", json.dumps(plan_document(plan), indent=1).encode())
         self._file("motion.npz", plan_motion(plan))
-        certificate = certificate_document(basis, proven.assessment)
+        certificate = certificate_document(basis, flight_plan.assessment)
         self._file("certificate.json", json.dumps(certificate, indent=1).encode())
         self._file("versions.json", json.dumps({**_versions(), **facts}, indent=1).encode())
 

@@ -8,7 +8,7 @@ import socket
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from swarm.flight.team import Address, Outgoing, Team
+from swarm.flight.router import Address, Outgoing, Team
 from swarm.mavlink.packets import Decoder, split
 
 _HEARTBEAT = 0

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import serial
 
 from swarm.errors import VehicleError
-from swarm.flight.team import Outgoing
+from swarm.flight.router import Outgoing
 
 _LARGEST_DATAGRAM = 65_536
 _RECEIVE_BUFFER = 1 << 21

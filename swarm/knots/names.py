@@ -37,6 +37,12 @@ COMMON = {
 """Common names, in lower case and without the word knot."""
 
 
+def in_words(name: str, chirality: str) -> str:
+    """Return a knot's name with its chirality: "3_1 right-handed", "4_1"; "no knot" without one."""
+    hand = f" {chirality}-handed" if chirality in {"left", "right"} else ""
+    return f"{name}{hand}" if name else "no knot"
+
+
 @dataclass(frozen=True)
 class Named:
     """What a name says: prime factors with hands as written, or a torus knot.

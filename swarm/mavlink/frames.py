@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 import pymap3d
 
-from swarm.compiled import compiled
+from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
 Projection = Literal["px4", "ardupilot"]

@@ -1,7 +1,7 @@
 """Bytes and messages: decoding what vehicles send, encoding what we send.
 
-Layouts and checksums are pymavlink's. :mod:`swarm.mavlink.columns` reads what is said most often
-for the whole team at once, :mod:`swarm.mavlink.setpoints` packs setpoints.
+Layouts and checksums are pymavlink's. :mod:`swarm.mavlink.telemetry_table` reads what is said most
+often for the whole team at once, :mod:`swarm.mavlink.setpoints` packs setpoints.
 """
 
 from collections import namedtuple

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
-from swarm.compiled import compiled
-from swarm.mavlink.columns import more
+from swarm.jit import compiled
 from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
+from swarm.mavlink.telemetry_table import more
 
 Floats = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]

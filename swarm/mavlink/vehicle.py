@@ -1,7 +1,7 @@
 """The ground station's side of one vehicle, sans-IO: messages in, events and messages out.
 
-What a message changes is a table (:mod:`swarm.mavlink.hearing`); what an autopilot does differently
-is a table (:mod:`swarm.mavlink.autopilots`); every command is followed by
+What a message changes is a table (:mod:`swarm.mavlink.message_handlers`); what an autopilot does
+differently is a table (:mod:`swarm.mavlink.autopilots`); every command is followed by
 :mod:`swarm.mavlink.commands`.
 """
 
@@ -14,7 +14,12 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError
 from swarm.mavlink.autopilots import BY_HAND, Autopilot, Mode
-from swarm.mavlink.columns import (
+from swarm.mavlink.commands import STATE_PATIENCE, Command, CommandQueue
+from swarm.mavlink.frames import Origin
+from swarm.mavlink.message_handlers import HANDLERS, IN_AIR, ON_GROUND, TAKING_OFF
+from swarm.mavlink.packets import Message, Packet, message_name
+from swarm.mavlink.parameters import Parameters
+from swarm.mavlink.telemetry_table import (
     ANGLES,
     BOOT,
     COMPONENT,
@@ -31,11 +36,6 @@ from swarm.mavlink.columns import (
     Whole,
     count,
 )
-from swarm.mavlink.commands import STATE_PATIENCE, Command, CommandQueue
-from swarm.mavlink.frames import Origin
-from swarm.mavlink.hearing import HANDLERS, IN_AIR, ON_GROUND, TAKING_OFF
-from swarm.mavlink.packets import Message, Packet, message_name
-from swarm.mavlink.parameters import Parameters
 
 _CUSTOM = int(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _KILL = 21196.0

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun.blueprint as rrb
 
-from swarm.plans import Plan
+from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
 

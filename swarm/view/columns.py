@@ -9,7 +9,8 @@ import numpy.typing as npt
 import rerun as rr
 
 from swarm.flight.trace import Trace
-from swarm.plans import Plan
+from swarm.planning import Plan
+from swarm.planning.cable_shape import planned_grip
 from swarm.view import scene
 from swarm.view.distances import (
     CLEARANCE_STEP,
@@ -112,7 +113,7 @@ def send_plan_curves(stream: rr.RecordingStream, plan: Plan) -> None:
     names = [f"vehicle {i + 1}" for i in range(n)]
     _curves(stream, "plan/speed", names, clock, speed)
     _limit(stream, "plan/speed/limit", plan.mission.vehicles.max_speed, "limit", clock)
-    held = scene.planned_grip(plan, times)
+    held = planned_grip(plan, times)
     taut = scene.tautness(scene.planned_cable(plan, times), plan.layout.lengths)
     taut[~held] = np.nan
     segments = [f"segment {i + 1}" for i in range(n - 1)]

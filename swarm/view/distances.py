@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.distance import strand_strand
-from swarm.plans import Plan
+from swarm.geometry.distance import strand_strand
+from swarm.planning import Plan
 from swarm.view import scene
 
 Floats = npt.NDArray[np.float64]

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
-from swarm import __version__
-from swarm.drills import Cited
-from swarm.plans import Plan
+from swarm.planning import Plan
+from swarm.simulation.fault_injection import Cited
+from swarm.version import __version__
 from swarm.view.page import Html, key_figures, page, section, table, tag
 
 _HEAD = (

@@ -15,10 +15,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from swarm.certification.findings import Tightest
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.trace import Trace
-from swarm.plans import KnotSummary, Layout, Plan
-from swarm.preflight.findings import Tightest
+from swarm.planning import KnotSummary, Layout, Plan
 from swarm.view import scene
 
 Floats = npt.NDArray[np.float64]

@@ -5,8 +5,8 @@ from typing import Any, Final
 
 from matplotlib.figure import Figure
 
-from swarm.plans import Plan
-from swarm.preflight.findings import Assessment
+from swarm.certification.findings import Assessment
+from swarm.planning import Plan
 from swarm.view.page import Html, key_figures, page, picture, pictures, section, table, tag
 from swarm.view.report_parts import (
     CLEARANCES,

@@ -8,7 +8,8 @@ import rerun as rr
 
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
-from swarm.plans import Plan
+from swarm.planning import Plan
+from swarm.planning.cable_shape import planned_grip
 from swarm.view import scene
 from swarm.view.blueprint import comparison_blueprint, plan_blueprint
 from swarm.view.columns import (
@@ -62,7 +63,7 @@ def write_flight(plan: Plan, trace: Trace, events: Iterable[Event], path: Path) 
 def flown_course(plan: Plan, trace: Trace) -> Course:
     """Return a trace as a course; its cable is held where the plan has it gripped."""
     above = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
-    gripped = scene.planned_grip(plan, trace.mission_time)[:, None, None]
+    gripped = planned_grip(plan, trace.mission_time)[:, None, None]
     resting = scene.planned_cable(plan, trace.mission_time)
     return Course(
         {"time": trace.time, "mission_time": trace.mission_time},

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from swarm.certification.findings import Assessment, Tightest
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
-from swarm.plans import Plan
-from swarm.preflight.findings import Assessment, Tightest
+from swarm.planning import Plan
 from swarm.view import plots, scene
 from swarm.view.distances import CLEARANCE_STEP, distances_of_strands, strand_distances
 from swarm.view.page import Html, key_figures, page, picture, pictures, section, table, tag

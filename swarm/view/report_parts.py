@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from swarm import __version__
-from swarm.plans import Plan
-from swarm.preflight.findings import Assessment
+from swarm.certification.findings import Assessment
+from swarm.planning import Plan
+from swarm.version import __version__
 from swarm.view.page import Html, table, tag
 from swarm.view.words import metres, seconds
 

@@ -20,7 +20,7 @@ from typing import IO, Final, Literal, cast
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.priority import give_way
-from swarm.plans import Plan
+from swarm.planning import Plan
 from swarm.view.viewers import free_port, has_display, proxy_url, web_url
 
 Live = Literal["native", "web"]

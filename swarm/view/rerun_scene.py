@@ -12,7 +12,8 @@ import numpy.typing as npt
 import rerun as rr
 
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.plans import Plan
+from swarm.planning import Plan
+from swarm.planning.cable_shape import resting_places
 from swarm.view import scene
 from swarm.view.curves import Curves
 from swarm.view.words import clock, level, sentence
@@ -135,7 +136,7 @@ class Recorder:
         self._plan = plan
         self._limit = plan.mission.vehicles.tracking
         self._above = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
-        self._held = scene.resting_places(plan)
+        self._held = resting_places(plan)
         self._gripped = np.zeros(plan.vehicles, dtype=bool)
         self._trail = np.full((plan.vehicles, 3), np.nan)
         self._strips = scene.strands(self._held, plan.layout.lengths, scene.POINTS_PER_SEGMENT)

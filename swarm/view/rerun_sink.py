@@ -13,7 +13,7 @@ from typing import BinaryIO
 import rerun as rr
 
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.plans import Plan
+from swarm.planning import Plan
 from swarm.view.blueprint import flight_blueprint
 from swarm.view.replay import send_planned
 from swarm.view.rerun_log import SinkOptions

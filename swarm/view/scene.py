@@ -10,10 +10,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.catenary import hang
-from swarm.cable.distance import strand_strand
 from swarm.flight.snapshot import Snapshot
-from swarm.plans import Layout, Phase, Plan
+from swarm.geometry.catenary import hang
+from swarm.geometry.distance import strand_strand
+from swarm.planning import Layout, Plan
+from swarm.planning.cable_shape import planned_grip, resting_places
 
 Floats = npt.NDArray[np.float64]
 Colours = npt.NDArray[np.uint8]
@@ -143,12 +144,6 @@ def tracking_errors(snapshot: Snapshot) -> Floats:
     return errors
 
 
-def resting_places(plan: Plan) -> Floats:
-    """Return where the grip points of the cable lie (n, 3) before anybody holds it."""
-    places = plan.motion.at(_rest_time(plan))[0]
-    return places * [1.0, 1.0, 0.0] if _phase(plan, "grab") else places
-
-
 def held_points(
     before: Floats, was_gripped: npt.NDArray[np.bool_], snapshot: Snapshot
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
@@ -163,14 +158,6 @@ def held_points(
     dropped = was_gripped & ~gripped
     moved[dropped, 2] = 0.0
     return moved, gripped
-
-
-def planned_grip(plan: Plan, times: Floats) -> npt.NDArray[np.bool_]:
-    """Return whether the plan has the cable gripped at mission times (k,): (k,)."""
-    grab = _phase(plan, "grab")
-    begins = grab.end if grab else -np.inf
-    released = [gate.time for gate in plan.gates if gate.condition == "released"]
-    return (times >= begins) & (times < max(released, default=np.inf))
 
 
 def planned_cable(plan: Plan, times: Floats) -> Floats:
@@ -231,12 +218,3 @@ def meeting(corners: Floats, first: int, second: int) -> tuple[float, float]:
     u, w = corners[first + 1] - a, corners[second + 1] - b
     share = np.linalg.solve(np.column_stack([u, -w]), b - a)
     return float(share[0]), float(share[1])
-
-
-def _phase(plan: Plan, name: str) -> Phase | None:
-    return next((phase for phase in plan.phases if phase.name == name), None)
-
-
-def _rest_time(plan: Plan) -> float:
-    grab = _phase(plan, "grab")
-    return grab.end if grab else plan.phases[0].start

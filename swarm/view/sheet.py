@@ -9,7 +9,7 @@ import numpy.typing as npt
 from swarm.fleet import Fleet
 from swarm.flight.parameters import demands_of_plan, rules
 from swarm.mavlink.frames import Projection
-from swarm.plans import Plan
+from swarm.planning import Plan
 from swarm.view.page import Html, key_figures, page, section, table, tag
 
 Floats = npt.NDArray[np.float64]

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.plans import Plan
+from swarm.planning import Plan
 from swarm.view import scene
 from swarm.view.texts import Texts
 from swarm.view.words import ROUTINE, TEXTS, clip_rows, clock, level, merged, metres, sentence

@@ -10,6 +10,8 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from swarm.planning import Plan
+from swarm.simulation.monte_carlo import CLEARANCES, Certificates, Trial
 from swarm.view.plots import ALARM, END, FAINT, INK, START, STYLE, Axes
 
 Floats = npt.NDArray[np.float64]
@@ -38,6 +40,22 @@ class Distances:
     failing: npt.NDArray[np.bool_]
     radius: Floats
     certified: Mapping[str, Floats]
+
+
+def distances_of(plan: Plan, flown: Sequence[Trial], certified: Certificates) -> Distances:
+    """Return what the figure shows of a plan's trials, and of what was certified for them."""
+
+    def column(name: str) -> Floats:
+        return np.array([np.nan if (v := getattr(t, name)) is None else v for t in flown])
+
+    return Distances(
+        label="the paper's trajectory" if plan.mission.fold.method == "paper" else "this plan",
+        by_kind={name: column(name) for name in (*CLEARANCES, "hung")},
+        error=column("error"),
+        failing=np.array([bool(trial.failing) for trial in flown]),
+        radius=certified.radius,
+        certified={name: getattr(certified, name) for name in CLEARANCES},
+    )
 
 
 KINDS: Final = ("cable", "vehicle", "vehicle_cable")

@@ -9,7 +9,7 @@ import time
 import numpy as np
 from scipy.optimize import brentq
 
-from swarm.cable.catenary import hang
+from swarm.geometry.catenary import hang
 
 STRANDS, POINTS, LOOPED, ROUNDS = 100_000, 16, 500, 30
 

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from swarm.cable.catenary import hang
-from swarm.cable.distance import polyline_polyline
+from swarm.certification.assess import assess
+from swarm.certification.branch_and_bound import smallest
+from swarm.certification.clearances import Moment, families, tightest_moments
+from swarm.certification.robustness import largest_tracking, largest_wind
+from swarm.geometry.catenary import hang
+from swarm.geometry.distance import polyline_polyline
 from swarm.mission import mission_for_knot, parse_mission
-from swarm.plans import Plan, make_plan
-from swarm.preflight.assess import assess
-from swarm.preflight.certificate import Moment, families, tightest_moments
-from swarm.preflight.robustness import largest_tracking, largest_wind
-from swarm.preflight.search import smallest
+from swarm.planning import Plan, make_plan
 
 FRACTIONS = np.linspace(0.0, 1.0, 101)
 

@@ -41,7 +41,7 @@ from rich.console import Console
 
 from swarm.fleet import Fleet, parse_fleet
 from swarm.flight.conductor import Conductor
-from swarm.flight.warm import warm_up
+from swarm.flight.jit_warm_up import warm_up
 from swarm.ground.loop import Loop
 from swarm.ground.priority import follow, give_way, prefer, settle
 from swarm.ground.record import Record
@@ -136,13 +136,13 @@ def ours(
 ) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
     """Run our flight loop, put into mid-fold."""
     count, rate = chosen.vehicles, chosen.rate
-    proven, fleet = small_plan(vehicles=count), fleet_of(count, rate)
-    conductor = Conductor(proven, fleet)
+    flight_plan, fleet = small_plan(vehicles=count), fleet_of(count, rate)
+    conductor = Conductor(flight_plan, fleet)
     warm_up(conductor)
     links = open_links(conductor.fleet.links)
     (settle if chosen.normal else prefer)()
     record = Record(folder / "record", time.time())
-    watcher = Watcher(proven.plan, folder)
+    watcher = Watcher(flight_plan.plan, folder)
     receiver = Receiver([links.port("a")], chosen)
     began = time.monotonic()
     shown = [0.0]
@@ -152,7 +152,7 @@ def ours(
             conductor.frames = shared_frames(count)
             conductor.enter("fly")
             conductor.gate = 6
-            conductor.clock.time = proven.plan.phase("fold").start
+            conductor.clock.time = flight_plan.plan.phase("fold").start
             conductor.streaming[:] = True
         conductor.clock.target = 0.0
         for event in conductor.events():

@@ -16,7 +16,7 @@ import numpy as np
 
 from swarm import api
 from swarm.mission import parse_mission
-from swarm.rehearse import rehearse
+from swarm.simulation.loop import rehearse
 
 FLIGHTS = 3
 
@@ -24,16 +24,16 @@ FLIGHTS = 3
 def main() -> None:
     arguments = [word for word in sys.argv[1:] if not word.startswith("-")]
     path = Path(arguments[0] if arguments else "missions/overhand.yaml")
-    proven = api.plan(parse_mission(path.read_text(), str(path))).certified()
+    flight_plan = api.plan(parse_mission(path.read_text(), str(path))).certified()
     if "--profile" in sys.argv:
         profile = cProfile.Profile()
-        profile.runcall(rehearse, proven)
+        profile.runcall(rehearse, flight_plan)
         pstats.Stats(profile).sort_stats("tottime").print_stats(40)
         return
     flights = []
     for _ in range(FLIGHTS):
         marks = [time.process_time()]
-        result = rehearse(proven, observer=lambda *_, at=marks: at.append(time.process_time()))
+        result = rehearse(flight_plan, observer=lambda *_, at=marks: at.append(time.process_time()))
         flights.append(np.diff(marks))
         flown, used = result.statistics.duration, float(flights[-1].sum())
         print(

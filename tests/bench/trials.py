@@ -11,7 +11,7 @@ from pathlib import Path
 
 from swarm import api
 from swarm.mission import parse_mission
-from swarm.trials import Spread, fly_trial
+from swarm.simulation.monte_carlo import Spread, fly_trial
 
 BUDGET = 2.4
 """Seconds of a core per trial: 200 of them in four minutes on two cores."""
@@ -29,10 +29,10 @@ def main() -> None:
     """Fly trials one after the other and print what each cost."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 5
     path = Path(__file__).parents[2] / "missions" / "overhand.yaml"
-    proven = api.plan(parse_mission(path.read_text(), str(path)), robustness=False).certified()
+    flight_plan = api.plan(parse_mission(path.read_text(), str(path)), robustness=False).certified()
     for number in range(count):
         began = time.process_time()
-        trial, _ = fly_trial(proven, Spread(failing=0), 1, number)
+        trial, _ = fly_trial(flight_plan, Spread(failing=0), 1, number)
         took = time.process_time() - began
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(

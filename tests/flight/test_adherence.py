@@ -8,7 +8,7 @@ import pytest
 from swarm.flight.adherence import adherence
 from swarm.flight.flight_plan import basis_of
 from swarm.flight.trace import Trace
-from swarm.rehearse import rehearse
+from swarm.simulation.loop import rehearse
 from tests.network import small_plan
 
 CERTIFIED = small_plan()

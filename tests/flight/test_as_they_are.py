@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import common
 
 import sitl.dynamics
 from swarm.fleet import emulated_fleet
+from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.conductor import Conductor
-from swarm.flight.raised import RAISED, raised
 from swarm.mavlink.packets import CURRENT_MODE, Decoder
 from tests.network import Network, small_plan
 

@@ -22,7 +22,7 @@ from swarm.flight.hop import (
 from swarm.flight.result import FlightResult
 from swarm.flight.trace import Trace
 from swarm.flight.world import emulated_world
-from swarm.rehearse import rehearse
+from swarm.simulation.loop import rehearse
 from tests.network import small_plan, uncleared
 
 PLAN = small_plan(vehicles=9)

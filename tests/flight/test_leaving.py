@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from swarm.certification.findings import Finding
 from swarm.errors import Refused
 from swarm.flight.clearance import Audit, go
-from swarm.flight.wayout import WayOut
-from swarm.preflight.findings import Finding
+from swarm.flight.contingency import Contingency
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=3)
@@ -25,7 +25,7 @@ def may_release(off, *, streaming=False, dead=(), releasable=True):
         streaming=np.array([True, streaming, True]), clock=SimpleNamespace(time=time),
         windows=SimpleNamespace(releasable=lambda _: releasable),
     )  # fmt: skip
-    way_out = object.__new__(WayOut)
+    way_out = object.__new__(Contingency)
     way_out._flight = flight
     return way_out._may_release()
 

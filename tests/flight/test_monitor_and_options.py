@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.cable.chain import polyline
-from swarm.preflight.monitor import Monitor
-from swarm.preflight.windows import windows
+from swarm.certification.contingency_windows import windows
+from swarm.certification.monitor import Monitor
+from swarm.geometry.chain import polyline
 from tests.network import small_plan
 
-PROVEN = small_plan(vehicles=4)
-PLAN = PROVEN.plan
+FLIGHT_PLAN = small_plan(vehicles=4)
+PLAN = FLIGHT_PLAN.plan
 LINE = PLAN.layout.corners
 
 
@@ -96,8 +96,8 @@ def test_ways_out_of_a_straight_line_are_always_open():
 
 
 def test_landing_is_closed_while_somebody_is_above_somebody():
-    proven = small_plan(vehicles=3)
-    plan = proven.plan
+    flight_plan = small_plan(vehicles=3)
+    plan = flight_plan.plan
     position = plan.motion.coefficients.copy()
     fold = plan.phase("fold")
     during = (plan.motion.times[:-1] >= fold.start - 1e-9) & (plan.motion.times[:-1] < fold.end)

@@ -4,7 +4,7 @@ import pytest
 
 from sitl.faults import Fault
 from swarm.fleet import emulated_fleet
-from swarm.rehearse import rehearse
+from swarm.simulation.loop import rehearse
 from tests.network import Network, small_plan, uncleared
 
 PLAN = small_plan()

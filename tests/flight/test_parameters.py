@@ -4,6 +4,7 @@ import pytest
 
 from sitl.ardupilot_tables import PARAMETERS as ARDUPILOT_PARAMETERS
 from sitl.px4_tables import PARAMETERS as PX4_PARAMETERS
+from swarm.certification.stream_loss import Coasting
 from swarm.fleet import emulated_fleet
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
@@ -16,7 +17,6 @@ from swarm.flight.parameters import (
     rules,
 )
 from swarm.mission import Vehicles
-from swarm.preflight.coast import Coasting
 from tests.network import small_plan
 
 FLEET = emulated_fleet(3)
@@ -174,12 +174,12 @@ def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
 
 
 def test_the_flight_keeps_the_pace_that_the_audited_vehicles_allow():
-    proven = small_plan()
-    known, _ = coasting_findings(proven.plan, Coasting((0.1, 0.5, 0.5), FLEET.limits.silence))
-    conductor = Conductor(proven, FLEET)
+    flight_plan = small_plan()
+    known, _ = coasting_findings(flight_plan.plan, Coasting((0.1, 0.5, 0.5), FLEET.limits.silence))
+    conductor = Conductor(flight_plan, FLEET)
     assert conductor.coast.coasting == Coasting((0.5,), FLEET.limits.silence)
     conductor.stage = "ready"
-    conductor.start(go(proven, Audit((1, 2, 3), (), known)))
+    conductor.start(go(flight_plan, Audit((1, 2, 3), (), known)))
     assert conductor.coast is known
 
 

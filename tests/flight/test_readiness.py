@@ -87,18 +87,18 @@ def test_pads_from_the_file_are_kept_and_spares_are_left_over():
 
 
 def test_a_spare_takes_the_place_of_a_vehicle_that_is_not_there():
-    proven = small_plan()
+    flight_plan = small_plan()
     whole = emulated_fleet(3)
     listed = [vehicle.model_copy(update={"pad": None}) for vehicle in whole.vehicles]
     absent = listed[0].model_copy(update={"sysid": 9})
     team = whole.model_copy(update={"vehicles": (*listed, absent)})
-    flight = Network(proven, team, no_cable=True)
+    flight = Network(flight_plan, team, no_cable=True)
     flight.run(lambda: flight.conductor.stage == "fly")
     assert flight.conductor.systems == (1, 2, 3)
 
 
 def test_a_vehicle_far_from_its_pad_is_refused_by_name():
-    proven = small_plan()
+    flight_plan = small_plan()
     whole = emulated_fleet(3)
     first, second, third = whole.vehicles
     swapped = whole.model_copy(
@@ -110,7 +110,7 @@ def test_a_vehicle_far_from_its_pad_is_refused_by_name():
             )
         }
     )
-    flight = Network(proven, whole, no_cable=True)
-    flight.conductor = type(flight.conductor)(proven, swapped)
+    flight = Network(flight_plan, whole, no_cable=True)
+    flight.conductor = type(flight.conductor)(flight_plan, swapped)
     with pytest.raises(Refused, match=r"vehicle 1 \(system 2\) stands 3\.\d+ m from its pad"):
         flight.run()

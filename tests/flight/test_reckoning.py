@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from swarm.flight import reckoning
-from swarm.flight.reckoning import Measured
-from swarm.mavlink.columns import ANGLES, HEARD_AT, PLACE, POSITION_AT, SPEED, WIDTH
+from swarm.flight import estimation
+from swarm.flight.estimation import Measured
+from swarm.mavlink.telemetry_table import ANGLES, HEARD_AT, PLACE, POSITION_AT, SPEED, WIDTH
 
 RNG = np.random.default_rng(5)
 LIFT = np.array([0.0, 0.0, 0.6])
@@ -25,7 +25,7 @@ def test_reports_are_carried_on_to_this_moment_for_a_bounded_time():
     said[rows, PLACE : PLACE + 3] = np.linalg.solve(turn, (reported - offset)[..., None])[..., 0]
     said[rows, SPEED : SPEED + 3] = np.linalg.solve(turn, velocity[..., None])[..., 0]
     found = Measured.of(4)
-    reckoning.measure(
+    estimation.measure(
         said, rows, (turn, offset), LIFT, setpoint, told, streaming, (now, 0.5, 2.0, 0.05), *found
     )
     carried = np.array([0.0, 0.3, 0.5, 0.5])[:, None]
@@ -43,7 +43,7 @@ def test_setpoints_aim_ahead_of_centres_and_are_relieved_of_what_pulls():
     turn, move = some(3, 3, 3), some(3, 3)
     states = np.empty((3, 3, 3))
     moving, frames = (position, velocity, acceleration), (turn, move)
-    reckoning.aimed(moving, 0.025, LIFT, 1.6, (pull, change, 0.3), frames, states)
+    estimation.aimed(moving, 0.025, LIFT, 1.6, (pull, change, 0.3), frames, states)
     ahead = position + 0.025 * velocity + 0.5 * 0.025**2 * acceleration + LIFT
     relieved = acceleration - (pull + 0.3 * change) / 1.6
     enu = np.stack([ahead, velocity, relieved], axis=1)
@@ -84,7 +84,7 @@ def test_who_sinks_jumps_or_turns_over_does_not_move_as_told(change, told, calm)
     said[:, HEARD_AT], said[:, ANGLES : ANGLES + 3] = [5.0, 4.8], of("angles")
     now = np.array([of("reported"), of("velocity"), np.zeros((2, 3))])
     last = np.array([of("last"), of("before"), np.zeros((2, 3))])
-    found = reckoning.news(
+    found = estimation.news(
         said, np.arange(2), now, of("at"), last, of("last_at"), of("told"), of("streaming"),
         LIMITS, step,
     )  # fmt: skip
@@ -98,7 +98,7 @@ def test_the_time_between_reports_is_none_where_there_was_no_report():
     at.numbers[0] = [-np.inf, 1.5, 2.0, 2.0]
     said, step = np.full((4, WIDTH), np.nan), np.ones(4)
     none = np.zeros((4, 3))
-    reckoning.news(
+    estimation.news(
         said, np.arange(4), at.places, at.at, before.places, before.at, none, np.ones(4, bool),
         LIMITS, step,
     )  # fmt: skip
@@ -109,7 +109,7 @@ def test_only_new_reports_are_noted():
     now, last = Measured.of(2), Measured.of(2)
     now.places[:], now.numbers[0] = 1.0, 5.0
     last.places[:], last.numbers[0] = 0.0, [4.9, 5.0]
-    reckoning.note(now.places, now.at, last.places, last.at, np.array([0.1, 0.0]))
+    estimation.note(now.places, now.at, last.places, last.at, np.array([0.1, 0.0]))
     assert last.reported.tolist() == [[1.0] * 3, [0.0] * 3]
     assert last.velocity.tolist() == [[1.0] * 3, [0.0] * 3]
     assert last.at.tolist() == [5.0, 5.0]

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm.drills.rehearsal import pass_audit
 from swarm.errors import InputError, Refused
 from swarm.fleet import emulated_fleet
 from swarm.flight.archive import certificate_document, read_certificate
@@ -14,6 +13,7 @@ from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
 from swarm.flight.tlog import ClockTeller
+from swarm.simulation.fault_injection.rehearsal import pass_audit
 from tests.network import Network, small_plan
 
 PLAN = small_plan()
@@ -25,9 +25,9 @@ class Recorded(Network):
 
     def __post_init__(self):
         super().__post_init__()
-        pass_audit(self.emulator, self.proven, self.fleet)
+        pass_audit(self.emulator, self.flight_plan, self.fleet)
         self.tlog = bytearray()
-        self.teller = ClockTeller(self.proven.plan)
+        self.teller = ClockTeller(self.flight_plan.plan)
         self.downlink = lambda now, _system, data: self._keep(now, data)
 
     def _keep(self, now, data):
@@ -65,7 +65,7 @@ def broken_off(autopilots, after, silent_for, *, no_cable=False):
 
 def taken_up(flight, left, then):
     """The next ground station, which knows what the record says and nothing else."""
-    document = certificate_document(flight.conductor.basis, flight.proven.assessment)
+    document = certificate_document(flight.conductor.basis, flight.flight_plan.assessment)
     basis, found = read_certificate(json.loads(json.dumps(document)))
     resumed = ResumedFlight(PLAN.plan, basis, found)
     flight.conductor = Conductor(

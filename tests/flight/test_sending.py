@@ -7,7 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from swarm.fleet import parse_fleet
-from swarm.flight.team import Team
+from swarm.flight.router import Team
 from tests.network import Network, small_plan
 
 SETPOINT = common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED

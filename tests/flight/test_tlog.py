@@ -13,7 +13,7 @@ PLAN = small_plan()
 BEGAN = 1_750_000_000.0
 
 
-def logged(proven, fleet, most=400.0, **options):
+def logged(flight_plan, fleet, most=400.0, **options):
     """Fly in virtual time; return the log's entries in order, and the network."""
     entries: list[tuple[float, bytes]] = []
 
@@ -21,8 +21,8 @@ def logged(proven, fleet, most=400.0, **options):
         entries.append((now, data))
         return True
 
-    flight = Network(proven, fleet, uplink=keep, downlink=keep, **options)
-    teller = ClockTeller(proven.plan)
+    flight = Network(flight_plan, fleet, uplink=keep, downlink=keep, **options)
+    teller = ClockTeller(flight_plan.plan)
     conductor = flight.conductor
 
     def tick():
@@ -144,8 +144,8 @@ def test_losses_show():
 
 
 def test_nine_vehicles_with_nine_origins_headings_heights_and_clocks_keep_the_cable_whole():
-    proven = small_plan(vehicles=9)
-    flight = Network(proven, emulated_fleet(9, ("px4", "ardupilot")))
+    flight_plan = small_plan(vehicles=9)
+    flight = Network(flight_plan, emulated_fleet(9, ("px4", "ardupilot")))
     flight.until_phase("hold", 1.0)
     flyers, truth = flight.conductor.flyers, flight.emulator.truth()
     for different in (
@@ -157,7 +157,7 @@ def test_nine_vehicles_with_nine_origins_headings_heights_and_clocks_keep_the_ca
     ):
         assert len(set(np.round(different, 7))) == 9
     wanted = flight.conductor.setpoint
-    lift = [0.0, 0.0, proven.plan.mission.vehicles.grip_offset]
+    lift = [0.0, 0.0, flight_plan.plan.mission.vehicles.grip_offset]
     off = np.linalg.norm(truth.position - wanted, axis=1)
     off = np.minimum(off, np.linalg.norm(truth.position - wanted - lift, axis=1))
     # what an estimator gets wrong after standing on its pad cannot be seen from the ground
@@ -165,6 +165,6 @@ def test_nine_vehicles_with_nine_origins_headings_heights_and_clocks_keep_the_ca
     heights = truth.position[:, 2]
     assert np.ptp(heights) < 0.3
     chords = np.linalg.norm(np.diff(truth.position, axis=0), axis=1)
-    assert np.all(chords < proven.plan.layout.lengths)
+    assert np.all(chords < flight_plan.plan.layout.lengths)
     assert truth.gripped.all()
     assert np.ptp([v.origin.altitude for v in flyers]) > 1.0

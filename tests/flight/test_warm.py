@@ -12,7 +12,7 @@ import sys
 from numba.core.dispatcher import Dispatcher
 import sitl.warm
 from swarm.fleet import emulated_fleet
-from swarm.flight.warm import warm_up
+from swarm.flight.jit_warm_up import warm_up
 from tests.network import Network, small_plan
 
 def compiled():
@@ -61,7 +61,7 @@ import dis, sys, types
 from numba.core.dispatcher import Dispatcher
 import sitl.warm
 from swarm.fleet import emulated_fleet
-from swarm.flight.warm import warm_up
+from swarm.flight.jit_warm_up import warm_up
 from tests.network import Network, small_plan
 
 def codes(code):
@@ -105,4 +105,4 @@ def test_all_that_a_flight_calls_is_compiled_before_it():
 
 @pytest.mark.full
 def test_without_going_through_it_before_something_would_be():
-    assert "swarm.flight.reckoning.aimed" in compiled_in_flight("cold")
+    assert "swarm.flight.estimation.aimed" in compiled_in_flight("cold")

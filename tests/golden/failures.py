@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 from difflib import SequenceMatcher, unified_diff
 from functools import cache
 
-from swarm.drills import ROWS, Personality, Row, Trial
-from swarm.drills.flying import _fly
-from swarm.drills.rehearsal import Rehearsal, drill_fleet, pass_audit
-from swarm.drills.rows import Part
 from swarm.flight.conductor import Conductor
 from swarm.flight.world import emulated_world
-from swarm.rehearse import parse_world
+from swarm.simulation.fault_injection import ROWS, Personality, Row, Trial
+from swarm.simulation.fault_injection.flying import _fly
+from swarm.simulation.fault_injection.rehearsal import Rehearsal, drill_fleet, pass_audit
+from swarm.simulation.fault_injection.rows import Part
+from swarm.simulation.loop import parse_world
 from tests.golden.environment import environment
 from tests.golden.transcripts import fault_line, transcript
 from tests.golden.wire import Tapped, numbers_of
@@ -66,12 +66,12 @@ def _flown(row: Row, team: Personality) -> list[str]:
 @cache
 def _stage(team: Personality, part: Part) -> Rehearsal:
     """Return a flight shortly before something goes wrong in that part of it."""
-    proven = small_plan(vehicles=3)
+    flight_plan = small_plan(vehicles=3)
     fleet = drill_fleet(3, team, SEED)
-    world = emulated_world(proven.plan, fleet, with_cable=True, seed=SEED)
+    world = emulated_world(flight_plan.plan, fleet, with_cable=True, seed=SEED)
     emulator = Tapped(parse_world(json.dumps(world)))
-    pass_audit(emulator, proven, fleet)
-    flight = Rehearsal(proven, fleet, Conductor(proven, fleet), emulator)
+    pass_audit(emulator, flight_plan, fleet)
+    flight = Rehearsal(flight_plan, fleet, Conductor(flight_plan, fleet), emulator)
     moment = _moment(flight, part)
     while flight.conductor.clock.time < moment or not flight.quiet:
         assert flight.conductor.finished is None, flight.conductor.finished
@@ -82,7 +82,7 @@ def _stage(team: Personality, part: Part) -> Rehearsal:
 
 
 def _moment(flight: Rehearsal, part: Part) -> float:
-    plan = flight.proven.plan
+    plan = flight.flight_plan.plan
     if part == "fold":
         return plan.phase("fold").start + INTO_FOLD
     condition = "gripped" if part == "grab" else "released"

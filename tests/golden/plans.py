@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from swarm import api
+from swarm.certification.findings import Assessment
 from swarm.errors import Refused
 from swarm.mission import Mission, mission_for_knot, parse_mission
-from swarm.plans import digest
-from swarm.preflight.findings import Assessment
+from swarm.planning import digest
 from tests.golden.environment import environment
 
 MISSIONS = Path(__file__).parents[2] / "missions"

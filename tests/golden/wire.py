@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common
 
-from swarm.rehearse import Emulator
+from swarm.simulation.loop import Emulator
 
 SETPOINT = int(common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED)
 CURRENT_MODE = 436

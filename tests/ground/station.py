@@ -15,14 +15,14 @@ from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
-from swarm.flight.team import Outgoing
+from swarm.flight.router import Outgoing
 from swarm.flight.tlog import ClockTeller
 from swarm.ground.loop import Loop
 from swarm.ground.record import Record
 from swarm.ground.sockets import open_links
 from tests.network import small_plan
 
-PROVEN = small_plan()
+FLIGHT_PLAN = small_plan()
 
 
 def fleet_on(port: int) -> Fleet:
@@ -43,13 +43,13 @@ def run(conductor: Conductor, folder: Path, speed: float) -> None:
     """Fly until it is over, keeping a record and printing what happens."""
     links = open_links(conductor.fleet.links)
     record = Record(folder, time.time())
-    record.before(conductor.proven, conductor.basis, conductor.fleet, {})
+    record.before(conductor.flight_plan, conductor.basis, conductor.fleet, {})
     teller = ClockTeller(conductor.plan)
 
     def each_tick(now: float) -> None:
         if conductor.stage == "ready" and conductor.audit is not None:
             links.send([as_audited(conductor, listed.sysid) for listed in conductor.fleet.vehicles])
-            conductor.start(go(conductor.proven, conductor.audit))
+            conductor.start(go(conductor.flight_plan, conductor.audit))
         phase = conductor.phase.name if conductor.stage == "fly" else ""
         if conductor.stage in {"ready", "fly", "leave"}:
             record.packet(teller.tell(now, conductor.clock.time, phase), now)
@@ -68,7 +68,7 @@ if __name__ == "__main__":
     what, folder, port, speed, *then = sys.argv[1:]
     fleet = fleet_on(int(port))
     if what == "fly":
-        run(Conductor(PROVEN, fleet), Path(folder), float(speed))
+        run(Conductor(FLIGHT_PLAN, fleet), Path(folder), float(speed))
     else:
         resumed = ResumedFlight(recorded_plan(Path(folder)), *recorded_certificate(Path(folder)))
         tlog = (Path(folder) / "flight.tlog").read_bytes()

@@ -11,7 +11,7 @@ from swarm.fleet import emulated_fleet
 from swarm.ground.fly import fly
 from tests.network import small_plan
 
-PROVEN = small_plan()
+FLIGHT_PLAN = small_plan()
 pytestmark = pytest.mark.usefixtures("in_real_time")
 RATE = 100_000
 LATEST = 0.1
@@ -60,7 +60,7 @@ def test_a_hundred_thousand_packets_a_second_make_no_setpoint_late(tmp_path):
             flooding.append(subprocess.Popen(command, stdout=counted))
 
     try:
-        result = fly(PROVEN, fleet, tmp_path / "record", speed=2.0, on_event=flood)
+        result = fly(FLIGHT_PLAN, fleet, tmp_path / "record", speed=2.0, on_event=flood)
     finally:
         for one in flooding:
             one.send_signal(signal.SIGKILL)

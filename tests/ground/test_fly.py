@@ -24,7 +24,7 @@ from swarm.verify import judge
 from tests.network import small_plan
 
 SPEED = 4.0
-PROVEN = small_plan()
+FLIGHT_PLAN = small_plan()
 pytestmark = pytest.mark.usefixtures("in_real_time")
 
 
@@ -33,7 +33,7 @@ def flown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flight") / "record"
     snapshots, events = [], []
     result = fly(
-        PROVEN,
+        FLIGHT_PLAN,
         emulated_fleet(3, ("px4", "ardupilot")),
         folder,
         speed=SPEED,
@@ -82,7 +82,9 @@ def test_a_dead_emulator_is_explained_and_is_a_vehicle_error(tmp_path):
         killers.append(threading.Timer(2.0, lambda: os.kill(pid, signal.SIGKILL)))
         killers[0].start()
 
-    result = fly(PROVEN, emulated_fleet(3), tmp_path / "record", speed=SPEED, on_emulator=kill_soon)
+    result = fly(
+        FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=SPEED, on_emulator=kill_soon
+    )
     killers[0].join()
     assert result.outcome.exit_code == 3
     assert "the emulator ended (signal 9)" in result.outcome.explanation
@@ -179,13 +181,13 @@ def test_vehicles_may_take_as_long_to_start_however_fast_flight_time_runs(tmp_pa
     fleet = fleet.model_copy(update={"limits": limits})
     asked = []
     result = fly(
-        PROVEN, fleet, tmp_path, speed=20.0, confirm=lambda audit: bool(asked.append(audit))
+        FLIGHT_PLAN, fleet, tmp_path, speed=20.0, confirm=lambda audit: bool(asked.append(audit))
     )
     assert result.outcome.explanation == "not confirmed"
     assert len(asked) == 1
 
 
 def test_an_emulator_that_does_not_start_in_time_is_said_and_ended(tmp_path):
-    world = emulated_world(PROVEN.plan, emulated_fleet(3), with_cable=False, seed=1)
+    world = emulated_world(FLIGHT_PLAN.plan, emulated_fleet(3), with_cable=False, seed=1)
     with pytest.raises(VehicleError, match="the emulator has not started in 0 s"):
         EmulatorProcess(world, tmp_path, 14999, 1.0, patience=0.0)

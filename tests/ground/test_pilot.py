@@ -11,11 +11,11 @@ import pytest
 
 from swarm.errors import InputError, VehicleError
 from swarm.fleet import emulated_fleet
-from swarm.ground.pilot import Flight, fly_apart
+from swarm.ground.flight_process import Flight, fly_apart
 from swarm.ground.priority import behind_all
 from tests.network import small_plan
 
-PROVEN = small_plan()
+FLIGHT_PLAN = small_plan()
 pytestmark = pytest.mark.usefixtures("in_real_time")
 
 
@@ -29,7 +29,7 @@ def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
         while time.monotonic() < end:  # busy, as a screen that is drawn is
             pass
 
-    flight = Flight(PROVEN, emulated_fleet(3), tmp_path / "record", speed=5.0, asks=True)
+    flight = Flight(FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=5.0, asks=True)
     result = fly_apart(
         flight,
         confirm=lambda audit: asked.append(audit) or True,
@@ -46,7 +46,7 @@ def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
 
 
 def test_no_answer_no_flight(tmp_path):
-    flight = Flight(PROVEN, emulated_fleet(3), tmp_path / "record", speed=8.0, asks=True)
+    flight = Flight(FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=8.0, asks=True)
     result = fly_apart(flight, confirm=lambda _: False)
     assert (result.outcome.word, result.outcome.explanation) == ("refused", "not confirmed")
 
@@ -54,14 +54,16 @@ def test_no_answer_no_flight(tmp_path):
 def test_errors_come_through_as_they_are(tmp_path):
     (tmp_path / "flight.tlog").write_text("")
     with pytest.raises(InputError, match="holds the record of a flight"):
-        fly_apart(Flight(PROVEN, emulated_fleet(3), tmp_path))
+        fly_apart(Flight(FLIGHT_PLAN, emulated_fleet(3), tmp_path))
 
 
 def children(pid: int) -> list[int]:
     listed = subprocess.run(
         ["ps", "-o", "pid=,args=", "--ppid", str(pid)], capture_output=True, text=True, check=False
     ).stdout
-    return [int(row.split()[0]) for row in listed.splitlines() if "swarm.ground.pilot" in row]
+    return [
+        int(row.split()[0]) for row in listed.splitlines() if "swarm.ground.flight_process" in row
+    ]
 
 
 def test_a_process_that_dies_is_a_vehicle_error(tmp_path):
@@ -74,7 +76,7 @@ def test_a_process_that_dies_is_a_vehicle_error(tmp_path):
     killer = threading.Thread(target=kill)
     killer.start()
     with pytest.raises(VehicleError, match=r"the flight's process ended \(signal 9\)"):
-        fly_apart(Flight(PROVEN, emulated_fleet(3), tmp_path / "record", speed=4.0))
+        fly_apart(Flight(FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=4.0))
     killer.join()
 
 
@@ -89,7 +91,7 @@ CALLER = """
 import sys
 from pathlib import Path
 from swarm.fleet import emulated_fleet
-from swarm.ground.pilot import Flight, fly_apart
+from swarm.ground.flight_process import Flight, fly_apart
 from tests.network import small_plan
 flight = Flight(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
 fly_apart(flight)

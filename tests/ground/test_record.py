@@ -12,26 +12,21 @@ from pymavlink.dialects.v20 import common
 from swarm.cli.records import recorded_basis, recorded_certificate
 from swarm.errors import InputError
 from swarm.fleet import emulated_fleet
-from swarm.flight.archive import (
-    certificate_document,
-    plan_document,
-    plan_motion,
-    read_certificate,
-    read_plan,
-)
+from swarm.flight.archive import certificate_document, read_certificate
 from swarm.flight.flight_plan import basis_of
 from swarm.flight.snapshot import Event
 from swarm.ground.record import Record
 from swarm.mavlink.packets import Encoder
 from swarm.mission import parse_mission
-from swarm.plans import digest
+from swarm.planning import digest
+from swarm.planning.archive import plan_document, plan_motion, read_plan
 from tests.network import small_plan
 
-PROVEN = small_plan()
+FLIGHT_PLAN = small_plan()
 
 
 def test_a_plan_comes_back_from_its_record_as_it_was():
-    plan = PROVEN.plan
+    plan = FLIGHT_PLAN.plan
     document = json.loads(json.dumps(plan_document(plan)))
     again = read_plan(document, plan_motion(plan))
     assert again.mission == plan.mission
@@ -53,7 +48,7 @@ MISSIONS = sorted((Path(__file__).parents[2] / "missions").glob("**/*.yaml"))
 def test_every_mission_comes_back_from_its_record(path):
     """A formation has keys that its file may not have; the record of its flight was unreadable."""
     mission = parse_mission(path.read_text(), str(path))
-    plan = replace(PROVEN.plan, mission=mission)
+    plan = replace(FLIGHT_PLAN.plan, mission=mission)
     document = json.loads(json.dumps(plan_document(plan)))
     again = read_plan(document, plan_motion(plan))
     assert again.mission == mission
@@ -71,9 +66,9 @@ def test_every_mission_comes_back_from_its_record(path):
     ],
 )
 def test_a_broken_plan_is_an_input_error(break_it):
-    document = json.loads(json.dumps(plan_document(PROVEN.plan)))
+    document = json.loads(json.dumps(plan_document(FLIGHT_PLAN.plan)))
     with pytest.raises(InputError, match="the record's plan cannot be read"):
-        read_plan(*break_it(document, plan_motion(PROVEN.plan)))
+        read_plan(*break_it(document, plan_motion(FLIGHT_PLAN.plan)))
 
 
 def test_packets_are_readable_with_pymavlinks_own_reader(tmp_path):
@@ -100,8 +95,8 @@ def test_events_are_lines_of_json(tmp_path):
 
 def test_what_is_flown_is_written_down_before_it_flies(tmp_path):
     record = Record(tmp_path, began=0.0)
-    basis = basis_of(PROVEN, cable=False)
-    record.before(PROVEN, basis, emulated_fleet(3), {"speed": 2.0})
+    basis = basis_of(FLIGHT_PLAN, cable=False)
+    record.before(FLIGHT_PLAN, basis, emulated_fleet(3), {"speed": 2.0})
     record.close()
     document = json.loads((tmp_path / "plan.json").read_text())
     assert read_plan(document, (tmp_path / "motion.npz").read_bytes()).vehicles == 3
@@ -109,10 +104,10 @@ def test_what_is_flown_is_written_down_before_it_flies(tmp_path):
     again, found = recorded_certificate(tmp_path)
     assert again == basis
     assert not again.cable
-    kept = PROVEN.assessment
+    kept = FLIGHT_PLAN.assessment
     assert (found.findings, found.robustness) == (kept.findings, kept.robustness)
     assert (found.cable, found.vehicle) == (kept.cable, kept.vehicle)
-    assert recorded_basis(tmp_path, PROVEN.plan) == basis
+    assert recorded_basis(tmp_path, FLIGHT_PLAN.plan) == basis
     other = small_plan(height=6.0).plan
     with pytest.raises(
         InputError, match=r"plan\.json: not the plan that certificate\.json belongs"
@@ -126,7 +121,7 @@ def test_what_is_flown_is_written_down_before_it_flies(tmp_path):
     ids=str,
 )
 def test_a_broken_certificate_is_an_input_error(wrong):
-    document = certificate_document(basis_of(PROVEN, cable=True), PROVEN.assessment)
+    document = certificate_document(basis_of(FLIGHT_PLAN, cable=True), FLIGHT_PLAN.assessment)
     broken = {**document, **wrong} if wrong else {}
     with pytest.raises(InputError, match="the record's certificate cannot be read"):
         read_certificate(json.loads(json.dumps(broken)))

@@ -12,7 +12,7 @@ import pytest
 from swarm.fleet import emulated_fleet
 from swarm.flight.world import emulated_world
 from tests.command import run
-from tests.ground.station import PROVEN, fleet_on
+from tests.ground.station import FLIGHT_PLAN, fleet_on
 
 SPEED = "4"
 pytestmark = pytest.mark.usefixtures("in_real_time")
@@ -42,7 +42,9 @@ def free_port():
 
 def test_after_sigkill_in_mid_fold_the_team_is_found_and_the_flight_goes_on(tmp_path):
     port, record = free_port(), tmp_path / "record"
-    world = emulated_world(PROVEN.plan, emulated_fleet(3, ("ardupilot",)), with_cable=True, seed=1)
+    world = emulated_world(
+        FLIGHT_PLAN.plan, emulated_fleet(3, ("ardupilot",)), with_cable=True, seed=1
+    )
     (tmp_path / "world.json").write_text(json.dumps(world))
     sitl = ("sitl", "--world", str(tmp_path / "world.json"), "--speed", SPEED)
     with process(*sitl, "--target", f"127.0.0.1:{port}"):

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 from swarm.errors import VehicleError
 from swarm.fleet import parse_fleet
 from swarm.flight.listening import Listening
-from swarm.flight.team import Outgoing
+from swarm.flight.router import Outgoing
 from swarm.ground.sockets import open_links
 from swarm.mavlink.packets import Decoder, Encoder
 

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator
-from sitl.fault_ways import INJECTED, OF_ARDUPILOT, PARAMETERS
+from sitl.fault_mapping import INJECTED, OF_ARDUPILOT, PARAMETERS
 from sitl.faults import KINDS, Fault, parse_scenario
 from tests.sitl.client import Ground, world
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from sitl.geodesy import GRAVITY
 from sitl.rope import Rope
 from sitl.world import CableSpec
-from swarm.cable import catenary
+from swarm.geometry import catenary
 
 STILL = np.zeros((9, 3))
 

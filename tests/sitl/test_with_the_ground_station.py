@@ -6,15 +6,15 @@ from sitl import Emulator
 from swarm.fleet import emulated_fleet
 from swarm.flight.conductor import Conductor
 from swarm.flight.world import emulated_world
-from swarm.rehearse import rehearse
+from swarm.simulation.loop import rehearse
 from tests.network import small_plan
 
 
 def test_everybody_really_is_where_the_plan_has_them() -> None:
     """Origins some 30 m away, in each autopilot's own local metres: 0.3 % of that is 9 cm."""
-    proven = small_plan()
-    fleet = emulated_fleet(proven.plan.vehicles, ("px4", "ardupilot"), seed=1)
-    world = emulated_world(proven.plan, fleet, with_cable=True, seed=1)
+    flight_plan = small_plan()
+    fleet = emulated_fleet(flight_plan.plan.vehicles, ("px4", "ardupilot"), seed=1)
+    world = emulated_world(flight_plan.plan, fleet, with_cable=True, seed=1)
     misses = []
 
     def observe(conductor: Conductor, emulator: Emulator, now: float) -> None:
@@ -22,7 +22,7 @@ def test_everybody_really_is_where_the_plan_has_them() -> None:
             misses.append(emulator.truth().position - conductor.setpoint)
 
     result = rehearse(
-        proven, fleet=fleet, world={**world, "projection": "autopilot"}, observer=observe
+        flight_plan, fleet=fleet, world={**world, "projection": "autopilot"}, observer=observe
     )
     assert result.outcome.word == "done"
     mean = np.nanmean(np.array(misses), axis=0)

@@ -6,11 +6,11 @@ Nothing here is certified: the team moves straight from place to place.
 import numpy as np
 import numpy.typing as npt
 
-from swarm.cable.catenary import length_for_sag
+from swarm.certification.monitor import Clearances
 from swarm.flight.snapshot import Event, Snapshot
+from swarm.geometry.catenary import length_for_sag
 from swarm.mission import mission_for_knot
-from swarm.plans import CableState, Gate, KnotSummary, Layout, Phase, PhaseName, Plan
-from swarm.preflight.monitor import Clearances
+from swarm.planning import CableState, Gate, KnotSummary, Layout, Phase, PhaseName, Plan
 from swarm.trajectory import through_states
 
 Floats = npt.NDArray[np.float64]

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from swarm.drills import CITED
+from swarm.certification.findings import Finding
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
-from swarm.preflight.findings import Finding
+from swarm.simulation.fault_injection import CITED
 from swarm.view.failures import failures_report
 from swarm.view.page import Html, page, table, tag
 from swarm.view.rehearsal_report import rope_report, trials_report

@@ -13,7 +13,7 @@ from rerun.chunk import RrdReader
 from swarm.errors import InputError
 from swarm.flight.snapshot import Event
 from swarm.ground.priority import behind_all
-from swarm.plans import Plan
+from swarm.planning import Plan
 from swarm.view.rerun_log import NEWEST_SNAPSHOTS, Viewer, start
 from swarm.view.rerun_scene import Recorder
 from tests.view.synthetic import events, fly, snapshot_at, trefoil_plan

@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 from rich.console import Console
 
+from swarm.certification.findings import Assessment, Finding, Robustness, Tightest
 from swarm.flight.snapshot import Event
-from swarm.preflight.findings import Assessment, Finding, Robustness, Tightest
 from swarm.view.summary import plan_summary
 from swarm.view.terminal import FlightScreen, team_table
 from swarm.view.words import clip_rows, clock, level, metres, seconds

@@ -21,14 +21,14 @@ from tests.network import small_plan
 from tests.view.synthetic import snapshot_at, trefoil_plan
 
 PLAN = trefoil_plan()
-PROVEN = small_plan(vehicles=9)
+FLIGHT_PLAN = small_plan(vehicles=9)
 RECORDED = json.loads(Path(__file__).with_name("recorded_texts.json").read_text())
 """Texts of nine real autopilots each, as they came: time, system, severity, text, id."""
 
 
 def replayed(rows: list[tuple[float, int, int, str, int]]) -> list[Event]:
     """Send recorded texts to a ground station, at their times; return the events that follow."""
-    conductor = Conductor(PROVEN, emulated_fleet(9))
+    conductor = Conductor(FLIGHT_PLAN, emulated_fleet(9))
     encoders = {system: Encoder(system, 1) for system in range(1, 10)}
     heartbeat = common.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3)
     for system, encoder in encoders.items():

@@ -18,8 +18,8 @@ from PIL import Image
 from swarm.cli.records import recorded_plan
 from swarm.cli.view import find_recording, view
 from swarm.errors import InputError, SwarmError
-from swarm.flight.archive import plan_document, plan_motion
-from swarm.plans import Plan
+from swarm.planning import Plan
+from swarm.planning.archive import plan_document, plan_motion
 from swarm.view import viewers
 from swarm.view.blueprint import comparison_blueprint, flight_blueprint, plan_blueprint
 from swarm.view.replay import write_plan

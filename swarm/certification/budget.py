@@ -1,0 +1,274 @@
+"""Why a plan needs the room that it has: what eats the distance of two strands at a moment.
+
+Everything is a movement along the line between the closest points, in metres, one strand's added
+to the other's, as if all came together. Only tracking is in the certificate; the rest are
+estimates, with the models named at each.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.certification.air import (
+    AIR_DENSITY,
+    DRAG_COEFFICIENT,
+    jet_speed,
+    jet_width,
+    wind_down,
+)
+from swarm.certification.clearances import STILL_AIR, Moment, Place
+from swarm.certification.linear_response import response
+from swarm.certification.sensitivity import BOTH_ENDS
+from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, hang
+from swarm.geometry.distance import polyline_polyline
+from swarm.planning import Plan
+
+Floats = npt.NDArray[np.float64]
+
+DIRECTIONS = 8
+"""Headings of wind and of braking that are tried."""
+
+_PIECES = 64
+
+
+@dataclass(frozen=True)
+class Budget:
+    """One row of the table: what two strands have between them, and what may eat it, metres.
+
+    ``distance`` is between surfaces at the setpoints. ``tracking`` is what the ball moves bodily,
+    ``amplification`` what sagging and tautening makes of it on top, ``length`` the tolerance of the
+    segments' lengths, ``grip`` the droppers' leaning with the planned acceleration, ``sway`` the
+    strands' leaning with it, ``stop`` their swing after a stop with the braking reserve, ``wind``
+    the mission's steady wind with its gusts, ``wash`` the downwash of vehicles above.
+    """
+
+    between: tuple[str, str]
+    time: float
+    distance: float
+    tracking: float
+    amplification: float
+    length: float
+    grip: float
+    sway: float
+    stop: float
+    wind: float
+    wash: float
+    required: float
+
+    @property
+    def eaten(self) -> float:
+        """Sum of everything that may eat the distance."""
+        return (
+            self.tracking + self.amplification + self.length + self.grip
+            + self.sway + self.stop + self.wind + self.wash
+        )  # fmt: skip
+
+    @property
+    def left(self) -> float:
+        """What is left if all comes together; a user may well accept a little below nothing."""
+        return self.distance - self.eaten - self.required
+
+
+@dataclass(frozen=True, eq=False)
+class _Strand:
+    """A strand at a moment, the place on it that matters, and the direction."""
+
+    segment: int
+    start: Floats
+    end: Floats
+    length: float
+    fraction: float
+    normal: Floats
+
+    def hung(self, length: float | None = None, down: Floats | Place = STILL_AIR) -> Catenaries:
+        chord = float(np.linalg.norm(self.end - self.start))
+        length = max(self.length if length is None else length, chord / 0.9995)
+        return hang(self.start, self.end, length, down=down)
+
+    def moved(self, length: float | None = None, down: Floats | Place = STILL_AIR) -> float:
+        """How far the place moves along the normal when length or gravity change."""
+        step = self.hung(length, down).points_at(self.fraction)
+        return float((step - self.hung().points_at(self.fraction)) @ self.normal)
+
+    def pulled_down(self) -> Floats:
+        """Movement (3,) of the place if a great weight hung there: both parts straight."""
+        chord_vector = self.end - self.start
+        chord = max(float(np.linalg.norm(chord_vector)), 1e-9)
+        along = chord_vector / chord
+        first, last = self.fraction * self.length, (1.0 - self.fraction) * self.length
+        foot = (first**2 - last**2 + chord**2) / (2.0 * chord)
+        below = np.array([0.0, 0.0, -1.0]) + along[2] * along
+        below /= max(float(np.linalg.norm(below)), 1e-9)
+        depth = math.sqrt(max(first**2 - foot**2, 0.0))
+        place: Floats = self.start + foot * along + depth * below
+        return place - self.hung().points_at(self.fraction)
+
+    def answer(self) -> float:
+        """Movement along the normal per metre by which both ends err, at the worst."""
+        one = np.ones(1)
+        hung = self.hung()
+        strands = hang(hung.start[None], hung.end[None], hung.length[None])
+        found = response(
+            strands, self.fraction * one, np.array([BOTH_ENDS]), self.normal[None],
+            (self.fraction * one, self.fraction * one), 0.0 * one,
+        )  # fmt: skip
+        return float(found.at_point[0]) if found.known[0] else 1.0
+
+
+def budgets(plan: Plan, moments: Iterable[Moment]) -> tuple[Budget, ...]:
+    """Return the table's rows for moments between two strands, in the given order."""
+    return tuple(
+        _budget(plan, moment)
+        for moment in moments
+        if moment.check in {"cable clearance", "neighbouring segments"}
+    )
+
+
+def _budget(plan: Plan, moment: Moment) -> Budget:
+    mission = plan.mission
+    segments = [int(name.split()[1]) - 1 for name in moment.between]
+    place, _, acceleration = plan.motion.at(moment.time)
+    distance, strands = _closest(plan, place, segments, np.array(moment.where))
+    leaning = [0.5 * (acceleration[segment] + acceleration[segment + 1]) for segment in segments]
+    radius, tolerance = mission.vehicles.tracking, mission.cable.length_tolerance
+    total = radius * sum(strand.answer() for strand in strands)
+    bodily = min(2.0 * radius, total)
+    tilt = [float(np.hypot(a[0], a[1])) / STANDARD_GRAVITY for a in leaning]
+    grip = [mission.vehicles.grip_offset * math.sin(math.atan(angle)) for angle in tilt]
+    return Budget(
+        between=moment.between,
+        time=moment.time,
+        distance=distance,
+        tracking=bodily,
+        amplification=total - bodily,
+        length=sum(
+            max(abs(strand.moved(length=strand.length + sign * tolerance)) for sign in (-1, 1))
+            for strand in strands
+        ),
+        grip=sum(size * strand.answer() for size, strand in zip(grip, strands, strict=True)),
+        sway=sum(
+            abs(strand.moved(down=felt(a))) for a, strand in zip(leaning, strands, strict=True)
+        ),
+        stop=_stop(strands, mission.vehicles.braking_acceleration),
+        wind=_wind(plan, strands),
+        wash=sum(_wash(plan, place, strand) for strand in strands),
+        required=moment.required,
+    )
+
+
+def _closest(
+    plan: Plan, place: Floats, segments: list[int], where: Floats
+) -> tuple[float, tuple[_Strand, _Strand]]:
+    """The strands with their points that matter: the closest of those near ``where``."""
+    ends = [(place[segment], place[segment + 1]) for segment in segments]
+    lengths = [float(plan.layout.lengths[segment]) for segment in segments]
+    points = [
+        hang(start, end, max(length, float(np.linalg.norm(end - start)) / 0.9995)).points(
+            np.linspace(0.0, 1.0, _PIECES + 1)
+        )
+        for (start, end), length in zip(ends, lengths, strict=True)
+    ]
+    if abs(segments[0] - segments[1]) == 1:
+        # Neighbours are closest in their vehicle's hand; what matters is where the moment was.
+        at = [float(np.argmin(np.linalg.norm(p - where, axis=-1))) for p in points]
+    else:
+        found = polyline_polyline(points[0], points[1])
+        at = [float(found.first), float(found.second)]
+    fractions = [index / _PIECES for index in at]
+    spots = [p[round(index)] for p, index in zip(points, at, strict=True)]
+    apart = spots[0] - spots[1]
+    size = float(np.linalg.norm(apart))
+    normal = apart / size if size > 1e-9 else np.array([0.0, 0.0, 1.0])
+    one, other = (
+        _Strand(segment, start, end, length, fraction, normal)
+        for segment, (start, end), length, fraction in zip(
+            segments, ends, lengths, fractions, strict=True
+        )
+    )
+    return size - plan.mission.cable.diameter, (one, other)
+
+
+def felt(acceleration: Floats) -> Floats:
+    """Direction of the gravity that a strand feels that is accelerated along with its ends."""
+    return np.array([0.0, 0.0, -STANDARD_GRAVITY]) - acceleration
+
+
+def _stop(strands: tuple[_Strand, _Strand], braking: float) -> float:
+    """Pendulum bound: strands that lean while braking swing as far to the other side after it.
+
+    Both may brake along any heading, and against each other.
+    """
+    headings = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    return sum(
+        max(
+            abs(strand.moved(down=felt(braking * np.array([math.cos(h), math.sin(h), 0.0]))))
+            for h in headings
+        )
+        for strand in strands
+    )
+
+
+def _wind(plan: Plan, strands: tuple[_Strand, _Strand]) -> float:
+    """Both lean with the steady wind, one of them with the gust on top; worst direction."""
+    steady, gust = plan.mission.wind.steady, plan.mission.wind.gust
+    if steady + gust == 0.0:
+        return 0.0
+    one, other = strands
+    worst = 0.0
+    for k in range(DIRECTIONS):
+        heading = 2.0 * math.pi * k / DIRECTIONS
+        calm, gusty = (wind_down(plan, speed, heading) for speed in (steady, steady + gust))
+        worst = max(
+            worst,
+            abs(one.moved(down=gusty) - other.moved(down=calm)),
+            abs(one.moved(down=calm) - other.moved(down=gusty)),
+        )
+    return worst
+
+
+def _wash(plan: Plan, place: Floats, strand: _Strand) -> float:
+    """How far the downwash of the vehicle that blows hardest on the spot can push it.
+
+    The drag of the vehicle's jet on the cable within it (:func:`jet_speed`) hangs on the strand as
+    a point load, which deflects it by about F·s(1 − s)·span / H, H the horizontal tension, and
+    never beyond where both parts of the strand are straight. The vehicles that hold the strand are
+    left out: at their grip both of their segments begin in the same jet.
+    """
+    mission = plan.mission
+    hung = strand.hung()
+    spot = hung.points_at(strand.fraction)
+    below = place[:, 2] + mission.vehicles.grip_offset - spot[2]
+    aside = np.hypot(place[:, 0] - spot[0], place[:, 1] - spot[1])
+    speed = jet_speed(mission, below, aside)
+    speed[strand.segment : strand.segment + 2] = 0.0
+    if not speed.any():
+        return 0.0
+    drag = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * mission.cable.diameter * speed**2
+    load = float(np.max(drag * 2.0 * jet_width(mission, np.maximum(below, 0.0))))
+    horizontal = float(hung.tension(mission.cable.mass_per_length)[0])
+    share = strand.fraction * (1.0 - strand.fraction)
+    deflection = load * share * float(hung.span) / max(horizontal, 1e-6)
+    farthest = strand.pulled_down()
+    reached = min(1.0, deflection / max(float(np.linalg.norm(farthest)), 1e-9))
+    return reached * abs(float(farthest @ strand.normal))
+
+
+def table(rows: Iterable[Budget]) -> str:
+    """Lay the rows out as text, in centimetres."""
+    heads = (
+        "between", "at", "has", "tracking", "sag", "length", "grip", "sway", "stop", "wind",
+        "wash", "asked", "left",
+    )  # fmt: skip
+    lines = ["  ".join([f"{heads[0]:<24}", *(f"{head:>8}" for head in heads[1:])])]
+    for row in rows:
+        values = (
+            row.distance, row.tracking, row.amplification, row.length, row.grip, row.sway,
+            row.stop, row.wind, row.wash, row.required, row.left,
+        )  # fmt: skip
+        pair = " and ".join(name.replace("segment ", "") for name in row.between)
+        cells = [f"{row.time:>7.1f}s", *(f"{100 * value:>6.0f}cm" for value in values)]
+        lines.append("  ".join([f"{'segments ' + pair:<24}", *cells]))
+    return "\n".join(lines)

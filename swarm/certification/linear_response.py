@@ -1,0 +1,262 @@
+"""How a strand answers small movements of its ends: exactly to first order, bounded beyond.
+
+Where a strand is near its nominal shape this is much sharper than :mod:`.sensitivity`, which asks
+for the worst of all shapes. In the strand's plane, with the unit normal ν and the tension T per
+weight of a metre (Routh, *Statics*, § 443; the cable turns by ν·δF/T where forces change by δF),
+
+    K(s) = ∫₀ˢ ν νᵀ / T,    B(s) = K(s) K(ℓ)⁻¹,    A = 1 − B,
+
+and across the plane B is the share of the span. K is elementary in θ, sinh θ the slope:
+K₁₁ = [θ − tanh θ], K₂₂ = [tanh θ], K₁₂ = [sech θ]. What is beyond the first order is at most
+½·G²·M when the ends move by G relative to each other; M·span is tabulated. It is much less of
+points near a grip than of others.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.certification.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, class_of
+from swarm.geometry.catenary import Catenaries, hang
+from swarm.geometry.quick import shallowest, steepest
+from swarm.jit import compiled
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+Numbers = TypeVar("Numbers", float, Floats)
+
+_INFLATION = 1.1
+_BANDS = np.array([0.0, 20.0, 40.0, 60.0, 70.0, 76.0, 80.0, 84.0, 88.0])
+"""Elevations of chords, in degrees, between which largest second derivatives are told apart."""
+_SINES = np.sin(np.radians(_BANDS[1:]))
+_BINS = 48
+_STEPS = 2
+"""Steps in which the largest second derivative on the way is read."""
+_PARTS = 16
+"""Parts of a strand of which the largest second derivatives are told apart."""
+_COLUMNS = float(_BINS / np.log1p(-LARGEST_RATIO))
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """First-order answer of points of strands, and what lies beyond; all (b,).
+
+    ``at_point`` is the largest movement along a direction per metre by which the ends move;
+    ``per_arc`` how much that can differ a metre of cable farther on; ``curvature`` is M, per metre.
+    ``known`` is false where the strand is too steep or too short a span to say.
+    """
+
+    at_point: Floats
+    per_arc: Floats
+    curvature: Floats
+    known: npt.NDArray[np.bool_]
+
+    def movement(self, size: Floats, relative: Floats) -> Floats:
+        """Bound the movement (b,) of the points when the ends move by ``size``.
+
+        ``relative`` (b,) bounds how far they move relative to each other. Infinite where unknown.
+        """
+        bound = movement(self.at_point, self.curvature, size, relative)
+        return np.where(self.known, bound, np.inf)
+
+    def elsewhere(self, arc: Floats, relative: Floats) -> Floats:
+        """How much farther points up to ``arc`` (b,) metres along may move."""
+        return np.where(self.known, elsewhere(self.per_arc, arc, relative), np.inf)
+
+
+@compiled
+def movement(at_point: Numbers, curvature: Numbers, size: Numbers, relative: Numbers) -> Numbers:
+    """As :meth:`Response.movement` of what is known: to first order, and what is beyond it."""
+    return at_point * size + 0.5 * curvature * relative * relative
+
+
+@compiled
+def elsewhere(per_arc: Numbers, arc: Numbers, relative: Numbers) -> Numbers:
+    """As :meth:`Response.elsewhere` of what is known."""
+    return per_arc * arc * relative
+
+
+def response(
+    strands: Catenaries,
+    fraction: Floats,
+    ends: Ints,
+    normal: Floats,
+    piece: tuple[Floats, Floats],
+    stretch: Floats,
+) -> Response:
+    """Return the response of strands (b,) at fractions (b,) along unit vectors (b, 3).
+
+    ``ends`` says which ends move; ``piece`` gives the fractions between which ``per_arc`` must
+    hold. ``stretch`` (b,) is how far the ends may move relative to each other.
+    """
+    up = -np.einsum("bi,bi->b", normal, strands.down)
+    along = np.einsum("bi,bi->b", normal, strands.heading)
+    found = np.empty((3, len(up)))
+    _responses(
+        np.stack([strands.length, strands.parameter, strands.slope, strands.span, strands.rise]),
+        np.stack([along, up, fraction, *piece, stretch]), ends, curvatures(), found,
+    )  # fmt: skip
+    known = np.isfinite(found[0])
+    at_point, per_arc, curvature = np.where(known, found, 0.0)
+    return Response(at_point, per_arc, curvature, known)
+
+
+@compiled
+def _responses(strands: Floats, asked: Floats, ends: Ints, table: Floats, found: Floats) -> None:
+    """Write what :func:`respond` gives (3, b) for figures of strands (5, b) and what is asked of
+    them (6, b): the parts of normals, fractions, pieces' begins and ends, and stretches."""
+    for k in range(len(ends)):
+        length, parameter, slope, span, rise = strands[:, k]
+        along, up, fraction, begin, end, stretch = asked[:, k]
+        strand = Strand(length, parameter, slope, span, rise)
+        found[0, k], found[1, k], found[2, k] = respond(
+            strand, (along, up), fraction, (begin, end), ends[k], stretch, table
+        )
+
+
+class Strand(NamedTuple):
+    """The figures of one of :class:`swarm.geometry.catenary.Catenaries`."""
+
+    length: float
+    parameter: float
+    slope: float
+    span: float
+    rise: float
+
+
+@compiled
+def respond(
+    strand: Strand,
+    normal: tuple[float, float],
+    fraction: float,
+    piece: tuple[float, float],
+    ends: int,
+    stretch: float,
+    table: Floats,
+) -> tuple[float, float, float]:
+    """Of one strand what :func:`response` says of many: at the point, per arc, and curvature.
+
+    ``normal`` is a unit vector's part along the strand's heading and upward, ``table`` that of
+    :func:`curvatures`. All infinite where nothing is known.
+    """
+    along, up = normal
+    across = 1.0 - up * up - along * along
+    turn = strand.length / strand.parameter
+    # Slopes, and by them the angles' hyperbolic functions: sinh θ, 1 / cosh θ and tanh θ.
+    low, high = strand.slope, strand.slope + turn
+    at = strand.slope + fraction * turn
+    sech_low, sech_high = 1.0 / np.sqrt(1.0 + low * low), 1.0 / np.sqrt(1.0 + high * high)
+    sech_at = 1.0 / np.sqrt(1.0 + at * at)
+    first, whole, part = np.arcsinh(low), np.arcsinh(high), np.arcsinh(at)
+    whole, part = whole - first, part - first
+    level, cross = high * sech_high - low * sech_low, sech_high - sech_low
+    level_part, cross_part = at * sech_at - low * sech_low, sech_at - sech_low
+    bent, bent_part = whole - level, part - level_part
+    determinant = bent * level - cross * cross
+    # q = K(ℓ)⁻¹ K(s) n, the transposed response of the point in the plane.
+    pulled, raised = bent_part * along + cross_part * up, cross_part * along + level_part * up
+    by_along = (level * pulled - cross * raised) / determinant
+    by_up = (bent * raised - cross * pulled) / determinant
+    share = part / whole
+    aside = max(across, 0.0)
+    by_end = np.sqrt(by_along**2 + by_up**2 + share**2 * aside)
+    by_start = np.sqrt((along - by_along) ** 2 + (up - by_up) ** 2 + (1.0 - share) ** 2 * aside)
+    trace = bent + level
+    softest = 0.5 * (trace + np.sqrt(max(trace * trace - 4.0 * determinant, 0.0)))
+    begin, end = strand.slope + piece[0] * turn, strand.slope + piece[1] * turn
+    lowest = 0.0 if begin * end <= 0.0 else min(abs(begin), abs(end))
+    flattest = np.sqrt(1.0 + lowest * lowest)
+    per_arc = max(
+        softest / determinant / (strand.parameter * flattest), 1.0 / (strand.span * flattest)
+    )
+    answer = by_end if ends == FAR_END else by_start
+    if ends == BOTH_ENDS:
+        answer = by_start + by_end
+    curvature = _curvature(strand, piece, stretch, table)
+    if determinant > 1e-12 and np.isfinite(answer + per_arc + curvature):
+        return answer, per_arc, curvature
+    return np.inf, np.inf, np.inf
+
+
+@compiled
+def _curvature(strand: Strand, piece: tuple[float, float], stretch: float, table: Floats) -> float:
+    """Upper bound of M of a piece while the ends move by up to ``stretch`` to each other.
+
+    What is beyond the first order is ∫(1 − t)·G²·M(t) over the way, t from 0 to 1: the first steps
+    count most, when the strand is not yet as taut as at the end.
+    """
+    if strand.span - stretch <= 0.05 * strand.length:
+        return np.inf
+    first = class_of(shallowest(strand.rise, strand.span, stretch), _SINES)
+    last = class_of(steepest(strand.rise, strand.span, stretch), _SINES)
+    if last >= len(_SINES):
+        return np.inf
+    chord = np.sqrt(strand.span * strand.span + strand.rise * strand.rise)
+    mean = 0.0
+    for step in range(_STEPS):
+        reach = stretch * (step + 1) / _STEPS
+        ratio, narrowest = (chord + reach) / strand.length, strand.span - reach
+        if not ratio < LARGEST_RATIO:
+            return np.inf
+        column = min(int(np.floor(np.log1p(-ratio) * _COLUMNS)), _BINS - 1)
+        largest = 0.0
+        for band in range(first, last + 1):
+            # Counted from the lower end; either may be that of a strand that is nearly level.
+            if strand.rise >= -reach:
+                here = _largest(table[band, column], piece[0], piece[1])
+                largest = max(largest, here)
+            if strand.rise <= reach:
+                here = _largest(table[band, column], 1.0 - piece[1], 1.0 - piece[0])
+                largest = max(largest, here)
+        mean += (2 * (_STEPS - step) - 1) / _STEPS**2 * largest / narrowest
+    return float(mean)
+
+
+@compiled
+def _largest(parts: Floats, begin: float, end: float) -> float:
+    """The largest value of the parts of a strand that hold some of a piece of it."""
+    first = max(int(begin * _PARTS - 1e-9), 0)
+    last = min(int(end * _PARTS + 1e-9), _PARTS - 1)
+    largest = 0.0
+    for part in range(first, last + 1):
+        largest = max(largest, parts[part])
+    return float(largest)
+
+
+@cache
+def curvatures() -> Floats:
+    """Largest second derivative times span over ratios up to a bin's end: (band, bin, part).
+
+    Bands are of elevations; parts of strands are counted from the lower end, and those beside one
+    count for it, too. By central differences over fractions and directions, for strands of
+    length 1.
+    """
+    upper = -np.expm1(np.log1p(-LARGEST_RATIO) * np.arange(1, _BINS + 1) / _BINS)
+    degrees = np.concatenate([np.arange(0.0, 60.0, 4.0), np.arange(60.0, 89.0, 2.0)])
+    ratio, steep = np.meshgrid(upper, np.radians(degrees), indexing="ij")
+    end = np.stack([ratio * np.cos(steep), 0.0 * ratio, ratio * np.sin(steep)], axis=-1)
+    angle = np.linspace(0.0, np.pi, 12, endpoint=False)
+    in_plane = np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=-1)
+    sideways = [[0.0, 1.0, 0.0], [0.7071, 0.7071, 0.0], [0.0, 0.7071, 0.7071]]
+    ways = np.concatenate([in_plane, sideways])
+    step = 1e-3 * np.minimum(1.0 - ratio, np.minimum(0.3, ratio * np.cos(steep)))[..., None]
+    fractions = np.linspace(0.0, 1.0, 4 * _PARTS + 1)
+    largest = np.zeros((*ratio.shape, len(fractions)))
+    still = hang(np.zeros(3), end, 1.0).points(fractions)
+    for way in ways:
+        ahead = hang(np.zeros(3), end + step * way, 1.0).points(fractions)
+        back = hang(np.zeros(3), end - step * way, 1.0).points(fractions)
+        second = (ahead - 2.0 * still + back) / step[..., None] ** 2
+        largest = np.maximum(largest, np.linalg.norm(second, axis=-1))
+    around = np.pad(largest, ((0, 0), (0, 0), (2, 2)))
+    parts = np.lib.stride_tricks.sliding_window_view(around, 9, axis=-1)[..., ::4, :].max(axis=-1)
+    scaled = np.maximum.accumulate(_INFLATION * parts * end[..., :1], axis=0)
+    bands = [
+        scaled[:, (low <= degrees) & (degrees <= high)].max(axis=1)
+        for low, high in pairwise(_BANDS)
+    ]
+    return np.stack(bands)

@@ -1,0 +1,283 @@
+"""Anybody's trajectories, in the format of ``swarm plan --export``, as a plan to certify."""
+
+import csv
+import json
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.errors import InputError, Problem, SwarmError
+from swarm.geometry.catenary import sag_for_length
+from swarm.geometry.chain import crossing_gaps, plan_crossings
+from swarm.mission import Mission
+from swarm.planning import Gate, KnotSummary, Layout, Phase, PhaseName, Plan
+from swarm.planning.order import declared, misplaced
+from swarm.trajectory import through_states
+
+Floats = npt.NDArray[np.float64]
+
+COLUMNS = ("time", "vehicle", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "phase")
+MOST_PROBLEMS = 20
+
+LEAST_STEP = 1e-4
+"""Seconds between two rows of a vehicle, at least: below it rounding makes the motion."""
+
+LARGEST = 1e4
+"""Largest coordinate, speed, acceleration and length; beyond it there is no number to compute with
+that is as exact as a certificate must be."""
+
+LONGEST = 14_400.0
+"""Seconds that a motion may last."""
+
+_RELEASE_TIMEOUT = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFile:
+    """States of n grip points at k times: ``time`` (k,), ``states`` (k, n, 9), ``phase`` (k,)."""
+
+    time: Floats
+    states: Floats
+    phase: tuple[PhaseName, ...]
+
+
+def read_motion(text: str, source: str) -> MotionFile:
+    """Read a motion table: one row per time and vehicle, ENU metres, m/s, m/s² and the phase.
+
+    Phases come in the one order that a flight has (:mod:`swarm.planning.order`), the same for all
+    vehicles at a time: from it follows when the cable is gripped and let go of. Raises
+    :class:`InputError` with up to MOST_PROBLEMS problems, each with its line.
+    """
+    reader = csv.DictReader(text.splitlines())
+    missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+    if missing:
+        raise InputError(
+            [Problem(f"{source}: line 1", f"expected the columns {', '.join(missing)}")]
+        )
+    problems: list[Problem] = []
+    times: list[float] = []
+    phases: list[PhaseName] = []
+    rows: list[list[list[float]]] = []
+    for line, row in enumerate(reader, start=2):
+        try:
+            time, *state = (_finite(row[name], name) for name in COLUMNS if name not in _WORDS)
+            vehicle, phase = _vehicle(row["vehicle"]), _phase(row["phase"])
+        except ValueError as error:
+            problems.append(Problem(f"{source}: line {line}", str(error)))
+            if len(problems) == MOST_PROBLEMS:
+                break
+            continue
+        wrong = _phase_problem(phases, phase, vehicle)
+        if wrong:
+            problems.append(Problem(f"{source}: line {line}", f"phase: {wrong}"))
+            if len(problems) == MOST_PROBLEMS:
+                break
+        if vehicle == 1:
+            times.append(time)
+            phases.append(phase)
+            rows.append([])
+        if not rows or vehicle != len(rows[-1]) + 1 or time != times[-1]:
+            expected = "vehicle 1"
+            if rows:
+                expected = f"vehicle {len(rows[-1]) + 1} at {times[-1]:g} s or vehicle 1 later"
+            message = f"expected {expected}, got {vehicle} at {time:g} s"
+            raise InputError([*problems, Problem(f"{source}: line {line}", message)])
+        rows[-1].append(state)
+    problems += [] if problems else _shape_problems(source, times, rows)
+    if problems:
+        raise InputError(problems)
+    return MotionFile(np.array(times), np.array(rows), tuple(phases))
+
+
+_WORDS = {"vehicle", "phase"}
+
+
+def _finite(text: str | None, name: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        raise ValueError(f"{name}: expected a number, got {text!r}") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: expected a finite number, got {text!r}")
+    if name != "time" and abs(value) > LARGEST:
+        raise ValueError(f"{name}: expected at most {LARGEST:g} either way, got {text!r}")
+    return value
+
+
+def _vehicle(text: str | None) -> int:
+    if text is None or not text.strip().isdecimal() or int(text) < 1:
+        raise ValueError(f"vehicle: expected 1, 2, … along the cable, got {text!r}")
+    return int(text)
+
+
+def _phase(text: str | None) -> PhaseName:
+    name = (text or "").strip()
+    for known in get_args(PhaseName):
+        if name == known:
+            return known  # type: ignore[no-any-return]
+    raise ValueError(f"phase: expected one of {', '.join(get_args(PhaseName))}, got {text!r}")
+
+
+def _phase_problem(phases: list[PhaseName], phase: PhaseName, vehicle: int) -> str | None:
+    """What is wrong with a row's phase after those of the times so far, if anything."""
+    if vehicle == 1 and (not phases or phase != phases[-1]):
+        return misplaced(phases[-1] if phases else None, phase)
+    if phases and phase != phases[-1]:
+        return f"expected {phases[-1]} as for vehicle 1 at that time, got {phase}"
+    return None
+
+
+def _shape_problems(
+    source: str, times: list[float], rows: list[list[list[float]]]
+) -> list[Problem]:
+    if len(times) < 2:
+        return [Problem(source, f"expected at least 2 times, got {len(times)}")]
+    if len(rows[0]) < 2:
+        return [Problem(source, "expected at least 2 vehicles, got 1")]
+    wrong = [
+        Problem(source, f"expected {len(rows[0])} vehicles at {time:g} s, got {len(row)}")
+        for time, row in zip(times, rows, strict=True)
+        if len(row) != len(rows[0])
+    ]
+    wrong += [
+        Problem(source, f"expected times to increase, got {after:g} s after {before:g} s")
+        for before, after in pairwise(times)
+        if after <= before
+    ]
+    wrong += [
+        Problem(
+            source, f"expected {LEAST_STEP:g} s or more between times, got {before} and {after}"
+        )
+        for before, after in pairwise(times)
+        if 0.0 < after - before < LEAST_STEP
+    ]
+    if times[-1] - times[0] > LONGEST:
+        lasts = times[-1] - times[0]
+        wrong.append(Problem(source, f"expected at most {LONGEST:g} s of motion, got {lasts:g} s"))
+    return wrong[:MOST_PROBLEMS]
+
+
+def read_lengths(text: str, source: str) -> Floats:
+    """Read the segments' lengths in metres, in order along the cable.
+
+    JSON: a list, an object with ``segments``, or one with ``cable.segments`` as ``swarm plan
+    --json`` prints it. CSV: one length per line, a heading is allowed. Raises :class:`InputError`.
+    """
+    if text.lstrip()[:1] in {"[", "{"}:
+        values = _listed(text, source)
+    else:
+        values = [cells[-1].strip() for cells in csv.reader(text.splitlines()) if any(cells)]
+        if values and not _is_number(values[0]):
+            values = values[1:]
+    wrong = [
+        Problem(
+            f"{source}: segment {index}",
+            f"expected a length > 0 in metres{_at_most(value)}, got {value!r}",
+        )
+        for index, value in enumerate(values, start=1)
+        if isinstance(value, bool) or not _is_number(value) or not 0.0 < float(value) <= LARGEST
+    ]
+    if wrong or not values:
+        raise InputError(wrong[:MOST_PROBLEMS] or [Problem(source, "expected lengths, got none")])
+    return np.array([float(value) for value in values])
+
+
+def _listed(text: str, source: str) -> list[Any]:
+    try:
+        document = json.loads(text)
+    except json.JSONDecodeError as error:
+        place = f"{source}: line {error.lineno}, column {error.colno}"
+        raise InputError([Problem(place, f"not JSON: {error.msg}")]) from None
+    if isinstance(document, dict):
+        document = document.get("cable", document)
+    if isinstance(document, dict):
+        document = document.get("segments")
+    if not isinstance(document, list):
+        message = "expected a list of lengths, or an object with segments or cable.segments"
+        raise InputError([Problem(source, message)])
+    return document
+
+
+def _at_most(value: Any) -> str:
+    too_long = not isinstance(value, bool) and _is_number(value) and float(value) > LARGEST
+    return f", at most {LARGEST:g}" if too_long else ""
+
+
+def _is_number(value: Any) -> bool:
+    try:
+        float(value)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def plan_of_motion(
+    motion: MotionFile, lengths: Floats, mission: Mission, knot: KnotSummary | None = None
+) -> Plan:
+    """Make a plan of trajectories, to be assessed like one of ours.
+
+    Between its rows the motion is the quintic through position, velocity and acceleration. Where
+    ``knot`` is None nothing is said about which knot was wanted. Raises :class:`InputError` where
+    the lengths are not one fewer than the vehicles, or no row has the cable aloft.
+    """
+    count = motion.states.shape[1]
+    if len(lengths) != count - 1:
+        message = f"expected {count - 1} segments for {count} vehicles, got {len(lengths)}"
+        raise InputError([Problem("cable", message)])
+    phases, gates = _phases(motion, attached=mission.grab == "attached")
+    folded = [phase.end for phase in phases if phase.name in {"fold", "hold"}]
+    if not folded:
+        raise InputError([Problem("phase", "expected rows in the phase fold or hold, got none")])
+    position, velocity, acceleration = np.split(motion.states, 3, axis=-1)
+    corners = position[int(np.searchsorted(motion.time, max(folded)))]
+    return Plan(
+        mission=mission,
+        knot=knot or KnotSummary("", "none", "", ()),
+        layout=_layout(corners, lengths),
+        motion=through_states(motion.time, position, velocity, acceleration),
+        phases=phases,
+        gates=gates,
+        path=corners,
+    )
+
+
+def _phases(motion: MotionFile, *, attached: bool) -> tuple[tuple[Phase, ...], tuple[Gate, ...]]:
+    """Phases from row to row, each to the next one's first, and where vehicles let go of the cable.
+
+    A phase of the last row alone has no time; it says at most that the cable is let go of there.
+    """
+    starts = [0] + [
+        i for i in range(1, len(motion.phase)) if motion.phase[i] != motion.phase[i - 1]
+    ]
+    edges = [float(motion.time[i]) for i in starts] + [float(motion.time[-1])]
+    names = [motion.phase[start] for start in starts]
+    says = declared(names, attached=attached)
+    phases = tuple(
+        Phase(name, start, end, cable, False)
+        for name, (start, end), cable in zip(names, pairwise(edges), says.cable, strict=True)
+    )
+    gates = []
+    if says.held_until < len(names):
+        gates.append(Gate(edges[says.held_until], "released", _RELEASE_TIMEOUT, says.inner_first))
+    return phases, tuple(gates)
+
+
+def _layout(corners: Floats, lengths: Floats) -> Layout:
+    steps = np.diff(corners, axis=0)
+    spans = np.hypot(steps[:, 0], steps[:, 1])
+    try:
+        sags = sag_for_length(spans, lengths, steps[:, 2])
+        pairs = plan_crossings(corners).segments
+        gaps = crossing_gaps(corners, lengths, pairs)
+        over_first = [
+            (int(i), int(j)) if gap > 0 else (int(j), int(i))
+            for (i, j), gap in zip(pairs, gaps, strict=True)
+        ]
+    except SwarmError:
+        # Over-stretched, or no crossings to be read off: the assessment says so.
+        sags, over_first = np.zeros_like(lengths), []
+    return Layout(corners, sags, lengths, np.zeros_like(lengths), tuple(over_first), 0.0)

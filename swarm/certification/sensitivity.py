@@ -1,0 +1,251 @@
+"""How far a strand moves when its grip points do: upper bounds, tabulated.
+
+A point x(f) of a catenary, f a share of its arc length, depends on both ends p₀, p₁ with the
+Jacobians A(f) = ∂x/∂p₀ and B(f) = ∂x/∂p₁, A + B = 1. They depend on the chord as a share ρ of the
+length, on the chord's elevation, and on f; nearest to taut they grow like 1/√(1 − ρ). Ends that
+move by up to D along straight ways move a point by at most D times the mean of ‖A‖ + ‖B‖ on the
+way, and on the way ρ grows at most linearly to ρ + 2D/ℓ. So the tables hold, for every ρ and for
+dyadic pieces of the strand, the largest norm over all chords that are not longer and not steeper,
+and its integral over ρ. Horizontal and vertical movement are kept apart: what tautens, lifts.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.geometry.catenary import hang
+from swarm.jit import compiled
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+
+BOTH_ENDS, FAR_END, NEAR_END = 0, 1, 2
+"""Which ends move: both by up to D, only the end (start held), only the start (end held)."""
+
+LARGEST_RATIO = 0.999
+"""Beyond this share of the length a strand counts as taut; nothing is certified there."""
+
+_STEP = 0.04
+_RATIOS = -np.expm1(-_STEP * np.arange(np.ceil(-np.log1p(-LARGEST_RATIO - 1e-9) / _STEP) + 1.0))
+"""Where the bins of ratios begin."""
+_CLASSES = np.radians([20.0, 40.0, 60.0, 70.0, 80.0, 90.0])
+_SINES = np.sin(_CLASSES[:-1])
+_DEPTH = 6
+FINEST = 2**_DEPTH
+"""Heap number of the first of the smallest pieces of a strand, and how many there are."""
+_INFLATION = 1.02
+"""Covers what lies between the samples of elevation; checked adversarially in the tests."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Tables of norms and of their integrals over the chord ratio.
+
+    ``norm`` and ``integral`` have the axes (elevation class, moving ends, horizontal or vertical,
+    ratio bin, piece); a piece is the number of a node in the binary heap of dyadic pieces.
+    """
+
+    norm: Floats
+    integral: Floats
+
+    def largest(
+        self, ratio: Floats, reach: Floats, sine: Floats, ends: Ints, piece: Ints
+    ) -> tuple[Floats, Floats]:
+        """Mean norms on the way, horizontal and vertical, each (…,): movement per metre of D.
+
+        ``ratio`` is chord / length at the nominal ends, ``reach`` the largest growth of that
+        ratio, ``sine`` the largest |rise| / chord on the way (1 if in doubt), ``ends`` one of
+        BOTH_ENDS, FAR_END, NEAR_END, ``piece`` heap numbers of pieces (1 is the whole strand).
+        """
+        ratio, reach, sine, ends, piece = np.broadcast_arrays(ratio, reach, sine, ends, piece)
+        found = np.empty((2, ratio.size))
+        _largest(
+            self.norm, self.integral, ratio.ravel(), reach.ravel(), sine.ravel(),
+            ends.ravel(), piece.ravel(), found,
+        )  # fmt: skip
+        across, up = found.reshape(2, *ratio.shape)
+        return across, up
+
+
+@compiled
+def _largest(
+    norm: Floats,
+    integral: Floats,
+    ratio: Floats,
+    reach: Floats,
+    sine: Floats,
+    ends: Ints,
+    piece: Ints,
+    found: Floats,
+) -> None:
+    """Write :meth:`Sensitivity.largest` of k strands, found (2, k)."""
+    for k in range(len(ratio)):
+        found[0, k], found[1, k] = largest_of(
+            norm, integral, steepness(sine[k]), ends[k], piece[k], on_the_way(ratio[k], reach[k])
+        )
+
+
+class OnTheWay(NamedTuple):
+    """Ratios between which a strand's is on its way, and the bins of the tables that hold them."""
+
+    low: float
+    high: float
+    low_bin: int
+    high_bin: int
+
+
+@compiled
+def on_the_way(ratio: float, reach: float) -> OnTheWay:
+    """The ratios of a strand that is ``ratio`` taut and gets tauter by ``reach`` at most."""
+    low = min(max(ratio, 0.0), LARGEST_RATIO)
+    high = min(max(ratio + max(reach, 1e-9), 1e-9), LARGEST_RATIO + 1e-9)
+    return OnTheWay(low, high, _bin(low), _bin(high))
+
+
+@compiled
+def steepness(sine: float) -> int:
+    """The elevation class of a strand whose chord has this sine of an elevation at most."""
+    return class_of(sine, _SINES)
+
+
+@compiled
+def class_of(sine: float, sines: Floats) -> int:
+    """The first of rising classes that reaches up to a sine; their number where none does."""
+    found = 0
+    while found < len(sines) and sines[found] < sine:
+        found += 1
+    return found
+
+
+@compiled
+def _tabulated(piece: int) -> int:
+    """The smallest piece in the tables that holds a whole piece."""
+    while piece >= 2 * FINEST:
+        piece //= 2
+    return piece
+
+
+@compiled
+def finest_in(piece: int, fraction: float) -> int:
+    """The smallest piece in the tables that holds a point of a piece, and is part of it.
+
+    Where two of them meet, tables may say much more of one than of the other: of a point at the end
+    of a piece, the part of that piece is meant.
+    """
+    first = last = _tabulated(piece)
+    while first < FINEST:
+        first, last = 2 * first, 2 * last + 1
+    point: int = min(max(FINEST + int(fraction * FINEST), first), last)
+    return point
+
+
+@compiled
+def largest_of(
+    norm: Floats, integral: Floats, steep: int, ends: int, piece: int, way: OnTheWay
+) -> tuple[float, float]:
+    """As :meth:`Sensitivity.largest` of one strand, with the tables of that."""
+    piece = _tabulated(piece)
+    return (
+        _mean(norm[steep, ends, 0], integral[steep, ends, 0], piece, way),
+        _mean(norm[steep, ends, 1], integral[steep, ends, 1], piece, way),
+    )
+
+
+@compiled
+def _mean(norms: Floats, integrals: Floats, piece: int, way: OnTheWay) -> float:
+    """The mean norm of a piece on the way."""
+    at_high = float(norms[way.high_bin, piece])
+    if way.low_bin == way.high_bin:
+        return at_high
+    to_low = integrals[way.low_bin, piece]
+    to_low += norms[way.low_bin, piece] * (way.low - _RATIOS[way.low_bin])
+    to_high = integrals[way.high_bin, piece] + at_high * (way.high - _RATIOS[way.high_bin])
+    mean = float((to_high - to_low) / max(way.high - way.low, 1e-12))
+    return min(mean, at_high)
+
+
+@compiled
+def _bin(ratio: float) -> int:
+    return int(np.floor(-np.log1p(-ratio) / _STEP))
+
+
+@cache
+def sensitivity() -> Sensitivity:
+    """Return the tables; computed once, in about 0.2 s."""
+    bins = _bin(LARGEST_RATIO + 1e-9) + 1
+    upper = -np.expm1(-_STEP * np.arange(1, bins + 1))
+    nearly_plumb = [89.0, 89.8, 89.96, 89.99, 89.999]
+    elevation = np.radians(np.concatenate([np.arange(0.0, 90.0, 4.0), nearly_plumb]))
+    fractions = np.linspace(0.0, 1.0, 2**_DEPTH + 1)
+    start, end = _jacobian_norms(upper[:, None], elevation[None, :], fractions)
+    # A chord that falls is the same strand walked from its other end.
+    both = start + end
+    far = np.maximum(end, start[..., ::-1])
+    both = np.maximum(both, both[..., ::-1])
+    kinds = np.stack([both, far, far[..., ::-1]])  # (kind, direction, bin, elevation, fraction)
+    kinds = np.maximum.accumulate(kinds, axis=2) * _INFLATION
+    by_class = np.stack(
+        [kinds[:, :, :, elevation <= steepest + 0.08].max(axis=3) for steepest in _CLASSES]
+    )
+    norm = _over_pieces(by_class)
+    width = np.diff(np.concatenate([[0.0], upper]))
+    integral = np.zeros_like(norm)
+    integral[..., 1:, :] = np.cumsum(norm * width[:, None], axis=-2)[..., :-1, :]
+    return Sensitivity(norm, integral)
+
+
+def _over_pieces(by_fraction: Floats) -> Floats:
+    """Largest value over every dyadic piece, in heap order; a piece's neighbours count too."""
+    cells = np.maximum(by_fraction[..., :-1], by_fraction[..., 1:])
+    wider = cells.copy()
+    wider[..., 1:] = np.maximum(wider[..., 1:], cells[..., :-1])
+    wider[..., :-1] = np.maximum(wider[..., :-1], cells[..., 1:])
+    count = wider.shape[-1]
+    heap = np.zeros((*wider.shape[:-1], 2 * count))
+    heap[..., count:] = wider
+    for piece in range(count - 1, 0, -1):
+        heap[..., piece] = np.maximum(heap[..., 2 * piece], heap[..., 2 * piece + 1])
+    return heap
+
+
+def _jacobian_norms(ratio: Floats, elevation: Floats, fractions: Floats) -> tuple[Floats, Floats]:
+    """Norms of A and B, each (2, …, k): of their horizontal rows, and of the vertical one.
+
+    The strand has length 1 and parameters (a, s), a the catenary's, s = sinh θ₀ the slope at its
+    start: sinh θ = s + f/a, x = a(θ − θ₀), z = a(cosh θ − cosh θ₀). Both x(f) and the end x(1) are
+    differentiated by (a, s), and B = ∂x(f) (∂x(1))⁻¹ in the strand's plane. Across it, both turn
+    about the start: B = x(f) / x(1).
+    """
+    ratio, elevation = np.broadcast_arrays(ratio, elevation)
+    end = np.stack(
+        [ratio * np.cos(elevation), np.zeros_like(ratio), ratio * np.sin(elevation)], axis=-1
+    )
+    strand = hang(np.zeros(3), end, np.ones_like(ratio))
+    a, slope = strand.parameter[..., None], strand.slope[..., None]
+    first, last = np.arcsinh(slope), np.arcsinh(slope + 1.0 / a)
+    turned = np.arcsinh(slope + fractions / a)
+
+    def by_parameters(theta: Floats, fraction: npt.ArrayLike) -> tuple[Floats, ...]:
+        share = np.asarray(fraction) / a
+        return (
+            (theta - first) - share / np.cosh(theta),
+            a * (1.0 / np.cosh(theta) - 1.0 / np.cosh(first)),
+            np.cosh(theta) - np.cosh(first) - np.tanh(theta) * share,
+            a * (np.tanh(theta) - np.tanh(first)),
+        )
+
+    x_a, x_s, z_a, z_s = by_parameters(turned, fractions)
+    w_a, w_s, v_a, v_s = by_parameters(last, 1.0)
+    determinant = w_a * v_s - w_s * v_a
+    b_xw, b_xv = (x_a * v_s - x_s * v_a) / determinant, (x_s * w_a - x_a * w_s) / determinant
+    b_zw, b_zv = (z_a * v_s - z_s * v_a) / determinant, (z_s * w_a - z_a * w_s) / determinant
+    across = (turned - first) / (last - first)
+    return (
+        np.stack(
+            [np.maximum(np.hypot(1.0 - b_xw, b_xv), 1.0 - across), np.hypot(b_zw, 1.0 - b_zv)]
+        ),
+        np.stack([np.maximum(np.hypot(b_xw, b_xv), across), np.hypot(b_zw, b_zv)]),
+    )

@@ -1,0 +1,74 @@
+"""Which knot the cable hangs in at the end: the exact crossing code, and a second opinion."""
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.errors import SwarmError
+from swarm.geometry.chain import plan_crossings, polyline
+from swarm.knots.curve import curve_gauss
+from swarm.knots.gauss import SignedGauss, same_code
+from swarm.knots.invariants import Identification, identify_curve
+from swarm.planning import Layout, Plan
+
+Floats = npt.NDArray[np.float64]
+
+PIECES_PER_SEGMENT = 64
+
+
+def layout_code(layout: Layout) -> SignedGauss:
+    """Signed Gauss code that the layout's crossings make of its corners, seen from above.
+
+    Raises :class:`swarm.errors.SwarmError` where the crossings are not those of the corners.
+    """
+    found = plan_crossings(layout.corners)
+    over_of = {frozenset(pair): pair[0] for pair in layout.crossings}
+    met = {frozenset(pair) for pair in found.segments.tolist()}
+    if met != set(over_of):
+        wrong = sorted(sorted(i + 1 for i in pair) for pair in met ^ set(over_of))
+        raise SwarmError(f"segments cross in plan view, or fail to, against the layout: {wrong}")
+    steps = np.diff(layout.corners[:, :2], axis=0)
+    passes = []
+    for label, (pair, where) in enumerate(
+        zip(found.segments.tolist(), found.fractions.tolist(), strict=True), start=1
+    ):
+        over = over_of[frozenset(pair)]
+        under = pair[1] if pair[0] == over else pair[0]
+        turn = steps[over, 0] * steps[under, 1] - steps[over, 1] * steps[under, 0]
+        sign = 1 if turn > 0 else -1
+        passes += [
+            ((segment, place), (label, segment == over, sign))
+            for segment, place in zip(pair, where, strict=True)
+        ]
+    return SignedGauss.of((entry for _, entry in sorted(passes)), closed=False)
+
+
+def hanging_curve(grip_points: Floats, lengths: Floats) -> Floats:
+    """The cable as a curve (k, 3), every segment the catenary of its length."""
+    return polyline(grip_points, lengths, PIECES_PER_SEGMENT)
+
+
+def end_code(plan: Plan) -> SignedGauss:
+    """Signed Gauss code of the cable's plan view when it hangs folded.
+
+    Raises :class:`swarm.errors.SwarmError` where strands meet or the cable is over-stretched.
+    """
+    return curve_gauss(hanging_curve(_held(plan), plan.layout.lengths))
+
+
+def end_knot(plan: Plan) -> Identification:
+    """The knot type of the cable's curve in space when it hangs folded, ends closed upwards."""
+    return identify_curve(hanging_curve(_held(plan), plan.layout.lengths))
+
+
+def end_time(plan: Plan) -> float:
+    """Mission time at which the folded cable hangs still: the last one aloft before it unfolds."""
+    return max(
+        phase.end for phase in plan.phases if phase.cable == "aloft" and phase.name != "unfold"
+    )
+
+
+def _held(plan: Plan) -> Floats:
+    return plan.motion.at(end_time(plan))[0]
+
+
+__all__ = ["end_code", "end_knot", "end_time", "hanging_curve", "layout_code", "same_code"]

@@ -1,0 +1,390 @@
+"""The team on its links, sans-IO: whose packet is it, and where do packets for a vehicle go.
+
+Only vehicles that the fleet file lists are heard and spoken to, each at the address where it was
+first heard.
+"""
+
+import math
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from pymavlink.dialects.v20 import common
+
+from swarm.certification.findings import Finding
+from swarm.fleet import Fleet
+from swarm.flight.identities import Identities
+from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
+from swarm.mavlink.message_handlers import READ
+from swarm.mavlink.packets import (
+    EXTRAS,
+    GROUND_COMPONENT,
+    GROUND_SYSTEM,
+    Decoder,
+    Encoder,
+    Message,
+    Packet,
+    unpack,
+)
+from swarm.mavlink.setpoints import SetpointPacker
+from swarm.mavlink.signing import Signing
+from swarm.mavlink.telemetry_table import Columns, room_for, take
+from swarm.mavlink.vehicle import Vehicle
+
+Floats = npt.NDArray[np.float64]
+Address = Hashable
+
+HEARTBEAT_INTERVAL = 1.0
+TIMESYNC_INTERVAL = 2.0
+_CLOCKS_AT_ONCE = 10
+"""Vehicles whose clocks are asked for in one tick, if there is time for more: a hundred at once
+would take longer than setpoints may be late."""
+_ROUNDING = 1e-6
+"""Seconds: an interval of one tick must not become one of two now and then."""
+_ROUTES_PER_VEHICLE = 4
+_MOST_UNKNOWN = 300
+"""Datagrams that are read between two heartbeats from an address from which no vehicle speaks."""
+_HEARTBEAT = int(common.MAVLINK_MSG_ID_HEARTBEAT)
+_OWN_HEARTBEAT = common.MAVLink_heartbeat_message(
+    common.MAV_TYPE_GCS, common.MAV_AUTOPILOT_INVALID, 0, 0, common.MAV_STATE_ACTIVE, 3
+)
+
+
+class Outgoing(NamedTuple):
+    """Bytes to send: on which link, to whom (None: the link's only other end)."""
+
+    link: str
+    address: Address | None
+    data: bytes
+
+
+_outgoing: Callable[[tuple[Any, ...]], Outgoing] = partial(tuple.__new__, Outgoing)
+
+
+@dataclass
+class Route:
+    """One remote address on one link, with its own sequence numbers, and who speaks from there.
+
+    ``alone`` is the vehicle that does so in whole packets, and nobody else.
+    """
+
+    link: str
+    address: Address | None
+    encoder: Encoder = field(default_factory=Encoder)
+    decoder: Decoder = field(default_factory=Decoder)
+    speakers: dict[int, Vehicle] = field(default_factory=dict)
+    unknown: int = 0
+    alone: Vehicle | None = None
+
+
+class Team:
+    """Vehicles and the routes to them."""
+
+    def __init__(self, fleet: Fleet, report: Callable[[str, str, int | None], None]) -> None:
+        """``report`` is called with kind, words and system id of what is noticed on the links."""
+        named: dict[str, Autopilot] = {kind.name: kind for kind in AUTOPILOTS.values()}
+        self.columns = Columns(len(fleet.vehicles))
+        self.vehicles: Mapping[int, Vehicle] = {
+            listed.sysid: Vehicle(listed.sysid, named.get(listed.autopilot), self.columns, row)
+            for row, listed in enumerate(fleet.vehicles)
+        }
+        self._identities = Identities(
+            {listed.sysid: named.get(listed.autopilot) for listed in fleet.vehicles}
+        )
+        self._allowed = {listed.sysid: listed.links for listed in fleet.vehicles}
+        self._streams = {
+            name for name, url in fleet.links.items() if not url.startswith(("udpin", "udpout"))
+        }
+        self._routes: dict[tuple[str, Address | None], Route] = {}
+        self._ways: dict[int, dict[str, Route]] = {sysid: {} for sysid in self.vehicles}
+        self._best: dict[int, Route | None] = dict.fromkeys(self.vehicles)
+        self._most_routes = _ROUTES_PER_VEHICLE * len(self.vehicles) + 16
+        self._report = report
+        self._noticed: set[tuple[Any, ...]] = set()
+        self._strangers: set[int] = set()
+        self._stations: set[int] = set()
+        self._next_heartbeat = 0.0
+        self._next_timesync = self._ticked = 0.0
+        self._timesync_interval = TIMESYNC_INTERVAL
+        self._clocks_to_ask: list[int] = []
+        self._packer: SetpointPacker | None = None
+        self._packed: tuple[int, ...] = ()
+        self.rejected = 0
+        self.signing: Signing | None = None
+        self._link_number = {name: number for number, name in enumerate(fleet.links)}
+        for name, url in fleet.links.items():
+            if not url.startswith("udpin"):
+                self._route(name, None)
+
+    def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
+        """Take bytes that arrived on a link; return whether they were read at all.
+
+        An address from which no vehicle speaks is read a bounded number of times a second.
+        """
+        route = self._routes.get((link, address)) or self._route(link, address)
+        if route is None:
+            self.rejected += 1
+            return False
+        if not route.speakers and route.address is not None:
+            route.unknown += 1
+            if route.unknown > _MOST_UNKNOWN:
+                self.rejected += 1
+                return False
+        signing = self.signing
+        before = signing.dropped.total() if signing else 0
+        for packet in route.decoder.feed(data, signing):
+            vehicle = route.speakers.get(packet[1]) or self._sender(route, packet, now)
+            if vehicle is not None:
+                if packet[0] == _HEARTBEAT:
+                    self._beat(vehicle.system, route, packet.message)
+                vehicle.receive(packet, now)
+        if signing is not None and signing.dropped.total() > before:
+            self.rejected += signing.dropped.total() - before
+            kinds = ", ".join(sorted(signing.dropped))
+            words = f"packets on link {link} that are not signed as they must be ({kinds}): dropped"
+            self._once(("signature", link, kinds), "security", words, None)
+        return True
+
+    def receive_all(
+        self, link: str, arrived: Sequence[tuple[Address | None, bytes]], now: float
+    ) -> None:
+        """As :meth:`receive`, of bytes from any number of addresses at once, and quicker."""
+        if not self._take(link, arrived, now):
+            for address, data in arrived:
+                self.receive(link, address, data, now)
+
+    def _take(self, link: str, arrived: Sequence[tuple[Address | None, bytes]], now: float) -> bool:
+        """Take what is said most often all at once, and then the other packets.
+
+        False, and nothing is taken, where there is anything but plain packets from where their
+        vehicles speak.
+        """
+        speakers: list[Vehicle] = []
+        origins: list[int] = []
+        routes = self._routes
+        for address, data in arrived:
+            route = routes.get((link, address))
+            if route is None or route.alone is None or self.signing is not None:
+                return False
+            vehicle = route.alone
+            speakers.append(vehicle)
+            origins += (len(data), vehicle.row, vehicle.system)
+        if not arrived:
+            return True
+        known = self.columns
+        together = b"".join([data for _, data in arrived])
+        rows = room_for(together)
+        left = take(
+            together, np.array(origins).reshape(-1, 3), EXTRAS, now, known.table, known.sequences,
+            known.missing, rows,
+        )  # fmt: skip
+        for which, number, component, start, end in rows[: max(left, 0)].tolist():
+            message = unpack(number, together[start:end]) if number in READ else None
+            speakers[which].read(number, component, message, now)
+            if number == _HEARTBEAT and message is not None:
+                system = speakers[which].system
+                self._identities.heartbeat(system, link, arrived[which][0], message.autopilot)
+        return left >= 0
+
+    def trusts(self, link: str, address: Address | None, packet: bytes) -> bool:
+        """Whether a packet is from where its vehicle speaks, and signed if it must be."""
+        system = packet[5] if packet[0] == 0xFD else packet[3]
+        way = self._ways.get(system, {}).get(link)
+        at_home = way is not None and way.address == address
+        return at_home and (self.signing is None or self.signing.genuine(packet))
+
+    def sealed(self, link: str, packet: bytes) -> bytes:
+        """Return a packet as it goes out on a link: signed where there is a key."""
+        if self.signing is None:
+            return packet
+        return self.signing.seal(packet, self._link_number[link])
+
+    def _route(self, link: str, address: Address | None) -> Route | None:
+        key = (link, address)
+        route = self._routes.get(key)
+        if route is None and len(self._routes) < self._most_routes:
+            route = Route(
+                link, address, decoder=Decoder(link in self._streams, READ, unknown_too=True)
+            )
+            self._routes[key] = route
+        return route
+
+    def _beat(self, system: int, route: Route, message: Message | None) -> None:
+        if message is not None:
+            self._identities.heartbeat(system, route.link, route.address, message.autopilot)
+
+    def _sender(self, route: Route, packet: Packet, now: float) -> Vehicle | None:
+        """Return the vehicle whose message this is, if it may speak from there."""
+        sysid = packet.system
+        vehicle = self.vehicles.get(sysid)
+        if vehicle is None:
+            self._stranger(route, packet)
+            return None
+        ways = self._ways[sysid]
+        known = ways.get(route.link)
+        if known is not None or route.link not in self._allowed[sysid]:
+            self.rejected += 1
+            self._identities.elsewhere(vehicle, packet, route.link, route.address, now)
+            self._once(
+                ("address" if known else "link", sysid, route.link),
+                "security",
+                f"packets of system {sysid} on link {route.link} from another address: dropped",
+                sysid,
+            )
+            return None
+        if packet.number != _HEARTBEAT:
+            return None
+        ways[route.link] = route
+        route.speakers[sysid] = vehicle
+        whole = len(route.speakers) == 1 and not route.decoder.stream
+        route.alone = vehicle if whole else None
+        self._best[sysid] = next(ways[link] for link in self._allowed[sysid] if link in ways)
+        return vehicle
+
+    def _stranger(self, route: Route, packet: Packet) -> None:
+        self.rejected += 1
+        message, sysid = packet.message, packet.system
+        if packet.number != _HEARTBEAT or message is None:
+            return
+        self._strangers.add(sysid)
+        if message.type == common.MAV_TYPE_GCS:
+            self._stations.add(sysid)
+        if message.type == common.MAV_TYPE_GCS:
+            words = f"another ground station (system {sysid}) on link {route.link}: its heartbeats "
+            words += "defeat the vehicles' link-loss failsafe"
+        else:
+            words = f"system {sysid} on link {route.link} is not in the fleet file: ignored"
+        self._once(("stranger", sysid, route.link), "security", words, None)
+
+    def _once(self, key: tuple[Any, ...], kind: str, words: str, sysid: int | None) -> None:
+        if key not in self._noticed and len(self._noticed) < 1000:
+            self._noticed.add(key)
+            self._report(kind, words, sysid)
+
+    @property
+    def strangers(self) -> list[int]:
+        """System ids of vehicles that were heard and are not in the fleet file."""
+        return sorted(self._strangers - self._stations)
+
+    @property
+    def stations(self) -> list[int]:
+        """System ids of other ground stations."""
+        return sorted(self._stations)
+
+    def conflicts(self) -> list[Finding]:
+        """Return an error for each system id that is not one vehicle, or not the listed one."""
+        return list(self._identities.findings(self.vehicles))
+
+    def findings(self) -> list[Finding]:
+        """Return who is on the links and should not be, for the go/no-go before a flight."""
+        return [
+            *(
+                Finding("error", "fleet", f"system {s} is heard and not in the fleet file")
+                for s in self.strangers
+            ),
+            *self.conflicts(),
+            *(
+                Finding("warning", "fleet", f"another ground station (system {s}) is heard: its "
+                        "heartbeats defeat the vehicles' link-loss failsafe")
+                for s in self.stations
+            ),
+        ]  # fmt: skip
+
+    def ask_clocks_every(self, seconds: float) -> None:
+        """Send clock requests at another interval, from the next tick on."""
+        self._timesync_interval, self._next_timesync = seconds, 0.0
+
+    def way_to(self, sysid: int) -> Route | None:
+        """Return the route to a vehicle: its preferred link on which it was heard."""
+        return self._best[sysid]
+
+    def tick(self, now: float) -> list[Outgoing]:
+        """Return heartbeats, commands and clock requests that are due."""
+        outgoing: list[Outgoing] = []
+        passed, self._ticked = now - self._ticked, now
+        if self.signing is not None:
+            self.signing.follow(now)
+        if now >= self._next_heartbeat:
+            self._next_heartbeat = now + HEARTBEAT_INTERVAL
+            for route in self._routes.values():
+                route.unknown = 0
+            outgoing.extend(self._heartbeats())
+        outgoing.extend(self._clock_requests(now, passed))
+        for sysid, vehicle in self.vehicles.items():
+            if vehicle.busy:
+                self._send(outgoing, sysid, vehicle.tick(now))
+        return outgoing
+
+    def _heartbeats(self) -> Iterable[Outgoing]:
+        spoken_to = {id(route) for ways in self._ways.values() for route in ways.values()}
+        for route in self._routes.values():
+            if route.address is None or id(route) in spoken_to:
+                data = self.sealed(route.link, route.encoder.encode(_OWN_HEARTBEAT))
+                yield Outgoing(route.link, route.address, data)
+
+    def _clock_requests(self, now: float, passed: float) -> Iterable[Outgoing]:
+        """Ask for clocks, some vehicles after the other; ``passed`` seconds since the last tick."""
+        if now > self._next_timesync - _ROUNDING and not self._clocks_to_ask:
+            self._next_timesync = now + self._timesync_interval
+            self._clocks_to_ask = list(self.vehicles)
+        share = math.ceil(len(self.vehicles) * passed / self._timesync_interval)
+        if not self._clocks_to_ask:
+            return []
+        asked = self._clocks_to_ask[: max(_CLOCKS_AT_ONCE, share)]
+        del self._clocks_to_ask[: len(asked)]
+        # zero would read as "not a request of ours", so the clock starts at one
+        request = common.MAVLink_timesync_message(0, int(now * 1e9) + 1)
+        outgoing: list[Outgoing] = []
+        for sysid in asked:
+            self._send(outgoing, sysid, [request])
+        return outgoing
+
+    def _send(self, outgoing: list[Outgoing], sysid: int, messages: Iterable[Message]) -> None:
+        route = self.way_to(sysid)
+        if route is not None:
+            for message in messages:
+                data = self.sealed(route.link, route.encoder.encode(message))
+                outgoing.append(Outgoing(route.link, route.address, data))
+
+    def setpoints(
+        self,
+        systems: tuple[int, ...],
+        streaming: npt.NDArray[np.bool_],
+        now: float,
+        states: Floats,
+        yaw: Floats,
+    ) -> list[Outgoing]:
+        """Return setpoint packets for the vehicles that are streamed to.
+
+        ``states`` (n, 3, 3) are position, velocity and acceleration of each of ``systems``, in the
+        vehicle's own NED, SI units; ``yaw`` (n,) in radians.
+        """
+        best = self._best
+        routes = [
+            best[sysid] if wanted else None
+            for sysid, wanted in zip(systems, streaming.tolist(), strict=True)
+        ]
+        if self._packer is None or self._packed != systems:
+            components = [self.vehicles[sysid].component for sysid in systems]
+            source = (GROUND_SYSTEM, GROUND_COMPONENT)
+            signed = self.signing is not None
+            self._packer = SetpointPacker(systems, components, source, signed=signed)
+            self._packed = systems
+        sequences = [route.encoder.take_sequence() if route else 0 for route in routes]
+        packets = self._packer.pack(sequences, int(now * 1000), states, yaw)
+        raw, length = packets.tobytes(), packets.shape[1]
+        outgoing = [
+            _outgoing((route.link, route.address, raw[k * length : (k + 1) * length]))
+            for k, route in enumerate(routes)
+            if route is not None
+        ]
+        signing, numbers = self.signing, self._link_number
+        if signing is None:
+            return outgoing
+        return [
+            Outgoing(one.link, one.address, signing.sign(one.data, numbers[one.link]))
+            for one in outgoing
+        ]

@@ -1,0 +1,139 @@
+"""Where the knot hangs: corners, sags, segment lengths and lanes from a diagram and the limits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.errors import Refused
+from swarm.geometry.catenary import hang
+from swarm.geometry.chain import least_sags, plan_crossings, segment_lengths
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Everything about a layout that may be chosen, in metres.
+
+    ``cell`` scales the corners; ``gap`` is the height between strands at their crossings,
+    ``minimum_sag`` the least sag of any segment and ``slack`` its least sag as a share of its span;
+    with ends ``play`` farther apart than its corners a segment is still shorter than ``taut`` of
+    its length;
+    lanes are heights over or under the corners. From ``slope`` before
+    a corner to as much behind it levels change, and turns reach as far as ``rounding``. Given sags
+    are taken as they are; with ``two_sags`` all under strands get the same. ``length`` is the
+    cable's, where the layout is to use all of it: then the rest of what scales is only a start.
+    """
+
+    cell: float
+    gap: float
+    minimum_sag: float
+    slack: float
+    lane_over: float
+    lane_under: float
+    slope: float
+    rounding: float
+    play: float
+    taut: float
+    sag_over: float | None = None
+    sag_under: float | None = None
+    two_sags: bool = False
+    length: float | None = None
+
+    def scaled(self, factor: float) -> "Shape":
+        """Return the shape with everything wider that goes with the cell."""
+        return replace(
+            self,
+            cell=factor * self.cell,
+            minimum_sag=factor * self.minimum_sag,
+            lane_over=factor * self.lane_over,
+            lane_under=factor * self.lane_under,
+            slope=factor * self.slope,
+            rounding=factor * self.rounding,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Hanging:
+    """A layout at height 0: corners (n, 3), and sag, length and lane (n − 1,) per segment."""
+
+    corners: Floats
+    sags: Floats
+    lengths: Floats
+    lanes: Floats
+    crossings: tuple[tuple[int, int], ...]
+    cell: float
+
+
+def hanging(corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape: Shape) -> Hanging:
+    """Hang a diagram: ``corners`` (n, 2) in cells, crossings as (over, under) segments.
+
+    The first edge is turned to point along +x, with the first corner at the origin. Edges that
+    cross nothing are flown between the lanes of those before and after them.
+
+    Raises :class:`swarm.errors.Refused` where no sags serve the crossings.
+    """
+    plan = np.asarray(corners, dtype=np.float64)
+    first = (plan[1] - plan[0]) / np.linalg.norm(plan[1] - plan[0])
+    turn = np.array([[first[0], first[1]], [-first[1], first[0]]])
+    flat = ((plan - plan[0]) @ turn.T) * shape.cell
+    placed = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
+    pairs = np.asarray(crossings, dtype=np.intp).reshape(-1, 2)
+    spans = np.linalg.norm(np.diff(flat, axis=0), axis=1)
+    least = np.maximum(shape.minimum_sag, shape.slack * spans)
+    slackest = hang(np.zeros(3), spans[:, None] * np.eye(3)[0], (spans + shape.play) / shape.taut)
+    least = np.maximum(least, slackest.sag())
+    over, under = np.setdiff1d(pairs[:, 0], pairs[:, 1]), np.unique(pairs[:, 1])
+    if shape.sag_over is not None:
+        least[:] = shape.sag_over
+    sags = least_sags(placed, pairs, shape.gap, minimum_sag=least, one_each=not shape.two_sags)
+    if shape.sag_over is not None:
+        sags[over] = shape.sag_over
+    if shape.sag_under is not None:
+        sags[under] = shape.sag_under
+    lanes = _lanes(len(placed) - 1, pairs, shape)
+    lengths = segment_lengths(placed, sags)
+    return Hanging(
+        placed, sags, lengths, lanes, tuple((int(a), int(b)) for a, b in pairs), shape.cell
+    )
+
+
+def given(corners: npt.ArrayLike, sags: npt.ArrayLike, cell: float = 0.0) -> Hanging:
+    """Hang a layout given by its corners (n, 2) and the sag (n − 1,) of each segment, in metres.
+
+    Where two segments cross, the one that sags less is meant to pass over. Lanes are left at 0;
+    ``cell`` is only noted. Raises :class:`swarm.errors.Refused` where crossing segments sag alike.
+    """
+    plan = np.asarray(corners, dtype=np.float64)
+    placed = np.concatenate([plan, np.zeros((len(plan), 1))], axis=1)
+    depth = np.asarray(sags, dtype=np.float64)
+    pairs = plan_crossings(placed).segments
+    for one, other in pairs:
+        if depth[one] == depth[other]:
+            raise Refused(
+                f"segments {one + 1} and {other + 1} cross and both sag {depth[one]:g} m: "
+                "nothing says which passes over"
+            )
+    deeper = depth[pairs[:, 0]] > depth[pairs[:, 1]]
+    over_under = np.where(deeper[:, None], pairs[:, ::-1], pairs)
+    return Hanging(
+        corners=placed,
+        sags=depth,
+        lengths=segment_lengths(placed, depth),
+        lanes=np.zeros(len(depth)),
+        crossings=tuple((int(a), int(b)) for a, b in over_under),
+        cell=cell,
+    )
+
+
+def _lanes(count: int, pairs: npt.NDArray[np.intp], shape: Shape) -> Floats:
+    lanes = np.zeros(count)
+    if not len(pairs):
+        return lanes
+    lanes[pairs[:, 0]] = shape.lane_over
+    lanes[pairs[:, 1]] = -shape.lane_under
+    crossing = np.unique(pairs)
+    between: Floats = np.interp(np.arange(count), crossing, lanes[crossing])
+    return between

@@ -1,0 +1,159 @@
+"""Certificates of plans, and of motions that others planned."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Self, overload
+
+import numpy as np
+
+from swarm import planning
+from swarm.certification.certificate import Certificate
+from swarm.certification.certificate import certify as certified
+from swarm.certification.motion_file import MotionFile, plan_of_motion, read_motion
+from swarm.errors import InputError, Problem
+from swarm.front.files import read_text
+from swarm.front.plans import Plan
+from swarm.mission import Cable as CableSection
+from swarm.mission import Mission, mission_for_knot
+from swarm.trajectory import Motion as Quintics
+from swarm.trajectory import through_states
+from swarm.validation import validate
+
+Progress = Callable[[str, float], None]
+
+LARGEST_MOTION = 500_000_000
+"""Bytes of a motion table; an hour of a hundred vehicles is less."""
+
+
+@dataclass(frozen=True)
+class Cable:
+    """The cable of a motion that others planned.
+
+    ``lengths`` (n − 1,) are the segments' lengths in metres, in order along the cable. The rest is
+    None for what the mission says: ``mass_per_length`` (kg/m), ``diameter`` (m),
+    ``length_tolerance`` (m per segment), ``breaking_load`` (N).
+
+    Raises :class:`swarm.InputError` for values out of range. Source: :class:`swarm.mission.Cable`.
+    """
+
+    lengths: Sequence[float]
+    mass_per_length: float | None = None
+    diameter: float | None = None
+    length_tolerance: float | None = None
+    breaking_load: float | None = None
+
+    def __post_init__(self) -> None:
+        problems = [
+            Problem(f"cable: segment {number}", f"expected a length > 0 in metres, got {length!r}")
+            for number, length in enumerate(self.lengths, start=1)
+            if not (np.isfinite(length) and length > 0.0)
+        ]
+        if not len(self.lengths):
+            problems = [Problem("cable", "expected the lengths of segments, got none")]
+        if problems:
+            raise InputError(problems)
+        self.section(CableSection())
+
+    def section(self, otherwise: CableSection) -> CableSection:
+        """Return the cable as a mission describes it; ``otherwise`` says what is None here."""
+        given = {
+            name: value
+            for name in ("mass_per_length", "diameter", "length_tolerance", "breaking_load")
+            if (value := getattr(self, name)) is not None
+        }
+        return validate(CableSection, {**otherwise.model_dump(), **given}, "cable")
+
+
+@dataclass(frozen=True, repr=False)
+class Motion(Quintics):
+    """A motion of n grip points that others planned, with the phases that it declares.
+
+    ``motion(t)`` gives position, velocity and acceleration, each (…, n, 3), ENU and SI, for times
+    (…,) in seconds: the quintic through the table's rows. ``table`` holds these rows: ``time``
+    (k,), ``states`` (k, n, 9) and ``phase`` (k,). Made by :meth:`from_csv`.
+
+    Source: :class:`swarm.trajectory.Motion`.
+    """
+
+    table: MotionFile = field(kw_only=True)
+
+    @classmethod
+    def from_csv(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a table of the motion, as :meth:`swarm.Plan.to_csv` writes it.
+
+        Columns: time, vehicle (1…n along the cable), x, y, z, vx, vy, vz, ax, ay, az (ENU, m, m/s,
+        m/s²), phase. Raises :class:`swarm.InputError` with the lines of what is wrong.
+
+        Source: :func:`swarm.certification.motion_file.read_motion`.
+        """
+        read = read_motion(read_text(path, LARGEST_MOTION), os.fspath(path))
+        made = through_states(read.time, *np.split(read.states, 3, axis=-1))
+        return cls(made.times, made.coefficients, table=read)
+
+    def plan(self, cable: Cable, mission: Mission | None = None) -> Plan:
+        """Return the motion with its cable as a plan, as :func:`certify` checks it.
+
+        ``mission`` gives vehicles, clearances, wind and workspace; by default the values of
+        :meth:`swarm.Mission.for_knot`. Its knot is not looked at.
+        Raises :class:`swarm.InputError` where the lengths are not one fewer than the vehicles, or
+        no row has the cable aloft.
+
+        Source: :func:`swarm.certification.motion_file.plan_of_motion`.
+        """
+        limits = mission or mission_for_knot("overhand")
+        limits = limits.model_copy(update={"cable": cable.section(limits.cable)})
+        lengths = np.array(cable.lengths, dtype=np.float64)
+        return Plan.of(plan_of_motion(self.table, lengths, limits))
+
+
+@overload
+def certify(
+    motion: planning.Plan, *, robustness: bool = True, progress: Progress | None = None
+) -> Certificate: ...
+
+
+@overload
+def certify(
+    motion: Motion,
+    *,
+    cable: Cable,
+    mission: Mission | None = None,
+    robustness: bool = True,
+    progress: Progress | None = None,
+) -> Certificate: ...
+
+
+def certify(
+    motion: planning.Plan | Motion,
+    *,
+    cable: Cable | None = None,
+    mission: Mission | None = None,
+    robustness: bool = True,
+    progress: Progress | None = None,
+) -> Certificate:
+    """Check a plan, or a motion that others planned, and return its certificate, cleared or not.
+
+    A :class:`swarm.Motion` needs its ``cable``, and takes limits from ``mission`` (see
+    :meth:`swarm.Motion.plan`); a plan has both. The certificate belongs to exactly this plan, by
+    digest. With ``robustness`` it says e* (``max_tracking_error``, m) and w* (``max_wind``, m/s)
+    too, which takes about three times as long as the rest: seconds for an overhand knot, a minute
+    for large ones. ``progress(stage, share)`` is called with what is being done and how much of it
+    is done, 0…1.
+
+    What is certified: every clearance in the quasi-static cable model, for every displacement of
+    every grip point by up to ``mission.vehicles.tracking``.
+
+    Raises :class:`swarm.InputError` where a cable is missing, is given with a plan or does not fit.
+
+    Source: :mod:`swarm.certification.certificate`; interval bounds and bisection in
+    :mod:`swarm.certification.clearances`.
+    """
+    if isinstance(motion, Motion):
+        if cable is None:
+            raise InputError([Problem("cable", "expected swarm.Cable(lengths=…), got nothing")])
+        return certified(motion.plan(cable, mission), robustness=robustness, progress=progress)
+    given = [name for name, value in (("cable", cable), ("mission", mission)) if value is not None]
+    if given:
+        raise InputError([Problem(name, "expected nothing: a plan has its own") for name in given])
+    return certified(motion, robustness=robustness, progress=progress)

@@ -1,0 +1,33 @@
+"""Naming the knot of a curve."""
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.errors import InputError, Problem
+from swarm.knots.invariants import identify_curve
+from swarm.knots.names import in_words
+
+
+def identify(curve: npt.ArrayLike, *, closed: bool = False) -> str:
+    """Name the knot of a curve (n, 3), points in order along it, in any unit of length.
+
+    An open curve is closed straight up, above itself; with ``closed`` its last point is joined to
+    its first. The answer is KnotInfo's name with the chirality, such as ``"3_1 right-handed"``,
+    ``"4_1"`` (its own mirror image), ``"0_1"`` (not knotted) or ``"3_1#m3_1"`` (a sum). A knot of
+    more than ten crossings is ``"unknown"``, with the knots of the table that share its invariants.
+
+    Raises :class:`swarm.InputError` where the curve meets itself, has fewer than 3 different points
+    or numbers that are not finite.
+
+    Source: :func:`swarm.knots.invariants.identify_curve` (exact crossings, then Jones and Alexander
+    polynomials of a minimised diagram; names and tables are KnotInfo's).
+    """
+    try:
+        points = np.asarray(curve, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError([Problem("curve", "expected an (n, 3) array of numbers")]) from None
+    found = identify_curve(points, closed=closed)
+    words = in_words(found.name, found.chirality)
+    if found.known or not found.candidates:
+        return words
+    return f"{words}, perhaps {' or '.join(found.candidates)}"

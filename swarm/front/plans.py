@@ -1,0 +1,161 @@
+"""Plans as a user holds them: made from missions, kept in files, drawn."""
+
+import os
+from collections.abc import Callable
+from dataclasses import fields
+from typing import TYPE_CHECKING, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm import api, planning
+from swarm.certification.certificate import Certificate, refuse_errors
+from swarm.errors import Refused
+from swarm.exports import MOTION_STEP, motion_rows
+from swarm.front.files import read_bytes, write_bytes
+from swarm.front.recordings import Recording
+from swarm.mission import Mission
+from swarm.notebook import table
+from swarm.planning.archive import plan_file, read_plan_file
+from swarm.planning.cable_shape import cable_shape
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = npt.NDArray[np.float64]
+Progress = Callable[[str, float], None]
+Picture = Literal["knot", "schedule"]
+
+LARGEST_PLAN = 512 * 1024 * 1024
+"""Bytes of a plan file; an hour of a hundred vehicles is less."""
+
+
+class NotCleared(Refused):
+    """A motion was found for a mission, and the checks do not clear it.
+
+    ``plan`` is that motion and ``certificate`` what the checks found, for looking at what is wrong.
+    The message has one line for every error.
+    """
+
+    def __init__(self, message: str, plan: "Plan", certificate: Certificate) -> None:
+        self.plan, self.certificate = plan, certificate
+        super().__init__(message)
+
+
+class Plan(planning.Plan):
+    """Everything that will be flown: the motion of n grip points, phases, gates, knot and layout.
+
+    Made by :func:`swarm.plan` and :func:`swarm.load_plan`. Immutable: change the mission and plan
+    again. Lengths are in metres, times in seconds of mission time (0 at take-off), places in ENU
+    (x east, y north, z up). A vehicle's centre is ``mission.vehicles.grip_offset`` above its grip
+    point.
+
+    ``motion(t)`` gives position, velocity and acceleration, each (…, n, 3), for times (…,);
+    ``duration``, ``vehicles``, ``phase(name)``, ``layout.lengths`` (n − 1,) and ``knot`` say the
+    rest. Source: :class:`swarm.planning.Plan`.
+    """
+
+    @classmethod
+    def of(cls, plan: planning.Plan) -> Self:
+        """Return a plan of the planning layer with this class's methods; nothing is copied."""
+        return cls(**{field.name: getattr(plan, field.name) for field in fields(plan)})
+
+    def cable_at(self, time: npt.ArrayLike, points: int = 100) -> Floats:
+        """Return the cable at mission times (…,) in seconds: (…, n − 1, points, 3), ENU metres.
+
+        Each of the n − 1 segments is given by ``points`` evenly spaced points, its ends included:
+        the catenary of its length in still air, lying on the floor (z = 0) where it reaches it.
+        NaN where the plan says nothing of the cable: let go of aloft, or held by its ends alone.
+
+        Raises :class:`swarm.InputError` for times that are not finite or fewer than 2 points, and
+        :class:`swarm.SwarmError` where a chord is longer than its cable (in no cleared plan).
+
+        Source: :func:`swarm.planning.cable_shape.cable_shape`; the catenary is Routh's, *Statics*.
+        """
+        return cable_shape(self, time, points)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the plan as one file, which :func:`swarm.load_plan` reads; an old one is replaced.
+
+        A ZIP archive of JSON and NumPy arrays with the plan's digest; equal plans give equal files.
+        Raises :class:`swarm.InputError` where the file cannot be written.
+
+        Source: :mod:`swarm.planning.archive`.
+        """
+        write_bytes(path, plan_file(self))
+
+    def to_csv(self, path: str | os.PathLike[str], step: float = MOTION_STEP) -> None:
+        """Write the motion of every grip point as CSV, a row per vehicle every ``step`` seconds.
+
+        Columns: time, vehicle (1…n along the cable), position, velocity and acceleration (ENU, m,
+        m/s, m/s²), phase. :meth:`swarm.Motion.from_csv` reads it.
+        Raises :class:`swarm.InputError` where the file cannot be written.
+
+        Source: :func:`swarm.exports.motion_rows`.
+        """
+        write_bytes(path, ("\n".join(motion_rows(self, step)) + "\n").encode())
+
+    def plot(self, picture: Picture = "knot") -> "Figure":
+        """Return a matplotlib figure of the plan; ``figure.savefig(path)`` keeps it.
+
+        ``"knot"``: grid diagram, plan view and the folded cable in space. ``"schedule"``: how far
+        each vehicle is along the path of the fold over time, and how high.
+
+        Raises :class:`ValueError` for another picture. Source: :mod:`swarm.view.plots`.
+        """
+        from swarm.view.plots import plan_figure, schedule_figure  # noqa: PLC0415 - slow to import
+
+        if picture not in {"knot", "schedule"}:
+            raise ValueError(f"picture: expected knot or schedule, got {picture!r}")
+        return plan_figure(self) if picture == "knot" else schedule_figure(self)
+
+    def view(self, path: str | os.PathLike[str] | None = None) -> Recording:
+        """Write the plan as a Rerun recording and open it in Rerun's viewer, in a process apart.
+
+        With a ``path`` (.rrd) the recording is kept there; otherwise it lasts as long as Python.
+        Where there is no display nothing is opened and a :class:`UserWarning` says so.
+        Raises :class:`swarm.InputError` where the file cannot be written.
+
+        Source: :mod:`swarm.view.replay`.
+        """
+        from swarm.view.replay import write_plan  # noqa: PLC0415 - slow to import
+
+        return Recording.made(lambda file: write_plan(self, file), path)
+
+    def _repr_html_(self) -> str:
+        return table(f"Plan {self.mission.name}", self.figures().items())
+
+
+def plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
+    """Plan a mission and return the first plan that the checks clear.
+
+    ``progress(stage, share)`` is called with what is being done and the share of it that is done,
+    0…1. The same mission gives the same plan.
+
+    Raises :class:`swarm.Refused` with every reason: where no motion was found, and, as
+    :class:`swarm.NotCleared` with the plan and its certificate, where none of those found is
+    cleared. Raises :class:`swarm.InputError` for a knot that does not exist.
+
+    Source: :func:`swarm.api.plan`, the loop of :func:`swarm.planning.candidates` (grid diagram,
+    layout, folding) and :func:`swarm.certify`.
+    """
+    found = api.plan(mission, progress, robustness=False)
+    made = Plan.of(found.plan)
+    try:
+        refuse_errors(found.certificate)
+    except Refused as refusal:
+        raise NotCleared(str(refusal), made, found.certificate) from None
+    return made
+
+
+def load_plan(path: str | os.PathLike[str]) -> Plan:
+    """Read a plan file that :meth:`Plan.save` wrote; the plan is the same to the last bit.
+
+    Raises :class:`swarm.InputError` for a file that cannot be read, is no plan file, was cut off or
+    changed, or has another version of the format. A certificate of the plan that was saved belongs
+    to the plan that is read.
+
+    Source: :mod:`swarm.planning.archive`.
+    """
+    name = os.fspath(path)
+    return Plan.of(read_plan_file(read_bytes(path, LARGEST_PLAN), name))

@@ -1,0 +1,182 @@
+"""Many flights of a plan, each in a world drawn anew."""
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+from swarm import planning
+from swarm.certification.certificate import Certificate
+from swarm.errors import InputError, Problem, SwarmError
+from swarm.front.flights import flyable
+from swarm.notebook import table
+from swarm.simulation.loop import Fault
+from swarm.simulation.monte_carlo import (
+    CLEARANCES,
+    Certificates,
+    Spread,
+    Trial,
+    certificates,
+    fly_trials,
+    processes,
+    summary,
+)
+from swarm.simulation.monte_carlo.results import results_table, write_results
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Trials(Sequence[Trial]):
+    """Trials of one plan, in the order of their numbers; made by :func:`swarm.monte_carlo`.
+
+    A sequence of :class:`swarm.Trial`. ``seed`` and ``spread`` are what they were drawn from; the
+    same seed, number and spread fly the same trial again.
+    """
+
+    plan: planning.Plan
+    trials: tuple[Trial, ...]
+    seed: int
+    spread: Spread
+    jobs: int | None = field(default=None)
+
+    @overload
+    def __getitem__(self, index: int) -> Trial: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Trial, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> Trial | tuple[Trial, ...]:
+        return self.trials[index]
+
+    def __len__(self) -> int:
+        return len(self.trials)
+
+    def __iter__(self) -> Iterator[Trial]:
+        return iter(self.trials)
+
+    def to_arrow(self) -> Any:
+        """Return a :class:`pyarrow.Table` with one row per trial.
+
+        Columns are ``method``, ``seed`` and the fields of :class:`swarm.Trial` (metres, seconds,
+        m/s). Source: :func:`swarm.simulation.monte_carlo.results.results_table`.
+        """
+        return results_table([(self.plan, self.trials)], self.seed, self.spread)
+
+    def to_pandas(self) -> Any:
+        """Return the table of :meth:`to_arrow` as a :class:`pandas.DataFrame`.
+
+        Raises :class:`swarm.SwarmError` where pandas is not installed; it is no requirement of this
+        package. Source: :func:`swarm.simulation.monte_carlo.results.results_table`.
+        """
+        try:
+            import pandas  # noqa: F401, PLC0415 - optional
+        except ImportError:
+            message = "to_pandas() needs pandas: pip install pandas (to_arrow() does without)"
+            raise SwarmError(message) from None
+        return self.to_arrow().to_pandas()
+
+    def to_parquet(self, path: str | os.PathLike[str]) -> None:
+        """Write the table of :meth:`to_arrow` as a Parquet file.
+
+        Raises :class:`swarm.InputError` where it cannot be written.
+        Source: :func:`swarm.simulation.monte_carlo.results.write_results`.
+        """
+        write_results(Path(path), [(self.plan, self.trials)], self.seed, self.spread)
+
+    @cached_property
+    def certified(self) -> Certificates:
+        """What is certified for the tracking errors that the trials had; worked out once, seconds.
+
+        Source: :func:`swarm.simulation.monte_carlo.certificates`.
+        """
+        return certificates(self.plan, self.trials, processes(self.jobs))
+
+    def summary(self) -> Mapping[str, Any]:
+        """Return what the trials say: shares and distributions with 95 % intervals, and the worst.
+
+        Distances in metres. ``["certificate"]["below"]`` lists trials that came closer than was
+        certified for their tracking error. Source: :func:`swarm.simulation.monte_carlo.summary`.
+        """
+        return summary(
+            self.plan, self.trials, seed=self.seed, spread=self.spread, certified=self.certified
+        )
+
+    def plot(self) -> "Figure":
+        """Return a matplotlib figure: distributions of distances, and distances kept and certified.
+
+        Source: :func:`swarm.view.trial_plots.trials_figure`.
+        """
+        from swarm.view.trial_plots import distances_of, trials_figure  # noqa: PLC0415 - slow
+
+        required = {name: getattr(self.plan.mission.clearance, name) for name in CLEARANCES}
+        return trials_figure([distances_of(self.plan, self.trials, self.certified)], required)
+
+    def __repr__(self) -> str:
+        return f"<Trials {self.plan.mission.name}: {', '.join(self._figures().values())}>"
+
+    def _repr_html_(self) -> str:
+        return table(f"Trials {self.plan.mission.name}", self._figures().items())
+
+    def _figures(self) -> dict[str, str]:
+        """What one line says of the trials, by name."""
+        sound = [trial for trial in self.trials if not trial.failing]
+        failing = [trial for trial in self.trials if trial.failing]
+        figures = {"trials": f"{len(self.trials)} flown"}
+        for name, group in (("no vehicle failing", sound), ("a vehicle failing", failing)):
+            if group:
+                done = sum(trial.completed for trial in group)
+                figures[name] = f"{done} of {len(group)} completed with {name}"
+        return figures
+
+
+def monte_carlo(
+    plan: planning.Plan,
+    certificate: Certificate,
+    *,
+    trials: int = 200,
+    seed: int = 1,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    spread: Spread | None = None,
+    faults: Sequence[Fault] = (),
+    progress: Progress | None = None,
+) -> Trials:
+    """Simulate a plan many times, each in a world with its own wind, links, masses and failures.
+
+    ``trials`` is how many, numbered from 0. ``spread`` says what is drawn from which distributions
+    (:class:`swarm.Spread`), ``faults`` (as for :func:`simulate`) happen in every trial. ``jobs``
+    processes of this machine share the work (None: as many as it has cores), or the workers of the
+    Dask cluster whose ``scheduler`` is given (tcp://host:port). ``seed`` and number of a trial
+    decide all of it, whatever the number of processes. ``progress(stage, share)`` is called after
+    each trial.
+
+    Raises :class:`swarm.Refused` where the certificate belongs to another plan or holds errors,
+    :class:`swarm.InputError` for numbers out of range, and :class:`swarm.SwarmError` where the
+    cluster's packages are missing or it is not there.
+
+    Source: :func:`swarm.simulation.monte_carlo.fly_trials`.
+    """
+    problems = [
+        Problem(name, f"expected a whole number >= 1, got {value!r}")
+        for name, value in (("trials", trials), ("jobs", 1 if jobs is None else jobs))
+        if value < 1
+    ]
+    if problems:
+        raise InputError(problems)
+    spread = spread or Spread()
+    flown: list[Trial] = []
+    for trial in fly_trials(
+        flyable(plan, certificate), spread, seed=seed, trials=range(trials), faults=faults,
+        jobs=jobs, scheduler=scheduler,
+    ):  # fmt: skip
+        flown.append(trial)
+        if progress:
+            progress("trials", len(flown) / trials)
+    flown.sort(key=lambda trial: trial.number)
+    return Trials(plan, tuple(flown), seed, spread, jobs)

@@ -1,0 +1,278 @@
+"""The multi-catenary: a chain of catenaries from corner to corner, and its crossings in plan view.
+
+Corners are (n, 3), ENU, z up; segment i hangs from corner i to corner i + 1. Plan view is seen
+from above; a crossing is a pair (over, under) of segments. Gravity is vertical here: this is the
+statics of a layout at rest in still air.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from swarm.errors import Refused
+from swarm.geometry.catenary import hang, length_for_sag, sag_for_drop
+
+Floats = NDArray[np.float64]
+Pairs = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class PlanCrossings:
+    """Where segments cross in plan view: indices (c, 2) and the fractions of their spans (c, 2)."""
+
+    segments: Pairs
+    fractions: Floats
+
+
+def segment_lengths(corners: ArrayLike, sags: ArrayLike) -> Floats:
+    """Lengths ℓ_i (…, n − 1) of the cable segments that hang the given sags below their chords.
+
+    Paper section III-C, with the length of a catenary instead of its misprint. ``corners`` are
+    (…, n, 3), ``sags`` (…, n − 1), metres. Neighbouring corners must differ in plan view.
+    """
+    steps = np.diff(_floats(corners), axis=-2)
+    return length_for_sag(np.hypot(steps[..., 0], steps[..., 1]), sags, steps[..., 2])
+
+
+def polyline(corners: ArrayLike, lengths: ArrayLike, points_per_segment: int) -> Floats:
+    """Return the whole chain as points (…, (n − 1)·points_per_segment + 1, 3).
+
+    Each segment is cut into ``points_per_segment`` pieces of equal arc length; corners are exact
+    and appear once. ``corners`` are (…, n, 3), ``lengths`` (…, n − 1).
+    """
+    corners = _floats(corners)
+    strands = hang(corners[..., :-1, :], corners[..., 1:, :], lengths)
+    points = strands.points(np.arange(points_per_segment) / points_per_segment)
+    merged = points.reshape(*points.shape[:-3], -1, 3)
+    last = np.broadcast_to(corners[..., -1:, :], (*merged.shape[:-2], 1, 3))
+    return np.concatenate([merged, last], axis=-2)
+
+
+def alpha(corners: ArrayLike, sags: ArrayLike, r: ArrayLike) -> Floats:
+    """Points α(r) (k, 3) of the multi-catenary at horizontal distances r (k,) along its corners.
+
+    Paper eq. 3 (one catenary, placed) and eq. 4 (the chain), r from 0 to the sum of the spans. The
+    print shifts by half spans and starts each piece at its middle; here the pieces join. Headings
+    are those of the corners, heights may differ.
+    """
+    corners, r = _floats(corners), _floats(r)
+    steps = np.diff(corners, axis=0)
+    begins = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
+    if not np.all((r >= 0.0) & (r <= begins[-1] * (1.0 + 1e-12))):
+        raise ValueError(f"r must lie between 0 and {begins[-1]:g}, the sum of the spans")
+    i = np.clip(np.searchsorted(begins, r, side="right") - 1, 0, len(steps) - 1)
+    strands = hang(corners[i], corners[i + 1], segment_lengths(corners, sags)[i])
+    return strands.at_span(np.minimum((r - begins[i]) / strands.span, 1.0))
+
+
+def plan_crossings(corners: ArrayLike) -> PlanCrossings:
+    """Find every pair of segments that cross in plan view, by index in ascending order.
+
+    ``corners`` are (n, 2) or (n, 3). Segments that share a corner do not cross; touching counts.
+    Raises :class:`Refused` where two segments lie on one line and overlap, which has no crossing.
+    """
+    corners = _floats(corners)
+    first, second = np.triu_indices(len(corners) - 1, 2)
+    at_first, at_second, parallel = _meet(corners, first, second)
+    overlap = parallel & _overlapping(corners, first, second)
+    if np.any(overlap):
+        pairs = zip(first[overlap].tolist(), second[overlap].tolist(), strict=True)
+        shown = ", ".join(f"{i} and {j}" for i, j in pairs)
+        raise Refused(f"segments lie along one another in plan view: {shown}")
+    inside = (at_first >= 0.0) & (at_first <= 1.0) & (at_second >= 0.0) & (at_second <= 1.0)
+    inside &= ~parallel
+    return PlanCrossings(
+        np.stack([first, second], axis=1)[inside],
+        np.stack([at_first, at_second], axis=1)[inside],
+    )
+
+
+def crossing_fractions(corners: ArrayLike, crossings: ArrayLike) -> Floats:
+    """Fractions (…, c, 2) of their spans at which crossing segments meet in plan view.
+
+    Raises :class:`ValueError` where a pair does not cross.
+    """
+    corners, crossings = _floats(corners), _pairs(crossings)
+    over, under, parallel = _meet(corners, crossings[:, 0], crossings[:, 1])
+    fractions = np.stack([over, under], axis=-1)
+    bad = parallel | np.any((fractions < 0.0) | (fractions > 1.0), axis=-1)
+    if np.any(bad):
+        which = crossings[np.argwhere(bad)[:, -1]].tolist()
+        raise ValueError(f"these pairs of segments do not cross in plan view: {which}")
+    return fractions
+
+
+def crossing_gaps(corners: ArrayLike, lengths: ArrayLike, crossings: ArrayLike) -> Floats:
+    """Height (…, c) of the over strand above the under strand at each crossing; exact, metres.
+
+    The crossing condition of the paper is that all are positive. ``corners`` are (…, n, 3),
+    ``lengths`` (…, n − 1), ``crossings`` (c, 2) pairs (over, under) of segments, which must cross.
+    """
+    corners, lengths, crossings = _floats(corners), _floats(lengths), _pairs(crossings)
+    fractions = crossing_fractions(corners, crossings)
+    strands = hang(
+        corners[..., crossings, :], corners[..., crossings + 1, :], lengths[..., crossings]
+    )
+    heights = strands.at_span(fractions)[..., 2]
+    gaps: Floats = heights[..., 0] - heights[..., 1]
+    return gaps
+
+
+def minimum_under_sag(grid_size: ArrayLike, cell: ArrayLike, sag_over: ArrayLike) -> Floats:
+    """Least h_max that keeps every crossing of any N×N grid apart: Proposition 1, corrected.
+
+    h_max > h_min + ā·cosh((L − 3d)/2ā) − ā, with L = N·d and ā of a catenary with sag h_max and
+    span L − d. Both sides hold h_max: the root is where the widest under strand has dropped h_min
+    within one cell from its end. (The print adds ā, and its proof has L − d for L − 3d.)
+    """
+    size = _floats(grid_size)
+    if np.any(size < 3.0):
+        raise ValueError("a grid with crossings has at least three rows")
+    return sag_for_drop((size - 1.0) * _floats(cell), sag_over, 1.0 / (size - 1.0))
+
+
+def cell_for_length(corners: ArrayLike, sags: ArrayLike, length: float) -> float:
+    """Cell width with which the chain of unit-cell ``corners`` uses just ``length`` of cable.
+
+    ``corners`` (n, 3) are in cells, ``sags`` (n − 1,) in metres stay as they are. (Where sags scale
+    with the cell, all lengths do, and the answer is a quotient.) Raises :class:`Refused` where the
+    sags alone need more cable.
+    """
+    corners = _floats(corners)
+
+    def surplus(cell: float) -> float:
+        return float(segment_lengths(corners * cell, sags).sum()) - length
+
+    steps = np.diff(corners, axis=0)
+    widest = length / float(np.linalg.norm(steps, axis=1).sum())
+    narrowest = 1e-9 * widest
+    if surplus(narrowest) >= 0.0:
+        raise Refused(
+            f"a cable of {length:g} m is too short for these sags: they alone need "
+            f"{surplus(narrowest) + length:.6g} m"
+        )
+    return float(brentq(surplus, narrowest, widest, xtol=1e-12 * widest, rtol=1e-14))
+
+
+def least_sags(
+    corners: ArrayLike,
+    crossings: ArrayLike,
+    clearance: float,
+    *,
+    minimum_sag: ArrayLike,
+    one_each: bool = False,
+) -> Floats:
+    """Sags (n − 1,) that use the least cable with ``clearance`` at every crossing, in metres.
+
+    ``clearance`` is the height of the over above the under strand at their crossing in plan view,
+    ``minimum_sag`` one number or one per segment.
+    With ``one_each`` every segment gets its own sag; else there are two, one for segments that
+    pass over (or cross nothing) and one for those that pass under. A deeper strand only ever asks
+    those under it to go deeper, so the least fixed point is the shortest cable.
+
+    Raises :class:`Refused` where strands pass over each other in a circle that no sags can serve,
+    or where two sags cannot because a segment passes both over and under.
+    """
+    corners, crossings = _floats(corners), _pairs(crossings)
+    count = len(corners) - 1
+    over, under = crossings[:, 0], crossings[:, 1]
+    both = np.intersect1d(over, under)
+    if not one_each and len(both):
+        raise Refused(
+            "two sags cannot serve segments that pass over and under: "
+            + ", ".join(map(str, both.tolist()))
+        )
+    below = np.isin(np.arange(count), under)
+    sags = np.broadcast_to(_floats(minimum_sag), (count,)).copy()
+    for _ in range(count + 1):
+        needed = _needed_sags(corners, crossings, sags, clearance)
+        deeper = sags.copy()
+        np.maximum.at(deeper, under, needed)
+        if not one_each and len(under):
+            deeper[below] = deeper[below].max()
+        if np.all(deeper <= sags * (1.0 + 1e-12)):
+            return sags
+        sags = deeper
+    raise Refused(
+        "these strands pass over each other in a circle that no sags can serve: segments "
+        + ", ".join(map(str, _circle(over, under)))
+    )
+
+
+def _needed_sags(corners: Floats, crossings: Pairs, sags: Floats, clearance: float) -> Floats:
+    """Sag (c,) that the under strand of each crossing needs, with the over strands as they are."""
+    if not len(crossings):
+        return np.zeros(0)
+    over, under = crossings[:, 0], crossings[:, 1]
+    fractions = crossing_fractions(corners, crossings)
+    lengths = segment_lengths(corners, sags)
+    strands = hang(corners[over], corners[over + 1], lengths[over])
+    ceiling = strands.at_span(fractions[:, 0])[:, 2] - clearance
+    step = corners[under + 1] - corners[under]
+    drop = corners[under, 2] + fractions[:, 1] * step[:, 2] - ceiling
+    span = np.hypot(step[:, 0], step[:, 1])
+    inner = (fractions[:, 1] > 0.0) & (fractions[:, 1] < 1.0)
+    if np.any(~inner & (drop > 0.0)):
+        raise Refused("a strand crosses over the corner of another, where no sag lowers it")
+    asks = inner & (drop > 0.0)
+    needed = np.zeros(len(crossings))
+    needed[asks] = sag_for_drop(span[asks], drop[asks], fractions[asks, 1], step[asks, 2])
+    return needed
+
+
+def _circle(over: Pairs, under: Pairs) -> list[int]:
+    """Segments that are part of some circle of "passes over"; those left when sinks are peeled."""
+    left = set(over.tolist()) & set(under.tolist())
+    pairs = list(zip(over.tolist(), under.tolist(), strict=True))
+    while True:
+        kept = {
+            i
+            for i in left
+            if any(a == i and b in left for a, b in pairs)
+            and any(b == i and a in left for a, b in pairs)
+        }
+        if kept == left:
+            return sorted(left)
+        left = kept
+
+
+def _meet(corners: Floats, first: Pairs, second: Pairs) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Fractions at which the lines of two segments meet in plan view, and which are parallel."""
+    p, q = corners[..., first, :2], corners[..., second, :2]
+    u, w = corners[..., first + 1, :2] - p, corners[..., second + 1, :2] - q
+    area = _cross(u, w)
+    size = np.linalg.norm(u, axis=-1) * np.linalg.norm(w, axis=-1)
+    parallel = np.abs(area) <= 1e-12 * size
+    area = np.where(parallel, 1.0, area)
+    return _cross(q - p, w) / area, _cross(q - p, u) / area, parallel
+
+
+def _overlapping(corners: Floats, first: Pairs, second: Pairs) -> NDArray[np.bool_]:
+    """Whether parallel segments lie on one line (to 1e-9 of their size) and share some of it."""
+    p, q = corners[first, :2], corners[second, :2]
+    u, w = corners[first + 1, :2] - p, corners[second + 1, :2] - q
+    size = np.linalg.norm(u, axis=-1)
+    on_line: NDArray[np.bool_] = np.abs(_cross(u, q - p)) <= 1e-9 * size * (
+        size + np.linalg.norm(w, axis=-1)
+    )
+    begin = np.einsum("ij,ij->i", q - p, u) / size**2
+    end = np.einsum("ij,ij->i", q + w - p, u) / size**2
+    shares = (np.maximum(begin, end) > 0.0) & (np.minimum(begin, end) < 1.0)
+    on_line &= shares
+    return on_line
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    product: Floats = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product
+
+
+def _floats(value: ArrayLike) -> Floats:
+    return np.asarray(value, dtype=np.float64)
+
+
+def _pairs(crossings: ArrayLike | Sequence[tuple[int, int]]) -> Pairs:
+    return np.asarray(crossings, dtype=np.intp).reshape(-1, 2)

@@ -1,0 +1,186 @@
+"""Strands whose middle lies on the floor: lifting a cable, and putting it down.
+
+Where a hanging strand would dip below the floor, it comes down as part of a catenary that meets
+the floor tangentially, lies straight, and goes up again as part of a catenary with the same
+horizontal tension (no friction, quasi-static). With more cable than that can hold, the horizontal
+tension vanishes: both ends hang straight down and the surplus lies loose on the floor.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, hang
+from swarm.geometry.shape import sinh_less
+
+Floats = NDArray[np.float64]
+
+_HAIR = 1e-12
+"""Share of the length below which a height or a stretch of cable on the floor is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class FloorStrands:
+    """A batch of strands, hanging free or partly on the floor; made by :func:`rest_on_floor`.
+
+    Vectors are (…, 3), scalars (…,), metres, z up. Figures other than those of ``free`` hold where
+    ``touching``; elsewhere the strand is the catenary ``free``.
+    """
+
+    free: Catenaries
+    """The strands as they would hang without a floor."""
+    floor: Floats
+    touching: NDArray[np.bool_]
+    """Whether some of the strand lies on the floor."""
+    parameter: Floats
+    """a, metres: horizontal tension over the weight of a metre; 0 where cable lies loose."""
+    lifted_start: Floats
+    """Arc length from the start to where the strand touches the floor."""
+    lifted_end: Floats
+    loose: Floats
+    """Cable beyond what lies straight; it lies somewhere about the line between the ends."""
+
+    @property
+    def lying(self) -> Floats:
+        """Arc length (…,) on the floor, with what is loose; 0 where the strand hangs free."""
+        return np.where(self.touching, self.free.length - self.lifted_start - self.lifted_end, 0.0)
+
+    @cached_property
+    def _heights(self) -> tuple[Floats, Floats]:
+        return _heights(self.free, self.floor)
+
+    def points(self, fractions: ArrayLike) -> Floats:
+        """Points at the given fractions (k,) of the arc length of every strand: (…, k, 3).
+
+        Loose cable is drawn evenly along the straight line on the floor.
+        """
+        fractions = np.asarray(fractions, dtype=np.float64)
+        arc = fractions * self.free.length[..., None]
+        first, last = self.lifted_start[..., None], self.lifted_end[..., None]
+        from_end = self.free.length[..., None] - arc
+        a = self.parameter[..., None]
+        down_start, up_start = _branch(a, np.maximum(first - arc, 0.0))
+        down_end, up_end = _branch(a, np.maximum(last - from_end, 0.0))
+        reach_start, reach_end = _branch(a, first)[0], _branch(a, last)[0]
+        lying = np.maximum(self.lying, _HAIR * self.free.length)[..., None]
+        run = np.clip((arc - first) / lying, 0.0, 1.0)
+        flat = self.free.span[..., None] - reach_start - reach_end
+        along = reach_start - down_start + run * flat + down_end
+        height = self.floor[..., None] + up_start + up_end
+        plan = self.free.start[..., None, :2] + along[..., None] * self.free.heading[..., None, :2]
+        resting = np.concatenate([plan, height[..., None]], axis=-1)
+        return np.where(self.touching[..., None, None], resting, self.free.points(fractions))
+
+    def tension(
+        self, mass_per_length: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
+    ) -> tuple[Floats, Floats, Floats]:
+        """Tension (…,) in newtons: its horizontal part, at the start, and at the end."""
+        weight = np.asarray(mass_per_length, dtype=np.float64) * np.asarray(gravity)
+        low, high = self._heights
+        resting = self.parameter, self.parameter + low, self.parameter + high
+        hanging = self.free.tension(mass_per_length, gravity)
+        horizontal, at_start, at_end = (
+            np.where(self.touching, weight * on_floor, aloft)
+            for on_floor, aloft in zip(resting, hanging, strict=True)
+        )
+        return horizontal, at_start, at_end
+
+    def end_forces(
+        self, mass_per_length: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
+    ) -> tuple[Floats, Floats]:
+        """Force (…, 3) of each strand on what holds its start and its end; newtons.
+
+        Together they are the weight of what is off the floor.
+        """
+        weight = np.asarray(mass_per_length, dtype=np.float64) * np.asarray(gravity)
+        heading, down = self.free.heading, self.free.down
+        pull = (weight * self.parameter)[..., None] * heading
+        at_start = pull + (weight * self.lifted_start)[..., None] * down
+        at_end = -pull + (weight * self.lifted_end)[..., None] * down
+        free_start, free_end = self.free.end_forces(mass_per_length, gravity)
+        touching = self.touching[..., None]
+        return np.where(touching, at_start, free_start), np.where(touching, at_end, free_end)
+
+
+def rest_on_floor(
+    start: ArrayLike, end: ArrayLike, length: ArrayLike, floor: ArrayLike = 0.0
+) -> FloorStrands:
+    """Hang cables between ends above a level floor, letting them lie on it where they reach it.
+
+    ``start`` and ``end`` are (…, 3), z up, ``length`` and ``floor`` (the floor's z) are (…,); they
+    broadcast; metres. Ends may be on the floor, not below it.
+
+    Raises :class:`swarm.geometry.catenary.OverStretched`, and :class:`ValueError` for ends below
+    it.
+    """
+    free = hang(start, end, length)
+    floor = np.broadcast_to(np.asarray(floor, dtype=np.float64), free.length.shape)
+    low, high = _heights(free, floor)
+    touching = free.lowest()[..., 2] < floor - _HAIR * free.length
+    surplus = free.length - free.span
+    loose = np.maximum(surplus - low - high, 0.0)
+    tight = touching & (loose == 0.0)
+    parameter = _parameter(low, high, np.where(tight, surplus, 0.5 * (low + high)))
+    parameter = np.where(tight, parameter, 0.0)
+    return FloorStrands(
+        free=free,
+        floor=floor,
+        touching=touching,
+        parameter=parameter,
+        lifted_start=_lifted(parameter, low),
+        lifted_end=_lifted(parameter, high),
+        loose=np.where(touching, loose, 0.0),
+    )
+
+
+def _heights(free: Catenaries, floor: Floats) -> tuple[Floats, Floats]:
+    """Heights of the ends above the floor; a hair's breadth is none."""
+    low, high = free.start[..., 2] - floor, free.end[..., 2] - floor
+    if np.any(np.minimum(low, high) < -1e-9):
+        raise ValueError("an end of a strand is below the floor")
+    hair = _HAIR * free.length
+    return np.where(low > hair, low, 0.0), np.where(high > hair, high, 0.0)
+
+
+def _parameter(low: Floats, high: Floats, surplus: Floats) -> Floats:
+    """Solve Σ (arc − reach) of the two branches = surplus for a, by Newton in log a.
+
+    With cosh θ = 1 + h/a: arc a·sinh θ, reach a·θ, and d(arc − reach)/da = 2·tanh(θ/2) − θ.
+    """
+    scale = np.maximum(low + high, np.finfo(float).tiny)
+    log_a = np.log(scale)
+    log_least, log_most = log_a - 80.0, log_a + 80.0
+    for _ in range(100):
+        a = np.exp(log_a)
+        excess, slope = -surplus, np.zeros_like(a)
+        for height in (low, high):
+            half = np.arcsinh(np.sqrt(0.5 * height / a))
+            excess = excess + a * sinh_less(2.0 * half)
+            slope = slope + a * (2.0 * np.tanh(half) - 2.0 * half)
+        log_least = np.where(excess > 0.0, log_a, log_least)
+        log_most = np.where(excess > 0.0, log_most, log_a)
+        step = log_a - excess / np.where(slope < 0.0, slope, -1.0)
+        inside = (step >= log_least) & (step <= log_most)
+        following = np.where(inside, step, 0.5 * (log_least + log_most))
+        settled = np.abs(following - log_a) <= 1e-14 * np.maximum(1.0, np.abs(log_a))
+        log_a = following
+        if np.all(settled):
+            break
+    return np.exp(log_a)
+
+
+def _lifted(a: Floats, height: Floats) -> Floats:
+    """Arc length of a branch that ends ``height`` above the floor: √(h² + 2ah)."""
+    arc: Floats = np.sqrt(height * (height + 2.0 * a))
+    return arc
+
+
+def _branch(a: Floats, arc: Floats) -> tuple[Floats, Floats]:
+    """Horizontal and vertical distance from the touching point, at an arc length from it."""
+    safe = np.where(a > 0.0, a, 1.0)
+    across = np.where(a > 0.0, safe * np.arcsinh(arc / safe), 0.0)
+    total = np.hypot(arc, a) + a
+    up = np.where(total > 0.0, arc / np.where(total > 0.0, total, 1.0) * arc, 0.0)
+    return across, up

@@ -1,0 +1,83 @@
+"""Where a plan has the cable: held by vehicles, lying on the floor, or unknown."""
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.errors import InputError, Problem
+from swarm.geometry.floor import rest_on_floor
+from swarm.planning.plan import Phase, Plan
+
+Floats = npt.NDArray[np.float64]
+
+_TO_FLOOR = np.array([1.0, 1.0, 0.0])
+
+
+def cable_shape(plan: Plan, times: npt.ArrayLike, points: int) -> Floats:
+    """Return the cable at mission times (…,) in seconds: (…, n − 1, points, 3), ENU metres.
+
+    Points are spaced evenly along each of the n − 1 segments, both ends included. A held segment
+    is the catenary of its length in still air, and lies on the floor (z = 0) where it reaches it;
+    what lies loose there is drawn along the straight line between its ends. Before it is gripped,
+    and after it was put down on the floor, the cable lies there straight. NaN where the plan says
+    nothing of it (phases with the cable ``free``: let go of aloft, or held by its ends alone).
+    Without cable the result is (…, 0, points, 3).
+
+    Raises :class:`InputError` for times that are not finite and for fewer than 2 points, and
+    :class:`swarm.geometry.catenary.OverStretched` where a chord is longer than its cable, which a
+    cleared plan rules out.
+    """
+    asked = np.asarray(times, dtype=np.float64)
+    problems = []
+    if not np.isfinite(asked).all():
+        problems.append(Problem("time", "expected finite seconds, got one that is not"))
+    if points < 2:
+        problems.append(Problem("points", f"expected at least 2, got {points}"))
+    if problems:
+        raise InputError(problems)
+    flat, lengths = asked.reshape(-1), plan.layout.lengths
+    found = np.full((len(flat), len(lengths), points, 3), np.nan)
+    known = np.array([plan.phase_at(time).cable != "free" for time in flat.tolist()], dtype=bool)
+    if len(lengths) and known.any():
+        grips = _grip_points(plan, flat[known])
+        strands = rest_on_floor(grips[:, :-1], grips[:, 1:], lengths)
+        found[known] = strands.points(np.linspace(0.0, 1.0, points))
+    return found.reshape(*asked.shape, *found.shape[1:])
+
+
+def _grip_points(plan: Plan, times: Floats) -> Floats:
+    """Where the cable's grip points (k, n, 3) are at times (k,): with their vehicles, or lying."""
+    begins, ends = grip_interval(plan)
+    places = plan.motion.at(times)[0]
+    places[times < begins] = resting_places(plan)
+    if np.isfinite(ends):
+        places[times >= ends] = plan.motion.at(ends)[0] * _TO_FLOOR
+    return places
+
+
+def resting_places(plan: Plan) -> Floats:
+    """Return where the grip points of the cable lie (n, 3) before vehicles grip it, ENU metres."""
+    grab = _phase(plan, "grab")
+    if grab is None:
+        return plan.motion.at(plan.phases[0].start)[0]
+    places: Floats = plan.motion.at(grab.end)[0] * _TO_FLOOR
+    return places
+
+
+def grip_interval(plan: Plan) -> tuple[float, float]:
+    """Return the mission times in seconds at which all vehicles have gripped, and have let go.
+
+    −∞ where the cable is tied on from the start, ∞ where the plan never lets go.
+    """
+    grab = _phase(plan, "grab")
+    released = [gate.time for gate in plan.gates if gate.condition == "released"]
+    return grab.end if grab else -np.inf, max(released, default=np.inf)
+
+
+def planned_grip(plan: Plan, times: Floats) -> npt.NDArray[np.bool_]:
+    """Return whether the plan has the cable gripped at mission times (k,): (k,)."""
+    begins, ends = grip_interval(plan)
+    return (times >= begins) & (times < ends)
+
+
+def _phase(plan: Plan, name: str) -> Phase | None:
+    return next((phase for phase in plan.phases if phase.name == name), None)

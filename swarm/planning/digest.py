@@ -1,0 +1,42 @@
+"""What identifies a plan: a digest of its motion, its cable and the limits that it was made for."""
+
+import hashlib
+import json
+from dataclasses import asdict
+
+import numpy as np
+
+from swarm.planning.plan import Plan
+
+_VERSION = b"swarm plan 1\n"
+
+
+def digest(plan: Plan) -> str:
+    """Return the SHA-256 of everything in a plan that a check reads, as 64 hexadecimal digits.
+
+    That is the motion, the layout with the segments' lengths, phases, gates, the knot and the
+    whole mission (cable, vehicles, clearances, wind, workspace), each bit of every number. ``path``
+    and ``notes`` are for readers and change nothing.
+    """
+    layout = plan.layout
+    words = {
+        "mission": plan.mission.model_dump(mode="json", by_alias=True),
+        "knot": asdict(plan.knot),
+        "crossings": [list(pair) for pair in layout.crossings],
+        "cell": layout.cell,
+        "phases": [asdict(phase) for phase in plan.phases],
+        "gates": [asdict(gate) for gate in plan.gates],
+    }
+    found = hashlib.sha256(_VERSION)
+    found.update(json.dumps(words, sort_keys=True).encode())
+    for array in (
+        plan.motion.times,
+        plan.motion.coefficients,
+        layout.corners,
+        layout.sags,
+        layout.lengths,
+        layout.lanes,
+    ):
+        found.update(repr(array.shape).encode())
+        found.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    return found.hexdigest()

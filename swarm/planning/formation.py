@@ -1,0 +1,102 @@
+"""First steps without a knot: formations one after the other, with a piece of cable or none."""
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.errors import Refused
+from swarm.geometry.catenary import sag_for_length
+from swarm.geometry.chain import crossing_gaps, plan_crossings
+from swarm.mission import Formation, Mission
+from swarm.planning.flight import flight_without_cable, whole_flight
+from swarm.planning.parts import thrust
+from swarm.planning.plan import KnotSummary, Layout, Plan
+from swarm.trajectory import Motion, at_rest, followed, leg
+
+Floats = npt.NDArray[np.float64]
+
+LINE_SHARE = 0.85
+"""Distance of vehicles on the line that is lifted, over the cable between them."""
+
+_STILL = 1.0
+"""Seconds at every formation, so that strands come to rest before they go on."""
+
+
+def formation_plan(mission: Mission, formation: Formation) -> Plan:
+    """Plan the flight through a mission's formations; not yet certified.
+
+    The fold takes everybody from the lifted line to the first formation and from there, straight
+    and all at once, from rest to rest to each of the others. Raises
+    :class:`swarm.errors.Refused` where a formation stretches the cable.
+    """
+    places = np.array(formation.places, dtype=np.float64)
+    lengths = np.array(formation.lengths, dtype=np.float64)
+    stops = list(places)
+    if len(lengths):
+        _refuse_stretched(places, lengths)
+        stops.insert(0, _line(places[0], lengths))
+    fold = _through(mission, stops)
+    if len(lengths):
+        flight = whole_flight(mission, lengths, fold)
+    else:
+        flight = flight_without_cable(fold, mission.hold_time)
+    return Plan(
+        mission=mission,
+        knot=KnotSummary("", "none", "", ()),
+        layout=_layout(places[-1], lengths),
+        motion=flight.motion,
+        phases=flight.phases,
+        gates=flight.gates,
+        path=np.concatenate([stop[-1:] for stop in stops]),
+        notes=(f"flies to {len(places)} formations, straight from rest to rest",),
+    )
+
+
+def _refuse_stretched(places: Floats, lengths: Floats) -> None:
+    chords = np.linalg.norm(np.diff(places, axis=1), axis=2)
+    wrong = [
+        f"formation {stop + 1} has vehicles {segment + 1} and {segment + 2} "
+        f"{chords[stop, segment]:.2f} m apart, but formation.lengths gives them "
+        f"{lengths[segment]:.2f} m of cable"
+        for stop, segment in np.argwhere(chords >= lengths)
+    ]
+    if wrong:
+        raise Refused("\n".join(wrong))
+
+
+def _line(first: Floats, lengths: Floats) -> Floats:
+    """The line (n, 3) from which the first formation is reached: level, and about its middle."""
+    across = first[-1, :2] - first[0, :2]
+    size = float(np.linalg.norm(across))
+    heading = across / size if size > 1e-6 else np.array([1.0, 0.0])
+    along = np.concatenate([[0.0], np.cumsum(LINE_SHARE * lengths)])
+    line = np.empty_like(first)
+    line[:, :2] = first[:, :2].mean(axis=0) + (along - along.mean())[:, None] * heading
+    line[:, 2] = first[:, 2].max()
+    return line
+
+
+def _through(mission: Mission, stops: list[Floats]) -> Motion:
+    """From rest to rest through the stops, with a rest at each."""
+    rests = [at_rest(stops[0], _STILL)]
+    for start, end in pairwise(stops):
+        rests.append(leg(start, end, 0.5 * mission.vehicles.max_speed, 0.5 * thrust(mission)))
+        rests.append(at_rest(end, _STILL))
+    return followed(*rests)
+
+
+def _layout(corners: Floats, lengths: Floats) -> Layout:
+    """Where the cable hangs in the last formation, and what passes over what there."""
+    step = np.diff(corners, axis=0)[: len(lengths)]
+    spans = np.hypot(step[:, 0], step[:, 1])
+    pairs: list[tuple[int, int]] = []
+    sags = sag_for_length(spans, lengths, step[:, 2]) if len(lengths) else lengths
+    if len(lengths) > 1:
+        crossing = plan_crossings(corners).segments
+        gaps = crossing_gaps(corners, lengths, crossing)
+        pairs = [
+            (int(a), int(b)) if gap > 0 else (int(b), int(a))
+            for (a, b), gap in zip(crossing, gaps, strict=True)
+        ]
+    return Layout(corners, sags, lengths, np.zeros_like(lengths), tuple(pairs), 0.0)

@@ -1,0 +1,141 @@
+"""The plan: timed phases joined by gates, and one trajectory per vehicle.
+
+Inside a phase setpoints are a function of mission time alone. At a gate the mission clock waits
+for a condition of the team.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.knots.names import in_words
+from swarm.mission import Mission
+from swarm.trajectory import Motion
+
+Floats = npt.NDArray[np.float64]
+
+PhaseName = Literal[
+    "takeoff", "grab", "contract", "lift", "fold", "hold",
+    "unfold", "lower", "spread", "descend", "tighten", "finish", "land",
+]  # fmt: skip
+CableState = Literal["floor", "lifting", "aloft", "landing", "free"]
+Condition = Literal["armed", "airborne", "gripped", "settled", "released", "landed"]
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of mission time.
+
+    ``cable`` says what the cable model must assume: lying on the ``floor`` (held or not),
+    ``lifting`` (held as a line, partly on the floor), ``aloft`` (every segment a catenary),
+    ``landing`` (held as a knot, all straight down together until its strands lie on each other) or
+    ``free`` (nothing is said of it: let go of, or held by its ends alone).
+    ``reversible`` says whether mission time may run backwards in it.
+    """
+
+    name: PhaseName
+    start: float
+    end: float
+    cable: CableState
+    reversible: bool
+
+
+@dataclass(frozen=True)
+class Gate:
+    """The mission clock waits at ``time`` until ``condition`` holds for every vehicle.
+
+    ``armed`` is reached by arming, ``gripped`` and ``released`` by gripper commands in the order
+    of the vehicles, ``settled`` by waiting, ``landed`` by landing and disarming. ``inner`` means
+    all vehicles but the two that hold the cable's ends.
+    """
+
+    time: float
+    condition: Condition
+    timeout: float
+    inner: bool = False
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the folded knot hangs.
+
+    ``corners`` (n, 3) are the grip points' final places in order along the cable, ENU metres;
+    ``sags`` and ``lengths`` (n − 1,) belong to the segments, ``lanes`` (n − 1,) are heights of the
+    path above (or, negative, below) the corners; ``crossings`` are pairs (over, under) of segments.
+    ``cell`` is the grid's cell width, 0 where the layout is no grid's.
+    """
+
+    corners: Floats
+    sags: Floats
+    lengths: Floats
+    lanes: Floats
+    crossings: tuple[tuple[int, int], ...]
+    cell: float
+
+
+@dataclass(frozen=True)
+class KnotSummary:
+    """What is tied: KnotInfo's name, chirality (left, right or none), code and grid."""
+
+    type: str
+    chirality: Literal["left", "right", "none"]
+    gauss: str
+    grid_columns: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True, repr=False)
+class Plan:
+    """Everything that will be flown, not yet certified.
+
+    ``motion`` moves the n grip points from the pads (mission time 0) to the ground again;
+    ``path`` (k, 3) is the curve that all follow in the fold, for pictures; ``notes`` say what the
+    planner tried.
+    """
+
+    mission: Mission
+    knot: KnotSummary
+    layout: Layout
+    motion: Motion
+    phases: tuple[Phase, ...]
+    gates: tuple[Gate, ...]
+    path: Floats
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Plan {self.mission.name}: {', '.join(self.figures().values())}>"
+
+    def figures(self) -> dict[str, str]:
+        """Return what one line says of the plan, by name: knot, vehicles, cable and duration."""
+        count, cable = self.vehicles, float(self.layout.lengths.sum())
+        return {
+            "knot": in_words(self.knot.type, self.knot.chirality),
+            "vehicles": f"{count} vehicle{'s' if count > 1 else ''}",
+            "cable": f"{cable:.1f} m of cable" if cable else "no cable",
+            "duration": f"{self.duration:.0f} s",
+        }
+
+    @property
+    def vehicles(self) -> int:
+        """Number of vehicles n."""
+        return int(self.motion.coefficients.shape[2])
+
+    @property
+    def duration(self) -> float:
+        """Mission time from take-off to the ground, without waits at gates, in seconds."""
+        return float(self.motion.times[-1])
+
+    def phase(self, name: PhaseName) -> Phase:
+        """Return the phase of that name; raises :class:`KeyError` where the plan has none."""
+        for phase in self.phases:
+            if phase.name == name:
+                return phase
+        raise KeyError(name)
+
+    def phase_at(self, time: float) -> Phase:
+        """Return the phase of a mission time; at a joint, the later one."""
+        for phase in self.phases:
+            if time < phase.end:
+                return phase
+        return self.phases[-1]

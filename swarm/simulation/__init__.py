@@ -1,0 +1,1 @@
+"""Flights in virtual time: one, many with drawn conditions, and with faults injected."""

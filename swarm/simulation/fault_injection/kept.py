@@ -1,0 +1,100 @@
+"""Drills as lines of text, so that a run that was interrupted goes on where it was.
+
+The first line says which plan and seed they belong to, each other one what came of one row with one
+team at some random times.
+"""
+
+import hashlib
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from swarm.errors import InputError
+from swarm.planning import Plan
+from swarm.simulation.fault_injection.judging import Trial
+from swarm.simulation.fault_injection.rehearsal import Personality
+from swarm.version import __version__
+
+_NEVER_JUDGED = ("clearance", "apart")
+"""What is infinite where there was nothing to judge, and null in JSON."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """The trials of a row with a team at random times that are drawn together from ``seeds``."""
+
+    row: str
+    personality: Personality
+    seeds: tuple[int, int, int]
+    trials: tuple[Trial, ...]
+
+    @property
+    def key(self) -> tuple[str, Personality, tuple[int, int, int], int]:
+        """What the same drills have in common, whenever they are flown."""
+        return self.row, self.personality, self.seeds, len(self.trials)
+
+
+@dataclass(frozen=True)
+class Heading:
+    """What drills belong to."""
+
+    mission: str
+    plan: str
+    seed: int
+    swarm: str = __version__
+
+
+_HEADING, _FLOWN = TypeAdapter(Heading), TypeAdapter(Flown)
+
+
+def heading(plan: Plan, seed: int) -> Heading:
+    """Return what the drills of a plan belong to; another motion has another digest."""
+    digest = hashlib.sha256(plan.motion.times.tobytes() + plan.motion.coefficients.tobytes())
+    return Heading(plan.mission.name, digest.hexdigest()[:16], seed)
+
+
+def line(what: Heading | Flown) -> str:
+    """Return a heading or drills as one line of JSON, with its end."""
+    if isinstance(what, Heading):
+        return _HEADING.dump_json(what).decode() + "\n"
+    document = asdict(what)
+    for trial in document["trials"]:
+        _swap(trial, math.inf, None)
+    return _FLOWN.dump_json(document, warnings=False).decode() + "\n"  # type: ignore[arg-type]
+
+
+def read_kept(lines: Iterable[str], wanted: Heading) -> list[Flown]:
+    """Return the drills that lines hold, each without its end; raises :class:`InputError` where
+    they belong to something else, or are none."""
+    found: list[Flown] = []
+    for number, text in enumerate(lines, 1):
+        try:
+            if number == 1:
+                known = _HEADING.validate_json(text)
+                if known != wanted:
+                    raise InputError(
+                        f"it holds drills of {known.mission} with seed {known.seed}, plan "
+                        f"{known.plan} and swarm {known.swarm}; these are of {wanted.mission} with "
+                        f"seed {wanted.seed}, plan {wanted.plan} and swarm {wanted.swarm}"
+                    )
+                continue
+            found.append(_flown(text))
+        except (ValidationError, ValueError):
+            raise InputError(f"line {number} is not a line of drills") from None
+    return found
+
+
+def _flown(text: str) -> Flown:
+    document = TypeAdapter(dict[str, Any]).validate_json(text)
+    for trial in document.get("trials", ()):
+        _swap(trial, None, math.inf)
+    return _FLOWN.validate_python(document)
+
+
+def _swap(trial: dict[str, Any], before: float | None, after: float | None) -> None:
+    for name in _NEVER_JUDGED:
+        if trial.get(name, 0.0) == before:
+            trial[name] = after

@@ -1,0 +1,130 @@
+"""Both sides of a flight in virtual time, stepped by hand, that can be copied in mid-air."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from pymavlink.dialects.v20 import common
+
+from swarm.certification.certificate import CertifiedPlan
+from swarm.fleet import Fleet, emulated_fleet
+from swarm.flight.clearance import go
+from swarm.flight.clone import branch
+from swarm.flight.conductor import Conductor
+from swarm.flight.jit_warm_up import lasting
+from swarm.flight.parameters import demands_of_plan, rules
+from swarm.flight.snapshot import Event
+from swarm.flight.world import emulated_world
+from swarm.simulation.loop import Emulator, parse_world
+
+Personality = Literal["px4", "ardupilot", "mixed"]
+PERSONALITIES: tuple[Personality, ...] = get_args(Personality)
+LINK = "loopback"
+HOLD = 10.0
+"""Seconds of the common T in drills: long enough to see it, short enough to wait for it."""
+_AUTOPILOTS: Mapping[Personality, tuple[Literal["px4", "ardupilot"], ...]] = {
+    "px4": ("px4",),
+    "ardupilot": ("ardupilot",),
+    "mixed": ("px4", "ardupilot"),
+}
+_ACK = bytes((77, 0, 0))
+"""COMMAND_ACK's number in a MAVLink 2 header."""
+
+
+def drill_fleet(vehicles: int, personality: Personality, seed: int = 1) -> Fleet:
+    """Return the emulated fleet of the drills: as the default one, but for a short T."""
+    fleet = emulated_fleet(vehicles, _AUTOPILOTS[personality], seed=seed)
+    limits = fleet.limits.model_copy(update={"hold": HOLD})
+    return fleet.model_copy(update={"limits": limits})
+
+
+def pass_audit(emulator: Emulator, flight_plan: CertifiedPlan, fleet: Fleet) -> None:
+    """Give emulated vehicles the parameters with which they would pass the audit."""
+    demands = demands_of_plan(flight_plan.plan, fleet)
+    for vehicle in emulator.vehicles:
+        values = vehicle.parameters.values
+        for rule in rules(vehicle.spec.autopilot, demands):
+            if rule.name in values and not rule.good(values[rule.name]):
+                wanted = rule.should
+                value = wanted(values[rule.name]) if callable(wanted) else wanted
+                values[rule.name] = type(values[rule.name])(value)
+                vehicle.personality.parameter_changed(rule.name)
+
+
+@dataclass(eq=False)
+class Rehearsal:
+    """Both sides of a flight and the time, one step after the other; can be copied at any time."""
+
+    flight_plan: CertifiedPlan
+    fleet: Fleet
+    conductor: Conductor
+    emulator: Emulator
+    ticks: int = 0
+    events: list[Event] = field(default_factory=list)
+    keeps: Callable[[int, bytes], bool] | None = None
+
+    @classmethod
+    def of(cls, flight_plan: CertifiedPlan, fleet: Fleet, seed: int) -> "Rehearsal":
+        """Return a flight before its first tick; its vehicles' parameters pass the audit."""
+        world = emulated_world(flight_plan.plan, fleet, with_cable=True, seed=seed)
+        emulator = Emulator(parse_world(json.dumps(world)))
+        pass_audit(emulator, flight_plan, fleet)
+        return cls(flight_plan, fleet, Conductor(flight_plan, fleet), emulator)
+
+    @property
+    def now(self) -> float:
+        """Seconds since the record began."""
+        return self.ticks / self.fleet.rates.setpoint
+
+    def copy(self) -> "Rehearsal":
+        """Return the same flight, to be flown on apart from this one."""
+        return branch(self, lasting(self.conductor))
+
+    def step(self, *, station: bool = True) -> None:
+        """One step of virtual time; without ``station`` the ground station does nothing."""
+        self.ticks += 1
+        conductor, now = self.conductor, self.now
+        for sysid, data in self.emulator.step(now):
+            if station and (self.keeps is None or self.keeps(sysid, data)):
+                conductor.receive(LINK, sysid, data, now)
+        if not station:
+            return
+        for outgoing in conductor.tick(now):
+            if isinstance(outgoing.address, int):
+                self.emulator.receive(outgoing.address, outgoing.data, now)
+        if conductor.stage == "ready" and conductor.audit is not None:
+            conductor.start(go(self.flight_plan, conductor.audit))
+        self.events.extend(conductor.events())
+
+    def land_by_hand(self, system: int) -> None:
+        """Have a vehicle's pilot land it along with the team."""
+        vehicle = next(v for v in self.conductor.flyers if v.system == system)
+        if vehicle.autopilot is not None and vehicle.flown_by_hand:
+            main, sub = vehicle.autopilot.modes["land"]
+            land = common.MAVLink_command_long_message(
+                system, 1, common.MAV_CMD_DO_SET_MODE, 0, 1, main, sub, 0, 0, 0, 0
+            )
+            self.emulator.receive(system, land.pack(common.MAVLink(None, 254, 190)), self.now)
+
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing is under way that a copy could not take along."""
+        return all(vehicle.commands.idle for vehicle in self.conductor.flyers) and not any(
+            vehicle.later for vehicle in self.emulator.vehicles
+        )
+
+
+class LosesAck:
+    """Loses a vehicle's first answer to a gripper command."""
+
+    def __init__(self, system: int) -> None:
+        self._system = system
+        self.lost = 0
+
+    def __call__(self, system: int, data: bytes) -> bool:
+        """Whether a datagram gets through."""
+        if system == self._system and self.lost == 0 and _ACK in data:
+            self.lost += 1
+            return False
+        return True

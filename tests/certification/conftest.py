@@ -1,0 +1,52 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarm.certification.assess import assess
+from swarm.certification.findings import Assessment
+from swarm.mission import parse_mission
+from swarm.planning import Gate, KnotSummary, Layout, Phase, Plan
+from swarm.trajectory import through_states
+
+OVERHAND = """
+schema: 1
+name: overhand
+knot: {gauss: "1- 2+ 3- 1+ 2- 3+", chirality: right}
+"""
+
+
+def recorded_overhand() -> Plan:
+    """A plan of an overhand knot as an early planner made it, sampled every second.
+
+    Kept as data, so that these tests fail for reasons of the certificate and not of the planner.
+    """
+    data = np.load(Path(__file__).with_name("overhand.npz"))
+    states = [data[name].astype(float) for name in ("position", "velocity", "acceleration")]
+    crossings = tuple((int(over), int(under)) for over, under in data["crossings"])
+    return Plan(
+        mission=parse_mission(OVERHAND, "overhand.yaml"),
+        knot=KnotSummary("3_1", "right", "1- 2+ 3- 1+ 2- 3+", ()),
+        layout=Layout(
+            data["corners"], data["sags"], data["lengths"], data["lanes"], crossings, 4.428
+        ),
+        motion=through_states(data["time"], *states),
+        phases=tuple(
+            Phase(str(name), float(start), float(end), str(cable), False)  # type: ignore[arg-type]
+            for name, cable, (start, end) in zip(
+                data["phase_name"], data["phase_cable"], data["phase_time"], strict=True
+            )
+        ),
+        gates=(Gate(float(data["released"][0]), "released", 20.0),),
+        path=data["corners"],
+    )
+
+
+@pytest.fixture(scope="session")
+def overhand() -> Plan:
+    return recorded_overhand()
+
+
+@pytest.fixture(scope="session")
+def overhand_assessed(overhand: Plan) -> Assessment:
+    return assess(overhand)

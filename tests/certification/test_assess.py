@@ -1,0 +1,187 @@
+"""Plans that are broken on purpose are refused, each for its own reason."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarm.certification.assess import assess
+from swarm.certification.certificate import CertifiedPlan, certify
+from swarm.certification.what_if import endurance_findings
+from swarm.errors import Refused
+from swarm.planning import Plan
+from swarm.trajectory import Motion, joined, through_states
+from tests.certification.synthetic import moving, plan_of
+
+
+def errors(plan):
+    """What is wrong with a plan: check → messages."""
+    found = {}
+    for finding in assess(plan).findings:
+        if finding.severity == "error":
+            found.setdefault(finding.check, []).append(finding.message)
+    return found
+
+
+def changed(plan: Plan, change) -> Plan:
+    """The plan with positions (k, n, 3) changed by a function of times (k,) and positions."""
+    times = np.unique(np.concatenate([plan.motion.times, [phase.end for phase in plan.phases]]))
+    states = [change(times, state, order) for order, state in enumerate(plan.motion.at(times))]
+    return replace(plan, motion=through_states(times, *states))
+
+
+def test_our_own_overhand_is_cleared(overhand_assessed):
+    assert [f.message for f in overhand_assessed.findings if f.severity == "error"] == []
+    assert overhand_assessed.cleared
+    assert (overhand_assessed.knot, overhand_assessed.chirality) == ("3_1", "right")
+    assert overhand_assessed.cable.distance >= overhand_assessed.cable.required == 0.15
+    tightest = [f for f in overhand_assessed.findings if f.check == "tightest"]
+    assert len(tightest) == 5
+    assert all(f.at_time is not None and f.where is not None for f in tightest)
+
+
+def test_a_mirrored_knot_has_the_wrong_code_and_the_wrong_hand(overhand):
+    mirror = np.array([-1.0, 1.0, 1.0])
+    mirrored = replace(
+        overhand, motion=Motion(overhand.motion.times, overhand.motion.coefficients * mirror)
+    )
+    found = errors(mirrored)
+    assert set(found) == {"crossing code", "knot type"}
+    assert "left-handed" in found["knot type"][0]
+
+
+def test_swapped_lanes_make_strands_meet(overhand):
+    """What should pass above passes below on the way, though the end looks right."""
+    fold = overhand.phase("fold")
+    height = overhand.layout.corners[:, 2].mean()
+
+    def swapped(times, state, order):
+        folding = (times > fold.start + 1e-9) & (times < fold.end - 1e-9)
+        state = state.copy()
+        state[folding, :, 2] = (2 * height if order == 0 else 0.0) - state[folding, :, 2]
+        return state
+
+    found = errors(changed(overhand, swapped))
+    assert "strands meet" in found
+    assert "crossing code" not in found
+    assert "knot type" not in found
+
+
+def test_a_segment_cut_short_is_taut(overhand):
+    lengths = overhand.layout.lengths.copy()
+    lengths[3] *= 0.85
+    found = errors(replace(overhand, layout=replace(overhand.layout, lengths=lengths)))
+    assert any(message.startswith("segment 4 ") for message in found["taut"])
+    assert not any(message.startswith("segment 2 ") for message in found["taut"])
+
+
+def test_a_vehicle_that_is_late_by_seconds_is_refused_for_its_own_segments(overhand):
+    fold = overhand.phase("fold")
+
+    def late(times, state, order):
+        waiting = np.clip(times - 3.0, fold.start, None)
+        delayed = np.where(
+            times < fold.start, times, np.where(times > fold.end + 3, times, waiting)
+        )
+        state = state.copy()
+        state[:, 4] = overhand.motion.at(delayed)[order][:, 4]
+        return state
+
+    found = errors(changed(overhand, late))
+    assert set(found) & {"taut", "cable clearance", "neighbouring segments"}
+    said = " ".join(message for messages in found.values() for message in messages)
+    assert "segment 4" in said or "segment 5" in said
+
+
+def test_a_whip_near_taut_between_coarse_samples_is_caught():
+    """Out to 0.995 of the cable and back within 0.3 s, once in 20 s."""
+    near, far = [[0, 0, 5.0], [2.6, 0, 5.0]], [[0, 0, 5.0], [2.985, 0, 5.0]]
+    plan = plan_of(
+        moving([0, 9.15, 9.3, 9.45, 20], [near, near, far, near, near]), [3.0],
+        "vehicles.tracking=0.005", "vehicles.max_speed=50", "vehicles.max_acceleration=500",
+        "clearance.vehicle=0.3",
+    )  # fmt: skip
+    assert np.all(plan.motion.at(np.arange(0, 20, 0.5))[0][:, 1, 0] < 2.7)
+    found = errors(plan)
+    assert set(found) == {"taut"}
+    assert "at 9.30 s" in found["taut"][0]
+
+
+def test_limits_of_speed_and_acceleration_with_the_braking_reserve():
+    places = [[[0, 0, 5.0], [2.5, 0, 5.0]], [[6, 0, 5.0], [8.5, 0, 5.0]]]
+    # A quintic over 6 m in T seconds reaches 1.875·6/T m/s and 5.7735·6/T² m/s².
+    for duration, wrong in (
+        (6.0, set()),
+        (5.8, {"acceleration"}),
+        (5.5, {"speed", "acceleration"}),
+    ):
+        plan = plan_of(moving([0, duration], places), [3.0])
+        assert set(errors(plan)) == wrong, duration
+    assert "1 m/s² are allowed (2 less 1 to brake)" in errors(plan)["acceleration"][0]
+
+
+def test_batteries_must_last_with_the_caps_of_the_clock(overhand, overhand_assessed):
+    slowed = overhand_assessed.coast.slowed
+    assert slowed > 1.0
+    (said,) = [f for f in overhand_assessed.findings if f.check == "endurance"]
+    takes = f"the plan takes {overhand.duration + slowed:.0f} s with the caps of its clock"
+    assert (said.severity, said.message.startswith(takes)) == ("info", True)
+    endurance = overhand.duration + 0.5 * slowed
+    vehicles = overhand.mission.vehicles.model_copy(update={"endurance": endurance})
+    mission = overhand.mission.model_copy(update={"vehicles": vehicles})
+    short = replace(overhand, mission=mission)
+    assert [f.severity for f in endurance_findings(short, slowed)] == ["error"]
+
+
+def test_payload_and_endurance():
+    still = moving([0, 10], [[[0, 0, 50.0], [30, 0, 50.0], [60, 0, 50.0]]] * 2)
+    found = errors(plan_of(still, [34.0, 34.0], "cable.mass_per_length=0.15"))
+    assert "vehicle 2 bears up to" in found["payload"][0]
+    assert set(
+        errors(plan_of(still, [34.0, 34.0], "cable.mass_per_length=0.01", "vehicles.endurance=9"))
+    ) == {"endurance"}
+
+
+def test_refusal_carries_every_error(overhand):
+    lengths = overhand.layout.lengths * 0.9
+    broken = replace(overhand, layout=replace(overhand.layout, lengths=lengths))
+    assessment = assess(broken)
+    with pytest.raises(Refused) as refusal:
+        CertifiedPlan(broken, certify(broken))
+    wrong = [finding for finding in assessment.findings if finding.severity == "error"]
+    assert len(str(refusal.value).splitlines()) == len(wrong) > 1
+
+
+def test_what_is_not_certified_for_tracking_errors_says_so():
+    places = [[[0, 0, 5.0], [2.5, 0, 5.0]], [[3, 0, 5.0], [5.5, 0, 5.0]]]
+    exact = plan_of(moving([0, 6], places), [3.0], "vehicles.tracking=0")
+    scope = [f.message for f in assess(exact).findings if f.check == "scope"]
+    assert "geometry only" in scope[0]
+
+
+def test_a_velocity_that_jumps_is_refused():
+    """Two quintics that meet at the same place with different velocities."""
+    still = np.zeros((2, 2, 3))
+    places = np.array([[[0, 0, 5.0], [2.5, 0, 5.0]], [[3.0, 0, 5.0], [5.5, 0, 5.0]]])
+    speed = still.copy()
+    speed[1, 1, 0] = 0.2
+    there = through_states(np.array([0.0, 9.0]), places, speed, still)
+    back = through_states(np.array([9.0, 18.0]), places[::-1], still, still)
+    found = errors(plan_of(joined(there, back), [3.0]))
+    assert found == {"smoothness": ["the velocity of vehicle 2 jumps by 0.2 m/s"]}
+
+
+def test_a_single_vehicle_without_cable_is_judged_by_its_motion_alone():
+    plan = plan_of(moving([0, 6], [[[0, 0, 5.0]], [[2, 0, 5.0]]]), [], cable="free")
+    assessment = assess(plan)
+    assert assessment.cleared
+    assert assessment.knot == "0_1"
+    late = plan_of(moving([0, 1], [[[0, 0, 5.0]], [[2, 0, 5.0]]]), [], cable="free")
+    assert set(errors(late)) == {"speed", "acceleration"}
+
+
+def test_two_vehicles_that_carry_one_strand_tie_nothing():
+    places = [[[0, 0, 5.0], [2.5, 0, 5.0]], [[3, 0, 5.0], [5.5, 0, 5.0]]]
+    assessment = assess(plan_of(moving([0, 6], places), [3.0]))
+    assert assessment.cleared
+    assert (assessment.knot, assessment.chirality, assessment.gauss) == ("0_1", "none", "")

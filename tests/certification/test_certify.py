@@ -1,0 +1,158 @@
+"""A certificate belongs to one plan, and nothing else makes one."""
+
+import ast
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from swarm.certification.certificate import (
+    Certificate,
+    CertifiedPlan,
+    MeasuredClearances,
+    certify,
+    measure_clearances,
+    without_cable,
+)
+from swarm.certification.stream_loss import Coasting, coast
+from swarm.errors import Refused
+from swarm.fleet import emulated_fleet
+from swarm.flight.bench_flight import raised
+from swarm.flight.clearance import Audit, go
+from swarm.flight.conductor import Conductor
+from swarm.flight.flight_plan import CableFreeFlight, ComparisonFlight, basis_of
+from swarm.flight.hop import hop
+from swarm.planning import digest
+from swarm.trajectory import Motion
+from tests.network import small_plan, uncleared
+
+CERTIFIED = small_plan()
+OTHER = small_plan(height=6.0)
+
+
+def copied(plan):
+    """The same plan with arrays of its own, that may be written to."""
+    motion = plan.motion
+    return replace(plan, motion=Motion(motion.times.copy(), motion.coefficients.copy()))
+
+
+def changed(plan):
+    """The plan with one thing changed at a time, each of which a check reads."""
+    layout, mission = plan.layout, plan.mission
+    bent = copied(plan)
+    bent.motion.coefficients[3, 2, 1, 0] += 1e-12
+    later = plan.motion.times.copy()
+    later[-1] += 1e-9
+    yield "motion", bent
+    yield "times", replace(plan, motion=Motion(later, plan.motion.coefficients))
+    yield "length", replace(plan, layout=replace(layout, lengths=layout.lengths * (1.0 + 1e-15)))
+    yield "corner", replace(plan, layout=replace(layout, corners=layout.corners + 1e-9))
+    yield "gates", replace(plan, gates=plan.gates[:-1])
+    phases = (replace(plan.phases[0], cable="aloft"), *plan.phases[1:])
+    yield "phases", replace(plan, phases=phases)
+    clearance = mission.clearance.model_copy(update={"cable": 0.1})
+    yield "clearance", replace(plan, mission=mission.model_copy(update={"clearance": clearance}))
+    yield "knot", replace(plan, knot=replace(plan.knot, type="3_1"))
+
+
+@pytest.mark.parametrize(
+    "other", [pytest.param(other, id=name) for name, other in changed(CERTIFIED.plan)]
+)
+def test_a_certificate_is_for_exactly_its_plan(other):
+    with pytest.raises(Refused, match="the certificate belongs to another plan"):
+        CertifiedPlan(other, CERTIFIED.certificate)
+    with pytest.raises(Refused, match="the certificate belongs to another plan"):
+        ComparisonFlight(other, CERTIFIED.certificate)
+
+
+def test_pictures_and_notes_are_not_part_of_a_plan():
+    plan = replace(CERTIFIED.plan, notes=("drawn again",), path=CERTIFIED.plan.path + 1.0)
+    assert digest(plan) == CERTIFIED.certificate.digest
+
+
+def test_only_certify_makes_certificates():
+    for made_by in (None, object(), True):
+        with pytest.raises(TypeError, match="certificates are made by"):
+            Certificate(digest(OTHER.plan), CERTIFIED.assessment, 0.1, made_by)
+        with pytest.raises(TypeError, match="measured clearances are made by"):
+            MeasuredClearances(digest(OTHER.plan), (), made_by)
+    with pytest.raises(ValueError, match="must be specified"):
+        replace(CERTIFIED.certificate, digest=digest(OTHER.plan))
+    with pytest.raises(ValueError, match="measured on another plan"):
+        certify(OTHER.plan, measured=measure_clearances(CERTIFIED.plan))
+
+
+def test_nothing_in_the_package_reaches_past_certify():
+    """The object that only certify knows is named in its module alone."""
+    package = Path(__file__).parents[2] / "swarm"
+    for path in package.rglob("*.py"):
+        names = {
+            getattr(node, "id", getattr(node, "attr", getattr(node, "name", None)))
+            for node in ast.walk(ast.parse(path.read_text()))
+        }
+        if path.relative_to(package).as_posix() != "certification/certificate.py":
+            assert "_MADE_HERE" not in names, path
+
+
+def test_a_plan_with_errors_has_a_certificate_that_flies_nothing():
+    wrong = uncleared("clearance.vehicle=3.5")
+    assert not wrong.certificate.cleared
+    with pytest.raises(Refused, match="vehicle clearance: "):
+        CertifiedPlan(wrong.plan, wrong.certificate)
+
+
+def test_a_plan_that_is_written_to_after_its_certificate_does_not_fly():
+    plan = copied(CERTIFIED.plan)
+    certified = CertifiedPlan(plan, CERTIFIED.certificate)
+    fleet = emulated_fleet(3)
+    Conductor(certified, fleet)
+    plan.motion.coefficients[:, 0, :, 2] -= 0.5
+    with pytest.raises(Refused, match="the certificate belongs to another plan"):
+        Conductor(certified, fleet)
+    with pytest.raises(Refused, match="the certificate belongs to another plan"):
+        go(certified, Audit((1, 2, 3), ()))
+
+
+def test_lost_setpoints_worked_out_for_another_plan_are_not_taken():
+    other = coast(OTHER.plan, Coasting())
+    assert other.holds_for(OTHER.plan, Coasting())
+    assert not other.holds_for(CERTIFIED.plan, Coasting())
+    with pytest.raises(Refused, match="the audit worked out lost setpoints for another plan"):
+        go(CERTIFIED, Audit((1, 2, 3), (), other))
+
+
+def test_a_certificate_goes_to_other_processes_with_its_plan():
+    again = pickle.loads(pickle.dumps(CERTIFIED))  # noqa: S301 - our own
+    again.check()
+    assert again.certificate.findings == CERTIFIED.certificate.findings
+
+
+def test_a_hop_carries_no_cable_and_says_what_was_checked():
+    flight = hop(CERTIFIED)
+    assert isinstance(flight, CableFreeFlight)
+    basis = basis_of(flight, cable=False)
+    assert (basis.kind, basis.cable) == ("hop", False)
+    assert basis.checked == (
+        "a hop straight up and down, certified without cable for tracking errors of up to 0.1 m"
+    )
+    with pytest.raises(Refused, match="a hop flight carries no cable: none was checked"):
+        basis_of(flight, cable=True)
+    assert not Conductor(flight, emulated_fleet(3)).carries
+    checks = {finding.check for finding in flight.certificate.findings}
+    assert "scope" in checks
+
+
+def test_a_raised_flight_is_certified_anew_at_its_height():
+    fleet = emulated_fleet(3).model_copy(update={"gripper": "none"})
+    lifted = raised(CERTIFIED, fleet, no_cable=True)
+    assert isinstance(lifted, CableFreeFlight)
+    assert lifted.certificate.digest == digest(without_cable(lifted.plan))
+    assert lifted.certificate.digest != CERTIFIED.certificate.digest
+    assert basis_of(lifted, cable=False).checked.startswith("the plan raised for vehicles without")
+    with pytest.raises(Refused, match="a raised flight carries no cable"):
+        basis_of(lifted, cable=True)
+    low = small_plan("workspace.ceiling=7")
+    highest = low.plan.motion.at(low.plan.motion.times)[0][..., 2].max()
+    assert highest + 1.0 + low.plan.mission.vehicles.grip_offset > 7.0
+    assert raised(low, fleet, no_cable=True) is low

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+
+from swarm.certification.linear_response import response
+from swarm.certification.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, NEAR_END
+from swarm.geometry.catenary import hang
+
+
+@pytest.mark.parametrize(("shallowest", "steepest"), [(0.0, 1.4), (1.0, 1.53)])
+@pytest.mark.parametrize("ends", [BOTH_ENDS, FAR_END, NEAR_END])
+def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends, shallowest, steepest):
+    """Random strands, ends, directions and sizes; outward pulls and swings about the chord too."""
+    rng = np.random.default_rng(ends)
+    sharpest = 0.0
+    for _ in range(30):
+        count = 3000
+        ratio = np.where(
+            rng.uniform(size=count) < 0.5,
+            rng.uniform(0.05, 0.9, count),
+            1.0 - 10.0 ** rng.uniform(-2.5, -0.7, count),
+        )
+        elevation = rng.uniform(shallowest, steepest, count) * rng.choice([-1.0, 1.0], count)
+        chord = np.stack([np.cos(elevation), np.zeros(count), np.sin(elevation)], axis=-1)
+        size = np.minimum(10.0 ** rng.uniform(-4.0, -0.8, count), 0.45 * (LARGEST_RATIO - ratio))
+        at_start, at_end = _directions(rng, chord)
+        at_start, at_end = at_start * (ends != FAR_END), at_end * (ends != NEAR_END)
+        growth = size * (2.0 if ends == BOTH_ENDS else 1.0)
+        normal = rng.normal(size=(count, 3)) * np.where(
+            rng.uniform(size=count)[:, None] < 0.3, [0.1, 0.1, 1.0], 1.0
+        )
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+
+        end = ratio[:, None] * chord
+        before = hang(np.zeros(3), end, 1.0)
+        after = hang(size[:, None] * at_start, end + size[:, None] * at_end, 1.0)
+        at = rng.uniform(size=count)
+        piece = (
+            np.clip(at - rng.uniform(0.0, 0.1, count), 0.0, 1.0),
+            np.clip(at + rng.uniform(0.0, 0.1, count), 0.0, 1.0),
+        )
+        answer = response(before, at, np.full(count, ends), normal, piece, growth)
+        bound = answer.movement(size, growth)
+
+        def moved(fraction, before=before, after=after, normal=normal):
+            step = after.points_at(fraction) - before.points_at(fraction)
+            return np.abs(np.einsum("bi,bi->b", step, normal))
+
+        assert np.all(moved(at) <= bound + 1e-12)
+        other = piece[0] + rng.uniform(size=count) * (piece[1] - piece[0])
+        farthest = np.maximum(at - piece[0], piece[1] - at)
+        assert np.all(moved(other) <= bound + answer.elsewhere(farthest, growth) + 1e-12)
+        assert np.isfinite(bound).mean() > (0.8 if shallowest == 0.0 else 0.5)
+        sharpest = max(sharpest, float(np.max(moved(at) / bound)))
+    assert sharpest > 0.95
+
+
+def _directions(rng, chord):
+    """Unit vectors for both ends: random, outward along the chord, or opposite to each other."""
+    count = len(chord)
+    one, other = rng.normal(size=(2, count, 3))
+    one /= np.linalg.norm(one, axis=1, keepdims=True)
+    other /= np.linalg.norm(other, axis=1, keepdims=True)
+    mode = rng.integers(0, 3, count)[:, None]
+    return np.select([mode == 0, mode == 1], [one, -chord], -other), np.select(
+        [mode == 1], [chord], other
+    )

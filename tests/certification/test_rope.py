@@ -1,0 +1,154 @@
+"""The rope: it hangs as a catenary does, blocks where it must, and says when it shows nothing."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarm import api
+from swarm.certification.swing import swings
+from swarm.errors import Refused
+from swarm.geometry.catenary import STANDARD_GRAVITY, hang
+from swarm.mission import mission_for_knot
+from swarm.planning import KnotSummary, Layout, Plan
+from tests.network import small_plan
+
+rope = pytest.importorskip("swarm.certification.rope")
+
+PLAN = small_plan(vehicles=3).plan
+
+
+def across(height: float) -> Plan:
+    """Two spans that cross in plan view, the second ``height`` metres over the first."""
+    corners = np.array(
+        [[0.0, -1.0, 5.0], [0.0, 1.0, 5.0], [-1.0, 1.0, 5.0 + height], [1.0, -0.2, 5.0 + height]]
+    )
+    lengths = np.array([2.6, 1.5, 2.8])
+    layout = Layout(corners, np.zeros(3), lengths, np.zeros(3), ((2, 0),), 0.0)
+    return replace(PLAN, layout=layout, knot=KnotSummary("0_1", "none", "", ()))
+
+
+def still(places: np.ndarray, seconds: float):
+    return rope.Grips(np.array([0.0, seconds]), np.array([places, places]))
+
+
+def test_a_rope_at_rest_hangs_as_the_catenary():
+    start, end, length = np.array([0.0, 0.0, 5.0]), np.array([2.0, 0.0, 5.3]), 2.4
+    line = np.array([start, end, end + np.array([2.0, 0.0, 0.0])])
+    layout = replace(PLAN.layout, corners=line, lengths=np.array([length, 2.3]))
+    run = rope.move_rope(replace(PLAN, layout=layout), still(line, 1.0), links=80)
+    assert run.links == 80
+    assert run.void == ()
+    assert run.stray.max() < 0.02
+    drop = hang(start, end, length).points(np.linspace(0, 1, 200))[:, 2].min()
+    assert run.shape[:41, 2].min() == pytest.approx(drop, abs=0.01)
+
+
+def test_sway_turns_a_strand_about_its_chord():
+    """Gravity that is felt aslant turns a strand between level ends, whose lowest point moves by
+    the chord of an arc around them."""
+    ends = np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0]])
+    length, sideways = np.array([3.0]), np.tile([0.0, 2.0, 0.0], (2, 1))
+    sag = float(hang(*ends, length[0]).sag())
+    turned = 2.0 * sag * np.sin(0.5 * np.arctan2(2.0, STANDARD_GRAVITY))
+    assert swings(ends, sideways, length, 0.0) == pytest.approx(turned, rel=1e-3)
+    at_rest = swings(ends, 0.0 * sideways, length, 2.0)
+    assert at_rest >= turned * (1.0 - 1e-3)
+    assert swings(ends, sideways, length, 2.0) == pytest.approx(turned + at_rest, rel=1e-3)
+
+
+def test_a_rope_that_swings_on_is_told_to_stray_farther_than_sway_and_a_stop():
+    line = np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0], [4.0, 0.0, 5.0]])
+    layout = replace(PLAN.layout, corners=line, lengths=np.array([3.0, 2.02]))
+    sag = float(hang(line[0], line[1], 3.0).sag())
+    rate = np.sqrt(STANDARD_GRAVITY / (0.8 * sag))  # of a parabola's swing about its chord
+    times = np.arange(0.0, 8.0 * np.pi / rate, 0.02)
+    aside = 0.5 / rate**2 * np.sin(rate * times)
+    grips = rope.Grips(times, line + aside[:, None, None] * [0.0, 1.0, 0.0])
+    run = rope.move_rope(replace(PLAN, layout=layout), grips, links=50)
+    told = rope.stray_told(run)
+    assert told["segment"] == 1
+    assert told["largest"] == run.stray.max() > 2.0 * told["sway_and_stop"] > 0.0
+    assert 0.0 < told["farther"]["share"] < 0.5
+    assert told["farther"]["by"] == pytest.approx((run.stray - run.swing).max())
+
+
+def test_wind_blows_the_rope_aside_as_its_drag_says():
+    line = np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0], [4.0, 0.0, 5.0]])
+    layout = replace(PLAN.layout, corners=line, lengths=np.array([2.4, 2.4]))
+    plan = replace(PLAN, layout=layout)
+    wind = 6.0
+    run = rope.move_rope(plan, still(line, 4.0), links=60, wind=(0.0, wind, 0.0))
+    cable = plan.mission.cable
+    tilt = 0.5 * 1.225 * 1.1 * cable.diameter * wind**2 / (cable.mass_per_length * 9.80665)
+    low = run.shape[np.argmin(run.shape[:, 2])]
+    # slopes of the span see less of the wind across them, and it swings a little
+    assert low[1] / (5.0 - low[2]) == pytest.approx(tilt, rel=0.2)
+
+
+@pytest.mark.parametrize("contact", [True, False])
+def test_strands_stop_each_other_only_with_contact(contact):
+    """The strand above is lowered through the one below: with contact it must stay above."""
+    plan = across(0.6)
+    lowered = plan.layout.corners - [[0, 0, 0], [0, 0, 0], [0, 0, 0.9], [0, 0, 0.9]]
+    grips = rope.Grips(np.array([0.0, 1.5, 2.0]), np.array([plan.layout.corners, lowered, lowered]))
+    run = rope.move_rope(plan, grips, links=90, contact=contact)
+    first, third = run.shape[:34], run.shape[53:]
+    gaps = np.linalg.norm(first[:, None, :2] - third[None, :, :2], axis=2)
+    under, over = np.unravel_index(gaps.argmin(), gaps.shape)
+    higher = third[over, 2] - first[under, 2]
+    if contact:
+        assert run.contacts > 0
+        assert higher > 0
+        assert run.penetration < 0.5 * plan.mission.cable.diameter
+    else:
+        assert higher < -0.1
+        assert run.contacts == 0
+        assert run.void == ("contact is switched off: whatever knot comes out, it shows nothing",)
+
+
+@pytest.mark.full
+def test_a_tightened_overhand_keeps_its_knot():
+    mission = mission_for_knot("overhand", ("finish=tighten",))
+    plan = api.plan(mission, robustness=False).plan
+    run = rope.move_rope(plan, rope.planned_grips(plan))
+    assert run.void == ()
+    assert (run.knot, run.chirality, run.as_planned) == ("3_1", "right", True)
+    assert run.span > 0.8 * plan.layout.lengths.sum()
+
+
+def test_a_rope_that_is_torn_taut_is_void():
+    line = PLAN.layout.corners
+    apart = line * [1.3, 1.0, 1.0]
+    grips = rope.Grips(np.array([0.0, 1.0, 1.5]), np.array([line, apart, apart]))
+    run = rope.move_rope(PLAN, grips, links=40)
+    assert any("stretched" in reason for reason in run.void)
+    assert not run.void[0].endswith(" is")
+
+
+def test_links_are_dealt_out_by_length():
+    counts = rope._links_of(np.array([1.0, 2.0, 7.0]), 100)
+    assert counts.tolist() == [10, 20, 70]
+    assert rope._links_of(np.array([0.1, 9.9]), 20).min() == 2
+
+
+def test_a_rope_too_short_to_begin_with_is_refused():
+    with pytest.raises(Refused, match="begin too far apart"):
+        rope.move_rope(PLAN, still(PLAN.layout.corners * [2.0, 1.0, 1.0], 1.0))
+
+
+def test_the_planned_motion_is_that_of_fold_and_hold():
+    grips = rope.planned_grips(PLAN)
+    assert grips.times[0] == PLAN.phase("fold").start
+    assert grips.times[-1] == PLAN.phase("hold").end
+    middle = np.array([0.5 * (grips.times[0] + grips.times[-1])])
+    assert np.allclose(grips.at(middle)[0], PLAN.motion.at(middle[0])[0], atol=1e-3)
+
+
+def test_what_is_told_can_be_printed_as_json():
+    run = rope.move_rope(PLAN, still(PLAN.layout.corners, 0.2), links=30)
+    told = rope.told(run, PLAN)
+    json.dumps(told, allow_nan=False)
+    assert told["knot"]["type"] == "0_1"
+    assert told["smallest_distance"] is None

@@ -1,0 +1,133 @@
+"""Enclosing the smallest of many functions, where bounds converge and where they do not."""
+
+import numpy as np
+import pytest
+
+from swarm.certification.branch_and_bound import (
+    MOST_BOXES,
+    TOLERANCE,
+    Enclosure,
+    failing,
+    holds,
+    roots,
+    short_boxes,
+    smallest,
+)
+
+SPAN = [(0.0, 4.0)]
+
+
+def margins(*functions, loose=0.0):
+    """An evaluator of functions of time that change by at most 1 a second.
+
+    The bound of the first pair never gets nearer to it than ``loose``.
+    """
+
+    def evaluate(boxes):
+        value = np.array([functions[p](t) for p, t in zip(boxes.pair, boxes.time, strict=True)])
+        low = value - boxes.half - loose * (boxes.pair == 0)
+        nothing = np.zeros(len(boxes))
+        doubts = np.stack([boxes.half + 1e-12, nothing, nothing], axis=1)
+        return Enclosure(low, value + boxes.half, doubts, np.zeros((len(boxes), 3)))
+
+    return evaluate
+
+
+def steady(margin):
+    return lambda _time: margin
+
+
+def test_what_cannot_be_shown_comes_before_what_is_tighter_but_kept():
+    kept = [steady(0.1 + 0.01 * k) for k in range(8)]
+    evaluate = margins(steady(0.9), *kept, loose=1.0)
+    found = smallest(evaluate, 9, roots(9, SPAN, 1.0))
+    assert found.tightest()[0] == 0
+    assert found.low[0] == pytest.approx(-0.1, abs=0.01)
+
+
+@pytest.mark.parametrize("least", [0.05 * TOLERANCE * 1.01, 0.5 * TOLERANCE, 2.0 * TOLERANCE])
+def test_a_margin_just_above_nothing_is_not_refused_for_the_tolerance(least):
+    found = smallest(margins(lambda t: least + abs(t - 1.3)), 1, roots(1, SPAN, 1.0))
+    assert 0.0 <= found.low[0] <= least
+
+
+@pytest.mark.parametrize("least", [-1e-6, -0.5 * TOLERANCE])
+def test_a_margin_just_below_nothing_is_refused(least):
+    found = smallest(margins(lambda t: least + abs(t - 1.3)), 1, roots(1, SPAN, 1.0))
+    assert found.low[0] <= least
+
+
+def test_every_second_that_falls_short_is_found_and_no_other():
+    def dipping(t):
+        return 0.2 - 0.3 * max(1.0 - 4.0 * abs(t - 0.4), 1.0 - 2.0 * abs(t - 2.6), 0.0)
+
+    boxes = roots(2, SPAN, 1.0)
+    found = short_boxes(margins(steady(1.0), dipping), boxes)
+    short = np.flatnonzero(found.low < 0.0)
+    assert [(int(boxes.pair[k]), float(boxes.time[k])) for k in short] == [(1, 0.5), (1, 2.5)]
+    assert found.time[short] == pytest.approx([0.4, 2.6], abs=0.02)
+    assert found.low[short] == pytest.approx([-0.1, -0.1], abs=0.02)
+
+
+def test_what_was_shown_of_a_box_holds_in_its_parts():
+    """Bounds of parts may be poorer, by another way to find them; what is known stays known."""
+
+    def evaluate(boxes):
+        whole = boxes.half >= 0.5
+        doubts = np.stack([boxes.half, 0.0 * boxes.half, 0.0 * boxes.half], axis=1)
+        low, high = np.where(whole, 0.005, -0.1), np.where(whole, 0.02, -0.1)
+        return Enclosure(low, high, doubts, np.zeros((len(boxes), 3)))
+
+    assert smallest(evaluate, 1, roots(1, SPAN, 1.0)).low[0] == 0.005
+
+
+def test_every_span_has_boxes_of_the_asked_width():
+    boxes = roots(2, [(0.0, 4.0), (10.0, 14.0), (20.0, 20.5), (30.0, 32.2)], 1.0)
+    assert np.unique(boxes.half) == pytest.approx([0.25, 2.2 / 6, 0.5])
+    assert len(boxes) == 2 * (4 + 4 + 1 + 3)
+
+
+def enclosing(low, high, doubt):
+    """An evaluator that says the same of every box."""
+
+    def evaluate(boxes):
+        size = len(boxes)
+        place, doubts = np.zeros((size, 3)), np.full((size, 3), doubt)
+        return Enclosure(np.full(size, low), np.full(size, high), doubts, place)
+
+    return evaluate
+
+
+def test_a_search_that_never_comes_to_an_end_is_ended_with_what_is_shown():
+    begun = roots(1, SPAN, 1.0)
+    found = smallest(enclosing(-0.5, 1.0, 1.0), 1, begun)
+    assert found.boxes < 10 * MOST_BOXES
+    assert found.low.tolist() == [-0.5]
+    assert not holds(enclosing(-0.5, 1.0, 1.0), begun)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "doubt"),
+    [(np.inf, np.inf, 0.0), (np.nan, 1.0, 1.0), (1.0, np.nan, 1.0), (-np.inf, 1.0, np.nan)],
+)
+def test_what_is_no_margin_is_never_clear(low, high, doubt):
+    """Nothing counts anywhere, or it is not a number: neither is a margin that is kept."""
+    begun = roots(2, SPAN, 1.0)
+
+    def evaluate(boxes):
+        first = boxes.pair == 0
+        found = enclosing(low, high, doubt)(boxes)
+        kept = enclosing(0.3, 0.3, 0.0)(boxes)
+        return Enclosure(
+            np.where(first, found.low, kept.low),
+            np.where(first, found.high, kept.high),
+            np.where(first[:, None], found.doubts, kept.doubts),
+            found.place,
+        )
+
+    found = smallest(evaluate, 2, begun)
+    assert found.low.tolist() == [-np.inf, pytest.approx(0.3)]
+    assert found.tightest().tolist() == [0, 1]
+    assert failing(evaluate, begun) is not None
+    short = short_boxes(evaluate, begun).low < 0.0
+    assert short.tolist() == [True] * 4 + [False] * 4

@@ -1,0 +1,34 @@
+"""Teams whose strands are led through each other."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array, eye_array
+
+from swarm.folding.hopping import freed
+from swarm.folding.optimizer import eased
+from swarm.knots.catalog import choose
+from swarm.knots.grid import openings
+from swarm.mission import mission_for_knot
+from swarm.planning.shapes import different, folded, keeping, ranked, shapes
+from tests.folding.test_elastic import band, led_over
+
+
+@pytest.mark.parametrize(("knot", "rank"), [("8_20", 0), ("6_3", 2)])
+def test_openings_in_which_giving_way_alone_gets_stuck_fold(knot: str, rank: int) -> None:
+    """Without a hop these miss 0.75 and 1.3 units of their margins."""
+    mission = mission_for_knot(knot, ())
+    margins = keeping(mission)
+    shape = next(shapes(mission, margins))
+    best = ranked(
+        different(openings(choose(name=knot, chirality="either").grid)), shape, margins, None
+    )
+    opened = [diagram for diagram, _ in zip(best, range(rank + 1), strict=False)]
+    folding = folded(opened[rank], shape, margins)
+    assert folding.plan.worst < 0.45
+    assert np.all(folding.plan.offsets[[0, 1, -2, -1]] == 0.0)
+
+
+def test_who_is_not_stuck_stays() -> None:
+    team = band(led_over(1.5), csr_array(eye_array(81)))
+    offsets = eased(team, np.zeros((81, 4, 3))).offsets
+    assert np.all(freed(team, offsets) == offsets)

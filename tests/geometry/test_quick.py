@@ -1,0 +1,84 @@
+"""Strands one at a time, compiled, against the same in batches."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarm.geometry import quick
+from swarm.geometry.catenary import hang
+
+
+def drawn(seed, slack):
+    """Ends of a strand, and its length."""
+    start, end = np.random.default_rng(seed).normal([0.0, 0.0, 5.0], 1.0, (2, 3))
+    return start, end, float(np.linalg.norm(end - start)) * (1.0 + slack)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0001, 3.0))
+def test_points_are_those_of_the_catenary(seed, slack):
+    start, end, length = drawn(seed, slack)
+    points = np.empty((21, 3))
+    quick.sketch(start, end, length, points)
+    strand = hang(start[None], end[None], np.array([length]))
+    assert points == pytest.approx(strand.points(np.linspace(0.0, 1.0, 21))[0], abs=1e-6)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.tuples(*[st.floats(-10.0, 10.0)] * 3), st.one_of(st.floats(0.0, 20.0), st.floats(0.0, 1e-6))
+)
+def test_no_strand_comes_down_farther_than_its_dip(across, more):
+    start, end = np.zeros(3), np.array(across)
+    length = float(np.linalg.norm(end)) * (1.0 + 1e-9) + more + 0.01
+    lowest = hang(start, end, length).points(np.linspace(0.0, 1.0, 21))[:, 2].min()
+    assert lowest >= min(0.0, across[2]) - quick.dip(start, end, length) - 1e-9
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.floats(-10.0, 10.0),
+    st.floats(0.01, 10.0),
+    st.floats(0.0, 12.0),
+    st.floats(-math.pi, math.pi),
+    st.floats(-1.0, 1.0),
+)
+def test_no_chord_gets_steeper_than_the_steepest_or_shallower_than_the_shallowest(
+    rise, span, reach, ahead, upright
+):
+    level = reach * math.sqrt(1.0 - upright**2)
+    moved = np.array([span + level * math.cos(ahead), level * math.sin(ahead)])
+    after = rise + reach * upright
+    steep = abs(after) / max(math.hypot(*moved, after), 1e-12)
+    assert steep <= quick.steepest(rise, span, reach) + 1e-9
+    assert steep >= quick.shallowest(rise, span, reach) - 1e-9
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(0.0, 1.3), st.floats(1.0, 10.0), st.floats(0.0, 0.2))
+def test_the_steepest_is_reached_by_turning_upward(elevation, chord, turned):
+    """An end that goes square to the chord it will be: by chord times the sine of the turn."""
+    rise, span = chord * math.sin(elevation), chord * math.cos(elevation)
+    steep = quick.steepest(rise, span, chord * math.sin(turned))
+    assert steep == pytest.approx(math.sin(elevation + turned), abs=1e-9)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.001, 12.0))
+def test_an_outline_is_near_its_strand_everywhere_however_narrow_the_loop(seed, slack):
+    start, end, length = drawn(seed, slack)
+    outline = np.empty((7, 3))
+    quick.outline(start, end, length, outline)
+    strand = hang(start, end, length)
+    level = outline[:, :2] - start[:2]
+    np.testing.assert_allclose(level, np.linspace(0, 1, 7)[:, None] * level[-1], atol=1e-9)
+    np.testing.assert_allclose(outline[[0, -1]], [start, end], atol=1e-9)
+
+    share = np.linspace(0.0, 1.0, 601)
+    above = np.interp(share, np.linspace(0, 1, 7), outline[:, 2]) - strand.at_span(share)[:, 2]
+    across = above / np.hypot(1.0, np.gradient(strand.at_span(share)[:, 2], strand.span / 600.0))
+    assert np.abs(across).max() < 0.009 * length
+    assert across.max() >= 0.0 >= across.min()

@@ -1,0 +1,97 @@
+"""Plans as files: the same plan comes back, and nothing else is taken for one."""
+
+import io
+import json
+import zipfile
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from swarm.errors import InputError
+from swarm.mission import parse_mission
+from swarm.planning import digest, make_plan
+from swarm.planning.archive import plan_file, read_plan_file
+from tests.network import sideways
+from tests.view.synthetic import trefoil_plan
+
+HOVER = "{schema: 1, name: hover, formation: {places: [[[0, 0, 3]], [[2, 0, 3]]]}}"
+
+
+def hover():
+    return make_plan(parse_mission(HOVER, "hover.yaml"))
+
+
+@cache
+def written():
+    return plan_file(sideways())
+
+
+def members(data=None):
+    with zipfile.ZipFile(io.BytesIO(written() if data is None else data)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def packed(parts):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+    return buffer.getvalue()
+
+
+def with_manifest(**changes):
+    parts = members()
+    parts["manifest.json"] = json.dumps(json.loads(parts["manifest.json"]) | changes).encode()
+    return packed(parts)
+
+
+def refusal(data):
+    with pytest.raises(InputError) as error:
+        read_plan_file(data, "a.plan")
+    return str(error.value)
+
+
+@pytest.mark.parametrize("make", [sideways, hover, trefoil_plan])
+def test_a_plan_comes_back_from_its_file_bit_by_bit(make):
+    plan = replace(make(), notes=("said by the planner",))
+    data = plan_file(plan)
+    again = read_plan_file(data, "a.plan")
+    assert digest(again) == digest(plan)
+    assert again.notes == plan.notes
+    assert again.path.tobytes() == plan.path.tobytes()
+    assert plan_file(again) == data
+
+
+def test_whatever_is_cut_off_or_changed_is_refused():
+    data = written()
+    for length in (0, 1, len(data) // 2, len(data) - 1):
+        assert refusal(data[:length]).startswith("a.plan: expected a plan file, got something")
+    for position in range(40, len(data), len(data) // 60):
+        changed = bytearray(data)
+        changed[position] ^= 0x10
+        try:
+            same = read_plan_file(bytes(changed), "a.plan")
+        except InputError:
+            continue
+        assert digest(same) == digest(sideways())  # a bit of ZIP's own bookkeeping
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"time,vehicle,x,y,z", "a.plan: expected a plan file, got something else"),
+        (packed({"motion.npz": b""}), "got an archive without"),
+        (packed({**members(), "manifest.json": b"[]"}), "a.plan: manifest.json: cannot be read"),
+        (with_manifest(format="plan"), "a.plan: format: expected swarm plan, got plan"),
+        (with_manifest(schema=2), "a.plan: schema: expected 1, got 2"),
+        (with_manifest(digest="0" * 64), "a.plan: digest: expected 000"),
+        (packed({**members(), "plan.json": b"{}"}), "a.plan: SHA-256 of plan.json: expected"),
+        (
+            packed({**members(), "motion.npz": members(plan_file(sideways(height=6.0)))["motion.npz"]}),
+            "a.plan: SHA-256 of motion.npz: expected",
+        ),
+    ],
+)  # fmt: skip
+def test_every_other_file_is_refused_with_its_reason(data, said):
+    assert said in refusal(data)
