@@ -14,7 +14,8 @@ from sitl.warm import warm_up
 from sitl.world import WorldError, default_world, load_key, load_world, schema
 
 
-def _arguments() -> argparse.ArgumentParser:
+def argument_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line; the reference pages are made from it, too."""
     parser = argparse.ArgumentParser(
         prog="swarm sitl",
         description="Emulated vehicles (PX4-like or ArduPilot-like), tied to one cable if the "
@@ -54,7 +55,7 @@ def _arguments() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Run the emulator; return the exit code (0 done, 2 usage or bad file, 3 sockets)."""
     parent = os.getppid()
-    parser = _arguments()
+    parser = argument_parser()
     given = parser.parse_args(arguments)
     if given.schema:
         sys.stdout.write(json.dumps(schema(), indent=2) + "\n")

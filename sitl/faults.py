@@ -72,37 +72,60 @@ WORLDWIDE = frozenset({"wind", "snag"})
 
 
 class Fault(BaseModel):
-    """One fault: when, what, to whom, for how long, and how bad."""
+    """One fault: when, what, in which vehicles, for how long, and how bad."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    at: _Seconds
-    kind: Literal[tuple(KINDS)]  # type: ignore[valid-type]
-    vehicle: int | list[int] | Literal["all"] = "all"
-    duration: _Seconds | None = None
-    loss: _Share = 0.0
+    at: _Seconds = Field(description="when it begins, emulated seconds since the start")
+    kind: Literal[tuple(KINDS)] = Field(  # type: ignore[valid-type]
+        description="what goes wrong; it decides which of the other keys may be given"
+    )
+    vehicle: int | list[int] | Literal["all"] = Field(
+        default="all", description="system ids of the vehicles; of no effect for wind and snag"
+    )
+    duration: _Seconds | None = Field(default=None, description="s; none: it stays")
+    loss: _Share = Field(default=0.0, description="share of packets that are lost")
     burst: _Seconds = Field(default=0.0, description="mean length of a run of losses, s")
-    latency: _Seconds = 0.0
-    jitter: _Seconds = 0.0
-    duplicate: _Share = 0.0
-    reorder: _Share = 0.0
+    latency: _Seconds = Field(default=0.0, description="delay of every packet, s")
+    jitter: _Seconds = Field(
+        default=0.0, description="delay on top, s: uniform from 0 to this for each packet"
+    )
+    duplicate: _Share = Field(default=0.0, description="share of packets that arrive twice")
+    reorder: _Share = Field(
+        default=0.0, description="share of packets that later ones may overtake"
+    )
     bandwidth: float | None = Field(default=None, gt=0, description="bytes per second")
     direction: Literal["up", "down", "both"] = Field(
         default="both", description="up: to the vehicle, down: from it"
     )
-    fraction: Annotated[float, Field(ge=0.0, le=2.0)] = 0.7
-    charge: _Share = 0.1
-    offset: Vector = (5.0, 0.0, 0.0)
-    rate: Annotated[float, Field(ge=-5, le=5)] = 0.1
-    text: Annotated[str, Field(max_length=100)] = "Resolve system health failures first"
-    steady: Vector | None = None
-    gust: Annotated[float, Field(ge=0, le=20)] | None = None
-    arc: _NotNegative | None = Field(default=None, description="where along the cable, m")
+    fraction: Annotated[float, Field(ge=0.0, le=2.0)] = Field(
+        default=0.7, description="share of the thrust, or of the clock's rate, that is left"
+    )
+    charge: _Share = Field(default=0.1, description="share of the battery's charge that is left")
+    offset: Vector = Field(
+        default=(5.0, 0.0, 0.0), description="metres by which the position or origin jumps, ENU"
+    )
+    rate: Annotated[float, Field(ge=-5, le=5)] = Field(
+        default=0.1, description="m/s at which the barometer's height drifts"
+    )
+    text: Annotated[str, Field(max_length=100)] = Field(
+        default="Resolve system health failures first", description="reason given for refusing"
+    )
+    steady: Vector | None = Field(
+        default=None, description="steady wind, m/s, ENU, where it blows to; none: as it was"
+    )
+    gust: Annotated[float, Field(ge=0, le=20)] | None = Field(
+        default=None, description="Dryden intensity of gusts, m/s; none: as it was"
+    )
+    arc: _NotNegative | None = Field(
+        default=None, description="where along the cable, m; none: about its middle"
+    )
     friction: float | None = Field(
         default=None, gt=0, description="newtons above which a snag slides; none: it never does"
     )
     slide: Annotated[float, Field(ge=-1e4, le=1e4)] | None = Field(
-        default=None, description="metres along the cable; none: out of the gripper"
+        default=None,
+        description="metres by which the grip moves along the cable; none: the cable leaves it",
     )
 
     @model_validator(mode="after")
@@ -119,8 +142,8 @@ class Scenario(BaseModel):
     """A scenario file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    schema_: Literal[1] = Field(default=1, alias="schema")
-    faults: list[Fault]
+    schema_: Literal[1] = Field(default=1, alias="schema", description="version of this format")
+    faults: list[Fault] = Field(description="faults, in any order")
 
 
 def parse_scenario(text: str, name: str = "scenario") -> list[Fault]:

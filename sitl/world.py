@@ -38,28 +38,34 @@ class _Strict(BaseModel):
 class Origin(_Strict):
     """Where the world's ENU origin lies on the Earth (degrees, metres above mean sea level)."""
 
-    latitude: Annotated[float, Field(ge=-89, le=89)] = 47.397742
-    longitude: Annotated[float, Field(ge=-180, le=180)] = 8.545594
-    altitude: Number = 488.0
+    latitude: Annotated[float, Field(ge=-89, le=89)] = Field(
+        default=47.397742, description="degrees north"
+    )
+    longitude: Annotated[float, Field(ge=-180, le=180)] = Field(
+        default=8.545594, description="degrees east"
+    )
+    altitude: Number = Field(default=488.0, description="metres above mean sea level")
 
 
 class Wind(_Strict):
     """Wind: a steady part (m/s, ENU, where it blows to) and a Dryden gust intensity (m/s)."""
 
-    steady: Point = (0.0, 0.0, 0.0)
-    gust: NotNegative = 0.0
+    steady: Point = Field(default=(0.0, 0.0, 0.0), description="m/s, ENU, where it blows to")
+    gust: NotNegative = Field(default=0.0, description="Dryden intensity of gusts, m/s")
 
 
 class VehicleSpec(_Strict):
-    """One vehicle: who it is, where it stands and what it can do (SI units, ENU)."""
+    """One vehicle: its system id, where it stands and what it can do (SI units, ENU)."""
 
-    id: Annotated[int, Field(ge=1, le=250)]
-    autopilot: Literal["px4", "ardupilot"] = "px4"
-    pad: Point
+    id: Annotated[int, Field(ge=1, le=250)] = Field(description="MAVLink system id")
+    autopilot: Literal["px4", "ardupilot"] = Field(
+        default="px4", description="the autopilot that it behaves like"
+    )
+    pad: Point = Field(description="where it stands, metres ENU")
     heading: Number = Field(
         default=0.0, description="radians, compass: 0 north, clockwise seen from above"
     )
-    mass: Positive = 1.5
+    mass: Positive = Field(default=1.5, description="kg")
     payload: NotNegative = Field(
         default=0.4, description="kg it can lift beside itself with half its thrust in reserve"
     )
@@ -67,9 +73,12 @@ class VehicleSpec(_Strict):
     grip_offset: NotNegative = Field(
         default=0.6, description="height of the centre over the grip point, m; also its legs"
     )
-    max_speed: Positive = 5.0
-    max_acceleration: Positive = 4.0
-    gripper: Literal["mavlink", "attached", "none"] = "mavlink"
+    max_speed: Positive = Field(default=5.0, description="largest speed, m/s")
+    max_acceleration: Positive = Field(default=4.0, description="largest acceleration, m/s²")
+    gripper: Literal["mavlink", "attached", "none"] = Field(
+        default="mavlink",
+        description="how it holds cable: by a gripper that obeys MAVLink, tied on, or not at all",
+    )
     radio: bool = Field(default=False, description="a pilot's transmitter is switched on")
     gps_noise: NotNegative = Field(
         default=0.0,
@@ -88,10 +97,12 @@ class VehicleSpec(_Strict):
 class CableSpec(_Strict):
     """The cable: kg/m, m, the polyline as which it lies, N at which it snaps, N per unit strain."""
 
-    mass_per_length: Positive = 0.012
-    diameter: Positive = 0.006
-    points: Annotated[list[Point], Field(min_length=2)]
-    breaking_load: Positive = 200.0
+    mass_per_length: Positive = Field(default=0.012, description="kg/m")
+    diameter: Positive = Field(default=0.006, description="metres")
+    points: Annotated[list[Point], Field(min_length=2)] = Field(
+        description="the polyline as which it lies at the start, metres ENU"
+    )
+    breaking_load: Positive = Field(default=200.0, description="newtons at which it snaps")
     stiffness: Positive = Field(default=1500.0, description="axial stiffness EA, N")
     attached: list[NotNegative] | None = Field(
         default=None,
@@ -102,17 +113,24 @@ class CableSpec(_Strict):
 class World(_Strict):
     """Everything that the emulator is told before it starts."""
 
-    schema_: Literal[1] = Field(default=1, alias="schema")
-    seed: Annotated[int, Field(ge=0)] = 1
-    origin: Origin = Origin()
-    floor: Number = 0.0
-    wind: Wind = Wind()
+    schema_: Literal[1] = Field(default=1, alias="schema", description="version of this format")
+    seed: Annotated[int, Field(ge=0)] = Field(
+        default=1, description="seed of everything that is random"
+    )
+    origin: Origin = Field(default=Origin(), description="where on the Earth")
+    floor: Number = Field(default=0.0, description="height of the floor, metres")
+    wind: Wind = Field(default=Wind(), description="the wind")
     indoor: bool = Field(
         default=False, description="no GPS: position comes from VISION_POSITION_ESTIMATE/ODOMETRY"
     )
-    vehicles: Annotated[list[VehicleSpec], Field(min_length=1, max_length=250)]
-    cable: CableSpec | None = None
-    biases: Literal["default", "none"] = "default"
+    vehicles: Annotated[list[VehicleSpec], Field(min_length=1, max_length=250)] = Field(
+        description="the vehicles"
+    )
+    cable: CableSpec | None = Field(default=None, description="the cable; none: there is none")
+    biases: Literal["default", "none"] = Field(
+        default="default",
+        description="whether every vehicle has errors of its own: origin, clock, position",
+    )
     local_origin: Literal["anywhere", "pad"] = Field(
         default="anywhere",
         description="where estimators began, from which local positions count: each anywhere "

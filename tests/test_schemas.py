@@ -22,6 +22,23 @@ def test_the_schema_file_is_what_the_command_prints(kind):
     assert json.loads(CliRunner().invoke(schema, [kind]).output) == kept
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_key_is_described(kind):
+    bare = []
+
+    def look(path: str, schema: dict) -> None:
+        for key, field in schema.get("properties", {}).items():
+            if not field.get("description"):
+                bare.append(f"{path}{key}")
+            look(f"{path}{key}.", field)
+
+    found = schema_of(kind)
+    look("", found)
+    for name, section in found.get("$defs", {}).items():
+        look(f"{name}.", section)
+    assert bare == []
+
+
 def test_all_schemas_are_written_into_a_folder(tmp_path):
     found = CliRunner().invoke(schema, ["--write", str(tmp_path / "new")])
     assert found.exit_code == 0
