@@ -38,7 +38,7 @@ from swarm.certification.held import (
     Spans,
     held,
 )
-from swarm.certification.limits import AboveFloor, AccelerationLeft, BelowCeiling, Slack, SpeedLeft
+from swarm.certification.limits import AboveFloor, AccelerationLeft, Slack, SpeedLeft
 from swarm.certification.motion_bounds import Course
 from swarm.certification.strands import HeldCable, StrandPairs, all_pairs
 from swarm.planning import Plan
@@ -314,8 +314,10 @@ def _vehicles(plan: Plan, course: Course, tracking: float) -> tuple[Family, ...]
         ),
         Family(
             "ceiling", _each_vehicle(plan, "the ceiling"), 0.0, always,
-            BelowCeiling(
-                course, tracking, mission.workspace.ceiling, mission.vehicles.grip_offset
+            Above(
+                course,
+                mission.workspace.ceiling - mission.vehicles.grip_offset - tracking,
+                sign=-1.0,
             ),
         ),
     )  # fmt: skip

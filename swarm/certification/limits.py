@@ -79,26 +79,6 @@ class AboveFloor:
 
 
 @dataclass(frozen=True, eq=False)
-class BelowCeiling:
-    """Room between vehicles' centres and the ceiling; per vehicle."""
-
-    course: Course
-    tracking: float
-    ceiling: float
-    grip_offset: float
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, when = boxes.instants()
-        team = Team.at(self.course, time, half)
-        place = team.position[when, boxes.pair]
-        climb = np.abs(team.velocity[when, boxes.pair, 2]) * half[when]
-        climb += team.swerve[when, boxes.pair]
-        high = self.ceiling - self.grip_offset - self.tracking - place[:, 2]
-        return _in_time(high, climb, place)
-
-
-@dataclass(frozen=True, eq=False)
 class SpeedLeft:
     """What vehicles' speeds are short of the largest; per vehicle, m/s."""
 
