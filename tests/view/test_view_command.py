@@ -171,11 +171,21 @@ def test_a_viewer_that_cannot_be_started_is_named(
     assert said == (1, "", "the rerun program is not installed: pip install rerun-sdk\n")
 
 
+VIEW = """
+import signal
+for name in ("SIGTERM", "SIGHUP"):  # they may be ignored here, as by nohup
+    signal.signal(getattr(signal, name), signal.SIG_DFL)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from swarm.cli.main import main
+main()
+"""
+
+
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
 def test_the_server_ends_with_the_command(recording: Path, scratch: Path, name: str) -> None:
     """A real process: `swarm view --web`, its server and its folder."""
     with subprocess.Popen(
-        [sys.executable, "-c", "from swarm.cli.main import main; main()", "view", recording, "--web"],
+        [sys.executable, "-c", VIEW, "view", recording, "--web"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     ) as process:  # fmt: skip
         assert process.stdout is not None
@@ -189,7 +199,10 @@ def test_the_server_ends_with_the_command(recording: Path, scratch: Path, name: 
         assert children
         assert list(scratch.iterdir())
         process.send_signal(getattr(signal, name))
-        assert process.wait(20.0) == 130
+        try:
+            assert process.wait(20.0) == 130
+        finally:
+            process.kill()  # a test that fails must not wait for it
         left = [child for child in children if runs(child)]
         for child in left:
             os.kill(child, signal.SIGKILL)
