@@ -241,7 +241,7 @@ def main() -> None:
                 fetching = Fetching(folder, patience, pipe.send, pipe.poll)
                 fetching.run(ports, source, suffixes)
         except NotFoundError as error:
-            pipe.send(("failed", str(error)))
+            pipe.send(("missing", str(error)))
         except OSError as error:
             pipe.send(("failed", f"{error.filename}: {(error.strerror or str(error)).lower()}"))
         except Exception as error:

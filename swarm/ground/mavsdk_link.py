@@ -73,6 +73,9 @@ def reports(
             request = ("report", {"ports": missing, "source": _SOURCE})
             _converse(request, take, silence, partial(_all_in, found, ports))
             return found
+        except MissingError:
+            if not left:
+                raise
         except ChildError as error:
             if not left:
                 names = ", ".join(str(s) for s in sorted(ports.keys() - found.keys()))
@@ -124,6 +127,10 @@ def fetch(
     return found
 
 
+class MissingError(VehicleError):
+    """The library did not find vehicles that are heard on the links: worth another try."""
+
+
 def _all_in(found: Mapping[int, object], wanted: Mapping[int, object]) -> bool:
     return found.keys() >= wanted.keys()
 
@@ -154,6 +161,8 @@ def _converse(
                 heard = time.monotonic()
                 if message[0] == "done":
                     return
+                if message[0] == "missing":
+                    raise MissingError(message[1])
                 if message[0] == "failed":
                     raise VehicleError(message[1])
                 if message[0] == "broken":
