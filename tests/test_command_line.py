@@ -108,12 +108,10 @@ def test_the_papers_own_trajectory_is_shown_and_refused_because_strands_meet(
 
 @pytest.mark.usefixtures("in_real_time")
 def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> None:
-    result = swarm("fly", OVERHAND, "--speed", "5", "--record", "flight", "--json", cwd=tmp_path)
+    result = swarm("fly", OVERHAND, "--speed", "3", "--record", "flight", "--json", cwd=tmp_path)
     flown = json.loads(result.stdout)
-    # five times as fast as real time, other tests on the same cores can push vehicles off
-    within = flown["adherence"]["within"]
-    assert result.returncode == (0 if within else 3), result.stderr
-    assert ("outside its certificate" in result.stderr) is not within
+    assert result.returncode == 0, result.stderr
+    assert flown["adherence"]["within"] is True
     assert flown["outcome"] == "done"
     assert flown["knot"]["as_planned"] is True
     assert (flown["knot"]["type"], flown["knot"]["chirality"]) == ("3_1", "right")
@@ -125,7 +123,7 @@ def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> No
     assert wanted | {"summary.json", "report.html"} <= kept
 
     verified = run("verify", str(tmp_path / "flight"), "--json")
-    assert verified.returncode == (0 if within else 1), verified.stderr
+    assert verified.returncode == 0, verified.stderr
     assert json.loads(verified.stdout)["knot"] == flown["knot"]
 
 
