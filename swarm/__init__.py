@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING
 from swarm.version import __version__
 
 if TYPE_CHECKING:
+    from swarm.certification.assessment import Tightest
     from swarm.certification.certificate import Certificate
-    from swarm.certification.findings import Finding, Tightest
+    from swarm.certification.findings import Finding
     from swarm.errors import InputError, Refused, SwarmError, VehicleError
     from swarm.flight.trace import Trace
     from swarm.front.certificates import Cable, Motion, certify
@@ -45,7 +46,8 @@ else:
         "swarm.front.trials": ("Trials", "monte_carlo"),
         "swarm.mission": ("Mission",),
         "swarm.certification.certificate": ("Certificate",),
-        "swarm.certification.findings": ("Finding", "Tightest"),
+        "swarm.certification.assessment": ("Tightest",),
+        "swarm.certification.findings": ("Finding",),
         "swarm.simulation.monte_carlo": ("Spread", "Trial"),
     }
     _HOME = {name: home for home, names in _HOMES.items() for name in names}

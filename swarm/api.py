@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from threadpoolctl import threadpool_limits
 
+from swarm.certification.assessment import Assessment
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
@@ -14,7 +15,6 @@ from swarm.certification.certificate import (
     measure_clearances,
 )
 from swarm.certification.clearances import Moment, shortfalls
-from swarm.certification.findings import Assessment
 from swarm.mission import Mission
 from swarm.planning import Plan, Shortfall, candidates
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from swarm.certification.assessment import Assessment, Stops, Tightest
 from swarm.certification.clearances import Moment
-from swarm.certification.findings import Assessment, Finding, Stops, Tightest
+from swarm.certification.findings import Finding
 from swarm.errors import Refused
 from swarm.mission import Mission
 from swarm.planning import Plan

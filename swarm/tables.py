@@ -6,7 +6,7 @@ from math import isfinite
 from typing import Any, Final
 
 from swarm import api
-from swarm.certification.findings import Assessment, Tightest
+from swarm.certification.assessment import Assessment, Tightest
 from swarm.certification.robustness import largest_tracking, robust_to
 from swarm.errors import InputError, Refused
 from swarm.knots.catalog import lookup, names

@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.assessment import Tightest
 from swarm.certification.bodies import Body, vehicle_segments
 from swarm.certification.clearances import segment_name, vehicle_name
-from swarm.certification.findings import Tightest
 from swarm.certification.topology import hanging_curve, layout_code
 from swarm.errors import SwarmError
 from swarm.flight.trace import Trace

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from swarm.certification.assessment import Assessment, Tightest
 from swarm.certification.budget import budgets
 from swarm.certification.clearances import (
     Moment,
@@ -15,7 +16,7 @@ from swarm.certification.clearances import (
     segment_name,
     tightest_moments,
 )
-from swarm.certification.findings import Assessment, Finding, Severity, Tightest
+from swarm.certification.findings import Finding, Severity
 from swarm.certification.held import LYING, held
 from swarm.certification.limits import TAUT
 from swarm.certification.motion_bounds import Course

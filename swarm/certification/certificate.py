@@ -11,8 +11,9 @@ from dataclasses import InitVar, dataclass, replace
 import numpy as np
 
 from swarm.certification.assess import assess, with_robustness
+from swarm.certification.assessment import Assessment
 from swarm.certification.clearances import Moment, tightest_moments
-from swarm.certification.findings import Assessment, Finding
+from swarm.certification.findings import Finding
 from swarm.certification.stream_loss import CoastCertificate
 from swarm.errors import Refused
 from swarm.notebook import table

@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 
 from swarm.certification.air import wind_down
+from swarm.certification.assessment import Robustness
 from swarm.certification.branch_and_bound import Boxes, failing, holds, whole
 from swarm.certification.clearances import ROOT, STILL_AIR, Family, Moment, families
-from swarm.certification.findings import Robustness
 from swarm.planning import Plan
 
 Progress = Callable[[str, float], None]

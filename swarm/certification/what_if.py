@@ -5,10 +5,11 @@ from collections.abc import Iterable
 import numpy as np
 
 from swarm.certification.air import deepest_sinking
+from swarm.certification.assessment import Stops, Window
 from swarm.certification.budget import Budget
 from swarm.certification.clearances import vehicle_name
 from swarm.certification.contingency_windows import longest_stop, windows
-from swarm.certification.findings import Finding, Severity, Stops, Window
+from swarm.certification.findings import Finding, Severity
 from swarm.certification.loads import Loads, dead_vehicle, loads, payload_limit, stuck_gripper
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.planning import Plan

@@ -7,7 +7,7 @@ import click
 from rich.console import Console
 
 from swarm.certification.assess import assess
-from swarm.certification.findings import Assessment
+from swarm.certification.assessment import Assessment
 from swarm.certification.motion_file import plan_of_motion, read_lengths, read_motion
 from swarm.cli.inputs import JSON, SET, print_json, progress_bar, read_text
 from swarm.errors import InputError, Problem, reason

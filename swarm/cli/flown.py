@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from swarm.certification.findings import Assessment
+from swarm.certification.assessment import Assessment
 from swarm.cli.inputs import print_json, write_text
 from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.flight.result import FlightResult

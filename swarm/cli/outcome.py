@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from swarm.certification.findings import Assessment, Tightest
+from swarm.certification.assessment import Assessment, Tightest
 from swarm.exports import tightest_object
 from swarm.flight.adherence import Adherence, adherence_object
 from swarm.flight.result import FlightResult

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from swarm.certification.findings import Assessment
+from swarm.certification.assessment import Assessment
 from swarm.cli.inputs import read_record
 from swarm.errors import InputError, Problem
 from swarm.fleet import Fleet

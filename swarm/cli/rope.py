@@ -21,8 +21,8 @@ from swarm.view.rehearsal_report import rope_report
 from swarm.view.rope_plots import Moved, rope_figure
 
 if TYPE_CHECKING:
-    from swarm.certification.rope import RopeRun
-    from swarm.certification.rope_model import Grips
+    from swarm.analysis.rope import RopeRun
+    from swarm.analysis.rope_model import Grips
 
 
 def run_rope(
@@ -43,7 +43,7 @@ def run_rope(
     The plan need not be cleared: a rope harms nobody, and shows what would happen.
     """
     try:
-        from swarm.certification import rope  # noqa: PLC0415 - an optional extra
+        from swarm.analysis import rope  # noqa: PLC0415 - an optional extra
     except ImportError:
         raise SwarmError("a rope needs MuJoCo: pip install 'swarm-ground-station[rope]'") from None
     console = Console(quiet=as_json)
@@ -93,7 +93,7 @@ def _wind(plan: Plan) -> tuple[float, float, float]:
 
 def _flown_grips(trace: Trace, record: Path) -> "Grips":
     """Return where the vehicles were reported in fold and hold, on the flight's own clock."""
-    from swarm.certification.rope_model import Grips  # noqa: PLC0415 - an optional extra
+    from swarm.analysis.rope_model import Grips  # noqa: PLC0415 - an optional extra
 
     known = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
     known &= np.isfinite(trace.position).all(axis=(1, 2))

@@ -10,7 +10,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from swarm.certification.findings import Assessment, Finding, Robustness, Tightest
+from swarm.certification.assessment import Assessment, Robustness, Tightest
+from swarm.certification.findings import Finding
 from swarm.errors import InputError
 from swarm.exports import finding_object, tightest_object
 from swarm.flight.flight_plan import Basis, Kind

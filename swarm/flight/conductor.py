@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from swarm.analysis.separation import escapes
 from swarm.certification.contingency_windows import windows
 from swarm.certification.monitor import Clearances, Monitor
-from swarm.certification.separation import escapes
 from swarm.certification.stream_loss import Coasting, coast
 from swarm.errors import Refused
 from swarm.fleet import Fleet

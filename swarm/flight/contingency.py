@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from swarm.analysis.separation import escape, wanted_apart
 from swarm.certification.contingency_windows import nothing_above
-from swarm.certification.separation import escape, wanted_apart
 from swarm.flight.pace import advance_clock, rewind_end
 from swarm.flight.router import TIMESYNC_INTERVAL
 from swarm.mavlink.vehicle import Vehicle

@@ -8,6 +8,7 @@ resumed flight was certified before it was interrupted, and a comparison stays i
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from swarm.certification.assessment import Assessment
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
@@ -15,7 +16,6 @@ from swarm.certification.certificate import (
     refuse_other,
     without_cable,
 )
-from swarm.certification.findings import Assessment
 from swarm.certification.stream_loss import CoastCertificate
 from swarm.errors import Refused
 from swarm.planning import Plan, digest

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarm import planning
+from swarm.certification.assessment import Tightest
 from swarm.certification.certificate import Certificate, CertifiedPlan
-from swarm.certification.findings import Tightest
 from swarm.errors import Refused
 from swarm.fleet import Fleet
 from swarm.flight.result import FlightResult, Word

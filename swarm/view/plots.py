@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from swarm.certification.findings import Tightest
+from swarm.certification.assessment import Tightest
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.trace import Trace
 from swarm.planning import KnotSummary, Layout, Plan

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from matplotlib.figure import Figure
 
-from swarm.certification.findings import Assessment
+from swarm.certification.assessment import Assessment
 from swarm.planning import Plan
 from swarm.view.page import Html, key_figures, page, picture, pictures, section, table, tag
 from swarm.view.report_parts import (

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from swarm.certification.findings import Assessment, Tightest
+from swarm.certification.assessment import Assessment, Tightest
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.planning import Plan

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from swarm.certification.findings import Assessment
+from swarm.certification.assessment import Assessment
 from swarm.planning import Plan
 from swarm.version import __version__
 from swarm.view.page import Html, table, tag

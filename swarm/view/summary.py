@@ -8,9 +8,10 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from swarm.certification.assessment import Assessment, Tightest, Window
 from swarm.certification.budget import Budget
 from swarm.certification.clearances import Moment
-from swarm.certification.findings import Assessment, Finding, Tightest, Window
+from swarm.certification.findings import Finding
 from swarm.planning import Plan
 from swarm.view.report_parts import CERTIFIED, certified_in_words
 from swarm.view.words import metres, seconds

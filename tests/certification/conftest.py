@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from swarm.certification.assess import assess
-from swarm.certification.findings import Assessment
+from swarm.certification.assessment import Assessment
 from swarm.mission import parse_mission
 from swarm.planning import Gate, KnotSummary, Layout, Phase, Plan
 from swarm.trajectory import through_states

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from swarm import api
-from swarm.certification.findings import Assessment
+from swarm.certification.assessment import Assessment
 from swarm.errors import Refused
 from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.planning import digest

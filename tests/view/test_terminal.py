@@ -4,7 +4,8 @@ from dataclasses import replace
 import numpy as np
 from rich.console import Console
 
-from swarm.certification.findings import Assessment, Finding, Robustness, Tightest
+from swarm.certification.assessment import Assessment, Robustness, Tightest
+from swarm.certification.findings import Finding
 from swarm.flight.snapshot import Event
 from swarm.view.summary import plan_summary
 from swarm.view.terminal import FlightScreen, team_table

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from swarm import api
-from swarm.certification.swing import swings
+from swarm.analysis.swing import swings
 from swarm.errors import Refused
 from swarm.geometry.catenary import STANDARD_GRAVITY, hang
 from swarm.mission import mission_for_knot
 from swarm.planning import KnotSummary, Layout, Plan
 from tests.network import small_plan
 
-rope = pytest.importorskip("swarm.certification.rope")
+rope = pytest.importorskip("swarm.analysis.rope")
 
 PLAN = small_plan(vehicles=3).plan
 

@@ -16,8 +16,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.rope_model import STEP, TIGHTENING_STEP, Grips, Rope, Seen
-from swarm.certification.swing import swings
+from swarm.analysis.rope_model import STEP, TIGHTENING_STEP, Grips, Rope, Seen
+from swarm.analysis.swing import swings
 from swarm.certification.topology import layout_code
 from swarm.errors import Refused, SwarmError
 from swarm.geometry.catenary import hang

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from swarm.certification.separation import MOST_SPREAD, UP, escape, escapes
+from swarm.analysis.separation import MOST_SPREAD, UP, escape, escapes
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=4).plan

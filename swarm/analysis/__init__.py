@@ -1,0 +1,1 @@
+"""Analyses beyond the certificate: a simulated rope, and moving apart after a release."""
