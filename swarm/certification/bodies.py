@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import Boxes, Enclosure
 from swarm.certification.motion_bounds import Course
-from swarm.certification.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 from swarm.certification.strands import HeldCable, Team, pieces, unit
 from swarm.geometry.distance import point_segment
+from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]

@@ -20,10 +20,10 @@ from swarm.certification.air import (
     wind_down,
 )
 from swarm.certification.clearances import STILL_AIR, Moment, Place
-from swarm.certification.linear_response import response
-from swarm.certification.sensitivity import BOTH_ENDS
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, hang
 from swarm.geometry.distance import polyline_polyline
+from swarm.geometry.linear_response import response
+from swarm.geometry.sensitivity import BOTH_ENDS
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]

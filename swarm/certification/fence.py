@@ -7,9 +7,9 @@ import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import Boxes, Enclosure
 from swarm.certification.motion_bounds import Course
-from swarm.certification.sensitivity import BOTH_ENDS
 from swarm.certification.strands import HeldCable, Pieces, Team, pieces, unit
 from swarm.geometry.distance import segment_segment
+from swarm.geometry.sensitivity import BOTH_ENDS
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]

@@ -14,9 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import Boxes, Enclosure
-from swarm.certification.linear_response import Strand, curvatures, elsewhere, movement, respond
 from swarm.certification.motion_bounds import Course
-from swarm.certification.sensitivity import (
+from swarm.geometry.catenary import Catenaries, hang
+from swarm.geometry.distance import segment_segment
+from swarm.geometry.linear_response import Strand, curvatures, elsewhere, movement, respond
+from swarm.geometry.quick import steepest
+from swarm.geometry.sensitivity import (
     BOTH_ENDS,
     FAR_END,
     LARGEST_RATIO,
@@ -27,9 +30,6 @@ from swarm.certification.sensitivity import (
     sensitivity,
     steepness,
 )
-from swarm.geometry.catenary import Catenaries, hang
-from swarm.geometry.distance import segment_segment
-from swarm.geometry.quick import steepest
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]

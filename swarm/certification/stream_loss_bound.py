@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from swarm.certification.limits import TAUT
 from swarm.certification.motion_bounds import Course
-from swarm.certification.sensitivity import sensitivity
 from swarm.certification.stream_loss_pairs import (
     TOLERANCE,
     Kept,
@@ -25,6 +24,7 @@ from swarm.certification.stream_loss_pairs import (
     sketches_for,
 )
 from swarm.certification.stream_loss_team import Box, Leaving, Standing, room_for, stand
+from swarm.geometry.sensitivity import sensitivity
 from swarm.jit import compiled
 from swarm.planning import Plan
 

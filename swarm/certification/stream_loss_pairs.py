@@ -10,16 +10,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.sensitivity import (
+from swarm.certification.stream_loss_team import Standing
+from swarm.geometry import quick
+from swarm.geometry.distance import nearest
+from swarm.geometry.sensitivity import (
     BOTH_ENDS,
     LARGEST_RATIO,
     largest_of,
     on_the_way,
     steepness,
 )
-from swarm.certification.stream_loss_team import Standing
-from swarm.geometry import quick
-from swarm.geometry.distance import nearest
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]

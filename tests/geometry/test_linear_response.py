@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from swarm.certification.linear_response import response
-from swarm.certification.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, NEAR_END
 from swarm.geometry.catenary import hang
+from swarm.geometry.linear_response import response
+from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, NEAR_END
 
 
 @pytest.mark.parametrize(("shallowest", "steepest"), [(0.0, 1.4), (1.0, 1.53)])

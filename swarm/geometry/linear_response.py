@@ -20,9 +20,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, class_of
 from swarm.geometry.catenary import Catenaries, hang
 from swarm.geometry.quick import shallowest, steepest
+from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, class_of
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from swarm.certification.sensitivity import (
+from swarm.geometry.sensitivity import (
     BOTH_ENDS,
     FAR_END,
     LARGEST_RATIO,
