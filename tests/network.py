@@ -15,7 +15,6 @@ import numpy as np
 from sitl import Emulator
 from sitl.world import parse_world
 from swarm.certification.certificate import CertifiedPlan, certify
-from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
@@ -23,6 +22,7 @@ from swarm.flight.result import Outcome
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
 from swarm.mission import Mission, mission_for_knot
+from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning import KnotSummary, Layout, Plan
 from swarm.planning.flight import whole_flight
 from swarm.trajectory import followed, leg

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from swarm.errors import InputError
-from swarm.fleet import emulated_fleet, fleet_schema, parse_fleet
+from swarm.mission.fleet import emulated_fleet, fleet_schema, parse_fleet
 
 READY_MADE = sorted((Path(__file__).parent.parent / "missions" / "fleets").glob("*.yaml"))
 

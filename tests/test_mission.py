@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from swarm.errors import InputError
 from swarm.mission import Mission, mission_for_knot, mission_schema, parse_mission
-from swarm.validation import parse_yaml
+from swarm.mission.validation import parse_yaml
 
 MINIMAL = "{schema: 1, name: overhand, knot: {name: 3_1, chirality: left}}"
 

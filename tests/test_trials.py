@@ -12,8 +12,8 @@ import pytest
 
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused, SwarmError
-from swarm.fleet import emulated_fleet
 from swarm.ground.fly import fly
+from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.monte_carlo import (
     Certificates,
     Spread,

@@ -8,10 +8,10 @@ import click
 
 from swarm.cli.inputs import print_json, write_text
 from swarm.errors import InputError, Problem, reason
-from swarm.fleet import fleet_schema
 from swarm.knots.catalog import choose
 from swarm.mission import Mission, mission_for_knot, mission_schema
-from swarm.validation import Section
+from swarm.mission.fleet import fleet_schema
+from swarm.mission.validation import Section
 
 KINDS = ("mission", "fleet", "world", "scenario")
 

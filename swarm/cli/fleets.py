@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from swarm.cli.inputs import read_text
-from swarm.fleet import Fleet, parse_fleet
+from swarm.mission.fleet import Fleet, parse_fleet
 
 
 def load_fleet(path: Path) -> Fleet:

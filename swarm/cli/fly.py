@@ -22,13 +22,13 @@ from swarm.cli.inputs import (
 )
 from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
-from swarm.fleet import emulated_fleet
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.clearance import Audit
 from swarm.flight.conductor import LOOSE_BUDGET
 from swarm.flight.resuming import Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.flight_process import Flight, fly_apart
+from swarm.mission.fleet import emulated_fleet
 from swarm.view import rerun_log
 from swarm.view.summary import findings_table, plan_summary
 from swarm.view.terminal import FlightScreen

@@ -10,7 +10,6 @@ from rich.console import Console
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
-from swarm.fleet import Fleet
 from swarm.flight.hop import (
     ERROR_LIMIT,
     HEIGHT,
@@ -22,6 +21,7 @@ from swarm.flight.hop import (
     tracking_to_plan_with,
 )
 from swarm.ground.fly import fly
+from swarm.mission.fleet import Fleet
 from swarm.view.terminal import FlightScreen
 
 

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from swarm.errors import InputError, Problem, reason
 from swarm.front.files import load, refuse_unknown_knot
 from swarm.mission import Mission, mission_for_knot
-from swarm.validation import LARGEST_FILE
+from swarm.mission.validation import LARGEST_FILE
 
 MISSION = click.argument("mission", metavar="MISSION")
 SET = click.option(

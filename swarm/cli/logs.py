@@ -11,8 +11,8 @@ from rich.text import Text
 from swarm.cli.fleets import load_fleet
 from swarm.cli.inputs import print_json
 from swarm.errors import VehicleError
-from swarm.fleet import emulated_fleet
 from swarm.ground.logs import FetchedLog, fetch_logs
+from swarm.mission.fleet import emulated_fleet
 
 VEHICLES = 9
 """Vehicles of the built-in emulator that is asked where no fleet is given."""

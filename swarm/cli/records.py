@@ -8,13 +8,13 @@ from pydantic import ValidationError
 from swarm.certification.assessment import Assessment
 from swarm.cli.inputs import read_record
 from swarm.errors import InputError, Problem
-from swarm.fleet import Fleet
 from swarm.flight.archive import read_certificate, read_frames
 from swarm.flight.flight_plan import Basis
 from swarm.flight.tlog import KnownFrames, Replayed, replay
+from swarm.mission.fleet import Fleet
+from swarm.mission.validation import LARGEST_FILE
 from swarm.planning import Plan, digest
 from swarm.planning.archive import read_plan
-from swarm.validation import LARGEST_FILE
 
 LARGEST_PLAN = 64 << 20
 """Bytes that a record's plan or motion may have."""

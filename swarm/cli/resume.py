@@ -12,11 +12,11 @@ from swarm.cli.flown import end_with
 from swarm.cli.inputs import read_text
 from swarm.cli.records import recorded_certificate, recorded_frames, recorded_plan
 from swarm.errors import InputError, Problem, Refused
-from swarm.fleet import Fleet
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import Then, left_off
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.flight_process import Flight, fly_apart
+from swarm.mission.fleet import Fleet
 from swarm.view import rerun_log
 from swarm.view.terminal import FlightScreen
 

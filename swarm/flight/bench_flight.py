@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from swarm.certification.certificate import CertifiedPlan, certify, without_cable
-from swarm.fleet import Fleet
 from swarm.flight.flight_plan import CableFreeFlight
+from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 from swarm.trajectory import Motion
 

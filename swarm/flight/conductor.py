@@ -19,7 +19,6 @@ from swarm.certification.contingency_windows import windows
 from swarm.certification.monitor import Clearances, Monitor
 from swarm.certification.stream_loss import Coasting, coast
 from swarm.errors import Refused
-from swarm.fleet import Fleet
 from swarm.flight.bench_flight import is_bare
 from swarm.flight.clearance import Audit, ClearedPlan
 from swarm.flight.clock import MissionClock
@@ -47,6 +46,7 @@ from swarm.flight.stages import STAGES
 from swarm.flight.trace import Trace
 from swarm.mavlink.frames import Frames
 from swarm.mavlink.vehicle import Vehicle
+from swarm.mission.fleet import Fleet
 from swarm.planning import Phase
 
 Floats = npt.NDArray[np.float64]

@@ -10,7 +10,6 @@ from pymavlink.dialects.v20 import common
 
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import Refused
-from swarm.fleet import Fleet
 from swarm.flight.preparation import (
     Prepared,
     ask_for_origin,
@@ -23,6 +22,7 @@ from swarm.flight.router import Address, Outgoing, Team
 from swarm.flight.snapshot import Event
 from swarm.mavlink.frames import to_mission
 from swarm.mavlink.vehicle import Vehicle, VehicleEvent
+from swarm.mission.fleet import Fleet
 
 Floats = npt.NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from swarm.certification.findings import Finding, Severity
 from swarm.certification.stream_loss import CoastCertificate, Coasting, coast
-from swarm.fleet import Fleet, Limits
 from swarm.mavlink.frames import Projection
 from swarm.mission import Vehicles
+from swarm.mission.fleet import Fleet, Limits
 from swarm.planning import Plan
 
 Value = float

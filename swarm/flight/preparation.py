@@ -10,7 +10,6 @@ from pymavlink.dialects.v20 import common
 
 from swarm.certification.findings import Finding
 from swarm.errors import Refused
-from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit
 from swarm.flight.readiness import (
     assigned,
@@ -25,6 +24,7 @@ from swarm.flight.result import Outcome
 from swarm.flight.router import Team
 from swarm.mavlink.frames import Frames
 from swarm.mavlink.vehicle import Vehicle
+from swarm.mission.fleet import Fleet
 
 Floats = npt.NDArray[np.float64]
 

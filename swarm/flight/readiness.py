@@ -13,7 +13,6 @@ from scipy.optimize import linear_sum_assignment
 
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import Refused
-from swarm.fleet import Fleet
 from swarm.mavlink.frames import (
     Frames,
     Origin,
@@ -23,6 +22,7 @@ from swarm.mavlink.frames import (
     to_mission,
 )
 from swarm.mavlink.vehicle import Vehicle
+from swarm.mission.fleet import Fleet
 
 Floats = npt.NDArray[np.float64]
 

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.errors import InputError
-from swarm.fleet import Fleet
 from swarm.flight.preparation import request_streams
 from swarm.flight.rejoining import rejoin
 from swarm.flight.tlog import KnownFrames, replay
 from swarm.mavlink.frames import Frames
+from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 
 if TYPE_CHECKING:

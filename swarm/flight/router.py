@@ -15,7 +15,6 @@ import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
 from swarm.certification.findings import Finding
-from swarm.fleet import Fleet
 from swarm.flight.identities import Identities
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.message_handlers import READ
@@ -33,6 +32,7 @@ from swarm.mavlink.setpoints import SetpointPacker
 from swarm.mavlink.signing import Signing
 from swarm.mavlink.telemetry_table import Columns, room_for, take
 from swarm.mavlink.vehicle import Vehicle
+from swarm.mission.fleet import Fleet
 
 Floats = npt.NDArray[np.float64]
 Address = Hashable

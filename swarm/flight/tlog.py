@@ -15,7 +15,6 @@ import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, Refused
-from swarm.fleet import Fleet
 from swarm.flight.preparation import STANDING_TIME, prepared_team
 from swarm.flight.trace import Trace
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
@@ -23,6 +22,7 @@ from swarm.mavlink.frames import Frames
 from swarm.mavlink.message_handlers import READ
 from swarm.mavlink.packets import GROUND_SYSTEM, Decoder, Encoder, Packet, packet_length
 from swarm.mavlink.vehicle import Vehicle
+from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm.fleet import Fleet, Place
+from swarm.mission.fleet import Fleet, Place
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]

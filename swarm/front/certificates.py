@@ -16,9 +16,9 @@ from swarm.front.files import read_text
 from swarm.front.plans import Plan
 from swarm.mission import Cable as CableSection
 from swarm.mission import Mission, mission_for_knot
+from swarm.mission.validation import validate
 from swarm.trajectory import Motion as Quintics
 from swarm.trajectory import through_states
-from swarm.validation import validate
 
 Progress = Callable[[str, float], None]
 

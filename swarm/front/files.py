@@ -6,7 +6,7 @@ from pathlib import Path
 from swarm.errors import InputError, Problem, reason
 from swarm.knots.catalog import choose
 from swarm.mission import Mission, parse_mission
-from swarm.validation import LARGEST_FILE
+from swarm.mission.validation import LARGEST_FILE
 
 
 def load(path: str | os.PathLike[str], *overrides: str) -> Mission:

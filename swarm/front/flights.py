@@ -11,11 +11,11 @@ from swarm import planning
 from swarm.certification.assessment import Tightest
 from swarm.certification.certificate import Certificate, CertifiedPlan
 from swarm.errors import Refused
-from swarm.fleet import Fleet
 from swarm.flight.result import FlightResult, Word
 from swarm.flight.trace import Trace
 from swarm.front.recordings import Recording
 from swarm.knots.names import in_words
+from swarm.mission.fleet import Fleet
 from swarm.notebook import table
 from swarm.simulation.loop import Fault, rehearse
 from swarm.verify import Flown, judge
@@ -163,7 +163,7 @@ def simulate(
     """Fly a plan in virtual time: the flight software against the emulator, packet by packet.
 
     The same ``seed`` gives the same flight. ``fleet`` is an emulated one, by default of PX4
-    vehicles (:func:`swarm.fleet.emulated_fleet`); ``faults`` are what goes
+    vehicles (:func:`swarm.mission.fleet.emulated_fleet`); ``faults`` are what goes
     wrong during it (:class:`swarm.simulation.loop.Fault`); ``world`` is what the emulator is told
     instead of what the plan expects (`swarm schema world`).
 

@@ -11,7 +11,6 @@ import numpy as np
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import InputError, Problem, Refused, VehicleError
-from swarm.fleet import Fleet
 from swarm.flight.listening import LinkQuality, Listening, radio_findings
 from swarm.flight.parameters import (
     STREAM_LOSS_TIME,
@@ -26,6 +25,7 @@ from swarm.flight.preparation import GATHERING, Prepared
 from swarm.ground.audit import Auditor, Tell, VehicleAudit, save_parameters
 from swarm.ground.survey import Survey, attended
 from swarm.mission import Vehicles
+from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 
 _SETTLE = 2.5

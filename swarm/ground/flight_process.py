@@ -21,7 +21,6 @@ from types import FrameType
 from typing import Any
 
 from swarm.errors import SwarmError, VehicleError
-from swarm.fleet import Fleet
 from swarm.flight.clearance import Audit
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
@@ -31,6 +30,7 @@ from swarm.ground.child import die_with_parent
 from swarm.ground.fly import fly
 from swarm.ground.operator import keys
 from swarm.ground.priority import follow, giving_way, prefer
+from swarm.mission.fleet import Fleet
 
 _POLL = 0.05
 

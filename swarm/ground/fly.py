@@ -13,7 +13,6 @@ from types import FrameType
 from typing import Any
 
 from swarm.errors import Refused, SwarmError
-from swarm.fleet import Fleet
 from swarm.flight.adherence import adherence
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
@@ -34,6 +33,7 @@ from swarm.ground.priority import follow
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links, open_links
+from swarm.mission.fleet import Fleet
 
 SNAPSHOT_INTERVAL = 0.1
 _MOST_WAITING = 200

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from swarm.errors import Refused
-from swarm.fleet import Fleet
 from swarm.ground.mavsdk_link import fetch
 from swarm.ground.survey import Survey, attended
+from swarm.mission.fleet import Fleet
 
 PATIENCE = 15.0
 """Seconds without a piece of a log after which it is given up."""

@@ -12,11 +12,11 @@ from typing import Protocol
 
 import numpy as np
 
-from swarm.fleet import Fleet
 from swarm.flight.router import Address, Outgoing
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links
+from swarm.mission.fleet import Fleet
 
 _LEAD = 0.4
 """Share of a tick by which working it out begins before its deadline."""

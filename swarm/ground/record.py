@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from swarm.errors import InputError, Problem
-from swarm.fleet import Fleet
 from swarm.flight.adherence import adherence_object
 from swarm.flight.archive import certificate_document, frames_document
 from swarm.flight.flight_plan import Basis, FlightPlan
@@ -29,6 +28,7 @@ from swarm.flight.snapshot import Event
 from swarm.flight.tlog import KnownFrames
 from swarm.ground.priority import follow
 from swarm.mavlink.packets import split
+from swarm.mission.fleet import Fleet
 from swarm.planning.archive import plan_document, plan_motion
 from swarm.version import __version__
 

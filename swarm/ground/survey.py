@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from swarm.errors import InputError, Problem, SwarmError, VehicleError
-from swarm.fleet import Fleet
 from swarm.flight.listening import Listening
 from swarm.flight.world import bare_world, emulated_world
 from swarm.ground.emulator import EmulatorProcess
@@ -20,6 +19,7 @@ from swarm.ground.keys import signing_with
 from swarm.ground.loop import Loop
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links, open_links
+from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 
 T = TypeVar("T")

@@ -12,7 +12,6 @@ from sitl.faults import Fault, Scenario, parse_scenario
 from sitl.world import WorldError, parse_world
 from sitl.world import schema as world_schema
 from swarm.errors import InputError, Problem, Refused
-from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.adherence import adherence
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
@@ -20,6 +19,7 @@ from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.world import emulated_world
+from swarm.mission.fleet import Fleet, emulated_fleet
 
 __all__ = [
     "Emulator", "Fault", "Observer", "Recorder", "faults_from", "parse_world", "rehearse",

@@ -6,9 +6,9 @@ from html import escape
 import numpy as np
 import numpy.typing as npt
 
-from swarm.fleet import Fleet
 from swarm.flight.parameters import demands_of_plan, rules
 from swarm.mavlink.frames import Projection
+from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 from swarm.view.page import Html, key_figures, page, section, table, tag
 

@@ -39,7 +39,6 @@ from mavsdk.plugins.offboard import (
 from pymavlink.dialects.v20 import common
 from rich.console import Console
 
-from swarm.fleet import Fleet, parse_fleet
 from swarm.flight.conductor import Conductor
 from swarm.flight.jit_warm_up import warm_up
 from swarm.ground.loop import Loop
@@ -47,6 +46,7 @@ from swarm.ground.priority import follow, give_way, prefer, settle
 from swarm.ground.record import Record
 from swarm.ground.sockets import open_links
 from swarm.mavlink.frames import shared_frames
+from swarm.mission.fleet import Fleet, parse_fleet
 from swarm.view import rerun_log
 from swarm.view.terminal import FlightScreen
 from tests.network import small_plan

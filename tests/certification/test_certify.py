@@ -17,12 +17,12 @@ from swarm.certification.certificate import (
 )
 from swarm.certification.stream_loss import Coasting, coast
 from swarm.errors import Refused
-from swarm.fleet import emulated_fleet
 from swarm.flight.bench_flight import raised
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import CableFreeFlight, ComparisonFlight, basis_of
 from swarm.flight.hop import hop
+from swarm.mission.fleet import emulated_fleet
 from swarm.planning import digest
 from swarm.trajectory import Motion
 from tests.network import small_plan, uncleared

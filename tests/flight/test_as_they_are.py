@@ -7,10 +7,10 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 import sitl.dynamics
-from swarm.fleet import emulated_fleet
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.conductor import Conductor
 from swarm.mavlink.packets import CURRENT_MODE, Decoder
+from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
 PLAN = small_plan()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
-from swarm.fleet import emulated_fleet
 from swarm.mavlink.packets import Decoder
+from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
 PLAN = small_plan()

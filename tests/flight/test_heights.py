@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from swarm.fleet import emulated_fleet
+from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
 PLAN = small_plan(vehicles=4)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from swarm.errors import Refused
-from swarm.fleet import emulated_fleet
 from swarm.flight.hop import (
     ERROR_LIMIT,
     HOVER,
@@ -22,6 +21,7 @@ from swarm.flight.hop import (
 from swarm.flight.result import FlightResult
 from swarm.flight.trace import Trace
 from swarm.flight.world import emulated_world
+from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.loop import rehearse
 from tests.network import small_plan, uncleared
 

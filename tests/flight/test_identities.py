@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import common
 
 from sitl import Emulator
 from sitl.world import default_world
-from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.listening import Listening
+from swarm.mission.fleet import Fleet, emulated_fleet
 from tests.command import run
 from tests.network import Network, small_plan
 

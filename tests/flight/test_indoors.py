@@ -2,7 +2,7 @@
 
 import pytest
 
-from swarm.fleet import emulated_fleet
+from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from sitl.faults import Fault
-from swarm.fleet import emulated_fleet
+from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.loop import rehearse
 from tests.network import Network, small_plan, uncleared
 

@@ -5,7 +5,6 @@ import pytest
 from sitl.ardupilot_tables import PARAMETERS as ARDUPILOT_PARAMETERS
 from sitl.px4_tables import PARAMETERS as PX4_PARAMETERS
 from swarm.certification.stream_loss import Coasting
-from swarm.fleet import emulated_fleet
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.parameters import (
@@ -17,6 +16,7 @@ from swarm.flight.parameters import (
     rules,
 )
 from swarm.mission import Vehicles
+from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
 
 FLEET = emulated_fleet(3)

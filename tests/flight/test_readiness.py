@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarm.errors import Refused
-from swarm.fleet import emulated_fleet, parse_fleet
 from swarm.flight.readiness import assigned, levelled, rough_frames
 from swarm.mavlink.autopilots import PX4
 from swarm.mavlink.frames import Origin, from_mission, to_local
 from swarm.mavlink.vehicle import Vehicle
+from swarm.mission.fleet import emulated_fleet, parse_fleet
 from tests.network import Network, small_plan
 
 PADS = np.array([[0.0, 0.0, 0.6], [3.0, 0.5, 0.6], [6.0, -1.0, 0.6], [9.0, 0.0, 0.6]])

@@ -6,11 +6,11 @@ from functools import cache
 import pytest
 from pymavlink.dialects.v20 import common
 
-from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.readiness import readiness
 from swarm.mavlink.packets import Decoder
 from swarm.mavlink.signing import Signing
 from swarm.mavlink.vehicle import Vehicle
+from swarm.mission.fleet import Fleet, emulated_fleet
 from tests.recordings import ARDUCOPTER, ARDUCOPTER_ENDS, PX4, recorded
 
 ARM = int(common.MAV_CMD_COMPONENT_ARM_DISARM)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from swarm.errors import InputError, Refused
-from swarm.fleet import emulated_fleet
 from swarm.flight.archive import (
     certificate_document,
     frames_document,
@@ -18,6 +17,7 @@ from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
 from swarm.flight.tlog import ClockTeller, replay
+from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.rehearsal import pass_audit
 from tests.network import Network, small_plan
 

@@ -10,10 +10,10 @@ from pymavlink.dialects.v20 import common
 
 from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.errors import InputError
-from swarm.fleet import emulated_fleet, parse_fleet
 from swarm.flight.tlog import replay
 from swarm.mavlink.packets import Decoder
 from swarm.mission import parse_mission
+from swarm.mission.fleet import emulated_fleet, parse_fleet
 from swarm.planning.archive import plan_document, plan_motion, read_plan
 from swarm.simulation.loop import faults_from
 from tests.network import Network, small_plan

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
-from swarm.fleet import parse_fleet
 from swarm.flight.router import Team
+from swarm.mission.fleet import parse_fleet
 from tests.network import Network, small_plan
 
 SETPOINT = common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED

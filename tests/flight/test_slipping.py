@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from swarm.fleet import emulated_fleet
 from swarm.flight import grip_slip
 from swarm.flight.grip_slip import GripSlipDetector, lean
+from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.rehearsal import Rehearsal, drill_fleet
 from swarm.simulation.loop import Fault
 from tests.network import Network, small_plan

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from swarm.errors import InputError
-from swarm.fleet import emulated_fleet
 from swarm.flight.tlog import ClockTeller, packets, replay
 from swarm.mavlink.packets import split
+from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
 PLAN = small_plan()

@@ -11,7 +11,7 @@ FLY = """
 import sys
 from numba.core.dispatcher import Dispatcher
 import sitl.warm
-from swarm.fleet import emulated_fleet
+from swarm.mission.fleet import emulated_fleet
 from swarm.flight.jit_warm_up import warm_up
 from tests.network import Network, small_plan
 
@@ -60,7 +60,7 @@ CALLED = """
 import dis, sys, types
 from numba.core.dispatcher import Dispatcher
 import sitl.warm
-from swarm.fleet import emulated_fleet
+from swarm.mission.fleet import emulated_fleet
 from swarm.flight.jit_warm_up import warm_up
 from tests.network import Network, small_plan
 

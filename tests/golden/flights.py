@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm.fleet import emulated_fleet
+from swarm.mission.fleet import emulated_fleet
 from tests.golden.environment import environment
 from tests.golden.wire import Reader, is_setpoint
 from tests.network import Network, small_plan

@@ -10,7 +10,6 @@ from pathlib import Path
 from pymavlink.dialects.v20 import common
 
 from swarm.cli.records import recorded_certificate, recorded_plan
-from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
@@ -20,6 +19,7 @@ from swarm.flight.tlog import ClockTeller
 from swarm.ground.loop import Loop
 from swarm.ground.record import Record
 from swarm.ground.sockets import open_links
+from swarm.mission.fleet import Fleet, emulated_fleet
 from tests.network import small_plan
 
 FLIGHT_PLAN = small_plan()

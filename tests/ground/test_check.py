@@ -9,11 +9,11 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, VehicleError
-from swarm.fleet import emulated_fleet, parse_fleet
 from swarm.flight.listening import LinkQuality, radio_finding, radio_findings
 from swarm.ground.check import Wanted, check
 from swarm.ground.fly import fly
 from swarm.ground.sockets import Links
+from swarm.mission.fleet import emulated_fleet, parse_fleet
 from tests.network import small_plan
 
 

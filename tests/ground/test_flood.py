@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from swarm.fleet import emulated_fleet
 from swarm.ground.fly import fly
+from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
 
 FLIGHT_PLAN = small_plan()

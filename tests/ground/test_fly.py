@@ -15,11 +15,11 @@ from pymavlink import mavutil
 
 from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.errors import VehicleError
-from swarm.fleet import emulated_fleet
 from swarm.flight.world import emulated_world
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.fly import fly
 from swarm.ground.sockets import open_links
+from swarm.mission.fleet import emulated_fleet
 from swarm.verify import judge
 from tests.network import small_plan
 
@@ -94,7 +94,7 @@ def test_a_dead_emulator_is_explained_and_is_a_vehicle_error(tmp_path):
 SCRIPT = """
 import sys
 from pathlib import Path
-from swarm.fleet import emulated_fleet
+from swarm.mission.fleet import emulated_fleet
 from swarm.flight.world import emulated_world
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.fly import fly

@@ -7,8 +7,8 @@ import pytest
 from rich.console import Console
 
 from swarm.cli.hop import fly_hop
-from swarm.fleet import emulated_fleet
 from swarm.flight.hop import HOVER
+from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
 
 

@@ -18,9 +18,9 @@ from pymavlink.dialects.v20 import common
 
 from swarm.cli.check import check
 from swarm.errors import Refused
-from swarm.fleet import Fleet, emulated_fleet
 from swarm.ground.logs import fetch_logs
 from swarm.ground.mavsdk_child import Fetching
+from swarm.mission.fleet import Fleet, emulated_fleet
 
 OLD, NEW = 1_763_700_000, 1_763_730_000
 PX4, ARDUPILOT = 12, 3

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from swarm.fleet import emulated_fleet
 from swarm.ground import loop
 from swarm.ground.loop import Loop
+from swarm.mission.fleet import emulated_fleet
 
 FLEET = emulated_fleet(1)
 TICK = 1.0 / FLEET.rates.setpoint

@@ -10,11 +10,11 @@ from contextlib import contextmanager
 import pytest
 
 from swarm.errors import VehicleError
-from swarm.fleet import emulated_fleet
 from swarm.ground.check import check
 from swarm.ground.fly import fly
 from swarm.ground.logs import fetch_logs
 from swarm.ground.mavsdk_link import TRIES, reports
+from swarm.mission.fleet import emulated_fleet
 from tests.command import run
 from tests.ground.test_logs import NEW, PX4, content, team
 from tests.network import small_plan

@@ -10,9 +10,9 @@ import time
 import pytest
 
 from swarm.errors import InputError, VehicleError
-from swarm.fleet import emulated_fleet
 from swarm.ground.flight_process import Flight, fly_apart
 from swarm.ground.priority import behind_all
+from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
 
 FLIGHT_PLAN = small_plan()
@@ -90,7 +90,7 @@ def emulators(folder) -> list[str]:
 CALLER = """
 import sys
 from pathlib import Path
-from swarm.fleet import emulated_fleet
+from swarm.mission.fleet import emulated_fleet
 from swarm.ground.flight_process import Flight, fly_apart
 from tests.network import small_plan
 flight = Flight(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)

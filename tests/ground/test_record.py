@@ -11,13 +11,13 @@ from pymavlink.dialects.v20 import common
 
 from swarm.cli.records import recorded_basis, recorded_certificate
 from swarm.errors import InputError
-from swarm.fleet import emulated_fleet
 from swarm.flight.archive import certificate_document, read_certificate
 from swarm.flight.flight_plan import basis_of
 from swarm.flight.snapshot import Event
 from swarm.ground.record import Record
 from swarm.mavlink.packets import Encoder
 from swarm.mission import parse_mission
+from swarm.mission.fleet import emulated_fleet
 from swarm.planning import digest
 from swarm.planning.archive import plan_document, plan_motion, read_plan
 from tests.network import small_plan

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 import pytest
 
 from swarm.cli.records import recorded_flight, recorded_plan
-from swarm.fleet import emulated_fleet
 from swarm.flight.world import emulated_world
+from swarm.mission.fleet import emulated_fleet
 from swarm.verify import judge
 from tests.command import run
 from tests.ground.station import FLIGHT_PLAN, fleet_on

@@ -11,11 +11,11 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError
-from swarm.fleet import parse_fleet
 from swarm.flight.listening import Listening
 from swarm.flight.router import Outgoing
 from swarm.ground.sockets import open_links
 from swarm.mavlink.packets import Decoder, Encoder
+from swarm.mission.fleet import parse_fleet
 
 HEARTBEAT = common.MAVLink_heartbeat_message(2, 12, 0, 6 << 16, 3, 3)
 

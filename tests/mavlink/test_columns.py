@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from swarm.fleet import emulated_fleet
 from swarm.flight.router import Team
 from swarm.mavlink.telemetry_table import Columns
+from swarm.mission.fleet import emulated_fleet
 
 SYSTEMS = (1, 2, 3)
 number = st.floats(-100.0, 100.0, width=32)

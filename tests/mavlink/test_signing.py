@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
-from swarm.fleet import emulated_fleet
 from swarm.mavlink.packets import Decoder, Encoder
 from swarm.mavlink.setpoints import SetpointPacker
 from swarm.mavlink.signing import TICKS_PER_SECOND, Signing, ticks_at
+from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
 KEY = hashlib.sha256(b"for tests only").digest()

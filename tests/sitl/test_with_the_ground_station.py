@@ -3,9 +3,9 @@
 import numpy as np
 
 from sitl import Emulator
-from swarm.fleet import emulated_fleet
 from swarm.flight.conductor import Conductor
 from swarm.flight.world import emulated_world
+from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.loop import rehearse
 from tests.network import small_plan
 

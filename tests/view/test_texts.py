@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 from rich.console import Console
 
-from swarm.fleet import emulated_fleet
 from swarm.flight.conductor import Conductor
 from swarm.flight.snapshot import Event
 from swarm.ground.record import Record
 from swarm.mavlink.packets import Encoder
+from swarm.mission.fleet import emulated_fleet
 from swarm.view.terminal import FlightScreen
 from swarm.view.texts import WINDOW, Texts
 from tests.network import small_plan

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from joblib import Parallel, delayed
 
 from swarm.certification.certificate import CertifiedPlan
-from swarm.fleet import Fleet
+from swarm.mission.fleet import Fleet
 from swarm.simulation.fault_injection.judging import Judge, Trial, judged
 from swarm.simulation.fault_injection.kept import Flown
 from swarm.simulation.fault_injection.rehearsal import (

@@ -8,7 +8,6 @@ from typing import Literal, get_args
 from pymavlink.dialects.v20 import common
 
 from swarm.certification.certificate import CertifiedPlan
-from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.clearance import go
 from swarm.flight.clone import branch
 from swarm.flight.conductor import Conductor
@@ -16,6 +15,7 @@ from swarm.flight.jit_warm_up import lasting
 from swarm.flight.parameters import demands_of_plan, rules
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
+from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.simulation.loop import Emulator, parse_world
 
 Personality = Literal["px4", "ardupilot", "mixed"]

@@ -11,11 +11,11 @@ import numpy.typing as npt
 from pydantic import Field
 
 from swarm.errors import InputError, Problem
-from swarm.fleet import Fleet
 from swarm.flight.world import emulated_world
+from swarm.mission.fleet import Fleet
+from swarm.mission.validation import Section, number, parse_yaml, validate
 from swarm.planning import Plan
 from swarm.simulation.loop import Fault, faults_from, scenario_schema
-from swarm.validation import Section, number, parse_yaml, validate
 
 Floats = npt.NDArray[np.float64]
 Random = np.random.Generator

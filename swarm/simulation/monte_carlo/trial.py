@@ -7,11 +7,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from swarm.fleet import Fleet, emulated_fleet
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.trace import Trace
+from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning import Plan
 from swarm.simulation.loop import Emulator, Fault, rehearse
 from swarm.simulation.monte_carlo.spread import Conditions, Spread, draw

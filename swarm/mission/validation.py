@@ -1,6 +1,6 @@
 """From text that people write to validated models, with every error at its place.
 
-Mission and fleet files share this border: YAML 1.2, bounded size, no duplicate keys, unknown keys
+Mission and fleet files share these rules: YAML 1.2, bounded size, no duplicate keys, unknown keys
 refused, NaN and infinities refused. Errors read ``file: key.path: expected …, got …``.
 """
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from swarm.validation import Section, apply_overrides, number, parse_yaml, validate
+from swarm.mission.validation import Section, apply_overrides, number, parse_yaml, validate
 
 Autopilot = Literal["px4", "ardupilot", "detect"]
 SystemId = Annotated[int, Field(strict=True, ge=1, le=250)]
