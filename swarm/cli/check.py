@@ -30,8 +30,8 @@ from swarm.errors import InputError, Problem
 from swarm.exports import finding_object
 from swarm.flight.parameters import Row
 from swarm.flight.words import in_common, numbers, of_systems
-from swarm.ground.check import CheckReport, Wanted
-from swarm.ground.check import check as check_fleet
+from swarm.ground.commissioning.check import CheckReport, Wanted
+from swarm.ground.commissioning.check import check as check_fleet
 from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.view.sheet import layout_sheet
 

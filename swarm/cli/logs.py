@@ -11,7 +11,7 @@ from rich.text import Text
 from swarm.cli.fleets import load_fleet
 from swarm.cli.inputs import print_json
 from swarm.errors import VehicleError
-from swarm.ground.logs import FetchedLog, fetch_logs
+from swarm.ground.commissioning.logs import FetchedLog, fetch_logs
 from swarm.mission.fleet import emulated_fleet
 
 VEHICLES = 9

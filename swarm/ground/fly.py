@@ -24,14 +24,14 @@ from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockTeller
 from swarm.flight.world import emulated_world
-from swarm.ground.audit import Auditor, save_parameters
+from swarm.ground.commissioning.audit import Auditor, save_parameters
 from swarm.ground.emulator import EmulatorProcess
-from swarm.ground.keys import signing_with
 from swarm.ground.loop import Loop
 from swarm.ground.operator import ControlSocket, Desk, keys
 from swarm.ground.priority import follow
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
+from swarm.ground.signing_key import signing_with
 from swarm.ground.sockets import Links, open_links
 from swarm.mission.fleet import Fleet
 

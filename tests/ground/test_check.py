@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, VehicleError
 from swarm.flight.listening import LinkQuality, radio_finding, radio_findings
-from swarm.ground.check import Wanted, check
+from swarm.ground.commissioning.check import Wanted, check
 from swarm.ground.fly import fly
 from swarm.ground.sockets import Links
 from swarm.mission.fleet import emulated_fleet, parse_fleet

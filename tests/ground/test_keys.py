@@ -6,7 +6,7 @@ import time
 import pytest
 
 from swarm.errors import InputError
-from swarm.ground.keys import read_key, signing_with
+from swarm.ground.signing_key import read_key, signing_with
 from swarm.mavlink.signing import ticks_at
 
 KEY = bytes(range(32))

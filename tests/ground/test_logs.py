@@ -18,8 +18,8 @@ from pymavlink.dialects.v20 import common
 
 from swarm.cli.check import check
 from swarm.errors import Refused
-from swarm.ground.logs import fetch_logs
-from swarm.ground.mavsdk_child import Fetching
+from swarm.ground.commissioning.logs import fetch_logs
+from swarm.ground.commissioning.mavsdk_child import Fetching
 from swarm.mission.fleet import Fleet, emulated_fleet
 
 OLD, NEW = 1_763_700_000, 1_763_730_000

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 import pytest
 
 from swarm.errors import VehicleError
-from swarm.ground.check import check
+from swarm.ground.commissioning.check import check
+from swarm.ground.commissioning.logs import fetch_logs
+from swarm.ground.commissioning.mavsdk_client import TRIES, reports
 from swarm.ground.fly import fly
-from swarm.ground.logs import fetch_logs
-from swarm.ground.mavsdk_link import TRIES, reports
 from swarm.mission.fleet import emulated_fleet
 from tests.command import run
 from tests.ground.test_logs import NEW, PX4, content, team
@@ -22,7 +22,7 @@ from tests.network import small_plan
 
 def children() -> list[int]:
     listed = subprocess.run(
-        ["ps", "-o", "pid=,stat=,args=", "--ppid", str(os.getpid())],
+        ["ps", "-ww", "-o", "pid=,stat=,args=", "--ppid", str(os.getpid())],
         capture_output=True, text=True, check=False,
     ).stdout  # fmt: skip
     rows = [row.split(maxsplit=2) for row in listed.splitlines()]

@@ -59,7 +59,10 @@ def test_errors_come_through_as_they_are(tmp_path):
 
 def children(pid: int) -> list[int]:
     listed = subprocess.run(
-        ["ps", "-o", "pid=,args=", "--ppid", str(pid)], capture_output=True, text=True, check=False
+        ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(pid)],
+        capture_output=True,
+        text=True,
+        check=False,
     ).stdout
     return [
         int(row.split()[0]) for row in listed.splitlines() if "swarm.ground.flight_process" in row
@@ -82,7 +85,7 @@ def test_a_process_that_dies_is_a_vehicle_error(tmp_path):
 
 def emulators(folder) -> list[str]:
     listed = subprocess.run(
-        ["ps", "-e", "-o", "args="], capture_output=True, text=True, check=True
+        ["ps", "-ww", "-e", "-o", "args="], capture_output=True, text=True, check=True
     ).stdout
     return [row for row in listed.splitlines() if "sitl" in row and str(folder) in row]
 

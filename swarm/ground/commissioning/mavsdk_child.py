@@ -2,7 +2,7 @@
 
 It is a library in C++ with threads of its own, which has crashed inside its caller. Here it is
 asked by one thread, one vehicle after the other; what it says goes over the pipe whose descriptor
-is the first argument. See :mod:`swarm.ground.mavsdk_link` for the other side.
+is the first argument. See :mod:`swarm.ground.commissioning.mavsdk_client` for the other side.
 """
 
 import os

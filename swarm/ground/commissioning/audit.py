@@ -15,7 +15,7 @@ from pathlib import Path
 from swarm.certification.findings import Finding
 from swarm.errors import VehicleError
 from swarm.flight.parameters import Demands, Row, judge, rules
-from swarm.ground.mavsdk_link import Report, reports
+from swarm.ground.commissioning.mavsdk_client import Report, reports
 from swarm.ground.relay import Relay
 from swarm.mavlink.frames import Projection
 from swarm.mavlink.vehicle import Vehicle

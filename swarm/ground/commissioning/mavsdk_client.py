@@ -1,8 +1,8 @@
 """What MAVSDK is asked for: firmware, health and arming problems in words, and log download.
 
-It runs in a child process (:mod:`swarm.ground.mavsdk_child`) behind the relay's loopback endpoints.
-When that ends before it is done, or is silent for too long, it is started again a few times, for
-what is still missing; then it is an error that says how it ended.
+MAVSDK runs in a child process (:mod:`swarm.ground.commissioning.mavsdk_child`) behind the relay's
+loopback endpoints. If the process ends early or is silent for too long, it is started again a few
+times for the vehicles that are still missing. Then an error reports how it ended.
 """
 
 import time
@@ -19,7 +19,7 @@ from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
 TRIES = 3
 SILENCE = 15.0
 """Seconds without a word after which the process is given up: longer than discovery takes."""
-_MODULE = "swarm.ground.mavsdk_child"
+_MODULE = "swarm.ground.commissioning.mavsdk_child"
 _SOURCE = (GROUND_SYSTEM, GROUND_COMPONENT)
 _POLL = 0.1
 

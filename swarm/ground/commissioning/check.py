@@ -22,8 +22,8 @@ from swarm.flight.parameters import (
     demands_of_plan,
 )
 from swarm.flight.preparation import GATHERING, Prepared
-from swarm.ground.audit import Auditor, Tell, VehicleAudit, save_parameters
-from swarm.ground.survey import Survey, attended
+from swarm.ground.commissioning.audit import Auditor, Tell, VehicleAudit, save_parameters
+from swarm.ground.commissioning.survey import Survey, attended
 from swarm.mission import Vehicles
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan

@@ -15,9 +15,9 @@ from swarm.errors import InputError, Problem, SwarmError, VehicleError
 from swarm.flight.listening import Listening
 from swarm.flight.world import bare_world, emulated_world
 from swarm.ground.emulator import EmulatorProcess
-from swarm.ground.keys import signing_with
 from swarm.ground.loop import Loop
 from swarm.ground.relay import Relay
+from swarm.ground.signing_key import signing_with
 from swarm.ground.sockets import Links, open_links
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan

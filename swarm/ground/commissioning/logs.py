@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from swarm.errors import Refused
-from swarm.ground.mavsdk_link import fetch
-from swarm.ground.survey import Survey, attended
+from swarm.ground.commissioning.mavsdk_client import fetch
+from swarm.ground.commissioning.survey import Survey, attended
 from swarm.mission.fleet import Fleet
 
 PATIENCE = 15.0

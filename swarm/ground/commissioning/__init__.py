@@ -1,0 +1,1 @@
+"""Inspection of vehicles before they are armed: survey, audit, parameters, logs."""
