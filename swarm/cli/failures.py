@@ -16,14 +16,20 @@ from swarm.cli.inputs import print_json, write_text
 from swarm.errors import InputError, Problem, Refused, reason
 from swarm.planning import Plan
 from swarm.simulation.fault_injection import (
-    CITED,
+    FAILURE_CASES,
     PERSONALITIES,
-    ROWS,
+    SYSTEM_FAILURE_CASES,
     FailureTest,
     Personality,
     run_failure_tests,
 )
-from swarm.simulation.fault_injection.kept import Flown, Heading, heading, line, read_kept
+from swarm.simulation.fault_injection.results_file import (
+    CaseTrials,
+    ResultsHeader,
+    line,
+    read_results,
+    results_header,
+)
 from swarm.view.failures import failures_report
 
 TIMES = 2
@@ -46,9 +52,9 @@ def run_failures(
 ) -> None:
     """Fly the drills, print or write what they say, and end the command with its exit code."""
     console = Console(quiet=as_json)
-    rows = [one for one in ROWS if not row or any(part in one.name for part in row)]
+    rows = [one for one in FAILURE_CASES if not row or any(part in one.name for part in row)]
     if not rows:
-        names = ", ".join(one.name for one in ROWS)
+        names = ", ".join(one.name for one in FAILURE_CASES)
         raise InputError([Problem("--row", f"expected a part of one of: {names}")])
     rows = [one for one in rows if one.part in _parts(planned.plan)]
     if not rows:
@@ -56,12 +62,12 @@ def run_failures(
     teams = [one for one in PERSONALITIES if not team or one in team]
     drills = _fly(
         planned, rows=rows, personalities=teams, times=times or TIMES, seed=seed, jobs=jobs,
-        known=_known(results, heading(planned.plan, seed)) if results else (),
+        known=_known(results, results_header(planned.plan, seed)) if results else (),
         keep=partial(_keep, results) if results else None,
     )  # fmt: skip
     told = [drill.document() for drill in drills]
     if report:
-        write_text(report, failures_report(planned.plan, told, CITED))
+        write_text(report, failures_report(planned.plan, told, SYSTEM_FAILURE_CASES))
     if as_json:
         print_json({"failures": told})
     else:
@@ -83,14 +89,14 @@ def _parts(plan: Plan) -> set[str]:
     return {"fold", *(part for gate, part in parts.items() if gate in conditions)}
 
 
-def _known(path: Path, belongs: Heading) -> list[Flown]:
+def _known(path: Path, belongs: ResultsHeader) -> list[CaseTrials]:
     """Return the drills that a file of results holds; begin it where there is none."""
     try:
         with path.open("a+b") as file:
             file.seek(0)
             # a line without an end was cut off, and is flown again
             whole, end, _ = file.read(_LARGEST).rpartition(b"\n")
-            known = read_kept(whole.decode().splitlines(), belongs)
+            known = read_results(whole.decode().splitlines(), belongs)
             file.truncate(len(whole + end))
             if not whole:
                 file.write(line(belongs).encode())
@@ -104,7 +110,7 @@ def _known(path: Path, belongs: Heading) -> list[Flown]:
     raise InputError([Problem(str(path), said)])
 
 
-def _keep(path: Path, flown: Flown) -> None:
+def _keep(path: Path, flown: CaseTrials) -> None:
     """Add drills to a file of results."""
     try:
         with path.open("a", encoding="utf-8", newline="\n") as file:
@@ -159,7 +165,7 @@ def cited_words() -> list[str]:
     """Return what goes wrong outside the bytes between station and vehicles, and what follows."""
     return [
         f"[bold]{one.name}[/bold]: {one.follows} [dim]({', '.join(one.tests)})[/dim]"
-        for one in CITED
+        for one in SYSTEM_FAILURE_CASES
     ]
 
 

@@ -5,7 +5,7 @@ from itertools import groupby
 from typing import Any
 
 from swarm.planning import Plan
-from swarm.simulation.fault_injection import Cited
+from swarm.simulation.fault_injection import SystemFailureCase
 from swarm.version import __version__
 from swarm.view.page import Html, key_figures, page, section, table, tag
 
@@ -16,7 +16,7 @@ _HEAD = (
 
 
 def failures_report(
-    plan: Plan, told: Sequence[Mapping[str, Any]], cited: Sequence[Cited] = ()
+    plan: Plan, told: Sequence[Mapping[str, Any]], cited: Sequence[SystemFailureCase] = ()
 ) -> str:
     """Return the page of the drills of a plan; ``told`` are what ``--failures --json`` prints,
     ``cited`` what is tested elsewhere."""

@@ -18,10 +18,10 @@ from swarm.flight.failures import LOSES_A_VEHICLE, TABLE
 from swarm.mission import mission_for_knot
 from swarm.planning import digest
 from swarm.simulation.fault_injection import (
-    CITED,
+    FAILURE_CASES,
     PERSONALITIES,
-    ROWS,
-    Trial,
+    SYSTEM_FAILURE_CASES,
+    FaultTrial,
     judging,
     run_failure_tests,
 )
@@ -42,7 +42,7 @@ LARGER_SLICE = {
     "ardupilot": ("motor lost",),
     "mixed": ("reboots", "one ACK lost at the release"),
 }
-BY_NAME = {row.name: row for row in ROWS}
+BY_NAME = {row.name: row for row in FAILURE_CASES}
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def overhand():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", FAILURE_CASES, ids=lambda row: row.name)
 def test_every_failure_of_a_team_that_ties_a_knot(overhand, row):
     drills = run_failure_tests(overhand, rows=[row], times=20, jobs=1, seed=3)
     assert [drill.personality for drill in drills] == list(PERSONALITIES)
@@ -76,7 +76,7 @@ def test_every_failure_of_a_team_that_ties_a_knot(overhand, row):
 def judged(row, flight_plan=PLAN, left=False, **found):
     """What is wrong with a trial of a row that went well but for ``found``; the team has ``left``
     its plan where it can neither land nor let go."""
-    fine = Trial(50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[row].ends[0], ())
+    fine = FaultTrial(50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[row].ends[0], ())
     conductor = SimpleNamespace(way_out=SimpleNamespace(cornered=True) if left else None)
     flight = SimpleNamespace(flight_plan=flight_plan, conductor=conductor)
     return judging._problems(flight, BY_NAME[row], replace(fine, **found))
@@ -196,8 +196,8 @@ def test_a_drill_tells_what_a_program_wants_to_know_and_the_same_seed_the_same()
 
 def test_the_tests_that_the_table_cites_are_there():
     root = Path(__file__).parents[2]
-    assert {"disk full", "viewer hangs"} <= {one.name for one in CITED}
-    for test in (test for one in CITED for test in one.tests):
+    assert {"disk full", "viewer hangs"} <= {one.name for one in SYSTEM_FAILURE_CASES}
+    for test in (test for one in SYSTEM_FAILURE_CASES for test in one.tests):
         file, _, name = test.partition("::")
         tree = ast.parse((root / file).read_text(encoding="utf-8"))
         names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}

@@ -12,10 +12,10 @@ from functools import cache
 
 from swarm.flight.conductor import Conductor
 from swarm.flight.world import emulated_world
-from swarm.simulation.fault_injection import ROWS, Personality, Row, Trial
+from swarm.simulation.fault_injection import FAILURE_CASES, FailureCase, FaultTrial, Personality
+from swarm.simulation.fault_injection.failure_cases import Part
 from swarm.simulation.fault_injection.flying import _fly
 from swarm.simulation.fault_injection.rehearsal import Rehearsal, drill_fleet, pass_audit
-from swarm.simulation.fault_injection.rows import Part
 from swarm.simulation.loop import parse_world
 from tests.golden.environment import environment
 from tests.golden.transcripts import fault_line, transcript
@@ -34,12 +34,12 @@ _SHOWN = 12
 """Lines of a difference that are shown; the rest is counted."""
 
 
-def name_of(row: Row) -> str:
+def name_of(row: FailureCase) -> str:
     """Return what a row's file is called."""
     return re.sub(r"[^a-z0-9.]+", "-", row.name.lower().replace("%", "percent")).strip("-")
 
 
-NAMES: Mapping[str, Row] = {name_of(row): row for row in ROWS}
+NAMES: Mapping[str, FailureCase] = {name_of(row): row for row in FAILURE_CASES}
 
 
 def make(name: str) -> str:
@@ -51,7 +51,7 @@ def make(name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _flown(row: Row, team: Personality) -> list[str]:
+def _flown(row: FailureCase, team: Personality) -> list[str]:
     stage = _stage(team, row.part)
     flight = stage.copy()
     since, at = flight.now, flight.conductor.clock.time
@@ -89,7 +89,7 @@ def _moment(flight: Rehearsal, part: Part) -> float:
     return next(gate.time for gate in plan.gates if gate.condition == condition) - BEFORE_GATE
 
 
-def _fault(row: Row) -> str:
+def _fault(row: FailureCase) -> str:
     """What goes wrong, in the words of the table of drills."""
     words = [
         f"{fault['kind']} " + " ".join(f"{k}={v}" for k, v in fault.items() if k != "kind")
@@ -103,7 +103,7 @@ def _fault(row: Row) -> str:
     return ", ".join(one.strip() for one in words) + target
 
 
-def _verdict(trial: Trial) -> str:
+def _verdict(trial: FaultTrial) -> str:
     noticed = "not noticed" if trial.noticed is None else f"noticed after {trial.noticed:.2f} s"
     problems = "; ".join(trial.problems) or "as the table asks"
     return (

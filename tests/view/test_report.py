@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from swarm.certification.findings import Finding
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
-from swarm.simulation.fault_injection import CITED
+from swarm.simulation.fault_injection import SYSTEM_FAILURE_CASES
 from swarm.view.failures import failures_report
 from swarm.view.page import Html, page, table, tag
 from swarm.view.rehearsal_report import rope_report, trials_report
@@ -247,7 +247,7 @@ def made_failures_report() -> str:
         "passed": True, "problems": [], "explained": "one long strand from then on",
     }  # fmt: skip
     failed = {**told, "personality": "mixed", "passed": False, "problems": ["at 60.0 s: <late>"]}
-    return failures_report(PLAN, [told, failed], CITED)
+    return failures_report(PLAN, [told, failed], SYSTEM_FAILURE_CASES)
 
 
 def test_the_page_of_drills_shows_every_row_and_what_is_tested_elsewhere() -> None:

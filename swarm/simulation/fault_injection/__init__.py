@@ -1,18 +1,23 @@
 """Drills: flights in which something goes wrong, in virtual time, judged by what really is."""
 
+from swarm.simulation.fault_injection.failure_cases import (
+    FAILURE_CASES,
+    SYSTEM_FAILURE_CASES,
+    FailureCase,
+    SystemFailureCase,
+)
 from swarm.simulation.fault_injection.flying import FailureTest, run_failure_tests
-from swarm.simulation.fault_injection.judging import Trial
+from swarm.simulation.fault_injection.judging import FaultTrial
 from swarm.simulation.fault_injection.rehearsal import PERSONALITIES, Personality
-from swarm.simulation.fault_injection.rows import CITED, ROWS, Cited, Row
 
 __all__ = [
-    "CITED",
+    "FAILURE_CASES",
     "PERSONALITIES",
-    "ROWS",
-    "Cited",
+    "SYSTEM_FAILURE_CASES",
+    "FailureCase",
     "FailureTest",
+    "FaultTrial",
     "Personality",
-    "Row",
-    "Trial",
+    "SystemFailureCase",
     "run_failure_tests",
 ]

@@ -18,8 +18,8 @@ from joblib import Parallel, delayed
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.mission.fleet import Fleet
-from swarm.simulation.fault_injection.judging import Judge, Trial, judged
-from swarm.simulation.fault_injection.kept import Flown
+from swarm.simulation.fault_injection.failure_cases import FAILURE_CASES, FailureCase, Part
+from swarm.simulation.fault_injection.judging import FaultTrial, Judge, judged
 from swarm.simulation.fault_injection.rehearsal import (
     PERSONALITIES,
     LosesAck,
@@ -27,7 +27,7 @@ from swarm.simulation.fault_injection.rehearsal import (
     Rehearsal,
     drill_fleet,
 )
-from swarm.simulation.fault_injection.rows import ROWS, Part, Row
+from swarm.simulation.fault_injection.results_file import CaseTrials
 from swarm.simulation.loop import Fault
 
 Floats = npt.NDArray[np.float64]
@@ -43,9 +43,9 @@ STRONG_WIND = 6.0
 class FailureTest:
     """All trials of one row with one personality."""
 
-    row: Row
+    row: FailureCase
     personality: Personality
-    trials: tuple[Trial, ...]
+    trials: tuple[FaultTrial, ...]
 
     @property
     def passed(self) -> bool:
@@ -78,14 +78,14 @@ class FailureTest:
 def run_failure_tests(
     flight_plan: CertifiedPlan,
     *,
-    rows: Sequence[Row] = ROWS,
+    rows: Sequence[FailureCase] = FAILURE_CASES,
     personalities: Sequence[Personality] = PERSONALITIES,
     times: int = 3,
     seed: int = 1,
     jobs: int | None = None,
     tell: Callable[[int, int], None] | None = None,
-    known: Iterable[Flown] = (),
-    keep: Callable[[Flown], None] | None = None,
+    known: Iterable[CaseTrials] = (),
+    keep: Callable[[CaseTrials], None] | None = None,
 ) -> tuple[FailureTest, ...]:
     """Fly every row at random times of its part of the flight, with each personality.
 
@@ -117,7 +117,7 @@ def run_failure_tests(
             keep(flown)
         if tell is not None:
             tell(sum(len(one.trials) for one in found.values()), total)
-    trials: dict[tuple[str, Personality], list[Trial]] = {}
+    trials: dict[tuple[str, Personality], list[FaultTrial]] = {}
     for flown in found.values():
         trials.setdefault((flown.row, flown.personality), []).extend(flown.trials)
     return tuple(
@@ -127,17 +127,17 @@ def run_failure_tests(
     )
 
 
-def _portions(rows: Sequence[Row]) -> list[Sequence[Row]]:
+def _portions(rows: Sequence[FailureCase]) -> list[Sequence[FailureCase]]:
     return [rows[k : k + _ROWS_PER_TASK] for k in range(0, len(rows), _ROWS_PER_TASK)]
 
 
 def _fly_rows(
     flight_plan: CertifiedPlan,
-    rows: Sequence[Row],
+    rows: Sequence[FailureCase],
     personality: Personality,
     times: int,
     seeds: tuple[int, int, int],
-) -> list[Flown]:
+) -> list[CaseTrials]:
     """Fly some rows with one personality, all from the same moments."""
     fleet = drill_fleet(flight_plan.plan.vehicles, personality, seeds[0])
     stages: dict[Part, list[Rehearsal]] = {}
@@ -155,7 +155,7 @@ def _fly_rows(
             # a flight's parts know each other: few objects, which Python is in no hurry to look
             # through, and large arrays
             gc.collect()
-        flown.append(Flown(row.name, personality, seeds, tuple(trials)))
+        flown.append(CaseTrials(row.name, personality, seeds, tuple(trials)))
     gc.unfreeze()
     return flown
 
@@ -186,7 +186,7 @@ def _stages(
         yield flight.copy()
 
 
-def _fly(flight: Rehearsal, row: Row, victim: int) -> Trial:
+def _fly(flight: Rehearsal, row: FailureCase, victim: int) -> FaultTrial:
     """Fly one trial to its end and judge it."""
     conductor, began = flight.conductor, flight.now
     system = conductor.flyers[victim].system

@@ -7,8 +7,8 @@ import numpy as np
 
 from swarm.certification.monitor import Monitor
 from swarm.flight.snapshot import Event
+from swarm.simulation.fault_injection.failure_cases import FailureCase
 from swarm.simulation.fault_injection.rehearsal import Rehearsal
-from swarm.simulation.fault_injection.rows import Row
 
 LOOK_EVERY = 0.1
 AT_ONCE = 3.0
@@ -18,7 +18,7 @@ _LOW = 0.5
 
 
 @dataclass(frozen=True)
-class Trial:
+class FaultTrial:
     """One fault at one time, and what came of it.
 
     ``at`` is mission time; ``noticed`` seconds until the first event that says so, None if none
@@ -111,13 +111,13 @@ class Judge:
 
 def judged(
     flight: Rehearsal,
-    row: Row,
+    row: FailureCase,
     judge: Judge,
     at: float,
     victim: int,
     began: float,
     slowed: float | None,
-) -> Trial:
+) -> FaultTrial:
     """Return what came of a fault that ``began`` at a time of the flight, at mission time ``at``.
 
     ``slowed`` are the seconds until the clock ran slower, None if it did not.
@@ -131,7 +131,7 @@ def judged(
     moments = [event.time - began for event in told] + ([] if slowed is None else [slowed])
     noticed = min(moments, default=None)
     end = _end(flight, row)
-    trial = Trial(
+    trial = FaultTrial(
         at=at,
         vehicle=victim + 1,
         noticed=noticed,
@@ -150,7 +150,7 @@ def judged(
     return replace(trial, problems=_problems(flight, row, trial))
 
 
-def _problems(flight: Rehearsal, row: Row, trial: Trial) -> tuple[str, ...]:
+def _problems(flight: Rehearsal, row: FailureCase, trial: FaultTrial) -> tuple[str, ...]:
     """What is not as the row asks.
 
     Where neither the fault nor a fall moves what was certified, the certified worst case holds.
@@ -186,7 +186,7 @@ def _nowhere_to_go(flight: Rehearsal) -> bool:
     return way_out is not None and way_out.cornered
 
 
-def _certified(flight: Rehearsal, row: Row) -> tuple[float, float]:
+def _certified(flight: Rehearsal, row: FailureCase) -> tuple[float, float]:
     """Return the least distances between strands and between vehicles that are certified."""
     known, required = flight.flight_plan.assessment, flight.flight_plan.plan.mission.clearance
     if row.coasts and known.coast is not None and known.coast.worst.margin >= 0.0:
@@ -195,7 +195,7 @@ def _certified(flight: Rehearsal, row: Row) -> tuple[float, float]:
     return cable, known.vehicle.distance if known.vehicle is not None else 0.0
 
 
-def _end(flight: Rehearsal, row: Row) -> str:
+def _end(flight: Rehearsal, row: FailureCase) -> str:
     conductor, truth = flight.conductor, flight.emulator.truth()
     if row.station == "killed":
         return "still flying" if truth.armed.any() else "landed by failsafe"

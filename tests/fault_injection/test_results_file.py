@@ -10,15 +10,25 @@ from hypothesis import strategies as st
 
 from swarm.cli.failures import _keep, _known
 from swarm.errors import InputError
-from swarm.simulation.fault_injection import PERSONALITIES, ROWS, Trial, run_failure_tests
-from swarm.simulation.fault_injection.kept import Flown, heading, line, read_kept
+from swarm.simulation.fault_injection import (
+    FAILURE_CASES,
+    PERSONALITIES,
+    FaultTrial,
+    run_failure_tests,
+)
+from swarm.simulation.fault_injection.results_file import (
+    CaseTrials,
+    line,
+    read_results,
+    results_header,
+)
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=3)
-HEADING = heading(PLAN.plan, 1)
+HEADING = results_header(PLAN.plan, 1)
 numbers = st.floats(0.0, 1e3)
 trials = st.builds(
-    Trial,
+    FaultTrial,
     at=numbers,
     vehicle=st.integers(1, 9),
     noticed=st.none() | numbers,
@@ -35,8 +45,8 @@ trials = st.builds(
     falling=st.integers(0, 2),
 )
 drills = st.builds(
-    Flown,
-    row=st.sampled_from([row.name for row in ROWS]),
+    CaseTrials,
+    row=st.sampled_from([row.name for row in FAILURE_CASES]),
     personality=st.sampled_from(PERSONALITIES),
     seeds=st.tuples(*[st.integers(0, 2**31)] * 3),
     trials=st.lists(trials, max_size=3).map(tuple),
@@ -49,12 +59,12 @@ def test_drills_are_read_as_they_were_written_in_lines_of_plain_json(flown):
     assert all(one.count("\n") == 1 and one.endswith("\n") for one in lines)
     for one in lines:
         json.loads(one, parse_constant=pytest.fail)
-    assert read_kept([one[:-1] for one in lines], HEADING) == flown
+    assert read_results([one[:-1] for one in lines], HEADING) == flown
 
 
 def flown_rows(known=()):
     kept = []
-    rows = [row for row in ROWS if row.name in {"disarms", "interrupted twice"}]
+    rows = [row for row in FAILURE_CASES if row.name in {"disarms", "interrupted twice"}]
     found = run_failure_tests(
         PLAN, rows=rows, personalities=["px4"], times=2, jobs=1, known=known, keep=kept.append
     )

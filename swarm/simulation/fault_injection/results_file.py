@@ -14,7 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from swarm.errors import InputError
 from swarm.planning import Plan
-from swarm.simulation.fault_injection.judging import Trial
+from swarm.simulation.fault_injection.judging import FaultTrial
 from swarm.simulation.fault_injection.rehearsal import Personality
 from swarm.version import __version__
 
@@ -23,13 +23,13 @@ _NEVER_JUDGED = ("clearance", "apart")
 
 
 @dataclass(frozen=True)
-class Flown:
+class CaseTrials:
     """The trials of a row with a team at random times that are drawn together from ``seeds``."""
 
     row: str
     personality: Personality
     seeds: tuple[int, int, int]
-    trials: tuple[Trial, ...]
+    trials: tuple[FaultTrial, ...]
 
     @property
     def key(self) -> tuple[str, Personality, tuple[int, int, int], int]:
@@ -38,7 +38,7 @@ class Flown:
 
 
 @dataclass(frozen=True)
-class Heading:
+class ResultsHeader:
     """What drills belong to."""
 
     mission: str
@@ -47,18 +47,18 @@ class Heading:
     swarm: str = __version__
 
 
-_HEADING, _FLOWN = TypeAdapter(Heading), TypeAdapter(Flown)
+_HEADING, _FLOWN = TypeAdapter(ResultsHeader), TypeAdapter(CaseTrials)
 
 
-def heading(plan: Plan, seed: int) -> Heading:
+def results_header(plan: Plan, seed: int) -> ResultsHeader:
     """Return what the drills of a plan belong to; another motion has another digest."""
     digest = hashlib.sha256(plan.motion.times.tobytes() + plan.motion.coefficients.tobytes())
-    return Heading(plan.mission.name, digest.hexdigest()[:16], seed)
+    return ResultsHeader(plan.mission.name, digest.hexdigest()[:16], seed)
 
 
-def line(what: Heading | Flown) -> str:
+def line(what: ResultsHeader | CaseTrials) -> str:
     """Return a heading or drills as one line of JSON, with its end."""
-    if isinstance(what, Heading):
+    if isinstance(what, ResultsHeader):
         return _HEADING.dump_json(what).decode() + "\n"
     document = asdict(what)
     for trial in document["trials"]:
@@ -66,10 +66,10 @@ def line(what: Heading | Flown) -> str:
     return _FLOWN.dump_json(document, warnings=False).decode() + "\n"  # type: ignore[arg-type]
 
 
-def read_kept(lines: Iterable[str], wanted: Heading) -> list[Flown]:
+def read_results(lines: Iterable[str], wanted: ResultsHeader) -> list[CaseTrials]:
     """Return the drills that lines hold, each without its end; raises :class:`InputError` where
     they belong to something else, or are none."""
-    found: list[Flown] = []
+    found: list[CaseTrials] = []
     for number, text in enumerate(lines, 1):
         try:
             if number == 1:
@@ -87,7 +87,7 @@ def read_kept(lines: Iterable[str], wanted: Heading) -> list[Flown]:
     return found
 
 
-def _flown(text: str) -> Flown:
+def _flown(text: str) -> CaseTrials:
     document = TypeAdapter(dict[str, Any]).validate_json(text)
     for trial in document.get("trials", ()):
         _swap(trial, None, math.inf)

@@ -13,7 +13,7 @@ End = Literal["goes on", "landed", "released and landed", "landed by failsafe", 
 
 
 @dataclass(frozen=True)
-class Row:
+class FailureCase:
     """What goes wrong, and what is asked of the team then.
 
     ``faults`` are the emulator's, without time and vehicle; ``whole_team`` hits everybody.
@@ -53,7 +53,7 @@ class Row:
     by_hand: bool = False
 
 
-class Cited(NamedTuple):
+class SystemFailureCase(NamedTuple):
     """What goes wrong outside the bytes between station and vehicles, and the tests that make it
     go wrong over real files, processes and sockets, with what must follow."""
 
@@ -62,8 +62,8 @@ class Cited(NamedTuple):
     tests: tuple[str, ...]
 
 
-CITED: tuple[Cited, ...] = (
-    Cited(
+SYSTEM_FAILURE_CASES: tuple[SystemFailureCase, ...] = (
+    SystemFailureCase(
         "disk full",
         "told once; the flight goes on, the record keeps what was written before",
         (
@@ -72,7 +72,7 @@ CITED: tuple[Cited, ...] = (
             "tests/ground/test_record.py::test_a_full_disk_costs_the_record_and_not_the_flight",
         ),
     ),
-    Cited(
+    SystemFailureCase(
         "viewer hangs",
         "no setpoint is late; the viewer misses what it does not take",
         (
@@ -81,7 +81,7 @@ CITED: tuple[Cited, ...] = (
             "tests/view/test_rerun_log.py::test_a_killed_sink_holds_up_nobody",
         ),
     ),
-    Cited(
+    SystemFailureCase(
         "killed in flight, and taken up again",
         "the record lacks a second at most; the next process finds the team and holds it",
         (
@@ -91,7 +91,7 @@ CITED: tuple[Cited, ...] = (
             "tests/ground/test_resume.py",
         ),
     ),
-    Cited(
+    SystemFailureCase(
         "strangers on the links",
         "spoofed, replayed and fuzzed packets and floods change no setpoint",
         ("tests/flight/test_security.py", "tests/ground/test_flood.py"),
@@ -117,7 +117,7 @@ def _gap(seconds: float, direction: str) -> tuple[Mapping[str, Any], ...]:
     return ({"kind": "link", "loss": 1.0, "direction": direction, "duration": seconds},)
 
 
-def _gaps() -> Iterator[Row]:
+def _gaps() -> Iterator[FailureCase]:
     """Gaps of 0.1, 0.5, 2 and 10 s: of telemetry, of setpoints, of both; for one and for all.
 
     Vehicles that miss half a second of setpoints may leave offboard mode, as PX4 does: the team
@@ -129,7 +129,7 @@ def _gaps() -> Iterator[Row]:
             for seconds in (0.1, 0.5, 2.0, 10.0):
                 left: tuple[End, ...] = () if seconds < 0.5 or direction == "down" else ("landed",)
                 late: tuple[End, ...] = ("landed by failsafe",) if seconds > 5.0 else ()
-                yield Row(
+                yield FailureCase(
                     f"{word} gap of {seconds:g} s, {'all' if whole else 'one'}",
                     "links",
                     (*_ON, *left, *(late if left else ())),
@@ -143,114 +143,116 @@ def _gaps() -> Iterator[Row]:
                 )
 
 
-ROWS: tuple[Row, ...] = (
-    Row(
+FAILURE_CASES: tuple[FailureCase, ...] = (
+    FailureCase(
         "lags", "one vehicle", _ON, ({"kind": "weak_thrust", "fraction": 0.9},), within=2.0,
         slows=True,
     ),
-    Row(
+    FailureCase(
         "weak thrust", "one vehicle", (*_ON, "landed"),
         ({"kind": "weak_thrust", "fraction": 0.75},), within=2.0, slows=True,
     ),
-    Row("motor lost", "one vehicle", _DOWN, ({"kind": "motor_loss"},), within=0.3, dead=True,
-        why=_FALLS),
-    Row(
+    FailureCase("motor lost", "one vehicle", _DOWN, ({"kind": "motor_loss"},), within=0.3,
+        dead=True, why=_FALLS),
+    FailureCase(
         "battery low", "one vehicle", ("landed",), ({"kind": "battery", "charge": 0.18},),
         within=1.0,
     ),
-    Row(
+    FailureCase(
         "battery critical", "one vehicle", ("landed",), ({"kind": "battery", "charge": 0.09},),
         within=1.0,
     ),
-    Row(
+    FailureCase(
         "position lost", "one vehicle", _DOWN, ({"kind": "position_loss"},), within=1.0, moves=True,
         strikes=1,
         why="it comes down blind, drifting as it does, and takes the cable along; where some "
         "hangs above a rotor it cannot be let go of",
     ),
-    Row(
+    FailureCase(
         "position worse", "one vehicle", _DOWN, ({"kind": "gps_loss"},), within=1.5, drifts=True,
         strikes=1,
         why="it drifts while it reckons, maybe towards another vehicle, and takes the cable along "
         "where some hangs above a rotor, so that nobody may let go",
     ),
-    Row(
+    FailureCase(
         "position jumps", "one vehicle", ("landed",),
         ({"kind": "gps_jump", "offset": (3.0, -2.0, 0.5)},), within=0.3,
     ),
-    Row(
+    FailureCase(
         "origin reset", "one vehicle", ("landed",),
         ({"kind": "origin_reset", "offset": (4.0, 3.0, 1.0)},), within=0.3,
     ),
-    Row(
+    FailureCase(
         "barometer drifts", "one vehicle", _DOWN, ({"kind": "barometer_drift", "rate": 0.1},),
         within=6.0, strikes=1,
         why="a height drifts by as much as GPS can be off before GPS can tell: 0.3 m with these "
         "receivers, 1 m with poor ones; it drifts on as all come down, where nobody may let go, "
         "and a rotor may touch cable then",
     ),
-    Row(
+    FailureCase(
         "pilot takes over", "one vehicle", ("landed",), ({"kind": "pilot"},), within=0.5,
         by_hand=True, stays=True, why=_STAYS,
     ),
-    Row(
+    FailureCase(
         "leaves offboard", "one vehicle", ("landed",), ({"kind": "leave_offboard"},), within=0.5,
         stays=True, why=_STAYS,
     ),
-    Row("disarms", "one vehicle", _DOWN, ({"kind": "disarm"},), within=0.3, dead=True,
+    FailureCase("disarms", "one vehicle", _DOWN, ({"kind": "disarm"},), within=0.3, dead=True,
         why=_FALLS),
-    Row("reboots", "one vehicle", _DOWN, ({"kind": "reboot"},), within=1.5, dead=True,
+    FailureCase("reboots", "one vehicle", _DOWN, ({"kind": "reboot"},), within=1.5, dead=True,
         why=_FALLS),
-    Row(
+    FailureCase(
         "thinks it has landed", "one vehicle", _DOWN, ({"kind": "believes_landed"},), within=0.5,
         dead=True, why=_FALLS,
     ),
-    Row(
+    FailureCase(
         "gripper fails to grab", "one vehicle", ("landed",), ({"kind": "gripper_stuck_open"},),
         part="grab", within=8.0,
     ),
-    Row(
+    FailureCase(
         "gripper slips", "one vehicle", ("landed", *_ON), ({"kind": "gripper_slip"},),
         within=10.0, hides=True, moves=True, falls=1.0,
         why="the cable between its neighbours is one long strand from then on; it shows by their "
         "leaning, and where that changes by less than 0.2 N only when the team has moved on; where "
         "it passed over a vehicle close below, it falls on its rotor within a second",
     ),
-    Row(
+    FailureCase(
         "gripper sticks shut at release", "one vehicle", ("landed",),
         ({"kind": "gripper_stuck_shut"},), part="release", within=3.0,
     ),
     *_gaps(),
-    Row(
+    FailureCase(
         "20 % loss", "links", _ON, ({"kind": "link", "loss": 0.2},), whole_team=True,
     ),
-    Row(
+    FailureCase(
         "300 ms latency with jitter", "links", _ON,
         ({"kind": "link", "latency": 0.3, "jitter": 0.1},), whole_team=True, slows=True,
     ),
-    Row(
+    FailureCase(
         "duplicates and reordering", "links", _ON,
         ({"kind": "link", "duplicate": 0.3, "reorder": 0.3},), whole_team=True,
     ),
-    Row("one ACK lost at the release", "links", _ON, part="release", lose="ack"),
-    Row(
+    FailureCase("one ACK lost at the release", "links", _ON, part="release", lose="ack"),
+    FailureCase(
         "starved of CPU for 1 s", "ground station", (*_ON, "landed"), station="asleep", lasts=1.0,
         slows=True, coasts=True,
     ),
-    Row("interrupted once", "ground station", ("landed",), station="interrupted", within=0.1),
-    Row(
+    FailureCase(
+        "interrupted once", "ground station", ("landed",), station="interrupted", within=0.1,
+    ),
+    FailureCase(
         "interrupted twice", "ground station", ("landed",), station="interrupted twice", within=0.1,
     ),
-    Row("killed", "ground station", ("landed by failsafe",), station="killed",
+    FailureCase("killed", "ground station", ("landed by failsafe",), station="killed",
         coasts=True),
-    Row(
+    FailureCase(
         "wind beyond w*", "world", (*_ON, *_DOWN), ({"kind": "wind"},), within=3.0, slows=True,
         moves=True, strikes=1,
         why="6 m/s all of a sudden blow the cable aside by 50° and push vehicles off their "
         "path; it may touch a rotor as all come down; from about 8 m/s on the emulated ones no "
         "longer hold against it",
     ),
-    Row(
+    FailureCase(
         "snag", "world", (*_ON, *_DOWN), ({"kind": "snag"},), moves=True, slows=True,
         why="a strand that is held elsewhere is no longer where the cable model has it",
     ),
