@@ -14,7 +14,7 @@ from swarm import api
 from swarm.errors import Refused
 from swarm.mission import parse_mission
 from swarm.planning import Plan
-from swarm.view.plots import plot_plan, plot_schedule
+from swarm.reports.plots import plot_plan, plot_schedule
 from swarm.view.replay import write_plan
 from swarm.view.screenshot import NoPicture, screenshot
 

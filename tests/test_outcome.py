@@ -7,11 +7,11 @@ from rich.console import Console
 
 from swarm.cli.outcome import flown_object, print_flown
 from swarm.flight.trace import Trace
+from swarm.reports.report import flight_report
 from swarm.verify import judge
-from swarm.view.report import flight_report
 from tests.command import run
 from tests.network import small_plan
-from tests.view.test_report import Reader, outcome
+from tests.reports.test_report import Reader, outcome
 
 
 @pytest.fixture(scope="module")

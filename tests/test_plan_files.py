@@ -13,7 +13,7 @@ from swarm.mission import parse_mission
 from swarm.planning import digest, make_plan
 from swarm.planning.archive import plan_file, read_plan_file
 from tests.network import sideways
-from tests.view.synthetic import trefoil_plan
+from tests.reports.synthetic import trefoil_plan
 
 HOVER = "{schema: 1, name: hover, formation: {places: [[[0, 0, 3]], [[2, 0, 3]]]}}"
 

@@ -13,7 +13,7 @@ from swarm.cli.inputs import JSON, SET, print_json, progress_bar, read_text
 from swarm.errors import InputError, Problem, reason
 from swarm.exports import finding_object, tightest_object
 from swarm.mission import Mission, mission_for_knot, parse_mission
-from swarm.view.summary import findings
+from swarm.reports.plan_summary import findings
 
 LARGEST_MOTION = 500_000_000
 """Bytes; an hour of a hundred vehicles is less."""

@@ -33,7 +33,7 @@ from swarm.flight.words import in_common, numbers, of_systems
 from swarm.ground.commissioning.check import CheckReport, Wanted
 from swarm.ground.commissioning.check import check as check_fleet
 from swarm.mission.fleet import Fleet, emulated_fleet
-from swarm.view.sheet import layout_sheet
+from swarm.reports.layout_sheet import layout_sheet
 
 STYLES = {"error": "bold red", "warning": "yellow", "info": "green"}
 

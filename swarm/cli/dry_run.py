@@ -12,10 +12,10 @@ from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progr
 from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.errors import InputError
 from swarm.flight.result import FlightResult
+from swarm.reports.plan_summary import plan_summary
+from swarm.reports.terminal import FlightScreen
 from swarm.simulation.loop import rehearse
 from swarm.verify import judge
-from swarm.view.summary import plan_summary
-from swarm.view.terminal import FlightScreen
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 
@@ -127,7 +127,7 @@ def dry_run(
     flown = judge(planned.plan, result.trace)
     outcome = outcome_object(result, flown, planned.assessment)
     if options["plot"]:
-        from swarm.view.plots import plot_flight  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import plot_flight  # noqa: PLC0415 - slow to import
 
         plot_flight(planned.plan, result.trace, options["plot"])
     if options["recording"]:
@@ -135,7 +135,7 @@ def dry_run(
 
         write_flight(planned.plan, result.trace, result.events, options["recording"])
     if options["report"]:
-        from swarm.view.report import flight_report  # noqa: PLC0415 - slow to import
+        from swarm.reports.report import flight_report  # noqa: PLC0415 - slow to import
 
         page = flight_report(planned.plan, planned.assessment, outcome, result.trace, result.events)
         write_text(options["report"], page)

@@ -15,6 +15,7 @@ from swarm import api
 from swarm.cli.inputs import print_json, write_text
 from swarm.errors import InputError, Problem, Refused, reason
 from swarm.planning import Plan
+from swarm.reports.failures_report import failures_report
 from swarm.simulation.fault_injection import (
     FAILURE_CASES,
     PERSONALITIES,
@@ -30,7 +31,6 @@ from swarm.simulation.fault_injection.results_file import (
     read_results,
     results_header,
 )
-from swarm.view.failures import failures_report
 
 TIMES = 2
 """Random times at which each thing goes wrong, with each autopilot."""

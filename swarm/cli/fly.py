@@ -29,9 +29,9 @@ from swarm.flight.resuming import Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.flight_process import Flight, fly_apart
 from swarm.mission.fleet import emulated_fleet
+from swarm.reports.plan_summary import findings_table, plan_summary
+from swarm.reports.terminal import FlightScreen
 from swarm.view import rerun_log
-from swarm.view.summary import findings_table, plan_summary
-from swarm.view.terminal import FlightScreen
 
 COUNTDOWN = 3
 LONGEST_SOCKET_PATH = 100

@@ -22,7 +22,7 @@ from swarm.flight.hop import (
 )
 from swarm.ground.fly import fly
 from swarm.mission.fleet import Fleet
-from swarm.view.terminal import FlightScreen
+from swarm.reports.terminal import FlightScreen
 
 
 @dataclass(frozen=True)

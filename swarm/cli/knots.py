@@ -22,7 +22,7 @@ from swarm.knots.gauss import KnotError
 from swarm.knots.invariants import Identification, identify_curve
 from swarm.knots.names import COMMON
 from swarm.knots.survey import SurveyRow, survey
-from swarm.view.grid_text import grid_text
+from swarm.reports.grid_text import grid_text
 
 _SHOWN = 80
 """Characters of a wrong entry that are shown."""
@@ -99,7 +99,7 @@ def knots(
     choice = lookup(name)
     if plot is not None:
         # Drawing takes a second to load, which names and curves need not wait for.
-        from swarm.view.grid_plot import plot_grid  # noqa: PLC0415
+        from swarm.reports.grid_plot import plot_grid  # noqa: PLC0415
 
         plot_grid(choice, plot)
     if as_json:

@@ -12,8 +12,8 @@ from swarm import api, exports, tables
 from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progress_bar, write_text
 from swarm.errors import Refused
 from swarm.mission import Mission
-from swarm.view.sheet import layout_sheet
-from swarm.view.summary import plan_summary
+from swarm.reports.layout_sheet import layout_sheet
+from swarm.reports.plan_summary import plan_summary
 
 
 @click.command()
@@ -76,11 +76,11 @@ def plan(
     if export:
         write_text(export, "\n".join(exports.motion_rows(planned.plan)) + "\n")
     if plot:
-        from swarm.view.plots import plot_plan  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import plot_plan  # noqa: PLC0415 - slow to import
 
         plot_plan(planned.plan, plot)
     if report:
-        from swarm.view.report import plan_report  # noqa: PLC0415 - slow to import
+        from swarm.reports.report import plan_report  # noqa: PLC0415 - slow to import
 
         write_text(report, plan_report(planned.plan, planned.assessment))
     if sheet:
@@ -99,7 +99,7 @@ def _front(mission: Mission, as_json: bool, plot: Path | None) -> int:
     points = tables.marked([point for point in found if isinstance(point, tables.Point)])
     refused = [words for words in found if isinstance(words, str)]
     if plot and points:
-        from swarm.view.plots import front_figure, save  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import front_figure, save  # noqa: PLC0415 - slow to import
 
         figure = front_figure(
             np.array([point.cable for point in points]),

@@ -17,8 +17,8 @@ from swarm.flight.resuming import Then, left_off
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.flight_process import Flight, fly_apart
 from swarm.mission.fleet import Fleet
+from swarm.reports.terminal import FlightScreen
 from swarm.view import rerun_log
-from swarm.view.terminal import FlightScreen
 
 LARGEST_LOG = 1 << 30
 

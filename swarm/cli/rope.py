@@ -16,9 +16,9 @@ from swarm.errors import InputError, Problem, SwarmError
 from swarm.flight.trace import Trace
 from swarm.mission import Mission
 from swarm.planning import Plan
-from swarm.view.plots import save
-from swarm.view.rehearsal_report import rope_report
-from swarm.view.rope_plots import Moved, rope_figure
+from swarm.reports.plots import save
+from swarm.reports.rehearsal_report import rope_report
+from swarm.reports.rope_plots import Moved, rope_figure
 
 if TYPE_CHECKING:
     from swarm.analysis.rope import RopeRun

@@ -15,6 +15,7 @@ from swarm.errors import Interrupted
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.mission import Mission
 from swarm.planning import Plan
+from swarm.reports.trial_plots import KINDS, NAMES, distances_of, trials_figure
 from swarm.simulation.loop import Fault
 from swarm.simulation.monte_carlo import (
     CLEARANCES,
@@ -28,7 +29,6 @@ from swarm.simulation.monte_carlo import (
     summary,
 )
 from swarm.simulation.monte_carlo.results import write_results
-from swarm.view.trial_plots import KINDS, NAMES, distances_of, trials_figure
 
 
 def load_scenario(path: Path | None) -> tuple[Spread, tuple[Fault, ...]]:
@@ -88,8 +88,8 @@ def run_trials(
     if results:
         write_results(results, [(plan, flown) for plan, flown, _ in done], seed, spread)
     if plot or report:
-        from swarm.view.plots import save  # noqa: PLC0415 - slow to import
-        from swarm.view.rehearsal_report import trials_report  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import save  # noqa: PLC0415 - slow to import
+        from swarm.reports.rehearsal_report import trials_report  # noqa: PLC0415 - slow to import
 
         drawn = [distances_of(plan, flown, certified) for plan, flown, certified in done]
         required = {name: getattr(planned.plan.mission.clearance, name) for name in CLEARANCES}

@@ -57,7 +57,7 @@ def verify(
     if observed is not None:
         enter(record, seen[-1])
     if plot:
-        from swarm.view.plots import plot_flight  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import plot_flight  # noqa: PLC0415 - slow to import
 
         plot_flight(plan, replayed.trace, plot)
     if as_json:

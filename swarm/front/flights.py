@@ -103,9 +103,9 @@ class Flight:
     def plot(self) -> "Figure":
         """Return a matplotlib figure: where it was held, tracking errors, the mission clock.
 
-        Source: :func:`swarm.view.plots.flight_figure`.
+        Source: :func:`swarm.reports.plots.flight_figure`.
         """
-        from swarm.view.plots import flight_figure  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import flight_figure  # noqa: PLC0415 - slow to import
 
         return flight_figure(self.plan, self.trace)
 

@@ -101,9 +101,9 @@ class Plan(planning.Plan):
         ``"knot"``: grid diagram, plan view and the folded cable in space. ``"schedule"``: how far
         each vehicle is along the path of the fold over time, and how high.
 
-        Raises :class:`ValueError` for another picture. Source: :mod:`swarm.view.plots`.
+        Raises :class:`ValueError` for another picture. Source: :mod:`swarm.reports.plots`.
         """
-        from swarm.view.plots import plan_figure, schedule_figure  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import plan_figure, schedule_figure  # noqa: PLC0415 - slow to import
 
         if picture not in {"knot", "schedule"}:
             raise ValueError(f"picture: expected knot or schedule, got {picture!r}")

@@ -110,9 +110,9 @@ class Trials(Sequence[Trial]):
     def plot(self) -> "Figure":
         """Return a matplotlib figure: distributions of distances, and distances kept and certified.
 
-        Source: :func:`swarm.view.trial_plots.trials_figure`.
+        Source: :func:`swarm.reports.trial_plots.trials_figure`.
         """
-        from swarm.view.trial_plots import distances_of, trials_figure  # noqa: PLC0415 - slow
+        from swarm.reports.trial_plots import distances_of, trials_figure  # noqa: PLC0415 - slow
 
         required = {name: getattr(self.plan.mission.clearance, name) for name in CLEARANCES}
         return trials_figure([distances_of(self.plan, self.trials, self.certified)], required)

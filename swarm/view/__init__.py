@@ -1,1 +1,1 @@
-"""Pictures: Rerun, terminal, plots. Nothing here can stop a flight."""
+"""Plans and flights in Rerun: live, recorded and as screenshots."""

@@ -11,8 +11,8 @@ import rerun as rr
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
 from swarm.planning.cable_shape import planned_grip
-from swarm.view import scene
-from swarm.view.distances import (
+from swarm.reports import scene
+from swarm.reports.strand_distances import (
     CLEARANCE_STEP,
     distances_of_strands,
     strand_distances,

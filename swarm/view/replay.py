@@ -10,7 +10,7 @@ from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
 from swarm.planning.cable_shape import planned_grip
-from swarm.view import scene
+from swarm.reports import scene
 from swarm.view.blueprint import comparison_blueprint, plan_blueprint
 from swarm.view.columns import (
     Course,

@@ -14,9 +14,9 @@ import rerun as rr
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.planning import Plan
 from swarm.planning.cable_shape import resting_places
-from swarm.view import scene
+from swarm.reports import scene
+from swarm.reports.formatting import clock, level, sentence
 from swarm.view.curves import Curves
-from swarm.view.words import clock, level, sentence
 
 Floats = npt.NDArray[np.float64]
 

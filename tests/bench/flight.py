@@ -47,8 +47,8 @@ from swarm.ground.record import Record
 from swarm.ground.sockets import open_links
 from swarm.mavlink.frames import shared_frames
 from swarm.mission.fleet import Fleet, parse_fleet
+from swarm.reports.terminal import FlightScreen
 from swarm.view import rerun_log
-from swarm.view.terminal import FlightScreen
 from tests.network import small_plan
 
 WARM_UP = 3.0

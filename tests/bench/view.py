@@ -18,7 +18,7 @@ from swarm.trajectory import through_states
 from swarm.view.blueprint import flight_blueprint
 from swarm.view.rerun_log import start
 from swarm.view.rerun_scene import Recorder
-from tests.view.synthetic import snapshot_at, trefoil_plan
+from tests.reports.synthetic import snapshot_at, trefoil_plan
 
 TICKS = 400
 BUDGET = {9: 2.0, 100: 5.0}

@@ -5,10 +5,10 @@ import pytest
 from rerun.chunk import RrdReader
 
 from swarm.flight.trace import Trace
+from swarm.reports.strand_distances import strand_distances
 from swarm.view import replay
 from swarm.view.columns import moments, planned_course
-from swarm.view.distances import strand_distances
-from tests.view.synthetic import events, trefoil_plan
+from tests.reports.synthetic import events, trefoil_plan
 
 PLAN = trefoil_plan()
 

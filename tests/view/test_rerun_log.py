@@ -16,7 +16,7 @@ from swarm.ground.priority import behind_all
 from swarm.planning import Plan
 from swarm.view.rerun_log import NEWEST_SNAPSHOTS, Viewer, start
 from swarm.view.rerun_scene import Recorder
-from tests.view.synthetic import events, fly, snapshot_at, trefoil_plan
+from tests.reports.synthetic import events, fly, snapshot_at, trefoil_plan
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="stops processes by signals")
 

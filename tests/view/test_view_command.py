@@ -26,7 +26,7 @@ from swarm.view.replay import write_plan
 from swarm.view.screenshot import NoPicture, chosen, screenshot
 from swarm.view.viewers import DRIVER
 from tests import command
-from tests.view.synthetic import trefoil_plan
+from tests.reports.synthetic import trefoil_plan
 
 PLAN = trefoil_plan()
 

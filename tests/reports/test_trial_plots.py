@@ -1,7 +1,7 @@
 import numpy as np
 
-from swarm.view import rope_plots, trial_plots
-from tests.view.test_plots import ink_at
+from swarm.reports import rope_plots, trial_plots
+from tests.reports.test_plots import ink_at
 
 
 def run(label: str, cable: list[float], failing: list[bool]) -> trial_plots.Distances:

@@ -15,10 +15,10 @@ from swarm.flight.snapshot import Event
 from swarm.ground.record import Record
 from swarm.mavlink.packets import Encoder
 from swarm.mission.fleet import emulated_fleet
-from swarm.view.terminal import FlightScreen
-from swarm.view.texts import WINDOW, Texts
+from swarm.reports.status_texts import WINDOW, Texts
+from swarm.reports.terminal import FlightScreen
 from tests.network import small_plan
-from tests.view.synthetic import snapshot_at, trefoil_plan
+from tests.reports.synthetic import snapshot_at, trefoil_plan
 
 PLAN = trefoil_plan()
 FLIGHT_PLAN = small_plan(vehicles=9)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from swarm.view.plots import ALARM, END, INK, START, STYLE, Axes, sparse_ticks
+from swarm.reports.plots import ALARM, END, INK, START, STYLE, Axes, sparse_ticks
 
 Floats = npt.NDArray[np.float64]
 

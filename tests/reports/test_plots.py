@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from swarm.errors import InputError
-from swarm.view import plots
-from tests.view.synthetic import CROSSINGS, trefoil_plan
+from swarm.reports import plots
+from tests.reports.synthetic import CROSSINGS, trefoil_plan
 
 PLAN = trefoil_plan()
 

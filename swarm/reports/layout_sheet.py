@@ -10,7 +10,7 @@ from swarm.flight.parameters import demands_of_plan, rules
 from swarm.mavlink.frames import Projection
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
-from swarm.view.page import Html, key_figures, page, section, table, tag
+from swarm.reports.page import Html, key_figures, page, section, table, tag
 
 Floats = npt.NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from swarm.planning.cable_shape import resting_places
-from swarm.view import scene
-from tests.view.synthetic import CROSSINGS, snapshot_at, trefoil_plan
+from swarm.reports import scene
+from tests.reports.synthetic import CROSSINGS, snapshot_at, trefoil_plan
 
 PLAN = trefoil_plan(fence=((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0)))
 

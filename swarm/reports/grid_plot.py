@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from swarm.knots.catalog import KnotChoice
 from swarm.knots.grid import Corner, Grid, OpenGrid
-from swarm.view.plots import END, FAINT, GAP, INK, START, STYLE, Axes, along_colours, save
+from swarm.reports.plots import END, FAINT, GAP, INK, START, STYLE, Axes, along_colours, save
 
 
 def plot_grid(choice: KnotChoice, path: Path) -> None:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from swarm.geometry.distance import strand_strand
 from swarm.planning import Plan
-from swarm.view import scene
+from swarm.reports import scene
 
 Floats = npt.NDArray[np.float64]
 

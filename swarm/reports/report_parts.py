@@ -5,9 +5,9 @@ from typing import Any, Final
 
 from swarm.certification.assessment import Assessment
 from swarm.planning import Plan
+from swarm.reports.formatting import metres, seconds
+from swarm.reports.page import Html, table, tag
 from swarm.version import __version__
-from swarm.view.page import Html, table, tag
-from swarm.view.words import metres, seconds
 
 CERTIFIED: Final = "certified in the quasi-static cable model"
 _SEVERITIES: Final = {"error": "bad", "warning": "warn", "info": "dim"}

@@ -7,8 +7,9 @@ from matplotlib.figure import Figure
 
 from swarm.certification.assessment import Assessment
 from swarm.planning import Plan
-from swarm.view.page import Html, key_figures, page, picture, pictures, section, table, tag
-from swarm.view.report_parts import (
+from swarm.reports.formatting import metres
+from swarm.reports.page import Html, key_figures, page, picture, pictures, section, table, tag
+from swarm.reports.report_parts import (
     CLEARANCES,
     findings,
     footer,
@@ -17,7 +18,6 @@ from swarm.view.report_parts import (
     or_dash,
     plan_figures,
 )
-from swarm.view.words import metres
 
 TRIAL_DISTANCES: Final = {**CLEARANCES, "hung": "cable to cable, as the emulator's cable hung"}
 

@@ -7,10 +7,10 @@ from rich.console import Console
 from swarm.certification.assessment import Assessment, Robustness, Tightest
 from swarm.certification.findings import Finding
 from swarm.flight.snapshot import Event
-from swarm.view.summary import plan_summary
-from swarm.view.terminal import FlightScreen, team_table
-from swarm.view.words import clip_rows, clock, level, metres, seconds
-from tests.view.synthetic import snapshot_at, trefoil_plan
+from swarm.reports.formatting import clip_rows, clock, level, metres, seconds
+from swarm.reports.plan_summary import plan_summary
+from swarm.reports.terminal import FlightScreen, team_table
+from tests.reports.synthetic import snapshot_at, trefoil_plan
 
 PLAN = trefoil_plan()
 

@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from swarm.planning import Plan
+from swarm.reports.plots import ALARM, END, FAINT, INK, START, STYLE, Axes
 from swarm.simulation.monte_carlo import CLEARANCES, Certificates, Trial
-from swarm.view.plots import ALARM, END, FAINT, INK, START, STYLE, Axes
 
 Floats = npt.NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from itertools import groupby
 from typing import Any
 
 from swarm.planning import Plan
+from swarm.reports.page import Html, key_figures, page, section, table, tag
 from swarm.simulation.fault_injection import SystemFailureCase
 from swarm.version import __version__
-from swarm.view.page import Html, key_figures, page, section, table, tag
 
 _HEAD = (
     "", "What goes wrong", "Autopilots", "Noticed (s)", "What the team did", "Strands (m)",

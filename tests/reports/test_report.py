@@ -15,13 +15,13 @@ from matplotlib.figure import Figure
 from swarm.certification.findings import Finding
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
+from swarm.reports.failures_report import failures_report
+from swarm.reports.page import Html, page, table, tag
+from swarm.reports.rehearsal_report import rope_report, trials_report
+from swarm.reports.report import flight_report, plan_report
 from swarm.simulation.fault_injection import SYSTEM_FAILURE_CASES
-from swarm.view.failures import failures_report
-from swarm.view.page import Html, page, table, tag
-from swarm.view.rehearsal_report import rope_report, trials_report
-from swarm.view.report import flight_report, plan_report
-from tests.view.synthetic import events, trefoil_plan
-from tests.view.test_terminal import assessment
+from tests.reports.synthetic import events, trefoil_plan
+from tests.reports.test_terminal import assessment
 
 PLAN = trefoil_plan()
 BROWSER = next(

@@ -19,7 +19,7 @@ from swarm.certification.assessment import Tightest
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.trace import Trace
 from swarm.planning import KnotSummary, Layout, Plan
-from swarm.view import scene
+from swarm.reports import scene
 
 Floats = npt.NDArray[np.float64]
 Axes = Any

@@ -14,10 +14,10 @@ from swarm.certification.assessment import Assessment, Tightest
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
-from swarm.view import plots, scene
-from swarm.view.distances import CLEARANCE_STEP, distances_of_strands, strand_distances
-from swarm.view.page import Html, key_figures, page, picture, pictures, section, table, tag
-from swarm.view.report_parts import (
+from swarm.reports import plots, scene
+from swarm.reports.formatting import ROUTINE, clock, level, merged, metres, seconds, sentence
+from swarm.reports.page import Html, key_figures, page, picture, pictures, section, table, tag
+from swarm.reports.report_parts import (
     CLEARANCES,
     certified_in_words,
     findings,
@@ -27,7 +27,7 @@ from swarm.view.report_parts import (
     knot_in_words,
     plan_figures,
 )
-from swarm.view.words import ROUTINE, clock, level, merged, metres, seconds, sentence
+from swarm.reports.strand_distances import CLEARANCE_STEP, distances_of_strands, strand_distances
 
 LEVELS: Final = {"ERROR": "bad", "WARN": "warn", "INFO": ""}
 

@@ -17,9 +17,18 @@ from rich.text import Text
 
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.planning import Plan
-from swarm.view import scene
-from swarm.view.texts import Texts
-from swarm.view.words import ROUTINE, TEXTS, clip_rows, clock, level, merged, metres, sentence
+from swarm.reports import scene
+from swarm.reports.formatting import (
+    ROUTINE,
+    TEXTS,
+    clip_rows,
+    clock,
+    level,
+    merged,
+    metres,
+    sentence,
+)
+from swarm.reports.status_texts import Texts
 
 STATE_STYLES: Final = {
     "idle": "dim",

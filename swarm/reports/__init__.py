@@ -1,0 +1,1 @@
+"""Pages, plots, the printed sheet and terminal texts about plans and flights."""
