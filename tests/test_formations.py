@@ -10,7 +10,7 @@ from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused
 from swarm.mission import Mission, parse_mission
 from swarm.planning import make_plan
-from swarm.verify import judge
+from swarm.verification import verify_trace
 from tests.network import Network
 
 FIRST_STEPS = Path(__file__).parents[1] / "missions" / "first-steps"
@@ -45,7 +45,7 @@ def test_first_steps_are_certified_and_flown_to_their_end(name: str) -> None:
     outcome = network.run(most=600.0)
     assert outcome is not None
     assert outcome.word == "done", network.words()[-8:]
-    flown = judge(plan, network.conductor.trace())
+    flown = verify_trace(plan, network.conductor.trace())
     assert (flown.knot, flown.as_planned, flown.notes) == ("0_1", True, ())
     fold = [error for error in flown.tracking if error.phase == "fold"]
     assert max(error.largest for error in fold) < plan.mission.vehicles.tracking

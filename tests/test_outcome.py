@@ -8,7 +8,7 @@ from rich.console import Console
 from swarm.cli.outcome import flown_object, print_flown
 from swarm.flight.trace import Trace
 from swarm.reports.report import flight_report
-from swarm.verify import judge
+from swarm.verification import verify_trace
 from tests.command import run
 from tests.network import small_plan
 from tests.reports.test_report import Reader, outcome
@@ -38,13 +38,13 @@ def test_a_flight_that_ends_before_the_fold_has_no_table_of_unknowns():
     flight_plan = small_plan()
     positions = flight_plan.plan.motion.at(0.0)[0][None]
     trace = Trace(*[positions[:, 0, 0]] * 2, positions, positions, ("takeoff",))
-    flown = judge(flight_plan.plan, trace)
+    flown = verify_trace(flight_plan.plan, trace)
     console = Console(file=io.StringIO(), width=100)
     print_flown(flight_plan.plan, flown, flight_plan.assessment, console)
     assert console.file.getvalue().splitlines() == [
         "Which knot the cable has is not known (asked for: 0_1)",
         "The fold was not flown: no tracking error in it",
-        "note no positions were reported during the hold",
+        "note no positions were reported in the hold",
     ]
     told = outcome(
         **flown_object(flown, flight_plan.assessment), outcome="failed", explanation="down"

@@ -15,7 +15,7 @@ from swarm.flight.result import FlightResult
 from swarm.reports.plan_summary import plan_summary
 from swarm.reports.terminal import FlightScreen
 from swarm.simulation.loop import rehearse
-from swarm.verify import judge
+from swarm.verification import verify_trace
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 
@@ -124,7 +124,7 @@ def dry_run(
         return
     with FlightScreen(planned.plan, console) as screen:
         result = _fly(planned, screen, seed, options)
-    flown = judge(planned.plan, result.trace)
+    flown = verify_trace(planned.plan, result.trace)
     outcome = outcome_object(result, flown, planned.assessment)
     if options["plot"]:
         from swarm.reports.plots import plot_flight  # noqa: PLC0415 - slow to import

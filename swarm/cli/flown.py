@@ -10,7 +10,7 @@ from swarm.cli.inputs import print_json, write_text
 from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.flight.result import FlightResult
 from swarm.planning import Plan
-from swarm.verify import judge
+from swarm.verification import verify_trace
 
 
 def end_with(
@@ -26,7 +26,7 @@ def end_with(
     from swarm.reports.report import flight_report  # noqa: PLC0415 - slow to import
 
     console = Console(quiet=as_json)
-    flown = judge(plan, result.trace)
+    flown = verify_trace(plan, result.trace)
     outcome = outcome_object(result, flown, assessment)
     page = flight_report(plan, assessment, outcome, result.trace, result.events)
     write_text(folder / "report.html", page)

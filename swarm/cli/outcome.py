@@ -13,10 +13,12 @@ from swarm.exports import tightest_object
 from swarm.flight.adherence import Adherence, adherence_object
 from swarm.flight.result import FlightResult
 from swarm.planning import Plan
-from swarm.verify import Flown, TrackingError
+from swarm.verification import TrackingStatistics, Verification
 
 
-def outcome_object(result: FlightResult, flown: Flown, assessment: Assessment) -> dict[str, Any]:
+def outcome_object(
+    result: FlightResult, flown: Verification, assessment: Assessment
+) -> dict[str, Any]:
     """Return a flight's outcome as one JSON-ready object, flown beside certified."""
     statistics = result.statistics
     return {
@@ -35,7 +37,7 @@ def outcome_object(result: FlightResult, flown: Flown, assessment: Assessment) -
     }
 
 
-def flown_object(flown: Flown, assessment: Assessment) -> dict[str, Any]:
+def flown_object(flown: Verification, assessment: Assessment) -> dict[str, Any]:
     """Return what was flown, beside what was certified, as one JSON-ready object."""
     return {
         "knot": {
@@ -51,7 +53,7 @@ def flown_object(flown: Flown, assessment: Assessment) -> dict[str, Any]:
             }
             for name, was, certified in _clearances(flown, assessment)
         },
-        "largest_chord": flown.tightest_chord,
+        "largest_chord": flown.max_chord_ratio,
         "tracking": [
             {
                 "phase": error.phase,
@@ -67,7 +69,7 @@ def flown_object(flown: Flown, assessment: Assessment) -> dict[str, Any]:
 
 
 def print_outcome(
-    plan: Plan, result: FlightResult, flown: Flown, assessment: Assessment, console: Console
+    plan: Plan, result: FlightResult, flown: Verification, assessment: Assessment, console: Console
 ) -> None:
     """Print what was flown: knot, clearances beside what was certified, tracking, timing.
 
@@ -88,7 +90,7 @@ def print_outcome(
     console.print(line, style="dim", highlight=False, soft_wrap=True)
 
 
-def print_flown(plan: Plan, flown: Flown, assessment: Assessment, console: Console) -> None:
+def print_flown(plan: Plan, flown: Verification, assessment: Assessment, console: Console) -> None:
     """Print the knot implied, the clearances beside what was certified, and the tracking.
 
     Without a cable, or before the fold, there is less to say: what there is not is left out.
@@ -111,7 +113,7 @@ def print_adherence(kept: Adherence, console: Console) -> None:
         console.print(line, highlight=False, soft_wrap=True)
 
 
-def _knot_line(plan: Plan, flown: Flown) -> str:
+def _knot_line(plan: Plan, flown: Verification) -> str:
     asked = f"{plan.knot.type} {_hand(plan.knot.chirality)}".strip() or "none"
     style = "green" if flown.as_planned else "bold red"
     if flown.knot == "unknown":
@@ -123,14 +125,14 @@ def _knot_line(plan: Plan, flown: Flown) -> str:
 
 
 def _clearances(
-    flown: Flown, assessment: Assessment
+    flown: Verification, assessment: Assessment
 ) -> Iterable[tuple[str, Tightest | None, Tightest]]:
     yield "cable", flown.cable, assessment.cable
     yield "vehicle", flown.vehicle, assessment.vehicle
     yield "vehicle_cable", flown.vehicle_cable, assessment.vehicle_cable
 
 
-def _clearance_table(flown: Flown, assessment: Assessment) -> Table:
+def _clearance_table(flown: Verification, assessment: Assessment) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     for heading in ("smallest distance", "flown", "certified", "required", "between"):
         table.add_column(heading, justify="left" if heading in {"smallest distance"} else "right")
@@ -149,7 +151,7 @@ def _clearance_table(flown: Flown, assessment: Assessment) -> Table:
     return table
 
 
-def _tracking_line(errors: tuple[TrackingError, ...], ball: float) -> str:
+def _tracking_line(errors: tuple[TrackingStatistics, ...], ball: float) -> str:
     fold = [error for error in errors if error.phase == "fold" and error.vehicle]
     if not fold:
         return "The fold was not flown: no tracking error in it"

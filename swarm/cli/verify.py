@@ -19,7 +19,7 @@ from swarm.flight.adherence import Adherence, adherence, adherence_object
 from swarm.flight.flight_plan import Basis
 from swarm.flight.tlog import Replayed
 from swarm.planning import Plan
-from swarm.verify import TrackingError, judge
+from swarm.verification import TrackingStatistics, verify_trace
 
 
 @click.command()
@@ -52,7 +52,7 @@ def verify(
     if observed is not None:
         seen.append(observation(observed, datetime.now(UTC)))
     replayed = recorded_flight(record, plan)
-    assessment, flown = assess(plan), judge(plan, replayed.trace)
+    assessment, flown = assess(plan), verify_trace(plan, replayed.trace)
     kept = adherence(plan, replayed.trace, basis) if basis else None
     if observed is not None:
         enter(record, seen[-1])
@@ -117,7 +117,7 @@ def _links_object(replayed: Replayed) -> dict[str, Any]:
     }
 
 
-def _print_tracking(errors: Sequence[TrackingError], console: Console) -> None:
+def _print_tracking(errors: Sequence[TrackingStatistics], console: Console) -> None:
     """Print the tracking error of all in every phase, and of everybody in the fold."""
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     table.add_column("tracking error")

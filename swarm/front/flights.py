@@ -18,7 +18,7 @@ from swarm.knots.names import in_words
 from swarm.mission.fleet import Fleet
 from swarm.notebook import table
 from swarm.simulation.loop import Fault, rehearse
-from swarm.verify import Flown, judge
+from swarm.verification import Verification, verify_trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,15 +40,15 @@ class FlownClearances:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Flight:
-    """A simulated flight: its ``plan``, the ``result``, and what it implies, ``flown``.
+    """A simulated flight: its ``plan``, the ``result``, and its ``verification``.
 
     Made by :func:`swarm.simulate`. Source: :mod:`swarm.simulation.loop` (the flight software
-    against the emulator) and :mod:`swarm.verify` (what reported positions imply).
+    against the emulator) and :mod:`swarm.verification` (what reported positions imply).
     """
 
     plan: planning.Plan
     result: FlightResult
-    flown: Flown
+    verification: Verification
 
     @property
     def outcome(self) -> Word:
@@ -66,17 +66,19 @@ class Flight:
 
         "unknown" where nothing was reported then. Implied is not observed: in the cable model.
         """
-        return in_words(self.flown.knot, self.flown.chirality)
+        return in_words(self.verification.knot, self.verification.chirality)
 
     @property
     def as_planned(self) -> bool:
         """Whether the implied crossings are those of the plan's layout, and the knot the plan's."""
-        return self.flown.as_planned
+        return self.verification.as_planned
 
     @property
     def clearance(self) -> FlownClearances:
         """The smallest distances that were kept, metres."""
-        return FlownClearances(self.flown.cable, self.flown.vehicle, self.flown.vehicle_cable)
+        return FlownClearances(
+            self.verification.cable, self.verification.vehicle, self.verification.vehicle_cable
+        )
 
     @property
     def tracking_error(self) -> float | None:
@@ -172,8 +174,8 @@ def simulate(
     where the fleet does not fit the plan, and for a :class:`swarm.Motion` of others, which has no
     gates at which vehicles arm, grip and settle.
 
-    Source: :func:`swarm.simulation.loop.rehearse`, :func:`swarm.verify.judge`.
+    Source: :func:`swarm.simulation.loop.rehearse`, :func:`swarm.verification.verify_trace`.
     """
     flight_plan = flyable(plan, certificate)
     result = rehearse(flight_plan, fleet=fleet, seed=seed, faults=faults, world=world)
-    return Flight(plan, result, judge(plan, result.trace))
+    return Flight(plan, result, verify_trace(plan, result.trace))

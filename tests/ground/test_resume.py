@@ -12,7 +12,7 @@ import pytest
 from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import emulated_fleet
-from swarm.verify import judge
+from swarm.verification import verify_trace
 from tests.command import run
 from tests.ground.station import FLIGHT_PLAN, fleet_on
 
@@ -67,7 +67,7 @@ def test_after_sigkill_in_mid_fold_the_team_is_found_and_the_flight_goes_on(tmp_
     assert "outcome: done: all vehicles have landed and disarmed" in said, said[-2000:]
     resumed = record / "resumed"
     plan = recorded_plan(resumed)
-    flown = judge(plan, recorded_flight(resumed, plan).trace)
+    flown = verify_trace(plan, recorded_flight(resumed, plan).trace)
     assert flown.as_planned, "in the frames that its record keeps, for it begins in mid-air"
     largest = max(error.largest for error in flown.tracking if error.phase == "fold")
     assert largest < 0.3

@@ -15,7 +15,7 @@ from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning import Plan
 from swarm.simulation.loop import Emulator, Fault, rehearse
 from swarm.simulation.monte_carlo.spread import Conditions, Spread, draw
-from swarm.verify import closest_strands, judge
+from swarm.verification import closest_strands, verify_trace
 
 Floats = npt.NDArray[np.float64]
 
@@ -165,7 +165,7 @@ def _told(
         times, mission_times, phases, places, hung = zip(*witness.rows, strict=True)
         really, when = np.array(places), np.array(mission_times)
         meant = plan.motion.at(when)[0]
-        flown = judge(plan, Trace(np.array(times), when, really, meant, phases))
+        flown = verify_trace(plan, Trace(np.array(times), when, really, meant, phases))
         knot, as_planned = flown.knot, flown.as_planned
         for name in CLEARANCES:
             tightest = getattr(flown, name)

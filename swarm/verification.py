@@ -1,7 +1,7 @@
-"""What was flown: the knot that the flown positions imply, and the clearances that were kept.
+"""Verification of a flight: the implied knot, the smallest distances and the tracking errors.
 
-Implied means: by reported positions and the quasi-static cable model. Whether the cable did tie
-that knot only an eye can tell.
+All follow from reported positions and the quasi-static cable model. Only an observation, by a
+person or a camera, shows whether the cable is tied.
 """
 
 from collections.abc import Callable
@@ -28,20 +28,21 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 Chirality = Literal["left", "right", "none"]
 
-COARSE = 0.2
-"""Seconds between the samples that are looked at first; around the tightest, all are."""
+COARSE_STEP = 0.2
+"""Seconds between the samples of the first search; near the smallest distance all are searched."""
 
 _PIECES = 24
 _FIRST = 64
-"""How many of the likeliest are measured before the others."""
+"""Number of pairs with the lowest bounds, which are measured first."""
 _TAUT = 0.9999
 
 
 @dataclass(frozen=True)
-class TrackingError:
-    """Distance of a vehicle's grip point from its setpoint in a phase, metres.
+class TrackingStatistics:
+    """Statistics of the tracking error of a vehicle in a phase, metres.
 
-    ``vehicle`` is counted from 1, 0 stands for all together; ``phase`` is "" for all phases.
+    ``vehicle`` counts from 1; 0 means all vehicles. ``phase`` is "" for all phases. ``p999`` is the
+    99.9th percentile.
     """
 
     phase: str
@@ -52,14 +53,15 @@ class TrackingError:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """What a flight's record implies.
+class Verification:
+    """The implied knot, the smallest distances and the tracking errors of a flight.
 
-    ``knot``, ``chirality`` and ``gauss`` are of the cable in the cable model between the positions
-    reported last in the hold, "unknown" and "" where there are none; ``as_planned`` says whether
-    the exact crossing code is the layout's and the knot the plan's. Clearances are the smallest at
-    reported positions in the fold and the hold, with mission times; None where nothing is known.
-    ``tightest_chord`` is the largest chord as a share of its cable then.
+    ``knot``, ``chirality`` and ``gauss`` are of the modelled cable at the last reported positions
+    of the hold; "unknown" and "" without such positions. ``as_planned`` is true if the exact
+    crossing code is that of the layout and the knot is that of the plan. ``cable``, ``vehicle``
+    and ``vehicle_cable`` are the smallest distances at reported positions in fold and hold, with
+    mission times; None without positions, or without two such bodies. ``max_chord_ratio`` is the
+    largest ratio of chord to length of a segment in fold and hold.
     """
 
     knot: str
@@ -69,13 +71,13 @@ class Flown:
     cable: Tightest | None
     vehicle: Tightest | None
     vehicle_cable: Tightest | None
-    tightest_chord: float | None
-    tracking: tuple[TrackingError, ...]
+    max_chord_ratio: float | None
+    tracking: tuple[TrackingStatistics, ...]
     notes: tuple[str, ...] = ()
 
 
-def judge(plan: Plan, trace: Trace) -> Flown:
-    """Tell from a flight's trace which knot it implies and how close things came."""
+def verify_trace(plan: Plan, trace: Trace) -> Verification:
+    """Return the knot that a trace implies, its smallest distances and its tracking errors."""
     phase = np.array(trace.phase, dtype=str)
     known = np.isfinite(trace.position).all(axis=(1, 2))
     knot, chirality, gauss, as_planned, notes = _knot(
@@ -83,16 +85,16 @@ def judge(plan: Plan, trace: Trace) -> Flown:
     )
     folding = known & np.isin(phase, ["fold", "hold"])
     cable = vehicle = vehicle_cable = None
-    tightest_chord = None
+    max_chord_ratio = None
     if folding.any():
         place, time = trace.position[folding], trace.mission_time[folding]
         vehicle = _closest_vehicles(plan, place, time)
         if len(plan.layout.lengths):
             chords = np.linalg.norm(np.diff(place, axis=1), axis=-1) / plan.layout.lengths
-            tightest_chord = float(chords.max())
+            max_chord_ratio = float(chords.max())
             cable = _closest_strands(plan, place, time)
             vehicle_cable = _closest_vehicle_to_cable(plan, place, time)
-    return Flown(
+    return Verification(
         knot=knot,
         chirality=chirality,
         gauss=gauss,
@@ -100,7 +102,7 @@ def judge(plan: Plan, trace: Trace) -> Flown:
         cable=cable,
         vehicle=vehicle,
         vehicle_cable=vehicle_cable,
-        tightest_chord=tightest_chord,
+        max_chord_ratio=max_chord_ratio,
         tracking=tracking_errors(trace),
         notes=notes,
     )
@@ -108,13 +110,14 @@ def judge(plan: Plan, trace: Trace) -> Flown:
 
 def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[str, ...]]:
     if not len(held):
-        return "unknown", "none", "", False, ("no positions were reported during the hold",)
+        return "unknown", "none", "", False, ("no positions were reported in the hold",)
     grip_points, lengths = held[-1], plan.layout.lengths
     if not len(lengths):
         return "0_1", "none", "", True, ()
     chords = np.linalg.norm(np.diff(grip_points, axis=0), axis=-1)
     notes = tuple(
-        f"{segment_name(int(i))} was reported {chords[i] / lengths[i]:.1%} of its length apart"
+        f"the reported ends of {segment_name(int(i))} are {chords[i] / lengths[i]:.1%} of its "
+        "length apart"
         for i in np.flatnonzero(chords > _TAUT * lengths)
     )
     curve = hanging_curve(grip_points, np.maximum(lengths, chords / _TAUT))
@@ -129,8 +132,8 @@ def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[st
     return found.name, chirality, code.signed_text(), as_planned, notes
 
 
-def tracking_errors(trace: Trace) -> tuple[TrackingError, ...]:
-    """Return the tracking error per phase and vehicle, per phase, per vehicle, and altogether."""
+def tracking_errors(trace: Trace) -> tuple[TrackingStatistics, ...]:
+    """Return statistics per phase and vehicle, per phase, per vehicle, and of the whole flight."""
     error = np.linalg.norm(trace.position - trace.setpoint, axis=-1)
     phase = np.array(trace.phase, dtype=str)
     found = []
@@ -142,12 +145,12 @@ def tracking_errors(trace: Trace) -> tuple[TrackingError, ...]:
             if len(values):
                 rms = float(np.sqrt(np.mean(values**2)))
                 p999 = float(np.quantile(values, 0.999))
-                found.append(TrackingError(name, vehicle, rms, p999, float(values.max())))
+                found.append(TrackingStatistics(name, vehicle, rms, p999, float(values.max())))
     return tuple(found)
 
 
 def _strands(plan: Plan, place: Floats) -> Floats:
-    """Polylines (k, n − 1, m, 3) of the cable at positions (k, n, 3)."""
+    """Return polylines (k, n − 1, m, 3) of the cable at positions (k, n, 3)."""
     start, end = place[:, :-1], place[:, 1:]
     chord = np.linalg.norm(end - start, axis=-1)
     strands = hang(start, end, np.maximum(plan.layout.lengths, chord / _TAUT))
@@ -155,14 +158,14 @@ def _strands(plan: Plan, place: Floats) -> Floats:
 
 
 def _thinned(time: Floats) -> Ints:
-    """Indices of samples about COARSE apart; mission time may wait or run back."""
+    """Return indices of samples about COARSE_STEP apart; mission time may stop or run backwards."""
     moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(time)))])
-    _, first = np.unique(np.floor(moved / COARSE), return_index=True)
+    _, first = np.unique(np.floor(moved / COARSE_STEP), return_index=True)
     return np.union1d(first, [len(time) - 1])
 
 
 def _around(index: int, chosen: Ints) -> Ints:
-    """All samples between the chosen ones before and after a chosen one."""
+    """Return the indices of all samples between the neighbours of a chosen sample."""
     at = int(np.searchsorted(chosen, index))
     return np.arange(chosen[max(at - 1, 0)], chosen[min(at + 1, len(chosen) - 1)] + 1)
 
@@ -183,9 +186,9 @@ def _closest_strands(plan: Plan, place: Floats, time: Floats) -> Tightest | None
 
 
 def closest_strands(strands: Floats, pairs: Ints) -> tuple[float, int, int]:
-    """Smallest distance between polylines (k, s, m, 3) at k instants, over pairs (p, 2) of them.
+    """Return the smallest distance between pairs (p, 2) of polylines (k, s, m, 3) at k instants.
 
-    Returns it with its instant and the number of its pair.
+    Returns the distance, the index of its instant and the index of its pair.
     """
     low, high = strands.min(axis=2), strands.max(axis=2)
     one, other = pairs.T
@@ -199,10 +202,10 @@ def closest_strands(strands: Floats, pairs: Ints) -> tuple[float, int, int]:
 
 
 def _smallest(bound: Floats, measured: Callable[[Ints, Ints], Floats]) -> tuple[float, int, int]:
-    """Smallest of (k, p) numbers that are costly to measure, by lower bounds of them.
+    """Return the smallest of (k, p) values and its two indices, given lower bounds of the values.
 
-    Those with the lowest bounds are measured first, then all that could be smaller still. Returns
-    the number with its two indices.
+    The values with the lowest bounds are measured first, then those with a bound below the
+    smallest measured value.
     """
     order = np.argsort(bound, axis=None, kind="stable")
     few, rest = order[:_FIRST], order[_FIRST:]
@@ -210,7 +213,7 @@ def _smallest(bound: Floats, measured: Callable[[Ints, Ints], Floats]) -> tuple[
     likely = rest[bound.flat[rest] <= values.min()]
     if len(likely):
         values = np.concatenate([values, measured(*np.unravel_index(likely, bound.shape))])
-    # of equal ones the first in time, as if all had been measured
+    # of equal values the first in time, as if all were measured
     measured_ones = np.concatenate([few, likely])
     best = measured_ones[values == values.min()].min()
     instant, number = np.unravel_index(best, bound.shape)
@@ -251,9 +254,9 @@ def _closest_vehicle_to_cable(plan: Plan, place: Floats, time: Floats) -> Tighte
 
 
 def _closest_bodies(plan: Plan, strands: Floats) -> tuple[float, int, int]:
-    """Smallest distance between bodies at the origin and polylines (k, q, m, 3), and its indices.
+    """Return the smallest distance of bodies at the origin to polylines (k, q, m, 3), with indices.
 
-    Of each polyline only pieces that can hold it, by the distances of their ends, are measured.
+    Pieces that the distances of their ends exclude are not measured.
     """
     body = Body(plan.mission.vehicles.radius, plan.mission.vehicles.grip_offset)
     least = np.array([-body.radius, -body.radius, 0.0])
@@ -267,7 +270,7 @@ def _closest_bodies(plan: Plan, strands: Floats) -> tuple[float, int, int]:
 
 
 def _to_body(body: Body, strands: Floats) -> Floats:
-    """Distances (b,) between a body at the origin and polylines (b, m, 3)."""
+    """Return distances (b,) between a body at the origin and polylines (b, m, 3)."""
     points = strands.reshape(-1, 3)
     off = np.linalg.norm(points - body.projected(points, np.zeros(len(points))), axis=-1)
     off = off.reshape(strands.shape[:-1])

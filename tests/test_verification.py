@@ -13,7 +13,7 @@ from swarm.geometry.distance import strand_strand
 from swarm.mission import mission_for_knot
 from swarm.planning import KnotSummary, Layout, Phase, Plan
 from swarm.trajectory import through_states
-from swarm.verify import closest_strands, judge, tracking_errors
+from swarm.verification import closest_strands, tracking_errors, verify_trace
 
 CELL = 2.4
 CORNERS = CELL * np.array(
@@ -52,7 +52,7 @@ def traced(plan, change=lambda _, place: place):
 
 
 def test_an_exact_flight_implies_the_planned_knot_and_its_clearances(plan):
-    flown = judge(plan, traced(plan))
+    flown = verify_trace(plan, traced(plan))
     assert (flown.knot, flown.chirality, flown.as_planned) == ("3_1", "right", True)
     assert flown.notes == ()
     # Vehicles stand one cell's diagonal apart, strands cross 0.6 m and more above another.
@@ -62,7 +62,7 @@ def test_an_exact_flight_implies_the_planned_knot_and_its_clearances(plan):
     assert 0.3 < flown.cable.distance < 0.7
     assert flown.vehicle_cable is not None
     assert flown.vehicle_cable.distance > 0.3
-    assert flown.tightest_chord == pytest.approx(
+    assert flown.max_chord_ratio == pytest.approx(
         np.max(np.linalg.norm(np.diff(plan.layout.corners, axis=0), axis=1) / plan.layout.lengths)
     )
 
@@ -72,13 +72,13 @@ def test_a_vehicle_on_the_wrong_side_of_a_strand_implies_another_knot(plan):
         place[time > 7.0, 8] = [3 * CELL, 1.6 * CELL, 6.0]  # short of segment 3, which it crosses
         return place
 
-    flown = judge(plan, traced(plan, strayed))
+    flown = verify_trace(plan, traced(plan, strayed))
     assert flown.knot == "0_1"
     assert not flown.as_planned
 
 
 def test_a_mirrored_flight_is_the_other_hand_and_not_as_planned(plan):
-    flown = judge(plan, traced(plan, lambda _, place: place * [-1.0, 1.0, 1.0]))
+    flown = verify_trace(plan, traced(plan, lambda _, place: place * [-1.0, 1.0, 1.0]))
     assert (flown.knot, flown.chirality, flown.as_planned) == ("3_1", "left", False)
 
 
@@ -88,7 +88,7 @@ def test_the_closest_moment_is_found_between_the_coarse_samples(plan):
         place[np.argmin(np.abs(time - 3.05)), 0] = place[0, 1] - [0.8, 0.0, 0.0]
         return place
 
-    flown = judge(plan, traced(plan, dipped))
+    flown = verify_trace(plan, traced(plan, dipped))
     assert flown.vehicle is not None
     assert flown.vehicle.between == ("vehicle 1", "vehicle 2")
     assert flown.vehicle.distance < 1.0
@@ -114,10 +114,10 @@ def test_unknown_positions_are_left_out_and_nothing_is_made_up(plan):
         place[time < 2.0, 3] = np.nan
         return place
 
-    assert judge(plan, traced(plan, silent)).as_planned
-    nothing = judge(plan, traced(plan, lambda _, place: np.full_like(place, np.nan)))
+    assert verify_trace(plan, traced(plan, silent)).as_planned
+    nothing = verify_trace(plan, traced(plan, lambda _, place: np.full_like(place, np.nan)))
     assert (nothing.knot, nothing.as_planned) == ("unknown", False)
-    assert nothing.notes == ("no positions were reported during the hold",)
+    assert nothing.notes == ("no positions were reported in the hold",)
     assert nothing.cable is nothing.vehicle is nothing.vehicle_cable is None
     assert nothing.tracking == ()
 
@@ -125,7 +125,7 @@ def test_unknown_positions_are_left_out_and_nothing_is_made_up(plan):
 def test_a_flight_without_a_hold_implies_no_knot(plan):
     trace = traced(plan)
     landed = replace(trace, phase=tuple("" for _ in trace.phase))
-    assert judge(plan, landed).knot == "unknown"
+    assert verify_trace(plan, landed).knot == "unknown"
 
 
 def test_an_over_stretched_report_is_noted(plan):
@@ -133,10 +133,10 @@ def test_an_over_stretched_report_is_noted(plan):
         place[time > 9.0, 0] -= [3.0, 0.0, 0.0]
         return place
 
-    flown = judge(plan, traced(plan, pulled))
-    assert flown.tightest_chord is not None
-    assert flown.tightest_chord > 1.0
-    assert any(note.startswith("segment 1 was reported") for note in flown.notes)
+    flown = verify_trace(plan, traced(plan, pulled))
+    assert flown.max_chord_ratio is not None
+    assert flown.max_chord_ratio > 1.0
+    assert any(note.startswith("the reported ends of segment 1 are") for note in flown.notes)
 
 
 @settings(max_examples=40, deadline=None)
