@@ -49,12 +49,12 @@ def _plan() -> None:
 def _fly() -> None:
     from sitl.warm import warm_up
     from swarm.certification.assess import assess
-    from swarm.simulation.loop import rehearse
+    from swarm.simulation.loop import simulate_flight
     from tests.certification.conftest import recorded_overhand
     from tests.network import small_plan
 
     warm_up()
-    rehearse(small_plan())
+    simulate_flight(small_plan())
     assess(recorded_overhand())
 
 

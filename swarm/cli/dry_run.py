@@ -14,7 +14,7 @@ from swarm.errors import InputError
 from swarm.flight.result import FlightResult
 from swarm.reports.plan_summary import plan_summary
 from swarm.reports.terminal import FlightScreen
-from swarm.simulation.loop import rehearse
+from swarm.simulation.loop import simulate_flight
 from swarm.verification import verify_trace
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -168,7 +168,7 @@ def _fly(
     """One flight: as the plan expects the world, or under the conditions of one trial."""
     flight_plan = planned.certified()
     if options["trial"] is None:
-        return rehearse(
+        return simulate_flight(
             flight_plan,
             seed=seed,
             no_cable=options["no_cable"],

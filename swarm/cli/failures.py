@@ -18,10 +18,10 @@ from swarm.planning import Plan
 from swarm.reports.failures_report import failures_report
 from swarm.simulation.fault_injection import (
     FAILURE_CASES,
-    PERSONALITIES,
     SYSTEM_FAILURE_CASES,
+    TEAM_AUTOPILOTS,
     FailureTest,
-    Personality,
+    TeamAutopilots,
     run_failure_tests,
 )
 from swarm.simulation.fault_injection.results_file import (
@@ -42,7 +42,7 @@ def run_failures(
     planned: api.Planned,
     *,
     times: int | None,
-    team: tuple[Personality, ...],
+    team: tuple[TeamAutopilots, ...],
     row: tuple[str, ...],
     seed: int,
     jobs: int | None,
@@ -59,7 +59,7 @@ def run_failures(
     rows = [one for one in rows if one.part in _parts(planned.plan)]
     if not rows:
         raise Refused("this mission folds no cable in the air: there is nothing to drill")
-    teams = [one for one in PERSONALITIES if not team or one in team]
+    teams = [one for one in TEAM_AUTOPILOTS if not team or one in team]
     drills = _fly(
         planned, rows=rows, personalities=teams, times=times or TIMES, seed=seed, jobs=jobs,
         known=_known(results, results_header(planned.plan, seed)) if results else (),

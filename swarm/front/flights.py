@@ -17,7 +17,7 @@ from swarm.front.recordings import Recording
 from swarm.knots.names import in_words
 from swarm.mission.fleet import Fleet
 from swarm.notebook import table
-from swarm.simulation.loop import Fault, rehearse
+from swarm.simulation.loop import Fault, simulate_flight
 from swarm.verification import Verification, verify_trace
 
 if TYPE_CHECKING:
@@ -174,8 +174,8 @@ def simulate(
     where the fleet does not fit the plan, and for a :class:`swarm.Motion` of others, which has no
     gates at which vehicles arm, grip and settle.
 
-    Source: :func:`swarm.simulation.loop.rehearse`, :func:`swarm.verification.verify_trace`.
+    Source: :func:`swarm.simulation.loop.simulate_flight`, :func:`swarm.verification.verify_trace`.
     """
     flight_plan = flyable(plan, certificate)
-    result = rehearse(flight_plan, fleet=fleet, seed=seed, faults=faults, world=world)
+    result = simulate_flight(flight_plan, fleet=fleet, seed=seed, faults=faults, world=world)
     return Flight(plan, result, verify_trace(plan, result.trace))

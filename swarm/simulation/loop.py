@@ -22,8 +22,15 @@ from swarm.flight.world import emulated_world
 from swarm.mission.fleet import Fleet, emulated_fleet
 
 __all__ = [
-    "Emulator", "Fault", "Observer", "Recorder", "faults_from", "parse_world", "rehearse",
-    "scenario_schema", "world_schema",
+    "Emulator",
+    "Fault",
+    "Observer",
+    "Recorder",
+    "faults_from",
+    "parse_world",
+    "scenario_schema",
+    "simulate_flight",
+    "world_schema",
 ]  # fmt: skip
 
 SNAPSHOT_INTERVAL = 0.1
@@ -59,7 +66,7 @@ def scenario_schema() -> dict[str, Any]:
     return Scenario.model_json_schema(by_alias=True)
 
 
-def rehearse(
+def simulate_flight(
     flight_plan: FlightPlan,
     *,
     fleet: Fleet | None = None,

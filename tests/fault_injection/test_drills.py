@@ -19,13 +19,16 @@ from swarm.mission import mission_for_knot
 from swarm.planning import digest
 from swarm.simulation.fault_injection import (
     FAILURE_CASES,
-    PERSONALITIES,
     SYSTEM_FAILURE_CASES,
+    TEAM_AUTOPILOTS,
     FaultTrial,
-    judging,
+    evaluation,
     run_failure_tests,
 )
-from swarm.simulation.fault_injection.rehearsal import Rehearsal, drill_fleet
+from swarm.simulation.fault_injection.stepped_simulation import (
+    SteppedSimulation,
+    failure_test_fleet,
+)
 from swarm.simulation.loop import Fault
 from tests.network import small_plan
 
@@ -68,7 +71,7 @@ def overhand():
 @pytest.mark.parametrize("row", FAILURE_CASES, ids=lambda row: row.name)
 def test_every_failure_of_a_team_that_ties_a_knot(overhand, row):
     drills = run_failure_tests(overhand, rows=[row], times=20, jobs=1, seed=3)
-    assert [drill.personality for drill in drills] == list(PERSONALITIES)
+    assert [drill.personality for drill in drills] == list(TEAM_AUTOPILOTS)
     failed = [drill.document() for drill in drills if not drill.passed]
     assert not failed
 
@@ -79,7 +82,7 @@ def judged(row, flight_plan=PLAN, left=False, **found):
     fine = FaultTrial(50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[row].ends[0], ())
     conductor = SimpleNamespace(way_out=SimpleNamespace(cornered=True) if left else None)
     flight = SimpleNamespace(flight_plan=flight_plan, conductor=conductor)
-    return judging._problems(flight, BY_NAME[row], replace(fine, **found))
+    return evaluation._problems(flight, BY_NAME[row], replace(fine, **found))
 
 
 def test_what_falls_with_the_fault_is_no_fault_of_the_teams_and_what_follows_is():
@@ -125,7 +128,7 @@ def test_a_slip_counts_from_when_it_shows_and_is_asked_for_only_where_it_does():
 
 
 def test_a_copy_of_a_flight_in_mid_air_flies_on_exactly_as_the_original():
-    flight = Rehearsal.of(PLAN, drill_fleet(3, "mixed"), seed=2)
+    flight = SteppedSimulation.of(PLAN, failure_test_fleet(3, "mixed"), seed=2)
     while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0 or not flight.quiet:
         flight.step()
     copied = flight.copy()
@@ -141,7 +144,7 @@ def test_a_copy_of_a_flight_in_mid_air_flies_on_exactly_as_the_original():
 
 
 def test_the_survivors_of_a_lost_motor_let_go_in_order():
-    flight = Rehearsal.of(PLAN, drill_fleet(3, "px4"), seed=2)
+    flight = SteppedSimulation.of(PLAN, failure_test_fleet(3, "px4"), seed=2)
     while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
         flight.step()
     flight.conductor.cut_loose(flight.conductor.flyers[1], "for the test")
@@ -153,7 +156,7 @@ def test_the_survivors_of_a_lost_motor_let_go_in_order():
 
 
 def test_who_has_not_answered_lately_lets_go_first():
-    flight = Rehearsal.of(PLAN, drill_fleet(3, "px4"), seed=2)
+    flight = SteppedSimulation.of(PLAN, failure_test_fleet(3, "px4"), seed=2)
     while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
         flight.step()
     system, began = flight.conductor.flyers[1].system, flight.now

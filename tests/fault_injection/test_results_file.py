@@ -12,7 +12,7 @@ from swarm.cli.failures import _keep, _known
 from swarm.errors import InputError
 from swarm.simulation.fault_injection import (
     FAILURE_CASES,
-    PERSONALITIES,
+    TEAM_AUTOPILOTS,
     FaultTrial,
     run_failure_tests,
 )
@@ -47,7 +47,7 @@ trials = st.builds(
 drills = st.builds(
     CaseTrials,
     row=st.sampled_from([row.name for row in FAILURE_CASES]),
-    personality=st.sampled_from(PERSONALITIES),
+    personality=st.sampled_from(TEAM_AUTOPILOTS),
     seeds=st.tuples(*[st.integers(0, 2**31)] * 3),
     trials=st.lists(trials, max_size=3).map(tuple),
 )

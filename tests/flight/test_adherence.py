@@ -8,7 +8,7 @@ import pytest
 from swarm.flight.adherence import adherence
 from swarm.flight.flight_plan import basis_of
 from swarm.flight.trace import Trace
-from swarm.simulation.loop import rehearse
+from swarm.simulation.loop import simulate_flight
 from tests.network import small_plan
 
 CERTIFIED = small_plan()
@@ -62,7 +62,7 @@ def test_errors_count_while_the_cable_is_aloft():
 
 
 def test_only_where_cable_was_carried_it_is_a_failure():
-    result = rehearse(CERTIFIED)
+    result = simulate_flight(CERTIFIED)
     assert (result.outcome.word, result.exit_code, result.error()) == ("done", 0, None)
     outside = adherence(PLAN, trace(0.8), CARRYING)
     carried = replace(result, adherence=outside)

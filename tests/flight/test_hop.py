@@ -22,7 +22,7 @@ from swarm.flight.result import FlightResult
 from swarm.flight.trace import Trace
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.loop import rehearse
+from swarm.simulation.loop import simulate_flight
 from tests.network import small_plan, uncleared
 
 PLAN = small_plan(vehicles=9)
@@ -37,7 +37,7 @@ def flown(disturbance: float, autopilot: str = "px4", **options: Any) -> FlightR
     world = emulated_world(plan.plan, fleet, with_cable=False, seed=1)
     for vehicle in world["vehicles"]:
         vehicle |= {"disturbance": disturbance, "gps_noise": 0.5 if disturbance else 0.0}
-    return rehearse(
+    return simulate_flight(
         plan, fleet=fleet, no_cable=True, world=world, stray_limit=ERROR_LIMIT, **options
     )
 
@@ -106,7 +106,7 @@ def test_two_that_come_too_near_each_other_are_landed_before_either_is_far_off()
     world = emulated_world(plan.plan, fleet, with_cable=False, seed=1)
     for vehicle in world["vehicles"]:
         vehicle["disturbance"] = LIKE_SIH
-    result = rehearse(plan, fleet=fleet, no_cable=True, world=world, stray_limit=ERROR_LIMIT)
+    result = simulate_flight(plan, fleet=fleet, no_cable=True, world=world, stray_limit=ERROR_LIMIT)
     assert result.outcome.word == "failed"
     assert "nearer than the 3.3 m allowed" in result.outcome.explanation
     assert apart(result.trace) > 2.5

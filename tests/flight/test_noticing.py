@@ -4,7 +4,7 @@ import pytest
 
 from sitl.faults import Fault
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.loop import rehearse
+from swarm.simulation.loop import simulate_flight
 from tests.network import Network, small_plan, uncleared
 
 PLAN = small_plan()
@@ -23,7 +23,7 @@ def test_a_position_that_jumps_is_noticed_whenever_its_report_comes(early):
 def test_a_clock_that_stands_for_want_of_clearance_is_told_and_ends_in_landing():
     fleet = emulated_fleet(3)
     fleet = fleet.model_copy(update={"limits": fleet.limits.model_copy(update={"hold": 4.0})})
-    result = rehearse(TOO_NEAR, fleet=fleet)
+    result = simulate_flight(TOO_NEAR, fleet=fleet)
     said = [event.message for event in result.events if event.kind == "failure"]
     assert said[0].startswith("stands still: nothing is left of the clearances (strands ")
     assert "vehicles 3.0" in said[0]
@@ -33,6 +33,6 @@ def test_a_clock_that_stands_for_want_of_clearance_is_told_and_ends_in_landing()
 
 
 def test_an_open_loop_flight_keeps_its_pace():
-    result = rehearse(TOO_NEAR, open_loop=True)
+    result = simulate_flight(TOO_NEAR, open_loop=True)
     assert result.outcome.word == "done"
     assert not [event for event in result.events if event.kind in {"failure", "hold"}]

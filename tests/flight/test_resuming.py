@@ -18,7 +18,7 @@ from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
 from swarm.flight.tlog import ClockTeller, replay
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.fault_injection.rehearsal import pass_audit
+from swarm.simulation.fault_injection.stepped_simulation import set_audited_parameters
 from tests.network import Network, small_plan
 
 PLAN = small_plan()
@@ -30,7 +30,7 @@ class Recorded(Network):
 
     def __post_init__(self):
         super().__post_init__()
-        pass_audit(self.emulator, self.flight_plan, self.fleet)
+        set_audited_parameters(self.emulator, self.flight_plan, self.fleet)
         self.tlog = bytearray()
         self.teller = ClockTeller(self.flight_plan.plan)
         self.downlink = lambda now, _system, data: self._keep(now, data)

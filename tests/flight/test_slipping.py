@@ -6,7 +6,10 @@ import pytest
 from swarm.flight import grip_slip
 from swarm.flight.grip_slip import GripSlipDetector, lean
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.fault_injection.rehearsal import Rehearsal, drill_fleet
+from swarm.simulation.fault_injection.stepped_simulation import (
+    SteppedSimulation,
+    failure_test_fleet,
+)
 from swarm.simulation.loop import Fault
 from tests.network import Network, small_plan
 
@@ -15,7 +18,7 @@ PLAN = small_plan(vehicles=5)
 
 @pytest.fixture(scope="module")
 def folding():
-    flight = Rehearsal.of(PLAN, drill_fleet(5, "mixed"), seed=4)
+    flight = SteppedSimulation.of(PLAN, failure_test_fleet(5, "mixed"), seed=4)
     start = PLAN.plan.phase("fold").start
     while flight.conductor.clock.time < start + 3.0 or not flight.quiet:
         flight.step()

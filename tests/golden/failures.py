@@ -12,17 +12,21 @@ from functools import cache
 
 from swarm.flight.conductor import Conductor
 from swarm.flight.world import emulated_world
-from swarm.simulation.fault_injection import FAILURE_CASES, FailureCase, FaultTrial, Personality
+from swarm.simulation.fault_injection import FAILURE_CASES, FailureCase, FaultTrial, TeamAutopilots
 from swarm.simulation.fault_injection.failure_cases import Part
-from swarm.simulation.fault_injection.flying import _fly
-from swarm.simulation.fault_injection.rehearsal import Rehearsal, drill_fleet, pass_audit
+from swarm.simulation.fault_injection.failure_tests import fly_fault_trial
+from swarm.simulation.fault_injection.stepped_simulation import (
+    SteppedSimulation,
+    failure_test_fleet,
+    set_audited_parameters,
+)
 from swarm.simulation.loop import parse_world
 from tests.golden.environment import environment
 from tests.golden.transcripts import fault_line, transcript
 from tests.golden.wire import Tapped, numbers_of
 from tests.network import small_plan
 
-TEAMS: tuple[Personality, ...] = ("px4", "ardupilot")
+TEAMS: tuple[TeamAutopilots, ...] = ("px4", "ardupilot")
 VICTIM = 1
 SEED = 1
 INTO_FOLD, BEFORE_GATE = 3.0, 1.0
@@ -51,11 +55,11 @@ def make(name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _flown(row: FailureCase, team: Personality) -> list[str]:
+def _flown(row: FailureCase, team: TeamAutopilots) -> list[str]:
     stage = _stage(team, row.part)
     flight = stage.copy()
     since, at = flight.now, flight.conductor.clock.time
-    trial = _fly(flight, row, VICTIM)
+    trial = fly_fault_trial(flight, row, VICTIM)
     emulator = flight.emulator
     assert isinstance(emulator, Tapped)
     heading = f"# team {team} · vehicle {VICTIM + 1} · {row.part}, mission time {at:.2f} s"
@@ -64,14 +68,14 @@ def _flown(row: FailureCase, team: Personality) -> list[str]:
 
 
 @cache
-def _stage(team: Personality, part: Part) -> Rehearsal:
+def _stage(team: TeamAutopilots, part: Part) -> SteppedSimulation:
     """Return a flight shortly before something goes wrong in that part of it."""
     flight_plan = small_plan(vehicles=3)
-    fleet = drill_fleet(3, team, SEED)
+    fleet = failure_test_fleet(3, team, SEED)
     world = emulated_world(flight_plan.plan, fleet, with_cable=True, seed=SEED)
     emulator = Tapped(parse_world(json.dumps(world)))
-    pass_audit(emulator, flight_plan, fleet)
-    flight = Rehearsal(flight_plan, fleet, Conductor(flight_plan, fleet), emulator)
+    set_audited_parameters(emulator, flight_plan, fleet)
+    flight = SteppedSimulation(flight_plan, fleet, Conductor(flight_plan, fleet), emulator)
     moment = _moment(flight, part)
     while flight.conductor.clock.time < moment or not flight.quiet:
         assert flight.conductor.finished is None, flight.conductor.finished
@@ -81,7 +85,7 @@ def _stage(team: Personality, part: Part) -> Rehearsal:
     return flight
 
 
-def _moment(flight: Rehearsal, part: Part) -> float:
+def _moment(flight: SteppedSimulation, part: Part) -> float:
     plan = flight.flight_plan.plan
     if part == "fold":
         return plan.phase("fold").start + INTO_FOLD

@@ -6,7 +6,7 @@ from sitl import Emulator
 from swarm.flight.conductor import Conductor
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.loop import rehearse
+from swarm.simulation.loop import simulate_flight
 from tests.network import small_plan
 
 
@@ -21,7 +21,7 @@ def test_everybody_really_is_where_the_plan_has_them() -> None:
         if conductor.stage == "fly" and round(now * 20) % 10 == 0:
             misses.append(emulator.truth().position - conductor.setpoint)
 
-    result = rehearse(
+    result = simulate_flight(
         flight_plan, fleet=fleet, world={**world, "projection": "autopilot"}, observer=observe
     )
     assert result.outcome.word == "done"

@@ -1,23 +1,23 @@
 """Drills: flights in which something goes wrong, in virtual time, judged by what really is."""
 
+from swarm.simulation.fault_injection.evaluation import FaultTrial
 from swarm.simulation.fault_injection.failure_cases import (
     FAILURE_CASES,
     SYSTEM_FAILURE_CASES,
     FailureCase,
     SystemFailureCase,
 )
-from swarm.simulation.fault_injection.flying import FailureTest, run_failure_tests
-from swarm.simulation.fault_injection.judging import FaultTrial
-from swarm.simulation.fault_injection.rehearsal import PERSONALITIES, Personality
+from swarm.simulation.fault_injection.failure_tests import FailureTest, run_failure_tests
+from swarm.simulation.fault_injection.stepped_simulation import TEAM_AUTOPILOTS, TeamAutopilots
 
 __all__ = [
     "FAILURE_CASES",
-    "PERSONALITIES",
     "SYSTEM_FAILURE_CASES",
+    "TEAM_AUTOPILOTS",
     "FailureCase",
     "FailureTest",
     "FaultTrial",
-    "Personality",
     "SystemFailureCase",
+    "TeamAutopilots",
     "run_failure_tests",
 ]

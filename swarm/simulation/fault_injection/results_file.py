@@ -14,8 +14,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from swarm.errors import InputError
 from swarm.planning import Plan
-from swarm.simulation.fault_injection.judging import FaultTrial
-from swarm.simulation.fault_injection.rehearsal import Personality
+from swarm.simulation.fault_injection.evaluation import FaultTrial
+from swarm.simulation.fault_injection.stepped_simulation import TeamAutopilots
 from swarm.version import __version__
 
 _NEVER_JUDGED = ("clearance", "apart")
@@ -27,12 +27,12 @@ class CaseTrials:
     """The trials of a row with a team at random times that are drawn together from ``seeds``."""
 
     row: str
-    personality: Personality
+    personality: TeamAutopilots
     seeds: tuple[int, int, int]
     trials: tuple[FaultTrial, ...]
 
     @property
-    def key(self) -> tuple[str, Personality, tuple[int, int, int], int]:
+    def key(self) -> tuple[str, TeamAutopilots, tuple[int, int, int], int]:
         """What the same drills have in common, whenever they are flown."""
         return self.row, self.personality, self.seeds, len(self.trials)
 

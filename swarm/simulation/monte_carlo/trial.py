@@ -13,7 +13,7 @@ from swarm.flight.result import FlightResult
 from swarm.flight.trace import Trace
 from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning import Plan
-from swarm.simulation.loop import Emulator, Fault, rehearse
+from swarm.simulation.loop import Emulator, Fault, simulate_flight
 from swarm.simulation.monte_carlo.spread import Conditions, Spread, draw
 from swarm.verification import closest_strands, verify_trace
 
@@ -136,12 +136,12 @@ def fly_trial(
     faults: Sequence[Fault] = (),
     **watching: Any,
 ) -> tuple[Trial, FlightResult]:
-    """Fly one trial; ``watching`` goes to :func:`swarm.simulation.loop.rehearse`."""
+    """Fly one trial; ``watching`` goes to :func:`swarm.simulation.loop.simulate_flight`."""
     plan = flight_plan.plan
     fleet = fleet or emulated_fleet(plan.vehicles)
     conditions = draw(plan, fleet, spread, seed, trial, faults)
     witness = _Witness()
-    result = rehearse(
+    result = simulate_flight(
         flight_plan,
         fleet=fleet,
         world=conditions.world,

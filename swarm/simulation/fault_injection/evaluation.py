@@ -8,7 +8,7 @@ import numpy as np
 from swarm.certification.monitor import Monitor
 from swarm.flight.snapshot import Event
 from swarm.simulation.fault_injection.failure_cases import FailureCase
-from swarm.simulation.fault_injection.rehearsal import Rehearsal
+from swarm.simulation.fault_injection.stepped_simulation import SteppedSimulation
 
 LOOK_EVERY = 0.1
 AT_ONCE = 3.0
@@ -54,7 +54,7 @@ class Judge:
     which it would, ``unseen`` whether it does not now.
     """
 
-    def __init__(self, flight: Rehearsal, slipping: int | None = None) -> None:
+    def __init__(self, flight: SteppedSimulation, slipping: int | None = None) -> None:
         self._flight = flight
         self._slipping = slipping
         self.hidden, self.shown, self.unseen = 0.0, 0.0, False
@@ -110,7 +110,7 @@ class Judge:
 
 
 def judged(
-    flight: Rehearsal,
+    flight: SteppedSimulation,
     row: FailureCase,
     judge: Judge,
     at: float,
@@ -150,7 +150,7 @@ def judged(
     return replace(trial, problems=_problems(flight, row, trial))
 
 
-def _problems(flight: Rehearsal, row: FailureCase, trial: FaultTrial) -> tuple[str, ...]:
+def _problems(flight: SteppedSimulation, row: FailureCase, trial: FaultTrial) -> tuple[str, ...]:
     """What is not as the row asks.
 
     Where neither the fault nor a fall moves what was certified, the certified worst case holds.
@@ -180,13 +180,13 @@ def _problems(flight: Rehearsal, row: FailureCase, trial: FaultTrial) -> tuple[s
     return tuple(problems)
 
 
-def _nowhere_to_go(flight: Rehearsal) -> bool:
+def _nowhere_to_go(flight: SteppedSimulation) -> bool:
     """Whether the team left the plan where all can neither land nor let go as they stand."""
     way_out = flight.conductor.way_out
     return way_out is not None and way_out.cornered
 
 
-def _certified(flight: Rehearsal, row: FailureCase) -> tuple[float, float]:
+def _certified(flight: SteppedSimulation, row: FailureCase) -> tuple[float, float]:
     """Return the least distances between strands and between vehicles that are certified."""
     known, required = flight.flight_plan.assessment, flight.flight_plan.plan.mission.clearance
     if row.coasts and known.coast is not None and known.coast.worst.margin >= 0.0:
@@ -195,7 +195,7 @@ def _certified(flight: Rehearsal, row: FailureCase) -> tuple[float, float]:
     return cable, known.vehicle.distance if known.vehicle is not None else 0.0
 
 
-def _end(flight: Rehearsal, row: FailureCase) -> str:
+def _end(flight: SteppedSimulation, row: FailureCase) -> str:
     conductor, truth = flight.conductor, flight.emulator.truth()
     if row.station == "killed":
         return "still flying" if truth.armed.any() else "landed by failsafe"

@@ -18,12 +18,12 @@ from swarm.flight.world import emulated_world
 from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.simulation.loop import Emulator, parse_world
 
-Personality = Literal["px4", "ardupilot", "mixed"]
-PERSONALITIES: tuple[Personality, ...] = get_args(Personality)
+TeamAutopilots = Literal["px4", "ardupilot", "mixed"]
+TEAM_AUTOPILOTS: tuple[TeamAutopilots, ...] = get_args(TeamAutopilots)
 LINK = "loopback"
 HOLD = 10.0
 """Seconds of the common T in drills: long enough to see it, short enough to wait for it."""
-_AUTOPILOTS: Mapping[Personality, tuple[Literal["px4", "ardupilot"], ...]] = {
+_AUTOPILOTS: Mapping[TeamAutopilots, tuple[Literal["px4", "ardupilot"], ...]] = {
     "px4": ("px4",),
     "ardupilot": ("ardupilot",),
     "mixed": ("px4", "ardupilot"),
@@ -32,14 +32,14 @@ _ACK = bytes((77, 0, 0))
 """COMMAND_ACK's number in a MAVLink 2 header."""
 
 
-def drill_fleet(vehicles: int, personality: Personality, seed: int = 1) -> Fleet:
+def failure_test_fleet(vehicles: int, personality: TeamAutopilots, seed: int = 1) -> Fleet:
     """Return the emulated fleet of the drills: as the default one, but for a short T."""
     fleet = emulated_fleet(vehicles, _AUTOPILOTS[personality], seed=seed)
     limits = fleet.limits.model_copy(update={"hold": HOLD})
     return fleet.model_copy(update={"limits": limits})
 
 
-def pass_audit(emulator: Emulator, flight_plan: CertifiedPlan, fleet: Fleet) -> None:
+def set_audited_parameters(emulator: Emulator, flight_plan: CertifiedPlan, fleet: Fleet) -> None:
     """Give emulated vehicles the parameters with which they would pass the audit."""
     demands = demands_of_plan(flight_plan.plan, fleet)
     for vehicle in emulator.vehicles:
@@ -53,7 +53,7 @@ def pass_audit(emulator: Emulator, flight_plan: CertifiedPlan, fleet: Fleet) -> 
 
 
 @dataclass(eq=False)
-class Rehearsal:
+class SteppedSimulation:
     """Both sides of a flight and the time, one step after the other; can be copied at any time."""
 
     flight_plan: CertifiedPlan
@@ -65,11 +65,11 @@ class Rehearsal:
     keeps: Callable[[int, bytes], bool] | None = None
 
     @classmethod
-    def of(cls, flight_plan: CertifiedPlan, fleet: Fleet, seed: int) -> "Rehearsal":
+    def of(cls, flight_plan: CertifiedPlan, fleet: Fleet, seed: int) -> "SteppedSimulation":
         """Return a flight before its first tick; its vehicles' parameters pass the audit."""
         world = emulated_world(flight_plan.plan, fleet, with_cable=True, seed=seed)
         emulator = Emulator(parse_world(json.dumps(world)))
-        pass_audit(emulator, flight_plan, fleet)
+        set_audited_parameters(emulator, flight_plan, fleet)
         return cls(flight_plan, fleet, Conductor(flight_plan, fleet), emulator)
 
     @property
@@ -77,7 +77,7 @@ class Rehearsal:
         """Seconds since the record began."""
         return self.ticks / self.fleet.rates.setpoint
 
-    def copy(self) -> "Rehearsal":
+    def copy(self) -> "SteppedSimulation":
         """Return the same flight, to be flown on apart from this one."""
         return branch(self, lasting(self.conductor))
 
@@ -115,7 +115,7 @@ class Rehearsal:
         )
 
 
-class LosesAck:
+class FirstAckLoss:
     """Loses a vehicle's first answer to a gripper command."""
 
     def __init__(self, system: int) -> None:

@@ -3,7 +3,7 @@
 Plans a mission, flies it in virtual time and prints flight time over CPU time of one core, without
 the planning. The same flight is flown several times: beside the whole flights stands the sum of
 every tick's shortest time, which is what a machine without other work would take.
-Run: ``python tests/bench/rehearsal.py [mission] [--profile]``.
+Run: ``python tests/bench/simulation.py [mission] [--profile]``.
 """
 
 import cProfile
@@ -16,7 +16,7 @@ import numpy as np
 
 from swarm import api
 from swarm.mission import parse_mission
-from swarm.simulation.loop import rehearse
+from swarm.simulation.loop import simulate_flight
 
 FLIGHTS = 3
 
@@ -27,13 +27,15 @@ def main() -> None:
     flight_plan = api.plan(parse_mission(path.read_text(), str(path))).certified()
     if "--profile" in sys.argv:
         profile = cProfile.Profile()
-        profile.runcall(rehearse, flight_plan)
+        profile.runcall(simulate_flight, flight_plan)
         pstats.Stats(profile).sort_stats("tottime").print_stats(40)
         return
     flights = []
     for _ in range(FLIGHTS):
         marks = [time.process_time()]
-        result = rehearse(flight_plan, observer=lambda *_, at=marks: at.append(time.process_time()))
+        result = simulate_flight(
+            flight_plan, observer=lambda *_, at=marks: at.append(time.process_time())
+        )
         flights.append(np.diff(marks))
         flown, used = result.statistics.duration, float(flights[-1].sum())
         print(

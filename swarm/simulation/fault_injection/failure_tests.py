@@ -18,16 +18,16 @@ from joblib import Parallel, delayed
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.mission.fleet import Fleet
+from swarm.simulation.fault_injection.evaluation import FaultTrial, Judge, judged
 from swarm.simulation.fault_injection.failure_cases import FAILURE_CASES, FailureCase, Part
-from swarm.simulation.fault_injection.judging import FaultTrial, Judge, judged
-from swarm.simulation.fault_injection.rehearsal import (
-    PERSONALITIES,
-    LosesAck,
-    Personality,
-    Rehearsal,
-    drill_fleet,
-)
 from swarm.simulation.fault_injection.results_file import CaseTrials
+from swarm.simulation.fault_injection.stepped_simulation import (
+    TEAM_AUTOPILOTS,
+    FirstAckLoss,
+    SteppedSimulation,
+    TeamAutopilots,
+    failure_test_fleet,
+)
 from swarm.simulation.loop import Fault
 
 Floats = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ class FailureTest:
     """All trials of one row with one personality."""
 
     row: FailureCase
-    personality: Personality
+    personality: TeamAutopilots
     trials: tuple[FaultTrial, ...]
 
     @property
@@ -79,7 +79,7 @@ def run_failure_tests(
     flight_plan: CertifiedPlan,
     *,
     rows: Sequence[FailureCase] = FAILURE_CASES,
-    personalities: Sequence[Personality] = PERSONALITIES,
+    personalities: Sequence[TeamAutopilots] = TEAM_AUTOPILOTS,
     times: int = 3,
     seed: int = 1,
     jobs: int | None = None,
@@ -97,7 +97,7 @@ def run_failure_tests(
     """
     # one task flies one personality at a few times: the flight up to there is flown once
     counts = [min(_TIMES_PER_TASK, times - k) for k in range(0, times, _TIMES_PER_TASK)]
-    tasks = [(p, count, (seed, k, PERSONALITIES.index(p))) for p in personalities
+    tasks = [(p, count, (seed, k, TEAM_AUTOPILOTS.index(p))) for p in personalities
              for k, count in enumerate(counts)]  # fmt: skip
     total = len(rows) * len(personalities) * times
     wanted = {(row.name, p, seeds, count) for p, count, seeds in tasks for row in rows}
@@ -117,7 +117,7 @@ def run_failure_tests(
             keep(flown)
         if tell is not None:
             tell(sum(len(one.trials) for one in found.values()), total)
-    trials: dict[tuple[str, Personality], list[FaultTrial]] = {}
+    trials: dict[tuple[str, TeamAutopilots], list[FaultTrial]] = {}
     for flown in found.values():
         trials.setdefault((flown.row, flown.personality), []).extend(flown.trials)
     return tuple(
@@ -134,13 +134,13 @@ def _portions(rows: Sequence[FailureCase]) -> list[Sequence[FailureCase]]:
 def _fly_rows(
     flight_plan: CertifiedPlan,
     rows: Sequence[FailureCase],
-    personality: Personality,
+    personality: TeamAutopilots,
     times: int,
     seeds: tuple[int, int, int],
 ) -> list[CaseTrials]:
     """Fly some rows with one personality, all from the same moments."""
-    fleet = drill_fleet(flight_plan.plan.vehicles, personality, seeds[0])
-    stages: dict[Part, list[Rehearsal]] = {}
+    fleet = failure_test_fleet(flight_plan.plan.vehicles, personality, seeds[0])
+    stages: dict[Part, list[SteppedSimulation]] = {}
     flown = []
     gc.collect()
     gc.freeze()
@@ -151,7 +151,9 @@ def _fly_rows(
         victims = np.random.default_rng((*seeds, zlib.crc32(row.name.encode())))
         trials = []
         for stage in stages[row.part]:
-            trials.append(_fly(stage.copy(), row, int(victims.integers(flight_plan.plan.vehicles))))
+            trials.append(
+                fly_fault_trial(stage.copy(), row, int(victims.integers(flight_plan.plan.vehicles)))
+            )
             # a flight's parts know each other: few objects, which Python is in no hurry to look
             # through, and large arrays
             gc.collect()
@@ -167,7 +169,7 @@ def _stages(
     times: int,
     rng: np.random.Generator,
     seed: int,
-) -> Iterator[Rehearsal]:
+) -> Iterator[SteppedSimulation]:
     """Yield copies of a flight at random moments of one of its parts."""
     plan = flight_plan.plan
     if part == "fold":
@@ -177,7 +179,7 @@ def _stages(
         condition = "gripped" if part == "grab" else "released"
         gate = next(gate.time for gate in plan.gates if gate.condition == condition)
         moments = np.sort(rng.uniform(gate - 1.5, gate - 0.1, times))
-    flight = Rehearsal.of(flight_plan, fleet, seed)
+    flight = SteppedSimulation.of(flight_plan, fleet, seed)
     for moment in moments:
         while flight.conductor.clock.time < moment or not flight.quiet:
             flight.step()
@@ -186,7 +188,7 @@ def _stages(
         yield flight.copy()
 
 
-def _fly(flight: Rehearsal, row: FailureCase, victim: int) -> FaultTrial:
+def fly_fault_trial(flight: SteppedSimulation, row: FailureCase, victim: int) -> FaultTrial:
     """Fly one trial to its end and judge it."""
     conductor, began = flight.conductor, flight.now
     system = conductor.flyers[victim].system
@@ -197,7 +199,7 @@ def _fly(flight: Rehearsal, row: FailureCase, victim: int) -> FaultTrial:
         worst = _worst(flight.flight_plan, values["kind"], victim)
         flight.emulator.inject(Fault.model_validate({"at": began, **target, **values, **worst}))
     if row.lose:
-        flight.keeps = LosesAck(system)
+        flight.keeps = FirstAckLoss(system)
     if row.station in {"interrupted", "interrupted twice"}:
         conductor.request("interrupt")
         if row.station == "interrupted twice":
