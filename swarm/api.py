@@ -14,7 +14,7 @@ from swarm.certification.certificate import (
     certify_robustness,
     measure_clearances,
 )
-from swarm.certification.clearances import Moment, shortfalls
+from swarm.certification.clearances import Moment, violations
 from swarm.mission import Mission
 from swarm.planning import Plan, Shortfall, candidates
 
@@ -89,9 +89,9 @@ def _judged(
     Whoever mends plans need not know everything about one that is to be mended again, but all
     moments that need it: mended one by one they would take a round each.
     """
-    missing = shortfalls(made, doubted) if doubted else ()
+    missing = violations(made, doubted) if doubted else ()
     if missing:
         return missing, None
     measured = measure_clearances(made, progress)
     failed = {moment.check for moment in measured.moments if moment.margin < 0.0}
-    return shortfalls(made, failed) if failed else (), measured
+    return violations(made, failed) if failed else (), measured

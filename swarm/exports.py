@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm.certification.assessment import Assessment, Stops, Tightest
+from swarm.certification.assessment import Assessment, Contingencies, Tightest
 from swarm.certification.clearances import Moment
 from swarm.certification.findings import Finding
 from swarm.errors import Refused
@@ -60,8 +60,10 @@ def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
             "wind": assessment.robustness.wind,
         },
         "tightest": [moment_object(moment) for moment in assessment.tightest],
-        "budget": [asdict(row) | {"left": row.left} for row in assessment.budget],
-        "stops": stops_object(assessment.stops) if assessment.stops else None,
+        "budget": [asdict(row) | {"remaining": row.remaining} for row in assessment.budget],
+        "contingencies": contingencies_object(assessment.contingencies)
+        if assessment.contingencies
+        else None,
         "notes": list(plan.notes),
     }
 
@@ -78,15 +80,15 @@ def moment_object(moment: Moment) -> dict[str, Any]:
     }
 
 
-def stops_object(stops: Stops) -> dict[str, Any]:
-    """Return what can be done where a plan stops; a wait is null where there is no window."""
-    windows = {"land": stops.land, "release": stops.release}
+def contingencies_object(contingencies: Contingencies) -> dict[str, Any]:
+    """Return the contingencies of a plan; a wait is null without a window."""
+    windows = {"land": contingencies.land, "release": contingencies.release}
     return {
         **{
             name: {"share": window.share, "wait": window.wait if isfinite(window.wait) else None}
             for name, window in windows.items()
         },
-        "longest": {"time": stops.time, "distance": stops.distance},
+        "longest_stop": {"time": contingencies.stop_time, "distance": contingencies.stop_distance},
     }
 
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from swarm import api
 from swarm.certification.assessment import Assessment, Tightest
-from swarm.certification.robustness import largest_tracking, robust_to
+from swarm.certification.robustness import largest_tracking, robustness_of
 from swarm.errors import InputError, Refused
 from swarm.knots.catalog import lookup, names
 from swarm.mission import Mission, mission_for_knot
@@ -68,15 +68,15 @@ def knot_row(
         "cable_clearance": _distance(found.cable),
         "vehicle_clearance": _distance(found.vehicle),
         "vehicle_cable_clearance": _distance(found.vehicle_cable),
-        "land": found.stops.land.share if found.stops else None,
-        "release": found.stops.release.share if found.stops else None,
+        "land": found.contingencies.land.share if found.contingencies else None,
+        "release": found.contingencies.release.share if found.contingencies else None,
         "seconds": taken,
         "says": "" if found.cleared else _wrong(found, plan.notes),
     }
     if cell and row["cable_clearance"] is not None:
         row["strand_over_cell"] = row["cable_clearance"] / cell
     if robustness and found.cleared:
-        held = robust_to(plan, found.moments)
+        held = robustness_of(plan, found.moments)
         row |= {"tracking": held.tracking, "wind": held.wind}
     return row
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from swarm.certification.assessment import Tightest
 from swarm.certification.bodies import Body, vehicle_segments
 from swarm.certification.clearances import segment_name, vehicle_name
-from swarm.certification.topology import hanging_curve, layout_code
+from swarm.certification.topology import cable_curve, layout_code
 from swarm.errors import SwarmError
 from swarm.flight.trace import Trace
 from swarm.geometry.catenary import hang
@@ -120,7 +120,7 @@ def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[st
         "length apart"
         for i in np.flatnonzero(chords > _TAUT * lengths)
     )
-    curve = hanging_curve(grip_points, np.maximum(lengths, chords / _TAUT))
+    curve = cable_curve(grip_points, np.maximum(lengths, chords / _TAUT))
     try:
         code, found = curve_gauss(curve), identify_curve(curve)
         as_planned = same_code(code, layout_code(plan.layout))

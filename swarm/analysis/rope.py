@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.analysis.rope_model import STEP, TIGHTENING_STEP, Grips, Rope, Seen
-from swarm.analysis.swing import swings
+from swarm.analysis.swing import largest_swings
 from swarm.certification.topology import layout_code
 from swarm.errors import Refused, SwarmError
 from swarm.geometry.catenary import hang
@@ -93,7 +93,7 @@ def planned_grips(plan: Plan) -> Grips:
     return Grips(times, plan.motion.at(times)[0])
 
 
-def move_rope(
+def simulate_rope(
     plan: Plan,
     grips: Grips,
     *,
@@ -180,7 +180,7 @@ class _Log:
         # a segment's first and last nodes are in its grips, where nothing strays
         self.stray.append(np.maximum.reduceat(stray, self._held[:-1]))
         braking = self._plan.mission.vehicles.braking_acceleration
-        self.swing.append(swings(places, self._acceleration(time), lengths, braking))
+        self.swing.append(largest_swings(places, self._acceleration(time), lengths, braking))
         self.apart.append(self._apart(nodes))
         self.still_apart.append(self._apart(still))
 

@@ -1,8 +1,9 @@
-"""Where the survivors go when one vehicle falls out of the air: worked out with the plan.
+"""Separation of the remaining vehicles after one vehicle has failed and falls.
 
-A path for every moment and every vehicle that may die. The survivors move level, straight away
-from the place where the dead one falls, each as much farther as it already is, and up: that brings
-nobody nearer to anybody, and nobody under what falls. It is flown once the cable is let go.
+Computed with the plan, for every moment and every vehicle. After the release of the cable, the
+remaining vehicles move radially away from the point where the failed vehicle falls, each in
+proportion to its distance from there, and climb. Therefore no distance between them decreases, and
+no vehicle comes below the falling one.
 """
 
 from dataclasses import dataclass
@@ -18,62 +19,65 @@ Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 STEP = 0.5
-"""Seconds of mission time between the moments that are worked out."""
+"""Seconds of mission time between the computed moments; vehicles move by about 1 m meanwhile."""
 UP = 1.0
-"""Metres that the team climbs while it moves apart."""
+"""Metres by which the team climbs while it separates."""
 MOST_SPREAD = 4.0
+"""Largest ratio of distances after and before a separation: limits the area that is flown over."""
 SHARE_OF_SPEED = 0.5
+"""Share of the vehicles' largest speed and acceleration that a separation uses."""
 
 
 @dataclass(frozen=True, eq=False)
-class Escapes:
-    """Ways apart at the moments ``times`` (k,) of a plan.
+class Separations:
+    """Separations at the moments ``times`` (k,) of a plan, for the failure of every vehicle j.
 
-    ``spread`` (k, n) is how many times farther from vehicle j everybody goes if j dies, at most
-    MOST_SPREAD; ``under`` (k, n) whether somebody is then below j, within reach of its fall.
+    ``spread`` (k, n) is the factor by which distances from vehicle j grow, at most MOST_SPREAD;
+    ``below`` (k, n) whether another vehicle is below j, within reach of its fall.
     """
 
     times: Floats
     spread: Floats
-    under: Flags
+    below: Flags
 
-    def at(self, time: float, dead: int) -> float:
-        """Return the spread for a mission time: the larger of the moments around it."""
+    def at(self, time: float, failed: int) -> float:
+        """Return the spread for a mission time: the larger of the two neighbouring moments'."""
         after = min(int(np.searchsorted(self.times, time)), len(self.times) - 1)
         before = max(after - 1, 0)
-        return float(max(self.spread[before, dead], self.spread[after, dead]))
+        return float(max(self.spread[before, failed], self.spread[after, failed]))
 
 
-def escapes(plan: Plan) -> Escapes:
-    """Work out the escapes of a plan, for all moments at which the cable is held off the floor."""
+def separations(plan: Plan) -> Separations:
+    """Return the separations of a plan for all moments at which the cable is off the floor."""
+    n = plan.vehicles
     held = [phase for phase in plan.phases if phase.cable in {"lifting", "aloft"}]
     if not held:
-        return Escapes(np.zeros(1), np.ones((1, plan.vehicles)), np.zeros((1, plan.vehicles), bool))
+        return Separations(np.zeros(1), np.ones((1, n)), np.zeros((1, n), bool))
     start, end = held[0].start, held[-1].end
     times = np.append(np.arange(start, end, STEP), end)
-    place = plan.motion.at(times)[0]
-    apart = place[:, None, :, :2] - place[:, :, None, :2]
-    level = np.hypot(apart[..., 0], apart[..., 1])
-    others = ~np.eye(plan.vehicles, dtype=bool)
-    # entry [·, j, i] is of the dead vehicle j and of another, i
+    position = plan.motion.at(times)[0]
+    step = position[:, None, :, :2] - position[:, :, None, :2]
+    horizontal = np.hypot(step[..., 0], step[..., 1])
+    others = ~np.eye(n, dtype=bool)
+    # entry [·, j, i]: failed vehicle j, remaining vehicle i
     vehicles = plan.mission.vehicles
     reach = 2.0 * (vehicles.radius + vehicles.tracking)
-    below = place[:, None, :, 2] < place[:, :, None, 2]
-    under = np.any((level < reach) & below & others, axis=2)
-    nearest = _nearest_pairs(level, others)
-    spread = np.clip(wanted_apart(plan.mission) / np.maximum(nearest, 1e-3), 1.0, MOST_SPREAD)
-    return Escapes(times, spread, under)
+    lower = position[:, None, :, 2] < position[:, :, None, 2]
+    below = np.any((horizontal < reach) & lower & others, axis=2)
+    nearest = np.maximum(_smallest_distances(horizontal, others), 1e-3)
+    spread = np.clip(solo_landing_distance(plan.mission) / nearest, 1.0, MOST_SPREAD)
+    return Separations(times, spread, below)
 
 
-def wanted_apart(mission: Mission) -> float:
-    """Return the level distance in metres that two vehicles should have to go down alone."""
+def solo_landing_distance(mission: Mission) -> float:
+    """Return the horizontal distance in metres at which vehicles land independently."""
     return 1.5 * (mission.clearance.vehicle + 2.0 * mission.vehicles.tracking)
 
 
-def escape(start: Floats, centre: Floats, spread: float, mission: Mission) -> Motion:
+def separation_motion(start: Floats, centre: Floats, spread: float, mission: Mission) -> Motion:
     """Return the motion (n vehicles) from rest at ``start`` (n, 3) apart and up, ENU metres.
 
-    ``centre`` (3,) is what everybody moves away from: the place of the vehicle that fell.
+    ``centre`` (3,) is the position of the failed vehicle, from which all others move away.
     """
     end = centre + (start - centre) * spread
     end[:, 2] = start[:, 2] + UP
@@ -82,13 +86,15 @@ def escape(start: Floats, centre: Floats, spread: float, mission: Mission) -> Mo
     return leg(start, end, SHARE_OF_SPEED * vehicles.max_speed, SHARE_OF_SPEED * thrust)
 
 
-def _nearest_pairs(level: Floats, others: Flags) -> Floats:
-    """Smallest level distance (k, n) between any two of the survivors, and of them to the fall."""
-    k, n, _ = level.shape
-    nearest = np.empty((k, n))
-    for dead in range(n):
-        left = np.delete(np.arange(n), dead)
-        among = level[:, left[:, None], left][:, others[np.ix_(left, left)]]
-        fall = level[:, dead, left]
-        nearest[:, dead] = np.concatenate([among, fall], axis=1).min(axis=1, initial=np.inf)
-    return nearest
+def _smallest_distances(horizontal: Floats, others: Flags) -> Floats:
+    """Smallest horizontal distance (k, n) among the remaining vehicles and to the failed one."""
+    k, n, _ = horizontal.shape
+    smallest = np.empty((k, n))
+    for failed in range(n):
+        remaining = np.delete(np.arange(n), failed)
+        among = horizontal[:, remaining[:, None], remaining][
+            :, others[np.ix_(remaining, remaining)]
+        ]
+        fall = horizontal[:, failed, remaining]
+        smallest[:, failed] = np.concatenate([among, fall], axis=1).min(axis=1, initial=np.inf)
+    return smallest

@@ -20,16 +20,16 @@ from swarm.certification.findings import Finding, Severity
 from swarm.certification.held import LYING, held
 from swarm.certification.limits import TAUT
 from swarm.certification.motion_bounds import Course
-from swarm.certification.robustness import DIRECTIONS, lost_in_wind, robust_to
+from swarm.certification.robustness import DIRECTIONS, failure_in_wind, robustness_of
 from swarm.certification.strands import MOST_EXEMPT
-from swarm.certification.stream_loss import coast
+from swarm.certification.stream_loss import certify_stream_loss
 from swarm.certification.topology import end_code, end_knot, end_time, layout_code
 from swarm.certification.what_if import (
     budget_findings,
+    contingencies_of,
     downwash_findings,
     endurance_findings,
     load_findings,
-    stops_of,
     tolerance_findings,
 )
 from swarm.errors import SwarmError
@@ -88,14 +88,14 @@ def assess(
     ]
     knot, chirality, gauss, topology = _topology(plan)
     findings += topology
-    stops, stopping = stops_of(plan)
-    findings += stopping
+    contingencies, found = contingencies_of(plan)
+    findings += found
     # A plan that is refused anyway never meets the end of its setpoints.
     refusing = [*findings, *endurance_findings(plan)]
     refused = any(finding.severity == "error" for finding in refusing)
-    coasting = None if refused else coast(plan)
-    findings += coasting.findings() if coasting else []
-    findings += endurance_findings(plan, coasting.slowed if coasting else 0.0)
+    stream_loss = None if refused else certify_stream_loss(plan)
+    findings += stream_loss.findings() if stream_loss else []
+    findings += endurance_findings(plan, stream_loss.delay if stream_loss else 0.0)
     budget = budgets(plan, sorted(moments, key=lambda moment: moment.margin))[:BUDGETS]
     assessment = Assessment(
         findings=(),
@@ -107,8 +107,8 @@ def assess(
         gauss=gauss,
         moments=moments,
         budget=budget,
-        stops=stops,
-        coast=coasting,
+        contingencies=contingencies,
+        stream_loss=stream_loss,
     )
     findings += _tightest_findings(assessment.tightest)
     findings += budget_findings(budget)
@@ -127,7 +127,7 @@ def with_robustness(
     """
     if all(phase.cable != "aloft" for phase in plan.phases):
         return assessment
-    return replace(assessment, robustness=robust_to(plan, assessment.moments, progress))
+    return replace(assessment, robustness=robustness_of(plan, assessment.moments, progress))
 
 
 def _failing(moments: Iterable[Moment]) -> list[Moment]:
@@ -248,7 +248,7 @@ def _wind_findings(plan: Plan) -> list[Finding]:
     steady = plan.mission.wind.steady
     if steady == 0.0:
         return []
-    lost = lost_in_wind(plan, steady)
+    lost = failure_in_wind(plan, steady)
     if lost is None:
         message = (
             f"cable that hangs free keeps every clearance, and from floor and fence, in a steady "

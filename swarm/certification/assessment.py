@@ -6,7 +6,7 @@ from typing import Literal
 from swarm.certification.budget import Budget
 from swarm.certification.clearances import CLEARANCES, Moment
 from swarm.certification.findings import Finding
-from swarm.certification.stream_loss import CoastCertificate
+from swarm.certification.stream_loss import StreamLossCertificate
 
 TIGHTEST = 5
 """Number of tightest moments in every report."""
@@ -14,10 +14,10 @@ TIGHTEST = 5
 
 @dataclass(frozen=True)
 class Tightest:
-    """The tightest moment of one kind of clearance: what, when, how much, how much was asked.
+    """The tightest moment of one kind of clearance.
 
-    ``distance`` is the certified lower bound in metres, for every displacement in the tracking
-    ball; ``between`` names the two things ("segment 3", "vehicle 5").
+    ``distance`` is the certified lower bound in metres, for every displacement within the tracking
+    radius; ``between`` names the two objects ("segment 3", "vehicle 5").
     """
 
     distance: float
@@ -36,10 +36,10 @@ class Robustness:
 
 @dataclass(frozen=True)
 class Window:
-    """A way out of the plan while the cable is aloft: share of the time at which it is open.
+    """Availability of a contingency while the cable is aloft.
 
-    ``wait`` is the largest time in seconds to the nearest open moment, forward or back; infinite
-    where there is none.
+    ``share`` of the time at which it is open; ``wait`` the largest time in seconds to the nearest
+    open moment, forward or backward, infinite without an open moment.
     """
 
     share: float
@@ -47,22 +47,22 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Stops:
-    """What if it stops here: windows to land together and to let go, and the longest stop."""
+class Contingencies:
+    """Windows to land together and to release; the longest stop in seconds and in metres."""
 
     land: Window
     release: Window
-    time: float
-    distance: float
+    stop_time: float
+    stop_distance: float
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """Everything that the pre-flight checks found out about a plan.
+    """Results of all checks of a plan.
 
-    ``moments`` are the tightest of each kind of clearance, ``budget`` says what may eat the
-    distances of the tightest strands; ``stops`` is None where the cable is never aloft. ``coast``
-    caps the clock for the ends of setpoints.
+    ``moments`` are the tightest of each kind of clearance. ``budget`` lists what reduces the
+    distances of the tightest strands. ``contingencies`` is None where the cable is never aloft.
+    ``stream_loss`` limits the clock's rate, so that clearances hold after a loss of setpoints.
     """
 
     findings: tuple[Finding, ...]
@@ -75,14 +75,14 @@ class Assessment:
     robustness: Robustness = field(default_factory=Robustness)
     moments: tuple[Moment, ...] = ()
     budget: tuple[Budget, ...] = ()
-    stops: Stops | None = None
-    coast: CoastCertificate | None = None
+    contingencies: Contingencies | None = None
+    stream_loss: StreamLossCertificate | None = None
 
     @property
     def tightest(self) -> tuple[Moment, ...]:
-        """The five tightest moments of all clearances, tightest first."""
-        apart = [moment for moment in self.moments if moment.check in CLEARANCES]
-        return tuple(sorted(apart, key=lambda moment: moment.margin)[:TIGHTEST])
+        """The TIGHTEST moments of all clearances, tightest first."""
+        distances = [moment for moment in self.moments if moment.check in CLEARANCES]
+        return tuple(sorted(distances, key=lambda moment: moment.margin)[:TIGHTEST])
 
     @property
     def cleared(self) -> bool:

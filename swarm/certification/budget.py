@@ -1,8 +1,8 @@
-"""Why a plan needs the room that it has: what eats the distance of two strands at a moment.
+"""The clearance budget: all effects that reduce the distance of two strands at a moment.
 
-Everything is a movement along the line between the closest points, in metres, one strand's added
-to the other's, as if all came together. Only tracking is in the certificate; the rest are
-estimates, with the models named at each.
+Every effect is a movement along the line between the closest points, in metres. The movements of
+both strands are added, as if all effects came together. Only tracking is part of the certificate;
+the others are estimates, each with its model.
 """
 
 import math
@@ -29,25 +29,31 @@ from swarm.planning import Plan
 Floats = npt.NDArray[np.float64]
 
 DIRECTIONS = 8
-"""Headings of wind and of braking that are tried."""
+"""Headings of wind and of braking, 45° apart; the largest movement of all counts."""
+
+NEARLY_STRAIGHT = 0.9995
+"""Largest ratio of chord to length at which strands are drawn: a straight strand has no catenary.
+The taut check refuses plans far below it."""
 
 _PIECES = 64
+"""Pieces of a strand for its closest point: 5 cm of a strand of 3 m."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """One row of the table: what two strands have between them, and what may eat it, metres.
+    """One row of the budget: the distance of two strands and the effects on it, metres.
 
-    ``distance`` is between surfaces at the setpoints. ``tracking`` is what the ball moves bodily,
-    ``amplification`` what sagging and tautening makes of it on top, ``length`` the tolerance of the
-    segments' lengths, ``grip`` the droppers' leaning with the planned acceleration, ``sway`` the
-    strands' leaning with it, ``stop`` their swing after a stop with the braking reserve, ``wind``
-    the mission's steady wind with its gusts, ``wash`` the downwash of vehicles above.
+    ``available`` is the distance between surfaces at the setpoints. Effects: ``tracking``, the
+    displacement by the tracking error; ``amplification``, the additional movement because strands
+    sag and tighten; ``length``, the tolerance of the segments' lengths; ``grip``, droppers that
+    lean with the planned acceleration; ``sway``, strands that lean with it; ``stop``, the swing
+    after a stop with the braking reserve; ``wind``, the mission's steady wind and gusts; ``wash``,
+    the downwash of vehicles above.
     """
 
     between: tuple[str, str]
     time: float
-    distance: float
+    available: float
     tracking: float
     amplification: float
     length: float
@@ -59,22 +65,22 @@ class Budget:
     required: float
 
     @property
-    def eaten(self) -> float:
-        """Sum of everything that may eat the distance."""
+    def effects(self) -> float:
+        """Sum of all effects."""
         return (
             self.tracking + self.amplification + self.length + self.grip
             + self.sway + self.stop + self.wind + self.wash
         )  # fmt: skip
 
     @property
-    def left(self) -> float:
-        """What is left if all comes together; a user may well accept a little below nothing."""
-        return self.distance - self.eaten - self.required
+    def remaining(self) -> float:
+        """Margin if all effects come together; a slightly negative one can be acceptable."""
+        return self.available - self.effects - self.required
 
 
 @dataclass(frozen=True, eq=False)
 class _Strand:
-    """A strand at a moment, the place on it that matters, and the direction."""
+    """A strand at a moment, its closest point as a fraction of length, and the direction."""
 
     segment: int
     start: Floats
@@ -83,18 +89,18 @@ class _Strand:
     fraction: float
     normal: Floats
 
-    def hung(self, length: float | None = None, down: Floats | Place = STILL_AIR) -> Catenaries:
+    def catenary(self, length: float | None = None, down: Floats | Place = STILL_AIR) -> Catenaries:
         chord = float(np.linalg.norm(self.end - self.start))
-        length = max(self.length if length is None else length, chord / 0.9995)
+        length = max(self.length if length is None else length, chord / NEARLY_STRAIGHT)
         return hang(self.start, self.end, length, down=down)
 
-    def moved(self, length: float | None = None, down: Floats | Place = STILL_AIR) -> float:
-        """How far the place moves along the normal when length or gravity change."""
-        step = self.hung(length, down).points_at(self.fraction)
-        return float((step - self.hung().points_at(self.fraction)) @ self.normal)
+    def movement(self, length: float | None = None, down: Floats | Place = STILL_AIR) -> float:
+        """Movement of the point along the normal when length or gravity change."""
+        step = self.catenary(length, down).points_at(self.fraction)
+        return float((step - self.catenary().points_at(self.fraction)) @ self.normal)
 
-    def pulled_down(self) -> Floats:
-        """Movement (3,) of the place if a great weight hung there: both parts straight."""
+    def straightened(self) -> Floats:
+        """Movement (3,) of the point under an infinite load there: both parts straight."""
         chord_vector = self.end - self.start
         chord = max(float(np.linalg.norm(chord_vector)), 1e-9)
         along = chord_vector / chord
@@ -103,14 +109,14 @@ class _Strand:
         below = np.array([0.0, 0.0, -1.0]) + along[2] * along
         below /= max(float(np.linalg.norm(below)), 1e-9)
         depth = math.sqrt(max(first**2 - foot**2, 0.0))
-        place: Floats = self.start + foot * along + depth * below
-        return place - self.hung().points_at(self.fraction)
+        point: Floats = self.start + foot * along + depth * below
+        return point - self.catenary().points_at(self.fraction)
 
-    def answer(self) -> float:
-        """Movement along the normal per metre by which both ends err, at the worst."""
+    def response(self) -> float:
+        """Largest movement along the normal per metre of error of both ends."""
         one = np.ones(1)
-        hung = self.hung()
-        strands = hang(hung.start[None], hung.end[None], hung.length[None])
+        drawn = self.catenary()
+        strands = hang(drawn.start[None], drawn.end[None], drawn.length[None])
         found = response(
             strands, self.fraction * one, np.array([BOTH_ENDS]), self.normal[None],
             (self.fraction * one, self.fraction * one), 0.0 * one,
@@ -119,7 +125,7 @@ class _Strand:
 
 
 def budgets(plan: Plan, moments: Iterable[Moment]) -> tuple[Budget, ...]:
-    """Return the table's rows for moments between two strands, in the given order."""
+    """Return the rows for moments between two strands, in the given order."""
     return tuple(
         _budget(plan, moment)
         for moment in moments
@@ -131,26 +137,29 @@ def _budget(plan: Plan, moment: Moment) -> Budget:
     mission = plan.mission
     segments = [int(name.split()[1]) - 1 for name in moment.between]
     place, _, acceleration = plan.motion.at(moment.time)
-    distance, strands = _closest(plan, place, segments, np.array(moment.where))
-    leaning = [0.5 * (acceleration[segment] + acceleration[segment + 1]) for segment in segments]
+    available, strands = _closest(plan, place, segments, np.array(moment.where))
+    strand_acceleration = [
+        0.5 * (acceleration[segment] + acceleration[segment + 1]) for segment in segments
+    ]
     radius, tolerance = mission.vehicles.tracking, mission.cable.length_tolerance
-    total = radius * sum(strand.answer() for strand in strands)
+    total = radius * sum(strand.response() for strand in strands)
     bodily = min(2.0 * radius, total)
-    tilt = [float(np.hypot(a[0], a[1])) / STANDARD_GRAVITY for a in leaning]
+    tilt = [float(np.hypot(a[0], a[1])) / STANDARD_GRAVITY for a in strand_acceleration]
     grip = [mission.vehicles.grip_offset * math.sin(math.atan(angle)) for angle in tilt]
     return Budget(
         between=moment.between,
         time=moment.time,
-        distance=distance,
+        available=available,
         tracking=bodily,
         amplification=total - bodily,
         length=sum(
-            max(abs(strand.moved(length=strand.length + sign * tolerance)) for sign in (-1, 1))
+            max(abs(strand.movement(length=strand.length + sign * tolerance)) for sign in (-1, 1))
             for strand in strands
         ),
-        grip=sum(size * strand.answer() for size, strand in zip(grip, strands, strict=True)),
+        grip=sum(size * strand.response() for size, strand in zip(grip, strands, strict=True)),
         sway=sum(
-            abs(strand.moved(down=felt(a))) for a, strand in zip(leaning, strands, strict=True)
+            abs(strand.movement(down=effective_gravity(acceleration)))
+            for acceleration, strand in zip(strand_acceleration, strands, strict=True)
         ),
         stop=_stop(strands, mission.vehicles.braking_acceleration),
         wind=_wind(plan, strands),
@@ -162,17 +171,17 @@ def _budget(plan: Plan, moment: Moment) -> Budget:
 def _closest(
     plan: Plan, place: Floats, segments: list[int], where: Floats
 ) -> tuple[float, tuple[_Strand, _Strand]]:
-    """The strands with their points that matter: the closest of those near ``where``."""
+    """The surface distance and both strands with their closest points near ``where``."""
     ends = [(place[segment], place[segment + 1]) for segment in segments]
     lengths = [float(plan.layout.lengths[segment]) for segment in segments]
     points = [
-        hang(start, end, max(length, float(np.linalg.norm(end - start)) / 0.9995)).points(
+        hang(start, end, max(length, float(np.linalg.norm(end - start)) / NEARLY_STRAIGHT)).points(
             np.linspace(0.0, 1.0, _PIECES + 1)
         )
         for (start, end), length in zip(ends, lengths, strict=True)
     ]
     if abs(segments[0] - segments[1]) == 1:
-        # Neighbours are closest in their vehicle's hand; what matters is where the moment was.
+        # Neighbours are closest at their shared grip; the moment's position is what counts.
         at = [float(np.argmin(np.linalg.norm(p - where, axis=-1))) for p in points]
     else:
         found = polyline_polyline(points[0], points[1])
@@ -191,28 +200,25 @@ def _closest(
     return size - plan.mission.cable.diameter, (one, other)
 
 
-def felt(acceleration: Floats) -> Floats:
-    """Direction of the gravity that a strand feels that is accelerated along with its ends."""
+def effective_gravity(acceleration: Floats) -> Floats:
+    """Return the effective gravity (3,) of a strand that accelerates together with its ends."""
     return np.array([0.0, 0.0, -STANDARD_GRAVITY]) - acceleration
 
 
 def _stop(strands: tuple[_Strand, _Strand], braking: float) -> float:
-    """Pendulum bound: strands that lean while braking swing as far to the other side after it.
+    """Pendulum bound: strands that lean while braking swing equally far to the other side.
 
-    Both may brake along any heading, and against each other.
+    Both may brake along any heading, also in opposite directions.
     """
     headings = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    level = [braking * np.array([math.cos(h), math.sin(h), 0.0]) for h in headings]
     return sum(
-        max(
-            abs(strand.moved(down=felt(braking * np.array([math.cos(h), math.sin(h), 0.0]))))
-            for h in headings
-        )
-        for strand in strands
+        max(abs(strand.movement(down=effective_gravity(a))) for a in level) for strand in strands
     )
 
 
 def _wind(plan: Plan, strands: tuple[_Strand, _Strand]) -> float:
-    """Both lean with the steady wind, one of them with the gust on top; worst direction."""
+    """Both lean in the steady wind, one of them also in the gust; worst direction."""
     steady, gust = plan.mission.wind.steady, plan.mission.wind.gust
     if steady + gust == 0.0:
         return 0.0
@@ -223,23 +229,23 @@ def _wind(plan: Plan, strands: tuple[_Strand, _Strand]) -> float:
         calm, gusty = (wind_down(plan, speed, heading) for speed in (steady, steady + gust))
         worst = max(
             worst,
-            abs(one.moved(down=gusty) - other.moved(down=calm)),
-            abs(one.moved(down=calm) - other.moved(down=gusty)),
+            abs(one.movement(down=gusty) - other.movement(down=calm)),
+            abs(one.movement(down=calm) - other.movement(down=gusty)),
         )
     return worst
 
 
 def _wash(plan: Plan, place: Floats, strand: _Strand) -> float:
-    """How far the downwash of the vehicle that blows hardest on the spot can push it.
+    """Deflection by the strongest downwash of other vehicles at the point.
 
-    The drag of the vehicle's jet on the cable within it (:func:`jet_speed`) hangs on the strand as
-    a point load, which deflects it by about F·s(1 − s)·span / H, H the horizontal tension, and
-    never beyond where both parts of the strand are straight. The vehicles that hold the strand are
-    left out: at their grip both of their segments begin in the same jet.
+    The drag of the vehicle's jet on the cable within it (:func:`jet_speed`) is a point load. It
+    deflects the strand by about F·s(1 − s)·span / H, H the horizontal tension, limited to the
+    shape with both parts straight. The vehicles that hold the strand are left out: at their grip
+    both of their segments begin in the same jet.
     """
     mission = plan.mission
-    hung = strand.hung()
-    spot = hung.points_at(strand.fraction)
+    drawn = strand.catenary()
+    spot = drawn.points_at(strand.fraction)
     below = place[:, 2] + mission.vehicles.grip_offset - spot[2]
     aside = np.hypot(place[:, 0] - spot[0], place[:, 1] - spot[1])
     speed = jet_speed(mission, below, aside)
@@ -248,27 +254,27 @@ def _wash(plan: Plan, place: Floats, strand: _Strand) -> float:
         return 0.0
     drag = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * mission.cable.diameter * speed**2
     load = float(np.max(drag * 2.0 * jet_width(mission, np.maximum(below, 0.0))))
-    horizontal = float(hung.tension(mission.cable.mass_per_length)[0])
+    horizontal = float(drawn.tension(mission.cable.mass_per_length)[0])
     share = strand.fraction * (1.0 - strand.fraction)
-    deflection = load * share * float(hung.span) / max(horizontal, 1e-6)
-    farthest = strand.pulled_down()
+    deflection = load * share * float(drawn.span) / max(horizontal, 1e-6)
+    farthest = strand.straightened()
     reached = min(1.0, deflection / max(float(np.linalg.norm(farthest)), 1e-9))
     return reached * abs(float(farthest @ strand.normal))
 
 
 def table(rows: Iterable[Budget]) -> str:
-    """Lay the rows out as text, in centimetres."""
+    """Return the rows as a text table, in centimetres."""
     heads = (
-        "between", "at", "has", "tracking", "sag", "length", "grip", "sway", "stop", "wind",
-        "wash", "asked", "left",
+        "between", "at", "available", "tracking", "sag", "length", "grip", "sway", "stop", "wind",
+        "wash", "required", "remaining",
     )  # fmt: skip
-    lines = ["  ".join([f"{heads[0]:<24}", *(f"{head:>8}" for head in heads[1:])])]
+    lines = ["  ".join([f"{heads[0]:<24}", *(f"{head:>9}" for head in heads[1:])])]
     for row in rows:
         values = (
-            row.distance, row.tracking, row.amplification, row.length, row.grip, row.sway,
-            row.stop, row.wind, row.wash, row.required, row.left,
+            row.available, row.tracking, row.amplification, row.length, row.grip, row.sway,
+            row.stop, row.wind, row.wash, row.required, row.remaining,
         )  # fmt: skip
         pair = " and ".join(name.replace("segment ", "") for name in row.between)
-        cells = [f"{row.time:>7.1f}s", *(f"{100 * value:>6.0f}cm" for value in values)]
+        cells = [f"{row.time:>8.1f}s", *(f"{100 * value:>7.0f}cm" for value in values)]
         lines.append("  ".join([f"{'segments ' + pair:<24}", *cells]))
     return "\n".join(lines)

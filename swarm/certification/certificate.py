@@ -14,7 +14,7 @@ from swarm.certification.assess import assess, with_robustness
 from swarm.certification.assessment import Assessment
 from swarm.certification.clearances import Moment, tightest_moments
 from swarm.certification.findings import Finding
-from swarm.certification.stream_loss import CoastCertificate
+from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.notebook import table
 from swarm.planning import Gate, Phase, Plan, digest
@@ -154,7 +154,7 @@ def certify_robustness(
 
     Raises :class:`Refused` where it belongs to another plan.
     """
-    refuse_other(plan, certificate)
+    require_same_plan(plan, certificate)
     found = with_robustness(plan, certificate.assessment, progress)
     return replace(certificate, assessment=found, made_by=_MADE_HERE)
 
@@ -175,7 +175,7 @@ def _without_grips(gates: Sequence[Gate]) -> list[Gate]:
     return [gate for gate in gates if gate.condition not in {"gripped", "released"}]
 
 
-def refuse_other(plan: Plan, certificate: Certificate) -> None:
+def require_same_plan(plan: Plan, certificate: Certificate) -> None:
     """Raise :class:`Refused` unless the certificate was computed from exactly this plan."""
     if not certificate.of(plan):
         raise Refused(
@@ -184,7 +184,7 @@ def refuse_other(plan: Plan, certificate: Certificate) -> None:
         )
 
 
-def refuse_errors(certificate: Certificate) -> None:
+def require_no_errors(certificate: Certificate) -> None:
     """Raise :class:`Refused` with every error that the certificate holds."""
     errors = [finding for finding in certificate.findings if finding.severity == "error"]
     if errors:
@@ -206,8 +206,8 @@ class CertifiedPlan:
 
     def check(self) -> None:
         """Compare plan and certificate once more: arrays of a plan can be written to."""
-        refuse_other(self.plan, self.certificate)
-        refuse_errors(self.certificate)
+        require_same_plan(self.plan, self.certificate)
+        require_no_errors(self.certificate)
 
     @property
     def assessment(self) -> Assessment:
@@ -215,6 +215,6 @@ class CertifiedPlan:
         return self.certificate.assessment
 
     @property
-    def coast(self) -> CoastCertificate | None:
+    def stream_loss(self) -> StreamLossCertificate | None:
         """The largest rates of the mission clock for lost setpoints, where they are known."""
-        return self.assessment.coast
+        return self.assessment.stream_loss

@@ -151,7 +151,7 @@ def tightest_moments(
     return tuple(found)
 
 
-def shortfalls(plan: Plan, checks: Collection[str]) -> tuple[Moment, ...]:
+def violations(plan: Plan, checks: Collection[str]) -> tuple[Moment, ...]:
     """Return where clearances of the named checks do not hold.
 
     Of every pair, the worst moment of every second or less in which it fails: what is to be mended.

@@ -28,7 +28,7 @@ _PORTION = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
+class ContingencyWindows:
     """What can be done at the moments ``time`` (k,) of a plan.
 
     ``land`` (k,): all straight down together, up to STAGGER apart; ``release`` (k,): all let go.
@@ -62,11 +62,11 @@ class Windows:
             return None
         return float(moments[np.argmin(np.abs(moments - time))])
 
-    def releasable(self, time: float) -> bool:
+    def can_release(self, time: float) -> bool:
         """Whether all can let go at a time: at the moments on both sides of it."""
         return self._open(self.release, time)
 
-    def landable(self, time: float) -> bool:
+    def can_land(self, time: float) -> bool:
         """Whether all can land together at a time: at the moments on both sides of it."""
         return self._open(self.land, time)
 
@@ -77,7 +77,7 @@ class Windows:
         return bool(flags[after] and flags[max(after - 1, 0)])
 
 
-def windows(plan: Plan, *, whole: bool = False) -> Windows:
+def contingency_windows(plan: Plan, *, whole: bool = False) -> ContingencyWindows:
     """Work out the windows of a plan while its cable is aloft, or of the ``whole`` flight.
 
     Nothing may hang above a rotor disc, nor beside it by tracking and AROUND_ROTORS: what falls or
@@ -100,13 +100,13 @@ def windows(plan: Plan, *, whole: bool = False) -> Windows:
         place, held = plan.motion.at(time[part])[0], hangs[part]
         even = ~held
         if held.any():
-            release[part][held] = nothing_above(plan, place[held])
+            release[part][held] = rotors_clear(plan, place[held])
             even[held] = _uneven(plan, place[held])
         land[part] = release[part] & _apart(plan, place) & even
-    return Windows(time, land, release)
+    return ContingencyWindows(time, land, release)
 
 
-def nothing_above(plan: Plan, place: Floats) -> Flags:
+def rotors_clear(plan: Plan, place: Floats) -> Flags:
     """Whether no cable is above any rotor disc, for grip points (k, n, 3)."""
     vehicles, lengths = plan.mission.vehicles, plan.layout.lengths
     chords = np.linalg.norm(np.diff(place, axis=1), axis=-1)

@@ -18,9 +18,9 @@ from swarm.planning import CableState, Plan
 
 Floats = npt.NDArray[np.float64]
 
-AHEAD = 1.5
+LOOKAHEAD = 1.5
 """Seconds ahead at which conflicts are looked for."""
-CAUTION = 0.1
+SLOWING_MARGIN = 0.1
 """Metres of margin below which the clock slows; without margin it stands still."""
 _POINTS = 20
 _BOWED = 0.02
@@ -45,9 +45,9 @@ class Clearances:
     margin: float
 
     @property
-    def pace(self) -> float:
+    def clock_rate(self) -> float:
         """Return the rate at which the clock may run, 0…1."""
-        return min(1.0, max(0.0, self.margin / CAUTION))
+        return min(1.0, max(0.0, self.margin / SLOWING_MARGIN))
 
 
 class Monitor:
@@ -61,12 +61,14 @@ class Monitor:
         self._pairs = np.triu_indices(n, 1)
         first, second = np.triu_indices(max(n - 1, 0), 2)
         self._strands = np.ascontiguousarray(np.stack([first, second], axis=1))
-        self._matters = plan.mission.clearance.cable + plan.mission.cable.diameter + 1.5 * CAUTION
+        self._matters = (
+            plan.mission.clearance.cable + plan.mission.cable.diameter + 1.5 * SLOWING_MARGIN
+        )
         self._longest = TAUT * self._lengths
         self._spacing = float(self._lengths.max(initial=0.0)) / _POINTS
         self._room = np.zeros((len(self._lengths), _POINTS + 1, 3))
 
-    def look(self, moments: Floats, cable: CableState) -> list[Clearances]:
+    def clearances(self, moments: Floats, cable: CableState) -> list[Clearances]:
         """Return the clearances of grip points (k, n, 3), mission ENU, at each of k moments."""
         first, second = self._pairs
         between = moments[:, first] - moments[:, second]
@@ -96,7 +98,7 @@ class Monitor:
             for s, v, r, m in zip(strands, vehicle, ratio, margin, strict=True)
         ]
 
-    def pace(self, moments: Floats, cable: CableState) -> float:
+    def clock_rate(self, moments: Floats, cable: CableState) -> float:
         """The rate at which the clock may run, 0…1, as the margins at the moments (k, n, 3) allow.
 
         As from :meth:`look`, which knows more of strands that are far apart.
@@ -107,7 +109,7 @@ class Monitor:
             cable == "aloft", self._longest, self._lengths, self._strands, self._matters,
             self._spacing, self._room,
         )  # fmt: skip
-        return min(1.0, max(0.0, margin / CAUTION))
+        return min(1.0, max(0.0, margin / SLOWING_MARGIN))
 
     def _between_strands(self, moments: Floats, far: float) -> Floats:
         """Smallest distances (k,) between strands, or lower bounds of what is far apart."""

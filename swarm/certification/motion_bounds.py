@@ -34,7 +34,7 @@ class Course:
 
     @cached_property
     def accelerations(self) -> Floats:
-        """Largest accelerations (l, k, n) on runs of 2^l pieces; see :func:`run_between`."""
+        """Largest accelerations (l, k, n) on runs of 2^l pieces; see :func:`pieces_between`."""
         return self._largest(2)
 
     @cached_property
@@ -84,13 +84,13 @@ def _bounds_between(
 ) -> None:
     """Write the largest that ``tables`` know of all (n,) in intervals (m,)."""
     for m in range(len(start)):
-        run = run_between(joints, start[m], end[m])
+        run = pieces_between(joints, start[m], end[m])
         for i in range(found.shape[1]):
-            found[m, i] = largest_in(tables, run, i)
+            found[m, i] = largest_between(tables, run, i)
 
 
 @compiled
-def run_between(joints: Floats, start: float, end: float) -> tuple[int, int, int]:
+def pieces_between(joints: Floats, start: float, end: float) -> tuple[int, int, int]:
     """Where tables of a course have what is between two times: of two runs the first pieces and the
     level. ``joints`` are the times at which the course's pieces join."""
     first = np.searchsorted(joints, start)
@@ -102,7 +102,7 @@ def run_between(joints: Floats, start: float, end: float) -> tuple[int, int, int
 
 
 @compiled
-def largest_in(tables: Floats, run: tuple[int, int, int], i: int) -> float:
-    """The largest that ``tables`` know of one of n between the times of :func:`run_between`."""
+def largest_between(tables: Floats, run: tuple[int, int, int], i: int) -> float:
+    """The largest that ``tables`` know of one of n between the times of :func:`pieces_between`."""
     first, last, level = run
     return float(max(tables[level, first, i], tables[level, last, i]))

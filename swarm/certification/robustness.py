@@ -21,7 +21,7 @@ WIND_STEP = 0.1
 DIRECTIONS = 8
 
 
-def robust_to(
+def robustness_of(
     plan: Plan, moments: Iterable[Moment], progress: Progress | None = None
 ) -> Robustness:
     """Return e* and w* of a plan with its tightest moments; ``progress`` is told of both."""
@@ -66,7 +66,7 @@ def largest_wind(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
     return _largest(search, 0.0, _all_held(moments), MOST_WIND, WIND_STEP)
 
 
-def lost_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], float] | None:
+def failure_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], float] | None:
     """Return what the certificate loses first with the strands tilted by a steady wind, m/s.
 
     That is the check, between which two things, and when; None where everything holds. At the

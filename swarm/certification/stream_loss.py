@@ -41,59 +41,59 @@ _PORTION = 128
 
 
 @dataclass(frozen=True)
-class Coasting:
+class StreamLossModel:
     """What decides how vehicles coast.
 
-    After a lost stream they move on for ``after`` seconds (COM_OF_LOSS_T, GUID_TIMEOUT): one number
-    per vehicle along the cable, or one for all. One that lands then comes down by up to ``sinking``
-    metres (as many numbers) before the others do. ``silence`` is how long in seconds the ground
-    station waits before it holds the others.
+    After a lost stream they move on for ``timeout`` seconds (COM_OF_LOSS_T, GUID_TIMEOUT): one
+    number per vehicle along the cable, or one for all. A vehicle that then lands descends by up to
+    ``descent`` metres (as many numbers) before the others do. ``silence`` is the time in seconds
+    after which the ground station holds the others.
     """
 
-    after: tuple[float, ...] = (0.5,)
+    timeout: tuple[float, ...] = (0.5,)
     silence: float = 0.7
-    sinking: tuple[float, ...] = (0.0,)
+    descent: tuple[float, ...] = (0.0,)
 
     def ways(self, mission: Mission, n: int) -> Ways:
         """Return how far each of n vehicles goes on."""
         vehicles = mission.vehicles
         steepest = vehicles.braking_acceleration / vehicles.max_speed
-        after = np.broadcast_to(np.array(self.after) + BRAKING, n)
-        sinking = np.broadcast_to(np.array(self.sinking), n)
+        after = np.broadcast_to(np.array(self.timeout) + BRAKING, n)
+        sinking = np.broadcast_to(np.array(self.descent), n)
         return Ways(after, BRAKING, self.silence, steepest, sinking)
 
 
 @dataclass(frozen=True)
-class Worst:
+class WorstLoss:
     """The moment at which least is left: margin in metres, mission time, and who coasts there
     (counted from 1; 0: everybody)."""
 
     margin: float
     time: float
-    who: int
+    vehicle: int
 
 
 @dataclass(frozen=True, eq=False)
-class CoastCertificate:
+class StreamLossCertificate:
     """The largest rate (k,) of the mission clock at mission times (k,), for lost setpoints.
 
     ``worst`` is the moment with the smallest margin at the capped rate, of those that were looked
-    at; ``hopeless`` are the times from which on even the slowest rate leaves none, or none could be
-    shown to be left; ``coasting`` is what it holds for, ``digest`` of which plan.
+    at; ``infeasible`` are the times from which on even the slowest rate leaves none, or none could
+    be shown to be left; ``model`` is what it holds for, ``digest`` of which plan.
     """
 
     times: Floats
     rates: Floats
-    worst: Worst
-    hopeless: Floats
-    coasting: Coasting
+    worst: WorstLoss
+    infeasible: Floats
+    model: StreamLossModel
     digest: str
 
-    def holds_for(self, plan: Plan, coasting: Coasting) -> bool:
+    def holds_for(self, plan: Plan, model: StreamLossModel) -> bool:
         """Whether it was computed from exactly this plan and these vehicles."""
-        return self.coasting == coasting and self.digest == digest(plan)
+        return self.model == model and self.digest == digest(plan)
 
-    def cap(self, time: float) -> float:
+    def rate_limit(self, time: float) -> float:
         """Return the largest rate at a mission time."""
         if not len(self.times) or not self.times[0] <= time <= self.times[-1]:
             return 1.0
@@ -101,7 +101,7 @@ class CoastCertificate:
         return float(min(self.rates[after], self.rates[max(after - 1, 0)]))
 
     @property
-    def slowed(self) -> float:
+    def delay(self) -> float:
         """By how much longer the fold takes at these rates, seconds."""
         if not len(self.times):
             return 0.0
@@ -112,29 +112,29 @@ class CoastCertificate:
         """Return what a plan's reader must know of it."""
         if not len(self.times):
             return []
-        who = f"vehicle {self.worst.who}" if self.worst.who else "the whole team"
+        who = f"vehicle {self.worst.vehicle}" if self.worst.vehicle else "the whole team"
         words = (
             f"whenever setpoints end in the fold, for all or for one, clearances and chords are "
             f"kept; least is left where {who} loses them, {max(self.worst.margin, 0.0):.2f} m"
         )
-        if len(self.hopeless):
+        if len(self.infeasible):
             lost = self.worst.margin
             what = f"is lost by {-lost:.2f} m" if lost < 0.0 else "cannot be shown to be kept"
             return [
                 Finding(
-                    "warning", "coast",
-                    f"if setpoints end near {self.hopeless[0]:.1f} s, for all or for one, a "
+                    "warning", "stream loss",
+                    f"if setpoints end near {self.infeasible[0]:.1f} s, for all or for one, a "
                     f"clearance or chord {what} even at {RATES[-1]:.0%} of the pace ({who})",
                     self.worst.time,
                 )
             ]  # fmt: skip
-        found = [Finding("info", "coast", words, self.worst.time)]
+        found = [Finding("info", "stream loss", words, self.worst.time)]
         capped = self.rates < 1.0
         if capped.any():
             slowest = float(self.rates.min())
             found.append(
                 Finding(
-                    "info", "coast",
+                    "info", "stream loss",
                     f"for that the clock runs at {slowest:.0%} at least and below 100% during "
                     f"{capped.mean():.0%} of the fold",
                     float(self.times[int(np.argmin(self.rates))]),
@@ -143,17 +143,19 @@ class CoastCertificate:
         return found
 
 
-def coast(plan: Plan, coasting: Coasting = Coasting()) -> CoastCertificate:
+def certify_stream_loss(
+    plan: Plan, model: StreamLossModel = StreamLossModel()
+) -> StreamLossCertificate:
     """Work out what the ends of all and of single streams do at every moment of the fold."""
     fold = [one for one in plan.phases if one.name == "fold" and one.cable == "aloft"]
     if not fold or plan.vehicles < 2:
         nothing = np.empty(0)
-        return CoastCertificate(
-            nothing, nothing, Worst(np.inf, 0.0, 0), nothing, coasting, digest(plan)
+        return StreamLossCertificate(
+            nothing, nothing, WorstLoss(np.inf, 0.0, 0), nothing, model, digest(plan)
         )
     times = np.append(np.arange(fold[0].start, fold[-1].end, STEP), fold[-1].end)
     monitor = Monitor(plan)
-    ways = coasting.ways(plan.mission, plan.vehicles)
+    ways = model.ways(plan.mission, plan.vehicles)
     rates = np.full(len(times), np.nan)
     margins, whose = np.full(len(times), -np.inf), np.zeros(len(times), dtype=np.intp)
     for rate in RATES:
@@ -168,9 +170,9 @@ def coast(plan: Plan, coasting: Coasting = Coasting()) -> CoastCertificate:
     rates[lost] = RATES[-1]
     unshown = _lowered(CoastBound(plan, ways, fold[-1].end), times, rates, lost)
     tightest = int(np.argmin(margins))
-    worst = Worst(float(margins[tightest]), float(times[tightest]), int(whose[tightest]))
-    return CoastCertificate(
-        times, _reachable(plan.mission, times, rates), worst, times[lost | unshown], coasting,
+    worst = WorstLoss(float(margins[tightest]), float(times[tightest]), int(whose[tightest]))
+    return StreamLossCertificate(
+        times, _reachable(plan.mission, times, rates), worst, times[lost | unshown], model,
         digest(plan),
     )  # fmt: skip
 
@@ -234,7 +236,7 @@ def _look(monitor: Monitor, places: Floats, cable: CableState) -> tuple[Floats, 
     seen = [
         one
         for k in range(0, len(places), _PORTION)
-        for one in monitor.look(places[k : k + _PORTION], cable)
+        for one in monitor.clearances(places[k : k + _PORTION], cable)
     ]
     return np.array([one.cable for one in seen]), np.array([one.margin for one in seen])
 

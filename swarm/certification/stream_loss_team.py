@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.motion_bounds import largest_in, run_between
+from swarm.certification.motion_bounds import largest_between, pieces_between
 from swarm.jit import compiled
 from swarm.trajectory import piece_at, state_of
 
@@ -76,11 +76,11 @@ def stand(box: Box, leaving: Leaving, standing: Standing, doubts: Floats) -> boo
     moment, width = box.time + gone, box.half + gone_half
     later, until = min(moment, leaving.end), min(moment + width, leaving.end)
     piece, since, moving = piece_at(leaving.breaks, later)
-    run = run_between(leaving.joints, later - width, until)
+    run = pieces_between(leaving.joints, later - width, until)
     largest = 0.0
     for i in range(len(loose)):
         state_of(leaving.coefficients[piece], i, since, moving, place[i], along[i], standing.one[2])
-        bound = largest_in(leaving.accelerations, run, i)
+        bound = largest_between(leaving.accelerations, run, i)
         # Where the plan may have it, at the same time as the others.
         size = _size(along[i])
         loose[i] = size * gone_half + 0.5 * bound * width * width
@@ -110,9 +110,9 @@ def _coasting(box: Box, i: int, leaving: Leaving, standing: Standing, doubts: Fl
     begun, speed, push = standing.one[0], standing.one[1], standing.one[2]
     piece, since, moving = piece_at(leaving.breaks, box.time)
     state_of(leaving.coefficients[piece], i, since, moving, begun, speed, push)
-    run = run_between(leaving.joints, box.time - box.half, box.time + box.half)
-    strongest = largest_in(leaving.accelerations, run, i)
-    sharpest = largest_in(leaving.jerks, run, i)
+    run = pieces_between(leaving.joints, box.time - box.half, box.time + box.half)
+    strongest = largest_between(leaving.accelerations, run, i)
+    sharpest = largest_between(leaving.jerks, run, i)
     # all: each has coasted by what the farthest has, or by as much less as it stops earlier
     behind = box.rate * (leaving.after.max() - leaving.after[i]) if box.case == 0 else 0.0
     sunk = 0.5 * leaving.sinking[i] if box.case > 0 else 0.0

@@ -42,7 +42,7 @@ def layout_code(layout: Layout) -> SignedGauss:
     return SignedGauss.of((entry for _, entry in sorted(passes)), closed=False)
 
 
-def hanging_curve(grip_points: Floats, lengths: Floats) -> Floats:
+def cable_curve(grip_points: Floats, lengths: Floats) -> Floats:
     """The cable as a curve (k, 3), every segment the catenary of its length."""
     return polyline(grip_points, lengths, PIECES_PER_SEGMENT)
 
@@ -52,12 +52,12 @@ def end_code(plan: Plan) -> SignedGauss:
 
     Raises :class:`swarm.errors.SwarmError` where strands meet or the cable is over-stretched.
     """
-    return curve_gauss(hanging_curve(_held(plan), plan.layout.lengths))
+    return curve_gauss(cable_curve(_held(plan), plan.layout.lengths))
 
 
 def end_knot(plan: Plan) -> Identification:
     """The knot type of the cable's curve in space when it hangs folded, ends closed upwards."""
-    return identify_curve(hanging_curve(_held(plan), plan.layout.lengths))
+    return identify_curve(cable_curve(_held(plan), plan.layout.lengths))
 
 
 def end_time(plan: Plan) -> float:
@@ -71,4 +71,4 @@ def _held(plan: Plan) -> Floats:
     return plan.motion.at(end_time(plan))[0]
 
 
-__all__ = ["end_code", "end_knot", "end_time", "hanging_curve", "layout_code", "same_code"]
+__all__ = ["cable_curve", "end_code", "end_knot", "end_time", "layout_code", "same_code"]

@@ -5,10 +5,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from swarm.certification.air import deepest_sinking
-from swarm.certification.assessment import Stops, Window
+from swarm.certification.assessment import Contingencies, Window
 from swarm.certification.budget import Budget
 from swarm.certification.clearances import vehicle_name
-from swarm.certification.contingency_windows import longest_stop, windows
+from swarm.certification.contingency_windows import contingency_windows, longest_stop
 from swarm.certification.findings import Finding, Severity
 from swarm.certification.loads import Loads, dead_vehicle, loads, payload_limit, stuck_gripper
 from swarm.geometry.catenary import STANDARD_GRAVITY
@@ -72,7 +72,7 @@ def _mishap_findings(plan: Plan, limit: float) -> list[Finding]:
             f"bear {dead.pull:.1f} N ({limit:.1f} N is its payload): let go of it at once"
         )
         severity: Severity = "warning" if dead.pull > limit else "info"
-        findings.append(Finding(severity, "dead vehicle", message, dead.time))
+        findings.append(Finding(severity, "failed vehicle", message, dead.time))
     stuck = stuck_gripper(plan)
     if stuck is not None:
         message = (
@@ -99,12 +99,12 @@ def endurance_findings(plan: Plan, slowed: float = 0.0) -> list[Finding]:
     return [Finding(severity, "endurance", message)]
 
 
-def stops_of(plan: Plan) -> tuple[Stops | None, list[Finding]]:
+def contingencies_of(plan: Plan) -> tuple[Contingencies | None, list[Finding]]:
     """Return what can be done where the plan stops, and findings on it; None without cable aloft.
 
     The cable that is let go of at the planned release must not fall on a vehicle.
     """
-    found = windows(plan)
+    found = contingency_windows(plan)
     if not len(found.time):
         return None, []
     start, end = float(found.time[0]), float(found.time[-1])
@@ -130,9 +130,9 @@ def stops_of(plan: Plan) -> tuple[Stops | None, list[Finding]]:
         for gate in plan.gates
         if gate.condition == "released"
         and gate.time <= end + 1e-6
-        and not found.releasable(gate.time)
+        and not found.can_release(gate.time)
     ]
-    return Stops(land, release, stop.time, stop.distance), findings
+    return Contingencies(land, release, stop.time, stop.distance), findings
 
 
 def _window_finding(window: Window, what: str) -> Finding:
@@ -176,11 +176,11 @@ def budget_findings(rows: Iterable[Budget]) -> list[Finding]:
         Finding(
             "info",
             "budget",
-            f"{row.between[0]} and {row.between[1]} are {row.distance:.2f} m apart at their "
+            f"{row.between[0]} and {row.between[1]} are {row.available:.2f} m apart at their "
             f"setpoints; tracking may take {row.tracking:.2f} m, what sags and tautens of it "
             f"{row.amplification:.2f} m, length tolerance {row.length:.2f} m, leaning droppers "
             f"{row.grip:.2f} m, sway {row.sway:.2f} m, a stop {row.stop:.2f} m, wind "
-            f"{row.wind:.2f} m, rotor wash {row.wash:.2f} m: {row.left:+.2f} m are left if all "
+            f"{row.wind:.2f} m, rotor wash {row.wash:.2f} m: {row.remaining:+.2f} m remain if all "
             "come together",
             row.time,
         )

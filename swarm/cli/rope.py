@@ -63,7 +63,7 @@ def run_rope(
     for name, one, motion in work:
         began = time.perf_counter()
         with progress_bar(Console(stderr=True)) as progress:
-            run = rope.move_rope(
+            run = rope.simulate_rope(
                 one, motion, links=links, contact=not no_contact, wind=_wind(one), progress=progress
             )
         runs.append((name, one, run, time.perf_counter() - began))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from swarm.certification.findings import Finding
-from swarm.certification.stream_loss import CoastCertificate
+from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.words import in_common
@@ -14,13 +14,13 @@ from swarm.planning import digest
 class Audit:
     """What was found out about the team while it stood on the ground.
 
-    ``systems`` are the system ids in order along the cable. ``coast`` is what the ends of streams
-    do to these vehicles, where their parameters are known.
+    ``systems`` are the system ids in order along the cable. ``stream_loss`` is
+    the certificate of lost setpoints for these vehicles, where their parameters are known.
     """
 
     systems: tuple[int, ...]
     findings: tuple[Finding, ...]
-    coast: CoastCertificate | None = None
+    stream_loss: StreamLossCertificate | None = None
 
     @property
     def passed(self) -> bool:
@@ -46,8 +46,8 @@ class ClearedPlan:
                 f"the plan is for {self.flight_plan.plan.vehicles} vehicles, "
                 f"{len(self.audit.systems)} were audited"
             )
-        coast = self.audit.coast
-        if coast is not None and coast.digest != digest(self.flight_plan.plan):
+        stream_loss = self.audit.stream_loss
+        if stream_loss is not None and stream_loss.digest != digest(self.flight_plan.plan):
             raise Refused("the audit worked out lost setpoints for another plan")
         if errors:
             words = [f"{check}: {found}" for _, check, found in in_common(errors)]

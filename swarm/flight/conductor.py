@@ -14,10 +14,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from swarm.analysis.separation import escapes
-from swarm.certification.contingency_windows import windows
+from swarm.analysis.separation import separations
+from swarm.certification.contingency_windows import contingency_windows
 from swarm.certification.monitor import Clearances, Monitor
-from swarm.certification.stream_loss import Coasting, coast
+from swarm.certification.stream_loss import StreamLossModel, certify_stream_loss
 from swarm.errors import Refused
 from swarm.flight.bench_flight import is_bare
 from swarm.flight.clearance import Audit, ClearedPlan
@@ -100,12 +100,12 @@ class Conductor:
         self.bare = is_bare(fleet, no_cable=no_cable)
         self.gates = tuple(sorted(plan.gates, key=lambda gate: gate.time))
         check_rest(flight_plan.plan)
-        self.windows = windows(plan, whole=True)
-        self.escapes = escapes(plan)
-        coasting = Coasting((STREAM_LOSS_TIME,), fleet.limits.silence)
-        known = flight_plan.coast
-        fits = known is not None and known.holds_for(plan, coasting)
-        self.coast = known if known is not None and fits else coast(plan, coasting)
+        self.windows = contingency_windows(plan, whole=True)
+        self.separations = separations(plan)
+        model = StreamLossModel((STREAM_LOSS_TIME,), fleet.limits.silence)
+        known = flight_plan.stream_loss
+        fits = known is not None and known.holds_for(plan, model)
+        self.stream_loss = known if known is not None and fits else certify_stream_loss(plan, model)
         self.monitor = Monitor(plan)
         self.pull = PlannedPull(plan)
         self.sight: Sight | None = None
@@ -210,8 +210,8 @@ class Conductor:
         """Begin the flight; only a cleared plan can, and only once it is ready."""
         if cleared.flight_plan is not self.flight_plan or self.stage != "ready":
             raise Refused("this flight is not ready for that plan")
-        if cleared.audit.coast is not None:
-            self.coast = cleared.audit.coast
+        if cleared.audit.stream_loss is not None:
+            self.stream_loss = cleared.audit.stream_loss
         self.enter("fly")
         self.say("flight", f"cleared for flight: {self.basis.words}")
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from swarm.analysis.separation import escape, wanted_apart
-from swarm.certification.contingency_windows import nothing_above
+from swarm.analysis.separation import separation_motion, solo_landing_distance
+from swarm.certification.contingency_windows import rotors_clear
 from swarm.flight.pace import advance_clock, rewind_end
 from swarm.flight.router import TIMESYNC_INTERVAL
 from swarm.mavlink.vehicle import Vehicle
@@ -103,9 +103,9 @@ class Contingency:
         tired = flight.now - self._stage_since > flight.fleet.limits.hold
         if clock.stopped and (arrived or tired):
             held = any(vehicle.gripped for vehicle in flight.flyers)
-            landable = flight.windows.landable(clock.time)
-            drop = not landable and self._may_release()
-            self.cornered = held and not landable and not drop
+            can_land = flight.windows.can_land(clock.time)
+            drop = not can_land and self._may_release()
+            self.cornered = held and not can_land and not drop
             if held and (self.kind == "release" or drop):
                 self._begin_release()
             else:
@@ -127,13 +127,13 @@ class Contingency:
         They stopped by themselves, the others along the path: some decimetres from each other.
         """
         flight = self._flight
-        if not flight.windows.releasable(flight.clock.time):
+        if not flight.windows.can_release(flight.clock.time):
             return False
         places, apart = flight.setpoint.copy(), False
         for k in np.flatnonzero(~flight.streaming).tolist():
             if k not in flight.dead and np.isfinite(flight.position[k]).all():
                 places[k], apart = flight.position[k], True
-        return not apart or bool(nothing_above(flight.plan, places[None])[0])
+        return not apart or bool(rotors_clear(flight.plan, places[None])[0])
 
     def _begin_release(self) -> None:
         """Let all go together; but first, who has not answered lately and may not hear of it: what
@@ -229,7 +229,7 @@ class Contingency:
         staying = [k for k in np.flatnonzero(~flight.streaming).tolist() if k not in flight.dead]
         if flight.dead:
             dead = min(flight.dead)
-            centre, spread = start[dead], flight.escapes.at(flight.clock.time, dead)
+            centre, spread = start[dead], flight.separations.at(flight.clock.time, dead)
         elif len(staying) > 1:
             self._begin_descent()
             return
@@ -237,14 +237,14 @@ class Contingency:
             (stays,) = staying
             if np.isfinite(flight.position[stays]).all():
                 start[stays] = flight.position[stays]
-            centre, spread = start[stays], flight.escapes.at(flight.clock.time, stays)
+            centre, spread = start[stays], flight.separations.at(flight.clock.time, stays)
         else:
             centre = start.mean(axis=0)
             first, second = np.triu_indices(len(start), 1)
             level = np.linalg.norm(start[first, :2] - start[second, :2], axis=1)
             nearest = max(float(level.min(initial=np.inf)), 1e-3)
-            spread = float(np.clip(wanted_apart(mission) / nearest, 1.0, 4.0))
-        flight.guidance.detour(escape(start, centre, spread, mission), flight.moving)
+            spread = float(np.clip(solo_landing_distance(mission) / nearest, 1.0, 4.0))
+        flight.guidance.detour(separation_motion(start, centre, spread, mission), flight.moving)
         self._enter("separate")
 
     def _separate(self) -> None:

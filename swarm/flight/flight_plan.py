@@ -12,11 +12,11 @@ from swarm.certification.assessment import Assessment
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
-    refuse_errors,
-    refuse_other,
+    require_no_errors,
+    require_same_plan,
     without_cable,
 )
-from swarm.certification.stream_loss import CoastCertificate
+from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.planning import Plan, digest
 
@@ -61,8 +61,8 @@ class CableFreeFlight:
 
     def check(self) -> None:
         """Compare plan and certificate once more."""
-        refuse_other(without_cable(self.plan), self.certificate)
-        refuse_errors(self.certificate)
+        require_same_plan(without_cable(self.plan), self.certificate)
+        require_no_errors(self.certificate)
 
     @property
     def assessment(self) -> Assessment:
@@ -70,7 +70,7 @@ class CableFreeFlight:
         return self.certificate.assessment
 
     @property
-    def coast(self) -> CoastCertificate | None:
+    def stream_loss(self) -> StreamLossCertificate | None:
         """Nothing is known of cable and lost setpoints."""
         return None
 
@@ -96,7 +96,7 @@ class ResumedFlight:
             raise Refused("the recorded plan is not the plan that was flown: its digest differs")
 
     @property
-    def coast(self) -> CoastCertificate | None:
+    def stream_loss(self) -> StreamLossCertificate | None:
         """Worked out anew: a record does not keep it."""
         return None
 
@@ -113,7 +113,7 @@ class ComparisonFlight:
 
     def check(self) -> None:
         """Compare plan and certificate once more; errors in it are no obstacle."""
-        refuse_other(self.plan, self.certificate)
+        require_same_plan(self.plan, self.certificate)
 
     @property
     def assessment(self) -> Assessment:
@@ -121,9 +121,9 @@ class ComparisonFlight:
         return self.certificate.assessment
 
     @property
-    def coast(self) -> CoastCertificate | None:
+    def stream_loss(self) -> StreamLossCertificate | None:
         """The largest rates of the mission clock for lost setpoints, where they are known."""
-        return self.assessment.coast
+        return self.assessment.stream_loss
 
 
 FlightPlan = CertifiedPlan | CableFreeFlight | ResumedFlight | ComparisonFlight

@@ -37,8 +37,8 @@ def lasting(flight: "Conductor") -> tuple[object, ...]:
         flight.plan,
         flight.fleet,
         flight.windows,
-        flight.escapes,
-        flight.coast,
+        flight.separations,
+        flight.stream_loss,
         flight.monitor,
         flight.gates,
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.monitor import AHEAD, Clearances, Monitor
+from swarm.certification.monitor import LOOKAHEAD, Clearances, Monitor
 from swarm.flight import estimation
 from swarm.planning import CableState
 
@@ -66,13 +66,13 @@ class Sight:
     @cached_property
     def clearances(self) -> Clearances:
         """Distances now; the margin is the smaller of now and ahead."""
-        here, ahead = self.monitor.look(self.moments, self.cable)
+        here, ahead = self.monitor.clearances(self.moments, self.cable)
         return replace(here, margin=min(here.margin, ahead.margin))
 
     @cached_property
     def pace(self) -> float:
         """The rate at which the clock may run, 0…1."""
-        return self.monitor.pace(self.moments, self.cable)
+        return self.monitor.clock_rate(self.moments, self.cable)
 
 
 def look(flight: "Conductor") -> None:
@@ -88,7 +88,7 @@ def look(flight: "Conductor") -> None:
         return
     held = any(v.gripped for v in flight.flyers) and not flight.bare
     cable = phase.cable if held else "free"
-    moments = np.array((flight.position, flight.position + AHEAD * flight.velocity))
+    moments = np.array((flight.position, flight.position + LOOKAHEAD * flight.velocity))
     flight.sight = Sight(flight.monitor, moments, cable)
 
 

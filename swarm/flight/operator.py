@@ -79,7 +79,7 @@ def _rewind(flight: "Conductor") -> Availability:
 
 
 def _land(flight: "Conductor") -> Availability:
-    if flight.windows.landable(flight.clock.time):
+    if flight.windows.can_land(flight.clock.time):
         return Availability(True, "everybody straight down together, here")
     return Availability(True, "somebody is above somebody: moves to where all can land, then lands")
 
@@ -87,7 +87,7 @@ def _land(flight: "Conductor") -> Availability:
 def _release(flight: "Conductor") -> Availability:
     if not any(vehicle.gripped for vehicle in flight.flyers):
         return Availability(False, "nobody holds the cable")
-    if flight.windows.releasable(flight.clock.time):
+    if flight.windows.can_release(flight.clock.time):
         return Availability(True, "drops the cable, separates upwards and lands")
     return Availability(
         True, "cable hangs above a vehicle: moves to where it does not, then releases"
@@ -106,7 +106,7 @@ def _rejoin(flight: "Conductor") -> Availability:
 
 def _abort(flight: "Conductor") -> Availability:
     held = any(vehicle.gripped for vehicle in flight.flyers)
-    if held and flight.windows.releasable(flight.clock.time):
+    if held and flight.windows.can_release(flight.clock.time):
         return Availability(True, "drops the cable here, separates upwards and lands")
     return Availability(True, "everybody straight down together, here")
 
@@ -141,7 +141,7 @@ def _grant_rejoin(flight: "Conductor") -> None:
 def _grant_abort(flight: "Conductor") -> None:
     """The quickest end that drops nothing on anybody."""
     held = any(vehicle.gripped for vehicle in flight.flyers)
-    can_release = flight.windows.releasable(flight.clock.time)
+    can_release = flight.windows.can_release(flight.clock.time)
     flight.leave("release" if held and can_release else "land", "the operator aborted", move=False)
 
 

@@ -61,7 +61,7 @@ def steer(flight: "Conductor") -> None:
         pace = 1.0  # what is measured here must not decide for how long
     if flight.sight is not None:
         pace = min(pace, flight.sight.pace)
-    pace = min(pace, flight.coast.cap(clock.time))
+    pace = min(pace, flight.stream_loss.rate_limit(clock.time))
     if flight.rewinding:
         pace = -pace
         if clock.stopped and clock.time <= rewind_end(flight) + 1e-6:

@@ -11,7 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarm.certification.findings import Finding, Severity
-from swarm.certification.stream_loss import CoastCertificate, Coasting, coast
+from swarm.certification.stream_loss import (
+    StreamLossCertificate,
+    StreamLossModel,
+    certify_stream_loss,
+)
 from swarm.mavlink.frames import Projection
 from swarm.mission import Vehicles
 from swarm.mission.fleet import Fleet, Limits
@@ -269,28 +273,30 @@ def judge(
     return wrong, good
 
 
-def coasting_of(
+def stream_loss_model(
     vehicles: Sequence[tuple[Projection, Mapping[str, Value]]], limits: Limits
-) -> Coasting:
+) -> StreamLossModel:
     """Return how vehicles coast by what their parameters are, in order along the cable.
 
     A parameter that a vehicle does not tell counts as the longest that passes the audit. One that
     lands when its setpoints end comes down until it has been noticed.
     """
     names = {"px4": "COM_OF_LOSS_T", "ardupilot": "GUID_TIMEOUT"}
-    after = tuple(float(values.get(names[one], STREAM_LOSS_TIME)) for one, values in vehicles)
+    timeout = tuple(float(values.get(names[one], STREAM_LOSS_TIME)) for one, values in vehicles)
     lands = [one == "px4" and values.get("COM_OBL_RC_ACT") == 4.0 for one, values in vehicles]
-    sinking = tuple(limits.silence * limits.descent if one else 0.0 for one in lands)
-    return Coasting(after, limits.silence, sinking)
+    descent = tuple(limits.silence * limits.descent if one else 0.0 for one in lands)
+    return StreamLossModel(timeout, limits.silence, descent)
 
 
-def coasting_findings(plan: Plan, coasting: Coasting) -> tuple[CoastCertificate, list[Finding]]:
+def stream_loss_findings(
+    plan: Plan, model: StreamLossModel
+) -> tuple[StreamLossCertificate, list[Finding]]:
     """Return what these vehicles do to a plan when their setpoints end, and findings on it."""
-    found = coast(plan, coasting)
+    found = certify_stream_loss(plan, model)
     findings = found.findings()
-    lands = [sinking > 0.0 for sinking in coasting.sinking]
+    lands = [descent > 0.0 for descent in model.descent]
     if any(lands) and not all(lands):
         who = ", ".join(f"vehicle {k}" for k, one in enumerate(lands, 1) if one)
         words = f"when all setpoints end, {who} would land at once and the others hold: they part"
-        findings.append(Finding("error", "coast", words))
+        findings.append(Finding("error", "stream loss", words))
     return found, findings

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm import api, planning
-from swarm.certification.certificate import Certificate, refuse_errors
+from swarm.certification.certificate import Certificate, require_no_errors
 from swarm.errors import Refused
 from swarm.exports import MOTION_STEP, motion_rows
 from swarm.front.files import read_bytes, write_bytes
@@ -142,7 +142,7 @@ def plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
     found = api.plan(mission, progress, robustness=False)
     made = Plan.of(found.plan)
     try:
-        refuse_errors(found.certificate)
+        require_no_errors(found.certificate)
     except Refused as refusal:
         raise NotCleared(str(refusal), made, found.certificate) from None
     return made

@@ -18,7 +18,7 @@ from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.flight.jit_warm_up import warm_up
-from swarm.flight.parameters import coasting_findings, coasting_of, demands_of_plan
+from swarm.flight.parameters import demands_of_plan, stream_loss_findings, stream_loss_model
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.snapshot import Event, Snapshot
@@ -326,12 +326,12 @@ class _Asking:
             save_parameters(self._folder, audits)
         values = {one.system: one.parameters for one in audits}
         flown = [(names[v.system], values[v.system]) for v in flyers if v.system in names]
-        known, coasting = coasting_findings(plan, coasting_of(flown, fleet.limits))
-        takes = plan.duration + known.slowed
+        known, coasting = stream_loss_findings(plan, stream_loss_model(flown, fleet.limits))
+        takes = plan.duration + known.delay
         battery = 100.0 * takes / plan.mission.vehicles.endurance
         found = [finding for one in audits for finding in one.findings(battery)]
         findings = (*self._audit.findings, *found, *coasting)
-        return replace(self._audit, findings=findings, coast=known)
+        return replace(self._audit, findings=findings, stream_loss=known)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ _APART = 5
 def minimised(grid: Grid, *, target: int = 2, moves: int = MOVES, seed: int = 1) -> Grid:
     """The smallest grid diagram of the same knot that the walk meets.
 
-    Stops early at size ``target``; otherwise after ``moves`` attempted moves.
+    Contingencies early at size ``target``; otherwise after ``moves`` attempted moves.
     """
     walk = Walk(grid, seed)
     walk.shrink()

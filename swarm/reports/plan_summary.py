@@ -102,12 +102,12 @@ def _rows(plan: Plan, assessment: Assessment) -> list[tuple[str, str]]:
     rows.append(("Tracking error", ball))
     if robustness.wind is not None:
         rows.append(("Steady wind", f"would hold up to {robustness.wind:.1f} m/s"))
-    stops = assessment.stops
-    if stops is not None:
+    found = assessment.contingencies
+    if found is not None:
         rows += [
-            ("If it stops", f"can land together {_window(stops.land)}"),
-            ("", f"can let go {_window(stops.release)}"),
-            ("", f"longest stop {seconds(stops.time)}, {metres(stops.distance)}"),
+            ("If it stops", f"can land together {_window(found.land)}"),
+            ("", f"can release {_window(found.release)}"),
+            ("", f"longest stop {seconds(found.stop_time)}, {metres(found.stop_distance)}"),
         ]
     return rows
 
@@ -136,7 +136,7 @@ def _tightest_moments(moments: tuple[Moment, ...]) -> Table:
 
 
 _BUDGET: Final = (
-    ("has", "distance"),
+    ("available", "available"),
     ("tracking", "tracking"),
     ("sag", "amplification"),
     ("length", "length"),
@@ -145,8 +145,8 @@ _BUDGET: Final = (
     ("stop", "stop"),
     ("wind", "wind"),
     ("wash", "wash"),
-    ("asked", "required"),
-    ("left", "left"),
+    ("required", "required"),
+    ("remaining", "remaining"),
 )
 
 

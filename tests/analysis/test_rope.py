@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from swarm import api
-from swarm.analysis.swing import swings
+from swarm.analysis.swing import largest_swings
 from swarm.errors import Refused
 from swarm.geometry.catenary import STANDARD_GRAVITY, hang
 from swarm.mission import mission_for_knot
@@ -37,7 +37,7 @@ def test_a_rope_at_rest_hangs_as_the_catenary():
     start, end, length = np.array([0.0, 0.0, 5.0]), np.array([2.0, 0.0, 5.3]), 2.4
     line = np.array([start, end, end + np.array([2.0, 0.0, 0.0])])
     layout = replace(PLAN.layout, corners=line, lengths=np.array([length, 2.3]))
-    run = rope.move_rope(replace(PLAN, layout=layout), still(line, 1.0), links=80)
+    run = rope.simulate_rope(replace(PLAN, layout=layout), still(line, 1.0), links=80)
     assert run.links == 80
     assert run.void == ()
     assert run.stray.max() < 0.02
@@ -52,10 +52,10 @@ def test_sway_turns_a_strand_about_its_chord():
     length, sideways = np.array([3.0]), np.tile([0.0, 2.0, 0.0], (2, 1))
     sag = float(hang(*ends, length[0]).sag())
     turned = 2.0 * sag * np.sin(0.5 * np.arctan2(2.0, STANDARD_GRAVITY))
-    assert swings(ends, sideways, length, 0.0) == pytest.approx(turned, rel=1e-3)
-    at_rest = swings(ends, 0.0 * sideways, length, 2.0)
+    assert largest_swings(ends, sideways, length, 0.0) == pytest.approx(turned, rel=1e-3)
+    at_rest = largest_swings(ends, 0.0 * sideways, length, 2.0)
     assert at_rest >= turned * (1.0 - 1e-3)
-    assert swings(ends, sideways, length, 2.0) == pytest.approx(turned + at_rest, rel=1e-3)
+    assert largest_swings(ends, sideways, length, 2.0) == pytest.approx(turned + at_rest, rel=1e-3)
 
 
 def test_a_rope_that_swings_on_is_told_to_stray_farther_than_sway_and_a_stop():
@@ -66,7 +66,7 @@ def test_a_rope_that_swings_on_is_told_to_stray_farther_than_sway_and_a_stop():
     times = np.arange(0.0, 8.0 * np.pi / rate, 0.02)
     aside = 0.5 / rate**2 * np.sin(rate * times)
     grips = rope.Grips(times, line + aside[:, None, None] * [0.0, 1.0, 0.0])
-    run = rope.move_rope(replace(PLAN, layout=layout), grips, links=50)
+    run = rope.simulate_rope(replace(PLAN, layout=layout), grips, links=50)
     told = rope.stray_told(run)
     assert told["segment"] == 1
     assert told["largest"] == run.stray.max() > 2.0 * told["sway_and_stop"] > 0.0
@@ -79,11 +79,11 @@ def test_wind_blows_the_rope_aside_as_its_drag_says():
     layout = replace(PLAN.layout, corners=line, lengths=np.array([2.4, 2.4]))
     plan = replace(PLAN, layout=layout)
     wind = 6.0
-    run = rope.move_rope(plan, still(line, 4.0), links=60, wind=(0.0, wind, 0.0))
+    run = rope.simulate_rope(plan, still(line, 4.0), links=60, wind=(0.0, wind, 0.0))
     cable = plan.mission.cable
     tilt = 0.5 * 1.225 * 1.1 * cable.diameter * wind**2 / (cable.mass_per_length * 9.80665)
     low = run.shape[np.argmin(run.shape[:, 2])]
-    # slopes of the span see less of the wind across them, and it swings a little
+    # slopes of the span see less of the wind across them, and it largest_swings a little
     assert low[1] / (5.0 - low[2]) == pytest.approx(tilt, rel=0.2)
 
 
@@ -93,7 +93,7 @@ def test_strands_stop_each_other_only_with_contact(contact):
     plan = across(0.6)
     lowered = plan.layout.corners - [[0, 0, 0], [0, 0, 0], [0, 0, 0.9], [0, 0, 0.9]]
     grips = rope.Grips(np.array([0.0, 1.5, 2.0]), np.array([plan.layout.corners, lowered, lowered]))
-    run = rope.move_rope(plan, grips, links=90, contact=contact)
+    run = rope.simulate_rope(plan, grips, links=90, contact=contact)
     first, third = run.shape[:34], run.shape[53:]
     gaps = np.linalg.norm(first[:, None, :2] - third[None, :, :2], axis=2)
     under, over = np.unravel_index(gaps.argmin(), gaps.shape)
@@ -112,7 +112,7 @@ def test_strands_stop_each_other_only_with_contact(contact):
 def test_a_tightened_overhand_keeps_its_knot():
     mission = mission_for_knot("overhand", ("finish=tighten",))
     plan = api.plan(mission, robustness=False).plan
-    run = rope.move_rope(plan, rope.planned_grips(plan))
+    run = rope.simulate_rope(plan, rope.planned_grips(plan))
     assert run.void == ()
     assert (run.knot, run.chirality, run.as_planned) == ("3_1", "right", True)
     assert run.span > 0.8 * plan.layout.lengths.sum()
@@ -122,7 +122,7 @@ def test_a_rope_that_is_torn_taut_is_void():
     line = PLAN.layout.corners
     apart = line * [1.3, 1.0, 1.0]
     grips = rope.Grips(np.array([0.0, 1.0, 1.5]), np.array([line, apart, apart]))
-    run = rope.move_rope(PLAN, grips, links=40)
+    run = rope.simulate_rope(PLAN, grips, links=40)
     assert any("stretched" in reason for reason in run.void)
     assert not run.void[0].endswith(" is")
 
@@ -135,7 +135,7 @@ def test_links_are_dealt_out_by_length():
 
 def test_a_rope_too_short_to_begin_with_is_refused():
     with pytest.raises(Refused, match="begin too far apart"):
-        rope.move_rope(PLAN, still(PLAN.layout.corners * [2.0, 1.0, 1.0], 1.0))
+        rope.simulate_rope(PLAN, still(PLAN.layout.corners * [2.0, 1.0, 1.0], 1.0))
 
 
 def test_the_planned_motion_is_that_of_fold_and_hold():
@@ -147,7 +147,7 @@ def test_the_planned_motion_is_that_of_fold_and_hold():
 
 
 def test_what_is_told_can_be_printed_as_json():
-    run = rope.move_rope(PLAN, still(PLAN.layout.corners, 0.2), links=30)
+    run = rope.simulate_rope(PLAN, still(PLAN.layout.corners, 0.2), links=30)
     told = rope.told(run, PLAN)
     json.dumps(told, allow_nan=False)
     assert told["knot"]["type"] == "0_1"

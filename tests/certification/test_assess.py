@@ -121,7 +121,7 @@ def test_limits_of_speed_and_acceleration_with_the_braking_reserve():
 
 
 def test_batteries_must_last_with_the_caps_of_the_clock(overhand, overhand_assessed):
-    slowed = overhand_assessed.coast.slowed
+    slowed = overhand_assessed.stream_loss.delay
     assert slowed > 1.0
     (said,) = [f for f in overhand_assessed.findings if f.check == "endurance"]
     takes = f"the plan takes {overhand.duration + slowed:.0f} s with the caps of its clock"

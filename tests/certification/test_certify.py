@@ -15,7 +15,7 @@ from swarm.certification.certificate import (
     measure_clearances,
     without_cable,
 )
-from swarm.certification.stream_loss import Coasting, coast
+from swarm.certification.stream_loss import StreamLossModel, certify_stream_loss
 from swarm.errors import Refused
 from swarm.flight.bench_flight import raised
 from swarm.flight.clearance import Audit, go
@@ -115,9 +115,9 @@ def test_a_plan_that_is_written_to_after_its_certificate_does_not_fly():
 
 
 def test_lost_setpoints_worked_out_for_another_plan_are_not_taken():
-    other = coast(OTHER.plan, Coasting())
-    assert other.holds_for(OTHER.plan, Coasting())
-    assert not other.holds_for(CERTIFIED.plan, Coasting())
+    other = certify_stream_loss(OTHER.plan, StreamLossModel())
+    assert other.holds_for(OTHER.plan, StreamLossModel())
+    assert not other.holds_for(CERTIFIED.plan, StreamLossModel())
     with pytest.raises(Refused, match="the audit worked out lost setpoints for another plan"):
         go(CERTIFIED, Audit((1, 2, 3), (), other))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from swarm.certification.monitor import Monitor
-from swarm.certification.stream_loss import BRAKING, RATES, Coasting, coast
+from swarm.certification.stream_loss import BRAKING, RATES, StreamLossModel, certify_stream_loss
 from swarm.certification.stream_loss_bound import TOLERANCE
 from tests.certification.synthetic import moving, plan_of
 from tests.network import small_plan
@@ -23,26 +23,26 @@ def sideways(speed, gap=3.0, time=4.0):
 
 
 def test_a_team_that_loses_its_streams_as_one_stays_as_it_is():
-    found = coast(sideways(0.05))
+    found = certify_stream_loss(sideways(0.05))
     assert (found.rates == 1.0).all()
     assert found.cap(1.0) == 1.0
-    assert not len(found.hopeless)
+    assert not len(found.infeasible)
     assert "clearances and chords are kept" in found.findings()[0].message
 
 
 def test_one_that_stops_while_the_others_go_on_bounds_the_rate():
     """Beside neighbours 3 m away on 3.6 m of cable, 1.9 m of lead is all that a chord bears."""
-    fast = coast(sideways(1.2))
+    fast = certify_stream_loss(sideways(1.2))
     assert fast.rates.min() < 1.0
-    assert fast.worst.who in {1, 2, 3}
-    slow = coast(sideways(0.3))
+    assert fast.worst.vehicle in {1, 2, 3}
+    slow = certify_stream_loss(sideways(0.3))
     assert slow.rates.min() > fast.rates.min()
 
 
 def test_a_chord_bears_exactly_the_lead_that_geometry_says():
     plan = sideways(1.0, time=8.0)
-    one = Coasting((0.5,), silence=1.0)
-    found = coast(plan, one)
+    one = StreamLossModel((0.5,), silence=1.0)
+    found = certify_stream_loss(plan, one)
     middle = int(np.argmin(np.abs(found.times - 4.0)))
     speed = np.linalg.norm(plan.motion.at(4.0)[1][0])
     rate = found.rates[middle]
@@ -62,14 +62,14 @@ def test_a_chord_bears_exactly_the_lead_that_geometry_says():
 
 def test_a_longer_timeout_never_allows_a_faster_clock():
     plan = small_plan().plan
-    short = coast(plan, Coasting((0.5,), 1.0))
-    long = coast(plan, Coasting((1.0, 3.0, 1.0), 1.0))
+    short = certify_stream_loss(plan, StreamLossModel((0.5,), 1.0))
+    long = certify_stream_loss(plan, StreamLossModel((1.0, 3.0, 1.0), 1.0))
     assert (long.rates <= short.rates + 1e-9).all()
 
 
 def test_the_clock_can_reach_every_cap_by_braking_along_the_path():
     plan = sideways(1.2)
-    found = coast(plan)
+    found = certify_stream_loss(plan)
     mission = plan.mission.vehicles
     steepest = mission.braking_acceleration / mission.max_speed
     squares = found.rates**2
@@ -78,14 +78,16 @@ def test_the_clock_can_reach_every_cap_by_braking_along_the_path():
 
 def test_outside_the_fold_nothing_is_capped():
     plan = small_plan().plan
-    found = coast(plan)
+    found = certify_stream_loss(plan)
     assert found.cap(0.0) == 1.0
     assert found.cap(plan.duration) == 1.0
 
 
 def test_where_even_the_slowest_clock_is_too_fast_it_is_said():
-    taut = coast(plan_of(moving([0.0, 2.0], [line(0.0, 3.59), line(1.0, 3.59)]), [LENGTH, LENGTH]))
-    assert len(taut.hopeless) == len(taut.times)
+    taut = certify_stream_loss(
+        plan_of(moving([0.0, 2.0], [line(0.0, 3.59), line(1.0, 3.59)]), [LENGTH, LENGTH])
+    )
+    assert len(taut.infeasible) == len(taut.times)
     assert taut.findings()[0].severity == "warning"
     assert taut.worst.margin <= 0.985 * LENGTH - 3.59 + 1e-9
 
@@ -115,9 +117,9 @@ def after_loss(plan, coasting, who, time, rate, elapsed):
 )
 def test_at_no_time_is_anything_lost_that_is_promised(overhand, overhand_assessed, after):
     """Random losses at random times and rates, between the moments that were looked at too."""
-    coasting, found = Coasting(after, 1.0), overhand_assessed.coast
-    if found.coasting != coasting:
-        found = coast(overhand, coasting)
+    coasting, found = StreamLossModel(after, 1.0), overhand_assessed.stream_loss
+    if found.model != coasting:
+        found = certify_stream_loss(overhand, coasting)
     monitor, rng = Monitor(overhand), np.random.default_rng(7)
     ball = overhand.mission.vehicles.tracking
     looked_at = []
@@ -125,7 +127,7 @@ def test_at_no_time_is_anything_lost_that_is_promised(overhand, overhand_assesse
         time = rng.uniform(found.times[0], found.times[-1])
         begun = found.times[np.searchsorted(found.times, time, side="right") - 1]
         later = found.times[min(np.searchsorted(found.times, time), len(found.times) - 1)]
-        if begun in found.hopeless or later in found.hopeless:
+        if begun in found.infeasible or later in found.infeasible:
             continue
         rate = found.cap(time) * rng.choice([1.0, rng.uniform(0.0, 1.0)])
         who = int(rng.integers(overhand.vehicles + 1))
@@ -133,7 +135,7 @@ def test_at_no_time_is_anything_lost_that_is_promised(overhand, overhand_assesse
         if off > ball:
             looked_at.append(places)
     assert len(looked_at) > 50
-    seen = monitor.look(np.array(looked_at), "aloft")
+    seen = monitor.clearances(np.array(looked_at), "aloft")
     assert min(one.margin for one in seen) >= -TOLERANCE - 1e-3
 
 
@@ -142,9 +144,9 @@ def test_a_loss_between_the_moments_that_are_looked_at_counts():
     places = [line(0.0), line(0.0), line(0.0)]
     places[1][1][1] = 0.55
     plan = plan_of(moving([0.0, 0.5, 1.0], places), [LENGTH, LENGTH])
-    found = coast(plan)
-    _, off = after_loss(plan, found.coasting, 2, 0.25, found.cap(0.25), 2.0)
-    lost, _ = after_loss(plan, found.coasting, 2, 0.25, found.cap(0.25), 1.1)
+    found = certify_stream_loss(plan)
+    _, off = after_loss(plan, found.model, 2, 0.25, found.cap(0.25), 2.0)
+    lost, _ = after_loss(plan, found.model, 2, 0.25, found.cap(0.25), 1.1)
     assert off > 0.1
     assert np.linalg.norm(np.diff(lost, axis=0), axis=1).max() <= 0.985 * LENGTH + TOLERANCE
     assert found.cap(0.25) < 1.0

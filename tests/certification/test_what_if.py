@@ -1,4 +1,4 @@
-"""Windows, stops, loads and the budget, against figures worked out by hand."""
+"""ContingencyWindows, stops, loads and the budget, against figures worked out by hand."""
 
 import math
 from dataclasses import replace
@@ -10,10 +10,10 @@ from swarm.certification.air import deepest_sinking, induced_speed, jet_speed, w
 from swarm.certification.assess import assess
 from swarm.certification.budget import budgets, table
 from swarm.certification.clearances import certified, tightest_moments
-from swarm.certification.contingency_windows import longest_stop, windows
+from swarm.certification.contingency_windows import contingency_windows, longest_stop
 from swarm.certification.loads import dead_vehicle, loads, stuck_gripper
-from swarm.certification.robustness import largest_tracking, largest_wind, lost_in_wind
-from swarm.certification.what_if import downwash_findings, stops_of
+from swarm.certification.robustness import failure_in_wind, largest_tracking, largest_wind
+from swarm.certification.what_if import contingencies_of, downwash_findings
 from swarm.planning import Gate, Phase
 from tests.certification.synthetic import moving, plan_of
 
@@ -25,7 +25,7 @@ def still(places, lengths, *overrides):
 
 
 def test_a_line_of_vehicles_can_land_and_let_go_at_any_time():
-    found = windows(still(LINE, [3.0, 3.0]))
+    found = contingency_windows(still(LINE, [3.0, 3.0]))
     assert found.land.all()
     assert found.release.all()
     assert found.share(found.land, 0.0, 4.0) == 1.0
@@ -37,10 +37,10 @@ def test_a_vehicle_under_a_strand_can_neither_land_nor_see_it_released():
     high = [[0, 0, 9.0], [3.0, 0, 9.0]]
     places = [[*high, [1.5, y - 2.4, 3.0], [1.5, y, 3.0]] for y in (-6.0, -6.0, 6.0, 6.0)]
     plan = plan_of(moving([0, 1, 7, 8], places), [3.5, 12.0, 3.0])
-    found = windows(plan)
-    assert not found.releasable(4.0)
-    assert not found.landable(4.0)
-    assert found.releasable(0.5)
+    found = contingency_windows(plan)
+    assert not found.can_release(4.0)
+    assert not found.can_land(4.0)
+    assert found.can_release(0.5)
     assert 0.1 < found.share(found.release, 0.0, 8.0) < 0.95
     under = found.time[~found.release]
     assert found.longest_wait(found.release, 0.0, 8.0) == pytest.approx(
@@ -49,7 +49,7 @@ def test_a_vehicle_under_a_strand_can_neither_land_nor_see_it_released():
 
 
 def test_vehicles_above_each_other_cannot_land_but_could_let_go():
-    found = windows(still([[0, 0, 8.0], [2.2, 0, 8.0], [2.4, 0, 5.0]], [3.0, 4.0]))
+    found = contingency_windows(still([[0, 0, 8.0], [2.2, 0, 8.0], [2.4, 0, 5.0]], [3.0, 4.0]))
     assert not found.land.any()
 
 
@@ -119,13 +119,13 @@ def test_the_budget_names_what_tracking_and_tolerance_take():
     assert row.between == ("segment 1", "segment 5")
     assert row.tracking == pytest.approx(0.2)
     # The certificate takes tracking with what it makes of sag, and no more.
-    assert row.distance - row.tracking - row.amplification >= moment.distance - 0.01
-    assert row.distance - row.tracking - row.amplification <= moment.distance + 0.15
+    assert row.available - row.tracking - row.amplification >= moment.distance - 0.01
+    assert row.available - row.tracking - row.amplification <= moment.distance + 0.15
     # A centimetre of cable more lets a strand sag by a little more than half a centimetre.
     assert 0.01 < row.length < 0.03
     assert row.grip == row.sway == row.wind == 0.0
     assert row.wash < 1e-4, "nobody flies above these strands"
-    assert row.left == pytest.approx(row.distance - row.eaten - 0.15)
+    assert row.remaining == pytest.approx(row.available - row.effects - 0.15)
     assert "segments 1 and 5" in table([row])
 
 
@@ -159,8 +159,8 @@ def test_a_wind_across_the_vehicles_blows_strands_together():
     """Side by side, a taut and a slack strand lean by different amounts."""
     side = [[0, 0, 60], [3, 0, 60], [40, -20, 60], [40, 30, 60], [3, 1.2, 59.4], [0, 1.2, 59.4]]
     plan = still(side, [5.0, 50.0, 60.0, 55.0, 3.2], "vehicles.tracking=0.02")
-    assert lost_in_wind(plan, 0.0) is None
-    assert lost_in_wind(plan, 8.0) is not None
+    assert failure_in_wind(plan, 0.0) is None
+    assert failure_in_wind(plan, 8.0) is not None
 
 
 def test_strands_that_are_only_just_apart_bear_no_wind():
@@ -207,14 +207,14 @@ def test_a_vehicle_that_passes_under_another_sinks_for_a_while():
 
 
 def test_stops_are_told_with_their_windows():
-    stops, findings = stops_of(still(LINE, [3.0, 3.0]))
+    stops, findings = contingencies_of(still(LINE, [3.0, 3.0]))
     assert (stops.land.share, stops.release.share, stops.land.wait) == (1.0, 1.0, 0.0)
     assert [finding.message for finding in findings][:2] == [
         "all can land straight down together at 100% of the moments with the cable aloft",
         "all can let go at 100% of the moments with the cable aloft",
     ]
     under = [[0, 0, 5.0], [2.0, 0, 5.0], [1.0, 0, 1.5]]
-    stops, findings = stops_of(still(under, [2.4, 6.0]))
+    stops, findings = contingencies_of(still(under, [2.4, 6.0]))
     assert not stops.release.share
     assert findings[1].severity == "warning"
     assert findings[1].message == "all can let go at no moment with the cable aloft"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from swarm import api
-from swarm.certification.stream_loss import CoastCertificate, Coasting, Worst
+from swarm.certification.stream_loss import StreamLossCertificate, StreamLossModel, WorstLoss
 from swarm.flight.failures import LOSES_A_VEHICLE, TABLE
 from swarm.mission import mission_for_knot
 from swarm.planning import digest
@@ -103,10 +103,12 @@ def test_who_coasts_keeps_what_is_certified_of_coasting():
     """Which is the mission's clearance (here 1 m), and less than what the plan keeps elsewhere."""
     kept = replace(PLAN.assessment, vehicle=replace(PLAN.assessment.vehicle, distance=1.2))
     nothing = np.zeros(0)
-    worst = Worst(0.0, 0.0, 1)
-    coast = CoastCertificate(nothing, nothing, worst, nothing, Coasting(), digest(PLAN.plan))
-    without = SimpleNamespace(plan=PLAN.plan, assessment=replace(kept, coast=None))
-    coasting = SimpleNamespace(plan=PLAN.plan, assessment=replace(kept, coast=coast))
+    worst = WorstLoss(0.0, 0.0, 1)
+    stream_loss = StreamLossCertificate(
+        nothing, nothing, worst, nothing, StreamLossModel(), digest(PLAN.plan)
+    )
+    without = SimpleNamespace(plan=PLAN.plan, assessment=replace(kept, stream_loss=None))
+    coasting = SimpleNamespace(plan=PLAN.plan, assessment=replace(kept, stream_loss=stream_loss))
     near = 1.1
     words = (f"vehicles {near:.2f} m apart",)
     assert judged("two-way gap of 2 s, one", coasting, apart=near) == ()

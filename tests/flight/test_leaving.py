@@ -14,7 +14,7 @@ from tests.network import small_plan
 PLAN = small_plan(vehicles=3)
 
 
-def may_release(off, *, streaming=False, dead=(), releasable=True):
+def may_release(off, *, streaming=False, dead=(), can_release=True):
     """Whether all may let go where the second of three vehicles is ``off`` its place."""
     time = PLAN.plan.phase("fold").start + 1.0
     setpoint = PLAN.plan.motion.at(time)[0]
@@ -23,7 +23,7 @@ def may_release(off, *, streaming=False, dead=(), releasable=True):
     flight = SimpleNamespace(
         plan=PLAN.plan, setpoint=setpoint, position=position, dead=set(dead),
         streaming=np.array([True, streaming, True]), clock=SimpleNamespace(time=time),
-        windows=SimpleNamespace(releasable=lambda _: releasable),
+        windows=SimpleNamespace(can_release=lambda _: can_release),
     )  # fmt: skip
     way_out = object.__new__(Contingency)
     way_out._flight = flight
@@ -44,7 +44,7 @@ def test_nobody_lets_go_where_cable_would_fall_on_one_that_does_not_follow():
     # one that follows is where the plan has it but for its tracking, and one that falls is let go of
     assert may_release(below, streaming=True)
     assert may_release(below, dead=[1])
-    assert not may_release(np.zeros(3), releasable=False)
+    assert not may_release(np.zeros(3), can_release=False)
 
 
 def test_what_is_wrong_with_many_vehicles_is_refused_in_one_line_each():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.certification.contingency_windows import windows
+from swarm.certification.contingency_windows import contingency_windows
 from swarm.certification.monitor import Monitor
 from swarm.geometry.chain import polyline
 from tests.network import small_plan
@@ -17,7 +17,7 @@ LINE = PLAN.layout.corners
 
 def test_margins_are_what_is_left_of_what_the_mission_asks():
     monitor = Monitor(PLAN)
-    (free,) = monitor.look(LINE[None], "free")
+    (free,) = monitor.clearances(LINE[None], "free")
     assert free.vehicle == pytest.approx(3.0)
     assert free.margin == pytest.approx(3.0 - PLAN.mission.clearance.vehicle)
     assert free.cable == np.inf
@@ -27,7 +27,7 @@ def test_vehicles_one_above_the_other_are_apart_by_height():
     monitor = Monitor(PLAN)
     stacked = LINE.copy()
     stacked[1] = stacked[0] + [0.1, 0.0, 1.6]
-    (seen,) = monitor.look(stacked[None], "free")
+    (seen,) = monitor.clearances(stacked[None], "free")
     assert seen.margin == pytest.approx(1.6 - PLAN.mission.clearance.downwash)
 
 
@@ -40,7 +40,7 @@ def test_strands_are_measured_as_densely_sampled_curves_are():
         chords = np.linalg.norm(np.diff(crossed, axis=0), axis=1)
         if np.any(chords > 0.98 * PLAN.layout.lengths):
             continue
-        (seen,) = monitor.look(crossed[None], "aloft")
+        (seen,) = monitor.clearances(crossed[None], "aloft")
         dense = polyline(crossed, PLAN.layout.lengths, 400)
         first, last = dense[:401], dense[800:]
         sampled = np.linalg.norm(first[:, None] - last[None], axis=2).min()
@@ -55,10 +55,10 @@ def test_an_overstretched_cable_has_no_margin():
     monitor = Monitor(PLAN)
     far = LINE.copy()
     far[3, 0] += 1.0
-    (seen,) = monitor.look(far[None], "aloft")
+    (seen,) = monitor.clearances(far[None], "aloft")
     assert seen.chord > 1.0
     assert seen.margin < 0.0
-    assert seen.pace == 0.0
+    assert seen.clock_rate == 0.0
 
 
 def test_pace_falls_to_zero_with_the_margin():
@@ -68,7 +68,7 @@ def test_pace_falls_to_zero_with_the_margin():
         near = LINE.copy()
         near[1] = near[0] + [gap, 0.0, 0.0]
         places.append(near)
-    paces = [seen.pace for seen in monitor.look(np.array(places), "free")]
+    paces = [seen.clock_rate for seen in monitor.clearances(np.array(places), "free")]
     assert paces == pytest.approx([1.0, 0.5, 0.0, 0.0])
 
 
@@ -83,15 +83,15 @@ def test_the_pace_is_that_of_the_smallest_margin_of_all(seed, off, cable):
     rng = np.random.default_rng(seed)
     crossed = np.array([[0, 0, 5], [3, 0, 5], [2.2, 2.2, 5], [1.5, -0.6, 5.0]], dtype=float)
     moments = np.array([LINE + np.array([0, 0, 5]), crossed]) + rng.normal(0.0, off, (2, 4, 3))
-    slowest = min(seen.pace for seen in monitor.look(moments, cable))
-    assert monitor.pace(moments, cable) == pytest.approx(slowest, abs=1e-9)
+    slowest = min(seen.clock_rate for seen in monitor.clearances(moments, cable))
+    assert monitor.clock_rate(moments, cable) == pytest.approx(slowest, abs=1e-9)
 
 
 def test_ways_out_of_a_straight_line_are_always_open():
-    open_ = windows(PLAN, whole=True)
+    open_ = contingency_windows(PLAN, whole=True)
     during = PLAN.phase("fold").start + 1.0
-    assert open_.landable(during)
-    assert open_.releasable(during)
+    assert open_.can_land(during)
+    assert open_.can_release(during)
     assert open_.land.all()
 
 
@@ -104,9 +104,9 @@ def test_landing_is_closed_while_somebody_is_above_somebody():
     position[during, 0, 2, 0] -= 2.7
     crowded = type(plan.motion)(plan.motion.times, position)
     plan = type(plan)(**{**vars(plan), "motion": crowded})
-    open_ = windows(plan, whole=True)
+    open_ = contingency_windows(plan, whole=True)
     middle = 0.5 * (fold.start + fold.end)
-    assert not open_.landable(middle)
+    assert not open_.can_land(middle)
     moment = open_.nearest(open_.land, middle, fold.start - 5.0, fold.end - 0.5)
     assert moment is not None
     assert moment < fold.start

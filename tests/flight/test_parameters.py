@@ -4,16 +4,16 @@ import pytest
 
 from sitl.ardupilot_tables import PARAMETERS as ARDUPILOT_PARAMETERS
 from sitl.px4_tables import PARAMETERS as PX4_PARAMETERS
-from swarm.certification.stream_loss import Coasting
+from swarm.certification.stream_loss import StreamLossModel
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.parameters import (
-    coasting_findings,
-    coasting_of,
     demands_of,
     demands_of_plan,
     judge,
     rules,
+    stream_loss_findings,
+    stream_loss_model,
 )
 from swarm.mission import Vehicles
 from swarm.mission.fleet import emulated_fleet
@@ -156,9 +156,9 @@ def test_how_vehicles_coast_is_read_from_their_parameters():
     other = ("ardupilot", {"GUID_TIMEOUT": 0.3})
     silent = ("ardupilot", {})
     limits = FLEET.limits
-    found = coasting_of([quick, lands, other, silent], limits)
-    assert found.after == (0.2, 0.5, 0.3, 0.5)
-    assert found.sinking == (0.0, limits.silence * limits.descent, 0.0, 0.0)
+    found = stream_loss_model([quick, lands, other, silent], limits)
+    assert found.timeout == (0.2, 0.5, 0.3, 0.5)
+    assert found.descent == (0.0, limits.silence * limits.descent, 0.0, 0.0)
     assert found.silence == limits.silence
 
 
@@ -166,21 +166,23 @@ def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
     plan = small_plan().plan
     lands = ("px4", {"COM_OF_LOSS_T": 0.5, "COM_OBL_RC_ACT": 4.0})
     holds = ("ardupilot", {"GUID_TIMEOUT": 0.5})
-    _, findings = coasting_findings(plan, coasting_of([lands, holds, lands], FLEET.limits))
+    _, findings = stream_loss_findings(plan, stream_loss_model([lands, holds, lands], FLEET.limits))
     (error,) = [finding for finding in findings if finding.severity == "error"]
     assert "vehicle 1, vehicle 3 would land at once and the others hold" in error.message
-    _, findings = coasting_findings(plan, coasting_of([lands, lands, lands], FLEET.limits))
+    _, findings = stream_loss_findings(plan, stream_loss_model([lands, lands, lands], FLEET.limits))
     assert not [finding for finding in findings if finding.severity == "error"]
 
 
 def test_the_flight_keeps_the_pace_that_the_audited_vehicles_allow():
     flight_plan = small_plan()
-    known, _ = coasting_findings(flight_plan.plan, Coasting((0.1, 0.5, 0.5), FLEET.limits.silence))
+    known, _ = stream_loss_findings(
+        flight_plan.plan, StreamLossModel((0.1, 0.5, 0.5), FLEET.limits.silence)
+    )
     conductor = Conductor(flight_plan, FLEET)
-    assert conductor.coast.coasting == Coasting((0.5,), FLEET.limits.silence)
+    assert conductor.stream_loss.model == StreamLossModel((0.5,), FLEET.limits.silence)
     conductor.stage = "ready"
     conductor.start(go(flight_plan, Audit((1, 2, 3), (), known)))
-    assert conductor.coast is known
+    assert conductor.stream_loss is known
 
 
 def test_the_common_pace_of_landing_is_one_that_both_autopilots_document():

@@ -70,20 +70,20 @@ def _figures(found: Assessment) -> dict[str, float | None]:
         "e*, m": _rounded(found.robustness.tracking),
         "w*, m/s": _rounded(found.robustness.wind),
     }
-    if found.stops is not None:
+    if found.contingencies is not None:
         figures |= {
-            "window to land, share": _rounded(found.stops.land.share),
-            "window to land, longest wait, s": _rounded(found.stops.land.wait),
-            "window to release, share": _rounded(found.stops.release.share),
-            "window to release, longest wait, s": _rounded(found.stops.release.wait),
-            "longest stop, s": _rounded(found.stops.time),
-            "longest stop, m": _rounded(found.stops.distance),
+            "window to land, share": _rounded(found.contingencies.land.share),
+            "window to land, longest wait, s": _rounded(found.contingencies.land.wait),
+            "window to release, share": _rounded(found.contingencies.release.share),
+            "window to release, longest wait, s": _rounded(found.contingencies.release.wait),
+            "longest stop, s": _rounded(found.contingencies.stop_time),
+            "longest stop, m": _rounded(found.contingencies.stop_distance),
         }
-    if found.coast is not None and len(found.coast.times):
+    if found.stream_loss is not None and len(found.stream_loss.times):
         figures |= {
-            "coast, slowest rate": _rounded(found.coast.rates.min()),
-            "coast, time lost, s": _rounded(found.coast.slowed),
-            "coast, least margin, m": _rounded(found.coast.worst.margin),
+            "stream loss, slowest clock rate": _rounded(found.stream_loss.rates.min()),
+            "stream loss, delay, s": _rounded(found.stream_loss.delay),
+            "stream loss, smallest margin, m": _rounded(found.stream_loss.worst.margin),
         }
     return figures
 

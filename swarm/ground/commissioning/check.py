@@ -16,10 +16,10 @@ from swarm.flight.parameters import (
     STREAM_LOSS_TIME,
     Demands,
     Row,
-    coasting_findings,
-    coasting_of,
     demands_of,
     demands_of_plan,
+    stream_loss_findings,
+    stream_loss_model,
 )
 from swarm.flight.preparation import GATHERING, Prepared
 from swarm.ground.commissioning.audit import Auditor, Tell, VehicleAudit, save_parameters
@@ -287,7 +287,7 @@ class _Work:
             values = {audit.system: audit.parameters for audit in audits}
             names = {v.system: v.autopilot.name for v in self.listening.heard if v.autopilot}
             flown = [(names[system], values[system]) for system in order if system in values]
-            findings.extend(coasting_findings(plan, coasting_of(flown, fleet.limits))[1])
+            findings.extend(stream_loss_findings(plan, stream_loss_model(flown, fleet.limits))[1])
         findings.extend(self.listening.frames_and_clocks())
         for link in links:
             findings.extend(link.findings(STREAM_LOSS_TIME, fleet.rates.position))

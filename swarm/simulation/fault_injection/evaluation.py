@@ -85,12 +85,12 @@ class Judge:
         held = bool(truth.gripped.all()) and not self._laid_down
         aloft = flight.conductor.phase.cable == "aloft" and flight.conductor.phase.name != "finish"
         if held and aloft:
-            (seen,) = self._monitor.look(place[None], "aloft")
+            (seen,) = self._monitor.clearances(place[None], "aloft")
             if np.isfinite(seen.cable):
                 self.clearance = min(self.clearance, seen.cable)
             self.chord = max(self.chord, seen.chord)
         if flying.all():
-            (seen,) = self._monitor.look(place[None], "free")
+            (seen,) = self._monitor.clearances(place[None], "free")
             self.apart = min(self.apart, seen.vehicle)
 
     def strikes(self, until: float = np.inf) -> int:
@@ -189,7 +189,7 @@ def _nowhere_to_go(flight: SteppedSimulation) -> bool:
 def _certified(flight: SteppedSimulation, row: FailureCase) -> tuple[float, float]:
     """Return the least distances between strands and between vehicles that are certified."""
     known, required = flight.flight_plan.assessment, flight.flight_plan.plan.mission.clearance
-    if row.coasts and known.coast is not None and known.coast.worst.margin >= 0.0:
+    if row.coasts and known.stream_loss is not None and known.stream_loss.worst.margin >= 0.0:
         return required.cable, required.vehicle
     cable = known.cable.distance if known.cable is not None else 0.0
     return cable, known.vehicle.distance if known.vehicle is not None else 0.0

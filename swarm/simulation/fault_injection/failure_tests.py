@@ -215,7 +215,7 @@ def fly_fault_trial(flight: SteppedSimulation, row: FailureCase, victim: int) ->
         judge.look()
         if row.by_hand and conductor.stage == "leave":
             flight.land_by_hand(system)
-        usual = min(0.9, pace, conductor.coast.cap(conductor.clock.time))
+        usual = min(0.9, pace, conductor.stream_loss.rate_limit(conductor.clock.time))
         if slowed is None and abs(conductor.clock.rate) < usual - 0.1:
             slowed = flight.now - began
         if conductor.finished is not None:
