@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from swarm import tables
+from swarm import studies
 from swarm.cli.inputs import print_json, read_text
 from swarm.errors import InputError, Problem
 
@@ -25,13 +25,13 @@ _SHOWN = (
     ("knot", "", "knot"),
     ("vehicles", "d", "n"),
     ("cell", ".2f", "cell"),
-    ("cable", ".1f", "cable"),
-    ("fold", ".0f", "fold"),
-    ("cable_clearance", ".2f", "strands"),
-    ("strand_over_cell", ".3f", "/cell"),
-    ("tracking", ".3f", "e*"),
-    ("wind", ".1f", "w*"),
-    ("seconds", ".1f", "took"),
+    ("cable_length", ".1f", "cable"),
+    ("fold_time", ".0f", "fold"),
+    ("cable_clearance", ".2f", "cable clearance"),
+    ("cable_clearance_per_cell", ".3f", "/cell"),
+    ("max_tracking_error", ".3f", "e*"),
+    ("max_wind", ".1f", "w*"),
+    ("planning_time", ".1f", "time"),
     ("cleared", "", ""),
 )
 """Columns on the terminal: n vehicles, metres, seconds, and w* in m/s."""
@@ -83,7 +83,7 @@ def _chosen(only: str | None) -> list[str]:
     except re.error as error:
         message = f"expected a regular expression, got {only!r}: {error}"
         raise InputError([Problem("--only", message)]) from None
-    names = [name for name in tables.knots_to_plan() if pattern.search(name)]
+    names = [name for name in studies.knots_to_plan() if pattern.search(name)]
     if not names:
         raise InputError([Problem("--only", f"no knot of the table matches {only!r}")])
     return names
@@ -98,7 +98,7 @@ def _known(target: Path) -> dict[str, dict[str, Any]]:
     for number, line in enumerate(lines, start=1):
         try:
             row = json.loads(line)
-            known[row["knot"]] = {name: row[name] for name in tables.COLUMNS}
+            known[row["knot"]] = {name: row[name] for name in studies.COLUMNS}
         except (ValueError, TypeError, KeyError):
             if number == len(lines):
                 break
@@ -109,7 +109,7 @@ def _known(target: Path) -> dict[str, dict[str, Any]]:
 
 def _planned(names: list[str], wanted: Wanted) -> Iterator[dict[str, Any]]:
     tasks = (
-        delayed(tables.knot_row)(
+        delayed(studies.plan_row)(
             name, wanted.overrides, time.process_time, robustness=wanted.robustness
         )
         for name in names
@@ -128,7 +128,7 @@ def _planned(names: list[str], wanted: Wanted) -> Iterator[dict[str, Any]]:
 
 def _csv(rows: list[dict[str, Any]]) -> str:
     text = io.StringIO()
-    writer = csv.DictWriter(text, tables.COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, studies.COLUMNS, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
@@ -144,8 +144,8 @@ def _print(rows: list[dict[str, Any]]) -> None:
     console.print(table)
     refused = [row for row in rows if not row["cleared"]]
     for row in refused:
-        console.print(f"[bold]{row['knot']}[/]: {row['says']}", highlight=False)
-    took = sum(row["seconds"] for row in rows)
+        console.print(f"[bold]{row['knot']}[/]: {row['message']}", highlight=False)
+    took = sum(row["planning_time"] for row in rows)
     console.print(
         f"{len(rows)} knots, {len(refused)} refused; {took:.0f} s of processor time",
         highlight=False,

@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from swarm import api, exports, tables
+from swarm import api, exports, studies
 from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progress_bar, write_text
 from swarm.errors import Refused
 from swarm.mission import Mission
@@ -95,36 +95,38 @@ def plan(
 def _front(mission: Mission, as_json: bool, plot: Path | None) -> int:
     """List plans with more and less room; exit code 1 where none was cleared."""
     with progress_bar(Console(stderr=True)) as progress:
-        found = list(tables.front(mission, progress))
-    points = tables.marked([point for point in found if isinstance(point, tables.Point)])
+        found = list(studies.pareto_front(mission, progress))
+    points = studies.mark_dominated(
+        [point for point in found if isinstance(point, studies.FrontPoint)]
+    )
     refused = [words for words in found if isinstance(words, str)]
     if plot and points:
         from swarm.reports.plots import front_figure, save  # noqa: PLC0415 - slow to import
 
         figure = front_figure(
-            np.array([point.cable for point in points]),
-            np.array([point.fold for point in points]),
-            np.array([point.tracking for point in points]),
-            [point.asked for point in points],
-            [point.beaten for point in points],
+            np.array([point.cable_length for point in points]),
+            np.array([point.fold_time for point in points]),
+            np.array([point.max_tracking_error for point in points]),
+            [point.variant for point in points],
+            [point.dominated for point in points],
         )
         save(figure, plot)
     if as_json:
         print_json({"plans": [asdict(point) for point in points], "refused": refused})
         return 0 if points else 1
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column("asked for")
+    table.add_column("variant")
     for name in ("cell", "cable", "fold", "e*"):
         table.add_column(name, justify="right")
     table.add_column("")
-    for point in sorted(points, key=lambda point: point.cable):
+    for point in sorted(points, key=lambda point: point.cable_length):
         table.add_row(
-            point.asked,
+            point.variant,
             f"{point.cell:.2f} m",
-            f"{point.cable:.1f} m",
-            f"{point.fold:.0f} s",
-            f"{point.tracking:.3f} m",
-            "[dim]beaten by another[/]" if point.beaten else "",
+            f"{point.cable_length:.1f} m",
+            f"{point.fold_time:.0f} s",
+            f"{point.max_tracking_error:.3f} m",
+            "[dim]dominated[/]" if point.dominated else "",
         )
     console = Console()
     console.print(table)

@@ -1,4 +1,4 @@
-"""The front of plans, and the table of all knots as its command prints and keeps it."""
+"""The Pareto front, and the table of all knots as its command prints and stores it."""
 
 import json
 from pathlib import Path
@@ -8,11 +8,17 @@ from click.testing import CliRunner
 
 from swarm.cli.knots import knots
 from swarm.errors import InputError
-from swarm.tables import BEYOND, COLUMNS, Point, knots_to_plan, marked
+from swarm.studies import (
+    COLUMNS,
+    COMPOSITE_AND_TORUS,
+    FrontPoint,
+    knots_to_plan,
+    mark_dominated,
+)
 
 ROW = dict.fromkeys(COLUMNS) | {
-    "knot": "3_1", "crossings": 3, "vehicles": 9, "cleared": True, "cell": 2.5, "cable": 50.0,
-    "fold": 99.0, "cable_clearance": 0.25, "strand_over_cell": 0.1, "seconds": 3.0, "says": "",
+    "knot": "3_1", "crossings": 3, "vehicles": 9, "cleared": True, "cell": 2.5, "cable_length": 50.0,
+    "fold_time": 99.0, "cable_clearance": 0.25, "cable_clearance_per_cell": 0.1, "planning_time": 3.0, "message": "",
 }  # fmt: skip
 
 
@@ -32,7 +38,7 @@ def said(*arguments: str) -> str:
 
 def test_all_prime_knots_to_ten_crossings_are_in_the_table() -> None:
     wanted = knots_to_plan()
-    assert len(wanted) == 249 + len(BEYOND)
+    assert len(wanted) == 249 + len(COMPOSITE_AND_TORUS)
     assert {"3_1", "10_165", "granny", "torus(3,5)"} <= set(wanted)
 
 
@@ -52,7 +58,7 @@ def test_rows_that_a_file_has_are_printed_and_not_planned_again(tmp_path: Path) 
 
 def test_a_refused_knot_says_why_and_the_exit_code_tells(tmp_path: Path) -> None:
     kept = tmp_path / "rows.jsonl"
-    row = ROW | {"cleared": False, "cable": None, "says": "tried a cell of 2 m"}
+    row = ROW | {"cleared": False, "cable_length": None, "message": "tried a cell of 2 m"}
     kept.write_text(json.dumps(row) + "\n")
     code, printed = run("--only", "^3_1$", "--to", str(kept))
     assert code == 1
@@ -64,8 +70,13 @@ def test_a_knot_that_cannot_be_planned_still_has_its_row(tmp_path: Path) -> None
     code, _ = run("--only", "^3_1$", "--to", str(kept), "--set", "layout.cell=0.5")
     assert code == 1
     row = json.loads(kept.read_text())
-    assert (row["knot"], row["vehicles"], row["cleared"], row["cable"]) == ("3_1", 9, False, None)
-    assert "layout.cell 0.5 m" in row["says"]
+    assert (row["knot"], row["vehicles"], row["cleared"], row["cable_length"]) == (
+        "3_1",
+        9,
+        False,
+        None,
+    )
+    assert "layout.cell 0.5 m" in row["message"]
 
 
 @pytest.mark.parametrize(
@@ -88,8 +99,12 @@ def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path) -> None:
     assert message in said("--plan", "--to", str(kept))
 
 
-def test_a_point_is_beaten_by_one_no_worse_in_anything() -> None:
-    short, long = Point("a", 2, 50, 100, 0.1), Point("b", 3, 60, 110, 0.2)
-    worse = Point("c", 3, 61, 110, 0.2)
-    assert [point.beaten for point in marked([short, long, worse])] == [False, False, True]
-    assert not any(point.beaten for point in marked([short, short]))
+def test_a_point_is_dominated_by_one_no_worse_in_any_figure() -> None:
+    short, long = FrontPoint("a", 2, 50, 100, 0.1), FrontPoint("b", 3, 60, 110, 0.2)
+    worse = FrontPoint("c", 3, 61, 110, 0.2)
+    assert [point.dominated for point in mark_dominated([short, long, worse])] == [
+        False,
+        False,
+        True,
+    ]
+    assert not any(point.dominated for point in mark_dominated([short, short]))

@@ -1,0 +1,174 @@
+"""Many plans side by side: one of each knot, and the Pareto front of one mission."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+from typing import Any, Final
+
+from swarm import api
+from swarm.certification.assessment import Assessment, Tightest
+from swarm.certification.robustness import largest_tracking, robustness_of
+from swarm.errors import InputError, Refused
+from swarm.knots.catalog import lookup, names
+from swarm.mission import Mission, mission_for_knot
+
+Progress = Callable[[str, float], None]
+Clock = Callable[[], float]
+
+COMPOSITE_AND_TORUS: Final = ("granny", "square", "torus(2,9)", "torus(3,5)", "3_1#4_1#5_1")
+"""Knots that are planned beside the prime knots."""
+
+TRACKING_ERRORS: Final = (0.0, 0.05, 0.1, 0.15, 0.2)
+"""Tracking errors of the Pareto front, metres; each gets the smallest layout."""
+
+CELL_FACTORS: Final = (1.15, 1.35)
+"""Cell widths of the Pareto front, as multiples of the cell width of the mission's own plan."""
+
+COLUMNS: Final = (
+    "knot", "crossings", "vehicles", "cleared", "cell", "cable_length", "fold_time",
+    "cable_clearance", "vehicle_clearance", "vehicle_cable_clearance", "cable_clearance_per_cell",
+    "max_tracking_error", "max_wind", "land_share", "release_share", "planning_time", "message",
+)  # fmt: skip
+"""Columns of the table of all knots, in order."""
+
+
+def knots_to_plan() -> tuple[str, ...]:
+    """Return the names of all knots of the table: prime knots, then COMPOSITE_AND_TORUS."""
+    return (*names(), *COMPOSITE_AND_TORUS)
+
+
+def plan_row(
+    name: str, overrides: Sequence[str], clock: Clock, *, robustness: bool = True
+) -> dict[str, Any]:
+    """Plan one knot with the default mission and return its row, keyed by COLUMNS.
+
+    Lengths in metres, times in seconds, wind in m/s. ``planning_time`` is the time by ``clock`` of
+    planning and certification, without the search for e* (``max_tracking_error``) and w*
+    (``max_wind``), which are None without ``robustness``. ``message`` is empty for a cleared plan;
+    otherwise it has the errors and the layouts that were tried.
+    """
+    row: dict[str, Any] = dict.fromkeys(COLUMNS)
+    start = clock()
+    try:
+        choice = lookup(name)
+        row |= {"knot": name, "crossings": choice.crossings, "vehicles": choice.vehicles}
+        planned = api.plan(mission_for_knot(name, overrides), robustness=False)
+    except (Refused, InputError) as error:
+        return row | {
+            "knot": name, "cleared": False, "planning_time": clock() - start,
+            "message": str(error),
+        }  # fmt: skip
+    planning_time = clock() - start
+    plan, assessment = planned.plan, planned.assessment
+    fold, cell = plan.phase("fold"), plan.layout.cell
+    row |= {
+        "vehicles": plan.vehicles,
+        "cleared": assessment.cleared,
+        "cell": cell,
+        "cable_length": float(plan.layout.lengths.sum()),
+        "fold_time": fold.end - fold.start,
+        "cable_clearance": _distance(assessment.cable),
+        "vehicle_clearance": _distance(assessment.vehicle),
+        "vehicle_cable_clearance": _distance(assessment.vehicle_cable),
+        "land_share": assessment.contingencies.land.share if assessment.contingencies else None,
+        "release_share": assessment.contingencies.release.share
+        if assessment.contingencies
+        else None,
+        "planning_time": planning_time,
+        "message": "" if assessment.cleared else _errors(assessment, plan.notes),
+    }
+    if cell and row["cable_clearance"] is not None:
+        row["cable_clearance_per_cell"] = row["cable_clearance"] / cell
+    if robustness and assessment.cleared:
+        limits = robustness_of(plan, assessment.moments)
+        row |= {"max_tracking_error": limits.tracking, "max_wind": limits.wind}
+    return row
+
+
+def _distance(tightest: Tightest) -> float | None:
+    return tightest.distance if isfinite(tightest.distance) else None
+
+
+def _errors(assessment: Assessment, notes: tuple[str, ...]) -> str:
+    errors = [finding.message for finding in assessment.findings if finding.severity == "error"]
+    return "; ".join([*errors, *notes])
+
+
+@dataclass(frozen=True)
+class FrontPoint:
+    """A cleared plan of the Pareto front. Metres, seconds.
+
+    ``variant`` names the change of the mission. ``max_tracking_error`` is e*. ``dominated`` is true
+    if another plan is no worse in cable length, fold time and e*, and better in one of them.
+    """
+
+    variant: str
+    cell: float
+    cable_length: float
+    fold_time: float
+    max_tracking_error: float
+    dominated: bool = False
+
+
+def pareto_front(mission: Mission, progress: Progress | None = None) -> Iterator[FrontPoint | str]:
+    """Plan variants of a mission; yield a point for each cleared plan, otherwise the reason.
+
+    The variants are the smallest layouts for TRACKING_ERRORS and for the mission's own tracking
+    error, and layouts with CELL_FACTORS times the cell width of the latter.
+    """
+    own = mission.vehicles.tracking
+    own_cell: float | None = None
+    tracking_errors = sorted({*TRACKING_ERRORS, own})
+    total = len(tracking_errors) + len(CELL_FACTORS)
+    for number, tracking in enumerate(tracking_errors, start=1):
+        variant = f"certified for {tracking:g} m" + (
+            " (as in the mission)" if tracking == own else ""
+        )
+        point = _point(_with(mission, "vehicles", tracking=tracking), variant, progress)
+        if tracking == own and isinstance(point, FrontPoint):
+            own_cell = point.cell
+        if progress:
+            progress(f"{number} of {total} plans", 1.0)
+        yield point
+    if not own_cell:
+        return
+    for factor in CELL_FACTORS:
+        variant = f"{factor:g} times the mission's cell"
+        yield _point(_with(mission, "layout", cell=factor * own_cell), variant, progress)
+
+
+def mark_dominated(points: Sequence[FrontPoint]) -> list[FrontPoint]:
+    """Return the points with ``dominated`` set."""
+
+    def dominates(one: FrontPoint, other: FrontPoint) -> bool:
+        ours = (one.cable_length, one.fold_time, -one.max_tracking_error)
+        theirs = (other.cable_length, other.fold_time, -other.max_tracking_error)
+        return ours != theirs and all(a <= b for a, b in zip(ours, theirs, strict=True))
+
+    return [
+        replace(point, dominated=any(dominates(other, point) for other in points))
+        for point in points
+    ]
+
+
+def _with(mission: Mission, section: str, **values: Any) -> Mission:
+    changed = getattr(mission, section).model_copy(update=values)
+    return mission.model_copy(update={section: changed})
+
+
+def _point(mission: Mission, variant: str, progress: Progress | None) -> FrontPoint | str:
+    try:
+        planned = api.plan(mission, progress, robustness=False)
+    except Refused as refusal:
+        return f"{variant}: {refusal}"
+    plan, assessment = planned.plan, planned.assessment
+    if not assessment.cleared:
+        return f"{variant}: {_errors(assessment, ())}"
+    fold = plan.phase("fold")
+    return FrontPoint(
+        variant=variant,
+        cell=plan.layout.cell,
+        cable_length=float(plan.layout.lengths.sum()),
+        fold_time=fold.end - fold.start,
+        max_tracking_error=largest_tracking(plan, assessment.moments) or 0.0,
+    )
