@@ -17,7 +17,7 @@ from swarm.certification.clearances import segment_name, vehicle_name
 from swarm.certification.topology import cable_curve, layout_code
 from swarm.errors import SwarmError
 from swarm.flight.trace import Trace
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.knots.curve import curve_gauss
 from swarm.knots.gauss import same_code
@@ -153,7 +153,7 @@ def _strands(plan: Plan, place: Floats) -> Floats:
     """Return polylines (k, n − 1, m, 3) of the cable at positions (k, n, 3)."""
     start, end = place[:, :-1], place[:, 1:]
     chord = np.linalg.norm(end - start, axis=-1)
-    strands = hang(start, end, np.maximum(plan.layout.lengths, chord / _TAUT))
+    strands = solve_catenaries(start, end, np.maximum(plan.layout.lengths, chord / _TAUT))
     return strands.points(np.linspace(0.0, 1.0, _PIECES + 1))
 
 

@@ -21,11 +21,11 @@ from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.flight.result import Outcome
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
+from swarm.geometry.motion import concatenate, leg
 from swarm.mission import Mission, mission_for_knot
 from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning import KnotSummary, Layout, Plan
 from swarm.planning.flight import whole_flight
-from swarm.trajectory import followed, leg
 
 Keep = Callable[[float, int, bytes], bool]
 """Whether a packet gets through: time, system id, bytes."""
@@ -55,7 +55,7 @@ def sideways(*overrides: str, vehicles: int = 3, height: float = 5.0) -> Plan:
     spacing, length = 3.0, 3.6
     line = np.array([[spacing * k, 0.0, height] for k in range(vehicles)])
     aside = line + np.array([0.0, 3.0, 0.5])
-    fold = followed(leg(line, aside, 1.0, 0.5), leg(aside, line, 1.0, 0.5))
+    fold = concatenate(leg(line, aside, 1.0, 0.5), leg(aside, line, 1.0, 0.5))
     lengths = np.full(vehicles - 1, length)
     flight = whole_flight(mission, lengths, fold)
     layout = Layout(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from swarm.errors import InputError
-from swarm.geometry.catenary import OverStretched, hang
+from swarm.geometry.catenary import OverStretched, solve_catenaries
 from swarm.mission import parse_mission
 from swarm.planning import make_plan
 from swarm.planning.cable_shape import cable_shape
@@ -38,7 +38,9 @@ def test_held_segments_keep_their_lengths_and_hang_between_their_grips():
 def test_aloft_it_is_the_catenary():
     time = middle("fold")
     grips = PLAN.motion(time)[0]
-    expected = hang(grips[:-1], grips[1:], PLAN.layout.lengths).points(np.linspace(0, 1, 50))
+    expected = solve_catenaries(grips[:-1], grips[1:], PLAN.layout.lengths).points(
+        np.linspace(0, 1, 50)
+    )
     np.testing.assert_allclose(cable_shape(PLAN, time, 50), expected, atol=1e-12)
 
 

@@ -7,12 +7,12 @@ import pytest
 
 from swarm.certification.assess import assess
 from swarm.errors import InputError
+from swarm.geometry.motion import Motion
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import Plan
 from swarm.planning.finishes import MOST_TIGHTENED
 from swarm.planning.flight import whole_flight
 from swarm.planning.formation import formation_plan
-from swarm.trajectory import Motion
 from tests.certification.conftest import recorded_overhand
 from tests.network import Network, small_plan
 

@@ -5,9 +5,9 @@ import numpy.typing as npt
 import pytest
 from scipy.interpolate import CubicSpline
 
+from swarm.geometry.motion import leg
 from swarm.planning.timing import slowed, timed
-from swarm.trajectory import leg
-from tests.test_trajectory import jumps
+from tests.geometry.test_motion import jumps
 
 Floats = npt.NDArray[np.float64]
 

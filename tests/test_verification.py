@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from swarm.flight.trace import Trace
 from swarm.geometry.chain import segment_lengths
 from swarm.geometry.distance import strand_strand
+from swarm.geometry.motion import through_states
 from swarm.mission import mission_for_knot
 from swarm.planning import KnotSummary, Layout, Phase, Plan
-from swarm.trajectory import through_states
 from swarm.verification import closest_strands, tracking_errors, verify_trace
 
 CELL = 2.4

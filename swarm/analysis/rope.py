@@ -20,7 +20,7 @@ from swarm.analysis.rope_model import STEP, TIGHTENING_STEP, Grips, Rope, Seen
 from swarm.analysis.swing import largest_swings
 from swarm.certification.topology import layout_code
 from swarm.errors import Refused, SwarmError
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import strand_strand
 from swarm.knots.curve import curve_gauss
 from swarm.knots.gauss import same_code
@@ -147,7 +147,9 @@ def _hanging(places: Floats, lengths: Floats, counts: Ints) -> Floats:
     parts = [places[:1]]
     for start, end, length, count in zip(places, places[1:], lengths, counts, strict=False):
         reach = max(float(length), float(np.linalg.norm(end - start)) / _TAUT)
-        parts.append(hang(start, end, reach).points(np.linspace(0.0, 1.0, count + 1))[1:])
+        parts.append(
+            solve_catenaries(start, end, reach).points(np.linspace(0.0, 1.0, count + 1))[1:]
+        )
     return np.concatenate(parts)
 
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from swarm.geometry.motion import Motion, leg
 from swarm.mission import Mission
 from swarm.planning import Plan
-from swarm.trajectory import Motion, leg
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

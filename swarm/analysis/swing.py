@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.budget import DIRECTIONS, NEARLY_STRAIGHT, effective_gravity
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,11 +33,11 @@ def largest_swings(
     drawn = np.maximum(lengths, np.linalg.norm(end - start, axis=1) / NEARLY_STRAIGHT)
 
     def movement(by: Floats) -> Floats:
-        leaning = hang(start, end, drawn, down=effective_gravity(by)).points(_FRACTIONS)
+        leaning = solve_catenaries(start, end, drawn, down=effective_gravity(by)).points(_FRACTIONS)
         farthest: Floats = np.linalg.norm(leaning - still, axis=-1).max(axis=-1)
         return farthest
 
-    still = hang(start, end, drawn).points(_FRACTIONS)
+    still = solve_catenaries(start, end, drawn).points(_FRACTIONS)
     sway = movement(0.5 * (acceleration[:-1] + acceleration[1:]))
     headings = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
     level = braking * np.stack([np.cos(headings), np.sin(headings), 0.0 * headings], axis=1)

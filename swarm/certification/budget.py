@@ -20,9 +20,9 @@ from swarm.certification.air import (
     wind_down,
 )
 from swarm.certification.clearances import STILL_AIR, Moment, Place
-from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, hang
+from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.distance import polyline_polyline
-from swarm.geometry.linear_response import response
+from swarm.geometry.linear_response import linear_response
 from swarm.geometry.sensitivity import BOTH_ENDS
 from swarm.planning import Plan
 
@@ -92,7 +92,7 @@ class _Strand:
     def catenary(self, length: float | None = None, down: Floats | Place = STILL_AIR) -> Catenaries:
         chord = float(np.linalg.norm(self.end - self.start))
         length = max(self.length if length is None else length, chord / NEARLY_STRAIGHT)
-        return hang(self.start, self.end, length, down=down)
+        return solve_catenaries(self.start, self.end, length, down=down)
 
     def movement(self, length: float | None = None, down: Floats | Place = STILL_AIR) -> float:
         """Movement of the point along the normal when length or gravity change."""
@@ -116,8 +116,8 @@ class _Strand:
         """Largest movement along the normal per metre of error of both ends."""
         one = np.ones(1)
         drawn = self.catenary()
-        strands = hang(drawn.start[None], drawn.end[None], drawn.length[None])
-        found = response(
+        strands = solve_catenaries(drawn.start[None], drawn.end[None], drawn.length[None])
+        found = linear_response(
             strands, self.fraction * one, np.array([BOTH_ENDS]), self.normal[None],
             (self.fraction * one, self.fraction * one), 0.0 * one,
         )  # fmt: skip
@@ -175,9 +175,9 @@ def _closest(
     ends = [(place[segment], place[segment + 1]) for segment in segments]
     lengths = [float(plan.layout.lengths[segment]) for segment in segments]
     points = [
-        hang(start, end, max(length, float(np.linalg.norm(end - start)) / NEARLY_STRAIGHT)).points(
-            np.linspace(0.0, 1.0, _PIECES + 1)
-        )
+        solve_catenaries(
+            start, end, max(length, float(np.linalg.norm(end - start)) / NEARLY_STRAIGHT)
+        ).points(np.linspace(0.0, 1.0, _PIECES + 1))
         for (start, end), length in zip(ends, lengths, strict=True)
     ]
     if abs(segments[0] - segments[1]) == 1:

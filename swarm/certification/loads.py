@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, hang
+from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
@@ -60,7 +60,7 @@ def loads(plan: Plan) -> Loads:
 def _hung(start: Floats, end: Floats, length: Floats) -> Catenaries:
     """Hang the segments; taut ones as at 0.999 of their length, the taut rule refuses them."""
     chord = np.linalg.norm(end - start, axis=-1)
-    return hang(start, end, np.maximum(length, chord / 0.999))
+    return solve_catenaries(start, end, np.maximum(length, chord / 0.999))
 
 
 def _forces(strands: Catenaries, weight: float) -> Floats:

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.limits import TAUT
-from swarm.geometry.distance import nearest
-from swarm.geometry.quick import dip, sketch
+from swarm.geometry.catenary_kernel import max_drop_below_ends, sample_strand
+from swarm.geometry.distance import polyline_distance
 from swarm.jit import compiled
 from swarm.planning import CableState, Plan
 
@@ -181,11 +181,11 @@ def _strands_apart(
         if apart < matters + far:
             for strand in (one, other):
                 if not sketched[strand]:
-                    sketch(grips[strand], grips[strand + 1], lengths[strand], points[strand])
+                    sample_strand(grips[strand], grips[strand + 1], lengths[strand], points[strand])
                     sketched[strand] = True
             apart = _points_apart(points[one], points[other], spacing)
             if apart < matters:
-                apart = nearest(points[one], points[other], np.inf)[0]
+                apart = polyline_distance(points[one], points[other], np.inf)[0]
         least = min(least, apart)
     return least
 
@@ -201,8 +201,8 @@ def _boxes_apart(
         low, high = min(start[k], end[k]), max(start[k], end[k])
         other_low, other_high = min(other_start[k], other_end[k]), max(other_start[k], other_end[k])
         if k == 2:
-            low -= dip(start, end, length)
-            other_low -= dip(other_start, other_end, other_length)
+            low -= max_drop_below_ends(start, end, length)
+            other_low -= max_drop_below_ends(other_start, other_end, other_length)
         square += max(low - other_high, other_low - high, 0.0) ** 2
     return math.sqrt(square)
 

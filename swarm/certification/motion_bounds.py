@@ -7,8 +7,8 @@ from math import comb, perm
 import numpy as np
 import numpy.typing as npt
 
+from swarm.geometry.motion import Motion
 from swarm.jit import compiled
-from swarm.trajectory import Motion
 
 Floats = npt.NDArray[np.float64]
 

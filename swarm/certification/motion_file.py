@@ -13,10 +13,10 @@ import numpy.typing as npt
 from swarm.errors import InputError, Problem, SwarmError
 from swarm.geometry.catenary import sag_for_length
 from swarm.geometry.chain import crossing_gaps, plan_crossings
+from swarm.geometry.motion import through_states
 from swarm.mission import Mission
 from swarm.planning import Gate, KnotSummary, Layout, Phase, PhaseName, Plan
 from swarm.planning.order import declared, misplaced
-from swarm.trajectory import through_states
 
 Floats = npt.NDArray[np.float64]
 

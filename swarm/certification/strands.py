@@ -15,20 +15,26 @@ import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import Boxes, Enclosure
 from swarm.certification.motion_bounds import Course
-from swarm.geometry.catenary import Catenaries, hang
+from swarm.geometry.catenary import Catenaries, solve_catenaries
+from swarm.geometry.catenary_kernel import max_elevation_sine
 from swarm.geometry.distance import segment_segment
-from swarm.geometry.linear_response import Strand, curvatures, elsewhere, movement, respond
-from swarm.geometry.quick import steepest
+from swarm.geometry.linear_response import (
+    CatenaryFigures,
+    curvature_table,
+    movement,
+    movement_difference,
+    strand_response,
+)
 from swarm.geometry.sensitivity import (
     BOTH_ENDS,
     FAR_END,
     LARGEST_RATIO,
     NEAR_END,
-    finest_in,
-    largest_of,
-    on_the_way,
-    sensitivity,
-    steepness,
+    elevation_class,
+    finest_piece,
+    movement_bound,
+    ratio_range,
+    sensitivity_tables,
 )
 from swarm.jit import compiled
 
@@ -113,12 +119,12 @@ class Pieces:
         strands = self.strands
         up = -np.einsum("bi,bi->b", normal, strands.down)
         ahead = np.einsum("bi,bi->b", normal, strands.heading)
-        found, tables = np.empty((3, len(along))), sensitivity()
+        found, tables = np.empty((3, len(along))), sensitivity_tables()
         _moved(
             strands.length, strands.parameter, strands.slope, strands.span, strands.rise,
             ahead, up, along, self.begin, self.end, self.number, self.moving, self.ratio,
             np.stack([self.loose, self.still, self.stretch, self.still_stretch]),
-            curvatures(), tables.norm, tables.integral, found,
+            curvature_table(), tables.norm, tables.integral, found,
         )  # fmt: skip
         return found[0], found[1], found[2]
 
@@ -149,19 +155,19 @@ def _moved(
     for k in range(len(length)):
         loose, still, stretch, still_stretch = ways[0, k], ways[1, k], ways[2, k], ways[3, k]
         fraction = begin[k] + along[k] * (end[k] - begin[k])
-        strand = Strand(length[k], parameter[k], slope[k], span[k], rise[k])
-        at_point, per_arc, curvature = respond(
+        strand = CatenaryFigures(length[k], parameter[k], slope[k], span[k], rise[k])
+        at_point, per_arc, curvature = strand_response(
             strand, (ahead[k], up[k]), fraction, (begin[k], end[k]), moving[k], stretch, table
         )  # fmt: skip
         upright = min(abs(up[k]), 1.0)
         across = np.sqrt(1.0 - upright * upright)
-        point = finest_in(number[k], fraction)
-        steep = steepness(steepest(rise[k], span[k], stretch))
-        on_way = on_the_way(ratio[k], stretch / length[k])
-        in_ball = on_the_way(ratio[k], still_stretch / length[k])
+        point = finest_piece(number[k], fraction)
+        steep = elevation_class(max_elevation_sine(rise[k], span[k], stretch))
+        on_way = ratio_range(ratio[k], stretch / length[k])
+        in_ball = ratio_range(ratio[k], still_stretch / length[k])
         for which in range(3):
             way, relative = (loose, stretch) if which < 2 else (still, still_stretch)
-            level, rising = largest_of(
+            level, rising = movement_bound(
                 norm, integral, steep, moving[k], number[k] if which == 0 else point,
                 on_way if which < 2 else in_ball,
             )  # fmt: skip
@@ -170,7 +176,7 @@ def _moved(
                 bound = movement(at_point, curvature, way, relative)
                 if which == 0:
                     arc = length[k] * max(fraction - begin[k], end[k] - fraction)
-                    bound += elsewhere(per_arc, arc, stretch)
+                    bound += movement_difference(per_arc, arc, stretch)
                 worst = min(worst, bound)
             found[which, k] = worst
 
@@ -199,7 +205,7 @@ def hung(team: Team, cable: HeldCable, when: Ints, segment: Ints) -> tuple[Caten
     start, end = team.position[instant, number], team.position[instant, number + 1]
     chord = np.linalg.norm(end - start, axis=-1)
     length = np.maximum(cable.lengths[number], chord / LARGEST_RATIO)
-    return hang(start, end, length, down=cable.down), which
+    return solve_catenaries(start, end, length, down=cable.down), which
 
 
 def pieces(

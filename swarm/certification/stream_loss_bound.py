@@ -24,7 +24,7 @@ from swarm.certification.stream_loss_pairs import (
     sketches_for,
 )
 from swarm.certification.stream_loss_team import Box, Leaving, Standing, room_for, stand
-from swarm.geometry.sensitivity import sensitivity
+from swarm.geometry.sensitivity import sensitivity_tables
 from swarm.jit import compiled
 from swarm.planning import Plan
 
@@ -119,7 +119,7 @@ class CoastBound:
             breaks, joints, coefficients, course.accelerations, course.jerks,
             np.array(ways.after), np.array(ways.sinking), plan.mission.vehicles.tracking, end,
         )  # fmt: skip
-        tables = sensitivity()
+        tables = sensitivity_tables()
         self._kept = Kept(
             TAUT * lengths, clearance.vehicle, clearance.downwash,
             clearance.cable + plan.mission.cable.diameter, np.array(lengths), tables.norm,

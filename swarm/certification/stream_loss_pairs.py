@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.stream_loss_team import Standing
-from swarm.geometry import quick
-from swarm.geometry.distance import nearest
+from swarm.geometry import catenary_kernel
+from swarm.geometry.distance import polyline_distance
 from swarm.geometry.sensitivity import (
     BOTH_ENDS,
     LARGEST_RATIO,
-    largest_of,
-    on_the_way,
-    steepness,
+    elevation_class,
+    movement_bound,
+    ratio_range,
 )
 from swarm.jit import compiled
 
@@ -113,7 +113,9 @@ def _left_of(
     least = most - kept.lengths.max() / _PIECES
     if least < off and most >= off - TOLERANCE:
         limit = most + kept.strands
-        least = most = nearest(sketches.points[i], sketches.points[j], limit)[0] - kept.strands
+        least = most = (
+            polyline_distance(sketches.points[i], sketches.points[j], limit)[0] - kept.strands
+        )
     return least - off, most
 
 
@@ -129,10 +131,10 @@ def _off(i: int, moved: float, place: Floats, kept: Kept, sketches: Sketches) ->
         sketches.bow[i] = _drawn(start, end, max(length, chord / LARGEST_RATIO), sketches.points[i])
     if chord + 2.0 * moved >= LARGEST_RATIO * length:
         return np.inf
-    steep = steepness(quick.steepest(rise, span, 2.0 * moved))
-    level, upright = largest_of(
+    steep = elevation_class(catenary_kernel.max_elevation_sine(rise, span, 2.0 * moved))
+    level, upright = movement_bound(
         kept.norm, kept.integral, steep, BOTH_ENDS, 1,
-        on_the_way(chord / length, 2.0 * moved / length),
+        ratio_range(chord / length, 2.0 * moved / length),
     )  # fmt: skip
     return float(sketches.bow[i] + np.sqrt(level * level + upright * upright) * moved)
 
@@ -140,7 +142,7 @@ def _off(i: int, moved: float, place: Floats, kept: Kept, sketches: Sketches) ->
 @compiled
 def _drawn(start: Floats, end: Floats, length: float, points: Floats) -> float:
     """Write a strand's points (k, 3); how far it bows out between these at most."""
-    quick.sketch(start, end, length, points)
+    catenary_kernel.sample_strand(start, end, length, points)
     arc, shortest = length / (len(points) - 1), np.inf
     for k in range(len(points) - 1):
         square = 0.0

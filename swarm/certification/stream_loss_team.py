@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.motion_bounds import largest_between, pieces_between
+from swarm.geometry.motion import evaluate_piece, find_piece
 from swarm.jit import compiled
-from swarm.trajectory import piece_at, state_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -75,11 +75,13 @@ def stand(box: Box, leaving: Leaving, standing: Standing, doubts: Floats) -> boo
     gone, gone_half = (box.coasted, box.coasted_half) if box.case == 0 else (box.on, box.on_half)
     moment, width = box.time + gone, box.half + gone_half
     later, until = min(moment, leaving.end), min(moment + width, leaving.end)
-    piece, since, moving = piece_at(leaving.breaks, later)
+    piece, since, moving = find_piece(leaving.breaks, later)
     run = pieces_between(leaving.joints, later - width, until)
     largest = 0.0
     for i in range(len(loose)):
-        state_of(leaving.coefficients[piece], i, since, moving, place[i], along[i], standing.one[2])
+        evaluate_piece(
+            leaving.coefficients[piece], i, since, moving, place[i], along[i], standing.one[2]
+        )
         bound = largest_between(leaving.accelerations, run, i)
         # Where the plan may have it, at the same time as the others.
         size = _size(along[i])
@@ -108,8 +110,8 @@ def _coasting(box: Box, i: int, leaving: Leaving, standing: Standing, doubts: Fl
     Returns how far it may be from where it is planned when all others are where they are.
     """
     begun, speed, push = standing.one[0], standing.one[1], standing.one[2]
-    piece, since, moving = piece_at(leaving.breaks, box.time)
-    state_of(leaving.coefficients[piece], i, since, moving, begun, speed, push)
+    piece, since, moving = find_piece(leaving.breaks, box.time)
+    evaluate_piece(leaving.coefficients[piece], i, since, moving, begun, speed, push)
     run = pieces_between(leaving.joints, box.time - box.half, box.time + box.half)
     strongest = largest_between(leaving.accelerations, run, i)
     sharpest = largest_between(leaving.jerks, run, i)

@@ -6,9 +6,9 @@ import numpy as np
 
 from swarm.certification.certificate import CertifiedPlan, certify, without_cable
 from swarm.flight.flight_plan import CableFreeFlight
+from swarm.geometry.motion import Motion
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
-from swarm.trajectory import Motion
 
 RAISED = 1.0
 """Metres. Vehicles that grab a cable stand on their legs as they do; simulated ones wander by up

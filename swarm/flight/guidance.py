@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from swarm.flight import estimation
 from swarm.flight.clock import MissionClock
-from swarm.trajectory import Motion
+from swarm.geometry.motion import Motion
 
 Floats = npt.NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from swarm.certification.findings import Finding
 from swarm.errors import Refused
 from swarm.flight.flight_plan import CableFreeFlight, FlightPlan
 from swarm.flight.trace import Trace
+from swarm.geometry.motion import at_rest, concatenate, leg
 from swarm.planning import Gate, Phase, Plan
-from swarm.trajectory import at_rest, followed, leg
 
 Floats = npt.NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def hop(flight_plan: FlightPlan) -> CableFreeFlight:
     thrust = 0.5 * (vehicles.max_acceleration - vehicles.braking_acceleration)
     speed = min(_SPEED, vehicles.max_speed)
     parts = {
-        "takeoff": followed(leg(pads, up, speed, thrust), at_rest(up, SETTLE)),
+        "takeoff": concatenate(leg(pads, up, speed, thrust), at_rest(up, SETTLE)),
         "hold": at_rest(up, HOVER),
         "land": leg(up, pads, speed, thrust),
     }
@@ -82,7 +82,7 @@ def hop(flight_plan: FlightPlan) -> CableFreeFlight:
         mission=mission,
         knot=plan.knot,
         layout=plan.layout,
-        motion=followed(*parts.values()),
+        motion=concatenate(*parts.values()),
         phases=tuple(phases),
         gates=gates,
         path=up,

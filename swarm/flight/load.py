@@ -8,7 +8,7 @@ is known in the cable model, so it goes into the acceleration setpoint as feed-f
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry import quick
+from swarm.geometry import catenary_kernel
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.geometry.floor import rest_on_floor
 from swarm.jit import compiled
@@ -56,7 +56,7 @@ def end_forces(
     on_start, on_end = np.empty(start.shape), np.empty(start.shape)
     weight = STANDARD_GRAVITY * mass_per_length
     for strand in range(len(lengths)):
-        quick.end_forces(
+        catenary_kernel.end_forces(
             start[strand], end[strand], lengths[strand], weight, on_start[strand], on_end[strand]
         )
     return on_start, on_end

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.crossings import crossings, kept_sides
-from swarm.folding.soft_constraints import Strands
+from swarm.folding.crossings import find_crossings, required_signs
+from swarm.folding.soft_constraints import Outlines
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -14,27 +14,27 @@ Signs = npt.NDArray[np.int8]
 
 
 @dataclass(frozen=True, eq=False)
-class Sides:
+class CrossingSigns:
     """Who is to pass over whom: 1 where the first passes over the second, −1 under, 0 where free.
 
-    ``strands`` (s, pairs) are of two strands, in the order of :func:`pairs`; ``bodies``
+    ``strands`` (s, pairs) are of two strands, in the order of :func:`segment_pairs`; ``bodies``
     (s, n, n − 1) of vehicles and strands.
     """
 
     strands: Signs
     bodies: Signs
 
-    def __getitem__(self, moments: Ints | slice) -> "Sides":
-        return Sides(self.strands[moments], self.bodies[moments])
+    def __getitem__(self, moments: Ints | slice) -> "CrossingSigns":
+        return CrossingSigns(self.strands[moments], self.bodies[moments])
 
 
-def pairs(count: int) -> tuple[Ints, Ints]:
+def segment_pairs(count: int) -> tuple[Ints, Ints]:
     """All pairs (p,) and (p,) of ``count`` segments that do not share a vehicle."""
     first, second = np.triu_indices(count, 2)
     return first, second
 
 
-def sides_of(hung: Strands, around: int) -> Sides:
+def crossing_signs(hung: Outlines, around: int) -> CrossingSigns:
     """Which of strands (s, n − 1) are to pass over others, and which vehicles over which strands.
 
     Those do that are over at the end, and whoever is joined to them by :mod:`.crossings`. The
@@ -43,18 +43,18 @@ def sides_of(hung: Strands, around: int) -> Sides:
     little sooner or later.
     """
     moments, count = hung.ratio.shape
-    first, second = pairs(count)
+    first, second = segment_pairs(count)
     found = np.zeros((moments, len(first)), dtype=np.int8)
     bodies = np.zeros((moments, count + 1, count), dtype=np.int8)
-    crossed = crossings(hung, first, second)
-    for each, side in zip(crossed, kept_sides(crossed, count), strict=True):
+    crossed = find_crossings(hung, first, second)
+    for each, side in zip(crossed, required_signs(crossed, count), strict=True):
         found[each.begin : each.end + 1, each.pair] = side
         for passing in each.passings:
             near = slice(max(passing.moment - around, 0), passing.moment + around + 1)
             bodies[near, passing.vehicle, passing.strand] = side * each.as_passed(passing)
     for pair in np.unique([each.pair for each in crossed]).astype(np.intp):
         found[:, pair] = _longer(found[:, pair], around)
-    return Sides(found, bodies)
+    return CrossingSigns(found, bodies)
 
 
 def _longer(sides: Signs, around: int) -> Signs:

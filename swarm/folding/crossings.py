@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.soft_constraints import Strands
-from swarm.folding.strand_clearance import crossing, height_at, heights_over
+from swarm.folding.soft_constraints import Outlines
+from swarm.folding.strand_clearance import crossing_heights, height_at_span, plan_crossing
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -59,12 +59,12 @@ class Crossing:
         return 1 if passing.strand == self.second else -1
 
 
-def crossings(hung: Strands, first: Ints, second: Ints) -> list[Crossing]:
+def find_crossings(hung: Outlines, first: Ints, second: Ints) -> list[Crossing]:
     """All crossings of pairs (p,) of strands (s, n − 1), which do not share vehicles."""
     found: list[Crossing] = []
     over = np.empty(len(hung.ratio))
     for pair, (one, other) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-        heights_over(hung.points[:, one], hung.points[:, other], over)
+        crossing_heights(hung.points[:, one], hung.points[:, other], over)
         edges = np.flatnonzero(np.diff(over != 0.0, prepend=False, append=False))
         for begin, end in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
             lasts = end == len(over) - 1
@@ -79,7 +79,7 @@ def crossings(hung: Strands, first: Ints, second: Ints) -> list[Crossing]:
     return found
 
 
-def kept_sides(found: list[Crossing], segments: int) -> list[int]:
+def required_signs(found: list[Crossing], segments: int) -> list[int]:
     """Of every crossing, whether the first strand is to be over the second: 1, or −1."""
     sides = [0] * len(found)
     joined = _joined(found, segments)
@@ -92,14 +92,14 @@ def kept_sides(found: list[Crossing], segments: int) -> list[int]:
     return sides
 
 
-def _passing(hung: Strands, moment: int, one: int, other: int) -> Passing:
+def _passing(hung: Outlines, moment: int, one: int, other: int) -> Passing:
     """The vehicle that just passes a strand, where two begin or cease to cross."""
     points = hung.points[moment]
-    here, there = crossing(points[one], points[other])
+    here, there = plan_crossing(points[one], points[other])
     ends = [(here, one, 0), (1.0 - here, one, 1), (there, other, 0), (1.0 - there, other, 1)]
     _, segment, end = min(ends)
     strand, share = (other, there) if segment == one else (one, here)
-    height = float(points[segment, -end, 2]) - height_at(points[strand], share)
+    height = float(points[segment, -end, 2]) - height_at_span(points[strand], share)
     return Passing(moment, segment + end, strand, height)
 
 

@@ -1,12 +1,12 @@
 """How strands answer when the vehicles that hold them move: the more, the tauter they are.
 
-All functions but :func:`lifts` are compiled, and for one strand.
+All functions but :func:`sag_responses` are compiled, and for one strand.
 """
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.quick import steepest
+from swarm.geometry.catenary_kernel import max_elevation_sine
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -27,19 +27,19 @@ _NOT_STEEP = 0.86
 
 
 @compiled
-def lift(ratio: float) -> float:
+def sag_response(ratio: float) -> float:
     """How far the middle of a level strand moves vertically per metre of both its ends."""
-    return 1.0 + read(ratio, _RATIOS, _LIFTS)
+    return 1.0 + interpolate(ratio, _RATIOS, _LIFTS)
 
 
-def lifts(ratio: Floats) -> Floats:
-    """As :func:`lift`, for many strands (…)."""
+def sag_responses(ratio: Floats) -> Floats:
+    """As :func:`sag_response`, for many strands (…)."""
     moved: Floats = 1.0 + np.interp(ratio, _RATIOS, _LIFTS)
     return moved
 
 
 @compiled
-def read(at: float, places: Floats, values: Floats) -> float:
+def interpolate(at: float, places: Floats, values: Floats) -> float:
     """Read a table of values at rising places (k,) between two of these; its ends go on level.
 
     As ``np.interp``, which makes arrays of its own for one number, too.
@@ -54,10 +54,10 @@ def read(at: float, places: Floats, values: Floats) -> float:
 
 
 @compiled
-def movement(lifted: float, fraction: float, upright: float) -> float:
+def point_movement(lifted: float, fraction: float, upright: float) -> float:
     """Movement of a strand's point per metre of its ends, along a direction this much upright.
 
-    ``lifted`` is the strand's :func:`lift`, ``fraction`` where on the strand the point is.
+    ``lifted`` is the strand's :func:`sag_response`, ``fraction`` where on the strand the point is.
     """
     bulge = 4.0 * fraction * (1.0 - fraction)
     vertical = 1.0 + (lifted - 1.0) * bulge
@@ -66,47 +66,47 @@ def movement(lifted: float, fraction: float, upright: float) -> float:
 
 
 @compiled
-def most_movement(lifted: float) -> float:
-    """The most that :func:`movement` says of any point of a strand."""
+def max_point_movement(lifted: float) -> float:
+    """The most that :func:`point_movement` says of any point of a strand."""
     return float(np.sqrt(1.45**2 + max(lifted, 1.0) ** 2))
 
 
 @compiled
-def far_movement(
+def far_end_movement(
     points: Floats, ratio: float, chord: float, fraction: float, upright: float, tracking: float
 ) -> float:
-    """As :func:`movement` where only the far end moves, but twice as far; for one strand.
+    """As :func:`point_movement` where only the far end moves, but twice as far; for one strand.
 
     ``points`` (k, 3) are the strand's, ``fraction`` is from the grip that rests. Strands between
     ends far above each other swing more.
     """
     rise = points[-1, 2] - points[0, 2]
-    sine = steepest(rise, np.sqrt(max(chord * chord - rise * rise, 0.0)), 2.0 * tracking)
-    level = read(fraction, _FROM_GRIP, _FAR_LEVEL)
+    sine = max_elevation_sine(rise, np.sqrt(max(chord * chord - rise * rise, 0.0)), 2.0 * tracking)
+    level = interpolate(fraction, _FROM_GRIP, _FAR_LEVEL)
     if sine > _NOT_STEEP:
         steep = min(max((np.arcsin(sine) - 1.05) / 0.52, 0.0), 1.0)
-        level += steep * (read(fraction, _FROM_GRIP, _FAR_STEEP) - level)
+        level += steep * (interpolate(fraction, _FROM_GRIP, _FAR_STEEP) - level)
     level *= min(0.4 + 0.75 * ratio, 1.0)
     vertical = min(1.05, level * (0.5 + 1.5 * ratio**2))
-    vertical *= max(1.0, 0.5 * (1.0 + read(ratio, _RATIOS, _LIFTS)))
+    vertical *= max(1.0, 0.5 * (1.0 + interpolate(ratio, _RATIOS, _LIFTS)))
     return float(2.0 * (level * np.sqrt(1.0 - upright**2) + vertical * upright))
 
 
 @compiled
-def most_far_movement(ratio: float) -> float:
-    """The most that :func:`far_movement` says of any point of a strand."""
-    vertical = 1.05 * max(1.0, 0.5 * (1.0 + read(ratio, _RATIOS, _LIFTS)))
+def max_far_end_movement(ratio: float) -> float:
+    """The most that :func:`far_end_movement` says of any point of a strand."""
+    vertical = 1.05 * max(1.0, 0.5 * (1.0 + interpolate(ratio, _RATIOS, _LIFTS)))
     return float(2.0 * np.sqrt(1.02**2 + vertical**2))
 
 
 @compiled
-def follow(
+def add_to_ends(
     slopes: Floats, segment: int, share: float, lifted: float, points: Floats, push: Floats
 ) -> None:
     """Add what grows by ``push`` (3,) with a point of a segment to the slopes (n, 3) of its ends.
 
     A strand's point follows the strand's ends in proportion to how near it is to each; where they
-    move apart, it rises by as much as its :func:`lift` says.
+    move apart, it rises by as much as its :func:`sag_response` says.
     """
     along_x, along_y = points[-1, 0] - points[0, 0], points[-1, 1] - points[0, 1]
     span = max(np.sqrt(along_x**2 + along_y**2), 1e-9)

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.optimizer import GIVING_WAY, Band
+from swarm.folding.optimizer import RELAXING, ElasticBand
 
 Floats = npt.NDArray[np.float64]
 
@@ -29,7 +29,7 @@ stages before and after in which all may give way."""
 _WAYS = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, -1.0], [-1.0, 0, 0], [0, -1.0, 0], [0, 0, 1.0]])
 
 
-def freed(band: Band, offsets: Floats) -> Floats:
+def basin_hopping(band: ElasticBand, offsets: Floats) -> Floats:
     """Offsets (c, n, 3) with which a team is stuck at fewer moments; the same where none is found.
 
     ``offsets`` (c, n, 3) are what to begin with.
@@ -47,7 +47,9 @@ def freed(band: Band, offsets: Floats) -> Floats:
     return offsets
 
 
-def _hopped(band: Band, offsets: Floats, stage: int, who: npt.NDArray[np.intp]) -> Floats | None:
+def _hopped(
+    band: ElasticBand, offsets: Floats, stage: int, who: npt.NDArray[np.intp]
+) -> Floats | None:
     """Offsets with which nobody is stuck about a stage, by moving one of some vehicles aside."""
     margins = band.crew.margins
     apart = margins.vehicle + 2.0 * margins.tracking
@@ -58,7 +60,7 @@ def _hopped(band: Band, offsets: Floats, stage: int, who: npt.NDArray[np.intp]) 
         bump = np.exp(-0.5 * ((np.arange(begin, end) - stage) / long) ** 2)
         moved = offsets.copy()
         moved[begin:end, vehicle] += far * apart * bump[:, None] * way
-        moved = band.relaxed(moved, slice(begin, end), GIVING_WAY)
+        moved = band.relaxed(moved, slice(begin, end), RELAXING)
         moments = slice(begin * band.density, end * band.density)
         if band.strain(moved, moments, wishes=False).missed.max() <= _FREE**2:
             return moved

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.lattice import Way, passages, walked
-from swarm.folding.layout import Hanging
+from swarm.folding.lattice import LatticePath, cheapest_path, segment_costs
+from swarm.folding.layout import KnotLayout
 from swarm.folding.margins import Margins
 from swarm.folding.path import FoldPath, Guide, last_lane
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.chain import crossing_fractions
 
 Floats = npt.NDArray[np.float64]
@@ -26,14 +26,14 @@ _FINE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
+class LaneAssignment:
     """Paths of all vehicles, and the way of every segment along them."""
 
     path: FoldPath
-    ways: tuple[Way, ...]
+    ways: tuple[LatticePath, ...]
 
 
-def found_ways(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Ways:
+def assign_lanes(layout: KnotLayout, guide: Guide, margins: Margins, step: float) -> LaneAssignment:
     """Find a way for every segment, with lanes for every vehicle.
 
     ``step`` is that of the lattice of progress, in metres. Lanes over corners are at least so high
@@ -41,13 +41,13 @@ def found_ways(layout: Hanging, guide: Guide, margins: Margins, step: float) -> 
     Lanes under strands are no higher than these sag: that much is flown, not given way by.
     """
     path, ways = _finding(layout, guide, margins, step)
-    return Ways(path, tuple(ways))
+    return LaneAssignment(path, tuple(ways))
 
 
-def cost_of_ways(
-    layout: Hanging, guide: Guide, margins: Margins, step: float, enough: float = np.inf
+def assignment_cost(
+    layout: KnotLayout, guide: Guide, margins: Margins, step: float, enough: float = np.inf
 ) -> float:
-    """How much the ways that :func:`found_ways` finds miss their margins, in all.
+    """How much the ways that :func:`assign_lanes` finds miss their margins, in all.
 
     Where they miss more than ``enough``, something more than that: the rest is not found.
     """
@@ -60,31 +60,31 @@ def cost_of_ways(
 
 
 def _finding(
-    layout: Hanging, guide: Guide, margins: Margins, step: float
-) -> tuple[FoldPath, Iterator[Way]]:
+    layout: KnotLayout, guide: Guide, margins: Margins, step: float
+) -> tuple[FoldPath, Iterator[LatticePath]]:
     """Paths of all vehicles, and one segment's way after the other."""
     lanes = np.repeat(layout.lanes[:, None], len(layout.corners), axis=1)
     lanes = np.maximum(lanes, np.where(lanes > 0.0, _loop_room(layout), -np.inf))
     lanes = np.minimum(lanes, np.where(lanes < 0.0, _below_sags(layout), np.inf))
     for edge, length in enumerate(layout.lengths):
-        taut = margins.taut * length - 2.0 * margins.tracking
+        taut = margins.max_chord_ratio * length - 2.0 * margins.tracking
         span = float(guide.stations[edge + 1] - guide.stations[edge])
         lane = float(lanes[edge, edge + 1])
         lanes[edge, edge + 1] = last_lane(lane, span, guide.slope, float(taut))
     path = FoldPath(guide, lanes)
-    tables = passages(layout, path, margins, step)
-    chords = spacings(layout.lengths, np.diff(path.stops), margins, step)
-    return path, map(walked, tables, chords)
+    tables = segment_costs(layout, path, margins, step)
+    chords = initial_chords(layout.lengths, np.diff(path.stops), margins, step)
+    return path, map(cheapest_path, tables, chords)
 
 
-def spacings(lengths: Floats, stops: Floats, margins: Margins, step: float) -> Floats:
+def initial_chords(lengths: Floats, stops: Floats, margins: Margins, step: float) -> Floats:
     """Chords (n − 1,) to begin with, on lattices of ``step`` that end ``stops`` (n − 1,) apart.
 
     The preferred ones, or longer: on the floor a segment reaches beyond its ends by half of what
     its chord is shorter, and those before and after a short one must not reach each other.
     """
-    chords = stops + step * np.round((margins.spacing * lengths - stops) / step)
-    longest = margins.taut * lengths - 2.0 * margins.tracking - _PLAY
+    chords = stops + step * np.round((margins.chord_ratio * lengths - stops) / step)
+    longest = margins.max_chord_ratio * lengths - 2.0 * margins.tracking - _PLAY
     apart = margins.cable + 2.0 * margins.tracking + _PLAY
     middle = 1
     while middle < len(lengths) - 1:
@@ -102,18 +102,20 @@ def spacings(lengths: Floats, stops: Floats, margins: Margins, step: float) -> F
     return chords
 
 
-def _below_sags(layout: Hanging) -> Floats:
+def _below_sags(layout: KnotLayout) -> Floats:
     """Height (n − 1, 1) of the lowest of the strands that in the end hang over each edge."""
     height = np.full((len(layout.lengths), 1), np.inf)
     if layout.crossings:
         over, under = np.array(layout.crossings, dtype=np.intp).T
         at = crossing_fractions(layout.corners, layout.crossings)[:, 0]
-        strand = hang(layout.corners[over], layout.corners[over + 1], layout.lengths[over])
+        strand = solve_catenaries(
+            layout.corners[over], layout.corners[over + 1], layout.lengths[over]
+        )
         np.minimum.at(height[:, 0], under, strand.at_span(at)[:, 2])
     return height
 
 
-def _loop_room(layout: Hanging) -> Floats:
+def _loop_room(layout: KnotLayout) -> Floats:
     """Height (1, n) that lets the longer segment of each vehicle hang in a loop over others."""
     lengths = layout.lengths
     held = np.maximum(np.append(lengths, 0.0), np.insert(lengths, 0, 0.0))

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_sensitivity import lifts
-from swarm.folding.lattice_states import Between, Lattice, cheapest, fill
-from swarm.folding.layout import Hanging
+from swarm.folding.end_sensitivity import sag_responses
+from swarm.folding.lattice_states import Surfaces, VehicleLattice, accumulate_costs, fill_costs
+from swarm.folding.layout import KnotLayout
 from swarm.folding.margins import Margins
 from swarm.folding.path import FoldPath
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.chain import crossing_fractions, crossing_gaps
 
 Floats = npt.NDArray[np.float64]
@@ -27,7 +27,7 @@ Ints = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class Passage:
+class SegmentCosts:
     """Costs (a, b) of a segment's states: vehicle ahead at a, vehicle behind at b.
 
     ``ahead`` (a,) and ``behind`` (b,) are progress in metres.
@@ -38,10 +38,10 @@ class Passage:
     cost: Floats
 
 
-def surfaces(layout: Hanging) -> Between:
+def separating_surfaces(layout: KnotLayout) -> Surfaces:
     """Surfaces half way between the strands that cross in a layout."""
     corners, count = layout.corners, len(layout.lengths)
-    final = hang(corners[:-1], corners[1:], layout.lengths)
+    final = solve_catenaries(corners[:-1], corners[1:], layout.lengths)
     side = np.zeros((count, count), dtype=np.int8)
     for over, under in layout.crossings:
         side[over, under], side[under, over] = 1, -1
@@ -56,10 +56,10 @@ def surfaces(layout: Hanging) -> Between:
                 fractions[edge, crossed[edge]], gaps[edge, crossed[edge]] = at, 0.5 * gap
                 crossed[edge] += 1
     order = np.argsort(fractions, axis=1, kind="stable")
-    return Between(
+    return Surfaces(
         corners=corners,
         half_angle=final.half_angle,
-        lifted=lifts(final.span / layout.lengths),
+        lifted=sag_responses(final.span / layout.lengths),
         side=side,
         above=-np.sign(layout.lanes).astype(np.int8),
         fractions=np.take_along_axis(fractions, order, axis=1),
@@ -68,32 +68,34 @@ def surfaces(layout: Hanging) -> Between:
     )
 
 
-def passages(layout: Hanging, path: FoldPath, margins: Margins, step: float) -> Iterator[Passage]:
+def segment_costs(
+    layout: KnotLayout, path: FoldPath, margins: Margins, step: float
+) -> Iterator[SegmentCosts]:
     """Cost of every state of each segment, on lattices of ``step`` metres that end in its goal."""
-    between = surfaces(layout)
+    between = separating_surfaces(layout)
     behind = _lattice(0, layout, path, margins, step)
     for segment, length in enumerate(layout.lengths):
         following = _lattice(segment + 1, layout, path, margins, step)
         begin = int(np.searchsorted(following.progress, -2.0 * step, side="right"))
         ahead = following.since(begin)
         cost = np.empty((len(ahead.progress), len(behind.progress)))
-        fill(ahead, behind, float(length), between, margins, cost)
-        yield Passage(ahead.progress, behind.progress, cost)
+        fill_costs(ahead, behind, float(length), between, margins, cost)
+        yield SegmentCosts(ahead.progress, behind.progress, cost)
         behind = following
 
 
 def _lattice(
-    vehicle: int, layout: Hanging, path: FoldPath, margins: Margins, step: float
-) -> Lattice:
+    vehicle: int, layout: KnotLayout, path: FoldPath, margins: Margins, step: float
+) -> VehicleLattice:
     """Where a vehicle may be: from far enough behind the first corner to where it stops."""
     own = layout.lengths[vehicle : vehicle + 1].sum()
     before, stop = step + 3.0 * own, path.stops[vehicle]
     count = int(np.ceil((stop + before) / step)) + 1
     progress = stop - step * np.arange(count - 1.0, -1.0, -1.0)
     station = path.station(progress)
-    lead = margins.spacing * layout.lengths[vehicle:].sum()
+    lead = margins.chord_ratio * layout.lengths[vehicle:].sum()
     leader = path.station(np.minimum(progress + lead, path.stops[-1]))
-    return Lattice(
+    return VehicleLattice(
         places=path.at(vehicle, progress)[0],
         progress=progress,
         station=station,
@@ -115,19 +117,19 @@ _OFF_PACE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class LatticePath:
     """A way through a passage: indices (m,) of ``ahead`` and ``behind``, one step after another.
 
     ``cost`` (m,) is what its states cost.
     """
 
-    table: Passage
+    table: SegmentCosts
     ahead: Ints
     behind: Ints
     cost: Floats
 
 
-def walked(table: Passage, spacing: float) -> Way:
+def cheapest_path(table: SegmentCosts, spacing: float) -> LatticePath:
     """Cheapest way from the run-in to the goal.
 
     Every step moves one of the vehicles, or both, by one place of the lattice. It begins with the
@@ -135,9 +137,9 @@ def walked(table: Passage, spacing: float) -> Way:
     """
     first = int(np.argmin(np.abs(table.ahead[0] - spacing - table.behind)))
     best = np.empty_like(table.cost)
-    cheapest(table.cost, first, _OFF_PACE, best)
+    accumulate_costs(table.cost, first, _OFF_PACE, best)
     ahead, behind = _traced(best, first)
-    return Way(table, ahead, behind, table.cost[ahead, behind])
+    return LatticePath(table, ahead, behind, table.cost[ahead, behind])
 
 
 def _traced(best: Floats, first: int) -> tuple[Ints, Ints]:
@@ -160,7 +162,7 @@ def _traced(best: Floats, first: int) -> tuple[Ints, Ints]:
     return np.array(ahead[::-1], dtype=np.intp), np.array(behind[::-1], dtype=np.intp)
 
 
-def trailing(ticks: Floats, way: Way, step: float) -> Floats:
+def append_follower(ticks: Floats, way: LatticePath, step: float) -> Floats:
     """Progress (m, k + 1) of one vehicle more, behind those whose progress (m, k) is known."""
     table, ahead, behind = way.table, way.ahead, way.behind
     place = np.round((ticks[:, 0] - table.ahead[0]) / step).astype(np.intp)

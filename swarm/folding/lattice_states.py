@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_sensitivity import PIECES, lift, movement, read
+from swarm.folding.end_sensitivity import PIECES, interpolate, point_movement, sag_response
 from swarm.folding.margins import Margins
-from swarm.folding.soft_constraints import shortfall, vehicle_cost
-from swarm.folding.strand_clearance import points_apart
-from swarm.folding.vehicle_clearance import disc_entered
-from swarm.geometry import quick
-from swarm.geometry.shape import drop_of
+from swarm.folding.soft_constraints import margin_cost, vehicle_cost
+from swarm.folding.strand_clearance import point_distance
+from swarm.folding.vehicle_clearance import rotor_disc_cost
+from swarm.geometry import catenary_kernel
+from swarm.geometry.catenary_shape import drop_at
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -30,7 +30,7 @@ _TOUCH = 0.125
 """Share of a segment's length around its own edges' corners where edges next to these touch it."""
 
 
-class Between(NamedTuple):
+class Surfaces(NamedTuple):
     """Surfaces between what passes over and under each of e edges: heights over the edge's course.
 
     ``corners`` (e + 1, 3) are the edges'. ``half_angle`` and ``lifted`` (e,) describe the strands
@@ -50,7 +50,7 @@ class Between(NamedTuple):
     crossed: Ints
 
 
-class Lattice(NamedTuple):
+class VehicleLattice(NamedTuple):
     """Where one vehicle may be: k places (k, 3), and of each progress, station and edge (k,).
 
     At a corner ``edge`` is the one after it, ``edge_before`` the one before. Edges up to ``busy``
@@ -64,9 +64,9 @@ class Lattice(NamedTuple):
     edge_before: Ints
     busy: Ints
 
-    def since(self, first: int) -> "Lattice":
+    def since(self, first: int) -> "VehicleLattice":
         """The lattice without what comes before its ``first`` place."""
-        return Lattice(
+        return VehicleLattice(
             self.places[first:],
             self.progress[first:],
             self.station[first:],
@@ -77,18 +77,23 @@ class Lattice(NamedTuple):
 
 
 @compiled
-def fill(
-    ahead: Lattice, behind: Lattice, length: float, between: Between, margins: Margins, cost: Floats
+def fill_costs(
+    ahead: VehicleLattice,
+    behind: VehicleLattice,
+    length: float,
+    between: Surfaces,
+    margins: Margins,
+    cost: Floats,
 ) -> None:
     """Write the cost (a, b) of every state of a segment of some length."""
     points = np.empty((PIECES + 1, 3))
     for a in range(len(ahead.progress)):
         for b in range(len(behind.progress)):
             rear, front = behind.places[b], ahead.places[a]
-            chord = points_apart(rear, front)
+            chord = point_distance(rear, front)
             station = ahead.station[a] - behind.station[b]
             if (
-                chord + 2.0 * margins.tracking > margins.taut * length + 1e-6
+                chord + 2.0 * margins.tracking > margins.max_chord_ratio * length + 1e-6
                 or ahead.progress[a] - behind.progress[b] <= 0.4 * margins.vehicle
                 or not 0.0 < station < 2.2 * length
             ):
@@ -107,14 +112,14 @@ def _alone(
 ) -> float:
     """Cost of the segment by itself: near taut, in its vehicles' discs, these near each other."""
     ratio = chord / length
-    over = (ratio + 2.0 * margins.tracking / length) / margins.taut
-    cost = 3e-2 * (ratio - margins.spacing) ** 2
+    over = (ratio + 2.0 * margins.tracking / length) / margins.max_chord_ratio
+    cost = 3e-2 * (ratio - margins.chord_ratio) ** 2
     cost += 0.5 * max(over - 0.98, 0.0) + 200.0 * max(over - 0.995, 0.0)
     cost += vehicle_cost(rear, front, margins)
     if abs(rear[2] - front[2]) > margins.grip_offset - 1.5 * margins.tracking:
-        quick.outline(rear, front, max(length, chord * 1.001 + 1e-9), points)
-        cost += disc_entered(rear, points, 0.0, margins)
-        cost += disc_entered(front, points, 0.0, margins)
+        catenary_kernel.strand_polygon(rear, front, max(length, chord * 1.001 + 1e-9), points)
+        cost += rotor_disc_cost(rear, points, 0.0, margins)
+        cost += rotor_disc_cost(front, points, 0.0, margins)
     return cost
 
 
@@ -125,7 +130,7 @@ def _passing(
     chord: float,
     length: float,
     edges: tuple[int, int, int],
-    between: Between,
+    between: Surfaces,
     margins: Margins,
 ) -> float:
     """Cost of not keeping to the right sides of edges' surfaces by a margin."""
@@ -159,23 +164,25 @@ def _passing(
             continue
         if not hung:
             enough = max(length, chord * 1.001 + 1e-9)
-            level, parameter, slope = quick.hang(rear, front, enough, 1e-6)
+            level, parameter, slope = catenary_kernel.solve_catenary(rear, front, enough, 1e-6)
             angle, turn = math.asinh(slope), level / parameter
-            lifted, hung = lift(chord / length), True
+            lifted, hung = sag_response(chord / length), True
         ahead_of = 0.5 * turn * share
         up = 2.0 * parameter * math.sinh(ahead_of) * math.sinh(angle + ahead_of)
         steep = math.sinh(angle + 2.0 * ahead_of)
         fraction = min(max(fraction, 0.0), 1.0)
         apart = side * (rear[2] + up - _surface(edge, fraction, side, span, between))
-        error = movement(lifted, share, 1.0) + movement(between.lifted[edge], fraction, 1.0)
+        error = point_movement(lifted, share, 1.0) + point_movement(
+            between.lifted[edge], fraction, 1.0
+        )
         needed = 0.5 * margins.cable + 0.5 * margins.tracking * error
         unit = margins.cable + 2.0 * margins.tracking
-        cost += shortfall((apart / math.sqrt(1.0 + steep * steep) - needed) / unit)
+        cost += margin_cost((apart / math.sqrt(1.0 + steep * steep) - needed) / unit)
     return cost
 
 
 @compiled
-def _side(edge: int, behind: int, ahead: int, between: Between) -> int:
+def _side(edge: int, behind: int, ahead: int, between: Surfaces) -> int:
     """On which side of an edge's surface a segment passes: 1 over it, −1 under it."""
     side = between.side[ahead, edge] if ahead >= 0 else 0
     if side == 0 and behind >= 0:
@@ -184,14 +191,14 @@ def _side(edge: int, behind: int, ahead: int, between: Between) -> int:
 
 
 @compiled
-def _surface(edge: int, fraction: float, side: int, span: float, between: Between) -> float:
+def _surface(edge: int, fraction: float, side: int, span: float, between: Surfaces) -> float:
     """Height of the surface over (side 1) or under (−1) an edge at a fraction of it."""
     x = between.half_angle[edge]
-    drop = span * drop_of(x, fraction, 0.0)
+    drop = span * drop_at(x, fraction, 0.0)
     count = between.crossed[edge]
     gap = 0.0
     if count:
-        gap = read(fraction, between.fractions[edge, :count], between.gaps[edge, :count])
+        gap = interpolate(fraction, between.fractions[edge, :count], between.gaps[edge, :count])
     return float(between.corners[edge, 2] - drop + side * gap)
 
 
@@ -212,12 +219,12 @@ def _at_corners(
         share = min(max((x * own_x + y * own_y) / square, 0.0), 1.0)
         x, y = x - share * own_x, y - share * own_y
         if x * x + y * y < (needed + unit) ** 2:
-            cost += shortfall((math.sqrt(x * x + y * y) - needed) / unit)
+            cost += margin_cost((math.sqrt(x * x + y * y) - needed) / unit)
     return cost
 
 
 @compiled
-def cheapest(cost: Floats, first: int, off_pace: float, best: Floats) -> None:
+def accumulate_costs(cost: Floats, first: int, off_pace: float, best: Floats) -> None:
     """Write what the cheapest way costs (a, b) from state (0, ``first``) to every other.
 
     Every step moves one of the two vehicles, which costs ``off_pace`` more, or both by one place.

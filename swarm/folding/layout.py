@@ -7,24 +7,24 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.errors import Refused
-from swarm.geometry.catenary import hang
-from swarm.geometry.chain import least_sags, plan_crossings, segment_lengths
+from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.chain import minimum_sags, plan_crossings, segment_lengths
 
 Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Shape:
+class LayoutParameters:
     """Everything about a layout that may be chosen, in metres.
 
     ``cell`` scales the corners; ``gap`` is the height between strands at their crossings,
     ``minimum_sag`` the least sag of any segment and ``slack`` its least sag as a share of its span;
-    with ends ``play`` farther apart than its corners a segment is still shorter than ``taut`` of
-    its length;
-    lanes are heights over or under the corners. From ``slope`` before
-    a corner to as much behind it levels change, and turns reach as far as ``rounding``. Given sags
-    are taken as they are; with ``two_sags`` all under strands get the same. ``length`` is the
-    cable's, where the layout is to use all of it: then the rest of what scales is only a start.
+    with ends ``chord_margin`` farther apart than its corners a segment's chord is still shorter
+    than ``max_chord_ratio`` of its length. Lanes are heights over or under the corners. Levels
+    change from ``slope`` before a corner to ``slope`` after it; turns reach as far as ``rounding``.
+    Given sags are used as they are; with ``two_sags`` all under strands get the same. ``length`` is
+    the cable's, where the layout is to use all of it: then the other lengths that scale with the
+    cell are only a start.
     """
 
     cell: float
@@ -35,14 +35,14 @@ class Shape:
     lane_under: float
     slope: float
     rounding: float
-    play: float
-    taut: float
+    chord_margin: float
+    max_chord_ratio: float
     sag_over: float | None = None
     sag_under: float | None = None
     two_sags: bool = False
     length: float | None = None
 
-    def scaled(self, factor: float) -> "Shape":
+    def scaled(self, factor: float) -> "LayoutParameters":
         """Return the shape with everything wider that goes with the cell."""
         return replace(
             self,
@@ -56,7 +56,7 @@ class Shape:
 
 
 @dataclass(frozen=True, eq=False)
-class Hanging:
+class KnotLayout:
     """A layout at height 0: corners (n, 3), and sag, length and lane (n − 1,) per segment."""
 
     corners: Floats
@@ -67,7 +67,9 @@ class Hanging:
     cell: float
 
 
-def hanging(corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape: Shape) -> Hanging:
+def lay_out(
+    corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape: LayoutParameters
+) -> KnotLayout:
     """Hang a diagram: ``corners`` (n, 2) in cells, crossings as (over, under) segments.
 
     The first edge is turned to point along +x, with the first corner at the origin. Edges that
@@ -83,24 +85,28 @@ def hanging(corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape:
     pairs = np.asarray(crossings, dtype=np.intp).reshape(-1, 2)
     spans = np.linalg.norm(np.diff(flat, axis=0), axis=1)
     least = np.maximum(shape.minimum_sag, shape.slack * spans)
-    slackest = hang(np.zeros(3), spans[:, None] * np.eye(3)[0], (spans + shape.play) / shape.taut)
+    slackest = solve_catenaries(
+        np.zeros(3),
+        spans[:, None] * np.eye(3)[0],
+        (spans + shape.chord_margin) / shape.max_chord_ratio,
+    )
     least = np.maximum(least, slackest.sag())
     over, under = np.setdiff1d(pairs[:, 0], pairs[:, 1]), np.unique(pairs[:, 1])
     if shape.sag_over is not None:
         least[:] = shape.sag_over
-    sags = least_sags(placed, pairs, shape.gap, minimum_sag=least, one_each=not shape.two_sags)
+    sags = minimum_sags(placed, pairs, shape.gap, minimum_sag=least, one_each=not shape.two_sags)
     if shape.sag_over is not None:
         sags[over] = shape.sag_over
     if shape.sag_under is not None:
         sags[under] = shape.sag_under
     lanes = _lanes(len(placed) - 1, pairs, shape)
     lengths = segment_lengths(placed, sags)
-    return Hanging(
+    return KnotLayout(
         placed, sags, lengths, lanes, tuple((int(a), int(b)) for a, b in pairs), shape.cell
     )
 
 
-def given(corners: npt.ArrayLike, sags: npt.ArrayLike, cell: float = 0.0) -> Hanging:
+def lay_out_corners(corners: npt.ArrayLike, sags: npt.ArrayLike, cell: float = 0.0) -> KnotLayout:
     """Hang a layout given by its corners (n, 2) and the sag (n − 1,) of each segment, in metres.
 
     Where two segments cross, the one that sags less is meant to pass over. Lanes are left at 0;
@@ -118,7 +124,7 @@ def given(corners: npt.ArrayLike, sags: npt.ArrayLike, cell: float = 0.0) -> Han
             )
     deeper = depth[pairs[:, 0]] > depth[pairs[:, 1]]
     over_under = np.where(deeper[:, None], pairs[:, ::-1], pairs)
-    return Hanging(
+    return KnotLayout(
         corners=placed,
         sags=depth,
         lengths=segment_lengths(placed, depth),
@@ -128,7 +134,7 @@ def given(corners: npt.ArrayLike, sags: npt.ArrayLike, cell: float = 0.0) -> Han
     )
 
 
-def _lanes(count: int, pairs: npt.NDArray[np.intp], shape: Shape) -> Floats:
+def _lanes(count: int, pairs: npt.NDArray[np.intp], shape: LayoutParameters) -> Floats:
     lanes = np.zeros(count)
     if not len(pairs):
         return lanes

@@ -8,10 +8,10 @@ class Margins(NamedTuple):
 
     ``cable`` counts from axis to axis of two strands, ``vehicle`` and ``downwash`` between
     vehicles, ``vehicle_cable`` from a vehicle to a strand's axis. ``tracking`` is the radius of the
-    tracking ball; ``radius`` and ``grip_offset`` describe the vehicle. ``hand`` is how much
+    tracking ball; ``radius`` and ``grip_offset`` describe the vehicle. ``exempt`` is how much
     cable on either side of a vehicle need not keep apart from the neighbouring segment's.
-    ``spacing`` is the preferred chord of a segment in motion, as a share of its length, and
-    ``taut`` the largest one, less what two tracking errors add.
+    ``chord_ratio`` is the preferred chord of a segment in motion, as a share of its length, and
+    ``max_chord_ratio`` the largest one, less what two tracking errors add.
     """
 
     cable: float
@@ -21,6 +21,6 @@ class Margins(NamedTuple):
     tracking: float
     radius: float
     grip_offset: float
-    hand: float = 0.0
-    spacing: float = 0.79
-    taut: float = 0.985
+    exempt: float = 0.0
+    chord_ratio: float = 0.79
+    max_chord_ratio: float = 0.985

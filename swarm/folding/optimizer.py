@@ -16,8 +16,8 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
-from swarm.folding.crossing_constraints import Sides
-from swarm.folding.penalty import More, Strain, TeamGeometry
+from swarm.folding.crossing_constraints import CrossingSigns
+from swarm.folding.penalty import ExtraMargins, Penalty, TeamGeometry
 from swarm.folding.strand_clearance import empty_margin_cache
 
 Floats = npt.NDArray[np.float64]
@@ -50,7 +50,7 @@ _TOO_SLOW = 0.7
 """What a round may leave of missed margins if there is to be another one."""
 
 
-HOPELESS = 1.0
+BEYOND_REPAIR = 1.0
 """Units of missed margin at the worst moment that looking closer will not mend."""
 
 
@@ -84,19 +84,19 @@ def _sharpest(bent: Floats) -> tuple[float, Floats]:
 _NO_BEND = 1e-9
 """Square metres of bend that count as none."""
 
-GIVING_WAY = _Effort(steps=30, bending=0.3, settled=3e-3, measure=_square)
+RELAXING = _Effort(steps=30, bending=0.3, settled=3e-3, measure=_square)
 _STRAIGHTENING = _Effort(steps=100, bending=2.0, settled=1e-3, measure=_sharpest)
 
 
 @dataclass(frozen=True, eq=False)
-class Eased:
+class Relaxed:
     """Offsets (c, n, 3) of all vehicles at control points, and what is missed (s,) with them."""
 
     offsets: Floats
     missed: Floats
 
 
-def eased(band: "Band", offsets: Floats) -> Eased:
+def relax(band: "ElasticBand", offsets: Floats) -> Relaxed:
     """Find offsets with which a team misses its margins, and what is asked beyond them, least.
 
     ``offsets`` (c, n, 3) are what to begin with.
@@ -110,15 +110,15 @@ def eased(band: "Band", offsets: Floats) -> Eased:
             break
         before = missed.sum()
         for window in _windows(strained, len(offsets), _ASIDE * (1 + done)):
-            offsets = band.relaxed(offsets, window, GIVING_WAY)
+            offsets = band.relaxed(offsets, window, RELAXING)
         missed = band.strain(offsets).missed
         if missed.sum() > _TOO_SLOW * before:
             break
-    return Eased(offsets, band.strain(offsets, wishes=False).missed)
+    return Relaxed(offsets, band.strain(offsets, wishes=False).missed)
 
 
-def straightened(band: "Band", offsets: Floats) -> Floats:
-    """Offsets (c, n, 3) with which all of the motion is straighter: arguments as for :func:`eased`.
+def straighten(band: "ElasticBand", offsets: Floats) -> Floats:
+    """Offsets (c, n, 3) with which all of the motion is straighter: arguments as for :func:`relax`.
 
     Who need not give way any more cuts corners, and the fold gets quicker.
     """
@@ -136,7 +136,7 @@ def _windows(strained: npt.NDArray[np.intp], stages: int, aside: int) -> list[sl
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class ElasticBand:
     """A team's motion to give way in, looked at at s moments, some in each stage.
 
     ``places`` (s, n, 3) are without offsets; ``sides`` and ``more`` are to be kept at these
@@ -146,8 +146,8 @@ class Band:
 
     crew: TeamGeometry
     places: Floats
-    sides: Sides
-    more: More
+    sides: CrossingSigns
+    more: ExtraMargins
     sampled: csr_array
 
     @property
@@ -163,7 +163,7 @@ class Band:
 
     def strain(
         self, offsets: Floats, moments: slice = slice(None), *, wishes: bool = True
-    ) -> Strain:
+    ) -> Penalty:
         """What the team misses with offsets, at some moments or all."""
         places, sides, more = self.moved(offsets)[moments], self.sides[moments], self.more[moments]
         return self.crew.strain(places, sides, more, wishes=wishes)

@@ -15,7 +15,7 @@ Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class States:
+class SampledStates:
     """Places, velocities and accelerations (k, n, 3) of the team at times (k,)."""
 
     times: Floats
@@ -24,7 +24,7 @@ class States:
     acceleration: Floats
 
 
-def dips(count: int, deepest_sag: float) -> Floats:
+def edge_dips(count: int, deepest_sag: float) -> Floats:
     """How far below the corners the path is half way along each of ``count`` edges: (count,) m."""
     i = np.arange(1.0, count + 1.0)
     depth: Floats = 0.5 * (2.0 - (-1.0) ** i) * deepest_sag
@@ -34,13 +34,13 @@ def dips(count: int, deepest_sag: float) -> Floats:
 def waypoints(corners: Floats, deepest_sag: float) -> Floats:
     """The points p_1, q_1, p_2, …, p_n that γ joins: (2n − 1, 3) metres."""
     between = 0.5 * (corners[:-1] + corners[1:])
-    between[:, 2] -= dips(len(between), deepest_sag)
+    between[:, 2] -= edge_dips(len(between), deepest_sag)
     points = np.empty((2 * len(corners) - 1, 3))
     points[::2], points[1::2] = corners, between
     return points
 
 
-def printed_motion(
+def paper_motion(
     corners: Floats,
     lengths: Floats,
     deepest_sag: float,
@@ -48,7 +48,7 @@ def printed_motion(
     *,
     max_speed: float,
     max_acceleration: float,
-) -> States:
+) -> SampledStates:
     """Fly the printed trajectory, every quintic as fast as the limits allow.
 
     ``corners`` (n, 3), ``lengths`` (n − 1,) and ``deepest_sag`` in metres; ``delay`` in seconds,
@@ -85,7 +85,7 @@ def printed_motion(
     states = np.zeros((3, len(times), count, 3))
     for i in range(count):
         states[:, :, i] = _on_legs(times, starts[i], ends[i], begins[i], takes[i])
-    return States(times, states[0], states[1], states[2])
+    return SampledStates(times, states[0], states[1], states[2])
 
 
 def _times(distance: Floats, max_speed: float, max_acceleration: float) -> Floats:

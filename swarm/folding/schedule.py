@@ -13,15 +13,15 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array
 
-from swarm.folding.crossing_constraints import Sides, sides_of
-from swarm.folding.hopping import freed
-from swarm.folding.lane_assignment import found_ways
-from swarm.folding.lattice import Way, trailing
-from swarm.folding.layout import Hanging
+from swarm.folding.crossing_constraints import CrossingSigns, crossing_signs
+from swarm.folding.hopping import basin_hopping
+from swarm.folding.lane_assignment import assign_lanes
+from swarm.folding.lattice import LatticePath, append_follower
+from swarm.folding.layout import KnotLayout
 from swarm.folding.margins import Margins
-from swarm.folding.optimizer import HOPELESS, Band, eased, straightened
+from swarm.folding.optimizer import BEYOND_REPAIR, ElasticBand, relax, straighten
 from swarm.folding.path import FoldPath, Guide
-from swarm.folding.penalty import More, TeamGeometry, nothing_more
+from swarm.folding.penalty import ExtraMargins, TeamGeometry, no_extra_margins
 
 Floats = npt.NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class Schedule:
     ``progress`` (c, n) and ``offsets`` (c, n, 3) are control points, one per stage. ``sides`` says,
     of as many moments per stage as are ever looked at, on which sides of each other strands pass
     along γ; offsets do not change that. ``missed`` (m,) is how much margins are missed from moment
-    to moment, squared, in units of a margin; ``more`` is what the stages (c,) should keep beyond
+    to moment, squared, in units of a margin; ``extra`` is what the stages (c,) should keep beyond
     the margins.
     """
 
@@ -65,12 +65,12 @@ class Schedule:
     crew: TeamGeometry
     progress: Floats
     offsets: Floats
-    sides: Sides
+    sides: CrossingSigns
     missed: Floats
-    more: More
+    extra: ExtraMargins
 
     @property
-    def last(self) -> float:
+    def last_stage(self) -> float:
         """The stage at which all vehicles rest."""
         return float(len(self.progress) - 1)
 
@@ -97,61 +97,61 @@ class Schedule:
         return places, slopes, bends
 
 
-def schedule(layout: Hanging, guide: Guide, margins: Margins, step: float) -> Schedule:
+def make_schedule(layout: KnotLayout, guide: Guide, margins: Margins, step: float) -> Schedule:
     """Plan the motion of all vehicles.
 
     ``step`` is the lattice's step in metres of progress: what a vehicle flies in a stage at most.
     """
-    found = found_ways(layout, guide, margins, step)
+    found = assign_lanes(layout, guide, margins, step)
     ticks = _chained(found.ways, step)
     margin = int(4 * _EVENED) + _REST
     ticks = np.concatenate([ticks, np.repeat(ticks[-1:], margin, axis=0)])
     progress = np.stack([_evened(lattice) for lattice in ticks.T], axis=1)
     offsets = np.zeros((*progress.shape, 3))
     crew = TeamGeometry(layout.lengths, margins)
-    more = nothing_more(len(progress))
+    more = no_extra_margins(len(progress))
     along = _places(found.path, _sampled(len(progress), _DENSITIES[-1]) @ progress)
-    sides = sides_of(crew.hung(along), _AROUND * _DENSITIES[-1])
+    sides = crossing_signs(crew.hung(along), _AROUND * _DENSITIES[-1])
     plan = Schedule(found.path, crew, progress, offsets, sides, np.zeros(1), more)
-    plan = improved(plan)
+    plan = improve(plan)
     if plan.worst > _CROOKED:
         return plan
-    plan = straight(plan)
+    plan = straighten_schedule(plan)
     if plan.worst <= _STUCK:
         return plan
-    offsets = freed(_looked_at(plan, _DENSITIES[-1]), plan.offsets)
+    offsets = basin_hopping(_looked_at(plan, _DENSITIES[-1]), plan.offsets)
     if offsets is plan.offsets:
         return plan
-    return straight(improved(replace(plan, offsets=offsets)))
+    return straighten_schedule(improve(replace(plan, offsets=offsets)))
 
 
-def improved(plan: Schedule) -> Schedule:
+def improve(plan: Schedule) -> Schedule:
     """Let vehicles give way beside γ where the team misses margins."""
     for density in _DENSITIES:
-        found = eased(_looked_at(plan, density), plan.offsets)
+        found = relax(_looked_at(plan, density), plan.offsets)
         plan = replace(plan, offsets=found.offsets, missed=found.missed)
-        if plan.worst > HOPELESS:
+        if plan.worst > BEYOND_REPAIR:
             break
     return plan
 
 
-def straight(plan: Schedule) -> Schedule:
+def straighten_schedule(plan: Schedule) -> Schedule:
     """Straighten the whole motion, looked at coarsely; then let vehicles give way again.
 
     Where that misses more than before, and more than may be mended, all stays as it is.
     """
-    offsets = straightened(_looked_at(plan, _DENSITIES[0]), plan.offsets)
-    quicker = improved(replace(plan, offsets=offsets))
+    offsets = straighten(_looked_at(plan, _DENSITIES[0]), plan.offsets)
+    quicker = improve(replace(plan, offsets=offsets))
     return quicker if quicker.worst <= max(plan.worst, _FINE) else plan
 
 
-def _looked_at(plan: Schedule, density: int) -> Band:
+def _looked_at(plan: Schedule, density: int) -> ElasticBand:
     """The team and what it is to keep, at so many moments per stage."""
     sampled = _sampled(len(plan.progress), density)
     places = _places(plan.path, sampled @ plan.progress)
     moments = np.arange(len(places))
     sides = plan.sides[moments * (_DENSITIES[-1] // density)]
-    return Band(plan.crew, places, sides, plan.more[moments // density], sampled)
+    return ElasticBand(plan.crew, places, sides, plan.extra[moments // density], sampled)
 
 
 def _places(path: FoldPath, progress: Floats) -> Floats:
@@ -159,17 +159,19 @@ def _places(path: FoldPath, progress: Floats) -> Floats:
     return np.stack([path.at(i, along)[0] for i, along in enumerate(progress.T)], axis=1)
 
 
-def asked_more(plan: Schedule, margin: str, stages: Floats, metres: Floats) -> Schedule:
-    """Ask for more of a margin, named as in :class:`More`, by ``metres`` (k,) around stages (k,).
+def require_extra(plan: Schedule, margin: str, stages: Floats, metres: Floats) -> Schedule:
+    """Require ``metres`` (k,) more of a margin around stages (k,).
+
+    ``margin`` is the name of a field of :class:`ExtraMargins`.
 
     The plan keeps that once it is improved.
     """
     near = np.abs(np.arange(len(plan.progress))[:, None] - stages) <= _NEAR
-    asked = getattr(plan.more, margin) + (near * metres).max(axis=1)
-    return replace(plan, more=replace(plan.more, **{margin: asked}))
+    asked = getattr(plan.extra, margin) + (near * metres).max(axis=1)
+    return replace(plan, extra=replace(plan.extra, **{margin: asked}))
 
 
-def _chained(ways: tuple[Way, ...], step: float) -> Floats:
+def _chained(ways: tuple[LatticePath, ...], step: float) -> Floats:
     """Join the ways of all segments, from the leader's back: progress (ticks, n) of all vehicles.
 
     In a tick a vehicle moves by one step or waits. Where a segment wants the vehicle ahead to wait
@@ -177,7 +179,7 @@ def _chained(ways: tuple[Way, ...], step: float) -> Floats:
     """
     ticks: Floats = ways[-1].table.ahead[:, None]
     for way in reversed(ways):
-        ticks = trailing(ticks, way, step)
+        ticks = append_follower(ticks, way, step)
     return ticks
 
 
@@ -225,7 +227,7 @@ def team_path(plan: Schedule, per_stage: int = 8) -> tuple[Floats, Floats, Float
     Places and their two derivatives are (k, n, 3). Over the first two units of the parameter the
     stage eases in from rest, after that the parameter runs one ahead of the stage.
     """
-    parameter = np.arange(round((plan.last + 1.0) * per_stage) + 1) / per_stage
+    parameter = np.arange(round((plan.last_stage + 1.0) * per_stage) + 1) / per_stage
     share = np.minimum(parameter / 2.0, 1.0)
     easing = share < 1.0
     # Quintic from rest at 0 to rate 1 at stage 1, over two units of the parameter.

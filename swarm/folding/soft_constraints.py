@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from swarm.folding.end_sensitivity import PIECES
 from swarm.folding.margins import Margins
-from swarm.folding.strand_clearance import boxed, margins_kept, points_apart
-from swarm.geometry import quick
+from swarm.folding.strand_clearance import bounding_boxes, point_distance, spare_margins
+from swarm.geometry import catenary_kernel
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -23,7 +23,7 @@ Numbers = TypeVar("Numbers", float, Floats)
 
 
 @dataclass(frozen=True, eq=False)
-class Strands:
+class Outlines:
     """Hanging strands: outlines (…, PIECES + 1, 3), their boxes, chord per length, length (…,)."""
 
     points: Floats
@@ -32,8 +32,8 @@ class Strands:
     ratio: Floats
     length: Floats
 
-    def __getitem__(self, which: Index) -> "Strands":
-        return Strands(
+    def __getitem__(self, which: Index) -> "Outlines":
+        return Outlines(
             self.points[which],
             self.middle[which],
             self.reach[which],
@@ -42,7 +42,7 @@ class Strands:
         )
 
 
-def strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Strands:
+def outline_strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Outlines:
     """Hang strands of given lengths between ends (…, 3); over-stretched ones are straight."""
     chord = np.linalg.norm(end - start, axis=-1)
     length = np.broadcast_to(np.asarray(length, dtype=np.float64), chord.shape)
@@ -50,27 +50,29 @@ def strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Strands:
     middle, reach = np.empty(start.shape), np.empty(start.shape)
     corners = points.reshape(-1, PIECES + 1, 3)
     _outlined(start.reshape(-1, 3), end.reshape(-1, 3), length.ravel(), corners)
-    boxed(corners, middle.reshape(-1, 3), reach.reshape(-1, 3))
-    return Strands(points, middle, reach, chord / length, length)
+    bounding_boxes(corners, middle.reshape(-1, 3), reach.reshape(-1, 3))
+    return Outlines(points, middle, reach, chord / length, length)
 
 
 @compiled
 def _outlined(start: Floats, end: Floats, length: Floats, points: Floats) -> None:
     """Fill in the outlines (q, k, 3) of strands; over-stretched ones are straight."""
     for q in range(len(length)):
-        chord = points_apart(start[q], end[q])
-        quick.outline(start[q], end[q], max(length[q], chord * 1.001 + 1e-9), points[q])
+        chord = point_distance(start[q], end[q])
+        catenary_kernel.strand_polygon(
+            start[q], end[q], max(length[q], chord * 1.001 + 1e-9), points[q]
+        )
 
 
-def strand_cost(one: Strands, other: Strands, margins: Margins) -> Floats:
+def strand_costs(one: Outlines, other: Outlines, margins: Margins) -> Floats:
     """Cost (b,) of strands being too close to others, pair by pair; they do not share a vehicle."""
     kept = np.empty(len(one.points))
-    margins_kept(one.points, one.ratio, other.points, other.ratio, margins, kept)
-    return shortfall(kept / (margins.cable + 2.0 * margins.tracking))
+    spare_margins(one.points, one.ratio, other.points, other.ratio, margins, kept)
+    return margin_cost(kept / (margins.cable + 2.0 * margins.tracking))
 
 
 @compiled
-def shortfall(margin: Numbers) -> Numbers:
+def margin_cost(margin: Numbers) -> Numbers:
     """Cost of margins in units of what is wanted: steep below 0, slight below 1."""
     short = np.maximum(-margin, 0.0)
     slight = np.maximum(1.0 - margin, 0.0)
@@ -84,4 +86,4 @@ def vehicle_cost(one: Floats, other: Floats, margins: Margins) -> float:
     error = 2.0 * margins.tracking
     level = np.hypot(one[0] - other[0], one[1] - other[1]) / (margins.vehicle + error)
     above = abs(one[2] - other[2]) / (margins.downwash + error)
-    return float(shortfall(2.0 * (max(level, above) - 1.0) + 0.2))
+    return float(margin_cost(2.0 * (max(level, above) - 1.0) + 0.2))

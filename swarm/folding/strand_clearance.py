@@ -13,25 +13,25 @@ import numpy.typing as npt
 
 from swarm.folding.end_sensitivity import (
     PIECES,
-    far_movement,
-    follow,
-    lift,
-    most_far_movement,
-    most_movement,
-    movement,
+    add_to_ends,
+    far_end_movement,
+    max_far_end_movement,
+    max_point_movement,
+    point_movement,
+    sag_response,
 )
 from swarm.folding.margins import Margins
-from swarm.geometry.distance import nearest, nearest_of
+from swarm.geometry.distance import polyline_distance, polyline_distance_sized
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
 
-WANTED = 0.25
+PREFERRED = 0.25
 """Share of a margin's unit that is wanted beyond the margin."""
 
 
 @compiled
-def strands_apart(
+def penalize_strands(
     points: Floats,
     middle: Floats,
     reach: Floats,
@@ -44,18 +44,18 @@ def strands_apart(
 ) -> None:
     """Strands that do not share a vehicle; ``sides`` (s, pairs) as in :class:`Sides`."""
     count = ratio.shape[1]
-    wanted = margins.cable + WANTED * (margins.cable + 2.0 * margins.tracking)
+    wanted = margins.cable + PREFERRED * (margins.cable + 2.0 * margins.tracking)
     lifted, error = np.empty(count), np.empty(count)
     for s in range(len(points)):
         for i in range(count):
-            lifted[i] = lift(ratio[s, i])
-            error[i] = margins.tracking * most_movement(lifted[i])
+            lifted[i] = sag_response(ratio[s, i])
+            error[i] = margins.tracking * max_point_movement(lifted[i])
         pair = -1
         for i in range(count):
             for j in range(i + 2, count):
                 pair += 1
                 most = wanted + more[s] + error[i] + error[j]
-                if boxes_near(middle[s, i], reach[s, i], middle[s, j], reach[s, j], most):
+                if boxes_closer(middle[s, i], reach[s, i], middle[s, j], reach[s, j], most):
                     missed[s] += _pair(
                         points[s], i, j, lifted, sides[s, pair], most, more[s], margins, slopes[s]
                     )
@@ -77,26 +77,26 @@ def _pair(
     one, other = points[i], points[j]
     unit = margins.cable + 2.0 * margins.tracking
     push = np.zeros(3)
-    beyond = -side * height_over(one, other) if side else 0.0
+    beyond = -side * crossing_height(one, other) if side else 0.0
     if beyond > 0.0:
         # The wrong one is over: loops come out of others upward and downward, not through them.
-        here, there = crossing(one, other)
+        here, there = plan_crossing(one, other)
         distance, push[2] = -beyond, side
-        error = movement(lifted[i], here, 1.0) + movement(lifted[j], there, 1.0)
+        error = point_movement(lifted[i], here, 1.0) + point_movement(lifted[j], there, 1.0)
     else:
-        distance, here, there = nearest(one, other, most)
+        distance, here, there = polyline_distance(one, other, most)
         if distance >= most:
             return 0.0
         error, here, there = _answered(
             one, lifted[i], here, other, lifted[j], there, distance, push
         )
-    short = WANTED - (distance - margins.cable - more - margins.tracking * error) / unit
+    short = PREFERRED - (distance - margins.cable - more - margins.tracking * error) / unit
     if short <= 0.0:
         return 0.0
     push *= -short / unit
-    follow(slopes, i, here, lifted[i], one, push)
+    add_to_ends(slopes, i, here, lifted[i], one, push)
     push *= -1.0
-    follow(slopes, j, there, lifted[j], other, push)
+    add_to_ends(slopes, j, there, lifted[j], other, push)
     return float(short * short)
 
 
@@ -117,12 +117,12 @@ def _answered(
     """
     upright = _towards(one, here, other, there, distance, towards)
     here, there = here / PIECES, there / PIECES
-    error = movement(lifted, here, upright) + movement(lifted_other, there, upright)
+    error = point_movement(lifted, here, upright) + point_movement(lifted_other, there, upright)
     return error, here, there
 
 
 @compiled
-def margins_kept(
+def spare_margins(
     one: Floats, ratio: Floats, other: Floats, ratio_other: Floats, margins: Margins, found: Floats
 ) -> None:
     """Write by how much strands (q, k, 3) keep more than their distance from others, pair by pair.
@@ -131,8 +131,8 @@ def margins_kept(
     """
     towards = np.empty(3)
     for q in range(len(one)):
-        lifted, lifted_other = lift(ratio[q]), lift(ratio_other[q])
-        distance, here, there = nearest(one[q], other[q], np.inf)
+        lifted, lifted_other = sag_response(ratio[q]), sag_response(ratio_other[q])
+        distance, here, there = polyline_distance(one[q], other[q], np.inf)
         error, _, _ = _answered(
             one[q], lifted, here, other[q], lifted_other, there, distance, towards
         )
@@ -157,7 +157,7 @@ def empty_margin_cache(moments: int, segments: int) -> MarginCache:
 
 
 @compiled
-def neighbours_apart(
+def penalize_neighbours(
     points: Floats,
     ratio: Floats,
     lengths: Floats,
@@ -172,12 +172,12 @@ def neighbours_apart(
     The free part of each is held against all of the other. What is ``calm`` is left out, and noted
     anew where it is not; it holds for as long as nothing but places changes.
     """
-    free = np.maximum(0.5, 1.0 - margins.hand / lengths)
+    free = np.maximum(0.5, 1.0 - margins.exempt / lengths)
     unit = margins.cable + 2.0 * margins.tracking
     enough = 1.3 * margins.cable + 2.6 * margins.tracking
     part, sizes = np.empty((PIECES + 1, 3)), np.empty((2, PIECES))
     for s in range(len(points)):
-        wanted = margins.cable + WANTED * unit + more[s]
+        wanted = margins.cable + PREFERRED * unit + more[s]
         for i in range(len(lengths) - 1):
             before, after = points[s, i], points[s, i + 1]
             if _calm(
@@ -185,9 +185,9 @@ def neighbours_apart(
             ):
                 continue
             for k in range(PIECES):
-                sizes[0, k] = points_apart(before[k], before[k + 1])
-                sizes[1, k] = points_apart(after[k], after[k + 1])
-            error = most_far_movement(ratio[s, i]) + most_far_movement(ratio[s, i + 1])
+                sizes[0, k] = point_distance(before[k], before[k + 1])
+                sizes[1, k] = point_distance(after[k], after[k + 1])
+            error = max_far_end_movement(ratio[s, i]) + max_far_end_movement(ratio[s, i + 1])
             reach = wanted + margins.tracking * error
             sine = _sine(before, after)
             ends, begins = _along(sizes[0], free[i]), _along(sizes[1], 1.0 - free[i + 1])
@@ -216,8 +216,15 @@ def _calm(
     if spare > 0.0:
         farthest = 0.0
         for k in range(3):
-            farthest = max(farthest, points_apart(ends[k], places[k]))
-        if spare > (most_movement(lift(ratio)) + most_movement(lift(ratio_after))) * farthest:
+            farthest = max(farthest, point_distance(ends[k], places[k]))
+        if (
+            spare
+            > (
+                max_point_movement(sag_response(ratio))
+                + max_point_movement(sag_response(ratio_after))
+            )
+            * farthest
+        ):
             return True
     for k in range(3):
         for axis in range(3):
@@ -283,7 +290,7 @@ def _beyond_hand(
         high = min(int(free_to), PIECES - 1) + 2
     for k in range(low, high):
         _point(strand, _free(float(k), free_to, not outward), part[k])
-    distance, here, there = nearest_of(
+    distance, here, there = polyline_distance_sized(
         part[low:high], other[from_:to], sizes[beside - first, from_ : to - 1], reach
     )
     if distance >= reach:
@@ -296,11 +303,11 @@ def _beyond_hand(
     here = begin + (here - piece) * (_free(piece + 1.0, free_to, not outward) - begin)
     at_end = 0.0 if outward else 1.0
     tracking = margins.tracking
-    error = far_movement(
+    error = far_end_movement(
         strand, ratio[own], ratio[own] * lengths[own],
         abs(_share_of(sizes[own - first], here) - at_end), upright, tracking,
     )  # fmt: skip
-    error += far_movement(
+    error += far_end_movement(
         other, ratio[beside], ratio[beside] * lengths[beside],
         abs(_share_of(sizes[beside - first], there) - 1.0 + at_end), upright, tracking,
     )  # fmt: skip
@@ -309,9 +316,9 @@ def _beyond_hand(
         short = -left / (margins.cable + 2.0 * tracking)
         missed[0] += short * short
         push *= -short / (margins.cable + 2.0 * tracking)
-        follow(slopes, own, here / PIECES, lift(ratio[own]), strand, push)
+        add_to_ends(slopes, own, here / PIECES, sag_response(ratio[own]), strand, push)
         push *= -1.0
-        follow(slopes, beside, there / PIECES, lift(ratio[beside]), other, push)
+        add_to_ends(slopes, beside, there / PIECES, sag_response(ratio[beside]), other, push)
     return left
 
 
@@ -357,14 +364,14 @@ def _share_of(sizes: Floats, place: float) -> float:
 
 
 @compiled
-def points_apart(one: Floats, other: Floats) -> float:
+def point_distance(one: Floats, other: Floats) -> float:
     """Distance of two points (3,)."""
     x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
     return float(np.sqrt(x * x + y * y + z * z))
 
 
 @compiled
-def boxed(points: Floats, middle: Floats, reach: Floats) -> None:
+def bounding_boxes(points: Floats, middle: Floats, reach: Floats) -> None:
     """Write the middles and reaches (q, 3) of the boxes around polylines (q, k, 3)."""
     for q in range(len(points)):
         for axis in range(3):
@@ -375,7 +382,7 @@ def boxed(points: Floats, middle: Floats, reach: Floats) -> None:
 
 
 @compiled
-def boxes_near(
+def boxes_closer(
     middle: Floats, reach: Floats, other_middle: Floats, other_reach: Floats, most: float
 ) -> bool:
     """Whether two boxes are less than so far apart along every axis."""
@@ -413,23 +420,23 @@ def _towards(
 
 
 @compiled
-def heights_over(one: Floats, other: Floats, found: Floats) -> None:
-    """Write :func:`height_over` of strands (q, k, 3) and others, pair by pair."""
+def crossing_heights(one: Floats, other: Floats, found: Floats) -> None:
+    """Write :func:`crossing_height` of strands (q, k, 3) and others, pair by pair."""
     for q in range(len(one)):
-        found[q] = height_over(one[q], other[q])
+        found[q] = crossing_height(one[q], other[q])
 
 
 @compiled
-def height_over(one: Floats, other: Floats) -> float:
+def crossing_height(one: Floats, other: Floats) -> float:
     """How high a strand passes over another where they cross in plan view, 0 where they do not."""
-    here, there = crossing(one, other)
+    here, there = plan_crossing(one, other)
     if not (0.0 < here < 1.0 and 0.0 < there < 1.0):
         return 0.0
-    return height_at(one, here) - height_at(other, there)
+    return height_at_span(one, here) - height_at_span(other, there)
 
 
 @compiled
-def crossing(one: Floats, other: Floats) -> tuple[float, float]:
+def plan_crossing(one: Floats, other: Floats) -> tuple[float, float]:
     """The shares of two strands' spans at which the lines along them cross in plan view.
 
     A strand hangs in a vertical plane, so from above both are straight. −1 where they are parallel.
@@ -444,7 +451,7 @@ def crossing(one: Floats, other: Floats) -> tuple[float, float]:
 
 
 @compiled
-def height_at(points: Floats, share: float) -> float:
+def height_at_span(points: Floats, share: float) -> float:
     """Height of a strand's outline at a share of its span in plan view."""
     place = share * (len(points) - 1)
     piece = min(int(place), len(points) - 2)

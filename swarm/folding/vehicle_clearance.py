@@ -7,9 +7,9 @@ slopes.
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_sensitivity import PIECES, follow, lift, movement
+from swarm.folding.end_sensitivity import PIECES, add_to_ends, point_movement, sag_response
 from swarm.folding.margins import Margins
-from swarm.folding.strand_clearance import WANTED, boxes_near, height_at
+from swarm.folding.strand_clearance import PREFERRED, boxes_closer, height_at_span
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -27,7 +27,7 @@ of being on the axis of one.
 
 
 @compiled
-def strands_off_bodies(
+def penalize_strands_at_vehicles(
     places: Floats,
     points: Floats,
     middle: Floats,
@@ -40,7 +40,7 @@ def strands_off_bodies(
     slopes: Floats,
 ) -> None:
     """Vehicles at places (s, n, 3) and strands that others hold; ``sides`` (s, n, n − 1)."""
-    most = margins.vehicle_cable * (1.0 + WANTED) + (2.0 * WANTED + 3.2) * margins.tracking
+    most = margins.vehicle_cable * (1.0 + PREFERRED) + (2.0 * PREFERRED + 3.2) * margins.tracking
     centre = np.empty(3)
     size = np.array([margins.radius, margins.radius, 0.5 * margins.grip_offset])
     for s in range(len(places)):
@@ -51,7 +51,7 @@ def strands_off_bodies(
                 if segment in (vehicle, vehicle - 1):
                     continue
                 box = middle[s, segment], reach[s, segment]
-                if boxes_near(centre, size, box[0], box[1], most + more[s]):
+                if boxes_closer(centre, size, box[0], box[1], most + more[s]):
                     missed[s] += _body(
                         places[s], vehicle, points[s, segment], segment, ratio[s, segment],
                         sides[s, vehicle, segment], more[s], margins, slopes[s],
@@ -72,26 +72,26 @@ def _body(
 ) -> float:
     """Square of what one vehicle misses to one strand."""
     unit = margins.vehicle_cable + 2.0 * margins.tracking
-    place, lifted = places[vehicle], lift(ratio)
+    place, lifted = places[vehicle], sag_response(ratio)
     apart, at, lowest = np.empty(3), 0.0, np.inf
     for k in range(PIECES):
         here = k + _nearest(strand[k], strand[k + 1], place, 0.5 * margins.grip_offset)
         _apart(strand, here, place, apart)
         level = np.sqrt(apart[0] ** 2 + apart[1] ** 2)
-        error = 1.0 + movement(lifted, here / PIECES, 0.7)
-        distance = cone_distance(level, apart[2], margins) - margins.tracking * error
+        error = 1.0 + point_movement(lifted, here / PIECES, 0.7)
+        distance = rotor_cone_distance(level, apart[2], margins) - margins.tracking * error
         if distance < lowest:
             lowest, at = distance, here
-    short = WANTED - (lowest - margins.vehicle_cable - more) / unit
+    short = PREFERRED - (lowest - margins.vehicle_cable - more) / unit
     if short <= 0.0:
         return 0.0
     push = np.zeros(3)
     beside = _beside(strand, place)
-    under = height_at(strand, beside) - place[2]
+    under = height_at_span(strand, beside) - place[2]
     beyond = under if side > 0 else margins.grip_offset - under
     if side != 0 and beyond > 0.0 and 0.0 < beside < 1.0:
         # The vehicle is on the wrong side of the strand: over it (side 1) or under it (−1).
-        short = WANTED + (margins.vehicle_cable + beyond) / unit
+        short = PREFERRED + (margins.vehicle_cable + beyond) / unit
         push[2] = -side * short / unit
     else:
         _apart(strand, at, place, apart)
@@ -100,7 +100,7 @@ def _body(
     for axis in range(3):
         slopes[vehicle, axis] += push[axis]
     push *= -1.0
-    follow(slopes, segment, at / PIECES, lifted, strand, push)
+    add_to_ends(slopes, segment, at / PIECES, lifted, strand, push)
     return short * short
 
 
@@ -134,16 +134,16 @@ def _beside(strand: Floats, place: Floats) -> float:
 @compiled
 def _away(apart: Floats, margins: Margins, found: Floats) -> None:
     """Write by how much the distance from a cone grows with the cone's place (3,)."""
-    distance = cone_distance(np.sqrt(apart[0] ** 2 + apart[1] ** 2), apart[2], margins)
+    distance = rotor_cone_distance(np.sqrt(apart[0] ** 2 + apart[1] ** 2), apart[2], margins)
     for axis in range(3):
         apart[axis] -= _STEP
-        moved = cone_distance(np.sqrt(apart[0] ** 2 + apart[1] ** 2), apart[2], margins)
+        moved = rotor_cone_distance(np.sqrt(apart[0] ** 2 + apart[1] ** 2), apart[2], margins)
         apart[axis] += _STEP
         found[axis] = (moved - distance) / _STEP
 
 
 @compiled
-def cone_distance(level: float, above: float, margins: Margins) -> float:
+def rotor_cone_distance(level: float, above: float, margins: Margins) -> float:
     """Distance from the cone over a vehicle's rotor disc, whose tip is the grip point.
 
     Of a point so far aside of, and above, the grip point.
@@ -158,7 +158,7 @@ def cone_distance(level: float, above: float, margins: Margins) -> float:
 
 
 @compiled
-def vehicles_apart(
+def penalize_vehicles(
     places: Floats, more: Floats, margins: Margins, missed: Floats, slopes: Floats
 ) -> None:
     """Vehicles next to others, or in the wash of others right below."""
@@ -188,7 +188,7 @@ def vehicles_apart(
 
 
 @compiled
-def out_of_jets(places: Floats, margins: Margins, missed: Floats, slopes: Floats) -> None:
+def penalize_downwash(places: Floats, margins: Margins, missed: Floats, slopes: Floats) -> None:
     """Vehicles in the jets of others above them, which would make them sink: only a wish.
 
     A jet's half-width is 0.7 of the rotors' radius, and a tenth of the distance wider below.
@@ -214,7 +214,7 @@ def out_of_jets(places: Floats, margins: Margins, missed: Floats, slopes: Floats
 
 
 @compiled
-def disc_entered(place: Floats, strand: Floats, wider: float, margins: Margins) -> float:
+def rotor_disc_cost(place: Floats, strand: Floats, wider: float, margins: Margins) -> float:
     """What it costs that a vehicle's own strand enters its rotor disc, ``wider`` by metres."""
     lowest = margins.grip_offset - 1.5 * margins.tracking
     # No strand is anywhere higher than its ends are.
@@ -231,9 +231,9 @@ def disc_entered(place: Floats, strand: Floats, wider: float, margins: Margins) 
 
 
 @compiled
-def discs_entered(
+def rotor_disc_costs(
     places: Floats, strands: Floats, wider: Floats, margins: Margins, found: Floats
 ) -> None:
-    """Write what :func:`disc_entered` gives for places (k, 3), strands (k, p, 3), wider (k,)."""
+    """Write what :func:`rotor_disc_cost` gives for places (k, 3), strands (k, p, 3), wider (k,)."""
     for k in range(len(places)):
-        found[k] = disc_entered(places[k], strands[k], wider[k], margins)
+        found[k] = rotor_disc_cost(places[k], strands[k], wider[k], margins)

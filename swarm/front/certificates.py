@@ -14,11 +14,11 @@ from swarm.certification.motion_file import MotionFile, plan_of_motion, read_mot
 from swarm.errors import InputError, Problem
 from swarm.front.files import read_text
 from swarm.front.plans import Plan
+from swarm.geometry.motion import Motion as Quintics
+from swarm.geometry.motion import through_states
 from swarm.mission import Cable as CableSection
 from swarm.mission import Mission, mission_for_knot
 from swarm.mission.validation import validate
-from swarm.trajectory import Motion as Quintics
-from swarm.trajectory import through_states
 
 Progress = Callable[[str, float], None]
 
@@ -73,7 +73,7 @@ class Motion(Quintics):
     (…,) in seconds: the quintic through the table's rows. ``table`` holds these rows: ``time``
     (k,), ``states`` (k, n, 9) and ``phase`` (k,). Made by :meth:`from_csv`.
 
-    Source: :class:`swarm.trajectory.Motion`.
+    Source: :class:`swarm.geometry.motion.Motion`.
     """
 
     table: MotionFile = field(kw_only=True)

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from swarm.errors import SwarmError
-from swarm.geometry.shape import (
-    TAUT,
+from swarm.geometry.catenary_shape import (
+    SMALLEST_HALF_ANGLE,
     half_angle_for_drop,
     half_angle_for_sag,
     half_angle_for_stretch,
@@ -60,7 +60,7 @@ class OverStretched(SwarmError):  # noqa: N818 - reads as what happened to the c
 
 @dataclass(frozen=True, eq=False)
 class Catenaries:
-    """A batch of hanging strands, as solved by :func:`hang`.
+    """A batch of hanging strands, as solved by :func:`solve_catenaries`.
 
     Vectors are (…, 3), scalars (…,), metres. Horizontal and vertical mean across and along
     ``down``, which is vertical only in still air and without acceleration.
@@ -178,7 +178,7 @@ class Catenaries:
         return np.maximum(self.span, _VERTICAL * self.length)
 
 
-def hang(
+def solve_catenaries(
     start: ArrayLike, end: ArrayLike, length: ArrayLike, *, down: ArrayLike = (0.0, 0.0, -1.0)
 ) -> Catenaries:
     """Hang cables of the given lengths between the given ends.
@@ -206,7 +206,9 @@ def hang(
 
     wide = np.maximum(span, _VERTICAL * length)
     excess = np.maximum(length - chord, 0.0) * (length + chord)
-    half_angle = np.maximum(half_angle_for_stretch(0.5 * np.log1p(excess / wide**2)), TAUT)
+    half_angle = np.maximum(
+        half_angle_for_stretch(0.5 * np.log1p(excess / wide**2)), SMALLEST_HALF_ANGLE
+    )
     across /= wide[..., None]
     # sinh and cosh of the middle angle are rise and length over the level length of the same x.
     level = np.sqrt(excess + wide**2)
@@ -232,7 +234,7 @@ def sag_for_length(span: ArrayLike, length: ArrayLike, rise: ArrayLike = 0.0) ->
     :class:`OverStretched`.
     """
     end = np.stack(np.broadcast_arrays(_floats(span), 0.0, _floats(rise)), axis=-1)
-    return hang(np.zeros(3), end, length).sag()
+    return solve_catenaries(np.zeros(3), end, length).sag()
 
 
 def length_for_sag(span: ArrayLike, sag: ArrayLike, rise: ArrayLike = 0.0) -> Floats:

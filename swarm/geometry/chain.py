@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
 from swarm.errors import Refused
-from swarm.geometry.catenary import hang, length_for_sag, sag_for_drop
+from swarm.geometry.catenary import length_for_sag, sag_for_drop, solve_catenaries
 
 Floats = NDArray[np.float64]
 Pairs = NDArray[np.intp]
@@ -44,7 +44,7 @@ def polyline(corners: ArrayLike, lengths: ArrayLike, points_per_segment: int) ->
     and appear once. ``corners`` are (…, n, 3), ``lengths`` (…, n − 1).
     """
     corners = _floats(corners)
-    strands = hang(corners[..., :-1, :], corners[..., 1:, :], lengths)
+    strands = solve_catenaries(corners[..., :-1, :], corners[..., 1:, :], lengths)
     points = strands.points(np.arange(points_per_segment) / points_per_segment)
     merged = points.reshape(*points.shape[:-3], -1, 3)
     last = np.broadcast_to(corners[..., -1:, :], (*merged.shape[:-2], 1, 3))
@@ -64,7 +64,7 @@ def alpha(corners: ArrayLike, sags: ArrayLike, r: ArrayLike) -> Floats:
     if not np.all((r >= 0.0) & (r <= begins[-1] * (1.0 + 1e-12))):
         raise ValueError(f"r must lie between 0 and {begins[-1]:g}, the sum of the spans")
     i = np.clip(np.searchsorted(begins, r, side="right") - 1, 0, len(steps) - 1)
-    strands = hang(corners[i], corners[i + 1], segment_lengths(corners, sags)[i])
+    strands = solve_catenaries(corners[i], corners[i + 1], segment_lengths(corners, sags)[i])
     return strands.at_span(np.minimum((r - begins[i]) / strands.span, 1.0))
 
 
@@ -113,7 +113,7 @@ def crossing_gaps(corners: ArrayLike, lengths: ArrayLike, crossings: ArrayLike) 
     """
     corners, lengths, crossings = _floats(corners), _floats(lengths), _pairs(crossings)
     fractions = crossing_fractions(corners, crossings)
-    strands = hang(
+    strands = solve_catenaries(
         corners[..., crossings, :], corners[..., crossings + 1, :], lengths[..., crossings]
     )
     heights = strands.at_span(fractions)[..., 2]
@@ -157,7 +157,7 @@ def cell_for_length(corners: ArrayLike, sags: ArrayLike, length: float) -> float
     return float(brentq(surplus, narrowest, widest, xtol=1e-12 * widest, rtol=1e-14))
 
 
-def least_sags(
+def minimum_sags(
     corners: ArrayLike,
     crossings: ArrayLike,
     clearance: float,
@@ -209,7 +209,7 @@ def _needed_sags(corners: Floats, crossings: Pairs, sags: Floats, clearance: flo
     over, under = crossings[:, 0], crossings[:, 1]
     fractions = crossing_fractions(corners, crossings)
     lengths = segment_lengths(corners, sags)
-    strands = hang(corners[over], corners[over + 1], lengths[over])
+    strands = solve_catenaries(corners[over], corners[over + 1], lengths[over])
     ceiling = strands.at_span(fractions[:, 0])[:, 2] - clearance
     step = corners[under + 1] - corners[under]
     drop = corners[under, 2] + fractions[:, 1] * step[:, 2] - ceiling

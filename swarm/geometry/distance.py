@@ -99,19 +99,19 @@ def _segment_segment(a: Floats, u: Floats, b: Floats, w: Floats) -> Closest:
 def _polylines(first: Floats, second: Floats, found: Floats) -> None:
     """Fill ``found`` (3, q) with distances and places of polylines (q, m, 3) and (q, k, 3)."""
     for q in range(len(first)):
-        found[0, q], found[1, q], found[2, q] = nearest(first[q], second[q], np.inf)
+        found[0, q], found[1, q], found[2, q] = polyline_distance(first[q], second[q], np.inf)
 
 
 @compiled
 def _chosen(strands: Floats, pairs: NDArray[np.intp], found: Floats) -> None:
     for q in range(len(strands)):
         for p in range(len(pairs)):
-            pair = nearest(strands[q, pairs[p, 0]], strands[q, pairs[p, 1]], np.inf)
+            pair = polyline_distance(strands[q, pairs[p, 0]], strands[q, pairs[p, 1]], np.inf)
             found[0, q, p], found[1, q, p], found[2, q, p] = pair
 
 
 @compiled
-def nearest(first: Floats, second: Floats, limit: float) -> tuple[float, float, float]:
+def polyline_distance(first: Floats, second: Floats, limit: float) -> tuple[float, float, float]:
     """Distance of two polylines (m, 3) and (k, 3), and where on each they are closest.
 
     Where they are not nearer than ``limit``, that is returned as their distance. Pieces whose
@@ -120,14 +120,14 @@ def nearest(first: Floats, second: Floats, limit: float) -> tuple[float, float, 
     sizes = np.empty(len(second) - 1)
     for j in range(len(sizes)):
         sizes[j] = _size(second, j)
-    return nearest_of(first, second, sizes, limit)
+    return polyline_distance_sized(first, second, sizes, limit)
 
 
 @compiled
-def nearest_of(
+def polyline_distance_sized(
     first: Floats, second: Floats, sizes: Floats, limit: float
 ) -> tuple[float, float, float]:
-    """As :func:`nearest`, where the sizes (k − 1,) of the second's pieces are known."""
+    """As :func:`polyline_distance`, where the sizes (k − 1,) of the second's pieces are known."""
     best, here, there = limit, 0.0, 0.0
     for i in range(len(first) - 1):
         own = _size(first, i)

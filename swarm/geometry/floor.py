@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, hang
-from swarm.geometry.shape import sinh_less
+from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
+from swarm.geometry.catenary_shape import sinh_minus_argument
 
 Floats = NDArray[np.float64]
 
@@ -115,7 +115,7 @@ def rest_on_floor(
     Raises :class:`swarm.geometry.catenary.OverStretched`, and :class:`ValueError` for ends below
     it.
     """
-    free = hang(start, end, length)
+    free = solve_catenaries(start, end, length)
     floor = np.broadcast_to(np.asarray(floor, dtype=np.float64), free.length.shape)
     low, high = _heights(free, floor)
     touching = free.lowest()[..., 2] < floor - _HAIR * free.length
@@ -157,7 +157,7 @@ def _parameter(low: Floats, high: Floats, surplus: Floats) -> Floats:
         excess, slope = -surplus, np.zeros_like(a)
         for height in (low, high):
             half = np.arcsinh(np.sqrt(0.5 * height / a))
-            excess = excess + a * sinh_less(2.0 * half)
+            excess = excess + a * sinh_minus_argument(2.0 * half)
             slope = slope + a * (2.0 * np.tanh(half) - 2.0 * half)
         log_least = np.where(excess > 0.0, log_a, log_least)
         log_most = np.where(excess > 0.0, log_most, log_a)

@@ -20,9 +20,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.catenary import Catenaries, hang
-from swarm.geometry.quick import shallowest, steepest
-from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, class_of
+from swarm.geometry.catenary import Catenaries, solve_catenaries
+from swarm.geometry.catenary_kernel import max_elevation_sine, min_elevation_sine
+from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, find_class
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ _COLUMNS = float(_BINS / np.log1p(-LARGEST_RATIO))
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class LinearResponse:
     """First-order answer of points of strands, and what lies beyond; all (b,).
 
     ``at_point`` is the largest movement along a direction per metre by which the ends move;
@@ -63,31 +63,31 @@ class Response:
         bound = movement(self.at_point, self.curvature, size, relative)
         return np.where(self.known, bound, np.inf)
 
-    def elsewhere(self, arc: Floats, relative: Floats) -> Floats:
+    def movement_difference(self, arc: Floats, relative: Floats) -> Floats:
         """How much farther points up to ``arc`` (b,) metres along may move."""
-        return np.where(self.known, elsewhere(self.per_arc, arc, relative), np.inf)
+        return np.where(self.known, movement_difference(self.per_arc, arc, relative), np.inf)
 
 
 @compiled
 def movement(at_point: Numbers, curvature: Numbers, size: Numbers, relative: Numbers) -> Numbers:
-    """As :meth:`Response.movement` of what is known: to first order, and what is beyond it."""
+    """As :meth:`LinearResponse.movement`, where bounded: first order, and the remainder."""
     return at_point * size + 0.5 * curvature * relative * relative
 
 
 @compiled
-def elsewhere(per_arc: Numbers, arc: Numbers, relative: Numbers) -> Numbers:
-    """As :meth:`Response.elsewhere` of what is known."""
+def movement_difference(per_arc: Numbers, arc: Numbers, relative: Numbers) -> Numbers:
+    """As :meth:`LinearResponse.movement_difference` of what is known."""
     return per_arc * arc * relative
 
 
-def response(
+def linear_response(
     strands: Catenaries,
     fraction: Floats,
     ends: Ints,
     normal: Floats,
     piece: tuple[Floats, Floats],
     stretch: Floats,
-) -> Response:
+) -> LinearResponse:
     """Return the response of strands (b,) at fractions (b,) along unit vectors (b, 3).
 
     ``ends`` says which ends move; ``piece`` gives the fractions between which ``per_arc`` must
@@ -98,27 +98,29 @@ def response(
     found = np.empty((3, len(up)))
     _responses(
         np.stack([strands.length, strands.parameter, strands.slope, strands.span, strands.rise]),
-        np.stack([along, up, fraction, *piece, stretch]), ends, curvatures(), found,
+        np.stack([along, up, fraction, *piece, stretch]), ends, curvature_table(), found,
     )  # fmt: skip
     known = np.isfinite(found[0])
     at_point, per_arc, curvature = np.where(known, found, 0.0)
-    return Response(at_point, per_arc, curvature, known)
+    return LinearResponse(at_point, per_arc, curvature, known)
 
 
 @compiled
 def _responses(strands: Floats, asked: Floats, ends: Ints, table: Floats, found: Floats) -> None:
-    """Write what :func:`respond` gives (3, b) for figures of strands (5, b) and what is asked of
-    them (6, b): the parts of normals, fractions, pieces' begins and ends, and stretches."""
+    """Write :func:`strand_response` (3, b) of strands (5, b).
+
+    ``asked`` (6, b) holds the parts of normals, fractions, begins and ends of pieces, stretches.
+    """
     for k in range(len(ends)):
         length, parameter, slope, span, rise = strands[:, k]
         along, up, fraction, begin, end, stretch = asked[:, k]
-        strand = Strand(length, parameter, slope, span, rise)
-        found[0, k], found[1, k], found[2, k] = respond(
+        strand = CatenaryFigures(length, parameter, slope, span, rise)
+        found[0, k], found[1, k], found[2, k] = strand_response(
             strand, (along, up), fraction, (begin, end), ends[k], stretch, table
         )
 
 
-class Strand(NamedTuple):
+class CatenaryFigures(NamedTuple):
     """The figures of one of :class:`swarm.geometry.catenary.Catenaries`."""
 
     length: float
@@ -129,8 +131,8 @@ class Strand(NamedTuple):
 
 
 @compiled
-def respond(
-    strand: Strand,
+def strand_response(
+    strand: CatenaryFigures,
     normal: tuple[float, float],
     fraction: float,
     piece: tuple[float, float],
@@ -138,10 +140,10 @@ def respond(
     stretch: float,
     table: Floats,
 ) -> tuple[float, float, float]:
-    """Of one strand what :func:`response` says of many: at the point, per arc, and curvature.
+    """As :func:`linear_response`, for one strand: at the point, per arc, and curvature.
 
     ``normal`` is a unit vector's part along the strand's heading and upward, ``table`` that of
-    :func:`curvatures`. All infinite where nothing is known.
+    :func:`curvature_table`. All infinite where nothing is known.
     """
     along, up = normal
     across = 1.0 - up * up - along * along
@@ -183,7 +185,9 @@ def respond(
 
 
 @compiled
-def _curvature(strand: Strand, piece: tuple[float, float], stretch: float, table: Floats) -> float:
+def _curvature(
+    strand: CatenaryFigures, piece: tuple[float, float], stretch: float, table: Floats
+) -> float:
     """Upper bound of M of a piece while the ends move by up to ``stretch`` to each other.
 
     What is beyond the first order is ∫(1 − t)·G²·M(t) over the way, t from 0 to 1: the first steps
@@ -191,8 +195,8 @@ def _curvature(strand: Strand, piece: tuple[float, float], stretch: float, table
     """
     if strand.span - stretch <= 0.05 * strand.length:
         return np.inf
-    first = class_of(shallowest(strand.rise, strand.span, stretch), _SINES)
-    last = class_of(steepest(strand.rise, strand.span, stretch), _SINES)
+    first = find_class(min_elevation_sine(strand.rise, strand.span, stretch), _SINES)
+    last = find_class(max_elevation_sine(strand.rise, strand.span, stretch), _SINES)
     if last >= len(_SINES):
         return np.inf
     chord = np.sqrt(strand.span * strand.span + strand.rise * strand.rise)
@@ -228,7 +232,7 @@ def _largest(parts: Floats, begin: float, end: float) -> float:
 
 
 @cache
-def curvatures() -> Floats:
+def curvature_table() -> Floats:
     """Largest second derivative times span over ratios up to a bin's end: (band, bin, part).
 
     Bands are of elevations; parts of strands are counted from the lower end, and those beside one
@@ -246,10 +250,10 @@ def curvatures() -> Floats:
     step = 1e-3 * np.minimum(1.0 - ratio, np.minimum(0.3, ratio * np.cos(steep)))[..., None]
     fractions = np.linspace(0.0, 1.0, 4 * _PARTS + 1)
     largest = np.zeros((*ratio.shape, len(fractions)))
-    still = hang(np.zeros(3), end, 1.0).points(fractions)
+    still = solve_catenaries(np.zeros(3), end, 1.0).points(fractions)
     for way in ways:
-        ahead = hang(np.zeros(3), end + step * way, 1.0).points(fractions)
-        back = hang(np.zeros(3), end - step * way, 1.0).points(fractions)
+        ahead = solve_catenaries(np.zeros(3), end + step * way, 1.0).points(fractions)
+        back = solve_catenaries(np.zeros(3), end - step * way, 1.0).points(fractions)
         second = (ahead - 2.0 * still + back) / step[..., None] ** 2
         largest = np.maximum(largest, np.linalg.norm(second, axis=-1))
     around = np.pad(largest, ((0, 0), (0, 0), (2, 2)))

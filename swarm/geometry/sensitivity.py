@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -83,12 +83,17 @@ def _largest(
 ) -> None:
     """Write :meth:`Sensitivity.largest` of k strands, found (2, k)."""
     for k in range(len(ratio)):
-        found[0, k], found[1, k] = largest_of(
-            norm, integral, steepness(sine[k]), ends[k], piece[k], on_the_way(ratio[k], reach[k])
+        found[0, k], found[1, k] = movement_bound(
+            norm,
+            integral,
+            elevation_class(sine[k]),
+            ends[k],
+            piece[k],
+            ratio_range(ratio[k], reach[k]),
         )
 
 
-class OnTheWay(NamedTuple):
+class RatioRange(NamedTuple):
     """Ratios between which a strand's is on its way, and the bins of the tables that hold them."""
 
     low: float
@@ -98,21 +103,21 @@ class OnTheWay(NamedTuple):
 
 
 @compiled
-def on_the_way(ratio: float, reach: float) -> OnTheWay:
+def ratio_range(ratio: float, reach: float) -> RatioRange:
     """The ratios of a strand that is ``ratio`` taut and gets tauter by ``reach`` at most."""
     low = min(max(ratio, 0.0), LARGEST_RATIO)
     high = min(max(ratio + max(reach, 1e-9), 1e-9), LARGEST_RATIO + 1e-9)
-    return OnTheWay(low, high, _bin(low), _bin(high))
+    return RatioRange(low, high, _bin(low), _bin(high))
 
 
 @compiled
-def steepness(sine: float) -> int:
+def elevation_class(sine: float) -> int:
     """The elevation class of a strand whose chord has this sine of an elevation at most."""
-    return class_of(sine, _SINES)
+    return find_class(sine, _SINES)
 
 
 @compiled
-def class_of(sine: float, sines: Floats) -> int:
+def find_class(sine: float, sines: Floats) -> int:
     """The first of rising classes that reaches up to a sine; their number where none does."""
     found = 0
     while found < len(sines) and sines[found] < sine:
@@ -129,7 +134,7 @@ def _tabulated(piece: int) -> int:
 
 
 @compiled
-def finest_in(piece: int, fraction: float) -> int:
+def finest_piece(piece: int, fraction: float) -> int:
     """The smallest piece in the tables that holds a point of a piece, and is part of it.
 
     Where two of them meet, tables may say much more of one than of the other: of a point at the end
@@ -143,8 +148,8 @@ def finest_in(piece: int, fraction: float) -> int:
 
 
 @compiled
-def largest_of(
-    norm: Floats, integral: Floats, steep: int, ends: int, piece: int, way: OnTheWay
+def movement_bound(
+    norm: Floats, integral: Floats, steep: int, ends: int, piece: int, way: RatioRange
 ) -> tuple[float, float]:
     """As :meth:`Sensitivity.largest` of one strand, with the tables of that."""
     piece = _tabulated(piece)
@@ -155,7 +160,7 @@ def largest_of(
 
 
 @compiled
-def _mean(norms: Floats, integrals: Floats, piece: int, way: OnTheWay) -> float:
+def _mean(norms: Floats, integrals: Floats, piece: int, way: RatioRange) -> float:
     """The mean norm of a piece on the way."""
     at_high = float(norms[way.high_bin, piece])
     if way.low_bin == way.high_bin:
@@ -173,7 +178,7 @@ def _bin(ratio: float) -> int:
 
 
 @cache
-def sensitivity() -> Sensitivity:
+def sensitivity_tables() -> Sensitivity:
     """Return the tables; computed once, in about 0.2 s."""
     bins = _bin(LARGEST_RATIO + 1e-9) + 1
     upper = -np.expm1(-_STEP * np.arange(1, bins + 1))
@@ -223,7 +228,7 @@ def _jacobian_norms(ratio: Floats, elevation: Floats, fractions: Floats) -> tupl
     end = np.stack(
         [ratio * np.cos(elevation), np.zeros_like(ratio), ratio * np.sin(elevation)], axis=-1
     )
-    strand = hang(np.zeros(3), end, np.ones_like(ratio))
+    strand = solve_catenaries(np.zeros(3), end, np.ones_like(ratio))
     a, slope = strand.parameter[..., None], strand.slope[..., None]
     first, last = np.arcsinh(slope), np.arcsinh(slope + 1.0 / a)
     turned = np.arcsinh(slope + fractions / a)

@@ -15,10 +15,10 @@ from typing import Any, Final
 import numpy as np
 
 from swarm.errors import InputError, Problem
+from swarm.geometry.motion import Motion
 from swarm.mission import Mission
 from swarm.planning.digest import digest
 from swarm.planning.plan import Gate, KnotSummary, Layout, Phase, Plan
-from swarm.trajectory import Motion
 
 UNREADABLE: Final = (
     KeyError, TypeError, ValueError, AttributeError, OSError, EOFError, zipfile.BadZipFile,

@@ -9,9 +9,9 @@ import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from swarm.geometry.catenary import STANDARD_GRAVITY
+from swarm.geometry.motion import Motion, at_rest, concatenate, leg
 from swarm.mission import Mission
 from swarm.planning.parts import DESCENT_SPEED, GRAB_HEIGHT, TOUCHDOWN_SPEED, Part, thrust, undone
-from swarm.trajectory import Motion, at_rest, followed, joined, leg
 
 Floats = npt.NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def _levelled(mission: Mission, hold: Part) -> tuple[Part, Floats]:
     if np.ptp(folded[:, 2]) < _ONE_HEIGHT:
         return hold, folded
     climb = leg(folded, level, DESCENT_SPEED, 0.5 * thrust(mission))
-    motion = followed(hold.motion, climb, at_rest(level, mission.hold_time))
+    motion = concatenate(hold.motion, climb, at_rest(level, mission.hold_time))
     return replace(hold, motion=motion), level
 
 
@@ -136,7 +136,7 @@ def _tighten(mission: Mission, lengths: Floats, folded: Floats) -> tuple[Part, .
     for end, sign in ((0, -1.0), (-1, 1.0)):
         pulled[end] += sign * step * heading
         aside[end] = pulled[end] + sign * 2.0 * heading
-    pulling = followed(
+    pulling = concatenate(
         leg(folded, over, speed, push),
         leg(over, pulled, min(speed, DESCENT_SPEED), 0.5 * push),
         at_rest(pulled, TIGHTENING_TIME),
@@ -145,7 +145,7 @@ def _tighten(mission: Mission, lengths: Floats, folded: Floats) -> tuple[Part, .
     spread, land = _spread_and_land(mission, aside)
     return (
         Part("tighten", pulling, "free", then="released"),
-        Part("finish", joined(away, spread.motion), "free"),
+        Part("finish", concatenate(away, spread.motion), "free"),
         land,
     )
 
@@ -190,7 +190,7 @@ def _spread_and_land(mission: Mission, start: Floats) -> tuple[Part, Part]:
     squared = ((spread[:, None, :2] - places[None, :, :2]) ** 2).sum(axis=2)
     ground = places[linear_sum_assignment(squared)[1]]
     above = ground + np.array([0.0, 0.0, float(spread[:, 2].max())])
-    away = followed(leg(start, spread, speed, push), leg(spread, above, speed, push))
+    away = concatenate(leg(start, spread, speed, push), leg(spread, above, speed, push))
     near = ground + np.array([0.0, 0.0, 1.0])
     return (
         Part("finish", away, "free"),
@@ -201,7 +201,7 @@ def _spread_and_land(mission: Mission, start: Floats) -> tuple[Part, Part]:
 def _down(mission: Mission, above: Floats, near: Floats, ground: Floats) -> Motion:
     """Straight down, and slower near the ground."""
     speed, push = mission.vehicles.max_speed, thrust(mission)
-    return followed(
+    return concatenate(
         leg(above, near, min(speed, DESCENT_SPEED), push),
         leg(near, ground, min(speed, TOUCHDOWN_SPEED), push),
     )

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from swarm.geometry.motion import Motion, at_rest, concatenate, leg, staggered_leg
 from swarm.mission import Mission
 from swarm.planning.finishes import finish
 from swarm.planning.parts import (
@@ -16,7 +17,6 @@ from swarm.planning.parts import (
     thrust,
 )
 from swarm.planning.plan import Condition, Gate, Phase
-from swarm.trajectory import Motion, at_rest, followed, leg, staggered
 
 Floats = npt.NDArray[np.float64]
 
@@ -93,7 +93,7 @@ def assembled(parts: tuple[Part, ...], gates: list[Gate]) -> Flight:
         if part.then is not None:
             gates.append(Gate(end, part.then, _TIMEOUTS[part.then], part.inner))
         clock = end
-    return Flight(followed(*(part.motion for part in parts)), tuple(phases), tuple(gates))
+    return Flight(concatenate(*(part.motion for part in parts)), tuple(phases), tuple(gates))
 
 
 def _grabbed(mission: Mission, lengths: Floats, lifted: Floats, folded: Floats) -> tuple[Part, ...]:
@@ -114,18 +114,21 @@ def _grabbed(mission: Mission, lengths: Floats, lifted: Floats, folded: Floats) 
     return (
         Part(
             "takeoff",
-            followed(
+            concatenate(
                 leg(pads, pads + up, slow, 0.5 * push), leg(pads + up, grasp + up, speed, push)
             ),
             "floor",
             then="airborne",
         ),
         Part(
-            "grab", staggered(grasp + up, grasp + low, order, slow, push), "floor", then="gripped"
+            "grab",
+            staggered_leg(grasp + up, grasp + low, order, slow, push),
+            "floor",
+            then="gripped",
         ),
         Part(
             "contract",
-            followed(
+            concatenate(
                 leg(grasp + low, grasp + carried, slow, 0.25 * push),
                 leg(grasp + carried, contracted + carried, slow, push),
             ),

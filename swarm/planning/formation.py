@@ -8,11 +8,11 @@ import numpy.typing as npt
 from swarm.errors import Refused
 from swarm.geometry.catenary import sag_for_length
 from swarm.geometry.chain import crossing_gaps, plan_crossings
+from swarm.geometry.motion import Motion, at_rest, concatenate, leg
 from swarm.mission import Formation, Mission
 from swarm.planning.flight import flight_without_cable, whole_flight
 from swarm.planning.parts import thrust
 from swarm.planning.plan import KnotSummary, Layout, Plan
-from swarm.trajectory import Motion, at_rest, followed, leg
 
 Floats = npt.NDArray[np.float64]
 
@@ -83,7 +83,7 @@ def _through(mission: Mission, stops: list[Floats]) -> Motion:
     for start, end in pairwise(stops):
         rests.append(leg(start, end, 0.5 * mission.vehicles.max_speed, 0.5 * thrust(mission)))
         rests.append(at_rest(end, _STILL))
-    return followed(*rests)
+    return concatenate(*rests)
 
 
 def _layout(corners: Floats, lengths: Floats) -> Layout:

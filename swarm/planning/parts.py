@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
+from swarm.geometry.motion import Motion, reverse
 from swarm.mission import Mission
 from swarm.planning.plan import CableState, Condition, PhaseName
-from swarm.trajectory import Motion, backwards
 
 TAKEOFF_HEIGHT = 2.0
 """Grip points rise this high before they go to stand over the cable, metres."""
@@ -39,7 +39,7 @@ def undone(
     part: Part, name: PhaseName, *, then: Condition | None = None, reversible: bool = False
 ) -> Part:
     """The part flown backwards, under another name."""
-    return Part(name, backwards(part.motion), part.cable, reversible, then)
+    return Part(name, reverse(part.motion), part.cable, reversible, then)
 
 
 def thrust(mission: Mission) -> float:

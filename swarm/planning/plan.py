@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from swarm.geometry.motion import Motion
 from swarm.knots.names import in_words
 from swarm.mission import Mission
-from swarm.trajectory import Motion
 
 Floats = npt.NDArray[np.float64]
 

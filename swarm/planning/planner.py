@@ -8,13 +8,14 @@ import numpy.typing as npt
 from scipy.spatial.distance import pdist
 
 from swarm.errors import Refused
-from swarm.folding.end_sensitivity import lifts
-from swarm.folding.layout import Hanging, Shape, given, hanging
+from swarm.folding.end_sensitivity import sag_responses
+from swarm.folding.layout import KnotLayout, LayoutParameters, lay_out, lay_out_corners
 from swarm.folding.margins import Margins
-from swarm.folding.optimizer import HOPELESS
-from swarm.folding.paper import dips, printed_motion
-from swarm.folding.schedule import improved, schedule, team_path
-from swarm.geometry.catenary import hang
+from swarm.folding.optimizer import BEYOND_REPAIR
+from swarm.folding.paper import edge_dips, paper_motion
+from swarm.folding.schedule import improve, make_schedule, team_path
+from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.motion import Motion, through_states
 from swarm.knots.catalog import KnotChoice, choose
 from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
@@ -33,7 +34,6 @@ from swarm.planning.shapes import (
     shapes,
 )
 from swarm.planning.timing import timed
-from swarm.trajectory import Motion, through_states
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -116,9 +116,9 @@ def _mended(
         missing = yield made
         if not missing or any(each.check not in MENDABLE for each in missing):
             break
-        folding = replace(folding, plan=improved(with_more(folding, made, missing)))
+        folding = replace(folding, plan=improve(with_more(folding, made, missing)))
         tried.append("gave way by more where the certificate missed something")
-        if folding.plan.worst > HOPELESS:
+        if folding.plan.worst > BEYOND_REPAIR:
             break
 
 
@@ -152,7 +152,10 @@ def _refuse_crowding(
 
 
 def _foldings(
-    opened: Iterator[OpenGrid], layouts: list[Shape], margins: Margins, progress: Progress | None
+    opened: Iterator[OpenGrid],
+    layouts: list[LayoutParameters],
+    margins: Margins,
+    progress: Progress | None,
 ) -> Iterator[Folding]:
     """Foldings of all openings in the first layout, and of the first ones in the others."""
     best: list[OpenGrid] = []
@@ -165,7 +168,7 @@ def _foldings(
 
 
 def _folding(
-    diagram: OpenGrid, shape: Shape, margins: Margins, progress: Progress | None
+    diagram: OpenGrid, shape: LayoutParameters, margins: Margins, progress: Progress | None
 ) -> Folding:
     if progress:
         progress(f"folding with a cell of {shape.cell:.2f} m", 0.0)
@@ -237,7 +240,7 @@ def _as_given(
     are, where levels change and how wide turns are is tried.
     """
     asked = mission.layout
-    layout = given(asked.corners or (), asked.sags or (), 0.0)
+    layout = lay_out_corners(asked.corners or (), asked.sags or (), 0.0)
     edges = np.diff(layout.corners[:, :2], axis=0)
     shortest = float(np.linalg.norm(edges, axis=1).min())
     heading = edges[0] / np.linalg.norm(edges[0])
@@ -253,7 +256,7 @@ def _as_given(
         lanes = apart * shortest * (0.5 * levels.max() - levels)
         hung = replace(layout, corners=corners, lanes=lanes)
         guide = guided(hung, slope * shortest, rounding * shortest)
-        plan = schedule(hung, guide, margins, 0.06 * shortest)
+        plan = make_schedule(hung, guide, margins, 0.06 * shortest)
         foldings.append(Folding(hung, plan))
         tried.append(
             f"tried lanes {apart * shortest:.2f} m apart: misses its margins by {plan.worst:.2g}"
@@ -269,20 +272,22 @@ _GIVEN = ((0.19, 0.17, 0.2), (0.1, 0.3, 0.15), (0.25, 0.3, 0.15))
 """Distance of lanes, reach of level changes and of turns, over the shortest edge."""
 
 
-def _paper_layout(mission: Mission, diagram: OpenGrid, margins: Margins) -> Hanging:
+def _paper_layout(mission: Mission, diagram: OpenGrid, margins: Margins) -> KnotLayout:
     """The layout given by corners and sags, or else the diagram with two sags."""
     asked = mission.layout
     if asked.corners is not None and asked.sags is not None:
-        return given(asked.corners, asked.sags, 0.0 if asked.cell == "auto" else asked.cell)
+        return lay_out_corners(
+            asked.corners, asked.sags, 0.0 if asked.cell == "auto" else asked.cell
+        )
     shape = next(shapes(mission, margins))
-    return hanging(diagram.corners, diagram.crossings, replace(shape, two_sags=True))
+    return lay_out(diagram.corners, diagram.crossings, replace(shape, two_sags=True))
 
 
-def _printed(mission: Mission, knot: KnotSummary, layout: Hanging) -> Plan:
+def _printed(mission: Mission, knot: KnotSummary, layout: KnotLayout) -> Plan:
     """The paper's own trajectory."""
     vehicles = mission.vehicles
     deepest = float(layout.sags.max())
-    states = printed_motion(
+    states = paper_motion(
         layout.corners,
         layout.lengths,
         deepest,
@@ -291,7 +296,7 @@ def _printed(mission: Mission, knot: KnotSummary, layout: Hanging) -> Plan:
         max_acceleration=vehicles.max_acceleration - vehicles.braking_acceleration,
     )
     fold = through_states(states.times, states.position, states.velocity, states.acceleration)
-    layout = replace(layout, lanes=-dips(len(layout.lengths), deepest))
+    layout = replace(layout, lanes=-edge_dips(len(layout.lengths), deepest))
     line = fold.at(np.linspace(fold.times[0], fold.times[-1], 400))[0][:, -1]
     return _flown(mission, knot, layout, fold, line, ["the paper's trajectory, as printed"])
 
@@ -299,7 +304,7 @@ def _printed(mission: Mission, knot: KnotSummary, layout: Hanging) -> Plan:
 def _flown(
     mission: Mission,
     knot: KnotSummary,
-    layout: Hanging,
+    layout: KnotLayout,
     fold: Motion,
     line: Floats,
     notes: list[str],
@@ -320,7 +325,7 @@ def _flown(
     )
 
 
-def _layout(layout: Hanging, height: float) -> Layout:
+def _layout(layout: KnotLayout, height: float) -> Layout:
     return Layout(
         corners=layout.corners + np.array([0.0, 0.0, height]),
         sags=layout.sags,
@@ -338,10 +343,10 @@ def _height(mission: Mission, fold: Motion, lengths: Floats) -> float:
     times = np.linspace(fold.times[0], fold.times[-1], 4 * len(fold.times))
     places = fold.at(times)[0]
     chord = np.linalg.norm(np.diff(places, axis=1), axis=2)
-    hanging = hang(places[:, :-1], places[:, 1:], np.maximum(lengths, chord))
+    strands = solve_catenaries(places[:, :-1], places[:, 1:], np.maximum(lengths, chord))
     ratio = chord / lengths
-    error = mission.vehicles.tracking * 1.1 * lifts(ratio)
-    lowest = float((hanging.lowest()[..., 2] - error).min()) - 0.1
+    error = mission.vehicles.tracking * 1.1 * sag_responses(ratio)
+    lowest = float((strands.lowest()[..., 2] - error).min()) - 0.1
     margin = mission.clearance.floor + 0.5 * mission.cable.diameter
     return float(np.ceil(10.0 * (margin - lowest)) / 10.0)
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swarm.errors import Refused
-from swarm.folding.lane_assignment import cost_of_ways
-from swarm.folding.layout import Hanging, Shape, hanging
+from swarm.folding.lane_assignment import assignment_cost
+from swarm.folding.layout import KnotLayout, LayoutParameters, lay_out
 from swarm.folding.margins import Margins
 from swarm.folding.path import Guide
-from swarm.folding.schedule import Schedule, schedule
-from swarm.folding.soft_constraints import strand_cost, strands
+from swarm.folding.schedule import Schedule, make_schedule
+from swarm.folding.soft_constraints import outline_strands, strand_costs
 from swarm.knots.grid import OpenGrid
 from swarm.mission import Mission
 
@@ -47,18 +47,18 @@ _SLOPE, _ROUNDING = 0.98, 0.5
 class Folding:
     """A layout with the path through it and everybody's progress."""
 
-    layout: Hanging
+    layout: KnotLayout
     plan: Schedule
 
 
-def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
+def shapes(mission: Mission, margins: Margins) -> Iterator[LayoutParameters]:
     """Layouts to try, the smallest first; numbers in the mission are taken as they are."""
     asked = mission.layout
     strand = margins.cable + 5.0 * margins.tracking
     least = max(2.2 * strand, 1.25 * (margins.vehicle + 2.0 * margins.tracking))
     for scale in _SCALES if asked.cell == "auto" else (1.0,):
         cell = scale * least if asked.cell == "auto" else asked.cell
-        yield Shape(
+        yield LayoutParameters(
             cell=cell,
             gap=1.15 * strand if margins.tracking else 2.0 * strand,
             minimum_sag=0.2 * cell,
@@ -67,15 +67,15 @@ def shapes(mission: Mission, margins: Margins) -> Iterator[Shape]:
             lane_under=asked.lane_under if asked.lane_under != "auto" else 0.5 * cell,
             slope=_SLOPE * cell,
             rounding=_ROUNDING * cell,
-            play=2.2 * margins.tracking,
-            taut=0.98 * margins.taut,
+            chord_margin=2.2 * margins.tracking,
+            max_chord_ratio=0.98 * margins.max_chord_ratio,
             sag_over=None if asked.sag_over == "auto" else asked.sag_over,
             sag_under=None if asked.sag_under == "auto" else asked.sag_under,
             length=mission.cable.length,
         )
 
 
-def fitted(diagram: OpenGrid, shape: Shape, margins: Margins) -> Shape:
+def fitted(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> LayoutParameters:
     """Scale a shape until the diagram hung in it takes the shape's length of cable, or just less.
 
     Raises :class:`swarm.errors.Refused` where the smallest layouts take more.
@@ -102,22 +102,22 @@ def fitted(diagram: OpenGrid, shape: Shape, margins: Margins) -> Shape:
     return shape.scaled(low)
 
 
-def guided(layout: Hanging, slope: float, rounding: float) -> Guide:
+def guided(layout: KnotLayout, slope: float, rounding: float) -> Guide:
     """The line along which a layout's vehicles make progress; see :class:`Guide`."""
     run_in = 1.1 * float(layout.lengths.sum()) + 2.0
     return Guide(layout.corners, layout.lanes, slope, rounding, run_in)
 
 
-def folded(diagram: OpenGrid, shape: Shape, margins: Margins) -> Folding:
+def folded(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> Folding:
     """Hang a diagram in a shape, and find everybody's way to its corners."""
     shape = fitted(diagram, shape, margins)
     layout = hung_apart(diagram, shape, margins)
     guide = guided(layout, shape.slope, shape.rounding)
-    return Folding(layout, schedule(layout, guide, margins, _STEP * shape.cell))
+    return Folding(layout, make_schedule(layout, guide, margins, _STEP * shape.cell))
 
 
 def ranked(
-    opened: list[OpenGrid], shape: Shape, margins: Margins, progress: Progress | None
+    opened: list[OpenGrid], shape: LayoutParameters, margins: Margins, progress: Progress | None
 ) -> Iterator[OpenGrid]:
     """Openings along whose paths segments are least in the way of others, best first.
 
@@ -133,7 +133,7 @@ def ranked(
 
 def _best(
     opened: list[OpenGrid],
-    shape: Shape,
+    shape: LayoutParameters,
     margins: Margins,
     wanted: int,
     in_vain: int,
@@ -155,7 +155,7 @@ def _best(
         square = float(layout.lengths.sum()) ** 2
         chosen = sorted(scores)[:wanted]
         enough = chosen[-1] / square if len(chosen) == wanted else np.inf
-        costs.append(cost_of_ways(layout, guide, margins, _STEP * fit.cell, enough))
+        costs.append(assignment_cost(layout, guide, margins, _STEP * fit.cell, enough))
         scores.append(costs[-1] * square)
     return [int(k) for k in np.argsort(scores, kind="stable")[:wanted]]
 
@@ -183,17 +183,17 @@ def keeping(mission: Mission) -> Margins:
         tracking=vehicles.tracking,
         radius=vehicles.radius,
         grip_offset=vehicles.grip_offset,
-        hand=4.0 * (clearance.cable + mission.cable.diameter + vehicles.tracking) + SAMPLING,
+        exempt=4.0 * (clearance.cable + mission.cable.diameter + vehicles.tracking) + SAMPLING,
     )
 
 
-def hung_apart(diagram: OpenGrid, shape: Shape, margins: Margins) -> Hanging:
+def hung_apart(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> KnotLayout:
     """Hang the knot so that its strands keep their margins at rest, in any direction."""
     for _ in range(8):
-        layout = hanging(diagram.corners, diagram.crossings, shape)
+        layout = lay_out(diagram.corners, diagram.crossings, shape)
         pairs = np.array(layout.crossings, dtype=np.intp).reshape(-1, 2)
-        at_rest = strands(layout.corners[:-1], layout.corners[1:], layout.lengths)
-        cost = strand_cost(at_rest[pairs[:, 0]], at_rest[pairs[:, 1]], margins)
+        at_rest = outline_strands(layout.corners[:-1], layout.corners[1:], layout.lengths)
+        cost = strand_costs(at_rest[pairs[:, 0]], at_rest[pairs[:, 1]], margins)
         if not len(pairs) or cost.max() < 0.02:
             break
         shape = replace(shape, gap=1.08 * shape.gap)

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from scipy.optimize import minimize
 
+from swarm.geometry.motion import Motion, through_states
 from swarm.jit import compiled
-from swarm.trajectory import Motion, through_states
 
 Floats = npt.NDArray[np.float64]
 

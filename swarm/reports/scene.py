@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.flight.snapshot import Snapshot
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import strand_strand
 from swarm.planning import Layout, Plan
 from swarm.planning.cable_shape import planned_grip, resting_places
@@ -65,7 +65,7 @@ def strands(grips: Floats, lengths: Floats, points: int = POINTS_PER_SEGMENT) ->
     known = np.isfinite((start + end).sum(axis=-1, keepdims=True))
     start, end = np.where(known, start, 0.0), np.where(known, end, 0.0)
     chord = np.linalg.norm(end - start, axis=-1)
-    drawn = hang(start, end, np.maximum(lengths, chord * (1 + 1e-9)))
+    drawn = solve_catenaries(start, end, np.maximum(lengths, chord * (1 + 1e-9)))
     shape = drawn.points(np.linspace(0.0, 1.0, points))
     shape[..., 2] = np.maximum(shape[..., 2], 0.0)
     return np.where(known[..., None], shape, np.nan)
@@ -177,7 +177,7 @@ def crossings(layout: Layout) -> list[Crossing]:
     for over, under in layout.crossings:
         share = meeting(layout.corners[:, :2], over, under)
         points = [
-            hang(layout.corners[k], layout.corners[k + 1], layout.lengths[k]).at_span(s)
+            solve_catenaries(layout.corners[k], layout.corners[k + 1], layout.lengths[k]).at_span(s)
             for k, s in zip((over, under), share, strict=True)
         ]
         found.append(Crossing(over + 1, under + 1, points[0], points[1]))

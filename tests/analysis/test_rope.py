@@ -9,7 +9,7 @@ import pytest
 from swarm import api
 from swarm.analysis.swing import largest_swings
 from swarm.errors import Refused
-from swarm.geometry.catenary import STANDARD_GRAVITY, hang
+from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.mission import mission_for_knot
 from swarm.planning import KnotSummary, Layout, Plan
 from tests.network import small_plan
@@ -41,7 +41,7 @@ def test_a_rope_at_rest_hangs_as_the_catenary():
     assert run.links == 80
     assert run.void == ()
     assert run.stray.max() < 0.02
-    drop = hang(start, end, length).points(np.linspace(0, 1, 200))[:, 2].min()
+    drop = solve_catenaries(start, end, length).points(np.linspace(0, 1, 200))[:, 2].min()
     assert run.shape[:41, 2].min() == pytest.approx(drop, abs=0.01)
 
 
@@ -50,7 +50,7 @@ def test_sway_turns_a_strand_about_its_chord():
     the chord of an arc around them."""
     ends = np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0]])
     length, sideways = np.array([3.0]), np.tile([0.0, 2.0, 0.0], (2, 1))
-    sag = float(hang(*ends, length[0]).sag())
+    sag = float(solve_catenaries(*ends, length[0]).sag())
     turned = 2.0 * sag * np.sin(0.5 * np.arctan2(2.0, STANDARD_GRAVITY))
     assert largest_swings(ends, sideways, length, 0.0) == pytest.approx(turned, rel=1e-3)
     at_rest = largest_swings(ends, 0.0 * sideways, length, 2.0)
@@ -61,7 +61,7 @@ def test_sway_turns_a_strand_about_its_chord():
 def test_a_rope_that_swings_on_is_told_to_stray_farther_than_sway_and_a_stop():
     line = np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0], [4.0, 0.0, 5.0]])
     layout = replace(PLAN.layout, corners=line, lengths=np.array([3.0, 2.02]))
-    sag = float(hang(line[0], line[1], 3.0).sag())
+    sag = float(solve_catenaries(line[0], line[1], 3.0).sag())
     rate = np.sqrt(STANDARD_GRAVITY / (0.8 * sag))  # of a parabola's swing about its chord
     times = np.arange(0.0, 8.0 * np.pi / rate, 0.02)
     aside = 0.5 / rate**2 * np.sin(rate * times)

@@ -9,7 +9,7 @@ import time
 import numpy as np
 from scipy.optimize import brentq
 
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 
 STRANDS, POINTS, LOOPED, ROUNDS = 100_000, 16, 500, 30
 
@@ -22,7 +22,7 @@ def main() -> None:
     fractions = np.linspace(0.0, 1.0, POINTS)
 
     def batch() -> None:
-        hang(start, end, length).points(fractions)
+        solve_catenaries(start, end, length).points(fractions)
 
     def one_by_one() -> None:
         for a, b, ell in zip(start[:LOOPED], end[:LOOPED], length[:LOOPED], strict=True):

@@ -15,7 +15,7 @@ from swarm.certification.assess import assess
 from swarm.certification.branch_and_bound import smallest
 from swarm.certification.clearances import Moment, families, tightest_moments
 from swarm.certification.robustness import largest_tracking, largest_wind
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import Plan, make_plan
@@ -65,8 +65,8 @@ def searched(plan: Plan, moment: Moment) -> float:
 
     def distance(times: np.ndarray, errors: np.ndarray) -> np.ndarray:
         grips = plan.motion.at(times)[0][:, [i, i + 1, j, j + 1]] + errors
-        one = hang(grips[:, 0], grips[:, 1], lengths[i]).points(FRACTIONS)
-        other = hang(grips[:, 2], grips[:, 3], lengths[j]).points(FRACTIONS)
+        one = solve_catenaries(grips[:, 0], grips[:, 1], lengths[i]).points(FRACTIONS)
+        other = solve_catenaries(grips[:, 2], grips[:, 3], lengths[j]).points(FRACTIONS)
         return polyline_polyline(one, other).distance - plan.mission.cable.diameter
 
     time_, error = moment.time, np.zeros((4, 3))

@@ -13,8 +13,8 @@ import numpy as np
 import rerun as rr
 
 from swarm.flight.snapshot import Snapshot
+from swarm.geometry.motion import through_states
 from swarm.planning import Plan
-from swarm.trajectory import through_states
 from swarm.view.blueprint import flight_blueprint
 from swarm.view.rerun_log import start
 from swarm.view.rerun_scene import Recorder

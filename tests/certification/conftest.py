@@ -5,9 +5,9 @@ import pytest
 
 from swarm.certification.assess import assess
 from swarm.certification.assessment import Assessment
+from swarm.geometry.motion import through_states
 from swarm.mission import parse_mission
 from swarm.planning import Gate, KnotSummary, Layout, Phase, Plan
-from swarm.trajectory import through_states
 
 OVERHAND = """
 schema: 1

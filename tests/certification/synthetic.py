@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from swarm.geometry.motion import Motion, through_states
 from swarm.mission import mission_for_knot
 from swarm.planning import CableState, KnotSummary, Layout, Phase, PhaseName, Plan
-from swarm.trajectory import Motion, through_states
 
 NO_KNOT = KnotSummary("", "none", "", ())
 

@@ -9,8 +9,8 @@ from swarm.certification.assess import assess
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.certification.what_if import endurance_findings
 from swarm.errors import Refused
+from swarm.geometry.motion import Motion, concatenate, through_states
 from swarm.planning import Plan
-from swarm.trajectory import Motion, joined, through_states
 from tests.certification.synthetic import moving, plan_of
 
 
@@ -167,7 +167,7 @@ def test_a_velocity_that_jumps_is_refused():
     speed[1, 1, 0] = 0.2
     there = through_states(np.array([0.0, 9.0]), places, speed, still)
     back = through_states(np.array([9.0, 18.0]), places[::-1], still, still)
-    found = errors(plan_of(joined(there, back), [3.0]))
+    found = errors(plan_of(concatenate(there, back), [3.0]))
     assert found == {"smoothness": ["the velocity of vehicle 2 jumps by 0.2 m/s"]}
 
 

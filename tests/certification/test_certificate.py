@@ -7,8 +7,8 @@ import pytest
 
 from swarm.certification.clearances import beyond_shared_vehicle, certified, tightest_moments
 from swarm.certification.strands import all_pairs
-from swarm.geometry.catenary import hang
-from swarm.trajectory import joined, through_states
+from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.motion import concatenate, through_states
 from tests.certification.oracle import catenary, closest, displaced
 from tests.certification.synthetic import moving, plan_of, wandering
 
@@ -177,7 +177,7 @@ def test_strands_that_pass_through_each_other_between_samples_are_caught():
     dip = through_states(np.array([5.9, 6.0, 6.1]), position, velocity, acceleration)
     before = _cut(plan.motion, 0.0, 5.9)
     after = _cut(plan.motion, 6.1, 12.0)
-    whipped = joined(joined(before, dip), after)
+    whipped = concatenate(concatenate(before, dip), after)
     broken = plan_of(whipped, plan.layout.lengths, "vehicles.tracking=0")
     coarse = broken.motion.at(np.arange(0.0, 12.0, 0.2) + 0.1)[0]
     assert closest(strand(broken, coarse, 0), strand(broken, coarse, 3)).min() > 0.5
@@ -292,7 +292,7 @@ def test_the_lowest_point_in_wind_is_the_lowest_there_is():
     plan = plan_of(moving([0, 1], [places, places]), [3.0], "vehicles.tracking=0")
     down = np.array([0.5, 0.1, -1.0]) / np.linalg.norm([0.5, 0.1, -1.0])
     moment = tightest(plan, "floor", down=tuple(down))[("segment 1", "the floor")]
-    strand_ = hang(places[0], places[1], 3.0, down=down).points(np.linspace(0, 1, 2001))
+    strand_ = solve_catenaries(places[0], places[1], 3.0, down=down).points(np.linspace(0, 1, 2001))
     assert moment.distance == pytest.approx(strand_[:, 2].min() - 0.003, abs=1e-4)
 
 

@@ -22,9 +22,9 @@ from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import CableFreeFlight, ComparisonFlight, basis_of
 from swarm.flight.hop import hop
+from swarm.geometry.motion import Motion
 from swarm.mission.fleet import emulated_fleet
 from swarm.planning import digest
-from swarm.trajectory import Motion
 from tests.network import small_plan, uncleared
 
 CERTIFIED = small_plan()

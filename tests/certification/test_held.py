@@ -20,7 +20,7 @@ from swarm.certification.motion_file import plan_of_motion, read_motion
 from swarm.cli.certify import certify
 from swarm.errors import InputError
 from swarm.exports import motion_rows
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 from swarm.mission import mission_for_knot
 from swarm.planning import Gate, Phase
 from tests.certification.oracle import displaced
@@ -223,7 +223,9 @@ def test_in_wind_brute_force_never_finds_cable_nearer_to_the_fence_than_certifie
     places = displaced(
         rng, np.repeat(plan.motion.at(np.linspace(0.0, 8.0, 50))[0], 40, axis=0), 0.05
     )
-    strands = hang(places[:, 0], places[:, 1], 4.0, down=down).points(np.linspace(0.0, 1.0, 201))
+    strands = solve_catenaries(places[:, 0], places[:, 1], 4.0, down=down).points(
+        np.linspace(0.0, 1.0, 201)
+    )
     sampled = (4.6 - strands[..., 1] - 0.003).min()
     assert moment.distance <= sampled
     assert moment.distance >= 0.93 * sampled - 0.01

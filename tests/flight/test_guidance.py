@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from swarm.flight.clock import MissionClock
 from swarm.flight.guidance import Guidance, Sampler
-from swarm.trajectory import followed, leg, through_states
+from swarm.geometry.motion import concatenate, leg, through_states
 
 LINE = np.array([[0.0, 0.0, 4.0], [3.0, 0.0, 4.0], [6.0, 0.0, 5.0]])
 THERE = LINE + np.array([0.0, 4.0, 1.0])
-MOTION = followed(leg(LINE, THERE, 1.0, 0.7), leg(THERE, LINE, 1.5, 0.7))
+MOTION = concatenate(leg(LINE, THERE, 1.0, 0.7), leg(THERE, LINE, 1.5, 0.7))
 
 
 @given(

@@ -4,14 +4,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from swarm.folding.crossing_constraints import pairs, sides_of
-from swarm.folding.crossings import crossings, kept_sides
+from swarm.folding.crossing_constraints import crossing_signs, segment_pairs
+from swarm.folding.crossings import find_crossings, required_signs
 from swarm.folding.margins import Margins
 from swarm.folding.penalty import TeamGeometry
 
 Floats = npt.NDArray[np.float64]
 
-MARGINS = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.0, radius=0.25, grip_offset=0.6, hand=0.8)
+MARGINS = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.0, radius=0.25, grip_offset=0.6, exempt=0.8)
 CREW = TeamGeometry(np.array([4.4, 9.0, 4.4, 4.4]), MARGINS)
 
 
@@ -31,9 +31,9 @@ def drawn_through(height: Floats | float) -> Floats:
 
 
 def sides_by_pair(places: Floats) -> dict[tuple[int, int], list[int]]:
-    found = crossings(CREW.hung(places), *pairs(4))
+    found = find_crossings(CREW.hung(places), *segment_pairs(4))
     sides: dict[tuple[int, int], list[int]] = {}
-    for each, side in zip(found, kept_sides(found, 4), strict=True):
+    for each, side in zip(found, required_signs(found, 4), strict=True):
         sides.setdefault((each.first, each.second), []).append(side)
     return sides
 
@@ -41,7 +41,7 @@ def sides_by_pair(places: Floats) -> dict[tuple[int, int], list[int]]:
 @pytest.mark.parametrize(("height", "side"), [(2.5, -1), (-2.5, 1)])
 def test_a_crossing_that_moves_past_a_vehicle_keeps_its_side(height: float, side: int) -> None:
     places = drawn_through(height)
-    found = crossings(CREW.hung(places), *pairs(4))
+    found = find_crossings(CREW.hung(places), *segment_pairs(4))
     assert [(each.first, each.second, each.lasts) for each in found] == [
         (0, 2, True),
         (0, 3, False),
@@ -57,7 +57,7 @@ def test_the_side_of_the_end_counts_for_the_whole_thread() -> None:
     height = np.where(np.arange(121) < 90, 2.5, -2.5)
     places = drawn_through(height)
     assert sides_by_pair(places) == {(0, 2): [1], (0, 3): [1]}
-    bodies = sides_of(CREW.hung(places), 4).bodies
+    bodies = crossing_signs(CREW.hung(places), 4).bodies
     assert set(bodies[:, 4, 0].tolist()) == set(bodies[:, 3, 0].tolist()) == {0, -1}
 
 

@@ -13,12 +13,12 @@ from swarm.geometry.catenary import (
     STANDARD_GRAVITY,
     Catenaries,
     OverStretched,
-    hang,
     length_for_sag,
     sag_for_drop,
     sag_for_length,
+    solve_catenaries,
 )
-from swarm.geometry.shape import half_angle_for_stretch
+from swarm.geometry.catenary_shape import half_angle_for_stretch
 
 # Span, rise, length: level and inclined, from slack 1e-6 to length/span 1e3.
 SHAPES = [
@@ -71,7 +71,7 @@ def quadrature_oracle(span: float, rise: float, length: float, guess: Catenaries
 
 @pytest.mark.parametrize(("span", "rise", "length"), SHAPES)
 def test_shape_and_tension_match_quadrature(span: float, rise: float, length: float) -> None:
-    strand = hang([0.0, 0.0, 0.0], [span, 0.0, rise], length)
+    strand = solve_catenaries([0.0, 0.0, 0.0], [span, 0.0, rise], length)
     a, point = quadrature_oracle(span, rise, length, strand)
     assert float(strand.parameter) == pytest.approx(float(a), rel=1e-9)
     scale = max(span, abs(rise))
@@ -90,28 +90,28 @@ def test_sampling_in_bulk_equals_single_points() -> None:
     start, end = rng.normal(size=(2, 7, 5, 3))
     length = np.linalg.norm(end - start, axis=-1) * (1.0 + 10.0 ** rng.uniform(-8, 2, (7, 5)))
     down = rng.normal(size=(5, 3))
-    strands = hang(start, end, length, down=down)
+    strands = solve_catenaries(start, end, length, down=down)
     fractions = np.array([0.0, 0.2, 0.7, 1.0])
     bulk = strands.points(fractions)
     assert bulk.shape == (7, 5, 4, 3)
     for k, fraction in enumerate(fractions):
         np.testing.assert_allclose(bulk[..., k, :], strands.points_at(fraction), rtol=1e-14)
-    one = hang(start[3, 2], end[3, 2], length[3, 2], down=down[2])
+    one = solve_catenaries(start[3, 2], end[3, 2], length[3, 2], down=down[2])
     np.testing.assert_allclose(one.points(fractions), bulk[3, 2], rtol=0.0, atol=1e-13)
 
 
 def test_large_batches_are_sampled_like_small_ones() -> None:
     end = np.column_stack([np.linspace(1.0, 2.0, 9_000), np.zeros(9_000), np.zeros(9_000)])
-    bulk = hang(np.zeros(3), end, 2.5).points(np.linspace(0.0, 1.0, 9))
+    bulk = solve_catenaries(np.zeros(3), end, 2.5).points(np.linspace(0.0, 1.0, 9))
     pick = [0, 4_095, 4_096, 8_999]
     np.testing.assert_array_equal(
-        bulk[pick], hang(np.zeros(3), end[pick], 2.5).points(np.linspace(0.0, 1.0, 9))
+        bulk[pick], solve_catenaries(np.zeros(3), end[pick], 2.5).points(np.linspace(0.0, 1.0, 9))
     )
 
 
 @pytest.mark.parametrize("rise", [0.0, 1.2, -1.2])
 def test_ends_in_plumb_hang_as_a_hairpin(rise: float) -> None:
-    strand = hang([1.0, 2.0, 3.0], [1.0, 2.0, 3.0 + rise], 2.0)
+    strand = solve_catenaries([1.0, 2.0, 3.0], [1.0, 2.0, 3.0 + rise], 2.0)
     lowest = 3.0 - (2.0 - rise) / 2.0
     np.testing.assert_allclose(strand.lowest(), [1.0, 2.0, lowest], atol=1e-12)
     fractions = np.linspace(0.0, 1.0, 11)
@@ -128,14 +128,14 @@ def test_ends_in_plumb_hang_as_a_hairpin(rise: float) -> None:
 def test_plumb_is_the_limit_of_short_spans() -> None:
     spans = 10.0 ** np.arange(-3.0, -60.0, -3.0)
     ends = np.stack([spans, 0 * spans, 0 * spans + 0.4], axis=-1)
-    depths = hang(np.zeros(3), ends, 2.0).lowest()[:, 2]
+    depths = solve_catenaries(np.zeros(3), ends, 2.0).lowest()[:, 2]
     np.testing.assert_allclose(depths, -0.8, atol=1e-3)
     np.testing.assert_allclose(depths[6:], -0.8, atol=1e-12)
 
 
 def test_a_taut_strand_is_its_chord() -> None:
     end = np.array([3.0, 4.0, 12.0])
-    strand = hang(np.zeros(3), end, 13.0)
+    strand = solve_catenaries(np.zeros(3), end, 13.0)
     fractions = np.linspace(0.0, 1.0, 5)
     np.testing.assert_allclose(strand.points(fractions), fractions[:, None] * end, atol=1e-11)
     assert strand.sag() == pytest.approx(0.0, abs=1e-12)
@@ -146,7 +146,7 @@ def test_over_stretched_strands_are_named() -> None:
     start, end = np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
     end[..., 0] = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
     with pytest.raises(OverStretched) as caught:
-        hang(start, end, 4.5)
+        solve_catenaries(start, end, 4.5)
     assert isinstance(caught.value, SwarmError)
     assert caught.value.segments == [(1, 1), (1, 2)]
     assert str(caught.value) == (
@@ -154,19 +154,19 @@ def test_over_stretched_strands_are_named() -> None:
         "segment 1, 2: its ends are 6 m apart, its cable is 4.5 m"
     )
     with pytest.raises(OverStretched, match=re.escape("and 5 more")):
-        hang(np.zeros(3), np.tile([2.0, 0.0, 0.0], (15, 1)), 1.0)
+        solve_catenaries(np.zeros(3), np.tile([2.0, 0.0, 0.0], (15, 1)), 1.0)
 
 
 def test_rounding_is_not_stretch() -> None:
-    hang([0.1, 0.2, 0.3], [1.1, 0.2, 0.3], np.nextafter(1.0, 0.0))
+    solve_catenaries([0.1, 0.2, 0.3], [1.1, 0.2, 0.3], np.nextafter(1.0, 0.0))
     with pytest.raises(OverStretched):
-        hang([0.1, 0.2, 0.3], [1.1, 0.2, 0.3], 1.0 - 1e-9)
+        solve_catenaries([0.1, 0.2, 0.3], [1.1, 0.2, 0.3], 1.0 - 1e-9)
 
 
 @pytest.mark.parametrize("length", [0.0, -1.0, np.nan, np.inf])
 def test_impossible_lengths_are_refused(length: float) -> None:
     with pytest.raises(ValueError, match="must be positive"):
-        hang(np.zeros(3), np.zeros(3), length)
+        solve_catenaries(np.zeros(3), np.zeros(3), length)
 
 
 coordinates = st.floats(-20.0, 20.0).map(lambda v: round(v, 3))
@@ -179,7 +179,7 @@ directions = vectors.filter(lambda v: np.linalg.norm(v) > 0.1)
 def strands(draw: st.DrawFn) -> Catenaries:
     start, end = draw(vectors), draw(vectors)
     length = max(float(np.linalg.norm(end - start)), 0.01) * (1.0 + draw(slacks))
-    return hang(start, end, length, down=draw(directions))
+    return solve_catenaries(start, end, length, down=draw(directions))
 
 
 @given(strands())
@@ -214,7 +214,7 @@ def test_the_lowest_point_is_lowest(strand: Catenaries) -> None:
 
 @given(strands())
 def test_turned_round_it_is_the_same_strand(strand: Catenaries) -> None:
-    back = hang(strand.end, strand.start, strand.length, down=strand.down)
+    back = solve_catenaries(strand.end, strand.start, strand.length, down=strand.down)
     fractions = np.linspace(0.0, 1.0, 9)
     scale = float(strand.length)
     np.testing.assert_allclose(
@@ -229,7 +229,7 @@ def test_tilted_gravity_is_a_turned_world(
     axis = axis / np.linalg.norm(axis)
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    turned = hang(
+    turned = solve_catenaries(
         turn @ strand.start, turn @ strand.end, strand.length, down=turn @ (2.0 * strand.down)
     )
     fractions = np.linspace(0.0, 1.0, 9)
@@ -289,7 +289,7 @@ def test_the_sag_for_a_drop_drops_just_that(
     slack = length / float(np.hypot(span, rise)) - 1.0
     if slack < 1e-9:
         return  # the length no longer holds the drop's digits
-    point = hang(np.zeros(3), [span, 0.0, rise], length).at_span(fraction)
+    point = solve_catenaries(np.zeros(3), [span, 0.0, rise], length).at_span(fraction)
     precision = drop * (1e-14 / slack + 1e-9) + 1e-14 * abs(rise)
     assert rise * fraction - point[2] == pytest.approx(drop, abs=precision)
 

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq, minimize
 
 from swarm.errors import Refused
-from swarm.geometry.catenary import hang, length_for_sag
+from swarm.geometry.catenary import length_for_sag, solve_catenaries
 from swarm.geometry.chain import (
     alpha,
     cell_for_length,
     crossing_fractions,
     crossing_gaps,
-    least_sags,
+    minimum_sags,
     minimum_under_sag,
     plan_crossings,
     polyline,
@@ -174,7 +174,7 @@ def test_gaps_are_heights_of_sampled_curves() -> None:
     gaps = crossing_gaps(corners, lengths, found.segments)
     for (i, j), gap in zip(found.segments, gaps, strict=True):
         first, second = (
-            hang(corners[k], corners[k + 1], lengths[k]).points(np.linspace(0, 1, 4001))
+            solve_catenaries(corners[k], corners[k + 1], lengths[k]).points(np.linspace(0, 1, 4001))
             for k in (i, j)
         )
         apart = np.linalg.norm(first[:, None, :2][::8] - second[None, ::8, :2], axis=-1)
@@ -233,7 +233,7 @@ def test_alpha_runs_through_every_corner_and_sag() -> None:
 def test_least_sags_keep_the_clearance_and_not_more(knot: str, one_each: bool) -> None:
     placed, given_sags, crossings = paper_layout(knot)
     over = given_sags == 1.5
-    sags = least_sags(placed, crossings, 0.2, minimum_sag=0.5, one_each=one_each)
+    sags = minimum_sags(placed, crossings, 0.2, minimum_sag=0.5, one_each=one_each)
     gaps = crossing_gaps(placed, segment_lengths(placed, sags), crossings)
     assert gaps.min() == pytest.approx(0.2, abs=1e-9)
     assert np.all(sags >= 0.5)
@@ -251,7 +251,7 @@ def test_one_sag_each_needs_less_cable_than_two() -> None:
     placed, _, crossings = paper_layout("carrick_mat")
     totals = [
         segment_lengths(
-            placed, least_sags(placed, crossings, 0.2, minimum_sag=0.5, one_each=one_each)
+            placed, minimum_sags(placed, crossings, 0.2, minimum_sag=0.5, one_each=one_each)
         ).sum()
         for one_each in (False, True)
     ]
@@ -271,7 +271,7 @@ PENTAGRAM_CROSSINGS = [(1, 3), (3, 0), (0, 2)]
 def test_levels_of_sag_serve_a_pentagram() -> None:
     found = {tuple(sorted(pair)) for pair in plan_crossings(PENTAGRAM).segments.tolist()}
     assert found == {tuple(sorted(pair)) for pair in PENTAGRAM_CROSSINGS}
-    sags = least_sags(PENTAGRAM, PENTAGRAM_CROSSINGS, 0.2, minimum_sag=0.5, one_each=True)
+    sags = minimum_sags(PENTAGRAM, PENTAGRAM_CROSSINGS, 0.2, minimum_sag=0.5, one_each=True)
     assert sags[1] < sags[3] < sags[0] < sags[2]
     lengths = segment_lengths(PENTAGRAM, sags)
     np.testing.assert_allclose(crossing_gaps(PENTAGRAM, lengths, PENTAGRAM_CROSSINGS), 0.2)
@@ -297,16 +297,16 @@ def test_two_sags_cannot_serve_levels() -> None:
     with pytest.raises(
         Refused, match="two sags cannot serve segments that pass over and under: 0, 3"
     ):
-        least_sags(PENTAGRAM, PENTAGRAM_CROSSINGS, 0.2, minimum_sag=0.5)
+        minimum_sags(PENTAGRAM, PENTAGRAM_CROSSINGS, 0.2, minimum_sag=0.5)
 
 
 def test_a_circle_of_strands_is_refused_with_its_members() -> None:
     corners = np.array([[0, 0], [6, 0.5], [5, -1], [2, 5], [3.5, 4.5], [0.5, -1], [0.5, -3]])
     corners = np.column_stack([corners, np.full(7, 9.0)])
     assert plan_crossings(corners).segments.tolist() == [[0, 2], [0, 4], [2, 4]]
-    least_sags(corners, [(0, 2), (0, 4), (2, 4)], 0.2, minimum_sag=0.5, one_each=True)
+    minimum_sags(corners, [(0, 2), (0, 4), (2, 4)], 0.2, minimum_sag=0.5, one_each=True)
     with pytest.raises(Refused, match="no sags can serve: segments 0, 2, 4"):
-        least_sags(corners, [(0, 2), (4, 0), (2, 4)], 0.2, minimum_sag=0.5, one_each=True)
+        minimum_sags(corners, [(0, 2), (4, 0), (2, 4)], 0.2, minimum_sag=0.5, one_each=True)
 
 
 @settings(max_examples=25)
@@ -329,4 +329,4 @@ def test_too_short_a_cable_is_refused() -> None:
 def test_a_crossing_over_a_corner_is_refused() -> None:
     corners = np.array([[0, 0, 5], [4, 0, 5], [4, 2, 5], [2, 2, 5], [2, 0, 5.0]])
     with pytest.raises(Refused, match="corner of another"):
-        least_sags(corners, [(0, 3)], 0.2, minimum_sag=0.5, one_each=True)
+        minimum_sags(corners, [(0, 3)], 0.2, minimum_sag=0.5, one_each=True)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from swarm.geometry.catenary import OverStretched, hang
+from swarm.geometry.catenary import OverStretched, solve_catenaries
 from swarm.geometry.floor import FloorStrands, rest_on_floor
 
 CASES = [(1.0, 1.0, 5.0), (1.0, 0.3, 4.6), (0.05, 0.02, 4.001), (0.0, 1.0, 4.2), (2.0, 1.0, 6.5)]
@@ -42,7 +42,7 @@ def test_loose_cable_hangs_straight_down() -> None:
 
 
 def test_strands_clear_of_the_floor_are_catenaries() -> None:
-    free = hang([0.0, 0.0, 3.0], [4.0, 0.0, 3.5], 5.0)
+    free = solve_catenaries([0.0, 0.0, 3.0], [4.0, 0.0, 3.5], 5.0)
     strand = rest_on_floor(free.start, free.end, 5.0, 1.0)
     fractions = np.linspace(0.0, 1.0, 9)
     assert not strand.touching
@@ -53,7 +53,7 @@ def test_strands_clear_of_the_floor_are_catenaries() -> None:
 
 
 def test_lifting_off_is_continuous() -> None:
-    free = hang([0.0, 0.0, 0.0], [4.0, 0.0, 0.7], 5.0)
+    free = solve_catenaries([0.0, 0.0, 0.0], [4.0, 0.0, 0.7], 5.0)
     touch = float(free.lowest()[2])
     fractions = np.linspace(0.0, 1.0, 33)
     resting = rest_on_floor(free.start, free.end, 5.0, touch + 1e-9)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from swarm.geometry.catenary import hang
-from swarm.geometry.linear_response import response
+from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.linear_response import linear_response
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, NEAR_END
 
 
@@ -31,14 +31,14 @@ def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends, shall
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
 
         end = ratio[:, None] * chord
-        before = hang(np.zeros(3), end, 1.0)
-        after = hang(size[:, None] * at_start, end + size[:, None] * at_end, 1.0)
+        before = solve_catenaries(np.zeros(3), end, 1.0)
+        after = solve_catenaries(size[:, None] * at_start, end + size[:, None] * at_end, 1.0)
         at = rng.uniform(size=count)
         piece = (
             np.clip(at - rng.uniform(0.0, 0.1, count), 0.0, 1.0),
             np.clip(at + rng.uniform(0.0, 0.1, count), 0.0, 1.0),
         )
-        answer = response(before, at, np.full(count, ends), normal, piece, growth)
+        answer = linear_response(before, at, np.full(count, ends), normal, piece, growth)
         bound = answer.movement(size, growth)
 
         def moved(fraction, before=before, after=after, normal=normal):

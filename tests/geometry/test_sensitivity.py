@@ -6,8 +6,8 @@ from swarm.geometry.sensitivity import (
     FAR_END,
     LARGEST_RATIO,
     NEAR_END,
-    finest_in,
-    sensitivity,
+    finest_piece,
+    sensitivity_tables,
 )
 from tests.certification.oracle import catenary
 
@@ -41,7 +41,7 @@ def test_no_finite_displacement_moves_a_strand_farther_than_the_bound(ends, seed
     steepest = np.minimum(np.abs(elevation) + np.arcsin(np.minimum(growth / ratio, 1.0)), np.pi / 2)
     pieces = 64 + np.minimum((64 * fractions).astype(int), 63)
     for column, piece in enumerate(pieces):
-        horizontal, vertical = sensitivity().largest(
+        horizontal, vertical = sensitivity_tables().largest(
             ratio, growth, np.sin(steepest), np.full(count, ends), np.full(count, piece)
         )
         across = np.hypot(moved[:, column, 0], moved[:, column, 1])
@@ -68,7 +68,7 @@ def test_the_bound_is_sharp_for_a_level_strand_pulled_at_both_ends():
     moved = catenary([-size, 0, 0], [ratio + size, 0, 0], 1.0, 2001)[1000]
     moved -= catenary([0, 0, 0], [ratio, 0, 0], 1.0, 2001)[1000]
     one = np.ones(1)
-    _, vertical = sensitivity().largest(
+    _, vertical = sensitivity_tables().largest(
         ratio * one, 2 * size * one, 0 * one, np.array([BOTH_ENDS]), np.array([middle])
     )
     assert abs(moved[2]) <= size * vertical[0] <= 1.12 * abs(moved[2])
@@ -80,7 +80,7 @@ def test_a_point_is_looked_up_in_a_part_of_its_own_piece(piece):
     begin = piece / 2**level - 1.0
     end = begin + 0.5**level
     for fraction in np.linspace(begin, end, 9):
-        finest = finest_in(piece, fraction)
+        finest = finest_piece(piece, fraction)
         assert 64 <= finest < 128
         assert finest / 64 - 1.0 <= fraction <= (finest + 1) / 64 - 1.0
         # It is part of the piece, or holds it.

@@ -9,9 +9,9 @@ import numpy.typing as npt
 from swarm.certification.monitor import Clearances
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.geometry.catenary import length_for_sag
+from swarm.geometry.motion import through_states
 from swarm.mission import mission_for_knot
 from swarm.planning import CableState, Gate, KnotSummary, Layout, Phase, PhaseName, Plan
-from swarm.trajectory import through_states
 
 Floats = npt.NDArray[np.float64]
 

@@ -37,7 +37,7 @@ def test_spans_are_the_same_catenaries_as_the_planners(
     made = rope(length, [0.0, length])
     grips = np.array([[0.0, 0.0, 0.0], stop])
     force = made.pull(grips, STILL[:2])
-    hung = catenary.hang(grips[:1], grips[1:], np.array([length]))
+    hung = catenary.solve_catenaries(grips[:1], grips[1:], np.array([length]))
     expected = hung.end_forces(made.spec.mass_per_length, GRAVITY)
     weight = made.spec.mass_per_length * GRAVITY * length
     assert force[0] == pytest.approx(expected[0][0], abs=2e-3 * weight, rel=2e-3)

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from swarm.geometry.shape import half_angle
+from swarm.geometry.catenary_shape import solve_half_angle
 from swarm.jit import compiled
 
 Floats = NDArray[np.float64]
@@ -24,7 +24,9 @@ _NEWTON, _SETTLED = 60, 1e-9
 
 
 @compiled
-def hang(start: Floats, end: Floats, length: float, taut: float) -> tuple[float, float, float]:
+def solve_catenary(
+    start: Floats, end: Floats, length: float, taut: float
+) -> tuple[float, float, float]:
     """Span, parameter and slope at the start of the catenary between two points (3,).
 
     The half angle is at least ``taut``. No chord may be longer than its strand.
@@ -33,7 +35,7 @@ def hang(start: Floats, end: Floats, length: float, taut: float) -> tuple[float,
     square = east * east + north * north
     span = max(math.sqrt(square), _VERTICAL * length)
     excess = max(length * length - square - rise * rise, 0.0)
-    x = max(half_angle(0.5 * math.log1p(excess / (span * span))), taut)
+    x = max(solve_half_angle(0.5 * math.log1p(excess / (span * span))), taut)
     level = math.sqrt(excess + span * span)
     sinh = x * (level / span)
     slope = (rise * math.sqrt(1.0 + sinh * sinh) - length * sinh) / level
@@ -41,7 +43,7 @@ def hang(start: Floats, end: Floats, length: float, taut: float) -> tuple[float,
 
 
 @compiled
-def dip(start: Floats, end: Floats, length: float) -> float:
+def max_drop_below_ends(start: Floats, end: Floats, length: float) -> float:
     """How far a strand may come down below its lower end, at most.
 
     One that comes down by d is at least as long as two straight lines down to there:
@@ -53,7 +55,7 @@ def dip(start: Floats, end: Floats, length: float) -> float:
 
 
 @compiled
-def steepest(rise: float, span: float, reach: float) -> float:
+def max_elevation_sine(rise: float, span: float, reach: float) -> float:
     """Sine of the largest elevation that a chord may get, with its ends moving by ``reach``.
 
     That is relative to each other, in metres as ``rise`` and ``span``; it turns the chord by an
@@ -66,8 +68,8 @@ def steepest(rise: float, span: float, reach: float) -> float:
 
 
 @compiled
-def shallowest(rise: float, span: float, reach: float) -> float:
-    """As :func:`steepest`, of the smallest elevation; 0 where the chord may get level."""
+def min_elevation_sine(rise: float, span: float, reach: float) -> float:
+    """As :func:`max_elevation_sine`, of the smallest elevation; 0 where the chord may get level."""
     square = rise * rise + span * span
     if reach * reach >= rise * rise:
         return 0.0
@@ -75,9 +77,9 @@ def shallowest(rise: float, span: float, reach: float) -> float:
 
 
 @compiled
-def sketch(start: Floats, end: Floats, length: float, points: Floats) -> None:
+def sample_strand(start: Floats, end: Floats, length: float, points: Floats) -> None:
     """Fill ``points`` (k, 3) with those of a strand, equally far apart along it."""
-    span, parameter, slope = hang(start, end, length, _TAUTEST)
+    span, parameter, slope = solve_catenary(start, end, length, _TAUTEST)
     first, angle = math.sqrt(1.0 + slope * slope), math.asinh(slope)
     last = len(points) - 1
     for k in range(last + 1):
@@ -89,14 +91,14 @@ def sketch(start: Floats, end: Floats, length: float, points: Floats) -> None:
 
 
 @compiled
-def outline(start: Floats, end: Floats, length: float, points: Floats) -> None:
+def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) -> None:
     """Fill ``points`` (k, 3) with the corners of a polygon that goes along a strand.
 
     They are equally far apart in plan view. So, steep or level, every edge is as far from the
     strand as every other, where corners that are equally far apart along it cut off the bottom of a
     narrow loop. Corners lie below the strand by as much as edges lie above it.
     """
-    span, parameter, slope = hang(start, end, length, _TAUTEST)
+    span, parameter, slope = solve_catenary(start, end, length, _TAUTEST)
     last = len(points) - 1
     # Hyperbolic functions by powers of one exponential: of the angle at the start, and per piece.
     root = math.sqrt(1.0 + slope * slope)
@@ -124,7 +126,7 @@ def end_forces(
 
     ``weight`` is of a metre of it.
     """
-    span, parameter, slope = hang(start, end, length, _VERTICAL)
+    span, parameter, slope = solve_catenary(start, end, length, _VERTICAL)
     end_slope, lowest = slope + length / parameter, start[2]
     if slope < 0.0 < end_slope:
         lowest -= parameter * (math.sqrt(1.0 + slope * slope) - 1.0)

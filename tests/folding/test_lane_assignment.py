@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.folding.lane_assignment import spacings
+from swarm.folding.lane_assignment import initial_chords
 from swarm.folding.margins import Margins
 
 MARGINS = Margins(
@@ -18,7 +18,7 @@ STEP = 0.6
 def test_segments_do_not_reach_each_other_over_the_one_between(lengths, random):
     lengths = np.array(lengths)
     stops = np.array([random.uniform(1.0, 5.0) for _ in lengths])
-    chords = spacings(lengths, stops, MARGINS, STEP)
+    chords = initial_chords(lengths, stops, MARGINS, STEP)
     steps = (chords - stops) / STEP
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
     assert (chords <= np.maximum(0.985 * lengths - 0.2, 0.79 * lengths + 0.5 * STEP + 1e-9)).all()
@@ -31,5 +31,5 @@ def test_segments_do_not_reach_each_other_over_the_one_between(lengths, random):
 
 def test_segments_that_are_much_alike_begin_as_preferred():
     lengths = np.full(8, 4.0)
-    chords = spacings(lengths, np.full(7 + 1, 2.2), MARGINS, STEP)
+    chords = initial_chords(lengths, np.full(7 + 1, 2.2), MARGINS, STEP)
     assert np.abs(chords - 0.79 * lengths).max() <= 0.5 * STEP

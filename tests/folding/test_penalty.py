@@ -4,22 +4,22 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from swarm.folding.crossing_constraints import Sides, pairs, sides_of
+from swarm.folding.crossing_constraints import CrossingSigns, crossing_signs, segment_pairs
 from swarm.folding.margins import Margins
-from swarm.folding.penalty import More, TeamGeometry
-from swarm.folding.soft_constraints import strands
+from swarm.folding.penalty import ExtraMargins, TeamGeometry
+from swarm.folding.soft_constraints import outline_strands
 from swarm.folding.strand_clearance import empty_margin_cache
-from swarm.geometry.catenary import hang
+from swarm.geometry.catenary import solve_catenaries
 
 Floats = npt.NDArray[np.float64]
 
-EXACT = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.0, radius=0.25, grip_offset=0.6, hand=0.8)
-ERRING = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.1, radius=0.25, grip_offset=0.6, hand=1.2)
+EXACT = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.0, radius=0.25, grip_offset=0.6, exempt=0.8)
+ERRING = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.1, radius=0.25, grip_offset=0.6, exempt=1.2)
 
 
-def unsided(moments: int, segments: int) -> Sides:
-    strands = np.zeros((moments, len(pairs(segments)[0])), dtype=np.int8)
-    return Sides(strands, np.zeros((moments, segments + 1, segments), dtype=np.int8))
+def unsided(moments: int, segments: int) -> CrossingSigns:
+    strands = np.zeros((moments, len(segment_pairs(segments)[0])), dtype=np.int8)
+    return CrossingSigns(strands, np.zeros((moments, segments + 1, segments), dtype=np.int8))
 
 
 def missed(crew: TeamGeometry, places: Floats) -> Floats:
@@ -45,7 +45,7 @@ def test_neighbours_may_meet_in_the_hand_but_not_fold_together() -> None:
 )
 def test_a_strand_keeps_off_the_cone_of_a_vehicle(height: float, clear: bool) -> None:
     far = (0.0, 9.0, 0.0)
-    held = hang(np.array([-3.0, 0.2, height]), np.array([3.0, 0.2, height]), 6.05)
+    held = solve_catenaries(np.array([-3.0, 0.2, height]), np.array([3.0, 0.2, height]), 6.05)
     sag = height - float(held.lowest()[2])
     places = line((-3.0, 0.2, height), (3.0, 0.2, height), far, (0.0, 0.0, -sag))
     crew = TeamGeometry(np.array([6.05, 12.0, 12.0]), EXACT)
@@ -56,11 +56,11 @@ def test_a_strand_keeps_off_the_cone_of_a_vehicle(height: float, clear: bool) ->
 def test_strands_on_the_wrong_side_are_pushed_through() -> None:
     crew = TeamGeometry(np.array([4.4, 6.0, 4.4]), EXACT)
     places = line((-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, -0.7), (0.0, -2.0, -0.7))
-    first, second = pairs(3)
+    first, second = segment_pairs(3)
     assert (first.tolist(), second.tolist()) == ([0], [2])
-    over = sides_of(crew.hung(places), 0)
+    over = crossing_signs(crew.hung(places), 0)
     assert over.strands.tolist() == [[1]]
-    under = Sides(-over.strands, -over.bodies)
+    under = CrossingSigns(-over.strands, -over.bodies)
     right, wrong = crew.strain(places, over), crew.strain(places, under)
     lift = np.zeros((4, 3))
     lift[:2, 2] = 1.0
@@ -75,7 +75,7 @@ def test_a_crossing_keeps_the_side_that_it_ends_with() -> None:
     end = line((-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, -1.0), (0.0, -2.0, -1.0))
     away = end + np.array([[[0.0, 0, 0], [0, 0, 0], [5.0, 0, 0], [5.0, 0, 0]]])
     places = np.concatenate([begin, away, begin, end, end])
-    assert sides_of(crew.hung(places), 0).strands[:, 0].tolist() == [-1, 0, 1, 1, 1]
+    assert crossing_signs(crew.hung(places), 0).strands[:, 0].tolist() == [-1, 0, 1, 1, 1]
 
 
 def led_under(height: float) -> Floats:
@@ -92,7 +92,7 @@ def led_under(height: float) -> Floats:
 def test_a_vehicle_passes_a_strand_on_the_side_of_what_it_leads() -> None:
     crew = TeamGeometry(np.array([4.4, 9.0, 4.4]), EXACT)
     places = led_under(-2.5)
-    sides = sides_of(crew.hung(places), 2)
+    sides = crossing_signs(crew.hung(places), 2)
     leader, follower = sides.bodies[:, 3, 0], sides.bodies[:, 2, 0]
     assert set(leader.tolist()) == set(follower.tolist()) == {0, -1}
     assert np.argmax(leader != 0) < np.argmax(follower != 0)
@@ -107,7 +107,7 @@ def test_a_vehicle_passes_a_strand_on_the_side_of_what_it_leads() -> None:
 def test_sides_count_a_little_longer_than_strands_cross() -> None:
     crew = TeamGeometry(np.array([4.4, 9.0, 4.4]), EXACT)
     hung = crew.hung(led_under(-2.5))
-    exact, longer = (np.flatnonzero(sides_of(hung, n).strands[:, 0]) for n in (0, 3))
+    exact, longer = (np.flatnonzero(crossing_signs(hung, n).strands[:, 0]) for n in (0, 3))
     assert longer.tolist() == list(range(exact[0] - 3, exact[-1] + 4))
 
 
@@ -115,13 +115,13 @@ def test_more_is_asked_only_of_the_moments_named() -> None:
     crew = TeamGeometry(np.array([4.5, 4.5, 4.5]), EXACT)
     points = ((-4.0, 0.0, 0.0), (0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (4.0, 4.0, 0.0))
     places = np.repeat(line(*points), 2, axis=0)
-    for wanted in ("cable", "vehicle", "vehicle_cable", "play"):
+    for wanted in ("cable", "vehicle", "vehicle_cable", "chord"):
         asked = {name: np.zeros(2) for name in MORE} | {wanted: np.array([0.0, 4.5])}
-        free, kept = crew.strain(places, unsided(2, 3), More(**asked)).missed
+        free, kept = crew.strain(places, unsided(2, 3), ExtraMargins(**asked)).missed
         assert free == 0.0 < kept
 
 
-MORE = ("cable", "beside", "vehicle", "vehicle_cable", "disc", "play")
+MORE = ("cable", "neighbour", "vehicle", "vehicle_cable", "rotor_disc", "chord")
 
 
 @pytest.mark.parametrize("margins", [EXACT, ERRING])
@@ -132,8 +132,8 @@ def test_derivatives_are_those_of_what_is_missed(margins: Margins) -> None:
     places = np.cumsum(steps, axis=1)
     chord = np.linalg.norm(np.diff(places, axis=1), axis=2)
     places = places[np.all(chord < 0.93 * crew.lengths, axis=1)]
-    sides = sides_of(crew.hung(places), 0)
-    asked = More(*rng.uniform(0.0, 0.2, (len(MORE), len(places))))
+    sides = crossing_signs(crew.hung(places), 0)
+    asked = ExtraMargins(*rng.uniform(0.0, 0.2, (len(MORE), len(places))))
     strain = crew.strain(places, sides, asked)
     slope = 2.0 * strain.slopes
     measured = np.zeros(places.shape)
@@ -158,7 +158,7 @@ def test_over_stretched_strands_pull_their_ends_together() -> None:
     crew = TeamGeometry(np.array([4.0]), EXACT)
     places = line((0.0, 0.0, 0.0), (3.98, 0.0, 0.0))
     strain = crew.strain(places, unsided(1, 1))
-    assert strands(places[:, 0], places[:, 1], 4.0).ratio[0] > 0.985
+    assert outline_strands(places[:, 0], places[:, 1], 4.0).ratio[0] > 0.985
     pull = strain.slopes[0]
     assert pull[1, 0] > 0.0 > pull[0, 0]
 

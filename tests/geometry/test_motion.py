@@ -6,14 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.trajectory import (
+from swarm.geometry.motion import (
     Motion,
     at_rest,
-    backwards,
-    followed,
-    joined,
+    concatenate,
     leg,
-    staggered,
+    reverse,
+    staggered_leg,
     through_states,
 )
 
@@ -66,11 +65,11 @@ def test_a_motion_rests_outside_its_time() -> None:
 
 def test_joined_motions_follow_each_other() -> None:
     a, b = np.zeros((2, 3)), np.ones((2, 3))
-    motion = followed(leg(a, b, 1.0, 1.0), at_rest(b, 2.0), leg(b, a, 1.0, 1.0))
+    motion = concatenate(leg(a, b, 1.0, 1.0), at_rest(b, 2.0), leg(b, a, 1.0, 1.0))
     assert np.all(np.diff(motion.times) > 0.0)
     assert jumps(motion).max() < 1e-9
     np.testing.assert_allclose(motion.at(motion.times[-1])[0], a, atol=1e-12)
-    again = joined(motion, motion)
+    again = concatenate(motion, motion)
     assert again.times[-1] == pytest.approx(2 * motion.times[-1])
 
 
@@ -84,7 +83,7 @@ def test_joined_motions_follow_each_other() -> None:
 def test_legs_keep_limits(distance: float, speed: float, thrust: float, delay: float) -> None:
     start = np.zeros((2, 3))
     end = np.array([[distance, 0.0, 0.0], [0.0, 0.0, 0.5 * distance]])
-    motion = staggered(start, end, np.array([0.0, delay]), speed, thrust)
+    motion = staggered_leg(start, end, np.array([0.0, delay]), speed, thrust)
     times = np.linspace(0.0, motion.times[-1], 2001)
     position, velocity, acceleration = motion.at(times)
     assert np.linalg.norm(velocity, axis=2).max() <= speed * (1 + 1e-9)
@@ -98,7 +97,7 @@ def test_backwards_is_the_same_way_at_the_same_pace() -> None:
     rng = np.random.default_rng(5)
     times = np.array([2.0, 2.7, 4.1, 4.4])
     motion = through_states(times, *rng.normal(size=(3, 4, 2, 3)))
-    back = backwards(motion)
+    back = reverse(motion)
     asked = np.linspace(2.01, 4.39, 97)
     for sign, there, again in zip((1, -1, 1), motion.at(asked), back.at(6.4 - asked), strict=True):
         np.testing.assert_allclose(sign * again, there, atol=1e-9)

@@ -46,25 +46,25 @@ class Motion:
             np.require(values, requirements=["C", "W"])
             for values in (self.times, self.coefficients, asked.reshape(-1))
         )
-        _followed(breaks, coefficients, flat, found)
+        _evaluate(breaks, coefficients, flat, found)
         position, velocity, acceleration = found.reshape(3, *asked.shape, *found.shape[2:])
         return position, velocity, acceleration
 
 
 @compiled
-def _followed(breaks: Floats, coefficients: Floats, asked: Floats, found: Floats) -> None:
+def _evaluate(breaks: Floats, coefficients: Floats, asked: Floats, found: Floats) -> None:
     """Write position, velocity and acceleration (3, q, n, 3) at times (q,)."""
     for q in range(len(asked)):
-        piece, since, moving = piece_at(breaks, asked[q])
+        piece, since, moving = find_piece(breaks, asked[q])
         for i in range(coefficients.shape[2]):
-            state_of(
+            evaluate_piece(
                 coefficients[piece], i, since, moving, found[0, q, i], found[1, q, i],
                 found[2, q, i],
             )  # fmt: skip
 
 
 @compiled
-def piece_at(breaks: Floats, time: float) -> tuple[int, float, float]:
+def find_piece(breaks: Floats, time: float) -> tuple[int, float, float]:
     """The piece of a motion at a time, the seconds since its start, and 1; 0 where all rest."""
     inside = min(max(time, breaks[0]), breaks[-1])
     piece = np.searchsorted(breaks[1:-1], inside, side="right")
@@ -72,7 +72,7 @@ def piece_at(breaks: Floats, time: float) -> tuple[int, float, float]:
 
 
 @compiled
-def state_of(
+def evaluate_piece(
     c: Floats, i: int, u: float, moving: float, place: Floats, speed: Floats, push: Floats
 ) -> None:
     """Write position, velocity and acceleration (3,) of one of n in a piece (6, n, 3)."""
@@ -110,24 +110,17 @@ def through_states(
     return Motion(times, unit / powers[:, :, None, None])
 
 
-def joined(first: Motion, second: Motion) -> Motion:
-    """Return two motions one after the other, the second shifted in time to follow the first."""
-    shifted = second.times - second.times[0] + first.times[-1]
-    return Motion(
-        np.concatenate([first.times, shifted[1:]]),
-        np.concatenate([first.coefficients, second.coefficients]),
-    )
-
-
-def followed(first: Motion, *others: Motion) -> Motion:
-    """Return motions one after the other, as :func:`joined` for any number of them."""
-    result = first
+def concatenate(first: Motion, *others: Motion) -> Motion:
+    """Return motions one after the other, each shifted in time to follow the one before."""
+    times, coefficients = first.times, first.coefficients
     for other in others:
-        result = joined(result, other)
-    return result
+        shifted = other.times - other.times[0] + times[-1]
+        times = np.concatenate([times, shifted[1:]])
+        coefficients = np.concatenate([coefficients, other.coefficients])
+    return Motion(times, coefficients)
 
 
-def backwards(motion: Motion) -> Motion:
+def reverse(motion: Motion) -> Motion:
     """Return the motion flown from its end to its beginning, over the same times."""
     times = motion.times[0] + (motion.times[-1] - motion.times[::-1])
     duration = np.diff(motion.times)[:, None, None]
@@ -148,10 +141,10 @@ def at_rest(place: Floats, duration: float) -> Motion:
 
 def leg(start: Floats, end: Floats, max_speed: float, max_acceleration: float) -> Motion:
     """Go from rest to rest along straight lines, all (n, 3) at once and within the limits."""
-    return staggered(start, end, np.zeros(len(start)), max_speed, max_acceleration)
+    return staggered_leg(start, end, np.zeros(len(start)), max_speed, max_acceleration)
 
 
-def staggered(
+def staggered_leg(
     start: Floats, end: Floats, delays: Floats, max_speed: float, max_acceleration: float
 ) -> Motion:
     """As :func:`leg`, each vehicle leaving after its own delay (n,) in seconds."""

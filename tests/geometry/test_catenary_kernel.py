@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.geometry import quick
-from swarm.geometry.catenary import hang
+from swarm.geometry import catenary_kernel
+from swarm.geometry.catenary import solve_catenaries
 
 
 def drawn(seed, slack):
@@ -22,8 +22,8 @@ def drawn(seed, slack):
 def test_points_are_those_of_the_catenary(seed, slack):
     start, end, length = drawn(seed, slack)
     points = np.empty((21, 3))
-    quick.sketch(start, end, length, points)
-    strand = hang(start[None], end[None], np.array([length]))
+    catenary_kernel.sample_strand(start, end, length, points)
+    strand = solve_catenaries(start[None], end[None], np.array([length]))
     assert points == pytest.approx(strand.points(np.linspace(0.0, 1.0, 21))[0], abs=1e-6)
 
 
@@ -34,8 +34,11 @@ def test_points_are_those_of_the_catenary(seed, slack):
 def test_no_strand_comes_down_farther_than_its_dip(across, more):
     start, end = np.zeros(3), np.array(across)
     length = float(np.linalg.norm(end)) * (1.0 + 1e-9) + more + 0.01
-    lowest = hang(start, end, length).points(np.linspace(0.0, 1.0, 21))[:, 2].min()
-    assert lowest >= min(0.0, across[2]) - quick.dip(start, end, length) - 1e-9
+    lowest = solve_catenaries(start, end, length).points(np.linspace(0.0, 1.0, 21))[:, 2].min()
+    assert (
+        lowest
+        >= min(0.0, across[2]) - catenary_kernel.max_drop_below_ends(start, end, length) - 1e-9
+    )
 
 
 @settings(max_examples=200, deadline=None)
@@ -53,8 +56,8 @@ def test_no_chord_gets_steeper_than_the_steepest_or_shallower_than_the_shallowes
     moved = np.array([span + level * math.cos(ahead), level * math.sin(ahead)])
     after = rise + reach * upright
     steep = abs(after) / max(math.hypot(*moved, after), 1e-12)
-    assert steep <= quick.steepest(rise, span, reach) + 1e-9
-    assert steep >= quick.shallowest(rise, span, reach) - 1e-9
+    assert steep <= catenary_kernel.max_elevation_sine(rise, span, reach) + 1e-9
+    assert steep >= catenary_kernel.min_elevation_sine(rise, span, reach) - 1e-9
 
 
 @settings(max_examples=100, deadline=None)
@@ -62,7 +65,7 @@ def test_no_chord_gets_steeper_than_the_steepest_or_shallower_than_the_shallowes
 def test_the_steepest_is_reached_by_turning_upward(elevation, chord, turned):
     """An end that goes square to the chord it will be: by chord times the sine of the turn."""
     rise, span = chord * math.sin(elevation), chord * math.cos(elevation)
-    steep = quick.steepest(rise, span, chord * math.sin(turned))
+    steep = catenary_kernel.max_elevation_sine(rise, span, chord * math.sin(turned))
     assert steep == pytest.approx(math.sin(elevation + turned), abs=1e-9)
 
 
@@ -71,8 +74,8 @@ def test_the_steepest_is_reached_by_turning_upward(elevation, chord, turned):
 def test_an_outline_is_near_its_strand_everywhere_however_narrow_the_loop(seed, slack):
     start, end, length = drawn(seed, slack)
     outline = np.empty((7, 3))
-    quick.outline(start, end, length, outline)
-    strand = hang(start, end, length)
+    catenary_kernel.strand_polygon(start, end, length, outline)
+    strand = solve_catenaries(start, end, length)
     level = outline[:, :2] - start[:2]
     np.testing.assert_allclose(level, np.linspace(0, 1, 7)[:, None] * level[-1], atol=1e-9)
     np.testing.assert_allclose(outline[[0, -1]], [start, end], atol=1e-9)

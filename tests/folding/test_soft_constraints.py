@@ -7,14 +7,20 @@ from scipy.spatial.distance import cdist
 
 from swarm.folding.end_sensitivity import PIECES
 from swarm.folding.margins import Margins
-from swarm.folding.soft_constraints import Strands, shortfall, strand_cost, strands, vehicle_cost
-from swarm.folding.strand_clearance import heights_over
-from swarm.geometry.catenary import hang
+from swarm.folding.soft_constraints import (
+    Outlines,
+    margin_cost,
+    outline_strands,
+    strand_costs,
+    vehicle_cost,
+)
+from swarm.folding.strand_clearance import crossing_heights
+from swarm.geometry.catenary import solve_catenaries
 
 Floats = npt.NDArray[np.float64]
 
-EXACT = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.0, radius=0.25, grip_offset=0.6, hand=0.8)
-ERRING = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.1, radius=0.25, grip_offset=0.6, hand=1.2)
+EXACT = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.0, radius=0.25, grip_offset=0.6, exempt=0.8)
+ERRING = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.1, radius=0.25, grip_offset=0.6, exempt=1.2)
 
 
 def pairs(count: int, seed: int) -> tuple[Floats, Floats, Floats, Floats]:
@@ -25,43 +31,46 @@ def pairs(count: int, seed: int) -> tuple[Floats, Floats, Floats, Floats]:
 
 def test_strand_cost_grows_where_strands_are_closer() -> None:
     a, b, c, d = pairs(200, 3)
-    one, other = strands(a, b, 6.5), strands(c, d, 6.8)
-    cost = strand_cost(one, other, EXACT)
+    one, other = outline_strands(a, b, 6.5), outline_strands(c, d, 6.8)
+    cost = strand_costs(one, other, EXACT)
     fine = np.linspace(0.0, 1.0, 400)
-    dense = [hang(*ends, length).points(fine) for ends, length in (((a, b), 6.5), ((c, d), 6.8))]
+    dense = [
+        solve_catenaries(*ends, length).points(fine)
+        for ends, length in (((a, b), 6.5), ((c, d), 6.8))
+    ]
     distance = np.array([cdist(x, y).min() for x, y in zip(*dense, strict=True)])
-    expected = shortfall((distance - EXACT.cable) / EXACT.cable)
+    expected = margin_cost((distance - EXACT.cable) / EXACT.cable)
     bow = 7.7 / PIECES**2  # of strands as slack as these
-    assert np.all(cost >= shortfall((distance + bow - EXACT.cable) / EXACT.cable) - 1e-9)
-    assert np.all(cost <= shortfall((distance - bow - EXACT.cable) / EXACT.cable) + 1e-9)
+    assert np.all(cost >= margin_cost((distance + bow - EXACT.cable) / EXACT.cable) - 1e-9)
+    assert np.all(cost <= margin_cost((distance - bow - EXACT.cable) / EXACT.cable) + 1e-9)
     assert np.corrcoef(cost, expected)[0, 1] > 0.9
 
 
 def test_tracking_errors_ask_for_more() -> None:
     a, b, c, d = pairs(200, 4)
-    one, other = strands(a, b, 6.5), strands(c, d, 6.8)
-    plain, careful = strand_cost(one, other, EXACT), strand_cost(one, other, ERRING)
+    one, other = outline_strands(a, b, 6.5), outline_strands(c, d, 6.8)
+    plain, careful = strand_costs(one, other, EXACT), strand_costs(one, other, ERRING)
     touching = plain > 0.02
     assert touching.any()
     assert np.all(careful[touching] > 0.0)
 
 
-def steepness(batch: Strands, k: int) -> float:
+def steepness(batch: Outlines, k: int) -> float:
     step = np.diff(batch.points[k], axis=0)
     return float(np.abs(step[:, 2] / np.hypot(step[:, 0], step[:, 1])).max())
 
 
 def test_heights_at_crossings_are_those_of_the_curves() -> None:
     a, b, c, d = pairs(400, 5)
-    one, other = strands(a, b, 7.5), strands(c, d, 7.5)
+    one, other = outline_strands(a, b, 7.5), outline_strands(c, d, 7.5)
     found, back = np.empty((2, 400))
-    heights_over(one.points, other.points, found)
-    heights_over(other.points, one.points, back)
+    crossing_heights(one.points, other.points, found)
+    crossing_heights(other.points, one.points, back)
     assert found.min() < 0.0 < found.max()
     assert np.any(found == 0.0)
     np.testing.assert_allclose(back, -found, atol=1e-9)
     fine = np.linspace(0.0, 1.0, 2000)
-    dense = [hang(*ends, 7.5).points(fine) for ends in ((a, b), (c, d))]
+    dense = [solve_catenaries(*ends, 7.5).points(fine) for ends in ((a, b), (c, d))]
     for k in np.flatnonzero(found)[:60]:
         apart = cdist(dense[0][k][:, :2], dense[1][k][:, :2])
         i, j = np.unravel_index(apart.argmin(), apart.shape)

@@ -11,7 +11,7 @@ from swarm.jit import compiled
 
 Floats = NDArray[np.float64]
 
-TAUT = 1e-100
+SMALLEST_HALF_ANGLE = 1e-100
 """Smallest half angle: a strand without any slack gets this, and a tension beyond all numbers."""
 
 _REVERTED = np.array(
@@ -45,11 +45,11 @@ def half_angle_for_stretch(stretch: Floats) -> Floats:
 @compiled
 def _half_angles(stretch: Floats, found: Floats) -> None:
     for k in range(len(stretch)):
-        found[k] = half_angle(stretch[k])
+        found[k] = solve_half_angle(stretch[k])
 
 
 @compiled
-def half_angle(stretch: float) -> float:
+def solve_half_angle(stretch: float) -> float:
     """Solve log(sinh(x) / x) = stretch for x ≥ 0.
 
     Up to 0.16 the reverted power series is exact; beyond, it or the asymptote of x − log 2x starts
@@ -88,7 +88,7 @@ def log_sinhc(x: Floats) -> Floats:
     )
 
 
-def sinh_less(x: Floats) -> Floats:
+def sinh_minus_argument(x: Floats) -> Floats:
     """sinh x − x for x ≥ 0, without cancellation."""
     u = np.minimum(x * x, 1.0)
     term = np.ones_like(u)
@@ -115,7 +115,7 @@ def sag_per_span(x: Floats, gradient: Floats) -> Floats:
     )
     near = 2.0 * np.hypot(1.0, gradient) * np.sinh(
         0.5 * np.minimum(delta, 1.0)
-    ) ** 2 - gradient * sinh_less(np.minimum(delta, 1.0))
+    ) ** 2 - gradient * sinh_minus_argument(np.minimum(delta, 1.0))
     far = gradient * delta - np.hypot(1.0, gradient) + np.cosh(middle - x)
     return np.where(delta < 1.0, near, far) / (2.0 * x)
 
@@ -148,7 +148,7 @@ def half_angle_for_sag(sag: Floats, gradient: Floats) -> Floats:
         x = x * np.exp(np.clip(change, -1.0, 1.0))
         if np.all(np.abs(change) < 1e-13):
             break
-    return np.where(taut, TAUT, x)
+    return np.where(taut, SMALLEST_HALF_ANGLE, x)
 
 
 def half_angle_for_drop(drop: Floats, fraction: Floats, gradient: Floats) -> Floats:
@@ -165,7 +165,7 @@ def _bisected(drop: Floats, fraction: Floats, gradient: Floats, found: Floats) -
         low, high = -25.0, 6.0
         for _ in range(60):
             middle = 0.5 * (low + high)
-            if drop_of(np.exp(middle), fraction[k], gradient[k]) < drop[k]:
+            if drop_at(np.exp(middle), fraction[k], gradient[k]) < drop[k]:
                 low = middle
             else:
                 high = middle
@@ -173,7 +173,7 @@ def _bisected(drop: Floats, fraction: Floats, gradient: Floats, found: Floats) -
 
 
 @compiled
-def drop_of(x: float, fraction: float, gradient: float) -> float:
+def drop_at(x: float, fraction: float, gradient: float) -> float:
     """As :func:`drop_per_span`, of one strand."""
     sinh = np.sinh(x)
     level = np.sinh(x * fraction) * np.sinh(x * (1.0 - fraction)) / x

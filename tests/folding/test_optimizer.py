@@ -6,22 +6,22 @@ from scipy.interpolate import BSpline
 from scipy.sparse import csr_array, eye_array
 from scipy.spatial.distance import cdist
 
-from swarm.folding.crossing_constraints import sides_of
+from swarm.folding.crossing_constraints import crossing_signs
 from swarm.folding.margins import Margins
-from swarm.folding.optimizer import Band, eased
-from swarm.folding.penalty import TeamGeometry, nothing_more
-from swarm.geometry.catenary import hang
+from swarm.folding.optimizer import ElasticBand, relax
+from swarm.folding.penalty import TeamGeometry, no_extra_margins
+from swarm.geometry.catenary import solve_catenaries
 
-MARGINS = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.05, radius=0.25, grip_offset=0.6, hand=1.0)
+MARGINS = Margins(0.2, 1.0, 1.5, 0.3, tracking=0.05, radius=0.25, grip_offset=0.6, exempt=1.0)
 
 
 CREW = TeamGeometry(np.array([4.4, 9.0, 6.6]), MARGINS)
 
 
-def band(places: npt.NDArray[np.float64], sampled: csr_array) -> Band:
+def band(places: npt.NDArray[np.float64], sampled: csr_array) -> ElasticBand:
     """The team on its way, to keep its margins and the sides on which its strands pass there."""
-    sides = sides_of(CREW.hung(places), 2)
-    return Band(CREW, places, sides, nothing_more(len(places)), sampled)
+    sides = crossing_signs(CREW.hung(places), 2)
+    return ElasticBand(CREW, places, sides, no_extra_margins(len(places)), sampled)
 
 
 def led_over(height: float) -> npt.NDArray[np.float64]:
@@ -38,16 +38,16 @@ def led_over(height: float) -> npt.NDArray[np.float64]:
 def least_distance(places: npt.NDArray[np.float64]) -> float:
     """Smallest distance of the first strand and the last, by dense points on both."""
     fine = np.linspace(0.0, 1.0, 120)
-    one = hang(places[:, 0], places[:, 1], CREW.lengths[0]).points(fine)
-    other = hang(places[:, 2], places[:, 3], CREW.lengths[2]).points(fine)
+    one = solve_catenaries(places[:, 0], places[:, 1], CREW.lengths[0]).points(fine)
+    other = solve_catenaries(places[:, 2], places[:, 3], CREW.lengths[2]).points(fine)
     return min(float(cdist(a, b).min()) for a, b in zip(one, other, strict=True))
 
 
 def test_a_strand_led_too_low_over_another_is_raised() -> None:
     places = led_over(1.5)
     sampled = csr_array(eye_array(81))
-    before = CREW.strain(places, sides_of(CREW.hung(places), 0)).missed
-    found = eased(band(places, sampled), np.zeros((81, 4, 3)))
+    before = CREW.strain(places, crossing_signs(CREW.hung(places), 0)).missed
+    found = relax(band(places, sampled), np.zeros((81, 4, 3)))
     assert before.max() > 1.0
     assert found.missed.max() < 0.07
     moved = places + found.offsets
@@ -57,7 +57,7 @@ def test_a_strand_led_too_low_over_another_is_raised() -> None:
 
 
 def test_who_keeps_all_margins_stays() -> None:
-    found = eased(band(led_over(2.5), csr_array(eye_array(81))), np.zeros((81, 4, 3)))
+    found = relax(band(led_over(2.5), csr_array(eye_array(81))), np.zeros((81, 4, 3)))
     assert np.all(found.offsets == 0.0)
     assert found.missed.max() < 0.05
 
@@ -66,7 +66,7 @@ def test_moments_between_stages_count() -> None:
     places = led_over(1.5)
     sampled = csr_array(BSpline.design_matrix(np.linspace(0.0, 80.0, 161), KNOTS, 1))
     dense = np.asarray(sampled @ places.reshape(81, -1)).reshape(-1, 4, 3)
-    found = eased(band(dense, sampled), np.zeros((81, 4, 3)))
+    found = relax(band(dense, sampled), np.zeros((81, 4, 3)))
     assert found.missed.max() < 0.07
 
 

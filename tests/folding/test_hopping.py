@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array, eye_array
 
-from swarm.folding.hopping import freed
-from swarm.folding.optimizer import eased
+from swarm.folding.hopping import basin_hopping
+from swarm.folding.optimizer import relax
 from swarm.knots.catalog import choose
 from swarm.knots.grid import openings
 from swarm.mission import mission_for_knot
 from swarm.planning.shapes import different, folded, keeping, ranked, shapes
-from tests.folding.test_elastic import band, led_over
+from tests.folding.test_optimizer import band, led_over
 
 
 @pytest.mark.parametrize(("knot", "rank"), [("8_20", 0), ("6_3", 2)])
@@ -30,5 +30,5 @@ def test_openings_in_which_giving_way_alone_gets_stuck_fold(knot: str, rank: int
 
 def test_who_is_not_stuck_stays() -> None:
     team = band(led_over(1.5), csr_array(eye_array(81)))
-    offsets = eased(team, np.zeros((81, 4, 3))).offsets
-    assert np.all(freed(team, offsets) == offsets)
+    offsets = relax(team, np.zeros((81, 4, 3))).offsets
+    assert np.all(basin_hopping(team, offsets) == offsets)
