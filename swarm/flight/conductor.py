@@ -327,7 +327,7 @@ class Conductor:
 
     def heard(self, vehicle: Vehicle, within: float | None = None) -> bool:
         """Whether a vehicle has been heard lately."""
-        return self.now - vehicle.heard_at <= (within or self.fleet.limits.silence)
+        return self.now - vehicle.received_at <= (within or self.fleet.limits.silence)
 
     def name(self, vehicle: Vehicle) -> str:
         """Return what a vehicle is called in messages."""

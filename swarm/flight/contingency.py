@@ -213,8 +213,8 @@ class Contingency:
         return [
             vehicle
             for k, vehicle in enumerate(flight.flyers)
-            if flight.now - vehicle.answered_at > UNANSWERED
-            and math.isfinite(vehicle.answered_at)
+            if flight.now - vehicle.timesync_at > UNANSWERED
+            and math.isfinite(vehicle.timesync_at)
             and k not in flight.dead
         ]
 
@@ -266,7 +266,7 @@ class Contingency:
             if not vehicle.armed:
                 flight.streaming[k] = False
                 continue
-            if vehicle.flown_by_hand:
+            if vehicle.in_manual_mode:
                 continue
             if flight.setpoint[k, 2] <= TOUCHDOWN or not flight.streaming[k]:
                 self._landing.add(vehicle.system)
@@ -289,7 +289,7 @@ class Contingency:
         still = [
             vehicle
             for k, vehicle in enumerate(flight.flyers)
-            if vehicle.armed and not vehicle.flown_by_hand and not self._given_up(k)
+            if vehicle.armed and not vehicle.in_manual_mode and not self._given_up(k)
         ]
         heard = [vehicle for vehicle in still if flight.heard(vehicle, lost)]
         if self._down_since is None and self._stage == "descend":

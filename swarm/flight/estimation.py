@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.jit import compiled
-from swarm.mavlink.telemetry_table import ANGLES, HEARD_AT, PLACE, POSITION_AT, SPEED
+from swarm.mavlink.telemetry_table import ATTITUDE, POSITION, POSITION_AT, RECEIVED_AT, VELOCITY
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -95,8 +95,8 @@ def measure(
         for k in range(3):
             place = speed = 0.0
             for m in range(3):
-                place += turn[i, k, m] * row[PLACE + m]
-                speed += turn[i, k, m] * row[SPEED + m]
+                place += turn[i, k, m] * row[POSITION + m]
+                speed += turn[i, k, m] * row[VELOCITY + m]
             place += offset[i, k]
             here = place - lift[k] + speed * carried
             led = setpoint[i, k] + setpoint_velocity[i, k] * elapsed
@@ -180,12 +180,12 @@ def news(
     heard, reported, calm = math.inf, False, True
     for i in range(len(rows)):
         row = said[rows[i]]
-        heard = min(heard, row[HEARD_AT])
+        heard = min(heard, row[RECEIVED_AT])
         step[i] = at[i] - last_at[i] if at[i] > last_at[i] else 0.0
         reported = reported or step[i] > 0.0
         down = min(told[i, 2], 0.0) if streaming[i] else -sinking
         calm = calm and step[i] <= longest and not down - places[_VELOCITY, i, 2] > too_much
-        calm = calm and not (abs(row[ANGLES]) > tilt or abs(row[ANGLES + 1]) > tilt)
+        calm = calm and not (abs(row[ATTITUDE]) > tilt or abs(row[ATTITUDE + 1]) > tilt)
         for k in range(3):
             middle = 0.5 * step[i] * (last[_VELOCITY, i, k] + places[_VELOCITY, i, k])
             moved = places[_REPORTED, i, k] - last[_REPORTED, i, k]

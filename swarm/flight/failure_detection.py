@@ -14,7 +14,8 @@ import numpy.typing as npt
 from swarm.flight import estimation
 from swarm.flight.failures import failure
 from swarm.flight.measuring import follow_jump
-from swarm.mavlink.vehicle import Vehicle, VehicleEvent
+from swarm.mavlink.vehicle import Vehicle
+from swarm.mavlink.vehicle_state import VehicleEvent
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
@@ -81,7 +82,7 @@ def watch(flight: "Conductor") -> None:
     """Look at the links, and at how everybody moves."""
     reports, now, last = flight.reports, flight.measured, flight.reports.last
     told, calm, heard = estimation.news(
-        flight.team.columns.table, flight.rows, now.places, now.at, last.places, last.at,
+        flight.team.telemetry.values, flight.rows, now.places, now.at, last.places, last.at,
         flight.setpoint_velocity, flight.streaming, _CALM, reports.step,
     )  # fmt: skip
     _watch_links(flight, heard)
@@ -156,7 +157,11 @@ def _pulled_down(flight: "Conductor", k: int) -> bool:
 def _healthy(flight: "Conductor") -> bool:
     """Whether there is nothing in batteries and positions that :func:`_watch_health` notices."""
     for vehicle in flight.flyers:
-        if vehicle.battery <= BATTERY_LOW or not vehicle.located or 0 <= vehicle.fix < NO_FIX:
+        if (
+            vehicle.battery <= BATTERY_LOW
+            or not vehicle.position_healthy
+            or 0 <= vehicle.fix_type < NO_FIX
+        ):
             return False
     return True
 
@@ -206,15 +211,15 @@ def _watch_health(flight: "Conductor", k: int, vehicle: Vehicle) -> None:
     elif vehicle.battery <= BATTERY_LOW and reports.first("battery low", k):
         words = f"{name} has {vehicle.battery:.0%} of its battery left"
         failure(flight, "battery low", words, vehicle)
-    if not vehicle.located and reports.first("located", k):
+    if not vehicle.position_healthy and reports.first("located", k):
         failure(flight, "position lost", f"{name} does not know where it is", vehicle)
-    if 0 <= vehicle.fix < NO_FIX and flight.fleet.frame == "gps" and reports.first("fix", k):
+    if 0 <= vehicle.fix_type < NO_FIX and flight.fleet.frame == "gps" and reports.first("fix", k):
         failure(flight, "position poor", f"{name} has lost its GPS fix", vehicle)
 
 
 def _watch_heights(flight: "Conductor") -> None:
     """Compare each vehicle's height with its GPS, and that with the others': barometers drift."""
-    apart = np.array([vehicle.height_gap for vehicle in flight.flyers])
+    apart = np.array([vehicle.height_difference for vehicle in flight.flyers])
     reports = flight.reports
     begun = flight.phase.cable == "aloft" and not flight.waiting and not flight.holds
     if begun and not reports.aloft:
@@ -226,7 +231,7 @@ def _watch_heights(flight: "Conductor") -> None:
     if np.count_nonzero(np.isnan(moved)) or len(moved) < 3:
         return
     middle = median(moved.tolist())
-    stated = [vehicle.upright_accuracy for vehicle in flight.flyers]
+    stated = [vehicle.vertical_accuracy for vehicle in flight.flyers]
     known = [accuracy for accuracy in stated if not math.isnan(accuracy)]
     stated = [math.inf if math.isnan(accuracy) else accuracy for accuracy in stated]
     least, most = HEIGHTS_APART
@@ -284,9 +289,9 @@ def _high(flight: "Conductor", k: int) -> bool:
 def _left(flight: "Conductor", k: int, vehicle: Vehicle, event: VehicleEvent) -> None:
     """A vehicle is no longer in offboard mode: by its own decision, or a pilot's."""
     flight.streaming[k] = False
-    said, name = vehicle.recent_words(flight.now), flight.name(vehicle)
+    said, name = vehicle.recent_warnings(flight.now), flight.name(vehicle)
     words = f"{name} left offboard mode by itself: {event.message}" + (f" ({said})" if said else "")
-    if vehicle.flown_by_hand:
+    if vehicle.in_manual_mode:
         failure(flight, "pilot", words, vehicle)
     elif vehicle.mode in _LANDS:
         failure(flight, "landing by itself", words, vehicle)

@@ -46,7 +46,7 @@ def _armed(flight: "Conductor", now: float) -> bool:
     """
     flyers = flight.flyers
     for k, vehicle in enumerate(flyers):
-        if not vehicle.takes_off:
+        if not vehicle.needs_takeoff_command:
             flight.stream(k)
     if now - flight.gate_since < STREAM_BEFORE_OFFBOARD:
         return False
@@ -57,13 +57,13 @@ def _armed(flight: "Conductor", now: float) -> bool:
         return False
     unarmed = [vehicle for vehicle in flyers if not vehicle.armed]
     if unarmed:
-        for vehicle in [one for one in unarmed if one.takes_off] or unarmed:
+        for vehicle in [one for one in unarmed if one.needs_takeoff_command] or unarmed:
             vehicle.arm()
         return False
     flight.expect_armed()
     grounded = False
     for k, vehicle in enumerate(flyers):
-        if not vehicle.takes_off or flight.streaming[k]:
+        if not vehicle.needs_takeoff_command or flight.streaming[k]:
             continue
         height = flight.height_above_start(k)
         if height >= STREAM_AFTER_TAKEOFF * TAKEOFF_HEIGHT:
@@ -132,14 +132,14 @@ def _level(flight: "Conductor") -> bool:
     """
     heights = flight.position[:, 2] - flight.setpoint[:, 2]
     words = f"levelled line: reported heights differ by up to {np.ptp(heights):.2f} m"
-    gaps = np.array([vehicle.height_gap for vehicle in flight.flyers])
+    gaps = np.array([vehicle.height_difference for vehicle in flight.flyers])
     moved = gaps - flight.reports.heights
     known = np.isfinite(moved)
     if known.sum() < 3:
         flight.say("heights", f"{words}; nothing else tells of heights")
         return True
     off = moved - np.median(moved[known])
-    good_to = np.array([vehicle.upright_accuracy for vehicle in flight.flyers])
+    good_to = np.array([vehicle.vertical_accuracy for vehicle in flight.flyers])
     allowed = np.fmax(2.0 * good_to, flight.plan.mission.vehicles.tracking)
     worst = int(np.nanargmax(np.abs(off)))
     flight.say("heights", f"{words}; against satellites by up to {abs(off[worst]):.2f} m")

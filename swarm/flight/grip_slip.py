@@ -19,7 +19,7 @@ from swarm.flight.failures import failure
 from swarm.flight.load import TAUT, end_forces
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.jit import compiled
-from swarm.mavlink.telemetry_table import ANGLES
+from swarm.mavlink.telemetry_table import ATTITUDE
 from swarm.planning import Plan
 
 if TYPE_CHECKING:
@@ -272,7 +272,7 @@ def watch_grasps(flight: "Conductor") -> None:
     ):
         grasps.forget()
         return
-    attitude = flight.team.columns.table[flight.rows, ANGLES : ANGLES + 3]
+    attitude = flight.team.telemetry.values[flight.rows, ATTITUDE : ATTITUDE + 3]
     if flight.now - min(flight.measured.at.tolist()) > _OLDEST or not np.isfinite(attitude).all():
         grasps.forget()
         return

@@ -122,8 +122,8 @@ class Identities:
             if words:
                 yield Finding("error", "fleet", f"system {system} {words}")
         for system, vehicle in sorted(vehicles.items()):
-            if vehicle.set_back >= SET_BACK:
-                words = f"system {system}: its clock went back {vehicle.set_back} times: two "
+            if vehicle.reboots >= SET_BACK:
+                words = f"system {system}: its clock went back {vehicle.reboots} times: two "
                 words += "vehicles have this system id behind one address, or it starts anew again "
                 yield Finding("error", "fleet", words + "and again")
 

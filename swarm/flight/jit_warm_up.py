@@ -14,7 +14,7 @@ from swarm.flight.clone import branch
 from swarm.mavlink.autopilots import PX4
 from swarm.mavlink.frames import shared_frames
 from swarm.mavlink.packets import EXTRAS, Decoder, Encoder
-from swarm.mavlink.telemetry_table import room_for, take
+from swarm.mavlink.telemetry_table import packet_rows, read_datagrams
 from swarm.mavlink.vehicle import Vehicle
 from swarm.planning import Phase
 
@@ -58,12 +58,12 @@ def warm_up(flight: "Conductor") -> None:
 def _hear() -> None:
     """Hear a vehicle that is none, packet by packet and all at once."""
     said, vehicle = common.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3), Vehicle(1)
-    data, known = Encoder(1, 1).encode(said), vehicle.columns
+    data, known = Encoder(1, 1).encode(said), vehicle.telemetry
     for packet in Decoder().feed(data):
         vehicle.receive(packet, 0.0)
     origins = np.array([(len(data), vehicle.row, vehicle.system)])
-    rows = room_for(data)
-    take(data, origins, EXTRAS, 0.0, known.table, known.sequences, known.missing, rows)
+    rows = packet_rows(data)
+    read_datagrams(data, origins, EXTRAS, 0.0, known.values, known.sequences, known.missing, rows)
 
 
 def _fly(spare: "Conductor", phase: Phase, way: "Kind | None" = None) -> None:
@@ -97,10 +97,10 @@ def _be_there(spare: "Conductor", now: float, lean: float) -> None:
         vehicle.custom_mode = vehicle.autopilot.custom_mode("offboard")
         vehicle.armed, vehicle.gripped = True, True
         vehicle.landed_state = int(common.MAV_LANDED_STATE_IN_AIR)
-        vehicle.heard_at = vehicle.heartbeat_at = vehicle.mode_at = vehicle.position_at = now
+        vehicle.received_at = vehicle.heartbeat_at = vehicle.mode_at = vehicle.position_at = now
         vehicle.position, vehicle.velocity = (north, east, -up), (0.0, 0.0, 0.0)
         vehicle.attitude = (lean if k == 0 else 0.0, 0.0, 0.0)
-        vehicle.height_gap = vehicle.upright_accuracy = 0.1
+        vehicle.height_difference = vehicle.vertical_accuracy = 0.1
     spare.start_position = np.where(
         np.isfinite(spare.start_position), spare.start_position, places * [1.0, 1.0, 0.0]
     )

@@ -21,7 +21,8 @@ from swarm.flight.readiness import readiness
 from swarm.flight.router import Address, Outgoing, Team
 from swarm.flight.snapshot import Event
 from swarm.mavlink.frames import to_mission
-from swarm.mavlink.vehicle import Vehicle, VehicleEvent
+from swarm.mavlink.vehicle import Vehicle
+from swarm.mavlink.vehicle_state import VehicleEvent
 from swarm.mission.fleet import Fleet
 
 Floats = npt.NDArray[np.float64]
@@ -221,7 +222,7 @@ class Listening:
         self._soak = _Soak(self.now, counts)
 
     def _measure(self, soak: _Soak, system: int, vehicle: Vehicle) -> None:
-        for gaps, last in ((soak.gap, vehicle.heard_at), (soak.unanswered, vehicle.answered_at)):
+        for gaps, last in ((soak.gap, vehicle.received_at), (soak.unanswered, vehicle.timesync_at)):
             gaps[system] = max(gaps.get(system, 0.0), self.now - max(last, soak.since))
 
     def soak(self) -> list[LinkQuality]:
@@ -256,12 +257,12 @@ class Listening:
 
 
 def _position_quality(name: str, vehicle: Vehicle) -> Finding:
-    if vehicle.fix < 0:
+    if vehicle.fix_type < 0:
         return Finding("warning", "position", f"{name}: says nothing of its satellites")
-    accuracy = vehicle.level_accuracy
+    accuracy = vehicle.horizontal_accuracy
     words = f"{name}: {vehicle.satellites} satellites"
     words += f", level to {accuracy:.2f} m" if math.isfinite(accuracy) else ""
-    if vehicle.fix < common.GPS_FIX_TYPE_3D_FIX:
+    if vehicle.fix_type < common.GPS_FIX_TYPE_3D_FIX:
         return Finding("error", "position", f"{words}: no 3D fix")
     poor = vehicle.satellites < FEWEST_SATELLITES or accuracy > POOREST_ACCURACY
     severity: Severity = "warning" if poor else "info"

@@ -89,7 +89,7 @@ class Preparation:
         if now - self._samples[0][0] < STANDING_TIME:
             return None
         for vehicle in self._heard:
-            vehicle.quieten(self._heard_at, now)
+            vehicle.stop_unused_streams(self._heard_at, now)
         return self._finish()
 
     def _starting(self, seconds: float) -> float:
@@ -122,7 +122,7 @@ class Preparation:
         """Ask for what is still missing: origins, and the mode in which readiness is judged."""
         for vehicle in self._heard:
             ask_for_origin(vehicle, self.fleet, now)
-            early = vehicle.autopilot is not None and vehicle.autopilot.offboard_early
+            early = vehicle.autopilot is not None and vehicle.autopilot.ready_in_offboard_only
             if early and not vehicle.in_mode("offboard"):
                 vehicle.set_mode("offboard")
             if not early:
@@ -191,8 +191,8 @@ def ask_for_origin(vehicle: Vehicle, fleet: Fleet, now: float) -> None:
 
     ArduPilot takes the question and says nothing until its estimator has one.
     """
-    if vehicle.origin is None and fleet.frame == "gps" and now >= vehicle.ask_origin_at:
-        vehicle.ask_origin_at = now + _ASK_AGAIN
+    if vehicle.origin is None and fleet.frame == "gps" and now >= vehicle.next_origin_request:
+        vehicle.next_origin_request = now + _ASK_AGAIN
         vehicle.request_message(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
 
@@ -218,7 +218,7 @@ def request_streams(vehicle: Vehicle, fleet: Fleet) -> None:
         common.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
     }
     if vehicle.autopilot is not None:
-        wanted[vehicle.autopilot.tells_mode] = rates.heartbeat
+        wanted[vehicle.autopilot.mode_message] = rates.heartbeat
     for message, rate in wanted.items():
         vehicle.request_interval(message, rate)
 

@@ -52,8 +52,8 @@ def readiness(vehicles: Sequence[Vehicle], fleet: Fleet, now: float) -> list[Fin
 def _problems(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, str]]:
     if vehicle.heartbeat_at == -math.inf:
         return [("heard", "no heartbeat")]
-    if now - vehicle.heard_at > fleet.limits.silence + 1.0:
-        return [("heard", f"silent for {now - vehicle.heard_at:.1f} s")]
+    if now - vehicle.received_at > fleet.limits.silence + 1.0:
+        return [("heard", f"silent for {now - vehicle.received_at:.1f} s")]
     if vehicle.autopilot is None:
         return [("autopilot", "neither PX4 nor ArduPilot")]
     problems = []
@@ -67,10 +67,10 @@ def _problems(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, str
         problems.append(("attitude", "no attitude"))
     if fleet.frame == "gps" and vehicle.origin is None:
         problems.append(("origin", "its estimator's origin is unknown"))
-    if vehicle.autopilot.offboard_early and not vehicle.in_mode("offboard"):
+    if vehicle.autopilot.ready_in_offboard_only and not vehicle.in_mode("offboard"):
         problems.append(("mode", f"is in {vehicle.mode}, not guided"))
     if vehicle.ready is False and not told_later(vehicle, fleet):
-        said = vehicle.recent_words(now, within=30.0)
+        said = vehicle.recent_warnings(now, within=30.0)
         problems.append(("ready", "not ready to arm" + (f" ({said})" if said else "")))
     elif vehicle.ready is None:
         problems.append(("ready", "has not said whether it is ready to arm"))
@@ -85,7 +85,7 @@ def told_later(vehicle: Vehicle, fleet: Fleet) -> bool:
     setpoints coming in, can be armed in. Whether it can shows when it is asked to, before anybody
     takes off.
     """
-    early = vehicle.autopilot is not None and vehicle.autopilot.offboard_early
+    early = vehicle.autopilot is not None and vehicle.autopilot.ready_in_offboard_only
     return fleet.frame == "shared" and vehicle.ready is False and not early
 
 
@@ -148,10 +148,10 @@ def _fitted(vehicles: Sequence[Vehicle], pads: Floats) -> tuple[Origin, float]:
 
     Rotation and translation in the plane from matched points: Umeyama 1991, without scale.
     """
-    known = [k for k, v in enumerate(vehicles) if v.place and np.isfinite(pads[k]).all()]
+    known = [k for k, v in enumerate(vehicles) if v.global_position and np.isfinite(pads[k]).all()]
     if len(known) < 2:
         raise Refused("the fleet file gives neither an origin nor two vehicles with their pads")
-    places = [place for k in known if (place := vehicles[k].place) is not None]
+    places = [place for k in known if (place := vehicles[k].global_position) is not None]
     first = places[0]
     there = np.array([to_mission(first, 0.0, place)[:2] for place in places])
     here = pads[known][:, :2]

@@ -23,7 +23,7 @@ def outside(flight: "Conductor") -> list[int]:
         and not flight.streaming[k]
         and vehicle.armed
         and flight.heard(vehicle)
-        and not vehicle.flown_by_hand
+        and not vehicle.in_manual_mode
         and k not in flight.dead
     ]
 

@@ -31,7 +31,7 @@ def snapshot_of(flight: "Conductor", now: float) -> Snapshot:
         armed=tuple(vehicle.armed for vehicle in flyers),
         gripped=tuple(vehicle.gripped for vehicle in flyers),
         battery=np.array([vehicle.battery for vehicle in flyers]),
-        link_age=np.array([now - vehicle.heard_at for vehicle in flyers]),
+        link_age=np.array([now - vehicle.received_at for vehicle in flyers]),
         clearances=flight.clearances,
         available={name: (wish.open, wish.words) for name, wish in available(flight).items()},
         round_trip=np.array([vehicle.latest_round_trip for vehicle in flyers]),

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import common
 from swarm.certification.findings import Finding
 from swarm.flight.identities import Identities
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
-from swarm.mavlink.message_handlers import READ
+from swarm.mavlink.message_handlers import HANDLED_MESSAGES
 from swarm.mavlink.packets import (
     EXTRAS,
     GROUND_COMPONENT,
@@ -30,7 +30,7 @@ from swarm.mavlink.packets import (
 )
 from swarm.mavlink.setpoints import SetpointPacker
 from swarm.mavlink.signing import Signing
-from swarm.mavlink.telemetry_table import Columns, room_for, take
+from swarm.mavlink.telemetry_table import TelemetryTable, packet_rows, read_datagrams
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
 
@@ -86,9 +86,9 @@ class Team:
     def __init__(self, fleet: Fleet, report: Callable[[str, str, int | None], None]) -> None:
         """``report`` is called with kind, words and system id of what is noticed on the links."""
         named: dict[str, Autopilot] = {kind.name: kind for kind in AUTOPILOTS.values()}
-        self.columns = Columns(len(fleet.vehicles))
+        self.telemetry = TelemetryTable(len(fleet.vehicles))
         self.vehicles: Mapping[int, Vehicle] = {
-            listed.sysid: Vehicle(listed.sysid, named.get(listed.autopilot), self.columns, row)
+            listed.sysid: Vehicle(listed.sysid, named.get(listed.autopilot), self.telemetry, row)
             for row, listed in enumerate(fleet.vehicles)
         }
         self._identities = Identities(
@@ -174,15 +174,15 @@ class Team:
             origins += (len(data), vehicle.row, vehicle.system)
         if not arrived:
             return True
-        known = self.columns
+        known = self.telemetry
         together = b"".join([data for _, data in arrived])
-        rows = room_for(together)
-        left = take(
-            together, np.array(origins).reshape(-1, 3), EXTRAS, now, known.table, known.sequences,
+        rows = packet_rows(together)
+        left = read_datagrams(
+            together, np.array(origins).reshape(-1, 3), EXTRAS, now, known.values, known.sequences,
             known.missing, rows,
         )  # fmt: skip
         for which, number, component, start, end in rows[: max(left, 0)].tolist():
-            message = unpack(number, together[start:end]) if number in READ else None
+            message = unpack(number, together[start:end]) if number in HANDLED_MESSAGES else None
             speakers[which].read(number, component, message, now)
             if number == _HEARTBEAT and message is not None:
                 system = speakers[which].system
@@ -207,7 +207,9 @@ class Team:
         route = self._routes.get(key)
         if route is None and len(self._routes) < self._most_routes:
             route = Route(
-                link, address, decoder=Decoder(link in self._streams, READ, unknown_too=True)
+                link,
+                address,
+                decoder=Decoder(link in self._streams, HANDLED_MESSAGES, unknown_too=True),
             )
             self._routes[key] = route
         return route

@@ -19,7 +19,7 @@ from swarm.flight.preparation import STANDING_TIME, prepared_team
 from swarm.flight.trace import Trace
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.frames import Frames
-from swarm.mavlink.message_handlers import READ
+from swarm.mavlink.message_handlers import HANDLED_MESSAGES
 from swarm.mavlink.packets import GROUND_SYSTEM, Decoder, Encoder, Packet, packet_length
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
@@ -38,7 +38,7 @@ _POSITION = int(common.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 _VALUE = int(common.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT)
 _COMMAND = int(common.MAVLINK_MSG_ID_COMMAND_LONG)
 _ANSWER = int(common.MAVLINK_MSG_ID_COMMAND_ACK)
-_WANTED = READ | {_SETPOINT, _VALUE, _COMMAND}
+_WANTED = HANDLED_MESSAGES | {_SETPOINT, _VALUE, _COMMAND}
 _COMMANDS = {
     int(value): name.removeprefix("MAV_CMD_").replace("_", " ").lower()
     for name, value in vars(common).items()

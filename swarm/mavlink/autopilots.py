@@ -1,8 +1,9 @@
-"""What is different between autopilots, as a table: modes, take-off, frames.
+"""The differences between autopilots, as a table: modes, take-off, readiness, parameters.
 
-Mode numbers: PX4 packs a main and a sub mode into HEARTBEAT.custom_mode (bits 16–23 and 24–31) and
-takes them apart in MAV_CMD_DO_SET_MODE; ArduPilot Copter numbers its modes. PX4 sends HEARTBEAT
-once a second and refuses any other rate, but says CURRENT_MODE whenever that changes (from 1.15).
+Mode numbers: PX4 packs a main and a sub mode into HEARTBEAT.custom_mode (bits 16–23 and 24–31),
+and MAV_CMD_DO_SET_MODE has one parameter for each. ArduPilot Copter numbers its modes. PX4 sends
+HEARTBEAT once a second and rejects any other rate, but sends CURRENT_MODE at every change of mode
+(from 1.15).
 """
 
 from collections.abc import Mapping
@@ -30,7 +31,7 @@ _COPTER = {
     16: "position hold", 17: "brake", 18: "throw", 19: "avoid ADSB", 20: "guided without GPS",
     21: "smart return", 22: "flow hold", 23: "follow", 24: "zigzag", 27: "auto return",
 }  # fmt: skip
-BY_HAND = frozenset(
+MANUAL_MODES = frozenset(
     {"manual", "altitude", "position", "acro", "stabilized", "rattitude", "stabilize",
      "altitude hold", "loiter", "drift", "sport", "position hold", "flow hold"}
 )  # fmt: skip
@@ -41,31 +42,34 @@ BY_HAND = frozenset(
 class Autopilot:
     """One kind of autopilot.
 
-    ``modes`` are parameters 2 and 3 of DO_SET_MODE. ``takes_off`` says that it must be told to
-    take off and must not see setpoints until it flies; without it, it lifts with the setpoint.
-    ``offboard_early`` says that it judges its readiness in offboard mode only. ``tells_mode`` is
-    the message whose rate says how soon a change of mode is heard of. ``prearm_present`` says that
-    SYS_STATUS lists the pre-arm check among the sensors present: ArduPilot does. PX4 (1.14 and
-    later) sets its bit in the sensors' health alone, while the present mode can be armed in.
-    ``bytewise`` says that whole numbers among its parameters travel as the bytes of an integer.
+    - ``modes``: parameters 2 and 3 of DO_SET_MODE.
+    - ``needs_takeoff_command``: it requires a take-off command and must not receive setpoints
+      before it flies; otherwise it lifts with the setpoint.
+    - ``ready_in_offboard_only``: it evaluates its readiness in offboard mode only.
+    - ``mode_message``: the message whose rate limits how soon a change of mode is received.
+    - ``lists_prearm_as_present``: SYS_STATUS lists the pre-arm check among the sensors present, as
+      ArduPilot does. PX4 (1.14 and later) sets its bit only in the sensors' health, while the
+      vehicle can be armed in its mode.
+    - ``bytewise``: integer parameters are sent as the bytes of an integer
+      (MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE).
     """
 
     name: Projection
     identifier: int
     modes: Mapping[Mode, tuple[int, int]]
-    takes_off: bool
-    offboard_early: bool
-    tells_mode: int
-    prearm_present: bool
+    needs_takeoff_command: bool
+    ready_in_offboard_only: bool
+    mode_message: int
+    lists_prearm_as_present: bool
     bytewise: bool
 
     def custom_mode(self, mode: Mode) -> int:
-        """Return what HEARTBEAT shows in this mode."""
+        """Return HEARTBEAT.custom_mode of a mode."""
         main, sub = self.modes[mode]
         return main << 16 | sub << 24 if self.name == "px4" else main
 
     def mode_name(self, custom_mode: int) -> str:
-        """Return a word for what HEARTBEAT shows."""
+        """Return the name of the mode of a HEARTBEAT.custom_mode."""
         if self.name == "ardupilot":
             return _COPTER.get(custom_mode, f"mode {custom_mode}")
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
@@ -77,10 +81,10 @@ PX4 = Autopilot(
     name="px4",
     identifier=int(common.MAV_AUTOPILOT_PX4),
     modes={"offboard": (6, 0), "hold": (4, 3), "land": (4, 6)},
-    takes_off=False,
-    offboard_early=False,
-    tells_mode=CURRENT_MODE,
-    prearm_present=False,
+    needs_takeoff_command=False,
+    ready_in_offboard_only=False,
+    mode_message=CURRENT_MODE,
+    lists_prearm_as_present=False,
     bytewise=True,
 )
 
@@ -88,10 +92,10 @@ ARDUPILOT = Autopilot(
     name="ardupilot",
     identifier=int(common.MAV_AUTOPILOT_ARDUPILOTMEGA),
     modes={"offboard": (4, 0), "hold": (17, 0), "land": (9, 0)},
-    takes_off=True,
-    offboard_early=True,
-    tells_mode=int(common.MAVLINK_MSG_ID_HEARTBEAT),
-    prearm_present=True,
+    needs_takeoff_command=True,
+    ready_in_offboard_only=True,
+    mode_message=int(common.MAVLINK_MSG_ID_HEARTBEAT),
+    lists_prearm_as_present=True,
     bytewise=False,
 )
 

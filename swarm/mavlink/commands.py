@@ -1,7 +1,7 @@
-"""Commands to one vehicle, each followed to its acknowledgement and to the state it should bring.
+"""Commands to one vehicle, tracked until the acknowledgement and the resulting state. Sans-IO.
 
-Sans-IO: :class:`CommandQueue` says what to send when, and what became of it. One command of a kind
-(MAV_CMD number) is under way at a time, since acknowledgements carry nothing else.
+Only one command of each MAV_CMD number is active at a time, since COMMAND_ACK identifies a command
+by this number alone.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,15 +15,13 @@ from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM, Message
 RESEND_AFTER = 1.0
 """Seconds without an acknowledgement after which a command is sent again."""
 ATTEMPTS = 5
-IN_PROGRESS_PATIENCE = 5.0
-"""Seconds that each IN_PROGRESS buys."""
+IN_PROGRESS_TIMEOUT = 5.0
+"""Seconds until the next transmission after an IN_PROGRESS."""
 RETRY_REJECTED_AFTER = 1.0
-_MAYBE_LATER = frozenset(
-    {int(common.MAV_RESULT_TEMPORARILY_REJECTED), int(common.MAV_RESULT_FAILED)}
-)
-"""Refusals that may not last: ArduPilot says FAILED of what it would take a moment later."""
-STATE_PATIENCE = 4.0
-"""Seconds between an acknowledgement and the state that it promised."""
+_TEMPORARY = frozenset({int(common.MAV_RESULT_TEMPORARILY_REJECTED), int(common.MAV_RESULT_FAILED)})
+"""Results that may change: ArduPilot answers FAILED to commands that it accepts a moment later."""
+STATE_TIMEOUT = 4.0
+"""Seconds from an acknowledgement within which the resulting state must be reached."""
 
 Reached = Callable[[], bool]
 
@@ -36,24 +34,24 @@ RESULTS = {
 
 @dataclass(frozen=True)
 class Command:
-    """A command: its name in words, MAV_CMD number, seven parameters.
+    """A command: its name for messages, MAV_CMD number, seven parameters.
 
-    ``reached`` tells whether the state that it should bring is there; None where the
-    acknowledgement is all there is. ``retry_for`` is how long refusals that may not last are
-    answered by asking again.
+    ``reached`` returns whether the vehicle is in the resulting state, within ``state_timeout``
+    seconds of the acknowledgement; None if only the acknowledgement counts. For ``retry_for``
+    seconds, a temporary rejection causes another attempt.
     """
 
     name: str
     number: int
     parameters: Sequence[float]
     reached: Reached | None = None
-    state_patience: float = STATE_PATIENCE
+    state_timeout: float = STATE_TIMEOUT
     retry_for: float = 0.0
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of a command, after how many seconds; ``reason`` says why it failed."""
+class CommandResult:
+    """The result of a command after ``after`` seconds; ``reason`` is empty if it succeeded."""
 
     command: Command
     succeeded: bool
@@ -62,115 +60,119 @@ class Outcome:
 
 
 @dataclass
-class _Underway:
+class _ActiveCommand:
     command: Command
     since: float
     stage: Literal["waiting", "acknowledged"] = "waiting"
     attempts: int = 0
     next_send: float = 0.0
     deadline: float | None = None
-    asked_again: bool = False
 
 
 @dataclass
 class CommandQueue:
-    """The commands of one vehicle."""
+    """The commands of one vehicle.
+
+    ``latencies`` are the seconds from the first transmission to the acknowledgement of accepted
+    commands. ``busy`` is True if a command may be active, waiting, or not yet reported.
+    """
 
     system: int
     component: int
     latencies: list[float] = field(default_factory=list)
-    _underway: dict[int, _Underway] = field(default_factory=dict)
-    _waiting: list[Command] = field(default_factory=list)
-    _outcomes: list[Outcome] = field(default_factory=list)
     busy: bool = False
-    """Whether a command may be under way, waiting, or done and not yet reported."""
+    _active: dict[int, _ActiveCommand] = field(default_factory=dict)
+    _waiting: list[Command] = field(default_factory=list)
+    _results: list[CommandResult] = field(default_factory=list)
 
     @property
     def idle(self) -> bool:
-        """Whether no command is under way, waiting, or done and not yet reported."""
-        return not (self._underway or self._waiting or self._outcomes)
+        """Whether no command is active, waiting, or not yet reported."""
+        return not (self._active or self._waiting or self._results)
 
-    def put(self, command: Command) -> None:
-        """Queue a command; it is sent at the next tick unless one of its kind is under way."""
+    def add(self, command: Command) -> None:
+        """Queue a command; it is sent at the next tick unless one with its number is active."""
         self._waiting.append(command)
         self.busy = True
 
-    def has(self, name: str) -> bool:
-        """Whether a command of that name is under way or waiting."""
-        return any(one.command.name == name for one in self._underway.values()) or any(
+    def contains(self, name: str) -> bool:
+        """Return whether a command of that name is active or waiting."""
+        return any(active.command.name == name for active in self._active.values()) or any(
             command.name == name for command in self._waiting
         )
 
-    def drop_all(self) -> None:
-        """Forget everything that is waiting or under way."""
+    def clear(self) -> None:
+        """Drop all waiting and active commands."""
         self._waiting.clear()
-        self._underway.clear()
+        self._active.clear()
 
     def acknowledge(self, message: Message, now: float) -> None:
-        """Take a COMMAND_ACK that came from this vehicle."""
+        """Process a COMMAND_ACK of this vehicle."""
         if message.target_system not in {0, GROUND_SYSTEM} or message.target_component not in {
             0,
             GROUND_COMPONENT,
         }:
             return
-        one = self._underway.get(message.command)
-        if one is None or one.stage == "acknowledged":
+        active = self._active.get(message.command)
+        if active is None or active.stage == "acknowledged":
             return
         match message.result:
             case common.MAV_RESULT_ACCEPTED:
-                self.latencies.append(now - one.since)
-                if one.command.reached is None:
-                    self._finish(one, now, succeeded=True)
+                self.latencies.append(now - active.since)
+                if active.command.reached is None:
+                    self._finish(active, now, succeeded=True)
                 else:
-                    one.stage = "acknowledged"
-                    one.deadline = now + one.command.state_patience
+                    active.stage = "acknowledged"
+                    active.deadline = now + active.command.state_timeout
             case common.MAV_RESULT_IN_PROGRESS:
-                one.next_send = now + IN_PROGRESS_PATIENCE
-            case result if result in _MAYBE_LATER and now - one.since < one.command.retry_for:
-                one.next_send = now + RETRY_REJECTED_AFTER
-                one.attempts, one.asked_again = 0, True
+                active.next_send = now + IN_PROGRESS_TIMEOUT
+            case result if result in _TEMPORARY and now - active.since < active.command.retry_for:
+                active.next_send = now + RETRY_REJECTED_AFTER
+                active.attempts = 0
             case result:
-                self._finish(one, now, succeeded=False, reason=RESULTS.get(result, str(result)))
+                self._finish(active, now, succeeded=False, reason=RESULTS.get(result, str(result)))
 
-    def tick(self, now: float) -> tuple[list[Message], list[Outcome]]:
-        """Return what to send now and what became of commands since the last tick."""
-        sending: list[Message] = []
-        for one in list(self._underway.values()):
-            self._advance(one, now, sending)
+    def tick(self, now: float) -> tuple[list[Message], list[CommandResult]]:
+        """Return the messages to send now and the results since the last tick."""
+        messages: list[Message] = []
+        for active in list(self._active.values()):
+            self._advance(active, now, messages)
         while (command := self._startable()) is not None:
             self._waiting.remove(command)
-            one = _Underway(command, since=now, next_send=now)
-            self._underway[command.number] = one
-            self._advance(one, now, sending)
-        outcomes, self._outcomes = self._outcomes, []
+            active = _ActiveCommand(command, since=now, next_send=now)
+            self._active[command.number] = active
+            self._advance(active, now, messages)
+        results, self._results = self._results, []
         self.busy = not self.idle
-        return sending, outcomes
+        return messages, results
 
     def _startable(self) -> Command | None:
-        return next((c for c in self._waiting if c.number not in self._underway), None)
+        return next((c for c in self._waiting if c.number not in self._active), None)
 
-    def _advance(self, one: _Underway, now: float, sending: list[Message]) -> None:
-        if one.command.reached is not None and one.command.reached():
-            self._finish(one, now, succeeded=True)
-        elif one.deadline is not None and now >= one.deadline:
-            self._finish(one, now, succeeded=False, reason="accepted, but it did not happen")
-        elif one.stage == "waiting" and now >= one.next_send:
-            if one.attempts >= ATTEMPTS:
-                self._finish(one, now, succeeded=False, reason="no answer")
+    def _advance(self, active: _ActiveCommand, now: float, messages: list[Message]) -> None:
+        if active.command.reached is not None and active.command.reached():
+            self._finish(active, now, succeeded=True)
+        elif active.deadline is not None and now >= active.deadline:
+            self._finish(active, now, succeeded=False, reason="accepted, but it did not happen")
+        elif active.stage == "waiting" and now >= active.next_send:
+            if active.attempts >= ATTEMPTS:
+                self._finish(active, now, succeeded=False, reason="no answer")
                 return
-            sending.append(self._message(one))
-            one.attempts += 1
-            one.next_send = now + RESEND_AFTER
+            messages.append(self._message(active))
+            active.attempts += 1
+            active.next_send = now + RESEND_AFTER
 
-    def _message(self, one: _Underway) -> Any:
+    def _message(self, active: _ActiveCommand) -> Any:
         return common.MAVLink_command_long_message(
             self.system,
             self.component,
-            one.command.number,
-            min(one.attempts, 255),
-            *one.command.parameters,
+            active.command.number,
+            min(active.attempts, 255),
+            *active.command.parameters,
         )
 
-    def _finish(self, one: _Underway, now: float, *, succeeded: bool, reason: str = "") -> None:
-        self._underway.pop(one.command.number, None)
-        self._outcomes.append(Outcome(one.command, succeeded, now - one.since, reason))
+    def _finish(
+        self, active: _ActiveCommand, now: float, *, succeeded: bool, reason: str = ""
+    ) -> None:
+        self._active.pop(active.command.number, None)
+        self._results.append(CommandResult(active.command, succeeded, now - active.since, reason))

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.jit import compiled
 from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
-from swarm.mavlink.telemetry_table import more
+from swarm.mavlink.telemetry_table import crc_accumulate
 
 Floats = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
@@ -112,6 +112,6 @@ def _write(
             packet[_STATE + k] = raw[k]
         checksum = 0xFFFF
         for k in range(1, _SUM):
-            checksum = more(checksum, packet[k])
-        checksum = more(checksum, _EXTRA)
+            checksum = crc_accumulate(checksum, packet[k])
+        checksum = crc_accumulate(checksum, _EXTRA)
         packet[_SUM], packet[_SUM + 1] = checksum & 0xFF, checksum >> 8

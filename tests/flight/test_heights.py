@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 
+from swarm.mavlink import vehicle as vehicle_module
 from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
@@ -31,9 +32,9 @@ def test_a_vehicle_whose_height_has_drifted_holds_the_team_until_the_operator_sa
     drifted = vehicle.receive
 
     def receive(packet, now):
-        before = vehicle.height_gap
+        before = vehicle.height_difference
         drifted(packet, now)
-        vehicle.height_gap += 0.5 if vehicle.height_gap != before else 0.0
+        vehicle.height_difference += 0.5 if vehicle.height_difference != before else 0.0
 
     vehicle.receive = receive
     flight.run(lambda: flight.conductor.holding is not None)
@@ -49,11 +50,12 @@ def test_a_vehicle_whose_height_has_drifted_holds_the_team_until_the_operator_sa
     flight.until_phase("fold", 0.5)
 
 
-def test_without_satellites_only_reports_are_compared():
+def test_without_satellites_only_reports_are_compared(monkeypatch):
     flight = flown_to_the_line()
     for vehicle in flight.conductor.flyers:
-        vehicle.height_gap = np.nan
-        vehicle._HANDLERS = {k: v for k, v in vehicle._HANDLERS.items() if k != 24}
+        vehicle.height_difference = np.nan
+    without_gps = {k: v for k, v in vehicle_module.HANDLERS.items() if k != 24}
+    monkeypatch.setattr(vehicle_module, "HANDLERS", without_gps)
     flight.until_phase("fold", 0.5)
     (words,) = flight.words("heights")
     assert words.endswith("nothing else tells of heights")

@@ -30,7 +30,7 @@ def standing(mission: Origin, heading: float, origins: list[Origin], height: flo
     for k, (pad, origin) in enumerate(zip(PADS, origins, strict=True), 1):
         place = from_mission(mission, heading, pad)
         vehicle = Vehicle(k, autopilot=PX4)
-        vehicle.origin, vehicle.place = origin, place
+        vehicle.origin, vehicle.global_position = origin, place
         vehicles.append(vehicle)
         north, east, down = to_local("px4", origin, place)
         measured.append((north, east, down + height * k))

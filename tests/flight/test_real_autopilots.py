@@ -136,7 +136,7 @@ def test_messages_that_no_library_knows_are_counted_and_not_missed(signed):
         for one in decoder.feed(packet, ours if signed else None):
             vehicle.receive(one, float(k))
     assert (decoder.unknown, vehicle.packets, vehicle.lost_packets) == (30, 30, 0)
-    assert vehicle.unused == {number: 30}
+    assert vehicle.unhandled == {number: 30}
     forged = bytes((0xFD, 4, 1, 0, 0, 1, 1)) + number.to_bytes(3, "little") + bytes(19)
     assert not decoder.feed(forged, ours)
     assert not Decoder().feed(unknown)

@@ -5,7 +5,14 @@ import pytest
 
 from swarm.flight import estimation
 from swarm.flight.estimation import Measured
-from swarm.mavlink.telemetry_table import ANGLES, HEARD_AT, PLACE, POSITION_AT, SPEED, WIDTH
+from swarm.mavlink.telemetry_table import (
+    ATTITUDE,
+    POSITION,
+    POSITION_AT,
+    RECEIVED_AT,
+    VELOCITY,
+    WIDTH,
+)
 
 RNG = np.random.default_rng(5)
 LIFT = np.array([0.0, 0.0, 0.6])
@@ -22,8 +29,10 @@ def test_reports_are_carried_on_to_this_moment_for_a_bounded_time():
     turn, offset, rows, now = some(4, 3, 3), some(4, 3), np.array([2, 0, 3, 1]), 7.0
     said = np.full((4, WIDTH), np.nan)
     said[rows, POSITION_AT] = now - age
-    said[rows, PLACE : PLACE + 3] = np.linalg.solve(turn, (reported - offset)[..., None])[..., 0]
-    said[rows, SPEED : SPEED + 3] = np.linalg.solve(turn, velocity[..., None])[..., 0]
+    said[rows, POSITION : POSITION + 3] = np.linalg.solve(turn, (reported - offset)[..., None])[
+        ..., 0
+    ]
+    said[rows, VELOCITY : VELOCITY + 3] = np.linalg.solve(turn, velocity[..., None])[..., 0]
     found = Measured.of(4)
     estimation.measure(
         said, rows, (turn, offset), LIFT, setpoint, told, streaming, (now, 0.5, 2.0, 0.05), *found
@@ -81,7 +90,7 @@ def test_who_sinks_jumps_or_turns_over_does_not_move_as_told(change, told, calm)
         return np.array(have.get(name, np.zeros((2, 3))))
 
     said, step = np.full((2, WIDTH), np.nan), np.zeros(2)
-    said[:, HEARD_AT], said[:, ANGLES : ANGLES + 3] = [5.0, 4.8], of("angles")
+    said[:, RECEIVED_AT], said[:, ATTITUDE : ATTITUDE + 3] = [5.0, 4.8], of("angles")
     now = np.array([of("reported"), of("velocity"), np.zeros((2, 3))])
     last = np.array([of("last"), of("before"), np.zeros((2, 3))])
     found = estimation.news(

@@ -8,9 +8,9 @@ from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.commands import (
     ATTEMPTS,
-    IN_PROGRESS_PATIENCE,
+    IN_PROGRESS_TIMEOUT,
     RESEND_AFTER,
-    STATE_PATIENCE,
+    STATE_TIMEOUT,
     Command,
     CommandQueue,
 )
@@ -28,30 +28,30 @@ def queue():
 
 
 def run(queue, start, stop, step=0.1):
-    """Tick from start to stop; return what was sent [(time, confirmation)] and the outcomes."""
-    sent, outcomes = [], []
+    """Tick from start to stop; return what was sent [(time, confirmation)] and the results."""
+    sent, results = [], []
     count = round((stop - start) / step)
     for k in range(count + 1):
         now = round(start + k * step, 6)
         messages, done = queue.tick(now)
         sent += [(now, message.confirmation) for message in messages]
-        outcomes += done
-    return sent, outcomes
+        results += done
+    return sent, results
 
 
 def test_a_command_is_repeated_with_a_rising_confirmation_until_it_is_given_up(queue):
-    queue.put(Command("arm", ARM, [1, 0, 0, 0, 0, 0, 0]))
-    sent, outcomes = run(queue, 0.0, 10.0)
+    queue.add(Command("arm", ARM, [1, 0, 0, 0, 0, 0, 0]))
+    sent, results = run(queue, 0.0, 10.0)
     assert [confirmation for _, confirmation in sent] == list(range(ATTEMPTS))
     gaps = [b[0] - a[0] for a, b in pairwise(sent)]
     assert gaps == pytest.approx([RESEND_AFTER] * (ATTEMPTS - 1))
-    (outcome,) = outcomes
-    assert (outcome.succeeded, outcome.reason) == (False, "no answer")
+    (result,) = results
+    assert (result.succeeded, result.reason) == (False, "no answer")
     assert queue.idle
 
 
 def test_what_is_sent_names_the_vehicle_and_the_parameters(queue):
-    queue.put(Command("takeoff", common.MAV_CMD_NAV_TAKEOFF, [0, 0, 0, 0, 0, 0, 2.5]))
+    queue.add(Command("takeoff", common.MAV_CMD_NAV_TAKEOFF, [0, 0, 0, 0, 0, 0, 2.5]))
     ((message,), _) = queue.tick(0.0)
     assert (message.target_system, message.target_component) == (4, 1)
     assert message.command == common.MAV_CMD_NAV_TAKEOFF
@@ -59,49 +59,49 @@ def test_what_is_sent_names_the_vehicle_and_the_parameters(queue):
 
 
 def test_an_acknowledgement_ends_a_command_that_brings_no_state(queue):
-    queue.put(Command("grab", 211, [1, 1, 0, 0, 0, 0, 0]))
+    queue.add(Command("grab", 211, [1, 1, 0, 0, 0, 0, 0]))
     run(queue, 0.0, 0.2)
     queue.acknowledge(Ack(211, ACCEPTED), 0.25)
-    sent, (outcome,) = run(queue, 0.3, 3.0)
+    sent, (result,) = run(queue, 0.3, 3.0)
     assert sent == []
-    assert outcome.succeeded
+    assert result.succeeded
     assert queue.latencies == [0.25]
 
 
 def test_an_acknowledged_mode_is_not_a_mode_until_it_is_seen(queue):
     seen = []
-    queue.put(Command("mode", 176, [1] * 7, reached=lambda: bool(seen)))
+    queue.add(Command("mode", 176, [1] * 7, reached=lambda: bool(seen)))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(176, ACCEPTED), 0.2)
     assert run(queue, 0.3, 1.0) == ([], [])
     seen.append(True)
-    _, (outcome,) = run(queue, 1.1, 1.2)
-    assert outcome.succeeded
+    _, (result,) = run(queue, 1.1, 1.2)
+    assert result.succeeded
 
 
 def test_a_promise_that_is_not_kept_is_a_failure(queue):
-    queue.put(Command("mode", 176, [1] * 7, reached=lambda: False))
+    queue.add(Command("mode", 176, [1] * 7, reached=lambda: False))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(176, ACCEPTED), 0.2)
-    _, (outcome,) = run(queue, 0.3, STATE_PATIENCE + 1.0)
-    assert outcome.reason == "accepted, but it did not happen"
+    _, (result,) = run(queue, 0.3, STATE_TIMEOUT + 1.0)
+    assert result.reason == "accepted, but it did not happen"
 
 
 def test_the_state_is_enough_where_the_acknowledgement_was_lost(queue):
     armed = []
-    queue.put(Command("arm", ARM, [1] * 7, reached=lambda: bool(armed)))
+    queue.add(Command("arm", ARM, [1] * 7, reached=lambda: bool(armed)))
     run(queue, 0.0, 0.5)
     armed.append(True)
-    _, (outcome,) = run(queue, 0.6, 0.7)
-    assert outcome.succeeded
+    _, (result,) = run(queue, 0.6, 0.7)
+    assert result.succeeded
 
 
 def test_in_progress_buys_time_each_time(queue):
-    queue.put(Command("grab", 211, [0] * 7))
+    queue.add(Command("grab", 211, [0] * 7))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(211, common.MAV_RESULT_IN_PROGRESS), 0.2)
-    sent, outcomes = run(queue, 0.3, 0.1 + IN_PROGRESS_PATIENCE)
-    assert (sent, outcomes) == ([], [])
+    sent, results = run(queue, 0.3, 0.1 + IN_PROGRESS_TIMEOUT)
+    assert (sent, results) == ([], [])
     queue.acknowledge(Ack(211, ACCEPTED), 5.15)
     assert run(queue, 5.2, 5.3)[1][0].succeeded
 
@@ -111,14 +111,14 @@ def test_in_progress_buys_time_each_time(queue):
     [(REJECTED, "temporarily rejected"), (common.MAV_RESULT_FAILED, "failed")],
 )
 def test_a_refusal_that_may_not_last_is_asked_again_while_there_is_patience(queue, result, words):
-    queue.put(Command("arm", ARM, [1] * 7, reached=lambda: False, retry_for=2.0))
+    queue.add(Command("arm", ARM, [1] * 7, reached=lambda: False, retry_for=2.0))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(ARM, result), 0.2)
     sent, _ = run(queue, 0.3, 1.3)
     assert [time for time, _ in sent] == [1.2]
     queue.acknowledge(Ack(ARM, result), 2.5)
-    _, (outcome,) = run(queue, 2.6, 2.7)
-    assert outcome.reason == words
+    _, (result,) = run(queue, 2.6, 2.7)
+    assert result.reason == words
 
 
 @pytest.mark.parametrize(
@@ -129,14 +129,14 @@ def test_a_refusal_that_may_not_last_is_asked_again_while_there_is_patience(queu
     ],
 )
 def test_a_refusal_is_final_and_in_words(queue, result, words):
-    queue.put(Command("arm", ARM, [1] * 7, reached=lambda: False, retry_for=5.0))
+    queue.add(Command("arm", ARM, [1] * 7, reached=lambda: False, retry_for=5.0))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(ARM, result), 0.2)
     assert run(queue, 0.3, 0.3)[1][0].reason == words
 
 
 def test_answers_to_others_and_to_other_commands_are_not_ours(queue):
-    queue.put(Command("grab", 211, [0] * 7))
+    queue.add(Command("grab", 211, [0] * 7))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(211, ACCEPTED, 250, 190), 0.15)
     queue.acknowledge(Ack(211, ACCEPTED, 255, 1), 0.15)
@@ -148,7 +148,7 @@ def test_answers_to_others_and_to_other_commands_are_not_ours(queue):
 
 def test_one_command_of_a_kind_at_a_time_different_kinds_together(queue):
     for number in (511, 511, 176):
-        queue.put(Command(f"{number}", number, [0] * 7))
+        queue.add(Command(f"{number}", number, [0] * 7))
     messages, _ = queue.tick(0.0)
     assert [message.command for message in messages] == [511, 176]
     queue.acknowledge(Ack(511, ACCEPTED), 0.1)

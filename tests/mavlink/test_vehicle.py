@@ -83,7 +83,7 @@ def test_a_companion_that_goes_on_talking_is_not_taken_for_the_autopilot():
     companion = common.MAVLink_heartbeat_message(18, common.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
     (packet,) = Decoder().feed(companion.pack(aboard))
     wire.vehicle.receive(packet, 5.0)
-    assert wire.vehicle.heard_at == 1.0
+    assert wire.vehicle.received_at == 1.0
 
 
 def test_px4_tells_its_mode_between_its_heartbeats():
@@ -146,8 +146,8 @@ def test_long_texts_are_put_together_and_trailing_tabs_go():
         part = long[50 * chunk : 50 * chunk + 50].encode()
         wire(common.MAVLink_statustext_message(3, part, 11, chunk), 5.0)
     assert [text for _, _, text in wire.vehicle.texts] == ["x" * 50 + "the rest"]
-    assert wire.vehicle.recent_words(6.0) == "x" * 50 + "the rest"
-    assert wire.vehicle.recent_words(60.0) == ""
+    assert wire.vehicle.recent_warnings(6.0) == "x" * 50 + "the rest"
+    assert wire.vehicle.recent_warnings(60.0) == ""
 
 
 def test_lost_packets_are_counted_by_sequence():
@@ -252,13 +252,13 @@ def test_what_nobody_reads_is_stopped_and_given_back():
     for k in range(100):
         wire(common.MAVLink_attitude_quaternion_message(k, 1, 0, 0, 0, 0, 0, 0), 0.02 * k)
         wire(common.MAVLink_attitude_message(k, 0, 0, 0, 0, 0, 0), 0.02 * k)
-    wire.vehicle.quieten(0.0, 2.0)
+    wire.vehicle.stop_unused_streams(0.0, 2.0)
     unread = {
         common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
         common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
     }
     assert answered(wire, 2.0) == {(message, -1.0) for message in unread}
-    wire.vehicle.quieten(0.0, 2.0)
+    wire.vehicle.stop_unused_streams(0.0, 2.0)
     assert wire.vehicle.commands.idle
     wire.vehicle.restore_streams()
     assert answered(wire, 3.0) == {(message, 0.0) for message in unread}
@@ -302,7 +302,7 @@ def test_a_height_from_satellites_is_averaged_as_long_as_the_receiver_is_poor(ac
             ),
             float(now),
         )
-        told.append(wire.vehicle.height_gap)
+        told.append(wire.vehicle.height_difference)
     known = [k for k, gap in enumerate(told) if not math.isnan(gap)]
     assert known[0] == pytest.approx(patience, abs=1.0)
     assert known == list(range(known[0], 60))

@@ -100,7 +100,7 @@ class SteppedSimulation:
     def land_by_hand(self, system: int) -> None:
         """Have a vehicle's pilot land it along with the team."""
         vehicle = next(v for v in self.conductor.flyers if v.system == system)
-        if vehicle.autopilot is not None and vehicle.flown_by_hand:
+        if vehicle.autopilot is not None and vehicle.in_manual_mode:
             main, sub = vehicle.autopilot.modes["land"]
             land = common.MAVLink_command_long_message(
                 system, 1, common.MAV_CMD_DO_SET_MODE, 0, 1, main, sub, 0, 0, 0, 0

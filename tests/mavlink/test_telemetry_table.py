@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from swarm.flight.router import Team
-from swarm.mavlink.telemetry_table import Columns
+from swarm.mavlink.telemetry_table import TelemetryTable
 from swarm.mission.fleet import emulated_fleet
 
 SYSTEMS = (1, 2, 3)
@@ -70,9 +70,9 @@ def known(made):
     """All that is known of a team's vehicles, and what they have to tell."""
     return [
         (
-            v.take_events(), v.heard_at, v.position_at, v.position, v.velocity, v.attitude, v.boot_ms,
-            v.packets, v.lost_packets, v.component, v.custom_mode, v.height_gap, v.out_of_step,
-            v.texts, v.unused,
+            v.take_events(), v.received_at, v.position_at, v.position, v.velocity, v.attitude, v.boot_ms,
+            v.packets, v.lost_packets, v.component, v.custom_mode, v.height_difference, v.origin_mismatches,
+            v.texts, v.unhandled,
         )
         for v in made.vehicles.values()
     ]  # fmt: skip
@@ -101,13 +101,13 @@ def test_the_whole_team_is_read_as_packets_are_one_by_one(ticks):
 
 
 def test_nothing_is_known_of_vehicles_that_were_never_heard():
-    columns = Columns(2)
+    table = TelemetryTable(2)
     made, _ = team()
     fresh = Team(emulated_fleet(2), lambda *_: None).vehicles[1]
-    assert (fresh.heard_at, fresh.position_at) == (-math.inf, -math.inf)
+    assert (fresh.received_at, fresh.position_at) == (-math.inf, -math.inf)
     assert np.isnan([*fresh.position, *fresh.velocity, *fresh.attitude]).all()
     assert (fresh.boot_ms, fresh.packets, fresh.lost_packets, fresh.component) == (-1, 0, 0, 1)
-    assert columns.table.shape == (2, 15)
+    assert table.values.shape == (2, 15)
     assert made.vehicles[1].packets == 1
 
 
