@@ -10,7 +10,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from swarm import api
+from swarm import planner
 from swarm.errors import Refused
 from swarm.mission import parse_mission
 from swarm.planning import Plan
@@ -44,7 +44,7 @@ def main(folder: Path, missions: list[Path]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for path in missions:
         try:
-            planned = api.plan(parse_mission(path.read_text(), str(path)), robustness=False)
+            planned = planner.plan(parse_mission(path.read_text(), str(path)), robustness=False)
         except Refused as refusal:
             print(f"{path}: refused: {refusal}")
             continue

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any, Final
 
-from swarm import api
+from swarm import planner
 from swarm.certification.assessment import Assessment, Tightest
 from swarm.certification.robustness import largest_tracking, robustness_of
 from swarm.errors import InputError, Refused
@@ -52,7 +52,7 @@ def plan_row(
     try:
         choice = lookup(name)
         row |= {"knot": name, "crossings": choice.crossings, "vehicles": choice.vehicles}
-        planned = api.plan(mission_for_knot(name, overrides), robustness=False)
+        planned = planner.plan(mission_for_knot(name, overrides), robustness=False)
     except (Refused, InputError) as error:
         return row | {
             "knot": name, "cleared": False, "planning_time": clock() - start,
@@ -158,7 +158,7 @@ def _with(mission: Mission, section: str, **values: Any) -> Mission:
 
 def _point(mission: Mission, variant: str, progress: Progress | None) -> FrontPoint | str:
     try:
-        planned = api.plan(mission, progress, robustness=False)
+        planned = planner.plan(mission, progress, robustness=False)
     except Refused as refusal:
         return f"{variant}: {refusal}"
     plan, assessment = planned.plan, planned.assessment

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from swarm import api
+from swarm import planner
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot
 from swarm.planning import Plan, digest, make_plan
@@ -124,7 +124,7 @@ def test_a_plan_does_not_depend_on_the_threads_of_a_machine() -> None:
     """With two threads for sums of arrays, 5_2 had another plan than with one."""
     mission = mission_for_knot("5_2", ())
     with threadpool_limits(limits=1, user_api="blas"):
-        one = digest(api.plan(mission, robustness=False).plan)
+        one = digest(planner.plan(mission, robustness=False).plan)
     with threadpool_limits(limits=2, user_api="blas"):
-        two = digest(api.plan(mission, robustness=False).plan)
+        two = digest(planner.plan(mission, robustness=False).plan)
     assert one == two

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from swarm import api
+from swarm import planner
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
 from swarm.cli.fleets import load_fleet
@@ -151,7 +151,7 @@ def check(
 
 def _proven(mission: str, overrides: tuple[str, ...]) -> CertifiedPlan:
     with progress_bar(Console(stderr=True)) as progress:
-        return api.plan(load_mission(mission, overrides), progress).certified()
+        return planner.plan(load_mission(mission, overrides), progress).certified()
 
 
 def _of_plan(flight_plan: CertifiedPlan) -> Finding:

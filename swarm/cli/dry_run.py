@@ -7,7 +7,7 @@ from typing import Any
 import click
 from rich.console import Console
 
-from swarm import api
+from swarm import planner
 from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progress_bar, write_text
 from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.errors import InputError
@@ -99,7 +99,7 @@ def dry_run(
     loaded = load_mission(mission, overrides)
     console = Console(quiet=as_json)
     with progress_bar(Console(stderr=True)) as progress, _workers(options):
-        planned = api.plan(loaded, progress)
+        planned = planner.plan(loaded, progress)
     if options["rope"]:
         from swarm.cli.rope import run_rope  # noqa: PLC0415 - needs an optional extra
 
@@ -163,7 +163,7 @@ def _chosen(options: dict[str, Any], *names: str) -> dict[str, Any]:
 
 
 def _fly(
-    planned: api.Planned, screen: FlightScreen, seed: int, options: dict[str, Any]
+    planned: planner.PlanningResult, screen: FlightScreen, seed: int, options: dict[str, Any]
 ) -> FlightResult:
     """One flight: as the plan expects the world, or under the conditions of one trial."""
     flight_plan = planned.certified()

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from swarm import api
+from swarm import planner
 from swarm.cli.inputs import print_json, write_text
 from swarm.errors import InputError, Problem, Refused, reason
 from swarm.planning import Plan
@@ -39,7 +39,7 @@ _LARGEST = 256 * 1024 * 1024
 
 def run_failures(
     context: click.Context,
-    planned: api.Planned,
+    planned: planner.PlanningResult,
     *,
     times: int | None,
     team: tuple[TeamAutopilots, ...],
@@ -119,7 +119,7 @@ def _keep(path: Path, flown: CaseTrials) -> None:
         raise InputError([Problem(str(path), reason(error))]) from None
 
 
-def _fly(planned: api.Planned, **chosen: Any) -> tuple[FailureTest, ...]:
+def _fly(planned: planner.PlanningResult, **chosen: Any) -> tuple[FailureTest, ...]:
     console = Console(stderr=True)
     with Progress(
         TextColumn("drills"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn(),

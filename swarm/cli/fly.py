@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import click
 from rich.console import Console
 
-from swarm import api
+from swarm import planner
 from swarm.cli.fleets import load_fleet
 from swarm.cli.flown import end_with
 from swarm.cli.inputs import (
@@ -118,7 +118,7 @@ def fly(
     given = load_fleet(fleet) if fleet else None
     console = Console(quiet=as_json)
     with progress_bar(Console(stderr=True)) as progress:
-        planned = api.plan(loaded, progress)
+        planned = planner.plan(loaded, progress)
     plan_summary(planned.plan, planned.assessment, console)
     team = given or emulated_fleet(planned.plan.vehicles)
     flight_plan = raised(planned.certified(), team, no_cable=no_cable)

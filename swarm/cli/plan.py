@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from swarm import api, exports, studies
+from swarm import exports, planner, studies
 from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progress_bar, write_text
 from swarm.errors import Refused
 from swarm.mission import Mission
@@ -68,7 +68,7 @@ def plan(
         context.exit(_front(loaded, as_json, plot))
     try:
         with progress_bar(Console(stderr=True)) as progress:
-            planned = api.plan(loaded, progress)
+            planned = planner.plan(loaded, progress)
     except Refused as refusal:
         if as_json:
             print_json(exports.refusal_object(loaded, refusal))

@@ -8,7 +8,7 @@ import click
 import numpy as np
 from rich.console import Console
 
-from swarm import api
+from swarm import planner
 from swarm.cli.inputs import print_json, progress_bar, write_text
 from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.cli.trials import paper_mission
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def run_rope(
     context: click.Context,
     mission: Mission,
-    planned: api.Planned,
+    planned: planner.PlanningResult,
     *,
     links: int | None,
     no_contact: bool,
@@ -57,7 +57,7 @@ def run_rope(
     work: list[tuple[str, Plan, Grips]] = [(label, plan, grips)]
     if compare:
         with progress_bar(Console(stderr=True)) as progress:
-            other = api.plan(paper_mission(mission), progress).plan
+            other = planner.plan(paper_mission(mission), progress).plan
         work.append(("the paper's trajectory", other, rope.planned_grips(other)))
     runs: list[tuple[str, Plan, RopeRun, float]] = []
     for name, one, motion in work:

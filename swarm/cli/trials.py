@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from swarm import api
+from swarm import planner
 from swarm.cli.inputs import print_json, progress_bar, read_text, write_text
 from swarm.errors import Interrupted
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
@@ -46,7 +46,7 @@ def paper_mission(mission: Mission) -> Mission:
 def run_trials(
     context: click.Context,
     mission: Mission,
-    planned: api.Planned,
+    planned: planner.PlanningResult,
     *,
     trials: int,
     scenario: Path | None,
@@ -65,7 +65,7 @@ def run_trials(
     runs: list[tuple[Plan, FlightPlan]] = [(planned.plan, planned.certified())]
     if compare:
         with progress_bar(Console(stderr=True)) as progress:
-            other = api.plan(paper_mission(mission), progress)
+            other = planner.plan(paper_mission(mission), progress)
         runs.append((other.plan, ComparisonFlight(other.plan, other.certificate)))
     done: list[tuple[Plan, list[Trial], Certificates]] = []
     interrupted = False

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from swarm import api
+from swarm import planner
 from swarm.cli.inputs import SET, load_mission, progress_bar
 from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.errors import InputError, Interrupted, Problem, reason
@@ -79,7 +79,7 @@ def view(
         if recording is None:
             recording = output or folder / "plan.rrd"
             with progress_bar(Console(stderr=True)) as progress:
-                planned = api.plan(load_mission(source, overrides), progress)
+                planned = planner.plan(load_mission(source, overrides), progress)
             write_plan(planned.plan, recording)
         else:
             _require_recording(recording)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from swarm import api, planning
+from swarm import planner, planning
 from swarm.certification.certificate import Certificate, require_no_errors
 from swarm.errors import Refused
 from swarm.exports import MOTION_STEP, motion_rows
@@ -136,10 +136,10 @@ def plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
     :class:`swarm.NotCleared` with the plan and its certificate, where none of those found is
     cleared. Raises :class:`swarm.InputError` for a knot that does not exist.
 
-    Source: :func:`swarm.api.plan`, the loop of :func:`swarm.planning.candidates` (grid diagram,
-    layout, folding) and :func:`swarm.certify`.
+    Source: :func:`swarm.planner.plan`, which certifies and repairs the candidates of
+    :mod:`swarm.planning.candidates` (grid diagram, layout, folding).
     """
-    found = api.plan(mission, progress, robustness=False)
+    found = planner.plan(mission, progress, robustness=False)
     made = Plan.of(found.plan)
     try:
         require_no_errors(found.certificate)

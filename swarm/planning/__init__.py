@@ -1,5 +1,6 @@
 """The plan, and how it is made from a mission."""
 
+from swarm.planning.candidates import Candidate, candidates, make_plan, repaired
 from swarm.planning.digest import digest
 from swarm.planning.plan import (
     CableState,
@@ -11,11 +12,11 @@ from swarm.planning.plan import (
     PhaseName,
     Plan,
 )
-from swarm.planning.planner import candidates, make_plan
 from swarm.planning.repair import Shortfall
 
 __all__ = [
     "CableState",
+    "Candidate",
     "Condition",
     "Gate",
     "KnotSummary",
@@ -27,4 +28,5 @@ __all__ = [
     "candidates",
     "digest",
     "make_plan",
+    "repaired",
 ]

@@ -1,4 +1,4 @@
-"""What a plan falls short of, as its certificate says, and asking its schedule for more there."""
+"""Repair of a schedule: larger margins at the moments where the certificate finds shortfalls."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,38 +9,7 @@ from swarm.folding.schedule import Schedule, require_extra
 from swarm.planning.plan import Plan
 from swarm.planning.shapes import SAMPLING, Folding
 
-
-@dataclass(frozen=True)
-class Shortfall:
-    """A moment at which a plan falls short of what a check asks, by metres."""
-
-    check: str
-    time: float
-    metres: float
-
-
-Shortfalls = Sequence[Shortfall]
-
-
-def with_more(folding: Folding, made: Plan, missing: Shortfalls) -> Schedule:
-    """A folding's schedule, asked for more where its plan falls short, by that and a little."""
-    plan = folding.plan
-    stages = np.arange(4.0 * plan.last_stage) / 4.0
-    places = plan.at(stages)[0] + (made.layout.corners[0] - folding.layout.corners[0])
-    for check, margin in MENDABLE.items():
-        found = [(each.time, each.metres) for each in missing if each.check == check]
-        if found:
-            times, metres = np.array(found).T
-            apart = made.motion.at(times)[0][:, None] - places
-            at = stages[np.argmin((apart**2).sum(axis=(2, 3)), axis=1)]
-            # What was asked for there before was not enough: twice as much, then.
-            before = getattr(plan.extra, margin)[at.astype(np.intp)]
-            asked = np.minimum(np.maximum(1.1 * metres + SAMPLING, before), _MOST)
-            plan = require_extra(plan, margin, at, asked)
-    return plan
-
-
-MENDABLE = {
+REPAIRABLE = {
     "cable clearance": "cable",
     "neighbouring segments": "neighbour",
     "vehicle clearance": "vehicle",
@@ -48,7 +17,39 @@ MENDABLE = {
     "rotor disc": "rotor_disc",
     "taut": "chord",
 }
-"""What is asked for where a check fails."""
+"""Check of the certificate → the margin of the schedule that a repair enlarges."""
 
-_MOST = 0.2
-"""Metres that are asked for at once: bounds of a certificate that fails may be far from tight."""
+_LARGEST_STEP = 0.2
+"""Largest increase of a margin in one repair, metres: the bounds of a failed check may be loose."""
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """A moment of a plan at which a check misses the required value by ``metres``."""
+
+    check: str
+    time: float
+    metres: float
+
+
+def with_larger_margins(folding: Folding, plan: Plan, shortfalls: Sequence[Shortfall]) -> Schedule:
+    """Return the folding's schedule with margins enlarged around the shortfalls of its plan.
+
+    Each margin grows by 1.1 times the shortfall and the error of sampled distances; where it was
+    enlarged before, at least to twice that increase. The schedule does not keep the new margins
+    before it is improved.
+    """
+    schedule = folding.schedule
+    stages = np.arange(4.0 * schedule.last_stage) / 4.0
+    places = schedule.at(stages)[0] + (plan.layout.corners[0] - folding.layout.corners[0])
+    for check, margin in REPAIRABLE.items():
+        found = [(each.time, each.metres) for each in shortfalls if each.check == check]
+        if found:
+            times, metres = np.array(found).T
+            offsets = plan.motion.at(times)[0][:, None] - places
+            at = stages[np.argmin((offsets**2).sum(axis=(2, 3)), axis=1)]
+            # Where an earlier increase was not enough, double it.
+            before = getattr(schedule.extra, margin)[at.astype(np.intp)]
+            increase = np.minimum(np.maximum(1.1 * metres + SAMPLING, before), _LARGEST_STEP)
+            schedule = require_extra(schedule, margin, at, increase)
+    return schedule

@@ -45,10 +45,10 @@ _SLOPE, _ROUNDING = 0.98, 0.5
 
 @dataclass(frozen=True, eq=False)
 class Folding:
-    """A layout with the path through it and everybody's progress."""
+    """A layout, and the schedule that takes the team to it."""
 
     layout: KnotLayout
-    plan: Schedule
+    schedule: Schedule
 
 
 def shapes(mission: Mission, margins: Margins) -> Iterator[LayoutParameters]:

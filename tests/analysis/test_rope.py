@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm import api
+from swarm import planner
 from swarm.analysis.swing import largest_swings
 from swarm.errors import Refused
 from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
@@ -111,7 +111,7 @@ def test_strands_stop_each_other_only_with_contact(contact):
 @pytest.mark.full
 def test_a_tightened_overhand_keeps_its_knot():
     mission = mission_for_knot("overhand", ("finish=tighten",))
-    plan = api.plan(mission, robustness=False).plan
+    plan = planner.plan(mission, robustness=False).plan
     run = rope.simulate_rope(plan, rope.planned_grips(plan))
     assert run.void == ()
     assert (run.knot, run.chirality, run.as_planned) == ("3_1", "right", True)

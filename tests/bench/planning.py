@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from swarm import api
+from swarm import planner
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot
 
@@ -57,7 +57,7 @@ def _planned(
     begun = time.process_time()
     what = f"{name:<12} {'line' if overrides else 'default':<8}"
     try:
-        planned = api.plan(mission_for_knot(name, overrides), robustness=False)
+        planned = planner.plan(mission_for_knot(name, overrides), robustness=False)
     except Refused as refusal:
         print(f"{what} refused after {time.process_time() - begun:.1f} s: {refusal}")
         return None

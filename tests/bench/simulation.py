@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swarm import api
+from swarm import planner
 from swarm.mission import parse_mission
 from swarm.simulation.loop import simulate_flight
 
@@ -24,7 +24,7 @@ FLIGHTS = 3
 def main() -> None:
     arguments = [word for word in sys.argv[1:] if not word.startswith("-")]
     path = Path(arguments[0] if arguments else "missions/overhand.yaml")
-    flight_plan = api.plan(parse_mission(path.read_text(), str(path))).certified()
+    flight_plan = planner.plan(parse_mission(path.read_text(), str(path))).certified()
     if "--profile" in sys.argv:
         profile = cProfile.Profile()
         profile.runcall(simulate_flight, flight_plan)

@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-from swarm import api
+from swarm import planner
 from swarm.mission import parse_mission
 from swarm.simulation.monte_carlo import Spread, fly_trial
 
@@ -29,7 +29,9 @@ def main() -> None:
     """Fly trials one after the other and print what each cost."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 5
     path = Path(__file__).parents[2] / "missions" / "overhand.yaml"
-    flight_plan = api.plan(parse_mission(path.read_text(), str(path)), robustness=False).certified()
+    flight_plan = planner.plan(
+        parse_mission(path.read_text(), str(path)), robustness=False
+    ).certified()
     for number in range(count):
         began = time.process_time()
         trial, _ = fly_trial(flight_plan, Spread(failing=0), 1, number)

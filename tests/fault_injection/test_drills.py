@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from swarm import api
+from swarm import planner
 from swarm.certification.stream_loss import StreamLossCertificate, StreamLossModel, WorstLoss
 from swarm.flight.failures import LOSES_A_VEHICLE, TABLE
 from swarm.mission import mission_for_knot
@@ -64,7 +64,7 @@ def test_the_team_answers_as_the_table_of_drills_asks(personality, names):
 
 @pytest.fixture(scope="module")
 def overhand():
-    return api.plan(mission_for_knot("overhand", ())).certified()
+    return planner.plan(mission_for_knot("overhand", ())).certified()
 
 
 @pytest.mark.full

@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from swarm import api
+from swarm import planner
 from swarm.certification.assessment import Assessment
 from swarm.errors import Refused
 from swarm.mission import Mission, mission_for_knot, parse_mission
@@ -38,7 +38,7 @@ def make(name: str, *, robustness: bool) -> str:
     mission = mission_of(name)
     record: dict[str, Any] = {"environment": environment(), "mission": mission.name}
     try:
-        planned = api.plan(mission, robustness=robustness)
+        planned = planner.plan(mission, robustness=robustness)
     except Refused:
         record |= {"cleared": False, "refused": "no motion was found"}
     else:

@@ -1,0 +1,118 @@
+"""The planner: propose a plan, certify it, repair it, until a plan is cleared."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from threadpoolctl import threadpool_limits
+
+from swarm.certification.assessment import Assessment
+from swarm.certification.certificate import (
+    Certificate,
+    CertifiedPlan,
+    MeasuredClearances,
+    certify,
+    certify_robustness,
+    measure_clearances,
+)
+from swarm.certification.clearances import Moment, violations
+from swarm.mission import Mission
+from swarm.planning import Plan, Shortfall, candidates, repaired
+
+Progress = Callable[[str, float], None]
+
+_ATTEMPTS = 16
+"""Largest number of plans that are checked before the first of them is returned as it is."""
+
+
+@dataclass(frozen=True)
+class PlanningResult:
+    """A plan and its certificate, cleared or not."""
+
+    plan: Plan
+    certificate: Certificate
+
+    @property
+    def assessment(self) -> Assessment:
+        """Results of all checks."""
+        return self.certificate.assessment
+
+    def certified(self) -> CertifiedPlan:
+        """Return the cleared plan; raises :class:`swarm.errors.Refused` with every error."""
+        return CertifiedPlan(self.plan, self.certificate)
+
+
+def plan(
+    mission: Mission, progress: Progress | None = None, *, robustness: bool = True
+) -> PlanningResult:
+    """Return the first plan for a mission that the checks clear.
+
+    Where no plan is cleared, the result is the first plan that was checked, with its errors. With
+    ``robustness`` the certificate of a cleared plan includes e* and w*. ``progress`` is called with
+    the name of a stage and its completed share, 0…1.
+
+    Raises :class:`swarm.errors.Refused` where no motion exists to check.
+    """
+    # The result of a sum depends on the number of BLAS threads, and so would the plan: one thread
+    # gives the same plan on every machine. It is also faster, because the arrays are small.
+    with threadpool_limits(limits=1, user_api="blas"):
+        result = _cleared_or_first(mission, progress)
+        if robustness and result.certificate.cleared:
+            certificate = certify_robustness(result.plan, result.certificate, progress)
+            result = replace(result, certificate=certificate)
+    return result
+
+
+def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningResult:
+    """Certify and repair candidates until one is cleared; otherwise return the first one checked.
+
+    A plan that exceeds the endurance is not checked, because no repair shortens it; the shortest
+    one is returned where nothing else was found.
+    """
+    proposals = candidates(mission, progress=progress)
+    candidate = next(proposals, None)
+    notes: tuple[str, ...] = ()
+    first: tuple[Plan, MeasuredClearances | None] | None = None
+    too_long: list[Plan] = []
+    failed_checks: frozenset[str] = frozenset()
+    attempts = 0
+    while candidate is not None and attempts < _ATTEMPTS:
+        notes += candidate.notes
+        current = replace(candidate.plan, notes=notes)
+        if current.duration > mission.vehicles.endurance:
+            notes += (_exceeds_endurance(current),)
+            too_long.append(current)
+            candidate = next(proposals, None)
+            continue
+        attempts += 1
+        failures, measured = _failures(current, failed_checks, progress)
+        first = first or (current, measured)
+        if not failures:
+            certificate = certify(current, measured=measured, progress=progress)
+            if certificate.cleared:
+                return PlanningResult(current, certificate)
+        failed_checks = frozenset(moment.check for moment in failures)
+        missing = [Shortfall(moment.check, moment.time, -moment.margin) for moment in failures]
+        candidate = repaired(candidate, missing) or next(proposals, None)
+    rejected, measured = first or (min(too_long, key=lambda long: long.duration), None)
+    return PlanningResult(rejected, certify(rejected, measured=measured, progress=progress))
+
+
+def _exceeds_endurance(plan: Plan) -> str:
+    return f"that took {plan.duration:.0f} s of {plan.mission.vehicles.endurance:g} s in the air"
+
+
+def _failures(
+    plan: Plan, failed_checks: frozenset[str], progress: Progress | None
+) -> tuple[tuple[Moment, ...], MeasuredClearances | None]:
+    """Return all moments at which clearances fail, and the clearances where they were measured.
+
+    The checks that the previous candidate failed come first. Where one fails again, the others are
+    not measured: the plan has to be repaired anyway. A repair needs all failing moments of a check
+    at once; repaired one at a time, each would take an attempt.
+    """
+    failures = violations(plan, failed_checks) if failed_checks else ()
+    if failures:
+        return failures, None
+    measured = measure_clearances(plan, progress)
+    failed = {moment.check for moment in measured.moments if moment.margin < 0.0}
+    return violations(plan, failed) if failed else (), measured

@@ -1,0 +1,117 @@
+"""A fold → the whole plan: the fold timed and raised to its height, with the flight around it."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.folding.end_sensitivity import sag_responses
+from swarm.folding.layout import KnotLayout, lay_out, lay_out_corners
+from swarm.folding.margins import Margins
+from swarm.folding.paper import edge_dips, paper_motion
+from swarm.folding.schedule import team_path
+from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.motion import Motion, through_states
+from swarm.knots.grid import OpenGrid
+from swarm.mission import Mission
+from swarm.planning.flight import whole_flight
+from swarm.planning.parts import thrust
+from swarm.planning.plan import KnotSummary, Layout, Plan
+from swarm.planning.shapes import Folding, shapes
+from swarm.planning.timing import timed
+
+Floats = npt.NDArray[np.float64]
+
+
+def plan_of_folding(mission: Mission, knot: KnotSummary, folding: Folding) -> Plan:
+    """Return the plan that flies a folding as fast as the limits allow."""
+    layout, path = folding.layout, folding.schedule.path
+    parameter, places, slopes, bends = team_path(folding.schedule)
+    fold = timed(
+        parameter,
+        places,
+        slopes,
+        bends,
+        max_speed=mission.vehicles.max_speed,
+        max_acceleration=thrust(mission),
+    )
+    line = path.at(len(layout.corners) - 1, np.linspace(0.0, path.stops[-1], 400))[0]
+    return _assembled(mission, knot, layout, fold, line)
+
+
+def paper_plan(mission: Mission, knot: KnotSummary, diagram: OpenGrid, margins: Margins) -> Plan:
+    """Return the plan with the paper's own trajectory."""
+    layout = _paper_layout(mission, diagram, margins)
+    largest_sag = float(layout.sags.max())
+    states = paper_motion(
+        layout.corners,
+        layout.lengths,
+        largest_sag,
+        mission.fold.delay,
+        max_speed=mission.vehicles.max_speed,
+        max_acceleration=thrust(mission),
+    )
+    fold = through_states(states.times, states.position, states.velocity, states.acceleration)
+    layout = replace(layout, lanes=-edge_dips(len(layout.lengths), largest_sag))
+    line = fold.at(np.linspace(fold.times[0], fold.times[-1], 400))[0][:, -1]
+    plan = _assembled(mission, knot, layout, fold, line)
+    return replace(plan, notes=("the paper's trajectory, as printed",))
+
+
+def _paper_layout(mission: Mission, diagram: OpenGrid, margins: Margins) -> KnotLayout:
+    """Return the mission's corners and sags, or else the diagram with two sags."""
+    section = mission.layout
+    if section.corners is not None and section.sags is not None:
+        return lay_out_corners(
+            section.corners, section.sags, 0.0 if section.cell == "auto" else section.cell
+        )
+    shape = next(shapes(mission, margins))
+    return lay_out(diagram.corners, diagram.crossings, replace(shape, two_sags=True))
+
+
+def _assembled(
+    mission: Mission, knot: KnotSummary, layout: KnotLayout, fold: Motion, line: Floats
+) -> Plan:
+    """Return the plan with a fold at its height and the rest of the flight around it.
+
+    ``fold`` and ``line`` (k, 3), the curve that the vehicles follow, are at height 0.
+    """
+    height = _height(mission, fold, layout.lengths)
+    flight = whole_flight(mission, layout.lengths, _raised(fold, height))
+    up = np.array([0.0, 0.0, height])
+    return Plan(
+        mission=mission,
+        knot=knot,
+        layout=Layout(
+            corners=layout.corners + up,
+            sags=layout.sags,
+            lengths=layout.lengths,
+            lanes=layout.lanes,
+            crossings=layout.crossings,
+            cell=layout.cell,
+        ),
+        motion=flight.motion,
+        phases=flight.phases,
+        gates=flight.gates,
+        path=line + up,
+    )
+
+
+def _height(mission: Mission, fold: Motion, lengths: Floats) -> float:
+    """Return the least height of the corners, metres, for which the fold clears the floor."""
+    if mission.layout.height != "auto":
+        return mission.layout.height
+    times = np.linspace(fold.times[0], fold.times[-1], 4 * len(fold.times))
+    places = fold.at(times)[0]
+    chord = np.linalg.norm(np.diff(places, axis=1), axis=2)
+    strands = solve_catenaries(places[:, :-1], places[:, 1:], np.maximum(lengths, chord))
+    error = mission.vehicles.tracking * 1.1 * sag_responses(chord / lengths)
+    lowest = float((strands.lowest()[..., 2] - error).min()) - 0.1
+    margin = mission.clearance.floor + 0.5 * mission.cable.diameter
+    return float(np.ceil(10.0 * (margin - lowest)) / 10.0)
+
+
+def _raised(motion: Motion, height: float) -> Motion:
+    coefficients = motion.coefficients.copy()
+    coefficients[:, 0, :, 2] += height
+    return Motion(motion.times, coefficients)

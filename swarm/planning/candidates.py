@@ -1,0 +1,226 @@
+"""Candidates for the plan of a mission, most promising first, and their repair.
+
+A candidate is not certified. `swarm.planner` certifies candidates one after the other.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from scipy.spatial.distance import pdist
+
+from swarm.errors import Refused
+from swarm.folding.layout import LayoutParameters
+from swarm.folding.margins import Margins
+from swarm.folding.optimizer import BEYOND_REPAIR
+from swarm.folding.schedule import improve
+from swarm.knots.catalog import KnotChoice, choose
+from swarm.knots.grid import OpenGrid, openings
+from swarm.mission import Mission
+from swarm.planning.assembly import paper_plan, plan_of_folding
+from swarm.planning.formation import formation_plan
+from swarm.planning.given_layout import foldings_of_given_layout
+from swarm.planning.plan import KnotSummary, Plan
+from swarm.planning.repair import REPAIRABLE, Shortfall, with_larger_margins
+from swarm.planning.shapes import Folding, different, fitted, folded, keeping, ranked, shapes
+
+Progress = Callable[[str, float], None]
+
+_GOOD = 0.6
+"""Missed margin at the worst moment below which a folding is likely to be certified; the others are
+deferred. In units of a margin."""
+
+_DEFERRED = 2
+"""Number of deferred foldings that become candidates, best first, after all good ones."""
+
+_IN_LARGER_CELLS = 3
+"""Number of openings that are also folded in the larger cells."""
+
+_ATTEMPTS = 8
+"""Number of candidates from one folding: the first one and its repairs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A plan that is not yet certified, and the state from which it can be repaired.
+
+    ``folding`` is the layout and schedule of its fold, None where the plan has none to repair
+    (formations, the paper's trajectory); ``attempt`` counts the candidates of this folding from 1.
+    ``notes`` say what was tried since the previous candidate.
+    """
+
+    plan: Plan
+    folding: Folding | None = None
+    attempt: int = 1
+    notes: tuple[str, ...] = ()
+
+
+def make_plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
+    """Return the plan of the first candidate, not yet certified.
+
+    ``progress`` is called with the name of a stage and its completed share, 0…1. Raises
+    :class:`swarm.errors.Refused` where the mission has no candidate.
+    """
+    first = next(candidates(mission, progress=progress))
+    return replace(first.plan, notes=first.notes)
+
+
+def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterator[Candidate]:
+    """Yield the first candidate of every folding, most promising first.
+
+    Foldings are computed one at a time, when the next candidate is needed. Those that miss their
+    margins by much come last: their certificates state the errors.
+
+    Raises :class:`swarm.errors.Refused` where vehicles are too close even at rest on their corners.
+    """
+    _refuse_unsupported_start(mission)
+    if mission.formation is not None:
+        yield _without_folding(formation_plan(mission, mission.formation))
+        return
+    choice, knot = _knot(mission)
+    opened = different(openings(choice.grid))
+    margins = keeping(mission)
+    if mission.fold.method == "paper":
+        yield _without_folding(paper_plan(mission, knot, opened[0], margins))
+        return
+    if mission.layout.corners is not None:
+        foldings = foldings_of_given_layout(mission.layout, margins, progress)
+        notes = tuple(note for _, note in foldings)
+        for folding in sorted((one for one, _ in foldings), key=lambda one: one.schedule.worst):
+            yield Candidate(plan_of_folding(mission, knot, folding), folding, notes=notes)
+            notes = ()
+        return
+    _refuse_crowding(mission, knot, opened, margins)
+    yield from _folded_grids(mission, knot, opened, margins, progress)
+
+
+def repaired(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> Candidate | None:
+    """Return the next candidate of the same folding, with larger margins at the shortfalls.
+
+    None where larger margins cannot help: no shortfalls, a check without a margin, too many
+    attempts, or a schedule that cannot keep the larger margins.
+    """
+    folding = candidate.folding
+    if (
+        folding is None
+        or not shortfalls
+        or any(shortfall.check not in REPAIRABLE for shortfall in shortfalls)
+        or candidate.attempt >= _ATTEMPTS
+    ):
+        return None
+    schedule = improve(with_larger_margins(folding, candidate.plan, shortfalls))
+    if schedule.worst > BEYOND_REPAIR:
+        return None
+    folding = replace(folding, schedule=schedule)
+    return Candidate(
+        plan_of_folding(candidate.plan.mission, candidate.plan.knot, folding),
+        folding,
+        candidate.attempt + 1,
+        ("gave way by more where the certificate missed something",),
+    )
+
+
+def _without_folding(plan: Plan) -> Candidate:
+    return Candidate(plan, notes=plan.notes)
+
+
+def _folded_grids(
+    mission: Mission,
+    knot: KnotSummary,
+    opened: list[OpenGrid],
+    margins: Margins,
+    progress: Progress | None,
+) -> Iterator[Candidate]:
+    """Yield a candidate for every good folding of the grid diagram, then for deferred ones."""
+    notes: tuple[str, ...] = ()
+    deferred: list[Folding] = []
+    layouts = list(shapes(mission, margins))
+    best = ranked(opened, layouts[0], margins, progress)
+    for folding in _foldings(best, layouts, margins, progress):
+        worst = folding.schedule.worst
+        notes += (
+            f"tried a cell of {folding.layout.cell:.2f} m: misses its margins by {worst:.2g}",
+        )
+        if worst < _GOOD:
+            yield Candidate(plan_of_folding(mission, knot, folding), folding, notes=notes)
+            notes = ()
+        else:
+            deferred.append(folding)
+    deferred.sort(key=lambda folding: folding.schedule.worst)
+    for folding in deferred[:_DEFERRED]:
+        yield Candidate(plan_of_folding(mission, knot, folding), folding, notes=notes)
+        notes = ()
+
+
+def _foldings(
+    opened: Iterator[OpenGrid],
+    layouts: list[LayoutParameters],
+    margins: Margins,
+    progress: Progress | None,
+) -> Iterator[Folding]:
+    """Yield foldings of all openings in the smallest cells, then of the best in larger cells."""
+    best: list[OpenGrid] = []
+    for diagram in opened:
+        best.append(diagram)
+        yield _folding(diagram, layouts[0], margins, progress)
+    for shape in layouts[1:]:
+        for diagram in best[:_IN_LARGER_CELLS]:
+            yield _folding(diagram, shape, margins, progress)
+
+
+def _folding(
+    diagram: OpenGrid, shape: LayoutParameters, margins: Margins, progress: Progress | None
+) -> Folding:
+    if progress:
+        progress(f"folding with a cell of {shape.cell:.2f} m", 0.0)
+    return folded(diagram, shape, margins)
+
+
+def _refuse_unsupported_start(mission: Mission) -> None:
+    """Refuse a start that no plan has, rather than ignore it."""
+    if mission.start != "line":
+        raise Refused(
+            f"start: {mission.start} is not planned: the fold begins on a straight line that takes "
+            "most of the cable's length, so a bent lay line would save no room"
+        )
+
+
+def _refuse_crowding(
+    mission: Mission, knot: KnotSummary, opened: list[OpenGrid], margins: Margins
+) -> None:
+    """Refuse a cell that is too small for vehicles at rest on the corners, all at one height."""
+    cell, key = mission.layout.cell, "layout.cell"
+    if mission.cable.length is not None:
+        shape = fitted(opened[0], next(shapes(mission, margins)), margins)
+        cell, key = shape.cell, f"cable.length {mission.cable.length:g} m, a cell of"
+    if cell == "auto":
+        return
+    distance = max(float(pdist(diagram.corners).min()) for diagram in opened) * cell
+    required = margins.vehicle + 2.0 * margins.tracking
+    if distance < required:
+        raise Refused(
+            f"no fold of {knot.type} keeps the clearances with {key} {cell:.3g} m: vehicles "
+            f"would rest {distance:.2f} m apart, and clearance.vehicle with two tracking "
+            f"errors requires {required:.2f} m"
+        )
+
+
+def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:
+    """Return the knot of the mission with its grid diagram, and its summary for the plan."""
+    section = mission.knot
+    if section is None:
+        raise Refused("the mission names no knot")
+    choice = choose(
+        name=section.name,
+        gauss=section.gauss,
+        dt=section.dt,
+        pd=section.pd,
+        grid=section.grid,
+        chirality=section.chirality,
+    )
+    summary = KnotSummary(
+        type=choice.name,
+        chirality=choice.chirality,  # type: ignore[arg-type]
+        gauss=choice.gauss,
+        grid_columns=choice.grid.columns,
+    )
+    return choice, summary
