@@ -7,7 +7,7 @@ from rich.console import Console
 
 from swarm.cli.outcome import flown_object, print_flown
 from swarm.flight.trace import Trace
-from swarm.reports.report import flight_report
+from swarm.reports.flight_report import flight_report
 from swarm.verification import verify_trace
 from tests.command import run
 from tests.network import small_plan

@@ -135,7 +135,7 @@ def dry_run(
 
         write_flight(planned.plan, result.trace, result.events, options["recording"])
     if options["report"]:
-        from swarm.reports.report import flight_report  # noqa: PLC0415 - slow to import
+        from swarm.reports.flight_report import flight_report  # noqa: PLC0415 - slow to import
 
         page = flight_report(planned.plan, planned.assessment, outcome, result.trace, result.events)
         write_text(options["report"], page)

@@ -23,7 +23,7 @@ def end_with(
     as_json: bool,
 ) -> None:
     """Write the flight's page, tell what was flown, and end the command with its exit code."""
-    from swarm.reports.report import flight_report  # noqa: PLC0415 - slow to import
+    from swarm.reports.flight_report import flight_report  # noqa: PLC0415 - slow to import
 
     console = Console(quiet=as_json)
     flown = verify_trace(plan, result.trace)

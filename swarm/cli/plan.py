@@ -80,7 +80,7 @@ def plan(
 
         plot_plan(planned.plan, plot)
     if report:
-        from swarm.reports.report import plan_report  # noqa: PLC0415 - slow to import
+        from swarm.reports.plan_report import plan_report  # noqa: PLC0415 - slow to import
 
         write_text(report, plan_report(planned.plan, planned.assessment))
     if sheet:

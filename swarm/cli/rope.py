@@ -17,8 +17,8 @@ from swarm.flight.trace import Trace
 from swarm.mission import Mission
 from swarm.planning import Plan
 from swarm.reports.plots import save
-from swarm.reports.rehearsal_report import rope_report
 from swarm.reports.rope_plots import Moved, rope_figure
+from swarm.reports.rope_report import rope_report
 
 if TYPE_CHECKING:
     from swarm.analysis.rope import RopeRun

@@ -89,7 +89,7 @@ def run_trials(
         write_results(results, [(plan, flown) for plan, flown, _ in done], seed, spread)
     if plot or report:
         from swarm.reports.plots import save  # noqa: PLC0415 - slow to import
-        from swarm.reports.rehearsal_report import trials_report  # noqa: PLC0415 - slow to import
+        from swarm.reports.trials_report import trials_report  # noqa: PLC0415 - slow to import
 
         drawn = [distances_of(plan, flown, certified) for plan, flown, certified in done]
         required = {name: getattr(planned.plan.mission.clearance, name) for name in CLEARANCES}

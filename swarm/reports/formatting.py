@@ -88,3 +88,13 @@ def clip_rows(
     silent = np.where(link_age <= 1.0, 0.0, np.nan_to_num(link_age, nan=np.inf))
     order = np.lexsort((np.nan_to_num(errors, nan=np.inf), silent))[::-1]
     return sorted(int(i) for i in order[: most - 1])
+
+
+def number(value: float | None, unknown: str = "–") -> str:
+    """Return a number with two decimals; ``unknown`` where there is none."""
+    return unknown if value is None else f"{value:.2f}"
+
+
+def number_with_unit(value: float | None, unit: str) -> str:
+    """Return a number with two decimals and its unit; a dash where there is none."""
+    return "–" if value is None else f"{value:.2f} {unit}"

@@ -14,7 +14,7 @@ from swarm.certification.clearances import Moment
 from swarm.certification.findings import Finding
 from swarm.planning import Plan
 from swarm.reports.formatting import metres, seconds
-from swarm.reports.report_parts import CERTIFIED, certified_in_words
+from swarm.reports.wording import CERTIFIED, certified_in_words
 
 SEVERITY_STYLES: Final = {"error": "bold red", "warning": "yellow", "info": "dim"}
 _IN_TABLES: Final = frozenset({"tightest", "budget"})

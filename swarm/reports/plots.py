@@ -154,6 +154,15 @@ def save(figure: Figure, path: Path) -> None:
         raise InputError([Problem(str(path), reason(error))]) from None
 
 
+def new_axes(
+    size: tuple[float, float] = (4.6, 4.2), projection: str | None = None
+) -> tuple[Figure, Axes]:
+    """Return a figure of a size in inches with one pair of axes."""
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot(projection=projection)
+
+
 def along_colours(count: int) -> Floats:
     """Return colours (count, 3) that run along the cable."""
     share = np.linspace(0.0, 1.0, count)[:, None]

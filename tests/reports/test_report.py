@@ -10,15 +10,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from jinja2 import UndefinedError
 from matplotlib.figure import Figure
 
 from swarm.certification.findings import Finding
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.reports.failures_report import failures_report
-from swarm.reports.page import Html, page, table, tag
-from swarm.reports.rehearsal_report import rope_report, trials_report
-from swarm.reports.report import flight_report, plan_report
+from swarm.reports.flight_report import flight_report
+from swarm.reports.plan_report import plan_report
+from swarm.reports.rendering import render
+from swarm.reports.rope_report import rope_report
+from swarm.reports.trials_report import trials_report
 from swarm.simulation.fault_injection import SYSTEM_FAILURE_CASES
 from tests.reports.synthetic import events, trefoil_plan
 from tests.reports.test_terminal import assessment
@@ -233,10 +236,9 @@ def test_rope_report_is_not_green_where_it_shows_nothing() -> None:
     assert "This run shows nothing: a link was stretched by 43.5%, more than 1%." in void
 
 
-def test_pieces_of_html() -> None:
-    assert tag("p", "a < b", Html("<b>c</b>"), kind="dim") == '<p class="dim">a &lt; b<b>c</b></p>'
-    assert table(("a",), []) == ""
-    assert "<title>x &amp; y</title>" in page("x & y")
+def test_a_template_without_one_of_its_values_is_refused() -> None:
+    with pytest.raises(UndefinedError, match="'mission' is undefined"):
+        render("rope.html.j2")
 
 
 def made_failures_report() -> str:

@@ -1,0 +1,134 @@
+"""The page of a flight or of a dry run."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+
+from swarm.certification.assessment import Assessment
+from swarm.flight.snapshot import Event
+from swarm.flight.trace import Trace
+from swarm.planning import Plan
+from swarm.reports import plots
+from swarm.reports.formatting import ROUTINE, level, merged, metres, seconds, sentence
+from swarm.reports.rendering import Picture, picture, render
+from swarm.reports.strand_distances import CLEARANCE_STEP, distances_of_strands
+from swarm.reports.wording import (
+    CLEARANCES,
+    implied_in_words,
+    knot_in_words,
+    plan_figures,
+    sorted_findings,
+)
+
+
+def flight_report(
+    plan: Plan,
+    assessment: Assessment,
+    outcome: Mapping[str, Any],
+    trace: Trace,
+    events: Iterable[Event],
+) -> str:
+    """Return the page of a flight or of a dry run.
+
+    ``outcome`` is the JSON object that ``swarm fly --json`` prints: word, implied knot, clearances
+    flown and certified, tracking, timing.
+    """
+    completed = outcome["outcome"] == "done" and outcome["knot"]["as_planned"]
+    shown_events = merged(event for event in events if event.kind not in ROUTINE)
+    return render(
+        "flight.html.j2",
+        mission=plan.mission,
+        knot=knot_in_words(plan.knot.type, plan.knot.chirality),
+        outcome=outcome,
+        as_planned=completed and outcome["adherence"]["within"],
+        implied=implied_in_words(plan, outcome["knot"]),
+        figures=_figures(plan, outcome),
+        clearances=_clearances(outcome["clearance"]),
+        pictures=_pictures(plan, trace),
+        tracking_errors=[
+            error for error in outcome["tracking"] if error["vehicle"] == 0 and error["phase"]
+        ],
+        tracking_radius=plan.mission.vehicles.tracking,
+        events=[(one.time, level(one), sentence(one, others)) for one, others in shown_events],
+        plan_figures=plan_figures(plan, assessment),
+        findings=sorted_findings(assessment),
+    )
+
+
+def _figures(plan: Plan, outcome: Mapping[str, Any]) -> list[tuple[str, object]]:
+    in_fold = (error["max"] for error in outcome["tracking"] if error["phase"] == "fold")
+    chord = outcome["largest_chord"]
+    return [
+        ("vehicles", plan.vehicles),
+        ("of flight", seconds(outcome["duration"])),
+        ("largest tracking error in the fold", metres(max(in_fold, default=np.nan))),
+        ("chord of the tautest segment", "–" if chord is None else f"{chord:.1%}"),
+        ("setpoints sent", outcome["setpoints"]),
+        ("ms late (median, 99 %)", _lateness(outcome["lateness"])),
+        ("packets lost", sum(outcome["lost"].values())),
+    ]
+
+
+def _lateness(lateness: Sequence[float] | None) -> str:
+    return "–" if not lateness else f"{lateness[0] * 1e3:.1f}, {lateness[1] * 1e3:.1f}"
+
+
+def _clearances(clearance: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Return name, flown and certified distance of each clearance; none if none was flown.
+
+    A clearance of two things that the plan does not have has no certified distance.
+    """
+    if all(both["flown"] is None for both in clearance.values()):
+        return []
+    return [
+        (CLEARANCES[name], both["flown"], both["certified"])
+        for name, both in clearance.items()
+        if both["certified"]["distance"] is not None
+    ]
+
+
+@mpl.rc_context(plots.STYLE)
+def _pictures(plan: Plan, trace: Trace) -> list[Picture]:
+    pictures = []
+    figure, axes = plots.new_axes((8.0, 3.0))
+    plots.draw_errors(axes, trace, plan.mission.vehicles.tracking)
+    pictures.append(picture(figure, "Tracking error of every vehicle", wide=True))
+    figure, axes = plots.new_axes((8.0, 2.2))
+    plots.draw_clock(axes, trace)
+    pictures.append(picture(figure, "Mission clock over time", wide=True))
+    aloft = np.flatnonzero(_aloft(trace))
+    sampled = aloft[:: _sampling_step(trace)]
+    if plan.vehicles >= 4 and len(sampled):
+        figure, axes = plots.new_axes((8.0, 2.8))
+        distance = distances_of_strands(plan, trace.position[sampled])
+        required = plan.mission.clearance.cable
+        title = "Distance of strands that are not neighbours, as flown (sampled)"
+        plots.draw_over_time(axes, trace.mission_time[sampled], distance, required, title)
+        pictures.append(picture(figure, title, wide=True))
+    figure, axes = plots.new_axes()
+    plots.draw_flown_view(axes, plan, trace)
+    pictures.append(picture(figure, "The cable from above as planned, and where it was held"))
+    if len(aloft):
+        figure, axes = plots.new_axes(projection="3d")
+        plots.draw_fold(axes, replace(plan.layout, corners=trace.position[aloft[-1]]))
+        axes.set_title("As held at last, distances at crossings in m")
+        pictures.append(picture(figure, "The cable in space as it was held at last"))
+    return pictures
+
+
+def _aloft(trace: Trace) -> npt.NDArray[np.bool_]:
+    """Return at which instants (k,) of fold and hold every vehicle's position is reported."""
+    aloft = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
+    return aloft & np.isfinite(trace.position).all(axis=(1, 2))
+
+
+def _sampling_step(trace: Trace) -> int:
+    """Return the number of instants of the trace between two points of the sampled curves."""
+    if len(trace.time) < 2:
+        return 1
+    step = float(np.median(np.diff(trace.time)))
+    return max(1, round(CLEARANCE_STEP / step))

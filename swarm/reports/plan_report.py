@@ -1,0 +1,76 @@
+"""The page of a plan."""
+
+import matplotlib as mpl
+import numpy as np
+
+from swarm.certification.assessment import Assessment
+from swarm.planning import Plan
+from swarm.reports import plots, scene
+from swarm.reports.rendering import Picture, picture, render
+from swarm.reports.strand_distances import strand_distances
+from swarm.reports.wording import (
+    CLEARANCES,
+    certified_in_words,
+    knot_in_words,
+    plan_figures,
+    sorted_findings,
+)
+
+
+def plan_report(plan: Plan, assessment: Assessment) -> str:
+    """Return the page of a plan: verdict, findings, figures, pictures, tables."""
+    tightest = (assessment.cable, assessment.vehicle, assessment.vehicle_cable)
+    return render(
+        "plan.html.j2",
+        mission=plan.mission,
+        knot=knot_in_words(plan.knot.type, plan.knot.chirality),
+        gauss_code=plan.knot.gauss,
+        cleared=assessment.cleared,
+        certified=certified_in_words(plan),
+        errors=sum(finding.severity == "error" for finding in assessment.findings),
+        figures=plan_figures(plan, assessment),
+        findings=sorted_findings(assessment),
+        clearances=list(zip(CLEARANCES.values(), tightest, strict=True)),
+        pictures=_pictures(plan, assessment),
+        segments=_segments(plan),
+        crossings=scene.crossings(plan.layout),
+        phases=plan.phases,
+        gates=plan.gates,
+        notes=plan.notes,
+        mission_json=plan.mission.model_dump_json(by_alias=True, exclude_none=True, indent=1),
+    )
+
+
+def _segments(plan: Plan) -> list[tuple[object, ...]]:
+    """Return a row per segment: number, cable, chord, sag and lane, metres."""
+    layout = plan.layout
+    chords = np.linalg.norm(np.diff(layout.corners, axis=0), axis=1)
+    columns = zip(layout.lengths, chords, layout.sags, layout.lanes, strict=True)
+    return [
+        (number, *(f"{value:.2f}" for value in values)) for number, values in enumerate(columns, 1)
+    ]
+
+
+@mpl.rc_context(plots.STYLE)
+def _pictures(plan: Plan, assessment: Assessment) -> list[Picture]:
+    pictures = []
+    if plan.knot.grid_columns:
+        figure, axes = plots.new_axes()
+        plots.draw_grid(axes, plan.knot)
+        pictures.append(picture(figure, "Grid diagram of the knot"))
+    figure, axes = plots.new_axes()
+    plots.draw_plan_view(axes, plan.layout)
+    pictures.append(picture(figure, "The cable from above; under strands have gaps"))
+    figure, axes = plots.new_axes(projection="3d")
+    plots.draw_fold(axes, plan.layout)
+    pictures.append(picture(figure, "The folded cable in space"))
+    if plan.vehicles >= 4:
+        figure, axes = plots.new_axes((8.0, 2.8))
+        times, distance = strand_distances(plan)
+        required = plan.mission.clearance.cable
+        title = "Distance of strands that are not neighbours (sampled, without errors)"
+        plots.draw_over_time(axes, times, distance, required, title, assessment.cable)
+        pictures.append(picture(figure, title, wide=True))
+    schedule = plots.schedule_figure(plan)
+    pictures.append(picture(schedule, "Schedule and heights of the vehicles", wide=True))
+    return pictures

@@ -1,0 +1,65 @@
+"""Words and figures that pages, the terminal and plots share."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from swarm.certification.assessment import Assessment
+from swarm.certification.findings import Finding
+from swarm.planning import Plan
+from swarm.reports.formatting import metres, number_with_unit, seconds
+
+CERTIFIED: Final = "certified in the quasi-static cable model"
+CLEARANCES: Final = {
+    "cable": "cable to cable",
+    "vehicle": "vehicle to vehicle",
+    "vehicle_cable": "vehicle to cable",
+}
+SEVERITIES: Final = ("error", "warning", "info")
+"""Severities of findings, the worst first."""
+
+
+def knot_in_words(name: str, chirality: str) -> str:
+    """Return a knot's name with its chirality."""
+    if not name:
+        return "no knot"
+    return name if chirality == "none" else f"{name}, {chirality}-handed"
+
+
+def implied_in_words(plan: Plan, knot: Mapping[str, Any]) -> str:
+    """Return a sentence with the knot that the reported positions imply; "" without a cable.
+
+    ``knot`` is the outcome's: type, chirality, as_planned.
+    """
+    if not len(plan.layout.lengths):
+        return ""
+    if knot["type"] == "unknown":
+        return "Which knot the cable has is not known."
+    untied = knot["type"] == "0_1" and not plan.knot.type
+    implied = "no knot" if untied else knot_in_words(knot["type"], knot["chirality"])
+    unplanned = "" if knot["as_planned"] else ", which is not what was planned"
+    return f"The reported positions imply {implied} in the cable model{unplanned}."
+
+
+def certified_in_words(plan: Plan) -> str:
+    """Return what a cleared plan is certified for."""
+    return CERTIFIED if len(plan.layout.lengths) else "distances between vehicles are certified"
+
+
+def plan_figures(plan: Plan, assessment: Assessment) -> list[tuple[str, object]]:
+    """Return the key figures of a plan with their names."""
+    fold = plan.phase("fold")
+    robustness = assessment.robustness
+    return [
+        ("vehicles", plan.vehicles),
+        ("cable", metres(float(plan.layout.lengths.sum()))),
+        ("fold", seconds(fold.end - fold.start)),
+        ("from take-off to the ground", seconds(plan.duration)),
+        ("tracking error certified for", metres(plan.mission.vehicles.tracking)),
+        ("largest tracking error e*", number_with_unit(robustness.tracking, "m")),
+        ("largest steady wind w*", number_with_unit(robustness.wind, "m/s")),
+    ]
+
+
+def sorted_findings(assessment: Assessment) -> list[Finding]:
+    """Return the findings, errors before warnings before remarks."""
+    return sorted(assessment.findings, key=lambda found: SEVERITIES.index(found.severity))
