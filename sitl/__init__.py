@@ -7,8 +7,8 @@
         ...
 
 Written from the autopilots' documented and measured behaviour; it shares no protocol code with the
-ground station. `sitl.px4` and `sitl.ardupilot` are the two personalities, `sitl.dynamics` flies,
-`sitl.rope` hangs, `sitl.faults` breaks, `sitl.server` joins it to sockets.
+ground station. `sitl.autopilots` has PX4 and ArduPilot, `sitl.protocol` MAVLink, `sitl.physics` the
+motion of vehicles, `sitl.cable` the cable, `sitl.faults` faults, `sitl.server` the sockets.
 
 Conventions: the world is ENU metres about the world file's origin; a vehicle's centre stands
 ``grip_offset`` above its grip point, on legs of that length: on the ground the grip point touches
@@ -25,7 +25,7 @@ ATTITUDE, VFR_HUD and BATTERY_STATUS say. `tests/sitl/test_services.py` goes thr
 """
 
 from sitl.emulator import Emulator
-from sitl.faults import Fault, load_scenario, parse_scenario
+from sitl.faults.scenario import Fault, load_scenario, parse_scenario
 from sitl.truth import Truth
 from sitl.world import World, WorldError, default_world, load_world, parse_world
 

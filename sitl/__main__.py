@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sitl import server
 from sitl.emulator import Emulator
-from sitl.faults import load_scenario
+from sitl.faults.scenario import load_scenario
 from sitl.warm import warm_up
 from sitl.world import WorldError, default_world, load_key, load_world, schema
 

@@ -14,20 +14,22 @@ from typing import Any
 
 import numpy as np
 
-from sitl import air, landing, motion, wire
-from sitl.ardupilot import ArduPilot
-from sitl.contacts import Contacts
-from sitl.dynamics import STEP, Array, Bodies, Flags
-from sitl.faults import Fault
-from sitl.geodesy import GRAVITY, Geodesy
-from sitl.incoming import Heard, Incoming
-from sitl.injector import Injector
-from sitl.parameter_protocol import pump_parameters
-from sitl.px4 import Px4
-from sitl.rope import Rope
-from sitl.services import default_streams, emit_due, tell
+from sitl.autopilots import services, streams
+from sitl.autopilots.ardupilot.autopilot import ArduPilot
+from sitl.autopilots.px4.autopilot import Px4
+from sitl.cable.rope import Rope
+from sitl.faults.injector import Injector
+from sitl.faults.scenario import Fault
+from sitl.physics import landing, motion, wind
+from sitl.physics.contacts import Contacts
+from sitl.physics.dynamics import STEP, Array, Bodies, Flags
+from sitl.physics.geodesy import GRAVITY, Geodesy
+from sitl.protocol import wire
+from sitl.protocol.incoming import Incoming, Received
+from sitl.protocol.links import Link
+from sitl.protocol.parameter_protocol import pump_parameters
+from sitl.protocol.vehicle import Environment, Vehicle
 from sitl.truth import Truth
-from sitl.vehicle import Link, Surroundings, Vehicle
 from sitl.world import World
 
 _link_of = operator.itemgetter(0)
@@ -60,7 +62,7 @@ class Emulator:
         )
         self.contacts = Contacts(self.bodies)
         origin = world.origin
-        self.surroundings = Surroundings(
+        self.environment = Environment(
             bodies=self.bodies,
             geodesy=Geodesy.at(origin.latitude, origin.longitude, origin.altitude),
             grab=self._grab,
@@ -70,26 +72,25 @@ class Emulator:
             indoor=world.indoor,
         )
         self.vehicles = [
-            Vehicle(i, spec, world, self.surroundings, np.random.default_rng(seeds[i + 1]))
+            Vehicle(i, spec, world, self.environment, np.random.default_rng(seeds[i + 1]))
             for i, spec in enumerate(world.vehicles)
         ]
         self._ids = [vehicle.system for vehicle in self.vehicles]
-        self._incoming = Incoming(self.bodies, self._ids)
+        self._incoming = Incoming(self.bodies, self._ids, services.handle)
         self.by_id = {vehicle.system: vehicle for vehicle in self.vehicles}
         for vehicle in self.vehicles:
             make = Px4 if vehicle.spec.autopilot == "px4" else ArduPilot
-            vehicle.personality = make(vehicle)
+            vehicle.autopilot = make(vehicle)
             for kind in kinds:
                 self.open_link(vehicle, kind)
             if vehicle.global_valid:
-                vehicle.home_is_here()
+                vehicle.set_home_here()
         self._links = [(v, link) for v in self.vehicles for link in v.links]
         self._tie_attached()
         self.injector = Injector(
             self.vehicles, self.bodies, self.rope, faults, np.random.default_rng(seeds[-1])
         )
         for vehicle in self.vehicles:
-            vehicle.tell = functools.partial(tell, vehicle)
             vehicle.inject = functools.partial(self.injector.inject, vehicle)
             vehicle.simulation_changed = functools.partial(self.injector.simulate, vehicle)
 
@@ -100,7 +101,7 @@ class Emulator:
         """
         self._key = key
         for vehicle in self.vehicles:
-            vehicle.around.unix_time = unix_time
+            vehicle.environment.unix_time = unix_time
             for number, link in enumerate(vehicle.links):
                 self._keyed(link, number)
 
@@ -112,9 +113,9 @@ class Emulator:
     def open_link(self, vehicle: Vehicle, kind: str) -> Link:
         """Add a connection of a kind ("onboard" or "gcs") with the autopilot's default streams."""
         link = vehicle.add_link(kind)
-        vehicle.origin_told_at = vehicle.now
+        vehicle.origin_announced_at = vehicle.now
         self._keyed(link, len(vehicle.links) - 1)
-        rates = default_streams(vehicle, link)
+        rates = streams.default_streams(vehicle, link)
         spread = np.linspace(0.0, 1.0, len(rates) * 7)[1:]
         for k, (name, rate) in enumerate(rates.items()):
             phase = float(spread[(k * 3 + vehicle.index) % len(spread)]) / rate
@@ -136,7 +137,7 @@ class Emulator:
         tied = [v for v in self.vehicles if v.spec.gripper == "attached"]
         for vehicle, arc in zip(tied, self.world.cable.attached or (), strict=True):
             self.rope.tie(vehicle.index, min(arc, self.rope.length))
-            vehicle.gripped = True
+            vehicle.gripper.gripped = True
 
     # The three calls.
 
@@ -160,7 +161,7 @@ class Emulator:
         """As `receive`, on one of a vehicle's links."""
         self._deliver([(vehicle, link, data)], now)
 
-    def _deliver(self, sent: list[Heard], now: float) -> None:
+    def _deliver(self, sent: list[Received], now: float) -> None:
         """Give bytes to vehicles, those of troubled links to these."""
         if self.injector.troubled:
             at_once, up = [], self.injector.up
@@ -171,20 +172,20 @@ class Emulator:
                 else:
                     channel.push_all((one,), now)
             sent = at_once
-        self._incoming.hear(sent, now)
+        self._incoming.deliver(sent, now)
 
     def _arrive(self, now: float) -> None:
         """Hand over what comes late through troubled links."""
         if not self.injector.troubled:
             return
         limit = now + 1e-9
-        arrived: list[Heard] = []
+        arrived: list[Received] = []
         for channel in self.injector.up:
             queue = channel.queue
             if queue and queue[0][0] <= limit:
                 arrived += channel.pop(now)
         if arrived:
-            self._incoming.hear(arrived, now)
+            self._incoming.deliver(arrived, now)
 
     def advance(self, now: float) -> None:
         """Advance physics and autopilots to ``now`` seconds; what they say waits in the links."""
@@ -251,7 +252,7 @@ class Emulator:
             tilt=motion.tilts(b.now, b.tumbling, b.tumble),
             armed=b.armed.copy(),
             landed=b.landed.copy(),
-            gripped=np.array([v.gripped for v in self.vehicles]),
+            gripped=np.array([v.gripper.gripped for v in self.vehicles]),
             grip_arc=arcs,
             cable=cable,
             tension=spans.tension.copy() if spans else empty,
@@ -290,7 +291,7 @@ class Emulator:
             for vehicle in self.vehicles:
                 if vehicle.awake_at <= now:
                     self._tick(vehicle, now)
-        emit_due(self._links, now)
+        streams.send_due(self._links, now)
 
     def _crashed(self, hit: Flags) -> None:
         for i in np.nonzero(hit)[0]:
@@ -324,12 +325,12 @@ class Emulator:
                 action()
         if vehicle.frozen:
             return
-        if vehicle.pending:
+        if vehicle.gripper.pending:
             vehicle.finish_gripper()
         if vehicle.parameter_queue:
             pump_parameters(vehicle)
-        quiet = vehicle.personality.tick()
-        if not (vehicle.later or vehicle.pending or vehicle.parameter_queue):
+        quiet = vehicle.autopilot.update()
+        if not (vehicle.later or vehicle.gripper.pending or vehicle.parameter_queue):
             vehicle.awake_at = quiet
 
     def _slow(self, interval: float) -> None:
@@ -344,7 +345,10 @@ class Emulator:
             if washing or rope.within_reach(b.position, b.radius):
                 cable = rope.follow(self._held()[0], interval, solved=True)
                 if washing:
-                    rope.set_wash(air.wash_at(b, cable[::_WASH_STRIDE]), _WASH_STRIDE)
+                    washed = cable[::_WASH_STRIDE]
+                    rope.set_wash(
+                        wind.downwash_at(washed, b.position, b.lift(), b.radius), _WASH_STRIDE
+                    )
         self.contacts.look(self.time, self._ids, cable)
 
     def _drain(self, interval: float) -> None:

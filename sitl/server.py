@@ -18,10 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from sitl.dynamics import STEP
 from sitl.emulator import Emulator
+from sitl.physics.dynamics import STEP
+from sitl.protocol.links import Link
+from sitl.protocol.vehicle import Vehicle
 from sitl.truth import Truth
-from sitl.vehicle import Link, Vehicle
 
 HOST = "127.0.0.1"
 OFFBOARD, OFFBOARD_LOCAL, GROUND, GROUND_LOCAL, TCP = 14540, 14580, 14550, 18570, 5760

@@ -7,7 +7,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl.emulator import Emulator
-from sitl.vehicle import Vehicle
+from sitl.protocol.vehicle import Vehicle
 from sitl.world import parse_world
 
 _STEP = 0.05
@@ -30,8 +30,8 @@ _LAND = {"px4": 4 << 16 | 6 << 24, "ardupilot": 9}
 
 def _take_off(vehicle: Vehicle) -> None:
     """Have a vehicle armed and flying by setpoints, whatever it takes."""
-    vehicle.personality.set_mode(1, _FLY[vehicle.spec.autopilot])
-    vehicle.personality.arm(force=True)
+    vehicle.autopilot.set_mode(1, _FLY[vehicle.spec.autopilot])
+    vehicle.autopilot.arm(force=True)
     vehicle.bodies.may_lift[vehicle.index] = True
     vehicle.bodies.armed_for[vehicle.index] = _SPUN_UP
 
@@ -58,7 +58,7 @@ def warm_up() -> None:
             if tick == 20:
                 _take_off(vehicle)
             elif tick == 160:
-                vehicle.around.release(vehicle.index)
-                vehicle.personality.set_mode(1, _LAND[vehicle.spec.autopilot])
+                vehicle.environment.release(vehicle.index)
+                vehicle.autopilot.set_mode(1, _LAND[vehicle.spec.autopilot])
         emulator.step(now)
     emulator.truth()

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from sitl.__main__ import argument_parser
-from sitl.faults import KINDS
+from sitl.faults.scenario import KINDS
 from swarm.cli.main import COMMANDS, cli
 
 ROOT = Path(__file__).parents[1]

@@ -106,13 +106,15 @@ def test_words_are_plain(page):
     assert re.findall(rf"\b({NOT_PLAIN})\b", page.read_text(), re.I) == []
 
 
-def test_the_table_of_layers_is_the_import_contract():
+@pytest.mark.parametrize(("package", "place"), [("swarm", 0), ("sitl", 1)])
+def test_the_tables_of_layers_are_the_import_contracts(package, place):
     described = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    contract = described["tool"]["importlinter"]["contracts"][0]["layers"]
+    contract = described["tool"]["importlinter"]["contracts"][place]
     page = (ROOT / "docs" / "architecture.md").read_text()
-    rows = re.findall(r"^\| (`swarm\.[^|]*) \|", page, re.M)
-    assert [set(re.findall(r"`swarm\.(\w+)`", row)) for row in rows] == [
-        set(layer.split(" | ")) for layer in contract
+    rows = re.findall(rf"^\| (`{package}\.[^|]*) \|", page, re.M)
+    assert contract["containers"] == [package]
+    assert [set(re.findall(rf"`{package}\.(\w+)`", row)) for row in rows] == [
+        set(layer.split(" | ")) for layer in contract["layers"]
     ]
 
 

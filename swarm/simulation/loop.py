@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from sitl import Emulator
-from sitl.faults import Fault, Scenario, parse_scenario
+from sitl.faults.scenario import Fault, Scenario, parse_scenario
 from sitl.world import WorldError, parse_world
 from sitl.world import schema as world_schema
 from swarm.errors import InputError, Problem, Refused

@@ -18,10 +18,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from unittest import mock
 
-import sitl.parameter_protocol
+import sitl.protocol.parameter_protocol
 from sitl import server
-from sitl.dynamics import STEP
 from sitl.emulator import _TICK_EVERY, Emulator
+from sitl.physics.dynamics import STEP
 from sitl.warm import warm_up
 from sitl.world import default_world
 from tests.command import run
@@ -45,7 +45,7 @@ def carrying(kind: str, table: dict[str, float], vehicles: int) -> Emulator:
 def serve(kind: str, table: dict[str, float], vehicles: int, ready: object) -> None:
     """Run the emulator as a process."""
     sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
-    sitl.parameter_protocol._PARAMETERS_PER_TICK = round(PACE[kind] * _TICK_EVERY * STEP)
+    sitl.protocol.parameter_protocol._PARAMETERS_PER_TICK = round(PACE[kind] * _TICK_EVERY * STEP)
     emulator = carrying(kind, table, vehicles)
     warm_up()
     running = server.to_default_ports(emulator, "127.0.0.1", 1.0, None)

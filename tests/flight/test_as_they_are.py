@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
-import sitl.dynamics
+import sitl.physics.dynamics
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.conductor import Conductor
 from swarm.mavlink.packets import CURRENT_MODE, Decoder
@@ -57,7 +57,7 @@ def test_a_px4_that_leaves_offboard_is_noticed_between_its_heartbeats():
     flight.until_phase("fold", 2.0)
     victim, since = flight.emulator.vehicles[1], flight.now
     flight.until_time(0.1)
-    victim.personality.leave()
+    victim.autopilot.leave_offboard()
     flight.run(lambda: bool(flight.conductor.holds), most=1.0)
     assert flight.now - since < 0.5
     assert "left offboard" in "".join(flight.conductor.holds)
@@ -116,7 +116,7 @@ def test_vehicles_without_grippers_never_touch_the_ground_on_their_way():
 
 def test_a_team_that_wanders_as_simulated_ones_do_flies_to_the_end(monkeypatch):
     """PX4's own simulator hovers within 0.1 to 0.5 m, more than any cable would bear."""
-    monkeypatch.setattr(sitl.dynamics, "NOISE_SIGMA", np.full(3, 0.1))
+    monkeypatch.setattr(sitl.physics.dynamics, "NOISE_SIGMA", np.full(3, 0.1))
     flight = bare()
     for vehicle in flight.emulator.vehicles:
         vehicle.gps_noise = 0.5

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sitl.faults import Fault
+from sitl.faults.scenario import Fault
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.loop import simulate_flight
 from tests.network import Network, small_plan, uncleared

@@ -2,8 +2,8 @@
 
 import pytest
 
-from sitl.ardupilot_tables import PARAMETERS as ARDUPILOT_PARAMETERS
-from sitl.px4_tables import PARAMETERS as PX4_PARAMETERS
+from sitl.autopilots.ardupilot.tables import PARAMETERS as ARDUPILOT_PARAMETERS
+from sitl.autopilots.px4.tables import PARAMETERS as PX4_PARAMETERS
 from swarm.certification.stream_loss import StreamLossModel
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor

@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sitl import Emulator, landing
-from sitl.dynamics import STEP, Bodies
-from sitl.geodesy import GRAVITY
-from sitl.rope import Rope
+from sitl import Emulator
+from sitl.cable.rope import Rope
+from sitl.physics import landing
+from sitl.physics.dynamics import STEP, Bodies
+from sitl.physics.geodesy import GRAVITY
 from sitl.world import CableSpec
 from tests.sitl.client import Ground, world
 

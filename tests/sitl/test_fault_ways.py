@@ -8,8 +8,8 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator
-from sitl.fault_mapping import INJECTED, OF_ARDUPILOT, PARAMETERS
-from sitl.faults import KINDS, Fault, parse_scenario
+from sitl.faults.mapping import INJECTED, OF_ARDUPILOT, PARAMETERS
+from sitl.faults.scenario import KINDS, Fault, parse_scenario
 from tests.sitl.client import Ground, world
 
 INJECT, GRIP, ARM = 420, dialect.MAV_CMD_DO_GRIPPER, dialect.MAV_CMD_COMPONENT_ARM_DISARM
@@ -311,7 +311,7 @@ def test_a_snag_falls_with_a_cable_that_nobody_holds() -> None:
     assert height > 1.0
     for index in range(3):
         assert ground.emulator.injector.anchors
-        ground.emulator.vehicles[index].around.release(index)
+        ground.emulator.vehicles[index].environment.release(index)
     ground.run(3.0, ground.toward(PLACES))
     assert ground.emulator.injector.anchors == []
     assert ground.emulator.truth().cable[:, 2].max() < 0.1

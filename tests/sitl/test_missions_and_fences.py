@@ -7,9 +7,9 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator
-from sitl.faults import Fault
-from sitl.fences import Area, areas, breached
-from sitl.geodesy import Geodesy
+from sitl.faults.scenario import Fault
+from sitl.physics.geodesy import Geodesy
+from sitl.protocol.fences import Area, areas, breached
 from tests.sitl.client import Ground, world
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])

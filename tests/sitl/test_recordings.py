@@ -18,7 +18,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl import Emulator, ardupilot_tables, px4_tables
+from sitl import Emulator
+from sitl.autopilots.ardupilot import tables as ardupilot_tables
+from sitl.autopilots.px4 import tables as px4_tables
 from tests.recordings import ARDUCOPTER, PX4, recorded
 from tests.sitl.client import world
 from tests.sitl.conformance import (

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl.geodesy import GRAVITY
-from sitl.rope import Rope
+from sitl.cable.rope import Rope
+from sitl.physics.geodesy import GRAVITY
 from sitl.world import CableSpec
 from swarm.geometry import catenary
 

@@ -335,7 +335,7 @@ def test_qgroundcontrol_gets_through_its_first_questions(autopilot: str) -> None
 def test_setpoints_in_degrees_are_flown_to_the_same_place(frame: int) -> None:
     ground = Ground(Emulator(world(1)))
     emulator = ground.emulator
-    geodesy = emulator.surroundings.geodesy
+    geodesy = emulator.environment.geodesy
     latitude, longitude, _ = geodesy.degrees(3.0, 4.0, 0.0)
     altitude = 5.6 - 0.6 if frame == 6 else geodesy.altitude + 5.6
     ground.px4_offboard({1: (0.0, 0.0, 5.0)}, 6.0)

@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl import Emulator, telemetry, wire
+from sitl import Emulator
+from sitl.autopilots import telemetry
+from sitl.protocol import wire
 from tests.sitl.client import Ground, world
 
 numbers = st.floats(width=32, allow_nan=True, allow_infinity=True)
@@ -100,13 +102,13 @@ def test_all_that_vehicles_say_is_read_by_pymavlink_as_it_is_meant() -> None:
         assert body is not None
         (said[name],) = reader.parse_buffer(sender.frame(layout.number, body, layout.seed))
     beat, status = said["HEARTBEAT"], said["SYS_STATUS"]
-    autopilot = vehicle.personality
+    autopilot = vehicle.autopilot
     assert (beat.type, beat.autopilot, beat.system_status, beat.mavlink_version) == (2, 3, 3, 3)
     assert (beat.base_mode, beat.custom_mode) == (autopilot.base_mode(), autopilot.custom_mode())
     assert (status.voltage_battery, status.current_battery) == (15_400, 1_230)
     assert (status.battery_remaining, status.load) == (64, 350)
     ready = bool(status.onboard_control_sensors_health & dialect.MAV_SYS_STATUS_PREARM_CHECK)
-    assert ready == autopilot.ready()
+    assert ready == autopilot.ready_to_arm()
     assert said["EXTENDED_SYS_STATE"].landed_state == dialect.MAV_LANDED_STATE_ON_GROUND
     local = said["LOCAL_POSITION_NED"]
     meant = vehicle.to_local(vehicle.estimated())
@@ -151,14 +153,14 @@ def followers() -> Emulator:
         ground.command(i, 176, 1, 6, 0)
         ground.command(i, 400, 1)
     ground.run(8.0, stream)
-    assert all(vehicle.personality.follows for vehicle in ground.emulator.vehicles)
+    assert all(vehicle.autopilot.follows_setpoints for vehicle in ground.emulator.vehicles)
     return ground.emulator
 
 
 def what_was_taken(emulator: Emulator, pieces: list[bytes]) -> list[Any]:
     """What setpoints change for vehicle 1; then all is as before."""
     b = emulator.bodies
-    autopilot: Any = emulator.vehicles[0].personality
+    autopilot: Any = emulator.vehicles[0].autopilot
     before = b.now.copy(), b.goal_yaw.copy(), b.position_axes.copy(), b.velocity_axes.copy()
     axes = dict(b._axes)
     last, at = autopilot.offboard, autopilot.offboard_at

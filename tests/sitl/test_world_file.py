@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sitl import Emulator, WorldError, default_world, load_world, parse_world
-from sitl.telemetry import local_ned
+from sitl.autopilots.telemetry import local_ned
 from sitl.world import schema
 
 GOOD = """

@@ -49,7 +49,7 @@ def set_audited_parameters(emulator: Emulator, flight_plan: CertifiedPlan, fleet
                 wanted = rule.should
                 value = wanted(values[rule.name]) if callable(wanted) else wanted
                 values[rule.name] = type(values[rule.name])(value)
-                vehicle.personality.parameter_changed(rule.name)
+                vehicle.autopilot.parameter_changed(rule.name)
 
 
 @dataclass(eq=False)

@@ -1,0 +1,1 @@
+"""Behaviour of PX4 and ArduPilot: modes, commands, failsafes, telemetry."""

@@ -1,0 +1,1 @@
+"""ArduCopter 4.6: modes, commands, failsafes, setpoints."""

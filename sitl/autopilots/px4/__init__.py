@@ -1,0 +1,1 @@
+"""PX4 1.16: modes, commands, failsafes, setpoints, telemetry."""

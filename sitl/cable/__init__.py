@@ -1,0 +1,1 @@
+"""The cable: statics of its spans, falling and loose parts, distance to rotors."""

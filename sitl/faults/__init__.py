@@ -1,0 +1,1 @@
+"""Faults: the scenario file, their injection, their names over MAVLink, and link errors."""

@@ -1,0 +1,1 @@
+"""Motion of vehicles: dynamics and control, wind and downwash, landing, collisions, geodesy."""

@@ -1,0 +1,1 @@
+"""MAVLink of one vehicle: frames, links, parameters, missions, fences and its state."""

@@ -1,0 +1,74 @@
+"""Fences as ground stations upload them: inclusion and exclusion, polygons and circles.
+
+Items of the mission protocol's fence list (MAV_CMD_NAV_FENCE_*) become `Area`s in world ENU; what
+follows from a breach is the autopilot's business.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sitl.physics.geodesy import Geodesy
+
+_POLYGON_IN, _POLYGON_OUT, _CIRCLE_IN, _CIRCLE_OUT = 5001, 5002, 5003, 5004
+
+
+@dataclass(frozen=True)
+class Area:
+    """One fence: stay in it, or out of it; a polygon, or a circle about its only corner (m)."""
+
+    inside: bool
+    corners: tuple[tuple[float, float], ...]
+    radius: float = 0.0
+
+    def holds(self, x: float, y: float) -> bool:
+        """Whether a place (world ENU) is on the right side of this fence."""
+        if self.radius > 0:
+            within = math.hypot(x - self.corners[0][0], y - self.corners[0][1]) <= self.radius
+        else:
+            within = _in_polygon(self.corners, x, y)
+        return within == self.inside
+
+
+def _in_polygon(corners: Sequence[tuple[float, float]], x: float, y: float) -> bool:
+    """Even-odd rule: how often a ray to the east crosses the outline."""
+    within = False
+    for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        if (y1 > y) != (y2 > y) and x < x1 + (y - y1) / (y2 - y1) * (x2 - x1):
+            within = not within
+    return within
+
+
+def areas(items: Sequence[dict[str, Any]], geodesy: Geodesy) -> tuple[Area, ...] | None:
+    """Return the fences of an uploaded list, None if it does not make sense."""
+    found = []
+    rest = list(items)
+    while rest:
+        item = rest[0]
+        command, amount = item["command"], item["param1"]
+        if command in {_POLYGON_IN, _POLYGON_OUT}:
+            if not (math.isfinite(amount) and 3 <= amount <= len(rest)):
+                return None
+            own, rest = rest[: int(amount)], rest[int(amount) :]
+            if any((one["command"], one["param1"]) != (command, amount) for one in own):
+                return None
+            corners = tuple(_place(one, geodesy) for one in own)
+            found.append(Area(command == _POLYGON_IN, corners))
+        elif command in {_CIRCLE_IN, _CIRCLE_OUT}:
+            if not (math.isfinite(amount) and amount > 0):
+                return None
+            found.append(Area(command == _CIRCLE_IN, (_place(item, geodesy),), amount))
+            rest = rest[1:]
+        else:
+            rest = rest[1:]
+    return tuple(found)
+
+
+def _place(item: dict[str, Any], geodesy: Geodesy) -> tuple[float, float]:
+    return geodesy.metres(item["x"] * 1e-7, item["y"] * 1e-7)
+
+
+def breached(fences: Sequence[Area], x: float, y: float) -> bool:
+    """Whether a place is outside any inclusion, or inside any exclusion."""
+    return not all(area.holds(x, y) for area in fences)

@@ -1,0 +1,114 @@
+"""The parameter protocol: list, read, set; SIM_* ones break things (`sitl.faults.mapping`)."""
+
+import zlib
+from collections.abc import Callable
+from typing import Any
+
+from sitl.protocol import wire
+from sitl.protocol.links import Link
+from sitl.protocol.vehicle import Vehicle, addressed
+
+_PARAMETERS_PER_TICK = 20
+_INFO = 6
+_BANNER = ("ArduCopter V4.6.2 (1a132e4b)",)
+
+
+_HASH, _UINT32 = "_HASH_CHECK", 5
+_NO_PLACE = 65535
+
+
+def send_parameter(v: Vehicle, link: Link, name: str) -> None:
+    """Send one PARAM_VALUE of the list."""
+    p = v.parameters
+    _send(v, link, name, p.encode(name), p.kinds[name], p.places[name])
+
+
+def _send_changed(v: Vehicle, link: Link, name: str) -> None:
+    """Send one that was asked for by name, or set: ArduPilot does not say its place."""
+    p = v.parameters
+    place = p.places[name] if v.spec.autopilot == "px4" else _NO_PLACE
+    _send(v, link, name, p.encode(name), p.kinds[name], place)
+
+
+def _send_hash(v: Vehicle, link: Link) -> None:
+    """PX4's checksum of all parameters, by which clients tell whether they know them already."""
+    p = v.parameters
+    everything = b"".join(name.encode() + p.encode(name) for name in p.names)
+    value = zlib.crc32(everything).to_bytes(4, "little")
+    _send(v, link, _HASH, value, _UINT32, _NO_PLACE)
+
+
+def _send(v: Vehicle, link: Link, name: str, value: bytes, kind: int, place: int) -> None:
+    body = (
+        value
+        + len(v.parameters.names).to_bytes(2, "little")
+        + place.to_bytes(2, "little")
+        + name.encode().ljust(16, b"\0")
+        + bytes([kind])
+    )
+    layout = wire.LAYOUTS["PARAM_VALUE"]
+    ticks = v.signing_ticks()
+    link.outgoing.append(link.sender.frame(layout.number, body, layout.seed, ticks))
+
+
+def _param_list(v: Vehicle, message: Any, link: Link) -> None:
+    if addressed(v, message):
+        if v.spec.autopilot == "px4":
+            _send_hash(v, link)
+        else:
+            for text in (*_BANNER, f"emulated {v.system:03}", "Frame: QUAD/PLUS"):
+                v.text(_INFO, text)
+        v.parameter_queue = [entry for entry in v.parameter_queue if entry[0] is not link]
+        v.parameter_queue += [(link, k) for k in range(len(v.parameters.names))]
+
+
+def pump_parameters(v: Vehicle) -> None:
+    """Send the next few of a requested parameter list (400 a second)."""
+    for link, place in v.parameter_queue[:_PARAMETERS_PER_TICK]:
+        send_parameter(v, link, v.parameters.names[place])
+    del v.parameter_queue[:_PARAMETERS_PER_TICK]
+
+
+def _name(text: Any) -> str:
+    raw = text.encode("utf-8", "replace") if isinstance(text, str) else bytes(text)
+    return raw.split(b"\0")[0].decode("ascii", "replace")
+
+
+def _param_read(v: Vehicle, message: Any, link: Link) -> None:
+    if not addressed(v, message):
+        return
+    p = v.parameters
+    if message.param_index >= 0:
+        if message.param_index < len(p.names):
+            send_parameter(v, link, p.names[message.param_index])
+        return
+    name = _name(message.param_id)
+    if name in p.values:
+        _send_changed(v, link, name)
+    elif name == _HASH and v.spec.autopilot == "px4":
+        _send_hash(v, link)
+
+
+def _param_set(v: Vehicle, message: Any, _: Link) -> None:
+    if not addressed(v, message):
+        return
+    name = _name(message.param_id)
+    p = v.parameters
+    if name not in p.values:
+        return
+    body = bytes(message.get_msgbuf())[10:]
+    value = p.decode(name, body[:4].ljust(4, b"\0"), message.param_type)
+    if value is not None:
+        p.values[name] = value
+        v.autopilot.parameter_changed(name)
+        if name.startswith("SIM_") and v.simulation_changed is not None:
+            v.simulation_changed(name, p.values)
+    for target in v.links:
+        _send_changed(v, target, name)
+
+
+HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {
+    "PARAM_REQUEST_LIST": _param_list,
+    "PARAM_REQUEST_READ": _param_read,
+    "PARAM_SET": _param_set,
+}
