@@ -6,10 +6,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 KNOWN = {
-    "sitl.air", "sitl.dynamics",
-    "sitl.controller_goals", "sitl.route", "sitl.vehicle",
-    "sitl.px4", "sitl.px4_commands", "sitl.px4_failsafes", "sitl.px4_flight",
-    "sitl.ardupilot", "sitl.ardupilot_commands", "sitl.ardupilot_failsafes", "sitl.ardupilot_flight",
     "swarm.flight.conductor", "swarm.flight.contingency", "swarm.flight.failure_detection",
     "swarm.flight.failures", "swarm.flight.gates", "swarm.flight.grip_slip",
     "swarm.flight.measuring", "swarm.flight.operator", "swarm.flight.pace",
