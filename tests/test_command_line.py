@@ -43,7 +43,10 @@ def swarm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]
         (["fly", "3_1", "--fleet", "nosuch.yaml"], "nosuch.yaml: no such file or directory"),
         (["plan", "3_1", "--colour"], "--colour"),
         (["nonsense"], "No such command 'nonsense'."),
-        (["verify", "nosuch"], "nosuch: expected a flight's record"),
+        (
+            ["verify", "nosuch"],
+            "nosuch: expected a flight record with plan.json and motion.npz in it",
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value[:2]),
 )

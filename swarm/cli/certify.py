@@ -9,10 +9,12 @@ from rich.console import Console
 from swarm.certification.assess import assess
 from swarm.certification.assessment import Assessment
 from swarm.certification.motion_file import plan_of_motion, read_lengths, read_motion
-from swarm.cli.inputs import JSON, SET, print_json, progress_bar, read_text
-from swarm.errors import InputError, Problem, reason
+from swarm.cli.inputs import JSON, SET, print_json, progress_bar
+from swarm.errors import InputError, Problem
 from swarm.exports import finding_object, tightest_object
+from swarm.files import read_text
 from swarm.mission import Mission, mission_for_knot, parse_mission
+from swarm.mission.validation import LARGEST_FILE
 from swarm.reports.plan_summary import findings
 
 LARGEST_MOTION = 500_000_000
@@ -65,9 +67,9 @@ def certify(
     overrides = (*overrides, *(f"clearance.{clearance}" for clearance in clearances))
     try:
         path = motion
-        moved = read_motion(_read(motion), str(motion))
+        moved = read_motion(read_text(motion, LARGEST_MOTION), str(motion))
         path = cable
-        lengths = read_lengths(read_text(cable), str(cable))
+        lengths = read_lengths(read_text(cable, LARGEST_FILE), str(cable))
     except csv.Error as error:
         raise InputError([Problem(str(path), f"not valid CSV: {error}")]) from None
     plan = plan_of_motion(moved, lengths, _limits(mission, overrides))
@@ -83,20 +85,8 @@ def certify(
 def _limits(mission: Path | None, overrides: tuple[str, ...]) -> Mission:
     """Return the mission whose limits are meant; its knot says nothing about the motion."""
     if mission is not None:
-        return parse_mission(read_text(mission), str(mission), overrides)
+        return parse_mission(read_text(mission, LARGEST_FILE), str(mission), overrides)
     return mission_for_knot("overhand", overrides)
-
-
-def _read(path: Path) -> str:
-    try:
-        if path.stat().st_size > LARGEST_MOTION:
-            message = f"expected at most {LARGEST_MOTION:,} bytes"
-            raise InputError([Problem(str(path), message)])
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise InputError([Problem(str(path), "expected UTF-8 text")]) from None
-    except OSError as error:
-        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def _object(assessment: Assessment) -> dict[str, object]:

@@ -14,22 +14,15 @@ from rich.text import Text
 from swarm import planner
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
-from swarm.cli.fleets import load_fleet
 from swarm.cli.hop import Hopped, fly_hop
-from swarm.cli.inputs import (
-    JSON,
-    SET,
-    Shown,
-    load_mission,
-    print_json,
-    progress_bar,
-    write_text,
-)
+from swarm.cli.inputs import JSON, SET, Shown, print_json, progress_bar
 from swarm.cli.logs import fetch
 from swarm.errors import InputError, Problem
 from swarm.exports import finding_object
+from swarm.files import write_text
 from swarm.flight.parameters import Row
 from swarm.flight.words import in_common, numbers, of_systems
+from swarm.front.files import load_fleet, load_mission
 from swarm.ground.commissioning.check import CheckReport, Wanted
 from swarm.ground.commissioning.check import check as check_fleet
 from swarm.mission.fleet import Fleet, emulated_fleet

@@ -12,8 +12,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from swarm import planner
-from swarm.cli.inputs import print_json, write_text
+from swarm.cli.inputs import print_json
 from swarm.errors import InputError, Problem, Refused, reason
+from swarm.files import write_text
 from swarm.planning import Plan
 from swarm.reports.failures_report import failures_report
 from swarm.simulation.fault_injection import (

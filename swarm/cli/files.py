@@ -6,8 +6,9 @@ from typing import Any
 
 import click
 
-from swarm.cli.inputs import print_json, write_text
+from swarm.cli.inputs import print_json
 from swarm.errors import InputError, Problem, reason
+from swarm.files import write_text
 from swarm.knots.catalog import choose
 from swarm.mission import Mission, mission_for_knot, mission_schema
 from swarm.mission.fleet import fleet_schema

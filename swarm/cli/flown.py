@@ -6,8 +6,9 @@ import click
 from rich.console import Console
 
 from swarm.certification.assessment import Assessment
-from swarm.cli.inputs import print_json, write_text
+from swarm.cli.inputs import print_json
 from swarm.cli.outcome import outcome_object, print_outcome
+from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.planning import Plan
 from swarm.verification import verify_trace

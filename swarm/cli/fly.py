@@ -12,14 +12,8 @@ import click
 from rich.console import Console
 
 from swarm import planner
-from swarm.cli.fleets import load_fleet
 from swarm.cli.flown import end_with
-from swarm.cli.inputs import (
-    JSON,
-    SET,
-    load_mission,
-    progress_bar,
-)
+from swarm.cli.inputs import JSON, SET, progress_bar
 from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
 from swarm.flight.bench_flight import RAISED, raised
@@ -27,6 +21,7 @@ from swarm.flight.clearance import Audit
 from swarm.flight.conductor import LOOSE_BUDGET
 from swarm.flight.resuming import Then
 from swarm.flight.snapshot import Event, Snapshot
+from swarm.front.files import load_fleet, load_mission
 from swarm.ground.flight_process import Flight, fly_apart
 from swarm.mission.fleet import emulated_fleet
 from swarm.reports.plan_summary import findings_table, plan_summary

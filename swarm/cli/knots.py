@@ -13,15 +13,17 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from swarm.cli.inputs import JSON, SET, print_json, read_text
+from swarm.cli.inputs import JSON, SET, print_json
 from swarm.cli.knots_planned import Wanted, print_planned
 from swarm.errors import InputError, Problem
+from swarm.files import read_text
 from swarm.knots.catalog import KnotChoice, lookup, names
 from swarm.knots.flaws import flaw
 from swarm.knots.gauss import KnotError
 from swarm.knots.invariants import Identification, identify_curve
 from swarm.knots.names import COMMON
 from swarm.knots.survey import SurveyRow, survey
+from swarm.mission.validation import LARGEST_FILE
 from swarm.reports.grid_text import grid_text
 
 _SHOWN = 80
@@ -212,7 +214,7 @@ def identify(file: Path, closed: bool, as_json: bool) -> None:
 
     The ends of an open curve are taken straight up and joined above it.
     """
-    known, count = _identified(read_text(file), str(file), closed)
+    known, count = _identified(read_text(file, LARGEST_FILE), str(file), closed)
     if as_json:
         print_json(identification_object(known))
         return

@@ -18,8 +18,10 @@ from rich.progress import track
 from rich.table import Table
 
 from swarm import studies
-from swarm.cli.inputs import print_json, read_text
+from swarm.cli.inputs import print_json
 from swarm.errors import InputError, Problem
+from swarm.files import read_text
+from swarm.mission.validation import LARGEST_FILE
 
 _SHOWN = (
     ("knot", "", "knot"),
@@ -94,7 +96,7 @@ def _known(target: Path) -> dict[str, dict[str, Any]]:
     if not target.exists():
         return {}
     known: dict[str, dict[str, Any]] = {}
-    lines = read_text(target).splitlines()
+    lines = read_text(target, LARGEST_FILE).splitlines()
     for number, line in enumerate(lines, start=1):
         try:
             row = json.loads(line)

@@ -8,9 +8,9 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from swarm.cli.fleets import load_fleet
 from swarm.cli.inputs import print_json
 from swarm.errors import VehicleError
+from swarm.front.files import load_fleet
 from swarm.ground.commissioning.logs import FetchedLog, fetch_logs
 from swarm.mission.fleet import emulated_fleet
 

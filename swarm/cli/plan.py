@@ -9,8 +9,10 @@ from rich.console import Console
 from rich.table import Table
 
 from swarm import exports, planner, studies
-from swarm.cli.inputs import JSON, MISSION, SET, load_mission, print_json, progress_bar, write_text
+from swarm.cli.inputs import JSON, MISSION, SET, print_json, progress_bar
 from swarm.errors import Refused
+from swarm.files import write_text
+from swarm.front.files import load_mission
 from swarm.mission import Mission
 from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.plan_summary import plan_summary

@@ -5,18 +5,21 @@ from pathlib import Path
 from typing import Literal
 
 import click
-from pydantic import ValidationError
 from rich.console import Console
 
 from swarm.cli.flown import end_with
-from swarm.cli.inputs import read_text
-from swarm.cli.records import recorded_certificate, recorded_frames, recorded_plan
-from swarm.errors import InputError, Problem, Refused
+from swarm.errors import Refused
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import Then, left_off
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.flight_process import Flight, fly_apart
-from swarm.mission.fleet import Fleet
+from swarm.ground.record_reader import (
+    recorded_certificate,
+    recorded_fleet,
+    recorded_frames,
+    recorded_log,
+    recorded_plan,
+)
 from swarm.reports.terminal import FlightScreen
 from swarm.view import rerun_log
 
@@ -35,12 +38,12 @@ def resume_flight(
 ) -> None:
     """Take up the flight of a record, and end the command with its exit code."""
     console = Console(quiet=as_json)
-    plan, (fleet, tlog) = recorded_plan(record), _recorded(record)
+    plan, fleet = recorded_plan(record), recorded_fleet(record)
     basis, assessment = recorded_certificate(record)
     flight_plan = ResumedFlight(plan, basis, assessment)
     if fleet.emulated is not None:
         raise Refused("the built-in emulator ended with its ground station: nobody flies any more")
-    left = left_off(tlog, plan, fleet, recorded_frames(record, plan))
+    left = left_off(recorded_log(record, LARGEST_LOG), plan, fleet, recorded_frames(record, plan))
     attached = "carrying cable" if basis.cable else "without cable"
     console.print(
         f"Broke off at {left.mission_time:.1f} s of the plan, {attached}; looking for "
@@ -79,17 +82,3 @@ def resume_flight(
     finally:
         viewer.close()
     end_with(context, plan, assessment, result, folder, as_json=as_json)
-
-
-def _recorded(record: Path) -> tuple[Fleet, bytes]:
-    """Return the fleet and the .tlog of a record, both of bounded size."""
-    listed, log = record / "fleet.json", record / "flight.tlog"
-    try:
-        if log.stat().st_size > LARGEST_LOG:
-            raise InputError([Problem(str(log), "too large for a flight")])
-        return Fleet.model_validate_json(read_text(listed)), log.read_bytes()
-    except OSError as error:
-        reason = (error.strerror or "cannot be read").lower()
-        raise InputError([Problem(str(log), reason)]) from None
-    except ValidationError:
-        raise InputError([Problem(str(listed), "expected the fleet of a flight")]) from None

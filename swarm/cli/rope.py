@@ -9,11 +9,12 @@ import numpy as np
 from rich.console import Console
 
 from swarm import planner
-from swarm.cli.inputs import print_json, progress_bar, write_text
-from swarm.cli.records import recorded_flight, recorded_plan
+from swarm.cli.inputs import print_json, progress_bar
 from swarm.cli.trials import paper_mission
 from swarm.errors import InputError, Problem, SwarmError
+from swarm.files import write_text
 from swarm.flight.trace import Trace
+from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.mission import Mission
 from swarm.planning import Plan
 from swarm.reports.plots import save

@@ -10,10 +10,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from swarm import planner
-from swarm.cli.inputs import print_json, progress_bar, read_text, write_text
+from swarm.cli.inputs import print_json, progress_bar
 from swarm.errors import Interrupted
+from swarm.files import read_text, write_text
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.mission import Mission
+from swarm.mission.validation import LARGEST_FILE
 from swarm.planning import Plan
 from swarm.reports.trial_plots import KINDS, NAMES, distances_of, trials_figure
 from swarm.simulation.loop import Fault
@@ -33,7 +35,7 @@ from swarm.simulation.monte_carlo.results import write_results
 
 def load_scenario(path: Path | None) -> tuple[Spread, tuple[Fault, ...]]:
     """Return what is drawn, and the faults of every trial; the usual ones without a file."""
-    return read_scenario(read_text(path), str(path)) if path else (Spread(), ())
+    return read_scenario(read_text(path, LARGEST_FILE), str(path)) if path else (Spread(), ())
 
 
 def paper_mission(mission: Mission) -> Mission:

@@ -12,12 +12,17 @@ from rich.table import Table
 
 from swarm.certification.assess import assess
 from swarm.cli.inputs import JSON, print_json
-from swarm.cli.observations import Observation, enter, observation, observations
 from swarm.cli.outcome import flown_object, print_adherence, print_flown
-from swarm.cli.records import recorded_basis, recorded_flight, recorded_plan
 from swarm.flight.adherence import Adherence, adherence, adherence_object
 from swarm.flight.flight_plan import Basis
 from swarm.flight.tlog import Replayed
+from swarm.ground.observations import (
+    Observation,
+    append_observation,
+    parse_observation,
+    recorded_observations,
+)
+from swarm.ground.record_reader import recorded_basis, recorded_flight, recorded_plan
 from swarm.planning import Plan
 from swarm.verification import TrackingStatistics, verify_trace
 
@@ -48,14 +53,14 @@ def verify(
     """
     plan = recorded_plan(record)
     basis = recorded_basis(record, plan)
-    seen = observations(record)
+    seen = recorded_observations(record)
     if observed is not None:
-        seen.append(observation(observed, datetime.now(UTC)))
+        seen.append(parse_observation(observed, datetime.now(UTC)))
     replayed = recorded_flight(record, plan)
     assessment, flown = assess(plan), verify_trace(plan, replayed.trace)
     kept = adherence(plan, replayed.trace, basis) if basis else None
     if observed is not None:
-        enter(record, seen[-1])
+        append_observation(record, seen[-1])
     if plot:
         from swarm.reports.plots import plot_flight  # noqa: PLC0415 - slow to import
 
@@ -170,7 +175,7 @@ def _print_observations(plan: Plan, seen: list[Observation], console: Console) -
         style = "green" if one.agrees(plan.knot) else "bold red"
         hand = f" {one.chirality}-handed" if one.chirality else ""
         console.print(
-            f"Observed: [{style}]{one.knot}{hand}[/] by {one.by} ({one.at})",
+            f"Observed: [{style}]{one.knot}{hand}[/] by {one.observer} ({one.time})",
             highlight=False,
             soft_wrap=True,
         )

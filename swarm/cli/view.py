@@ -8,9 +8,10 @@ import click
 from rich.console import Console
 
 from swarm import planner
-from swarm.cli.inputs import SET, load_mission, progress_bar
-from swarm.cli.records import recorded_flight, recorded_plan
+from swarm.cli.inputs import SET, progress_bar
 from swarm.errors import InputError, Interrupted, Problem, reason
+from swarm.front.files import load_mission
+from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.view.replay import write_flight, write_plan
 from swarm.view.screenshot import screenshot
 from swarm.view.viewers import (

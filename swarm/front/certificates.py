@@ -12,7 +12,7 @@ from swarm.certification.certificate import Certificate
 from swarm.certification.certificate import certify as certified
 from swarm.certification.motion_file import MotionFile, plan_of_motion, read_motion
 from swarm.errors import InputError, Problem
-from swarm.front.files import read_text
+from swarm.files import read_text
 from swarm.front.plans import Plan
 from swarm.geometry.motion import Motion as Quintics
 from swarm.geometry.motion import through_states

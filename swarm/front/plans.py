@@ -12,7 +12,7 @@ from swarm import planner, planning
 from swarm.certification.certificate import Certificate, require_no_errors
 from swarm.errors import Refused
 from swarm.exports import MOTION_STEP, motion_rows
-from swarm.front.files import read_bytes, write_bytes
+from swarm.files import read_bytes, write_bytes
 from swarm.front.recordings import Recording
 from swarm.mission import Mission
 from swarm.notebook import table

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common
 
-from swarm.cli.records import recorded_certificate, recorded_plan
 from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
@@ -18,6 +17,7 @@ from swarm.flight.router import Outgoing
 from swarm.flight.tlog import ClockTeller
 from swarm.ground.loop import Loop
 from swarm.ground.record import Record
+from swarm.ground.record_reader import recorded_certificate, recorded_plan
 from swarm.ground.sockets import open_links
 from swarm.mission.fleet import Fleet, emulated_fleet
 from tests.network import small_plan

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
-from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.errors import VehicleError
 from swarm.flight.world import emulated_world
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.fly import fly
+from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.ground.sockets import open_links
 from swarm.mission.fleet import emulated_fleet
 from swarm.verification import verify_trace

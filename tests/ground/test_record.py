@@ -9,12 +9,12 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common
 
-from swarm.cli.records import recorded_basis, recorded_certificate
 from swarm.errors import InputError
 from swarm.flight.archive import certificate_document, read_certificate
 from swarm.flight.flight_plan import basis_of
 from swarm.flight.snapshot import Event
 from swarm.ground.record import Record
+from swarm.ground.record_reader import recorded_basis, recorded_certificate
 from swarm.mavlink.packets import Encoder
 from swarm.mission import parse_mission
 from swarm.mission.fleet import emulated_fleet

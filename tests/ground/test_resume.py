@@ -9,8 +9,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from swarm.cli.records import recorded_flight, recorded_plan
 from swarm.flight.world import emulated_world
+from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.mission.fleet import emulated_fleet
 from swarm.verification import verify_trace
 from tests.command import run

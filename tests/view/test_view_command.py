@@ -15,9 +15,9 @@ import rerun.blueprint as rrb
 from click.testing import CliRunner
 from PIL import Image
 
-from swarm.cli.records import recorded_plan
 from swarm.cli.view import find_recording, view
 from swarm.errors import InputError, SwarmError
+from swarm.ground.record_reader import recorded_plan
 from swarm.planning import Plan
 from swarm.planning.archive import plan_document, plan_motion
 from swarm.view import viewers
