@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 from swarm.flight.clone import branch
 from swarm.mavlink.autopilots import PX4
 from swarm.mavlink.frames import shared_frames
-from swarm.mavlink.packets import EXTRAS, Decoder, Encoder
+from swarm.mavlink.packets import CRC_EXTRAS, Decoder, Encoder
 from swarm.mavlink.telemetry_table import packet_rows, read_datagrams
 from swarm.mavlink.vehicle import Vehicle
 from swarm.planning import Phase
@@ -63,7 +63,9 @@ def _hear() -> None:
         vehicle.receive(packet, 0.0)
     origins = np.array([(len(data), vehicle.row, vehicle.system)])
     rows = packet_rows(data)
-    read_datagrams(data, origins, EXTRAS, 0.0, known.values, known.sequences, known.missing, rows)
+    read_datagrams(
+        data, origins, CRC_EXTRAS, 0.0, known.values, known.sequences, known.missing, rows
+    )
 
 
 def _fly(spare: "Conductor", phase: Phase, way: "Kind | None" = None) -> None:

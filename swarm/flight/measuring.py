@@ -31,8 +31,9 @@ def measure(flight: "Conductor") -> None:
     found = flight.measured = estimation.Measured(np.empty((3, n, 3)), np.empty((2, n)))
     times = flight.now, FRESHEST, flight.fleet.limits.silence, flight.now - flight.last
     estimation.measure(
-        flight.team.telemetry.values, flight.rows, flight.frames.back, flight.lift, flight.setpoint,
-        flight.setpoint_velocity, flight.streaming, times, found.places, found.numbers,
+        flight.team.telemetry.values, flight.rows, flight.frames.inverse, flight.lift,
+        flight.setpoint, flight.setpoint_velocity, flight.streaming, times,
+        found.places, found.numbers,
     )  # fmt: skip
     flight.position, flight.velocity, flight.error = found.position, found.velocity, found.error
 

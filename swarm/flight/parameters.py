@@ -16,7 +16,7 @@ from swarm.certification.stream_loss import (
     StreamLossModel,
     certify_stream_loss,
 )
-from swarm.mavlink.frames import Projection
+from swarm.mavlink.frames import AutopilotName
 from swarm.mission import Vehicles
 from swarm.mission.fleet import Fleet, Limits
 from swarm.planning import Plan
@@ -151,7 +151,7 @@ _HIGH = "above this they come down faster, and those below do not: levels would 
 _GRIP = "one vehicle must not drop the cable on its own"
 
 
-def rules(autopilot: Projection, demands: Demands) -> tuple[Rule, ...]:
+def rules(autopilot: AutopilotName, demands: Demands) -> tuple[Rule, ...]:
     """Return the rules for an autopilot that a flight makes such demands on."""
     return _px4(demands) if autopilot == "px4" else _ardupilot(demands)
 
@@ -274,7 +274,7 @@ def judge(
 
 
 def stream_loss_model(
-    vehicles: Sequence[tuple[Projection, Mapping[str, Value]]], limits: Limits
+    vehicles: Sequence[tuple[AutopilotName, Mapping[str, Value]]], limits: Limits
 ) -> StreamLossModel:
     """Return how vehicles coast by what their parameters are, in order along the cable.
 

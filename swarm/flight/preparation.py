@@ -165,7 +165,7 @@ def prepared_team(
     else:
         order = assigned(frames.points_to_mission(measured), standing, given)
     flyers = [heard[k] for k in order]
-    frames = levelled(frames.of(order), fleet, standing, measured[order])
+    frames = levelled(frames.select(order), fleet, standing, measured[order])
     findings = placement(flyers, fleet, frames, standing, measured[order])
     findings.extend(
         Finding("info", "spare", f"system {vehicle.system} stays on the ground")

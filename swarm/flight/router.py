@@ -19,7 +19,7 @@ from swarm.flight.identities import Identities
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.message_handlers import HANDLED_MESSAGES
 from swarm.mavlink.packets import (
-    EXTRAS,
+    CRC_EXTRAS,
     GROUND_COMPONENT,
     GROUND_SYSTEM,
     Decoder,
@@ -178,8 +178,8 @@ class Team:
         together = b"".join([data for _, data in arrived])
         rows = packet_rows(together)
         left = read_datagrams(
-            together, np.array(origins).reshape(-1, 3), EXTRAS, now, known.values, known.sequences,
-            known.missing, rows,
+            together, np.array(origins).reshape(-1, 3), CRC_EXTRAS, now, known.values,
+            known.sequences, known.missing, rows,
         )  # fmt: skip
         for which, number, component, start, end in rows[: max(left, 0)].tolist():
             message = unpack(number, together[start:end]) if number in HANDLED_MESSAGES else None
@@ -194,13 +194,13 @@ class Team:
         system = packet[5] if packet[0] == 0xFD else packet[3]
         way = self._ways.get(system, {}).get(link)
         at_home = way is not None and way.address == address
-        return at_home and (self.signing is None or self.signing.genuine(packet))
+        return at_home and (self.signing is None or self.signing.is_genuine(packet))
 
     def sealed(self, link: str, packet: bytes) -> bytes:
         """Return a packet as it goes out on a link: signed where there is a key."""
         if self.signing is None:
             return packet
-        return self.signing.seal(packet, self._link_number[link])
+        return self.signing.append_signature(packet, self._link_number[link])
 
     def _route(self, link: str, address: Address | None) -> Route | None:
         key = (link, address)
@@ -209,7 +209,7 @@ class Team:
             route = Route(
                 link,
                 address,
-                decoder=Decoder(link in self._streams, HANDLED_MESSAGES, unknown_too=True),
+                decoder=Decoder(link in self._streams, HANDLED_MESSAGES, include_unknown=True),
             )
             self._routes[key] = route
         return route
@@ -308,7 +308,7 @@ class Team:
         outgoing: list[Outgoing] = []
         passed, self._ticked = now - self._ticked, now
         if self.signing is not None:
-            self.signing.follow(now)
+            self.signing.advance(now)
         if now >= self._next_heartbeat:
             self._next_heartbeat = now + HEARTBEAT_INTERVAL
             for route in self._routes.values():
@@ -375,7 +375,7 @@ class Team:
             signed = self.signing is not None
             self._packer = SetpointPacker(systems, components, source, signed=signed)
             self._packed = systems
-        sequences = [route.encoder.take_sequence() if route else 0 for route in routes]
+        sequences = [route.encoder.next_sequence() if route else 0 for route in routes]
         packets = self._packer.pack(sequences, int(now * 1000), states, yaw)
         raw, length = packets.tobytes(), packets.shape[1]
         outgoing = [
@@ -387,6 +387,6 @@ class Team:
         if signing is None:
             return outgoing
         return [
-            Outgoing(one.link, one.address, signing.sign(one.data, numbers[one.link]))
+            Outgoing(one.link, one.address, signing.append_signature(one.data, numbers[one.link]))
             for one in outgoing
         ]

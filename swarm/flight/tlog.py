@@ -202,7 +202,7 @@ def replay(data: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = No
     they must be ``known``. Raises :class:`InputError` where the log does not tell them.
     """
     heard = _Heard(fleet, _vehicles(fleet))
-    decoder = Decoder(wanted=_WANTED, unknown_too=True)
+    decoder = Decoder(unpacked=_WANTED, include_unknown=True)
     first = last = math.nan
     holes = 0
     for now, packet in packets(data):

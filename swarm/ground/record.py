@@ -27,7 +27,7 @@ from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event
 from swarm.flight.tlog import KnownFrames
 from swarm.ground.priority import follow
-from swarm.mavlink.packets import split
+from swarm.mavlink.packets import split_packets
 from swarm.mission.fleet import Fleet
 from swarm.planning.archive import plan_document, plan_motion
 from swarm.version import __version__
@@ -104,7 +104,7 @@ class Record:
     def _stamped(self, stream: str, now: float, data: bytes) -> Iterator[bytes]:
         """Yield the packets with their times: eight bytes, microseconds since 1970, big-endian."""
         stamp = _STAMP.pack(int((self.began + now) * 1e6))
-        whole, cut = split(self._cut.get(stream, b"") + data)
+        whole, cut = split_packets(self._cut.get(stream, b"") + data)
         if stream:
             self._cut[stream] = cut
         for packet in whole:

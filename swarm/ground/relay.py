@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from swarm.flight.router import Address, Outgoing, Team
-from swarm.mavlink.packets import Decoder, split
+from swarm.mavlink.packets import Decoder, split_packets
 
 _HEARTBEAT = 0
 _LARGEST_DATAGRAM = 65_536
@@ -28,7 +28,7 @@ class Relay:
     team: Team
     closed: bool = False
     _endpoints: dict[int, _Endpoint] = field(default_factory=dict)
-    _decoder: Decoder = field(default_factory=lambda: Decoder(wanted=()))
+    _decoder: Decoder = field(default_factory=lambda: Decoder(unpacked=()))
 
     def __post_init__(self) -> None:
         for system in self.team.vehicles:
@@ -49,7 +49,7 @@ class Relay:
         """Pass on what arrived, each packet that can be trusted to its vehicle's endpoint."""
         if self.closed:
             return
-        for packet in split(data)[0]:
+        for packet in split_packets(data)[0]:
             system = packet[5] if packet[0] == 0xFD else packet[3]
             endpoint = self._endpoints.get(system)
             if endpoint is not None and self.team.trusts(link, address, packet):
@@ -65,7 +65,7 @@ class Relay:
                 route = self.team.way_to(system)
                 if self.closed or route is None:
                     continue
-                for packet in split(arrived)[0]:
+                for packet in split_packets(arrived)[0]:
                     (known,) = self._decoder.feed(packet) or (None,)
                     if known is not None and packet[0] == 0xFD and known.number != _HEARTBEAT:
                         data = self.team.sealed(route.link, packet)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from swarm.errors import InputError, Problem, reason
 from swarm.ground.priority import follow
-from swarm.mavlink.signing import KEY_LENGTH, TICKS_PER_SECOND, Signing, ticks_at
+from swarm.mavlink.signing import KEY_LENGTH, TICKS_PER_SECOND, Signing, timestamp_at
 
 KEEP_INTERVAL = 1.0
 _CRASH_MARGIN = 10 * TICKS_PER_SECOND
@@ -58,7 +58,7 @@ def signing_with(file: str | None) -> Iterator[Signing | None]:
     path = Path(file)
     key = read_key(path)
     beside = path.with_name(path.name + ".timestamp")
-    signing = Signing(key, max(ticks_at(time.time()), _kept(beside) + _CRASH_MARGIN))
+    signing = Signing(key, max(timestamp_at(time.time()), _kept(beside) + _CRASH_MARGIN))
     try:
         _keep(beside, signing.timestamp)
     except OSError as error:

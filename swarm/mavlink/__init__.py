@@ -1,1 +1,1 @@
-"""Bytes and one vehicle: the ground station's side of MAVLink, sans-IO."""
+"""The ground station's side of MAVLink, sans-IO: packets, and the state of one vehicle."""

@@ -12,7 +12,7 @@ from typing import Literal
 
 from pymavlink.dialects.v20 import common
 
-from swarm.mavlink.frames import Projection
+from swarm.mavlink.frames import AutopilotName
 from swarm.mavlink.packets import CURRENT_MODE
 
 Mode = Literal["offboard", "hold", "land"]
@@ -54,7 +54,7 @@ class Autopilot:
       (MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE).
     """
 
-    name: Projection
+    name: AutopilotName
     identifier: int
     modes: Mapping[Mode, tuple[int, int]]
     needs_takeoff_command: bool

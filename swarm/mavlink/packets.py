@@ -1,7 +1,7 @@
-"""Bytes and messages: decoding what vehicles send, encoding what we send.
+"""Decoding of received bytes to messages, and encoding of messages to bytes.
 
-Layouts and checksums are pymavlink's. :mod:`swarm.mavlink.telemetry_table` reads what is said most
-often for the whole team at once, :mod:`swarm.mavlink.setpoints` packs setpoints.
+Layouts and checksums are pymavlink's. :mod:`swarm.mavlink.telemetry_table` reads the frequent
+messages for the whole team at once, :mod:`swarm.mavlink.setpoints` packs setpoints.
 """
 
 from collections import namedtuple
@@ -20,20 +20,20 @@ from swarm.mavlink.signing import SIGNATURE_LENGTH, Signing
 Floats = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
 Message = Any
-"""A pymavlink message; the library has no types of its own worth naming."""
+"""A pymavlink message; the library is not typed."""
 
 GROUND_SYSTEM = 255
 GROUND_COMPONENT = int(common.MAV_COMP_ID_MISSIONPLANNER)
 
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _SIGNED = 0x01
-_SHORTEST = 12
-_HEAD = Struct("<BBBxBBBHB").unpack_from
-"""Magic byte, length, flags, sequence, system, component, and the number in two parts."""
+_MIN_PACKET = 12
+_HEADER = Struct("<BBBxBBBHB").unpack_from
+"""Magic byte, length, flags, sequence, system, component, and the message number in two parts."""
 
 
 class Encoder:
-    """Turns messages into packets of one route, which has its own sequence numbers."""
+    """Encodes the messages of one route, which has its own sequence numbers."""
 
     def __init__(self, system: int = GROUND_SYSTEM, component: int = GROUND_COMPONENT) -> None:
         self._mav = common.MAVLink(None, srcSystem=system, srcComponent=component)
@@ -47,9 +47,9 @@ class Encoder:
 
     def encode(self, message: Message) -> bytes:
         """Return the message as a packet, byte for byte pymavlink's."""
-        sequence = self.take_sequence()
+        sequence = self.next_sequence()
         layout = _LAYOUTS.get(message.get_msgId())
-        if layout is None or not layout.numbers:
+        if layout is None or not layout.numeric:
             self._mav.seq = sequence
             return bytes(message.pack(self._mav))
         body = layout.pack(message).rstrip(b"\0") or b"\0"
@@ -57,17 +57,17 @@ class Encoder:
         inner = bytes((len(body), 0, 0, sequence, *self._source)) + number + body
         return b"\xfd" + inner + _checksum(inner + layout.extra).to_bytes(2, "little")
 
-    def take_sequence(self) -> int:
-        """Return the next sequence number for a packet that is made elsewhere."""
-        taken = self._sequence
-        self._sequence = (taken + 1) & 0xFF
-        return taken
+    def next_sequence(self) -> int:
+        """Return the next sequence number, for a packet that is encoded elsewhere, and advance."""
+        number = self._sequence
+        self._sequence = (number + 1) & 0xFF
+        return number
 
 
 class Packet(NamedTuple):
-    """A packet that arrived: message number, where it is from, sequence number, content.
+    """A received packet: message number, sender, sequence number, content.
 
-    ``message`` has pymavlink's field names; it is None where nobody wants to read it.
+    ``message`` has pymavlink's field names; it is None if the decoder does not unpack it.
     """
 
     number: int
@@ -79,33 +79,33 @@ class Packet(NamedTuple):
 
 @dataclass
 class Decoder:
-    """Turns the bytes of one route into packets.
+    """Decodes the bytes of one route to packets.
 
-    Datagrams hold whole packets: what is left at the end of one is dropped and counted. On a
+    Datagrams hold whole packets: an incomplete packet at the end is dropped and counted. On a
     ``stream`` (serial, TCP) it is kept for the next call. Packets with a wrong checksum or an
     unknown message are counted, and never end the flight. Only messages whose number is in
-    ``wanted`` are unpacked; None unpacks all. With ``unknown_too``, packets of unknown messages are
-    returned without content where they came in whole datagrams: their checksums cannot be checked.
+    ``unpacked`` are unpacked; None unpacks all. With ``include_unknown``, packets of unknown
+    messages in datagrams are returned without content: their checksums cannot be verified.
     """
 
     stream: bool = False
-    wanted: Container[int] | None = None
-    unknown_too: bool = False
+    unpacked: Container[int] | None = None
+    include_unknown: bool = False
     damaged: int = 0
     unknown: int = 0
-    _kept: bytes = b""
+    _rest: bytes = b""
 
     def feed(self, data: bytes, signing: Signing | None = None) -> list[Packet]:
-        """Return the packets that are complete with these bytes, in order.
+        """Return the packets that these bytes complete, in order.
 
-        With ``signing`` only those that are signed with its key and not replayed.
+        With ``signing``, only packets that are signed with its key and not replayed.
         """
-        if self._kept:
-            data = self._kept + data
-            self._kept = b""
+        if self._rest:
+            data = self._rest + data
+            self._rest = b""
         packets: list[Packet] = []
         end = len(data)
-        start = self._take_plain(data, packets) if signing is None else 0
+        start = self._append_plain(data, packets) if signing is None else 0
         while start < end:
             length = packet_length(data, start)
             if length == 0:
@@ -113,23 +113,23 @@ class Decoder:
                 start = _next_start(data, start + 1)
             elif length < 0 or start + length > end:
                 if self.stream:
-                    self._kept = data[start:]
+                    self._rest = data[start:]
                 else:
                     self.damaged += 1
                 break
             else:
-                start = self._take(data, start, length, packets, signing)
+                start = self._append(data, start, length, packets, signing)
         return packets
 
-    def _take_plain(self, data: bytes, packets: list[Packet]) -> int:
-        """Take whole MAVLink 2 packets without signatures; return where something else begins.
+    def _append_plain(self, data: bytes, packets: list[Packet]) -> int:
+        """Append leading whole unsigned MAVLink 2 packets; return the offset after them.
 
-        That is nearly everything that arrives: :meth:`_take` has the same result for these.
+        Nearly all received packets are of this kind: :meth:`_append` has the same result for them.
         """
-        layouts, wanted = _LAYOUTS, self.wanted
+        layouts, unpacked = _LAYOUTS, self.unpacked
         start, end = 0, len(data)
-        while end - start >= _SHORTEST:
-            magic, length, flags, sequence, system, component, number, high = _HEAD(data, start)
+        while end - start >= _MIN_PACKET:
+            magic, length, flags, sequence, system, component, number, high = _HEADER(data, start)
             layout = layouts.get(number)
             close = start + 10 + length
             if magic != _MAGIC_2 or flags or high or close + 2 > end or layout is None:
@@ -139,13 +139,13 @@ class Decoder:
             ):
                 break
             message = None
-            if wanted is None or number in wanted:
+            if unpacked is None or number in unpacked:
                 message = layout.unpack(data[start + 10 : close])
-            packets.append(_packet((number, system, component, sequence, message)))
+            packets.append(_make_packet((number, system, component, sequence, message)))
             start = close + 2
         return start
 
-    def _take(
+    def _append(
         self,
         data: bytes,
         start: int,
@@ -153,9 +153,9 @@ class Decoder:
         packets: list[Packet],
         signing: Signing | None,
     ) -> int:
-        """Take the packet at ``start``; return where the next one begins."""
-        second = data[start] == _MAGIC_2
-        if second:
+        """Append the packet at ``start``; return the offset of the next one."""
+        version_2 = data[start] == _MAGIC_2
+        if version_2:
             sequence, system, component = data[start + 4], data[start + 5], data[start + 6]
             number = data[start + 7] | data[start + 8] << 8 | data[start + 9] << 16
             header = 10
@@ -166,7 +166,7 @@ class Decoder:
         if layout is None:
             self.unknown += 1
             packet = data[start : start + length]
-            if second and self._passes_on_unknown(packet, signing):
+            if version_2 and self._includes_unknown(packet, signing):
                 packets.append(Packet(number, system, component, sequence, None))
             return start + length
         close = start + header + data[start + 1]
@@ -174,28 +174,28 @@ class Decoder:
         if checksum != data[close] | data[close + 1] << 8:
             self.damaged += 1
             return _next_start(data, start + 1)
-        if signing is not None and signing.judge(data[start : start + length]) != "genuine":
+        if signing is not None and signing.verify(data[start : start + length]) != "genuine":
             return start + length
         message = None
-        if self.wanted is None or number in self.wanted:
+        if self.unpacked is None or number in self.unpacked:
             message = layout.unpack(data[start + header : close])
         packets.append(Packet(number, system, component, sequence, message))
         return start + length
 
-    def _passes_on_unknown(self, packet: bytes, signing: Signing | None) -> bool:
-        """Whether a packet of an unknown message is returned: it is counted, if nothing else."""
-        if not self.unknown_too or self.stream:
+    def _includes_unknown(self, packet: bytes, signing: Signing | None) -> bool:
+        """Return whether a packet of an unknown message is returned, so that it is counted."""
+        if not self.include_unknown or self.stream:
             return False
-        return signing is None or signing.judge(packet) == "genuine"
+        return signing is None or signing.verify(packet) == "genuine"
 
 
-_packet: Callable[[tuple[Any, ...]], Packet] = partial(tuple.__new__, Packet)
+_make_packet: Callable[[tuple[Any, ...]], Packet] = partial(tuple.__new__, Packet)
 _named: Any = namedtuple
-"""Named tuples whose names only pymavlink knows."""
+"""Named tuples whose field names come from pymavlink at run time."""
 
 
 class _Layout:
-    """How one message lies in a payload."""
+    """The layout of one message in a payload."""
 
     def __init__(self, kind: Any) -> None:
         self.number = int(kind.id)
@@ -210,15 +210,15 @@ class _Layout:
             )
         ]
         self._flat = not any(self._arrays)
-        self.numbers = self._flat and not any(one.startswith("char") for one in kind.fieldtypes)
+        self.numeric = self._flat and not any(name.startswith("char") for name in kind.fieldtypes)
         self._names, self._pack = tuple(kind.ordered_fieldnames), kind.unpacker.pack
 
     def pack(self, message: Message) -> bytes:
-        """Return the payload of a message of numbers."""
+        """Return the payload of a message that has only numeric fields."""
         return bytes(self._pack(*[getattr(message, name) for name in self._names]))
 
     def unpack(self, payload: bytes) -> Message:
-        """Return the message; what was cut off at the end is zero."""
+        """Return the message; truncated bytes at the end are zero."""
         size = self._size
         if len(payload) != size:
             payload = payload[:size].ljust(size, b"\0")
@@ -226,20 +226,20 @@ class _Layout:
         if self._flat:
             return self._make(values)
         items: list[Any] = []
-        place = 0
+        start = 0
         for length in self._arrays:
-            items.append(list(values[place : place + length]) if length else values[place])
-            place += length or 1
+            items.append(list(values[start : start + length]) if length else values[start])
+            start += length or 1
         return self._make(items)
 
 
 def _declared(kind: Any) -> list[int]:
-    """Places of the fields, in the order in which they lie in the payload, among the declared."""
+    """Return the indices in the declaration of the fields, in the order of the payload."""
     return [kind.fieldnames.index(name) for name in kind.ordered_fieldnames]
 
 
 CURRENT_MODE = 436
-"""PX4's message of its mode, in MAVLink's definitions since 2024 and not in the library's yet."""
+"""PX4's message with its mode: in MAVLink's definitions since 2024, not yet in pymavlink's."""
 
 
 class _CurrentMode:
@@ -253,8 +253,8 @@ class _CurrentMode:
 PARAM_VALUE = int(common.MAVLINK_MSG_ID_PARAM_VALUE)
 
 
-class _WithBits(_Layout):
-    """PARAM_VALUE, whose value is given as ``bits``, too: a float cannot carry every integer's."""
+class _ParamValueLayout(_Layout):
+    """PARAM_VALUE with its value also as ``bits``: a float cannot hold every integer's bits."""
 
     def __init__(self, kind: Any) -> None:
         super().__init__(kind)
@@ -262,13 +262,13 @@ class _WithBits(_Layout):
         self._make = partial(tuple.__new__, fields)
 
     def unpack(self, payload: bytes) -> Message:
-        """Return the message; what was cut off at the end is zero."""
+        """Return the message; truncated bytes at the end are zero."""
         payload = payload[: self._size].ljust(self._size, b"\0")
         return self._make((*self._unpack(payload), int.from_bytes(payload[:4], "little")))
 
 
-class _Unread:
-    """A message that is newer than the library, of which only the checksum is needed."""
+class _ChecksumOnly:
+    """A message that is newer than pymavlink and needed for its checksum only."""
 
     unpacker = Struct("<")
     ordered_fieldnames: tuple[str, ...] = ()
@@ -280,32 +280,32 @@ class _Unread:
 
 _NEWER = (
     _CurrentMode,
-    _Unread(8, 117, "LINK_NODE_STATUS"),
-    _Unread(380, 232, "TIME_ESTIMATE_TO_TARGET"),
-    _Unread(397, 182, "COMPONENT_METADATA"),
-    _Unread(410, 160, "EVENT"),
-    _Unread(411, 106, "CURRENT_EVENT_SEQUENCE"),
+    _ChecksumOnly(8, 117, "LINK_NODE_STATUS"),
+    _ChecksumOnly(380, 232, "TIME_ESTIMATE_TO_TARGET"),
+    _ChecksumOnly(397, 182, "COMPONENT_METADATA"),
+    _ChecksumOnly(410, 160, "EVENT"),
+    _ChecksumOnly(411, 106, "CURRENT_EVENT_SEQUENCE"),
 )
-"""What PX4 sends beside what the library knows."""
+"""Messages of PX4 that pymavlink does not define."""
 _NEWER_NAMES = {kind.id: kind.msgname for kind in _NEWER}
 _LAYOUTS = {int(kind.id): _Layout(kind) for kind in (*common.mavlink_map.values(), *_NEWER)}
-_LAYOUTS[PARAM_VALUE] = _WithBits(common.mavlink_map[PARAM_VALUE])
-EXTRAS = np.full(max(_LAYOUTS) + 1, -1, np.int64)
-"""By message number what its checksum begins with beside the packet; negative: no such message."""
-EXTRAS[list(_LAYOUTS)] = [layout.extra[0] for layout in _LAYOUTS.values()]
+_LAYOUTS[PARAM_VALUE] = _ParamValueLayout(common.mavlink_map[PARAM_VALUE])
+CRC_EXTRAS = np.full(max(_LAYOUTS) + 1, -1, np.int64)
+"""CRC_EXTRA by message number; negative if there is no such message."""
+CRC_EXTRAS[list(_LAYOUTS)] = [layout.extra[0] for layout in _LAYOUTS.values()]
 
 
 def unpack(number: int, payload: bytes) -> Message:
-    """Return the message of a number that lies in a payload."""
+    """Return the message with this number in a payload."""
     return _LAYOUTS[number].unpack(payload)
 
 
 def message_name(number: int) -> str:
-    """Return what a message is called."""
-    known = common.mavlink_map.get(number)
-    if known is None:
+    """Return the name of a message, "message NUMBER" if it is unknown."""
+    kind = common.mavlink_map.get(number)
+    if kind is None:
         return _NEWER_NAMES.get(number, f"message {number}")
-    return str(known.msgname)
+    return str(kind.msgname)
 
 
 def _slow_checksum(data: bytes) -> int:
@@ -313,11 +313,11 @@ def _slow_checksum(data: bytes) -> int:
 
 
 _checksum: Callable[[bytes], int] = getattr(common, "mcrf4xx", None) or _slow_checksum
-"""The X25 checksum, by fastcrc where pymavlink found it."""
+"""The X25 checksum, from fastcrc if pymavlink has found it."""
 
 
-def split(data: bytes) -> tuple[list[bytes], bytes]:
-    """Return the packets that lie in these bytes one after the other, and what is left over."""
+def split_packets(data: bytes) -> tuple[list[bytes], bytes]:
+    """Return the consecutive packets in these bytes, and the incomplete rest."""
     packets: list[bytes] = []
     start, end = 0, len(data)
     while start < end:
@@ -333,7 +333,7 @@ def split(data: bytes) -> tuple[list[bytes], bytes]:
 
 
 def packet_length(data: bytes, start: int) -> int:
-    """Length of the packet that begins here: 0 where none does, negative where it is cut off."""
+    """Return the length of the packet at ``start``: 0 if there is none, negative if cut off."""
     if len(data) - start < 3:
         return -1 if data[start] in {_MAGIC_1, _MAGIC_2} else 0
     if data[start] == _MAGIC_2:
@@ -344,5 +344,5 @@ def packet_length(data: bytes, start: int) -> int:
 
 
 def _next_start(data: bytes, start: int) -> int:
-    found = [at for at in (data.find(_MAGIC_1, start), data.find(_MAGIC_2, start)) if at >= 0]
-    return min(found, default=len(data))
+    offsets = [data.find(_MAGIC_1, start), data.find(_MAGIC_2, start)]
+    return min((offset for offset in offsets if offset >= 0), default=len(data))

@@ -1,6 +1,6 @@
-"""Setpoints for the whole team in one go: SET_POSITION_TARGET_LOCAL_NED, byte for byte pymavlink's.
+"""Setpoints for the whole team at once: SET_POSITION_TARGET_LOCAL_NED, as pymavlink encodes it.
 
-A compiled loop writes what changes into packets that are laid out once, and their checksums.
+A compiled loop writes the variable fields and the checksums into packets that are laid out once.
 """
 
 from typing import Any
@@ -17,14 +17,14 @@ Floats = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
 
 POSITION_VELOCITY_ACCELERATION_YAW = int(common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE)
-"""Type mask of the setpoints: everything counts but the yaw rate."""
+"""Type mask of the setpoints: only the yaw rate is ignored."""
 
 _MAGIC, _SIGNED = 0xFD, 0x01
-_SEQUENCE, _TIME, _STATE, _YAW, _SUM = 4, 10, 14, 50, 63
-"""Where in a packet lies what changes, and its checksum."""
+_SEQUENCE, _TIME, _STATE, _YAW, _CHECKSUM = 4, 10, 14, 50, 63
+"""Offsets of the variable fields and of the checksum in a packet."""
 _MESSAGE = common.MAVLink_set_position_target_local_ned_message
 _EXTRA = int(_MESSAGE.crc_extra)
-_FRAME = np.dtype(
+_PACKET = np.dtype(
     [
         ("magic", "u1"),
         ("length", "u1"),
@@ -50,8 +50,8 @@ _FRAME = np.dtype(
 class SetpointPacker:
     """Packs setpoints for a fixed list of vehicles.
 
-    ``frame`` is never zero, so that the last byte of the payload is not truncated away and every
-    packet has the same length.
+    ``frame`` is never zero, so the last byte of the payload is never truncated, and all packets
+    have the same length.
     """
 
     def __init__(
@@ -62,11 +62,11 @@ class SetpointPacker:
         *,
         signed: bool = False,
     ) -> None:
-        """``signed`` flags the packets; signatures are put behind them elsewhere."""
+        """``signed`` sets the flag for signing; the caller appends the signatures."""
         targets = np.asarray(systems, dtype=np.uint8)
-        frames: Any = np.zeros(len(targets), _FRAME)
+        frames: Any = np.zeros(len(targets), _PACKET)
         frames["magic"] = _MAGIC
-        frames["length"] = _FRAME.itemsize - 12
+        frames["length"] = _PACKET.itemsize - 12
         frames["incompatible"] = _SIGNED if signed else 0
         frames["system"], frames["component"] = source
         frames["message"][:, 0] = _MESSAGE.id
@@ -74,7 +74,7 @@ class SetpointPacker:
         frames["target_system"] = targets
         frames["target_component"] = np.asarray(components, dtype=np.uint8)
         frames["frame"] = common.MAV_FRAME_LOCAL_NED
-        self._bytes: Bytes = frames.view(np.uint8).reshape(len(frames), _FRAME.itemsize)
+        self._bytes: Bytes = frames.view(np.uint8).reshape(len(frames), _PACKET.itemsize)
 
     def pack(
         self,
@@ -83,11 +83,10 @@ class SetpointPacker:
         states: Floats,
         yaw: Floats,
     ) -> Bytes:
-        """Return the packets (n, 65) of setpoints given in each vehicle's own NED, SI units.
+        """Return the packets (n, 65) of setpoints in each vehicle's own NED, SI units.
 
-        ``sequences`` (n,); ``states`` (n, 3, 3), a vehicle's rows being its position, velocity
-        and acceleration; yaw (n,) in radians. The array is the packer's own and is overwritten by
-        the next call.
+        ``sequences`` (n,) are sequence numbers; ``states`` (n, 3, 3) position, velocity and
+        acceleration of each vehicle; ``yaw`` (n,) in radians. The next call overwrites the array.
         """
         numbers = np.asarray(sequences, dtype=np.int64)
         _write(self._bytes, numbers, time_boot_ms & 0xFFFFFFFF, states, yaw)
@@ -111,7 +110,7 @@ def _write(
         for k in range(40):
             packet[_STATE + k] = raw[k]
         checksum = 0xFFFF
-        for k in range(1, _SUM):
+        for k in range(1, _CHECKSUM):
             checksum = crc_accumulate(checksum, packet[k])
         checksum = crc_accumulate(checksum, _EXTRA)
-        packet[_SUM], packet[_SUM + 1] = checksum & 0xFF, checksum >> 8
+        packet[_CHECKSUM], packet[_CHECKSUM + 1] = checksum & 0xFF, checksum >> 8

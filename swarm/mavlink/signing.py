@@ -1,7 +1,8 @@
-"""MAVLink 2 message signing: what we send is signed, what is not signed is not heard.
+"""MAVLink 2 message signing: signing of sent packets, verification of received ones.
 
-A signature is a link number, a timestamp that only goes up (48 bits, 10 µs since 2015-01-01) and
-the first six bytes of SHA-256 over key, packet and these. https://mavlink.io/en/guide/message_signing.html
+A signature is a link number, a timestamp that only increases (48 bits, units of 10 µs since
+2015-01-01), and the first six bytes of SHA-256 over key, packet and these.
+https://mavlink.io/en/guide/message_signing.html
 """
 
 import hashlib
@@ -14,41 +15,42 @@ KEY_LENGTH = 32
 SIGNATURE_LENGTH = 13
 TICKS_PER_SECOND = 100_000
 _EPOCH = 1_420_070_400
-_OLDEST = 60 * TICKS_PER_SECOND
-_MOST_STREAMS = 4096
+_MAX_AGE = 60 * TICKS_PER_SECOND
+_MAX_STREAMS = 4096
 _FLAG = 1
 _HEADER = 10
 
 Verdict = Literal["genuine", "unsigned", "forged", "replayed"]
 
 
-def ticks_at(unix_seconds: float) -> int:
+def timestamp_at(unix_seconds: float) -> int:
     """Return the signing timestamp of a moment, given in seconds since 1970."""
     return int((unix_seconds - _EPOCH) * TICKS_PER_SECOND)
 
 
 class Signing:
-    """The ground station's key, its timestamp, and the timestamps of those who speak to it.
+    """The key and timestamp of the ground station, and the latest timestamp of every stream.
 
-    ``timestamp`` is the last one used; it must be kept from one run to the next.
+    ``timestamp`` is the last one used; it must be stored from one run to the next. ``dropped``
+    counts rejected packets by verdict.
     """
 
     def __init__(self, key: bytes, timestamp: int) -> None:
-        """``key`` has 32 bytes; ``timestamp`` is newer than any that was used before."""
+        """``key`` has 32 bytes; ``timestamp`` must be newer than all that were used before."""
         if len(key) != KEY_LENGTH:
             raise ValueError(f"expected a key of {KEY_LENGTH} bytes, got {len(key)}")
         self._key = key
-        self._began = timestamp
+        self._start = timestamp
         self.timestamp = timestamp
         self.dropped: Counter[Verdict] = Counter()
         self._streams: dict[tuple[int, int, int], int] = {}
 
-    def follow(self, elapsed: float) -> None:
-        """Let the timestamp follow the clock: seconds since this began."""
-        self.timestamp = max(self.timestamp, self._began + int(elapsed * TICKS_PER_SECOND))
+    def advance(self, elapsed: float) -> None:
+        """Advance the timestamp to at least its start value plus ``elapsed`` seconds."""
+        self.timestamp = max(self.timestamp, self._start + int(elapsed * TICKS_PER_SECOND))
 
-    def seal(self, packet: bytes, link: int = 0) -> bytes:
-        """Return an unsigned MAVLink 2 packet of a known message as a signed one."""
+    def sign(self, packet: bytes, link: int = 0) -> bytes:
+        """Return the signed form of an unsigned MAVLink 2 packet of a known message."""
         flagged = bytearray(packet)
         flagged[2] |= _FLAG
         number = packet[7] | packet[8] << 8 | packet[9] << 16
@@ -56,22 +58,22 @@ class Signing:
         close = _HEADER + packet[1]
         checksum = common.x25crc(bytes(flagged[1:close]) + bytes([extra])).crc
         flagged[close : close + 2] = int(checksum).to_bytes(2, "little")
-        return self.sign(bytes(flagged), link)
+        return self.append_signature(bytes(flagged), link)
 
-    def sign(self, packet: bytes, link: int = 0) -> bytes:
-        """Return a packet that is flagged as signed, with its signature."""
+    def append_signature(self, packet: bytes, link: int = 0) -> bytes:
+        """Return a packet, which has the flag for signing, with its signature appended."""
         self.timestamp += 1
         tail = bytes([link]) + self.timestamp.to_bytes(6, "little")
         return packet + tail + self._digest(packet + tail)
 
-    def genuine(self, packet: bytes) -> bool:
-        """Whether a packet was signed with this key, at any time."""
+    def is_genuine(self, packet: bytes) -> bool:
+        """Return whether a packet was signed with this key, at any time."""
         return self._signature(packet) == "genuine"
 
-    def judge(self, packet: bytes) -> Verdict:
-        """Judge a packet that arrived, and count it if it must be dropped."""
+    def verify(self, packet: bytes) -> Verdict:
+        """Return the verdict on a received packet, and count it if it must be dropped."""
         verdict = self._signature(packet)
-        if verdict == "genuine" and not self._newer(packet):
+        if verdict == "genuine" and not self._is_newer(packet):
             verdict = "replayed"
         if verdict != "genuine":
             self.dropped[verdict] += 1
@@ -82,13 +84,13 @@ class Signing:
             return "unsigned"
         return "genuine" if self._digest(packet[:-6]) == packet[-6:] else "forged"
 
-    def _newer(self, packet: bytes) -> bool:
-        """Whether the timestamp is newer than the stream's last one; streams begin near ours."""
+    def _is_newer(self, packet: bytes) -> bool:
+        """Return whether the timestamp is newer than the stream's last; a first must be recent."""
         stream = packet[5], packet[6], packet[-13]
         stamp = int.from_bytes(packet[-12:-6], "little")
         last = self._streams.get(stream)
         if last is None:
-            if stamp + _OLDEST < self.timestamp or len(self._streams) >= _MOST_STREAMS:
+            if stamp + _MAX_AGE < self.timestamp or len(self._streams) >= _MAX_STREAMS:
                 return False
         elif stamp <= last:
             return False

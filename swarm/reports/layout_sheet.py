@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.flight.parameters import demands_of_plan, rules
-from swarm.mavlink.frames import Projection
+from swarm.mavlink.frames import AutopilotName
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 from swarm.reports.rendering import render
@@ -21,7 +21,7 @@ END_PIECE: Final = 0.2
 
 _MAP_WIDTH: Final = 900.0
 _MAP_MARGIN: Final = 60.0
-_AUTOPILOTS: Final[dict[Projection, str]] = {"px4": "PX4", "ardupilot": "ArduPilot"}
+_AUTOPILOTS: Final[dict[AutopilotName, str]] = {"px4": "PX4", "ardupilot": "ArduPilot"}
 _CHECKLIST: Final = (
     "cable cut, marked, free of twists and snags, marks on their points",
     "every vehicle on its pad, label and pad agree, grippers open",

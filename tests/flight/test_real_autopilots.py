@@ -127,7 +127,7 @@ def test_nothing_is_lost_on_loopback(name, system):
 def test_messages_that_no_library_knows_are_counted_and_not_missed(signed):
     number, key = 59_999, bytes(range(32))
     theirs, ours = Signing(key, 1_000_000), Signing(key, 1_000_000)
-    decoder, vehicle = Decoder(unknown_too=True), Vehicle(1)
+    decoder, vehicle = Decoder(include_unknown=True), Vehicle(1)
     for k in range(30):
         unknown = (
             bytes((0xFD, 4, int(signed), 0, k, 1, 1)) + number.to_bytes(3, "little") + b"abcdef"

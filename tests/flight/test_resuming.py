@@ -36,9 +36,9 @@ class Recorded(Network):
         self.downlink = lambda now, _system, data: self._keep(now, data)
 
     def _keep(self, now, data):
-        from swarm.mavlink.packets import split
+        from swarm.mavlink.packets import split_packets
 
-        for packet in split(data)[0]:
+        for packet in split_packets(data)[0]:
             self.tlog += int((BEGAN + now) * 1e6).to_bytes(8, "big") + packet
         return True
 

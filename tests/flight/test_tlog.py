@@ -5,7 +5,7 @@ import pytest
 
 from swarm.errors import InputError
 from swarm.flight.tlog import ClockTeller, packets, replay
-from swarm.mavlink.packets import split
+from swarm.mavlink.packets import split_packets
 from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
@@ -39,7 +39,7 @@ def as_tlog(entries):
     out = bytearray()
     for now, data in entries:
         stamp = int((BEGAN + now) * 1e6).to_bytes(8, "big")
-        for packet in split(data)[0]:
+        for packet in split_packets(data)[0]:
             out += stamp + packet
     return bytes(out)
 

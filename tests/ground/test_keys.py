@@ -7,7 +7,7 @@ import pytest
 
 from swarm.errors import InputError
 from swarm.ground.signing_key import read_key, signing_with
-from swarm.mavlink.signing import ticks_at
+from swarm.mavlink.signing import timestamp_at
 
 KEY = bytes(range(32))
 
@@ -47,7 +47,7 @@ def test_a_key_that_is_not_there_is_named(tmp_path):
 def test_the_timestamp_is_kept_and_never_goes_back(key_file):
     kept = key_file.with_name("team.key.timestamp")
     with signing_with(str(key_file)) as signing:
-        assert signing.timestamp >= ticks_at(time.time() - 60.0)
+        assert signing.timestamp >= timestamp_at(time.time() - 60.0)
         signing.timestamp += 10**12  # a vehicle whose clock is months ahead
         last = signing.timestamp
     assert int(kept.read_text()) == last
@@ -59,7 +59,7 @@ def test_the_timestamp_is_kept_and_never_goes_back(key_file):
 def test_a_damaged_timestamp_is_the_clocks(key_file):
     key_file.with_name("team.key.timestamp").write_text("nonsense")
     with signing_with(str(key_file)) as signing:
-        assert abs(signing.timestamp - ticks_at(time.time())) < 10**7
+        assert abs(signing.timestamp - timestamp_at(time.time())) < 10**7
 
 
 @pytest.mark.skipif(os.getuid() == 0, reason="root may write everywhere")

@@ -75,7 +75,7 @@ def test_there_and_back(data):
     frames = gps_frames(Origin(47.4, 8.5, 410.0), 0.7, origins, ["px4", "ardupilot"] * 2)
     frames = frames.shifted(np.array([[0.1, 0.2, 3.0]] * n))
     local = frames.to_vehicles(np.stack([position, velocity, velocity], axis=1))
-    turn, offset = frames.back
+    turn, offset = frames.inverse
     back = np.einsum("nij,nj->ni", turn, local[:, 0]) + offset
     assert back == pytest.approx(position, abs=1e-9)
     assert np.einsum("nij,nj->ni", turn, local[:, 1]) == pytest.approx(velocity, abs=1e-9)

@@ -108,7 +108,7 @@ def test_only_what_is_wanted_is_unpacked():
     encoder = Encoder(1, 1)
     data = encoder.encode(common.MAVLink_heartbeat_message(2, 3, 0, 0, 0, 3))
     data += encoder.encode(common.MAVLink_attitude_message(1, 0, 0, 0, 0, 0, 0))
-    first, second = Decoder(wanted={0}).feed(data)
+    first, second = Decoder(unpacked={0}).feed(data)
     assert first.message is not None
     assert second.message is None
 
@@ -143,7 +143,7 @@ def test_sequence_numbers_run_on_over_both_ways_of_packing():
     taken = []
     for _ in range(300):
         taken.append(encoder.encode(heartbeat)[4])
-        taken.append(encoder.take_sequence())
+        taken.append(encoder.next_sequence())
     assert taken == [k % 256 for k in range(600)]
 
 

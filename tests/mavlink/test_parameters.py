@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.packets import Decoder, Encoder
-from swarm.mavlink.parameters import ATTEMPTS, PATIENCE, Parameters, bits_of, value_of
+from swarm.mavlink.parameters import ATTEMPTS, FETCH_TIMEOUT, Parameters, decode_value, encode_value
 
 INT32, REAL32, INT8 = 6, 9, 2
 STEP = 0.05
@@ -103,15 +103,18 @@ def test_one_that_never_comes_ends_in_words_and_in_time():
     vehicle = Vehicle(table(300), bytewise=True, loses=lambda name: name == "INT_0007")
     parameters = Parameters()
     parameters.fetch()
-    assert talk(parameters, vehicle) < PATIENCE + 1.0
-    assert parameters.problem == "299 of 300 of its parameters came, and nothing more for 5 s"
+    assert talk(parameters, vehicle) < FETCH_TIMEOUT + 1.0
+    assert parameters.problem == "299 of 300 of its parameters received, then none for 5 s"
 
 
 def test_a_silent_vehicle_ends_in_words_and_in_time():
     parameters = Parameters()
     parameters.fetch()
-    assert talk(parameters, Vehicle({"A": 1}, bytewise=True, loses=lambda _: True)) < PATIENCE + 1.0
-    assert parameters.problem == "none of its parameters came, and nothing more for 5 s"
+    assert (
+        talk(parameters, Vehicle({"A": 1}, bytewise=True, loses=lambda _: True))
+        < FETCH_TIMEOUT + 1.0
+    )
+    assert parameters.problem == "none of its parameters received, then none for 5 s"
 
 
 @pytest.mark.parametrize("bytewise", [True, False])
@@ -123,9 +126,9 @@ def test_what_is_set_is_read_back_although_answers_are_lost(bytewise):
     talk(parameters, vehicle)
     vehicle.loses = lambda _: rng.random() < 0.3
     vehicle.asked.clear()
-    parameters.put({"COUNT": 5.0, "SPEED": 0.3})
+    parameters.set({"COUNT": 5.0, "SPEED": 0.3})
     talk(parameters, vehicle, 10.0)
-    assert parameters.refused == []
+    assert parameters.failed == []
     assert vehicle.table == {"COUNT": 5, "SPEED": pytest.approx(0.3), "KEPT": 9}
     assert parameters.values["COUNT"] == 5.0
     assert set(vehicle.asked) == {"PARAM_SET"}
@@ -137,9 +140,9 @@ def test_what_a_vehicle_does_not_take_is_named_with_what_it_says():
     parameters.fetch()
     talk(parameters, vehicle)
     vehicle.loses = lambda what: what == "set"
-    parameters.put({"COUNT": 5.0})
+    parameters.set({"COUNT": 5.0})
     talk(parameters, vehicle, 10.0)
-    assert parameters.refused == [("COUNT", 5.0, 3.0)]
+    assert parameters.failed == [("COUNT", 5.0, 3.0)]
     assert vehicle.asked.count("PARAM_SET") == ATTEMPTS
 
 
@@ -148,9 +151,9 @@ def test_a_fraction_is_not_sent_to_an_integer():
     parameters = Parameters()
     parameters.fetch()
     talk(parameters, vehicle)
-    parameters.put({"COUNT": 5.5})
+    parameters.set({"COUNT": 5.5})
     talk(parameters, vehicle, 10.0)
-    assert parameters.refused == [("COUNT", 5.5, 3.0)]
+    assert parameters.failed == [("COUNT", 5.5, 3.0)]
     assert "PARAM_SET" not in vehicle.asked
 
 
@@ -171,13 +174,19 @@ def test_checksums_and_values_that_are_said_unasked_are_not_taken_for_the_list()
 @given(value=st.integers(-(2**31), 2**31 - 1))
 def test_every_integer_survives_as_bytes(value):
     """Also those whose bytes are a float's signalling NaN, which a float would change."""
-    assert value_of(bits_of(value, INT32, bytewise=True), INT32, bytewise=True) == value
-    assert bits_of(value, INT32, bytewise=True) == struct.unpack("<I", struct.pack("<i", value))[0]
+    assert decode_value(encode_value(value, INT32, bytewise=True), INT32, bytewise=True) == value
+    assert (
+        encode_value(value, INT32, bytewise=True)
+        == struct.unpack("<I", struct.pack("<i", value))[0]
+    )
 
 
 @given(value=st.integers(-128, 127))
 def test_small_integers_travel_either_way(value):
     for bytewise in (True, False):
-        assert value_of(bits_of(value, INT8, bytewise=bytewise), INT8, bytewise=bytewise) == value
+        assert (
+            decode_value(encode_value(value, INT8, bytewise=bytewise), INT8, bytewise=bytewise)
+            == value
+        )
     with pytest.raises(ValueError, match="does not fit its type"):
-        bits_of(value + 256.0, INT8, bytewise=True)
+        encode_value(value + 256.0, INT8, bytewise=True)

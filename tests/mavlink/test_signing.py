@@ -8,12 +8,12 @@ from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.packets import Decoder, Encoder
 from swarm.mavlink.setpoints import SetpointPacker
-from swarm.mavlink.signing import TICKS_PER_SECOND, Signing, ticks_at
+from swarm.mavlink.signing import TICKS_PER_SECOND, Signing, timestamp_at
 from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
 KEY = hashlib.sha256(b"for tests only").digest()
-NOW = ticks_at(1_800_000_000.0)
+NOW = timestamp_at(1_800_000_000.0)
 HEARTBEAT = common.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
 
 
@@ -31,8 +31,8 @@ def test_pymavlink_takes_what_we_sign():
     reader = theirs()
     packer = SetpointPacker([1, 2], [1, 1], signed=True)
     setpoints = packer.pack([0, 1], 17, np.full((2, 3, 3), 1.5), np.zeros(2))
-    sent = signing.seal(encoder.encode(HEARTBEAT), link=5)
-    sent += b"".join(signing.sign(row.tobytes(), 5) for row in setpoints)
+    sent = signing.append_signature(encoder.encode(HEARTBEAT), link=5)
+    sent += b"".join(signing.append_signature(row.tobytes(), 5) for row in setpoints)
     messages = reader.parse_buffer(sent)
     assert [m.get_type() for m in messages] == [
         "HEARTBEAT", "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_LOCAL_NED",
@@ -62,12 +62,14 @@ def test_a_stream_that_begins_long_ago_is_a_replay():
 
 def test_our_timestamp_follows_the_clock_and_those_that_are_ahead():
     signing = Signing(KEY, NOW)
-    signing.follow(2.0)
+    signing.advance(2.0)
     assert signing.timestamp == NOW + 2 * TICKS_PER_SECOND
     Decoder().feed(bytes(HEARTBEAT.pack(theirs(NOW + 10**9))), signing)
     assert signing.timestamp == NOW + 10**9
-    signing.follow(3.0)
-    stamps = [int.from_bytes(signing.seal(Encoder().encode(HEARTBEAT))[-12:-6], "little")]
+    signing.advance(3.0)
+    stamps = [
+        int.from_bytes(signing.append_signature(Encoder().encode(HEARTBEAT))[-12:-6], "little")
+    ]
     assert stamps[0] == NOW + 10**9 + 1
 
 

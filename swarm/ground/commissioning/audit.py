@@ -17,7 +17,7 @@ from swarm.errors import VehicleError
 from swarm.flight.parameters import Demands, Row, judge, rules
 from swarm.ground.commissioning.mavsdk_client import Report, reports
 from swarm.ground.relay import Relay
-from swarm.mavlink.frames import Projection
+from swarm.mavlink.frames import AutopilotName
 from swarm.mavlink.vehicle import Vehicle
 
 BATTERY_RESERVE = 25.0
@@ -85,7 +85,7 @@ class Auditor:
     """
 
     relay: Relay
-    names: Mapping[int, Projection]
+    names: Mapping[int, AutopilotName]
     demands: Demands
     tell: Tell = lambda *_: None
     _reports: dict[int, Report] = field(default_factory=dict)
@@ -122,14 +122,18 @@ class Auditor:
         vehicles = {system: self.relay.team.vehicles[system] for system in wanted}
         before = {system: dict(vehicle.parameters.values) for system, vehicle in vehicles.items()}
         for system, vehicle in vehicles.items():
-            vehicle.parameters.put(wanted[system])
+            vehicle.parameters.set(wanted[system])
         number = sum(len(values) for values in wanted.values())
         self._until_done("setting parameters", lambda: _set(vehicles.values(), number))
         problems = [
-            f"system {system}: {refusal.name} was set to {refusal.wanted:g}, "
-            + ("and nothing came back" if refusal.said is None else f"and is {refusal.said:g}")
+            f"system {system}: {refusal.name} was set to {refusal.requested:g}, "
+            + (
+                "and nothing came back"
+                if refusal.reported is None
+                else f"and is {refusal.reported:g}"
+            )
             for system, vehicle in vehicles.items()
-            for refusal in vehicle.parameters.refused
+            for refusal in vehicle.parameters.failed
         ]
         if problems:
             raise VehicleError("\n".join(problems))
@@ -195,11 +199,11 @@ class Auditor:
 
 def _fetched(vehicles: Iterable[Vehicle]) -> tuple[int, int]:
     known = [vehicle.parameters for vehicle in vehicles]
-    return sum(one.have for one in known), sum(one.count for one in known)
+    return sum(one.received for one in known), sum(one.total for one in known)
 
 
 def _set(vehicles: Iterable[Vehicle], number: int) -> tuple[int, int]:
-    return number - sum(vehicle.parameters.to_set for vehicle in vehicles), number
+    return number - sum(vehicle.parameters.pending for vehicle in vehicles), number
 
 
 def save_parameters(folder: Path, audits: Sequence[VehicleAudit]) -> None:
