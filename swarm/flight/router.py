@@ -200,7 +200,7 @@ class Team:
         """Return a packet as it goes out on a link: signed where there is a key."""
         if self.signing is None:
             return packet
-        return self.signing.append_signature(packet, self._link_number[link])
+        return self.signing.sign(packet, self._link_number[link])
 
     def _route(self, link: str, address: Address | None) -> Route | None:
         key = (link, address)
