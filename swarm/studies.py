@@ -9,7 +9,7 @@ from swarm import planner
 from swarm.certification.assessment import Assessment, Tightest
 from swarm.certification.robustness import largest_tracking, robustness_of
 from swarm.errors import InputError, Refused
-from swarm.knots.catalog import lookup, names
+from swarm.knots.catalog import lookup_knot, table_names
 from swarm.mission import Mission, mission_for_knot
 
 Progress = Callable[[str, float], None]
@@ -34,7 +34,7 @@ COLUMNS: Final = (
 
 def knots_to_plan() -> tuple[str, ...]:
     """Return the names of all knots of the table: prime knots, then COMPOSITE_AND_TORUS."""
-    return (*names(), *COMPOSITE_AND_TORUS)
+    return (*table_names(), *COMPOSITE_AND_TORUS)
 
 
 def plan_row(
@@ -50,7 +50,7 @@ def plan_row(
     row: dict[str, Any] = dict.fromkeys(COLUMNS)
     start = clock()
     try:
-        choice = lookup(name)
+        choice = lookup_knot(name)
         row |= {"knot": name, "crossings": choice.crossings, "vehicles": choice.vehicles}
         planned = planner.plan(mission_for_knot(name, overrides), robustness=False)
     except (Refused, InputError) as error:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from swarm.errors import InputError, Refused
-from swarm.knots.catalog import lookup
+from swarm.knots.catalog import lookup_knot
 from swarm.knots.grid import openings
 from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.planning import make_plan
@@ -21,7 +21,7 @@ def refusal(*overrides: str) -> str:
 def test_a_layout_is_rescaled_to_use_the_whole_cable(length: float) -> None:
     mission = mission_for_knot("overhand", [f"cable.length={length}"])
     margins = keeping(mission)
-    diagram = openings(lookup("overhand").grid)[0]
+    diagram = openings(lookup_knot("overhand").grid)[0]
     shape = next(shapes(mission, margins))
     scaled = fitted(diagram, shape, margins)
     factor = scaled.cell / shape.cell

@@ -9,7 +9,7 @@ import click
 from swarm.cli.inputs import print_json
 from swarm.errors import InputError, Problem, reason
 from swarm.files import write_text
-from swarm.knots.catalog import choose
+from swarm.knots.catalog import choose_knot
 from swarm.mission import Mission, mission_for_knot, mission_schema
 from swarm.mission.fleet import fleet_schema
 from swarm.mission.validation import Section
@@ -27,7 +27,7 @@ KINDS = ("mission", "fleet", "world", "scenario")
 )
 def init(knot: str, output: Path | None) -> None:
     """Write a commented mission file for KNOT (a name such as overhand or 8_18)."""
-    choose(name=knot, chirality="either")
+    choose_knot(name=knot, chirality="either")
     path = output or Path(f"{knot}.yaml")
     if path.exists():
         raise InputError([Problem(str(path), "exists already and is left as it is")])

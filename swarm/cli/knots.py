@@ -17,12 +17,12 @@ from swarm.cli.inputs import JSON, SET, print_json
 from swarm.cli.knots_planned import Wanted, print_planned
 from swarm.errors import InputError, Problem
 from swarm.files import read_text
-from swarm.knots.catalog import KnotChoice, lookup, names
-from swarm.knots.flaws import flaw
+from swarm.knots.catalog import KnotChoice, lookup_knot, table_names
+from swarm.knots.curve_defects import find_defect
 from swarm.knots.gauss import KnotError
 from swarm.knots.invariants import Identification, identify_curve
-from swarm.knots.names import COMMON
-from swarm.knots.survey import SurveyRow, survey
+from swarm.knots.names import COMMON_NAMES
+from swarm.knots.table_check import TableCheck, check_table
 from swarm.mission.validation import LARGEST_FILE
 from swarm.reports.grid_text import grid_text
 
@@ -98,7 +98,7 @@ def knots(
     if name is None:
         _print_list(as_json)
         return
-    choice = lookup(name)
+    choice = lookup_knot(name)
     if plot is not None:
         # Drawing takes a second to load, which names and curves need not wait for.
         from swarm.reports.grid_plot import plot_grid  # noqa: PLC0415
@@ -125,12 +125,12 @@ def knot_object(choice: KnotChoice) -> dict[str, Any]:
 
 
 def _print_list(as_json: bool) -> None:
-    choices = [lookup(name) for name in names()]
+    choices = [lookup_knot(name) for name in table_names()]
     if as_json:
         print_json([knot_object(choice) for choice in choices])
         return
     common: dict[str, list[str]] = {}
-    for word, name in COMMON.items():
+    for word, name in COMMON_NAMES.items():
         common.setdefault(name, []).append(word)
     table = Table("knot", "arc index", "vehicles", "mirror image", "also called", box=None)
     for choice in choices:
@@ -139,7 +139,7 @@ def _print_list(as_json: bool) -> None:
         table.add_row(choice.name, str(choice.grid.size), str(choice.vehicles), mirror, words)
     console = Console()
     console.print(table)
-    sums = ", ".join(f"{word} = {name}" for word, name in COMMON.items() if "#" in name)
+    sums = ", ".join(f"{word} = {name}" for word, name in COMMON_NAMES.items() if "#" in name)
     console.print(
         f"\n{len(choices)} prime knots to ten crossings. Sums: {sums}; any other as 3_1#m4_1. "
         "Torus knots: torus(3,5). Mirror images: m3_1.",
@@ -176,10 +176,10 @@ def _print_knot(choice: KnotChoice) -> None:
 
 
 def _print_survey(as_json: bool) -> int:
-    rows: list[SurveyRow] = list(
+    rows: list[TableCheck] = list(
         track(
-            survey(),
-            total=len(names()),
+            check_table(),
+            total=len(table_names()),
             description="searching grids",
             console=Console(stderr=True),
             transient=True,
@@ -228,7 +228,7 @@ def identify(file: Path, closed: bool, as_json: bool) -> None:
 def _identified(text: str, place: str, closed: bool) -> tuple[Identification, int]:
     """The knot of a file's curve, and how many points it has; errors say where in the file."""
     points, lines = parse_curve(text, place)
-    wrong = flaw(points, closed=closed)
+    wrong = find_defect(points, closed=closed)
     if wrong:
         numbers = " and ".join(str(lines[index]) for index in wrong.points)
         where = f": line{'s' * (len(wrong.points) > 1)} {numbers}" if numbers else ""

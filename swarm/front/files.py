@@ -6,7 +6,7 @@ from pathlib import Path
 
 from swarm.errors import InputError, Problem
 from swarm.files import read_text
-from swarm.knots.catalog import choose
+from swarm.knots.catalog import choose_knot
 from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.mission.fleet import Fleet, parse_fleet
 from swarm.mission.validation import LARGEST_FILE
@@ -63,7 +63,7 @@ def _require_known_knot(mission: Mission, source: str) -> None:
         return
     described = mission.knot.model_dump()
     try:
-        choose(**described)
+        choose_knot(**described)
     except InputError as error:
         key = next(key for key, value in described.items() if value is not None)
         problems = [Problem(f"{source}: knot.{key}", str(one)) for one in error.problems]

@@ -14,7 +14,7 @@ from swarm.errors import Refused
 from swarm.flight.result import FlightResult, Word
 from swarm.flight.trace import Trace
 from swarm.front.recordings import Recording
-from swarm.knots.names import in_words
+from swarm.knots.names import describe_knot
 from swarm.mission.fleet import Fleet
 from swarm.notebook import table
 from swarm.simulation.loop import Fault, simulate_flight
@@ -66,7 +66,7 @@ class Flight:
 
         "unknown" where nothing was reported then. Implied is not observed: in the cable model.
         """
-        return in_words(self.verification.knot, self.verification.chirality)
+        return describe_knot(self.verification.knot, self.verification.chirality)
 
     @property
     def as_planned(self) -> bool:

@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from swarm.errors import InputError, Problem
 from swarm.knots.invariants import identify_curve
-from swarm.knots.names import in_words
+from swarm.knots.names import describe_knot
 
 
 def identify(curve: npt.ArrayLike, *, closed: bool = False) -> str:
@@ -27,7 +27,7 @@ def identify(curve: npt.ArrayLike, *, closed: bool = False) -> str:
     except (TypeError, ValueError):
         raise InputError([Problem("curve", "expected an (n, 3) array of numbers")]) from None
     found = identify_curve(points, closed=closed)
-    words = in_words(found.name, found.chirality)
+    words = describe_knot(found.name, found.chirality)
     if found.known or not found.candidates:
         return words
     return f"{words}, perhaps {' or '.join(found.candidates)}"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from swarm.errors import InputError, Problem, reason
-from swarm.knots.catalog import choose
+from swarm.knots.catalog import choose_knot
 from swarm.planning import KnotSummary
 
 _SENTENCE = re.compile(
@@ -51,7 +51,7 @@ def parse_observation(sentence: str, time: datetime) -> Observation:
         knot = "0_1"
     else:
         try:
-            knot = choose(name=name, chirality="either").name
+            knot = choose_knot(name=name, chirality="either").name
         except InputError as error:
             raise InputError([Problem("--observed", str(error))]) from None
     seconds = time.astimezone(UTC).isoformat(timespec="seconds")

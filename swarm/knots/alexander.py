@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import SignedGauss
 
-PRIME = 2**31 - 1
+MODULUS = 2**31 - 1
 
 
-def alexander(diagram: Diagram) -> dict[int, int]:
+def alexander_polynomial(diagram: Diagram) -> dict[int, int]:
     """Alexander polynomial {power: coefficient}, symmetric, with value 1 at t = 1.
 
     A minor of the Alexander matrix (Alexander 1928), evaluated and interpolated modulo the prime
@@ -26,12 +26,12 @@ def alexander(diagram: Diagram) -> dict[int, int]:
         coefficients.pop()
     low = next(k for k, c in enumerate(coefficients) if c)
     spread = coefficients[low:]
-    signed = [c - PRIME if c > PRIME // 2 else c for c in spread]
+    signed = [c - MODULUS if c > MODULUS // 2 else c for c in spread]
     unit = sum(signed)
     return {k - len(signed) // 2: unit * c for k, c in enumerate(signed) if c}
 
 
-def arcs(code: SignedGauss) -> list[tuple[int, int, int, int]]:
+def crossing_arcs(code: SignedGauss) -> list[tuple[int, int, int, int]]:
     """Per crossing: its over arc, the under arcs coming in and going out, its sign.
 
     Arcs run from one under pass to the next; arc 0 is the one that ends at the first under pass.
@@ -53,12 +53,12 @@ def _matrices(code: SignedGauss, points: NDArray[np.int64]) -> NDArray[np.int64]
     """Minors of the Alexander matrix at each point, (points, n − 1, n − 1), modulo the prime."""
     count = code.crossings
     matrix = np.zeros((len(points), count, count), dtype=np.int64)
-    for row, (over, into, out, sign) in enumerate(arcs(code)):
+    for row, (over, into, out, sign) in enumerate(crossing_arcs(code)):
         before, after = (into, out) if sign > 0 else (out, into)
         matrix[:, row, over] += 1 - points
         matrix[:, row, before] += points
         matrix[:, row, after] -= 1
-    return matrix[:, 1:, 1:] % PRIME
+    return matrix[:, 1:, 1:] % MODULUS
 
 
 def _determinants(matrices: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -69,22 +69,22 @@ def _determinants(matrices: NDArray[np.int64]) -> NDArray[np.int64]:
     every = np.arange(batch)
     for k in range(size):
         pivot_row = k + np.argmax(work[:, k:, k] != 0, axis=1)
-        result = np.where(pivot_row != k, -result, result) % PRIME
+        result = np.where(pivot_row != k, -result, result) % MODULUS
         swapped = work[every, pivot_row].copy()
         work[every, pivot_row] = work[:, k]
         work[:, k] = swapped
         pivot = work[:, k, k]
-        result = result * pivot % PRIME
-        factor = work[:, k + 1 :, k] * _inverses(pivot)[:, None] % PRIME
+        result = result * pivot % MODULUS
+        factor = work[:, k + 1 :, k] * _inverses(pivot)[:, None] % MODULUS
         work[:, k + 1 :] = (
-            work[:, k + 1 :] - factor[:, :, None] * work[:, k, None, :] % PRIME
-        ) % PRIME
+            work[:, k + 1 :] - factor[:, :, None] * work[:, k, None, :] % MODULUS
+        ) % MODULUS
     return result
 
 
 def _inverses(values: NDArray[np.int64]) -> NDArray[np.int64]:
     """Inverses modulo the prime; of 0, anything (the determinant is 0 then)."""
-    return np.array([pow(v, -1, PRIME) if v else 0 for v in values.tolist()], dtype=np.int64)
+    return np.array([pow(v, -1, MODULUS) if v else 0 for v in values.tolist()], dtype=np.int64)
 
 
 def _interpolated(points: list[int], values: list[int]) -> list[int]:
@@ -93,13 +93,13 @@ def _interpolated(points: list[int], values: list[int]) -> list[int]:
     count = len(points)
     for order in range(1, count):
         for k in range(count - 1, order - 1, -1):
-            step = pow(points[k] - points[k - order], -1, PRIME)
-            table[k] = (table[k] - table[k - 1]) * step % PRIME
+            step = pow(points[k] - points[k - order], -1, MODULUS)
+            table[k] = (table[k] - table[k - 1]) * step % MODULUS
     coefficients = [0] * count
     for k in range(count - 1, -1, -1):
         for power in range(count - 1, 0, -1):
             coefficients[power] = (
                 coefficients[power - 1] - points[k] * coefficients[power]
-            ) % PRIME
-        coefficients[0] = (table[k] - points[k] * coefficients[0]) % PRIME
+            ) % MODULUS
+        coefficients[0] = (table[k] - points[k] * coefficients[0]) % MODULUS
     return coefficients

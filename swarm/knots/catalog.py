@@ -4,21 +4,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+from swarm.knots.connected_sums import Factor, name_of_sum
 from swarm.knots.diagram import Diagram, diagram_of_pd, diagrams_of_dt, diagrams_of_gauss
-from swarm.knots.draw import UNKNOT, drawn
 from swarm.knots.gauss import KnotError, SignedGauss
 from swarm.knots.grid import Grid, OpenGrid, grid_of_columns, openings, stabilised
 from swarm.knots.grid import mirrored as mirrored_grid
-from swarm.knots.groups import sum_diagram
+from swarm.knots.grid_drawing import UNKNOT, grid_of_diagram
+from swarm.knots.grid_reduction import smallest_grid
+from swarm.knots.grid_search import random_grids
+from swarm.knots.group_representations import sum_diagram
 from swarm.knots.invariants import Identification, identify_diagram
-from swarm.knots.layout import smallest
-from swarm.knots.names import Named, parse_name, torus_grid
-from swarm.knots.search import rearranged
+from swarm.knots.names import ParsedName, parse_name, torus_grid
 from swarm.knots.simplify import simplified
-from swarm.knots.sums import Factor, named
-from swarm.knots.table import prime, table
+from swarm.knots.table import knot_table, prime_knot
 
-__all__ = ["KnotChoice", "choose", "lookup", "more_grids", "names"]
+__all__ = ["KnotChoice", "choose_knot", "lookup_knot", "other_grids", "table_names"]
 
 
 @dataclass(frozen=True)
@@ -52,18 +52,18 @@ class KnotChoice:
         return openings(self.grid, limit=1)[0]
 
 
-def names() -> tuple[str, ...]:
+def table_names() -> tuple[str, ...]:
     """Names of all prime knots of the table, in its order."""
-    return tuple(table())
+    return tuple(knot_table())
 
 
-def lookup(name: str) -> KnotChoice:
+def lookup_knot(name: str) -> KnotChoice:
     """The knot of a name, right-handed where it is chiral and the name does not say left."""
     wanted = parse_name(name)
     return _of_name(wanted, wanted.chirality or "right")
 
 
-def choose(
+def choose_knot(
     *,
     name: str | None = None,
     gauss: str | None = None,
@@ -119,18 +119,18 @@ def _hand(is_chiral: bool, known: str | None, asked: str | None, what: str) -> s
     )
 
 
-def _of_name(wanted: Named, asked: str | None) -> KnotChoice:
+def _of_name(wanted: ParsedName, asked: str | None) -> KnotChoice:
     own = wanted.chirality
     if own and asked in {"left", "right"} and asked != own:
         raise KnotError(f'"{wanted.text}" is {own}-handed, but chirality says {asked}')
     if wanted.factors is not None:
-        name, right = named(wanted.factors)
+        name, right = name_of_sum(wanted.factors)
         hand = _hand(right != "none", own, asked, name)
         factors = wanted.factors if hand in {right, "none"} else _mirror(wanted.factors)
         return _of_factors(factors, ())
     shape = torus_grid(*wanted.torus)
     known = identify_diagram(Diagram(shape.code))
-    if known.name in table():
+    if known.name in knot_table():
         return _of_name(parse_name(known.name), own or asked)
     name = "torus({},{})".format(*wanted.torus)
     hand = _hand(is_chiral=True, known=own, asked=asked, what=name)
@@ -138,7 +138,7 @@ def _of_name(wanted: Named, asked: str | None) -> KnotChoice:
         shape = mirrored_grid(shape)
     diagram = simplified(Diagram(shape.code))
     crossings = min(p * (q - 1) for p, q in (wanted.torus, wanted.torus[::-1]))
-    grid = smallest(shape, target=shape.size)
+    grid = smallest_grid(shape, target=shape.size)
     warning = f"{name} is not in the table: its knot type can only be told by its crossing code"
     return KnotChoice(
         "unknown", hand, diagram.code.text(), diagram, grid, crossings, (warning,), title=name
@@ -152,7 +152,7 @@ def _mirror(factors: tuple[Factor, ...]) -> tuple[Factor, ...]:
 @lru_cache(maxsize=64)
 def _of_factors(factors: tuple[Factor, ...], warnings: tuple[str, ...]) -> KnotChoice:
     """A knot of the table, or a sum of such, with these hands."""
-    name, chirality = named(factors)
+    name, chirality = name_of_sum(factors)
     if not factors:
         return KnotChoice(
             "0_1",
@@ -165,7 +165,7 @@ def _of_factors(factors: tuple[Factor, ...], warnings: tuple[str, ...]) -> KnotC
         )
     diagram = sum_diagram(factors)
     shape = factor_grid(factors)
-    crossings = sum(prime(part).crossings for part, _ in factors)
+    crossings = sum(prime_knot(part).crossings for part, _ in factors)
     return KnotChoice(name, chirality, diagram.code.text(), diagram, shape, crossings, warnings)
 
 
@@ -176,12 +176,13 @@ def factor_grid(factors: tuple[Factor, ...]) -> Grid:
     1995), so the search knows when it is done.
     """
     grids = [
-        mirrored_grid(prime(name).grid) if hand < 0 else prime(name).grid for name, hand in factors
+        mirrored_grid(prime_knot(name).grid) if hand < 0 else prime_knot(name).grid
+        for name, hand in factors
     ]
     if len(grids) == 1:
         return grids[0]
     target = sum(grid.size for grid in grids) - 2 * (len(grids) - 1)
-    return smallest(drawn(sum_diagram(factors)), target=target)
+    return smallest_grid(grid_of_diagram(sum_diagram(factors)), target=target)
 
 
 def _of_diagrams(
@@ -234,7 +235,7 @@ def _best_known(
     if known.known:
         wanted = parse_name(known.name)
         return _of_name(replace(wanted, chirality=None), hand if hand != "none" else None)
-    small = smallest(drawn(diagram) if shape is None else shape)
+    small = smallest_grid(grid_of_diagram(diagram) if shape is None else shape)
     warning = (
         "this knot is not in the table of knots to ten crossings (at most "
         f"{known.crossings} crossings, determinant {known.invariants['determinant']})"
@@ -244,7 +245,7 @@ def _best_known(
     )
 
 
-def more_grids(choice: KnotChoice, *, larger: int = 0, seed: int = 1) -> Iterator[Grid]:
+def other_grids(choice: KnotChoice, *, larger: int = 0, seed: int = 1) -> Iterator[Grid]:
     """Other grid diagrams of the same knot that can be opened, without end, each one new.
 
     They have the size of ``choice.grid`` plus ``larger``. Deterministic for a seed.
@@ -253,7 +254,7 @@ def more_grids(choice: KnotChoice, *, larger: int = 0, seed: int = 1) -> Iterato
     for step in range(larger):
         shape = stabilised(shape, 1 + step % shape.size, high=True, right=True, above=True)
     seen = {choice.grid}
-    for grid in rearranged(shape, seed=seed):
+    for grid in random_grids(shape, seed=seed):
         if grid not in seen and openings(grid, limit=1):
             seen.add(grid)
             yield grid

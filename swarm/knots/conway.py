@@ -49,11 +49,11 @@ class _Edges:
         for _ in range(abs(number) - 1):
             ends = (self.new(), self.new(), self.new(), self.new())
             one = Tangle(((ends, number > 0),), (), ends)
-            result = added(result, one)
+            result = tangle_sum(result, one)
         return result
 
 
-def added(left: Tangle, right: Tangle) -> Tangle:
+def tangle_sum(left: Tangle, right: Tangle) -> Tangle:
     """Two tangles side by side."""
     return Tangle(
         left.crossings + right.crossings,
@@ -67,7 +67,7 @@ def added(left: Tangle, right: Tangle) -> Tangle:
     )
 
 
-def reflected(tangle: Tangle) -> Tangle:
+def reflect(tangle: Tangle) -> Tangle:
     """Reflected in the diagonal that falls from north-west to south-east."""
 
     def turn(ends: Ends) -> Ends:
@@ -77,21 +77,21 @@ def reflected(tangle: Tangle) -> Tangle:
     return Tangle(crossings, tangle.glue, turn(tangle.ends))
 
 
-def turned(tangle: Tangle) -> Tangle:
+def rotate(tangle: Tangle) -> Tangle:
     """Turned by 90° as a whole: its north-east end is now its north-west one."""
     nw, ne, se, sw = tangle.ends
     return Tangle(tangle.crossings, tangle.glue, (ne, se, sw, nw))
 
 
-def negated(tangle: Tangle) -> Tangle:
+def negate(tangle: Tangle) -> Tangle:
     """With every crossing changed."""
     crossings = tuple((ends, not rising) for ends, rising in tangle.crossings)
     return Tangle(crossings, tangle.glue, tangle.ends)
 
 
-def product(left: Tangle, right: Tangle) -> Tangle:
+def tangle_product(left: Tangle, right: Tangle) -> Tangle:
     """Conway's ``a b``."""
-    return added(reflected(left), right)
+    return tangle_sum(reflect(left), right)
 
 
 def diagram_of_conway(notation: str) -> Diagram:
@@ -135,25 +135,25 @@ def _tangle(text: str, edges: _Edges) -> Tangle:
         tail = _SIGNS.search(parts[-1])
         signs = tail[0] if tail else ""
         parts[-1] = parts[-1][: len(parts[-1]) - len(signs)]
-        result = reflected(_tangle(parts[0], edges))
+        result = reflect(_tangle(parts[0], edges))
         for part in parts[1:]:
-            result = added(result, reflected(_tangle(part, edges)))
+            result = tangle_sum(result, reflect(_tangle(part, edges)))
         extra = signs.count("+") - signs.count("-")
-        return added(result, edges.integer(extra)) if extra else result
+        return tangle_sum(result, edges.integer(extra)) if extra else result
     if text.startswith("-"):
-        return negated(_tangle(text[1:], edges))
+        return negate(_tangle(text[1:], edges))
     factors = re.findall(r"-?\([^()]*\)|-?\d", text)
     if "".join(factors) != text or not factors:
         raise KnotError(f'not a tangle in Conway\'s notation: "{text}"')
     result = _factor(factors[0], edges)
     for factor in factors[1:]:
-        result = product(result, _factor(factor, edges))
+        result = tangle_product(result, _factor(factor, edges))
     return result
 
 
 def _factor(text: str, edges: _Edges) -> Tangle:
     if text.startswith("-("):
-        return negated(_tangle(text[2:-1], edges))
+        return negate(_tangle(text[2:-1], edges))
     if text.startswith("("):
         return _tangle(text[1:-1], edges)
     return edges.integer(int(text))
@@ -179,14 +179,14 @@ _NW, _NE, _SE, _SW = range(4)
 class _Polyhedron:
     """A basic polyhedron: which corners of its vertices are joined, and how tangles are put in.
 
-    ``order`` are the vertices in the order of the notation. A tangle is turned by 90° at the
-    vertices in ``turned``, so that crossings alternate, and reflected first at those in ``flipped``
-    (found by which polynomials the notations are known to have).
+    ``order`` are the vertices in the order of the notation. At the vertices in
+    ``rotated`` a tangle is rotated by 90°, so that crossings alternate; before that, it is
+    reflected at those in ``flipped`` (found from the known polynomials of the notations).
     """
 
     order: tuple[int, ...]
     joints: tuple[Joint, ...]
-    turned: frozenset[int]
+    rotated: frozenset[int]
     flipped: frozenset[int]
 
 
@@ -205,8 +205,8 @@ def _braided(order: Sequence[int], flipped: Sequence[int]) -> _Polyhedron:
                 joints.append((before, (vertex, corner)))
         last[upper], last[upper + 1] = (vertex, _NE), (vertex, _SE)
     joints += [(end, start) for end, start in zip(last, first, strict=True) if end is not None]
-    turned = frozenset(range(1, len(order), 2))
-    return _Polyhedron(tuple(order), tuple(joints), turned, frozenset(flipped))
+    rotated = frozenset(range(1, len(order), 2))
+    return _Polyhedron(tuple(order), tuple(joints), rotated, frozenset(flipped))
 
 
 def _prismatic() -> _Polyhedron:
@@ -251,8 +251,8 @@ def _polyhedral(text: str, edges: _Edges) -> Diagram:
     for vertex, part in zip(shape.order, written, strict=True):
         tangle = _tangle(part, edges)
         if vertex in shape.flipped:
-            tangle = reflected(tangle)
-        tangles[vertex] = turned(tangle) if vertex in shape.turned else tangle
+            tangle = reflect(tangle)
+        tangles[vertex] = rotate(tangle) if vertex in shape.rotated else tangle
     joints = [
         (tangles[one].ends[corner], tangles[two].ends[other])
         for (one, corner), (two, other) in shape.joints

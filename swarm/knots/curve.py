@@ -62,11 +62,11 @@ def curve_gauss(
     Raises KnotError where those differ (strands on top of each other over a length, a strand that
     only touches another, three strands through one point), and where two strands meet in space.
     """
-    curve = checked(points, closed=closed)
+    curve = validated_curve(points, closed=closed)
     view = _view(curve, closed, tilt)
     if len(view.corners) < 3:
         return SignedGauss((), closed)
-    pairs = candidates(view.corners, closed=closed, margin=2 * NUDGE * view.extent)
+    pairs = overlapping_segments(view.corners, closed=closed, margin=2 * NUDGE * view.extent)
     code = _code(view, pairs)
     if code is not None:
         return code
@@ -103,7 +103,7 @@ def _view(curve: Points, closed: bool, tilt: tuple[float, float]) -> _View:
     return _View(plan[begins], heights[lasts], np.roll(heights[begins], -1), closed, tilt, extent)
 
 
-def checked(points: Points, *, closed: bool) -> Points:
+def validated_curve(points: Points, *, closed: bool) -> Points:
     """The curve without repeated points. Raises KnotError for a wrong shape or numbers."""
     curve: Points = np.asarray(points, dtype=np.float64)
     if curve.ndim != 2 or curve.shape[1] != 3:
@@ -122,7 +122,7 @@ def checked(points: Points, *, closed: bool) -> Points:
     return curve
 
 
-def candidates(corners: Points, *, closed: bool, margin: float) -> NDArray[np.int64]:
+def overlapping_segments(corners: Points, *, closed: bool, margin: float) -> NDArray[np.int64]:
     """Pairs (k, 2) of segments, not neighbours, whose boxes overlap, of corners (n, d).
 
     Each box is ``margin`` larger, on every side, than its segment.

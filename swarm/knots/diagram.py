@@ -14,24 +14,24 @@ from functools import cached_property
 import numpy as np
 
 from swarm.knots.curve import curve_gauss
-from swarm.knots.gauss import GaussText, KnotError, SignedGauss, parse_gauss, same_code
-from swarm.knots.grid import diagram_gauss
+from swarm.knots.gauss import KnotError, ParsedGauss, SignedGauss, parse_gauss, same_code
+from swarm.knots.grid import opening_gauss
 
 __all__ = [
     "Diagram",
     "KnotError",
     "SignedGauss",
     "curve_gauss",
-    "diagram_gauss",
     "diagram_of_pd",
     "diagrams_of_dt",
     "diagrams_of_gauss",
+    "opening_gauss",
     "parse_gauss",
     "realisations",
     "same_code",
 ]
 
-MOST_REALISATIONS = 64
+MAX_REALISATIONS = 64
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def realisations(passes: Sequence[tuple[int, bool]]) -> tuple[Diagram, ...]:
     if turns is None:
         raise unrealisable
     parts = int(part.max()) + 1
-    if 2**parts > MOST_REALISATIONS:
+    if 2**parts > MAX_REALISATIONS:
         raise KnotError(
             f"the Gauss code consists of {parts} parts, each of either hand: give crossing signs"
         )
@@ -230,7 +230,7 @@ def _turns(ends: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
     return unknown * np.where(first % 2 == 0, 1, -1), part
 
 
-def diagrams_of_gauss(text: str | GaussText) -> tuple[Diagram, ...]:
+def diagrams_of_gauss(text: str | ParsedGauss) -> tuple[Diagram, ...]:
     """All diagrams that a written Gauss code can mean; one if it gives signs."""
     read = parse_gauss(text) if isinstance(text, str) else text
     signed = read.signed()

@@ -119,7 +119,7 @@ def check_labels(passes: Sequence[tuple[int, bool]]) -> None:
 
 
 @dataclass(frozen=True)
-class GaussText:
+class ParsedGauss:
     """What a written Gauss code says: passes, and crossing signs where it gives them."""
 
     passes: tuple[tuple[int, bool], ...]
@@ -141,7 +141,7 @@ _INTEGER = re.compile(r"([+-]?)(\d+)")
 _LINK = re.compile(r"[|/;]|\)\s*,?\s*\(|\}\s*,?\s*\{|\]\s*,?\s*\[")
 
 
-def parse_gauss(text: str) -> GaussText:
+def parse_gauss(text: str) -> ParsedGauss:
     """Read a Gauss code in one of three notations.
 
     ``1- 2+ 3- 1+ 2- 3+`` is the paper's (+ passes over, − under); ``U1+ O2+ U3+ O1+ U2+ O3+`` also
@@ -173,10 +173,10 @@ def parse_gauss(text: str) -> GaussText:
         else:
             found.append((int(match[2]), match[1] != "-"))
     check_labels(found)
-    return GaussText(tuple(found), None)
+    return ParsedGauss(tuple(found), None)
 
 
-def _signed_tokens(tokens: Sequence[str]) -> GaussText:
+def _signed_tokens(tokens: Sequence[str]) -> ParsedGauss:
     passes: list[tuple[int, bool]] = []
     signs: list[int] = []
     for place, token in enumerate(tokens, 1):
@@ -186,6 +186,6 @@ def _signed_tokens(tokens: Sequence[str]) -> GaussText:
             passes.append((int(label), mark in "Oo"))
             signs.append(1 if sign == "+" else -1)
     check_labels(passes)
-    text = GaussText(tuple(passes), tuple(signs))
+    text = ParsedGauss(tuple(passes), tuple(signs))
     text.signed()
     return text

@@ -153,7 +153,7 @@ def _passes(corners: tuple[Corner, ...], *, closed: bool) -> list[tuple[int, int
     return found
 
 
-def diagram_gauss(opened: OpenGrid) -> SignedGauss:
+def opening_gauss(opened: OpenGrid) -> SignedGauss:
     """The signed Gauss code of an opened grid diagram, from its first corner to its last."""
     return _path_code(opened.corners, closed=False)
 
@@ -216,14 +216,14 @@ def commuted(grid: Grid, column: int) -> Grid:
     if not 1 <= column <= grid.size or first == second:
         raise KnotError(f"there is no column {column} in a grid of size {grid.size}")
     one, two = grid.columns[first], grid.columns[second]
-    if linked(one, two):
+    if interleaved(one, two):
         raise KnotError(f"columns {first + 1} and {second + 1} cannot be exchanged: {one}, {two}")
     columns = list(grid.columns)
     columns[first], columns[second] = two, one
     return Grid(tuple(columns))
 
 
-def linked(one: tuple[int, int], two: tuple[int, int]) -> bool:
+def interleaved(one: tuple[int, int], two: tuple[int, int]) -> bool:
     """Whether two pairs interleave on a circle, or share an end."""
     return (one[0] <= two[0] <= one[1]) != (one[0] <= two[1] <= one[1]) or bool({*one} & {*two})
 
@@ -292,7 +292,7 @@ def openings(grid: Grid, *, limit: int | None = None) -> tuple[OpenGrid, ...]:
     return tuple(result.values())[:limit]
 
 
-def least_opening(grid: Grid) -> tuple[int, int] | None:
+def best_opening(grid: Grid) -> tuple[int, int] | None:
     """Crossings and total edge length of the best opening; None if there is no opening."""
     found = _free_corners(grid, 0)
     return (

@@ -12,25 +12,31 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
-from swarm.knots.alexander import alexander
-from swarm.knots.curve import Points, checked
+from swarm.knots.alexander import alexander_polynomial
+from swarm.knots.chirality import chirality_sign
+from swarm.knots.connected_sums import (
+    CHIRALITIES,
+    Factor,
+    canonical_factors,
+    name_of_sum,
+    table_order,
+)
+from swarm.knots.curve import Points, validated_curve
+from swarm.knots.curve_defects import find_defect
+from swarm.knots.curve_diagram import curve_diagram
 from swarm.knots.diagram import Diagram
-from swarm.knots.draw import drawn
-from swarm.knots.flaws import flaw
 from swarm.knots.gauss import SignedGauss
-from swarm.knots.groups import separated
-from swarm.knots.hand import hand_of
-from swarm.knots.jones import Polynomial, jones
-from swarm.knots.search import minimised, rearranged
-from swarm.knots.shorten import curve_diagram
+from swarm.knots.grid_drawing import grid_of_diagram
+from swarm.knots.grid_search import minimise_grid, random_grids
+from swarm.knots.group_representations import matching_candidates
+from swarm.knots.jones import Polynomial, jones_polynomial
 from swarm.knots.simplify import simplified
-from swarm.knots.sums import HANDS, Factor, canonical, named, order
-from swarm.knots.table import Laurent, prime, table
+from swarm.knots.table import Laurent, knot_table, prime_knot
 
-MOST_CROSSINGS = 10
+MAX_TABLE_CROSSINGS = 10
 """Every knot with a diagram of this many crossings is in the table, or a sum of its knots."""
 
-LARGEST = 64
+MAX_SEARCHED_CROSSINGS = 64
 """Parts that keep more crossings than this are not searched further, nor are their polynomials."""
 
 _KICKS = 60
@@ -79,8 +85,8 @@ def identify_curve(points: Points, *, closed: bool = False) -> Identification:
     which they are not. Raises KnotError where the curve meets itself, has fewer than 3 different
     points, or is not a curve at all.
     """
-    curve = checked(points, closed=closed)
-    wrong = flaw(points, closed=closed)
+    curve = validated_curve(points, closed=closed)
+    wrong = find_defect(points, closed=closed)
     if wrong:
         raise wrong.error()
     return identify_diagram(curve_diagram(curve, closed=closed))
@@ -88,27 +94,28 @@ def identify_curve(points: Points, *, closed: bool = False) -> Identification:
 
 def identify_diagram(diagram: Diagram) -> Identification:
     """Name the knot of a diagram. Deterministic."""
-    parts = smallest_parts(diagram)
+    parts = minimal_summands(diagram)
     invariants = _report(parts)
     if invariants["jones"] is None:
         crossings = sum(part.crossings for part in parts)
         return Identification("unknown", "none", crossings, (), invariants)
     found = [_candidates(part) for part in parts]
     sums = {
-        canonical(itertools.chain.from_iterable(choice)) for choice in itertools.product(*found)
+        canonical_factors(itertools.chain.from_iterable(choice))
+        for choice in itertools.product(*found)
     }
-    listed = sorted(sums, key=lambda one: [(*order(name), -hand) for name, hand in one])
-    if all(part.crossings <= MOST_CROSSINGS for part in parts) and len(listed) == 1:
-        name, chirality = named(listed[0])
-        crossings = sum(prime(name).crossings for name, _ in listed[0])
+    listed = sorted(sums, key=lambda one: [(*table_order(name), -hand) for name, hand in one])
+    if all(part.crossings <= MAX_TABLE_CROSSINGS for part in parts) and len(listed) == 1:
+        name, chirality = name_of_sum(listed[0])
+        crossings = sum(prime_knot(name).crossings for name, _ in listed[0])
         return Identification(name, chirality, crossings, (_marked(listed[0]),), invariants)
     crossings = sum(part.crossings for part in parts)
     candidates = tuple(_marked(one) for one in listed)
-    chirality = HANDS[hand_of(invariants["jones"])]
+    chirality = CHIRALITIES[chirality_sign(invariants["jones"])]
     return Identification("unknown", chirality, crossings, candidates, invariants)
 
 
-def smallest_parts(diagram: Diagram) -> tuple[Diagram, ...]:
+def minimal_summands(diagram: Diagram) -> tuple[Diagram, ...]:
     """The visible summands of a diagram, each made as small as it will go.
 
     Where a part keeps more than ten crossings, it is also redrawn as grid diagrams, which are
@@ -117,7 +124,7 @@ def smallest_parts(diagram: Diagram) -> tuple[Diagram, ...]:
     parts = summands(simplified(diagram))
     result: list[Diagram] = []
     for part in parts:
-        if part.crossings <= MOST_CROSSINGS:
+        if part.crossings <= MAX_TABLE_CROSSINGS:
             result.append(part)
         else:
             result.extend(_smaller(part))
@@ -128,14 +135,14 @@ def _smaller(part: Diagram) -> tuple[Diagram, ...]:
     """A part with more than ten crossings, tried harder."""
     best = summands(simplified(part, kicks=_KICKS))
     most = max((one.crossings for one in best), default=0)
-    if most <= MOST_CROSSINGS or most > LARGEST or _is_minimal(best):
+    if most <= MAX_TABLE_CROSSINGS or most > MAX_SEARCHED_CROSSINGS or _is_minimal(best):
         return best
-    grid = minimised(drawn(part), moves=_MOVES)
-    for other in itertools.islice(rearranged(grid), _VIEWS):
+    grid = minimise_grid(grid_of_diagram(part), moves=_MOVES)
+    for other in itertools.islice(random_grids(grid), _VIEWS):
         view = summands(simplified(Diagram(other.code)))
         if sum(one.crossings for one in view) < sum(one.crossings for one in best):
             best = view
-        if all(one.crossings <= MOST_CROSSINGS for one in best) or _is_minimal(best):
+        if all(one.crossings <= MAX_TABLE_CROSSINGS for one in best) or _is_minimal(best):
             break
     return best
 
@@ -153,14 +160,14 @@ def _marked(factors: Sum) -> str:
 
 
 def _report(parts: tuple[Diagram, ...]) -> dict[str, Any]:
-    if any(part.crossings > LARGEST for part in parts):
+    if any(part.crossings > MAX_SEARCHED_CROSSINGS for part in parts):
         return {"jones": None, "alexander": None, "determinant": None}
     of_jones: dict[int, int] = {0: 1}
     of_alexander: dict[int, int] = {0: 1}
     for part in parts:
         of_jones, of_alexander = (
-            _times(of_jones, jones(part)),
-            _times(of_alexander, alexander(part)),
+            _times(of_jones, jones_polynomial(part)),
+            _times(of_alexander, alexander_polynomial(part)),
         )
     determinant = abs(sum(-c if power % 2 else c for power, c in of_alexander.items()))
     return {
@@ -190,13 +197,13 @@ def summands(diagram: Diagram) -> tuple[Diagram, ...]:
 
 def _candidates(part: Diagram) -> list[Sum]:
     """All sums of table knots that share a part's invariants and fit into its crossings."""
-    key = (_key(jones(part)), _key(alexander(part)))
+    key = (_key(jones_polynomial(part)), _key(alexander_polynomial(part)))
     fitting = [
         sums
         for sums in _index().get(key, [])
-        if sum(prime(name).crossings for name, _ in sums) <= part.crossings
+        if sum(prime_knot(name).crossings for name, _ in sums) <= part.crossings
     ]
-    return separated(part, fitting) if len(fitting) > 1 else fitting
+    return matching_candidates(part, fitting) if len(fitting) > 1 else fitting
 
 
 def _key(polynomial: Polynomial) -> Laurent:
@@ -208,7 +215,7 @@ def _index() -> dict[tuple[Laurent, Laurent], list[Sum]]:
     """Jones and Alexander polynomials → knots, for every knot with at most ten crossings."""
     primes: list[Sum] = [
         ((name, hand),)
-        for name, knot in table().items()
+        for name, knot in knot_table().items()
         for hand in ((1, -1) if knot.chiral else (0,))
     ]
     index: dict[tuple[Laurent, Laurent], list[Sum]] = {}
@@ -219,12 +226,12 @@ def _index() -> dict[tuple[Laurent, Laurent], list[Sum]]:
 
 def _composites(primes: list[Sum]) -> list[Sum]:
     """All sums of two or three knots that have at most ten crossings together."""
-    small = [one for one in primes if prime(one[0][0]).crossings <= MOST_CROSSINGS - 3]
+    small = [one for one in primes if prime_knot(one[0][0]).crossings <= MAX_TABLE_CROSSINGS - 3]
     found = {
-        canonical(itertools.chain.from_iterable(choice))
+        canonical_factors(itertools.chain.from_iterable(choice))
         for count in (2, 3)
         for choice in itertools.combinations_with_replacement(small, count)
-        if sum(prime(one[0][0]).crossings for one in choice) <= MOST_CROSSINGS
+        if sum(prime_knot(one[0][0]).crossings for one in choice) <= MAX_TABLE_CROSSINGS
     }
     return sorted(found)
 
@@ -234,7 +241,7 @@ def polynomials(factors: Sum) -> tuple[Laurent, Laurent]:
     of_jones: dict[int, int] = {0: 1}
     of_alexander: dict[int, int] = {0: 1}
     for name, hand in factors:
-        knot = prime(name)
+        knot = prime_knot(name)
         turn = -1 if hand < 0 else 1
         of_jones = _times(of_jones, {turn * power: c for power, c in knot.jones})
         of_alexander = _times(of_alexander, dict(knot.alexander))

@@ -10,7 +10,7 @@ Polynomial = Mapping[int, int]
 _State = tuple[tuple[int, int], ...]
 
 
-def jones(diagram: Diagram) -> dict[int, int]:
+def jones_polynomial(diagram: Diagram) -> dict[int, int]:
     """Jones polynomial V(t) as {power: coefficient}; the right-handed trefoil's is t + t³ − t⁴.
 
     Kauffman 1987, "State models and the Jones polynomial", with t = A⁻⁴. Time grows with the

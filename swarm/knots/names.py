@@ -4,12 +4,12 @@ import math
 import re
 from dataclasses import dataclass
 
+from swarm.knots.connected_sums import Factor, name_of_sum
 from swarm.knots.gauss import KnotError
 from swarm.knots.grid import Grid
-from swarm.knots.sums import Factor, named
-from swarm.knots.table import table
+from swarm.knots.table import knot_table
 
-COMMON = {
+COMMON_NAMES = {
     "unknot": "0_1",
     "overhand": "3_1",
     "overhand knot": "3_1",
@@ -37,14 +37,14 @@ COMMON = {
 """Common names, in lower case and without the word knot."""
 
 
-def in_words(name: str, chirality: str) -> str:
+def describe_knot(name: str, chirality: str) -> str:
     """Return a knot's name with its chirality: "3_1 right-handed", "4_1"; "no knot" without one."""
     hand = f" {chirality}-handed" if chirality in {"left", "right"} else ""
     return f"{name}{hand}" if name else "no knot"
 
 
 @dataclass(frozen=True)
-class Named:
+class ParsedName:
     """What a name says: prime factors with hands as written, or a torus knot.
 
     ``chirality`` is set where the name itself says which hand is meant; ``text`` is the name.
@@ -63,15 +63,15 @@ _TORUS = re.compile(r"(m?)(?:torus|t)\(?\s*(-?\d+)\s*[,\s]\s*(-?\d+)\s*\)?")
 _TABLE = re.compile(r"(m?)(\d+)[_\-. ](\d+)")
 
 
-def parse_name(text: str) -> Named:
+def parse_name(text: str) -> ParsedName:
     """Read a knot's name. Raises KnotError for one that is not known, with near ones."""
     plain = re.sub(r"\s+", " ", text.strip().lower().replace("’", "'"))
-    plain = re.sub(r"[ -]?knot$", "", plain) if plain not in COMMON else plain
+    plain = re.sub(r"[ -]?knot$", "", plain) if plain not in COMMON_NAMES else plain
     hand = None
     side = re.match(r"(left|right)(?:[- ]hand(?:ed)?)? (.*)", plain)
     if side:
         hand, plain = side[1], side[2]
-    plain = COMMON.get(plain, COMMON.get(plain.replace("-", " "), plain))
+    plain = COMMON_NAMES.get(plain, COMMON_NAMES.get(plain.replace("-", " "), plain))
     torus = _TORUS.fullmatch(plain)
     if torus:
         return _torus(torus, hand, text)
@@ -81,43 +81,43 @@ def parse_name(text: str) -> Named:
         own, left = _factor(part.strip(), text)
         factors += own
         says_left |= left
-    chirality = named(tuple(factors))[1]
+    chirality = name_of_sum(tuple(factors))[1]
     if chirality == "none":
-        return Named(tuple(factors), (0, 0), None, text)
+        return ParsedName(tuple(factors), (0, 0), None, text)
     written = chirality if says_left or chirality == "left" else None
-    return Named(tuple(factors), (0, 0), hand or written, text)
+    return ParsedName(tuple(factors), (0, 0), hand or written, text)
 
 
 def _factor(part: str, text: str) -> tuple[list[Factor], bool]:
     """The prime factors of one summand, and whether it is written as a mirror image."""
-    part = COMMON.get(part, part)
-    mirror = part.startswith("m") and (part[1:] in COMMON or _TABLE.fullmatch(part[1:]))
+    part = COMMON_NAMES.get(part, part)
+    mirror = part.startswith("m") and (part[1:] in COMMON_NAMES or _TABLE.fullmatch(part[1:]))
     if mirror:
-        part = COMMON.get(part[1:], part[1:])
+        part = COMMON_NAMES.get(part[1:], part[1:])
     if part in {"0_1", "0-1"}:
         return [], False
     match = _TABLE.fullmatch(part)
     name = f"{match[2]}_{int(match[3])}" if match else ""
-    if name not in table():
+    if name not in knot_table():
         raise KnotError(f'no knot is called "{text}" here; `swarm knots` lists the names')
-    hand = (-1 if mirror else 1) if table()[name].chiral else 0
+    hand = (-1 if mirror else 1) if knot_table()[name].chiral else 0
     return [(name, hand)], bool(mirror)
 
 
-def _torus(match: re.Match[str], hand: str | None, text: str) -> Named:
+def _torus(match: re.Match[str], hand: str | None, text: str) -> ParsedName:
     p, q = int(match[2]), int(match[3])
     if math.gcd(p, q) != 1:
         raise KnotError(f"torus({p},{q}) is a link of {math.gcd(p, q)} components, not a knot")
     left = (p * q < 0) != bool(match[1])
     small, large = sorted((abs(p), abs(q)))
     if small <= 1:
-        return Named((), (0, 0), None, text)
+        return ParsedName((), (0, 0), None, text)
     if small + large > _LARGEST_TORUS:
         raise KnotError(
             f"torus({p},{q}) needs {2 * (small + large) - 1} vehicles; there are at most "
             f"{2 * _LARGEST_TORUS - 1}"
         )
-    return Named(None, (small, large), hand or ("left" if left else None), text)
+    return ParsedName(None, (small, large), hand or ("left" if left else None), text)
 
 
 def torus_grid(p: int, q: int) -> Grid:

@@ -88,16 +88,16 @@ def read_line(line: str) -> TableKnot:
 
 
 @lru_cache(maxsize=1)
-def table() -> dict[str, TableKnot]:
+def knot_table() -> dict[str, TableKnot]:
     """All knots of the table by name, in its order."""
     text = resources.files("swarm.knots").joinpath("table.txt").read_text(encoding="utf-8")
     knots = [read_line(line) for line in text.splitlines()]
     return {knot.name: knot for knot in knots}
 
 
-def prime(name: str) -> TableKnot:
+def prime_knot(name: str) -> TableKnot:
     """The knot of a name such as ``8_18``. Raises KnotError if the table has none."""
     try:
-        return table()[name]
+        return knot_table()[name]
     except KeyError:
         raise KnotError(f'"{name}" is not in the table of prime knots to ten crossings') from None

@@ -9,35 +9,35 @@ computed here.
 from importlib import resources
 from pathlib import Path
 
-from swarm.knots.alexander import alexander
+from swarm.knots.alexander import alexander_polynomial
+from swarm.knots.chirality import AMPHICHIRAL, is_right_handed
+from swarm.knots.connected_sums import table_order
 from swarm.knots.conway import diagram_of_conway
 from swarm.knots.diagram import Diagram, diagrams_of_dt
-from swarm.knots.draw import drawn
-from swarm.knots.hand import AMPHICHIRAL, right_handed
-from swarm.knots.jones import jones
-from swarm.knots.layout import smallest
+from swarm.knots.grid_drawing import grid_of_diagram
+from swarm.knots.grid_reduction import smallest_grid
+from swarm.knots.jones import jones_polynomial
 from swarm.knots.simplify import simplified
-from swarm.knots.sums import order
 from swarm.knots.table import TableKnot
 
 MOVES = 400_000
 """Attempted moves for a knot whose arc index is not known beforehand."""
 
 
-def tabulated(
+def tabulate_knot(
     name: str, notation: str, *, moves: int = MOVES, starts: int = 24, steps: int = 400
 ) -> TableKnot:
     """One line of the table from a knot's Conway notation."""
     chiral = name not in AMPHICHIRAL
     drawing = simplified(diagram_of_conway(notation), kicks=500)
-    if drawing.crossings != order(name)[0]:
+    if drawing.crossings != table_order(name)[0]:
         raise RuntimeError(f"{name} came out with {drawing.crossings} crossings")
     dt = drawing.dt()
     diagram = _right(diagrams_of_dt(dt), chiral)
     # The arc index of an alternating knot is known (Bae and Park 2000).
     target = drawing.crossings + 2 if drawing.alternating else 2
-    grid = smallest(
-        drawn(diagram),
+    grid = smallest_grid(
+        grid_of_diagram(diagram),
         target=target,
         starts=starts,
         steps=steps,
@@ -49,8 +49,8 @@ def tabulated(
         chiral=chiral,
         dt=dt,
         first_sign=diagram.code.passes[0][2],
-        jones=tuple(jones(diagram).items()),
-        alexander=tuple(alexander(diagram).items()),
+        jones=tuple(jones_polynomial(diagram).items()),
+        alexander=tuple(alexander_polynomial(diagram).items()),
         grid=grid,
     )
 
@@ -59,7 +59,7 @@ def _right(pair: tuple[Diagram, ...], chiral: bool) -> Diagram:
     """The right-handed one of a mirror pair; the first where the convention leaves it open."""
     if chiral:
         for diagram in pair:
-            if right_handed(jones(diagram)):
+            if is_right_handed(jones_polynomial(diagram)):
                 return diagram
     return pair[0]
 
@@ -70,7 +70,7 @@ def main() -> None:
     lines = []
     for entry in text.splitlines():
         name, notation = entry.split()
-        lines.append(tabulated(name, notation).line())
+        lines.append(tabulate_knot(name, notation).line())
     target = Path(__file__).with_name("table.txt")
     target.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

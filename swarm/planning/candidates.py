@@ -13,7 +13,7 @@ from swarm.folding.layout import LayoutParameters
 from swarm.folding.margins import Margins
 from swarm.folding.optimizer import BEYOND_REPAIR
 from swarm.folding.schedule import improve
-from swarm.knots.catalog import KnotChoice, choose
+from swarm.knots.catalog import KnotChoice, choose_knot
 from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
 from swarm.planning.assembly import paper_plan, plan_of_folding
@@ -209,7 +209,7 @@ def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:
     section = mission.knot
     if section is None:
         raise Refused("the mission names no knot")
-    choice = choose(
+    choice = choose_knot(
         name=section.name,
         gauss=section.gauss,
         dt=section.dt,

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.motion import Motion
-from swarm.knots.names import in_words
+from swarm.knots.names import describe_knot
 from swarm.mission import Mission
 
 Floats = npt.NDArray[np.float64]
@@ -110,7 +110,7 @@ class Plan:
         """Return what one line says of the plan, by name: knot, vehicles, cable and duration."""
         count, cable = self.vehicles, float(self.layout.lengths.sum())
         return {
-            "knot": in_words(self.knot.type, self.knot.chirality),
+            "knot": describe_knot(self.knot.type, self.knot.chirality),
             "vehicles": f"{count} vehicle{'s' if count > 1 else ''}",
             "cable": f"{cable:.1f} m of cable" if cable else "no cable",
             "duration": f"{self.duration:.0f} s",

@@ -10,13 +10,13 @@ from time import perf_counter
 
 import numpy as np
 
-from swarm.knots.catalog import lookup
+from swarm.knots.catalog import lookup_knot
 from swarm.knots.diagram import diagrams_of_gauss
-from swarm.knots.draw import drawn
 from swarm.knots.grid import openings
+from swarm.knots.grid_drawing import grid_of_diagram
+from swarm.knots.grid_search import minimise_grid
 from swarm.knots.invariants import identify_curve
-from swarm.knots.search import minimised
-from swarm.knots.table import TableKnot, table
+from swarm.knots.table import TableKnot, knot_table
 
 
 def best_of(times: int, work: object, *arguments: object, **options: object) -> float:
@@ -31,7 +31,7 @@ def best_of(times: int, work: object, *arguments: object, **options: object) -> 
 
 def searched(gauss: str, target: int) -> int:
     """Size of the grid that the search finds from a Gauss code."""
-    return minimised(drawn(diagrams_of_gauss(gauss)[0]), target=target).size
+    return minimise_grid(grid_of_diagram(diagrams_of_gauss(gauss)[0]), target=target).size
 
 
 def search_time(knot: TableKnot, times: int = 1) -> tuple[float, float]:
@@ -49,7 +49,7 @@ def search_time(knot: TableKnot, times: int = 1) -> tuple[float, float]:
 
 def hung(name: str, count: int) -> np.ndarray:
     """About so many points of the cable in a knot's best opening."""
-    corners = np.array(openings(lookup(name).grid, limit=1)[0].corners, dtype=float)
+    corners = np.array(openings(lookup_knot(name).grid, limit=1)[0].corners, dtype=float)
     share = np.linspace(0, 1, count // (len(corners) - 1), endpoint=False)[:, None]
     parts = []
     for start, end in pairwise(corners):
@@ -61,9 +61,9 @@ def hung(name: str, count: int) -> np.ndarray:
 def main() -> None:
     """Print the figures beside what they must reach."""
     for name, limit in (("3_1", 0.1), ("8_18", 0.3)):
-        whole, _ = search_time(table()[name], times=5)
+        whole, _ = search_time(knot_table()[name], times=5)
         print(f"Gauss → minimal grid  {name:9}{whole * 1e3:9.1f} ms   (limit {limit * 1e3:.0f} ms)")
-    ten = {knot.name: search_time(knot) for knot in table().values() if knot.crossings == 10}
+    ten = {knot.name: search_time(knot) for knot in knot_table().values() if knot.crossings == 10}
     worst = max(ten, key=lambda name: ten[name][0])
     print(f"  ten crossings, worst {worst:9}{ten[worst][0] * 1e3:8.1f} ms   (limit 3000 ms)")
     print(f"  ten crossings, median         {median(t for t, _ in ten.values()) * 1e3:8.1f} ms")

@@ -6,7 +6,7 @@ from scipy.sparse import csr_array, eye_array
 
 from swarm.folding.hopping import basin_hopping
 from swarm.folding.optimizer import relax
-from swarm.knots.catalog import choose
+from swarm.knots.catalog import choose_knot
 from swarm.knots.grid import openings
 from swarm.mission import mission_for_knot
 from swarm.planning.shapes import different, folded, keeping, ranked, shapes
@@ -20,7 +20,7 @@ def test_openings_in_which_giving_way_alone_gets_stuck_fold(knot: str, rank: int
     margins = keeping(mission)
     shape = next(shapes(mission, margins))
     best = ranked(
-        different(openings(choose(name=knot, chirality="either").grid)), shape, margins, None
+        different(openings(choose_knot(name=knot, chirality="either").grid)), shape, margins, None
     )
     opened = [diagram for diagram, _ in zip(best, range(rank + 1), strict=False)]
     folding = folded(opened[rank], shape, margins)

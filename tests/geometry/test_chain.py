@@ -22,7 +22,7 @@ from swarm.geometry.chain import (
     polyline,
     segment_lengths,
 )
-from swarm.knots.catalog import choose
+from swarm.knots.catalog import choose_knot
 from swarm.knots.grid import grid_of_columns
 from swarm.knots.invariants import identify_curve
 from swarm.mission import parse_mission
@@ -77,7 +77,7 @@ def test_the_papers_tables(knot: str) -> None:
 def test_the_papers_missions_follow_the_grid_of_their_knot(knot: str) -> None:
     path = MISSIONS / f"{knot}.yaml"
     mission = parse_mission(path.read_text("utf-8"), path.name)
-    choice = choose(grid=mission.knot.grid)
+    choice = choose_knot(grid=mission.knot.grid)
     assert choice.name == PAPER[knot][3]
     corners = [(int(x), int(y)) for x, y in mission.layout.corners]
     closed = grid_of_columns(mission.knot.grid).corners
@@ -130,7 +130,7 @@ def test_the_overhands_table_is_of_an_unknot() -> None:
         rows = sorted(ring[0::2, 1].tolist())
         if sorted(columns) == rows == [1, 2, 3, 4, 5]:
             grids.append(ring)
-            assert choose(grid=[columns[k] for k in range(1, 6)]).name == "0_1"
+            assert choose_knot(grid=[columns[k] for k in range(1, 6)]).name == "0_1"
     assert len(grids) == 4  # one, and its mirror images
     corners = np.column_stack([0.654 * grids[0][:9], np.full(9, 10.0)])
     sags = np.where(np.arange(8) % 2 == 0, 0.751, 0.941)

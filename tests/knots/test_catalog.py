@@ -4,31 +4,31 @@ import itertools
 
 import pytest
 
-from swarm.knots.catalog import choose, lookup, more_grids, names
+from swarm.knots.catalog import choose_knot, lookup_knot, other_grids, table_names
+from swarm.knots.chirality import AMPHICHIRAL, chirality_sign
 from swarm.knots.conway import diagram_of_conway
 from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import KnotError
 from swarm.knots.grid import Grid, mirrored, openings, stabilised
-from swarm.knots.hand import AMPHICHIRAL, hand_of
 from swarm.knots.invariants import identify_diagram
-from swarm.knots.jones import jones
-from swarm.knots.survey import surveyed
-from swarm.knots.table import read_line, table
-from swarm.knots.tabulate import tabulated
+from swarm.knots.jones import jones_polynomial
+from swarm.knots.table import knot_table, read_line
+from swarm.knots.table_check import check_knot
+from swarm.knots.tabulate import tabulate_knot
 from tests.knots.curves import knotinfo, of_knotinfo
 
 OVERHAND = "1- 2+ 3- 1+ 2- 3+"
 
 
 def test_the_table_is_all_of_knotinfos_to_ten_crossings() -> None:
-    assert list(names()) == [
+    assert list(table_names()) == [
         name for name, row in knotinfo().items() if int(row["crossing_number"]) <= 10
     ]
-    assert len(names()) == 249
+    assert len(table_names()) == 249
 
 
 def test_arc_index_determinant_and_symmetry_agree_with_knotinfo() -> None:
-    for name, knot in table().items():
+    for name, knot in knot_table().items():
         row = knotinfo()[name]
         assert knot.arc_index == int(row["arc_index"])
         assert knot.crossings == int(row["crossing_number"]) == knot.diagram.crossings
@@ -36,18 +36,18 @@ def test_arc_index_determinant_and_symmetry_agree_with_knotinfo() -> None:
         determinant = abs(sum(c * (-1) ** power for power, c in knot.alexander))
         assert determinant == int(row["determinant"])
         assert knot.chiral == ("amphicheiral" not in row["symmetry_type"])
-    assert {name for name, knot in table().items() if not knot.chiral} == AMPHICHIRAL
+    assert {name for name, knot in knot_table().items() if not knot.chiral} == AMPHICHIRAL
 
 
 def test_the_convention_of_hands_holds_for_the_table() -> None:
-    for knot in table().values():
-        assert jones(knot.diagram) == dict(knot.jones)
-        hand = hand_of(dict(knot.jones))
+    for knot in knot_table().values():
+        assert jones_polynomial(knot.diagram) == dict(knot.jones)
+        hand = chirality_sign(dict(knot.jones))
         assert hand == 0 if not knot.chiral else hand >= 0
 
 
 def test_every_grid_of_the_table_is_its_knot_and_can_be_opened() -> None:
-    for knot in table().values():
+    for knot in knot_table().values():
         known = identify_diagram(Diagram(knot.grid.code))
         assert (known.name, known.chirality) == (knot.name, "right" if knot.chiral else "none")
         opened = openings(knot.grid, limit=1)[0]
@@ -56,12 +56,12 @@ def test_every_grid_of_the_table_is_its_knot_and_can_be_opened() -> None:
 
 @pytest.mark.parametrize("name", ["3_1", "4_1", "7_6", "8_19", "9_40", "10_165"])
 def test_the_table_is_what_the_script_makes(name: str) -> None:
-    stored = table()[name]
+    stored = knot_table()[name]
     notation = {"3_1": "3", "4_1": "22", "7_6": "2212", "8_19": "3,3,2-"} | {
         "9_40": "9*",
         "10_165": "8*2:.-20",
     }
-    made = tabulated(name, notation[name], moves=20_000, starts=0, steps=2)
+    made = tabulate_knot(name, notation[name], moves=20_000, starts=0, steps=2)
     assert (made.dt, made.first_sign, made.jones) == (stored.dt, stored.first_sign, stored.jones)
     assert made.arc_index == stored.arc_index
     assert read_line(made.line()) == made
@@ -70,7 +70,7 @@ def test_the_table_is_what_the_script_makes(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["3_1", "8_18", "8_20", "9_42", "10_45", "10_132", "10_161"])
 def test_small_grids_are_found_without_the_catalogue(name: str) -> None:
-    row = surveyed(table()[name])
+    row = check_knot(knot_table()[name])
     assert row.right
     assert row.found == int(knotinfo()[name]["arc_index"])
 
@@ -98,50 +98,52 @@ def test_small_grids_are_found_without_the_catalogue(name: str) -> None:
 )
 @pytest.mark.parametrize("chirality", ["left", "right"])
 def test_the_overhand_in_all_its_guises(description: dict[str, object], chirality: str) -> None:
-    choice = choose(**description, chirality=chirality)  # type: ignore[arg-type]
+    choice = choose_knot(**description, chirality=chirality)  # type: ignore[arg-type]
     assert (choice.name, choice.chirality) == ("3_1", chirality)
     assert (choice.grid.size, choice.vehicles, choice.crossings) == (5, 9, 3)
     fixed = "pd" in description or "grid" in description or "U" in str(description)
     assert fixed or choice.warnings == ()
     sign = 1 if chirality == "right" else -1
     for diagram in (choice.diagram, Diagram(choice.grid.code)):
-        assert jones(diagram) == dict(sorted({sign: 1, 3 * sign: 1, 4 * sign: -1}.items()))
+        assert jones_polynomial(diagram) == dict(
+            sorted({sign: 1, 3 * sign: 1, 4 * sign: -1}.items())
+        )
     assert choice.gauss == choice.diagram.code.text()
     assert len(choice.opening.crossings) == 3
 
 
 @pytest.mark.parametrize("step", [12, pytest.param(1, marks=pytest.mark.full)])
 def test_knotinfos_gauss_dt_and_pd_codes_are_named_alike(step: int) -> None:
-    for name in names()[::step]:
+    for name in table_names()[::step]:
         row = knotinfo()[name]
         codes = {"gauss": row["gauss_notation"]} | {
             key: of_knotinfo(name, f"{key}_notation") for key in ("dt", "pd")
         }
         for key, code in codes.items():
-            choice = choose(**{key: code}, chirality="either")  # type: ignore[arg-type]
+            choice = choose_knot(**{key: code}, chirality="either")  # type: ignore[arg-type]
             assert choice.name == name
             assert choice.grid.size == int(row["arc_index"])
 
 
 def test_codes_are_kept_as_they_were_written() -> None:
-    assert choose(gauss=OVERHAND, chirality="left").gauss == OVERHAND
+    assert choose_knot(gauss=OVERHAND, chirality="left").gauss == OVERHAND
 
 
 def test_what_fixes_the_hand_and_what_does_not() -> None:
-    assert choose(gauss="U1- O2- U3- O1- U2- O3-").chirality == "left"
-    assert choose(pd=[[1, 5, 2, 4], [3, 1, 4, 6], [5, 3, 6, 2]]).chirality == "right"
-    assert choose(name="m3_1").chirality == "left"
-    assert choose(name="left trefoil").chirality == "left"
-    assert choose(name="torus(-2,3)").chirality == "left"
-    assert choose(name="4_1").chirality == "none"
-    assert choose(name="4_1", chirality="left").chirality == "none"
-    assert choose(name="square").chirality == "none"
-    assert choose(name="m3_1", chirality="either").chirality == "left"
-    assert choose(name="3_1", chirality="either").chirality == "right"
-    assert choose(gauss=OVERHAND, chirality="either").chirality == "right"
+    assert choose_knot(gauss="U1- O2- U3- O1- U2- O3-").chirality == "left"
+    assert choose_knot(pd=[[1, 5, 2, 4], [3, 1, 4, 6], [5, 3, 6, 2]]).chirality == "right"
+    assert choose_knot(name="m3_1").chirality == "left"
+    assert choose_knot(name="left trefoil").chirality == "left"
+    assert choose_knot(name="torus(-2,3)").chirality == "left"
+    assert choose_knot(name="4_1").chirality == "none"
+    assert choose_knot(name="4_1", chirality="left").chirality == "none"
+    assert choose_knot(name="square").chirality == "none"
+    assert choose_knot(name="m3_1", chirality="either").chirality == "left"
+    assert choose_knot(name="3_1", chirality="either").chirality == "right"
+    assert choose_knot(gauss=OVERHAND, chirality="either").chirality == "right"
     for description in ({"name": "overhand"}, {"gauss": OVERHAND}, {"dt": [4, 6, 2]}):
         with pytest.raises(KnotError) as caught:
-            choose(**description)  # type: ignore[arg-type]
+            choose_knot(**description)  # type: ignore[arg-type]
         assert str(caught.value) == (
             "3_1 is chiral and the description fits both its mirror images: "
             "say chirality: left, right or either"
@@ -149,19 +151,19 @@ def test_what_fixes_the_hand_and_what_does_not() -> None:
 
 
 def test_a_grid_of_the_other_hand_is_mirrored() -> None:
-    left = mirrored(table()["5_2"].grid)
-    choice = choose(grid=left, chirality="right")
+    left = mirrored(knot_table()["5_2"].grid)
+    choice = choose_knot(grid=left, chirality="right")
     assert choice.warnings == (
         "what was given is left-handed: its mirror image is tied, as asked for",
     )
-    assert choose(grid=left, chirality="either").chirality == "left"
+    assert choose_knot(grid=left, chirality="either").chirality == "left"
     assert identify_diagram(Diagram(choice.grid.code)).candidates == ("5_2",)
-    assert choose(grid=left).grid == left
+    assert choose_knot(grid=left).grid == left
 
 
 def test_a_grid_that_was_given_is_kept() -> None:
-    larger = stabilised(table()["4_1"].grid, 2, high=True, right=False, above=True)
-    choice = choose(grid=larger)
+    larger = stabilised(knot_table()["4_1"].grid, 2, high=True, right=False, above=True)
+    choice = choose_knot(grid=larger)
     assert (choice.name, choice.grid) == ("4_1", larger)
     assert choice.warnings == (
         "the grid given is kept; this knot has one of size 6, for 11 vehicles instead of 13",
@@ -198,7 +200,7 @@ def test_a_grid_that_was_given_is_kept() -> None:
 )
 def test_descriptions_that_are_refused(description: dict[str, str], message: str) -> None:
     with pytest.raises(KnotError) as caught:
-        choose(**description)  # type: ignore[arg-type]
+        choose_knot(**description)  # type: ignore[arg-type]
     assert str(caught.value) == message
 
 
@@ -226,9 +228,9 @@ def test_descriptions_that_are_refused(description: dict[str, str], message: str
     ],
 )
 def test_names(name: str, table_name: str, chirality: str, size: int) -> None:
-    choice = lookup(name)
+    choice = lookup_knot(name)
     assert (choice.name, choice.chirality, choice.grid.size) == (table_name, chirality, size)
-    assert jones(Diagram(choice.grid.code)) == jones(choice.diagram)
+    assert jones_polynomial(Diagram(choice.grid.code)) == jones_polynomial(choice.diagram)
     assert choice.title == ("torus(3,7)" if table_name == "unknown" else "")
     assert choice.vehicles == 2 * size - 1
     assert len(choice.opening.corners) == choice.vehicles
@@ -236,7 +238,7 @@ def test_names(name: str, table_name: str, chirality: str, size: int) -> None:
 
 def test_an_unknot_is_said_to_be_one() -> None:
     for description in ({"name": "unknot"}, {"gauss": "1+ 1-"}, {"gauss": "1+ 2+ 2- 1-"}):
-        choice = choose(**description)  # type: ignore[arg-type]
+        choice = choose_knot(**description)  # type: ignore[arg-type]
         assert (choice.name, choice.grid.size) == ("0_1", 2)
         assert choice.warnings == ("this is the unknot: the cable will not be knotted",)
 
@@ -244,11 +246,11 @@ def test_an_unknot_is_said_to_be_one() -> None:
 def test_a_knot_outside_the_table_is_tied_from_its_own_code() -> None:
     row = knotinfo()["11n_38"]
     gauss = row["gauss_notation"]
-    choice = choose(gauss=gauss, chirality="left")
+    choice = choose_knot(gauss=gauss, chirality="left")
     assert choice.name == "unknown"
     assert choice.chirality == "left"
-    assert hand_of(jones(choice.diagram)) == -1
-    assert jones(Diagram(choice.grid.code)) == jones(choice.diagram)
+    assert chirality_sign(jones_polynomial(choice.diagram)) == -1
+    assert jones_polynomial(Diagram(choice.grid.code)) == jones_polynomial(choice.diagram)
     assert choice.grid.size == int(row["arc_index"])
     assert choice.warnings == (
         "this knot is not in the table of knots to ten crossings (at most 11 crossings, "
@@ -257,12 +259,12 @@ def test_a_knot_outside_the_table_is_tied_from_its_own_code() -> None:
 
 
 def test_more_grids_are_new_deterministic_and_the_same_knot() -> None:
-    choice = choose(name="7_4", chirality="left")
+    choice = choose_knot(name="7_4", chirality="left")
     for larger in (0, 1, 2):
-        found = list(itertools.islice(more_grids(choice, larger=larger), 8))
+        found = list(itertools.islice(other_grids(choice, larger=larger), 8))
         assert len(set(found)) == 8
         assert choice.grid not in found
-        assert found == list(itertools.islice(more_grids(choice, larger=larger), 8))
+        assert found == list(itertools.islice(other_grids(choice, larger=larger), 8))
         for grid in found:
             assert grid.size == choice.grid.size + larger
             assert identify_diagram(Diagram(grid.code)).candidates == ("m7_4",)

@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 from swarm.cli.knots import identify, knots
 from swarm.cli.main import cli
 from swarm.errors import InputError
-from swarm.knots.catalog import lookup
+from swarm.knots.catalog import lookup_knot
 from swarm.knots.diagram import Diagram
 from swarm.knots.grid import grid_of_columns
 from swarm.knots.invariants import identify_diagram
@@ -58,7 +58,7 @@ def test_a_knot_in_the_terminal_and_as_png(tmp_path: Path) -> None:
     output = run("knots", "m3_1", "--plot", str(picture)).output
     assert "3_1, left-handed; its mirror image is another knot" in output
     assert "9, with 8 segments of cable" in output
-    choice = lookup("m3_1")
+    choice = lookup_knot("m3_1")
     drawing = output[output.index("  5  ") :]
     # Of the two marks of an edge each, one end of the cable and the removed corner show.
     assert drawing.count("●") == 2
@@ -96,7 +96,7 @@ def rows(points: np.ndarray, separator: str = ",") -> str:
 
 
 def test_curves_are_named(tmp_path: Path) -> None:
-    cable = hung(lookup("10_132").opening)
+    cable = hung(lookup_knot("10_132").opening)
     file = write(tmp_path / "open.csv", "# a cable\n" + rows(cable))
     found = json.loads(run("identify", file, "--json").output)
     assert list(found) == ["name", "chirality", "crossings", "candidates", "invariants"]
@@ -109,7 +109,7 @@ def test_curves_are_named(tmp_path: Path) -> None:
 
 
 def test_columns_may_be_named_and_more(tmp_path: Path) -> None:
-    cable = hung(lookup("4_1").opening, samples=5)
+    cable = hung(lookup_knot("4_1").opening, samples=5)
     lines = ["time;Z;y;X"] + [f"{k};{z};{y};{x}" for k, (x, y, z) in enumerate(cable.tolist())]
     file = write(tmp_path / "named.csv", "\ufeff" + "\r\n".join(lines) + "\r\n")
     assert json.loads(run("identify", file, "--json").output)["name"] == "4_1"

@@ -16,7 +16,7 @@ from swarm.knots.diagram import (
 )
 from swarm.knots.gauss import KnotError, SignedGauss, same_code
 from swarm.knots.invariants import identify_diagram, summands
-from swarm.knots.jones import jones
+from swarm.knots.jones import jones_polynomial
 from tests.knots.curves import of_knotinfo, random_diagram
 
 PAPER = {
@@ -151,8 +151,8 @@ def test_wrong_pd_codes(pd: list[list[int]], message: str) -> None:
 
 @pytest.mark.parametrize("name", ["3_1", "4_1", "8_19", "9_40", "10_132", "10_165"])
 def test_knotinfos_pd_and_dt_codes_agree(name: str) -> None:
-    of_pd = jones(diagram_of_pd(of_knotinfo(name, "pd_notation")))
-    of_dt = [jones(one) for one in diagrams_of_dt(of_knotinfo(name, "dt_notation"))]  # type: ignore[arg-type]
+    of_pd = jones_polynomial(diagram_of_pd(of_knotinfo(name, "pd_notation")))
+    of_dt = [jones_polynomial(one) for one in diagrams_of_dt(of_knotinfo(name, "dt_notation"))]  # type: ignore[arg-type]
     assert of_pd in of_dt
 
 

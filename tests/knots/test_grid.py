@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.knots.alexander import alexander
-from swarm.knots.diagram import Diagram, diagram_gauss
-from swarm.knots.draw import drawn
+from swarm.knots.alexander import alexander_polynomial
+from swarm.knots.diagram import Diagram, opening_gauss
 from swarm.knots.gauss import KnotError
 from swarm.knots.grid import (
     Grid,
@@ -23,10 +22,11 @@ from swarm.knots.grid import (
     transposed,
     turned,
 )
+from swarm.knots.grid_drawing import grid_of_diagram
+from swarm.knots.grid_search import minimise_grid, random_grids
 from swarm.knots.invariants import identify_diagram
-from swarm.knots.jones import jones
-from swarm.knots.search import minimised, rearranged
-from swarm.knots.table import table
+from swarm.knots.jones import jones_polynomial
+from swarm.knots.table import knot_table
 from tests.knots.curves import of_knotinfo, random_diagram
 
 OVERHAND = Grid(((2, 4), (3, 5), (1, 4), (2, 5), (1, 3)))
@@ -35,7 +35,7 @@ OVERHAND = Grid(((2, 4), (3, 5), (1, 4), (2, 5), (1, 3)))
 def polynomials(grid: Grid) -> tuple[dict[int, int], dict[int, int]]:
     """Enough to notice nearly every wrong move, chirality included."""
     diagram = Diagram(grid.code)
-    return jones(diagram), alexander(diagram)
+    return jones_polynomial(diagram), alexander_polynomial(diagram)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_the_grids_behind_the_papers_tables(name: str, corners: list[tuple[int, 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), moves=st.lists(st.integers(0, 10**6), max_size=12))
 def test_no_move_changes_the_knot(seed: int, moves: list[int]) -> None:
-    grid = drawn(random_diagram(seed, 9))
+    grid = grid_of_diagram(random_diagram(seed, 9))
     before = polynomials(grid)
     for number in moves:
         rng = np.random.default_rng(number)
@@ -136,21 +136,21 @@ def test_moves_that_would_change_the_knot_are_refused() -> None:
 @given(seed=st.integers(0, 10**6))
 def test_mirrors_drawings_searches_and_walks(seed: int) -> None:
     diagram = random_diagram(seed, 10)
-    of_jones, of_alexander = jones(diagram), alexander(diagram)
-    grid = drawn(diagram)
+    of_jones, of_alexander = jones_polynomial(diagram), alexander_polynomial(diagram)
+    grid = grid_of_diagram(diagram)
     assert polynomials(grid) == (of_jones, of_alexander)
     assert polynomials(mirrored(grid))[0] == {-power: c for power, c in of_jones.items()}
-    small = minimised(grid, moves=3000)
+    small = minimise_grid(grid, moves=3000)
     assert small.size <= grid.size
     assert polynomials(small) == (of_jones, of_alexander)
-    for other in itertools.islice(rearranged(small), 3):
+    for other in itertools.islice(random_grids(small), 3):
         assert other.size == small.size
         assert polynomials(other) == (of_jones, of_alexander)
 
 
 @pytest.mark.parametrize("name", ["3_1", "4_1", "8_18", "8_19", "10_132"])
 def test_openings(name: str) -> None:
-    grid = table()[name].grid
+    grid = knot_table()[name].grid
     found = openings(grid)
     assert found == openings(grid)
     assert openings(grid, limit=3) == found[:3]
@@ -170,10 +170,10 @@ def test_openings(name: str) -> None:
             assert opened.corners[over][0] == opened.corners[over + 1][0]
             assert opened.corners[under][1] == opened.corners[under + 1][1]
             assert abs(over - under) > 1
-    target = dict(table()[name].jones)
+    target = dict(knot_table()[name].jones)
     for opened in found[:: max(1, len(found) // 20)]:
         # Nothing crosses the two edges taken out, so the ends close without new crossings.
-        assert jones(Diagram(diagram_gauss(opened).as_closed())) == target
+        assert jones_polynomial(Diagram(opening_gauss(opened).as_closed())) == target
 
 
 def test_every_corner_can_be_opened() -> None:
@@ -191,8 +191,8 @@ def test_every_corner_can_be_opened() -> None:
 def test_knotinfos_grids_lift_to_their_knots(name: str) -> None:
     marks = of_knotinfo(name, "grid_notation")
     columns = [sorted(row for c, row in marks if c == column) for column, _ in marks[::2]]
-    found = jones(Diagram(grid_of_columns(columns).code))
+    found = jones_polynomial(Diagram(grid_of_columns(columns).code))
     assert found in (
-        dict(table()[name].jones),
-        dict(sorted((-power, c) for power, c in table()[name].jones)),
+        dict(knot_table()[name].jones),
+        dict(sorted((-power, c) for power, c in knot_table()[name].jones)),
     )

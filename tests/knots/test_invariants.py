@@ -5,20 +5,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.knots.alexander import alexander
-from swarm.knots.catalog import lookup
+from swarm.knots.alexander import alexander_polynomial
+from swarm.knots.catalog import lookup_knot
 from swarm.knots.curve import curve_gauss
+from swarm.knots.curve_diagram import curve_diagram
 from swarm.knots.diagram import Diagram, diagram_of_pd, realisations
 from swarm.knots.gauss import KnotError
 from swarm.knots.grid import grid_of_columns, mirrored, openings, translated
-from swarm.knots.groups import separated, signature, sum_diagram
+from swarm.knots.grid_search import GridWalk
+from swarm.knots.group_representations import longitude_counts, matching_candidates, sum_diagram
 from swarm.knots.invariants import identify_curve, identify_diagram, summands
-from swarm.knots.jones import jones
+from swarm.knots.jones import jones_polynomial
 from swarm.knots.names import torus_grid
-from swarm.knots.search import Walk
-from swarm.knots.shorten import curve_diagram
 from swarm.knots.simplify import simplified, without_nugatory
-from swarm.knots.table import TableKnot, table
+from swarm.knots.table import TableKnot, knot_table
 from tests.knots.curves import (
     Points,
     hung,
@@ -30,13 +30,15 @@ from tests.knots.curves import (
     rotation,
 )
 
-SAMPLE = [*list(table())[::12], "8_18", "9_42", "10_48", "10_71", "10_91", "10_104", "10_161"]
+SAMPLE = [*list(knot_table())[::12], "8_18", "9_42", "10_48", "10_71", "10_91", "10_104", "10_161"]
 ALL = pytest.param("all", marks=pytest.mark.full)
 
 
 def chosen(sample: str) -> list[TableKnot]:
     """Some knots of the table, or all of them."""
-    return list(table().values()) if sample == "all" else [table()[name] for name in SAMPLE]
+    return (
+        list(knot_table().values()) if sample == "all" else [knot_table()[name] for name in SAMPLE]
+    )
 
 
 def curve_of(knot: TableKnot, samples: int = 21) -> Points:
@@ -60,22 +62,22 @@ def test_polynomials_do_not_depend_on_the_view(seed: int, count: int, view: int)
     points = random_polygon(seed, count)
     one = random_diagram(seed, count)
     two = Diagram(curve_gauss(points @ rotation(view), closed=True))
-    assert jones(one) == jones(two)
-    assert alexander(one) == alexander(two)
+    assert jones_polynomial(one) == jones_polynomial(two)
+    assert alexander_polynomial(one) == alexander_polynomial(two)
     if max(one.crossings, two.crossings) < 12:
-        assert signature(one, 5, 2) == signature(two, 5, 2)
-        assert signature(one, 7, 3) == signature(two, 7, 3)
+        assert longitude_counts(one, 5, 2) == longitude_counts(two, 5, 2)
+        assert longitude_counts(one, 7, 3) == longitude_counts(two, 7, 3)
 
 
 def test_polynomials_agree_with_knotinfo_to_eleven_crossings() -> None:
     for name in knotinfo():
         diagram = diagram_of_pd(of_knotinfo(name, "pd_notation"))
         low, high, *wanted = of_knotinfo(name, "jones_polynomial_vector")
-        found = jones(diagram)
+        found = jones_polynomial(diagram)
         assert (min(found), max(found)) == (low, high)
         assert [found.get(k, 0) for k in range(low, high + 1)] == wanted  # type: ignore[operator, arg-type]
         _, _, *wanted = of_knotinfo(name, "alexander_polynomial_vector")
-        found = alexander(diagram)
+        found = alexander_polynomial(diagram)
         listed = [found.get(k, 0) for k in range(min(found), max(found) + 1)]
         assert wanted in (listed, [-c for c in listed])
 
@@ -169,7 +171,7 @@ def test_knots_that_polynomials_confuse(one: str, two: str) -> None:
     candidates = [((name, hand),) for name in (one, two) for hand in (1, -1)]
     for name, hand in ((one, 1), (one, -1), (two, 1), (two, -1)):
         diagram = sum_diagram([(name, hand)])
-        assert separated(diagram, candidates) == [((name, hand),)]
+        assert matching_candidates(diagram, candidates) == [((name, hand),)]
         known = identify_diagram(diagram)
         assert (known.name, known.chirality) == (name, "right" if hand > 0 else "left")
 
@@ -182,7 +184,7 @@ def test_hands_that_polynomials_do_not_see(name: str) -> None:
 
 
 def test_the_convention_for_the_trefoil() -> None:
-    assert jones(table()["3_1"].diagram) == {1: 1, 3: 1, 4: -1}
+    assert jones_polynomial(knot_table()["3_1"].diagram) == {1: 1, 3: 1, 4: -1}
     left = identify_diagram(diagram_of_pd([(1, 4, 2, 5), (3, 6, 4, 1), (5, 2, 6, 3)]))
     assert (left.name, left.chirality, left.crossings) == ("3_1", "left", 3)
     assert left.invariants["jones"] == {-4: -1, -3: 1, -1: 1}
@@ -238,8 +240,8 @@ def test_simplifying_keeps_the_knot(seed: int, count: int) -> None:
     diagram = random_diagram(seed, count)
     small = simplified(diagram, kicks=5)
     assert small.crossings <= diagram.crossings
-    assert jones(small) == jones(diagram)
-    assert jones(without_nugatory(diagram)) == jones(diagram)
+    assert jones_polynomial(small) == jones_polynomial(diagram)
+    assert jones_polynomial(without_nugatory(diagram)) == jones_polynomial(diagram)
     assert small == simplified(diagram, kicks=5)
 
 
@@ -249,7 +251,7 @@ def test_a_nugatory_crossing_between_two_trefoils_is_untwisted() -> None:
     for diagram in realisations(word):
         plain = without_nugatory(diagram)
         assert (diagram.crossings, plain.crossings) == (7, 6)
-        assert jones(plain) == jones(diagram)
+        assert jones_polynomial(plain) == jones_polynomial(diagram)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +269,7 @@ def test_degenerate_unknots(points: list[list[float]]) -> None:
 
 
 def test_a_trefoil_of_axis_parallel_sticks_with_repeated_points() -> None:
-    grid = table()["3_1"].grid
+    grid = knot_table()["3_1"].grid
     opened = openings(grid, limit=1)[0]
     points: list[list[float]] = []
     for number, (column, row) in enumerate(opened.corners):
@@ -291,13 +293,13 @@ def test_a_curve_that_meets_itself_is_refused() -> None:
 
 @pytest.mark.parametrize("name", ["0_1", "3_1", "8_18", "10_45", "10_132"])
 def test_knots_in_grids_twice_as_large_as_need_be(name: str) -> None:
-    walk = Walk(lookup(name).grid, seed=3)
+    walk = GridWalk(lookup_knot(name).grid, seed=3)
     for _ in range(12):
         walk.stabilise()
         for _ in range(300):
             walk.commute()
     known = identify_diagram(Diagram(walk.grid().code))
-    assert (known.name, known.crossings) == (name, lookup(name).crossings)
+    assert (known.name, known.crossings) == (name, lookup_knot(name).crossings)
 
 
 def test_long_random_walks_are_answered_in_the_same_way_twice() -> None:

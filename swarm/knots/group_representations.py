@@ -14,53 +14,53 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from swarm.knots.alexander import arcs
+from swarm.knots.alexander import crossing_arcs
+from swarm.knots.connected_sums import Factor
 from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import SignedGauss
-from swarm.knots.sums import Factor
-from swarm.knots.table import prime
+from swarm.knots.table import prime_knot
 
 Matrices = NDArray[np.int64]
 Signature = tuple[tuple[tuple[int, int], int], ...]
 """Sorted ((a, b), how often)."""
 
-TARGETS = ((5, 2), (7, 2), (5, 0), (7, 0), (11, 2), (7, 3), (13, 2), (11, 0), (11, 3))
+REPRESENTATIONS = ((5, 2), (7, 2), (5, 0), (7, 0), (11, 2), (7, 3), (13, 2), (11, 0), (11, 3))
 """(prime, trace of M), in the order in which they are tried: quick and telling ones first."""
 
 _MOST_SEEDS = 4
 
 
-def separated(
+def matching_candidates(
     diagram: Diagram, candidates: Sequence[tuple[Factor, ...]]
 ) -> list[tuple[Factor, ...]]:
     """Those of the candidates (sums of table knots) that the diagram can be, as far as told."""
     left = list(candidates)
-    for modulus, trace in TARGETS:
+    for modulus, trace in REPRESENTATIONS:
         if len(left) < 2:
             break
-        own = signature(diagram, modulus, trace)
+        own = longitude_counts(diagram, modulus, trace)
         left = [one for one in left if _of_sum(one, modulus, trace) == own]
     return left
 
 
 @lru_cache(maxsize=4096)
 def _of_sum(factors: tuple[Factor, ...], modulus: int, trace: int) -> Signature:
-    return signature(sum_diagram(factors), modulus, trace)
+    return longitude_counts(sum_diagram(factors), modulus, trace)
 
 
 def sum_diagram(factors: Sequence[Factor]) -> Diagram:
     """The table's diagrams of the factors, tied one after another."""
     passes: list[tuple[int, bool, int]] = []
     for name, hand in factors:
-        code = prime(name).diagram.code
+        code = prime_knot(name).diagram.code
         base = len(passes) // 2
         passes += [(base + k, over, -sign if hand < 0 else sign) for k, over, sign in code.passes]
     return Diagram(SignedGauss.of(passes, closed=True))
 
 
-def signature(diagram: Diagram, modulus: int, trace: int) -> Signature:
+def longitude_counts(diagram: Diagram, modulus: int, trace: int) -> Signature:
     """How often each longitude occurs among the representations in SL(2, modulus)."""
-    crossings = arcs(diagram.code)
+    crossings = crossing_arcs(diagram.code)
     fixed = np.array([[0, -1], [1, trace]], dtype=np.int64) % modulus
     if not crossings:
         return (((1, 0), 1),)

@@ -36,7 +36,7 @@ AMPHICHIRAL = frozenset(
 """The prime knots to ten crossings that are their own mirror images."""
 
 
-def hand_of(jones: Mapping[int, int]) -> int:
+def chirality_sign(jones: Mapping[int, int]) -> int:
     """1 right, −1 left, 0 where the Jones polynomial is the same for both mirror images."""
     span = min(jones) + max(jones)
     if span:
@@ -48,6 +48,6 @@ def hand_of(jones: Mapping[int, int]) -> int:
     return 0
 
 
-def right_handed(jones: Mapping[int, int]) -> bool:
+def is_right_handed(jones: Mapping[int, int]) -> bool:
     """Whether the Jones polynomial alone says right-handed."""
-    return hand_of(jones) > 0
+    return chirality_sign(jones) > 0

@@ -4,14 +4,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from swarm.knots.diagram import Diagram
-from swarm.knots.draw import drawn
+from swarm.knots.grid_drawing import grid_of_diagram
+from swarm.knots.grid_search import MOVES, minimise_grid
 from swarm.knots.invariants import identify_diagram
-from swarm.knots.search import MOVES, minimised
-from swarm.knots.table import TableKnot, table
+from swarm.knots.table import TableKnot, knot_table
 
 
 @dataclass(frozen=True)
-class SurveyRow:
+class TableCheck:
     """One knot: the grid size that a search from its code found, and what that grid is.
 
     ``arc_index`` is the table's. ``chirality`` is what was identified, "none" for a knot that is
@@ -26,10 +26,10 @@ class SurveyRow:
     right: bool
 
 
-def surveyed(knot: TableKnot, *, moves: int = MOVES) -> SurveyRow:
+def check_knot(knot: TableKnot, *, moves: int = MOVES) -> TableCheck:
     """Search a grid from the knot's code, without the table's grid, and name what was found."""
     target = knot.crossings + 2 if knot.diagram.alternating else 2
-    grid = minimised(drawn(knot.diagram), target=target, moves=moves)
+    grid = minimise_grid(grid_of_diagram(knot.diagram), target=target, moves=moves)
     known = identify_diagram(Diagram(grid.code))
     chirality = "right" if knot.chiral else "none"
     right = (
@@ -38,9 +38,9 @@ def surveyed(knot: TableKnot, *, moves: int = MOVES) -> SurveyRow:
         and grid.size == knot.arc_index
         and identify_diagram(Diagram(knot.grid.code)).candidates == known.candidates
     )
-    return SurveyRow(knot.name, grid.size, knot.arc_index, known.name, known.chirality, right)
+    return TableCheck(knot.name, grid.size, knot.arc_index, known.name, known.chirality, right)
 
 
-def survey() -> Iterator[SurveyRow]:
+def check_table() -> Iterator[TableCheck]:
     """A row for every knot of the table."""
-    return (surveyed(knot) for knot in table().values())
+    return (check_knot(knot) for knot in knot_table().values())

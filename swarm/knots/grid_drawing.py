@@ -18,7 +18,7 @@ from swarm.knots.simplify import without_nugatory
 UNKNOT = Grid(((1, 2), (1, 2)))
 
 
-def drawn(diagram: Diagram) -> Grid:
+def grid_of_diagram(diagram: Diagram) -> Grid:
     """A grid diagram of the diagram's knot; its size is about the number of crossings plus 2."""
     diagram = without_nugatory(diagram)
     if diagram.crossings == 0:

@@ -17,12 +17,12 @@ _PATIENCE = 100
 _APART = 5
 
 
-def minimised(grid: Grid, *, target: int = 2, moves: int = MOVES, seed: int = 1) -> Grid:
+def minimise_grid(grid: Grid, *, target: int = 2, moves: int = MOVES, seed: int = 1) -> Grid:
     """The smallest grid diagram of the same knot that the walk meets.
 
     Contingencies early at size ``target``; otherwise after ``moves`` attempted moves.
     """
-    walk = Walk(grid, seed)
+    walk = GridWalk(grid, seed)
     walk.shrink()
     best = walk.grid()
     stuck = 0
@@ -45,16 +45,16 @@ def minimised(grid: Grid, *, target: int = 2, moves: int = MOVES, seed: int = 1)
     return best
 
 
-def rearranged(grid: Grid, *, seed: int = 1, apart: int = 30) -> Iterator[Grid]:
+def random_grids(grid: Grid, *, seed: int = 1, apart: int = 30) -> Iterator[Grid]:
     """Endless grid diagrams of the same knot and size, some moves apart from each other."""
-    walk = Walk(grid, seed)
+    walk = GridWalk(grid, seed)
     while True:
         for _ in range(apart):
             walk.commute()
         yield walk.grid()
 
 
-class Walk:
+class GridWalk:
     """A grid on the torus that is being rearranged: ends of columns and of rows, from 0."""
 
     def __init__(self, grid: Grid, seed: int) -> None:

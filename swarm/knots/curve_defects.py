@@ -6,16 +6,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from swarm.knots.curve import REPEATED, Points, candidates
+from swarm.knots.curve import REPEATED, Points, overlapping_segments
 from swarm.knots.gauss import KnotError
 
-LARGEST: Final = 1e100
-SMALLEST: Final = 1e-100
+LARGEST_EXTENT: Final = 1e100
+SMALLEST_EXTENT: Final = 1e-100
 """Extents of a curve whose products neither overflow nor vanish."""
 
 
 @dataclass(frozen=True)
-class Flaw:
+class CurveDefect:
     """What is wrong with a curve, and at which of its points, counted from 0."""
 
     points: tuple[int, ...]
@@ -28,7 +28,7 @@ class Flaw:
         return KnotError(self.message + where)
 
 
-def flaw(points: Points, *, closed: bool) -> Flaw | None:
+def find_defect(points: Points, *, closed: bool) -> CurveDefect | None:
     """Why a curve (n, 3) of finite points has no knot, or None where it has one.
 
     Points that follow each other in the same place count once. Strands meet where they come within
@@ -37,11 +37,12 @@ def flaw(points: Points, *, closed: bool) -> Flaw | None:
     """
     with np.errstate(over="ignore"):
         extent = float(np.max(np.ptp(points, axis=0)))
-    if extent > LARGEST or (0.0 < extent < SMALLEST):
-        return Flaw((), f"expected a curve of {SMALLEST:g} to {LARGEST:g} in size, got {extent:g}")
+    if extent > LARGEST_EXTENT or (0.0 < extent < SMALLEST_EXTENT):
+        size = f"{SMALLEST_EXTENT:g} to {LARGEST_EXTENT:g}"
+        return CurveDefect((), f"expected a curve of {size} in size, got {extent:g}")
     kept = _kept(points, REPEATED * extent, closed)
     if len(kept) < 3:
-        return Flaw((), f"expected at least 3 different points, got {len(kept)}")
+        return CurveDefect((), f"expected at least 3 different points, got {len(kept)}")
     # From 0 to 1, so that no product of theirs overflows or vanishes.
     curve = (points[kept] - points[kept].min(axis=0)) / extent
     return _turned_back(curve, kept, closed) or _met(curve, kept, closed)
@@ -56,7 +57,7 @@ def _kept(points: Points, same: float, closed: bool) -> NDArray[np.int64]:
     return kept
 
 
-def _turned_back(curve: Points, kept: NDArray[np.int64], closed: bool) -> Flaw | None:
+def _turned_back(curve: Points, kept: NDArray[np.int64], closed: bool) -> CurveDefect | None:
     """Where a curve goes back along the segment that it has just come along."""
     come = curve - np.roll(curve, 1, axis=0)
     go = np.roll(curve, -1, axis=0) - curve
@@ -68,20 +69,20 @@ def _turned_back(curve: Points, kept: NDArray[np.int64], closed: bool) -> Flaw |
     at = np.flatnonzero(back)
     if not len(at):
         return None
-    return Flaw((int(kept[at[0]]),), "the curve goes back along itself from here")
+    return CurveDefect((int(kept[at[0]]),), "the curve goes back along itself from here")
 
 
-def _met(curve: Points, kept: NDArray[np.int64], closed: bool) -> Flaw | None:
+def _met(curve: Points, kept: NDArray[np.int64], closed: bool) -> CurveDefect | None:
     """Where two segments that do not follow each other meet."""
     start, end = curve, np.roll(curve, -1, axis=0)
-    pairs = candidates(curve, closed=closed, margin=REPEATED)
+    pairs = overlapping_segments(curve, closed=closed, margin=REPEATED)
     first, second = pairs.T
     gap = _gap(start[first], end[first], start[second], end[second])
     at = np.flatnonzero(gap <= REPEATED)
     if not len(at):
         return None
     one, two = sorted(int(kept[index]) for index in pairs[at[0]])
-    return Flaw((one, two), "the segments of the curve that begin here meet")
+    return CurveDefect((one, two), "the segments of the curve that begin here meet")
 
 
 def _gap(a: Points, b: Points, c: Points, d: Points) -> NDArray[np.float64]:

@@ -3,14 +3,14 @@
 import math
 from random import Random
 
-from swarm.knots.grid import Grid, least_opening
-from swarm.knots.search import MOVES, Walk, minimised
+from swarm.knots.grid import Grid, best_opening
+from swarm.knots.grid_search import MOVES, GridWalk, minimise_grid
 
 _HOT, _COLD = 1.5, 0.2
 """Temperatures of the annealing, in crossings."""
 
 
-def smallest(
+def smallest_grid(
     grid: Grid,
     *,
     target: int = 2,
@@ -25,23 +25,23 @@ def smallest(
     numbers, lead to ``starts`` of them; each is annealed for ``steps``, and the best is taken.
     Where ``fewest`` crossings are asked for, up to four times as many are looked at to reach them.
     """
-    first = minimised(grid, target=target, moves=moves)
-    best = compact(first, steps=steps)
+    first = minimise_grid(grid, target=target, moves=moves)
+    best = anneal(first, steps=steps)
     for seed in range(2, 4 * starts + 1):
         if seed > starts and (fewest is None or _score(best) < fewest + 1):
             break
-        other = minimised(grid, target=first.size, moves=moves, seed=seed)
+        other = minimise_grid(grid, target=first.size, moves=moves, seed=seed)
         if other.size == first.size:
-            best = min(best, compact(other, steps=steps, seed=seed), key=_score)
+            best = min(best, anneal(other, steps=steps, seed=seed), key=_score)
     return best
 
 
-def compact(grid: Grid, *, steps: int, seed: int = 1) -> Grid:
+def anneal(grid: Grid, *, steps: int, seed: int = 1) -> Grid:
     """Among grids that commutations lead to, one whose best opening is good.
 
     Fewest crossings first, then least total edge length, by annealing.
     """
-    walk = Walk(grid, seed)
+    walk = GridWalk(grid, seed)
     chance = Random(seed).random
     best, best_score = grid, _score(grid)
     score = best_score
@@ -63,7 +63,7 @@ def compact(grid: Grid, *, steps: int, seed: int = 1) -> Grid:
 
 def _score(grid: Grid) -> float:
     """Crossings of the best opening, and a little for its length (never as much as a crossing)."""
-    found = least_opening(grid)
+    found = best_opening(grid)
     if found is None:
         return float(grid.size**2)
     crossings, length = found

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from swarm.knots.curve import Points, checked, curve_gauss
+from swarm.knots.curve import Points, curve_gauss, validated_curve
 from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import KnotError, SignedGauss
 
@@ -15,11 +15,11 @@ def curve_diagram(points: Points, *, closed: bool = False) -> Diagram:
 
     Raises KnotError where the curve meets itself.
     """
-    curve = checked(points, closed=closed)
+    curve = validated_curve(points, closed=closed)
     if len(curve) < 3:
         return Diagram(SignedGauss((), closed=True))
     if not closed:
-        curve = closed_upward(curve)
+        curve = close_upward(curve)
     reason: KnotError | None = None
     for tilt in _TILTS:
         try:
@@ -30,7 +30,7 @@ def curve_diagram(points: Points, *, closed: bool = False) -> Diagram:
     raise KnotError(f"the curve{how} is degenerate from every side: {reason}")
 
 
-def closed_upward(curve: Points) -> Points:
+def close_upward(curve: Points) -> Points:
     """An open curve with both ends taken straight up and joined far above it."""
     top = float(np.max(curve[:, 2]) + np.max(np.ptp(curve, axis=0)) + 1.0)
     up = np.array([[0.0, 0.0, 1.0]])

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.knots.catalog import lookup
-from swarm.knots.flaws import flaw
+from swarm.knots.catalog import lookup_knot
+from swarm.knots.curve_defects import find_defect
 from swarm.knots.gauss import KnotError
 from swarm.knots.invariants import identify_curve
 from tests.knots.curves import hung
@@ -61,7 +61,7 @@ def test_curves_on_a_lattice_meet_where_they_do_exactly(points, closed, scale):
     different = [p for p, before in zip(points, [None, *points], strict=False) if p != before]
     if closed and different[0] == different[-1]:
         different = different[:-1]
-    found = flaw(np.array(points, dtype=float) * scale, closed=closed)
+    found = find_defect(np.array(points, dtype=float) * scale, closed=closed)
     assert (found is not None) == (len(different) < 3 or meets_exactly(different, closed=closed))
     if found and len(different) >= 3:
         assert all(0 <= index < len(points) for index in found.points)
@@ -69,7 +69,7 @@ def test_curves_on_a_lattice_meet_where_they_do_exactly(points, closed, scale):
 
 @pytest.mark.parametrize("name", ["3_1", "8_18", "10_132"])
 def test_knots_have_no_flaw(name):
-    assert flaw(hung(lookup(name).opening), closed=False) is None
+    assert find_defect(hung(lookup_knot(name).opening), closed=False) is None
 
 
 @pytest.mark.parametrize(
