@@ -22,7 +22,7 @@ from swarm.flight.conductor import LOOSE_BUDGET
 from swarm.flight.resuming import Then
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.front.files import load_fleet, load_mission
-from swarm.ground.flight_process import Flight, fly_apart
+from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.mission.fleet import emulated_fleet
 from swarm.reports.plan_summary import findings_table, plan_summary
 from swarm.reports.terminal import FlightScreen
@@ -151,8 +151,8 @@ def fly(
 
             if emulated or yes:
                 shown.enter_context(screen)
-            result = fly_apart(
-                Flight(
+            result = fly_in_process(
+                FlightRequest(
                     flight_plan,
                     team,
                     folder,

@@ -11,7 +11,7 @@ from rich.text import Text
 from swarm.cli.inputs import print_json
 from swarm.errors import VehicleError
 from swarm.front.files import load_fleet
-from swarm.ground.commissioning.logs import FetchedLog, fetch_logs
+from swarm.ground.commissioning.logs import LogDownload, download_logs
 from swarm.mission.fleet import emulated_fleet
 
 VEHICLES = 9
@@ -32,7 +32,7 @@ def fetch(fleet_file: Path | None, folder: Path, *, as_json: bool) -> int:
         def tell(system: int, share: float) -> None:
             bar.update(task, description=f"log of system {system}", completed=share)
 
-        fetched = fetch_logs(fleet, folder, tell)
+        fetched = download_logs(fleet, folder, tell)
     if as_json:
         print_json({"logs": [_object(log) for log in fetched]})
     else:
@@ -40,7 +40,7 @@ def fetch(fleet_file: Path | None, folder: Path, *, as_json: bool) -> int:
     return 0 if all(log.path for log in fetched) else VehicleError.exit_code
 
 
-def logs_table(fetched: Sequence[FetchedLog]) -> Table:
+def logs_table(fetched: Sequence[LogDownload]) -> Table:
     """Return a line for every vehicle: where its log is, or why it could not be had."""
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     for heading in ("system", "began", "size", "log"):
@@ -52,7 +52,7 @@ def logs_table(fetched: Sequence[FetchedLog]) -> Table:
     return table
 
 
-def _object(log: FetchedLog) -> dict[str, object]:
+def _object(log: LogDownload) -> dict[str, object]:
     return {
         "system": log.system,
         "path": str(log.path) if log.path else None,

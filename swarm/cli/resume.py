@@ -12,7 +12,7 @@ from swarm.errors import Refused
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import Then, left_off
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.ground.flight_process import Flight, fly_apart
+from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.record_reader import (
     recorded_certificate,
     recorded_fleet,
@@ -64,8 +64,8 @@ def resume_flight(
 
     try:
         with screen:
-            result = fly_apart(
-                Flight(
+            result = fly_in_process(
+                FlightRequest(
                     flight_plan,
                     fleet,
                     folder,

@@ -1,1 +1,1 @@
-"""Everything that touches the world: sockets, clocks, processes, files of a flight."""
+"""Sockets, clocks, processes and the files of a flight record."""

@@ -1,6 +1,6 @@
 """The flight in a process of its own: whatever its caller draws, writes or waits for.
 
-:func:`fly_apart` is :func:`swarm.ground.fly.fly` in another process. Snapshots, events and the
+:func:`fly_in_process` is :func:`swarm.ground.fly.fly` in another process. Snapshots, events and the
 question before the flight come back over a pipe; what the caller does not take in time is dropped
 over there. The process dies with its caller, as if it were one.
 """
@@ -29,14 +29,14 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.child import die_with_parent
 from swarm.ground.fly import fly
 from swarm.ground.operator import keys
-from swarm.ground.priority import follow, giving_way, prefer
+from swarm.ground.priority import lowered_priority, raise_priority, run_behind_main_thread
 from swarm.mission.fleet import Fleet
 
 _POLL = 0.05
 
 
 @dataclass(frozen=True)
-class Flight:
+class FlightRequest:
     """What is to be flown, as it is handed to the process."""
 
     flight_plan: FlightPlan
@@ -51,8 +51,8 @@ class Flight:
     then: Then = "hold"
 
 
-def fly_apart(
-    flight: Flight,
+def fly_in_process(
+    flight: FlightRequest,
     *,
     confirm: Callable[[Audit], bool] | None = None,
     on_snapshot: Callable[[Snapshot], None] | None = None,
@@ -79,7 +79,7 @@ def fly_apart(
     asking = threading.Event()
     try:
         with ExitStack() as around:
-            around.enter_context(giving_way() if gives_way else nullcontext())
+            around.enter_context(lowered_priority() if gives_way else nullcontext())
             around.enter_context(_passed_on(process, asking))
             pipe.send(flight)
             desk = _Typed(pipe)
@@ -214,7 +214,7 @@ class _Pilot:
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def run(self) -> None:
-        flight: Flight = self._pipe.recv()
+        flight: FlightRequest = self._pipe.recv()
         threading.Thread(target=self._listen, name="caller", daemon=True).start()
         names = ("speed", "no_cable", "control", "audit", "left", "then")
         given = {name: getattr(flight, name) for name in names}
@@ -245,7 +245,7 @@ class _Pilot:
         return self._answers.get()
 
     def _listen(self) -> None:
-        follow()
+        run_behind_main_thread()
         with suppress(EOFError, OSError):
             while True:
                 kind, what = self._pipe.recv()
@@ -259,7 +259,7 @@ class _Pilot:
 def main() -> None:
     """Fly what comes over the pipe whose descriptor is the first argument."""
     die_with_parent()
-    prefer()
+    raise_priority()
     with Connection(int(sys.argv[1])) as pipe:
         _Pilot(pipe).run()
 

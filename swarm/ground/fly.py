@@ -28,7 +28,7 @@ from swarm.ground.commissioning.audit import Auditor, save_parameters
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.loop import Loop
 from swarm.ground.operator import ControlSocket, Desk, keys
-from swarm.ground.priority import follow
+from swarm.ground.priority import run_behind_main_thread
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.signing_key import signing_with
@@ -367,7 +367,7 @@ def _listener(
                 waiting.put_nowait(what)
 
     def work() -> None:
-        follow()
+        run_behind_main_thread()
         while (what := waiting.get()) is not None:
             if isinstance(what, Event):
                 if on_event is not None:

@@ -1,4 +1,4 @@
-"""Real-time priority for the flight, where the system permits it."""
+"""Real-time priority for the flight, and lower priority for the programs beside it."""
 
 import gc
 import os
@@ -7,26 +7,28 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 PRIORITY = 10
-_BEHIND = 5
-_BEHIND_ALL = 10
-"""By how much nicer what helps a flight is: drawing, waiting for a person."""
-_NICEST = 19
+_BEHIND_MAIN_THREAD = 5
+_HELPER_NICENESS = 10
+"""Increase of niceness for processes that draw or wait for a person."""
+_MAX_NICENESS = 19
 _SWITCH_INTERVAL = 0.0001
 
 
-def settle() -> None:
-    """Look through what Python keeps for garbage now, and never again; let threads take turns."""
+def configure_interpreter() -> None:
+    """Collect garbage now, exclude all present objects from later collections, and shorten the
+    interval at which threads take turns."""
     gc.collect()
     gc.freeze()
     sys.setswitchinterval(_SWITCH_INTERVAL)
 
 
-def prefer(priority: int = PRIORITY) -> bool:
-    """Give the calling thread a real-time priority, where permitted; return whether it was.
+def raise_priority(priority: int = PRIORITY) -> bool:
+    """Give the calling thread a real-time priority; return whether the system permits it.
 
-    Processes and threads that begin later do not inherit it. Permitted or not, it settles.
+    Processes and threads that start later do not inherit it. The interpreter is configured
+    (:func:`configure_interpreter`) in both cases.
     """
-    settle()
+    configure_interpreter()
     try:
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
         os.sched_setscheduler(0, policy, os.sched_param(priority))
@@ -35,49 +37,49 @@ def prefer(priority: int = PRIORITY) -> bool:
     return True
 
 
-def follow() -> None:
-    """Go right behind the main thread where that has real-time priority.
+def run_behind_main_thread() -> None:
+    """Give the calling thread a priority just below the main thread's, if that is real-time.
 
-    For threads that do little: while one of them holds the interpreter and other programs hold the
-    processor, the flight's loop would wait for both.
+    For threads with little work: while such a thread holds the interpreter lock and other programs
+    hold the processor, the flight loop would wait for both.
     """
     with suppress(OSError, AttributeError):
         if os.sched_getscheduler(os.getpid()) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
-            ahead = os.sched_getparam(os.getpid()).sched_priority
+            main = os.sched_getparam(os.getpid()).sched_priority
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-            os.sched_setscheduler(0, policy, os.sched_param(max(1, ahead - _BEHIND)))
+            os.sched_setscheduler(0, policy, os.sched_param(max(1, main - _BEHIND_MAIN_THREAD)))
 
 
 def _niceness() -> int:
     return os.getpriority(os.PRIO_PROCESS, 0) if hasattr(os, "getpriority") else 0
 
 
-_BEFORE = _niceness()
+_INITIAL = _niceness()
 
 
-def behind_all() -> int:
-    """Return the niceness of what helps a flight that is as nice as this program when it began."""
-    return min(_BEFORE + _BEHIND_ALL, _NICEST)
+def helper_niceness() -> int:
+    """Return the niceness of processes beside the flight, from this program's at its start."""
+    return min(_INITIAL + _HELPER_NICENESS, _MAX_NICENESS)
 
 
-def give_way(process: int = 0, to: int | None = None) -> None:
-    """Let a process that draws or waits (0: this one) run behind the flight's, as nice as ``to``
-    (None: :func:`behind_all`).
+def lower_priority(process: int = 0, niceness: int | None = None) -> None:
+    """Set the niceness of a process (0: this one); None stands for :func:`helper_niceness`.
 
-    Where the flight has no real-time priority this is what keeps it ahead of its own helpers.
-    Processes that it begins later run behind, too. It stays so where the system does not permit
-    to be less nice again.
+    If the flight has no real-time priority, this keeps it ahead of the processes that draw or
+    wait. Child processes that start later inherit it. Some systems do not permit to undo it.
     """
     with suppress(OSError, AttributeError):
-        os.setpriority(os.PRIO_PROCESS, process, behind_all() if to is None else to)
+        os.setpriority(
+            os.PRIO_PROCESS, process, helper_niceness() if niceness is None else niceness
+        )
 
 
 @contextmanager
-def giving_way() -> Iterator[None]:
-    """Run behind the flight for a while."""
+def lowered_priority() -> Iterator[None]:
+    """Run this process at lower priority inside the context."""
     before = _niceness()
-    give_way()
+    lower_priority()
     try:
         yield
     finally:
-        give_way(to=before)
+        lower_priority(niceness=before)

@@ -26,7 +26,7 @@ from swarm.flight.flight_plan import Basis, FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event
 from swarm.flight.tlog import KnownFrames
-from swarm.ground.priority import follow
+from swarm.ground.priority import run_behind_main_thread
 from swarm.mavlink.packets import split_packets
 from swarm.mission.fleet import Fleet
 from swarm.planning.archive import plan_document, plan_motion
@@ -81,7 +81,7 @@ class Record:
             self.dropped += 1
 
     def _write(self) -> None:
-        follow()
+        run_behind_main_thread()
         while not self._closing.wait(WRITE_INTERVAL):
             self._write_waiting()
         self._write_waiting()

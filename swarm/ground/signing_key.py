@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from swarm.errors import InputError, Problem, reason
-from swarm.ground.priority import follow
+from swarm.ground.priority import run_behind_main_thread
 from swarm.mavlink.signing import KEY_LENGTH, TICKS_PER_SECOND, Signing, timestamp_at
 
 KEEP_INTERVAL = 1.0
@@ -66,7 +66,7 @@ def signing_with(file: str | None) -> Iterator[Signing | None]:
     over = threading.Event()
 
     def work() -> None:
-        follow()
+        run_behind_main_thread()
         while not over.wait(KEEP_INTERVAL):
             with suppress(OSError):
                 _keep(beside, signing.timestamp)

@@ -19,7 +19,7 @@ from typing import IO, Final, Literal, cast
 
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.ground.priority import give_way
+from swarm.ground.priority import lower_priority
 from swarm.planning import Plan
 from swarm.view.viewers import free_port, has_display, proxy_url, web_url
 
@@ -126,7 +126,7 @@ class Feed:
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
-        give_way(self._process.pid)
+        lower_priority(self._process.pid)
         self._pipe = cast("IO[bytes]", self._process.stdin)
         self._thread = threading.Thread(
             target=self._pump, args=(plan, options), name="view", daemon=True

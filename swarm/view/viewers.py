@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from swarm.errors import SwarmError, reason
-from swarm.ground.priority import give_way
+from swarm.ground.priority import lower_priority
 
 LOOPBACK = "127.0.0.1"
 
@@ -104,7 +104,7 @@ def run_viewer(
             )
     except OSError as error:
         raise ViewerFailed(f"{program} cannot be started: {reason(error)}") from None
-    give_way(process.pid)
+    lower_priority(process.pid)
     return process
 
 

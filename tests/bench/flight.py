@@ -42,7 +42,12 @@ from rich.console import Console
 from swarm.flight.conductor import Conductor
 from swarm.flight.jit_warm_up import warm_up
 from swarm.ground.loop import Loop
-from swarm.ground.priority import follow, give_way, prefer, settle
+from swarm.ground.priority import (
+    configure_interpreter,
+    lower_priority,
+    raise_priority,
+    run_behind_main_thread,
+)
 from swarm.ground.record import Record
 from swarm.ground.sockets import open_links
 from swarm.mavlink.frames import shared_frames
@@ -111,14 +116,14 @@ class Watcher:
             cwd=_ROOT,
         )
         theirs.close()
-        give_way(self._process.pid)
+        lower_priority(self._process.pid)
         self._pipe = Connection(ours.detach())
         self._pipe.send(plan)
         self._waiting: queue.Queue[object] = queue.Queue(200)
         threading.Thread(target=self._feed, daemon=True).start()
 
     def _feed(self) -> None:
-        follow()
+        run_behind_main_thread()
         while (snapshot := self._waiting.get()) is not None:
             self._pipe.send_bytes(pickle.dumps(snapshot))
 
@@ -140,7 +145,7 @@ def ours(
     conductor = Conductor(flight_plan, fleet)
     warm_up(conductor)
     links = open_links(conductor.fleet.links)
-    (settle if chosen.normal else prefer)()
+    (configure_interpreter if chosen.normal else raise_priority)()
     record = Record(folder / "record", time.time())
     watcher = Watcher(flight_plan.plan, folder)
     receiver = Receiver([links.port("a")], chosen)
@@ -248,8 +253,8 @@ def bare(chosen: argparse.Namespace) -> np.ndarray:
     """Return how late a loop is that only wakes up and sends as many packets: the machine's own."""
     script = (
         "import json, socket, sys, time\n"
-        "from swarm.ground.priority import prefer, settle\n"
-        "(prefer if sys.argv[3] == '1' else settle)()\n"
+        "from swarm.ground.priority import raise_priority, configure_interpreter\n"
+        "(raise_priority if sys.argv[3] == '1' else configure_interpreter)()\n"
         "one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\n"
         "one.bind(('127.0.0.1', 0))\n"
         "place, packet = one.getsockname(), bytes(65)\n"

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.cli.check import check
 from swarm.errors import Refused
-from swarm.ground.commissioning.logs import fetch_logs
+from swarm.ground.commissioning.logs import download_logs
 from swarm.ground.commissioning.mavsdk_child import Fetching
 from swarm.mission.fleet import Fleet, emulated_fleet
 
@@ -125,9 +125,9 @@ def test_the_newest_log_arrives_whole_although_the_link_loses_pieces(tmp_path):
     second = {"autopilot": ARDUPILOT, "logs": {1: (0, content(4, 200)), 2: (0, other)}}
     shares = []
     with team(first, second, {}) as (fleet, vehicles):
-        logs = fetch_logs(fleet, tmp_path, lambda *told: shares.append(told))
+        logs = download_logs(fleet, tmp_path, lambda *told: shares.append(told))
         asked = [vehicle.asked for vehicle in vehicles]
-        again = fetch_logs(fleet, tmp_path)
+        again = download_logs(fleet, tmp_path)
         assert [vehicle.asked for vehicle in vehicles] == asked, "it is there already"
     assert [log.system for log in logs] == [1, 2, 3]
     assert [log.problem for log in logs] == ["", "", "not heard"]
@@ -151,7 +151,7 @@ def test_who_stops_sending_is_named_with_how_far_it_came(tmp_path):
         {"autopilot": PX4, "logs": {0: (NEW, content(1, 300_000))}, "stops": 600},
         {"autopilot": PX4, "logs": {0: (NEW, content(2, 900))}},
     ) as (fleet, _):
-        stuck, fine = fetch_logs(fleet, tmp_path, patience=1.5)
+        stuck, fine = download_logs(fleet, tmp_path, patience=1.5)
     assert stuck.path is None
     assert stuck.problem == "nothing more came after 15% of it"
     assert fine.path is not None
@@ -164,13 +164,13 @@ def test_nothing_is_fetched_from_an_armed_team(tmp_path):
         team({**log, "arms": 0}, log) as (fleet, vehicles),
         pytest.raises(Refused, match="system 1 is armed: logs are fetched from vehicles that"),
     ):
-        fetch_logs(fleet, tmp_path)
+        download_logs(fleet, tmp_path)
     assert [vehicle.asked for vehicle in vehicles] == [0, 0]
     with (
         team({**log, "arms": 700}) as (fleet, _),
         pytest.raises(Refused, match="system 1 is armed"),
     ):
-        fetch_logs(fleet, tmp_path)
+        download_logs(fleet, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from swarm.errors import VehicleError
 from swarm.ground.commissioning.check import check
-from swarm.ground.commissioning.logs import fetch_logs
+from swarm.ground.commissioning.logs import download_logs
 from swarm.ground.commissioning.mavsdk_client import TRIES, reports
 from swarm.ground.fly import fly
 from swarm.mission.fleet import emulated_fleet
@@ -110,11 +110,11 @@ def test_a_crash_in_one_vehicles_log_does_not_keep_others_from_sending_theirs(tm
         return tell
 
     with team(large, small) as (fleet, _):
-        never, other = fetch_logs(fleet, tmp_path / "never", crash([1] * 100))
+        never, other = download_logs(fleet, tmp_path / "never", crash([1] * 100))
         assert never.path is None
         assert never.problem == "MAVSDK failed in 3 tries of 3: its process ended (signal 11)"
         assert other.path is not None
         assert [path.name for path in (tmp_path / "never").iterdir()] == [other.path.name]
-        late, _ = fetch_logs(fleet, tmp_path / "late", crash([1, 1]))
+        late, _ = download_logs(fleet, tmp_path / "late", crash([1, 1]))
         assert late.path is not None
         assert late.path.read_bytes() == content(1, 400_000)

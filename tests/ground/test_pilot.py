@@ -10,8 +10,8 @@ import time
 import pytest
 
 from swarm.errors import InputError, VehicleError
-from swarm.ground.flight_process import Flight, fly_apart
-from swarm.ground.priority import behind_all
+from swarm.ground.flight_process import FlightRequest, fly_in_process
+from swarm.ground.priority import helper_niceness
 from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
 
@@ -29,8 +29,10 @@ def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
         while time.monotonic() < end:  # busy, as a screen that is drawn is
             pass
 
-    flight = Flight(FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=5.0, asks=True)
-    result = fly_apart(
+    flight = FlightRequest(
+        FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=5.0, asks=True
+    )
+    result = fly_in_process(
         flight,
         confirm=lambda audit: asked.append(audit) or True,
         on_snapshot=slow,
@@ -40,21 +42,23 @@ def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
     assert result.outcome.word == "done", result.events[-5:]
     assert [audit.systems for audit in asked] == [(1, 2, 3)]
     assert result.statistics.lateness[0] < 0.01
-    assert nice == {behind_all()}
+    assert nice == {helper_niceness()}
     assert 0 < len(shown) < len(result.trace.time)
     assert [event.kind for event in said] == [event.kind for event in result.events]
 
 
 def test_no_answer_no_flight(tmp_path):
-    flight = Flight(FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=8.0, asks=True)
-    result = fly_apart(flight, confirm=lambda _: False)
+    flight = FlightRequest(
+        FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=8.0, asks=True
+    )
+    result = fly_in_process(flight, confirm=lambda _: False)
     assert (result.outcome.word, result.outcome.explanation) == ("refused", "not confirmed")
 
 
 def test_errors_come_through_as_they_are(tmp_path):
     (tmp_path / "flight.tlog").write_text("")
     with pytest.raises(InputError, match="holds the record of a flight"):
-        fly_apart(Flight(FLIGHT_PLAN, emulated_fleet(3), tmp_path))
+        fly_in_process(FlightRequest(FLIGHT_PLAN, emulated_fleet(3), tmp_path))
 
 
 def children(pid: int) -> list[int]:
@@ -79,7 +83,9 @@ def test_a_process_that_dies_is_a_vehicle_error(tmp_path):
     killer = threading.Thread(target=kill)
     killer.start()
     with pytest.raises(VehicleError, match=r"the flight's process ended \(signal 9\)"):
-        fly_apart(Flight(FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=4.0))
+        fly_in_process(
+            FlightRequest(FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=4.0)
+        )
     killer.join()
 
 
@@ -94,10 +100,10 @@ CALLER = """
 import sys
 from pathlib import Path
 from swarm.mission.fleet import emulated_fleet
-from swarm.ground.flight_process import Flight, fly_apart
+from swarm.ground.flight_process import FlightRequest, fly_in_process
 from tests.network import small_plan
-flight = Flight(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
-fly_apart(flight)
+flight = FlightRequest(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
+fly_in_process(flight)
 """
 
 

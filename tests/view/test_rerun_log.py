@@ -12,7 +12,7 @@ from rerun.chunk import RrdReader
 
 from swarm.errors import InputError
 from swarm.flight.snapshot import Event
-from swarm.ground.priority import behind_all
+from swarm.ground.priority import helper_niceness
 from swarm.planning import Plan
 from swarm.view.rerun_log import NEWEST_SNAPSHOTS, Viewer, start
 from swarm.view.rerun_scene import Recorder
@@ -100,7 +100,7 @@ def test_what_draws_runs_behind_the_flight_and_is_not_interrupted_with_it(
     viewer = start(plan, tmp_path / "flight.rrd", None)
     try:
         nice = os.getpriority(os.PRIO_PROCESS, sink_pid(viewer))
-        assert nice == behind_all() > os.getpriority(os.PRIO_PROCESS, 0)
+        assert nice == helper_niceness() > os.getpriority(os.PRIO_PROCESS, 0)
         assert os.getpgid(sink_pid(viewer)) != os.getpgid(0)
     finally:
         os.kill(sink_pid(viewer), signal.SIGKILL)

@@ -18,7 +18,7 @@ Tell = Callable[[int, float], None]
 
 
 @dataclass(frozen=True)
-class FetchedLog:
+class LogDownload:
     """What came of one vehicle's newest log.
 
     ``path`` is where it is, None where it could not be had, and then ``problem`` says why; ``size``
@@ -32,9 +32,9 @@ class FetchedLog:
     problem: str = ""
 
 
-def fetch_logs(
+def download_logs(
     fleet: Fleet, folder: Path, tell: Tell = lambda *_: None, *, patience: float = PATIENCE
-) -> tuple[FetchedLog, ...]:
+) -> tuple[LogDownload, ...]:
     """Fetch every vehicle's newest log into ``folder``, one vehicle after the other.
 
     A log that is there already is not fetched again; nothing is overwritten. Who is not heard, has
@@ -57,11 +57,11 @@ class _Fetching:
     armed: set[int] = field(default_factory=set)
     """Systems that were armed at any time since it began."""
 
-    def run(self) -> tuple[FetchedLog, ...]:
+    def run(self) -> tuple[LogDownload, ...]:
         missing = self.attendance.hear()
         self._refuse_armed()
         heard = {vehicle.system: vehicle for vehicle in self.attendance.listening.heard}
-        logs = [FetchedLog(system, None, problem="not heard") for system in missing]
+        logs = [LogDownload(system, None, problem="not heard") for system in missing]
         relay = self.attendance.relay
         if heard:
             ports = {system: relay.ports[system] for system in heard}
@@ -72,7 +72,7 @@ class _Fetching:
             found = fetch(ports, suffixes, self.folder, self.patience, self.tell, self._any_armed)
             self._refuse_armed()
             logs += [
-                FetchedLog(system, log.path, log.size, log.date, log.problem)
+                LogDownload(system, log.path, log.size, log.date, log.problem)
                 for system, log in found.items()
             ]
         relay.closed = True
