@@ -24,8 +24,8 @@ from swarm.flight.world import emulated_world
 from swarm.geometry.motion import concatenate, leg
 from swarm.mission import Mission, mission_for_knot
 from swarm.mission.fleet import Fleet, emulated_fleet
-from swarm.planning import KnotSummary, Layout, Plan
-from swarm.planning.flight import whole_flight
+from swarm.planning import KnotLayout, KnotSummary, Plan
+from swarm.planning.phase_sequence import flight_around_fold
 
 Keep = Callable[[float, int, bytes], bool]
 """Whether a packet gets through: time, system id, bytes."""
@@ -57,8 +57,8 @@ def sideways(*overrides: str, vehicles: int = 3, height: float = 5.0) -> Plan:
     aside = line + np.array([0.0, 3.0, 0.5])
     fold = concatenate(leg(line, aside, 1.0, 0.5), leg(aside, line, 1.0, 0.5))
     lengths = np.full(vehicles - 1, length)
-    flight = whole_flight(mission, lengths, fold)
-    layout = Layout(
+    flight = flight_around_fold(mission, lengths, fold)
+    layout = KnotLayout(
         corners=line,
         sags=np.full(vehicles - 1, 0.8),
         lengths=lengths,

@@ -10,9 +10,9 @@ from swarm.errors import InputError
 from swarm.geometry.motion import Motion
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import Plan
-from swarm.planning.finishes import MOST_TIGHTENED
-from swarm.planning.flight import whole_flight
+from swarm.planning.finishes import MAX_TIGHTENED_SHARE
 from swarm.planning.formation import formation_plan
+from swarm.planning.phase_sequence import flight_around_fold
 from tests.certification.conftest import recorded_overhand
 from tests.network import Network, small_plan
 
@@ -32,7 +32,7 @@ def finished(*overrides: str) -> Plan:
     first, last = (int(np.argmin(abs(motion.times - at))) for at in (fold.start, fold.end))
     only = Motion(motion.times[first : last + 1] - fold.start, motion.coefficients[first:last])
     mission = mission_for_knot("overhand", overrides)
-    flight = whole_flight(mission, plan.layout.lengths, only)
+    flight = flight_around_fold(mission, plan.layout.lengths, only)
     return replace(
         plan, mission=mission, motion=flight.motion, phases=flight.phases, gates=flight.gates
     )
@@ -96,7 +96,7 @@ def test_tightening_pulls_the_ends_apart_under_the_others() -> None:
     assert np.abs(moved[[0, -1], 2]).max() < 1e-9
     apart = np.linalg.norm(pulled[-1] - pulled[0])
     total = plan.layout.lengths.sum()
-    assert np.linalg.norm(held[-1] - held[0]) < apart <= MOST_TIGHTENED * total + 1e-9
+    assert np.linalg.norm(held[-1] - held[0]) < apart <= MAX_TIGHTENED_SHARE * total + 1e-9
     inner = [gate.inner for gate in plan.gates if gate.condition == "released"]
     assert inner == [True, False]
 

@@ -8,7 +8,7 @@ from swarm.knots.catalog import lookup_knot
 from swarm.knots.grid import openings
 from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.planning import make_plan
-from swarm.planning.shapes import fitted, hung_apart, keeping, shapes
+from swarm.planning.foldings import fit_to_cable, lay_out_apart, layout_sizes, planning_margins
 
 
 def refusal(*overrides: str) -> str:
@@ -20,14 +20,14 @@ def refusal(*overrides: str) -> str:
 @pytest.mark.parametrize("length", [60.0])
 def test_a_layout_is_rescaled_to_use_the_whole_cable(length: float) -> None:
     mission = mission_for_knot("overhand", [f"cable.length={length}"])
-    margins = keeping(mission)
+    margins = planning_margins(mission)
     diagram = openings(lookup_knot("overhand").grid)[0]
-    shape = next(shapes(mission, margins))
-    scaled = fitted(diagram, shape, margins)
+    shape = next(layout_sizes(mission, margins))
+    scaled = fit_to_cable(diagram, shape, margins)
     factor = scaled.cell / shape.cell
     assert scaled.lane_over == pytest.approx(factor * shape.lane_over)
     assert scaled.slope == pytest.approx(factor * shape.slope)
-    used = hung_apart(diagram, scaled, margins).lengths.sum()
+    used = lay_out_apart(diagram, scaled, margins).lengths.sum()
     assert length - 1e-3 < used <= length
 
 

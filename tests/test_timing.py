@@ -6,7 +6,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from swarm.geometry.motion import leg
-from swarm.planning.timing import slowed, timed
+from swarm.planning.timing import slow_to_limits, time_path
 from tests.geometry.test_motion import jumps
 
 Floats = npt.NDArray[np.float64]
@@ -35,7 +35,7 @@ def winding(seed: int) -> tuple[Floats, Floats, Floats, Floats]:
 @pytest.mark.parametrize(("speed", "thrust"), [(2.0, 1.0), (0.5, 3.0), (5.0, 0.3)])
 def test_timed_keeps_limits_and_the_path(seed: int, speed: float, thrust: float) -> None:
     path = winding(seed)
-    motion = timed(*path, max_speed=speed, max_acceleration=thrust)
+    motion = time_path(*path, max_speed=speed, max_acceleration=thrust)
     times = np.linspace(0.0, motion.times[-1], 20_000)
     position, velocity, acceleration = motion.at(times)
     fastest = np.linalg.norm(velocity, axis=2).max()
@@ -56,8 +56,8 @@ def test_timed_keeps_limits_and_the_path(seed: int, speed: float, thrust: float)
 
 def test_slowed_stretches_time_only_where_needed() -> None:
     motion = leg(np.zeros((1, 3)), np.ones((1, 3)), 1.0, 1.0)
-    assert slowed(motion, 1.0, 1.0) is motion
-    slower = slowed(motion, 0.25, 1.0)
+    assert slow_to_limits(motion, 1.0, 1.0) is motion
+    slower = slow_to_limits(motion, 0.25, 1.0)
     _, velocity, _ = slower.at(np.linspace(0.0, slower.times[-1], 1000))
     assert np.linalg.norm(velocity, axis=2).max() <= 0.25
     np.testing.assert_allclose(slower.at(slower.times[-1])[0], 1.0)
@@ -75,7 +75,7 @@ def test_a_straight_way_takes_little_longer_than_it_must(speed: float, thrust: f
     bend = 1.5 * (share - share**2) * np.sign(30.0 - parameter)
     way = np.array([0.6, 0.0, 0.8])
     path = (values[:, None, None] * way for values in (along, rate, bend))
-    motion = timed(parameter, *path, max_speed=speed, max_acceleration=thrust)
+    motion = time_path(parameter, *path, max_speed=speed, max_acceleration=thrust)
     # At full thrust to full speed and back, or to half way where that is less.
     top = min(speed, np.sqrt(29.0 * thrust))
     least = 29.0 / top + top / thrust

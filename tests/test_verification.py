@@ -12,7 +12,7 @@ from swarm.geometry.chain import segment_lengths
 from swarm.geometry.distance import strand_strand
 from swarm.geometry.motion import through_states
 from swarm.mission import mission_for_knot
-from swarm.planning import KnotSummary, Layout, Phase, Plan
+from swarm.planning import KnotLayout, KnotSummary, Phase, Plan
 from swarm.verification import closest_strands, tracking_errors, verify_trace
 
 CELL = 2.4
@@ -33,7 +33,7 @@ def plan() -> Plan:
     return Plan(
         mission=mission_for_knot("overhand"),
         knot=KnotSummary("3_1", "right", "", ()),
-        layout=Layout(corners, SAGS, lengths, 0 * SAGS, ((0, 5), (2, 7), (6, 1)), CELL),
+        layout=KnotLayout(corners, SAGS, lengths, 0 * SAGS, ((0, 5), (2, 7), (6, 1)), CELL),
         motion=motion,
         phases=(
             Phase("fold", 0.0, 8.0, "aloft", True),

@@ -36,7 +36,7 @@ from swarm.errors import SwarmError
 from swarm.geometry.chain import crossing_gaps
 from swarm.knots.gauss import SignedGauss, parse_gauss, same_code
 from swarm.planning import Plan
-from swarm.planning.order import finish_of
+from swarm.planning.phase_order import finish_of
 
 Progress = Callable[[str, float], None]
 Chirality = Literal["left", "right", "none"]

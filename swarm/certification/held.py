@@ -15,7 +15,7 @@ from swarm.certification.branch_and_bound import Boxes, Enclosure
 from swarm.certification.motion_bounds import Course
 from swarm.certification.strands import Team
 from swarm.planning import CableState, Plan
-from swarm.planning.order import Declared, declared, misplaced
+from swarm.planning.phase_order import DeclaredCable, declared_cable, phase_order_error
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -77,7 +77,7 @@ def held(plan: Plan) -> Held:
     problems = _order_problems(plan)
     if problems:
         return Held([], [], [(start, end)], [], start, end, tuple(problems))
-    says = declared([phase.name for phase in plan.phases], attached=_attached(plan))
+    says = declared_cable([phase.name for phase in plan.phases], attached=_attached(plan))
     edges = [phase.start for phase in plan.phases] + [end]
     gripped, released = edges[says.held_from], edges[says.held_until]
     problems = [*_state_problems(plan, says), *_gate_problems(plan, says, gripped, released)]
@@ -125,7 +125,7 @@ def _order_problems(plan: Plan) -> list[tuple[str, float]]:
                 (f"{phase.name} lasts from {phase.start:g} to {phase.end:g} s, but what comes "
                  f"before it ends at {clock:g} s", clock)
             )  # fmt: skip
-        wrong = misplaced(before, phase.name)
+        wrong = phase_order_error(before, phase.name)
         if wrong:
             found.append((f"the phases are in no order that a flight has: {wrong}", phase.start))
         clock, before = phase.end, phase.name
@@ -134,7 +134,7 @@ def _order_problems(plan: Plan) -> list[tuple[str, float]]:
     return found
 
 
-def _state_problems(plan: Plan, says: Declared) -> list[tuple[str, float]]:
+def _state_problems(plan: Plan, says: DeclaredCable) -> list[tuple[str, float]]:
     """Phases that say of the cable what does not follow from their order."""
     found = []
     for index, (phase, expected) in enumerate(zip(plan.phases, says.cable, strict=True)):
@@ -149,7 +149,7 @@ def _state_problems(plan: Plan, says: Declared) -> list[tuple[str, float]]:
 
 
 def _gate_problems(
-    plan: Plan, says: Declared, gripped: float, released: float
+    plan: Plan, says: DeclaredCable, gripped: float, released: float
 ) -> list[tuple[str, float]]:
     """Gates at which vehicles grip or let go when the order of phases says otherwise."""
     found = []
@@ -173,7 +173,7 @@ def _gate_problems(
 
 
 def _floor_problems(
-    plan: Plan, says: Declared, gripped: float, released: float
+    plan: Plan, says: DeclaredCable, gripped: float, released: float
 ) -> list[tuple[str, float]]:
     """Grips of cable on the floor, and releases of cable that was put down, too high above it."""
     moments = [(gripped, "are to grip the cable on the floor")] if says.gripped_by_vehicles else []

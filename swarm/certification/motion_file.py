@@ -15,8 +15,8 @@ from swarm.geometry.catenary import sag_for_length
 from swarm.geometry.chain import crossing_gaps, plan_crossings
 from swarm.geometry.motion import through_states
 from swarm.mission import Mission
-from swarm.planning import Gate, KnotSummary, Layout, Phase, PhaseName, Plan
-from swarm.planning.order import declared, misplaced
+from swarm.planning import Gate, KnotLayout, KnotSummary, Phase, PhaseName, Plan
+from swarm.planning.phase_order import declared_cable, phase_order_error
 
 Floats = npt.NDArray[np.float64]
 
@@ -48,8 +48,8 @@ class MotionFile:
 def read_motion(text: str, source: str) -> MotionFile:
     """Read a motion table: one row per time and vehicle, ENU metres, m/s, m/s² and the phase.
 
-    Phases come in the one order that a flight has (:mod:`swarm.planning.order`), the same for all
-    vehicles at a time: from it follows when the cable is gripped and let go of. Raises
+    All vehicles have the same phases, in the order of a flight (:mod:`swarm.planning.phase_order`).
+    The order determines when the cable is gripped and released. Raises
     :class:`InputError` with up to MOST_PROBLEMS problems, each with its line.
     """
     reader = csv.DictReader(text.splitlines())
@@ -125,7 +125,7 @@ def _phase(text: str | None) -> PhaseName:
 def _phase_problem(phases: list[PhaseName], phase: PhaseName, vehicle: int) -> str | None:
     """What is wrong with a row's phase after those of the times so far, if anything."""
     if vehicle == 1 and (not phases or phase != phases[-1]):
-        return misplaced(phases[-1] if phases else None, phase)
+        return phase_order_error(phases[-1] if phases else None, phase)
     if phases and phase != phases[-1]:
         return f"expected {phases[-1]} as for vehicle 1 at that time, got {phase}"
     return None
@@ -255,7 +255,7 @@ def _phases(motion: MotionFile, *, attached: bool) -> tuple[tuple[Phase, ...], t
     ]
     edges = [float(motion.time[i]) for i in starts] + [float(motion.time[-1])]
     names = [motion.phase[start] for start in starts]
-    says = declared(names, attached=attached)
+    says = declared_cable(names, attached=attached)
     phases = tuple(
         Phase(name, start, end, cable, False)
         for name, (start, end), cable in zip(names, pairwise(edges), says.cable, strict=True)
@@ -266,7 +266,7 @@ def _phases(motion: MotionFile, *, attached: bool) -> tuple[tuple[Phase, ...], t
     return phases, tuple(gates)
 
 
-def _layout(corners: Floats, lengths: Floats) -> Layout:
+def _layout(corners: Floats, lengths: Floats) -> KnotLayout:
     steps = np.diff(corners, axis=0)
     spans = np.hypot(steps[:, 0], steps[:, 1])
     try:
@@ -280,4 +280,4 @@ def _layout(corners: Floats, lengths: Floats) -> Layout:
     except SwarmError:
         # Over-stretched, or no crossings to be read off: the assessment says so.
         sags, over_first = np.zeros_like(lengths), []
-    return Layout(corners, sags, lengths, np.zeros_like(lengths), tuple(over_first), 0.0)
+    return KnotLayout(corners, sags, lengths, np.zeros_like(lengths), tuple(over_first), 0.0)

@@ -8,14 +8,14 @@ from swarm.geometry.chain import plan_crossings, polyline
 from swarm.knots.curve import curve_gauss
 from swarm.knots.gauss import SignedGauss, same_code
 from swarm.knots.invariants import Identification, identify_curve
-from swarm.planning import Layout, Plan
+from swarm.planning import KnotLayout, Plan
 
 Floats = npt.NDArray[np.float64]
 
 PIECES_PER_SEGMENT = 64
 
 
-def layout_code(layout: Layout) -> SignedGauss:
+def layout_code(layout: KnotLayout) -> SignedGauss:
     """Signed Gauss code that the layout's crossings make of its corners, seen from above.
 
     Raises :class:`swarm.errors.SwarmError` where the crossings are not those of the corners.

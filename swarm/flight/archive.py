@@ -18,7 +18,7 @@ from swarm.flight.flight_plan import Basis, Kind
 from swarm.flight.tlog import KnownFrames
 from swarm.mavlink.frames import Frames
 from swarm.planning import Plan
-from swarm.planning.archive import UNREADABLE
+from swarm.planning.archive import READ_ERRORS
 
 _CLEARANCES = ("cable", "vehicle", "vehicle_cable")
 
@@ -52,7 +52,7 @@ def read_certificate(document: Mapping[str, Any]) -> tuple[Basis, Assessment]:
             gauss=str(document["knot"]["gauss"]),
             robustness=Robustness(**document["robustness"]),
         )
-    except UNREADABLE as error:
+    except READ_ERRORS as error:
         raise InputError(f"the record's certificate cannot be read: {error}") from None
 
 
@@ -82,7 +82,7 @@ def read_frames(document: Mapping[str, Any], plan: Plan) -> KnownFrames:
         if not all(np.isfinite(array).all() for array in (rotation, translation, yaw)):
             raise ValueError("numbers that are not finite")
         return KnownFrames(systems, Frames(rotation, translation), yaw)
-    except UNREADABLE as error:
+    except READ_ERRORS as error:
         raise InputError(f"the record's frames cannot be read: {error}") from None
 
 

@@ -57,7 +57,13 @@ class LayoutParameters:
 
 @dataclass(frozen=True, eq=False)
 class KnotLayout:
-    """A layout at height 0: corners (n, 3), and sag, length and lane (n − 1,) per segment."""
+    """Where the folded knot hangs: at height 0 while it is folded, at its own height in a plan.
+
+    ``corners`` (n, 3) are the final positions of the grip points in order along the cable, metres
+    (ENU in a plan). ``sags`` and ``lengths`` (n − 1,) belong to the segments. ``lanes`` (n − 1,)
+    are heights of the path above (negative: below) the corners. ``crossings`` are pairs (over,
+    under) of segments. ``cell`` is the cell width of the grid, 0 for a layout without a grid.
+    """
 
     corners: Floats
     sags: Floats

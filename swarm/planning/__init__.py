@@ -1,5 +1,6 @@
 """The plan, and how it is made from a mission."""
 
+from swarm.folding.layout import KnotLayout
 from swarm.planning.candidates import Candidate, candidates, make_plan, repaired
 from swarm.planning.digest import digest
 from swarm.planning.plan import (
@@ -7,7 +8,6 @@ from swarm.planning.plan import (
     Condition,
     Gate,
     KnotSummary,
-    Layout,
     Phase,
     PhaseName,
     Plan,
@@ -19,8 +19,8 @@ __all__ = [
     "Candidate",
     "Condition",
     "Gate",
+    "KnotLayout",
     "KnotSummary",
-    "Layout",
     "Phase",
     "PhaseName",
     "Plan",

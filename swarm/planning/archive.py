@@ -15,12 +15,13 @@ from typing import Any, Final
 import numpy as np
 
 from swarm.errors import InputError, Problem
+from swarm.folding.layout import KnotLayout
 from swarm.geometry.motion import Motion
 from swarm.mission import Mission
 from swarm.planning.digest import digest
-from swarm.planning.plan import Gate, KnotSummary, Layout, Phase, Plan
+from swarm.planning.plan import Gate, KnotSummary, Phase, Plan
 
-UNREADABLE: Final = (
+READ_ERRORS: Final = (
     KeyError, TypeError, ValueError, AttributeError, OSError, EOFError, zipfile.BadZipFile,
     zlib.error, NotImplementedError, RuntimeError,
 )  # fmt: skip
@@ -82,7 +83,7 @@ def read_plan(
                     "grid_columns": tuple(tuple(c) for c in document["knot"]["grid_columns"]),
                 }
             ),
-            layout=Layout(
+            layout=KnotLayout(
                 corners=np.array(layout["corners"], dtype=np.float64),
                 sags=np.array(layout["sags"], dtype=np.float64),
                 lengths=np.array(layout["lengths"], dtype=np.float64),
@@ -96,7 +97,7 @@ def read_plan(
             path=np.array(document["path"], dtype=np.float64),
             notes=tuple(document["notes"]),
         )
-    except UNREADABLE as error:
+    except READ_ERRORS as error:
         raise InputError(f"{source} cannot be read: {error}") from None
 
 
@@ -149,7 +150,7 @@ def read_plan_file(data: bytes, source: str) -> Plan:
         manifest = json.loads(members[_MANIFEST])
         kind, schema = manifest["format"], manifest["schema"]
         recorded, sums = manifest["digest"], dict(manifest["sha256"])
-    except UNREADABLE:
+    except READ_ERRORS:
         raise InputError([Problem(f"{source}: {_MANIFEST}", "cannot be read")]) from None
     _require(f"{source}: format", FORMAT, kind)
     _require(f"{source}: schema", SCHEMA, schema)
@@ -157,7 +158,7 @@ def read_plan_file(data: bytes, source: str) -> Plan:
         _require(f"{source}: SHA-256 of {name}", sums.get(name), _sha256(members[name]))
     try:
         document = json.loads(members[_DOCUMENT])
-    except UNREADABLE as error:
+    except READ_ERRORS as error:
         raise InputError([Problem(f"{source}: {_DOCUMENT}", f"not JSON: {error}")]) from None
     plan = read_plan(document, members[_MOTION], f"{source}: the plan")
     _require(f"{source}: digest", recorded, digest(plan))
@@ -174,7 +175,7 @@ def _members(data: bytes, source: str) -> dict[str, bytes]:
     except KeyError as error:
         message = f"expected a plan file, got an archive without {error.args[0]}"
         raise InputError([Problem(source, message)]) from None
-    except UNREADABLE as error:
+    except READ_ERRORS as error:
         message = f"expected a plan file, got something else or a part of one ({error})"
         raise InputError([Problem(source, message)]) from None
     large = [name for name, read in found.items() if len(read) > _LARGEST_MEMBER]

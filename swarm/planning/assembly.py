@@ -14,11 +14,11 @@ from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.motion import Motion, through_states
 from swarm.knots.grid import OpenGrid
 from swarm.mission import Mission
-from swarm.planning.flight import whole_flight
-from swarm.planning.parts import thrust
-from swarm.planning.plan import KnotSummary, Layout, Plan
-from swarm.planning.shapes import Folding, shapes
-from swarm.planning.timing import timed
+from swarm.planning.foldings import Folding, layout_sizes
+from swarm.planning.phase_motion import usable_acceleration
+from swarm.planning.phase_sequence import flight_around_fold
+from swarm.planning.plan import KnotSummary, Plan
+from swarm.planning.timing import time_path
 
 Floats = npt.NDArray[np.float64]
 
@@ -27,13 +27,13 @@ def plan_of_folding(mission: Mission, knot: KnotSummary, folding: Folding) -> Pl
     """Return the plan that flies a folding as fast as the limits allow."""
     layout, path = folding.layout, folding.schedule.path
     parameter, places, slopes, bends = team_path(folding.schedule)
-    fold = timed(
+    fold = time_path(
         parameter,
         places,
         slopes,
         bends,
         max_speed=mission.vehicles.max_speed,
-        max_acceleration=thrust(mission),
+        max_acceleration=usable_acceleration(mission),
     )
     line = path.at(len(layout.corners) - 1, np.linspace(0.0, path.stops[-1], 400))[0]
     return _assembled(mission, knot, layout, fold, line)
@@ -49,7 +49,7 @@ def paper_plan(mission: Mission, knot: KnotSummary, diagram: OpenGrid, margins: 
         largest_sag,
         mission.fold.delay,
         max_speed=mission.vehicles.max_speed,
-        max_acceleration=thrust(mission),
+        max_acceleration=usable_acceleration(mission),
     )
     fold = through_states(states.times, states.position, states.velocity, states.acceleration)
     layout = replace(layout, lanes=-edge_dips(len(layout.lengths), largest_sag))
@@ -65,7 +65,7 @@ def _paper_layout(mission: Mission, diagram: OpenGrid, margins: Margins) -> Knot
         return lay_out_corners(
             section.corners, section.sags, 0.0 if section.cell == "auto" else section.cell
         )
-    shape = next(shapes(mission, margins))
+    shape = next(layout_sizes(mission, margins))
     return lay_out(diagram.corners, diagram.crossings, replace(shape, two_sags=True))
 
 
@@ -77,19 +77,12 @@ def _assembled(
     ``fold`` and ``line`` (k, 3), the curve that the vehicles follow, are at height 0.
     """
     height = _height(mission, fold, layout.lengths)
-    flight = whole_flight(mission, layout.lengths, _raised(fold, height))
+    flight = flight_around_fold(mission, layout.lengths, _raised(fold, height))
     up = np.array([0.0, 0.0, height])
     return Plan(
         mission=mission,
         knot=knot,
-        layout=Layout(
-            corners=layout.corners + up,
-            sags=layout.sags,
-            lengths=layout.lengths,
-            lanes=layout.lanes,
-            crossings=layout.crossings,
-            cell=layout.cell,
-        ),
+        layout=replace(layout, corners=layout.corners + up),
         motion=flight.motion,
         phases=flight.phases,
         gates=flight.gates,

@@ -48,13 +48,13 @@ def _grip_points(plan: Plan, times: Floats) -> Floats:
     """Where the cable's grip points (k, n, 3) are at times (k,): with their vehicles, or lying."""
     begins, ends = grip_interval(plan)
     places = plan.motion.at(times)[0]
-    places[times < begins] = resting_places(plan)
+    places[times < begins] = laid_grip_points(plan)
     if np.isfinite(ends):
         places[times >= ends] = plan.motion.at(ends)[0] * _TO_FLOOR
     return places
 
 
-def resting_places(plan: Plan) -> Floats:
+def laid_grip_points(plan: Plan) -> Floats:
     """Return where the grip points of the cable lie (n, 3) before vehicles grip it, ENU metres."""
     grab = _phase(plan, "grab")
     if grab is None:

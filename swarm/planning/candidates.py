@@ -17,11 +17,19 @@ from swarm.knots.catalog import KnotChoice, choose_knot
 from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
 from swarm.planning.assembly import paper_plan, plan_of_folding
+from swarm.planning.foldings import (
+    Folding,
+    distinct_openings,
+    fit_to_cable,
+    fold_diagram,
+    layout_sizes,
+    planning_margins,
+    rank_openings,
+)
 from swarm.planning.formation import formation_plan
 from swarm.planning.given_layout import foldings_of_given_layout
 from swarm.planning.plan import KnotSummary, Plan
 from swarm.planning.repair import REPAIRABLE, Shortfall, with_larger_margins
-from swarm.planning.shapes import Folding, different, fitted, folded, keeping, ranked, shapes
 
 Progress = Callable[[str, float], None]
 
@@ -77,8 +85,8 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
         yield _without_folding(formation_plan(mission, mission.formation))
         return
     choice, knot = _knot(mission)
-    opened = different(openings(choice.grid))
-    margins = keeping(mission)
+    opened = distinct_openings(openings(choice.grid))
+    margins = planning_margins(mission)
     if mission.fold.method == "paper":
         yield _without_folding(paper_plan(mission, knot, opened[0], margins))
         return
@@ -133,8 +141,8 @@ def _folded_grids(
     """Yield a candidate for every good folding of the grid diagram, then for deferred ones."""
     notes: tuple[str, ...] = ()
     deferred: list[Folding] = []
-    layouts = list(shapes(mission, margins))
-    best = ranked(opened, layouts[0], margins, progress)
+    layouts = list(layout_sizes(mission, margins))
+    best = rank_openings(opened, layouts[0], margins, progress)
     for folding in _foldings(best, layouts, margins, progress):
         worst = folding.schedule.worst
         notes += (
@@ -172,7 +180,7 @@ def _folding(
 ) -> Folding:
     if progress:
         progress(f"folding with a cell of {shape.cell:.2f} m", 0.0)
-    return folded(diagram, shape, margins)
+    return fold_diagram(diagram, shape, margins)
 
 
 def _refuse_unsupported_start(mission: Mission) -> None:
@@ -190,7 +198,7 @@ def _refuse_crowding(
     """Refuse a cell that is too small for vehicles at rest on the corners, all at one height."""
     cell, key = mission.layout.cell, "layout.cell"
     if mission.cable.length is not None:
-        shape = fitted(opened[0], next(shapes(mission, margins)), margins)
+        shape = fit_to_cable(opened[0], next(layout_sizes(mission, margins)), margins)
         cell, key = shape.cell, f"cable.length {mission.cable.length:g} m, a cell of"
     if cell == "auto":
         return

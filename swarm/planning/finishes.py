@@ -11,14 +11,21 @@ from scipy.optimize import linear_sum_assignment
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.geometry.motion import Motion, at_rest, concatenate, leg
 from swarm.mission import Mission
-from swarm.planning.parts import DESCENT_SPEED, GRAB_HEIGHT, TOUCHDOWN_SPEED, Part, thrust, undone
+from swarm.planning.phase_motion import (
+    DESCENT_SPEED,
+    GRAB_HEIGHT,
+    TOUCHDOWN_SPEED,
+    PhaseMotion,
+    reversed_phase,
+    usable_acceleration,
+)
 
 Floats = npt.NDArray[np.float64]
 
 PULL_SHARE = 0.5
 """Share of a vehicle's payload that tightening may ask of it."""
 
-MOST_TIGHTENED = 0.9
+MAX_TIGHTENED_SHARE = 0.9
 """Largest share of the cable's length to which its ends are pulled apart: the knot keeps some."""
 
 TIGHTENING_TIME = 4.0
@@ -31,9 +38,9 @@ _CLIMB_OVER = 0.3
 """Metres beyond the downwash clearance by which the inner vehicles climb over the ends' ways."""
 
 
-def finish(
-    mission: Mission, lengths: Floats, before: Sequence[Part], hold: Part
-) -> tuple[Part, ...]:
+def finish_phases(
+    mission: Mission, lengths: Floats, before: Sequence[PhaseMotion], hold: PhaseMotion
+) -> tuple[PhaseMotion, ...]:
     """Return the hold and everything after it, for the mission's finish.
 
     ``before`` are the parts up to and with the fold, ``lengths`` (n − 1,) of the segments.
@@ -50,11 +57,11 @@ def finish(
             return _let_go(hold, inner=True), *_tighten(mission, lengths, folded)
 
 
-def _let_go(part: Part, *, inner: bool = False) -> Part:
-    return Part(part.name, part.motion, part.cable, part.reversible, "released", inner)
+def _let_go(part: PhaseMotion, *, inner: bool = False) -> PhaseMotion:
+    return PhaseMotion(part.name, part.motion, part.cable, part.reversible, "released", inner)
 
 
-def _put_down(mission: Mission, hold: Part) -> tuple[Part, ...]:
+def _put_down(mission: Mission, hold: PhaseMotion) -> tuple[PhaseMotion, ...]:
     """Hold, all straight down together with the knot, let go of it on the floor, and stay there.
 
     Vehicles at different heights first climb to that of the highest, while the cable hangs: only a
@@ -70,56 +77,56 @@ def _put_down(mission: Mission, hold: Part) -> tuple[Part, ...]:
     if mission.grab == "attached":
         return (
             hold,
-            Part("descend", down, "landing"),
-            Part("land", last, "landing", then="landed"),
+            PhaseMotion("descend", down, "landing"),
+            PhaseMotion("land", last, "landing", then="landed"),
         )
     return (
         hold,
-        Part("descend", down, "landing", then="released"),
-        Part("land", last, "free", then="landed"),
+        PhaseMotion("descend", down, "landing", then="released"),
+        PhaseMotion("land", last, "free", then="landed"),
     )
 
 
-def _levelled(mission: Mission, hold: Part) -> tuple[Part, Floats]:
+def _levelled(mission: Mission, hold: PhaseMotion) -> tuple[PhaseMotion, Floats]:
     """The hold, with all at one height at its end, and where that is (n, 3)."""
     folded = hold.motion.at(hold.motion.times[0])[0]
     level = folded.copy()
     level[:, 2] = folded[:, 2].max()
     if np.ptp(folded[:, 2]) < _ONE_HEIGHT:
         return hold, folded
-    climb = leg(folded, level, DESCENT_SPEED, 0.5 * thrust(mission))
+    climb = leg(folded, level, DESCENT_SPEED, 0.5 * usable_acceleration(mission))
     motion = concatenate(hold.motion, climb, at_rest(level, mission.hold_time))
     return replace(hold, motion=motion), level
 
 
-def _unfold(mission: Mission, before: Sequence[Part]) -> tuple[Part, ...]:
+def _unfold(mission: Mission, before: Sequence[PhaseMotion]) -> tuple[PhaseMotion, ...]:
     """The flight so far, backwards: fold, lift, contraction, grab and take-off, whichever it had.
 
     The cable ends as it lay, and everybody on its pad.
     """
-    part: Mapping[str, Part] = {made.name: made for made in before}
+    part: Mapping[str, PhaseMotion] = {made.name: made for made in before}
     undo = [
-        undone(part["fold"], "unfold", then="settled", reversible=True),
-        undone(part["lift"], "lower", then="settled"),
+        reversed_phase(part["fold"], "unfold", then="settled", reversible=True),
+        reversed_phase(part["lift"], "lower", then="settled"),
     ]
     if mission.grab == "attached":
-        return *undo, undone(part["takeoff"], "land", then="landed")
+        return *undo, reversed_phase(part["takeoff"], "land", then="landed")
     return (
         *undo,
-        undone(part["contract"], "spread", then="released"),
-        undone(part["grab"], "finish"),
-        undone(part["takeoff"], "land", then="landed"),
+        reversed_phase(part["contract"], "spread", then="released"),
+        reversed_phase(part["grab"], "finish"),
+        reversed_phase(part["takeoff"], "land", then="landed"),
     )
 
 
-def _tighten(mission: Mission, lengths: Floats, folded: Floats) -> tuple[Part, ...]:
+def _tighten(mission: Mission, lengths: Floats, folded: Floats) -> tuple[PhaseMotion, ...]:
     """The inner vehicles have let go and climb; the ends pull apart, let go, and all land.
 
     The ends go opposite ways, straight, at their height, and share what room they need. How far:
     until a cable without a knot between them, the floor below, would pull with PULL_SHARE of the
     payload, or MOST_TIGHTENED of its length.
     """
-    speed, push = mission.vehicles.max_speed, thrust(mission)
+    speed, push = mission.vehicles.max_speed, usable_acceleration(mission)
     climb = mission.clearance.downwash + 2.0 * mission.vehicles.tracking + _CLIMB_OVER
     over = folded.copy()
     over[1:-1, 2] += climb
@@ -144,8 +151,8 @@ def _tighten(mission: Mission, lengths: Floats, folded: Floats) -> tuple[Part, .
     away = leg(pulled, aside, min(speed, DESCENT_SPEED), 0.5 * push)
     spread, land = _spread_and_land(mission, aside)
     return (
-        Part("tighten", pulling, "free", then="released"),
-        Part("finish", concatenate(away, spread.motion), "free"),
+        PhaseMotion("tighten", pulling, "free", then="released"),
+        PhaseMotion("finish", concatenate(away, spread.motion), "free"),
         land,
     )
 
@@ -169,10 +176,10 @@ def _span(length: float, height: float, pull: float) -> float:
         return 0.0
     parameter = math.sqrt(pull * pull - hanging * hanging)
     span = 2.0 * parameter * math.asinh(hanging / parameter) + length - 2.0 * hanging
-    return min(span, MOST_TIGHTENED * length)
+    return min(span, MAX_TIGHTENED_SHARE * length)
 
 
-def _spread_and_land(mission: Mission, start: Floats) -> tuple[Part, Part]:
+def _spread_and_land(mission: Mission, start: Floats) -> tuple[PhaseMotion, PhaseMotion]:
     """Spread out and up from the released knot, go to places around it, and land there.
 
     Scaling about the middle brings nobody closer together. From there the assignment of least
@@ -180,7 +187,7 @@ def _spread_and_land(mission: Mission, start: Floats) -> tuple[Part, Part]:
     distance over √2 (Turpin et al. 2014, CAPT).
     """
     vehicles, clearance = mission.vehicles, mission.clearance
-    speed, push = vehicles.max_speed, thrust(mission)
+    speed, push = vehicles.max_speed, usable_acceleration(mission)
     apart = 1.5 * (clearance.vehicle + 2.0 * vehicles.tracking)
     middle = start.mean(axis=0)
     smallest = _smallest_distance(start)
@@ -193,14 +200,14 @@ def _spread_and_land(mission: Mission, start: Floats) -> tuple[Part, Part]:
     away = concatenate(leg(start, spread, speed, push), leg(spread, above, speed, push))
     near = ground + np.array([0.0, 0.0, 1.0])
     return (
-        Part("finish", away, "free"),
-        Part("land", _down(mission, above, near, ground), "free", then="landed"),
+        PhaseMotion("finish", away, "free"),
+        PhaseMotion("land", _down(mission, above, near, ground), "free", then="landed"),
     )
 
 
 def _down(mission: Mission, above: Floats, near: Floats, ground: Floats) -> Motion:
     """Straight down, and slower near the ground."""
-    speed, push = mission.vehicles.max_speed, thrust(mission)
+    speed, push = mission.vehicles.max_speed, usable_acceleration(mission)
     return concatenate(
         leg(above, near, min(speed, DESCENT_SPEED), push),
         leg(near, ground, min(speed, TOUCHDOWN_SPEED), push),

@@ -6,13 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.errors import Refused
+from swarm.folding.layout import KnotLayout
 from swarm.geometry.catenary import sag_for_length
 from swarm.geometry.chain import crossing_gaps, plan_crossings
 from swarm.geometry.motion import Motion, at_rest, concatenate, leg
 from swarm.mission import Formation, Mission
-from swarm.planning.flight import flight_without_cable, whole_flight
-from swarm.planning.parts import thrust
-from swarm.planning.plan import KnotSummary, Layout, Plan
+from swarm.planning.phase_motion import usable_acceleration
+from swarm.planning.phase_sequence import flight_around_fold, flight_without_cable
+from swarm.planning.plan import KnotSummary, Plan
 
 Floats = npt.NDArray[np.float64]
 
@@ -38,7 +39,7 @@ def formation_plan(mission: Mission, formation: Formation) -> Plan:
         stops.insert(0, _line(places[0], lengths))
     fold = _through(mission, stops)
     if len(lengths):
-        flight = whole_flight(mission, lengths, fold)
+        flight = flight_around_fold(mission, lengths, fold)
     else:
         flight = flight_without_cable(fold, mission.hold_time)
     return Plan(
@@ -81,12 +82,14 @@ def _through(mission: Mission, stops: list[Floats]) -> Motion:
     """From rest to rest through the stops, with a rest at each."""
     rests = [at_rest(stops[0], _STILL)]
     for start, end in pairwise(stops):
-        rests.append(leg(start, end, 0.5 * mission.vehicles.max_speed, 0.5 * thrust(mission)))
+        rests.append(
+            leg(start, end, 0.5 * mission.vehicles.max_speed, 0.5 * usable_acceleration(mission))
+        )
         rests.append(at_rest(end, _STILL))
     return concatenate(*rests)
 
 
-def _layout(corners: Floats, lengths: Floats) -> Layout:
+def _layout(corners: Floats, lengths: Floats) -> KnotLayout:
     """Where the cable hangs in the last formation, and what passes over what there."""
     step = np.diff(corners, axis=0)[: len(lengths)]
     spans = np.hypot(step[:, 0], step[:, 1])
@@ -99,4 +102,4 @@ def _layout(corners: Floats, lengths: Floats) -> Layout:
             (int(a), int(b)) if gap > 0 else (int(b), int(a))
             for (a, b), gap in zip(crossing, gaps, strict=True)
         ]
-    return Layout(corners, sags, lengths, np.zeros_like(lengths), tuple(pairs), 0.0)
+    return KnotLayout(corners, sags, lengths, np.zeros_like(lengths), tuple(pairs), 0.0)

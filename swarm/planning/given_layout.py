@@ -9,7 +9,7 @@ from swarm.folding.layout import lay_out_corners
 from swarm.folding.margins import Margins
 from swarm.folding.schedule import make_schedule
 from swarm.mission import Layout
-from swarm.planning.shapes import Folding, guided
+from swarm.planning.foldings import Folding, make_guide
 
 Progress = Callable[[str, float], None]
 
@@ -42,7 +42,7 @@ def foldings_of_given_layout(
             progress("folding the given layout", done / len(_TRIED))
         lanes = spacing * shortest * (0.5 * levels.max() - levels)
         placed = replace(layout, corners=corners, lanes=lanes)
-        guide = guided(placed, slope * shortest, rounding * shortest)
+        guide = make_guide(placed, slope * shortest, rounding * shortest)
         folding = Folding(placed, make_schedule(placed, guide, margins, _STEP * shortest))
         note = (
             f"tried lanes {spacing * shortest:.2f} m apart: misses its margins by "

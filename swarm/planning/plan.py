@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from swarm.folding.layout import KnotLayout
 from swarm.geometry.motion import Motion
 from swarm.knots.names import describe_knot
 from swarm.mission import Mission
@@ -58,24 +59,6 @@ class Gate:
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Where the folded knot hangs.
-
-    ``corners`` (n, 3) are the grip points' final places in order along the cable, ENU metres;
-    ``sags`` and ``lengths`` (n − 1,) belong to the segments, ``lanes`` (n − 1,) are heights of the
-    path above (or, negative, below) the corners; ``crossings`` are pairs (over, under) of segments.
-    ``cell`` is the grid's cell width, 0 where the layout is no grid's.
-    """
-
-    corners: Floats
-    sags: Floats
-    lengths: Floats
-    lanes: Floats
-    crossings: tuple[tuple[int, int], ...]
-    cell: float
-
-
-@dataclass(frozen=True)
 class KnotSummary:
     """What is tied: KnotInfo's name, chirality (left, right or none), code and grid."""
 
@@ -89,14 +72,14 @@ class KnotSummary:
 class Plan:
     """Everything that will be flown, not yet certified.
 
-    ``motion`` moves the n grip points from the pads (mission time 0) to the ground again;
-    ``path`` (k, 3) is the curve that all follow in the fold, for pictures; ``notes`` say what the
-    planner tried.
+    ``layout`` is where the folded knot hangs, ENU metres. ``motion`` moves the n grip points from
+    the pads (mission time 0) to the ground again. ``path`` (k, 3) is the curve that all vehicles
+    follow in the fold, for pictures. ``notes`` list what the planner tried.
     """
 
     mission: Mission
     knot: KnotSummary
-    layout: Layout
+    layout: KnotLayout
     motion: Motion
     phases: tuple[Phase, ...]
     gates: tuple[Gate, ...]

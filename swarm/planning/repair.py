@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarm.folding.schedule import Schedule, require_extra
+from swarm.planning.foldings import SAMPLING_ERROR, Folding
 from swarm.planning.plan import Plan
-from swarm.planning.shapes import SAMPLING, Folding
 
 REPAIRABLE = {
     "cable clearance": "cable",
@@ -50,6 +50,6 @@ def with_larger_margins(folding: Folding, plan: Plan, shortfalls: Sequence[Short
             at = stages[np.argmin((offsets**2).sum(axis=(2, 3)), axis=1)]
             # Where an earlier increase was not enough, double it.
             before = getattr(schedule.extra, margin)[at.astype(np.intp)]
-            increase = np.minimum(np.maximum(1.1 * metres + SAMPLING, before), _LARGEST_STEP)
+            increase = np.minimum(np.maximum(1.1 * metres + SAMPLING_ERROR, before), _LARGEST_STEP)
             schedule = require_extra(schedule, margin, at, increase)
     return schedule

@@ -34,7 +34,7 @@ _ROUNDS = 5
 """So often limits are lowered where polynomials exceed them between the samples."""
 
 
-def timed(
+def time_path(
     parameter: Floats,
     position: Floats,
     first: Floats,
@@ -67,10 +67,10 @@ def timed(
         pace = pace.tightened(chosen, excess)
         wishes = pace.quickest(wishes, _WEIGHTS[-1], _MORE_STEPS)
     quickest = min(flights, key=lambda flight: flight[0])[1]
-    return slowed(quickest, max_speed, max_acceleration)
+    return slow_to_limits(quickest, max_speed, max_acceleration)
 
 
-def slowed(motion: Motion, max_speed: float, max_acceleration: float) -> Motion:
+def slow_to_limits(motion: Motion, max_speed: float, max_acceleration: float) -> Motion:
     """Stretch time evenly until dense samples keep the limits; unchanged where they do."""
     rough = _stretches(motion, max_speed, max_acceleration, 17)
     closely = np.flatnonzero(rough > _ROUGHLY * rough.max())

@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from swarm.certification.assessment import Tightest
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.trace import Trace
-from swarm.planning import KnotSummary, Layout, Plan
+from swarm.planning import KnotLayout, KnotSummary, Plan
 from swarm.reports import scene
 
 Floats = npt.NDArray[np.float64]
@@ -192,7 +192,7 @@ def draw_grid(axes: Axes, knot: KnotSummary) -> None:
     axes.set_title(f"Grid diagram {size}×{size}")
 
 
-def draw_plan_view(axes: Axes, layout: Layout) -> None:
+def draw_plan_view(axes: Axes, layout: KnotLayout) -> None:
     """Draw the cable from above as knot diagrams are drawn: the under strand has a gap."""
     corners = layout.corners[:, :2]
     colours = along_colours(len(corners) - 1)
@@ -220,7 +220,7 @@ def _extent(points: Floats) -> tuple[Floats, Floats]:
     return middle - half, middle + half
 
 
-def _visible_pieces(layout: Layout) -> list[list[tuple[float, float]]]:
+def _visible_pieces(layout: KnotLayout) -> list[list[tuple[float, float]]]:
     """Return for each segment the shares of its span that are drawn, gaps left out."""
     corners = layout.corners[:, :2]
     spans = np.linalg.norm(np.diff(corners, axis=0), axis=1)
@@ -246,7 +246,7 @@ def _label_vehicles(axes: Axes, corners: Floats) -> None:
         axes.text(x, y, str(i + 1), ha="center", va="center_baseline", fontsize=7.5, zorder=6)
 
 
-def draw_fold(axes: Axes, layout: Layout) -> None:
+def draw_fold(axes: Axes, layout: KnotLayout) -> None:
     """Draw the folded cable in space, every segment a catenary, and its crossings."""
     strips = scene.strands(layout.corners, layout.lengths, 40)
     colours = along_colours(len(strips))

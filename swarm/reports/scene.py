@@ -13,8 +13,8 @@ import numpy.typing as npt
 from swarm.flight.snapshot import Snapshot
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import strand_strand
-from swarm.planning import Layout, Plan
-from swarm.planning.cable_shape import planned_grip, resting_places
+from swarm.planning import KnotLayout, Plan
+from swarm.planning.cable_shape import laid_grip_points, planned_grip
 
 Floats = npt.NDArray[np.float64]
 Colours = npt.NDArray[np.uint8]
@@ -164,14 +164,14 @@ def planned_cable(plan: Plan, times: Floats) -> Floats:
     """Return the cable's grip points (k, n, 3) at mission times (k,), as :func:`held_points`."""
     position = plan.motion.at(times)[0]
     gripped = planned_grip(plan, times)
-    held = np.where(gripped[:, None, None], position, resting_places(plan))
+    held = np.where(gripped[:, None, None], position, laid_grip_points(plan))
     if gripped.any():
         last = times[gripped][-1]
         held[times > last] = plan.motion.at(last)[0] * [1.0, 1.0, 0.0]
     return held
 
 
-def crossings(layout: Layout) -> list[Crossing]:
+def crossings(layout: KnotLayout) -> list[Crossing]:
     """Return the crossings of the folded cable, with the strands' heights there."""
     found = []
     for over, under in layout.crossings:

@@ -13,7 +13,7 @@ import rerun as rr
 
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.planning import Plan
-from swarm.planning.cable_shape import resting_places
+from swarm.planning.cable_shape import laid_grip_points
 from swarm.reports import scene
 from swarm.reports.formatting import clock, level, sentence
 from swarm.view.curves import Curves
@@ -136,7 +136,7 @@ class Recorder:
         self._plan = plan
         self._limit = plan.mission.vehicles.tracking
         self._above = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
-        self._held = resting_places(plan)
+        self._held = laid_grip_points(plan)
         self._gripped = np.zeros(plan.vehicles, dtype=bool)
         self._trail = np.full((plan.vehicles, 3), np.nan)
         self._strips = scene.strands(self._held, plan.layout.lengths, scene.POINTS_PER_SEGMENT)

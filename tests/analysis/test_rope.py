@@ -11,7 +11,7 @@ from swarm.analysis.swing import largest_swings
 from swarm.errors import Refused
 from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.mission import mission_for_knot
-from swarm.planning import KnotSummary, Layout, Plan
+from swarm.planning import KnotLayout, KnotSummary, Plan
 from tests.network import small_plan
 
 rope = pytest.importorskip("swarm.analysis.rope")
@@ -25,7 +25,7 @@ def across(height: float) -> Plan:
         [[0.0, -1.0, 5.0], [0.0, 1.0, 5.0], [-1.0, 1.0, 5.0 + height], [1.0, -0.2, 5.0 + height]]
     )
     lengths = np.array([2.6, 1.5, 2.8])
-    layout = Layout(corners, np.zeros(3), lengths, np.zeros(3), ((2, 0),), 0.0)
+    layout = KnotLayout(corners, np.zeros(3), lengths, np.zeros(3), ((2, 0),), 0.0)
     return replace(PLAN, layout=layout, knot=KnotSummary("0_1", "none", "", ()))
 
 

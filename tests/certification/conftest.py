@@ -7,7 +7,7 @@ from swarm.certification.assess import assess
 from swarm.certification.assessment import Assessment
 from swarm.geometry.motion import through_states
 from swarm.mission import parse_mission
-from swarm.planning import Gate, KnotSummary, Layout, Phase, Plan
+from swarm.planning import Gate, KnotLayout, KnotSummary, Phase, Plan
 
 OVERHAND = """
 schema: 1
@@ -27,7 +27,7 @@ def recorded_overhand() -> Plan:
     return Plan(
         mission=parse_mission(OVERHAND, "overhand.yaml"),
         knot=KnotSummary("3_1", "right", "1- 2+ 3- 1+ 2- 3+", ()),
-        layout=Layout(
+        layout=KnotLayout(
             data["corners"], data["sags"], data["lengths"], data["lanes"], crossings, 4.428
         ),
         motion=through_states(data["time"], *states),

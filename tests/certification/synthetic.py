@@ -4,7 +4,7 @@ import numpy as np
 
 from swarm.geometry.motion import Motion, through_states
 from swarm.mission import mission_for_knot
-from swarm.planning import CableState, KnotSummary, Layout, Phase, PhaseName, Plan
+from swarm.planning import CableState, KnotLayout, KnotSummary, Phase, PhaseName, Plan
 
 NO_KNOT = KnotSummary("", "none", "", ())
 
@@ -43,7 +43,7 @@ def plan_of(
     lengths = np.asarray(lengths, dtype=float)
     start, end = float(motion.times[0]), float(motion.times[-1])
     corners = motion.at(end)[0]
-    layout = Layout(corners, 0 * lengths, lengths, 0 * lengths, tuple(crossings), 0.0)
+    layout = KnotLayout(corners, 0 * lengths, lengths, 0 * lengths, tuple(crossings), 0.0)
     mission = mission_for_knot("overhand", ("workspace.ceiling=100", *overrides))
     phases = (Phase(name, start, end, cable, False),)
     return Plan(mission, knot, layout, motion, phases, (), corners)

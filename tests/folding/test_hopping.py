@@ -9,7 +9,13 @@ from swarm.folding.optimizer import relax
 from swarm.knots.catalog import choose_knot
 from swarm.knots.grid import openings
 from swarm.mission import mission_for_knot
-from swarm.planning.shapes import different, folded, keeping, ranked, shapes
+from swarm.planning.foldings import (
+    distinct_openings,
+    fold_diagram,
+    layout_sizes,
+    planning_margins,
+    rank_openings,
+)
 from tests.folding.test_optimizer import band, led_over
 
 
@@ -17,13 +23,16 @@ from tests.folding.test_optimizer import band, led_over
 def test_openings_in_which_giving_way_alone_gets_stuck_fold(knot: str, rank: int) -> None:
     """Without a hop these miss 0.75 and 1.3 units of their margins."""
     mission = mission_for_knot(knot, ())
-    margins = keeping(mission)
-    shape = next(shapes(mission, margins))
-    best = ranked(
-        different(openings(choose_knot(name=knot, chirality="either").grid)), shape, margins, None
+    margins = planning_margins(mission)
+    shape = next(layout_sizes(mission, margins))
+    best = rank_openings(
+        distinct_openings(openings(choose_knot(name=knot, chirality="either").grid)),
+        shape,
+        margins,
+        None,
     )
     opened = [diagram for diagram, _ in zip(best, range(rank + 1), strict=False)]
-    folding = folded(opened[rank], shape, margins)
+    folding = fold_diagram(opened[rank], shape, margins)
     assert folding.plan.worst < 0.45
     assert np.all(folding.plan.offsets[[0, 1, -2, -1]] == 0.0)
 

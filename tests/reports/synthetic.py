@@ -11,7 +11,7 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.geometry.catenary import length_for_sag
 from swarm.geometry.motion import through_states
 from swarm.mission import mission_for_knot
-from swarm.planning import CableState, Gate, KnotSummary, Layout, Phase, PhaseName, Plan
+from swarm.planning import CableState, Gate, KnotLayout, KnotSummary, Phase, PhaseName, Plan
 
 Floats = npt.NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def trefoil_plan(fence: tuple[tuple[float, float], ...] | None = None) -> Plan:
     spans = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     lengths = np.asarray(length_for_sag(spans, sags))
     lanes = np.where(np.arange(8) % 2 == 1, 1.6, -1.6)
-    layout = Layout(corners, sags, lengths, lanes, CROSSINGS, cell)
+    layout = KnotLayout(corners, sags, lengths, lanes, CROSSINGS, cell)
     places = _places(corners, lengths)
     times = np.concatenate([[0.0], np.cumsum([phase[1] for phase in PHASES])])
     rest = np.zeros_like(places)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from swarm.planning.cable_shape import resting_places
+from swarm.planning.cable_shape import laid_grip_points
 from swarm.reports import scene
 from tests.reports.synthetic import CROSSINGS, snapshot_at, trefoil_plan
 
@@ -90,7 +90,7 @@ def test_state_of_a_vehicle_is_the_worst_it_is_in() -> None:
 
 
 def test_cable_goes_with_those_who_hold_it_and_lies_where_it_was_let_go() -> None:
-    held, gripped = resting_places(PLAN), np.zeros(9, dtype=bool)
+    held, gripped = laid_grip_points(PLAN), np.zeros(9, dtype=bool)
     assert (held[:, 2] == 0).all()
     before = held.copy()
     one = replace(snapshot_at(PLAN, 50.0), gripped=(True,) + (False,) * 8)
@@ -110,8 +110,8 @@ def test_planned_cable_follows_the_same_rules() -> None:
     grab, fold, land = PLAN.phase("grab"), PLAN.phase("fold"), PLAN.phase("land")
     times = np.array([0.0, grab.end - 0.1, fold.end, land.end])
     held = scene.planned_cable(PLAN, times)
-    np.testing.assert_array_equal(held[0], resting_places(PLAN))
-    np.testing.assert_array_equal(held[1], resting_places(PLAN))
+    np.testing.assert_array_equal(held[0], laid_grip_points(PLAN))
+    np.testing.assert_array_equal(held[1], laid_grip_points(PLAN))
     np.testing.assert_allclose(held[2], PLAN.layout.corners, atol=1e-9)
     assert (held[3][:, 2] == 0).all()
     np.testing.assert_allclose(held[3][:, :2], PLAN.layout.corners[:, :2], atol=0.2)

@@ -17,7 +17,7 @@ from swarm.mission import Mission
 
 Progress = Callable[[str, float], None]
 
-SAMPLING = 0.015
+SAMPLING_ERROR = 0.015
 """What sampled distances between polygons may miss of the least ones, metres."""
 
 _OPENINGS, _IN_VAIN, _MORE = 12, 30, 96
@@ -51,7 +51,7 @@ class Folding:
     schedule: Schedule
 
 
-def shapes(mission: Mission, margins: Margins) -> Iterator[LayoutParameters]:
+def layout_sizes(mission: Mission, margins: Margins) -> Iterator[LayoutParameters]:
     """Layouts to try, the smallest first; numbers in the mission are taken as they are."""
     asked = mission.layout
     strand = margins.cable + 5.0 * margins.tracking
@@ -75,7 +75,7 @@ def shapes(mission: Mission, margins: Margins) -> Iterator[LayoutParameters]:
         )
 
 
-def fitted(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> LayoutParameters:
+def fit_to_cable(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> LayoutParameters:
     """Scale a shape until the diagram hung in it takes the shape's length of cable, or just less.
 
     Raises :class:`swarm.errors.Refused` where the smallest layouts take more.
@@ -84,7 +84,7 @@ def fitted(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> Layo
         return shape
 
     def takes(factor: float) -> float:
-        return float(hung_apart(diagram, shape.scaled(factor), margins).lengths.sum())
+        return float(lay_out_apart(diagram, shape.scaled(factor), margins).lengths.sum())
 
     low, high = 1.0, 1.0
     while takes(low) > shape.length:
@@ -102,21 +102,21 @@ def fitted(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> Layo
     return shape.scaled(low)
 
 
-def guided(layout: KnotLayout, slope: float, rounding: float) -> Guide:
+def make_guide(layout: KnotLayout, slope: float, rounding: float) -> Guide:
     """The line along which a layout's vehicles make progress; see :class:`Guide`."""
     run_in = 1.1 * float(layout.lengths.sum()) + 2.0
     return Guide(layout.corners, layout.lanes, slope, rounding, run_in)
 
 
-def folded(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> Folding:
+def fold_diagram(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> Folding:
     """Hang a diagram in a shape, and find everybody's way to its corners."""
-    shape = fitted(diagram, shape, margins)
-    layout = hung_apart(diagram, shape, margins)
-    guide = guided(layout, shape.slope, shape.rounding)
+    shape = fit_to_cable(diagram, shape, margins)
+    layout = lay_out_apart(diagram, shape, margins)
+    guide = make_guide(layout, shape.slope, shape.rounding)
     return Folding(layout, make_schedule(layout, guide, margins, _STEP * shape.cell))
 
 
-def ranked(
+def rank_openings(
     opened: list[OpenGrid], shape: LayoutParameters, margins: Margins, progress: Progress | None
 ) -> Iterator[OpenGrid]:
     """Openings along whose paths segments are least in the way of others, best first.
@@ -149,9 +149,9 @@ def _best(
                 break
         if progress:
             progress("comparing openings of the grid diagram", k / len(opened))
-        fit = fitted(diagram, shape, margins)
-        layout = hung_apart(diagram, fit, margins)
-        guide = guided(layout, fit.slope, fit.rounding)
+        fit = fit_to_cable(diagram, shape, margins)
+        layout = lay_out_apart(diagram, fit, margins)
+        guide = make_guide(layout, fit.slope, fit.rounding)
         square = float(layout.lengths.sum()) ** 2
         chosen = sorted(scores)[:wanted]
         enough = chosen[-1] / square if len(chosen) == wanted else np.inf
@@ -160,7 +160,7 @@ def _best(
     return [int(k) for k in np.argsort(scores, kind="stable")[:wanted]]
 
 
-def different(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
+def distinct_openings(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
     """Openings that are not turned or mirrored copies of others in plan view, which fold alike."""
     found: dict[tuple[object, ...], OpenGrid] = {}
     for diagram in opened:
@@ -172,22 +172,23 @@ def different(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
     return list(found.values())
 
 
-def keeping(mission: Mission) -> Margins:
+def planning_margins(mission: Mission) -> Margins:
     """What a mission's team is to keep, with what sampled distances may miss."""
     vehicles, clearance = mission.vehicles, mission.clearance
     return Margins(
-        cable=clearance.cable + mission.cable.diameter + SAMPLING,
+        cable=clearance.cable + mission.cable.diameter + SAMPLING_ERROR,
         vehicle=clearance.vehicle,
         downwash=clearance.downwash,
-        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter + 3.0 * SAMPLING,
+        vehicle_cable=clearance.vehicle_cable + 0.5 * mission.cable.diameter + 3.0 * SAMPLING_ERROR,
         tracking=vehicles.tracking,
         radius=vehicles.radius,
         grip_offset=vehicles.grip_offset,
-        exempt=4.0 * (clearance.cable + mission.cable.diameter + vehicles.tracking) + SAMPLING,
+        exempt=4.0 * (clearance.cable + mission.cable.diameter + vehicles.tracking)
+        + SAMPLING_ERROR,
     )
 
 
-def hung_apart(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> KnotLayout:
+def lay_out_apart(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> KnotLayout:
     """Hang the knot so that its strands keep their margins at rest, in any direction."""
     for _ in range(8):
         layout = lay_out(diagram.corners, diagram.crossings, shape)

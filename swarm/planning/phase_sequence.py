@@ -7,14 +7,14 @@ import numpy.typing as npt
 
 from swarm.geometry.motion import Motion, at_rest, concatenate, leg, staggered_leg
 from swarm.mission import Mission
-from swarm.planning.finishes import finish
-from swarm.planning.parts import (
+from swarm.planning.finishes import finish_phases
+from swarm.planning.phase_motion import (
     CARRY_HEIGHT,
     GRAB_HEIGHT,
     TAKEOFF_HEIGHT,
     TOUCHDOWN_SPEED,
-    Part,
-    thrust,
+    PhaseMotion,
+    usable_acceleration,
 )
 from swarm.planning.plan import Condition, Gate, Phase
 
@@ -37,7 +37,7 @@ _TIMEOUTS: dict[Condition, float] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class PhaseSequence:
     """The whole motion with its phases and gates."""
 
     motion: Motion
@@ -45,7 +45,7 @@ class Flight:
     gates: tuple[Gate, ...]
 
 
-def whole_flight(mission: Mission, lengths: Floats, fold: Motion) -> Flight:
+def flight_around_fold(mission: Mission, lengths: Floats, fold: Motion) -> PhaseSequence:
     """Put what the mission asks for before and after a fold.
 
     Before it: take-off, grab, contraction and lift (or, with a cable that is tied on, take-off and
@@ -58,16 +58,16 @@ def whole_flight(mission: Mission, lengths: Floats, fold: Motion) -> Flight:
     folded = fold.at(fold.times[-1])[0]
     attached = mission.grab == "attached"
     before = _tied_on(mission, lifted) if attached else _grabbed(mission, lengths, lifted, folded)
-    folding = Part("fold", fold, "aloft", reversible=True, then="settled")
-    hold = Part("hold", at_rest(folded, mission.hold_time), "aloft", reversible=True)
-    after = finish(mission, lengths, (*before, folding), hold)
+    folding = PhaseMotion("fold", fold, "aloft", reversible=True, then="settled")
+    hold = PhaseMotion("hold", at_rest(folded, mission.hold_time), "aloft", reversible=True)
+    after = finish_phases(mission, lengths, (*before, folding), hold)
     gates = [Gate(0.0, "armed", _TIMEOUTS["armed"])]
     if attached:
         gates.insert(0, Gate(0.0, "gripped", _TIMEOUTS["gripped"]))
-    return assembled((*before, folding, *after), gates)
+    return join_phases((*before, folding, *after), gates)
 
 
-def flight_without_cable(places: Motion, hold_time: float) -> Flight:
+def flight_without_cable(places: Motion, hold_time: float) -> PhaseSequence:
     """Take off, fly a motion (at rest at its ends) with nothing attached, and land below its end.
 
     ``hold_time`` in seconds is spent at its end.
@@ -76,15 +76,15 @@ def flight_without_cable(places: Motion, hold_time: float) -> Flight:
     ground = np.array([1.0, 1.0, 0.0])
     slow = TOUCHDOWN_SPEED
     parts = (
-        Part("takeoff", leg(first * ground, first, slow, 0.5), "free", then="airborne"),
-        Part("fold", places, "free", reversible=True, then="settled"),
-        Part("hold", at_rest(last, hold_time), "free", reversible=True),
-        Part("land", leg(last, last * ground, slow, 0.5), "free", then="landed"),
+        PhaseMotion("takeoff", leg(first * ground, first, slow, 0.5), "free", then="airborne"),
+        PhaseMotion("fold", places, "free", reversible=True, then="settled"),
+        PhaseMotion("hold", at_rest(last, hold_time), "free", reversible=True),
+        PhaseMotion("land", leg(last, last * ground, slow, 0.5), "free", then="landed"),
     )
-    return assembled(parts, [Gate(0.0, "armed", _TIMEOUTS["armed"])])
+    return join_phases(parts, [Gate(0.0, "armed", _TIMEOUTS["armed"])])
 
 
-def assembled(parts: tuple[Part, ...], gates: list[Gate]) -> Flight:
+def join_phases(parts: tuple[PhaseMotion, ...], gates: list[Gate]) -> PhaseSequence:
     """Put parts one after the other, with the gates that they end in behind the given ones."""
     phases, gates, clock = [], list(gates), 0.0
     for part in parts:
@@ -93,13 +93,15 @@ def assembled(parts: tuple[Part, ...], gates: list[Gate]) -> Flight:
         if part.then is not None:
             gates.append(Gate(end, part.then, _TIMEOUTS[part.then], part.inner))
         clock = end
-    return Flight(concatenate(*(part.motion for part in parts)), tuple(phases), tuple(gates))
+    return PhaseSequence(concatenate(*(part.motion for part in parts)), tuple(phases), tuple(gates))
 
 
-def _grabbed(mission: Mission, lengths: Floats, lifted: Floats, folded: Floats) -> tuple[Part, ...]:
+def _grabbed(
+    mission: Mission, lengths: Floats, lifted: Floats, folded: Floats
+) -> tuple[PhaseMotion, ...]:
     """From pads beside the cable, grab it off the floor, pull in on the floor, and lift."""
     vehicles = mission.vehicles
-    speed, push = vehicles.max_speed, thrust(mission)
+    speed, push = vehicles.max_speed, usable_acceleration(mission)
     slow = min(speed, TOUCHDOWN_SPEED)
     contracted = lifted * [1.0, 1.0, 0.0]
     grasp = _laid_out(contracted, lengths)
@@ -112,7 +114,7 @@ def _grabbed(mission: Mission, lengths: Floats, lifted: Floats, folded: Floats) 
     )
     order = _STAGGER * np.arange(len(pads), dtype=float)
     return (
-        Part(
+        PhaseMotion(
             "takeoff",
             concatenate(
                 leg(pads, pads + up, slow, 0.5 * push), leg(pads + up, grasp + up, speed, push)
@@ -120,13 +122,13 @@ def _grabbed(mission: Mission, lengths: Floats, lifted: Floats, folded: Floats) 
             "floor",
             then="airborne",
         ),
-        Part(
+        PhaseMotion(
             "grab",
             staggered_leg(grasp + up, grasp + low, order, slow, push),
             "floor",
             then="gripped",
         ),
-        Part(
+        PhaseMotion(
             "contract",
             concatenate(
                 leg(grasp + low, grasp + carried, slow, 0.25 * push),
@@ -135,7 +137,7 @@ def _grabbed(mission: Mission, lengths: Floats, lifted: Floats, folded: Floats) 
             "floor",
             then="settled",
         ),
-        Part(
+        PhaseMotion(
             "lift",
             leg(contracted + carried, lifted, 0.5 * speed, 0.5 * push),
             "lifting",
@@ -144,16 +146,16 @@ def _grabbed(mission: Mission, lengths: Floats, lifted: Floats, folded: Floats) 
     )
 
 
-def _tied_on(mission: Mission, lifted: Floats) -> tuple[Part, ...]:
+def _tied_on(mission: Mission, lifted: Floats) -> tuple[PhaseMotion, ...]:
     """Straight up with the cable from places below the line, to which it was brought by hand."""
-    speed, push = mission.vehicles.max_speed, thrust(mission)
+    speed, push = mission.vehicles.max_speed, usable_acceleration(mission)
     ground = lifted * [1.0, 1.0, 0.0]
     hover = lifted.copy()
     hover[:, 2] = np.minimum(0.5 * lifted[:, 2], TAKEOFF_HEIGHT)
     slow = min(speed, TOUCHDOWN_SPEED)
     return (
-        Part("takeoff", leg(ground, hover, slow, 0.5 * push), "lifting", then="airborne"),
-        Part("lift", leg(hover, lifted, 0.5 * speed, 0.5 * push), "lifting", then="settled"),
+        PhaseMotion("takeoff", leg(ground, hover, slow, 0.5 * push), "lifting", then="airborne"),
+        PhaseMotion("lift", leg(hover, lifted, 0.5 * speed, 0.5 * push), "lifting", then="settled"),
     )
 
 

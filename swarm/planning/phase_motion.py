@@ -21,7 +21,7 @@ DESCENT_SPEED = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class PhaseMotion:
     """A phase-to-be: its motion, what it assumes of the cable, and the gate at its end, if any.
 
     ``inner`` says that the gate is one of all vehicles but the first and the last.
@@ -35,13 +35,13 @@ class Part:
     inner: bool = False
 
 
-def undone(
-    part: Part, name: PhaseName, *, then: Condition | None = None, reversible: bool = False
-) -> Part:
+def reversed_phase(
+    part: PhaseMotion, name: PhaseName, *, then: Condition | None = None, reversible: bool = False
+) -> PhaseMotion:
     """The part flown backwards, under another name."""
-    return Part(name, reverse(part.motion), part.cable, reversible, then)
+    return PhaseMotion(name, reverse(part.motion), part.cable, reversible, then)
 
 
-def thrust(mission: Mission) -> float:
+def usable_acceleration(mission: Mission) -> float:
     """Acceleration that plans may use: what braking along the path needs is kept, m/s²."""
     return mission.vehicles.max_acceleration - mission.vehicles.braking_acceleration

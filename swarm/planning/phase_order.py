@@ -11,7 +11,7 @@ from typing import Literal
 
 from swarm.planning.plan import CableState, PhaseName
 
-FOLLOWERS: Mapping[PhaseName, tuple[PhaseName, ...]] = {
+SUCCESSORS: Mapping[PhaseName, tuple[PhaseName, ...]] = {
     "takeoff": ("grab", "lift"),
     "grab": ("contract",),
     "contract": ("lift",),
@@ -28,16 +28,16 @@ FOLLOWERS: Mapping[PhaseName, tuple[PhaseName, ...]] = {
 }
 """What may come after each phase; a phase may also be the last one. None comes twice."""
 
-FIRST: tuple[PhaseName, ...] = ("takeoff", "grab", "contract", "lift", "fold", "hold")
+FIRST_PHASES: tuple[PhaseName, ...] = ("takeoff", "grab", "contract", "lift", "fold", "hold")
 """What a motion may begin with; the cable is held from its start unless it is gripped later."""
 
 
-def misplaced(before: PhaseName | None, name: PhaseName) -> str | None:
+def phase_order_error(before: PhaseName | None, name: PhaseName) -> str | None:
     """Return what is wrong with ``name`` after the phase ``before`` (None: at the start), if it is.
 
     The answer reads like ``expected hold or finish after fold, got grab``.
     """
-    allowed = FIRST if before is None else FOLLOWERS[before]
+    allowed = FIRST_PHASES if before is None else SUCCESSORS[before]
     if name in allowed:
         return None
     wanted = " or ".join(filter(None, (", ".join(allowed[:-1]), *allowed[-1:]))) or "nothing"
@@ -46,7 +46,7 @@ def misplaced(before: PhaseName | None, name: PhaseName) -> str | None:
 
 
 @dataclass(frozen=True)
-class Declared:
+class DeclaredCable:
     """What a legal order of phases declares.
 
     ``cable`` says for every phase what the cable is supposed to do. The cable is held from the
@@ -63,7 +63,7 @@ class Declared:
     inner_first: bool
 
 
-def declared(names: Sequence[PhaseName], *, attached: bool) -> Declared:
+def declared_cable(names: Sequence[PhaseName], *, attached: bool) -> DeclaredCable:
     """Return what phases in a legal order declare.
 
     ``attached`` means that the cable is tied on: then nothing lets go of it at the end of a common
@@ -82,7 +82,7 @@ def declared(names: Sequence[PhaseName], *, attached: bool) -> Declared:
         if released:
             held_until = min(held_until, index)
         cable.append(_state(name, names[index - 1] if index else None, unheld, index >= held_until))
-    return Declared(
+    return DeclaredCable(
         tuple(cable), held_from, held_until, held_from > 0, "tighten" in names[held_until:]
     )
 
