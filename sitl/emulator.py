@@ -92,7 +92,7 @@ class Emulator:
         )
         for vehicle in self.vehicles:
             vehicle.inject = functools.partial(self.injector.inject, vehicle)
-            vehicle.simulation_changed = functools.partial(self.injector.simulate, vehicle)
+            vehicle.simulation_changed = functools.partial(self.injector.apply_parameter, vehicle)
 
     def sign_with(self, key: bytes, unix_time: float) -> None:
         """Sign everything with a key from now on and hear nothing that is not signed with it.
@@ -163,7 +163,7 @@ class Emulator:
 
     def _deliver(self, sent: list[Received], now: float) -> None:
         """Give bytes to vehicles, those of troubled links to these."""
-        if self.injector.troubled:
+        if self.injector.link_faults:
             at_once, up = [], self.injector.up
             for one in sent:
                 channel = up[one[0].index]
@@ -176,7 +176,7 @@ class Emulator:
 
     def _arrive(self, now: float) -> None:
         """Hand over what comes late through troubled links."""
-        if not self.injector.troubled:
+        if not self.injector.link_faults:
             return
         limit = now + 1e-9
         arrived: list[Received] = []
@@ -208,7 +208,7 @@ class Emulator:
                 else:
                     sent.append((vehicle, link, b"".join(link.outgoing)))
                 link.outgoing.clear()
-        if not self.injector.troubled:
+        if not self.injector.link_faults:
             return sent
         limit = self.time + 1e-9
         for vehicle, channel in zip(self.vehicles, down, strict=True):
@@ -381,14 +381,14 @@ class Emulator:
         self.rope.follow(self._held()[0], 0.0)
         arc = self.rope.grab(index, grips[index])
         held = arc is not None
-        self._event("grabbed" if held else "grabbed nothing", self.vehicles[index].system, arc=arc)
+        self._event("grabbed" if held else "grab failed", self.vehicles[index].system, arc=arc)
         return held
 
     def _release(self, index: int) -> bool:
         if self.rope is None:
             return False
         self.rope.follow(self._held()[0], 0.0)
-        held = self.rope.let_go(index)
+        held = self.rope.release(index)
         if held:
             self._event("released", self.vehicles[index].system)
             self.injector.drop_snags()

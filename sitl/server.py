@@ -143,7 +143,7 @@ class Server:
     def _answer(self, endpoint: Endpoint) -> None:
         """Send at once what a vehicle has just answered, unless faults may hold it back."""
         link = endpoint.link
-        if link.outgoing and not self.emulator.injector.troubled and not endpoint.vehicle.frozen:
+        if link.outgoing and not self.emulator.injector.link_faults and not endpoint.vehicle.frozen:
             self._send(endpoint, b"".join(link.outgoing))
             link.outgoing.clear()
 

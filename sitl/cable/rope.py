@@ -136,7 +136,7 @@ class Rope:
         self.grips = sorted([*self.grips, (arc, vehicle)])
         self._arrange()
 
-    def let_go(self, vehicle: int) -> bool:
+    def release(self, vehicle: int) -> bool:
         """Open a gripper; tell whether it held anything. What it held begins to fall."""
         kept = [grip for grip in self.grips if grip[1] != vehicle]
         if len(kept) == len(self.grips):

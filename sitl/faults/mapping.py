@@ -1,4 +1,4 @@
-"""The two ways to a fault over MAVLink, as data: failure injection and SIM_* parameters.
+"""Faults that MAVLink injects, as data: MAV_CMD_INJECT_FAILURE and SIM_* parameters.
 
 `MAV_CMD_INJECT_FAILURE` names a unit, a kind of failure and an instance. MAVLink has no unit for
 the autopilot as a whole or for the cable: numbers 200 and 201 are this emulator's own.
@@ -16,11 +16,12 @@ from sitl.protocol.sim_parameters import OF_ARDUPILOT, OWN, PARAMETERS
 Values = dict[str, Any]
 Parameters = Mapping[str, float]
 
-# FAILURE_UNIT and FAILURE_TYPE.
 _GYRO, _ACCELEROMETER, _COMPASS, _BAROMETER, _GPS, _VISION, _DISTANCE = 0, 1, 2, 3, 4, 6, 7
 _BATTERY, _MOTOR, _SERVO, _RADIO, _SIGNAL = 100, 101, 102, 104, 105
 AUTOPILOT, CABLE = 200, 201
+"""FAILURE_UNIT."""
 _OFF, _STUCK, _GARBAGE, _WRONG, _SLOW, _DELAYED, _INTERMITTENT = range(1, 8)
+"""FAILURE_TYPE."""
 _LOST = "Resolve system health failures first"
 
 INJECTED: dict[tuple[int, int], Values] = {
@@ -62,10 +63,10 @@ UNITS = frozenset(unit for unit, _ in INJECTED)
 _DIRECTIONS = ("both", "up", "down")
 
 
-def injected(unit: int, failure: int, instance: int) -> Values | None:
-    """Return the fault of an injection, None if there is none.
+def fault_of_injection(unit: int, failure: int, instance: int) -> Values | None:
+    """Return the keys of the fault that an injection starts, None if it is unknown.
 
-    The instance of a MAVLink signal is its direction: 0 both, 1 to the vehicle, 2 from it.
+    The instance of a MAVLink signal is the direction: 0 both, 1 to the vehicle, 2 from it.
     """
     values = INJECTED.get((unit, failure))
     if values is None or unit != _SIGNAL:
@@ -101,7 +102,7 @@ def _link(p: Parameters) -> Values | None:
 
 
 def _glitch(p: Parameters) -> Values | None:
-    """ArduPilot's glitch is in degrees of latitude and longitude, and metres of altitude."""
+    """GPS glitch: degrees of latitude and longitude, metres of altitude, as in ArduPilot."""
     offset = (
         p["SIM_GPS1_GLTCH_Y"] * _DEGREE,
         p["SIM_GPS1_GLTCH_X"] * _DEGREE,
@@ -111,7 +112,7 @@ def _glitch(p: Parameters) -> Values | None:
 
 
 def _wind(p: Parameters) -> Values | None:
-    """Its direction is where the wind comes from, in degrees."""
+    """Wind: SIM_WIND_DIR is the direction of its origin in degrees."""
     speed, angle = p["SIM_WIND_SPD"], math.radians(p["SIM_WIND_DIR"])
     if not speed and not p["SIM_WIND_TURB"]:
         return None
@@ -120,7 +121,7 @@ def _wind(p: Parameters) -> Values | None:
 
 
 def _battery(p: Parameters) -> Values | None:
-    """Its simulator's battery of three cells."""
+    """Battery voltage of ArduPilot's simulator, with three cells."""
     if p["SIM_BATT_VOLTAGE"] <= 0:
         return None
     charge = (p["SIM_BATT_VOLTAGE"] - _EMPTY) / (_FULL - _EMPTY)
@@ -140,38 +141,38 @@ def _gripper(p: Parameters) -> Values | None:
 
 
 def _freeze(p: Parameters) -> Values | None:
-    """For so many seconds, as nothing else can end it."""
+    """Freeze for a number of seconds: a frozen autopilot accepts no command that ends it."""
     seconds = p["SIM_FREEZE"]
     return {"kind": "freeze", "duration": seconds} if seconds > 0 else None
 
 
 def _switch(name: str, kind: str, off: float = 0.0) -> Callable[[Parameters], Values | None]:
-    def meant(p: Parameters) -> Values | None:
+    def fault(p: Parameters) -> Values | None:
         return None if p[name] == off else {"kind": kind}
 
-    return meant
+    return fault
 
 
 def _amount(
     name: str, kind: str, key: str, low: float, high: float
 ) -> Callable[[Parameters], Values | None]:
-    def meant(p: Parameters) -> Values | None:
+    def fault(p: Parameters) -> Values | None:
         if p[name] == PARAMETERS[name]:
             return None
         return {"kind": kind, key: min(max(p[name], low), high)}
 
-    return meant
+    return fault
 
 
 def _shift(name: str, *axis: float) -> Callable[[Parameters], Values | None]:
-    def meant(p: Parameters) -> Values | None:
+    def fault(p: Parameters) -> Values | None:
         offset = tuple(p[name] * x for x in axis)
         return {"kind": "origin_reset", "offset": offset} if p[name] else None
 
-    return meant
+    return fault
 
 
-_MEANINGS: dict[str, Callable[[Parameters], Values | None]] = {
+_FAULTS: dict[str, Callable[[Parameters], Values | None]] = {
     **dict.fromkeys(_LINK, _link),
     **dict.fromkeys((name for name in OF_ARDUPILOT if "GLTCH" in name), _glitch),
     **dict.fromkeys((name for name in OF_ARDUPILOT if "WIND" in name), _wind),
@@ -198,13 +199,13 @@ _MEANINGS: dict[str, Callable[[Parameters], Values | None]] = {
 }
 
 
-def simulated(name: str, parameters: Parameters) -> tuple[str, Values | None] | None:
-    """Return what a SIM_* parameter that was just set means: a source and its fault, if any.
+def fault_of_parameter(name: str, parameters: Parameters) -> tuple[str, Values | None] | None:
+    """Return the source of a changed SIM_* parameter and the keys of its fault, if any.
 
-    All parameters of one source make one fault together; None where the name means nothing.
+    All parameters of one source describe one fault together; None for an unknown name.
     """
-    meaning = _MEANINGS.get(name)
-    if meaning is None:
+    fault = _FAULTS.get(name)
+    if fault is None:
         return None
-    source = meaning.__name__ if meaning.__name__ != "meant" else name
-    return source, meaning(parameters)
+    source = fault.__name__ if fault.__name__ != "fault" else name
+    return source, fault(parameters)

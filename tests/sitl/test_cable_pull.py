@@ -78,8 +78,8 @@ def test_neighbours_of_a_weak_vehicle_shift_by_what_statics_says() -> None:
 
 def test_a_released_cable_falls_and_a_bare_vehicle_stays() -> None:
     ground = hung_team(2)
-    ground.emulator.rope.let_go(0)
-    ground.emulator.rope.let_go(1)
+    ground.emulator.rope.release(0)
+    ground.emulator.rope.release(1)
     places = {1: (0.0, 0.0, 4.6), 2: (3.0, 0.0, 4.6)}
     ground.run(0.3, ground.toward(places))
     assert ground.emulator.truth().cable[:, 2].max() > 2.0, "it falls; it does not jump"

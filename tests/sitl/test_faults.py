@@ -5,7 +5,8 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator, WorldError
-from sitl.faults.scenario import KINDS, Channel, Dice, Fault, parse_scenario
+from sitl.faults.link_errors import Channel, UniformNumbers
+from sitl.faults.scenario import KINDS, Fault, parse_scenario
 from tests.sitl.client import Ground, world
 
 INJECT = 420
@@ -36,7 +37,7 @@ def test_bad_scenarios_are_refused_with_every_error() -> None:
         "scenario: faults.1.kind: expected "
         + ", ".join(f"'{kind}'" for kind in list(KINDS)[:-1])
         + f" or '{list(KINDS)[-1]}', got 'explode'",
-        "scenario: faults.2: freeze: expected nothing more, got loss",
+        "scenario: faults.2: freeze: expected no further keys, got loss",
     ]
     with pytest.raises(WorldError, match=r"expected vehicles of the world, got \[7\]"):
         Emulator(world(1), scenario("at: 1, kind: freeze, vehicle: 7"))
@@ -47,7 +48,7 @@ def test_bad_scenarios_are_refused_with_every_error() -> None:
 )
 def test_losses_have_their_share_and_their_runs(burst: float, runs: object) -> None:
     channel = Channel(
-        Dice(np.random.default_rng(3)), Fault(at=0.0, kind="link", loss=0.2, burst=burst)
+        UniformNumbers(np.random.default_rng(3)), Fault(at=0.0, kind="link", loss=0.2, burst=burst)
     )
     arrived = []
     for k in range(40_000):
@@ -59,13 +60,15 @@ def test_losses_have_their_share_and_their_runs(burst: float, runs: object) -> N
 
 
 def test_dice_fall_as_they_would_one_by_one() -> None:
-    dice, singly = Dice(np.random.default_rng(8)), np.random.default_rng(8)
-    assert [dice.roll() for _ in range(1000)] == [singly.random() for _ in range(1000)]
+    numbers, singly = UniformNumbers(np.random.default_rng(8)), np.random.default_rng(8)
+    assert [numbers.draw() for _ in range(1000)] == [singly.random() for _ in range(1000)]
 
 
 def test_latency_jitter_duplicates_and_reordering() -> None:
     def through(**values: float) -> list[tuple[float, int]]:
-        channel = Channel(Dice(np.random.default_rng(5)), Fault(at=0.0, kind="link", **values))
+        channel = Channel(
+            UniformNumbers(np.random.default_rng(5)), Fault(at=0.0, kind="link", **values)
+        )
         got = []
         for step in range(20_000):
             if step % 5 == 0 and step < 15_000:
@@ -272,5 +275,5 @@ def test_every_kind_of_fault_starts_and_ends_in_flight() -> None:
         ground.px4_offboard({1: (0.0, 0.0, 3.0), 2: (3.0, 0.0, 3.0)}, 4.0)
         kinds = [event["kind"] for event in ground.emulator.events]
         assert "fault" in kinds
-        assert "fault over" in kinds
+        assert "fault ended" in kinds
         assert np.isfinite(ground.emulator.bodies.position).all()

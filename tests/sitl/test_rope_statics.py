@@ -113,8 +113,8 @@ def test_grabbing_takes_the_nearest_free_cable_within_reach() -> None:
     assert made.grab(1, np.array([6.0, 0.0, 0.1])) == pytest.approx(6.0)
     assert [vehicle for _, vehicle in made.grips] == [0, 1]
     assert np.isnan(made.arc_of(2))
-    assert made.let_go(0)
-    assert not made.let_go(0)
+    assert made.release(0)
+    assert not made.release(0)
     assert [vehicle for _, vehicle in made.grips] == [1]
 
 
@@ -135,7 +135,7 @@ def test_what_is_let_go_falls_and_lies() -> None:
     grips = np.array([[0.0, 0.0, 5.0], [3.0, 0.0, 5.0], [6.0, 0.0, 5.0]])
     made.pull(grips, STILL[:3])
     before = made.follow(grips, 0.0).copy()
-    made.let_go(2)
+    made.release(2)
     heights = []
     for _ in range(60):
         made.pull(grips, STILL[:3])
