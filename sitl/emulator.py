@@ -136,7 +136,7 @@ class Emulator:
             return
         tied = [v for v in self.vehicles if v.spec.gripper == "attached"]
         for vehicle, arc in zip(tied, self.world.cable.attached or (), strict=True):
-            self.rope.tie(vehicle.index, min(arc, self.rope.length))
+            self.rope.attach(vehicle.index, min(arc, self.rope.length))
             vehicle.gripper.gripped = True
 
     # The three calls.
@@ -234,7 +234,7 @@ class Emulator:
             if holder < len(arcs):
                 arcs[holder] = arc
         grips = self.bodies.grip_points()
-        cable = rope.follow(self._held()[0], 0.0).copy() if rope else np.zeros((0, 3))
+        cable = rope.update(self._held()[0], 0.0).copy() if rope else np.zeros((0, 3))
         return grips, arcs, cable
 
     def truth(self) -> Truth:
@@ -242,7 +242,7 @@ class Emulator:
         b = self.bodies
         rope = self.rope
         grips, arcs, cable = self.held()
-        spans = rope.spans if rope else None
+        spans = rope.solved if rope else None
         empty = np.zeros(0)
         return Truth(
             time=self.time,
@@ -273,11 +273,11 @@ class Emulator:
             self._wake()
         self._arrive(now)
         rope = self.rope
-        if rope is not None and self._ticks % rope.patience == 0:
-            force = rope.pull(*self._held())
+        if rope is not None and self._ticks % rope.force_interval == 0:
+            force = rope.forces(*self._held())
             b.push(force[: b.count])
             if self.injector.anchors:
-                self.injector.drag(force[b.count :], rope.patience * STEP)
+                self.injector.drag(force[b.count :], rope.force_interval * STEP)
         hit = b.step()
         if hit is not None:
             self._crashed(hit)
@@ -343,7 +343,7 @@ class Emulator:
         if rope is not None:
             washing = self._ticks % _WASH_EVERY == 0
             if washing or rope.within_reach(b.position, b.radius):
-                cable = rope.follow(self._held()[0], interval, solved=True)
+                cable = rope.update(self._held()[0], interval, solved=True)
                 if washing:
                     washed = cable[::_WASH_STRIDE]
                     rope.set_wash(
@@ -378,7 +378,7 @@ class Emulator:
         if self.rope is None:
             return False
         grips = self.bodies.grip_points()
-        self.rope.follow(self._held()[0], 0.0)
+        self.rope.update(self._held()[0], 0.0)
         arc = self.rope.grab(index, grips[index])
         held = arc is not None
         self._event("grabbed" if held else "grab failed", self.vehicles[index].system, arc=arc)
@@ -387,7 +387,7 @@ class Emulator:
     def _release(self, index: int) -> bool:
         if self.rope is None:
             return False
-        self.rope.follow(self._held()[0], 0.0)
+        self.rope.update(self._held()[0], 0.0)
         held = self.rope.release(index)
         if held:
             self._event("released", self.vehicles[index].system)

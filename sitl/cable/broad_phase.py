@@ -1,6 +1,6 @@
-"""Whether a rotor could touch the cable at all, before its samples are worked out.
+"""Broad phase of the collision check: whether a rotor can touch the cable.
 
-Bounds that may warn in vain and never keep silent.
+It is cheap and conservative: it may report a contact that does not exist, but misses none.
 """
 
 import math
@@ -18,14 +18,14 @@ _DRIFT = 0.5
 
 
 @compiled
-def of_spans(
+def spans_reachable(
     start: Array, stop: Array, length: Array, sideways: float, centre: Array, radius: Array
 ) -> bool:
-    """Whether a disc at any of the centres (n, 3) could touch a span from start to stop (m, 3).
+    """Return whether a disc at a centre (n, 3) can touch a span from start to stop (m, 3).
 
-    A span, at most ``length`` (m,) long, hangs below its higher end, and in plan beside its chord
-    by no more than a steady wind blows a piece of its length aside: ``sideways`` is the level part
-    of its weight's direction.
+    A span of at most ``length`` (m,) hangs below its higher end. In plan it departs from its chord
+    by at most the drift of its length in a steady wind: ``sideways`` is the level part of the
+    direction of its weight.
     """
     for j in range(len(start)):
         top = max(start[j, 2], stop[j, 2]) + _ROTOR_HEIGHT
@@ -43,17 +43,17 @@ def of_spans(
             beside = radius[i] + sideways * length[j]
             if away_east * away_east + away_north * away_north >= beside * beside:
                 continue
-            # above a disc the chord, and so the span, is nowhere higher than this
+            # highest point of the chord, and so of the span, above the disc
             height = start[j, 2] + share * rise + beside * abs(rise) / math.sqrt(squared)
             if centre[i, 2] < height + _ROTOR_HEIGHT:
                 return True
     return False
 
 
-def of_end(grip: Array, length: float, floor: float, centre: Array, radius: Array) -> bool:
-    """Whether a disc at any of the centres (n, 3) could touch a loose end.
+def end_reachable(grip: Array, length: float, floor: float, centre: Array, radius: Array) -> bool:
+    """Return whether a disc at any of the centres (n, 3) can touch a loose end.
 
-    It hangs straight below its grip (3,); what comes near the floor may lie anywhere.
+    The end hangs vertically below its grip (3,); a part near the floor may lie anywhere.
     """
     below = centre[:, 2] < grip[2] + _ROTOR_HEIGHT
     if float(grip[2]) - length >= floor + _DRIFT:

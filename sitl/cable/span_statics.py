@@ -13,7 +13,6 @@ from swarm.jit import compiled
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 TAUT, FLAT = 0.03, 0.01
 LEAST, MOST = 1e-4, 1e4
@@ -21,64 +20,65 @@ TABLE_Z = np.geomspace(TAUT, 40.0, 3000)
 TABLE_RATIO = np.log(np.sinh(TABLE_Z) / TABLE_Z - 1.0)
 TABLE_LOG_Z = np.log(TABLE_Z)
 TAUT_RATIO = float(np.sinh(TAUT) / TAUT)
-_SETTLED, _TRIES = 1e-6, 12
+_CONVERGED, _ITERATIONS = 1e-6, 12
 
-ACROSS, UPWARD, A, LOW, HIGH, USED, STRETCH = range(7)
-FIGURES = 7
-"""What is worked out of each span, as in `sitl.cable.spans.Hung`."""
+DISTANCE, RISE, PARAMETER, START_ARC, STOP_ARC, USED, STRETCH, LENGTH, RESTING = range(9)
+ROWS = 9
+"""Rows of a solution (ROWS, m); `sitl.cable.spans.SolvedSpans` explains them."""
 
 
 @compiled
-def hang(
-    start: Array, stop: Array, lengths: Array, down: Array, floor: float, still: bool,
-    guess: Array, flat: Array, figures: Array, resting: Flags,
-) -> bool:  # fmt: skip
-    """Solve the catenaries between ``start`` and ``stop`` (m, 3); tell whether any rests.
+def solve(
+    ends: Array, lengths: Array, down: Array, floor: float, guess: Array, flat: Array,
+    solution: Array,
+) -> None:  # fmt: skip
+    """Solve the catenaries of m spans; write ``flat`` (m, 3) and ``solution`` (ROWS, m).
 
-    Results go to ``flat`` (m, 3), ``figures`` (FIGURES, m) and ``resting`` (m,); ``guess`` (m,) are
-    the parameters of spans that rested last, renewed here.
+    ``ends`` (2 m, 3) are all starts, then all stops; ``guess`` (m,) are the parameters of the last
+    solution on the floor, updated here.
     """
-    rests = False
-    for i in range(len(start)):
+    count = len(lengths)
+    still = down[0] == 0.0 and down[1] == 0.0
+    for i in range(count):
+        start, stop = ends[i], ends[count + i]
         for k in range(3):
-            flat[i, k] = stop[i, k] - start[i, k]
+            flat[i, k] = stop[k] - start[k]
         if still:
-            upward = flat[i, 2]
+            rise = flat[i, 2]
             flat[i, 2] = 0.0
         else:
-            upward = -(flat[i, 0] * down[0] + flat[i, 1] * down[1] + flat[i, 2] * down[2])
+            rise = -(flat[i, 0] * down[0] + flat[i, 1] * down[1] + flat[i, 2] * down[2])
             for k in range(3):
-                flat[i, k] += upward * down[k]
-        across = math.sqrt(flat[i, 0] ** 2 + flat[i, 1] ** 2 + flat[i, 2] ** 2)
-        across = max(across, 1e-4)
-        shortest = math.hypot(upward, across * TAUT_RATIO)
+                flat[i, k] += rise * down[k]
+        distance = math.sqrt(flat[i, 0] ** 2 + flat[i, 1] ** 2 + flat[i, 2] ** 2)
+        distance = max(distance, 1e-4)
+        shortest = math.hypot(rise, distance * TAUT_RATIO)
         length = max(lengths[i], shortest)
-        ratio = math.sqrt(length * length - upward * upward) / across
+        ratio = math.sqrt(length * length - rise * rise) / distance
         z = math.exp(_log_z(math.log(ratio - 1.0)))
-        a = 0.5 * across / z
-        tilt = upward / math.tanh(z)
-        low, high = 0.5 * (length - tilt), 0.5 * (length + tilt)
-        lowest = min(start[i, 2], stop[i, 2])
-        if low > 0.0 and high > 0.0:
-            lowest = start[i, 2] - (math.hypot(low, a) - a)
-        resting[i] = lowest < floor - 1e-9
-        if resting[i]:
-            rests = True
-            first = max(start[i, 2] - floor, 1e-6)
-            last = max(stop[i, 2] - floor, 1e-6)
-            slack = max(lengths[i] - across, (TAUT_RATIO - 1.0) * across)
-            a, low, high = _on_floor(first, last, across, slack, guess[i])
+        a = 0.5 * distance / z
+        tilt = rise / math.tanh(z)
+        start_arc, stop_arc = 0.5 * (length - tilt), 0.5 * (length + tilt)
+        lowest = min(start[2], stop[2])
+        if start_arc > 0.0 and stop_arc > 0.0:
+            lowest = start[2] - (math.hypot(start_arc, a) - a)
+        resting = lowest < floor - 1e-9
+        if resting:
+            first = max(start[2] - floor, 1e-6)
+            last = max(stop[2] - floor, 1e-6)
+            slack = max(lengths[i] - distance, (TAUT_RATIO - 1.0) * distance)
+            a, start_arc, stop_arc = _on_floor(first, last, distance, slack, guess[i])
             if a > LEAST:
                 guess[i] = a
-        figures[ACROSS, i], figures[UPWARD, i] = across, upward
-        figures[A, i], figures[LOW, i], figures[HIGH, i] = a, low, high
-        figures[USED, i], figures[STRETCH, i] = length, shortest - lengths[i]
-    return rests
+        solution[DISTANCE, i], solution[RISE, i], solution[PARAMETER, i] = distance, rise, a
+        solution[START_ARC, i], solution[STOP_ARC, i] = start_arc, stop_arc
+        solution[USED, i], solution[STRETCH, i] = length, shortest - lengths[i]
+        solution[LENGTH, i], solution[RESTING, i] = lengths[i], 1.0 if resting else 0.0
 
 
 @compiled
 def _log_z(ratio: float) -> float:
-    """Look up log z for ``log (sinh z / z − 1)``, linearly, within the table."""
+    """Return log z for ``ratio = log(sinh z / z − 1)``, by linear interpolation in the table."""
     low, high = 0, len(TABLE_RATIO) - 1
     if ratio <= TABLE_RATIO[low]:
         return float(TABLE_LOG_Z[low])
@@ -96,30 +96,31 @@ def _log_z(ratio: float) -> float:
 
 @compiled
 def _on_floor(
-    first: float, last: float, across: float, slack: float, guess: float
+    first: float, last: float, distance: float, slack: float, guess: float
 ) -> tuple[float, float, float]:
-    """Two half catenaries that come down to the floor: parameter and the arcs that hang.
+    """Return the parameter and the two hanging arcs of a span that reaches the floor.
 
-    ``first`` and ``last`` are the ends' heights. Where there is more slack than the ends are high,
-    the ends just hang down; a taut span is left to its elasticity, as one in the air is.
+    Two half catenaries descend to the floor; ``first`` and ``last`` are the heights of the ends.
+    With more slack than the sum of the heights, the ends hang straight down. The parameter of a
+    taut span is limited; its elasticity takes the rest of the load, as in the air.
     """
     both = first + last
     if slack >= 0.999 * both or both < FLAT:
         return LEAST, first, last
-    a = min(_floor_parameter(first, last, slack, guess), across / (2.0 * TAUT))
+    a = min(_floor_parameter(first, last, slack, guess), distance / (2.0 * TAUT))
     return a, math.sqrt(first**2 + 2.0 * first * a), math.sqrt(last**2 + 2.0 * last * a)
 
 
 @compiled
 def _floor_parameter(first: float, last: float, slack: float, guess: float) -> float:
-    """The catenary parameter of a span whose ends come down to the floor.
+    """Return the catenary parameter of a span whose two ends descend to the floor.
 
-    ``L − h = Σ (s_i − x_i)`` with ``s = √(H² + 2Ha)``, ``x = a acosh(1 + H/a)`` fixes ``a``; Newton
-    in ``log a`` against ``log (L − h)`` from the last step's root.
+    ``L − h = Σ (s_i − x_i)`` with ``s = √(H² + 2Ha)``, ``x = a acosh(1 + H/a)`` determines ``a``;
+    Newton in ``log a`` against ``log (L − h)``, from the root of the last step.
     """
     a = min(max(guess, LEAST), MOST)
     target = math.log(max(slack, 1e-9))
-    for _ in range(_TRIES):
+    for _ in range(_ITERATIONS):
         arc, other = math.sqrt(first * (first + 2.0 * a)), math.sqrt(last * (last + 2.0 * a))
         angle, turn = math.acosh(1.0 + first / a), math.acosh(1.0 + last / a)
         value = max(arc - a * angle + other - a * turn, 1e-12)
@@ -127,64 +128,67 @@ def _floor_parameter(first: float, last: float, slack: float, guess: float) -> f
         update = (target - math.log(value)) * value / slope
         a = a * math.exp(min(max(update, -1.5), 1.5))
         a = min(max(a, LEAST), MOST)
-        if abs(update) < _SETTLED:
+        if abs(update) < _CONVERGED:
             break
     return a
 
 
 @compiled
-def pulls(load: Array, down: Array, flat: Array, figures: Array, force: Array) -> float:
-    """Forces on all starts and then all stops (2 m, 3), newtons, into ``force``.
+def end_forces(load: Array, down: Array, flat: Array, solution: Array, force: Array) -> float:
+    """Write the forces on all starts and then all stops, newtons, into ``force`` (2 m, 3).
 
-    Returns more than the largest tension in a slack span: that at its lowest point and its whole
-    weight. ``load`` (m,) is the weight of a metre of each span.
+    ``load`` (m,) is the weight per metre of each span. Returns an upper bound of the tension in a
+    slack span: the tension at its lowest point plus its whole weight.
     """
     count, most = len(load), 0.0
     for i in range(count):
-        level = load[i] * figures[A, i] / figures[ACROSS, i]
+        level = load[i] * solution[PARAMETER, i] / solution[DISTANCE, i]
         for k in range(3):
-            force[i, k] = load[i] * figures[LOW, i] * down[k] + level * flat[i, k]
-            force[count + i, k] = load[i] * figures[HIGH, i] * down[k] - level * flat[i, k]
-        most = max(most, load[i] * (figures[A, i] + figures[USED, i]))
+            force[i, k] = load[i] * solution[START_ARC, i] * down[k] + level * flat[i, k]
+            force[count + i, k] = load[i] * solution[STOP_ARC, i] * down[k] - level * flat[i, k]
+        most = max(most, load[i] * (solution[PARAMETER, i] + solution[USED, i]))
     return most
 
 
 @compiled
-def stretch(
-    start: Array, stop: Array, starts: Indices, stops: Indices, lengths: Array, figures: Array,
-    velocity: Array, stiff: tuple[float, float, float, float], force: Array, elastic: Array,
+def add_elastic_forces(
+    ends: Array, holders: Indices, velocity: Array, solution: Array,
+    constants: tuple[float, float, float, float], force: Array, elastic: Array,
 ) -> None:  # fmt: skip
-    """Add the elastic pulls (m,) of over-stretched spans to ``force`` (2 m, 3), and note them.
+    """Write the elastic forces of overstretched spans to ``elastic`` and add them to ``force``.
 
-    ``velocity`` (n, 3) is of all holders, of which ``starts`` and ``stops`` (m,) hold the spans;
-    ``stiff`` are the cable's axial stiffness in newtons, the stiffest that a span is taken for in
-    N/m, its damping ratio and the mass in kg at its ends.
+    ``elastic`` is (m,), ``force`` (2 m, 3), both in newtons. ``holders`` (2 m,) hold the starts,
+    then the stops; ``velocity`` (n, 3) is of all holders.
+    ``constants`` are the axial stiffness of the cable in newtons, the largest stiffness of a span
+    in N/m, the damping ratio and the mass at an end in kg.
     """
-    axial, stiffest, ratio, mass = stiff
-    count = len(lengths)
+    axial, stiffest, ratio, mass = constants
+    count = len(elastic)
     along = np.empty(3)
     for i in range(count):
-        chord = max(math.hypot(figures[ACROSS, i], figures[UPWARD, i]), 1e-9)
+        chord = max(math.hypot(solution[DISTANCE, i], solution[RISE, i]), 1e-9)
         opening = 0.0
         for k in range(3):
-            along[k] = (stop[i, k] - start[i, k]) / chord
-            opening += (velocity[stops[i], k] - velocity[starts[i], k]) * along[k]
-        stiffness = min(axial / lengths[i], stiffest)
+            along[k] = (ends[count + i, k] - ends[i, k]) / chord
+            opening += (velocity[holders[count + i], k] - velocity[holders[i], k]) * along[k]
+        stiffness = min(axial / solution[LENGTH, i], stiffest)
         damping = 2 * ratio * math.sqrt(stiffness * mass)
-        pull = max(stiffness * figures[STRETCH, i] + damping * opening, 0.0)
-        elastic[i] = pull if figures[STRETCH, i] > 0 else 0.0
+        pull = max(stiffness * solution[STRETCH, i] + damping * opening, 0.0)
+        elastic[i] = pull if solution[STRETCH, i] > 0 else 0.0
         for k in range(3):
             force[i, k] += elastic[i] * along[k]
             force[count + i, k] -= elastic[i] * along[k]
 
 
 @compiled
-def end(target: Array, samples: Indices, away: Array, grip: Array, floor: float) -> None:
-    """Hang a loose end straight down from its ``grip`` (3,): its ``samples``, that are ``away``
-    from there along the cable (k,), in ``target`` (m, 3) of all samples.
+def place_loose_end(
+    target: Array, samples: Indices, away: Array, grip: Array, floor: float
+) -> None:
+    """Place the samples of a loose end vertically below its ``grip`` (3,), in ``target`` (m, 3).
 
-    What does not hang lies where it lay, or is drawn along: nothing is farther from the grip than
-    the cable between reaches.
+    ``away`` (k,) are the distances of ``samples`` (k,) from the grip along the cable. The part that
+    reaches the floor stays at its place, but no sample is farther from the grip than the length of
+    cable between them.
     """
     height = max(grip[2] - floor, 0.0)
     for j in range(len(samples)):
@@ -197,50 +201,53 @@ def end(target: Array, samples: Indices, away: Array, grip: Array, floor: float)
 
 
 @compiled
-def points(
-    span_of: Indices, along: Array, lengths: Array, start: Array, flat: Array, figures: Array,
-    resting: Flags, floor: float, down: Array, target: Array, samples: Indices,
+def place_samples(
+    index: Indices, along: Array, ends: Array, flat: Array, solution: Array, floor: float,
+    down: Array, target: Array,
 ) -> None:  # fmt: skip
-    """Put the samples of solved spans where they are, into ``target`` at ``samples`` (m,).
+    """Place the samples of solved spans in ``target`` (n, 3) of all samples.
 
-    ``span_of`` (m,) is whose they are, and ``along`` (m,) how far from its start.
+    ``index`` (2, m) are the samples and their spans, ``along`` (m,) the distances from the starts.
     """
-    for m in range(len(samples)):
-        j, place = span_of[m], target[samples[m]]
-        a, low, across = figures[A, j], figures[LOW, j], figures[ACROSS, j]
-        if resting[j]:
-            high = figures[HIGH, j]
-            sideways, height = _lying(along[m], lengths[j], across, a, low, high)
+    for m in range(len(along)):
+        j, place = index[1, m], target[index[0, m]]
+        a, start_arc, distance = (
+            solution[PARAMETER, j],
+            solution[START_ARC, j],
+            solution[DISTANCE, j],
+        )
+        if solution[RESTING, j] > 0.0:
+            sideways, height = _resting_point(along[m], solution[:, j])
             for k in range(3):
-                place[k] = start[j, k] + sideways / across * flat[j, k]
+                place[k] = ends[j, k] + sideways / distance * flat[j, k]
             place[2] = floor + height
             continue
-        s = along[m] * figures[USED, j] / lengths[j] - low
-        sideways = a * (math.asinh(s / a) + math.asinh(low / a))
-        drop = math.hypot(low, a) - math.hypot(s, a)
+        s = along[m] * solution[USED, j] / solution[LENGTH, j] - start_arc
+        sideways = a * (math.asinh(s / a) + math.asinh(start_arc / a))
+        drop = math.hypot(start_arc, a) - math.hypot(s, a)
         for k in range(3):
-            place[k] = start[j, k] + sideways / across * flat[j, k] + drop * down[k]
+            place[k] = ends[j, k] + sideways / distance * flat[j, k] + drop * down[k]
 
 
 @compiled
-def _lying(
-    along: float, length: float, across: float, a: float, low: float, high: float
-) -> tuple[float, float]:
-    """Where a place of a span that rests is: how far from its start, and above the floor.
+def _resting_point(along: float, span: Array) -> tuple[float, float]:
+    """Return level distance from the start and height above the floor of a point of a resting span.
 
-    Down one end, along the floor, up the other.
+    ``span`` (ROWS,) is the solution: down one end, along the floor, up the other end.
     """
+    distance, a = span[DISTANCE], span[PARAMETER]
+    start_arc, stop_arc, length = span[START_ARC], span[STOP_ARC], span[LENGTH]
     curved = a > LEAST
-    first = a * math.asinh(low / a) if curved else 0.0
-    last = a * math.asinh(high / a) if curved else 0.0
-    ground = max(across - first - last, 0.0)
-    lies = max(length - low - high, 1e-9)
-    place = first + min(max((along - low) / lies, 0.0), 1.0) * ground
+    first = a * math.asinh(start_arc / a) if curved else 0.0
+    last = a * math.asinh(stop_arc / a) if curved else 0.0
+    ground = max(distance - first - last, 0.0)
+    lies = max(length - start_arc - stop_arc, 1e-9)
+    place = first + min(max((along - start_arc) / lies, 0.0), 1.0) * ground
     height = 0.0
     for end in range(2):
-        s = low - along if end == 0 else high - (length - along)
+        s = start_arc - along if end == 0 else stop_arc - (length - along)
         if s > 0.0:
             height = max(height, math.hypot(s, a) - a if curved else s)
             out = a * math.asinh(s / a) if curved else 0.0
-            place = first - out if end == 0 else across - last + out
+            place = first - out if end == 0 else distance - last + out
     return place, height

@@ -1,9 +1,9 @@
-"""Statics of the spans of a cable between grips: catenaries, partly on the floor, by table.
+"""Statics of the spans of a cable between grips: catenaries, partly on the floor.
 
-With ``h``, ``v`` the level and upward distance between the ends, ``L`` the length and
-``z = h/2a``: ``sinh z / z = √(L² − v²)/h``; level tension ``w a``; the ends carry
+With the level distance ``h`` and the rise ``v`` between the ends, the length ``L`` and
+``z = h/2a``: ``sinh z / z = √(L² − v²)/h``; the level tension is ``w a``; the ends carry
 ``w (L ∓ v coth z)/2`` (Routh, "Analytical Statics", ch. X; Irvine, "Cable Structures", 1981).
-Where a span would hang below the floor it lies there, drawn towards both ends without friction.
+A span that would hang below the floor lies on it, drawn towards both ends without friction.
 """
 
 from collections.abc import Sequence
@@ -16,151 +16,162 @@ from sitl.cable import span_statics
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 _EMPTY = np.zeros(0)
 
 
-class Hung(NamedTuple):
-    """Every span between two grips, solved: geometry, catenary, load (arrays over spans).
+class SolvedSpans(NamedTuple):
+    """The solution of all spans: geometry, catenary, load.
 
-    ``flat`` is the vector from start to stop perpendicular to the weight, ``figures`` are the rows
-    that `sitl.cable.span_statics.solve` computes, ``elastic`` is the elastic force of overstretched
-    spans in newtons; ``resting`` marks spans that lie on the floor (None: no span).
+    ``ends`` (2 m, 3) are all starts, then all stops; ``flat`` (m, 3) are the vectors from start to
+    stop perpendicular to the weight; ``solution`` (`span_statics.ROWS`, m) has the properties below
+    as rows; ``load`` (m,) is the weight per metre, ``length`` (m,) the unstretched length,
+    ``elastic`` the elastic force of overstretched spans in newtons.
     """
 
-    start: Array
-    stop: Array
+    ends: Array
     flat: Array
-    figures: Array
-    resting: Flags | None
+    solution: Array
     load: Array
     length: Array
     elastic: Array | float = 0.0
 
     @property
-    def across(self) -> Array:
-        """Level distances of the ends, at right angles to the weight."""
-        across: Array = self.figures[span_statics.ACROSS]
-        return across
+    def start(self) -> Array:
+        """Starts of the spans (m, 3)."""
+        return self.ends[: len(self.length)]
 
     @property
-    def a(self) -> Array:
-        """The catenaries' parameters."""
-        a: Array = self.figures[span_statics.A]
-        return a
+    def stop(self) -> Array:
+        """Stops of the spans (m, 3)."""
+        return self.ends[len(self.length) :]
 
     @property
-    def low(self) -> Array:
+    def distance(self) -> Array:
+        """Distances between the ends perpendicular to the weight, metres."""
+        distance: Array = self.solution[span_statics.DISTANCE]
+        return distance
+
+    @property
+    def parameter(self) -> Array:
+        """Parameters of the catenaries, metres."""
+        parameter: Array = self.solution[span_statics.PARAMETER]
+        return parameter
+
+    @property
+    def start_arc(self) -> Array:
         """Arc lengths from the lowest points to the starts."""
-        low: Array = self.figures[span_statics.LOW]
-        return low
+        arc: Array = self.solution[span_statics.START_ARC]
+        return arc
 
     @property
-    def high(self) -> Array:
+    def stop_arc(self) -> Array:
         """Arc lengths from the lowest points to the stops."""
-        high: Array = self.figures[span_statics.HIGH]
-        return high
+        arc: Array = self.solution[span_statics.STOP_ARC]
+        return arc
 
     @property
     def length_used(self) -> Array:
-        """Lengths, over-stretched spans as long as they are."""
-        used: Array = self.figures[span_statics.USED]
+        """Lengths in the catenary formulae: those of overstretched spans include the stretch."""
+        used: Array = self.solution[span_statics.USED]
         return used
 
     @property
     def stretch(self) -> Array:
-        """By how much chords are longer than their cable."""
-        stretch: Array = self.figures[span_statics.STRETCH]
+        """Differences between chord and cable length, metres; negative for slack spans."""
+        stretch: Array = self.solution[span_statics.STRETCH]
         return stretch
 
     @property
-    def level(self) -> Array:
+    def level_tension(self) -> Array:
         """Level tension in newtons."""
-        level: Array = self.load * self.a
+        level: Array = self.load * self.parameter
         return level
 
     @property
     def tension(self) -> Array:
-        """The largest tension along each span in newtons, at its higher end."""
-        reach = np.maximum(np.abs(self.low), np.abs(self.high))
-        tension: Array = self.level + self.load * reach + self.elastic
+        """The largest tension of each span in newtons, at its higher end."""
+        reach = np.maximum(np.abs(self.start_arc), np.abs(self.stop_arc))
+        tension: Array = self.level_tension + self.load * reach + self.elastic
         return tension
 
     @property
     def chord(self) -> Array:
-        """Distances of the ends in metres."""
-        chord: Array = np.hypot(self.across, self.figures[span_statics.UPWARD])
+        """Distances between the ends in metres."""
+        chord: Array = np.hypot(self.distance, self.solution[span_statics.RISE])
         return chord
 
 
-_NOWHERE = np.zeros((0, 3))
-NOTHING = Hung(
-    _NOWHERE, _NOWHERE, _NOWHERE, np.zeros((span_statics.FIGURES, 0)), None, _EMPTY, _EMPTY
+_NO_POINTS = np.zeros((0, 3))
+NO_SPANS = SolvedSpans(
+    _NO_POINTS, _NO_POINTS, np.zeros((span_statics.ROWS, 0)), _EMPTY, _EMPTY
 )  # fmt: skip
 
 
 class Spans:
-    """The spans between neighbouring grips: who holds them, how long they are, their samples."""
+    """The spans between neighbouring grips: holders, lengths, loads, samples."""
 
     def __init__(
         self, spans: Sequence[tuple[int, int, float, float]], arc: Array, floor: float
     ) -> None:
-        """``spans`` are holder, next holder, length and where it begins; ``arc`` all samples."""
+        """``spans`` are (holder, next holder, length, arc of the start), ``arc`` all samples."""
         self.floor = floor
         self.count = len(spans)
         self.starts: Indices = np.array([s[0] for s in spans], dtype=np.intp)
         self.stops: Indices = np.array([s[1] for s in spans], dtype=np.intp)
-        self._holders = np.concatenate([self.starts, self.stops])
+        self.holders = np.concatenate([self.starts, self.stops])
         self.lengths = np.array([s[2] for s in spans])
         self.arcs = np.array([s[3] for s in spans])
         self._onto = np.zeros((0, 0))
         self.load = _EMPTY
         self._parameter = np.full(len(spans), 1.0)
-        self.samples: Indices = np.zeros(0, dtype=np.intp)
-        self.span_of = self.samples
+        self.index: Indices = np.zeros((2, 0), dtype=np.intp)
         self._along = _EMPTY
         if spans:
             number = np.searchsorted(self.arcs, arc, side="right") - 1
             along = arc - self.arcs[number]
             held = (number >= 0) & (along >= 0) & (along <= self.lengths[number])
-            self.samples = np.nonzero(held)[0]
-            self.span_of = number[held]
+            self.index = np.stack([np.nonzero(held)[0], number[held]])
             self._along = along[held]
 
-    def onto_holders(self, pulls: Array, count: int) -> Array:
-        """Sum the forces on all starts and then all stops (2 m, 3) over ``count`` holders."""
-        if self._onto.shape[1] != len(pulls) or len(self._onto) != count:
-            self._onto = np.zeros((count, len(pulls)))
-            self._onto[self._holders, np.arange(len(pulls))] = 1.0
-        force: Array = np.dot(self._onto, pulls)
+    @property
+    def samples(self) -> Indices:
+        """The samples on spans (k,)."""
+        samples: Indices = self.index[0]
+        return samples
+
+    @property
+    def span_of(self) -> Indices:
+        """The span of each of these samples (k,)."""
+        spans: Indices = self.index[1]
+        return spans
+
+    def sum_over_holders(self, forces: Array, count: int) -> Array:
+        """Return the sums (count, 3) of the forces on all starts, then all stops (2 m, 3)."""
+        if self._onto.shape[1] != len(forces) or len(self._onto) != count:
+            self._onto = np.zeros((count, len(forces)))
+            self._onto[self.holders, np.arange(len(forces))] = 1.0
+        force: Array = np.dot(self._onto, forces)
         return force
 
-    def bear(self, load: float | Array) -> None:
-        """Set the weight of a metre of each span (newtons)."""
+    def set_load(self, load: float | Array) -> None:
+        """Set the weight per metre of all spans, or of each (newtons)."""
         self.load = np.full(self.count, load) if np.isscalar(load) else np.asarray(load)
 
-    def hang(self, grips: Array, down: Array, *, still: bool) -> Hung:
-        """Solve every span's catenary, or its two halves where it lies on the floor.
+    def solve(self, grips: Array, down: Array) -> SolvedSpans:
+        """Return the catenaries of all spans, two halves of one where a span lies on the floor.
 
-        ``grips`` (n, 3) of all holders; ``down`` is the direction of the weight, ``still`` says
-        that it is vertical.
+        ``grips`` (n, 3) are of all holders, ``down`` (3,) is the direction of the weight.
         """
-        ends = grips.take(self._holders, axis=0)
-        start, stop = ends[: self.count], ends[self.count :]
+        ends = grips.take(self.holders, axis=0)
         flat = np.empty((self.count, 3))
-        figures = np.empty((span_statics.FIGURES, self.count))
-        resting = np.empty(self.count, dtype=np.bool_)
-        rests = span_statics.hang(
-            start, stop, self.lengths, down, self.floor, still, self._parameter, flat, figures,
-            resting,
-        )  # fmt: skip
-        return Hung(start, stop, flat, figures, resting if rests else None, self.load, self.lengths)
+        solution = np.empty((span_statics.ROWS, self.count))
+        span_statics.solve(ends, self.lengths, down, self.floor, self._parameter, flat, solution)
+        return SolvedSpans(ends, flat, solution, self.load, self.lengths)
 
-    def place(self, hung: Hung, down: Array, target: Array) -> None:
-        """Put the samples of solved spans where they are, into ``target`` (m, 3) of all samples."""
-        resting = np.zeros(self.count, np.bool_) if hung.resting is None else hung.resting
-        span_statics.points(
-            self.span_of, self._along, self.lengths, hung.start, hung.flat, hung.figures, resting,
-            self.floor, down, target, self.samples,
+    def place(self, solved: SolvedSpans, down: Array, target: Array) -> None:
+        """Place the samples of solved spans in ``target`` (n, 3) of all samples."""
+        span_statics.place_samples(
+            self.index, self._along, solved.ends, solved.flat, solved.solution, self.floor, down,
+            target,
         )  # fmt: skip

@@ -255,11 +255,11 @@ class Injector:
             return
         middle = 0.5 * self.rope.length
         places = [self.bodies.grip_points(), *(anchor.place[None] for anchor in self.anchors)]
-        self.rope.follow(np.vstack(places), 0.0)  # samples may be up to a second old
-        arc = self.rope.free_near(middle if fault.arc is None else fault.arc)
+        self.rope.update(np.vstack(places), 0.0)  # samples may be up to a second old
+        arc = self.rope.nearest_free(middle if fault.arc is None else fault.arc)
         number = len(self.vehicles) + len(self.anchors)
-        self.anchors.append(Anchor(fault, self.rope.place_of(arc)))
-        self.rope.tie(number, arc)
+        self.anchors.append(Anchor(fault, self.rope.position_at(arc)))
+        self.rope.attach(number, arc)
 
     def _end_snag(self, _: Vehicle, fault: Fault) -> None:
         for k, anchor in enumerate(self.anchors):

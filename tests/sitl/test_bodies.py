@@ -274,9 +274,9 @@ def test_nothing_within_reach_of_a_rotor_is_overlooked(
     spec = CableSpec(points=[(0, 0, 0), (9, 0, 0)])
     rope = Rope(spec, 0.0, np.array(wind))
     for i, arc in enumerate(arcs):
-        rope.tie(i, arc)
-    rope.pull(grips, np.zeros((3, 3)))
-    cable = rope.follow(grips, 100.0)
+        rope.attach(i, arc)
+    rope.forces(grips, np.zeros((3, 3)))
+    cable = rope.update(grips, 100.0)
     centres = np.vstack([grips + np.array([0.0, 0.0, 0.6]), others])
     away = cable[:, None] - centres[None]
     touching = (np.abs(away[..., 2]) < 0.06) & (np.hypot(away[..., 0], away[..., 1]) < 0.25)

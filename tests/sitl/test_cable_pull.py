@@ -48,7 +48,7 @@ def test_the_cable_weighs_on_those_who_hold_it() -> None:
     truth = ground.emulator.truth()
     assert not truth.strikes
     assert np.isfinite(truth.grip_arc).all()
-    force = ground.emulator.rope.pull(ground.emulator.bodies.grip_points(), truth.velocity)
+    force = ground.emulator.rope.forces(ground.emulator.bodies.grip_points(), truth.velocity)
     assert force[:, 2].sum() == pytest.approx(-7.6 * 0.05 * 9.80665, rel=1e-6)
     assert abs(force[:, 0].sum()) < 1e-9
     lengths = np.linalg.norm(np.diff(truth.cable, axis=0), axis=1).sum()
@@ -60,12 +60,12 @@ def test_neighbours_of_a_weak_vehicle_shift_by_what_statics_says() -> None:
     ground = hung_team(3, integral=0.0, mass=0.3)
     b, rope = ground.emulator.bodies, ground.emulator.rope
     before = b.position.copy()
-    pull_before = rope.pull(b.grip_points(), b.velocity)
+    pull_before = rope.forces(b.grip_points(), b.velocity)
     b.health[1] = 0.8
     b.touch()
     places = {i + 1: (3.0 * i, 0.0, 4.6) for i in range(3)}
     ground.run(12.0, ground.toward(places))
-    pull_after = rope.pull(b.grip_points(), b.velocity)
+    pull_after = rope.forces(b.grip_points(), b.velocity)
     moved = b.position - before
     change = pull_after - pull_before
     assert moved[1, 2] < -0.3

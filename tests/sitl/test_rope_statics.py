@@ -17,7 +17,7 @@ def rope(length: float, ties: list[float], floor: float = -100.0, wind=(0, 0, 0)
     cable = CableSpec(points=[(0, 0, 0), (length, 0, 0)], **spec)
     made = Rope(cable, floor, np.array(wind, dtype=float))
     for vehicle, arc in enumerate(ties):
-        made.tie(vehicle, arc)
+        made.attach(vehicle, arc)
     return made
 
 
@@ -36,13 +36,13 @@ def test_spans_are_the_same_catenaries_as_the_planners(
     length = ratio * chord
     made = rope(length, [0.0, length])
     grips = np.array([[0.0, 0.0, 0.0], stop])
-    force = made.pull(grips, STILL[:2])
+    force = made.forces(grips, STILL[:2])
     hung = catenary.solve_catenaries(grips[:1], grips[1:], np.array([length]))
     expected = hung.end_forces(made.spec.mass_per_length, GRAVITY)
     weight = made.spec.mass_per_length * GRAVITY * length
     assert force[0] == pytest.approx(expected[0][0], abs=2e-3 * weight, rel=2e-3)
     assert force[1] == pytest.approx(expected[1][0], abs=2e-3 * weight, rel=2e-3)
-    shape = made.follow(grips, 0.0)
+    shape = made.update(grips, 0.0)
     theirs = hung.points(made.arc / length)[0]
     assert np.abs(shape - theirs).max() < 2e-3 * length
 
@@ -55,11 +55,11 @@ def test_spans_on_the_floor_weigh_what_is_lifted_and_stay_above_it(
     length = ratio * float(np.hypot(across, left - right))
     made = rope(length, [0.0, length], floor=0.0)
     grips = np.array([[0.0, 0.0, left], [across, 0.0, right]])
-    force = made.pull(grips, STILL[:2])
+    force = made.forces(grips, STILL[:2])
     weight = made.weight
     assert -force[:, 2].sum() <= weight * length * (1 + 1e-3) + 1e-6
     assert force[0, 0] == pytest.approx(-force[1, 0], rel=1e-3, abs=1e-4), "no friction"
-    shape = made.follow(grips, 0.0)
+    shape = made.update(grips, 0.0)
     assert shape[:, 2].min() > -1e-6
     steps = np.linalg.norm(np.diff(shape, axis=0), axis=1)
     assert steps.sum() <= length * (1 + 5e-3)
@@ -70,8 +70,8 @@ def test_spans_on_the_floor_weigh_what_is_lifted_and_stay_above_it(
 def test_crosswind_tilts_the_plane_by_drag_over_weight() -> None:
     made = rope(5.0, [0.0, 5.0], wind=(0.0, 5.0, 0.0))
     grips = np.array([[0.0, 0.0, 10.0], [4.0, 0.0, 10.0]])
-    made.pull(grips, STILL[:2])
-    middle = made.follow(grips, 0.0)[len(made.arc) // 2]
+    made.forces(grips, STILL[:2])
+    middle = made.update(grips, 0.0)[len(made.arc) // 2]
     angle = np.arctan2(middle[1], 10.0 - middle[2])
     drag = 0.5 * 1.2 * 1.1 * 0.006 * 5.0**2
     assert angle == pytest.approx(np.arctan(drag / (0.012 * GRAVITY)), rel=1e-6)
@@ -80,13 +80,13 @@ def test_crosswind_tilts_the_plane_by_drag_over_weight() -> None:
 def test_a_taut_span_stretches_and_snaps_at_its_breaking_load() -> None:
     made = rope(4.0, [0.0, 4.0], breaking_load=50.0, stiffness=2000.0)
     grips = np.array([[0.0, 0.0, 0.0], [4.05, 0.0, 0.0]])
-    force = made.pull(grips, STILL[:2])
+    force = made.forces(grips, STILL[:2])
     assert 15.0 < force[0, 0] < 50.0
     assert not made.breaks
     grips[1, 0] = 4.2
-    made.pull(grips, STILL[:2])
+    made.forces(grips, STILL[:2])
     assert len(made.breaks) == 1
-    force = made.pull(grips, STILL[:2])
+    force = made.forces(grips, STILL[:2])
     assert abs(force[:, 0]).max() < 1e-9, "two loose ends hang down"
     assert force[:, 2].sum() == pytest.approx(-made.weight * 4.0, rel=1e-9)
 
@@ -96,13 +96,13 @@ def test_pulls_of_a_team_carry_the_whole_cable() -> None:
     grips = np.zeros((9, 3))
     grips[:, 0] = 3.0 * np.arange(9)
     grips[:, 2] = np.sin(np.arange(9))
-    force = made.pull(grips, STILL)
+    force = made.forces(grips, STILL)
     assert force[:, 2].sum() == pytest.approx(-30.0 * made.weight, rel=1e-9)
     assert abs(force[:, :2].sum(axis=0)).max() < 1e-9
-    shape = made.follow(grips, 0.0)
+    shape = made.update(grips, 0.0)
     assert np.linalg.norm(np.diff(shape, axis=0), axis=1).sum() == pytest.approx(30.0, rel=5e-3)
     for arc, vehicle in made.grips:
-        assert made.place_of(arc) == pytest.approx(grips[vehicle], abs=0.06)
+        assert made.position_at(arc) == pytest.approx(grips[vehicle], abs=0.06)
 
 
 def test_grabbing_takes_the_nearest_free_cable_within_reach() -> None:
@@ -112,7 +112,6 @@ def test_grabbing_takes_the_nearest_free_cable_within_reach() -> None:
     assert made.grab(1, np.array([3.33, 0.0, 0.0])) is None, "held there already"
     assert made.grab(1, np.array([6.0, 0.0, 0.1])) == pytest.approx(6.0)
     assert [vehicle for _, vehicle in made.grips] == [0, 1]
-    assert np.isnan(made.arc_of(2))
     assert made.release(0)
     assert not made.release(0)
     assert [vehicle for _, vehicle in made.grips] == [1]
@@ -126,20 +125,20 @@ def test_cable_lies_where_it_was_laid_while_others_grab_it() -> None:
     laid = 2.0 * np.hypot(2.0, 0.6)
     for vehicle, grip in enumerate(grips):
         assert made.grab(vehicle, grip) == pytest.approx(vehicle * laid, abs=0.05)
-        made.pull(grips, STILL[:3])
-        made.follow(grips, 0.1)
+        made.forces(grips, STILL[:3])
+        made.update(grips, 0.1)
 
 
 def test_what_is_let_go_falls_and_lies() -> None:
     made = rope(8.0, [0.0, 4.0, 8.0], floor=0.0)
     grips = np.array([[0.0, 0.0, 5.0], [3.0, 0.0, 5.0], [6.0, 0.0, 5.0]])
-    made.pull(grips, STILL[:3])
-    before = made.follow(grips, 0.0).copy()
+    made.forces(grips, STILL[:3])
+    before = made.update(grips, 0.0).copy()
     made.release(2)
     heights = []
     for _ in range(60):
-        made.pull(grips, STILL[:3])
-        heights.append(made.follow(grips, 0.02)[-1, 2])
+        made.forces(grips, STILL[:3])
+        heights.append(made.update(grips, 0.02)[-1, 2])
     assert before[-1, 2] == pytest.approx(5.0)
     drops = -np.diff([5.0, *heights])
     assert drops.min() >= -1e-9
@@ -151,17 +150,17 @@ def test_what_is_let_go_falls_and_lies() -> None:
 def test_downwash_weighs_on_the_strands_below() -> None:
     made = rope(6.4, [0.0, 3.2, 6.4])
     grips = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
-    before = made.pull(grips, STILL[:3])
-    made.follow(grips, 0.0)
+    before = made.forces(grips, STILL[:3])
+    made.update(grips, 0.0)
     speed = np.zeros((len(made.arc), 4))
     speed[:, :3] = 20.0
     made.set_wash(speed[:, :2])
-    holders = made.pull(grips, STILL[:3]) - before
+    holders = made.forces(grips, STILL[:3]) - before
     assert holders[0] == pytest.approx(np.zeros(3), abs=1e-12), "their own wash is left out"
     speed[:, :3] = 0.0
     speed[made.arc < 3.2, 3] = 6.0
     made.set_wash(speed)
-    change = made.pull(grips, STILL[:3]) - before
+    change = made.forces(grips, STILL[:3]) - before
     drag = 0.5 * 1.2 * 1.1 * 0.006 * 6.0**2 * 3.2
     assert change[:, 2].sum() == pytest.approx(-drag, rel=1e-6)
     assert change[2] == pytest.approx(np.zeros(3), abs=1e-12), "the other span is not below"
@@ -174,7 +173,7 @@ def test_a_straight_span_just_off_the_floor_pulls_no_harder_than_its_elasticity(
 ) -> None:
     made = rope(3.0, [0.0, 3.0], floor=0.0)
     grips = np.array([[0.0, 0.0, left], [3.0 * ratio, 0.0, right]])
-    force = made.pull(grips, STILL[:2])
+    force = made.forces(grips, STILL[:2])
     stretch = max(0.0, float(np.linalg.norm(grips[1] - grips[0])) * 1.0002 - 3.0)
     taut = made.weight * 3.0 * ratio / (2 * 0.03)
     assert np.abs(force).max() <= made.spec.stiffness / 3.0 * stretch + taut + 1.0
