@@ -14,12 +14,13 @@ from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused, SwarmError
 from swarm.ground.fly import fly
 from swarm.mission.fleet import emulated_fleet
+from swarm.simulation.loop import FlightOptions
 from swarm.simulation.monte_carlo import (
-    Certificates,
+    CertifiedClearances,
     Spread,
     Trial,
     below_certificate,
-    certificates,
+    certify_clearances,
     draw,
     fly_trial,
     fly_trials,
@@ -27,7 +28,7 @@ from swarm.simulation.monte_carlo import (
     summary,
     trial_scenario_schema,
     workers_starting,
-    worst,
+    worst_trials,
 )
 from swarm.simulation.monte_carlo.results import write_results
 from tests.network import small_plan, uncleared
@@ -46,8 +47,8 @@ def flown(number: int) -> Trial:
 def trial(number: int = 0, **changed) -> Trial:
     usual = Trial(
         number=number, outcome="done", reason="", explanation="", knot="0_1", as_planned=True,
-        cable=0.5, vehicle=2.0, vehicle_cable=0.6, hung=0.5, error=0.05, strikes=0, collisions=0,
-        crashed=0, wind=0.1, gust=0.0, failing="", failing_at=None, duration=100.0,
+        cable=0.5, vehicle=2.0, vehicle_cable=0.6, emulated_cable=0.5, tracking_error=0.05, rotor_strikes=0, collisions=0,
+        crashes=0, wind=0.1, gust=0.0, failure="", failure_time=None, duration=100.0,
     )  # fmt: skip
     return replace(usual, **changed)
 
@@ -65,7 +66,7 @@ def test_what_is_drawn_stays_within_what_is_stated():
     drawn = [draw(PLAN, FLEET, spread, 1, k) for k in range(200)]
     assert 0.4 < max(one.wind for one in drawn) <= spread.wind
     assert max(one.gust for one in drawn) <= spread.gust
-    assert 70 <= sum(bool(one.failing) for one in drawn) <= 130
+    assert 70 <= sum(bool(one.failure) for one in drawn) <= 130
     tolerance, mass = PLAN.mission.cable.length_tolerance, PLAN.mission.vehicles.mass
     for one in drawn:
         points = np.array(one.world["cable"]["points"])
@@ -77,7 +78,7 @@ def test_what_is_drawn_stays_within_what_is_stated():
         assert len(links) == 4
         assert max(fault.latency for fault in links) <= spread.latency
     calm = draw(PLAN, FLEET, CALM, 1, 0)
-    assert (calm.wind, calm.failing, calm.faults) == (0.0, "", ())
+    assert (calm.wind, calm.failure, calm.faults) == (0.0, "", ())
 
 
 def test_the_missions_own_wind_is_drawn_from_when_it_is_stronger():
@@ -88,11 +89,11 @@ def test_the_missions_own_wind_is_drawn_from_when_it_is_stronger():
 def test_a_trial_flies_the_plan_and_measures_where_vehicles_really_are():
     one = flown(0)
     assert (one.outcome, one.reason, one.completed) == ("done", "", True)
-    assert one.error is not None
-    assert 0.01 < one.error < 0.3
+    assert one.tracking_error is not None
+    assert 0.01 < one.tracking_error < 0.3
     assert one.cable is not None
-    assert one.hung == pytest.approx(one.cable, abs=0.1)
-    assert one.strikes == one.collisions == one.crashed == 0
+    assert one.emulated_cable == pytest.approx(one.cable, abs=0.1)
+    assert one.rotor_strikes == one.collisions == one.crashes == 0
 
 
 def test_trials_in_processes_are_the_trials_flown_alone():
@@ -105,8 +106,8 @@ def test_trials_in_processes_are_the_trials_flown_alone():
         for t in fly_trials(FLIGHT_PLAN, Spread(failing=0), seed=5, trials=[0, 1], jobs=2)
     }
     assert together == {0: flown(0), 1: flown(1)}
-    alone, shared = (certificates(PLAN, [flown(0)], jobs) for jobs in (1, 2))
-    for name in ("radius", "cable", "vehicle", "vehicle_cable"):
+    alone, shared = (certify_clearances(PLAN, [flown(0)], jobs) for jobs in (1, 2))
+    for name in ("tracking_radius", "cable", "vehicle", "vehicle_cable"):
         assert np.array_equal(getattr(alone, name), getattr(shared, name))
 
 
@@ -136,9 +137,11 @@ def test_a_scheduler_that_is_not_there_is_said():
 
 def test_a_lost_vehicle_is_told_as_such():
     spread = CALM.model_copy(update={"failing": 1.0, "failures": ("motor_loss",)})
-    seed = next(s for s in range(99) if 25 < (draw(PLAN, FLEET, spread, s, 0).failing_at or 0) < 60)
+    seed = next(
+        s for s in range(99) if 25 < (draw(PLAN, FLEET, spread, s, 0).failure_time or 0) < 60
+    )
     one, result = fly_trial(FLIGHT_PLAN, spread, seed, 0)
-    assert one.failing.endswith("motor_loss")
+    assert one.failure.endswith("motor_loss")
     assert (one.outcome, one.completed) == ("failed", False)
     assert one.reason
     assert one.explanation == result.outcome.explanation
@@ -146,14 +149,14 @@ def test_a_lost_vehicle_is_told_as_such():
 
 def test_shares_have_exact_intervals():
     told = summary(PLAN, [trial(k) for k in range(20)], seed=1, spread=CALM)
-    completed = told["no_vehicle_failing"]["completed"]
+    completed = told["without_failure"]["completed"]
     assert completed["count"] == 20
     assert completed["interval"] == pytest.approx([0.025 ** (1 / 20), 1.0])
 
 
 def test_quantiles_have_intervals_that_need_no_distribution():
     trials = [trial(k, cable=0.01 * k) for k in range(100)]
-    told = summary(PLAN, trials, seed=1, spread=CALM)["no_vehicle_failing"]["clearance"]["cable"]
+    told = summary(PLAN, trials, seed=1, spread=CALM)["without_failure"]["clearance"]["cable"]
     assert (told["smallest"], told["required"]) == (0.0, PLAN.mission.clearance.cable)
     low, high = told["quantiles"]["0.5"]["interval"]
     # by hand: P(39 < Binomial(100, ½) < 61) is at least 95 %
@@ -164,24 +167,32 @@ def test_quantiles_have_intervals_that_need_no_distribution():
 def test_failing_vehicles_are_told_apart_from_the_others():
     trials = [
         trial(0),
-        trial(1, failing="vehicle 2: link", outcome="failed", reason="lost", cable=None),
+        trial(1, failure="vehicle 2: link", outcome="failed", reason="lost", cable=None),
     ]
     told = summary(PLAN, trials, seed=1, spread=CALM)
-    assert told["no_vehicle_failing"]["trials"] == told["one_vehicle_failing"]["trials"] == 1
+    assert told["without_failure"]["trials"] == told["with_failure"]["trials"] == 1
     assert told["reasons"] == {"lost": 1}
     assert told["worst"][0]["trial"] == 1
     json.dumps(told, allow_nan=False)
 
 
 def test_harm_comes_first_among_the_worst():
-    trials = [trial(0, cable=0.2), trial(1, strikes=1), trial(2, reason="lost", outcome="failed")]
-    assert [one.number for one in worst(PLAN, trials)] == [1, 2, 0]
+    trials = [
+        trial(0, cable=0.2),
+        trial(1, rotor_strikes=1),
+        trial(2, reason="lost", outcome="failed"),
+    ]
+    assert [one.number for one in worst_trials(PLAN, trials)] == [1, 2, 0]
 
 
 def test_a_trial_below_its_certificate_is_found():
     table = np.array([0.6, 0.4])
-    certified = Certificates(np.array([0.05, 0.1]), table, table, table - 1.0)
-    fine, low, wild = trial(0, cable=0.61), trial(1, cable=0.59), trial(2, cable=0.0, error=0.5)
+    certified = CertifiedClearances(np.array([0.05, 0.1]), table, table, table - 1.0)
+    fine, low, wild = (
+        trial(0, cable=0.61),
+        trial(1, cable=0.59),
+        trial(2, cable=0.0, tracking_error=0.5),
+    )
     assert certified.at(0.05, "cable") == 0.6
     assert certified.at(0.06, "cable") == 0.4
     assert certified.at(0.2, "cable") == -math.inf
@@ -224,7 +235,7 @@ def test_only_the_emulator_flies_a_refused_plan(tmp_path):
     with pytest.raises(Refused, match="a comparison is flown by swarm dry-run alone"):
         fly(wrong, fleet, tmp_path / "record")
     assert not (tmp_path / "record").exists()
-    flown, result = fly_trial(wrong, CALM, 1, 0, open_loop=True)
+    flown, result = fly_trial(wrong, CALM, 1, 0, options=FlightOptions(open_loop=True))
     assert flown.outcome == "done"
     assert result.basis.kind == "comparison"
     assert result.basis.checked == "not certified: flown for comparison"

@@ -17,7 +17,7 @@ from swarm.reports.flight_json import outcome_object
 from swarm.reports.flight_text import print_outcome
 from swarm.reports.plan_summary import plan_summary
 from swarm.reports.terminal import FlightScreen
-from swarm.simulation.loop import simulate_flight
+from swarm.simulation.loop import Callbacks, FlightOptions, simulate_flight
 from swarm.verification import verify_trace
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -170,13 +170,13 @@ def _fly(
 ) -> FlightResult:
     """One flight: as the plan expects the world, or under the conditions of one trial."""
     flight_plan = planned.certified()
+    callbacks = Callbacks(on_snapshot=screen.show, on_event=screen.event)
     if options["trial"] is None:
         return simulate_flight(
             flight_plan,
             seed=seed,
-            no_cable=options["no_cable"],
-            on_snapshot=screen.show,
-            on_event=screen.event,
+            options=FlightOptions(no_cable=options["no_cable"]),
+            callbacks=callbacks,
         )
     from swarm.cli.trials import load_scenario  # noqa: PLC0415 - slow to import
     from swarm.simulation.monte_carlo import fly_trial  # noqa: PLC0415 - slow to import
@@ -188,8 +188,7 @@ def _fly(
         seed,
         options["trial"],
         faults=faults,
-        on_snapshot=screen.show,
-        on_event=screen.event,
+        callbacks=callbacks,
     )[1]
 
 

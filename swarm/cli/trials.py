@@ -17,16 +17,16 @@ from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.mission import Mission
 from swarm.mission.validation import LARGEST_FILE
 from swarm.planning import Plan
-from swarm.reports.trial_plots import KINDS, NAMES, distances_of, trials_figure
+from swarm.reports.trial_plots import KINDS, NAMES, trial_distances, trials_figure
 from swarm.simulation.loop import Fault
 from swarm.simulation.monte_carlo import (
     CLEARANCES,
-    Certificates,
+    CertifiedClearances,
     Spread,
     Trial,
-    certificates,
+    certify_clearances,
     fly_trials,
-    processes,
+    process_count,
     read_scenario,
     summary,
 )
@@ -69,7 +69,7 @@ def run_trials(
         with progress_bar(Console(stderr=True)) as progress:
             other = planner.plan(paper_mission(mission), progress)
         runs.append((other.plan, ComparisonFlight(other.plan, other.certificate)))
-    done: list[tuple[Plan, list[Trial], Certificates]] = []
+    done: list[tuple[Plan, list[Trial], CertifiedClearances]] = []
     interrupted = False
     for plan, flight_plan in runs:
         # the paper has no clock that waits: with ours its trajectory would stop, not come close
@@ -79,8 +79,8 @@ def run_trials(
         )
         if not flown:
             raise Interrupted("stopped before any trial was done")
-        together = 1 if interrupted else processes(jobs)
-        done.append((plan, flown, certificates(plan, flown, together)))
+        together = 1 if interrupted else process_count(jobs)
+        done.append((plan, flown, certify_clearances(plan, flown, together)))
         if interrupted:
             break
     told = [
@@ -93,7 +93,7 @@ def run_trials(
         from swarm.reports.plots import save  # noqa: PLC0415 - slow to import
         from swarm.reports.trials_report import trials_report  # noqa: PLC0415 - slow to import
 
-        drawn = [distances_of(plan, flown, certified) for plan, flown, certified in done]
+        drawn = [trial_distances(plan, flown, certified) for plan, flown, certified in done]
         required = {name: getattr(planned.plan.mission.clearance, name) for name in CLEARANCES}
         if plot:
             save(trials_figure(drawn, required), plot)
@@ -114,7 +114,7 @@ def run_trials(
 
 def _as_certified(told: Mapping[str, Any]) -> bool:
     """Whether all trials without a failing vehicle went as planned, none below its certificate."""
-    sound = told["no_vehicle_failing"]
+    sound = told["without_failure"]
     return sound["completed"]["count"] == sound["trials"] and not told["certificate"]["below"]
 
 
@@ -153,7 +153,7 @@ def _fly(
 
 def print_summary(told: Mapping[str, Any], console: Console) -> None:
     """Print what trials say: completion, distances with intervals, harm, reasons, the worst."""
-    sound, failing = told["no_vehicle_failing"], told["one_vehicle_failing"]
+    sound, failing = told["without_failure"], told["with_failure"]
     name = "the paper's trajectory" if told["method"] == "paper" else "this plan"
     console.print(f"\n[bold]{told['trials']} trials of {name}[/], seed {told['seed']}")
     _say(console, f"completed, no vehicle failing: {_share(sound['completed'], sound['trials'])}")
@@ -175,13 +175,13 @@ def print_summary(told: Mapping[str, Any], console: Console) -> None:
         _say(
             console,
             f"tracking errors: up to {error['quantiles']['0.5']['value']:.2f} m in half of the "
-            f"trials, {error['largest']:.2f} m in the worst; {sound['left_the_tracking_ball']} of "
+            f"trials, {error['largest']:.2f} m in the worst; {sound['outside_tracking_radius']} of "
             f"{sound['trials']} trials left the tracking ball that the plan is certified for",
         )
     _say(
         console,
-        f"trials with a rotor on cable: {told['trials_with_strikes']}, with vehicles touching: "
-        f"{told['trials_with_collisions']}; vehicles lost: {told['vehicles_lost']}",
+        f"trials with rotor strikes: {told['trials_with_rotor_strikes']}, with collisions of "
+        f"vehicles: {told['trials_with_collisions']}; vehicles lost: {told['vehicles_lost']}",
     )
     for words, count in told["reasons"].items():
         _say(console, f"not completed: {count} × {words}")

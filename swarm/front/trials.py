@@ -15,12 +15,12 @@ from swarm.notebook import table
 from swarm.simulation.loop import Fault
 from swarm.simulation.monte_carlo import (
     CLEARANCES,
-    Certificates,
+    CertifiedClearances,
     Spread,
     Trial,
-    certificates,
+    certify_clearances,
     fly_trials,
-    processes,
+    process_count,
     summary,
 )
 from swarm.simulation.monte_carlo.results import results_table, write_results
@@ -90,12 +90,12 @@ class Trials(Sequence[Trial]):
         write_results(Path(path), [(self.plan, self.trials)], self.seed, self.spread)
 
     @cached_property
-    def certified(self) -> Certificates:
+    def certified(self) -> CertifiedClearances:
         """What is certified for the tracking errors that the trials had; worked out once, seconds.
 
-        Source: :func:`swarm.simulation.monte_carlo.certificates`.
+        Source: :func:`swarm.simulation.monte_carlo.certify_clearances`.
         """
-        return certificates(self.plan, self.trials, processes(self.jobs))
+        return certify_clearances(self.plan, self.trials, process_count(self.jobs))
 
     def summary(self) -> Mapping[str, Any]:
         """Return what the trials say: shares and distributions with 95 % intervals, and the worst.
@@ -112,10 +112,10 @@ class Trials(Sequence[Trial]):
 
         Source: :func:`swarm.reports.trial_plots.trials_figure`.
         """
-        from swarm.reports.trial_plots import distances_of, trials_figure  # noqa: PLC0415 - slow
+        from swarm.reports.trial_plots import trial_distances, trials_figure  # noqa: PLC0415 - slow
 
         required = {name: getattr(self.plan.mission.clearance, name) for name in CLEARANCES}
-        return trials_figure([distances_of(self.plan, self.trials, self.certified)], required)
+        return trials_figure([trial_distances(self.plan, self.trials, self.certified)], required)
 
     def __repr__(self) -> str:
         return f"<Trials {self.plan.mission.name}: {', '.join(self._figures().values())}>"
@@ -125,8 +125,8 @@ class Trials(Sequence[Trial]):
 
     def _figures(self) -> dict[str, str]:
         """What one line says of the trials, by name."""
-        sound = [trial for trial in self.trials if not trial.failing]
-        failing = [trial for trial in self.trials if trial.failing]
+        sound = [trial for trial in self.trials if not trial.failure]
+        failing = [trial for trial in self.trials if trial.failure]
         figures = {"trials": f"{len(self.trials)} flown"}
         for name, group in (("no vehicle failing", sound), ("a vehicle failing", failing)):
             if group:

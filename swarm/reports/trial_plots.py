@@ -1,4 +1,4 @@
-"""Figures of many dry runs: how close things came, and whether the certificate told the truth."""
+"""Figures of many trials: distributions of distances, and distances against certified bounds."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 
 from swarm.planning import Plan
 from swarm.reports.plots import ALARM, END, FAINT, INK, START, STYLE, Axes
-from swarm.simulation.monte_carlo import CLEARANCES, Certificates, Trial
+from swarm.simulation.monte_carlo import CLEARANCES, CertifiedClearances, Trial
 
 Floats = npt.NDArray[np.float64]
 
 NAMES: Final = {
     "cable": "cable to cable",
-    "hung": "cable to cable, as it hung",
+    "emulated_cable": "cable to cable, emulated",
     "vehicle": "vehicle to vehicle",
     "vehicle_cable": "vehicle to cable",
 }
@@ -26,34 +26,36 @@ _COLOURS: Final = (START, END)
 
 
 @dataclass(frozen=True, eq=False)
-class Distances:
-    """Smallest distances of k trials, metres (NaN where unknown), under one trajectory's name.
+class TrialDistances:
+    """Smallest distances of the k trials of a trajectory, metres, NaN where unknown.
 
-    ``by_kind`` maps "cable", "vehicle", "vehicle_cable" and "hung" to (k,), ``error`` (k,) is the
-    largest tracking error and ``failing`` (k,) says in which trials a vehicle failed. ``radius``
-    (m,) and ``certified`` (name → (m,)) are what certificates promise for tracking errors.
+    ``by_kind`` maps each key of :data:`NAMES` to distances (k,); ``tracking_error`` (k,) is the
+    largest in the trial; ``with_failure`` (k,) is true where a vehicle failed. ``certified`` maps
+    each clearance to its bounds (m,) for tracking radii ``tracking_radius`` (m,).
     """
 
     label: str
     by_kind: Mapping[str, Floats]
-    error: Floats
-    failing: npt.NDArray[np.bool_]
-    radius: Floats
+    tracking_error: Floats
+    with_failure: npt.NDArray[np.bool_]
+    tracking_radius: Floats
     certified: Mapping[str, Floats]
 
 
-def distances_of(plan: Plan, flown: Sequence[Trial], certified: Certificates) -> Distances:
-    """Return what the figure shows of a plan's trials, and of what was certified for them."""
+def trial_distances(
+    plan: Plan, trials: Sequence[Trial], certified: CertifiedClearances
+) -> TrialDistances:
+    """Return the distances of a plan's trials with their certified bounds."""
 
     def column(name: str) -> Floats:
-        return np.array([np.nan if (v := getattr(t, name)) is None else v for t in flown])
+        return np.array([np.nan if (v := getattr(t, name)) is None else v for t in trials])
 
-    return Distances(
+    return TrialDistances(
         label="the paper's trajectory" if plan.mission.fold.method == "paper" else "this plan",
-        by_kind={name: column(name) for name in (*CLEARANCES, "hung")},
-        error=column("error"),
-        failing=np.array([bool(trial.failing) for trial in flown]),
-        radius=certified.radius,
+        by_kind={name: column(name) for name in NAMES},
+        tracking_error=column("tracking_error"),
+        with_failure=np.array([bool(trial.failure) for trial in trials]),
+        tracking_radius=certified.tracking_radius,
         certified={name: getattr(certified, name) for name in CLEARANCES},
     )
 
@@ -62,12 +64,12 @@ KINDS: Final = ("cable", "vehicle", "vehicle_cable")
 
 
 def trials_figure(
-    runs: Sequence[Distances], required: Mapping[str, float], kinds: Sequence[str] = KINDS
+    runs: Sequence[TrialDistances], required: Mapping[str, float], kinds: Sequence[str] = KINDS
 ) -> Figure:
-    """Return the picture: distributions of all trajectories, and certificates of the first.
+    """Return a figure with a column per kind of distance.
 
-    ``required`` maps the kinds of distances to what the mission asks for, metres; ``kinds`` are
-    those that are drawn, one beside the other.
+    Above are the distributions of all trajectories, below the certified bounds of the first.
+    ``required`` maps each kind to the mission's clearance, metres.
     """
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(3.7 * len(kinds), 6.4), layout="constrained")
@@ -75,22 +77,24 @@ def trials_figure(
         axes = figure.subplots(2, len(kinds), squeeze=False)
         for above, below, kind in zip(axes[0], axes[1], kinds, strict=True):
             draw_distribution(above, runs, kind, required[kind])
-            draw_promise(below, runs[0], kind, required[kind])
+            draw_certified(below, runs[0], kind, required[kind])
             if len(runs) > 1:
-                below.set_title(f"Kept and certified, {runs[0].label}")
-        handles, words = axes[0, 0].get_legend_handles_labels()
-        more, further = axes[1, 0].get_legend_handles_labels()
+                below.set_title(f"Flown and certified, {runs[0].label}")
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        more_handles, more_labels = axes[1, 0].get_legend_handles_labels()
         figure.legend(
-            handles + more, words + further, loc="outside lower center",
+            handles + more_handles, labels + more_labels, loc="outside lower center",
             ncols=5 if len(kinds) > 1 else 1, fontsize=8.5, frameon=False,
         )  # fmt: skip
         return figure
 
 
-def draw_distribution(axes: Axes, runs: Sequence[Distances], kind: str, required: float) -> None:
-    """Draw which share of the trials came closer than each distance; no vehicle failing."""
+def draw_distribution(
+    axes: Axes, runs: Sequence[TrialDistances], kind: str, required: float
+) -> None:
+    """Draw the cumulative distribution of the smallest distance in trials without a failure."""
     for run, colour in zip(runs, _COLOURS, strict=False):
-        values = run.by_kind[kind][~run.failing]
+        values = run.by_kind[kind][~run.with_failure]
         values = np.sort(np.maximum(values[np.isfinite(values)], 0.0))
         if len(values):
             share = np.arange(len(values) + 1) / len(values)
@@ -105,27 +109,27 @@ def draw_distribution(axes: Axes, runs: Sequence[Distances], kind: str, required
     axes.set_title(NAMES[kind].capitalize(), pad=16)
 
 
-def draw_promise(axes: Axes, run: Distances, kind: str, required: float) -> None:
-    """Draw every trial's smallest distance at its tracking error over the certified one.
+def draw_certified(axes: Axes, run: TrialDistances, kind: str, required: float) -> None:
+    """Draw each trial's smallest distance over its tracking error, and the certified bound.
 
-    A point below the line would be a certificate that did not tell the truth.
+    A point below the line contradicts the certificate.
     """
     bound = np.asarray(run.certified[kind], dtype=np.float64)
-    holds = np.isfinite(bound)
-    axes.plot(run.radius[holds], np.maximum(bound[holds], 0.0), color=INK, linewidth=1.6,
-              label="certified for that error")  # fmt: skip
-    right = 1.15 * float(np.nanmax(run.error[~run.failing], initial=0.1))
-    for failing, mark, words in ((False, "o", "trials"), (True, "x", "trials, a vehicle failing")):
-        chosen = (run.failing == failing) & np.isfinite(run.by_kind[kind])
+    finite = np.isfinite(bound)
+    axes.plot(run.tracking_radius[finite], np.maximum(bound[finite], 0.0), color=INK, linewidth=1.6,
+              label="certified for this error")  # fmt: skip
+    right = 1.15 * float(np.nanmax(run.tracking_error[~run.with_failure], initial=0.1))
+    for failed, marker, name in ((False, "o", "trials"), (True, "x", "trials with a failure")):
+        chosen = (run.with_failure == failed) & np.isfinite(run.by_kind[kind])
         if chosen.any():
-            beyond = int(np.count_nonzero(run.error[chosen] > right))
-            farther = f" ({beyond} of {np.count_nonzero(chosen)} farther right)" if beyond else ""
-            axes.plot(run.error[chosen], np.maximum(run.by_kind[kind][chosen], 0.0), mark,
-                      markersize=3.5, color=END if failing else START, alpha=0.7,
-                      label=words + farther)  # fmt: skip
+            errors, distances = run.tracking_error[chosen], run.by_kind[kind][chosen]
+            outside = int(np.count_nonzero(errors > right))
+            note = f" ({outside} of {len(errors)} beyond the right edge)" if outside else ""
+            axes.plot(errors, np.maximum(distances, 0.0), marker, markersize=3.5,
+                      color=END if failed else START, alpha=0.7, label=name + note)  # fmt: skip
     axes.axhline(required, color=ALARM, linewidth=1.0, linestyle="--")
     axes.set_xlim(0.0, right)
     axes.set_ylim(bottom=0.0)
     axes.grid(color=FAINT, linewidth=0.4)
     axes.set(xlabel="largest tracking error in the trial, m", ylabel="smallest distance, m")
-    axes.set_title("Kept and certified")
+    axes.set_title("Flown and certified")

@@ -10,7 +10,7 @@ from swarm.planning import Plan
 from swarm.reports.rendering import picture, render
 from swarm.reports.wording import CLEARANCES, plan_figures, sorted_findings
 
-TRIAL_DISTANCES: Final = {**CLEARANCES, "hung": "cable to cable, as the emulator's cable hung"}
+TRIAL_DISTANCES: Final = {**CLEARANCES, "emulated_cable": "cable to cable, emulated"}
 
 
 def trials_report(
@@ -25,7 +25,7 @@ def trials_report(
     this plan first; ``figures`` are drawn from them.
     """
     summary = summaries[0]
-    intact = summary["no_vehicle_failing"]
+    intact = summary["without_failure"]
     return render(
         "trials.html.j2",
         mission=plan.mission,
@@ -46,12 +46,12 @@ def trials_report(
 
 
 def _figures(summary: Mapping[str, Any]) -> list[tuple[str, object]]:
-    low, high = summary["no_vehicle_failing"]["completed"]["interval"] or (0.0, 1.0)
+    low, high = summary["without_failure"]["completed"]["interval"] or (0.0, 1.0)
     return [
         ("trials", summary["trials"]),
-        ("of them with a failing vehicle", summary["one_vehicle_failing"]["trials"]),
+        ("of them with a failing vehicle", summary["with_failure"]["trials"]),
         (f"completed, {summary['confidence']:.0%} interval", f"{low:.1%} to {high:.1%}"),
-        ("with a rotor on cable", summary["trials_with_strikes"]),
+        ("with a rotor on cable", summary["trials_with_rotor_strikes"]),
         ("with vehicles touching", summary["trials_with_collisions"]),
         ("vehicles lost", summary["vehicles_lost"]),
     ]
@@ -62,7 +62,7 @@ def _trajectory(summary: Mapping[str, Any]) -> dict[str, Any]:
         "title": "The paper's trajectory" if summary["method"] == "paper" else "This plan",
         "clearances": [
             (TRIAL_DISTANCES[name], clearance)
-            for name, clearance in summary["no_vehicle_failing"]["clearance"].items()
+            for name, clearance in summary["without_failure"]["clearance"].items()
             if clearance["count"]
         ],
         "reasons": summary["reasons"],

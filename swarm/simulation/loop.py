@@ -1,11 +1,12 @@
-"""A flight in virtual time: the conductor and the emulator's step function, no sockets, no clock.
+"""A flight in virtual time: conductor and emulator step by step, without sockets or clocks.
 
 The same seed gives the same flight.
 """
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Final
 
 from sitl import Emulator
 from sitl.faults.scenario import Fault, Scenario, parse_scenario
@@ -22,39 +23,53 @@ from swarm.flight.world import emulated_world
 from swarm.mission.fleet import Fleet, emulated_fleet
 
 __all__ = [
-    "Emulator",
-    "Fault",
-    "Observer",
-    "Recorder",
-    "faults_from",
-    "parse_world",
-    "scenario_schema",
-    "simulate_flight",
-    "world_schema",
+    "NO_CALLBACKS", "NO_OPTIONS", "Callbacks", "Emulator", "Fault", "FlightOptions", "StepCallback",
+    "faults_from", "parse_world", "scenario_schema", "simulate_flight", "world_schema",
 ]  # fmt: skip
 
-SNAPSHOT_INTERVAL = 0.1
-_LINK = "loopback"
-_LONGEST_WAIT = 600.0
-"""Seconds by which a flight may outlast its plan before it is given up."""
+SNAPSHOT_INTERVAL: Final = 0.1
+"""Seconds of flight between two snapshots."""
+
+_LINK: Final = "loopback"
+_MAX_EXTRA_TIME: Final = 600.0
+"""Seconds beyond the plan's duration after which the flight is aborted."""
+
+StepCallback = Callable[[Conductor, Emulator, float], None]
+"""Receives both sides of the flight and the time in seconds, after a step of virtual time."""
 
 
-class Recorder(Protocol):
-    """What keeps a flight's packets and events."""
+@dataclass(frozen=True)
+class FlightOptions:
+    """Options of the ground station, as in :class:`swarm.flight.conductor.Conductor`.
 
-    def packet(self, data: bytes, now: float) -> None:
-        """Keep a packet that was sent or received."""
+    ``open_loop`` keeps the planned rate of the mission clock even where margins shrink; it shows
+    the motion of a trajectory without the clock's protection.
+    """
 
-    def event(self, event: Event) -> None:
-        """Keep an event."""
+    no_cable: bool = False
+    open_loop: bool = False
+    stray_limit: float | None = None
 
 
-Observer = Callable[[Conductor, Emulator, float], None]
-"""Called after each step of virtual time with both sides of the flight, and that time."""
+@dataclass(frozen=True)
+class Callbacks:
+    """Functions that a simulation calls; None for none.
+
+    ``on_step`` is called after every step of virtual time, and alone has access to the emulator's
+    ground truth; ``on_snapshot`` every :data:`SNAPSHOT_INTERVAL`; ``on_event`` with each event.
+    """
+
+    on_step: StepCallback | None = None
+    on_snapshot: Callable[[Snapshot], None] | None = None
+    on_event: Callable[[Event], None] | None = None
+
+
+NO_OPTIONS: Final = FlightOptions()
+NO_CALLBACKS: Final = Callbacks()
 
 
 def faults_from(text: str, source: str) -> tuple[Fault, ...]:
-    """Return the faults of a scenario file; raises :class:`InputError` with every error in it."""
+    """Return the faults of a scenario file; raise :class:`InputError` with every error in it."""
     try:
         return tuple(parse_scenario(text, source))
     except WorldError as error:
@@ -71,31 +86,28 @@ def simulate_flight(
     *,
     fleet: Fleet | None = None,
     seed: int = 1,
-    no_cable: bool = False,
-    open_loop: bool = False,
     world: Mapping[str, Any] | None = None,
     faults: Sequence[Fault] = (),
-    observer: Observer | None = None,
-    on_snapshot: Callable[[Snapshot], None] | None = None,
-    on_event: Callable[[Event], None] | None = None,
-    recorder: Recorder | None = None,
-    stray_limit: float | None = None,
+    options: FlightOptions = NO_OPTIONS,
+    callbacks: Callbacks = NO_CALLBACKS,
 ) -> FlightResult:
-    """Fly a plan in virtual time against the emulator; returns how it went.
+    """Fly a plan against the emulator in virtual time and return the result.
 
-    ``fleet`` is an emulated one, by default of PX4 vehicles; ``world`` is what the emulator is told
-    instead of what the plan expects, ``faults`` are what goes wrong. ``open_loop`` keeps the
-    planned pace whatever comes near, which shows what a trajectory would do that no clock protects.
-    ``on_snapshot`` is called ten times a second of flight time, ``observer`` after every step: it
-    alone sees what really is. ``stray_limit`` is as in :class:`Conductor`.
-    Raises :class:`swarm.errors.Refused` where the fleet does not fit.
+    ``fleet`` is an emulated fleet, by default of PX4 vehicles. ``world`` is the emulator's world,
+    by default the one that the plan expects, drawn from ``seed``; ``faults`` are injected into it.
+    Raises :class:`swarm.errors.Refused` where the fleet does not fit the plan.
     """
-    fleet = fleet or emulated_fleet(flight_plan.plan.vehicles, seed=seed)
+    plan = flight_plan.plan
+    fleet = fleet or emulated_fleet(plan.vehicles, seed=seed)
     conductor = Conductor(
-        flight_plan, fleet, no_cable=no_cable, open_loop=open_loop, stray_limit=stray_limit
+        flight_plan,
+        fleet,
+        no_cable=options.no_cable,
+        open_loop=options.open_loop,
+        stray_limit=options.stray_limit,
     )
     if world is None:
-        world = emulated_world(flight_plan.plan, fleet, with_cable=not no_cable, seed=seed)
+        world = emulated_world(plan, fleet, with_cable=not options.no_cable, seed=seed)
     emulator = Emulator(parse_world(json.dumps(world)), faults)
     step = 1.0 / fleet.rates.setpoint
     events: list[Event] = []
@@ -103,22 +115,22 @@ def simulate_flight(
     tick = 0
     while conductor.finished is None:
         now = tick * step
-        _exchange(conductor, emulator, recorder, now)
+        _exchange_packets(conductor, emulator, now)
         if conductor.stage == "ready" and conductor.audit is not None:
             try:
                 conductor.start(go(flight_plan, conductor.audit))
             except Refused as error:
                 conductor.refuse(str(error))
-        _tell(conductor, events, recorder, on_event)
-        if observer is not None:
-            observer(conductor, emulator, now)
-        if on_snapshot is not None and now >= next_snapshot:
+        _collect_events(conductor, events, callbacks)
+        if callbacks.on_step is not None:
+            callbacks.on_step(conductor, emulator, now)
+        if callbacks.on_snapshot is not None and now >= next_snapshot:
             next_snapshot = now + SNAPSHOT_INTERVAL
-            on_snapshot(conductor.snapshot(now))
-        if now > flight_plan.plan.duration + _LONGEST_WAIT:
+            callbacks.on_snapshot(conductor.snapshot(now))
+        if now > plan.duration + _MAX_EXTRA_TIME:
             conductor.give_up("the flight does not end")
         tick += 1
-    _tell(conductor, events, recorder, on_event)
+    _collect_events(conductor, events, callbacks)
     trace = conductor.trace()
     return FlightResult(
         outcome=conductor.finished,
@@ -126,36 +138,21 @@ def simulate_flight(
         events=tuple(events),
         statistics=conductor.statistics(),
         basis=conductor.basis,
-        adherence=adherence(flight_plan.plan, trace, conductor.basis),
+        adherence=adherence(plan, trace, conductor.basis),
     )
 
 
-def _exchange(
-    conductor: Conductor, emulator: Emulator, recorder: Recorder | None, now: float
-) -> None:
-    """One step of virtual time: what the vehicles sent, then what the conductor answers."""
-    arrived = emulator.step(now)
-    conductor.receive_all(_LINK, arrived, now)
-    if recorder is not None:
-        for _, data in arrived:
-            recorder.packet(data, now)
+def _exchange_packets(conductor: Conductor, emulator: Emulator, now: float) -> None:
+    conductor.receive_all(_LINK, emulator.step(now), now)
     outgoing = conductor.tick(now)
-    arriving = [(one.address, one.data) for one in outgoing if isinstance(one.address, int)]
-    emulator.receive_all(arriving, now)
-    if recorder is not None:
-        for one in outgoing:
-            recorder.packet(one.data, now)
+    emulator.receive_all(
+        [(packet.address, packet.data) for packet in outgoing if isinstance(packet.address, int)],
+        now,
+    )
 
 
-def _tell(
-    conductor: Conductor,
-    events: list[Event],
-    recorder: Recorder | None,
-    on_event: Callable[[Event], None] | None,
-) -> None:
+def _collect_events(conductor: Conductor, events: list[Event], callbacks: Callbacks) -> None:
     for event in conductor.events():
         events.append(event)
-        if recorder is not None:
-            recorder.event(event)
-        if on_event is not None:
-            on_event(event)
+        if callbacks.on_event is not None:
+            callbacks.on_event(event)

@@ -16,7 +16,7 @@ import numpy as np
 
 from swarm import planner
 from swarm.mission import parse_mission
-from swarm.simulation.loop import simulate_flight
+from swarm.simulation.loop import Callbacks, simulate_flight
 
 FLIGHTS = 3
 
@@ -34,7 +34,8 @@ def main() -> None:
     for _ in range(FLIGHTS):
         marks = [time.process_time()]
         result = simulate_flight(
-            flight_plan, observer=lambda *_, at=marks: at.append(time.process_time())
+            flight_plan,
+            callbacks=Callbacks(on_step=lambda *_, at=marks: at.append(time.process_time())),
         )
         flights.append(np.diff(marks))
         flown, used = result.statistics.duration, float(flights[-1].sum())

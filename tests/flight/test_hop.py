@@ -1,7 +1,5 @@
 """The test hop: vehicles that hover badly are measured, and land where they are too bad."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,15 +20,19 @@ from swarm.flight.result import FlightResult
 from swarm.flight.trace import Trace
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.loop import simulate_flight
+from swarm.simulation.loop import Callbacks, FlightOptions, StepCallback, simulate_flight
 from tests.network import small_plan, uncleared
 
 PLAN = small_plan(vehicles=9)
 LIKE_SIH = 0.6
 """m/s² of disturbance with which emulated PX4 vehicles hover as nine of 1.16 were recorded to."""
 
+OPTIONS = FlightOptions(no_cable=True, stray_limit=ERROR_LIMIT)
 
-def flown(disturbance: float, autopilot: str = "px4", **options: Any) -> FlightResult:
+
+def flown(
+    disturbance: float, autopilot: str = "px4", on_step: StepCallback | None = None
+) -> FlightResult:
     """A hop of nine vehicles whose controllers have to reject random accelerations, and whose
     receivers are as noisy as SIH's."""
     plan, fleet = hop(PLAN), emulated_fleet(9, (autopilot,))
@@ -38,7 +40,7 @@ def flown(disturbance: float, autopilot: str = "px4", **options: Any) -> FlightR
     for vehicle in world["vehicles"]:
         vehicle |= {"disturbance": disturbance, "gps_noise": 0.5 if disturbance else 0.0}
     return simulate_flight(
-        plan, fleet=fleet, no_cable=True, world=world, stray_limit=ERROR_LIMIT, **options
+        plan, fleet=fleet, world=world, options=OPTIONS, callbacks=Callbacks(on_step=on_step)
     )
 
 
@@ -86,7 +88,7 @@ def test_a_team_that_hovers_well_may_fly_the_plan() -> None:
 @pytest.mark.parametrize("disturbance", [1.5, 2.5])
 def test_beyond_the_limit_all_land_and_nothing_is_advised(disturbance: float) -> None:
     seen = []
-    result = flown(disturbance, observer=lambda _, emulator, __: seen.append(emulator.truth()))
+    result = flown(disturbance, on_step=lambda _, emulator, __: seen.append(emulator.truth()))
     assert result.outcome.word == "failed"
     allowed = f"more than the {ERROR_LIMIT:g} m allowed", "nearer than the 1 m allowed"
     assert any(words in result.outcome.explanation for words in allowed)
@@ -106,7 +108,7 @@ def test_two_that_come_too_near_each_other_are_landed_before_either_is_far_off()
     world = emulated_world(plan.plan, fleet, with_cable=False, seed=1)
     for vehicle in world["vehicles"]:
         vehicle["disturbance"] = LIKE_SIH
-    result = simulate_flight(plan, fleet=fleet, no_cable=True, world=world, stray_limit=ERROR_LIMIT)
+    result = simulate_flight(plan, fleet=fleet, world=world, options=OPTIONS)
     assert result.outcome.word == "failed"
     assert "nearer than the 3.3 m allowed" in result.outcome.explanation
     assert apart(result.trace) > 2.5

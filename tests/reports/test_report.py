@@ -191,15 +191,15 @@ def made_trials_report(below: tuple[int, ...] = ()) -> str:
     quantile = {"value": 0.5, "interval": [None, 0.55]}
     kept: dict[str, Any] = {"count": 2, "smallest": 0.41, "largest": 0.6, "required": 0.15}
     kept["quantiles"] = {"0.05": quantile, "0.5": quantile, "0.95": quantile}
-    worst = {"trial": 7, "cable": None, "outcome": "failed", "reason": "lost", "failing": "<b>"}
+    worst = {"trial": 7, "cable": None, "outcome": "failed", "reason": "lost", "failure": "<b>"}
     told = {
         "method": "certified", "trials": 3, "seed": 4, "confidence": 0.95,
         "spread": {"wind": 0.5, "failures": ["link", "reboot"]},
-        "no_vehicle_failing": {
+        "without_failure": {
             "trials": 2, "completed": share(2, 0.16, 1.0), "clearance": {"cable": kept},
         },
-        "one_vehicle_failing": {"trials": 1, "completed": share(0, 0.0, 0.98), "clearance": {}},
-        "trials_with_strikes": 0, "trials_with_collisions": 0, "vehicles_lost": 0,
+        "with_failure": {"trials": 1, "completed": share(0, 0.0, 0.98), "clearance": {}},
+        "trials_with_rotor_strikes": 0, "trials_with_collisions": 0, "vehicles_lost": 0,
         "reasons": {"lost": 1}, "worst": [worst],
         "certificate": {"compared": 3, "below": list(below)},
     }  # fmt: skip

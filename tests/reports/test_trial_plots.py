@@ -4,14 +4,19 @@ from swarm.reports import rope_plots, trial_plots
 from tests.reports.test_plots import ink_at
 
 
-def run(label: str, cable: list[float], failing: list[bool]) -> trial_plots.Distances:
+def run(label: str, cable: list[float], failing: list[bool]) -> trial_plots.TrialDistances:
     values = np.array(cable)
-    return trial_plots.Distances(
+    return trial_plots.TrialDistances(
         label=label,
-        by_kind={"cable": values, "vehicle": values + 1.0, "vehicle_cable": values, "hung": values},
-        error=np.linspace(0.05, 0.15, len(values)),
-        failing=np.array(failing),
-        radius=np.array([0.0, 0.1, 0.2]),
+        by_kind={
+            "cable": values,
+            "vehicle": values + 1.0,
+            "vehicle_cable": values,
+            "emulated_cable": values,
+        },
+        tracking_error=np.linspace(0.05, 0.15, len(values)),
+        with_failure=np.array(failing),
+        tracking_radius=np.array([0.0, 0.1, 0.2]),
         certified={
             name: np.array([0.5, 0.3, -np.inf]) for name in ("cable", "vehicle", "vehicle_cable")
         },
@@ -35,8 +40,8 @@ def test_distributions_of_both_trajectories_are_drawn_without_failing_trials() -
     assert {"this plan (2 trials)", "the paper's trajectory (4 trials)"} < set(words)
     below = figure.axes[3]
     assert [len(line.get_xdata()) for line in below.lines[:3]] == [2, 2, 1]
-    assert below.get_title() == "Kept and certified, this plan"
-    assert "trials, a vehicle failing (1 of 1 farther right)" in words
+    assert below.get_title() == "Flown and certified, this plan"
+    assert "trials with a failure (1 of 1 beyond the right edge)" in words
 
 
 def test_the_upper_strand_of_a_rope_covers_the_lower() -> None:

@@ -6,7 +6,7 @@ from sitl import Emulator
 from swarm.flight.conductor import Conductor
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.loop import simulate_flight
+from swarm.simulation.loop import Callbacks, simulate_flight
 from tests.network import small_plan
 
 
@@ -22,7 +22,10 @@ def test_everybody_really_is_where_the_plan_has_them() -> None:
             misses.append(emulator.truth().position - conductor.setpoint)
 
     result = simulate_flight(
-        flight_plan, fleet=fleet, world={**world, "projection": "autopilot"}, observer=observe
+        flight_plan,
+        fleet=fleet,
+        world={**world, "projection": "autopilot"},
+        callbacks=Callbacks(on_step=observe),
     )
     assert result.outcome.word == "done"
     mean = np.nanmean(np.array(misses), axis=0)

@@ -1,10 +1,9 @@
-"""Many dry runs of one plan: what is drawn for each, how each went, and what all of them say.
+"""Monte Carlo simulation: many flights of a plan, each under conditions that are drawn anew.
 
-A trial is a rehearsal in a world that is not quite what the plan expects. Seed and number of a
-trial decide everything in it, so that any of them can be flown again alone.
+Seed and number determine a trial, so each one can be flown again alone.
 """
 
-from swarm.simulation.monte_carlo.parallel import fly_trials, processes, workers_starting
+from swarm.simulation.monte_carlo.parallel import fly_trials, process_count, workers_starting
 from swarm.simulation.monte_carlo.spread import (
     FAILURES,
     Conditions,
@@ -17,11 +16,11 @@ from swarm.simulation.monte_carlo.spread import (
 from swarm.simulation.monte_carlo.summaries import (
     CONFIDENCE,
     RADIUS_STEP,
-    Certificates,
+    CertifiedClearances,
     below_certificate,
-    certificates,
+    certify_clearances,
     summary,
-    worst,
+    worst_trials,
 )
 from swarm.simulation.monte_carlo.trial import (
     CLEARANCES,
@@ -29,7 +28,7 @@ from swarm.simulation.monte_carlo.trial import (
     SAMPLE_INTERVAL,
     Trial,
     fly_trial,
-    rows,
+    table_rows,
 )
 
 __all__ = [
@@ -39,21 +38,21 @@ __all__ = [
     "FAILURES",
     "RADIUS_STEP",
     "SAMPLE_INTERVAL",
-    "Certificates",
+    "CertifiedClearances",
     "Conditions",
     "FailureKind",
     "Spread",
     "Trial",
     "below_certificate",
-    "certificates",
+    "certify_clearances",
     "draw",
     "fly_trial",
     "fly_trials",
-    "processes",
+    "process_count",
     "read_scenario",
-    "rows",
     "summary",
+    "table_rows",
     "trial_scenario_schema",
     "workers_starting",
-    "worst",
+    "worst_trials",
 ]

@@ -1,4 +1,4 @@
-"""Many trials at once: on this machine's cores, or on a Dask cluster."""
+"""Trials in parallel, on the cores of this machine or on a Dask cluster."""
 
 import functools
 import gc
@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
@@ -15,9 +15,13 @@ from joblib import Parallel, delayed, parallel_config
 
 from swarm.errors import SwarmError
 from swarm.flight.flight_plan import FlightPlan
-from swarm.simulation.loop import Fault
+from swarm.flight.result import FlightResult
+from swarm.simulation.loop import Fault, FlightOptions
 from swarm.simulation.monte_carlo.spread import Spread
 from swarm.simulation.monte_carlo.trial import Trial, fly_trial
+
+FlyTrial = Callable[[int], tuple[Trial, FlightResult]]
+"""Flies the trial of a number."""
 
 
 def fly_trials(
@@ -31,61 +35,64 @@ def fly_trials(
     scheduler: str | None = None,
     open_loop: bool = False,
 ) -> Generator[Trial, None, None]:
-    """Fly trials in parallel; yields each as soon as it is done, in no order.
+    """Yield trials as they complete, in any order.
 
-    ``jobs`` processes of this machine (None: as many as it has cores), or the workers of the Dask
-    cluster whose ``scheduler`` is given (tcp://host:port). ``open_loop`` trials keep the planned
-    pace whatever comes near. Closing the iterator ends what is being flown. Raises
-    :class:`SwarmError` where the cluster's packages are missing or it is not there.
+    They run in ``jobs`` processes of this machine (None: one per core), or on the workers of the
+    Dask cluster at ``scheduler`` (tcp://host:port). ``open_loop`` is as in
+    :class:`swarm.simulation.loop.FlightOptions`. Closing the iterator aborts the running trials.
+    Raises :class:`SwarmError` where the cluster's packages are missing or its scheduler does not
+    answer.
     """
-    if scheduler is None and processes(jobs) == 1:
+    options = FlightOptions(open_loop=open_loop)
+    fly = functools.partial(fly_trial, flight_plan, spread, seed, faults=faults, options=options)
+    if scheduler is None and process_count(jobs) == 1:
         for trial in trials:
-            yield fly_trial(flight_plan, spread, seed, trial, faults=faults, open_loop=open_loop)[0]
+            yield fly(trial)[0]
         return
     if scheduler is None:
-        with parallel_config(backend="loky", n_jobs=processes(jobs)):
-            yield from _parallel(flight_plan, spread, seed, trials, faults, open_loop)
+        with parallel_config(backend="loky", n_jobs=process_count(jobs)):
+            yield from _parallel(fly, trials)
         return
     with _cluster(scheduler), parallel_config(backend="dask"):
-        yield from _parallel(flight_plan, spread, seed, trials, faults, open_loop)
+        yield from _parallel(fly, trials)
 
 
-def processes(jobs: int | None) -> int:
-    """Return how many processes of this machine share the work; None: as many as it has cores."""
+def process_count(jobs: int | None) -> int:
+    """Return the number of processes on this machine: ``jobs``, or one per core for None."""
     return jobs or os.cpu_count() or 1
 
 
 @contextmanager
 def workers_starting(jobs: int | None) -> Iterator[None]:
-    """Have the processes of :func:`fly_trials` start, and load what a trial needs, meanwhile.
+    """Start the processes of :func:`fly_trials` in the background and load their modules.
 
-    That takes three seconds of a core each: while a plan is made there is one that has nothing to
-    do. An interrupt is the parent's to answer, so they begin with interrupts ignored.
+    A process takes three seconds of a core to start; planning leaves a core idle. The processes
+    ignore interrupts, which the parent process handles.
     """
-    count = processes(jobs)
+    count = process_count(jobs)
     if count == 1 or threading.current_thread() is not threading.main_thread():
         yield
         return
-    answer = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         with parallel_config(backend="loky", n_jobs=count):
-            work = Parallel(return_as="generator_unordered")
-            starting = work(delayed(_keep_what_is_loaded)() for _ in range(count))
+            parallel = Parallel(return_as="generator_unordered")
+            starting = parallel(delayed(_freeze_loaded_objects)() for _ in range(count))
     finally:
-        signal.signal(signal.SIGINT, answer)
+        signal.signal(signal.SIGINT, handler)
     try:
         yield
         for _ in starting:
             pass
     finally:
-        _end(starting)
+        _close(starting)
 
 
 def _cluster(scheduler: str) -> AbstractContextManager[Any]:
-    """Return a client of the Dask cluster whose scheduler is given."""
-    # Dask takes any package named snappy for the compressor; knot theorists have SnapPy, which
-    # is none, and importing Dask would fail.
-    known = sys.modules.get("snappy")
+    """Return a client of the Dask cluster at an address."""
+    # Dask takes every package named snappy for the compressor; SnapPy, the package of knot theory,
+    # has the same name, and importing Dask would fail.
+    loaded = sys.modules.get("snappy")
     sys.modules["snappy"] = None  # type: ignore[assignment]
     try:
         from distributed import Client  # noqa: PLC0415 - an optional extra
@@ -94,10 +101,10 @@ def _cluster(scheduler: str) -> AbstractContextManager[Any]:
             "trials on a cluster need more packages: pip install 'swarm-ground-station[cluster]'"
         ) from None
     finally:
-        if known is None:
+        if loaded is None:
             del sys.modules["snappy"]
         else:
-            sys.modules["snappy"] = known
+            sys.modules["snappy"] = loaded
     try:
         client: AbstractContextManager[Any] = Client(scheduler, timeout=10)
     except (OSError, ValueError) as error:
@@ -105,57 +112,39 @@ def _cluster(scheduler: str) -> AbstractContextManager[Any]:
     return client
 
 
-def _parallel(
-    flight_plan: FlightPlan,
-    spread: Spread,
-    seed: int,
-    trials: Iterable[int],
-    faults: Sequence[Fault],
-    open_loop: bool,
-) -> Generator[Trial, None, None]:
-    work = Parallel(return_as="generator_unordered")
-    done = work(
-        delayed(_in_worker)(flight_plan, spread, seed, trial, faults, open_loop) for trial in trials
-    )
+def _parallel(fly: FlyTrial, trials: Iterable[int]) -> Generator[Trial, None, None]:
+    parallel = Parallel(return_as="generator_unordered")
+    results = parallel(delayed(_fly_in_worker)(fly, trial) for trial in trials)
     try:
-        yield from done
+        yield from results
     finally:
-        _end(done)
+        _close(results)
 
 
-def _end(work: Generator[Any, None, None]) -> None:
-    """End what workers still do, which whoever interrupts it knows."""
+def _close(results: Generator[Any, None, None]) -> None:
+    """Abort the running tasks, without joblib's warning about them."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "[0-9]+ tasks ", UserWarning)
-        work.close()
+        results.close()
 
 
 @functools.cache
-def _keep_what_is_loaded() -> None:
-    """Have Python no longer look through what is loaded for what nobody uses, and less often.
+def _freeze_loaded_objects() -> None:
+    """Exclude the loaded modules from garbage collection, and collect less often.
 
-    That takes a tenth of a second, in every other trial. What a trial leaves behind is looked
-    through when it ends.
+    A full collection takes a tenth of a second, in every other trial.
     """
     gc.collect()
     gc.freeze()
     gc.set_threshold(10_000, 10, 10)
 
 
-def _in_worker(
-    flight_plan: FlightPlan,
-    spread: Spread,
-    seed: int,
-    trial: int,
-    faults: Sequence[Fault],
-    open_loop: bool,
-) -> Trial:
-    """One trial in a worker: an interrupt is the parent's to answer."""
+def _fly_in_worker(fly: FlyTrial, trial: int) -> Trial:
+    """Return one trial; interrupts are ignored, because the parent process handles them."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _keep_what_is_loaded()
-    flown = fly_trial(flight_plan, spread, seed, trial, faults=faults, open_loop=open_loop)[0]
-    # A flight's parts know each other: few objects, which Python is in no hurry to look through,
-    # and large arrays.
+    _freeze_loaded_objects()
+    result = fly(trial)[0]
+    # The objects of a flight refer to each other in cycles and hold large arrays.
     gc.collect()
-    return flown
+    return result

@@ -1,4 +1,4 @@
-"""What is drawn anew for every trial, and from which distributions."""
+"""The distributions from which the conditions of each trial are drawn."""
 
 import json
 import math
@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 _BOOT: Final = 30.0
-
+"""Seconds of start-up before the plan, in which a failure may occur as well."""
 
 FailureKind = Literal[
     "motor_loss", "weak_thrust", "link", "leave_offboard", "gripper_slip", "freeze", "reboot",
@@ -35,7 +35,7 @@ FAILURES: Final[tuple[FailureKind, ...]] = (
 
 
 class Spread(Section):
-    """What is drawn anew for every trial, and from which distributions."""
+    """The distributions from which the conditions of each trial are drawn."""
 
     wind: float = number(
         0.5, "m/s", "Steady wind: uniform from 0 to this (or wind.steady, if larger), any heading.",
@@ -58,13 +58,13 @@ class Spread(Section):
         least=0.0, most=5.0,
     )  # fmt: skip
     mass: float = number(
-        0.05, "", "Standard deviation of a vehicle's mass as a share of vehicles.mass, which is "
-        "what makes vehicles track differently; cut off at twice this.",
+        0.05, "", "Standard deviation of a vehicle's mass as a share of vehicles.mass, so that "
+        "vehicles track differently; cut off at twice this.",
         least=0.0, most=0.4,
     )  # fmt: skip
     grip: float = number(
-        0.01, "metres", "Standard deviation of where along the cable each vehicle grips; cut off "
-        "at twice this.",
+        0.01, "metres", "Standard deviation of each grip's position along the cable; cut off at "
+        "twice this.",
         least=0.0, most=1.0,
     )  # fmt: skip
     length: float = number(
@@ -72,7 +72,7 @@ class Spread(Section):
         least=0.0, most=100.0,
     )  # fmt: skip
     failing: float = number(
-        0.1, "", "Share of trials in which one vehicle fails, in one of the ways of `failures`.",
+        0.1, "", "Share of trials in which one vehicle fails; `failures` lists the kinds.",
         least=0.0, most=1.0,
     )  # fmt: skip
     failures: tuple[FailureKind, ...] = Field(
@@ -81,10 +81,10 @@ class Spread(Section):
 
 
 def read_scenario(text: str, source: str) -> tuple[Spread, tuple[Fault, ...]]:
-    """Turn a scenario file's text into what is drawn for trials and the faults of every trial.
+    """Return the spread of a scenario file and the faults that occur in every trial.
 
-    It is the emulator's scenario, in which ``spread`` may say more. Raises :class:`InputError` with
-    every problem.
+    The file is the emulator's scenario with the additional key ``spread``. Raises
+    :class:`InputError` with every problem.
     """
     document = parse_yaml(text, source)
     if not isinstance(document, dict):
@@ -99,7 +99,7 @@ def trial_scenario_schema() -> dict[str, Any]:
     schema = scenario_schema()
     spread = Spread.model_json_schema(by_alias=True)
     schema["properties"]["spread"] = {
-        **spread, "description": "What trials draw anew each time; the rest keeps its default.",
+        **spread, "description": "What each trial draws anew; missing keys keep their defaults.",
     }  # fmt: skip
     schema["required"] = [key for key in schema.get("required", []) if key != "faults"]
     return schema
@@ -107,26 +107,26 @@ def trial_scenario_schema() -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What was drawn for one trial: the emulator's world, its faults, and both in short.
+    """The conditions of one trial: the emulator's world and its faults.
 
-    ``wind`` in m/s, ``failing`` names the vehicle that fails and how ("" where none does),
-    ``failing_at`` is the flight's time of it in seconds.
+    ``wind`` is the steady wind and ``gust`` the intensity of gusts, m/s; ``failure`` is the vehicle
+    that fails and the kind of failure ("" for none), ``failure_time`` in seconds of flight.
     """
 
     world: Mapping[str, Any]
     faults: tuple[Fault, ...]
     wind: float
     gust: float
-    failing: str
-    failing_at: float | None
+    failure: str
+    failure_time: float | None
 
 
 def draw(
     plan: Plan, fleet: Fleet, spread: Spread, seed: int, trial: int, faults: Sequence[Fault] = ()
 ) -> Conditions:
-    """Draw the conditions of a trial; the same seed and number give the same ones.
+    """Return the conditions of a trial; the same seed and number give the same conditions.
 
-    ``faults`` happen in every trial, beside what is drawn.
+    ``faults`` occur in every trial, in addition to the drawn ones.
     """
     rng = np.random.default_rng([seed, trial])
     mission = plan.mission
@@ -134,8 +134,8 @@ def draw(
     tolerance = spread.length * mission.cable.length_tolerance
     grips = _bounded(rng, spread.grip, count)
     lengths = plan.layout.lengths + tolerance * rng.uniform(-1.0, 1.0, count - 1) + np.diff(grips)
-    laid = replace(plan, layout=replace(plan.layout, lengths=lengths))
-    world = emulated_world(laid, fleet, with_cable=True, seed=int(rng.integers(2**31)))
+    laid_plan = replace(plan, layout=replace(plan.layout, lengths=lengths))
+    world = emulated_world(laid_plan, fleet, with_cable=True, seed=int(rng.integers(2**31)))
     speed = float(rng.uniform(0.0, max(spread.wind, mission.wind.steady)))
     heading = float(rng.uniform(0.0, 2.0 * math.pi))
     gust = float(rng.uniform(0.0, max(spread.gust, mission.wind.gust)))
@@ -146,26 +146,27 @@ def draw(
     drawn = list(faults)
     for vehicle, share in zip(world["vehicles"], _bounded(rng, spread.mass, count), strict=True):
         vehicle["mass"] *= 1.0 + float(share)
-        trouble = {
+        link = {
             name: float(rng.uniform(0.0, getattr(spread, name)))
             for name in ("loss", "latency", "jitter")
         }
-        if any(trouble.values()):
-            drawn.append(Fault(at=0.0, kind="link", vehicle=vehicle["id"], **trouble))
-    failing = _failure(plan, fleet, spread, rng)
-    if failing is not None:
-        drawn.append(failing)
+        if any(link.values()):
+            drawn.append(Fault(at=0.0, kind="link", vehicle=vehicle["id"], **link))
+    failure = _failure(plan, fleet, spread, rng)
+    if failure is not None:
+        drawn.append(failure)
     return Conditions(
         world=world,
         faults=tuple(drawn),
         wind=speed,
         gust=gust,
-        failing=f"vehicle {failing.vehicle}: {failing.kind}" if failing else "",
-        failing_at=failing.at if failing else None,
+        failure=f"vehicle {failure.vehicle}: {failure.kind}" if failure else "",
+        failure_time=failure.at if failure else None,
     )
 
 
 def _bounded(rng: Random, sigma: float, count: int) -> Floats:
+    """Return normal deviates (count,) that are cut off at two standard deviations."""
     return np.clip(rng.normal(0.0, sigma, count), -2.0 * sigma, 2.0 * sigma)
 
 

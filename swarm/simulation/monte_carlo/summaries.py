@@ -1,6 +1,7 @@
-"""What many trials say: distributions with confidence, and whether certificates told the truth."""
+"""Statistics of many trials, with confidence intervals, and their comparison with certificates."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -17,69 +18,87 @@ from swarm.simulation.monte_carlo.trial import CLEARANCES, Trial
 Floats = npt.NDArray[np.float64]
 
 RADIUS_STEP: Final = 0.01
-"""Metres between the tracking errors for which certificates are compared with trials."""
+"""Metres between the tracking radii for which the plan is certified again."""
 
 CONFIDENCE: Final = 0.95
+"""Level of every confidence interval."""
+
 _CHECKS: Final = ("cable clearance", "vehicle clearance", "vehicle-cable clearance")
-_HOPELESS: Final = 1.0
-_BETWEEN: Final = 6
+_MAX_RADIUS: Final = 1.0
+"""Metres; larger tracking radii are not certified."""
+
+_MIN_RADII: Final = 6
+"""Number of radii from 0 to the largest tracking error, besides those of the trials."""
+
 _WORST: Final = 5
+"""Number of worst trials in a summary."""
 
 
 @dataclass(frozen=True, eq=False)
-class Certificates:
-    """What is certified for tracking errors ``radius`` (k,): smallest distances (k,), metres.
+class CertifiedClearances:
+    """Certified bounds of distances (k,) for tracking radii (k,), metres.
 
-    −∞ where the certificate holds for nothing any more.
+    A bound is −∞ where nothing is certified.
     """
 
-    radius: Floats
+    tracking_radius: Floats
     cable: Floats
     vehicle: Floats
     vehicle_cable: Floats
 
     def at(self, error: float, name: str) -> float:
-        """Return what was certified for an error: at the next larger radius that was looked at."""
-        index = int(np.searchsorted(self.radius, error - 1e-12))
-        return float(getattr(self, name)[index]) if index < len(self.radius) else -math.inf
+        """Return the bound of a clearance for a tracking error: that of the next larger radius.
+
+        It is −∞ where the error is larger than every radius.
+        """
+        index = int(np.searchsorted(self.tracking_radius, error - 1e-12))
+        bounds = getattr(self, name)
+        return float(bounds[index]) if index < len(bounds) else -math.inf
 
 
-def certificates(plan: Plan, trials: Sequence[Trial], jobs: int = 1) -> Certificates:
-    """Certify a plan for the tracking errors that its trials had, and for smaller ones.
+def certify_clearances(plan: Plan, trials: Sequence[Trial], jobs: int = 1) -> CertifiedClearances:
+    """Return the certified clearances of a plan for the tracking errors of its trials.
 
-    ``jobs`` processes of this machine share the work, which is some tenths of a second per error.
+    Smaller tracking radii are certified as well. The work, some tenths of a second per radius, is
+    shared by ``jobs`` processes of this machine.
     """
-    errors = [trial.error for trial in trials if trial.error is not None]
-    had = np.ceil(np.array(errors) / RADIUS_STEP - 1e-9)
-    had = had[had * RADIUS_STEP <= _HOPELESS]
-    between = np.linspace(0.0, had.max(initial=1.0), _BETWEEN).round()
-    radius = RADIUS_STEP * np.unique(np.concatenate([between, had]))
-    rows = Parallel(n_jobs=jobs)(delayed(_certified)(plan, float(one)) for one in radius)
-    table = np.array(rows).reshape(-1, len(_CHECKS))
-    return Certificates(radius, *table.T)
+    errors = [trial.tracking_error for trial in trials if trial.tracking_error is not None]
+    steps = np.ceil(np.array(errors) / RADIUS_STEP - 1e-9)
+    steps = steps[steps * RADIUS_STEP <= _MAX_RADIUS]
+    smaller = np.linspace(0.0, steps.max(initial=1.0), _MIN_RADII).round()
+    radii = RADIUS_STEP * np.unique(np.concatenate([smaller, steps]))
+    bounds = Parallel(n_jobs=jobs)(
+        delayed(_certified_clearances)(plan, float(radius)) for radius in radii
+    )
+    return CertifiedClearances(radii, *np.array(bounds).reshape(-1, len(_CHECKS)).T)
 
 
-def _certified(plan: Plan, tracking: float) -> list[float]:
-    """Smallest distances of each kind that are certified for a tracking error, metres."""
+def _certified_clearances(plan: Plan, tracking: float) -> list[float]:
+    """Return the certified bound of each clearance for a tracking radius, metres."""
     moments = tightest_moments(plan, tracking=tracking, checks=_CHECKS)
     return [
-        min((one.distance for one in moments if one.check == check), default=math.inf)
+        min((moment.distance for moment in moments if moment.check == check), default=math.inf)
         for check in _CHECKS
     ]
 
 
-def below_certificate(trials: Sequence[Trial], certified: Certificates) -> list[int]:
-    """Return the numbers of the trials that came closer than was certified for their error."""
-    return [
-        trial.number
-        for trial in trials
-        if trial.error is not None
-        and any(
-            was is not None and was < certified.at(trial.error, name) - 1e-6
-            for name in CLEARANCES
-            for was in [getattr(trial, name)]
-        )
-    ]
+def below_certificate(trials: Sequence[Trial], certified: CertifiedClearances) -> list[int]:
+    """Return the numbers of the trials with a distance below the certified bound.
+
+    The bound is that for the trial's own tracking error.
+    """
+    return [trial.number for trial in trials if _is_below(trial, certified)]
+
+
+def _is_below(trial: Trial, certified: CertifiedClearances) -> bool:
+    error = trial.tracking_error
+    if error is None:
+        return False
+    distances = {name: getattr(trial, name) for name in CLEARANCES}
+    return any(
+        distance is not None and distance < certified.at(error, name) - 1e-6
+        for name, distance in distances.items()
+    )
 
 
 def summary(
@@ -88,97 +107,97 @@ def summary(
     *,
     seed: int,
     spread: Spread,
-    certified: Certificates | None = None,
+    certified: CertifiedClearances | None = None,
 ) -> dict[str, Any]:
-    """Return what the trials say as one JSON-ready object; distances in metres.
+    """Return the statistics of trials as an object for JSON; distances in metres.
 
-    Distributions are of the trials in which no vehicle failed. Intervals of shares are those of
-    Clopper and Pearson, of quantiles those of order statistics, at CONFIDENCE.
+    Shares have Clopper-Pearson intervals, quantiles the intervals of order statistics, both at the
+    level CONFIDENCE.
     """
-    sound = [trial for trial in trials if not trial.failing]
-    failing = [trial for trial in trials if trial.failing]
+    without = [trial for trial in trials if not trial.failure]
+    with_failure = [trial for trial in trials if trial.failure]
     required = {name: getattr(plan.mission.clearance, name) for name in CLEARANCES}
-    required["hung"] = plan.mission.clearance.cable
-    told: dict[str, Any] = {
+    required["emulated_cable"] = plan.mission.clearance.cable
+    document: dict[str, Any] = {
         "mission": plan.mission.name,
         "method": plan.mission.fold.method,
         "trials": len(trials),
         "seed": seed,
         "spread": spread.model_dump(mode="json"),
         "confidence": CONFIDENCE,
-        "no_vehicle_failing": {
-            "trials": len(sound),
-            "completed": _share([trial.completed for trial in sound]),
-            "knot_as_planned": _share([trial.as_planned for trial in sound]),
+        "without_failure": {
+            "trials": len(without),
+            "completed": _share([trial.completed for trial in without]),
+            "knot_as_planned": _share([trial.as_planned for trial in without]),
             "clearance": {
-                name: {"required": required[name], **_distribution(sound, name)}
+                name: {"required": required[name], **_distribution(without, name)}
                 for name in required
             },
-            "tracking_error": _distribution(sound, "error"),
-            "left_the_tracking_ball": sum(
-                trial.error is not None and trial.error > plan.mission.vehicles.tracking
-                for trial in sound
+            "tracking_error": _distribution(without, "tracking_error"),
+            "outside_tracking_radius": sum(
+                trial.tracking_error is not None
+                and trial.tracking_error > plan.mission.vehicles.tracking
+                for trial in without
             ),
         },
-        "one_vehicle_failing": {
-            "trials": len(failing),
-            "completed": _share([trial.completed for trial in failing]),
-            "clearance": {name: _distribution(failing, name) for name in required},
+        "with_failure": {
+            "trials": len(with_failure),
+            "completed": _share([trial.completed for trial in with_failure]),
+            "clearance": {name: _distribution(with_failure, name) for name in required},
         },
-        "trials_with_strikes": sum(trial.strikes > 0 for trial in trials),
+        "trials_with_rotor_strikes": sum(trial.rotor_strikes > 0 for trial in trials),
         "trials_with_collisions": sum(trial.collisions > 0 for trial in trials),
-        "vehicles_lost": sum(trial.crashed for trial in trials),
-        "reasons": _counted(trial.reason for trial in trials if not trial.completed),
+        "vehicles_lost": sum(trial.crashes for trial in trials),
+        "reasons": _count(trial.reason for trial in trials if not trial.completed),
         "worst": [
             {
                 "trial": trial.number,
                 "cable": trial.cable,
                 "outcome": trial.outcome,
                 "reason": trial.reason,
-                "failing": trial.failing,
+                "failure": trial.failure,
             }
-            for trial in worst(plan, trials)
+            for trial in worst_trials(plan, trials)
         ],
     }
     if certified is not None:
-        told["certificate"] = {
-            "radius": certified.radius.tolist(),
+        document["certificate"] = {
+            "tracking_radius": certified.tracking_radius.tolist(),
             **{
                 name: [_finite(value) for value in getattr(certified, name).tolist()]
                 for name in CLEARANCES
             },
-            "compared": sum(trial.error is not None for trial in trials),
+            "compared": sum(trial.tracking_error is not None for trial in trials),
             "below": below_certificate(trials, certified),
         }
-    return told
+    return document
 
 
-def worst(plan: Plan, trials: Sequence[Trial]) -> list[Trial]:
-    """Return the trials worth looking at first: harm, then failure, then the smallest margin."""
+def worst_trials(plan: Plan, trials: Sequence[Trial]) -> list[Trial]:
+    """Return the worst trials: by contacts and crashes, then incomplete ones, then by margin."""
 
-    def badness(trial: Trial) -> tuple[float, ...]:
-        left = [
-            was - getattr(plan.mission.clearance, name)
+    def order(trial: Trial) -> tuple[float, ...]:
+        margins = [
+            distance - getattr(plan.mission.clearance, name)
             for name in CLEARANCES
-            if (was := getattr(trial, name)) is not None
+            if (distance := getattr(trial, name)) is not None
         ]
-        harm = trial.strikes + trial.collisions + trial.crashed
-        return (-harm, trial.completed, min(left, default=math.inf), trial.number)
+        damage = trial.rotor_strikes + trial.collisions + trial.crashes
+        return (-damage, trial.completed, min(margins, default=math.inf), trial.number)
 
-    return sorted(trials, key=badness)[:_WORST]
+    return sorted(trials, key=order)[:_WORST]
 
 
-def _counted(words: Iterable[str]) -> dict[str, int]:
-    found: dict[str, int] = {}
-    for word in words:
-        found[word] = found.get(word, 0) + 1
-    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+def _count(words: Iterable[str]) -> dict[str, int]:
+    """Return how often each word occurs, the most frequent first."""
+    counts = Counter(words)
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 def _share(flags: Sequence[bool]) -> dict[str, Any]:
     if not flags:
         return {"count": 0, "share": None, "interval": None}
-    from scipy import stats  # noqa: PLC0415 - slow to import, and trials need none of it
+    from scipy import stats  # noqa: PLC0415 - slow to import; trials do not need it
 
     count = sum(flags)
     interval = stats.binomtest(count, len(flags)).proportion_ci(CONFIDENCE, "exact")
@@ -190,7 +209,7 @@ def _share(flags: Sequence[bool]) -> dict[str, Any]:
 
 
 def _distribution(trials: Sequence[Trial], name: str) -> dict[str, Any]:
-    values = np.sort([was for trial in trials if (was := getattr(trial, name)) is not None])
+    values = np.sort([one for trial in trials if (one := getattr(trial, name)) is not None])
     if not len(values):
         return {"count": 0}
     return {
@@ -208,11 +227,11 @@ def _distribution(trials: Sequence[Trial], name: str) -> dict[str, Any]:
 
 
 def _quantile_interval(values: Floats, share: float) -> list[float | None]:
-    """Interval of a quantile from the order statistics around it; None where it is open.
+    """Return the interval of a quantile between two order statistics; None for an open end.
 
-    The number of values below the quantile is binomial, whatever their distribution.
+    The number of values below the quantile is binomial for every continuous distribution.
     """
-    from scipy import stats  # noqa: PLC0415 - slow to import, and trials need none of it
+    from scipy import stats  # noqa: PLC0415 - slow to import; trials do not need it
 
     count = len(values)
     outside = 0.5 * (1.0 - CONFIDENCE)

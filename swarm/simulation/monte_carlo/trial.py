@@ -1,7 +1,7 @@
-"""One trial: a rehearsal in a world that is drawn for it, and how it went."""
+"""One trial: a simulated flight under drawn conditions, and its results."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,14 +13,22 @@ from swarm.flight.result import FlightResult
 from swarm.flight.trace import Trace
 from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning import Plan
-from swarm.simulation.loop import Emulator, Fault, simulate_flight
+from swarm.simulation.loop import (
+    NO_CALLBACKS,
+    NO_OPTIONS,
+    Callbacks,
+    Emulator,
+    Fault,
+    FlightOptions,
+    simulate_flight,
+)
 from swarm.simulation.monte_carlo.spread import Conditions, Spread, draw
 from swarm.verification import closest_strands, verify_trace
 
 Floats = npt.NDArray[np.float64]
 
 SAMPLE_INTERVAL: Final = 0.4
-"""Seconds of flight between the moments at which a trial's distances are taken."""
+"""Seconds of flight between two samples of a trial's distances."""
 
 CLEARANCES: Final = ("cable", "vehicle", "vehicle_cable")
 _SHARES: Final = np.linspace(0.0, 1.0, 25)
@@ -29,14 +37,17 @@ _ROUNDING: Final = 1e-6
 
 @dataclass(frozen=True)
 class Trial:
-    """How one trial went; one row of the results.
+    """The results of one trial.
 
-    ``outcome`` and ``reason`` in words. ``cable``, ``vehicle`` and ``vehicle_cable`` are the
-    smallest distances in fold and hold, metres, of what the certificate speaks of: the cable in
-    the cable model between the places where the vehicles really were. ``hung`` is the smallest
-    distance of strands of the emulator's own cable, with its errors, wind and sway. ``error`` is
-    the largest distance of a vehicle from its place in the plan then. None where nothing is known,
-    the cable never having been aloft.
+    Distances are in metres, times in seconds, wind and gusts in m/s. ``cable``, ``vehicle`` and
+    ``vehicle_cable`` are the smallest distances in fold and hold, of the same things as in the
+    certificate: the cable model between the true positions of the vehicles. ``emulated_cable`` is
+    the smallest distance between strands of the emulator's cable, with its errors, wind and sway.
+    ``tracking_error`` is the largest distance of a vehicle from its setpoint in fold and hold.
+    These are None where the cable was never aloft.
+
+    ``reason`` is the first failure or the outcome, "" where the trial is completed. ``failure`` is
+    the drawn failure with its vehicle, "" for none.
     """
 
     number: int
@@ -48,81 +59,98 @@ class Trial:
     cable: float | None
     vehicle: float | None
     vehicle_cable: float | None
-    hung: float | None
-    error: float | None
-    strikes: int
+    emulated_cable: float | None
+    tracking_error: float | None
+    rotor_strikes: int
     collisions: int
-    crashed: int
+    crashes: int
     wind: float
     gust: float
-    failing: str
-    failing_at: float | None
+    failure: str
+    failure_time: float | None
     duration: float
 
     @property
     def completed(self) -> bool:
-        """Whether the flight was done as planned, and implies the knot of the plan."""
+        """Whether the flight ended as planned and implies the planned knot."""
         return self.outcome == "done" and self.as_planned
 
 
-def rows(trials: Iterable[Trial]) -> list[dict[str, Any]]:
-    """Return trials as rows of a table, in the order of their numbers."""
+def table_rows(trials: Iterable[Trial]) -> list[dict[str, Any]]:
+    """Return trials as rows of a table, sorted by number."""
     return [asdict(trial) for trial in sorted(trials, key=lambda trial: trial.number)]
 
 
 COLUMNS: Final = tuple(field.name for field in fields(Trial))
 
 
-class _Witness:
-    """Takes down what really is, while the cable is folded and held."""
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """The true state at one moment of fold or hold.
+
+    ``grips`` (n, 3) are the grip points in order along the cable, ``strands`` (n − 1, 25, 3) the
+    emulator's cable between them, None where a vehicle does not hold it.
+    """
+
+    time: float
+    mission_time: float
+    phase: str
+    grips: Floats
+    strands: Floats | None
+
+
+class _GroundTruthSampler:
+    """Samples the emulator's ground truth while the cable is folded and held."""
 
     def __init__(self) -> None:
-        self._next = 0.0
-        self.rows: list[tuple[float, float, str, Floats, Floats | None]] = []
-        self.strikes = self.collisions = self.crashed = 0
-        self._told = 0
-        self._fallen: set[int] = set()
+        self._next_time = 0.0
+        self.samples: list[_Sample] = []
+        self.rotor_strikes = self.collisions = self.crashes = 0
+        self._counted_contacts = 0
+        self._crashed: set[int] = set()
 
-    def __call__(self, flight: Conductor, emulator: Emulator, now: float) -> None:
-        if now < self._next:
+    def __call__(self, conductor: Conductor, emulator: Emulator, now: float) -> None:
+        if now < self._next_time:
             return
-        self._next = now + SAMPLE_INTERVAL
-        self._count(emulator)
-        phase = flight.phase.name if flight.stage == "fly" else ""
-        if phase not in {"fold", "hold"} or _lets_go(flight):
+        self._next_time = now + SAMPLE_INTERVAL
+        self._count_contacts(emulator)
+        phase = conductor.phase.name if conductor.stage == "fly" else ""
+        if phase not in {"fold", "hold"} or _at_release(conductor):
             return
         grips, held, cable = emulator.held()
         ids = [vehicle.system for vehicle in emulator.vehicles]
-        order = [ids.index(system) for system in flight.systems]
+        order = [ids.index(system) for system in conductor.systems]
         arcs = held[order]
-        hung = None
+        strands = None
         if np.isfinite(arcs).all() and emulator.rope is not None:
-            wanted = arcs[:-1, None] + _SHARES * np.diff(arcs)[:, None]
-            hung = np.stack(
-                [np.interp(wanted, emulator.rope.arc, cable[:, i]) for i in range(3)], -1
+            sampled = arcs[:-1, None] + _SHARES * np.diff(arcs)[:, None]
+            strands = np.stack(
+                [np.interp(sampled, emulator.rope.arc, cable[:, i]) for i in range(3)], -1
             )
-        self.rows.append((now, flight.clock.time, phase, grips[order], hung))
+        sample = _Sample(now, conductor.clock.time, phase, grips[order], strands)
+        self.samples.append(sample)
 
-    def _count(self, emulator: Emulator) -> None:
+    def _count_contacts(self, emulator: Emulator) -> None:
         contacts = emulator.contacts
-        self.strikes = len(contacts.strikes)
-        for one in contacts.contacts[self._told :]:
-            if one["kind"] == "vehicles":
+        self.rotor_strikes = len(contacts.strikes)
+        for contact in contacts.contacts[self._counted_contacts :]:
+            if contact["kind"] == "vehicles":
                 self.collisions += 1
-            elif one["kind"] == "crash":
-                self._fallen.update(one["vehicles"])
-        self._told = len(contacts.contacts)
-        self.crashed = len(self._fallen)
+            elif contact["kind"] == "crash":
+                self._crashed.update(contact["vehicles"])
+        self._counted_contacts = len(contacts.contacts)
+        self.crashes = len(self._crashed)
 
 
-def _lets_go(flight: Conductor) -> bool:
-    """Whether the team has come to where grippers are opened, a hair before the hold's end or not.
+def _at_release(conductor: Conductor) -> bool:
+    """Return whether the mission clock has reached the gate at which grippers open.
 
-    The clock stops within a rounding of the gate, and the gate lies within one of the hold's end.
+    The clock stops within a rounding error of the gate, which is within a rounding error of the end
+    of the hold.
     """
     return any(
-        gate.condition == "released" and flight.clock.time >= gate.time - _ROUNDING
-        for gate in flight.gates
+        gate.condition == "released" and conductor.clock.time >= gate.time - _ROUNDING
+        for gate in conductor.gates
     )
 
 
@@ -134,69 +162,82 @@ def fly_trial(
     *,
     fleet: Fleet | None = None,
     faults: Sequence[Fault] = (),
-    **watching: Any,
+    options: FlightOptions = NO_OPTIONS,
+    callbacks: Callbacks = NO_CALLBACKS,
 ) -> tuple[Trial, FlightResult]:
-    """Fly one trial; ``watching`` goes to :func:`swarm.simulation.loop.simulate_flight`."""
+    """Fly one trial; return its results and those of its flight.
+
+    ``options`` and ``callbacks`` are as for :func:`swarm.simulation.loop.simulate_flight`, but
+    ``callbacks.on_step`` is not called.
+    """
     plan = flight_plan.plan
     fleet = fleet or emulated_fleet(plan.vehicles)
     conditions = draw(plan, fleet, spread, seed, trial, faults)
-    witness = _Witness()
+    sampler = _GroundTruthSampler()
     result = simulate_flight(
         flight_plan,
         fleet=fleet,
         world=conditions.world,
         faults=conditions.faults,
-        observer=witness,
-        **watching,
+        options=options,
+        callbacks=replace(callbacks, on_step=sampler),
     )
-    return _told(plan, trial, conditions, witness, result), result
+    return _trial_result(plan, trial, conditions, sampler, result), result
 
 
-def _told(
-    plan: Plan, trial: int, conditions: Conditions, witness: _Witness, result: FlightResult
+def _trial_result(
+    plan: Plan,
+    number: int,
+    conditions: Conditions,
+    sampler: _GroundTruthSampler,
+    result: FlightResult,
 ) -> Trial:
     failures = [event.message for event in result.events if event.kind == "failure"]
     reason = failures[0].partition(":")[0] if failures else ""
     if not reason and result.outcome.word != "done":
         reason = result.outcome.word
-    measured: dict[str, Any] = dict.fromkeys((*CLEARANCES, "hung", "error"))
+    measured: dict[str, Any] = dict.fromkeys((*CLEARANCES, "emulated_cable", "tracking_error"))
     knot, as_planned = "unknown", False
-    if witness.rows:
-        times, mission_times, phases, places, hung = zip(*witness.rows, strict=True)
-        really, when = np.array(places), np.array(mission_times)
-        meant = plan.motion.at(when)[0]
-        flown = verify_trace(plan, Trace(np.array(times), when, really, meant, phases))
+    samples = sampler.samples
+    if samples:
+        times = np.array([sample.time for sample in samples])
+        mission_times = np.array([sample.mission_time for sample in samples])
+        position = np.array([sample.grips for sample in samples])
+        setpoint = plan.motion.at(mission_times)[0]
+        phases = tuple(sample.phase for sample in samples)
+        flown = verify_trace(plan, Trace(times, mission_times, position, setpoint, phases))
         knot, as_planned = flown.knot, flown.as_planned
         for name in CLEARANCES:
             tightest = getattr(flown, name)
             measured[name] = None if tightest is None else tightest.distance
-        measured["error"] = float(np.linalg.norm(really - meant, axis=-1).max())
-        measured["hung"] = _closest(plan, [strands for strands in hung if strands is not None])
-        if hung[-1] is None:
-            knot, as_planned = "let go", False
+        measured["tracking_error"] = float(np.linalg.norm(position - setpoint, axis=-1).max())
+        strands = [sample.strands for sample in samples if sample.strands is not None]
+        measured["emulated_cable"] = _smallest_distance(plan, strands)
+        if samples[-1].strands is None:
+            knot, as_planned = "released", False
     if not reason and not as_planned:
         reason = f"knot: {knot}"
     return Trial(
-        number=trial,
+        number=number,
         outcome=result.outcome.word,
         reason=reason,
         explanation=result.outcome.explanation,
         knot=knot,
         as_planned=as_planned,
-        strikes=witness.strikes,
-        collisions=witness.collisions,
-        crashed=witness.crashed,
+        rotor_strikes=sampler.rotor_strikes,
+        collisions=sampler.collisions,
+        crashes=sampler.crashes,
         wind=conditions.wind,
         gust=conditions.gust,
-        failing=conditions.failing,
-        failing_at=conditions.failing_at,
+        failure=conditions.failure,
+        failure_time=conditions.failure_time,
         duration=result.statistics.duration,
         **measured,
     )
 
 
-def _closest(plan: Plan, strands: list[Floats]) -> float | None:
-    """Smallest distance, surface to surface, of strands that share no vehicle; None without."""
+def _smallest_distance(plan: Plan, strands: list[Floats]) -> float | None:
+    """Return the smallest surface distance of strands that share no vehicle; None without any."""
     pairs = np.stack(np.triu_indices(plan.vehicles - 1, 2), axis=1)
     if not strands or not len(pairs):
         return None
