@@ -8,18 +8,19 @@ import numpy as np
 
 from swarm.certification.assessment import Assessment, Tightest
 from swarm.certification.budget import budgets
+from swarm.certification.cable_spans import cable_spans
 from swarm.certification.clearances import (
     Moment,
-    beyond_shared_vehicle,
+    exempt_length,
     limits,
     moments_of,
     segment_name,
     tightest_moments,
 )
 from swarm.certification.findings import Finding, Severity
-from swarm.certification.held import LYING, held
+from swarm.certification.floor_limits import LYING
 from swarm.certification.limits import TAUT
-from swarm.certification.motion_bounds import Course
+from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.robustness import DIRECTIONS, failure_in_wind, robustness_of
 from swarm.certification.strands import MOST_EXEMPT
 from swarm.certification.stream_loss import certify_stream_loss
@@ -77,7 +78,7 @@ def assess(
     """
     moments = moments or tightest_moments(plan, progress=progress)
     findings = [
-        *(Finding("error", "phases", *problem) for problem in held(plan).problems),
+        *(Finding("error", "phases", *problem) for problem in cable_spans(plan).problems),
         *_meeting(plan, moments),
         *(_clearance_finding(plan, moment) for moment in _failing(moments)),
         *_wind_findings(plan),
@@ -206,7 +207,7 @@ def _meeting(plan: Plan, moments: Iterable[Moment]) -> list[Finding]:
 def _smoothness_findings(plan: Plan) -> list[Finding]:
     """Jumps of position, velocity or acceleration, which no vehicle can follow."""
     found = []
-    jumps = Course(plan.motion).jumps()
+    jumps = BoundedMotion(plan.motion).jumps()
     for order, (what, unit, allowed) in enumerate(SMOOTH):
         if not jumps.size or jumps[:, order].max() <= allowed:
             continue
@@ -362,14 +363,14 @@ def _scope(plan: Plan) -> Finding:
         if tracking > 0
         else "for exact tracking only (vehicles.tracking is 0: geometry only)"
     )
-    when = held(plan)
+    when = cable_spans(plan)
     if not when.ever:
         message = f"distances of vehicles are certified {ball}; no cable is carried"
         return Finding("info", "scope", message)
     names = [phase.name for phase in plan.phases]
     exempt = ""
     if plan.vehicles > 2:
-        near = beyond_shared_vehicle(plan)
+        near = exempt_length(plan)
         exempt = (
             f"; of two segments that share a vehicle, cable within {near:.2f} m of its grip (at "
             f"most {MOST_EXEMPT:.0%} of the shorter one) is exempt from the clearance between them"

@@ -1,4 +1,4 @@
-"""Room between a fence and what must stay within it: vehicles, cable, and cable in wind."""
+"""Certified margins to a fence: of vehicles, of cable, and of cable in wind."""
 
 from dataclasses import dataclass
 
@@ -6,27 +6,27 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import Boxes, Enclosure
-from swarm.certification.motion_bounds import Course
-from swarm.certification.strands import HeldCable, Pieces, Team, pieces, unit
+from swarm.certification.motion_bounds import BoundedMotion, TeamStates
+from swarm.certification.strand_pieces import Displacement, HeldCable, Pieces, Selection, pieces
+from swarm.certification.strands import unit
 from swarm.geometry.distance import segment_segment
-from swarm.geometry.sensitivity import BOTH_ENDS
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
 _OUTSIDE = 1e-6
+"""Metres by which a strand with a grip outside counts as outside: any positive number will do."""
 
 
 @dataclass(frozen=True, eq=False)
 class InsideFence:
-    """Room between the plan view of things and a fence, in still air; negative outside.
+    """Distances of objects from a fence in plan view, in still air; negative outside.
 
-    ``fence`` (m, 2). Things are given by the grip points ``first`` and ``last`` (q,) between which
-    they lie straight in plan view (twice the same for a vehicle), and by how far they reach to the
-    side ``reach`` (q,).
+    ``fence`` (m, 2). An object lies straight between the grip points ``first`` and ``last`` (q,) in
+    plan view (twice the same for a vehicle) and extends to the side by ``reach`` (q,).
     """
 
-    course: Course
+    motion: BoundedMotion
     tracking: float
     fence: Floats
     first: Ints
@@ -35,29 +35,27 @@ class InsideFence:
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box."""
-        time, half, when = boxes.instants()
-        team = Team.at(self.course, time, half)
-        first, last = self.first[boxes.pair], self.last[boxes.pair]
-        ends = np.stack([team.position[when, first], team.position[when, last]], axis=1)
+        time, half, instant = boxes.instants()
+        team = TeamStates.at(self.motion, time, half)
+        first, last = self.first[boxes.group], self.last[boxes.group]
+        ends = np.stack([team.position[instant, first], team.position[instant, last]], axis=1)
         ends[..., 2] = 0.0
         sides = _sides(self.fence)
         distance = segment_segment(ends[:, None], sides[None]).distance.min(axis=1)
         inside = _inside(ends[:, 0], sides) & _inside(ends[:, 1], sides)
         high = np.where(inside, distance, -distance)
         still = np.zeros((len(boxes), 3))
-        drift = np.maximum(team.drift(when, first, still), team.drift(when, last, still))
-        high = high - self.tracking - self.reach[boxes.pair]
-        nothing = np.zeros_like(high)
-        doubts = np.stack([drift, nothing, nothing], axis=1)
-        return Enclosure(high - drift, high, doubts, ends.mean(axis=1))
+        drift = np.maximum(team.drift(instant, first, still), team.drift(instant, last, still))
+        high = high - self.tracking - self.reach[boxes.group]
+        return Enclosure.over_time(high, drift, ends.mean(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
-class BlownInsideFence:
-    """Room between a fence and strands that lean in the wind; per segment, negative outside.
+class InsideFenceInWind:
+    """Distances of strands that lean in the wind from a fence; per segment, negative outside.
 
-    ``fence`` (m, 2). A strand whose grips are inside is inside where it keeps away from every side
-    of the fence, as from an upright wall.
+    ``fence`` (m, 2). A strand with both grips inside is inside where it is apart from every side of
+    the fence, seen as a vertical wall.
     """
 
     cable: HeldCable
@@ -65,31 +63,32 @@ class BlownInsideFence:
     diameter: float
 
     def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box. Pieces of the strand are the second ones."""
-        time, half, when = boxes.instants()
-        team = Team.at(self.cable.course, time, half)
-        count = len(boxes)
+        """Enclose the margin in each box; coordinates are time and the strand's fraction."""
+        time, half, instant = boxes.instants()
+        team = TeamStates.at(self.cable.motion, time, half)
+        segment = boxes.group
         strand = pieces(
-            team, self.cable, when, boxes.pair, boxes.second, np.zeros((count, 3)),
-            np.full(count, BOTH_ENDS), np.full(count, self.cable.tracking), np.zeros(count),
-            np.broadcast_to(np.array([0.0, 1.0]), (count, 2)),
-        )  # fmt: skip
+            team,
+            self.cable,
+            Selection.unlimited(instant, segment, boxes.middle[:, 1], boxes.half[:, 1]),
+            Displacement.of_both_ends(np.zeros((len(boxes), 3)), self.cable.tracking),
+        )
         flat = strand.ends * [1.0, 1.0, 0.0]
         sides = _sides(self.fence)
-        walls = [self._from(strand, flat, side) for side in sides]
+        walls = [self._from_wall(strand, flat, side) for side in sides]
         low, high = (np.min([wall[k] for wall in walls], axis=0) for k in (0, 1))
-        time_doubt = np.max([wall[2] for wall in walls], axis=0)
-        grips = team.position[when, boxes.pair], team.position[when, boxes.pair + 1]
+        in_time = np.max([wall[2] for wall in walls], axis=0)
+        grips = team.position[instant, segment], team.position[instant, segment + 1]
         inside = _inside(grips[0], sides) & _inside(grips[1], sides)
-        # Of a strand that is held outside, it only matters that it is outside.
+        # A strand with a grip outside is outside, at whatever distance.
         high = np.where(inside, high, np.minimum(high, -_OUTSIDE))
         low = np.where(inside, low, np.minimum(low, -_OUTSIDE))
-        nothing = np.zeros(count)
-        size = np.maximum(high - low - time_doubt, 0.0)
-        doubts = np.stack([time_doubt, nothing, size], axis=1)
-        return Enclosure(low, high, doubts, strand.ends.mean(axis=1))
+        size = np.maximum(high - low - in_time, 0.0)
+        return Enclosure(low, high, np.stack([in_time, size], axis=1), strand.ends.mean(axis=1))
 
-    def _from(self, strand: Pieces, flat: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
+    def _from_wall(
+        self, strand: Pieces, flat: Floats, side: Floats
+    ) -> tuple[Floats, Floats, Floats]:
         """Bounds (b,) of pieces' distances from a side (2, 3), and their doubt from time."""
         walls = np.broadcast_to(side, (len(flat), 2, 3))
         closest = segment_segment(flat, walls)
@@ -100,9 +99,9 @@ class BlownInsideFence:
         wall = np.einsum("ki,bi->bk", side, normal).max(axis=1)
         moved = strand.movement(closest.first, normal)
         half = 0.5 * self.diameter
-        low = reach - wall - strand.bow - moved[0] - half
-        high = closest.distance + strand.bow - moved[2] - half
-        return low, high, moved[1] - moved[2]
+        low = reach - wall - strand.bow - moved.piece - half
+        high = closest.distance + strand.bow - moved.tracking - half
+        return low, high, moved.point - moved.tracking
 
 
 def _sides(fence: Floats) -> Floats:
@@ -112,7 +111,7 @@ def _sides(fence: Floats) -> Floats:
 
 
 def _inside(point: Floats, sides: Floats) -> npt.NDArray[np.bool_]:
-    """Whether points (b, 3) lie within the polygon with the given sides (m, 2, 3), in plan view."""
+    """Whether points (b, 3) lie within the polygon with sides (m, 2, 3), in plan view."""
     x, y = point[:, None, 0], point[:, None, 1]
     (x0, y0), (x1, y1) = sides[:, 0, :2].T, sides[:, 1, :2].T
     straddles = (y0 > y) != (y1 > y)

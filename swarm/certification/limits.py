@@ -1,4 +1,4 @@
-"""Lower bounds of what is left to the limits of vehicles, cable and workspace."""
+"""Certified margins to the limits of vehicles and cable: chords, floor, heights, speeds."""
 
 from dataclasses import dataclass
 
@@ -6,44 +6,39 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import Boxes, Enclosure
-from swarm.certification.motion_bounds import Course
-from swarm.certification.strands import HeldCable, Team, pieces
-from swarm.geometry.sensitivity import BOTH_ENDS
+from swarm.certification.motion_bounds import BoundedMotion, TeamStates
+from swarm.certification.strand_pieces import Displacement, HeldCable, Selection, pieces
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
 TAUT = 0.985
-"""Largest share of its cable's length that a chord may reach, whatever tracking errors do."""
-
-
-def _in_time(high: Floats, doubt: Floats, place: Floats) -> Enclosure:
-    nothing = np.zeros_like(high)
-    return Enclosure(high - doubt, high, np.stack([doubt, nothing, nothing], axis=1), place)
+"""Largest ratio of chord to length, including tracking errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class Slack:
-    """What chords are short of ``share`` of their cable, when both ends err away; per segment."""
+    """Margins of chords to ``share`` of their length, with both ends displaced; per segment."""
 
     cable: HeldCable
     share: float = TAUT
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box."""
-        time, half, when = boxes.instants()
-        team = Team.at(self.cable.course, time, half)
-        first, last = boxes.pair, boxes.pair + 1
-        start, end = team.position[when, first], team.position[when, last]
-        allowed = self.share * self.cable.lengths[boxes.pair] - 2.0 * self.cable.tracking
-        growth = team.drift(when, last, team.velocity[when, first]) + team.swerve[when, first]
+        time, half, instant = boxes.instants()
+        team = TeamStates.at(self.cable.motion, time, half)
+        first, last = boxes.group, boxes.group + 1
+        start, end = team.position[instant, first], team.position[instant, last]
+        allowed = self.share * self.cable.lengths[first] - 2.0 * self.cable.tracking
+        growth = team.drift(instant, last, team.velocity[instant, first])
+        growth += team.deviation[instant, first]
         high = allowed - np.linalg.norm(end - start, axis=-1)
-        return _in_time(high, growth, 0.5 * (start + end))
+        return Enclosure.over_time(high, growth, 0.5 * (start + end))
 
 
 @dataclass(frozen=True, eq=False)
 class AboveFloor:
-    """Heights of the lowest points of strands above the floor (z = 0), less what is required."""
+    """Heights of the lowest points of strands above the floor (z = 0), less the required height."""
 
     cable: HeldCable
     diameter: float
@@ -51,60 +46,83 @@ class AboveFloor:
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box."""
-        time, half, when = boxes.instants()
-        course = self.cable.course
-        moved, _ = self._moved(boxes, Team.at(course, time, half), when)
-        still, lowest = self._moved(boxes, Team.at(course, time, np.zeros_like(half)), when)
+        time, half, instant = boxes.instants()
+        motion = self.cable.motion
+        moved, _ = self._movement(boxes, TeamStates.at(motion, time, half), instant)
+        still_team = TeamStates.at(motion, time, np.zeros_like(half))
+        still, lowest = self._movement(boxes, still_team, instant)
         high = lowest[:, 2] - still - 0.5 * self.diameter - self.required
-        # The whole strand's sensitivity stands for the lowest point's: only time is to be cut.
-        return _in_time(high, np.maximum(moved - still, 0.0), lowest)
+        # The whole strand's sensitivity bounds the lowest point's: only time is halved.
+        return Enclosure.over_time(high, np.maximum(moved - still, 0.0), lowest)
 
-    def _moved(self, boxes: Boxes, team: Team, when: Ints) -> tuple[Floats, Floats]:
-        """How far strands move up or down at most (m,), and their lowest points (m, 3)."""
-        segment = boxes.pair
-        level = 0.5 * (team.velocity[when, segment] + team.velocity[when, segment + 1])
+    def _movement(self, boxes: Boxes, team: TeamStates, instant: Ints) -> tuple[Floats, Floats]:
+        """Bounds of the vertical movement of strands (m,), and their lowest points (m, 3)."""
+        segment = boxes.group
+        level = 0.5 * (team.velocity[instant, segment] + team.velocity[instant, segment + 1])
         level[:, 2] = 0.0
-        whole = np.ones(len(boxes), dtype=np.intp)
         strand = pieces(
-            team, self.cable, when, segment, whole, level,
-            np.full(len(boxes), BOTH_ENDS), np.full(len(boxes), self.cable.tracking),
-            np.zeros(len(boxes)), np.broadcast_to(np.array([0.0, 1.0]), (len(boxes), 2)),
+            team, self.cable, Selection.whole(instant, segment),
+            Displacement.of_both_ends(level, self.cable.tracking),
         )  # fmt: skip
-        # Level where heading and slope together are, which in wind is not where gravity's foot is.
-        hung = strand.strands
-        level_slope = hung.heading[:, 2] / hung.down[:, 2]
-        along = np.clip((level_slope - hung.slope) * hung.parameter / hung.length, 0.0, 1.0)
+        # The lowest point is where the tangent is level; in wind, gravity is not vertical.
+        strands = strand.strands
+        level_slope = strands.heading[:, 2] / strands.down[:, 2]
+        along = (level_slope - strands.slope) * strands.parameter / strands.length
+        along = np.clip(along, 0.0, 1.0)
         up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(boxes), 3))
-        return strand.movement(along, up)[0], hung.points_at(along)
+        return strand.movement(along, up).piece, strands.points_at(along)
 
 
 @dataclass(frozen=True, eq=False)
-class SpeedLeft:
-    """What vehicles' speeds are short of the largest; per vehicle, m/s."""
+class HeightLimit:
+    """Vertical distances of grip points from a height; per vehicle.
 
-    course: Course
+    ``sign`` 1 requires grip points above ``height``, −1 below it.
+    """
+
+    motion: BoundedMotion
+    height: float
+    sign: float
+
+    def __call__(self, boxes: Boxes) -> Enclosure:
+        """Enclose the margin in each box."""
+        time, half, instant = boxes.instants()
+        team = TeamStates.at(self.motion, time, half)
+        place = team.position[instant, boxes.group]
+        climb = np.abs(team.velocity[instant, boxes.group, 2]) * half[instant]
+        climb += team.deviation[instant, boxes.group]
+        return Enclosure.over_time(self.sign * (place[:, 2] - self.height), climb, place)
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedLimit:
+    """Margins of vehicles' speeds to ``largest``; per vehicle, m/s."""
+
+    motion: BoundedMotion
     largest: float
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box."""
-        time, half, when = boxes.instants()
-        position, velocity, _ = self.course.motion.at(time)
-        bound = self.course.acceleration_bound(time - half, time + half)[when, boxes.pair]
-        speed = np.linalg.norm(velocity[when, boxes.pair], axis=-1)
-        return _in_time(self.largest - speed, bound * boxes.half, position[when, boxes.pair])
+        time, half, instant = boxes.instants()
+        position, velocity, _ = self.motion.at(time)
+        bound = self.motion.acceleration_bound(time - half, time + half)[instant, boxes.group]
+        speed = np.linalg.norm(velocity[instant, boxes.group], axis=-1)
+        place = position[instant, boxes.group]
+        return Enclosure.over_time(self.largest - speed, bound * boxes.half[:, 0], place)
 
 
 @dataclass(frozen=True, eq=False)
-class AccelerationLeft:
-    """What vehicles' accelerations are short of the largest; per vehicle, m/s²."""
+class AccelerationLimit:
+    """Margins of vehicles' accelerations to ``largest``; per vehicle, m/s²."""
 
-    course: Course
+    motion: BoundedMotion
     largest: float
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box."""
-        time, half, when = boxes.instants()
-        position, _, acceleration = self.course.motion.at(time)
-        bound = self.course.jerk_bound(time - half, time + half)[when, boxes.pair]
-        size = np.linalg.norm(acceleration[when, boxes.pair], axis=-1)
-        return _in_time(self.largest - size, bound * boxes.half, position[when, boxes.pair])
+        time, half, instant = boxes.instants()
+        position, _, acceleration = self.motion.at(time)
+        bound = self.motion.jerk_bound(time - half, time + half)[instant, boxes.group]
+        size = np.linalg.norm(acceleration[instant, boxes.group], axis=-1)
+        place = position[instant, boxes.group]
+        return Enclosure.over_time(self.largest - size, bound * boxes.half[:, 0], place)

@@ -1,4 +1,4 @@
-"""What is known of a motion between samples: positions, velocities, and bounds on acceleration."""
+"""Bounds of a motion on intervals of time: positions, velocities, accelerations and jerks."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,16 +11,21 @@ from swarm.geometry.motion import Motion
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """A motion of n grip points, with what interval bounds need of it."""
+class BoundedMotion:
+    """A motion of n grip points with upper bounds of its accelerations and jerks."""
 
     motion: Motion
 
+    def at(self, time: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return positions, velocities and accelerations, each (m, n, 3), at times (m,)."""
+        return self.motion.at(time)
+
     def jumps(self) -> Floats:
-        """Jumps (k − 1, 3, n) of position, velocity and acceleration where pieces join."""
+        """Return the jumps (k − 1, 3, n) of position, velocity and acceleration between pieces."""
         duration = np.diff(self.motion.times)[:-1, None]
         power = np.arange(6)
         jumps = []
@@ -34,26 +39,26 @@ class Course:
 
     @cached_property
     def accelerations(self) -> Floats:
-        """Largest accelerations (l, k, n) on runs of 2^l pieces; see :func:`pieces_between`."""
+        """Largest accelerations (l, k, n) on 2^l consecutive pieces; see :func:`pieces_between`."""
         return self._largest(2)
 
     @cached_property
     def jerks(self) -> Floats:
-        """The same of jerks."""
+        """Largest jerks (l, k, n), as :attr:`accelerations`."""
         return self._largest(3)
 
     def acceleration_bound(self, start: Floats, end: Floats) -> Floats:
-        """Upper bounds (m, n) of every grip point's acceleration on the intervals (m,), m/s²."""
+        """Return upper bounds (m, n) of the accelerations on the intervals (m,), m/s²."""
         return self._over(self.accelerations, start, end)
 
     def jerk_bound(self, start: Floats, end: Floats) -> Floats:
-        """Upper bounds (m, n) of every grip point's jerk on the intervals (m,), m/s³."""
+        """Return upper bounds (m, n) of the jerks on the intervals (m,), m/s³."""
         return self._over(self.jerks, start, end)
 
     def _largest(self, order: int) -> Floats:
-        """Bounds (l, k, n) of a derivative on 2^l consecutive pieces, from every one of them on.
+        """Bounds (l, k, n) of a derivative on the 2^l pieces from piece k on.
 
-        On one piece, a polynomial's Bernstein coefficients enclose its values.
+        On one piece, the Bernstein coefficients of a polynomial enclose its values.
         """
         degree = 5 - order
         power = np.arange(degree + 1)
@@ -78,31 +83,60 @@ class Course:
         return bound
 
 
+@dataclass(frozen=True, eq=False)
+class TeamStates:
+    """States of the team at m instants, with bounds within the half widths (m,) around them.
+
+    ``position`` and ``velocity`` (m, n, 3); ``deviation`` (m, n) bounds the distance from uniform
+    motion, metres.
+    """
+
+    half: Floats
+    position: Floats
+    velocity: Floats
+    deviation: Floats
+
+    @staticmethod
+    def at(motion: BoundedMotion, time: Floats, half: Floats) -> "TeamStates":
+        """Return the states at times (m,) with half widths (m,)."""
+        position, velocity, _ = motion.at(time)
+        bound = motion.acceleration_bound(time - half, time + half)
+        return TeamStates(half, position, velocity, 0.5 * bound * (half * half)[:, None])
+
+    def drift(self, instant: Ints, vehicle: Ints, frame: Floats) -> Floats:
+        """Bound the movement (b,) of grip points in a frame with velocity ``frame`` (b, 3)."""
+        speed = np.linalg.norm(self.velocity[instant, vehicle] - frame, axis=-1)
+        bound: Floats = speed * self.half[instant] + self.deviation[instant, vehicle]
+        return bound
+
+
 @compiled
 def _bounds_between(
     tables: Floats, joints: Floats, start: Floats, end: Floats, found: Floats
 ) -> None:
-    """Write the largest that ``tables`` know of all (n,) in intervals (m,)."""
+    """Write the bounds (m, n) of all grip points on intervals (m,)."""
     for m in range(len(start)):
-        run = pieces_between(joints, start[m], end[m])
+        pieces = pieces_between(joints, start[m], end[m])
         for i in range(found.shape[1]):
-            found[m, i] = largest_between(tables, run, i)
+            found[m, i] = largest_between(tables, pieces, i)
 
 
 @compiled
 def pieces_between(joints: Floats, start: float, end: float) -> tuple[int, int, int]:
-    """Where tables of a course have what is between two times: of two runs the first pieces and the
-    level. ``joints`` are the times at which the course's pieces join."""
+    """Return two runs of 2^level pieces that cover an interval: first piece of each, and level.
+
+    ``joints`` are the times between pieces.
+    """
     first = np.searchsorted(joints, start)
     last = np.searchsorted(joints, end, side="right")
-    level, run = 0, 1
-    while 2 * run <= last - first + 1:
-        level, run = level + 1, 2 * run
-    return int(first), int(last - run + 1), level
+    level, count = 0, 1
+    while 2 * count <= last - first + 1:
+        level, count = level + 1, 2 * count
+    return int(first), int(last - count + 1), level
 
 
 @compiled
-def largest_between(tables: Floats, run: tuple[int, int, int], i: int) -> float:
-    """The largest that ``tables`` know of one of n between the times of :func:`pieces_between`."""
-    first, last, level = run
+def largest_between(tables: Floats, pieces: tuple[int, int, int], i: int) -> float:
+    """Return the bound of grip point i on the runs that :func:`pieces_between` returned."""
+    first, last, level = pieces
     return float(max(tables[level, first, i], tables[level, last, i]))

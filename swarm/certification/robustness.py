@@ -8,8 +8,9 @@ import numpy as np
 
 from swarm.certification.air import wind_down
 from swarm.certification.assessment import Robustness
-from swarm.certification.branch_and_bound import Boxes, failing, holds, whole
+from swarm.certification.branch_and_bound import Boxes
 from swarm.certification.clearances import ROOT, STILL_AIR, Family, Moment, families
+from swarm.certification.minima import failing, holds, whole_strands
 from swarm.planning import Plan
 
 Progress = Callable[[str, float], None]
@@ -177,7 +178,7 @@ def _boxes(family: Family, known: set[tuple[int, float]]) -> Boxes:
         low, high = max(start, time - 0.5 * ROOT), min(end, time + 0.5 * ROOT)
         rows.append((pair, 0.5 * (low + high), 0.5 * (high - low)))
     pairs, middles, halves = (np.array(column) for column in zip(*rows, strict=True))
-    return whole(pairs.astype(np.intp), middles, halves)
+    return whole_strands(pairs.astype(np.intp), middles, halves, strands=family.strands)
 
 
 Tight = Mapping[tuple[str, tuple[str, str]], Iterable[float]]

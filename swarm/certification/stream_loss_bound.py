@@ -1,29 +1,36 @@
-"""Whether a team keeps apart after lost setpoints: over all time, not at samples.
+"""Certified margins after a stream loss, over all time instead of samples.
 
-A *box* is a case (who loses the stream: 0 all, else that vehicle), an interval of the mission time
-at which it is lost, one of the way that the lost have coasted (in seconds at their speed then), and
-one of the way by which the others have gone on along the plan (in mission seconds). In the middle
-of a box everything is measured; from there, bounds of velocities, accelerations and of what a
-strand does with its ends say how little can be left anywhere in it. Boxes in which too little may
-be left are halved, until nothing is open, or the middle of one shows that too little is left.
+A box belongs to a case (0: the whole team loses its setpoints, else that vehicle) and an interval
+of mission time. Its coordinates are the time of the loss, the coasting of the vehicles without
+setpoints (in seconds at their velocity then), and the advance of the others along the plan (in
+mission seconds). Margins are computed in the middle of a box; bounds of velocities, accelerations
+and of the sensitivity of strands extend them to the whole box.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.branch_and_bound import Boxes, Enclosure, search
 from swarm.certification.limits import TAUT
-from swarm.certification.motion_bounds import Course
+from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.stream_loss_pairs import (
     TOLERANCE,
-    Kept,
-    Sketches,
-    left_of_pairs,
-    left_of_strands,
-    sketches_for,
+    Required,
+    SampledStrands,
+    allocate_strands,
+    strand_margins,
+    vehicle_margins,
 )
-from swarm.certification.stream_loss_team import Box, Leaving, Standing, room_for, stand
+from swarm.certification.stream_loss_team import (
+    Box,
+    LossMotion,
+    TeamState,
+    allocate_team,
+    write_state,
+)
 from swarm.geometry.sensitivity import sensitivity_tables
 from swarm.jit import compiled
 from swarm.planning import Plan
@@ -33,184 +40,183 @@ Ints = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
 
 _MOST_BOXES = 3_000
-"""Open boxes of one interval at which it is given up as not shown."""
-_HALVINGS = 40
-_PORTION = 20_000
+"""Undecided boxes of one interval from which it counts as not shown: a lower rate costs less time
+than a longer search."""
+_ROUNDS = 40
+"""Rounds of halving after which the rest counts as not shown: boxes are then far below a
+millisecond wide."""
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
-    """How far who goes on, per case: the most that each vehicle coasts, ``after`` (n,) in seconds
-    at a clock of rate 1; ``braking``, its part that is braking; what the others go on by, in
-    mission seconds at rate r: ``silence`` · r + r² / (2 · ``steepest``). One that lands alone comes
-    down by up to ``sinking`` (n,) metres before the others do too."""
+class Overrun:
+    """How far vehicles move on after a stream loss.
 
-    after: Floats
-    braking: float
+    At a clock of rate 1, each vehicle without setpoints coasts for up to ``coast_time`` (n,)
+    seconds, of which ``braking_time`` is braking. At rate r the others advance by
+    ``silence`` · r + r² / (2 · ``clock_deceleration``) mission seconds. A vehicle that lands alone
+    descends by up to ``descent`` (n,) metres before the others do.
+    """
+
+    coast_time: Floats
+    braking_time: float
     silence: float
-    steepest: float
-    sinking: Floats
+    clock_deceleration: float
+    descent: Floats
 
-    def on(self, rate: Floats) -> Floats:
-        """Mission seconds by which the team goes on before it stands."""
-        gone: Floats = self.silence * rate + 0.5 * rate * rate / self.steepest
-        return gone
+    def advance(self, rate: Floats) -> Floats:
+        """Return the mission seconds by which the team advances until it stands."""
+        advance: Floats = self.silence * rate + 0.5 * rate * rate / self.clock_deceleration
+        return advance
 
-    def most_on(self, who: Ints, coasted: Floats) -> Floats:
-        """The most that the team has gone on when vehicle ``who`` has coasted so far."""
-        rate = coasted / self.after[who]
-        stopped = rate * (self.after[who] + self.braking)
-        return np.maximum(self.on(rate), stopped)
+    def largest_advance(self, vehicle: Ints, coast: Floats) -> Floats:
+        """Return the largest advance of the team when a vehicle has coasted for ``coast``."""
+        rate = coast / self.coast_time[vehicle]
+        stopped = rate * (self.coast_time[vehicle] + self.braking_time)
+        return np.maximum(self.advance(rate), stopped)
 
 
-@dataclass(frozen=True, eq=False)
-class _Boxes:
-    interval: Ints
+class _Cases(NamedTuple):
+    """Case and clock rate (m,) of boxes."""
+
     case: Ints
-    time: Floats
-    half: Floats
-    coasted: Floats
-    coasted_half: Floats
-    on: Floats
-    on_half: Floats
-
-    def __len__(self) -> int:
-        return len(self.case)
-
-    def taken(self, where: Flags | slice) -> "_Boxes":
-        return _Boxes(*(getattr(self, one.name)[where] for one in fields(self)))
-
-    def halved(self, doubts: Floats) -> "_Boxes":
-        """Both halves of every box, cut where it is least certain; ``doubts`` (m, 3)."""
-        which = doubts.argmax(axis=1)
-        parts = []
-        for sign in (-1.0, 1.0):
-            moved = []
-            for number, (middle, half) in enumerate(
-                ((self.time, self.half), (self.coasted, self.coasted_half), (self.on, self.on_half))
-            ):
-                cut = np.where(which == number, 0.5 * half, 0.0)
-                moved += [middle + sign * cut, half - cut]
-            parts.append(_Boxes(self.interval, self.case, *moved))
-        return _joined(*parts)
+    rate: Floats
 
 
-def _joined(*parts: _Boxes) -> _Boxes:
-    names = [one.name for one in fields(_Boxes)]
-    return _Boxes(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+class _Workspace(NamedTuple):
+    team: TeamState
+    strands: SampledStrands
 
 
-class CoastBound:
-    """What a plan's team keeps, for all times within intervals."""
+class _Margins(NamedTuple):
+    """Lower bounds (m,) of margins in boxes, margins (m,) in their middles, doubts (m, 3)."""
 
-    def __init__(self, plan: Plan, ways: Ways, end: float) -> None:
-        """``end`` is the mission time beyond which nobody goes."""
-        course, lengths, clearance = (
-            Course(plan.motion),
-            plan.layout.lengths,
-            plan.mission.clearance,
-        )
-        self._ways = ways
-        breaks, joints, coefficients = (
+    low: Floats
+    here: Floats
+    doubts: Floats
+
+
+class StreamLossBound:
+    """Certified margins of a plan after stream losses, for all times within intervals."""
+
+    def __init__(self, plan: Plan, overrun: Overrun, end: float) -> None:
+        """``end`` is the last mission time that is reached."""
+        motion, clearance = BoundedMotion(plan.motion), plan.mission.clearance
+        self._overrun = overrun
+        times, joints, coefficients = (
             np.require(values, np.float64, ["C", "W"])
             for values in (plan.motion.times, plan.motion.times[1:-1], plan.motion.coefficients)
         )
-        self._leaving = Leaving(
-            breaks, joints, coefficients, course.accelerations, course.jerks,
-            np.array(ways.after), np.array(ways.sinking), plan.mission.vehicles.tracking, end,
+        self._motion = LossMotion(
+            times, joints, coefficients, motion.accelerations, motion.jerks,
+            np.array(overrun.coast_time), np.array(overrun.descent),
+            plan.mission.vehicles.tracking, end,
         )  # fmt: skip
-        tables = sensitivity_tables()
-        self._kept = Kept(
+        tables, lengths = sensitivity_tables(), plan.layout.lengths
+        self._required = Required(
             TAUT * lengths, clearance.vehicle, clearance.downwash,
             clearance.cable + plan.mission.cable.diameter, np.array(lengths), tables.norm,
             tables.integral,
         )  # fmt: skip
-
-    def keeps(self, start: Floats, end: Floats, rate: Floats) -> Flags:
-        """Whether all is kept when streams end within intervals (k,) at rates up to ``rate``."""
-        kept = np.ones(len(start), dtype=np.bool_)
-        open_ = self._roots(start, end, rate)
-        for _ in range(_HALVINGS):
-            open_ = open_.taken(kept[open_.interval] & self._possible(open_))
-            count = np.bincount(open_.interval, minlength=len(kept))
-            kept[count > _MOST_BOXES] = False
-            open_ = open_.taken(kept[open_.interval])
-            if not len(open_):
-                return kept
-            left = [
-                self._open(open_.taken(slice(k, k + _PORTION)), rate, kept)
-                for k in range(0, len(open_), _PORTION)
-            ]
-            open_ = _joined(*left)
-        kept[open_.interval] = False
-        return kept
-
-    def _roots(self, start: Floats, end: Floats, rate: Floats) -> _Boxes:
-        """One box for each interval and case."""
-        n, k = len(self._ways.after), len(start)
-        case = np.repeat(np.arange(n + 1), k)
-        interval = np.tile(np.arange(k), n + 1)
-        farthest = np.append(self._ways.after.max(), self._ways.after)[case] * rate[interval]
-        on = np.where(case > 0, self._ways.on(rate)[interval], 0.0)
-        on = np.where(case > 0, np.maximum(on, farthest + self._ways.braking * rate[interval]), 0.0)
-        time, half = 0.5 * (start + end)[interval], 0.5 * (end - start)[interval]
-        return _Boxes(
-            interval, case, time, half, 0.5 * farthest, 0.5 * farthest, 0.5 * on, 0.5 * on
+        self._workspace = _Workspace(
+            allocate_team(len(overrun.coast_time)), allocate_strands(len(lengths))
         )
 
-    def _possible(self, boxes: _Boxes) -> Flags:
-        """Which boxes hold anything that can happen: the team does not go back, nor on for ever."""
-        longest = self._ways.most_on(
-            np.maximum(boxes.case - 1, 0), boxes.coasted + boxes.coasted_half
-        )
-        one = boxes.case > 0
-        behind = boxes.on + boxes.on_half < boxes.coasted - boxes.coasted_half
-        beyond = boxes.on - boxes.on_half > longest
-        return ~(one & (behind | beyond))
+    def holds(self, start: Floats, end: Floats, rate: Floats) -> Flags:
+        """Return whether margins hold after losses within intervals (k,), at up to ``rate`` (k,).
 
-    def _open(self, boxes: _Boxes, rate: Floats, kept: Flags) -> _Boxes:
-        """Return the halves of what is not shown; tell ``kept`` which intervals are lost."""
-        low, here = np.empty((2, len(boxes)))
-        doubts = np.empty((len(boxes), 3))
-        _weigh(
-            boxes.case, rate[boxes.interval], boxes.time, boxes.half, boxes.coasted,
-            boxes.coasted_half, boxes.on, boxes.on_half, self._leaving, self._kept,
-            room_for(len(self._ways.after)), sketches_for(len(self._kept.lengths)),
-            low, here, doubts,
+        False where this is not shown.
+        """
+        count, rounds = len(start), 0
+        shown = np.ones(count, dtype=np.bool_)
+
+        def relevant(boxes: Boxes) -> Flags:
+            nonlocal rounds
+            rounds += 1
+            interval = boxes.group % count
+            if rounds > _ROUNDS:
+                shown[interval] = False
+            where = shown[interval] & self._possible(boxes, count)
+            open_ = np.bincount(interval[where], minlength=count)
+            shown[open_ > _MOST_BOXES] = False
+            where &= shown[interval]
+            return where
+
+        def undecided(boxes: Boxes, found: Enclosure) -> Flags:
+            failed = self._reached(boxes, count) & (found.high < -TOLERANCE)
+            shown[boxes.group[failed] % count] = False
+            return found.low < -TOLERANCE
+
+        search(
+            lambda boxes: self._margins(boxes, rate), self._roots(start, end, rate), undecided,
+            relevant=relevant, cut=1.0,
         )  # fmt: skip
-        most = self._ways.most_on(np.maximum(boxes.case - 1, 0), boxes.coasted)
-        real = (boxes.case == 0) | ((boxes.on >= boxes.coasted) & (boxes.on <= most))
-        kept[boxes.interval[real & (here < -TOLERANCE)]] = False
-        open_ = low < -TOLERANCE
-        return boxes.taken(open_).halved(doubts[open_])
+        return shown
+
+    def _roots(self, start: Floats, end: Floats, rate: Floats) -> Boxes:
+        """One box for each case and interval."""
+        n, k = len(self._overrun.coast_time), len(start)
+        group = np.arange((n + 1) * k)
+        case, interval = np.divmod(group, k)
+        coast_time = np.append(self._overrun.coast_time.max(), self._overrun.coast_time)
+        coast = coast_time[case] * rate[interval]
+        advance = np.where(case > 0, self._overrun.advance(rate)[interval], 0.0)
+        stopped = coast + self._overrun.braking_time * rate[interval]
+        advance = np.where(case > 0, np.maximum(advance, stopped), 0.0)
+        middle = np.column_stack([0.5 * (start + end)[interval], 0.5 * coast, 0.5 * advance])
+        half = np.column_stack([0.5 * (end - start)[interval], 0.5 * coast, 0.5 * advance])
+        return Boxes(group, middle, half, np.full(len(group), -np.inf))
+
+    def _possible(self, boxes: Boxes, intervals: int) -> Flags:
+        """Boxes with possible states: the team neither goes back nor advances too far."""
+        case = boxes.group // intervals
+        (_, coast, advance), (_, coast_half, advance_half) = boxes.middle.T, boxes.half.T
+        longest = self._overrun.largest_advance(np.maximum(case - 1, 0), coast + coast_half)
+        behind = advance + advance_half < coast - coast_half
+        beyond = advance - advance_half > longest
+        possible: Flags = ~((case > 0) & (behind | beyond))
+        return possible
+
+    def _reached(self, boxes: Boxes, intervals: int) -> Flags:
+        """Boxes whose middle is a possible state."""
+        case = boxes.group // intervals
+        coast, advance = boxes.middle[:, 1], boxes.middle[:, 2]
+        longest = self._overrun.largest_advance(np.maximum(case - 1, 0), coast)
+        reached: Flags = (case == 0) | ((advance >= coast) & (advance <= longest))
+        return reached
+
+    def _margins(self, boxes: Boxes, rate: Floats) -> Enclosure:
+        case, interval = np.divmod(boxes.group, len(rate))
+        count = len(boxes)
+        found = _Margins(np.empty(count), np.empty(count), np.empty((count, 3)))
+        _write_margins(
+            _Cases(case, rate[interval]), boxes.middle, boxes.half, self._motion, self._required,
+            self._workspace, found,
+        )  # fmt: skip
+        return Enclosure(found.low, found.here, found.doubts, np.empty((count, 0)))
 
 
 @compiled
-def _weigh(
-    case: Ints,
-    rate: Floats,
-    time: Floats,
+def _write_margins(
+    cases: _Cases,
+    middle: Floats,
     half: Floats,
-    coasted: Floats,
-    coasted_half: Floats,
-    on: Floats,
-    on_half: Floats,
-    leaving: Leaving,
-    kept: Kept,
-    standing: Standing,
-    sketches: Sketches,
-    low: Floats,
-    here: Floats,
-    doubts: Floats,
+    motion: LossMotion,
+    required: Required,
+    workspace: _Workspace,
+    found: _Margins,
 ) -> None:
-    """Write bounds (m,) of what is left in boxes, what is in their middles, and doubts (m, 3)."""
-    for m in range(len(case)):
+    """Write the margins of boxes with ``middle`` and ``half`` (m, 3)."""
+    for m in range(len(middle)):
         box = Box(
-            case[m], rate[m], time[m], half[m], coasted[m], coasted_half[m], on[m], on_half[m]
-        )
-        low[m] = here[m] = np.inf
-        if stand(box, leaving, standing, doubts[m]):
-            low[m], here[m] = left_of_pairs(box.case, box.half, standing, kept)
-            if low[m] > -TOLERANCE:
-                strands = left_of_strands(box.case, box.half, standing, kept, sketches)
-                low[m], here[m] = min(low[m], strands[0]), min(here[m], strands[1])
+            cases.case[m], cases.rate[m], middle[m, 0], half[m, 0], middle[m, 1], half[m, 1],
+            middle[m, 2], half[m, 2],
+        )  # fmt: skip
+        low = here = np.inf
+        if write_state(box, motion, workspace.team, found.doubts[m]):
+            low, here = vehicle_margins(box.case, box.half, workspace.team, required)
+            if low > -TOLERANCE:
+                strands = strand_margins(
+                    box.case, box.half, workspace.team, required, workspace.strands
+                )
+                low, here = min(low, strands[0]), min(here, strands[1])
+        found.low[m], found.here[m] = low, here

@@ -1,8 +1,8 @@
-"""How near the pairs of a team come after lost setpoints, in one box of a coast; compiled.
+"""Margins of a team after a stream loss, in one box; compiled.
 
-A case touches the pairs which its vehicle holds: what all others keep among themselves is as
-certified. Of what is left of a clearance in a box, functions return a lower bound, and what is left
-in the box's middle.
+Only pairs with a vehicle that has lost its setpoints are computed: all other distances are
+certified already. Functions return a lower bound of the margin in the box, and the margin in its
+middle, in metres.
 """
 
 from typing import NamedTuple
@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.stream_loss_team import Standing
-from swarm.geometry import catenary_kernel
+from swarm.certification.stream_loss_team import TeamState
+from swarm.geometry.catenary_kernel import max_elevation_sine, sample_strand
 from swarm.geometry.distance import polyline_distance
 from swarm.geometry.sensitivity import (
     BOTH_ENDS,
@@ -25,124 +25,140 @@ from swarm.jit import compiled
 Floats = npt.NDArray[np.float64]
 
 TOLERANCE = 0.005
-"""Metres by which a clearance may fall short and still count as kept: exactly at a limit nothing
-can be told."""
+"""Metres by which a clearance may fall short and still count as kept: exactly at the limit, no
+finite search can decide."""
 _PIECES = 16
+"""Pieces of a sampled strand: 20 cm of a strand of 3 m; near distances are computed exactly."""
 
 
-class Kept(NamedTuple):
-    """What is to be kept: chords no longer than ``tautest`` (n − 1,), vehicles ``beside`` or
-    ``under`` each other, strands (their middles) ``strands`` apart, metres. ``lengths`` (n − 1,)
-    are theirs; ``norm`` and ``integral`` are the tables of their sensitivity.
+class Required(NamedTuple):
+    """Required distances, metres.
+
+    ``chord`` (n − 1,): the longest chords; ``horizontal``, ``vertical``: of vehicles, one of both;
+    ``strands``: of the middles of strands. ``lengths`` (n − 1,) are those of the segments; ``norm``
+    and ``integral`` the tables of their sensitivity.
     """
 
-    tautest: Floats
-    beside: float
-    under: float
+    chord: Floats
+    horizontal: float
+    vertical: float
     strands: float
     lengths: Floats
     norm: Floats
     integral: Floats
 
 
-class Sketches(NamedTuple):
-    """Points (n − 1, k, 3) of strands between vehicles where they stand, how far (n − 1,) strands
-    bow out between these, and which are drawn (n − 1,)."""
+class SampledStrands(NamedTuple):
+    """Points (n − 1, k, 3) of the strands in a box's middle.
+
+    ``bow`` (n − 1,) is the largest distance of a strand from the lines between its points;
+    ``sampled`` (n − 1,) tells which strands are computed.
+    """
 
     points: Floats
     bow: Floats
-    drawn: npt.NDArray[np.bool_]
+    sampled: npt.NDArray[np.bool_]
 
 
-def sketches_for(strands: int) -> Sketches:
-    """Room for so many strands."""
+def allocate_strands(strands: int) -> SampledStrands:
+    """Return memory for sampled strands."""
     points = np.empty((strands, _PIECES + 1, 3))
-    return Sketches(points, np.empty(strands), np.zeros(strands, dtype=np.bool_))
+    return SampledStrands(points, np.empty(strands), np.zeros(strands, dtype=np.bool_))
 
 
 @compiled
-def left_of_pairs(case: int, half: float, standing: Standing, kept: Kept) -> tuple[float, float]:
-    """What is left of chords and between vehicles."""
-    place, along, loose = standing.place, standing.along, standing.loose
+def vehicle_margins(
+    case: int, half: float, team: TeamState, required: Required
+) -> tuple[float, float]:
+    """Return the smallest margins of chords and between vehicles; ``half`` is the box's in time."""
+    position, velocity, spread = team.position, team.velocity, team.spread
     low = here = np.inf
-    for i in range(len(loose)):
-        for j in range(i + 1, len(loose)):
+    for i in range(len(spread)):
+        for j in range(i + 1, len(spread)):
             if case not in (0, i + 1, j + 1):
                 continue
-            x, y = place[j, 0] - place[i, 0], place[j, 1] - place[i, 1]
-            z, turn = place[j, 2] - place[i, 2], 0.0
+            x, y = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
+            z, turned = position[j, 2] - position[i, 2], 0.0
             for axis in range(3):
-                turn += (along[j, axis] - along[i, axis]) ** 2
-            moved = np.sqrt(turn) * half + loose[i] + loose[j]
-            left = max(np.sqrt(x * x + y * y) - kept.beside, abs(z) - kept.under)
+                turned += (velocity[j, axis] - velocity[i, axis]) ** 2
+            moved = np.sqrt(turned) * half + spread[i] + spread[j]
+            margin = max(np.sqrt(x * x + y * y) - required.horizontal, abs(z) - required.vertical)
             if j == i + 1:
-                left = min(left, kept.tautest[i] - np.sqrt(x * x + y * y + z * z))
-            low, here = min(low, left - moved), min(here, left)
+                margin = min(margin, required.chord[i] - np.sqrt(x * x + y * y + z * z))
+            low, here = min(low, margin - moved), min(here, margin)
     return float(low), float(here)
 
 
 @compiled
-def left_of_strands(
-    case: int, half: float, standing: Standing, kept: Kept, sketches: Sketches
+def strand_margins(
+    case: int, half: float, team: TeamState, required: Required, strands: SampledStrands
 ) -> tuple[float, float]:
-    """What is left between strands that share no vehicle."""
-    sketches.drawn[:] = False
-    count, low, here = len(kept.lengths), np.inf, np.inf
+    """Return the smallest margins between strands that share no vehicle."""
+    strands.sampled[:] = False
+    count, low, here = len(required.lengths), np.inf, np.inf
     for i in range(count):
         held = case in (0, i + 1, i + 2)
         for j in range(
             i + 2 if held else max(i + 2, case - 2), count if held else min(case, count)
         ):
-            first, second = _moved(i, j, standing.along, standing.loose, half)
-            apart = _boxes_apart(standing.place, kept.lengths, i, j, first, second, kept.strands)
-            if apart < kept.strands:
-                left = _left_of(i, j, (first, second), standing.place, kept, sketches)
-                low, here = min(low, left[0]), min(here, left[1])
+            moved = _end_movements(i, j, team, half)
+            distance = _box_distance(team.position, required, (i, j), moved)
+            if distance < required.strands:
+                margin = _strand_margin((i, j), moved, team.position, required, strands)
+                low, here = min(low, margin[0]), min(here, margin[1])
     return low, here
 
 
 @compiled
-def _left_of(
-    i: int, j: int, moved: tuple[float, float], place: Floats, kept: Kept, sketches: Sketches
+def _strand_margin(
+    pair: tuple[int, int],
+    moved: tuple[float, float],
+    position: Floats,
+    required: Required,
+    strands: SampledStrands,
 ) -> tuple[float, float]:
-    """What is left between two strands whose ends move."""
-    off = _off(i, moved[0], place, kept, sketches) + _off(j, moved[1], place, kept, sketches)
-    # From above by the points, from below by a spacing less: lines through points that are a
-    # spacing apart come nearer by a spacing at most, half of it on each.
-    most = _between_points(sketches.points[i], sketches.points[j]) - kept.strands
-    least = most - kept.lengths.max() / _PIECES
+    """Margins between two strands whose ends move by up to ``moved``."""
+    i, j = pair
+    off = _deviation(i, moved[0], position, required, strands)
+    off += _deviation(j, moved[1], position, required, strands)
+    # The points' distance bounds from above, and less a spacing from below: lines through points
+    # that are a spacing apart come nearer by at most a spacing, half of it on each.
+    most = _point_distance(strands.points[i], strands.points[j]) - required.strands
+    least = most - required.lengths.max() / _PIECES
     if least < off and most >= off - TOLERANCE:
-        limit = most + kept.strands
-        least = most = (
-            polyline_distance(sketches.points[i], sketches.points[j], limit)[0] - kept.strands
-        )
+        limit = most + required.strands
+        exact = polyline_distance(strands.points[i], strands.points[j], limit)[0]
+        least = most = exact - required.strands
     return least - off, most
 
 
 @compiled
-def _off(i: int, moved: float, place: Floats, kept: Kept, sketches: Sketches) -> float:
-    """How far a strand and what is between its points can be off when its ends move; draws it."""
-    start, end, length = place[i], place[i + 1], kept.lengths[i]
+def _deviation(
+    i: int, moved: float, position: Floats, required: Required, strands: SampledStrands
+) -> float:
+    """Largest distance of a strand from its sampled lines when its ends move; samples it."""
+    start, end, length = position[i], position[i + 1], required.lengths[i]
     rise = end[2] - start[2]
     span = np.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2)
     chord = np.sqrt(span * span + rise * rise)
-    if not sketches.drawn[i]:
-        sketches.drawn[i] = True
-        sketches.bow[i] = _drawn(start, end, max(length, chord / LARGEST_RATIO), sketches.points[i])
+    if not strands.sampled[i]:
+        strands.sampled[i] = True
+        drawn = max(length, chord / LARGEST_RATIO)
+        strands.bow[i] = _sample(start, end, drawn, strands.points[i])
     if chord + 2.0 * moved >= LARGEST_RATIO * length:
         return np.inf
-    steep = elevation_class(catenary_kernel.max_elevation_sine(rise, span, 2.0 * moved))
+    steep = elevation_class(max_elevation_sine(rise, span, 2.0 * moved))
     level, upright = movement_bound(
-        kept.norm, kept.integral, steep, BOTH_ENDS, 1,
+        required.norm, required.integral, steep, BOTH_ENDS, 1,
         ratio_range(chord / length, 2.0 * moved / length),
     )  # fmt: skip
-    return float(sketches.bow[i] + np.sqrt(level * level + upright * upright) * moved)
+    return float(strands.bow[i] + np.sqrt(level * level + upright * upright) * moved)
 
 
 @compiled
-def _drawn(start: Floats, end: Floats, length: float, points: Floats) -> float:
-    """Write a strand's points (k, 3); how far it bows out between these at most."""
-    catenary_kernel.sample_strand(start, end, length, points)
+def _sample(start: Floats, end: Floats, length: float, points: Floats) -> float:
+    """Write a strand's points (k, 3) and return its largest distance from the lines between."""
+    sample_strand(start, end, length, points)
     arc, shortest = length / (len(points) - 1), np.inf
     for k in range(len(points) - 1):
         square = 0.0
@@ -153,8 +169,8 @@ def _drawn(start: Floats, end: Floats, length: float, points: Floats) -> float:
 
 
 @compiled
-def _between_points(first: Floats, second: Floats) -> float:
-    """Smallest distance of points (k, 3) from others."""
+def _point_distance(first: Floats, second: Floats) -> float:
+    """Smallest distance between points (k, 3) of two strands."""
     least = np.inf
     for i in range(len(first)):
         x, y, z = first[i, 0], first[i, 1], first[i, 2]
@@ -165,62 +181,64 @@ def _between_points(first: Floats, second: Floats) -> float:
 
 
 @compiled
-def _moved(i: int, j: int, along: Floats, loose: Floats, half: float) -> tuple[float, float]:
-    """How far the ends of two strands may move, but for what all four go together."""
+def _end_movements(i: int, j: int, team: TeamState, half: float) -> tuple[float, float]:
+    """Largest movements of the ends of two strands, without their common movement."""
+    velocity = team.velocity
     common = (
-        0.25 * (along[i, 0] + along[i + 1, 0] + along[j, 0] + along[j + 1, 0]),
-        0.25 * (along[i, 1] + along[i + 1, 1] + along[j, 1] + along[j + 1, 1]),
-        0.25 * (along[i, 2] + along[i + 1, 2] + along[j, 2] + along[j + 1, 2]),
+        0.25 * (velocity[i, 0] + velocity[i + 1, 0] + velocity[j, 0] + velocity[j + 1, 0]),
+        0.25 * (velocity[i, 1] + velocity[i + 1, 1] + velocity[j, 1] + velocity[j + 1, 1]),
+        0.25 * (velocity[i, 2] + velocity[i + 1, 2] + velocity[j, 2] + velocity[j + 1, 2]),
     )
     return (
-        max(_end(i, common, along, loose, half), _end(i + 1, common, along, loose, half)),
-        max(_end(j, common, along, loose, half), _end(j + 1, common, along, loose, half)),
+        max(_end_movement(i, common, team, half), _end_movement(i + 1, common, team, half)),
+        max(_end_movement(j, common, team, half), _end_movement(j + 1, common, team, half)),
     )
 
 
 @compiled
-def _end(
-    k: int, common: tuple[float, float, float], along: Floats, loose: Floats, half: float
+def _end_movement(
+    k: int, common: tuple[float, float, float], team: TeamState, half: float
 ) -> float:
-    """How far one end may move but for what is common."""
+    """Largest movement of one end, without the common movement."""
     square = 0.0
     for axis in range(3):
-        square += (along[k, axis] - common[axis]) ** 2
-    return float(np.sqrt(square) * half + loose[k])
+        square += (team.velocity[k, axis] - common[axis]) ** 2
+    return float(np.sqrt(square) * half + team.spread[k])
 
 
 @compiled
-def _boxes_apart(
-    place: Floats, lengths: Floats, i: int, j: int, moved: float, other_moved: float, enough: float
+def _box_distance(
+    position: Floats, required: Required, pair: tuple[int, int], moved: tuple[float, float]
 ) -> float:
-    """Distance that two strands keep because of the upright boxes that they cannot leave.
+    """Distance of the axis-aligned boxes that contain two strands.
 
-    Where that is ``enough`` or more, not necessarily how much.
+    From the required distance on, only a lower bound.
     """
+    i, j = pair
     square = 0.0
     for axis in range(3):
-        low = min(place[i, axis], place[i + 1, axis]) - moved
-        high = max(place[i, axis], place[i + 1, axis]) + moved
-        other_low = min(place[j, axis], place[j + 1, axis]) - other_moved
-        other_high = max(place[j, axis], place[j + 1, axis]) + other_moved
+        low = min(position[i, axis], position[i + 1, axis]) - moved[0]
+        high = max(position[i, axis], position[i + 1, axis]) + moved[0]
+        other_low = min(position[j, axis], position[j + 1, axis]) - moved[1]
+        other_high = max(position[j, axis], position[j + 1, axis]) + moved[1]
         if axis == 2:
-            if square >= enough * enough:
-                return enough
-            low -= _dip(place, lengths, i, moved)
-            other_low -= _dip(place, lengths, j, other_moved)
+            if square >= required.strands * required.strands:
+                return required.strands
+            low -= _drop(position, required.lengths, i, moved[0])
+            other_low -= _drop(position, required.lengths, j, moved[1])
         gap = max(low - other_high, other_low - high, 0.0)
         square += gap * gap
     return float(np.sqrt(square))
 
 
 @compiled
-def _dip(place: Floats, lengths: Floats, i: int, moved: float) -> float:
-    """How far a strand can come down below its lower end.
+def _drop(position: Floats, lengths: Floats, i: int, moved: float) -> float:
+    """Largest drop of a strand below its lower end.
 
-    One that comes down by d is at least as long as two straight lines down to there: length² ≥
+    A strand with drop d is at least as long as two straight lines down to there: length² ≥
     span² + (2d + rise)².
     """
-    x, y = place[i + 1, 0] - place[i, 0], place[i + 1, 1] - place[i, 1]
+    x, y = position[i + 1, 0] - position[i, 0], position[i + 1, 1] - position[i, 1]
     span = max(np.sqrt(x * x + y * y) - 2.0 * moved, 0.0)
-    rise = max(abs(place[i + 1, 2] - place[i, 2]) - 2.0 * moved, 0.0)
+    rise = max(abs(position[i + 1, 2] - position[i, 2]) - 2.0 * moved, 0.0)
     return float(max(0.5 * (np.sqrt(max(lengths[i] ** 2 - span**2, 0.0)) - rise), 0.0))

@@ -1,7 +1,8 @@
-"""Where a team is after lost setpoints, in the middle of a box of a coast and around it; compiled.
+"""States of a team after a stream loss, in the middle of a box and around it; compiled.
 
-A box is a case (0: all have lost the stream, else that vehicle), a time at which it is lost, a way
-that the lost have coasted, and one by which the others have gone on; see :mod:`.stream_loss_bound`.
+A box is a case (0: the whole team has lost its setpoints, else that vehicle), the time of the loss,
+the coasting of the vehicles without setpoints, and the advance of the others along the plan; see
+:mod:`.stream_loss_bound`.
 """
 
 from typing import NamedTuple
@@ -16,128 +17,137 @@ from swarm.jit import compiled
 Floats = npt.NDArray[np.float64]
 
 
-class Leaving(NamedTuple):
-    """What decides how n vehicles leave their plan.
+class LossMotion(NamedTuple):
+    """The planned motion of n vehicles, and how it continues without setpoints.
 
-    ``breaks``, ``joints``, ``coefficients``, ``accelerations`` and ``jerks`` are their course's;
-    they coast for ``after`` seconds (n,) and sink by ``sinking`` metres (n,). Within ``ball``
-    metres of where they are planned at one and the same time all is certified; nobody goes beyond
-    ``end``.
+    ``times``, ``joints``, ``coefficients``, ``accelerations`` and ``jerks`` are those of a
+    :class:`.motion_bounds.BoundedMotion`. Vehicles coast for ``coast_time`` seconds (n,) and
+    descend by ``descent`` metres (n,). Within ``tracking`` metres of the planned positions at one
+    time, everything is certified. ``end`` is the last mission time that is reached.
     """
 
-    breaks: Floats
+    times: Floats
     joints: Floats
     coefficients: Floats
     accelerations: Floats
     jerks: Floats
-    after: Floats
-    sinking: Floats
-    ball: float
+    coast_time: Floats
+    descent: Floats
+    tracking: float
     end: float
 
 
 class Box(NamedTuple):
-    """A box: middles and half widths of time, of what is coasted and of what is gone on."""
+    """A box: middles and half widths of the time of the loss, of coasting and of the advance.
+
+    ``rate`` is the mission clock's rate; coasting is in seconds at the velocity at the loss, the
+    advance in seconds of mission time.
+    """
 
     case: int
     rate: float
     time: float
     half: float
-    coasted: float
-    coasted_half: float
-    on: float
-    on_half: float
+    coast: float
+    coast_half: float
+    advance: float
+    advance_half: float
 
 
-class Standing(NamedTuple):
-    """Where all are in a box's middle, and how fast they go with the time of the loss (n, 3), how
-    much else each may move within the box (n,); and room (3, 3) for one of them."""
+class TeamState(NamedTuple):
+    """Positions in a box's middle and their derivatives by the time of the loss (n, 3).
 
-    place: Floats
-    along: Floats
-    loose: Floats
-    one: Floats
+    ``spread`` (n,) bounds all other movement of each vehicle within the box, metres; ``scratch``
+    (3, 3) is working memory.
+    """
+
+    position: Floats
+    velocity: Floats
+    spread: Floats
+    scratch: Floats
 
 
-def room_for(n: int) -> Standing:
-    """Room for a team of n."""
-    return Standing(np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((3, 3)))
+def allocate_team(n: int) -> TeamState:
+    """Return memory for the state of n vehicles."""
+    return TeamState(np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((3, 3)))
 
 
 @compiled
-def stand(box: Box, leaving: Leaving, standing: Standing, doubts: Floats) -> bool:
-    """Work out where everybody stands; whether anybody may be out of the ball.
+def write_state(box: Box, motion: LossMotion, team: TeamState, doubts: Floats) -> bool:
+    """Write the team's state, and whether a vehicle may be outside the tracking radius.
 
-    Writes how much is open (3,) because of the widths in time, coasted and gone on.
+    ``doubts`` (3,) becomes the uncertainty that the widths in time, coasting and advance cause.
     """
-    place, along, loose = standing.place, standing.along, standing.loose
+    position, velocity, spread = team.position, team.velocity, team.spread
     doubts[:] = 0.0
-    gone, gone_half = (box.coasted, box.coasted_half) if box.case == 0 else (box.on, box.on_half)
-    moment, width = box.time + gone, box.half + gone_half
-    later, until = min(moment, leaving.end), min(moment + width, leaving.end)
-    piece, since, moving = find_piece(leaving.breaks, later)
-    run = pieces_between(leaving.joints, later - width, until)
+    after, after_half = (
+        (box.coast, box.coast_half) if box.case == 0 else (box.advance, box.advance_half)
+    )
+    moment, width = box.time + after, box.half + after_half
+    later, until = min(moment, motion.end), min(moment + width, motion.end)
+    piece, since, moving = find_piece(motion.times, later)
+    pieces = pieces_between(motion.joints, later - width, until)
     largest = 0.0
-    for i in range(len(loose)):
+    for i in range(len(spread)):
         evaluate_piece(
-            leaving.coefficients[piece], i, since, moving, place[i], along[i], standing.one[2]
+            motion.coefficients[piece], i, since, moving, position[i], velocity[i], team.scratch[2]
         )
-        bound = largest_between(leaving.accelerations, run, i)
-        # Where the plan may have it, at the same time as the others.
-        size = _size(along[i])
-        loose[i] = size * gone_half + 0.5 * bound * width * width
-        if moment + width > leaving.end:
-            loose[i] += 2.0 * size * width
+        acceleration = largest_between(motion.accelerations, pieces, i)
+        # Planned positions, of all vehicles at the same time.
+        speed = _norm(velocity[i])
+        spread[i] = speed * after_half + 0.5 * acceleration * width * width
+        if moment + width > motion.end:
+            spread[i] += 2.0 * speed * width
         if box.case in (0, i + 1):
-            largest = max(largest, _coasting(box, i, leaving, standing, doubts))
+            largest = max(largest, _coast(box, i, motion, team, doubts))
         else:
-            doubts[2] = max(doubts[2], size * box.on_half)
-    if largest <= leaving.ball:
+            doubts[2] = max(doubts[2], speed * box.advance_half)
+    if largest <= motion.tracking:
         return False
-    x, y, z = along[:, 0].mean(), along[:, 1].mean(), along[:, 2].mean()
+    x, y, z = velocity[:, 0].mean(), velocity[:, 1].mean(), velocity[:, 2].mean()
     largest = 0.0
-    for i in range(len(along)):
-        square = (along[i, 0] - x) ** 2 + (along[i, 1] - y) ** 2 + (along[i, 2] - z) ** 2
+    for i in range(len(velocity)):
+        square = (velocity[i, 0] - x) ** 2 + (velocity[i, 1] - y) ** 2 + (velocity[i, 2] - z) ** 2
         largest = max(largest, square)
     doubts[0] = (np.sqrt(largest) + 1e-3) * box.half
     return True
 
 
 @compiled
-def _coasting(box: Box, i: int, leaving: Leaving, standing: Standing, doubts: Floats) -> float:
-    """Put one that has lost the stream from where the plan has it to where it coasts.
+def _coast(box: Box, i: int, motion: LossMotion, team: TeamState, doubts: Floats) -> float:
+    """Move vehicle i from its planned position to where it coasts.
 
-    Returns how far it may be from where it is planned when all others are where they are.
+    Returns its largest distance from the position that is planned for the state of the others.
     """
-    begun, speed, push = standing.one[0], standing.one[1], standing.one[2]
-    piece, since, moving = find_piece(leaving.breaks, box.time)
-    evaluate_piece(leaving.coefficients[piece], i, since, moving, begun, speed, push)
-    run = pieces_between(leaving.joints, box.time - box.half, box.time + box.half)
-    strongest = largest_between(leaving.accelerations, run, i)
-    sharpest = largest_between(leaving.jerks, run, i)
-    # all: each has coasted by what the farthest has, or by as much less as it stops earlier
-    behind = box.rate * (leaving.after.max() - leaving.after[i]) if box.case == 0 else 0.0
-    sunk = 0.5 * leaving.sinking[i] if box.case > 0 else 0.0
-    middle, most = max(box.coasted - 0.5 * behind, 0.0), box.coasted + box.coasted_half
-    fastest = _size(speed) + strongest * box.half
-    loose = fastest * (box.coasted_half + 0.5 * behind) + sunk
-    swerve = 0.5 * (strongest + most * sharpest) * box.half
-    loose += (swerve + 0.5 * strongest * behind) * box.half
-    doubts[1] = max(doubts[1], fastest * box.coasted_half)
+    position, velocity, acceleration = team.scratch[0], team.scratch[1], team.scratch[2]
+    piece, since, moving = find_piece(motion.times, box.time)
+    evaluate_piece(motion.coefficients[piece], i, since, moving, position, velocity, acceleration)
+    pieces = pieces_between(motion.joints, box.time - box.half, box.time + box.half)
+    largest_acceleration = largest_between(motion.accelerations, pieces, i)
+    largest_jerk = largest_between(motion.jerks, pieces, i)
+    # Whole team: each has coasted as long as the last to stop, or less where it stops earlier.
+    earlier = box.rate * (motion.coast_time.max() - motion.coast_time[i]) if box.case == 0 else 0.0
+    sunk = 0.5 * motion.descent[i] if box.case > 0 else 0.0
+    middle, most = max(box.coast - 0.5 * earlier, 0.0), box.coast + box.coast_half
+    fastest = _norm(velocity) + largest_acceleration * box.half
+    spread = fastest * (box.coast_half + 0.5 * earlier) + sunk
+    deviation = 0.5 * (largest_acceleration + most * largest_jerk) * box.half
+    spread += (deviation + 0.5 * largest_acceleration * earlier) * box.half
+    doubts[1] = max(doubts[1], fastest * box.coast_half)
     apart = turned = 0.0
     for axis in range(3):
-        begun[axis] += middle * speed[axis]
-        speed[axis] += middle * push[axis]
-    begun[2] -= sunk
+        position[axis] += middle * velocity[axis]
+        velocity[axis] += middle * acceleration[axis]
+    position[2] -= sunk
     for axis in range(3):
-        apart += (begun[axis] - standing.place[i, axis]) ** 2
-        turned += (speed[axis] - standing.along[i, axis]) ** 2
-        standing.place[i, axis], standing.along[i, axis] = begun[axis], speed[axis]
-    off = np.sqrt(apart) + np.sqrt(turned) * box.half + standing.loose[i] + loose
-    standing.loose[i] = loose
+        apart += (position[axis] - team.position[i, axis]) ** 2
+        turned += (velocity[axis] - team.velocity[i, axis]) ** 2
+        team.position[i, axis], team.velocity[i, axis] = position[axis], velocity[axis]
+    off = np.sqrt(apart) + np.sqrt(turned) * box.half + team.spread[i] + spread
+    team.spread[i] = spread
     return float(off)
 
 
 @compiled
-def _size(vector: Floats) -> float:
+def _norm(vector: Floats) -> float:
     return float(np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2))

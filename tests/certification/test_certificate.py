@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from swarm.certification.clearances import beyond_shared_vehicle, certified, tightest_moments
+from swarm.certification.clearances import certified, exempt_length, tightest_moments
 from swarm.certification.strands import all_pairs
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.motion import concatenate, through_states
@@ -81,7 +81,7 @@ def test_beside_a_steep_strand_the_certificate_is_near_what_brute_force_finds(st
 
 def neighbours_apart(plan, places, segment):
     """Distances of a segment and the next one but for what is in the hand of their vehicle."""
-    beyond = beyond_shared_vehicle(plan)
+    beyond = exempt_length(plan)
     first, second = (strand(plan, places, k, 100) for k in (segment, segment + 1))
     from_hand = _arc(first)[..., -1:] - _arc(first)
     apart = np.linalg.norm(first[..., :, None, :] - second[..., None, :, :], axis=-1)

@@ -9,13 +9,13 @@ from click.testing import CliRunner
 
 from swarm.certification.air import wind_down
 from swarm.certification.assess import assess
+from swarm.certification.cable_spans import cable_spans
 from swarm.certification.clearances import (
     STILL_AIR,
-    beyond_shared_vehicle,
     certified,
+    exempt_length,
     tightest_moments,
 )
-from swarm.certification.held import held
 from swarm.certification.motion_file import plan_of_motion, read_motion
 from swarm.cli.certify import certify
 from swarm.errors import InputError
@@ -109,8 +109,8 @@ def test_our_own_plan_with_a_phase_edited_by_hand_is_refused(overhand):
             replace(phase, cable=cable) if phase.name == "fold" else phase
             for phase in overhand.phases
         )
-        assert held(replace(overhand, phases=edited)).problems
-    assert held(overhand).problems == ()
+        assert cable_spans(replace(overhand, phases=edited)).problems
+    assert cable_spans(overhand).problems == ()
 
 
 @pytest.mark.parametrize(
@@ -125,14 +125,14 @@ def test_our_own_plan_with_a_phase_edited_by_hand_is_refused(overhand):
     ],
 )
 def test_phases_and_gates_that_contradict_each_other(overhand, edit):
-    assert held(edit(overhand)).problems
+    assert cable_spans(edit(overhand)).problems
 
 
 def test_cable_is_gripped_on_the_floor_only(overhand):
     early = {"grab": {"end": 12.0}, "contract": {"start": 12.0}}
     phases = tuple(replace(phase, **early.get(phase.name, {})) for phase in overhand.phases)
-    ((message, time),) = held(replace(overhand, phases=phases)).problems
-    assert "are to grip the cable on the floor, but hold it" in message
+    ((message, time),) = cable_spans(replace(overhand, phases=phases)).problems
+    assert "grip the cable on the floor, but hold it" in message
     assert time == 12.0
 
 
@@ -178,7 +178,7 @@ def test_one_row_of_a_phase_lasts_to_the_next_row():
         ("fold", 0.0, 2.0), ("hold", 2.0, 5.0), ("finish", 5.0, 5.0),
     ]  # fmt: skip
     assert [(gate.time, gate.condition) for gate in plan.gates] == [(5.0, "released")]
-    assert held(plan).aloft == [(0.0, 5.0)]
+    assert cable_spans(plan).aloft == [(0.0, 5.0)]
 
 
 @pytest.mark.parametrize("depth", [0.01, 3.0])
@@ -251,7 +251,7 @@ def test_an_acceleration_just_over_its_limit_is_said():
 
 def test_the_scope_says_what_is_held_when_and_what_is_exempt(overhand, overhand_assessed):
     (scope,) = [f.message for f in overhand_assessed.findings if f.check == "scope"]
-    beyond = beyond_shared_vehicle(overhand)
+    beyond = exempt_length(overhand)
     assert f"cable within {beyond:.2f} m of its grip (at most 50% of the shorter one)" in scope
     assert "all vehicles hold it until 224.7 s" in scope
     let_go = through_each_other("fold", "tighten")

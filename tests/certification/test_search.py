@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from swarm.certification.branch_and_bound import (
+from swarm.certification.branch_and_bound import Enclosure
+from swarm.certification.minima import (
     MOST_BOXES,
     TOLERANCE,
-    Enclosure,
     failing,
     holds,
     roots,
-    short_boxes,
     smallest,
+    smallest_in_boxes,
 )
 
 SPAN = [(0.0, 4.0)]
@@ -24,11 +24,10 @@ def margins(*functions, loose=0.0):
     """
 
     def evaluate(boxes):
-        value = np.array([functions[p](t) for p, t in zip(boxes.pair, boxes.time, strict=True)])
-        low = value - boxes.half - loose * (boxes.pair == 0)
-        nothing = np.zeros(len(boxes))
-        doubts = np.stack([boxes.half + 1e-12, nothing, nothing], axis=1)
-        return Enclosure(low, value + boxes.half, doubts, np.zeros((len(boxes), 3)))
+        (time,), (half,) = boxes.middle.T, boxes.half.T
+        value = np.array([functions[p](t) for p, t in zip(boxes.group, time, strict=True)])
+        low = value - half - loose * (boxes.group == 0)
+        return Enclosure(low, value + half, half[:, None] + 1e-12, np.zeros((len(boxes), 3)))
 
     return evaluate
 
@@ -62,9 +61,9 @@ def test_every_second_that_falls_short_is_found_and_no_other():
         return 0.2 - 0.3 * max(1.0 - 4.0 * abs(t - 0.4), 1.0 - 2.0 * abs(t - 2.6), 0.0)
 
     boxes = roots(2, SPAN, 1.0)
-    found = short_boxes(margins(steady(1.0), dipping), boxes)
+    found = smallest_in_boxes(margins(steady(1.0), dipping), boxes)
     short = np.flatnonzero(found.low < 0.0)
-    assert [(int(boxes.pair[k]), float(boxes.time[k])) for k in short] == [(1, 0.5), (1, 2.5)]
+    assert [(int(boxes.group[k]), float(boxes.middle[k, 0])) for k in short] == [(1, 0.5), (1, 2.5)]
     assert found.time[short] == pytest.approx([0.4, 2.6], abs=0.02)
     assert found.low[short] == pytest.approx([-0.1, -0.1], abs=0.02)
 
@@ -73,10 +72,9 @@ def test_what_was_shown_of_a_box_holds_in_its_parts():
     """Bounds of parts may be poorer, by another way to find them; what is known stays known."""
 
     def evaluate(boxes):
-        whole = boxes.half >= 0.5
-        doubts = np.stack([boxes.half, 0.0 * boxes.half, 0.0 * boxes.half], axis=1)
+        whole = boxes.half[:, 0] >= 0.5
         low, high = np.where(whole, 0.005, -0.1), np.where(whole, 0.02, -0.1)
-        return Enclosure(low, high, doubts, np.zeros((len(boxes), 3)))
+        return Enclosure(low, high, boxes.half, np.zeros((len(boxes), 3)))
 
     assert smallest(evaluate, 1, roots(1, SPAN, 1.0)).low[0] == 0.005
 
@@ -92,7 +90,7 @@ def enclosing(low, high, doubt):
 
     def evaluate(boxes):
         size = len(boxes)
-        place, doubts = np.zeros((size, 3)), np.full((size, 3), doubt)
+        place, doubts = np.zeros((size, 3)), np.full(boxes.half.shape, doubt)
         return Enclosure(np.full(size, low), np.full(size, high), doubts, place)
 
     return evaluate
@@ -115,7 +113,7 @@ def test_what_is_no_margin_is_never_clear(low, high, doubt):
     begun = roots(2, SPAN, 1.0)
 
     def evaluate(boxes):
-        first = boxes.pair == 0
+        first = boxes.group == 0
         found = enclosing(low, high, doubt)(boxes)
         kept = enclosing(0.3, 0.3, 0.0)(boxes)
         return Enclosure(
@@ -129,5 +127,5 @@ def test_what_is_no_margin_is_never_clear(low, high, doubt):
     assert found.low.tolist() == [-np.inf, pytest.approx(0.3)]
     assert found.tightest().tolist() == [0, 1]
     assert failing(evaluate, begun) is not None
-    short = short_boxes(evaluate, begun).low < 0.0
+    short = smallest_in_boxes(evaluate, begun).low < 0.0
     assert short.tolist() == [True] * 4 + [False] * 4

@@ -1,0 +1,177 @@
+"""The spans of mission time in which vehicles hold the cable, by the state of the cable.
+
+The grip, the release and the spans with cable on the floor follow from the one legal order of
+phases; what a phase states is only compared with it. In a plan with another order, the cable counts
+as hanging all the time. Whether cable really lies, is drawn out in a line or descends without
+change is certified from the motion itself (:mod:`.floor_limits`).
+"""
+
+from dataclasses import dataclass
+
+from swarm.certification.floor_limits import LYING
+from swarm.planning import CableState, Plan
+from swarm.planning.phase_order import DeclaredCable, declared_cable, phase_order_error
+
+Spans = list[tuple[float, float]]
+
+_SAME = 1e-6
+"""Seconds by which equal times may differ: the resolution of times in motion files."""
+
+
+@dataclass(frozen=True)
+class CableSpans:
+    """Spans of mission time in which vehicles hold the cable, by the state of the cable.
+
+    ``dragged``: all of it on the floor; ``lifting``: a line, partly on the floor; ``aloft``: every
+    segment hangs free; ``landing``: all vehicles descend vertically together. All vehicles hold the
+    cable from ``gripped`` to ``released``. ``problems`` are contradictions within the plan, with
+    their times; with any, all of the held cable counts as aloft.
+    """
+
+    dragged: Spans
+    lifting: Spans
+    aloft: Spans
+    landing: Spans
+    gripped: float
+    released: float
+    problems: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def low(self) -> Spans:
+        """Spans in which cable may lie on the floor, except at the end of a landing."""
+        return merge([*self.dragged, *self.lifting])
+
+    @property
+    def hanging(self) -> Spans:
+        """Spans in which cable may hang."""
+        return merge([*self.lifting, *self.aloft, *self.landing])
+
+    @property
+    def ever(self) -> Spans:
+        """Spans in which the cable is held."""
+        return merge([*self.dragged, *self.hanging])
+
+
+def cable_spans(plan: Plan) -> CableSpans:
+    """Return the spans in which a plan holds its cable, and contradictions within the plan."""
+    start, end = float(plan.motion.times[0]), float(plan.motion.times[-1])
+    if not len(plan.layout.lengths):
+        return CableSpans([], [], [], [], start, start)
+    problems = _order_problems(plan)
+    if problems:
+        return CableSpans([], [], [(start, end)], [], start, end, tuple(problems))
+    order = declared_cable([phase.name for phase in plan.phases], attached=_attached(plan))
+    edges = [phase.start for phase in plan.phases] + [end]
+    gripped, released = edges[order.held_from], edges[order.held_until]
+    problems = [*_state_problems(plan, order), *_gate_problems(plan, order, gripped, released)]
+    problems += _floor_problems(plan, order, gripped, released)
+    if problems:
+        return CableSpans([], [], [(gripped, released)], [], gripped, released, tuple(problems))
+
+    def spans(state: CableState) -> Spans:
+        held_phases = list(zip(plan.phases, order.cable, strict=True))
+        chosen = held_phases[order.held_from : order.held_until]
+        return merge([(p.start, p.end) for p, cable in chosen if cable == state])
+
+    return CableSpans(
+        spans("floor"), spans("lifting"), spans("aloft"), spans("landing"), gripped, released
+    )
+
+
+def merge(spans: Spans) -> Spans:
+    """Return spans in order of time, adjoining ones merged, empty ones removed."""
+    merged: Spans = []
+    for start, end in sorted(spans):
+        if end <= start:
+            continue
+        if merged and start <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(end, merged[-1][1]))
+        else:
+            merged.append((start, end))
+    return merged
+
+
+def _attached(plan: Plan) -> bool:
+    return plan.mission.grab == "attached"
+
+
+def _order_problems(plan: Plan) -> list[tuple[str, float]]:
+    """Gaps and overlaps between phases, and phases in an order that is not allowed."""
+    start, end = float(plan.motion.times[0]), float(plan.motion.times[-1])
+    if not plan.phases:
+        return [("the plan has no phases", start)]
+    found: list[tuple[str, float]] = []
+    clock, before = start, None
+    for phase in plan.phases:
+        if not (abs(phase.start - clock) <= _SAME and phase.end >= phase.start):
+            found.append(
+                (f"{phase.name} lasts from {phase.start:g} to {phase.end:g} s, but the phase "
+                 f"before it ends at {clock:g} s", clock)
+            )  # fmt: skip
+        wrong = phase_order_error(before, phase.name)
+        if wrong:
+            found.append((f"the order of the phases is not allowed: {wrong}", phase.start))
+        clock, before = phase.end, phase.name
+    if not abs(clock - end) <= _SAME:
+        found.append((f"the phases end at {clock:g} s and the motion at {end:g} s", end))
+    return found
+
+
+def _state_problems(plan: Plan, order: DeclaredCable) -> list[tuple[str, float]]:
+    """Phases whose state of the cable does not follow from their order."""
+    found = []
+    for index, (phase, expected) in enumerate(zip(plan.phases, order.cable, strict=True)):
+        free = not order.held_from <= index < order.held_until
+        if phase.cable == expected or (free and phase.cable in {"floor", "free"}):
+            continue
+        found.append(
+            (f"{phase.name} has the cable {phase.cable}; expected {expected}, by the times of the "
+             f"grip and the release", phase.start)
+        )  # fmt: skip
+    return found
+
+
+def _gate_problems(
+    plan: Plan, order: DeclaredCable, gripped: float, released: float
+) -> list[tuple[str, float]]:
+    """Gates at which vehicles grip or release against the order of phases."""
+    found = []
+    last = plan.phases[order.held_until].end if order.inner_first else released
+    for gate in plan.gates:
+        match gate.condition:
+            case "gripped":
+                allowed, what = [gripped], "grip the cable"
+            case "released":
+                allowed = [released] if gate.inner or not order.inner_first else [last]
+                what = "release the cable"
+            case _:
+                continue
+        never = gate.condition == "released" and order.held_until == len(plan.phases)
+        at_end = never and abs(gate.time - float(plan.motion.times[-1])) <= _SAME
+        if at_end or (not never and any(abs(gate.time - time) <= _SAME for time in allowed)):
+            continue
+        message = f"vehicles {what} at {gate.time:g} s; no phase that allows it ends there"
+        found.append((message, gate.time))
+    return found
+
+
+def _floor_problems(
+    plan: Plan, order: DeclaredCable, gripped: float, released: float
+) -> list[tuple[str, float]]:
+    """Grips and releases of cable on the floor that are too high above it."""
+    moments = [(gripped, "grip")] if order.gripped_by_vehicles else []
+    if order.held_until < len(plan.phases) and order.held_until > 0:
+        before = order.cable[order.held_until - 1]
+        if before in {"floor", "landing"}:
+            moments.append((released, "release"))
+    found = []
+    for time, what in moments:
+        highest = float(plan.motion.at(time)[0][:, 2].max())
+        if not highest <= LYING:
+            found.append(
+                (
+                    f"vehicles {what} the cable on the floor, but hold it {highest:.2f} m above it",
+                    time,
+                )
+            )
+    return found

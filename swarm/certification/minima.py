@@ -1,0 +1,198 @@
+"""The smallest margins of pairs over time, by branch and bound.
+
+The coordinates of a box are mission time and, for margins of strands, the fractions between which
+a piece of each strand lies. The group of a box is the number of its pair.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.certification.branch_and_bound import Boxes, Enclosure, Evaluator, search
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+Flags = npt.NDArray[np.bool_]
+
+TOLERANCE = 0.004
+"""Largest difference in metres between a reported margin and the true one: below what a vehicle's
+position is known to."""
+
+MOMENTS = 5
+"""Number of tightest pairs with exact margins; as many as a report lists."""
+
+_CLEARLY_POSITIVE = 0.05
+"""Margins above this share of the tolerance are shown not to be negative."""
+
+_SMALLEST_HALF = 1e-6
+"""Half widths, in seconds or as a share of a strand, below which a box is not halved: far below
+what changes a margin by the tolerance."""
+
+MOST_BOXES = 500_000
+MOST_PER_ROOT = 128
+"""A search ends after MOST_BOXES boxes and MOST_PER_ROOT for each initial box: minutes of
+computing. Margins that are not shown by then count as not shown."""
+
+
+@dataclass(frozen=True, eq=False)
+class Minima:
+    """Per pair (q,): a lower bound of its margin, the margin found, its time and place (q, 3).
+
+    The bound is −∞ where nothing was shown. ``boxes`` is the number of evaluated boxes.
+    """
+
+    low: Floats
+    high: Floats
+    time: Floats
+    place: Floats
+    boxes: int
+
+    def tightest(self, count: int = MOMENTS) -> Ints:
+        """Return the pairs with the smallest margins, tightest first.
+
+        Pairs without a shown margin come first.
+        """
+        margin = np.where(self.low < 0.0, self.low, self.high)
+        found: Ints = np.argsort(margin, kind="stable")[:count]
+        return found
+
+
+def roots(pairs: int, spans: list[tuple[float, float]], width: float, *, strands: int = 0) -> Boxes:
+    """Return boxes of at most ``width`` seconds for all pairs over the given spans of time.
+
+    ``strands`` (0…2) is the number of objects of a pair that are divided into pieces.
+    """
+    middles: list[Floats] = [np.empty(0)]
+    halves: list[Floats] = [np.empty(0)]
+    for start, end in spans:
+        count = max(1, int(np.ceil((end - start) / width)))
+        half = 0.5 * (end - start) / count
+        middles.append(start + half * np.arange(1.0, 2.0 * count, 2.0))
+        halves.append(np.full(count, half))
+    times, widths = np.concatenate(middles), np.concatenate(halves)
+    pair = np.repeat(np.arange(pairs), len(times))
+    return whole_strands(pair, np.tile(times, pairs), np.tile(widths, pairs), strands=strands)
+
+
+def whole_strands(pair: Ints, time: Floats, half: Floats, *, strands: int) -> Boxes:
+    """Return boxes (m,) of pairs at times within half widths, with whole strands."""
+    fractions = np.full((len(pair), strands), 0.5)
+    middle, width = (np.column_stack([values, fractions]) for values in (time, half))
+    return Boxes(pair, middle, width, np.full(len(pair), -np.inf))
+
+
+def smallest(
+    evaluate: Evaluator,
+    pairs: int,
+    boxes: Boxes,
+    *,
+    tolerance: float = TOLERANCE,
+    below: float = np.inf,
+) -> Minima:
+    """Return every pair's smallest margin over its boxes.
+
+    The MOMENTS tightest pairs are found to ``tolerance``, or to 5 % of the margin (10 % of a
+    shortfall) where that is more; for the others ``low`` is a true lower bound, not below that of
+    the tightest. Margins near 0 are found more exactly, so that the tolerance alone refuses no
+    plan. With ``below``, all pairs with a smaller margin are found, and no others.
+    """
+    low, high = np.full(pairs, np.inf), np.full(pairs, np.inf)
+    time, place = np.full(pairs, np.nan), np.full((pairs, 3), np.nan)
+    time[boxes.group] = boxes.middle[:, 0]
+    count, most = 0, _most(boxes)
+
+    def undecided(boxes: Boxes, found: Enclosure) -> Flags:
+        nonlocal count
+        count += len(boxes)
+        pair, best = _best_of_pairs(boxes, found)
+        better = found.high[best] < high[pair]
+        pair, best = pair[better], best[better]
+        high[pair], time[pair] = found.high[best], boxes.middle[best, 0]
+        place[pair] = found.place[best]
+        limit = high if below < np.inf else np.minimum(high, _nth_smallest(high, MOMENTS))
+        limit = np.minimum(_with_tolerance(limit, high, tolerance), below)
+        done = (found.low >= limit[boxes.group]) | _exhausted(boxes, found) | (count >= most)
+        np.minimum.at(low, boxes.group[done], found.low[done])
+        return ~done
+
+    search(evaluate, boxes, undecided)
+    return Minima(np.where(low < np.inf, low, -np.inf), high, time, place, count)
+
+
+def smallest_in_boxes(evaluate: Evaluator, boxes: Boxes) -> Minima:
+    """Return the smallest margin of every given box where it is negative."""
+    alone = replace(boxes, group=np.arange(len(boxes)))
+
+    def of_pair(cut: Boxes) -> Enclosure:
+        return evaluate(replace(cut, group=boxes.group[cut.group]))
+
+    return smallest(of_pair, len(boxes), alone, below=0.0)
+
+
+def holds(evaluate: Evaluator, boxes: Boxes) -> bool:
+    """Whether no margin is negative, certified; stops at the first negative one."""
+    return failing(evaluate, boxes) is None
+
+
+def failing(evaluate: Evaluator, boxes: Boxes) -> tuple[int, float] | None:
+    """Return pair and time of a margin that cannot be certified not to be negative, if any.
+
+    A pair without a margin in any box fails, too.
+    """
+    count, most = 0, _most(boxes)
+    counted = np.zeros(int(boxes.group.max(initial=-1)) + 1, dtype=bool)
+    failed: tuple[int, float] | None = None
+
+    def undecided(boxes: Boxes, found: Enclosure) -> Flags:
+        nonlocal count, failed
+        count += len(boxes)
+        counted[boxes.group[found.low < np.inf]] = True
+        negative = found.low < 0.0
+        narrow = found.doubts.sum(axis=1) < 0.5 * TOLERANCE
+        given_up = _exhausted(boxes, found) | narrow | (count >= most)
+        lost = (found.high < 0.0) | (negative & given_up)
+        if lost.any():
+            worst = int(np.argmin(np.where(lost, found.high, np.inf)))
+            failed = int(boxes.group[worst]), float(boxes.middle[worst, 0])
+            negative[:] = False
+        return negative
+
+    search(evaluate, boxes, undecided)
+    unseen = np.flatnonzero(~counted[boxes.group])
+    if failed is None and len(unseen):
+        return int(boxes.group[unseen[0]]), float(boxes.middle[unseen[0], 0])
+    return failed
+
+
+def _most(boxes: Boxes) -> int:
+    """Largest number of boxes of a search with these initial ones."""
+    return MOST_BOXES + MOST_PER_ROOT * len(boxes)
+
+
+def _exhausted(boxes: Boxes, found: Enclosure) -> Flags:
+    """Boxes that are not halved: too small, without a margin, or not a number."""
+    small = (boxes.half < _SMALLEST_HALF).any(axis=1)
+    done: Flags = small | (found.low == np.inf) | (found.high == -np.inf)
+    return done
+
+
+def _with_tolerance(limit: Floats, high: Floats, tolerance: float) -> Floats:
+    """Lower bounds from which a box is decided; ``high`` are the smallest margins found."""
+    finite = np.where(np.isfinite(limit), limit, 0.0)
+    lower = limit - np.maximum(tolerance, np.maximum(0.05 * finite, -0.1 * np.minimum(high, 0.0)))
+    doubtful = (lower < 0.0) & (limit > _CLEARLY_POSITIVE * tolerance)
+    return np.where(doubtful, 0.0, lower)
+
+
+def _best_of_pairs(boxes: Boxes, found: Enclosure) -> tuple[Ints, Ints]:
+    """The pairs of the boxes, and the index of each pair's box with the smallest margin."""
+    order = np.lexsort((found.high, boxes.group))
+    pair, index = np.unique(boxes.group[order], return_index=True)
+    return pair, order[index]
+
+
+def _nth_smallest(values: Floats, count: int) -> float:
+    if len(values) <= count:
+        return np.inf
+    return float(np.partition(values, count - 1)[count - 1])

@@ -1,0 +1,313 @@
+"""Pieces of strands at an instant: their chords, and bounds of their movement around it.
+
+The movement of a piece is that of its grip points within the interval of time and the tracking
+radius, multiplied by the sensitivity of the strand. It is counted in a frame that moves with the
+team, since motion that all share changes no distance.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.certification.motion_bounds import BoundedMotion, TeamStates
+from swarm.geometry.catenary import Catenaries, solve_catenaries
+from swarm.geometry.catenary_kernel import max_elevation_sine
+from swarm.geometry.linear_response import (
+    CatenaryFigures,
+    curvature_table,
+    movement,
+    movement_difference,
+    strand_response,
+)
+from swarm.geometry.sensitivity import (
+    BOTH_ENDS,
+    FAR_END,
+    LARGEST_RATIO,
+    elevation_class,
+    finest_piece,
+    movement_bound,
+    ratio_range,
+    sensitivity_tables,
+)
+from swarm.jit import compiled
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldCable:
+    """A cable held by a moving team: n grip points and n − 1 segments.
+
+    ``lengths`` (n − 1,) of the segments, metres; ``tracking`` the tracking radius around every
+    setpoint, metres; ``down`` the unit vector of the effective gravity.
+    """
+
+    motion: BoundedMotion
+    lengths: Floats
+    tracking: float
+    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Pieces (b,) of segments at instants, by indices.
+
+    ``middle`` and ``half`` (b,) are the dyadic interval of fractions of each piece. Only the part
+    of it within ``limits`` (b, 2) counts.
+    """
+
+    instant: Ints
+    segment: Ints
+    middle: Floats
+    half: Floats
+    limits: Floats
+
+    @staticmethod
+    def whole(instant: Ints, segment: Ints) -> "Selection":
+        """Return the selection of whole strands."""
+        half = np.full(len(segment), 0.5)
+        return Selection.unlimited(instant, segment, half, half)
+
+    @staticmethod
+    def unlimited(instant: Ints, segment: Ints, middle: Floats, half: Floats) -> "Selection":
+        """Return the selection of pieces that count completely."""
+        limits = np.broadcast_to(np.array([0.0, 1.0]), (len(segment), 2))
+        return Selection(instant, segment, middle, half, limits)
+
+
+@dataclass(frozen=True, eq=False)
+class Displacement:
+    """Displacement of the grip points of pieces (b,), in a frame for each.
+
+    ``frame`` (b, 3) is the frame's velocity; ``ends`` (b,) which ends move (BOTH_ENDS, FAR_END,
+    NEAR_END); ``tracking`` (b,) the displacement by tracking errors, metres; ``deviation`` (b,) the
+    frame's own deviation from uniform motion.
+    """
+
+    frame: Floats
+    ends: Ints
+    tracking: Floats
+    deviation: Floats
+
+    @staticmethod
+    def of_both_ends(frame: Floats, tracking: float) -> "Displacement":
+        """Return the displacement of both ends in frames (b, 3) of uniform motion."""
+        count = len(frame)
+        return Displacement(
+            frame, np.full(count, BOTH_ENDS), np.full(count, tracking), np.zeros(count)
+        )
+
+
+class _Shapes(NamedTuple):
+    """Figures (b,) of strands and their pieces; ``number`` is the piece's heap number."""
+
+    length: Floats
+    parameter: Floats
+    slope: Floats
+    span: Floats
+    rise: Floats
+    ratio: Floats
+    begin: Floats
+    end: Floats
+    number: Ints
+
+
+class _EndMotion(NamedTuple):
+    """Bounds (b,) of the movement of grip points.
+
+    ``total`` within interval and tracking radius, ``tracking`` within the tracking radius alone;
+    ``relative`` and ``relative_tracking`` of the ends relative to each other. ``ends`` tells which
+    ends move.
+    """
+
+    total: Floats
+    tracking: Floats
+    relative: Floats
+    relative_tracking: Floats
+    ends: Ints
+
+
+class _Direction(NamedTuple):
+    """Normals' components (b,) along the heading and up, and the fraction of a point's chord."""
+
+    ahead: Floats
+    up: Floats
+    along: Floats
+
+
+class _Tables(NamedTuple):
+    """Tables of largest second derivatives, and of norms of sensitivity and their integrals."""
+
+    curvature: Floats
+    norm: Floats
+    integral: Floats
+
+
+class Movement(NamedTuple):
+    """Bounds (b,) of the movement along a normal.
+
+    ``piece`` of any point of the piece; ``point`` of one point, and ``tracking`` of that point by
+    tracking errors alone.
+    """
+
+    piece: Floats
+    point: Floats
+    tracking: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """A piece of a strand for each box (b,).
+
+    ``ends`` (b, 2, 3) of its chord at the middle instant; ``bow`` (b,) the largest distance of the
+    piece from its chord.
+    """
+
+    strands: Catenaries
+    ends: Floats
+    bow: Floats
+    shapes: _Shapes
+    end_motion: _EndMotion
+
+    def movement(self, along: Floats, normal: Floats) -> Movement:
+        """Return bounds of the movement along unit vectors ``normal`` (b, 3).
+
+        ``along`` (b,) is the fraction of the chord at which the single point lies. Its bounds
+        separate the uncertainty of the piece's size from that of the interval. Each bound is the
+        smaller of two: by the sensitivity of all shapes, and by the strand's own linear response.
+        """
+        strands = self.strands
+        up = -np.einsum("bi,bi->b", normal, strands.down)
+        ahead = np.einsum("bi,bi->b", normal, strands.heading)
+        found, tables = np.empty((3, len(along))), sensitivity_tables()
+        _write_movement(
+            self.shapes, self.end_motion, _Direction(ahead, up, along),
+            _Tables(curvature_table(), tables.norm, tables.integral), found,
+        )  # fmt: skip
+        return Movement(found[0], found[1], found[2])
+
+
+@compiled
+def _write_movement(
+    shapes: _Shapes, motion: _EndMotion, direction: _Direction, tables: _Tables, found: Floats
+) -> None:
+    """Write :class:`Movement` of pieces into ``found`` (3, b)."""
+    for k in range(len(shapes.length)):
+        length, begin, end = shapes.length[k], shapes.begin[k], shapes.end[k]
+        ends, relative = motion.ends[k], motion.relative[k]
+        fraction = begin + direction.along[k] * (end - begin)
+        strand = CatenaryFigures(
+            length, shapes.parameter[k], shapes.slope[k], shapes.span[k], shapes.rise[k]
+        )
+        at_point, per_arc, curvature = strand_response(
+            strand, (direction.ahead[k], direction.up[k]), fraction, (begin, end), ends, relative,
+            tables.curvature,
+        )  # fmt: skip
+        upright = min(abs(direction.up[k]), 1.0)
+        across = np.sqrt(1.0 - upright * upright)
+        steep = elevation_class(max_elevation_sine(shapes.rise[k], shapes.span[k], relative))
+        point = finest_piece(shapes.number[k], fraction)
+        ratios = ratio_range(shapes.ratio[k], relative / length)
+        ratios_tracking = ratio_range(shapes.ratio[k], motion.relative_tracking[k] / length)
+        for which in range(3):
+            size = motion.total[k] if which < 2 else motion.tracking[k]
+            apart = relative if which < 2 else motion.relative_tracking[k]
+            level, rising = movement_bound(
+                tables.norm, tables.integral, steep, ends,
+                shapes.number[k] if which == 0 else point, ratios if which < 2 else ratios_tracking,
+            )  # fmt: skip
+            worst = (across * level + upright * rising) * size
+            if at_point < np.inf:
+                bound = movement(at_point, curvature, size, apart)
+                if which == 0:
+                    arc = length * max(fraction - begin, end - fraction)
+                    bound += movement_difference(per_arc, arc, relative)
+                worst = min(worst, bound)
+            found[which, k] = worst
+
+
+def pieces(
+    team: TeamStates, cable: HeldCable, selection: Selection, displacement: Displacement
+) -> Pieces:
+    """Return the selected pieces with bounds of the movement of their grip points."""
+    instant, segment = selection.instant, selection.segment
+    strands = _strands(team, cable, instant, segment)
+    begin, end = (
+        np.clip(edge, selection.limits[:, 0], selection.limits[:, 1])
+        for edge in (selection.middle - selection.half, selection.middle + selection.half)
+    )
+    ends = np.stack([strands.points_at(begin), strands.points_at(end)], axis=1)
+    across = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
+    arc = strands.length * (end - begin)
+    return Pieces(
+        strands=strands,
+        ends=ends,
+        bow=0.5 * np.sqrt(np.maximum(arc * arc - across * across, 0.0)),
+        shapes=_Shapes(
+            length=strands.length,
+            parameter=strands.parameter,
+            slope=strands.slope,
+            span=strands.span,
+            rise=strands.rise,
+            ratio=np.hypot(strands.span, strands.rise) / strands.length,
+            begin=begin,
+            end=end,
+            number=_heap_number(selection.middle, selection.half),
+        ),
+        end_motion=_end_motion(team, selection, displacement, cable.tracking),
+    )
+
+
+def _heap_number(middle: Floats, half: Floats) -> Ints:
+    """Numbers (b,) of dyadic intervals in the binary heap of pieces; 1 is the whole strand."""
+    return np.rint((1.0 + middle - half) / (2.0 * half)).astype(np.intp)
+
+
+def _strands(team: TeamStates, cable: HeldCable, instant: Ints, segment: Ints) -> Catenaries:
+    """The strands (b,) of segments at instants; each catenary is computed once.
+
+    Over-stretched segments are drawn with a length that reaches: the taut check refuses them.
+    """
+    count = len(cable.lengths)
+    distinct, index = np.unique(instant * count + segment, return_inverse=True)
+    when, number = distinct // count, distinct % count
+    start, end = team.position[when, number], team.position[when, number + 1]
+    chord = np.linalg.norm(end - start, axis=-1)
+    length = np.maximum(cable.lengths[number], chord / LARGEST_RATIO)
+    return _taken(solve_catenaries(start, end, length, down=cable.down), index)
+
+
+def _taken(strands: Catenaries, where: Ints) -> Catenaries:
+    names = (
+        "start", "end", "length", "down", "heading", "span", "rise", "half_angle", "parameter",
+        "slope",
+    )  # fmt: skip
+    return replace(strands, **{name: getattr(strands, name)[where] for name in names})
+
+
+def _end_motion(
+    team: TeamStates, selection: Selection, displacement: Displacement, tracking: float
+) -> _EndMotion:
+    instant, first, last = selection.instant, selection.segment, selection.segment + 1
+    ends = displacement.ends
+    drift_first, drift_last = (
+        team.drift(instant, vehicle, displacement.frame) for vehicle in (first, last)
+    )
+    drift = np.where(
+        ends == BOTH_ENDS, np.maximum(drift_first, drift_last),
+        np.where(ends == FAR_END, drift_last, drift_first),
+    )  # fmt: skip
+    apart = np.linalg.norm(team.velocity[instant, last] - team.velocity[instant, first], axis=-1)
+    deviation = team.deviation
+    relative = apart * team.half[instant] + deviation[instant, first] + deviation[instant, last]
+    ball = 2.0 * tracking
+    return _EndMotion(
+        total=drift + displacement.deviation + displacement.tracking,
+        tracking=displacement.tracking,
+        relative=relative + ball,
+        relative_tracking=np.full_like(relative, ball),
+        ends=ends,
+    )

@@ -1,0 +1,163 @@
+"""The certificate of stream losses, against cases with an analytic answer and simulated losses."""
+
+import numpy as np
+import pytest
+
+from swarm.certification.monitor import Monitor
+from swarm.certification.stream_loss import (
+    BRAKING_TIME,
+    RATES,
+    StreamLossModel,
+    certify_stream_loss,
+)
+from swarm.certification.stream_loss_bound import TOLERANCE
+from tests.certification.synthetic import moving, plan_of
+from tests.network import small_plan
+
+LENGTH = 3.6
+
+
+def line(x, gap=3.0, vehicles=3):
+    return [[x + gap * k, 0.0, 5.0] for k in range(vehicles)]
+
+
+def sideways(speed, gap=3.0, time=4.0):
+    """A team in a line that moves across the line, all vehicles alike."""
+    places = [[[gap * k, speed * t, 5.0] for k in range(3)] for t in (0.0, time)]
+    return plan_of(moving([0.0, time], places), [LENGTH, LENGTH])
+
+
+def test_a_loss_of_all_streams_keeps_the_formation():
+    found = certify_stream_loss(sideways(0.05))
+    assert (found.rates == 1.0).all()
+    assert found.rate_limit(1.0) == 1.0
+    assert not len(found.infeasible)
+    (finding,) = found.findings()
+    assert "margin or more for clearances and chords" in finding.message
+    assert finding.severity == "info"
+
+
+def test_one_vehicle_that_stops_while_the_others_advance_limits_the_rate():
+    """With neighbours 3 m away and 3.6 m of cable, the chord allows a lead of 1.9 m."""
+    fast = certify_stream_loss(sideways(1.2))
+    assert fast.rates.min() < 1.0
+    assert fast.worst.vehicle in {1, 2, 3}
+    slow = certify_stream_loss(sideways(0.3))
+    assert slow.rates.min() > fast.rates.min()
+
+
+def test_a_chord_allows_exactly_the_lead_of_the_geometry():
+    plan = sideways(1.0, time=8.0)
+    model = StreamLossModel((0.5,), silence=1.0)
+    found = certify_stream_loss(plan, model)
+    middle = int(np.argmin(np.abs(found.times - 4.0)))
+    speed = np.linalg.norm(plan.motion.at(4.0)[1][0])
+    rate = found.rates[middle]
+    mission = plan.mission.vehicles
+    deceleration = mission.braking_acceleration / mission.max_speed
+
+    def lead(r):
+        later = plan.motion.at(4.0 + r * model.silence + 0.5 * r**2 / deceleration)[0][0, 1]
+        return later - plan.motion.at(4.0)[0][0, 1] - 0.8 * r * speed
+
+    allowed = np.sqrt((0.985 * LENGTH) ** 2 - 9.0)
+    assert lead(rate) <= allowed + 1e-6
+    if rate < 1.0:
+        faster = RATES[RATES.index(rate) - 1]
+        assert lead(faster) > allowed - 0.3
+
+
+def test_a_longer_timeout_never_allows_a_faster_clock():
+    plan = small_plan().plan
+    short = certify_stream_loss(plan, StreamLossModel((0.5,), 1.0))
+    long = certify_stream_loss(plan, StreamLossModel((1.0, 3.0, 1.0), 1.0))
+    assert (long.rates <= short.rates + 1e-9).all()
+
+
+def test_the_clock_reaches_every_limit_by_braking_along_the_path():
+    plan = sideways(1.2)
+    found = certify_stream_loss(plan)
+    mission = plan.mission.vehicles
+    deceleration = mission.braking_acceleration / mission.max_speed
+    squares = found.rates**2
+    assert np.all(squares[:-1] - squares[1:] <= 2.0 * deceleration * np.diff(found.times) + 1e-9)
+
+
+def test_the_rate_is_not_limited_outside_the_fold():
+    plan = small_plan().plan
+    found = certify_stream_loss(plan)
+    assert found.rate_limit(0.0) == 1.0
+    assert found.rate_limit(plan.duration) == 1.0
+
+
+def test_a_plan_without_margin_at_the_slowest_rate_gets_a_warning():
+    taut = certify_stream_loss(
+        plan_of(moving([0.0, 2.0], [line(0.0, 3.59), line(1.0, 3.59)]), [LENGTH, LENGTH])
+    )
+    assert len(taut.infeasible) == len(taut.times)
+    assert taut.findings()[0].severity == "warning"
+    assert taut.worst.margin <= 0.985 * LENGTH - 3.59 + 1e-9
+
+
+def after_loss(plan, model, vehicle, time, rate, elapsed):
+    """Positions (n, 3) ``elapsed`` seconds after a loss, and the largest distance from the plan.
+
+    Integrates clock and velocities, without code of the certificate.
+    """
+    vehicles = plan.mission.vehicles
+    deceleration = vehicles.braking_acceleration / vehicles.max_speed
+    end = next(phase.end for phase in plan.phases if phase.name == "fold")
+    before = min(elapsed, model.silence)
+    braking = min(max(elapsed - model.silence, 0.0), rate / deceleration)
+    advance = rate * (before + braking) - 0.5 * deceleration * braking**2
+    reached = plan.motion.at(min(time + advance, end))[0].copy()
+    position, velocity, _ = plan.motion.at(time)
+    timeout = np.broadcast_to(model.timeout, len(position))
+    for k in range(len(position)) if vehicle == 0 else [vehicle - 1]:
+        slowing = min(max(elapsed - timeout[k], 0.0), 2.0 * BRAKING_TIME)
+        seconds = min(elapsed, timeout[k]) + slowing - slowing**2 / (4.0 * BRAKING_TIME)
+        reached[k] = position[k] + rate * seconds * velocity[k]
+    planned = plan.motion.at(min(time + (rate * elapsed if vehicle == 0 else advance), end))[0]
+    return reached, np.linalg.norm(reached - planned, axis=1).max()
+
+
+@pytest.mark.parametrize(
+    "timeout",
+    [(0.5,), (0.5, 0.2, 0.1) * 3, pytest.param((0.1,), marks=pytest.mark.full)],
+)
+def test_random_losses_keep_every_certified_margin(overhand, overhand_assessed, timeout):
+    """Random losses at random times and rates, also between the certificate's samples."""
+    model, found = StreamLossModel(timeout, 1.0), overhand_assessed.stream_loss
+    if found.model != model:
+        found = certify_stream_loss(overhand, model)
+    monitor, rng = Monitor(overhand), np.random.default_rng(7)
+    ball = overhand.mission.vehicles.tracking
+    states = []
+    for _ in range(1500):
+        time = rng.uniform(found.times[0], found.times[-1])
+        before = found.times[np.searchsorted(found.times, time, side="right") - 1]
+        after = found.times[min(np.searchsorted(found.times, time), len(found.times) - 1)]
+        if before in found.infeasible or after in found.infeasible:
+            continue
+        rate = found.rate_limit(time) * rng.choice([1.0, rng.uniform(0.0, 1.0)])
+        vehicle = int(rng.integers(overhand.vehicles + 1))
+        reached, off = after_loss(overhand, model, vehicle, time, rate, rng.uniform(0.0, 4.0))
+        if off > ball:
+            states.append(reached)
+    assert len(states) > 50
+    clearances = monitor.clearances(np.array(states), "aloft")
+    assert min(one.margin for one in clearances) >= -TOLERANCE - 1e-3
+
+
+def test_a_loss_between_two_samples_counts():
+    """A vehicle that is fast for a moment only, a quarter of a second after the last sample."""
+    places = [line(0.0), line(0.0), line(0.0)]
+    places[1][1][1] = 0.55
+    plan = plan_of(moving([0.0, 0.5, 1.0], places), [LENGTH, LENGTH])
+    found = certify_stream_loss(plan)
+    limit = found.rate_limit(0.25)
+    _, off = after_loss(plan, found.model, 2, 0.25, limit, 2.0)
+    reached, _ = after_loss(plan, found.model, 2, 0.25, limit, 1.1)
+    assert off > 0.1
+    assert np.linalg.norm(np.diff(reached, axis=0), axis=1).max() <= 0.985 * LENGTH + TOLERANCE
+    assert limit < 1.0
