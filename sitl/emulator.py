@@ -249,7 +249,7 @@ class Emulator:
             ids=tuple(v.system for v in self.vehicles),
             position=grips,
             velocity=b.velocity.copy(),
-            tilt=motion.tilts(b.now, b.tumbling, b.tumble),
+            tilt=motion.tilts(b.state, b.tumbling, b.tumble),
             armed=b.armed.copy(),
             landed=b.landed.copy(),
             gripped=np.array([v.gripper.gripped for v in self.vehicles]),
@@ -275,7 +275,7 @@ class Emulator:
         rope = self.rope
         if rope is not None and self._ticks % rope.force_interval == 0:
             force = rope.forces(*self._held())
-            b.push(force[: b.count])
+            b.set_external_force(force[: b.count])
             if self.injector.anchors:
                 self.injector.drag(force[b.count :], rope.force_interval * STEP)
         hit = b.step()
@@ -285,8 +285,8 @@ class Emulator:
             self._slow(_SLOW_EVERY * STEP)
         if self._ticks % _TICK_EVERY == 0:
             landing.supervise(b, _TICK_EVERY * STEP)
-            if b.landings != self._landings:
-                self._landings = b.landings
+            if b.landed_changes != self._landings:
+                self._landings = b.landed_changes
                 self._wake()
             for vehicle in self.vehicles:
                 if vehicle.awake_at <= now:
@@ -335,7 +335,7 @@ class Emulator:
 
     def _slow(self, interval: float) -> None:
         b = self.bodies
-        b.wander(interval)
+        b.step_disturbances(interval)
         if self._ticks % _DRAIN_EVERY == 0:
             self._drain(_DRAIN_EVERY * STEP)
         cable = None
@@ -349,7 +349,7 @@ class Emulator:
                     rope.set_wash(
                         wind.downwash_at(washed, b.position, b.lift(), b.radius), _WASH_STRIDE
                     )
-        self.contacts.look(self.time, self._ids, cable)
+        self.contacts.detect(self.time, self._ids, cable)
 
     def _drain(self, interval: float) -> None:
         """Batteries, by momentum theory (power as thrust to the power 3/2); and missed vision."""

@@ -33,7 +33,7 @@ def _take_off(vehicle: Vehicle) -> None:
     vehicle.autopilot.set_mode(1, _FLY[vehicle.spec.autopilot])
     vehicle.autopilot.arm(force=True)
     vehicle.bodies.may_lift[vehicle.index] = True
-    vehicle.bodies.armed_for[vehicle.index] = _SPUN_UP
+    vehicle.bodies.armed_time[vehicle.index] = _SPUN_UP
 
 
 def warm_up() -> None:

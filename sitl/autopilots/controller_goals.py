@@ -19,14 +19,14 @@ def limits(v: Vehicle, speed: float, climb: float, descend: float) -> None:
     b.speed_limit[i] = min(speed, v.spec.max_speed)
     b.climb_limit[i] = climb
     b.descend_limit[i] = descend
-    b.touch()
+    b.refresh()
 
 
 def set_speed(v: Vehicle, speed: float) -> None:
     """Set the horizontal speed limit (m/s), as MAV_CMD_DO_CHANGE_SPEED does."""
     if math.isfinite(speed) and speed > 0:
         v.bodies.speed_limit[v.index] = min(speed, v.spec.max_speed)
-        v.bodies.touch()
+        v.bodies.refresh()
 
 
 def gains(
@@ -43,7 +43,7 @@ def gains(
         (b.integral_gain, integral, 10.0),
     ):
         gain[i] = np.clip((level, level, upright), 0.0, most)
-    b.touch()
+    b.refresh()
 
 
 def hold(v: Vehicle) -> None:
@@ -55,7 +55,7 @@ def hold(v: Vehicle) -> None:
 
 def go(v: Vehicle, place: Any) -> None:
     """Fly to a position of the centre (estimated, world ENU) within the limits, and hold it."""
-    v.bodies.aim(v.index, (*place, *[0.0] * 6))
+    v.bodies.set_goal(v.index, (*place, *[0.0] * 6))
 
 
 def descend(v: Vehicle, rate: float, *, steer: bool) -> None:
@@ -63,9 +63,9 @@ def descend(v: Vehicle, rate: float, *, steer: bool) -> None:
     b, i = v.bodies, v.index
     goal = (*b.goal_position[i], 0.0, 0.0, -rate, 0.0, 0.0, 0.0)
     if steer:
-        b.aim(i, goal, (1.0, 1.0, 0.0))
+        b.set_goal(i, goal, (1.0, 1.0, 0.0))
     else:
-        b.aim(i, goal, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        b.set_goal(i, goal, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def idle(v: Vehicle) -> None:

@@ -149,7 +149,7 @@ def _vision(v: Vehicle, message: Any, _: Link) -> None:
     correction = told - v.bodies.position[v.index]
     if float(np.linalg.norm(correction)) < 5.0:
         v.bodies.bias[v.index] = correction
-        v.bodies.touch()
+        v.bodies.refresh()
         v.vision_at = v.now
         if v.vision_lost:
             v.vision_lost, v.local_valid = False, True

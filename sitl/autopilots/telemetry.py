@@ -90,13 +90,13 @@ def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
 def _local(v: Vehicle) -> bytes:
     at = _SAID * v.index
     boot = int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST
-    return _pack_boot(boot) + v.bodies.said()[at : at + 24]
+    return _pack_boot(boot) + v.bodies.telemetry()[at : at + 24]
 
 
 def _attitude(v: Vehicle) -> bytes:
     at = _SAID * v.index
     boot = int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST
-    return _pack_boot(boot) + v.bodies.said()[at + 24 : at + 48]
+    return _pack_boot(boot) + v.bodies.telemetry()[at + 24 : at + 48]
 
 
 def _quaternion(v: Vehicle) -> bytes:

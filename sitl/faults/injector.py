@@ -99,7 +99,7 @@ class Injector:
         v.environment.event("fault", sysid, fault=fault.kind)
         self.active.append((fault, sysid))
         _START[fault.kind](self, v, fault)
-        self.bodies.touch()
+        self.bodies.refresh()
 
     def end(self, fault: Fault, sysid: int) -> None:
         """End a fault now if it is active; some effects, such as a drained battery, remain."""
@@ -109,7 +109,7 @@ class Injector:
         self.active.remove((fault, sysid))
         v.environment.event("fault ended", sysid, fault=fault.kind)
         _END.get(fault.kind, _no_effect)(self, v, fault)
-        self.bodies.touch()
+        self.bodies.refresh()
 
     def _link(self, v: Vehicle, _: Fault) -> None:
         """Set the errors of both directions; the latest of several faults applies."""
@@ -204,10 +204,10 @@ class Injector:
 
     def _false_landing(self, v: Vehicle, _: Fault) -> None:
         self.bodies.landed[v.index] = True
-        self.bodies.fooled[v.index] = True
+        self.bodies.false_landing[v.index] = True
 
     def _end_false_landing(self, v: Vehicle, _: Fault) -> None:
-        self.bodies.fooled[v.index] = False
+        self.bodies.false_landing[v.index] = False
 
     def _stuck_open(self, v: Vehicle, _: Fault) -> None:
         v.gripper.stuck = "open"
@@ -238,7 +238,7 @@ class Injector:
     def _wind(self, _: Vehicle, fault: Fault) -> None:
         if fault.steady is not None:
             self.bodies.steady_wind[:] = fault.steady
-            self.bodies.wind = self.bodies.steady_wind.copy()
+            self.bodies.wind[:] = self.bodies.steady_wind
             if self.rope is not None:
                 self.rope.set_wind(np.array(fault.steady))
         if fault.gust is not None:

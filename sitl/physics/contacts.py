@@ -10,13 +10,16 @@ from sitl.physics.motion import POSITION
 from swarm.jit import compiled
 
 _HEIGHT = 0.25
+"""Height difference in metres below which two vehicles can touch."""
 _DISC = 0.06
+"""Half the height of a rotor disc, metres."""
 _BREAKING_SPEED = 1.0
-_AGAIN = 1.0
+_REPEAT_TIME = 1.0
+"""Seconds without contact after which the same pair counts again."""
 
 
 class Contacts:
-    """Looks for contacts at 10 Hz and keeps a list of them; hard ones stop the motors."""
+    """Detects contacts at 10 Hz and records them; hard ones stop the motors."""
 
     def __init__(self, bodies: Bodies) -> None:
         self.bodies = bodies
@@ -25,8 +28,8 @@ class Contacts:
         self._reach = (bodies.radius[:, None] + bodies.radius[None, :]) ** 2
         self._last: dict[tuple[str, int, int], float] = {}
 
-    def look(self, now: float, ids: list[int], cable: NDArray[np.float64] | None) -> None:
-        """Record what touches now; ``ids`` are the vehicles' numbers, ``cable`` its samples."""
+    def detect(self, now: float, ids: list[int], cable: NDArray[np.float64] | None) -> None:
+        """Record the contacts at ``now``; ``ids`` are system ids, ``cable`` (m, 3) its samples."""
         if len(ids) > 1:
             self._vehicles(now, ids)
         if cable is not None:
@@ -41,7 +44,7 @@ class Contacts:
         near &= np.abs(height[:, None] - height[None, :]) < _HEIGHT
         flying = ~b.landed
         for i, j in np.argwhere(np.triu(near, 1)).tolist():
-            if not (flying[i] or flying[j]) or not self._new(now, "vehicles", i, j):
+            if not (flying[i] or flying[j]) or not self._is_new(now, "vehicles", i, j):
                 continue
             speed = float(np.linalg.norm(b.velocity[i] - b.velocity[j]))
             self.contacts.append(
@@ -50,41 +53,41 @@ class Contacts:
             if speed > _BREAKING_SPEED:
                 b.health[[i, j]] = 0.0
                 b.crashed[[i, j]] = True
-                b.touch()
+                b.refresh()
             middle = 0.5 * (b.velocity[i] + b.velocity[j])
             b.velocity[i] = middle
             b.velocity[j] = middle
 
     def _cable(self, now: float, ids: list[int], cable: NDArray[np.float64]) -> None:
-        """A rotor disc is flat, at the vehicle's centre; samples of the cable are 0.1 m apart."""
+        """Record strikes: a rotor disc is flat, at the centre; cable samples are 0.1 m apart."""
         b = self.bodies
-        spinning = b.armed & (b.lifting > 0)
+        spinning = b.armed & (b.lift_time > 0)
         if not spinning.any():
             return
-        first = _touched(cable, b.now, b.radius, spinning)
+        first = _touched(cable, b.state, b.radius, spinning)
         for i in np.flatnonzero(first >= 0).tolist():
-            if self._new(now, "strike", i, i):
+            if self._is_new(now, "strike", i, i):
                 self.strikes.append(
                     {"time": now, "vehicle": ids[i], "place": cable[first[i]].tolist()}
                 )
 
-    def _new(self, now: float, kind: str, i: int, j: int) -> bool:
+    def _is_new(self, now: float, kind: str, i: int, j: int) -> bool:
         before = self._last.get((kind, i, j), -np.inf)
         self._last[(kind, i, j)] = now
-        return now - before > _AGAIN
+        return now - before > _REPEAT_TIME
 
 
 @compiled
 def _touched(
-    cable: NDArray[np.float64], now: NDArray[np.float64], radius: NDArray[np.float64],
+    cable: NDArray[np.float64], state: NDArray[np.float64], radius: NDArray[np.float64],
     spinning: NDArray[np.bool_],
 ) -> NDArray[np.int64]:  # fmt: skip
-    """The first of the cable's samples (m, 3) in each spinning rotor's disc (n,); -1: none is."""
-    first = np.full(len(now), -1)
-    for i in range(len(now)):
+    """Return the first cable sample (m, 3) in each spinning rotor disc (n,), -1 without one."""
+    first = np.full(len(state), -1)
+    for i in range(len(state)):
         if not spinning[i]:
             continue
-        east, north, up = now[i, 0, POSITION], now[i, 1, POSITION], now[i, 2, POSITION]
+        east, north, up = state[i, 0, POSITION], state[i, 1, POSITION], state[i, 2, POSITION]
         for m in range(len(cable)):
             if abs(cable[m, 2] - up) < _DISC:
                 across = (cable[m, 0] - east) ** 2 + (cable[m, 1] - north) ** 2

@@ -1,15 +1,15 @@
-"""Point-mass vehicles, all in one batch: controller, thrust lag, drag, ground, land detector.
+"""Point-mass vehicles in one batch: controller, thrust lag, drag, ground, estimator errors.
 
 Model. The motors give a specific thrust ``f`` (m/s²) that follows the commanded one as a
 second-order system (attitude loop and motors together, natural frequency 14 rad/s); then
-``v̇ = f − g ẑ − c (v − wind) + F/m``. The commanded thrust comes from the cascade that both
-autopilots fly: position error × P + velocity feed-forward → limits → velocity error × P + I +
+``v̇ = f − g ẑ − c (v − wind) + F/m``. The commanded thrust comes from the cascade of both
+autopilots: position error × P + velocity feed-forward → limits → velocity error × P + I +
 acceleration feed-forward → limits of acceleration, tilt and thrust (PX4 user guide, "Controller
 Diagrams"; ArduPilot ``AC_PosControl``). With full feed-forward a healthy vehicle tracks a path at
 1–2 m/s with 0.05–0.1 m RMS: 0.10 m was measured on ArduCopter, more on PX4's simple simulator,
 whose drag is larger.
 
-ENU, SI, radians; arrays are (n, 3) or (n,). The controller sees the *estimate*: truth + bias +
+ENU, SI, radians; arrays are (n, 3) or (n,). The controller uses the *estimate*: truth + bias +
 slow noise. Vehicles stand on legs as long as their dropper: the centre is at floor + grip offset.
 """
 
@@ -29,16 +29,19 @@ Flags = NDArray[np.bool_]
 
 STEP = 0.02
 _GOAL = struct.Struct("3d")
-_LANE, _WANTED = 8 * motion.LANES, 8 * motion.PLACE
+_AXIS, _GOAL_START = 8 * motion.STATE_COLUMNS, 8 * motion.GOAL_POSITION
+"""Bytes of one axis of the state, and before its goal."""
 _LARGEST_INTEGRAL = 5.0
 _NOISE_TIME = 4.0
+"""Correlation time of the estimator's noise, seconds."""
 NOISE_SIGMA = np.array([0.015, 0.015, 0.02])
+"""Standard deviation of the estimator's noise, metres."""
 _DISTURBANCE_TIME = 2.0
-"""Seconds over which disturbances change."""
+"""Correlation time of disturbances, seconds."""
 
 
 class Rows(NamedTuple):
-    """What telemetry says, as lists over the vehicles: positions as estimated, the rest as it is.
+    """Values for telemetry as lists over the vehicles: estimated positions, true values otherwise.
 
     ``yaw`` is counter-clockwise from east, as in `Bodies`.
     """
@@ -52,22 +55,22 @@ class Rows(NamedTuple):
 
 
 class Bodies:
-    """State of all vehicles and what their autopilots want of them.
+    """State of all vehicles, goals of their controllers, air around them.
 
-    Autopilots set goals through `aim` and `stage`, gains, limits and flags directly, followed by
-    `touch`; `step` advances everything by `STEP` seconds.
+    Autopilots set goals with `set_goal` and `set_goal_values`; they write gains, limits and flags
+    directly, then call `refresh`. `step` advances all vehicles by `STEP` seconds.
     """
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         self.rng = rng
         self.floor = world.floor
-        self._make_state(world)
-        self._make_goals(world)
-        self._make_flags()
-        self._make_air(world)
-        self.touch()
+        self._create_state(world)
+        self._create_goals(world)
+        self._create_flags()
+        self._create_air(world)
+        self.refresh()
 
-    def _make_state(self, world: World) -> None:
+    def _create_state(self, world: World) -> None:
         specs = world.vehicles
         n = self.count = len(specs)
         self.mass = np.array([s.mass for s in specs])
@@ -75,22 +78,21 @@ class Bodies:
         self.grip_offset = np.array([s.grip_offset for s in specs])
         self.thrust_limit = np.array([2.0 * (s.mass + s.payload) * GRAVITY / s.mass for s in specs])
         self.max_acceleration = np.array([s.max_acceleration for s in specs])
-        self.now = np.zeros((n, 3, motion.LANES))
-        self._tuned = np.zeros((n, motion.TUNINGS))
-        self.marks = np.zeros((3, n), dtype=bool)
-        self._share()
+        self.state = np.zeros((n, 3, motion.STATE_COLUMNS))
+        self._disturbances = np.zeros((n, 3, motion.DISTURBANCE_COLUMNS))
+        self._constants = np.zeros((n, motion.CONSTANTS))
+        self.status = np.zeros((3, n), dtype=bool)
+        self._create_views()
         self.position[:] = [s.pad for s in specs]
         self.position[:, 2] = np.maximum(self.position[:, 2], world.floor) + self.grip_offset
         self.yaw = np.pi / 2 - np.array([s.heading for s in specs])
         self.yaw_rate = np.zeros(n)
-        self.bias = np.zeros((n, 3))
-        self.noise = np.zeros((n, 3))
-        self._fresh = np.zeros((2 * n + 1, 3))
+        self._random = np.zeros((2 * n + 1, 3))
         self.noise_scale = np.zeros((n, 1))
         self.frames = np.ones((n, 5))
-        self._spoken = np.zeros((n, 12), np.float32)
+        self._telemetry_rows = np.zeros((n, 12), np.float32)
 
-    def _make_goals(self, world: World) -> None:
+    def _create_goals(self, world: World) -> None:
         n = self.count
         self.goal_position[:] = self.position
         self.goal_yaw = self.yaw.copy()
@@ -103,20 +105,20 @@ class Bodies:
         self.position_gain = np.ones((n, 3))
         self.velocity_gain = np.ones((n, 3))
         self.integral_gain = np.zeros((n, 3))
-        self.advance = np.zeros(n)
+        self.goal_moves = np.zeros(n)
         self._axes: dict[int, tuple[float, ...]] = {}
         self.velocity_goal = np.zeros((n, 3))
 
-    def _make_flags(self) -> None:
+    def _create_flags(self) -> None:
         n = self.count
-        self.cruising = bytes([1] * n + [0] * 2 * n)
-        self.nothing = bytes(8 * n)
-        self.landings = 0
+        self.cruise_status = bytes([1] * n + [0] * 2 * n)
+        self.zero_times = bytes(8 * n)
+        self.landed_changes = 0
         self.landed[:] = True
         self.may_lift = np.zeros(n, dtype=bool)
-        self.contact = np.zeros(n)
-        self.armed_for = np.zeros(n)
-        self.lifting = np.zeros(n)
+        self.landing_time = np.zeros(n)
+        self.armed_time = np.zeros(n)
+        self.lift_time = np.zeros(n)
         self.spool_time = np.ones(n)
         self.ramp_time = np.full(n, 1.5)
         self.land_time = np.full(n, 0.9)
@@ -124,121 +126,125 @@ class Bodies:
         self.health = np.ones(n)
         self.crashed = np.zeros(n, dtype=bool)
         self.tumble = np.zeros(n)
-        self.fooled = np.zeros(n, dtype=bool)
-        self.drift = np.zeros((n, 3))
-        self.share = np.zeros(n)
+        self.false_landing = np.zeros(n, dtype=bool)
+        self.thrust_share = np.zeros(n)
         self._hard = np.zeros(n, dtype=bool)
-        self.settled = False
+        self.all_cruising = False
 
-    def _make_air(self, world: World) -> None:
+    def _create_air(self, world: World) -> None:
         n = self.count
         self.drag = np.full(n, 0.20)
-        self.steady_wind = np.tile(np.array(world.wind.steady, dtype=float), (n, 1))
-        self.wind = self.steady_wind.copy()
+        self.steady_wind[:] = self.wind[:] = world.wind.steady
         self.gust_intensity = world.wind.gust
         self.gust = np.zeros((n + 1, 3))
         self.disturbance = np.zeros((n, 3))
         self._disturbance_sigma = np.array([[spec.disturbance] for spec in world.vehicles])
         self._disturbed = bool(self._disturbance_sigma.any())
-        self.wash = np.zeros((n, 3))
         self.apart = np.full((n, n), np.inf)
 
-    def _share(self) -> None:
-        """Make the views of the arrays that hold several things."""
-        now = self.now
+    def _create_views(self) -> None:
+        """Create the views of the arrays with several columns."""
+        now, slow = self.state, self._disturbances
         self.position = now[..., motion.POSITION]
         self.velocity = now[..., motion.VELOCITY]
         self.thrust = now[..., motion.THRUST]
         self.thrust_rate = now[..., motion.THRUST_RATE]
         self.integral = now[..., motion.INTEGRAL]
-        self.goal_position = now[..., motion.PLACE]
-        self.goal_velocity = now[..., motion.SPEED]
-        self.goal_acceleration = now[..., motion.ACCELERATION]
-        self._offset = now[..., motion.OFFSET]
-        self._pushed = now[..., motion.PUSH]
+        self.goal_position = now[..., motion.GOAL_POSITION]
+        self.goal_velocity = now[..., motion.GOAL_VELOCITY]
+        self.goal_acceleration = now[..., motion.GOAL_ACCELERATION]
+        self._estimate_error = now[..., motion.ESTIMATE_ERROR]
+        self._external = now[..., motion.EXTERNAL]
+        self.noise = slow[..., motion.NOISE]
+        self._noise_sigma = slow[..., motion.NOISE_SIGMA]
+        self.bias = slow[..., motion.BIAS]
+        self.drift = slow[..., motion.DRIFT]
+        self.steady_wind = slow[..., motion.STEADY_WIND]
+        self.wind = slow[..., motion.WIND]
+        self.downwash = slow[..., motion.DOWNWASH]
         self._bytes = memoryview(cast("Any", now)).cast("B")
-        self.armed, self.landed, self.tumbling = self.marks
+        self.armed, self.landed, self.tumbling = self.status
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in vars(self).items() if key != "_bytes"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy's arrays share memory as the original's do."""
+        """Restore the views: the arrays of a copy share memory as in the original."""
         self.__dict__.update(state)
-        self._share()
-        self.touch()
+        self._create_views()
+        self.refresh()
 
-    # The way in for autopilots.
-
-    def touch(self) -> None:
-        """Renew what is derived from gains, axes, biases and air, after changing any of them."""
-        tuned = self._tuned
-        tuned[:, motion.GAIN :][:, :3] = self.position_gain * self.position_axes
-        tuned[:, motion.RATE_GAIN :][:, :3] = self.velocity_gain * self.velocity_axes
-        tuned[:, motion.INTEGRAL_GAIN :][:, :3] = STEP * self.integral_gain * self.velocity_axes
-        tuned[:, motion.DRAG :] = np.column_stack(
+    def refresh(self) -> None:
+        """Update all derived values after a change of gains, axes, limits, biases or air."""
+        constants = self._constants
+        constants[:, motion.POSITION_GAIN :][:, :3] = self.position_gain * self.position_axes
+        constants[:, motion.VELOCITY_GAIN :][:, :3] = self.velocity_gain * self.velocity_axes
+        integral_gain = STEP * self.integral_gain * self.velocity_axes
+        constants[:, motion.INTEGRAL_GAIN :][:, :3] = integral_gain
+        constants[:, motion.DRAG :] = np.column_stack(
             (
                 self.drag, self.speed_limit, self.climb_limit, self.descend_limit,
                 self.max_acceleration, self.tilt_limit, self.thrust_limit, self.health,
-                self.floor + self.grip_offset,
+                self.floor + self.grip_offset, self.mass, self.radius,
             )
         )  # fmt: skip
         self._per_mass = 1.0 / self.mass[:, None]
-        self._renew_air()
-        self._noise_sigma = NOISE_SIGMA * (self.noise_scale > 0)
+        self._update_air()
+        self._noise_sigma[:] = NOISE_SIGMA * (self.noise_scale > 0)
         self._noisy = bool(self.noise_scale.any())
 
-    def _renew_air(self) -> None:
+    def _update_air(self) -> None:
         self._rows: Rows | None = None
-        self._said: bytes | None = None
-        motion.renew_air(self.now, self.bias, self.noise, self.drag, self.wind, self.wash)
-        self._disturb()
+        self._telemetry: bytes | None = None
+        motion.update_air(self.state, self._disturbances, self._constants)
+        self._add_disturbance()
 
-    def _disturb(self) -> None:
-        """Add the disturbances to what the air does."""
+    def _add_disturbance(self) -> None:
+        """Add the random disturbance to the acceleration of the air."""
         if self._disturbed:
-            self.now[..., motion.AIR] += self.disturbance
+            self.state[..., motion.AIR] += self.disturbance
 
-    def aim(
+    def set_goal(
         self,
         i: int,
         goal: tuple[float, ...],
         position_axes: tuple[float, float, float] = (1.0, 1.0, 1.0),
         velocity_axes: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:
-        """Set one vehicle's goal: position, velocity, acceleration (9 numbers, world ENU)."""
-        self.stage(i, goal)
+        """Set one vehicle's goal: position, velocity, acceleration (9 numbers, world ENU).
+
+        ``position_axes`` and ``velocity_axes`` are 1 for controlled axes, 0 for others.
+        """
+        self.set_goal_values(i, goal)
         axes = (*position_axes, *velocity_axes)
         if self._axes.get(i) != axes:
             self._axes[i] = axes
             self.position_axes[i] = position_axes
             self.velocity_axes[i] = velocity_axes
-            self.touch()
+            self.refresh()
 
-    def stage(self, i: int, goal: tuple[float, ...]) -> None:
-        """As `aim` with all axes, which are controlled already; the quickest way in."""
+    def set_goal_values(self, i: int, goal: tuple[float, ...]) -> None:
+        """Set the goal of a vehicle whose axes stay as they are; faster than `set_goal`."""
         px, py, pz, vx, vy, vz, ax, ay, az = goal
-        put, at = _GOAL.pack_into, i * 3 * _LANE + _WANTED
+        put, at = _GOAL.pack_into, i * 3 * _AXIS + _GOAL_START
         put(self._bytes, at, px, vx, ax)
-        put(self._bytes, at + _LANE, py, vy, ay)
-        put(self._bytes, at + 2 * _LANE, pz, vz, az)
+        put(self._bytes, at + _AXIS, py, vy, ay)
+        put(self._bytes, at + 2 * _AXIS, pz, vz, az)
 
-    def climb(self, i: int, rate: float) -> None:
-        """Change the vertical velocity of one vehicle's goal (m/s, up)."""
+    def set_climb_rate(self, i: int, rate: float) -> None:
+        """Set the vertical velocity of one vehicle's goal (m/s, up)."""
         self.goal_velocity[i, 2] = rate
 
-    # Reading.
-
     def estimated(self) -> Array:
-        """Where each vehicle's estimator believes its centre to be, world ENU (n, 3)."""
-        estimate: Array = self.position + self._offset
+        """Return the estimated positions of the centres, world ENU (n, 3)."""
+        estimate: Array = self.position + self._estimate_error
         return estimate
 
     def rows(self) -> Rows:
-        """Return what telemetry says, as lists, made once a step."""
+        """Return values for telemetry as lists, computed once a step."""
         if self._rows is None:
             self._rows = Rows(
-                (self.position + self._offset).tolist(),
+                (self.position + self._estimate_error).tolist(),
                 self.velocity.tolist(),
                 self.thrust.tolist(),
                 self.yaw.tolist(),
@@ -247,15 +253,15 @@ class Bodies:
             )
         return self._rows
 
-    def said(self) -> bytes:
-        """Return `motion.said` as bytes, made once a step."""
-        if self._said is None:
-            motion.said(
-                self.now, self.tumbling, self.tumble, self.yaw, self.yaw_rate, self.frames,
-                self._spoken,
+    def telemetry(self) -> bytes:
+        """Return `motion.telemetry_rows` as bytes, computed once a step."""
+        if self._telemetry is None:
+            motion.telemetry_rows(
+                self.state, self.tumbling, self.tumble, self.yaw, self.yaw_rate, self.frames,
+                self._telemetry_rows,
             )  # fmt: skip
-            self._said = self._spoken.tobytes()
-        return self._said
+            self._telemetry = self._telemetry_rows.tobytes()
+        return self._telemetry
 
     def lift(self) -> Array:
         """Return the upward thrust of each vehicle in newtons (n,), at least 0."""
@@ -263,52 +269,53 @@ class Bodies:
         return lift
 
     def grip_points(self) -> Array:
-        """Where the grip points are: a stiff dropper along the body's own down axis (n, 3)."""
+        """Return the grip points (n, 3), at the ends of stiff droppers."""
         points = np.empty((self.count, 3))
-        motion.grips(self.now, self.grip_offset, points)
+        motion.grip_points(self.state, self.grip_offset, points)
         return points
 
-    # One step.
-
-    def push(self, force: Array) -> None:
-        """Set the external force on every vehicle (newtons, (n, 3)) until it is set again."""
-        self._pushed[:] = force * self._per_mass
+    def set_external_force(self, force: Array) -> None:
+        """Set the external force on every vehicle (newtons, (n, 3)) until the next call."""
+        self._external[:] = force * self._per_mass
 
     def step(self) -> Flags | None:
-        """Advance by `STEP`; return which vehicles have just hit the ground hard, or None."""
-        self._rows = self._said = None
+        """Advance by `STEP`; return the flags of vehicles with a hard landing, or None."""
+        self._rows = self._telemetry = None
         hard = self._hard
-        if not motion.advance(
-            self.now, self._tuned, self.share, self.crashed, STEP, self.velocity_goal, hard
-        ):
+        any_hard = motion.step(
+            self.state, self._constants, self.thrust_share, self.crashed, STEP,
+            self.velocity_goal, hard,
+        )  # fmt: skip
+        if not any_hard:
             return None
         self.crashed |= hard
         self.health[hard] = 0.0
-        self.touch()
+        self.refresh()
         return hard.copy()
 
-    def wander(self, interval: float) -> None:
+    def step_disturbances(self, interval: float) -> None:
         """Advance estimator noise, gusts and downwash by ``interval`` seconds (call at 10 Hz).
 
         Noise is first-order Gauss–Markov, `NOISE_SIGMA` metres over `_NOISE_TIME` seconds; so are
         disturbances, m/s² over `_DISTURBANCE_TIME` seconds.
         """
-        keep, gust_keep, fresh = 1.0, 1.0, self._fresh
+        keep, gust_keep, random = 1.0, 1.0, self._random
         if self._noisy:
             keep = math.exp(-interval / _NOISE_TIME)
-            fresh[: self.count] = self.rng.standard_normal((self.count, 3))
+            random[: self.count] = self.rng.standard_normal((self.count, 3))
         if self.gust_intensity > 0:
-            fresh[self.count :] = self.rng.standard_normal((self.count + 1, 3))
-            gust_keep = wind.gust_keeps(self.steady_wind[0], interval)
-        self._rows = self._said = None
-        motion.breathe(
-            self.now, fresh, (keep, gust_keep), interval,
-            (_LARGEST_INTEGRAL, float(self.gust_intensity), wind.WASH_FACTOR), self.noise,
-            self._noise_sigma, self.bias, self.drift, self.gust, self.steady_wind, self.wind,
-            self.wash, self.drag, self.mass, self.radius, self.apart,
+            random[self.count :] = self.rng.standard_normal((self.count + 1, 3))
+            gust_keep = wind.gust_persistence(self.steady_wind[0], interval)
+        self._rows = self._telemetry = None
+        factors = (
+            interval, keep, gust_keep, _LARGEST_INTEGRAL, float(self.gust_intensity),
+            wind.WASH_FACTOR,
         )  # fmt: skip
+        motion.step_disturbances(
+            self.state, self._disturbances, self._constants, self.gust, random, self.apart, factors
+        )
         if self._disturbed:
-            keeps = math.exp(-interval / _DISTURBANCE_TIME)
+            keep = math.exp(-interval / _DISTURBANCE_TIME)
             drawn = self._disturbance_sigma * self.rng.standard_normal((self.count, 3))
-            self.disturbance = keeps * self.disturbance + math.sqrt(1.0 - keeps**2) * drawn
-            self._disturb()
+            self.disturbance = keep * self.disturbance + math.sqrt(1.0 - keep**2) * drawn
+            self._add_disturbance()

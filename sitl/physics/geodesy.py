@@ -1,10 +1,10 @@
-"""Degrees and metres near the world's origin, exactly and as autopilots convert them."""
+"""Conversion of degrees and metres near the world's origin, exactly and as autopilots do."""
 
 import math
 from dataclasses import dataclass
 
 GRAVITY = 9.80665
-"""m/s²; the emulated world's is the standard one everywhere."""
+"""Standard gravity, m/s²."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Geodesy:
 
     @classmethod
     def at(cls, latitude: float, longitude: float, altitude: float) -> "Geodesy":
-        """Make the local linearisation (good to millimetres within a few hundred metres)."""
+        """Return the linearisation at a point; its error is millimetres within a few 100 m."""
         a, e2 = 6378137.0, 6.69437999014e-3
         s = math.sin(math.radians(latitude))
         w = math.sqrt(1 - e2 * s * s)
@@ -34,13 +34,13 @@ class Geodesy:
         )
 
     def degrees(self, x: float, y: float, z: float) -> tuple[float, float, float]:
-        """Latitude, longitude, altitude of a point given in world ENU."""
+        """Return latitude, longitude and altitude of a point of world ENU."""
         return self.latitude + y / self.north, self.longitude + x / self.east, self.altitude + z
 
     def scale(self, autopilot: str) -> tuple[float, float]:
-        """Local metres east and north that an autopilot makes of one true metre.
+        """Return an autopilot's local metres per true metre, east and north.
 
-        PX4 projects on a sphere of 6 371 000 m (``lib/geo``), ArduPilot takes 111 318.845 m for a
+        PX4 projects on a sphere of 6 371 000 m (``lib/geo``), ArduPilot uses 111 318.845 m per
         degree of latitude (``Location``'s scaling factor).
         """
         degree = math.radians(1) * 6_371_000.0 if autopilot == "px4" else 111_318.845
@@ -48,5 +48,5 @@ class Geodesy:
         return degree * shrink / self.east, degree / self.north
 
     def metres(self, latitude: float, longitude: float) -> tuple[float, float]:
-        """World ENU x, y of a geodetic place."""
+        """Return x and y in world ENU of a latitude and longitude in degrees."""
         return (longitude - self.longitude) * self.east, (latitude - self.latitude) * self.north

@@ -16,91 +16,104 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 POSITION, VELOCITY, THRUST, THRUST_RATE, INTEGRAL = range(5)
-PLACE, SPEED, ACCELERATION, OFFSET, AIR, PUSH = range(5, 11)
-LANES = 11
-"""What there is of each vehicle and axis: its state, what is wanted, and what acts on it."""
+GOAL_POSITION, GOAL_VELOCITY, GOAL_ACCELERATION, ESTIMATE_ERROR, AIR, EXTERNAL = range(5, 11)
+STATE_COLUMNS = 11
+"""Columns of ``state`` (n, 3, STATE_COLUMNS): state, goal and accelerations per vehicle and axis.
 
-GAIN, RATE_GAIN, INTEGRAL_GAIN = 0, 3, 6
-DRAG, FASTEST, CLIMB, DESCEND, REACH, TILT, THRUST_LIMIT, HEALTH, STAND = range(9, 18)
-TUNINGS = 18
-"""What a vehicle's motion is tuned with: gains of three axes each, drag (1/s), limits in SI units
-(tilt as its tangent), health of the motors, height of the centre when it stands."""
+AIR is the acceleration of gravity and drag on a vehicle at rest, EXTERNAL that of the cable.
+"""
+
+NOISE, NOISE_SIGMA, BIAS, DRIFT, STEADY_WIND, WIND, DOWNWASH = range(7)
+DISTURBANCE_COLUMNS = 7
+"""Columns of ``disturbances`` (n, 3, DISTURBANCE_COLUMNS): estimator errors and moving air."""
+
+POSITION_GAIN, VELOCITY_GAIN, INTEGRAL_GAIN = 0, 3, 6
+DRAG, SPEED_LIMIT, CLIMB_LIMIT, DESCENT_LIMIT, ACCELERATION_LIMIT = range(9, 14)
+TILT_LIMIT, THRUST_LIMIT, HEALTH, STANDING_HEIGHT, MASS, RADIUS = range(14, 20)
+CONSTANTS = 20
+"""Columns of ``constants`` (n, CONSTANTS): gains of three axes each, drag (1/s), limits in SI units
+(tilt as its tangent), health of the motors, height of the centre on the ground, mass, radius."""
 
 _FREQUENCY, _DAMPING = 14.0, 0.9
 _IDLE = 0.08 * GRAVITY
-_UPRIGHT = 0.5
+_VERTICAL_GUSTS = 0.5
 _CRASH_SPEED = 3.0
-_WASHED, _LOWEST, _HIGHEST = 4.0, 0.1, 10.0
+_WASH_DISTANCE_SQUARED, _WASH_START, _WASH_END = 4.0, 0.1, 10.0
 AIR_DENSITY = 1.2
 
 
 @compiled
-def advance(
-    now: Array, tuned: Array, share: Array, crashed: Flags, step: float, goal: Array, hard: Flags
-) -> bool:
-    """Advance states ``now`` (n, 3, LANES) by ``step`` seconds, in place.
+def step(
+    state: Array, constants: Array, share: Array, crashed: Flags, interval: float, goal: Array,
+    hard: Flags,
+) -> bool:  # fmt: skip
+    """Advance ``state`` (n, 3, STATE_COLUMNS) by ``interval`` seconds, in place.
 
-    ``tuned`` (n, TUNINGS), ``share`` (n,) of full thrust that may be used. Velocities that the
-    position controllers ask for go to ``goal`` (n, 3), who has just come down hard to ``hard``
-    (n,); returns whether anybody has.
+    ``share`` (n,) is the usable share of full thrust. The velocity setpoints of the position
+    controllers go to ``goal`` (n, 3), hard landings to ``hard`` (n,); returns whether one occurred.
     """
-    anybody = False
-    for i in range(len(now)):
-        body, own = now[i], tuned[i]
-        level = 0.0
+    any_hard = False
+    for i in range(len(state)):
+        body, own = state[i], constants[i]
         for k in range(3):
-            off = body[k, PLACE] - body[k, POSITION] - body[k, OFFSET]
-            goal[i, k] = own[GAIN + k] * off + body[k, SPEED]
+            error = body[k, GOAL_POSITION] - body[k, POSITION] - body[k, ESTIMATE_ERROR]
+            goal[i, k] = own[POSITION_GAIN + k] * error + body[k, GOAL_VELOCITY]
         level = math.hypot(goal[i, 0], goal[i, 1])
-        if level > own[FASTEST]:
-            goal[i, 0] *= own[FASTEST] / level
-            goal[i, 1] *= own[FASTEST] / level
-        goal[i, 2] = min(max(goal[i, 2], -own[DESCEND]), own[CLIMB])
+        if level > own[SPEED_LIMIT]:
+            goal[i, 0] *= own[SPEED_LIMIT] / level
+            goal[i, 1] *= own[SPEED_LIMIT] / level
+        goal[i, 2] = min(max(goal[i, 2], -own[DESCENT_LIMIT]), own[CLIMB_LIMIT])
 
-        east, north, up = 0.0, 0.0, 0.0
-        miss_east = goal[i, 0] - body[0, VELOCITY]
-        miss_north = goal[i, 1] - body[1, VELOCITY]
-        miss_up = goal[i, 2] - body[2, VELOCITY]
-        east = own[RATE_GAIN] * miss_east + body[0, ACCELERATION] + body[0, INTEGRAL]
-        north = own[RATE_GAIN + 1] * miss_north + body[1, ACCELERATION] + body[1, INTEGRAL]
-        up = own[RATE_GAIN + 2] * miss_up + body[2, ACCELERATION] + body[2, INTEGRAL] + GRAVITY
+        error_east = goal[i, 0] - body[0, VELOCITY]
+        error_north = goal[i, 1] - body[1, VELOCITY]
+        error_up = goal[i, 2] - body[2, VELOCITY]
+        east = own[VELOCITY_GAIN] * error_east + body[0, GOAL_ACCELERATION] + body[0, INTEGRAL]
+        north = (
+            own[VELOCITY_GAIN + 1] * error_north + body[1, GOAL_ACCELERATION] + body[1, INTEGRAL]
+        )
+        up = (
+            own[VELOCITY_GAIN + 2] * error_up
+            + body[2, GOAL_ACCELERATION]
+            + body[2, INTEGRAL]
+            + GRAVITY
+        )
         reach = math.hypot(east, north)
-        if reach > own[REACH]:
-            east *= own[REACH] / reach
-            north *= own[REACH] / reach
-            miss_east = miss_north = 0.0
+        if reach > own[ACCELERATION_LIMIT]:
+            east *= own[ACCELERATION_LIMIT] / reach
+            north *= own[ACCELERATION_LIMIT] / reach
+            error_east = error_north = 0.0
         ceiling = share[i] * own[THRUST_LIMIT]
         up = min(max(up, min(_IDLE, ceiling)), ceiling)
-        reach, limit = math.hypot(east, north), own[TILT] * up + 1e-9
+        reach, limit = math.hypot(east, north), own[TILT_LIMIT] * up + 1e-9
         if reach > limit:
             east *= limit / reach
             north *= limit / reach
         if share[i] < 1.0:
             body[0, INTEGRAL] = body[1, INTEGRAL] = body[2, INTEGRAL] = 0.0
-        body[0, INTEGRAL] += own[INTEGRAL_GAIN] * miss_east
-        body[1, INTEGRAL] += own[INTEGRAL_GAIN + 1] * miss_north
-        body[2, INTEGRAL] += own[INTEGRAL_GAIN + 2] * miss_up
+        body[0, INTEGRAL] += own[INTEGRAL_GAIN] * error_east
+        body[1, INTEGRAL] += own[INTEGRAL_GAIN + 1] * error_north
+        body[2, INTEGRAL] += own[INTEGRAL_GAIN + 2] * error_up
 
         for k in range(3):
-            wanted = own[HEALTH] * (east if k == 0 else north if k == 1 else up)
+            thrust = own[HEALTH] * (east if k == 0 else north if k == 1 else up)
             s = body[k]
-            s[THRUST_RATE] *= 1.0 - 2.0 * step * _DAMPING * _FREQUENCY
-            s[THRUST_RATE] += step * _FREQUENCY**2 * (wanted - s[THRUST])
-            s[THRUST] += step * s[THRUST_RATE]
-            s[VELOCITY] += step * (s[AIR] - own[DRAG] * s[VELOCITY] + s[THRUST] + s[PUSH])
-            s[POSITION] += step * s[VELOCITY]
+            s[THRUST_RATE] *= 1.0 - 2.0 * interval * _DAMPING * _FREQUENCY
+            s[THRUST_RATE] += interval * _FREQUENCY**2 * (thrust - s[THRUST])
+            s[THRUST] += interval * s[THRUST_RATE]
+            s[VELOCITY] += interval * (s[AIR] - own[DRAG] * s[VELOCITY] + s[THRUST] + s[EXTERNAL])
+            s[POSITION] += interval * s[VELOCITY]
 
         hard[i] = False
-        if body[2, POSITION] <= own[STAND]:
+        if body[2, POSITION] <= own[STANDING_HEIGHT]:
             hard[i] = body[2, VELOCITY] < -_CRASH_SPEED and not crashed[i]
-            anybody = anybody or hard[i]
-            _stand(body, own[STAND])
-    return anybody
+            any_hard = any_hard or hard[i]
+            _stand(body, own[STANDING_HEIGHT])
+    return any_hard
 
 
 @compiled
 def _stand(body: Array, height: float) -> None:
-    """Keep one vehicle's legs above the floor, with friction."""
+    """Keep the legs of one vehicle on the floor, with friction."""
     body[2, POSITION] = height
     body[2, VELOCITY] = max(body[2, VELOCITY], 0.0)
     still = body[2, THRUST] < GRAVITY
@@ -109,11 +122,14 @@ def _stand(body: Array, height: float) -> None:
 
 
 @compiled
-def grips(now: Array, offset: Array, points: Array) -> None:
-    """Where the grip points are, into ``points`` (n, 3): a stiff dropper along the body's own down
-    axis."""
-    for i in range(len(now)):
-        body = now[i]
+def grip_points(state: Array, offset: Array, points: Array) -> None:
+    """Write the grip points into ``points`` (n, 3).
+
+    A grip point hangs ``offset`` (n,) metres below the centre on a stiff dropper along the body's
+    vertical axis.
+    """
+    for i in range(len(state)):
+        body = state[i]
         length = math.sqrt(body[0, THRUST] ** 2 + body[1, THRUST] ** 2 + body[2, THRUST] ** 2)
         for k in range(3):
             points[i, k] = body[k, POSITION]
@@ -124,112 +140,112 @@ def grips(now: Array, offset: Array, points: Array) -> None:
 
 
 @compiled
-def breathe(
-    now: Array, fresh: Array, keeps: tuple[float, float], interval: float,
-    most: tuple[float, float, float], noise: Array, sigma: Array, bias: Array, drift: Array,
-    gust: Array, steady: Array, wind: Array, wash: Array, drag: Array, mass: Array, radius: Array,
-    apart: Array,
+def step_disturbances(
+    state: Array, disturbances: Array, constants: Array, gust: Array, random: Array, apart: Array,
+    factors: tuple[float, float, float, float, float, float],
 ) -> None:  # fmt: skip
-    """Advance all that changes slowly by ``interval`` seconds, in place.
+    """Advance estimator errors, gusts and downwash, and their effects on ``state``, in place.
 
-    Estimators' ``noise`` (n, 3) of deviation ``sigma``, and their ``bias``, which has a ``drift``
-    in m/s; ``gust`` (n + 1, 3) on the ``steady`` wind; downwash; and what these do to ``now``.
-    ``fresh`` (2 n + 1, 3) are normal numbers for noise and gusts, ``keeps`` the shares that these
-    keep of themselves. ``most``: the largest integral, the gusts' intensity and the factor of
-    downwash on vehicles.
+    ``gust`` (n + 1, 3) adds to the steady wind; ``random`` (2 n + 1, 3) are normal numbers for
+    noise and gusts; level distances squared go to ``apart`` (n, n). ``factors`` are the interval in
+    seconds, the shares of noise and gusts that persist, the largest integral, the intensity of
+    gusts and the factor of downwash on vehicles.
     """
-    count, (keep, gust_keep), (integral, intensity, factor) = len(now), keeps, most
+    interval, keep, gust_keep, integral, intensity, wash_factor = factors
+    count = len(state)
     for i in range(count):
+        slow = disturbances[i]
         for k in range(3):
-            drawn = fresh[i, k] * (math.sqrt(1.0 - keep**2) * sigma[i, k])
-            noise[i, k] = keep * noise[i, k] + drawn
-            bias[i, k] += interval * drift[i, k]
-            now[i, k, INTEGRAL] = min(max(now[i, k, INTEGRAL], -integral), integral)
+            drawn = random[i, k] * (math.sqrt(1.0 - keep**2) * slow[k, NOISE_SIGMA])
+            slow[k, NOISE] = keep * slow[k, NOISE] + drawn
+            slow[k, BIAS] += interval * slow[k, DRIFT]
+            state[i, k, INTEGRAL] = min(max(state[i, k, INTEGRAL], -integral), integral)
     if intensity > 0.0:
-        _gusts(gust, fresh[count:], gust_keep, intensity)
-        _winds(steady, gust, wind)
-    felt = _downwash(now, mass, radius, apart)
+        _step_gusts(gust, random[count:], gust_keep, intensity)
+        _add_gusts(gust, disturbances)
+    wash = _downwash(state, constants, apart)
     for i in range(count):
-        wash[i, 2] = -factor * felt[i]
-    renew_air(now, bias, noise, drag, wind, wash)
+        disturbances[i, 2, DOWNWASH] = -wash_factor * wash[i]
+    update_air(state, disturbances, constants)
 
 
 @compiled
-def renew_air(now: Array, bias: Array, noise: Array, drag: Array, wind: Array, wash: Array) -> None:
-    """Put offsets of estimators, and what air and gravity do at rest, into ``now``."""
-    for i in range(len(now)):
+def update_air(state: Array, disturbances: Array, constants: Array) -> None:
+    """Write estimator errors, and the acceleration of air and gravity at rest, into ``state``."""
+    for i in range(len(state)):
+        slow = disturbances[i]
         for k in range(3):
-            now[i, k, OFFSET] = bias[i, k] + noise[i, k]
-            now[i, k, AIR] = drag[i] * (wind[i, k] + wash[i, k])
-        now[i, 2, AIR] -= GRAVITY
+            state[i, k, ESTIMATE_ERROR] = slow[k, BIAS] + slow[k, NOISE]
+            state[i, k, AIR] = constants[i, DRAG] * (slow[k, WIND] + slow[k, DOWNWASH])
+        state[i, 2, AIR] -= GRAVITY
 
 
 @compiled
-def _gusts(gust: Array, fresh: Array, keep: float, intensity: float) -> None:
-    """Advance gusts (m, 3), in place; see `sitl.physics.wind.gust_keeps`."""
+def _step_gusts(gust: Array, random: Array, keep: float, intensity: float) -> None:
+    """Advance gusts (m, 3), in place; see `sitl.physics.wind.gust_persistence`."""
     for i in range(len(gust)):
         for k in range(3):
-            share = 1.0 if k < 2 else _UPRIGHT
-            drawn = math.sqrt(1.0 - keep * keep) * intensity * share * fresh[i, k]
+            share = 1.0 if k < 2 else _VERTICAL_GUSTS
+            drawn = math.sqrt(1.0 - keep * keep) * intensity * share * random[i, k]
             gust[i, k] = keep * gust[i, k] + drawn
 
 
 @compiled
-def _winds(steady: Array, gust: Array, wind: Array) -> None:
-    """Put the wind at every vehicle into ``wind`` (n, 3): the first gust is common to all."""
-    for i in range(len(wind)):
+def _add_gusts(gust: Array, disturbances: Array) -> None:
+    """Write the wind at every vehicle into ``disturbances``: the first gust is common to all."""
+    for i in range(len(disturbances)):
         for k in range(3):
-            wind[i, k] = steady[i, k] + 0.8 * gust[0, k] + 0.6 * gust[i + 1, k]
+            steady = disturbances[i, k, STEADY_WIND]
+            disturbances[i, k, WIND] = steady + 0.8 * gust[0, k] + 0.6 * gust[i + 1, k]
 
 
 @compiled
-def _downwash(now: Array, mass: Array, radius: Array, apart: Array) -> Array:
-    """Downward air speed (n,) at every vehicle from those above it, as `sitl.physics.wind.jets`.
+def _downwash(state: Array, constants: Array, apart: Array) -> Array:
+    """Return the downward air speed (n,) at every vehicle from those above it.
 
-    Level distances squared go to ``apart`` (n, n).
+    The formula is `sitl.physics.wind.jets`. Level distances squared go to ``apart`` (n, n).
     """
-    count = len(now)
-    felt = np.zeros(count)
+    count = len(state)
+    wash = np.zeros(count)
     near = False
     for i in range(count):
         for j in range(count):
-            east = now[i, 0, POSITION] - now[j, 0, POSITION]
-            north = now[i, 1, POSITION] - now[j, 1, POSITION]
+            east = state[i, 0, POSITION] - state[j, 0, POSITION]
+            north = state[i, 1, POSITION] - state[j, 1, POSITION]
             apart[i, j] = east * east + north * north
-            near = near or (i != j and apart[i, j] < _WASHED)
+            near = near or (i != j and apart[i, j] < _WASH_DISTANCE_SQUARED)
     if not near:
-        return felt
+        return wash
     for j in range(count):
-        lift = max(now[j, 2, THRUST], 0.0) * mass[j]
-        jet = 2.0 * math.sqrt(lift / (2.0 * AIR_DENSITY * math.pi)) / radius[j]
+        lift = max(state[j, 2, THRUST], 0.0) * constants[j, MASS]
+        jet = 2.0 * math.sqrt(lift / (2.0 * AIR_DENSITY * math.pi)) / constants[j, RADIUS]
         for i in range(count):
-            below = now[j, 2, POSITION] - now[i, 2, POSITION]
-            if _LOWEST < below < _HIGHEST:
-                core = 0.7 * radius[j]
+            below = state[j, 2, POSITION] - state[i, 2, POSITION]
+            if _WASH_START < below < _WASH_END:
+                core = 0.7 * constants[j, RADIUS]
                 width = core + 0.1 * below
                 speed = jet * (core / width) * math.exp(-apart[i, j] / (2.0 * width**2))
-                felt[i] = max(felt[i], speed)
-    return felt
+                wash[i] = max(wash[i], speed)
+    return wash
 
 
 @compiled
-def said(
-    now: Array, tumbling: Flags, tumble: Array, yaw: Array, yaw_rate: Array, frames: Array,
+def telemetry_rows(
+    state: Array, tumbling: Flags, tumble: Array, yaw: Array, yaw_rate: Array, frames: Array,
     rows: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """What LOCAL_POSITION_NED and ATTITUDE say after the time, as it lies on the wire, into
-    ``rows`` (n, 12), whose rates of roll and pitch stay as they are.
+    """Write the floats of LOCAL_POSITION_NED and ATTITUDE, in wire order, to ``rows`` (n, 12).
 
-    ``yaw`` and ``yaw_rate`` (n,) are counter-clockwise from east; ``frames`` (n, 5) are where
-    estimators' frames start, and what they make of a metre east and north. Attitudes are those that
-    point the thrust where it points.
+    ``yaw`` and ``yaw_rate`` (n,) are counter-clockwise from east; ``frames`` (n, 5) are the origins
+    of the local frames and their metres per true metre east and north. An attitude is that of the
+    thrust; rates of roll and pitch in ``rows`` stay unchanged.
     """
-    for i in range(len(now)):
-        body, row = now[i], rows[i]
-        east = body[0, POSITION] + body[0, OFFSET] - frames[i, 0]
-        north = body[1, POSITION] + body[1, OFFSET] - frames[i, 1]
+    for i in range(len(state)):
+        body, row = state[i], rows[i]
+        east = body[0, POSITION] + body[0, ESTIMATE_ERROR] - frames[i, 0]
+        north = body[1, POSITION] + body[1, ESTIMATE_ERROR] - frames[i, 1]
         row[0], row[1] = north * frames[i, 4], east * frames[i, 3]
-        row[2] = frames[i, 2] - (body[2, POSITION] + body[2, OFFSET])
+        row[2] = frames[i, 2] - (body[2, POSITION] + body[2, ESTIMATE_ERROR])
         row[3], row[4], row[5] = body[1, VELOCITY], body[0, VELOCITY], -body[2, VELOCITY]
         roll, pitch, turned = _attitude(body, tumbling[i], tumble[i], 0.5 * math.pi - yaw[i])
         row[6], row[7], row[8], row[11] = roll, pitch, turned, -yaw_rate[i]
@@ -237,7 +253,7 @@ def said(
 
 @compiled
 def _attitude(body: Array, tumbles: bool, tumble: float, yaw: float) -> tuple[float, float, float]:
-    """Roll, pitch and yaw (NED, radians) of one vehicle."""
+    """Return roll, pitch and yaw (NED, radians) of one vehicle."""
     if tumbles:
         return _wrap(tumble), _wrap(0.3 * tumble), _wrap(yaw + tumble)
     upward = body[2, THRUST]
@@ -251,11 +267,11 @@ def _attitude(body: Array, tumbles: bool, tumble: float, yaw: float) -> tuple[fl
 
 
 @compiled
-def tilts(now: Array, tumbling: Flags, tumble: Array) -> Array:
-    """By how much everybody's thrust leans (n,), radians from upright."""
-    leans = np.zeros(len(now))
-    for i in range(len(now)):
-        body = now[i]
+def tilts(state: Array, tumbling: Flags, tumble: Array) -> Array:
+    """Return the angles of all thrusts from vertical (n,), radians."""
+    leans = np.zeros(len(state))
+    for i in range(len(state)):
+        body = state[i]
         level = math.hypot(body[0, THRUST], body[1, THRUST])
         if tumbling[i]:
             leans[i] = abs(_wrap(tumble[i]))

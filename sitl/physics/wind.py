@@ -10,33 +10,34 @@ from sitl.physics.motion import AIR_DENSITY
 Array = NDArray[np.float64]
 
 WASH_FACTOR = 3.0
-"""Felt downwash over its drag on the body: rotors lose thrust in falling air, as in a climb."""
+"""Effect of downwash, relative to its drag: rotors lose thrust in descending air, as in a climb."""
 _GUST_LENGTH = 30.0
+"""Scale length of gusts, metres."""
 
 
 def jets(lift: Array, radius: Array, below: Array, distance: Array) -> Array:
-    """Downward air speed under every vehicle: (m, n) for m places and n vehicles.
+    """Return the downward air speed (m, n) at m places under n vehicles.
 
-    ``lift`` (n,) in newtons, ``radius`` (n,) of the vehicles; ``below`` (m, n) is how far a place
-    is below a vehicle, ``distance`` (m, n) the level distance squared.
+    ``lift`` (n,) in newtons, ``radius`` (n,) of the vehicles; ``below`` (m, n) are the heights of
+    the vehicles above the places, ``distance`` (m, n) the level distances squared.
 
-    Momentum theory gives the far-wake speed ``2 √(T / 2ρA)``; further down the jet is a turbulent
-    round one: Gaussian in radius, widening by a tenth of its length and slowing accordingly (Pope,
-    "Turbulent Flows", 5.1; Jain et al., ICRA 2019, for multirotors).
+    Momentum theory gives the far-wake speed ``2 √(T / 2ρA)``; further down the wake is a turbulent
+    round jet: Gaussian in radius, its width grows by a tenth of its length and its speed falls
+    accordingly (Pope, "Turbulent Flows", 5.1; Jain et al., ICRA 2019, for multirotors).
     """
     jet = 2 * np.sqrt(lift / (2 * AIR_DENSITY * np.pi)) / radius
     width = 0.7 * radius + 0.1 * np.maximum(below, 0.0)
     speed = jet * (0.7 * radius / width) * np.exp(-distance / (2 * width**2))
-    felt: Array = speed * ((below > 0.1) & (below < 10.0))
-    return felt
+    downwash: Array = speed * ((below > 0.1) & (below < 10.0))
+    return downwash
 
 
-def gust_keeps(steady: Array, interval: float) -> float:
-    """Share of a gust that is left after ``interval`` seconds in a steady wind (3,).
+def gust_persistence(steady: Array, interval: float) -> float:
+    """Return the share of a gust that persists after ``interval`` seconds in a steady wind (3,).
 
-    Dryden's first-order longitudinal filter on every axis (MIL-F-8785C, low altitude), upright with
-    half the intensity. Four fifths of a gust are common to the whole team, whose vehicles are close
-    together.
+    Dryden's first-order longitudinal filter on every axis (MIL-F-8785C, low altitude), vertical
+    with half the intensity. Four fifths of a gust are common to the whole team, whose vehicles are
+    close together.
     """
     return math.exp(-interval * max(1.0, math.hypot(*steady.tolist())) / _GUST_LENGTH)
 

@@ -77,7 +77,7 @@ class Incoming:
         while batch:
             packets = b"".join([data for _, _, data in batch])
             indices = bytes([vehicle.index for vehicle, _, _ in batch])
-            done = _set_goals(packets, indices, self._systems, b.now, b.frames, b.goal_yaw)
+            done = _set_goals(packets, indices, self._systems, b.state, b.frames, b.goal_yaw)
             for vehicle, _, data in batch if done == len(batch) else batch[:done]:
                 vehicle.autopilot.note_setpoint(data, vehicle.now)
             if done == len(batch):
@@ -116,9 +116,9 @@ def _set_goals(
             # NED to ENU: the second axis is east
             axis, sign = (1 - k, 1.0) if k < 2 else (2, -1.0)
             step = float(single[axis]) / frames[i, 3 + k] if k < 2 else float(single[axis])
-            now[i, k, motion.PLACE] = frames[i, k] + sign * step
-            now[i, k, motion.SPEED] = sign * single[3 + axis]
-            now[i, k, motion.ACCELERATION] = sign * single[6 + axis]
+            now[i, k, motion.GOAL_POSITION] = frames[i, k] + sign * step
+            now[i, k, motion.GOAL_VELOCITY] = sign * single[3 + axis]
+            now[i, k, motion.GOAL_ACCELERATION] = sign * single[6 + axis]
         mask = packets[at + _MASK] | packets[at + _MASK + 1] << 8
         if not mask & _NO_YAW and math.isfinite(single[9]):
             goal_yaw[i] = 0.5 * math.pi - single[9]

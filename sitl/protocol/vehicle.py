@@ -74,7 +74,7 @@ class Vehicle:
             self.unix_offset = float(rng.normal(0.0, 0.05))
             self.bodies.bias[index] = rng.normal(0.0, 1.0, 3) * (0.012, 0.012, 0.015)
             self.bodies.noise_scale[index] = 1.0
-            self.bodies.touch()
+            self.bodies.refresh()
         if world.indoor:
             self.origin = np.zeros(3)
         self._set_frame(world)
@@ -160,7 +160,7 @@ class Vehicle:
         self.origin_announced_at = self.now
         self.place: tuple[float, float, float] = tuple(self.origin.tolist())
         self.bodies.frames[self.index, :3] = self.origin
-        self.bodies.touch()
+        self.bodies.refresh()
 
     def to_local(self, place: Any) -> tuple[float, float, float]:
         """Return a point of world ENU in this estimator's local NED."""

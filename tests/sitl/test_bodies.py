@@ -125,7 +125,7 @@ def test_gusts_have_the_intensity_asked_for() -> None:
     b = emulator.bodies
     winds = []
     for _ in range(10_000):
-        b.wander(0.1)
+        b.step_disturbances(0.1)
         winds.append(b.wind.copy())
     gusts = np.array(winds) - (5.0, 0.0, 0.0)
     assert gusts[..., 0].std() == pytest.approx(1.5, rel=0.25)
@@ -140,8 +140,8 @@ def test_a_vehicle_in_anothers_wash_is_pushed_down() -> None:
     level = b.position[1, 2]
     b.position[1, :2] = b.position[0, :2]
     ground.run(0.6, ground.toward({1: (0.0, 0.0, 7.0), 2: (0.0, 0.0, 5.0)}))
-    assert b.wash[1, 2] < -5.0
-    assert b.wash[0, 2] == 0.0
+    assert b.downwash[1, 2] < -5.0
+    assert b.downwash[0, 2] == 0.0
     assert b.position[1, 2] < level - 0.1
 
 
@@ -198,16 +198,16 @@ def stepped_with_arrays(b: Bodies) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     reach = np.linalg.norm(wanted[:, :2], axis=1)
     wanted[:, :2] *= np.minimum(1.0, b.max_acceleration / np.maximum(reach, 1e-12))[:, None]
     miss[reach > b.max_acceleration, :2] = 0.0
-    ceiling = b.share * b.thrust_limit
+    ceiling = b.thrust_share * b.thrust_limit
     wanted[:, 2] = np.clip(wanted[:, 2] + GRAVITY, np.minimum(0.08 * GRAVITY, ceiling), ceiling)
     reach, most = np.linalg.norm(wanted[:, :2], axis=1), b.tilt_limit * wanted[:, 2]
     wanted[:, :2] *= np.minimum(1.0, (most + 1e-9) / np.maximum(reach, 1e-12))[:, None]
-    kept = np.where((b.share < 1.0)[:, None], 0.0, b.integral)
+    kept = np.where((b.thrust_share < 1.0)[:, None], 0.0, b.integral)
     integral = kept + STEP * b.integral_gain * b.velocity_axes * miss
     missing = wanted * b.health[:, None] - b.thrust
     rate = b.thrust_rate + STEP * (14.0**2 * missing - 2 * 0.9 * 14.0 * b.thrust_rate)
-    air = b.drag[:, None] * (b.wind + b.wash - b.velocity) - [0.0, 0.0, GRAVITY]
-    velocity = b.velocity + STEP * (b.thrust + STEP * rate + air + b._pushed)
+    air = b.drag[:, None] * (b.wind + b.downwash - b.velocity) - [0.0, 0.0, GRAVITY]
+    velocity = b.velocity + STEP * (b.thrust + STEP * rate + air + b._external)
     return b.position + STEP * velocity, velocity, integral
 
 
@@ -222,12 +222,12 @@ def test_a_step_is_the_cascade_that_both_autopilots_fly(seed: int, wild: float) 
     for some in (b.velocity, b.thrust_rate, b.integral, b.bias):
         some[:] = wild * rng.normal(size=(4, 3))
     for i in range(4):
-        b.aim(i, (0.0, 0.0, 50.0, *(wild * rng.normal(size=6))))
+        b.set_goal(i, (0.0, 0.0, 50.0, *(wild * rng.normal(size=6))))
     b.position_gain[:], b.velocity_gain[:], b.integral_gain[:] = 0.9, 3.0, 0.4
-    b.health[:], b.share[:] = [1.0, 0.7, 1.0, 0.2], [1.0, 1.0, 0.4, 0.0]
-    b.wash[0, 2] = -3.0
-    b.touch()
-    b.push(wild * rng.normal(size=(4, 3)))
+    b.health[:], b.thrust_share[:] = [1.0, 0.7, 1.0, 0.2], [1.0, 1.0, 0.4, 0.0]
+    b.downwash[0, 2] = -3.0
+    b.refresh()
+    b.set_external_force(wild * rng.normal(size=(4, 3)))
     position, velocity, integral = stepped_with_arrays(b)
     assert b.step() is None
     assert np.abs(b.position - position).max() < 1e-9
@@ -240,17 +240,17 @@ def test_a_copy_in_the_middle_of_a_flight_flies_on_alike_and_alone() -> None:
     b = ground.emulator.bodies
     b.armed[:] = b.may_lift[:] = True
     for i in range(2):
-        b.aim(i, (3.0 * i, 0.0, 5.0, *[0.0] * 6))
+        b.set_goal(i, (3.0 * i, 0.0, 5.0, *[0.0] * 6))
     for step in range(400):
         b.step()
         if step % 2 == 0:
             landing.supervise(b, 0.04)
     other = copy.deepcopy(b)
     for one in (b, other):
-        one.stage(1, (3.0, 1.0, 5.0, *[0.0] * 6))
+        one.set_goal_values(1, (3.0, 1.0, 5.0, *[0.0] * 6))
         one.step()
     assert (b.position == other.position).all()
-    other.stage(1, (3.0, 9.0, 5.0, *[0.0] * 6))
+    other.set_goal_values(1, (3.0, 9.0, 5.0, *[0.0] * 6))
     other.armed[0] = False
     other.step()
     assert b.goal_position[1, 1] == 1.0

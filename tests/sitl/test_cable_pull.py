@@ -62,7 +62,7 @@ def test_neighbours_of_a_weak_vehicle_shift_by_what_statics_says() -> None:
     before = b.position.copy()
     pull_before = rope.forces(b.grip_points(), b.velocity)
     b.health[1] = 0.8
-    b.touch()
+    b.refresh()
     places = {i + 1: (3.0 * i, 0.0, 4.6) for i in range(3)}
     ground.run(12.0, ground.toward(places))
     pull_after = rope.forces(b.grip_points(), b.velocity)

@@ -123,7 +123,7 @@ def test_attitudes_point_the_thrust_where_it_points() -> None:
     b.yaw[:] = [0.0, 0.5, -2.0, 3.0, 1.0]
     b.yaw_rate[:] = 0.3
     b.tumbling[4], b.tumble[4] = True, 4.0
-    b.touch()
+    b.refresh()
     for vehicle in emulator.vehicles:
         layout, body = wire.LAYOUTS["ATTITUDE"], telemetry.MESSAGES["ATTITUDE"](vehicle)
         assert body is not None
@@ -161,16 +161,16 @@ def what_was_taken(emulator: Emulator, pieces: list[bytes]) -> list[Any]:
     """What setpoints change for vehicle 1; then all is as before."""
     b = emulator.bodies
     autopilot: Any = emulator.vehicles[0].autopilot
-    before = b.now.copy(), b.goal_yaw.copy(), b.position_axes.copy(), b.velocity_axes.copy()
+    before = b.state.copy(), b.goal_yaw.copy(), b.position_axes.copy(), b.velocity_axes.copy()
     axes = dict(b._axes)
     last, at = autopilot.offboard, autopilot.offboard_at
     for piece in pieces:
         emulator.receive(1, piece, emulator.time + 0.5)
-    taken = [b.now[0].tolist(), b.goal_yaw[0], b.position_axes[0].tolist(), autopilot.offboard_at]
+    taken = [b.state[0].tolist(), b.goal_yaw[0], b.position_axes[0].tolist(), autopilot.offboard_at]
     taken.append(repr(autopilot.offboard))
-    b.now[:], b.goal_yaw[:], b.position_axes[:], b.velocity_axes[:] = before
+    b.state[:], b.goal_yaw[:], b.position_axes[:], b.velocity_axes[:] = before
     b._axes = axes
-    b.touch()
+    b.refresh()
     autopilot.offboard, autopilot.offboard_at = last, at
     autopilot.all_axes = True
     autopilot.v.links[0].receiver = wire.Receiver()

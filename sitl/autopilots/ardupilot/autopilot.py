@@ -73,7 +73,7 @@ class ArduPilot(ArduPilotState):
         b.ramp_time[i] = max(0.1, 0.5 * p["TKOFF_SLEW_TIME"])
         b.land_time[i] = 1.0
         b.cut_time[i] = 0.6
-        b.touch()
+        b.refresh()
 
     def parameter_changed(self, name: str) -> None:
         """Apply a parameter that PARAM_SET changed."""

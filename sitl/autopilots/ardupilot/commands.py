@@ -47,7 +47,7 @@ def _takeoff(copter: ArduPilotState, command: Command) -> int:
     here = v.estimated()
     copter.takeoff_height, copter.takeoff_from = float(home[2]) + p[6], float(here[2])
     v.bodies.may_lift[v.index] = True
-    v.bodies.advance[v.index] = 0.0
+    v.bodies.goal_moves[v.index] = 0.0
     modes.cruise(copter)
     controller_goals.go(v, (here[0], here[1], max(copter.takeoff_height, float(here[2]))))
     return ACCEPTED

@@ -15,7 +15,7 @@ def _land(copter: ArduPilotState) -> None:
     home = v.home[2] if v.home is not None else v.origin[2]
     high = float(v.estimated()[2] - home) > p["LAND_ALT_LOW"] / 100.0
     rate = p["WPNAV_SPEED_DN"] if high else p["LAND_SPEED"]
-    v.bodies.climb(v.index, -rate / 100.0)
+    v.bodies.set_climb_rate(v.index, -rate / 100.0)
 
 
 def _return(copter: ArduPilotState) -> None:
@@ -50,12 +50,12 @@ def _guided(copter: ArduPilotState) -> None:
         return
     if v.now - copter.setpoint_at > v.parameters["GUID_TIMEOUT"]:
         b, i = v.bodies, v.index
-        b.advance[i] = 0.0
+        b.goal_moves[i] = 0.0
         goal = (*b.goal_position[i], *[0.0] * 6)
         if copter.submode != "posvel":
             goal = (*v.estimated(), *[0.0] * 6)
         copter.submode = "stopped"
-        b.aim(i, goal)
+        b.set_goal(i, goal)
 
 
 def _fly_mission(copter: ArduPilotState) -> None:

@@ -59,7 +59,7 @@ def _begin(copter: ArduPilotState) -> None:
     copter.landing = copter.mode == LAND
     copter.stage = ""
     copter.submode = ""
-    v.bodies.advance[v.index] = 0.0
+    v.bodies.goal_moves[v.index] = 0.0
     v.bodies.may_lift[v.index] = False
     cruise(copter)
     if not v.armed:
@@ -111,7 +111,7 @@ def disarm(copter: ArduPilotState, reason: str) -> None:
     v.bodies.armed[v.index] = False
     v.bodies.landed[v.index] = True
     copter.disarmed_at = v.now
-    v.bodies.advance[v.index] = 0.0
+    v.bodies.goal_moves[v.index] = 0.0
     controller_goals.idle(v)
     copter.submode = ""
     copter.landing = False

@@ -66,12 +66,12 @@ def _follow(
         kind, ignored = "velocity", _POSITION
         goal, axes = (*v.estimated(), *zero, *zero), 0.0
     if kind == copter.submode == "posvel":
-        b.stage(i, goal)
+        b.set_goal_values(i, goal)
     else:
         copter.submode = kind
-        b.advance[i] = 1.0 if kind == "posvel" else 0.0
+        b.goal_moves[i] = 1.0 if kind == "posvel" else 0.0
         hold = 0.0 if kind == "acceleration" else 1.0
-        b.aim(i, goal, (axes, axes, axes), (hold, hold, hold))
+        b.set_goal(i, goal, (axes, axes, axes), (hold, hold, hold))
     copter.accepted_mask = ignored | (mask & _YAW_BITS)
 
 

@@ -44,7 +44,7 @@ class Px4(Px4State):
         b.tilt_limit[i] = math.tan(math.radians(min(89.0, max(10.0, p["MPC_TILTMAX_AIR"]))))
         b.spool_time[i] = max(0.0, p["COM_SPOOLUP_TIME"])
         b.ramp_time[i] = max(0.1, 0.5 * p["MPC_TKO_RAMP_T"])
-        b.touch()
+        b.refresh()
 
     def parameter_changed(self, name: str) -> None:
         """Apply a parameter that PARAM_SET changed."""

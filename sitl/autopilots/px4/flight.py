@@ -66,7 +66,7 @@ def _land(px4: Px4State) -> None:
     slow, fast = p["MPC_LAND_SPEED"], p["MPC_Z_V_AUTO_DN"]
     low, high = p["MPC_LAND_ALT2"], p["MPC_LAND_ALT1"]
     share = min(1.0, max(0.0, (height - low) / max(high - low, 1e-3)))
-    v.bodies.climb(v.index, -(slow + share * (fast - slow)))
+    v.bodies.set_climb_rate(v.index, -(slow + share * (fast - slow)))
 
 
 def _return(px4: Px4State) -> None:

@@ -37,14 +37,14 @@ def _follow(px4: Px4State, values: tuple[float, ...]) -> None:
     n, e, d, vn, ve, vd, an, ae, ad = values
     total = sum(values)
     if total - total == 0.0:
-        v.bodies.aim(v.index, (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad))
+        v.bodies.set_goal(v.index, (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad))
         px4.all_axes = True
         return
     px4.all_axes = False
     given = [float(math.isfinite(value)) for value in values]
     moved = [max(given[k], given[k + 3]) for k in range(3)]
     n, e, d, vn, ve, vd, an, ae, ad = (u if math.isfinite(u) else 0.0 for u in values)
-    v.bodies.aim(
+    v.bodies.set_goal(
         v.index,
         (*v.to_world(n, e, d), ve, vn, -vd, ae, an, -ad),
         (given[1], given[0], given[2]),
