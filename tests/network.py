@@ -19,6 +19,7 @@ from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.flight.result import Outcome
+from swarm.flight.setup import Options
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
 from swarm.geometry.motion import concatenate, leg
@@ -98,7 +99,7 @@ class Network:
     def __post_init__(self) -> None:
         plan = self.flight_plan.plan
         self.fleet = self.fleet or emulated_fleet(plan.vehicles)
-        self.conductor = Conductor(self.flight_plan, self.fleet, no_cable=self.no_cable)
+        self.conductor = Conductor(self.flight_plan, self.fleet, Options(no_cable=self.no_cable))
         world = emulated_world(plan, self.fleet, with_cable=not self.no_cable, seed=self.seed)
         self.emulator = Emulator(parse_world(json.dumps(world)))
         self.step = 1.0 / self.fleet.rates.setpoint

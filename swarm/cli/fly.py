@@ -18,8 +18,8 @@ from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.clearance import Audit
-from swarm.flight.conductor import LOOSE_BUDGET
 from swarm.flight.resuming import Then
+from swarm.flight.setup import LOOSE_ERROR
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.front.files import load_fleet, load_mission
 from swarm.ground.flight_process import FlightRequest, fly_in_process
@@ -32,7 +32,7 @@ COUNTDOWN = 3
 LONGEST_SOCKET_PATH = 100
 _BARE = (
     f"The fleet has no grippers (gripper: none): flown {RAISED:g} m higher, where nobody touches "
-    f"the ground, and tracking errors up to {LOOSE_BUDGET:g} m do not stop the clock."
+    f"the ground, and tracking errors up to {LOOSE_ERROR:g} m do not stop the clock."
 )
 
 

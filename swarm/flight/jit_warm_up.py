@@ -5,12 +5,18 @@ flight. So a copy of the flight goes through all of it on the ground, with vehic
 they should be, and is forgotten.
 """
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pymavlink.dialects.v20 import common
 
 from swarm.flight.clone import branch
+from swarm.flight.modes.contingency import leave_the_plan, release_fallen
+from swarm.flight.policy import Response
+from swarm.flight.stages import Stage
+from swarm.flight.state import FlightState, Mode
+from swarm.flight.streams import expect_armed
 from swarm.mavlink.autopilots import PX4
 from swarm.mavlink.frames import shared_frames
 from swarm.mavlink.packets import CRC_EXTRAS, Decoder, Encoder
@@ -20,28 +26,18 @@ from swarm.planning import Phase
 
 if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
-    from swarm.flight.contingency import Kind
 
 _SECONDS = 3.0
 """For which each phase is flown: what looks rarely looks, and often enough to judge."""
 _LEAN = 0.3
 """Radians by which one leans, now this way and now that: as much as where a gripper slips, for who
 slips is only looked for where somebody is pulled hard."""
-_WAYS: tuple["Kind", ...] = ("land", "release", "cut loose")
+_RESPONSES = (Response.LAND, Response.RELEASE, Response.RELEASE_FALLEN)
 
 
 def lasting(flight: "Conductor") -> tuple[object, ...]:
     """Return what a flight never changes, and its copies share."""
-    return (
-        flight.flight_plan,
-        flight.plan,
-        flight.fleet,
-        flight.windows,
-        flight.separations,
-        flight.stream_loss,
-        flight.monitor,
-        flight.gates,
-    )
+    return flight.state.setup, flight.stream_loss
 
 
 def warm_up(flight: "Conductor") -> None:
@@ -51,8 +47,8 @@ def warm_up(flight: "Conductor") -> None:
         if phase.end > phase.start:
             _fly(branch(flight, lasting(flight)), phase)
     aloft = [phase for phase in flight.plan.phases if phase.cable == "aloft"]
-    for way in _WAYS if aloft else ():
-        _fly(branch(flight, lasting(flight)), aloft[0], way)
+    for response in _RESPONSES if aloft else ():
+        _fly(branch(flight, lasting(flight)), aloft[0], response)
 
 
 def _hear() -> None:
@@ -68,32 +64,36 @@ def _hear() -> None:
     )
 
 
-def _fly(spare: "Conductor", phase: Phase, way: "Kind | None" = None) -> None:
-    """Fly some of a phase, and then out of the plan where a ``way`` is given."""
-    spare.frames = shared_frames(len(spare.flyers), 0.0)
-    spare.enter("fly")
-    spare.clock.time = phase.start + 0.3 * (phase.end - phase.start)
-    spare.gate = sum(gate.time <= spare.clock.time for gate in spare.gates)
-    spare.clock.set_running()
-    spare.streaming[:] = True
-    spare.expect_armed()
-    step = 1.0 / spare.fleet.rates.setpoint
+def _fly(spare: "Conductor", phase: Phase, response: Response | None = None) -> None:
+    """Fly some of a phase, and then a contingency where a ``response`` is given."""
+    flight = spare.state
+    n = len(flight.roster.vehicles)
+    flight.placement = replace(flight.placement, frames=shared_frames(n, 0.0))
+    flight.mode = Mode(Stage.EXECUTE, flight.now)
+    flight.clock.time = phase.start + 0.3 * (phase.end - phase.start)
+    passed = sum(gate.time <= flight.clock.time for gate in flight.setup.gates)
+    flight.progress = replace(flight.progress, gate=passed)
+    flight.clock.set_running()
+    flight.streams = replace(flight.streams, active=np.ones(n, dtype=np.bool_))
+    expect_armed(flight)
+    step = 1.0 / flight.setup.fleet.rates.setpoint
     for tick in range(round(_SECONDS / step)):
-        now = spare.now + step
-        _be_there(spare, now, _LEAN if tick * step % 2.0 < 1.0 else -_LEAN)
-        if way is not None and tick == 1:
-            if way == "cut loose":
-                spare.dead.add(0)
-            spare.leave(way, "on the ground", move=True)
+        now = flight.now + step
+        _be_there(flight, now, _LEAN if tick * step % 2.0 < 1.0 else -_LEAN)
+        if tick == 1 and response is Response.RELEASE_FALLEN:
+            release_fallen(flight, 0, "on the ground")
+        elif tick == 1 and response is not None:
+            leave_the_plan(flight, response, "on the ground")
         spare.tick(now)
-    spare.snapshot(spare.now)
+    spare.snapshot(flight.now)
 
 
-def _be_there(spare: "Conductor", now: float, lean: float) -> None:
-    """Have every vehicle say that it is where its setpoint is."""
-    places = spare.guidance.wanted(spare.clock, spare.moving).position + spare.lift
+def _be_there(flight: FlightState, now: float, lean: float) -> None:
+    """Let every vehicle report the place of its setpoint."""
+    state = flight.guidance.wanted(flight.clock, flight.timing.moving)
+    places = state.position + flight.setup.lift
     for k, (vehicle, (east, north, up)) in enumerate(
-        zip(spare.flyers, places.tolist(), strict=True)
+        zip(flight.roster.vehicles, places.tolist(), strict=True)
     ):
         vehicle.autopilot = vehicle.autopilot or PX4
         vehicle.custom_mode = vehicle.autopilot.custom_mode("offboard")
@@ -103,6 +103,6 @@ def _be_there(spare: "Conductor", now: float, lean: float) -> None:
         vehicle.position, vehicle.velocity = (north, east, -up), (0.0, 0.0, 0.0)
         vehicle.attitude = (lean if k == 0 else 0.0, 0.0, 0.0)
         vehicle.height_difference = vehicle.vertical_accuracy = 0.1
-    spare.start_position = np.where(
-        np.isfinite(spare.start_position), spare.start_position, places * [1.0, 1.0, 0.0]
-    )
+    start = flight.placement.start_position
+    start = np.where(np.isfinite(start), start, places * [1.0, 1.0, 0.0])
+    flight.placement = replace(flight.placement, start_position=start)

@@ -1,13 +1,19 @@
-"""What the operator may ask for, what it would do now, and whether its window is open."""
+"""The operator's commands: what each would do now, and whether it is possible."""
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
+from swarm.flight.ending import finish, mark_failed, mark_interrupted
+from swarm.flight.failures import OPERATOR
+from swarm.flight.holds import end_operator_hold, hold
+from swarm.flight.modes.contingency import leave_the_plan
+from swarm.flight.modes.rejoin import outside, rejoin
 from swarm.flight.pace import rewind_end
-from swarm.flight.rejoining import outside, rejoin
-
-if TYPE_CHECKING:
-    from swarm.flight.conductor import Conductor
+from swarm.flight.policy import Response
+from swarm.flight.progress import set_rewinding
+from swarm.flight.stages import Stage
+from swarm.flight.state import FlightState
+from swarm.flight.streams import expect_armed, stop_stream
 
 Request = Literal[
     "hold", "resume", "rewind", "land", "release", "rejoin", "abort", "kill", "interrupt"
@@ -16,27 +22,36 @@ REQUESTS: tuple[Request, ...] = get_args(Request)
 
 
 class Availability(NamedTuple):
-    """Whether a wish can be granted now, and what would follow, in words."""
+    """Whether a command is possible now; its effect, or the reason against it."""
 
     open: bool
     words: str
 
 
-def available(flight: "Conductor") -> Mapping[Request, Availability]:
-    """Return what each wish would do at this moment of the flight."""
-    if flight.stage == "finished":
+def request(flight: FlightState, command: Request) -> str:
+    """Carry out an operator's command where it is possible; return its effect in words."""
+    answer = available(flight)[command]
+    flight.report("operator", f"{command}: {answer.words}")
+    if answer.open:
+        _ACTIONS[command](flight)
+    return answer.words
+
+
+def available(flight: FlightState) -> Mapping[Request, Availability]:
+    """Return the effect of every command at this moment of the flight."""
+    if flight.stage is Stage.FINISHED:
         return dict.fromkeys(REQUESTS, Availability(False, "the flight is over"))
-    if flight.stage == "find":
+    if flight.stage is Stage.RESUME:
         closed = Availability(False, "the team has not been found yet")
         end = Availability(True, "ends here: everybody lands by itself after the fleet's hold time")
         return {**dict.fromkeys(REQUESTS, closed), "interrupt": end}
-    if flight.stage in {"prepare", "ready"}:
+    if flight.stage in {Stage.PREPARE, Stage.READY}:
         closed = Availability(False, "nothing flies yet")
         end = Availability(True, "ends here: nothing is armed")
         return {**dict.fromkeys(REQUESTS, closed), "interrupt": end, "abort": closed}
     kill = Availability(True, "stops all motors at once, wherever they are")
     interrupt = Availability(True, "holds, then lands everybody together; again: lands at once")
-    if flight.leaving:
+    if flight.contingency is not None:
         closed = Availability(False, "the team is leaving the plan already")
         return {**dict.fromkeys(REQUESTS, closed), "kill": kill, "interrupt": interrupt}
     return {
@@ -52,25 +67,25 @@ def available(flight: "Conductor") -> Mapping[Request, Availability]:
     }
 
 
-def _hold(flight: "Conductor") -> Availability:
-    if flight.holding:
-        return Availability(False, f"already holding: {flight.holding}")
-    limit = flight.fleet.limits.hold
+def _hold(flight: FlightState) -> Availability:
+    if flight.holds.causes:
+        return Availability(False, f"already holding: {flight.holds.message}")
+    limit = flight.setup.fleet.limits.hold
     return Availability(
         True, f"everybody stops along the path; after {limit:g} s all land together"
     )
 
 
-def _resume(flight: "Conductor") -> Availability:
-    if not flight.holding:
+def _resume(flight: FlightState) -> Availability:
+    if not flight.holds.causes:
         return Availability(False, "nothing is on hold")
     return Availability(True, "goes on with the plan")
 
 
-def _rewind(flight: "Conductor") -> Availability:
+def _rewind(flight: FlightState) -> Availability:
     if not flight.phase.reversible:
         return Availability(False, f"the phase {flight.phase.name} does not run backwards")
-    if flight.waiting:
+    if flight.progress.waiting:
         return Availability(False, "the clock waits at a gate")
     back = flight.clock.time - rewind_end(flight)
     if back < 0.5:
@@ -78,104 +93,101 @@ def _rewind(flight: "Conductor") -> Availability:
     return Availability(True, f"goes back along the path by up to {back:.0f} s, then holds")
 
 
-def _land(flight: "Conductor") -> Availability:
-    if flight.windows.can_land(flight.clock.time):
+def _land(flight: FlightState) -> Availability:
+    if flight.setup.windows.can_land(flight.clock.time):
         return Availability(True, "everybody straight down together, here")
     return Availability(True, "somebody is above somebody: moves to where all can land, then lands")
 
 
-def _release(flight: "Conductor") -> Availability:
-    if not any(vehicle.gripped for vehicle in flight.flyers):
+def _release(flight: FlightState) -> Availability:
+    if not flight.attached:
         return Availability(False, "nobody holds the cable")
-    if flight.windows.can_release(flight.clock.time):
+    if flight.setup.windows.can_release(flight.clock.time):
         return Availability(True, "drops the cable, separates upwards and lands")
     return Availability(
         True, "cable hangs above a vehicle: moves to where it does not, then releases"
     )
 
 
-def _rejoin(flight: "Conductor") -> Availability:
+def _rejoin(flight: FlightState) -> Availability:
     away = outside(flight)
     if not away:
         return Availability(False, "everybody who can be streamed to is")
-    names = ", ".join(flight.name(flight.flyers[k]) for k in away)
+    names = ", ".join(flight.name(flight.roster.vehicles[k]) for k in away)
     if not flight.clock.stopped:
         return Availability(False, f"the clock still runs: {names} can rejoin a team that holds")
     return Availability(True, f"takes {names} into the team again, from where it is, and holds")
 
 
-def _abort(flight: "Conductor") -> Availability:
-    held = any(vehicle.gripped for vehicle in flight.flyers)
-    if held and flight.windows.can_release(flight.clock.time):
+def _abort(flight: FlightState) -> Availability:
+    if flight.attached and flight.setup.windows.can_release(flight.clock.time):
         return Availability(True, "drops the cable here, separates upwards and lands")
     return Availability(True, "everybody straight down together, here")
 
 
-def _grant_hold(flight: "Conductor") -> None:
-    flight.rewinding = False
-    flight.hold("operator", "the operator asked")
+def _do_hold(flight: FlightState) -> None:
+    set_rewinding(flight, rewinding=False)
+    hold(flight, OPERATOR, "the operator asked")
 
 
-def _grant_resume(flight: "Conductor") -> None:
-    flight.rewinding = False
-    flight.holds.pop("operator", None)
+def _do_resume(flight: FlightState) -> None:
+    set_rewinding(flight, rewinding=False)
+    end_operator_hold(flight)
 
 
-def _grant_rewind(flight: "Conductor") -> None:
-    flight.holds.pop("operator", None)
-    flight.rewinding = True
+def _do_rewind(flight: FlightState) -> None:
+    end_operator_hold(flight)
+    set_rewinding(flight, rewinding=True)
 
 
-def _grant_land(flight: "Conductor") -> None:
-    flight.leave("land", "the operator asked to land", move=True)
+def _do_land(flight: FlightState) -> None:
+    leave_the_plan(flight, Response.LAND, "the operator asked to land")
 
 
-def _grant_release(flight: "Conductor") -> None:
-    flight.leave("release", "the operator asked to release", move=True)
+def _do_release(flight: FlightState) -> None:
+    leave_the_plan(flight, Response.RELEASE, "the operator asked to release")
 
 
-def _grant_rejoin(flight: "Conductor") -> None:
-    rejoin(flight)
+def _do_abort(flight: FlightState) -> None:
+    """Choose the quickest end that drops no cable on a rotor."""
+    release = flight.attached and flight.setup.windows.can_release(flight.clock.time)
+    response = Response.RELEASE if release else Response.LAND_HERE
+    leave_the_plan(flight, response, "the operator aborted", move=False)
 
 
-def _grant_abort(flight: "Conductor") -> None:
-    """The quickest end that drops nothing on anybody."""
-    held = any(vehicle.gripped for vehicle in flight.flyers)
-    can_release = flight.windows.can_release(flight.clock.time)
-    flight.leave("release" if held and can_release else "land", "the operator aborted", move=False)
-
-
-def _grant_kill(flight: "Conductor") -> None:
-    flight.fail("killed by the operator")
-    for k, vehicle in enumerate(flight.flyers):
-        flight.streaming[k] = False
+def _do_kill(flight: FlightState) -> None:
+    mark_failed(flight, "killed by the operator")
+    for k, vehicle in enumerate(flight.roster.vehicles):
+        stop_stream(flight, k)
         vehicle.kill()
-    flight.expected_armed[:] = False
-    if flight.stage == "fly":
-        flight.leave("land", "killed by the operator", move=False, told="all motors stopped")
+    expect_armed(flight, armed=False)
+    if flight.stage is Stage.EXECUTE:
+        words = "killed by the operator"
+        leave_the_plan(flight, Response.LAND_HERE, words, announced="all motors stopped")
 
 
-def _grant_interrupt(flight: "Conductor") -> None:
-    again, flight.interrupted = flight.interrupted, True
-    if flight.stage in {"prepare", "ready"}:
-        flight.finish_as("interrupted", "interrupted before anything was armed")
-    elif flight.stage == "find":
-        flight.finish_as("interrupted", "interrupted before the team was found")
-    elif flight.stage == "fly" and (again or flight.waiting):
-        flight.leave("land", "interrupted", move=not again)
-    elif flight.stage == "fly":
-        flight.rewinding = False
-        flight.hold("operator", "interrupted")
+def _do_interrupt(flight: FlightState) -> None:
+    again = mark_interrupted(flight)
+    if flight.stage in {Stage.PREPARE, Stage.READY}:
+        finish(flight, "interrupted", "interrupted before anything was armed")
+    elif flight.stage is Stage.RESUME:
+        finish(flight, "interrupted", "interrupted before the team was found")
+    elif flight.stage is Stage.EXECUTE and (again or flight.progress.waiting):
+        response = Response.LAND_HERE if again else Response.LAND
+        leave_the_plan(flight, response, "interrupted")
+    elif flight.stage is Stage.EXECUTE:
+        set_rewinding(flight, rewinding=False)
+        hold(flight, OPERATOR, "interrupted")
 
 
-GRANT: Mapping[Request, "Callable[[Conductor], None]"] = {
-    "hold": _grant_hold,
-    "resume": _grant_resume,
-    "rewind": _grant_rewind,
-    "land": _grant_land,
-    "release": _grant_release,
-    "rejoin": _grant_rejoin,
-    "abort": _grant_abort,
-    "kill": _grant_kill,
-    "interrupt": _grant_interrupt,
+_ACTIONS: Mapping[Request, Callable[[FlightState], None]] = {
+    "hold": _do_hold,
+    "resume": _do_resume,
+    "rewind": _do_rewind,
+    "land": _do_land,
+    "release": _do_release,
+    "rejoin": rejoin,
+    "abort": _do_abort,
+    "kill": _do_kill,
+    "interrupt": _do_interrupt,
 }

@@ -119,6 +119,10 @@ class Team:
             if not url.startswith("udpin"):
                 self._route(name, None)
 
+    def report_to(self, report: Callable[[str, str, int | None], None]) -> None:
+        """Call another function with kind, words and system id of what the links show."""
+        self._report = report
+
     def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
         """Take bytes that arrived on a link; return whether they were read at all.
 

@@ -1,111 +1,107 @@
-"""What a flight does in each of its stages, every tick."""
+"""The stages of a flight and of a contingency, and every transition between them, as tables.
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Final
+As in h11: a state and an event lead to one next state; every other event is an error of the
+program. :func:`mermaid` draws the tables.
+"""
 
-from swarm.flight.failure_detection import watch
-from swarm.flight.failures import failure
-from swarm.flight.gates import GATES
-from swarm.flight.grip_slip import watch_grasps
-from swarm.flight.measuring import look, measure
-from swarm.flight.pace import advance_clock, bound_hold, steer
-from swarm.flight.preparation import Prepared
-from swarm.flight.readiness import readiness
-from swarm.flight.rejoining import bring_back
-from swarm.flight.result import Outcome
-from swarm.flight.resuming import find, go_on
-from swarm.flight.straying import watch_stray
-
-if TYPE_CHECKING:
-    from swarm.flight.conductor import Conductor
-
-_NO_LONGER_READY = 5.0
+from collections.abc import Mapping
+from enum import StrEnum
 
 
-def _prepare(flight: "Conductor") -> None:
-    result = flight.preparation.tick(flight.now)
-    if isinstance(result, Outcome):
-        flight.finish_as(result.word, result.explanation)
-    elif isinstance(result, Prepared):
-        flight.fly_with(result.flyers)
-        flight.frames, flight.yaw, flight.audit = result.frames, result.yaw, result.audit
-        measure(flight)
-        flight.start_position = flight.position.copy()
-        flight.say("flight", "all vehicles are ready")
-        flight.enter("ready")
+class Stage(StrEnum):
+    """The stages of a flight.
+
+    PREPARE: find the vehicles, request their streams and origins, wait for readiness. READY: wait
+    for the audit and the operator. RESUME: find a team that flies already. EXECUTE: fly the plan.
+    CONTINGENCY: land together outside the plan. FINISHED: nothing is sent any more.
+    """
+
+    PREPARE = "prepare"
+    READY = "ready"
+    RESUME = "find"
+    EXECUTE = "fly"
+    CONTINGENCY = "leave"
+    FINISHED = "finished"
 
 
-def _find(flight: "Conductor") -> None:
-    if flight.left_off is not None:
-        find(flight, flight.left_off)
+class Trigger(StrEnum):
+    """The events that change the stage of a flight."""
+
+    TEAM_READY = "all vehicles are ready"
+    CLEARED = "cleared for flight"
+    TEAM_FOUND = "team found in flight"
+    LEAVE_PLAN = "failure or operator"
+    END = "outcome known"
 
 
-def _ready(flight: "Conductor") -> None:
-    findings = readiness(flight.flyers, flight.fleet, flight.now)
-    if not findings:
-        flight.stage_since = flight.now
-    elif flight.now - flight.stage_since > _NO_LONGER_READY:
-        words = "\n".join(finding.message for finding in findings)
-        flight.finish_as("failed", f"no longer ready:\n{words}")
-
-
-def _fly(flight: "Conductor") -> None:
-    watch(flight)
-    bring_back(flight)
-    go_on(flight)
-    look(flight)
-    watch_grasps(flight)
-    watch_stray(flight)
-    bound_hold(flight)
-    if flight.stage != "fly":
-        return
-    if not flight.waiting:
-        steer(flight)
-        if advance_clock(flight):
-            if flight.gate < len(flight.gates):
-                _reach_gate(flight)
-            else:
-                flight.conclude()
-    if flight.waiting:
-        _wait_at_gate(flight)
-
-
-def _reach_gate(flight: "Conductor") -> None:
-    flight.waiting = True
-    flight.gate_since = flight.now
-    flight.clock.set_stopped()
-    gate = flight.gates[flight.gate]
-    who = "all inner vehicles" if gate.inner else "all"
-    flight.say("gate", f"waiting until {who} are {gate.condition}")
-    GATES[gate.condition].begin(flight, flight.now)
-
-
-def _wait_at_gate(flight: "Conductor") -> None:
-    gate = flight.gates[flight.gate]
-    if flight.holds and gate.condition != "landed":
-        flight.gate_since += flight.now - flight.last
-    elif GATES[gate.condition].passed(flight, flight.now):
-        flight.say("gate", f"all are {gate.condition}")
-        flight.waiting = False
-        flight.gate += 1
-        flight.clock.set_running()
-        if gate.condition == "landed":
-            flight.conclude()
-    elif flight.now - flight.gate_since > gate.timeout:
-        failure(flight, "gate timed out", f"not all are {gate.condition} in {gate.timeout:g} s")
-
-
-def _leave(flight: "Conductor") -> None:
-    watch(flight)
-    if flight.way_out is not None and flight.way_out.tick() and flight.stage == "leave":
-        flight.conclude()
-
-
-STAGES: Final[Mapping[str, Callable[["Conductor"], None]]] = {
-    "prepare": _prepare,
-    "ready": _ready,
-    "find": _find,
-    "fly": _fly,
-    "leave": _leave,
-    "finished": lambda _: None,
+TRANSITIONS: Mapping[Stage, Mapping[Trigger, Stage]] = {
+    Stage.PREPARE: {Trigger.TEAM_READY: Stage.READY, Trigger.END: Stage.FINISHED},
+    Stage.READY: {Trigger.CLEARED: Stage.EXECUTE, Trigger.END: Stage.FINISHED},
+    Stage.RESUME: {Trigger.TEAM_FOUND: Stage.EXECUTE, Trigger.END: Stage.FINISHED},
+    Stage.EXECUTE: {Trigger.LEAVE_PLAN: Stage.CONTINGENCY, Trigger.END: Stage.FINISHED},
+    Stage.CONTINGENCY: {Trigger.END: Stage.FINISHED},
+    Stage.FINISHED: {},
 }
+
+
+class Step(StrEnum):
+    """The steps of a contingency.
+
+    APPROACH: the clock comes to rest, at the nearest moment that permits the contingency. RELEASE:
+    the grippers open. SEPARATE: the vehicles move apart. DESCEND: all go straight down.
+    """
+
+    APPROACH = "approach"
+    RELEASE = "release"
+    SEPARATE = "separate"
+    DESCEND = "descend"
+
+
+class StepTrigger(StrEnum):
+    """The events that change the step of a contingency."""
+
+    RELEASE = "release"
+    RELEASED = "cable released"
+    LAND = "land with the cable"
+    STUCK = "grippers stay closed"
+    SURROUNDED = "two vehicles do not follow"
+    APART = "vehicles apart"
+
+
+STEP_TRANSITIONS: Mapping[Step, Mapping[StepTrigger, Step]] = {
+    Step.APPROACH: {StepTrigger.RELEASE: Step.RELEASE, StepTrigger.LAND: Step.DESCEND},
+    Step.RELEASE: {
+        StepTrigger.RELEASE: Step.RELEASE,
+        StepTrigger.RELEASED: Step.SEPARATE,
+        StepTrigger.STUCK: Step.DESCEND,
+        StepTrigger.SURROUNDED: Step.DESCEND,
+    },
+    Step.SEPARATE: {StepTrigger.APART: Step.DESCEND},
+    Step.DESCEND: {StepTrigger.RELEASE: Step.RELEASE},
+}
+
+
+def next_stage(stage: Stage, trigger: Trigger) -> Stage:
+    """Return the stage that follows; raises ValueError where the table has none."""
+    if trigger not in TRANSITIONS[stage]:
+        raise ValueError(f"no transition from {stage.name} by {trigger.name}")
+    return TRANSITIONS[stage][trigger]
+
+
+def next_step(step: Step, trigger: StepTrigger) -> Step:
+    """Return the step that follows; raises ValueError where the table has none."""
+    if trigger not in STEP_TRANSITIONS[step]:
+        raise ValueError(f"no transition from {step.name} by {trigger.name}")
+    return STEP_TRANSITIONS[step][trigger]
+
+
+def mermaid() -> str:
+    """Return both tables as one Mermaid state diagram."""
+    lines = ["stateDiagram-v2", "    [*] --> PREPARE", "    [*] --> RESUME"]
+    for stage, row in TRANSITIONS.items():
+        lines += [f"    {stage.name} --> {after.name}: {by.value}" for by, after in row.items()]
+    lines += ["    FINISHED --> [*]", "    state CONTINGENCY {", "        [*] --> APPROACH"]
+    for step, way in STEP_TRANSITIONS.items():
+        lines += [f"        {step.name} --> {to.name}: {by.value}" for by, to in way.items()]
+    lines += ["        DESCEND --> [*]", "    }"]
+    return "\n".join(lines)

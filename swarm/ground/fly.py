@@ -21,6 +21,7 @@ from swarm.flight.jit_warm_up import warm_up
 from swarm.flight.parameters import demands_of_plan, stream_loss_findings, stream_loss_model
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
+from swarm.flight.setup import Options
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockTeller
 from swarm.flight.world import emulated_world
@@ -83,11 +84,9 @@ def fly(
         Conductor(
             flight_plan,
             fleet,
-            no_cable=no_cable,
+            Options(no_cable=no_cable, error_limit=stray_limit, speed=speed),
             left=left,
             then=then,
-            stray_limit=stray_limit,
-            speed=speed,
         )
     )
     links = open_links(fleet.links)
@@ -251,7 +250,7 @@ class _Shell:
             if self._record.problem is not None and not self._told_of_disk:
                 self._told_of_disk = True
                 words = f"the record cannot be written: {self._record.problem}; the flight goes on"
-                conductor.say("record", words)
+                conductor.report("record", words)
             phase = conductor.phase.name if conductor.stage == "fly" else ""
             if conductor.stage in {"ready", "fly", "leave"}:
                 self._record.packet(self._clock.tell(now, conductor.clock.time, phase), now)

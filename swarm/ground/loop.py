@@ -29,7 +29,9 @@ _STILL = 0.0003
 class Flown(Protocol):
     """What the loop runs: the conductor, or whoever only listens."""
 
-    fleet: Fleet
+    @property
+    def fleet(self) -> Fleet:
+        """The fleet whose links are served."""
 
     def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
         """Take bytes that arrived; return whether they were read."""

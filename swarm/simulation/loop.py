@@ -18,6 +18,7 @@ from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
+from swarm.flight.setup import Options
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import Fleet, emulated_fleet
@@ -102,9 +103,11 @@ def simulate_flight(
     conductor = Conductor(
         flight_plan,
         fleet,
-        no_cable=options.no_cable,
-        open_loop=options.open_loop,
-        stray_limit=options.stray_limit,
+        Options(
+            no_cable=options.no_cable,
+            open_loop=options.open_loop,
+            error_limit=options.stray_limit,
+        ),
     )
     if world is None:
         world = emulated_world(plan, fleet, with_cable=not options.no_cable, seed=seed)

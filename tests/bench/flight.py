@@ -25,6 +25,7 @@ import tempfile
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -41,6 +42,8 @@ from rich.console import Console
 
 from swarm.flight.conductor import Conductor
 from swarm.flight.jit_warm_up import warm_up
+from swarm.flight.stages import Stage
+from swarm.flight.state import Mode
 from swarm.ground.loop import Loop
 from swarm.ground.priority import (
     configure_interpreter,
@@ -154,11 +157,12 @@ def ours(
 
     def each_tick(now: float) -> None:
         if conductor.stage == "prepare" and all(v.armed for v in conductor.flyers):
-            conductor.frames = shared_frames(count)
-            conductor.enter("fly")
-            conductor.gate = 6
+            flight = conductor.state
+            flight.placement = replace(flight.placement, frames=shared_frames(count))
+            flight.mode = Mode(Stage.EXECUTE, now)
+            flight.progress = replace(flight.progress, gate=6)
             conductor.clock.time = flight_plan.plan.phase("fold").start
-            conductor.streaming[:] = True
+            flight.streams = replace(flight.streams, active=np.ones(count, dtype=bool))
         conductor.clock.target = 0.0
         for event in conductor.events():
             record.event(event)

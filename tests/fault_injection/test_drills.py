@@ -14,7 +14,8 @@ import pytest
 
 from swarm import planner
 from swarm.certification.stream_loss import StreamLossCertificate, StreamLossModel, WorstLoss
-from swarm.flight.failures import LOSES_A_VEHICLE, TABLE
+from swarm.flight.modes.contingency import leave_the_plan, release_fallen
+from swarm.flight.policy import LOSES_A_VEHICLE, TABLE, Response
 from swarm.mission import mission_for_knot
 from swarm.planning import digest
 from swarm.simulation.fault_injection import (
@@ -80,7 +81,9 @@ def judged(row, flight_plan=PLAN, left=False, **found):
     """What is wrong with a trial of a row that went well but for ``found``; the team has ``left``
     its plan where it can neither land nor let go."""
     fine = FaultTrial(50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[row].ends[0], ())
-    conductor = SimpleNamespace(way_out=SimpleNamespace(cornered=True) if left else None)
+    conductor = SimpleNamespace(
+        state=SimpleNamespace(contingency=SimpleNamespace(cornered=True) if left else None)
+    )
     flight = SimpleNamespace(flight_plan=flight_plan, conductor=conductor)
     return evaluation._problems(flight, BY_NAME[row], replace(fine, **found))
 
@@ -149,7 +152,7 @@ def test_the_survivors_of_a_lost_motor_let_go_in_order():
     flight = SteppedSimulation.of(PLAN, failure_test_fleet(3, "px4"), seed=2)
     while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
         flight.step()
-    flight.conductor.cut_loose(flight.conductor.flyers[1], "for the test")
+    release_fallen(flight.conductor.state, 1, "for the test")
     while flight.conductor.finished is None:
         flight.step()
     (order,) = [event.message for event in flight.events if event.kind == "release"]
@@ -166,7 +169,7 @@ def test_who_has_not_answered_lately_lets_go_first():
     flight.emulator.inject(Fault.model_validate({"at": began, **deaf}))
     while flight.now < began + 3.5:
         flight.step()
-    flight.conductor.leave("release", "for the test", move=False)
+    leave_the_plan(flight.conductor.state, Response.RELEASE, "for the test", move=False)
     while flight.emulator.truth().gripped.any():
         flight.step()
     first, then = [event.message for event in flight.events if event.kind == "release"]
@@ -175,11 +178,9 @@ def test_who_has_not_answered_lately_lets_go_first():
 
 
 def test_the_answers_are_the_groups_and_nobody_is_sent_home():
-    assert {row.response for row in TABLE.values()} <= {
-        "hold", "land", "land here", "release", "release here", "cut loose"
-    }  # fmt: skip
+    assert not any("return" in response or "launch" in response for response in Response)
     assert {"falling", "disarmed", "rebooted"} <= LOSES_A_VEHICLE
-    assert all(TABLE[name].fatal for name in LOSES_A_VEHICLE)
+    assert all(TABLE[kind].irreversible for kind in LOSES_A_VEHICLE)
 
 
 def test_a_drill_tells_what_a_program_wants_to_know_and_the_same_seed_the_same():

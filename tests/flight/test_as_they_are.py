@@ -9,6 +9,8 @@ from pymavlink.dialects.v20 import common
 import sitl.physics.dynamics
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.conductor import Conductor
+from swarm.flight.failures import FailureKind
+from swarm.flight.setup import Options
 from swarm.mavlink.packets import CURRENT_MODE, Decoder
 from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
@@ -35,7 +37,7 @@ def test_vehicles_that_have_flown_fly_again(autopilots):
     """PX4 is back in offboard mode then, in which it cannot be armed without a stream."""
     flight = network(autopilots, frame="pads")
     assert flight.run().word == "done"
-    flight.conductor = Conductor(PLAN, flight.fleet, no_cable=True)
+    flight.conductor = Conductor(PLAN, flight.fleet, Options(no_cable=True))
     assert flight.run(most=150.0).word == "done", flight.words()[-8:]
 
 
@@ -58,9 +60,10 @@ def test_a_px4_that_leaves_offboard_is_noticed_between_its_heartbeats():
     victim, since = flight.emulator.vehicles[1], flight.now
     flight.until_time(0.1)
     victim.autopilot.leave_offboard()
-    flight.run(lambda: bool(flight.conductor.holds), most=1.0)
+    flight.run(lambda: flight.conductor.holding is not None, most=1.0)
     assert flight.now - since < 0.5
-    assert "left offboard" in "".join(flight.conductor.holds)
+    causes = flight.conductor.state.holds.causes
+    assert FailureKind.LEFT_OFFBOARD in {cause.failure for cause in causes}
 
 
 def test_an_older_px4_that_does_not_tell_its_mode_flies_by_its_heartbeats():
@@ -80,7 +83,7 @@ def test_a_refused_rate_does_not_end_a_flight():
     flight.until_time(2.0)
     assert "interval of HEARTBEAT: failed" in flight.words("failed")
     assert flight.conductor.stage == "fly"
-    assert not flight.conductor.holds
+    assert not flight.conductor.holding
 
 
 def test_receivers_that_jump_about_by_half_a_metre_do_not_end_a_flight():
@@ -130,6 +133,6 @@ def test_a_team_that_wanders_as_simulated_ones_do_flies_to_the_end(monkeypatch):
 def test_programs_start_in_real_time_however_fast_flight_time_runs(speed, word):
     """After 100 s of flight time 20 s have passed at five times real time: not too late."""
     flight = network(("px4",), downlink=lambda now, *_: now > 100.0)
-    flight.conductor = Conductor(PLAN, flight.fleet, no_cable=True, speed=speed)
+    flight.conductor = Conductor(PLAN, flight.fleet, Options(no_cable=True, speed=speed))
     flight.run(lambda: flight.conductor.stage == "fly", most=120.0)
-    assert (flight.conductor.outcome and flight.conductor.outcome.word) == word
+    assert (flight.conductor.finished and flight.conductor.finished.word) == word

@@ -41,7 +41,10 @@ def test_vehicles_are_where_the_plan_says_although_each_has_its_own_origin():
     flight = network(("px4", "ardupilot"), no_cable=True)
     flight.until_phase("hold", 1.0)
     truth = flight.emulator.truth()
-    assert np.linalg.norm(truth.position - flight.conductor.setpoint, axis=1).max() < 0.15
+    assert (
+        np.linalg.norm(truth.position - flight.conductor.state.streams.setpoint, axis=1).max()
+        < 0.15
+    )
     origins = [vehicle.origin for vehicle in flight.conductor.flyers]
     assert len(set(origins)) == len(origins)
 
@@ -66,7 +69,7 @@ def test_px4_hears_a_stream_before_offboard_and_is_armed_after_it():
 
 def test_ardupilot_gets_no_setpoint_until_it_flies():
     flight = network(("ardupilot",), no_cable=True)
-    flight.run(flight.conductor.streaming.any)
+    flight.run(lambda: bool(flight.conductor.state.streams.active.any()))
     seen = [(now, kind) for now, _, kind, *_ in sent_to(flight)]
     assert "takeoff" in [kind for _, kind in seen]
     assert {now for now, kind in seen if kind == "setpoint"} == {flight.now}
@@ -91,7 +94,7 @@ def test_hold_stops_along_the_path_and_resume_goes_on():
     assert flight.conductor.clock.stopped
     flight.until_time(2.0)
     assert flight.conductor.clock.time == stood
-    assert np.linalg.norm(flight.conductor.velocity, axis=1).max() < 0.1
+    assert np.linalg.norm(flight.conductor.state.observation.velocity, axis=1).max() < 0.1
     flight.conductor.request("resume")
     flight.until_time(3.0)
     assert flight.conductor.clock.time > stood + 1.0
@@ -133,7 +136,7 @@ def test_landing_brings_everybody_straight_down_together(autopilots):
     flight = network(autopilots)
     flight.until_phase("fold", 3.0)
     flight.conductor.request("land")
-    flight.run(lambda: flight.conductor.guidance.descending)
+    flight.run(lambda: flight.conductor.state.guidance.descending)
     above = flight.emulator.truth().position
     outcome = flight.run(most=60.0)
     assert outcome.word == "interrupted"
@@ -267,7 +270,7 @@ def test_a_vehicle_that_left_rejoins_from_where_it_is_when_the_operator_agrees()
     assert flight.conductor.request("rejoin").startswith("takes vehicle 2 into the team")
     flight.until_time(0.2)
     first = next(m for _, system, kind, m in sent_to(flight) if kind == "setpoint" and system == 2)
-    asked = flight.conductor.setpoint[1]
+    asked = flight.conductor.state.streams.setpoint[1]
     assert np.linalg.norm(asked - where) < 0.1
     assert abs(first.vx) + abs(first.vy) + abs(first.vz) < 0.05
     flight.run(lambda: bool(flight.words("rejoin")), most=8.0)
@@ -275,18 +278,18 @@ def test_a_vehicle_that_left_rejoins_from_where_it_is_when_the_operator_agrees()
     assert flight.conductor.holding == "vehicles rejoin"
     flight.conductor.request("resume")
     assert flight.run().exit_code == 3, "it is flown to its end, and it is said that one left"
-    assert flight.conductor.gate == len(PLAN.plan.gates)
+    assert flight.conductor.state.progress.gate == len(PLAN.plan.gates)
 
 
 def test_the_ground_station_may_sleep_and_no_setpoint_jumps():
     """One second without a tick is not made up for: mission time waits meanwhile."""
     flight = network(no_cable=True)
     flight.until_phase("fold", 4.0)
-    before, was = flight.conductor.clock.time, flight.conductor.setpoint.copy()
+    before, was = flight.conductor.clock.time, flight.conductor.state.streams.setpoint.copy()
     flight._tick += 20
     flight.once()
     assert flight.conductor.clock.time - before <= 0.1 + 1e-9
-    assert np.linalg.norm(flight.conductor.setpoint - was, axis=1).max() < 0.15
+    assert np.linalg.norm(flight.conductor.state.streams.setpoint - was, axis=1).max() < 0.15
 
 
 def test_a_lossy_jittery_link_is_flown_through():
@@ -302,7 +305,10 @@ def test_a_lost_acknowledgement_of_the_release_is_asked_for_again():
         for packet in Decoder().feed(data):
             if packet.number == common.MAVLINK_MSG_ID_COMMAND_ACK and system == 2:
                 ack = packet.message
-                if ack.command == common.MAV_CMD_DO_GRIPPER and flight.conductor.gate == 6:
+                if (
+                    ack.command == common.MAV_CMD_DO_GRIPPER
+                    and flight.conductor.state.progress.gate == 6
+                ):
                     dropped.append(ack)
                     return len(dropped) > 1
         return True

@@ -8,7 +8,7 @@ import pytest
 from swarm.certification.findings import Finding
 from swarm.errors import Refused
 from swarm.flight.clearance import Audit, go
-from swarm.flight.contingency import Contingency
+from swarm.flight.modes import contingency
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=3)
@@ -20,14 +20,15 @@ def may_release(off, *, streaming=False, dead=(), can_release=True):
     setpoint = PLAN.plan.motion.at(time)[0]
     position = setpoint.copy()
     position[1] += off
+    windows = SimpleNamespace(can_release=lambda _: can_release)
+    active = np.array([True, streaming, True])
     flight = SimpleNamespace(
-        plan=PLAN.plan, setpoint=setpoint, position=position, dead=set(dead),
-        streaming=np.array([True, streaming, True]), clock=SimpleNamespace(time=time),
-        windows=SimpleNamespace(can_release=lambda _: can_release),
-    )  # fmt: skip
-    way_out = object.__new__(Contingency)
-    way_out._flight = flight
-    return way_out._may_release()
+        setup=SimpleNamespace(plan=PLAN.plan, windows=windows),
+        streams=SimpleNamespace(setpoint=setpoint, active=active, fallen=frozenset(dead)),
+        observation=SimpleNamespace(position=position),
+        clock=SimpleNamespace(time=time),
+    )
+    return contingency.may_release(flight)
 
 
 def under_the_strand():

@@ -15,6 +15,8 @@ from swarm.flight.parameters import (
     stream_loss_findings,
     stream_loss_model,
 )
+from swarm.flight.stages import Stage
+from swarm.flight.state import Mode
 from swarm.mission import Vehicles
 from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
@@ -180,7 +182,7 @@ def test_the_flight_keeps_the_pace_that_the_audited_vehicles_allow():
     )
     conductor = Conductor(flight_plan, FLEET)
     assert conductor.stream_loss.model == StreamLossModel((0.5,), FLEET.limits.silence)
-    conductor.stage = "ready"
+    conductor.state.mode = Mode(Stage.READY)
     conductor.start(go(flight_plan, Audit((1, 2, 3), (), known)))
     assert conductor.stream_loss is known
 

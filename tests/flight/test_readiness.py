@@ -94,7 +94,7 @@ def test_a_spare_takes_the_place_of_a_vehicle_that_is_not_there():
     team = whole.model_copy(update={"vehicles": (*listed, absent)})
     flight = Network(flight_plan, team, no_cable=True)
     flight.run(lambda: flight.conductor.stage == "fly")
-    assert flight.conductor.systems == (1, 2, 3)
+    assert flight.conductor.state.roster.systems == (1, 2, 3)
 
 
 def test_a_vehicle_far_from_its_pad_is_refused_by_name():

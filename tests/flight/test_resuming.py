@@ -16,6 +16,7 @@ from swarm.flight.archive import (
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
+from swarm.flight.setup import Options
 from swarm.flight.tlog import ClockTeller, replay
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import set_audited_parameters
@@ -74,7 +75,7 @@ def taken_up(flight, left, then):
     basis, found = read_certificate(json.loads(json.dumps(document)))
     resumed = ResumedFlight(PLAN.plan, basis, found)
     flight.conductor = Conductor(
-        resumed, flight.fleet, no_cable=not basis.cable, left=left, then=then
+        resumed, flight.fleet, Options(no_cable=not basis.cable), left=left, then=then
     )
     flight.uplink = lambda *_: True
     flight.downlink = lambda *_: True
@@ -151,7 +152,7 @@ def test_a_flight_without_cable_is_resumed_without_cable(autopilots):
     """Its vehicles lean as vehicles without cable do, and no gripper has lost anything."""
     flight, left = broken_off(autopilots, 3.0, 3.0, no_cable=True)
     taken_up(flight, left, "continue")
-    assert not flight.conductor.carries
+    assert not flight.conductor.state.setup.carries_cable
     outcome = flight.run(most=300.0)
     assert outcome.word == "done", flight.words("failure")
     assert flight.words("failure") == []

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from swarm.flight import grip_slip
-from swarm.flight.grip_slip import GripSlipDetector, lean
+from swarm.flight.detect import grip_slip
+from swarm.flight.detect.grip_slip import GripSlipDetector, lean
+from swarm.flight.detect.latch import Latch
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import (
     SteppedSimulation,
@@ -71,7 +72,7 @@ def test_what_is_always_off_is_usual():
     """A compass that is off and a wind from the first look on are no news."""
     rng = np.random.default_rng(2)
     grips = np.array([[3.0 * k, 0.0, 5.0] for k in range(5)])
-    grasps = GripSlipDetector(PLAN.plan)
+    grasps = GripSlipDetector(PLAN.plan, Latch(), enabled=True)
     attitude = np.column_stack([rng.normal(0.0, 0.03, (5, 2)), rng.uniform(-3, 3, 5)])
     for k in range(80):
         assert grasps.look(0.25 * k, attitude, np.zeros((5, 3)), grips) is None

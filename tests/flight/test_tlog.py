@@ -156,7 +156,7 @@ def test_nine_vehicles_with_nine_origins_headings_heights_and_clocks_keep_the_ca
         [v.position[2] for v in flyers],
     ):
         assert len(set(np.round(different, 7))) == 9
-    wanted = flight.conductor.setpoint
+    wanted = flight.conductor.state.streams.setpoint
     lift = [0.0, 0.0, flight_plan.plan.mission.vehicles.grip_offset]
     off = np.linalg.norm(truth.position - wanted, axis=1)
     off = np.minimum(off, np.linalg.norm(truth.position - wanted - lift, axis=1))

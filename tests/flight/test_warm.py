@@ -27,7 +27,7 @@ conductor = flight.conductor
 if "cold" not in sys.argv:
     sitl.warm.warm_up()
     warm_up(conductor)
-assert conductor.stage == "prepare" and not conductor.events() and conductor.flown == []
+assert conductor.stage == "prepare" and not conductor.events() and not len(conductor.trace().time)
 before = compiled()
 flight.until_phase("fold", 3.0)
 if "leave" in sys.argv:

@@ -44,8 +44,8 @@ def run(conductor: Conductor, folder: Path, speed: float) -> None:
     links = open_links(conductor.fleet.links)
     record = Record(folder, time.time())
     record.before(conductor.flight_plan, conductor.basis, conductor.fleet, {})
-    if conductor.left_off is not None:
-        record.frames(conductor.left_off.known)
+    if conductor.state.resumption.left_off is not None:
+        record.frames(conductor.state.resumption.left_off.known)
     teller = ClockTeller(conductor.plan)
 
     def each_tick(now: float) -> None:

@@ -19,7 +19,7 @@ def test_everybody_really_is_where_the_plan_has_them() -> None:
 
     def observe(conductor: Conductor, emulator: Emulator, now: float) -> None:
         if conductor.stage == "fly" and round(now * 20) % 10 == 0:
-            misses.append(emulator.truth().position - conductor.setpoint)
+            misses.append(emulator.truth().position - conductor.state.streams.setpoint)
 
     result = simulate_flight(
         flight_plan,

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swarm.certification.monitor import Monitor
+from swarm.flight.policy import Response
 from swarm.flight.snapshot import Event
 from swarm.simulation.fault_injection.failure_cases import FailureCase
 from swarm.simulation.fault_injection.stepped_simulation import SteppedSimulation
@@ -73,7 +74,9 @@ class Judge:
             return
         self._next = flight.now + LOOK_EVERY
         if self._slipping is not None and flight.conductor.stage == "fly":
-            shows = flight.conductor.grasps.shows(flight.conductor.setpoint)
+            shows = flight.conductor.state.detectors.grip_slip.shows(
+                flight.conductor.state.streams.setpoint
+            )
             aloft = flight.conductor.phase.cable == "aloft"
             self.unseen = not (aloft and bool(shows[self._slipping]))
             self.hidden += LOOK_EVERY if self.unseen else 0.0
@@ -182,8 +185,8 @@ def _problems(flight: SteppedSimulation, row: FailureCase, trial: FaultTrial) ->
 
 def _nowhere_to_go(flight: SteppedSimulation) -> bool:
     """Whether the team left the plan where all can neither land nor let go as they stand."""
-    way_out = flight.conductor.way_out
-    return way_out is not None and way_out.cornered
+    contingency = flight.conductor.state.contingency
+    return contingency is not None and contingency.cornered
 
 
 def _certified(flight: SteppedSimulation, row: FailureCase) -> tuple[float, float]:
@@ -204,12 +207,14 @@ def _end(flight: SteppedSimulation, row: FailureCase) -> str:
         return "goes on" if conductor.stage == "fly" else "not landed"
     if outcome.word == "done":
         return "flown to the end"
-    if conductor.way_out is None:
+    contingency = conductor.state.contingency
+    if contingency is None:
         return "landed by failsafe" if not truth.armed.any() else f"given up: {outcome.explanation}"
     alive = ~flight.emulator.bodies.crashed
     if (truth.armed & alive & ~flight.emulator.bodies.tumbling).any():
         return "not landed"
-    return "landed" if conductor.way_out.kind == "land" else "released and landed"
+    lands = contingency.response in {Response.LAND, Response.LAND_HERE}
+    return "landed" if lands else "released and landed"
 
 
 def _response(told: Sequence[Event], slowed: float | None) -> str:

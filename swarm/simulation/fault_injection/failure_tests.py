@@ -223,7 +223,7 @@ def fly_fault_trial(flight: SteppedSimulation, row: FailureCase, victim: int) ->
         if row.station == "killed":
             if not flight.emulator.truth().armed.any():
                 break
-        elif conductor.stage != "fly" or conductor.holds or conductor.waiting or judge.unseen:
+        elif conductor.stage != "fly" or conductor.holding or conductor.waiting or judge.unseen:
             calm_since = flight.now
         elif flight.now - calm_since > AFTER and conductor.clock.rate > 0.05:
             break

@@ -119,7 +119,7 @@ class _GroundTruthSampler:
             return
         grips, held, cable = emulator.held()
         ids = [vehicle.system for vehicle in emulator.vehicles]
-        order = [ids.index(system) for system in conductor.systems]
+        order = [ids.index(system) for system in conductor.state.roster.systems]
         arcs = held[order]
         strands = None
         if np.isfinite(arcs).all() and emulator.rope is not None:
@@ -150,7 +150,7 @@ def _at_release(conductor: Conductor) -> bool:
     """
     return any(
         gate.condition == "released" and conductor.clock.time >= gate.time - _ROUNDING
-        for gate in conductor.gates
+        for gate in conductor.state.setup.gates
     )
 
 

@@ -10,20 +10,18 @@ learnt as usual. The level parts are enough, and forces within the team cancel o
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.flight.failures import failure
+from swarm.flight.detect.latch import Latch
+from swarm.flight.failures import Failure, FailureKind, Finding
 from swarm.flight.load import TAUT, end_forces
+from swarm.flight.observation import Expected, Observation
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.jit import compiled
-from swarm.mavlink.telemetry_table import ATTITUDE
 from swarm.planning import Plan
-
-if TYPE_CHECKING:
-    from swarm.flight.conductor import Conductor
 
 Floats = npt.NDArray[np.float64]
 
@@ -56,9 +54,13 @@ _OLDEST = 0.6
 
 
 class GripSlipDetector:
-    """What the cable pulls sideways at n vehicles, as they lean and as the model has it."""
+    """Compares the cable's level pull on n vehicles, from their attitudes, with the cable model.
 
-    def __init__(self, plan: Plan) -> None:
+    ``enabled`` is false where no cable is carried, or vehicles do not follow the plan's pace.
+    """
+
+    def __init__(self, plan: Plan, reported: Latch, *, enabled: bool) -> None:
+        self._reported, self._enabled = reported, enabled
         lengths = plan.layout.lengths
         self._lengths = {1: lengths, 2: lengths[:-1] + lengths[1:]}
         self._weight = plan.mission.cable.mass_per_length
@@ -66,7 +68,29 @@ class GripSlipDetector:
         self._looks: deque[tuple[float, Floats, Floats]] = deque(maxlen=WINDOW + 1)
         self._usual: Floats | None = None
         self._suspect, self._seen = -1, 0
-        self.next_look = 0.0
+        self._next = 0.0
+
+    def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
+        """Return the vehicle whose gripper has lost the cable without reporting it."""
+        if seen.now < self._next:
+            return []
+        self._next = seen.now + INTERVAL
+        if not (self._enabled and self._comparable(seen, expected)):
+            self.forget()
+            return []
+        k = self.look(seen.now, seen.attitude, seen.velocity, seen.position)
+        if k is None or not self._reported.first(FailureKind.GRIP_SLIPPED, k):
+            return []
+        words = f"{seen.names[k]} leans as if its gripper had lost the cable"
+        return [Failure(FailureKind.GRIP_SLIPPED, words, k)]
+
+    def _comparable(self, seen: Observation, expected: Expected) -> bool:
+        """Return whether attitudes show the pull of a cable that all vehicles hold aloft."""
+        held = bool(seen.gripped.all()) and len(seen.names) > 2 and expected.cable == "aloft"
+        if not (held and expected.streaming.all()):
+            return False
+        oldest = seen.now - min(seen.measured.at.tolist())
+        return oldest <= _OLDEST and bool(np.isfinite(seen.attitude).all())
 
     def forget(self) -> None:
         """Begin anew: something keeps the loads from being comparable."""
@@ -258,25 +282,3 @@ def lean(roll: float, pitch: float, yaw: float) -> tuple[float, float]:
     east = across * math.cos(yaw) - along * math.sin(yaw)
     north = -along * math.cos(yaw) - across * math.sin(yaw)
     return east / upward, north / upward
-
-
-def watch_grasps(flight: "Conductor") -> None:
-    """Notice a gripper that has lost the cable without saying so."""
-    grasps = flight.grasps
-    if flight.now < grasps.next_look or flight.open_loop:
-        return
-    grasps.next_look = flight.now + INTERVAL
-    held = flight.carries and all(vehicle.gripped for vehicle in flight.flyers)
-    if not (
-        held and len(flight.flyers) > 2 and flight.phase.cable == "aloft" and flight.streaming.all()
-    ):
-        grasps.forget()
-        return
-    attitude = flight.team.telemetry.values[flight.rows, ATTITUDE : ATTITUDE + 3]
-    if flight.now - min(flight.measured.at.tolist()) > _OLDEST or not np.isfinite(attitude).all():
-        grasps.forget()
-        return
-    k = grasps.look(flight.now, attitude, flight.velocity, flight.position)
-    if k is not None and flight.reports.first("lost its grip", k):
-        words = f"{flight.name(flight.flyers[k])} leans as if its gripper had lost the cable"
-        failure(flight, "lost its grip", words, flight.flyers[k])

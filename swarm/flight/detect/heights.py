@@ -1,0 +1,67 @@
+"""Drifting barometers: each vehicle's height against its GPS, compared with the other vehicles."""
+
+import math
+from statistics import median
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.flight.detect.latch import Latch
+from swarm.flight.failures import Failure, FailureKind, Finding
+from swarm.flight.observation import Expected, Observation
+
+Floats = npt.NDArray[np.float64]
+
+HEIGHT_DRIFT = (0.3, 1.0)
+"""Metres by which one vehicle's height may drift against its GPS compared with the others': with
+receivers that report a good accuracy while the cable is aloft, and otherwise. A receiver never
+permits less than its own accuracy."""
+_ACCURACIES = 5.0
+"""Multiple of the receivers' stated vertical accuracy that a drift must exceed."""
+_INTERVAL = 1.0
+
+
+class HeightDetector:
+    """Detects heights that drift; remembers the differences with which the comparison began.
+
+    ``reference`` (n,) in metres; it begins anew when the cable is aloft: the gate on the levelled
+    line has judged the differences before that.
+    """
+
+    def __init__(self, n: int, reported: Latch) -> None:
+        self._reported = reported
+        self.reference: Floats = np.full(n, np.nan)
+        self._next, self._aloft = 0.0, False
+
+    def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
+        """Return the vehicles whose heights have drifted, once a second."""
+        if seen.now < self._next:
+            return []
+        self._next = seen.now + _INTERVAL
+        drift = self._drift(seen, expected)
+        if np.count_nonzero(np.isnan(drift)) or len(drift) < 3:
+            return []
+        middle = median(drift.tolist())
+        accuracies = seen.height_accuracy.tolist()
+        stated = [accuracy for accuracy in accuracies if not math.isnan(accuracy)]
+        accuracies = [math.inf if math.isnan(accuracy) else accuracy for accuracy in accuracies]
+        least, most = HEIGHT_DRIFT
+        least = least if self._aloft else most
+        most, usual = max(most, *stated) if stated else most, median(accuracies)
+        found: list[Finding] = []
+        for k, by in enumerate(drift.tolist()):
+            off = by - middle
+            allowed = min(max(_ACCURACIES * max(accuracies[k], usual), least), most)
+            drifted = abs(off) > allowed and expected.armed[k]
+            if drifted and self._reported.first(FailureKind.HEIGHTS_DISAGREE, k):
+                words = f"{seen.names[k]}'s height has drifted by {off:+.1f} m"
+                found.append(Failure(FailureKind.HEIGHTS_DISAGREE, words, k))
+        return found
+
+    def _drift(self, seen: Observation, expected: Expected) -> Floats:
+        begun = expected.cable == "aloft" and not expected.waiting and not expected.holds
+        if begun and not self._aloft:
+            self.reference[:], self._aloft = np.nan, True
+        fresh = np.isnan(self.reference)
+        self.reference[fresh] = seen.height_gap[fresh]
+        return seen.height_gap - self.reference

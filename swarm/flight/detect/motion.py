@@ -1,0 +1,94 @@
+"""Falls and position jumps: reported motion against the commanded one, report by report."""
+
+import math
+
+import numpy as np
+
+from swarm.flight import estimation
+from swarm.flight.detect.latch import Latch
+from swarm.flight.detect.links import (
+    FALLEN_SILENCE,
+    fallen_silent,
+    mode_valid,
+    neighbours,
+)
+from swarm.flight.estimation import Measured
+from swarm.flight.failures import Failure, FailureKind, Finding
+from swarm.flight.observation import Expected, Observation
+
+SINKING = 1.0
+"""m/s by which a vehicle may descend faster than commanded."""
+FALLING = 5.0
+"""m/s² downwards, between two reports, that no vehicle with thrust shows; with FALLING_SINKING."""
+FALLING_SINKING = 0.4
+TURNED_OVER = math.radians(60.0)
+"""Roll or pitch; PX4's own failure detector uses the same angle (FD_FAIL_R)."""
+JUMP = 0.5
+"""Metres between a reported position and the one that the report before predicts."""
+LONGEST_STEP = 0.5
+"""Seconds between reports up to which a jump can be distinguished from flight."""
+_CALM = LONGEST_STEP, SINKING, FALLING_SINKING, 0.5 * JUMP, TURNED_OVER
+"""`estimation.news` finds motion within these limits calm: it is no failure. Beyond them it is
+examined, and may still be none."""
+
+
+class MotionDetector:
+    """Detects vehicles that fall, and positions that jump; remembers each vehicle's last report."""
+
+    def __init__(self, n: int, reported: Latch) -> None:
+        self._reported = reported
+        self._last = Measured.of(n)
+        self._step = np.zeros(n)
+
+    def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
+        """Return the failures of motion at this tick."""
+        now, last = seen.measured, self._last
+        new, calm, _ = estimation.news(
+            seen.table, seen.rows, now.places, now.at, last.places, last.at,
+            expected.velocity, expected.streaming, _CALM, self._step,
+        )  # fmt: skip
+        if not new:
+            return []
+        found: list[Finding] = []
+        if not calm:
+            for k in range(len(seen.names)):
+                if expected.armed[k] and not expected.may_land[k] and now.at[k] > last.at[k]:
+                    found += self._examine(seen, expected, k)
+        estimation.note(now.places, now.at, last.places, last.at, self._step)
+        for failure in found:
+            if isinstance(failure, Failure) and failure.jump is not None:
+                last.reported[failure.vehicle] -= failure.jump
+        return found
+
+    def _examine(self, seen: Observation, expected: Expected, k: int) -> list[Finding]:
+        last = self._last
+        step = float(seen.measured.at[k] - last.at[k])
+        before, up = last.velocity[k], float(seen.velocity[k, 2])
+        commanded = min(0.0, float(expected.velocity[k, 2])) if expected.streaming[k] else -SINKING
+        if not mode_valid(seen, k):
+            commanded = -math.inf
+        sinking = commanded - up
+        falls = step > 0.04 and (before[2] - up) / step > FALLING and sinking > FALLING_SINKING
+        tilt = max(abs(float(seen.attitude[k, 0])), abs(float(seen.attitude[k, 1])))
+        if sinking > SINKING or falls or tilt > TURNED_OVER:
+            return self._fallen(seen, k, tilt)
+        if step > LONGEST_STEP or k in expected.fallen:
+            return []
+        predicted = last.reported[k] + 0.5 * step * (before + seen.velocity[k])
+        jump = seen.measured.reported[k] - predicted
+        size = float(np.linalg.norm(jump))
+        if size <= JUMP:
+            return []
+        words = f"{seen.names[k]}'s position jumped by {size:.1f} m: its frame moved"
+        return [Failure(FailureKind.POSITION_JUMPED, words, k, jump)]
+
+    def _fallen(self, seen: Observation, k: int, tilt: float) -> list[Finding]:
+        """Return which vehicle has fallen: this one, or a silent neighbour that pulls it down."""
+        silent = [j for j in neighbours(seen, k) if seen.silent_for(j) > FALLEN_SILENCE]
+        if silent and tilt <= TURNED_OVER:
+            return fallen_silent(seen, self._reported, silent[0])
+        if not self._reported.first(FailureKind.FALLING, k):
+            return []
+        sinking = f"going down at {-float(seen.velocity[k, 2]):.1f} m/s"
+        how = "turned over" if tilt > TURNED_OVER else sinking
+        return [Failure(FailureKind.FALLING, f"{seen.names[k]} falls: {how}", k)]

@@ -1,0 +1,395 @@
+"""The flight outside the plan: come to rest where landing or release is open, release the cable and
+separate where the policy says so, descend together.
+
+All vehicles descend straight down at one speed, so that chords and levels keep.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from swarm.analysis.separation import separation_motion, solo_landing_distance
+from swarm.certification.contingency_windows import rotors_clear
+from swarm.flight.ending import finish, mark_failed
+from swarm.flight.modes.transitions import change_stage
+from swarm.flight.pace import advance_clock, rewind_end
+from swarm.flight.policy import End, Response, Windows, end_of
+from swarm.flight.progress import first_time, leave_plan
+from swarm.flight.router import TIMESYNC_INTERVAL
+from swarm.flight.stages import Stage, Step, StepTrigger, Trigger, next_step
+from swarm.flight.state import Contingency, FlightState
+from swarm.flight.streams import give_up, stop_stream, stop_streams_of_landing
+from swarm.mavlink.vehicle import Vehicle
+
+TOUCHDOWN = 0.05
+"""Height of a setpoint in metres at which a vehicle is commanded to land."""
+DISARM_AFTER = 5.0
+"""Seconds on the ground after which a vehicle that has not disarmed by itself is commanded to."""
+RELEASE_TIMEOUT = 5.0
+FALLEN_RELEASE_TIMEOUT = 1.5
+"""Seconds after which the other vehicles do not wait any longer for grippers beside a fall."""
+BLIND = 15.0
+"""Seconds after the setpoints have come down after which silent vehicles are not waited for."""
+FALLEN_TIMEOUT = 40.0
+UNANSWERED = TIMESYNC_INTERVAL + 0.7
+"""Seconds without an answer after which a vehicle may not receive; round trips take up to 0.7 s."""
+GIVE_UP = 120.0
+
+_ANNOUNCED: Mapping[Response, str] = {
+    Response.LAND: "landing together",
+    Response.LAND_HERE: "landing together",
+    Response.RELEASE: "releasing and landing",
+    Response.RELEASE_HERE: "landing together",
+    Response.RELEASE_FALLEN: "letting go of what falls, separating and landing",
+}
+
+
+def leave_the_plan(
+    flight: FlightState,
+    response: Response,
+    message: str,
+    *,
+    move: bool | None = None,
+    announced: str = "",
+) -> None:
+    """Begin a contingency; before the flight, end it.
+
+    ``move`` says whether the team may move along the plan first (None: LAND and RELEASE do). Only a
+    team whose vehicles all follow moves. ``announced`` replaces the usual words of the event.
+    """
+    if flight.stage in {Stage.PREPARE, Stage.READY}:
+        finish(flight, "interrupted", message)
+    if flight.stage is not Stage.EXECUTE:
+        return
+    flight.report("leave", f"{announced or _ANNOUNCED[response]}: {message}")
+    leave_plan(flight)
+    change_stage(flight, Trigger.LEAVE_PLAN)
+    moves = response in {Response.LAND, Response.RELEASE} if move is None else move
+    here = response is Response.RELEASE_HERE
+    flight.contingency = Contingency(
+        response=Response.LAND_HERE if here else response,
+        since=flight.now,
+        step_since=flight.now,
+        target=_moment(flight, response) if moves and flight.streams.active.all() else None,
+    )
+    if response is Response.RELEASE_FALLEN:
+        _release_fallen(flight)
+    if not np.any(flight.streams.expected_armed):
+        for vehicle in flight.roster.vehicles:
+            vehicle.disarm()
+    if here:
+        release_if_open(flight)
+
+
+def release_fallen(flight: FlightState, k: int, message: str) -> None:
+    """Release a vehicle that falls, and the cable around it; land the others."""
+    if k in flight.streams.fallen:
+        return
+    give_up(flight, k)
+    if flight.stage is Stage.EXECUTE:
+        leave_the_plan(flight, Response.RELEASE_FALLEN, message)
+    elif flight.contingency is not None and len(flight.streams.fallen) == 1:
+        _release_fallen(flight)
+
+
+def release_if_open(flight: FlightState) -> None:
+    """Release the cable in a contingency that keeps it, where no cable hangs above a rotor."""
+    contingency = _contingency(flight)
+    early = contingency.step in {Step.APPROACH, Step.DESCEND}
+    end = end_of(Response.RELEASE_HERE, windows(flight))
+    if flight.attached and early and end is End.RELEASE:
+        flight.contingency = replace(contingency, response=Response.RELEASE, target=None)
+        _begin_release(flight)
+
+
+def tick(flight: FlightState) -> bool:
+    """Go on; return whether all vehicles are down and disarmed, or given up."""
+    _STEPS[_contingency(flight).step](flight)
+    return _finished(flight)
+
+
+def windows(flight: FlightState) -> Windows:
+    """Return what the plan and the vehicles' places allow at this moment."""
+    landable = flight.setup.windows.can_land(flight.clock.time)
+    return Windows.of(landable=landable, releasable=may_release(flight))
+
+
+def may_release(flight: FlightState) -> bool:
+    """Return whether no cable hangs above a rotor: as planned, and where vehicles do not follow.
+
+    Such vehicles stopped by themselves, the others along the path: some decimetres apart.
+    """
+    setup, streams, position = flight.setup, flight.streams, flight.observation.position
+    if not setup.windows.can_release(flight.clock.time):
+        return False
+    places, apart = streams.setpoint.copy(), False
+    for k in _not_following(flight):
+        if np.isfinite(position[k]).all():
+            places[k], apart = position[k], True
+    return not apart or bool(rotors_clear(setup.plan, places[None])[0])
+
+
+def _contingency(flight: FlightState) -> Contingency:
+    if flight.contingency is None:
+        raise ValueError("the team has not left the plan")
+    return flight.contingency
+
+
+def _change_step(flight: FlightState, trigger: StepTrigger) -> None:
+    contingency = _contingency(flight)
+    step = next_step(contingency.step, trigger)
+    flight.contingency = replace(contingency, step=step, step_since=flight.now)
+
+
+def _not_following(flight: FlightState) -> list[int]:
+    """Return the vehicles that fly without setpoints."""
+    streams = flight.streams
+    return [k for k in np.flatnonzero(~streams.active).tolist() if k not in streams.fallen]
+
+
+# Approach
+
+
+def _moment(flight: FlightState, response: Response) -> float | None:
+    """Return the mission time at which a response is open, nearest to where the clock can stop."""
+    windows_, clock, gates = flight.setup.windows, flight.clock, flight.setup.gates
+    flags = windows_.land if response is Response.LAND else windows_.release
+    gate = flight.progress.gate
+    gate_before = gates[gate - 1].time if gate else 0.0
+    gate_after = gates[gate].time if gate < len(gates) else flight.setup.plan.duration
+    stopping = 0.5 * clock.rate * abs(clock.rate) / clock.steepest
+    moment = min(max(clock.time + stopping, gate_before), gate_after)
+    return windows_.nearest(flags, moment, rewind_end(flight), gate_after)
+
+
+def _approach(flight: FlightState) -> None:
+    """Bring the clock to rest, at the chosen moment; there, release or descend."""
+    clock, target = flight.clock, _contingency(flight).target
+    if target is None:
+        clock.target = 0.0
+    else:
+        left = target - clock.time
+        pace = (2.0 * clock.steepest * abs(left)) ** 0.5
+        clock.target = 0.0 if abs(left) < 0.02 else float(np.sign(left) * min(1.0, 0.5 * pace))
+    advance_clock(flight)
+    arrived = target is None or abs(target - clock.time) < 0.1
+    late = flight.now - _contingency(flight).step_since > flight.setup.fleet.limits.hold
+    if not (clock.stopped and (arrived or late)):
+        return
+    open_ = windows(flight)
+    cornered = flight.attached and open_ is Windows.NEITHER
+    flight.contingency = replace(_contingency(flight), cornered=cornered)
+    if flight.attached and end_of(_contingency(flight).response, open_) is End.RELEASE:
+        _begin_release(flight)
+    else:
+        _begin_descent(flight, StepTrigger.LAND)
+
+
+# Release
+
+
+def _begin_release(flight: FlightState) -> None:
+    """Release all together; but first at vehicles that have not answered lately.
+
+    They may not receive the command, and the cable that the others release would swing on them.
+    """
+    vehicles = flight.roster.vehicles
+    unanswering = [vehicle for vehicle in _unanswering(flight) if vehicle.gripped]
+    _change_step(flight, StepTrigger.RELEASE)
+    if 0 < len(unanswering) < len(vehicles):
+        flight.contingency = replace(_contingency(flight), staggered=True)
+        names = ", ".join(flight.name(vehicle) for vehicle in unanswering)
+        flight.report("release", f"releasing first, who has not answered lately: {names}")
+        _open_grippers(flight, [vehicles.index(vehicle) for vehicle in unanswering])
+    else:
+        _release_all(flight)
+
+
+def _release_all(flight: FlightState) -> None:
+    flight.contingency = replace(_contingency(flight), staggered=False)
+    flight.report("release", "releasing all together")
+    _open_grippers(flight, range(len(flight.roster.vehicles)))
+
+
+def _release_fallen(flight: FlightState) -> None:
+    """Release at fallen vehicles first, then beside them, then everywhere where that is open.
+
+    Where cable hangs above a rotor, the vehicles that are not beside a fall keep holding: they come
+    straight down together.
+    """
+    fallen = sorted(flight.streams.fallen)
+    flight.contingency = replace(
+        _contingency(flight), response=Response.RELEASE_FALLEN, target=None
+    )
+    if _contingency(flight).step in {Step.SEPARATE, Step.DESCEND}:
+        _open_grippers(flight, fallen)
+        return
+    _change_step(flight, StepTrigger.RELEASE)
+    n = len(flight.roster.vehicles)
+    order = [*fallen, *(k for j in fallen for k in (j - 1, j + 1) if 0 <= k < n)]
+    if end_of(Response.RELEASE_FALLEN, windows(flight)) is End.RELEASE_FALLEN:
+        order += range(n)
+    names = ", ".join(str(k + 1) for k in dict.fromkeys(order))
+    flight.report("release", f"letting go, in this order: vehicles {names}")
+    _open_grippers(flight, list(dict.fromkeys(order)))
+
+
+def _open_grippers(flight: FlightState, order: Sequence[int]) -> None:
+    for k in order:
+        vehicle = flight.roster.vehicles[k]
+        if flight.setup.commands_grippers and vehicle.gripped:
+            vehicle.grip(closed=False)
+        else:
+            vehicle.gripped = False
+
+
+def _release(flight: FlightState) -> None:
+    """Wait until the grippers are open and the clock is at rest."""
+    flight.clock.target = 0.0
+    advance_clock(flight)
+    contingency, fallen = _contingency(flight), flight.streams.fallen
+    holding = [
+        vehicle
+        for k, vehicle in enumerate(flight.roster.vehicles)
+        if vehicle.gripped and k not in fallen
+    ]
+    waited = flight.now - contingency.step_since
+    if contingency.staggered:
+        unanswering = any(vehicle in holding for vehicle in _unanswering(flight))
+        if not unanswering or waited > FALLEN_RELEASE_TIMEOUT:
+            _release_all(flight)
+        return
+    if not flight.clock.stopped and waited < RELEASE_TIMEOUT:
+        return
+    if not holding:
+        _begin_separation(flight)
+    elif waited > (FALLEN_RELEASE_TIMEOUT if fallen else RELEASE_TIMEOUT):
+        names = ", ".join(flight.name(vehicle) for vehicle in holding)
+        flight.report("leave", f"{names} still hold the cable: landing where everybody is")
+        _begin_descent(flight, StepTrigger.STUCK)
+
+
+def _unanswering(flight: FlightState) -> list[Vehicle]:
+    """Return the vehicles that have missed the last clock request, of those that answer any."""
+    return [
+        vehicle
+        for k, vehicle in enumerate(flight.roster.vehicles)
+        if flight.now - vehicle.timesync_at > UNANSWERED
+        and math.isfinite(vehicle.timesync_at)
+        and k not in flight.streams.fallen
+    ]
+
+
+# Separation
+
+
+def _begin_separation(flight: FlightState) -> None:
+    """Take the path apart that the plan has for this moment, or away from the team's centre.
+
+    A vehicle that does not follow stays where it is, and the others move away from it. From two
+    such vehicles, no path leads away without leading towards one of them.
+    """
+    setup, streams = flight.setup, flight.streams
+    mission, start = setup.plan.mission, streams.setpoint.copy()
+    staying = _not_following(flight)
+    if streams.fallen:
+        fallen = min(streams.fallen)
+        centre, spread = start[fallen], setup.separations.at(flight.clock.time, fallen)
+    elif len(staying) > 1:
+        _begin_descent(flight, StepTrigger.SURROUNDED)
+        return
+    elif staying:
+        (stays,) = staying
+        position = flight.observation.position[stays]
+        if np.isfinite(position).all():
+            start[stays] = position
+        centre, spread = start[stays], setup.separations.at(flight.clock.time, stays)
+    else:
+        centre = start.mean(axis=0)
+        first, second = np.triu_indices(len(start), 1)
+        level = np.linalg.norm(start[first, :2] - start[second, :2], axis=1)
+        nearest = max(float(level.min(initial=np.inf)), 1e-3)
+        spread = float(np.clip(solo_landing_distance(mission) / nearest, 1.0, 4.0))
+    flight.guidance.detour(separation_motion(start, centre, spread, mission), flight.timing.moving)
+    _change_step(flight, StepTrigger.RELEASED)
+
+
+def _separate(flight: FlightState) -> None:
+    if flight.now - _contingency(flight).step_since > flight.guidance.detour_duration:
+        _begin_descent(flight, StepTrigger.APART)
+
+
+# Descent
+
+
+def _begin_descent(flight: FlightState, trigger: StepTrigger) -> None:
+    _change_step(flight, trigger)
+    speed = flight.setup.fleet.limits.descent
+    flight.guidance.descend(flight.streams.setpoint, speed, flight.timing.moving)
+
+
+def _descend(flight: FlightState) -> None:
+    """Command each vehicle to land when its setpoint has come down, and to disarm after that."""
+    for k, vehicle in enumerate(flight.roster.vehicles):
+        if not vehicle.armed:
+            stop_stream(flight, k)
+        elif not vehicle.in_manual_mode:
+            _land(flight, k, vehicle)
+    stop_streams_of_landing(flight)
+
+
+def _land(flight: FlightState, k: int, vehicle: Vehicle) -> None:
+    contingency, system = _contingency(flight), vehicle.system
+    if flight.streams.setpoint[k, 2] <= TOUCHDOWN or not flight.streams.active[k]:
+        contingency = replace(contingency, landing=contingency.landing | {system})
+    if system in contingency.landing:
+        if not vehicle.in_mode("land") and (
+            flight.received(vehicle) or first_time(flight, k, "land unheard")
+        ):
+            vehicle.set_mode("land")
+        if vehicle.on_ground:
+            since = contingency.on_ground_since.get(system, flight.now)
+            grounded = {**contingency.on_ground_since, system: since}
+            contingency = replace(contingency, on_ground_since=grounded)
+            if flight.now - since > DISARM_AFTER:
+                vehicle.disarm()
+    flight.contingency = contingency
+
+
+def _finished(flight: FlightState) -> bool:
+    limits, contingency = flight.setup.fleet.limits, _contingency(flight)
+    armed = [
+        vehicle
+        for k, vehicle in enumerate(flight.roster.vehicles)
+        if vehicle.armed and not vehicle.in_manual_mode and not _given_up(flight, k)
+    ]
+    received = [vehicle for vehicle in armed if flight.received(vehicle, limits.lost)]
+    if contingency.down_since is None and contingency.step is Step.DESCEND:
+        down = np.all(flight.streams.setpoint[:, 2] <= TOUCHDOWN)
+        contingency = replace(contingency, down_since=flight.now if down else None)
+        flight.contingency = contingency
+    down_since = contingency.down_since
+    blind = down_since is not None and flight.now - down_since > BLIND
+    if not armed or (blind and not received):
+        return True
+    if flight.now - contingency.since > GIVE_UP + limits.hold:
+        names = ", ".join(flight.name(vehicle) for vehicle in armed)
+        mark_failed(flight, f"still armed long after landing was begun: {names}")
+        return True
+    return False
+
+
+def _given_up(flight: FlightState, k: int) -> bool:
+    """Return whether a vehicle fell so long ago that its disarming will not be received."""
+    age = flight.now - _contingency(flight).since
+    return k in flight.streams.fallen and age > FALLEN_TIMEOUT
+
+
+_STEPS = {
+    Step.APPROACH: _approach,
+    Step.RELEASE: _release,
+    Step.SEPARATE: _separate,
+    Step.DESCEND: _descend,
+}

@@ -1,0 +1,82 @@
+"""From telemetry to the observation of this tick, and the frames in which it is expressed."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.certification.monitor import LOOKAHEAD
+from swarm.flight import estimation
+from swarm.flight.estimation import Measured
+from swarm.flight.monitoring import Monitored, Sample
+from swarm.flight.observation import observation_of
+from swarm.flight.preparation import Prepared
+from swarm.flight.state import FlightState, Roster
+
+Floats = npt.NDArray[np.float64]
+
+EXTRAPOLATION = 0.5
+"""Seconds over which a position is extrapolated with its velocity."""
+MONITOR_INTERVAL = 0.1
+
+
+def observe(flight: FlightState) -> None:
+    """Express the vehicles' latest reports in mission ENU, at this moment."""
+    roster, streams, timing = flight.roster, flight.streams, flight.timing
+    measured = flight.observation.measured
+    if flight.placement.frames is not None:
+        n = len(roster.rows)
+        measured = Measured(np.empty((3, n, 3)), np.empty((2, n)))
+        silence = flight.setup.fleet.limits.silence
+        estimation.measure(
+            flight.team.telemetry.values, roster.rows, flight.placement.frames.inverse,
+            flight.setup.lift, streams.setpoint, streams.velocity, streams.active,
+            (timing.now, EXTRAPOLATION, silence, timing.elapsed), measured.places, measured.numbers,
+        )  # fmt: skip
+    flight.observation = observation_of(
+        timing.now, roster.names, roster.vehicles, roster.rows, measured
+    )
+
+
+def place_team(flight: FlightState, prepared: Prepared) -> None:
+    """Take the vehicles, frames and audit of a team that stands ready on its pads."""
+    flight.roster = Roster.of(prepared.flyers)
+    flight.placement = replace(
+        flight.placement, frames=prepared.frames, yaw=prepared.yaw, audit=prepared.audit
+    )
+    observe(flight)
+    start = flight.observation.position.copy()
+    flight.placement = replace(flight.placement, start_position=start)
+
+
+def shift_frame(flight: FlightState, k: int, jump: Floats) -> None:
+    """Move a vehicle's frame with its reported position, which jumped by (3,) metres.
+
+    The vehicle did not move. Its setpoints then keep it where it is.
+    """
+    placement = flight.placement
+    if placement.frames is None:
+        return
+    by = np.zeros((len(flight.roster.rows), 3))
+    by[k] = -jump
+    flight.placement = replace(placement, frames=placement.frames.shifted(by))
+    flight.observation = flight.observation.shifted(k, jump)
+
+
+def monitor(flight: FlightState) -> None:
+    """Update the live monitor with the positions now and a moment ahead, ten times a second."""
+    options, seen = flight.setup.options, flight.observation
+    if flight.now < flight.monitored.next_at or options.open_loop:
+        return
+    if options.error_limit is not None:
+        return
+    if np.count_nonzero(np.isfinite(seen.position)) < seen.position.size:
+        return
+    next_at, phase = flight.now + MONITOR_INTERVAL, flight.phase
+    if phase.cable == "floor" or flight.progress.waiting:
+        flight.monitored = Monitored(None, next_at)
+        return
+    held = flight.attached and not flight.setup.bare
+    cable = phase.cable if held else "free"
+    moments = np.array((seen.position, seen.position + LOOKAHEAD * seen.velocity))
+    flight.monitored = Monitored(Sample(flight.setup.monitor, moments, cable), next_at)

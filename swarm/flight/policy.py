@@ -1,0 +1,187 @@
+"""The response to each failure: one table.
+
+Responses are the team's, never one vehicle's: vehicles that hold one cable must not part. Returning
+to launch, alone or together, is not among them. :mod:`swarm.flight.detect` has the detection.
+"""
+
+from collections.abc import Iterator, Mapping
+from enum import StrEnum
+from typing import NamedTuple
+
+from swarm.flight.failures import FailureKind
+from swarm.flight.stages import Stage
+
+
+class Response(StrEnum):
+    """What the team does about a failure.
+
+    REPORT: go on. HOLD: stop the clock until the failure ends, or for the fleet's T at most. LAND:
+    move along the plan to the nearest moment at which all can land, and land together. LAND_HERE:
+    the same without moving. RELEASE: move to the nearest moment at which no cable hangs above a
+    rotor, release, separate, land. RELEASE_HERE: the same without moving. RELEASE_FALLEN: release
+    at the fallen vehicle first, then beside it, then everywhere; the others separate and land.
+    """
+
+    REPORT = "report"
+    HOLD = "hold"
+    LAND = "land"
+    LAND_HERE = "land here"
+    RELEASE = "release"
+    RELEASE_HERE = "release here"
+    RELEASE_FALLEN = "release fallen"
+
+
+class Windows(StrEnum):
+    """What the plan allows where the team stands: land together, release the cable, both, none."""
+
+    BOTH = "land or release"
+    LAND = "land"
+    RELEASE = "release"
+    NEITHER = "neither"
+
+    @classmethod
+    def of(cls, *, landable: bool, releasable: bool) -> "Windows":
+        """Return the windows that are open."""
+        if landable:
+            return cls.BOTH if releasable else cls.LAND
+        return cls.RELEASE if releasable else cls.NEITHER
+
+
+class Row(NamedTuple):
+    """One failure's responses while the plan is executed, and while the team has left it.
+
+    ``irreversible``: the flight has failed, however well it lands. ``ends_stream``: the vehicle
+    gets no setpoints any more.
+    """
+
+    execute: Response
+    contingency: Response
+    irreversible: bool = True
+    ends_stream: bool = False
+
+
+_R = Response
+_K = FailureKind
+
+TABLE: Mapping[FailureKind, Row] = {
+    _K.SILENT: Row(_R.HOLD, _R.REPORT, irreversible=False),
+    _K.LOST: Row(_R.HOLD, _R.REPORT),
+    _K.ALL_LOST: Row(_R.HOLD, _R.REPORT),
+    _K.LEFT_OFFBOARD: Row(_R.HOLD, _R.REPORT, ends_stream=True),
+    _K.PILOT: Row(_R.HOLD, _R.REPORT, ends_stream=True),
+    _K.LANDING_ALONE: Row(_R.LAND_HERE, _R.REPORT, ends_stream=True),
+    _K.RETURNING: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
+    _K.FALLING: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
+    _K.FALLEN_SILENT: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
+    _K.DISARMED: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
+    _K.REBOOTED: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
+    _K.BELIEVES_LANDED: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
+    _K.POSITION_JUMPED: Row(_R.LAND_HERE, _R.REPORT),
+    _K.ORIGIN_MOVED: Row(_R.LAND_HERE, _R.REPORT),
+    _K.POSITION_POOR: Row(_R.RELEASE_HERE, _R.RELEASE_HERE),
+    _K.POSITION_LOST: Row(_R.RELEASE_HERE, _R.RELEASE_HERE),
+    _K.HEIGHTS_DISAGREE: Row(_R.LAND_HERE, _R.REPORT),
+    _K.BATTERY_LOW: Row(_R.LAND, _R.REPORT),
+    _K.BATTERY_CRITICAL: Row(_R.LAND_HERE, _R.REPORT),
+    _K.STANDSTILL: Row(_R.HOLD, _R.REPORT, irreversible=False),
+    _K.TRACKING_ERROR: Row(_R.LAND_HERE, _R.REPORT),
+    _K.SNAGGED: Row(_R.RELEASE, _R.REPORT),
+    _K.GRIP_SLIPPED: Row(_R.LAND_HERE, _R.REPORT),
+    _K.COMMAND_FAILED: Row(_R.LAND_HERE, _R.REPORT),
+    _K.GATE_TIMEOUT: Row(_R.LAND, _R.REPORT),
+    _K.HOLD_TIMEOUT: Row(_R.LAND, _R.REPORT, irreversible=False),
+}
+"""Failure → responses. Before the flight nothing is armed: a vehicle that is not ready is no
+failure but keeps the team on the ground (:mod:`swarm.flight.readiness`)."""
+
+LOSES_A_VEHICLE: frozenset[FailureKind] = frozenset(
+    kind for kind, row in TABLE.items() if row.execute is Response.RELEASE_FALLEN
+)
+
+
+class End(StrEnum):
+    """How the team comes down, decided where it has come to rest."""
+
+    GO_ON = "go on"
+    HOLD = "hold"
+    LAND = "land together"
+    RELEASE = "release, separate, land"
+    RELEASE_FALLEN = "release all, the fallen first, separate, land"
+    RELEASE_BESIDE = "release the fallen and its neighbours, land"
+
+
+_LANDS = {
+    Windows.BOTH: End.LAND,
+    Windows.LAND: End.LAND,
+    Windows.RELEASE: End.RELEASE,
+    Windows.NEITHER: End.LAND,
+}
+_RELEASES_HERE = {
+    Windows.BOTH: End.RELEASE,
+    Windows.LAND: End.LAND,
+    Windows.RELEASE: End.RELEASE,
+    Windows.NEITHER: End.LAND,
+}
+_FALLEN = {
+    Windows.BOTH: End.RELEASE_FALLEN,
+    Windows.LAND: End.RELEASE_BESIDE,
+    Windows.RELEASE: End.RELEASE_FALLEN,
+    Windows.NEITHER: End.RELEASE_BESIDE,
+}
+
+ENDS: Mapping[Response, Mapping[Windows, End]] = {
+    Response.REPORT: dict.fromkeys(Windows, End.GO_ON),
+    Response.HOLD: dict.fromkeys(Windows, End.HOLD),
+    Response.LAND: _LANDS,
+    Response.LAND_HERE: _LANDS,
+    Response.RELEASE: dict.fromkeys(Windows, End.RELEASE),
+    Response.RELEASE_HERE: _RELEASES_HERE,
+    Response.RELEASE_FALLEN: _FALLEN,
+}
+"""Response → windows where the team stands → how it comes down with a cable attached. With neither
+window open it lands all the same, and cable may touch a rotor that stands on the ground. RELEASE
+moves first; after T it releases wherever it is."""
+
+
+class Cell(NamedTuple):
+    """One cell of the whole table."""
+
+    failure: FailureKind
+    stage: Stage
+    windows: Windows
+    response: Response
+    end: End
+
+
+def response_to(kind: FailureKind, stage: Stage) -> Response:
+    """Return the response to a failure in a stage; REPORT in stages without flight."""
+    row = TABLE[kind]
+    if stage is Stage.EXECUTE:
+        return row.execute
+    return row.contingency if stage is Stage.CONTINGENCY else Response.REPORT
+
+
+def end_of(response: Response, windows: Windows) -> End:
+    """Return how the team comes down after a response, where these windows are open."""
+    return ENDS[response][windows]
+
+
+def cells() -> Iterator[Cell]:
+    """Yield the whole table: failure × stage in flight × open windows."""
+    for kind in TABLE:
+        for stage in (Stage.EXECUTE, Stage.CONTINGENCY):
+            response = response_to(kind, stage)
+            for windows in Windows:
+                yield Cell(kind, stage, windows, response, end_of(response, windows))
+
+
+def rows() -> list[tuple[str, ...]]:
+    """Return the table for print: a heading, then one row per failure and stage."""
+    heading = ("failure", "stage", "response", *(f"open: {words}" for words in Windows))
+    found: list[tuple[str, ...]] = [heading]
+    for kind in TABLE:
+        for stage in (Stage.EXECUTE, Stage.CONTINGENCY):
+            response = response_to(kind, stage)
+            ends = (end_of(response, windows).value for windows in Windows)
+            found.append((kind.value, stage.name.lower(), response.value, *ends))
+    return found

@@ -1,0 +1,44 @@
+"""What is kept of a flight while it is flown: events, and the flown positions."""
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.flight.snapshot import Event
+from swarm.flight.trace import Trace
+
+Floats = npt.NDArray[np.float64]
+
+
+class Recorder:
+    """Events since they were last taken, and all samples of the flight."""
+
+    def __init__(self) -> None:
+        self._events: list[Event] = []
+        self._samples: list[tuple[float, float, Floats, Floats, str]] = []
+        self.next_sample = 0.0
+
+    def event(self, time: float, kind: str, message: str, vehicle: int | None) -> None:
+        """Add an event; ``vehicle`` is counted from 1."""
+        self._events.append(Event(time, kind, message, vehicle))
+
+    def take_events(self) -> list[Event]:
+        """Return the events since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def sample(
+        self, time: float, mission_time: float, position: Floats, setpoint: Floats, phase: str
+    ) -> None:
+        """Add the positions and setpoints (n, 3) of a moment."""
+        self._samples.append((time, mission_time, position, setpoint, phase))
+
+    def trace(self, n: int) -> Trace:
+        """Return the flight of n vehicles so far."""
+        samples = self._samples
+        return Trace(
+            time=np.array([row[0] for row in samples]),
+            mission_time=np.array([row[1] for row in samples]),
+            position=np.array([row[2] for row in samples]).reshape(-1, n, 3),
+            setpoint=np.array([row[3] for row in samples]).reshape(-1, n, 3),
+            phase=tuple(row[4] for row in samples),
+        )

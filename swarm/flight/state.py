@@ -1,0 +1,338 @@
+"""The whole state of a flight: a few frozen parts, each replaced by one module alone.
+
+:data:`OWNERS` names that module for every part; `tests/flight/test_state.py` compares it with the
+code. Everything is of n vehicles in order along the cable; positions are grip points, mission ENU.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.certification.monitor import Clearances
+from swarm.certification.stream_loss import StreamLossCertificate
+from swarm.flight.clearance import Audit
+from swarm.flight.clock import MissionClock
+from swarm.flight.detect import Detectors
+from swarm.flight.failures import HoldCause
+from swarm.flight.guidance import Guidance
+from swarm.flight.monitoring import Monitored
+from swarm.flight.observation import Expected, Observation
+from swarm.flight.policy import Response
+from swarm.flight.preparation import Preparation
+from swarm.flight.readiness import named
+from swarm.flight.recorder import Recorder
+from swarm.flight.result import Outcome
+from swarm.flight.resuming import LeftOff, Then
+from swarm.flight.router import Team
+from swarm.flight.setup import LOOSE_ERROR, Setup
+from swarm.flight.stages import Stage, Step
+from swarm.mavlink.frames import Frames
+from swarm.mavlink.vehicle import Vehicle
+from swarm.planning import Gate, Phase
+
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """``now`` and ``last`` are the times of this tick and of the one before; ``moving`` the seconds
+    that setpoints have advanced, in which a tick counts LONGEST_TICK at most."""
+
+    now: float = 0.0
+    last: float = 0.0
+    moving: float = 0.0
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the tick before."""
+        return self.now - self.last
+
+
+@dataclass(frozen=True)
+class Mode:
+    """The stage of the flight, and when it began."""
+
+    stage: Stage = Stage.PREPARE
+    since: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Roster:
+    """The vehicles that fly, with their system ids and their rows (n,) in the telemetry table.
+
+    ``numbers`` are their places along the cable, from 1, by system id. Before all are received it
+    is a guess.
+    """
+
+    vehicles: tuple[Vehicle, ...]
+    systems: tuple[int, ...]
+    numbers: Mapping[int, int]
+    names: tuple[str, ...]
+    rows: Indices
+
+    @classmethod
+    def of(cls, vehicles: Sequence[Vehicle]) -> "Roster":
+        """Return the roster of vehicles in order along the cable."""
+        numbers = {vehicle.system: number for number, vehicle in enumerate(vehicles, 1)}
+        return cls(
+            vehicles=tuple(vehicles),
+            systems=tuple(numbers),
+            numbers=numbers,
+            names=tuple(named(vehicle, numbers[vehicle.system]) for vehicle in vehicles),
+            rows=np.array([vehicle.row for vehicle in vehicles]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """The vehicles' frames, their yaw (n,) in radians, and where they started (n, 3)."""
+
+    frames: Frames | None
+    yaw: Floats
+    start_position: Floats
+    audit: Audit | None = None
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far the plan is flown.
+
+    ``gate`` is the index of the next gate; ``waiting`` says whether the clock waits at it, since
+    ``gate_since``; ``settled_since`` is when the team came to rest there, ``ready_at`` when all
+    were last ready. ``rewinding`` says whether the clock runs backwards, ``error_kept_since`` since
+    which mission time tracking errors have been small. ``done`` are actions that are done once:
+    gate, vehicle, action.
+    """
+
+    gate: int = 0
+    waiting: bool = False
+    gate_since: float = 0.0
+    settled_since: float = 0.0
+    ready_at: float = 0.0
+    rewinding: bool = False
+    error_kept_since: float = 0.0
+    done: frozenset[tuple[int, int, str]] = frozenset()
+
+
+@dataclass(frozen=True)
+class Holds:
+    """Why the clock is held: the causes, with a message for each."""
+
+    causes: Mapping[HoldCause, str] = field(default_factory=dict)
+
+    @property
+    def message(self) -> str | None:
+        """All causes in words; None where the clock is not held."""
+        return "; ".join(self.causes.values()) or None
+
+
+@dataclass(frozen=True, eq=False)
+class Streams:
+    """The setpoints of the team, and to which vehicles they are sent.
+
+    ``setpoint`` and ``velocity`` (n, 3); ``active`` (n,) which vehicles get setpoints,
+    ``expected_armed`` (n,) which have failed where they are not armed. ``rejoining`` are vehicles
+    that return to offboard mode, with the time since when; ``fallen`` vehicles that are given up.
+    ``sent`` counts setpoints.
+    """
+
+    setpoint: Floats
+    velocity: Floats
+    active: Flags
+    expected_armed: Flags
+    rejoining: Mapping[int, float] = field(default_factory=dict)
+    fallen: frozenset[int] = frozenset()
+    sent: int = 0
+
+    @classmethod
+    def of(cls, n: int) -> "Streams":
+        """Return the streams of n vehicles before anything is sent."""
+        none = np.zeros(n, dtype=np.bool_)
+        return cls(np.full((n, 3), np.nan), np.zeros((n, 3)), none, none.copy())
+
+
+@dataclass(frozen=True)
+class Contingency:
+    """The flight outside the plan, from the moment at which it was decided.
+
+    ``since`` is when it began, ``step_since`` when its step began. ``target`` is the mission time
+    to move to first (None: stop at once). ``landing`` are the system ids of vehicles that were
+    commanded to land, ``on_ground_since`` since when they report the ground. ``staggered`` says
+    that some grippers open before the others; ``cornered`` that the team lands although neither
+    landing nor release is open; ``down_since`` is when all setpoints had come down.
+    """
+
+    response: Response
+    since: float
+    step_since: float
+    step: Step = Step.APPROACH
+    target: float | None = None
+    landing: frozenset[int] = frozenset()
+    on_ground_since: Mapping[int, float] = field(default_factory=dict)
+    staggered: bool = False
+    cornered: bool = False
+    down_since: float | None = None
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How the flight ends: the first reason for which it has failed, whether the operator has
+    interrupted it, and the outcome once it has ended."""
+
+    failure: str | None = None
+    interrupted: bool = False
+    outcome: Outcome | None = None
+
+
+@dataclass(frozen=True)
+class Resumption:
+    """Where an interrupted flight broke off, and the operator's order for after it is resumed."""
+
+    left_off: LeftOff | None = None
+    then: Then = "hold"
+
+
+OWNERS: Mapping[str, str] = {
+    "stream_loss": "conductor",
+    "timing": "conductor",
+    "mode": "modes/transitions",
+    "roster": "observing",
+    "placement": "observing",
+    "observation": "observing",
+    "monitored": "observing",
+    "progress": "progress",
+    "streams": "streams",
+    "holds": "holds",
+    "contingency": "modes/contingency",
+    "ending": "ending",
+    "resumption": "modes/resume",
+}
+"""Part → the module of swarm.flight that replaces it."""
+
+
+@dataclass(eq=False)
+class FlightState:
+    """One flight: its constants, the parts of its state, and the objects that it works with."""
+
+    setup: Setup
+    team: Team
+    preparation: Preparation
+    clock: MissionClock
+    guidance: Guidance
+    detectors: Detectors
+    recorder: Recorder
+    stream_loss: StreamLossCertificate
+    roster: Roster
+    placement: Placement
+    observation: Observation
+    streams: Streams
+    monitored: Monitored = field(default_factory=Monitored)
+    timing: Timing = field(default_factory=Timing)
+    mode: Mode = field(default_factory=Mode)
+    progress: Progress = field(default_factory=Progress)
+    holds: Holds = field(default_factory=Holds)
+    contingency: Contingency | None = None
+    ending: Ending = field(default_factory=Ending)
+    resumption: Resumption = field(default_factory=Resumption)
+    _phase: tuple[float, Phase] | None = None
+
+    @property
+    def now(self) -> float:
+        """The time of this tick."""
+        return self.timing.now
+
+    @property
+    def stage(self) -> Stage:
+        """The stage of the flight."""
+        return self.mode.stage
+
+    @property
+    def phase(self) -> Phase:
+        """The plan's phase at this moment."""
+        time = self.clock.time
+        if self._phase is None or self._phase[0] != time:
+            self._phase = time, self.setup.plan.phase_at(time)
+        return self._phase[1]
+
+    @property
+    def gate(self) -> Gate | None:
+        """The next gate; None after the last."""
+        gates = self.setup.gates
+        return gates[self.progress.gate] if self.progress.gate < len(gates) else None
+
+    @property
+    def landing_as_planned(self) -> bool:
+        """Whether the clock waits at the gate at which all land."""
+        gate = self.gate
+        return self.progress.waiting and gate is not None and gate.condition == "landed"
+
+    @property
+    def allowed_error(self) -> float:
+        """Tracking error in metres at which the clock stands still.
+
+        The tracking radius where a cable is attached or taken for attached; vehicles that could
+        not hold one need not stay within it. Where a flight measures errors: its own limit.
+        """
+        if self.setup.options.error_limit is not None:
+            return self.setup.options.error_limit
+        tracking = self.setup.plan.mission.vehicles.tracking
+        held = self.phase.cable in {"lifting", "aloft"} and not self.setup.bare
+        return tracking if held and tracking > 0 else max(tracking, LOOSE_ERROR)
+
+    @property
+    def clearances(self) -> Clearances | None:
+        """The latest distances of the live monitor; None where there is nothing to monitor."""
+        return self.monitored.sample.clearances if self.monitored.sample else None
+
+    @property
+    def expected(self) -> Expected:
+        """The commanded state of the vehicles."""
+        streams, contingency = self.streams, self.contingency
+        may_land = np.full(len(streams.active), self.landing_as_planned)
+        if contingency is not None:
+            systems = self.roster.systems
+            may_land = np.array([system in contingency.landing for system in systems])
+        return Expected(
+            setpoint=streams.setpoint,
+            velocity=streams.velocity,
+            streaming=streams.active,
+            armed=streams.expected_armed,
+            may_land=may_land,
+            fallen=streams.fallen,
+            rejoining=frozenset(streams.rejoining),
+            start_height=self.placement.start_position[:, 2],
+            cable=self.phase.cable,
+            descending=self.guidance.descending,
+            waiting=self.progress.waiting,
+            holds=self.holds.causes,
+            rate=self.clock.rate,
+            rewinding=self.progress.rewinding,
+            allowed_error=self.allowed_error,
+            monitored=self.monitored.sample,
+        )
+
+    @property
+    def attached(self) -> bool:
+        """Whether any vehicle holds the cable."""
+        return any(vehicle.gripped for vehicle in self.roster.vehicles)
+
+    def received(self, vehicle: Vehicle, within: float | None = None) -> bool:
+        """Whether a packet of a vehicle was received lately, within so many seconds."""
+        return self.now - vehicle.received_at <= (within or self.setup.fleet.limits.silence)
+
+    def name(self, vehicle: Vehicle) -> str:
+        """Return the name of a vehicle in messages."""
+        return named(vehicle, self.roster.numbers.get(vehicle.system, vehicle.system))
+
+    def report(self, kind: str, message: str, vehicle: Vehicle | None = None) -> None:
+        """Add an event to the record."""
+        number = self.roster.numbers.get(vehicle.system) if vehicle else None
+        self.recorder.event(self.now, kind, message, number)
+
+    def report_of_system(self, kind: str, message: str, system: int | None) -> None:
+        """Add an event of a system to the record."""
+        self.report(kind, message, self.team.vehicles.get(system) if system else None)
