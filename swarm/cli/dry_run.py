@@ -9,11 +9,12 @@ from rich.console import Console
 
 from swarm import planner
 from swarm.cli.inputs import JSON, MISSION, SET, print_json, progress_bar
-from swarm.cli.outcome import outcome_object, print_outcome
 from swarm.errors import InputError
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.front.files import load_mission
+from swarm.reports.flight_json import outcome_object
+from swarm.reports.flight_text import print_outcome
 from swarm.reports.plan_summary import plan_summary
 from swarm.reports.terminal import FlightScreen
 from swarm.simulation.loop import Callbacks, FlightOptions, simulate_flight

@@ -1,4 +1,4 @@
-"""What commands are given: mission files, knot names, overrides; and progress while they work."""
+"""Parts that all commands share: common options, the progress line, JSON output."""
 
 import json
 from collections.abc import Iterator
@@ -16,25 +16,25 @@ SET = click.option(
     "overrides",
     multiple=True,
     metavar="KEY.PATH=VALUE",
-    help="Override a key of the mission file; may be given many times.",
+    help="Override a key of the mission file; can be repeated.",
 )
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object for scripts.")
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A line on the terminal that says what is being done; called with stage and share done."""
+class ProgressLine:
+    """A progress line on the terminal; call it with the name of a stage and its completed share."""
 
     bar: Progress
     task: TaskID
 
     def __call__(self, stage: str, share: float) -> None:
-        """Show a stage and how much of it is done."""
+        """Show a stage and its completed share, 0…1."""
         self.bar.update(self.task, description=stage, completed=share)
 
     @contextmanager
-    def away(self) -> Iterator[None]:
-        """Take the line off the terminal while something else is asked or printed there."""
+    def hidden(self) -> Iterator[None]:
+        """Hide the line while other output or a question uses the terminal."""
         self.bar.stop()
         try:
             yield
@@ -43,8 +43,8 @@ class Shown:
 
 
 @contextmanager
-def progress_bar(console: Console, first: str = "planning") -> Iterator[Shown]:
-    """Show long work as ``progress(stage, share done)``; silent where it is not a terminal."""
+def progress_bar(console: Console, first: str = "planning") -> Iterator[ProgressLine]:
+    """Yield a progress line that starts with ``first``; it is silent if there is no terminal."""
     with Progress(
         SpinnerColumn(),
         TextColumn("{task.description}"),
@@ -54,9 +54,9 @@ def progress_bar(console: Console, first: str = "planning") -> Iterator[Shown]:
         transient=True,
         disable=not console.is_terminal,
     ) as bar:
-        yield Shown(bar, bar.add_task(first, total=1.0))
+        yield ProgressLine(bar, bar.add_task(first, total=1.0))
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON object; numbers that are not finite never leave this program as JSON."""
+    """Print one JSON object; raises ValueError for numbers that are not finite."""
     click.echo(json.dumps(value, indent=2, allow_nan=False))

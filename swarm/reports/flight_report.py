@@ -1,6 +1,6 @@
 """The page of a flight or of a dry run."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -50,7 +50,7 @@ def flight_report(
         clearances=_clearances(outcome["clearance"]),
         pictures=_pictures(plan, trace),
         tracking_errors=[
-            error for error in outcome["tracking"] if error["vehicle"] == 0 and error["phase"]
+            error for error in outcome["tracking_error"] if error["vehicle"] == 0 and error["phase"]
         ],
         tracking_radius=plan.mission.vehicles.tracking,
         events=[(one.time, level(one), sentence(one, others)) for one, others in shown_events],
@@ -60,21 +60,21 @@ def flight_report(
 
 
 def _figures(plan: Plan, outcome: Mapping[str, Any]) -> list[tuple[str, object]]:
-    in_fold = (error["max"] for error in outcome["tracking"] if error["phase"] == "fold")
-    chord = outcome["largest_chord"]
+    in_fold = (error["max"] for error in outcome["tracking_error"] if error["phase"] == "fold")
+    chord = outcome["max_chord_ratio"]
     return [
         ("vehicles", plan.vehicles),
         ("of flight", seconds(outcome["duration"])),
         ("largest tracking error in the fold", metres(max(in_fold, default=np.nan))),
         ("chord of the tautest segment", "–" if chord is None else f"{chord:.1%}"),
         ("setpoints sent", outcome["setpoints"]),
-        ("ms late (median, 99 %)", _lateness(outcome["lateness"])),
-        ("packets lost", sum(outcome["lost"].values())),
+        ("ms late (median, 99 %)", _lateness(outcome["setpoint_lateness"])),
+        ("packets lost", sum(outcome["packets_lost"].values())),
     ]
 
 
-def _lateness(lateness: Sequence[float] | None) -> str:
-    return "–" if not lateness else f"{lateness[0] * 1e3:.1f}, {lateness[1] * 1e3:.1f}"
+def _lateness(lateness: Mapping[str, float] | None) -> str:
+    return f"{lateness['median'] * 1e3:.1f}, {lateness['p99'] * 1e3:.1f}" if lateness else "–"
 
 
 def _clearances(clearance: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:

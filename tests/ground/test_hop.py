@@ -6,9 +6,11 @@ import json
 import pytest
 from rich.console import Console
 
-from swarm.cli.hop import fly_hop
-from swarm.flight.hop import HOVER
+from swarm.flight.hop import HOVER, hop
+from swarm.ground.hop import fly_hop
 from swarm.mission.fleet import emulated_fleet
+from swarm.reports.check_json import hop_object
+from swarm.reports.terminal import FlightScreen
 from tests.network import small_plan
 
 
@@ -16,14 +18,19 @@ from tests.network import small_plan
 def test_a_hop_says_for_each_vehicle_how_well_it_hovers_and_what_to_plan_with(tmp_path):
     console = Console(file=io.StringIO(), width=100)
     plan = small_plan()
-    hopped = fly_hop(plan, emulated_fleet(3), tmp_path / "hop", 8.0, console, yes=True)
-    advice, *each = [finding.message for finding in hopped.findings]
+    flight = hop(plan)
+    with FlightScreen(flight.plan, console) as screen:
+        result = fly_hop(
+            flight, plan, emulated_fleet(3), tmp_path / "hop",
+            speed=8.0, on_snapshot=screen.show, on_event=screen.event,
+        )  # fmt: skip
+    advice, *each = [finding.message for finding in result.findings]
     assert advice.startswith("plan with vehicles.tracking of 0.")
     assert [words.split(" m RMS")[0].split("0.")[0] for words in each] == [
         f"vehicle {number}: level " for number in (1, 2, 3)
     ]
-    document = json.loads(json.dumps(hopped.document()))
-    assert 0.0 < document["tracking_to_plan_with"] < 0.5
+    document = json.loads(json.dumps(hop_object(result)))
+    assert 0.0 < document["recommended_tracking"] < 0.5
     for one in document["vehicles"]:
         assert one["seconds"] > 0.9 * HOVER
         assert 0.0 < one["level"]["rms"] <= one["level"]["largest"] <= one["both"]["largest"]

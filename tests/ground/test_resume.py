@@ -80,10 +80,10 @@ def test_what_cannot_be_resumed_is_refused_in_words(tmp_path):
 
     code, words = said("--resume", str(tmp_path))
     assert code == 2
-    assert "expected a flight's record with plan.json and motion.npz in it" in words
+    assert "expected a flight record with plan.json and motion.npz in it" in words
     code, words = said("overhand", "--resume", str(tmp_path))
     assert code == 2
-    assert "MISSION: the record says it when a flight is resumed" in words
+    assert "MISSION: comes from the record with --resume" in words
 
 
 def test_the_fleet_of_the_test_is_a_real_one():

@@ -79,16 +79,18 @@ def outcome(**changed: Any) -> dict[str, Any]:
             "vehicle": {"flown": None, "certified": kept},
             "vehicle_cable": {"flown": kept, "certified": kept},
         },
-        "certificate": {"words": "certified for tracking errors of up to 0.1 m; carrying cable"},
+        "certificate": {
+            "description": "certified for tracking errors of up to 0.1 m; carrying cable"
+        },
         "adherence": {"within": True, "words": ""},
-        "largest_chord": 0.94,
-        "tracking": [
+        "max_chord_ratio": 0.94,
+        "tracking_error": [
             {"phase": "fold", "vehicle": v, "rms": 0.03, "p999": 0.1, "max": 0.17} for v in (0, 1)
         ],
         "duration": 92.0,
         "setpoints": 1000,
-        "lateness": None,
-        "lost": {"1": 2},
+        "setpoint_lateness": None,
+        "packets_lost": {"1": 2},
         "notes": ["segment 3 was reported 101 % of its length apart"],
         **changed,
     }

@@ -1,0 +1,83 @@
+"""The displays of a flight and its end, shared by ``swarm fly`` and ``swarm fly --resume``."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import click
+from rich.console import Console
+
+from swarm.certification.assessment import Assessment
+from swarm.cli.inputs import print_json
+from swarm.files import write_text
+from swarm.flight.result import FlightResult
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.planning import Plan
+from swarm.reports.flight_json import outcome_object
+from swarm.reports.flight_text import print_outcome
+from swarm.reports.terminal import FlightScreen
+from swarm.verification import verify_trace
+from swarm.view import rerun_log
+
+Viewer = Literal["native", "web"]
+
+
+@dataclass(frozen=True)
+class Displays:
+    """The displays of a flight: terminal and Rerun."""
+
+    screen: FlightScreen
+    viewer: rerun_log.Viewer
+
+    def on_snapshot(self, snapshot: Snapshot) -> None:
+        """Show the state of the team."""
+        self.screen.show(snapshot)
+        self.viewer.offer(snapshot)
+
+    def on_event(self, event: Event) -> None:
+        """Show an event."""
+        self.screen.event(event)
+        self.viewer.offer(event)
+
+
+@contextmanager
+def displays(plan: Plan, folder: Path, view: Viewer | None, console: Console) -> Iterator[Displays]:
+    """Create the folder of the record, start Rerun's log in it, and yield the displays."""
+    folder.mkdir(parents=True, exist_ok=True)
+    viewer = rerun_log.start(plan, folder / "flight.rrd", view)
+    try:
+        if viewer.message:
+            console.print(viewer.message, soft_wrap=True, highlight=False)
+        yield Displays(FlightScreen(plan, console), viewer)
+    finally:
+        viewer.close()
+
+
+def end_flight(
+    context: click.Context,
+    plan: Plan,
+    assessment: Assessment,
+    result: FlightResult,
+    folder: Path,
+    *,
+    as_json: bool,
+) -> None:
+    """Write the report of a flight, print its outcome, and exit with its code."""
+    from swarm.reports.flight_report import flight_report  # noqa: PLC0415 - slow to import
+
+    verification = verify_trace(plan, result.trace)
+    outcome = outcome_object(result, verification, assessment)
+    report = flight_report(plan, assessment, outcome, result.trace, result.events)
+    write_text(folder / "report.html", report)
+    if as_json:
+        print_json(outcome)
+    else:
+        console = Console()
+        print_outcome(plan, result, verification, assessment, console)
+        console.print(f"Record: {folder}", soft_wrap=True, highlight=False)
+    error = result.error()
+    if error is not None:
+        raise error
+    context.exit(0 if verification.as_planned else 1)

@@ -1,0 +1,114 @@
+"""The outcome of a flight on the terminal."""
+
+from math import isfinite
+
+from rich.console import Console
+from rich.table import Table
+
+from swarm.certification.assessment import Assessment, Tightest
+from swarm.flight.adherence import Adherence
+from swarm.flight.result import FlightResult
+from swarm.planning import Plan
+from swarm.reports.wording import CLEARANCES
+from swarm.verification import TrackingStatistics, Verification
+
+
+def print_outcome(
+    plan: Plan,
+    result: FlightResult,
+    verification: Verification,
+    assessment: Assessment,
+    console: Console,
+) -> None:
+    """Print knot, flown beside certified distances, tracking error and timing.
+
+    A violation of the certificate comes first.
+    """
+    print_adherence(result.adherence, console)
+    if not result.basis.cable and len(plan.layout.lengths):
+        words = "Flown without cable: the knot below is the one that these positions would tie."
+        console.print(words, highlight=False, soft_wrap=True)
+    print_verification(plan, verification, assessment, console)
+    statistics = result.statistics
+    line = f"{statistics.duration:.0f} s of flight, {statistics.setpoints} setpoints"
+    if statistics.lateness:
+        line += f", late by {statistics.lateness[0] * 1e3:.2f} ms (median), "
+        line += f"{statistics.lateness[1] * 1e3:.1f} ms (99 %)"
+    if statistics.cpu is not None:
+        line += f", {statistics.cpu:.0%} of a core"
+    console.print(line, style="dim", highlight=False, soft_wrap=True)
+
+
+def print_verification(
+    plan: Plan, verification: Verification, assessment: Assessment, console: Console
+) -> None:
+    """Print the implied knot, flown beside certified distances, and the tracking error.
+
+    Lines that do not apply, without a cable or before the fold, are left out.
+    """
+    if len(plan.layout.lengths):
+        console.print(_knot_line(plan, verification), highlight=False, soft_wrap=True)
+    table = _clearance_table(verification, assessment)
+    if table.row_count:
+        console.print(table)
+    line = _tracking_line(verification.tracking, plan.mission.vehicles.tracking)
+    console.print(line, highlight=False, soft_wrap=True)
+    for note in verification.notes:
+        console.print(f"[yellow]note[/] {note}", highlight=False, soft_wrap=True)
+
+
+def print_adherence(adherence: Adherence, console: Console) -> None:
+    """Print one line if the flight was outside its certificate."""
+    if not adherence.within:
+        line = f"[bold red]{adherence.words[0].upper()}{adherence.words[1:]}.[/]"
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def _knot_line(plan: Plan, verification: Verification) -> str:
+    planned = f"{plan.knot.type} {_hand(plan.knot.chirality)}".strip() or "none"
+    style = "green" if verification.as_planned else "bold red"
+    if verification.knot == "unknown":
+        return f"The knot of the cable is [{style}]unknown[/] (planned: {planned})"
+    implied = f"{verification.knot} {_hand(verification.chirality)}".strip()
+    if not plan.knot.type and verification.knot == "0_1":
+        implied = "none"
+    return f"Knot implied by the reported positions: [{style}]{implied}[/] (planned: {planned})"
+
+
+def _clearance_table(verification: Verification, assessment: Assessment) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("smallest distance")
+    for heading in ("flown", "certified", "required", "between"):
+        table.add_column(heading, justify="right")
+    for kind, name in CLEARANCES.items():
+        flown: Tightest | None = getattr(verification, kind)
+        certified: Tightest = getattr(assessment, kind)
+        if flown is None:
+            continue  # not measured, or the plan has no two such bodies
+        enough = flown.distance >= certified.required
+        table.add_row(
+            name,
+            f"[{'green' if enough else 'red'}]{flown.distance:.2f} m[/]",
+            f"{certified.distance:.2f} m" if isfinite(certified.distance) else "–",
+            f"{certified.required:.2f} m",
+            " and ".join(flown.between),
+        )
+    return table
+
+
+def _tracking_line(errors: tuple[TrackingStatistics, ...], tracking_radius: float) -> str:
+    in_fold = [error for error in errors if error.phase == "fold"]
+    vehicles = [error for error in in_fold if error.vehicle]
+    if not vehicles:
+        return "The fold was not flown: it has no tracking error"
+    worst = max(vehicles, key=lambda error: error.largest)
+    rms = next(error.rms for error in in_fold if error.vehicle == 0)
+    style = "green" if worst.largest <= tracking_radius else "red"
+    return (
+        f"Tracking error in the fold: {rms:.3f} m RMS, [{style}]{worst.largest:.3f} m at most[/] "
+        f"(vehicle {worst.vehicle}); certified for {tracking_radius:g} m"
+    )
+
+
+def _hand(chirality: str) -> str:
+    return "" if chirality == "none" else f"{chirality}-handed"
