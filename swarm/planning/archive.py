@@ -1,6 +1,6 @@
-"""Plans as data: what files keep of a plan, and the plan made from it again.
+"""Plans as data: JSON and NumPy arrays, and plan files made of both.
 
-Numbers and words only, read without running anything.
+Reading executes nothing: files hold numbers and text only.
 """
 
 import hashlib
@@ -25,20 +25,20 @@ READ_ERRORS: Final = (
     KeyError, TypeError, ValueError, AttributeError, OSError, EOFError, zipfile.BadZipFile,
     zlib.error, NotImplementedError, RuntimeError,
 )  # fmt: skip
-"""What damaged JSON and .npz files raise in the libraries that read them."""
+"""Exceptions that the libraries raise for damaged JSON and .npz files."""
 
 FORMAT: Final = "swarm plan"
 SCHEMA: Final = 1
-"""Name and version of the plan file's format, which its manifest states."""
+"""Name and version of the format of plan files, as in their manifest."""
 
 _MANIFEST, _DOCUMENT, _MOTION = "manifest.json", "plan.json", "motion.npz"
 _LARGEST_MEMBER = 256 * 1024 * 1024
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-"""The time that every member of a plan file carries, so that equal plans make equal files."""
+"""Modification time of every member of a plan file, so that equal plans give equal files."""
 
 
 def plan_document(plan: Plan) -> dict[str, Any]:
-    """Return everything of a plan but its motion, as plain data for JSON."""
+    """Return a plan without its motion, as plain data for JSON."""
     layout = plan.layout
     return {
         "schema": 1,
@@ -71,7 +71,7 @@ def read_plan(
 ) -> Plan:
     """Return the plan of a document and a motion; ``source`` names them in errors.
 
-    Raises :class:`InputError` where they are not those of a plan.
+    Raises :class:`InputError` where they do not describe a plan.
     """
     try:
         layout = document["layout"]
@@ -142,8 +142,8 @@ def plan_file(plan: Plan) -> bytes:
 def read_plan_file(data: bytes, source: str) -> Plan:
     """Return the plan of the bytes that :func:`plan_file` made; ``source`` names them in errors.
 
-    Raises :class:`InputError` for anything else: another kind of file, a part of one, another
-    version of the format, and a file in which anything was changed.
+    Raises :class:`InputError` for another kind of file, an incomplete file, another version of the
+    format, and a file that was changed.
     """
     members = _members(data, source)
     try:
@@ -176,7 +176,7 @@ def _members(data: bytes, source: str) -> dict[str, bytes]:
         message = f"expected a plan file, got an archive without {error.args[0]}"
         raise InputError([Problem(source, message)]) from None
     except READ_ERRORS as error:
-        message = f"expected a plan file, got something else or a part of one ({error})"
+        message = f"expected a plan file, got another or incomplete file ({error})"
         raise InputError([Problem(source, message)]) from None
     large = [name for name, read in found.items() if len(read) > _LARGEST_MEMBER]
     if large:

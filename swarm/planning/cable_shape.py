@@ -1,4 +1,4 @@
-"""Where a plan has the cable: held by vehicles, lying on the floor, or unknown."""
+"""The shape of the cable in a plan: held by vehicles, on the floor, or undefined."""
 
 import numpy as np
 import numpy.typing as npt
@@ -17,35 +17,35 @@ def cable_shape(plan: Plan, times: npt.ArrayLike, points: int) -> Floats:
 
     Points are spaced evenly along each of the n − 1 segments, both ends included. A held segment
     is the catenary of its length in still air, and lies on the floor (z = 0) where it reaches it;
-    what lies loose there is drawn along the straight line between its ends. Before it is gripped,
-    and after it was put down on the floor, the cable lies there straight. NaN where the plan says
-    nothing of it (phases with the cable ``free``: let go of aloft, or held by its ends alone).
-    Without cable the result is (…, 0, points, 3).
+    slack cable on the floor is drawn straight between its ends. Before the grip, and after the
+    release on the floor, the cable lies there straight. NaN where the plan does not define the
+    shape (phases with the cable state ``free``: released aloft, or held at both ends only). Without
+    cable the result is (…, 0, points, 3).
 
     Raises :class:`InputError` for times that are not finite and for fewer than 2 points, and
-    :class:`swarm.geometry.catenary.OverStretched` where a chord is longer than its cable, which a
-    cleared plan rules out.
+    :class:`swarm.geometry.catenary.OverStretched` where a chord is longer than its cable, which
+    does not occur in a cleared plan.
     """
-    asked = np.asarray(times, dtype=np.float64)
+    given = np.asarray(times, dtype=np.float64)
     problems = []
-    if not np.isfinite(asked).all():
-        problems.append(Problem("time", "expected finite seconds, got one that is not"))
+    if not np.isfinite(given).all():
+        problems.append(Problem("time", "expected finite seconds, got NaN or infinity"))
     if points < 2:
         problems.append(Problem("points", f"expected at least 2, got {points}"))
     if problems:
         raise InputError(problems)
-    flat, lengths = asked.reshape(-1), plan.layout.lengths
+    flat, lengths = given.reshape(-1), plan.layout.lengths
     found = np.full((len(flat), len(lengths), points, 3), np.nan)
-    known = np.array([plan.phase_at(time).cable != "free" for time in flat.tolist()], dtype=bool)
-    if len(lengths) and known.any():
-        grips = _grip_points(plan, flat[known])
+    defined = np.array([plan.phase_at(time).cable != "free" for time in flat.tolist()], dtype=bool)
+    if len(lengths) and defined.any():
+        grips = _grip_points(plan, flat[defined])
         strands = rest_on_floor(grips[:, :-1], grips[:, 1:], lengths)
-        found[known] = strands.points(np.linspace(0.0, 1.0, points))
-    return found.reshape(*asked.shape, *found.shape[1:])
+        found[defined] = strands.points(np.linspace(0.0, 1.0, points))
+    return found.reshape(*given.shape, *found.shape[1:])
 
 
 def _grip_points(plan: Plan, times: Floats) -> Floats:
-    """Where the cable's grip points (k, n, 3) are at times (k,): with their vehicles, or lying."""
+    """Return the grip points (k, n, 3) of the cable at times (k,): at their vehicles or laid."""
     begins, ends = grip_interval(plan)
     places = plan.motion.at(times)[0]
     places[times < begins] = laid_grip_points(plan)
@@ -55,7 +55,7 @@ def _grip_points(plan: Plan, times: Floats) -> Floats:
 
 
 def laid_grip_points(plan: Plan) -> Floats:
-    """Return where the grip points of the cable lie (n, 3) before vehicles grip it, ENU metres."""
+    """Return the grip points (n, 3) of the laid cable before the grip, ENU metres."""
     grab = _phase(plan, "grab")
     if grab is None:
         return plan.motion.at(plan.phases[0].start)[0]
@@ -64,9 +64,9 @@ def laid_grip_points(plan: Plan) -> Floats:
 
 
 def grip_interval(plan: Plan) -> tuple[float, float]:
-    """Return the mission times in seconds at which all vehicles have gripped, and have let go.
+    """Return the mission times in seconds at which all vehicles have gripped and released.
 
-    −∞ where the cable is tied on from the start, ∞ where the plan never lets go.
+    −∞ for a cable that is tied on from the start, ∞ for a plan without release.
     """
     grab = _phase(plan, "grab")
     released = [gate.time for gate in plan.gates if gate.condition == "released"]
@@ -74,7 +74,7 @@ def grip_interval(plan: Plan) -> tuple[float, float]:
 
 
 def planned_grip(plan: Plan, times: Floats) -> npt.NDArray[np.bool_]:
-    """Return whether the plan has the cable gripped at mission times (k,): (k,)."""
+    """Return whether the cable is gripped in the plan at mission times (k,): (k,)."""
     begins, ends = grip_interval(plan)
     return (times >= begins) & (times < ends)
 

@@ -1,4 +1,4 @@
-"""What identifies a plan: a digest of its motion, its cable and the limits that it was made for."""
+"""The digest that identifies a plan: its motion, cable and limits."""
 
 import hashlib
 import json
@@ -14,9 +14,9 @@ _VERSION = b"swarm plan 1\n"
 def digest(plan: Plan) -> str:
     """Return the SHA-256 of everything in a plan that a check reads, as 64 hexadecimal digits.
 
-    That is the motion, the layout with the segments' lengths, phases, gates, the knot and the
-    whole mission (cable, vehicles, clearances, wind, workspace), each bit of every number. ``path``
-    and ``notes`` are for readers and change nothing.
+    It covers every bit of the motion, the layout with the lengths of the segments, phases, gates,
+    the knot and the whole mission (cable, vehicles, clearances, wind, workspace). ``path`` and
+    ``notes`` are for readers and do not change it.
     """
     layout = plan.layout
     words = {

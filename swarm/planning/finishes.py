@@ -1,4 +1,4 @@
-"""What follows the fold: release, put down, unfold or tighten, and everybody on the ground."""
+"""The phases after the fold: release, put down, unfold or tighten, and landing."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,51 +23,51 @@ from swarm.planning.phase_motion import (
 Floats = npt.NDArray[np.float64]
 
 PULL_SHARE = 0.5
-"""Share of a vehicle's payload that tightening may ask of it."""
+"""Largest pull of the tightened cable on a vehicle, as a share of its payload."""
 
 MAX_TIGHTENED_SHARE = 0.9
-"""Largest share of the cable's length to which its ends are pulled apart: the knot keeps some."""
+"""Largest distance of the pulled ends over the cable's length: the knot needs the rest."""
 
 TIGHTENING_TIME = 4.0
-"""Seconds for which the ends stay pulled apart."""
+"""Seconds for which the ends hold the tightened cable."""
 
 _ONE_HEIGHT = 1e-4
-"""Metres by which heights may differ that are one."""
+"""Metres below which a difference of heights counts as none."""
 
 _CLIMB_OVER = 0.3
-"""Metres beyond the downwash clearance by which the inner vehicles climb over the ends' ways."""
+"""Metres beyond the downwash clearance that the inner vehicles climb above the ends' paths."""
 
 
 def finish_phases(
     mission: Mission, lengths: Floats, before: Sequence[PhaseMotion], hold: PhaseMotion
 ) -> tuple[PhaseMotion, ...]:
-    """Return the hold and everything after it, for the mission's finish.
+    """Return the hold and all phases after it, for the mission's finish.
 
-    ``before`` are the parts up to and with the fold, ``lengths`` (n − 1,) of the segments.
+    ``before`` are the phases up to the fold, included; ``lengths`` (n − 1,) those of the segments.
     """
     folded = hold.motion.at(hold.motion.times[0])[0]
     match mission.finish:
         case "release":
-            return _let_go(hold), *_spread_and_land(mission, folded)
+            return _then_release(hold), *_spread_and_land(mission, folded)
         case "hold":
             return _put_down(mission, hold)
         case "unfold":
             return hold, *_unfold(mission, before)
         case "tighten":
-            return _let_go(hold, inner=True), *_tighten(mission, lengths, folded)
+            return _then_release(hold, inner=True), *_tighten(mission, lengths, folded)
 
 
-def _let_go(part: PhaseMotion, *, inner: bool = False) -> PhaseMotion:
-    return PhaseMotion(part.name, part.motion, part.cable, part.reversible, "released", inner)
+def _then_release(phase: PhaseMotion, *, inner: bool = False) -> PhaseMotion:
+    return replace(phase, gate="released", inner=inner)
 
 
 def _put_down(mission: Mission, hold: PhaseMotion) -> tuple[PhaseMotion, ...]:
-    """Hold, all straight down together with the knot, let go of it on the floor, and stay there.
+    """Return the hold, a common vertical descent with the knot, and the release on the floor.
 
-    Vehicles at different heights first climb to that of the highest, while the cable hangs: only a
-    team at one height comes down to the floor as it is.
+    Vehicles at different heights first climb to the height of the highest one, while the cable
+    hangs: a descent keeps the shape of the team down to the floor only if all heights are equal.
     """
-    hold, folded = _levelled(mission, hold)
+    hold, folded = _with_equal_heights(mission, hold)
     near, low, ground = folded.copy(), folded.copy(), folded.copy()
     near[:, 2] = np.minimum(1.0, folded[:, 2])
     low[:, 2] = GRAB_HEIGHT
@@ -78,17 +78,17 @@ def _put_down(mission: Mission, hold: PhaseMotion) -> tuple[PhaseMotion, ...]:
         return (
             hold,
             PhaseMotion("descend", down, "landing"),
-            PhaseMotion("land", last, "landing", then="landed"),
+            PhaseMotion("land", last, "landing", gate="landed"),
         )
     return (
         hold,
-        PhaseMotion("descend", down, "landing", then="released"),
-        PhaseMotion("land", last, "free", then="landed"),
+        PhaseMotion("descend", down, "landing", gate="released"),
+        PhaseMotion("land", last, "free", gate="landed"),
     )
 
 
-def _levelled(mission: Mission, hold: PhaseMotion) -> tuple[PhaseMotion, Floats]:
-    """The hold, with all at one height at its end, and where that is (n, 3)."""
+def _with_equal_heights(mission: Mission, hold: PhaseMotion) -> tuple[PhaseMotion, Floats]:
+    """Return the hold, with all vehicles at one height at its end, and that position (n, 3)."""
     folded = hold.motion.at(hold.motion.times[0])[0]
     level = folded.copy()
     level[:, 2] = folded[:, 2].max()
@@ -100,33 +100,34 @@ def _levelled(mission: Mission, hold: PhaseMotion) -> tuple[PhaseMotion, Floats]
 
 
 def _unfold(mission: Mission, before: Sequence[PhaseMotion]) -> tuple[PhaseMotion, ...]:
-    """The flight so far, backwards: fold, lift, contraction, grab and take-off, whichever it had.
+    """Return the flight so far, backwards: fold, lift, contraction, grab and take-off.
 
-    The cable ends as it lay, and everybody on its pad.
+    The cable ends where it lay at first, and every vehicle on its pad.
     """
-    part: Mapping[str, PhaseMotion] = {made.name: made for made in before}
-    undo = [
-        reversed_phase(part["fold"], "unfold", then="settled", reversible=True),
-        reversed_phase(part["lift"], "lower", then="settled"),
+    part: Mapping[str, PhaseMotion] = {phase.name: phase for phase in before}
+    reversed_phases = [
+        reversed_phase(part["fold"], "unfold", gate="settled", reversible=True),
+        reversed_phase(part["lift"], "lower", gate="settled"),
     ]
     if mission.grab == "attached":
-        return *undo, reversed_phase(part["takeoff"], "land", then="landed")
+        return *reversed_phases, reversed_phase(part["takeoff"], "land", gate="landed")
     return (
-        *undo,
-        reversed_phase(part["contract"], "spread", then="released"),
+        *reversed_phases,
+        reversed_phase(part["contract"], "spread", gate="released"),
         reversed_phase(part["grab"], "finish"),
-        reversed_phase(part["takeoff"], "land", then="landed"),
+        reversed_phase(part["takeoff"], "land", gate="landed"),
     )
 
 
 def _tighten(mission: Mission, lengths: Floats, folded: Floats) -> tuple[PhaseMotion, ...]:
-    """The inner vehicles have let go and climb; the ends pull apart, let go, and all land.
+    """Return the phases after the inner vehicles have released: tighten, release, and landing.
 
-    The ends go opposite ways, straight, at their height, and share what room they need. How far:
-    until a cable without a knot between them, the floor below, would pull with PULL_SHARE of the
-    payload, or MOST_TIGHTENED of its length.
+    The inner vehicles climb. The two end vehicles move apart in opposite directions at their own
+    heights, each by half of the increase. Their distance grows until an unknotted cable between
+    them, with the floor below, would pull with PULL_SHARE of the payload, or until it is
+    MAX_TIGHTENED_SHARE of the length.
     """
-    speed, push = mission.vehicles.max_speed, usable_acceleration(mission)
+    speed, acceleration = mission.vehicles.max_speed, usable_acceleration(mission)
     climb = mission.clearance.downwash + 2.0 * mission.vehicles.tracking + _CLIMB_OVER
     over = folded.copy()
     over[1:-1, 2] += climb
@@ -134,40 +135,41 @@ def _tighten(mission: Mission, lengths: Floats, folded: Floats) -> tuple[PhaseMo
     weight = mission.cable.mass_per_length * STANDARD_GRAVITY
     pull = PULL_SHARE * mission.vehicles.payload * STANDARD_GRAVITY
     height = float(min(folded[0, 2], folded[-1, 2]))
-    reach = max(_span(total, height, pull / weight), _apart(folded[0], folded[-1]))
-    apart = folded[-1] - folded[0]
-    apart[2] = 0.0
-    heading = apart / np.linalg.norm(apart)
+    reach = max(_span(total, height, pull / weight), _plan_distance(folded[0], folded[-1]))
+    between = folded[-1] - folded[0]
+    between[2] = 0.0
+    heading = between / np.linalg.norm(between)
     pulled, aside = over.copy(), over.copy()
-    step = 0.5 * (reach - _apart(folded[0], folded[-1]))
+    step = 0.5 * (reach - _plan_distance(folded[0], folded[-1]))
     for end, sign in ((0, -1.0), (-1, 1.0)):
         pulled[end] += sign * step * heading
         aside[end] = pulled[end] + sign * 2.0 * heading
     pulling = concatenate(
-        leg(folded, over, speed, push),
-        leg(over, pulled, min(speed, DESCENT_SPEED), 0.5 * push),
+        leg(folded, over, speed, acceleration),
+        leg(over, pulled, min(speed, DESCENT_SPEED), 0.5 * acceleration),
         at_rest(pulled, TIGHTENING_TIME),
     )
-    away = leg(pulled, aside, min(speed, DESCENT_SPEED), 0.5 * push)
+    away = leg(pulled, aside, min(speed, DESCENT_SPEED), 0.5 * acceleration)
     spread, land = _spread_and_land(mission, aside)
     return (
-        PhaseMotion("tighten", pulling, "free", then="released"),
+        PhaseMotion("tighten", pulling, "free", gate="released"),
         PhaseMotion("finish", concatenate(away, spread.motion), "free"),
         land,
     )
 
 
-def _apart(one: Floats, other: Floats) -> float:
+def _plan_distance(one: Floats, other: Floats) -> float:
     return float(np.hypot(one[0] - other[0], one[1] - other[1]))
 
 
 def _span(length: float, height: float, pull: float) -> float:
-    """Distance of the ends of a cable at which it pulls at each with ``pull`` metres of itself.
+    """Return the span of a hanging cable with a tension of ``pull`` at its ends, metres.
 
-    A catenary of parameter a has its ends √(a² + s²) over its directrix after s metres from its
-    lowest point, and that is the tension there, in metres of cable; its half span is a·asinh(s/a).
-    Where the cable reaches the floor, ``height`` below its ends, s is what hangs off the floor.
-    At most MOST_TIGHTENED of the length; 0 where the cable alone pulls more.
+    ``pull`` is in metres of cable (tension over weight per metre). A catenary of parameter a has the
+    tension √(a² + s²) at s metres of cable from its lowest point, and the half span a·asinh(s/a).
+    Where the cable reaches the floor, ``height`` below its ends, s is the length off the floor. The
+    span is at most MAX_TIGHTENED_SHARE of the length; 0 where the weight of the cable alone pulls
+    more.
     """
     hanging = 0.5 * length
     if pull > height and 2.0 * height * pull - height * height < hanging * hanging:
@@ -180,14 +182,14 @@ def _span(length: float, height: float, pull: float) -> float:
 
 
 def _spread_and_land(mission: Mission, start: Floats) -> tuple[PhaseMotion, PhaseMotion]:
-    """Spread out and up from the released knot, go to places around it, and land there.
+    """Return the phases in which vehicles spread up and out, fly to landing positions, and land.
 
-    Scaling about the middle brings nobody closer together. From there the assignment of least
-    squared distances to the places keeps straight, simultaneous ways apart by the smallest
-    distance over √2 (Turpin et al. 2014, CAPT).
+    Scaling about the centre brings no two vehicles closer together. The assignment to landing
+    positions with the least sum of squared distances keeps straight, simultaneous paths apart by
+    the smallest distance over √2 (Turpin et al. 2014, CAPT).
     """
     vehicles, clearance = mission.vehicles, mission.clearance
-    speed, push = vehicles.max_speed, usable_acceleration(mission)
+    speed, acceleration = vehicles.max_speed, usable_acceleration(mission)
     apart = 1.5 * (clearance.vehicle + 2.0 * vehicles.tracking)
     middle = start.mean(axis=0)
     smallest = _smallest_distance(start)
@@ -197,20 +199,22 @@ def _spread_and_land(mission: Mission, start: Floats) -> tuple[PhaseMotion, Phas
     squared = ((spread[:, None, :2] - places[None, :, :2]) ** 2).sum(axis=2)
     ground = places[linear_sum_assignment(squared)[1]]
     above = ground + np.array([0.0, 0.0, float(spread[:, 2].max())])
-    away = concatenate(leg(start, spread, speed, push), leg(spread, above, speed, push))
+    away = concatenate(
+        leg(start, spread, speed, acceleration), leg(spread, above, speed, acceleration)
+    )
     near = ground + np.array([0.0, 0.0, 1.0])
     return (
         PhaseMotion("finish", away, "free"),
-        PhaseMotion("land", _down(mission, above, near, ground), "free", then="landed"),
+        PhaseMotion("land", _down(mission, above, near, ground), "free", gate="landed"),
     )
 
 
 def _down(mission: Mission, above: Floats, near: Floats, ground: Floats) -> Motion:
-    """Straight down, and slower near the ground."""
-    speed, push = mission.vehicles.max_speed, usable_acceleration(mission)
+    """Return the motion straight down, slower near the ground."""
+    speed, acceleration = mission.vehicles.max_speed, usable_acceleration(mission)
     return concatenate(
-        leg(above, near, min(speed, DESCENT_SPEED), push),
-        leg(near, ground, min(speed, TOUCHDOWN_SPEED), push),
+        leg(above, near, min(speed, DESCENT_SPEED), acceleration),
+        leg(near, ground, min(speed, TOUCHDOWN_SPEED), acceleration),
     )
 
 
@@ -220,7 +224,7 @@ def _smallest_distance(places: Floats) -> float:
 
 
 def _landing_places(start: Floats, spread: Floats, apart: float) -> Floats:
-    """Places on a rectangle around the knot, clear of the fallen cable: (m ≥ n, 3) at z = 0."""
+    """Return positions (m ≥ n, 3) at z = 0 on a rectangle around the fallen cable."""
     low = np.minimum(start[:, :2].min(axis=0), spread[:, :2].min(axis=0)) - 2.0
     high = np.maximum(start[:, :2].max(axis=0), spread[:, :2].max(axis=0)) + 2.0
     while True:

@@ -1,4 +1,4 @@
-"""First steps without a knot: formations one after the other, with a piece of cable or none."""
+"""Plans without a knot: formations one after the other, with or without cable."""
 
 from itertools import pairwise
 
@@ -18,18 +18,19 @@ from swarm.planning.plan import KnotSummary, Plan
 Floats = npt.NDArray[np.float64]
 
 LINE_SHARE = 0.85
-"""Distance of vehicles on the line that is lifted, over the cable between them."""
+"""Distance between vehicles on the lifted line over the length of cable between them."""
 
 _STILL = 1.0
-"""Seconds at every formation, so that strands come to rest before they go on."""
+"""Seconds of rest at every formation, in which the strands stop swinging."""
 
 
 def formation_plan(mission: Mission, formation: Formation) -> Plan:
-    """Plan the flight through a mission's formations; not yet certified.
+    """Return the plan of a flight through the mission's formations, not yet certified.
 
-    The fold takes everybody from the lifted line to the first formation and from there, straight
-    and all at once, from rest to rest to each of the others. Raises
-    :class:`swarm.errors.Refused` where a formation stretches the cable.
+    The phase "fold" takes all vehicles from the lifted line to the first formation and then to each
+    other one. They move along straight lines, all at once, from rest to rest.
+
+    Raises :class:`swarm.errors.Refused` for vehicles farther apart than the cable between them.
     """
     places = np.array(formation.places, dtype=np.float64)
     lengths = np.array(formation.lengths, dtype=np.float64)
@@ -67,7 +68,7 @@ def _refuse_stretched(places: Floats, lengths: Floats) -> None:
 
 
 def _line(first: Floats, lengths: Floats) -> Floats:
-    """The line (n, 3) from which the first formation is reached: level, and about its middle."""
+    """Return the level line (n, 3) before the first formation, centred on it."""
     across = first[-1, :2] - first[0, :2]
     size = float(np.linalg.norm(across))
     heading = across / size if size > 1e-6 else np.array([1.0, 0.0])
@@ -79,7 +80,7 @@ def _line(first: Floats, lengths: Floats) -> Floats:
 
 
 def _through(mission: Mission, stops: list[Floats]) -> Motion:
-    """From rest to rest through the stops, with a rest at each."""
+    """Return the motion through the stops, from rest to rest."""
     rests = [at_rest(stops[0], _STILL)]
     for start, end in pairwise(stops):
         rests.append(
@@ -90,7 +91,7 @@ def _through(mission: Mission, stops: list[Floats]) -> Motion:
 
 
 def _layout(corners: Floats, lengths: Floats) -> KnotLayout:
-    """Where the cable hangs in the last formation, and what passes over what there."""
+    """Return the layout of the last formation, with the crossings of its segments."""
     step = np.diff(corners, axis=0)[: len(lengths)]
     spans = np.hypot(step[:, 0], step[:, 1])
     pairs: list[tuple[int, int]] = []

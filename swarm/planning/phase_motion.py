@@ -1,4 +1,4 @@
-"""The parts that a flight is put together from, and the heights and speeds that they share."""
+"""The motion of one phase, and the heights and speeds that all phases share."""
 
 from dataclasses import dataclass
 
@@ -7,41 +7,43 @@ from swarm.mission import Mission
 from swarm.planning.plan import CableState, Condition, PhaseName
 
 TAKEOFF_HEIGHT = 2.0
-"""Grip points rise this high before they go to stand over the cable, metres."""
+"""Height of the grip points after take-off, before they move above the cable, metres."""
 
 GRAB_HEIGHT = 0.02
-"""Grip points grab at this height, metres: higher up, each grip would draw the laid cable in."""
+"""Height of the grip points when they grip, metres: higher, a grip pulls the laid cable inward."""
 
 CARRY_HEIGHT = 0.1
-"""Grip points pull in at this height, metres: legs on the floor would stick."""
+"""Height of the grip points while the line contracts, metres: landing legs clear the floor."""
 
 TOUCHDOWN_SPEED = 0.7
 DESCENT_SPEED = 1.0
-"""Autopilots come down more slowly than they climb (PX4: 1.5 m/s, with some to spare here)."""
+"""Speeds of descent near the floor and above it, m/s. Autopilots descend more slowly than they climb
+(PX4: at most 1.5 m/s)."""
 
 
 @dataclass(frozen=True, eq=False)
 class PhaseMotion:
-    """A phase-to-be: its motion, what it assumes of the cable, and the gate at its end, if any.
+    """A phase before it has a place in time: its motion, cable state and the gate at its end.
 
-    ``inner`` says that the gate is one of all vehicles but the first and the last.
+    ``gate`` is None where the next phase follows without a gate. With ``inner`` the gate is for all
+    vehicles but the first and the last.
     """
 
     name: PhaseName
     motion: Motion
     cable: CableState
     reversible: bool = False
-    then: Condition | None = None
+    gate: Condition | None = None
     inner: bool = False
 
 
 def reversed_phase(
-    part: PhaseMotion, name: PhaseName, *, then: Condition | None = None, reversible: bool = False
+    phase: PhaseMotion, name: PhaseName, *, gate: Condition | None = None, reversible: bool = False
 ) -> PhaseMotion:
-    """The part flown backwards, under another name."""
-    return PhaseMotion(name, reverse(part.motion), part.cable, reversible, then)
+    """Return the phase flown backwards, under another name and with another gate."""
+    return PhaseMotion(name, reverse(phase.motion), phase.cable, reversible, gate)
 
 
 def usable_acceleration(mission: Mission) -> float:
-    """Acceleration that plans may use: what braking along the path needs is kept, m/s²."""
+    """Return the acceleration for plans, m/s²: the largest one less the reserve for braking."""
     return mission.vehicles.max_acceleration - mission.vehicles.braking_acceleration

@@ -1,8 +1,8 @@
-"""The one order of phases, and what it declares: when the cable is gripped, held and let go of.
+"""The order of phases, and the grip, release and cable states that it declares.
 
-A phase's name only says which part of a flight it claims to be. The order is a table of what may
-follow what; from a legal order follow the grip, the release and what the cable is supposed to do
-in each phase. Whether the motion really does that is for the certificate to check.
+A table lists the phases that may follow each phase. A valid order determines when the cable is
+gripped and released, and the cable state of each phase. The certificate checks whether the motion
+agrees with that.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,34 +26,34 @@ SUCCESSORS: Mapping[PhaseName, tuple[PhaseName, ...]] = {
     "finish": ("land",),
     "land": (),
 }
-"""What may come after each phase; a phase may also be the last one. None comes twice."""
+"""Phases that may follow each phase. Any phase may be the last one; no phase occurs twice."""
 
 FIRST_PHASES: tuple[PhaseName, ...] = ("takeoff", "grab", "contract", "lift", "fold", "hold")
-"""What a motion may begin with; the cable is held from its start unless it is gripped later."""
+"""Phases that may be the first; the cable is held from the start unless it is gripped later."""
 
 
 def phase_order_error(before: PhaseName | None, name: PhaseName) -> str | None:
-    """Return what is wrong with ``name`` after the phase ``before`` (None: at the start), if it is.
+    """Return why phase ``name`` cannot follow phase ``before`` (None: be the first), or None.
 
-    The answer reads like ``expected hold or finish after fold, got grab``.
+    The message is like ``expected hold or finish after fold, got grab``.
     """
     allowed = FIRST_PHASES if before is None else SUCCESSORS[before]
     if name in allowed:
         return None
-    wanted = " or ".join(filter(None, (", ".join(allowed[:-1]), *allowed[-1:]))) or "nothing"
+    expected = " or ".join(filter(None, (", ".join(allowed[:-1]), *allowed[-1:]))) or "nothing"
     place = "first" if before is None else f"after {before}"
-    return f"expected {wanted} {place}, got {name}"
+    return f"expected {expected} {place}, got {name}"
 
 
 @dataclass(frozen=True)
 class DeclaredCable:
-    """What a legal order of phases declares.
+    """The state of the cable that a valid order of phases declares.
 
-    ``cable`` says for every phase what the cable is supposed to do. The cable is held from the
-    start of phase ``held_from`` to the start of phase ``held_until`` (indices; the number of phases
-    where it is never let go of). ``gripped_by_vehicles`` says whether vehicles grip it in flight;
-    ``inner_first`` whether the inner vehicles let go first and the two at the ends after the next
-    phase.
+    ``cable`` is the cable state of every phase. The cable is held from the start of phase
+    ``held_from`` to the start of phase ``held_until`` (indices; the number of phases where it is
+    never released). ``gripped_by_vehicles`` states whether vehicles grip it in flight;
+    ``inner_first`` whether the inner vehicles release first, and the two end vehicles one phase
+    later.
     """
 
     cable: tuple[CableState, ...]
@@ -64,10 +64,10 @@ class DeclaredCable:
 
 
 def declared_cable(names: Sequence[PhaseName], *, attached: bool) -> DeclaredCable:
-    """Return what phases in a legal order declare.
+    """Return the state of the cable that phases in a valid order declare.
 
-    ``attached`` means that the cable is tied on: then nothing lets go of it at the end of a common
-    descent. A take-off that a lift follows takes off with the cable.
+    ``attached`` means that the cable is tied on and not released at the end of a common descent.
+    Where a lift follows the take-off, vehicles take off with the cable.
     """
     tied_on = tuple(names[:2]) == ("takeoff", "lift") or (attached and "grab" not in names)
     cable: list[CableState] = []
@@ -87,17 +87,17 @@ def declared_cable(names: Sequence[PhaseName], *, attached: bool) -> DeclaredCab
     )
 
 
-def _state(name: PhaseName, before: PhaseName | None, unheld: bool, let_go: bool) -> CableState:
-    if let_go:
+def _state(name: PhaseName, before: PhaseName | None, unheld: bool, released: bool) -> CableState:
+    if released:
         return "free"
     if name == "land":
         return "landing" if before == "descend" else "lifting"
     if name == "takeoff" and not unheld:
         return "lifting"
-    return _SUPPOSED[name]
+    return _CABLE_STATES[name]
 
 
-_SUPPOSED: Mapping[PhaseName, CableState] = {
+_CABLE_STATES: Mapping[PhaseName, CableState] = {
     "takeoff": "floor",
     "grab": "floor",
     "contract": "floor",
@@ -112,7 +112,7 @@ _SUPPOSED: Mapping[PhaseName, CableState] = {
 
 
 def finish_of(names: Sequence[PhaseName]) -> Literal["release", "unfold", "tighten", "hold"] | None:
-    """Return the finish that phases have; None where the cable is held to the end of the fold."""
+    """Return the finish of a sequence of phases; None where it ends with the fold or the hold."""
     for name in names:
         match name:
             case "unfold" | "tighten":

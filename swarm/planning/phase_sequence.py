@@ -1,4 +1,4 @@
-"""From the pads to the ground again: what comes before and after the fold, leg by leg."""
+"""The phases of a flight: take-off, grab, contract and lift, the fold, the hold and the finish."""
 
 from dataclasses import dataclass
 
@@ -21,10 +21,10 @@ from swarm.planning.plan import Condition, Gate, Phase
 Floats = npt.NDArray[np.float64]
 
 LAID_SHARE = 0.99
-"""Distance of grasp points on the floor over the cable between them: a stretched cable jerks."""
+"""Distance between grip points on the floor over the cable between them; a taut cable jerks."""
 
 _STAGGER = 0.6
-"""Seconds from one vehicle's descent to the cable to the next one's."""
+"""Seconds between the starts of two neighbours' descents to the cable."""
 
 _TIMEOUTS: dict[Condition, float] = {
     "armed": 60.0,
@@ -38,7 +38,7 @@ _TIMEOUTS: dict[Condition, float] = {
 
 @dataclass(frozen=True, eq=False)
 class PhaseSequence:
-    """The whole motion with its phases and gates."""
+    """A motion divided into phases, with gates between them."""
 
     motion: Motion
     phases: tuple[Phase, ...]
@@ -46,19 +46,23 @@ class PhaseSequence:
 
 
 def flight_around_fold(mission: Mission, lengths: Floats, fold: Motion) -> PhaseSequence:
-    """Put what the mission asks for before and after a fold.
+    """Return the whole flight around a fold.
 
-    Before it: take-off, grab, contraction and lift (or, with a cable that is tied on, take-off and
-    lift from the places below the line). After it: the hold and the mission's finish.
+    Before the fold: take-off, grab, contract and lift; with a cable that is tied on, take-off and
+    lift from the positions below the line. After the fold: the hold and the mission's finish.
 
-    ``lengths`` (n − 1,) of the segments; the fold begins with all vehicles at one height on a
-    straight line, in order.
+    ``lengths`` (n − 1,) are the lengths of the segments, metres. The fold starts with all vehicles
+    at one height on a straight line, in order.
     """
     lifted = fold.at(fold.times[0])[0]
     folded = fold.at(fold.times[-1])[0]
     attached = mission.grab == "attached"
-    before = _tied_on(mission, lifted) if attached else _grabbed(mission, lengths, lifted, folded)
-    folding = PhaseMotion("fold", fold, "aloft", reversible=True, then="settled")
+    before = (
+        _before_fold_attached(mission, lifted)
+        if attached
+        else _before_fold(mission, lengths, lifted, folded)
+    )
+    folding = PhaseMotion("fold", fold, "aloft", reversible=True, gate="settled")
     hold = PhaseMotion("hold", at_rest(folded, mission.hold_time), "aloft", reversible=True)
     after = finish_phases(mission, lengths, (*before, folding), hold)
     gates = [Gate(0.0, "armed", _TIMEOUTS["armed"])]
@@ -68,47 +72,48 @@ def flight_around_fold(mission: Mission, lengths: Floats, fold: Motion) -> Phase
 
 
 def flight_without_cable(places: Motion, hold_time: float) -> PhaseSequence:
-    """Take off, fly a motion (at rest at its ends) with nothing attached, and land below its end.
+    """Return a flight without cable: take-off, a motion between two rests, hold, and landing.
 
-    ``hold_time`` in seconds is spent at its end.
+    The vehicles land straight below the end of the motion, after ``hold_time`` seconds there.
     """
     first, last = places.at(places.times[0])[0], places.at(places.times[-1])[0]
     ground = np.array([1.0, 1.0, 0.0])
     slow = TOUCHDOWN_SPEED
     parts = (
-        PhaseMotion("takeoff", leg(first * ground, first, slow, 0.5), "free", then="airborne"),
-        PhaseMotion("fold", places, "free", reversible=True, then="settled"),
+        PhaseMotion("takeoff", leg(first * ground, first, slow, 0.5), "free", gate="airborne"),
+        PhaseMotion("fold", places, "free", reversible=True, gate="settled"),
         PhaseMotion("hold", at_rest(last, hold_time), "free", reversible=True),
-        PhaseMotion("land", leg(last, last * ground, slow, 0.5), "free", then="landed"),
+        PhaseMotion("land", leg(last, last * ground, slow, 0.5), "free", gate="landed"),
     )
     return join_phases(parts, [Gate(0.0, "armed", _TIMEOUTS["armed"])])
 
 
-def join_phases(parts: tuple[PhaseMotion, ...], gates: list[Gate]) -> PhaseSequence:
-    """Put parts one after the other, with the gates that they end in behind the given ones."""
-    phases, gates, clock = [], list(gates), 0.0
-    for part in parts:
-        end = clock + float(part.motion.times[-1] - part.motion.times[0])
-        phases.append(Phase(part.name, clock, end, part.cable, part.reversible))
-        if part.then is not None:
-            gates.append(Gate(end, part.then, _TIMEOUTS[part.then], part.inner))
-        clock = end
-    return PhaseSequence(concatenate(*(part.motion for part in parts)), tuple(phases), tuple(gates))
+def join_phases(motions: tuple[PhaseMotion, ...], gates: list[Gate]) -> PhaseSequence:
+    """Return phases one after the other from mission time 0; their gates follow the given ones."""
+    phases, gates, start = [], list(gates), 0.0
+    for phase in motions:
+        end = start + float(phase.motion.times[-1] - phase.motion.times[0])
+        phases.append(Phase(phase.name, start, end, phase.cable, phase.reversible))
+        if phase.gate is not None:
+            gates.append(Gate(end, phase.gate, _TIMEOUTS[phase.gate], phase.inner))
+        start = end
+    motion = concatenate(*(phase.motion for phase in motions))
+    return PhaseSequence(motion, tuple(phases), tuple(gates))
 
 
-def _grabbed(
+def _before_fold(
     mission: Mission, lengths: Floats, lifted: Floats, folded: Floats
 ) -> tuple[PhaseMotion, ...]:
-    """From pads beside the cable, grab it off the floor, pull in on the floor, and lift."""
+    """Return take-off from pads beside the cable, grab, contraction on the floor, and lift."""
     vehicles = mission.vehicles
-    speed, push = vehicles.max_speed, usable_acceleration(mission)
+    speed, acceleration = vehicles.max_speed, usable_acceleration(mission)
     slow = min(speed, TOUCHDOWN_SPEED)
     contracted = lifted * [1.0, 1.0, 0.0]
-    grasp = _laid_out(contracted, lengths)
-    heading = (grasp[-1] - grasp[0]) / np.linalg.norm(grasp[-1] - grasp[0])
+    grip = _grip_points_on_floor(contracted, lengths)
+    heading = (grip[-1] - grip[0]) / np.linalg.norm(grip[-1] - grip[0])
     aside = np.array([-heading[1], heading[0], 0.0])
     side = -1.0 if float(np.mean((folded - contracted[-1]) @ aside)) > 0.0 else 1.0
-    pads = grasp + 1.5 * mission.clearance.vehicle * side * aside
+    pads = grip + 1.5 * mission.clearance.vehicle * side * aside
     up, low, carried = (
         np.array([0.0, 0.0, height]) for height in (TAKEOFF_HEIGHT, GRAB_HEIGHT, CARRY_HEIGHT)
     )
@@ -117,50 +122,55 @@ def _grabbed(
         PhaseMotion(
             "takeoff",
             concatenate(
-                leg(pads, pads + up, slow, 0.5 * push), leg(pads + up, grasp + up, speed, push)
+                leg(pads, pads + up, slow, 0.5 * acceleration),
+                leg(pads + up, grip + up, speed, acceleration),
             ),
             "floor",
-            then="airborne",
+            gate="airborne",
         ),
         PhaseMotion(
             "grab",
-            staggered_leg(grasp + up, grasp + low, order, slow, push),
+            staggered_leg(grip + up, grip + low, order, slow, acceleration),
             "floor",
-            then="gripped",
+            gate="gripped",
         ),
         PhaseMotion(
             "contract",
             concatenate(
-                leg(grasp + low, grasp + carried, slow, 0.25 * push),
-                leg(grasp + carried, contracted + carried, slow, push),
+                leg(grip + low, grip + carried, slow, 0.25 * acceleration),
+                leg(grip + carried, contracted + carried, slow, acceleration),
             ),
             "floor",
-            then="settled",
+            gate="settled",
         ),
         PhaseMotion(
             "lift",
-            leg(contracted + carried, lifted, 0.5 * speed, 0.5 * push),
+            leg(contracted + carried, lifted, 0.5 * speed, 0.5 * acceleration),
             "lifting",
-            then="settled",
+            gate="settled",
         ),
     )
 
 
-def _tied_on(mission: Mission, lifted: Floats) -> tuple[PhaseMotion, ...]:
-    """Straight up with the cable from places below the line, to which it was brought by hand."""
-    speed, push = mission.vehicles.max_speed, usable_acceleration(mission)
+def _before_fold_attached(mission: Mission, lifted: Floats) -> tuple[PhaseMotion, ...]:
+    """Return take-off and lift, straight up with the cable from positions below the line."""
+    speed, acceleration = mission.vehicles.max_speed, usable_acceleration(mission)
     ground = lifted * [1.0, 1.0, 0.0]
     hover = lifted.copy()
     hover[:, 2] = np.minimum(0.5 * lifted[:, 2], TAKEOFF_HEIGHT)
     slow = min(speed, TOUCHDOWN_SPEED)
     return (
-        PhaseMotion("takeoff", leg(ground, hover, slow, 0.5 * push), "lifting", then="airborne"),
-        PhaseMotion("lift", leg(hover, lifted, 0.5 * speed, 0.5 * push), "lifting", then="settled"),
+        PhaseMotion(
+            "takeoff", leg(ground, hover, slow, 0.5 * acceleration), "lifting", gate="airborne"
+        ),
+        PhaseMotion(
+            "lift", leg(hover, lifted, 0.5 * speed, 0.5 * acceleration), "lifting", gate="settled"
+        ),
     )
 
 
-def _laid_out(contracted: Floats, lengths: Floats) -> Floats:
-    """Grasp points on the floor: almost the full length, about the contracted line's middle."""
+def _grip_points_on_floor(contracted: Floats, lengths: Floats) -> Floats:
+    """Return grip points (n, 3) on the floor: the cable almost straight, centred on the line."""
     heading = (contracted[-1] - contracted[0]) / np.linalg.norm(contracted[-1] - contracted[0])
     along = np.concatenate([[0.0], np.cumsum(LAID_SHARE * lengths)])
     middle = 0.5 * (contracted[0] + contracted[-1])

@@ -1,6 +1,6 @@
 """The plan: timed phases joined by gates, and one trajectory per vehicle.
 
-Inside a phase setpoints are a function of mission time alone. At a gate the mission clock waits
+Inside a phase, setpoints are a function of mission time alone. At a gate, the mission clock waits
 for a condition of the team.
 """
 
@@ -27,13 +27,13 @@ Condition = Literal["armed", "airborne", "gripped", "settled", "released", "land
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of mission time.
+    """An interval of mission time, seconds.
 
-    ``cable`` says what the cable model must assume: lying on the ``floor`` (held or not),
-    ``lifting`` (held as a line, partly on the floor), ``aloft`` (every segment a catenary),
-    ``landing`` (held as a knot, all straight down together until its strands lie on each other) or
-    ``free`` (nothing is said of it: let go of, or held by its ends alone).
-    ``reversible`` says whether mission time may run backwards in it.
+    ``cable`` is the state of the cable that the cable model assumes: on the ``floor`` (held or
+    not), ``lifting`` (held as a line, partly on the floor), ``aloft`` (every segment a catenary),
+    ``landing`` (held as a knot, in a common vertical descent until its strands lie on each other)
+    or ``free`` (undefined: released, or held at both ends only).
+    ``reversible`` states whether mission time may run backwards in the phase.
     """
 
     name: PhaseName
@@ -47,9 +47,9 @@ class Phase:
 class Gate:
     """The mission clock waits at ``time`` until ``condition`` holds for every vehicle.
 
-    ``armed`` is reached by arming, ``gripped`` and ``released`` by gripper commands in the order
-    of the vehicles, ``settled`` by waiting, ``landed`` by landing and disarming. ``inner`` means
-    all vehicles but the two that hold the cable's ends.
+    Commands lead to ``armed`` (arming), ``gripped`` and ``released`` (grippers, in the order of the
+    vehicles) and ``landed`` (landing, disarming); ``settled`` needs none. With ``inner`` the gate
+    is for all vehicles but the two at the ends of the cable.
     """
 
     time: float
@@ -60,7 +60,7 @@ class Gate:
 
 @dataclass(frozen=True)
 class KnotSummary:
-    """What is tied: KnotInfo's name, chirality (left, right or none), code and grid."""
+    """The knot to tie: KnotInfo's name, chirality, Gauss code, and the columns of its grid."""
 
     type: str
     chirality: Literal["left", "right", "none"]
@@ -70,7 +70,7 @@ class KnotSummary:
 
 @dataclass(frozen=True, repr=False)
 class Plan:
-    """Everything that will be flown, not yet certified.
+    """The whole flight, not yet certified.
 
     ``layout`` is where the folded knot hangs, ENU metres. ``motion`` moves the n grip points from
     the pads (mission time 0) to the ground again. ``path`` (k, 3) is the curve that all vehicles
@@ -90,7 +90,7 @@ class Plan:
         return f"<Plan {self.mission.name}: {', '.join(self.figures().values())}>"
 
     def figures(self) -> dict[str, str]:
-        """Return what one line says of the plan, by name: knot, vehicles, cable and duration."""
+        """Return the figures for one line, by name: knot, vehicles, cable and duration."""
         count, cable = self.vehicles, float(self.layout.lengths.sum())
         return {
             "knot": describe_knot(self.knot.type, self.knot.chirality),
@@ -106,7 +106,7 @@ class Plan:
 
     @property
     def duration(self) -> float:
-        """Mission time from take-off to the ground, without waits at gates, in seconds."""
+        """Mission time from take-off to landing without waits at gates, seconds."""
         return float(self.motion.times[-1])
 
     def phase(self, name: PhaseName) -> Phase:
@@ -117,7 +117,7 @@ class Plan:
         raise KeyError(name)
 
     def phase_at(self, time: float) -> Phase:
-        """Return the phase of a mission time; at a joint, the later one."""
+        """Return the phase at a mission time; where two phases meet, the later one."""
         for phase in self.phases:
             if time < phase.end:
                 return phase
