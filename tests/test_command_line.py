@@ -182,7 +182,7 @@ def test_what_no_plan_would_do_is_refused_rather_than_ignored() -> None:
     assert result.returncode == 1
     assert result.stderr.strip() == (
         "start: serpentine is not planned: the fold begins on a straight line that takes most of "
-        "the cable's length, so a bent lay line would save no room"
+        "the cable's length, so a bent lay line would save no space"
     )
 
 

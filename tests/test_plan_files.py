@@ -66,7 +66,9 @@ def test_a_plan_comes_back_from_its_file_bit_by_bit(make):
 def test_whatever_is_cut_off_or_changed_is_refused():
     data = written()
     for length in (0, 1, len(data) // 2, len(data) - 1):
-        assert refusal(data[:length]).startswith("a.plan: expected a plan file, got something")
+        assert refusal(data[:length]).startswith(
+            "a.plan: expected a plan file, got another or incomplete"
+        )
     for position in range(40, len(data), len(data) // 60):
         changed = bytearray(data)
         changed[position] ^= 0x10
@@ -80,7 +82,7 @@ def test_whatever_is_cut_off_or_changed_is_refused():
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (b"time,vehicle,x,y,z", "a.plan: expected a plan file, got something else"),
+        (b"time,vehicle,x,y,z", "a.plan: expected a plan file, got another or incomplete file"),
         (packed({"motion.npz": b""}), "got an archive without"),
         (packed({**members(), "manifest.json": b"[]"}), "a.plan: manifest.json: cannot be read"),
         (with_manifest(format="plan"), "a.plan: format: expected swarm plan, got plan"),

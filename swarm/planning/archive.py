@@ -1,6 +1,6 @@
 """Plans as data: JSON and NumPy arrays, and plan files made of both.
 
-Reading executes nothing: files hold numbers and text only.
+Reading executes no code: files hold numbers and text only.
 """
 
 import hashlib

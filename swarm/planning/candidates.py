@@ -49,11 +49,11 @@ _ATTEMPTS = 8
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A plan that is not yet certified, and the state from which it can be repaired.
+    """A plan before its certification, and the state from which it can be repaired.
 
     ``folding`` is the layout and schedule of its fold, None where the plan has none to repair
     (formations, the paper's trajectory); ``attempt`` counts the candidates of this folding from 1.
-    ``notes`` say what was tried since the previous candidate.
+    ``notes`` list the attempts since the previous candidate.
     """
 
     plan: Plan
@@ -63,7 +63,7 @@ class Candidate:
 
 
 def make_plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
-    """Return the plan of the first candidate, not yet certified.
+    """Return the plan of the first candidate, before its certification.
 
     ``progress`` is called with the name of a stage and its completed share, 0…1. Raises
     :class:`swarm.errors.Refused` where the mission has no candidate.
@@ -75,8 +75,8 @@ def make_plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
 def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterator[Candidate]:
     """Yield the first candidate of every folding, most promising first.
 
-    Foldings are computed one at a time, when the next candidate is needed. Those that miss their
-    margins by much come last: their certificates state the errors.
+    Foldings are computed one at a time, when the next candidate is needed. Foldings that
+    miss their margins by much come last: their certificates state the errors.
 
     Raises :class:`swarm.errors.Refused` where vehicles are too close even at rest on their corners.
     """
@@ -123,7 +123,7 @@ def repaired(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> Candidate
         plan_of_folding(candidate.plan.mission, candidate.plan.knot, folding),
         folding,
         candidate.attempt + 1,
-        ("gave way by more where the certificate missed something",),
+        ("increased the margins where the certificate found shortfalls",),
     )
 
 
@@ -188,7 +188,7 @@ def _refuse_unsupported_start(mission: Mission) -> None:
     if mission.start != "line":
         raise Refused(
             f"start: {mission.start} is not planned: the fold begins on a straight line that takes "
-            "most of the cable's length, so a bent lay line would save no room"
+            "most of the cable's length, so a bent lay line would save no space"
         )
 
 

@@ -12,7 +12,7 @@ _VERSION = b"swarm plan 1\n"
 
 
 def digest(plan: Plan) -> str:
-    """Return the SHA-256 of everything in a plan that a check reads, as 64 hexadecimal digits.
+    """Return the SHA-256 of all data of a plan that a check reads, as 64 hexadecimal digits.
 
     It covers every bit of the motion, the layout with the lengths of the segments, phases, gates,
     the knot and the whole mission (cable, vehicles, clearances, wind, workspace). ``path`` and

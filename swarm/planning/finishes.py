@@ -165,8 +165,9 @@ def _plan_distance(one: Floats, other: Floats) -> float:
 def _span(length: float, height: float, pull: float) -> float:
     """Return the span of a hanging cable with a tension of ``pull`` at its ends, metres.
 
-    ``pull`` is in metres of cable (tension over weight per metre). A catenary of parameter a has the
-    tension √(a² + s²) at s metres of cable from its lowest point, and the half span a·asinh(s/a).
+    ``pull`` is in metres of cable (tension over weight per metre). A catenary of parameter a has a
+    tension of √(a² + s²) at s metres of cable from its lowest point, and a half span of
+    a·asinh(s/a).
     Where the cable reaches the floor, ``height`` below its ends, s is the length off the floor. The
     span is at most MAX_TIGHTENED_SHARE of the length; 0 where the weight of the cable alone pulls
     more.

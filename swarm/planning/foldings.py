@@ -1,4 +1,4 @@
-"""Knot and limits → layouts to try, and their foldings: how large, how high, which opening."""
+"""Layouts of a grid diagram: cell sizes, sags and openings to try, and the foldings to them."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -18,29 +18,32 @@ from swarm.mission import Mission
 Progress = Callable[[str, float], None]
 
 SAMPLING_ERROR = 0.015
-"""What sampled distances between polygons may miss of the least ones, metres."""
+"""Largest excess of sampled distances between polygons over the exact ones, metres."""
 
-_OPENINGS, _IN_VAIN, _MORE = 12, 30, 96
-"""Openings of the grid diagram that are compared, and how many where these are in the way: until so
-many in a row were no better than the best of those before. All of the last, where none folds."""
+_COMPARED, _MOST_COMPARED = 12, 96
+"""Number of openings of the grid diagram that are compared at first, and at most."""
 
-_IN_THE_WAY = 12.0
-"""Cost of ways, for every segment, from which on more openings are compared."""
+_WITHOUT_IMPROVEMENT = 30
+"""Where the best of the first openings is obstructed, the comparison goes on until so many in a row
+are not better."""
+
+_OBSTRUCTED = 12.0
+"""Cost of the lane assignment per segment above which an opening counts as obstructed."""
 
 _BEST, _OTHERS = 3, 9
-"""So many of them are tried, and so many more where none of those folds."""
+"""Number of openings that are folded, and number of further ones where none of them is cleared."""
 
 _STEP = 0.4
 """Step of the lattice of progress, in cells."""
 
 _SCALES = (1.0, 1.3, 1.7, 2.3)
-"""Cells that are tried, over the one that clearances suggest."""
+"""Cell widths that are tried, over the width that clearances suggest."""
 
 _SMALLEST = 0.05
-"""Layouts are not scaled down by more to fit a cable."""
+"""Least factor by which a layout is scaled to fit a cable."""
 
 _SLOPE, _ROUNDING = 0.98, 0.5
-"""From how far before a corner, in cells, levels change and turns begin."""
+"""Distance before a corner, in cells, at which level changes and turns begin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,104 +55,111 @@ class Folding:
 
 
 def layout_sizes(mission: Mission, margins: Margins) -> Iterator[LayoutParameters]:
-    """Layouts to try, the smallest first; numbers in the mission are taken as they are."""
-    asked = mission.layout
+    """Yield layouts to try, the smallest first. Numbers in the mission replace the defaults."""
+    section = mission.layout
     strand = margins.cable + 5.0 * margins.tracking
     least = max(2.2 * strand, 1.25 * (margins.vehicle + 2.0 * margins.tracking))
-    for scale in _SCALES if asked.cell == "auto" else (1.0,):
-        cell = scale * least if asked.cell == "auto" else asked.cell
+    for scale in _SCALES if section.cell == "auto" else (1.0,):
+        cell = scale * least if section.cell == "auto" else section.cell
         yield LayoutParameters(
             cell=cell,
             gap=1.15 * strand if margins.tracking else 2.0 * strand,
             minimum_sag=0.2 * cell,
             slack=0.16,
-            lane_over=asked.lane_over if asked.lane_over != "auto" else 0.6 * cell,
-            lane_under=asked.lane_under if asked.lane_under != "auto" else 0.5 * cell,
+            lane_over=section.lane_over if section.lane_over != "auto" else 0.6 * cell,
+            lane_under=section.lane_under if section.lane_under != "auto" else 0.5 * cell,
             slope=_SLOPE * cell,
             rounding=_ROUNDING * cell,
             chord_margin=2.2 * margins.tracking,
             max_chord_ratio=0.98 * margins.max_chord_ratio,
-            sag_over=None if asked.sag_over == "auto" else asked.sag_over,
-            sag_under=None if asked.sag_under == "auto" else asked.sag_under,
+            sag_over=None if section.sag_over == "auto" else section.sag_over,
+            sag_under=None if section.sag_under == "auto" else section.sag_under,
             length=mission.cable.length,
         )
 
 
-def fit_to_cable(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> LayoutParameters:
-    """Scale a shape until the diagram hung in it takes the shape's length of cable, or just less.
+def fit_to_cable(
+    diagram: OpenGrid, parameters: LayoutParameters, margins: Margins
+) -> LayoutParameters:
+    """Return the layout scaled so that the diagram uses its length of cable, or slightly less.
 
-    Raises :class:`swarm.errors.Refused` where the smallest layouts take more.
+    Unchanged where the layout has no length. Raises :class:`swarm.errors.Refused` where even the
+    smallest layout uses more.
     """
-    if shape.length is None:
-        return shape
+    if parameters.length is None:
+        return parameters
 
-    def takes(factor: float) -> float:
-        return float(lay_out_apart(diagram, shape.scaled(factor), margins).lengths.sum())
+    def used(factor: float) -> float:
+        return float(lay_out_apart(diagram, parameters.scaled(factor), margins).lengths.sum())
 
     low, high = 1.0, 1.0
-    while takes(low) > shape.length:
+    while used(low) > parameters.length:
         low *= 0.7
         if low < _SMALLEST:
             raise Refused(
-                f"cable.length {shape.length:g} m: even with a cell of {low * shape.cell:.2f} m "
-                f"the layout takes {takes(low):.1f} m"
+                f"cable.length {parameters.length:g} m: even with a cell of "
+                f"{low * parameters.cell:.2f} m the layout takes {used(low):.1f} m"
             )
-    while takes(high) < shape.length:
+    while used(high) < parameters.length:
         high *= 1.4
     while high - low > 1e-6 * low:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if takes(middle) <= shape.length else (low, middle)
-    return shape.scaled(low)
+        low, high = (middle, high) if used(middle) <= parameters.length else (low, middle)
+    return parameters.scaled(low)
 
 
 def make_guide(layout: KnotLayout, slope: float, rounding: float) -> Guide:
-    """The line along which a layout's vehicles make progress; see :class:`Guide`."""
+    """Return the common path of all vehicles to a layout; see :class:`Guide`. Metres."""
     run_in = 1.1 * float(layout.lengths.sum()) + 2.0
     return Guide(layout.corners, layout.lanes, slope, rounding, run_in)
 
 
-def fold_diagram(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> Folding:
-    """Hang a diagram in a shape, and find everybody's way to its corners."""
-    shape = fit_to_cable(diagram, shape, margins)
-    layout = lay_out_apart(diagram, shape, margins)
-    guide = make_guide(layout, shape.slope, shape.rounding)
-    return Folding(layout, make_schedule(layout, guide, margins, _STEP * shape.cell))
+def fold_diagram(diagram: OpenGrid, parameters: LayoutParameters, margins: Margins) -> Folding:
+    """Return the folding of a diagram: its layout, and the schedule to its corners."""
+    parameters = fit_to_cable(diagram, parameters, margins)
+    layout = lay_out_apart(diagram, parameters, margins)
+    guide = make_guide(layout, parameters.slope, parameters.rounding)
+    return Folding(layout, make_schedule(layout, guide, margins, _STEP * parameters.cell))
 
 
 def rank_openings(
-    opened: list[OpenGrid], shape: LayoutParameters, margins: Margins, progress: Progress | None
+    opened: list[OpenGrid],
+    parameters: LayoutParameters,
+    margins: Margins,
+    progress: Progress | None,
 ) -> Iterator[OpenGrid]:
-    """Openings along whose paths segments are least in the way of others, best first.
+    """Yield openings, best first: those with the least obstructed paths and the least cable.
 
-    Of openings that are about as good, those that take less cable, and with it less time. More are
-    compared once the first ones were taken.
+    Less cable means less time. After the first ones, the others are compared.
     """
-    opened = opened[:_MORE]
-    best = _best(opened, shape, margins, _BEST, _IN_VAIN, progress)
+    opened = opened[:_MOST_COMPARED]
+    best = _best(opened, parameters, margins, _BEST, _WITHOUT_IMPROVEMENT, progress)
     yield from (opened[k] for k in best)
     others = [diagram for k, diagram in enumerate(opened) if k not in best]
-    yield from (others[k] for k in _best(others, shape, margins, _OTHERS, _MORE, progress))
+    yield from (
+        others[k] for k in _best(others, parameters, margins, _OTHERS, _MOST_COMPARED, progress)
+    )
 
 
 def _best(
     opened: list[OpenGrid],
-    shape: LayoutParameters,
+    parameters: LayoutParameters,
     margins: Margins,
     wanted: int,
-    in_vain: int,
+    patience: int,
     progress: Progress | None,
 ) -> list[int]:
-    """Which openings are the best, as many as are wanted."""
+    """Return the indices of the best openings, at most ``wanted``, best first."""
     costs: list[float] = []
     scores: list[float] = []
     for k, diagram in enumerate(opened):
-        if k >= _OPENINGS:
+        if k >= _COMPARED:
             leading = int(np.argmin(scores))
-            if costs[leading] < _IN_THE_WAY * len(diagram.corners) or k - leading > in_vain:
+            if costs[leading] < _OBSTRUCTED * len(diagram.corners) or k - leading > patience:
                 break
         if progress:
             progress("comparing openings of the grid diagram", k / len(opened))
-        fit = fit_to_cable(diagram, shape, margins)
+        fit = fit_to_cable(diagram, parameters, margins)
         layout = lay_out_apart(diagram, fit, margins)
         guide = make_guide(layout, fit.slope, fit.rounding)
         square = float(layout.lengths.sum()) ** 2
@@ -161,7 +171,7 @@ def _best(
 
 
 def distinct_openings(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
-    """Openings that are not turned or mirrored copies of others in plan view, which fold alike."""
+    """Return openings without rotated or mirrored copies in plan view, which fold alike."""
     found: dict[tuple[object, ...], OpenGrid] = {}
     for diagram in opened:
         steps = np.diff(np.array(diagram.corners, dtype=np.intp), axis=0)
@@ -173,7 +183,7 @@ def distinct_openings(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
 
 
 def planning_margins(mission: Mission) -> Margins:
-    """What a mission's team is to keep, with what sampled distances may miss."""
+    """Return the margins of a mission, enlarged by the error of sampled distances."""
     vehicles, clearance = mission.vehicles, mission.clearance
     return Margins(
         cable=clearance.cable + mission.cable.diameter + SAMPLING_ERROR,
@@ -188,14 +198,14 @@ def planning_margins(mission: Mission) -> Margins:
     )
 
 
-def lay_out_apart(diagram: OpenGrid, shape: LayoutParameters, margins: Margins) -> KnotLayout:
-    """Hang the knot so that its strands keep their margins at rest, in any direction."""
+def lay_out_apart(diagram: OpenGrid, parameters: LayoutParameters, margins: Margins) -> KnotLayout:
+    """Return the layout in which crossing strands keep their margins at rest, in any direction."""
     for _ in range(8):
-        layout = lay_out(diagram.corners, diagram.crossings, shape)
+        layout = lay_out(diagram.corners, diagram.crossings, parameters)
         pairs = np.array(layout.crossings, dtype=np.intp).reshape(-1, 2)
         at_rest = outline_strands(layout.corners[:-1], layout.corners[1:], layout.lengths)
         cost = strand_costs(at_rest[pairs[:, 0]], at_rest[pairs[:, 1]], margins)
         if not len(pairs) or cost.max() < 0.02:
             break
-        shape = replace(shape, gap=1.08 * shape.gap)
+        parameters = replace(parameters, gap=1.08 * parameters.gap)
     return layout

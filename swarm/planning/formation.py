@@ -25,7 +25,7 @@ _STILL = 1.0
 
 
 def formation_plan(mission: Mission, formation: Formation) -> Plan:
-    """Return the plan of a flight through the mission's formations, not yet certified.
+    """Return the plan of a flight through the mission's formations, before its certification.
 
     The phase "fold" takes all vehicles from the lifted line to the first formation and then to each
     other one. They move along straight lines, all at once, from rest to rest.

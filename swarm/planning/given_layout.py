@@ -23,7 +23,7 @@ _STEP = 0.06
 def foldings_of_given_layout(
     section: Layout, margins: Margins, progress: Progress | None
 ) -> list[tuple[Folding, str]]:
-    """Return foldings of the mission's corners and sags, each with a note of what was tried.
+    """Return foldings of the mission's corners and sags, each with a note for the plan.
 
     Lanes are ordered as the sags: the segment with the smallest sag is flown highest. The distances
     between lanes, level changes and turns differ between the foldings.

@@ -17,8 +17,8 @@ CARRY_HEIGHT = 0.1
 
 TOUCHDOWN_SPEED = 0.7
 DESCENT_SPEED = 1.0
-"""Speeds of descent near the floor and above it, m/s. Autopilots descend more slowly than they climb
-(PX4: at most 1.5 m/s)."""
+"""Speeds of descent near the floor and above it, m/s. Autopilots descend more slowly than they
+climb (PX4: at most 1.5 m/s)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,11 +70,11 @@ class KnotSummary:
 
 @dataclass(frozen=True, repr=False)
 class Plan:
-    """The whole flight, not yet certified.
+    """The whole flight, before its certification.
 
     ``layout`` is where the folded knot hangs, ENU metres. ``motion`` moves the n grip points from
     the pads (mission time 0) to the ground again. ``path`` (k, 3) is the curve that all vehicles
-    follow in the fold, for pictures. ``notes`` list what the planner tried.
+    follow in the fold, for pictures. ``notes`` list the attempts of the planner.
     """
 
     mission: Mission

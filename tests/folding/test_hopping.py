@@ -33,8 +33,8 @@ def test_openings_in_which_giving_way_alone_gets_stuck_fold(knot: str, rank: int
     )
     opened = [diagram for diagram, _ in zip(best, range(rank + 1), strict=False)]
     folding = fold_diagram(opened[rank], shape, margins)
-    assert folding.plan.worst < 0.45
-    assert np.all(folding.plan.offsets[[0, 1, -2, -1]] == 0.0)
+    assert folding.schedule.worst < 0.45
+    assert np.all(folding.schedule.offsets[[0, 1, -2, -1]] == 0.0)
 
 
 def test_who_is_not_stuck_stays() -> None:
