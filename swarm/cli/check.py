@@ -16,6 +16,7 @@ from swarm.files import write_text
 from swarm.flight.hop import hop
 from swarm.flight.parameters import Row
 from swarm.front.files import load_fleet, load_mission
+from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.commissioning.check import Wanted
 from swarm.ground.commissioning.check import check as check_fleet
 from swarm.ground.commissioning.logs import download_logs
@@ -195,9 +196,13 @@ def _fly_hop(
     flight = hop(flight_plan)
     with FlightScreen(flight.plan, console) as screen:
         return fly_hop(
-            flight, flight_plan, fleet, folder,
-            speed=speed, on_snapshot=screen.show, on_event=screen.event,
-        )  # fmt: skip
+            flight,
+            flight_plan,
+            fleet,
+            folder,
+            speed=speed,
+            callbacks=FlightCallbacks(on_snapshot=screen.show, on_event=screen.event),
+        )
 
 
 def _fetch_logs(fleet_file: Path | None, folder: Path, *, as_json: bool) -> int:

@@ -20,7 +20,9 @@ from swarm.flight.clearance import Audit
 from swarm.flight.resuming import Then
 from swarm.flight.setup import LOOSE_ERROR
 from swarm.front.files import load_fleet, load_mission
+from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.flight_process import FlightRequest, fly_in_process
+from swarm.ground.fly import FlyOptions
 from swarm.ground.record_folder import control_socket, new_record_folder
 from swarm.mission.fleet import emulated_fleet
 from swarm.reports.plan_summary import findings_table, plan_summary
@@ -119,18 +121,23 @@ def fly(
         console.print(_RAISED_FLIGHT, style="dim", highlight=False, soft_wrap=True)
     folder = record or new_record_folder(_FLIGHTS, loaded.name)
     flight = FlightRequest(
-        flight_plan, team, folder, speed=speed, no_cable=no_cable,
-        control=control_socket(folder), asks=True,
-    )  # fmt: skip
+        flight_plan,
+        team,
+        folder,
+        FlyOptions(speed=speed, no_cable=no_cable, control=control_socket(folder)),
+        confirm=True,
+    )
     unattended = team.emulated is not None or yes
     with displays(plan, folder, view, console) as shown, ExitStack() as screen:
         result = fly_in_process(
             flight,
-            confirm=_confirmation(shown, screen, console, unattended=unattended),
-            take_keys=unattended and sys.stdin.isatty(),
-            on_snapshot=shown.on_snapshot,
-            on_event=shown.on_event,
-            gives_way=True,
+            FlightCallbacks(
+                confirm=_confirmation(shown, screen, console, unattended=unattended),
+                on_snapshot=shown.on_snapshot,
+                on_event=shown.on_event,
+            ),
+            read_keys=unattended and sys.stdin.isatty(),
+            low_priority=True,
         )
     end_flight(context, plan, planned.assessment, result, folder, as_json=as_json)
 

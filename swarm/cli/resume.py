@@ -10,7 +10,9 @@ from swarm.cli.flight_session import Viewer, displays, end_flight
 from swarm.errors import Refused
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import Then, left_off
+from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.flight_process import FlightRequest, fly_in_process
+from swarm.ground.fly import FlyOptions
 from swarm.ground.record_folder import control_socket
 from swarm.ground.record_reader import (
     recorded_certificate,
@@ -52,17 +54,13 @@ def resume_flight(
         flight_plan,
         fleet,
         folder,
-        no_cable=not basis.cable,
-        control=control_socket(folder),
-        left=left,
-        then=then,
+        FlyOptions(no_cable=not basis.cable, control=control_socket(folder), left=left, then=then),
     )
     with displays(plan, folder, view, console) as shown, shown.screen:
         result = fly_in_process(
             flight,
-            take_keys=sys.stdin.isatty(),
-            on_snapshot=shown.on_snapshot,
-            on_event=shown.on_event,
-            gives_way=True,
+            FlightCallbacks(on_snapshot=shown.on_snapshot, on_event=shown.on_event),
+            read_keys=sys.stdin.isatty(),
+            low_priority=True,
         )
     end_flight(context, plan, assessment, result, folder, as_json=as_json)

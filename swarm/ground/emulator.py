@@ -1,4 +1,4 @@
-"""The built-in emulator as a process of its own, speaking real UDP on loopback."""
+"""The built-in emulator as a child process that uses real UDP on loopback."""
 
 import json
 import os
@@ -10,16 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from swarm.errors import VehicleError
+from swarm.ground.child_process import exit_reason
 
-_STOP_PATIENCE = 3.0
+_STOP_TIMEOUT = 3.0
 
-STARTING = 180.0
-"""Seconds that it may take to start; on a new and busy machine most of them are for compiling."""
-_LOOK_AGAIN = 0.02
+START_TIMEOUT = 180.0
+"""Seconds until it must be ready; on a new and busy machine most of them are for compiling."""
+_POLL = 0.02
 
 
 class EmulatorProcess:
-    """The emulator's process, ended with :meth:`stop` or with this process."""
+    """The process of the emulator; it ends with :meth:`stop` or with this process."""
 
     def __init__(
         self,
@@ -28,11 +29,11 @@ class EmulatorProcess:
         port: int,
         speed: float,
         signing_key: str | None = None,
-        patience: float = STARTING,
+        timeout: float = START_TIMEOUT,
     ) -> None:
-        """Write the world file and start; ``port`` is where the vehicles shall speak to.
+        """Write the world file and start; the vehicles send to UDP ``port`` on loopback.
 
-        Raises :class:`VehicleError` where it does not speak within ``patience`` seconds.
+        Raises :class:`VehicleError` if it is not ready within ``timeout`` seconds.
         """
         path = folder / "world.json"
         self._errors = folder / "emulator.txt"
@@ -54,40 +55,40 @@ class EmulatorProcess:
                 start_new_session=True,
             )
         try:
-            self._wait_until_ready(patience)
+            self._wait_until_ready(timeout)
         except BaseException:
             self.stop()
             raise
 
-    def _wait_until_ready(self, patience: float) -> None:
-        """Wait for the vehicles to speak: flight time begins with them, and may run fast."""
-        latest = time.monotonic() + patience
+    def _wait_until_ready(self, timeout: float) -> None:
+        """Wait until the vehicles send: flight time begins with them, and may run fast."""
+        latest = time.monotonic() + timeout
         while self._process.poll() is None:
             if b'"ready"' in self._errors.read_bytes():
                 return
             if time.monotonic() >= latest:
-                raise VehicleError(f"the emulator has not started in {patience:g} s")
-            time.sleep(_LOOK_AGAIN)
+                raise VehicleError(f"the emulator has not started in {timeout:g} s")
+            time.sleep(_POLL)
 
     @property
     def pid(self) -> int:
-        """The process id, for those who want to see what happens when it dies."""
+        """The process id."""
         return self._process.pid
 
     def ended(self) -> str | None:
-        """Return how the emulator ended, None while it runs."""
+        """Return how the emulator ended; None while it runs."""
         code = self._process.poll()
         if code is None:
             return None
-        how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        said = self._errors.read_text(errors="replace").strip().splitlines()
-        return f"the emulator ended ({how})" + (f": {said[-1]}" if said and code > 0 else "")
+        lines = self._errors.read_text(errors="replace").strip().splitlines()
+        last = f": {lines[-1]}" if lines and code > 0 else ""
+        return f"the emulator ended ({exit_reason(code)}){last}"
 
     def stop(self) -> None:
         """End the emulator."""
         self._process.terminate()
         try:
-            self._process.wait(_STOP_PATIENCE)
+            self._process.wait(_STOP_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -1,8 +1,7 @@
-"""The flight in a process of its own: whatever its caller draws, writes or waits for.
+"""The flight in a process of its own, independent of drawing, writing and waiting in the caller.
 
-:func:`fly_in_process` is :func:`swarm.ground.fly.fly` in another process. Snapshots, events and the
-question before the flight come back over a pipe; what the caller does not take in time is dropped
-over there. The process dies with its caller, as if it were one.
+:func:`fly_in_process` is :func:`swarm.ground.fly.fly` in another process. Snapshots, events and
+the question before the flight arrive over a pipe. The process ends with its caller.
 """
 
 import queue
@@ -14,7 +13,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
@@ -24,11 +23,10 @@ from swarm.errors import SwarmError, VehicleError
 from swarm.flight.clearance import Audit
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
-from swarm.flight.resuming import LeftOff, Then
-from swarm.flight.snapshot import Event, Snapshot
-from swarm.ground.child import die_with_parent
-from swarm.ground.fly import fly
-from swarm.ground.operator import keys
+from swarm.ground.callbacks import FlightCallbacks
+from swarm.ground.child_process import die_with_parent, exit_reason
+from swarm.ground.fly import FlyOptions, fly
+from swarm.ground.operator import terminal_keys
 from swarm.ground.priority import lowered_priority, raise_priority, run_behind_main_thread
 from swarm.mission.fleet import Fleet
 
@@ -37,35 +35,30 @@ _POLL = 0.05
 
 @dataclass(frozen=True)
 class FlightRequest:
-    """What is to be flown, as it is handed to the process."""
+    """A flight as it is sent to the process; ``confirm`` requires a confirmation by the caller."""
 
     flight_plan: FlightPlan
     fleet: Fleet
     folder: Path
-    speed: float = 1.0
-    no_cable: bool = False
-    control: Path | None = None
-    asks: bool = False
-    audit: bool | None = None
-    left: LeftOff | None = None
-    then: Then = "hold"
+    options: FlyOptions = field(default_factory=FlyOptions)
+    confirm: bool = False
 
 
 def fly_in_process(
-    flight: FlightRequest,
+    request: FlightRequest,
+    callbacks: FlightCallbacks | None = None,
     *,
-    confirm: Callable[[Audit], bool] | None = None,
-    on_snapshot: Callable[[Snapshot], None] | None = None,
-    on_event: Callable[[Event], None] | None = None,
-    take_keys: bool = False,
-    gives_way: bool = False,
+    read_keys: bool = False,
+    low_priority: bool = False,
 ) -> FlightResult:
-    """Fly in a process of its own; callbacks are called here, and may be slow.
+    """Fly in another process; the callbacks run in this one and may be slow.
 
-    The same as :func:`swarm.ground.fly.fly` otherwise; raises what that raises, and
-    :class:`VehicleError` where the process ends before the flight does. SIGINT and SIGTERM are
-    passed on: the first lands the team after a hold, the second at once. A caller that
-    ``gives_way`` runs behind the flight meanwhile.
+    ``read_keys`` passes keys of this terminal on; ``low_priority`` runs this process at lower
+    priority during the flight. SIGINT and SIGTERM are passed on: the first lands the team after a
+    hold, the second at once.
+
+    Raises the errors of :func:`swarm.ground.fly.fly`, and :class:`VehicleError` if the process ends
+    before the flight does.
     """
     ours, theirs = socket.socketpair()
     process = subprocess.Popen(  # noqa: S603
@@ -78,37 +71,16 @@ def fly_in_process(
     pipe = Connection(ours.detach())
     asking = threading.Event()
     try:
-        with ExitStack() as around:
-            around.enter_context(lowered_priority() if gives_way else nullcontext())
-            around.enter_context(_passed_on(process, asking))
-            pipe.send(flight)
-            desk = _Typed(pipe)
-            poll = around.enter_context(keys(desk)) if take_keys else lambda: None
-            inbox = _Inbox(pipe)
-            while True:
-                while (came := inbox.take(_POLL)) is None:
-                    poll()
-                kind, what = came
-                if kind == "end":
-                    raise EOFError
-                if kind == "result":
-                    result: FlightResult = what
-                    return result
-                if kind == "error":
-                    raise what
-                if kind == "bug":
-                    raise RuntimeError(f"in the flight's process:\n{what}")
-                if kind == "snapshot" and on_snapshot is not None:
-                    on_snapshot(what)
-                elif kind == "event" and on_event is not None:
-                    on_event(what)
-                elif kind == "confirm":
-                    pipe.send(("answer", _answered(confirm, what, asking)))
-                poll()
+        with ExitStack() as context:
+            context.enter_context(lowered_priority() if low_priority else nullcontext())
+            context.enter_context(_forwarded_signals(process, asking))
+            pipe.send(request)
+            keys = _KeySender(pipe)
+            poll = context.enter_context(terminal_keys(keys)) if read_keys else lambda: None
+            return _serve(pipe, callbacks or FlightCallbacks(), poll, asking)
     except (EOFError, BrokenPipeError, ConnectionResetError):
-        code = process.wait(5.0)
-        how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        raise VehicleError(f"the flight's process ended ({how})") from None
+        reason = exit_reason(process.wait(5.0))
+        raise VehicleError(f"the flight's process ended ({reason})") from None
     finally:
         pipe.close()
         with suppress(subprocess.TimeoutExpired):
@@ -118,7 +90,38 @@ def fly_in_process(
             process.wait()
 
 
-def _answered(
+def _serve(
+    pipe: Connection,
+    callbacks: FlightCallbacks,
+    poll: Callable[[], None],
+    asking: threading.Event,
+) -> FlightResult:
+    """Handle the messages of the flight process until it sends a result or an error."""
+    inbox = _Inbox(pipe)
+    while True:
+        while (message := inbox.receive(_POLL)) is None:
+            poll()
+        kind, content = message
+        match kind:
+            case "end":
+                raise EOFError
+            case "result":
+                result: FlightResult = content
+                return result
+            case "error":
+                raise content
+            case "bug":
+                raise RuntimeError(f"in the flight's process:\n{content}")
+            case "snapshot" if callbacks.on_snapshot is not None:
+                callbacks.on_snapshot(content)
+            case "event" if callbacks.on_event is not None:
+                callbacks.on_event(content)
+            case "confirm":
+                pipe.send(("answer", _confirm(callbacks.confirm, content, asking)))
+        poll()
+
+
+def _confirm(
     confirm: Callable[[Audit], bool] | None, audit: Audit, asking: threading.Event
 ) -> bool:
     if confirm is None:
@@ -133,9 +136,9 @@ def _answered(
 
 
 class _Inbox:
-    """Takes what comes as it comes, in a thread, so that the flight never waits for its caller.
+    """Reads messages in a thread as they arrive, so that the flight never waits for its caller.
 
-    Of snapshots only the newest is kept; everything else is kept in order.
+    Of the snapshots only the newest is kept; all other messages are kept in order.
     """
 
     def __init__(self, pipe: Connection) -> None:
@@ -148,42 +151,44 @@ class _Inbox:
     def _read(self) -> None:
         with suppress(EOFError, OSError):
             while True:
-                kind, what = self._pipe.recv()
+                kind, content = self._pipe.recv()
                 if kind != "snapshot":
-                    self._waiting.put((kind, what))
+                    self._waiting.put((kind, content))
                     continue
                 with self._lock:
                     if not self._newest:
                         self._waiting.put((kind, None))
-                    self._newest = [what]
+                    self._newest = [content]
         self._waiting.put(("end", None))
 
-    def take(self, patience: float) -> tuple[str, Any] | None:
-        """Return what came next; None where nothing did for so many seconds."""
+    def receive(self, timeout: float) -> tuple[str, Any] | None:
+        """Return the next message; None if there is none for ``timeout`` seconds."""
         with suppress(queue.Empty):
-            kind, what = self._waiting.get(timeout=patience)
+            kind, content = self._waiting.get(timeout=timeout)
             if kind == "snapshot":
                 with self._lock:
-                    (what,), self._newest = self._newest, []
-            return kind, what
+                    (content,), self._newest = self._newest, []
+            return kind, content
         return None
 
 
 @dataclass
-class _Typed:
-    """Stands for the desk on this side: keys go over the pipe."""
+class _KeySender:
+    """Sends keys to the console in the flight process."""
 
     pipe: Connection
 
     def key(self, key: str) -> str | None:
-        """Hand a key over."""
+        """Send a key."""
         self.pipe.send(("key", key))
         return None
 
 
 @contextmanager
-def _passed_on(process: "subprocess.Popen[bytes]", asking: threading.Event) -> Iterator[None]:
-    """Pass signals on to the flight, where this is the main thread; a question is given up."""
+def _forwarded_signals(
+    process: "subprocess.Popen[bytes]", asking: threading.Event
+) -> Iterator[None]:
+    """Forward signals to the flight, if this is the main thread; they also cancel a question."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -195,7 +200,7 @@ def _passed_on(process: "subprocess.Popen[bytes]", asking: threading.Event) -> I
 
     before = {number: signal.signal(number, catch) for number in (signal.SIGINT, signal.SIGTERM)}
     if hasattr(signal, "SIGHUP") and callable(signal.getsignal(signal.SIGHUP)):
-        # Without its terminal it can tell nobody anything: it ends on the spot, and the flight.
+        # without its terminal it cannot show messages: it ends at once, and the flight with it
         before[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     try:
         yield
@@ -204,8 +209,8 @@ def _passed_on(process: "subprocess.Popen[bytes]", asking: threading.Event) -> I
             signal.signal(number, handler)
 
 
-class _Pilot:
-    """The other side: flies, and speaks to the caller without waiting for it in the loop."""
+class _FlightServer:
+    """The side of the flight process: flies, and sends messages without blocking the loop."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
@@ -214,54 +219,55 @@ class _Pilot:
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def run(self) -> None:
-        flight: FlightRequest = self._pipe.recv()
+        request: FlightRequest = self._pipe.recv()
         threading.Thread(target=self._listen, name="caller", daemon=True).start()
-        names = ("speed", "no_cable", "control", "audit", "left", "then")
-        given = {name: getattr(flight, name) for name in names}
+        callbacks = FlightCallbacks(
+            confirm=self._confirm if request.confirm else None,
+            on_snapshot=lambda snapshot: self._send("snapshot", snapshot),
+            on_event=lambda event: self._send("event", event),
+        )
         try:
             result = fly(
-                flight.flight_plan,
-                flight.fleet,
-                flight.folder,
-                confirm=self._confirm if flight.asks else None,
-                on_snapshot=lambda snapshot: self._tell("snapshot", snapshot),
-                on_event=lambda event: self._tell("event", event),
-                typed=self._keys,
-                **given,
+                request.flight_plan,
+                request.fleet,
+                request.folder,
+                request.options,
+                callbacks,
+                key_queue=self._keys,
             )
         except SwarmError as error:
-            self._tell("error", error)
+            self._send("error", error)
         except Exception:
-            self._tell("bug", traceback.format_exc())
+            self._send("bug", traceback.format_exc())
         else:
-            self._tell("result", result)
+            self._send("result", result)
 
-    def _tell(self, kind: str, what: Any) -> None:
+    def _send(self, kind: str, content: Any) -> None:
         with self._lock, suppress(OSError):
-            self._pipe.send((kind, what))
+            self._pipe.send((kind, content))
 
     def _confirm(self, audit: Audit) -> bool:
-        self._tell("confirm", audit)
+        self._send("confirm", audit)
         return self._answers.get()
 
     def _listen(self) -> None:
         run_behind_main_thread()
         with suppress(EOFError, OSError):
             while True:
-                kind, what = self._pipe.recv()
+                kind, content = self._pipe.recv()
                 if kind == "answer":
-                    self._answers.put(what)
+                    self._answers.put(content)
                 elif kind == "key":
-                    self._keys.put(what)
+                    self._keys.put(content)
         self._answers.put(False)
 
 
 def main() -> None:
-    """Fly what comes over the pipe whose descriptor is the first argument."""
+    """Fly the request that arrives over the pipe whose descriptor is the first argument."""
     die_with_parent()
     raise_priority()
     with Connection(int(sys.argv[1])) as pipe:
-        _Pilot(pipe).run()
+        _FlightServer(pipe).run()
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """The test hop of ``swarm check``: its question, its flight, its measurement."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,8 +14,8 @@ from swarm.flight.hop import (
     hover_findings,
     hovers,
 )
-from swarm.flight.snapshot import Event, Snapshot
-from swarm.ground.fly import fly
+from swarm.ground.callbacks import FlightCallbacks
+from swarm.ground.fly import FlyOptions, fly
 from swarm.mission.fleet import Fleet
 
 
@@ -44,8 +43,7 @@ def fly_hop(
     folder: Path,
     *,
     speed: float = 1.0,
-    on_snapshot: Callable[[Snapshot], None] | None = None,
-    on_event: Callable[[Event], None] | None = None,
+    callbacks: FlightCallbacks | None = None,
 ) -> HopResult:
     """Fly the hop of a plan, see :func:`swarm.flight.hop.hop`, and return the hover errors.
 
@@ -56,12 +54,8 @@ def fly_hop(
         hop_flight,
         fleet,
         folder,
-        speed=speed,
-        no_cable=True,
-        audit=False,
-        on_snapshot=on_snapshot,
-        on_event=on_event,
-        stray_limit=ERROR_LIMIT,
+        FlyOptions(speed=speed, no_cable=True, audit=False, error_limit=ERROR_LIMIT),
+        callbacks,
     )
     measured, found = hovers(result.trace), hover_findings(result.trace, flight_plan)
     if result.outcome.word != "done":

@@ -1,8 +1,9 @@
-"""The operator's wishes while it flies: single keys, and a line-based control socket.
+"""The operator's input during a flight: single keys, and a line-based control socket.
 
-The socket is a Unix socket that only its owner may open. One line is one wish; the answer is one
-line: what follows, or why it cannot be. ``status`` tells what each wish would do now. ``kill``
-needs ``kill NUMBER`` with the number that a plain ``kill`` answers with.
+The control socket is a Unix socket that only its owner may open. Each line is one request; the
+answer is one line: the effect, or the reason why the request is not possible. ``status`` lists the
+effect of every request at this moment. ``kill`` must be repeated as ``kill NUMBER``, with the
+number in the answer to ``kill``.
 """
 
 import os
@@ -30,41 +31,42 @@ KEYS: Mapping[str, Request] = {
     "j": "rejoin",
     "a": "abort",
 }
-"""Keys and what they ask for. Killing has no key: it is typed."""
-_LONGEST_LINE = 200
-_MOST_CLIENTS = 8
+"""Keys and their requests. Kill has no key: it must be typed at the control socket."""
+_MAX_LINE = 200
+_MAX_CLIENTS = 8
 
 
-class Operated(Protocol):
-    """What takes wishes: the conductor."""
+class RequestHandler(Protocol):
+    """An object that handles operator requests: the conductor."""
 
     def request(self, request: Request) -> str:
-        """Take a wish; say what follows."""
+        """Handle a request; return its effect."""
 
 
-class Keyed(Protocol):
-    """What takes keys: a desk, here or in another process."""
+class KeyHandler(Protocol):
+    """An object that handles keys: a console, in this process or another."""
 
     def key(self, key: str) -> str | None:
-        """Take one key."""
+        """Handle one key."""
 
 
-class Desk:
-    """Turns typed lines into wishes; killing must be confirmed with a number."""
+class OperatorConsole:
+    """Converts keys and lines to operator requests; kill must be confirmed with a number."""
 
     def __init__(
-        self, flight: Operated, status: Callable[[], Mapping[str, tuple[bool, str]]]
+        self, flight: RequestHandler, status: Callable[[], Mapping[str, tuple[bool, str]]]
     ) -> None:
+        """``status`` returns for every request whether it is possible, and its effect."""
         self._flight, self._status = flight, status
         self._number: str | None = None
 
     def line(self, text: str) -> str:
-        """Take one typed line; return the answer, one line."""
+        """Handle one line; return the answer, one line."""
         word, _, rest = text.strip().lower().partition(" ")
         if word == "status":
             return "; ".join(
-                f"{name} {'open' if is_open else 'closed'} ({words})"
-                for name, (is_open, words) in self._status().items()
+                f"{name} {'open' if is_open else 'closed'} ({effect})"
+                for name, (is_open, effect) in self._status().items()
             )
         if word == "kill":
             return self._kill(rest.strip())
@@ -74,7 +76,7 @@ class Desk:
         return f"expected one of status, {', '.join(REQUESTS)}; got {word[:40]!r}"
 
     def key(self, key: str) -> str | None:
-        """Take one key; return the answer, None for a key that means nothing."""
+        """Handle one key; return the answer, None for a key without a request."""
         request = KEYS.get(key)
         return None if request is None else self._flight.request(request)
 
@@ -87,18 +89,18 @@ class Desk:
 
 
 class ControlSocket:
-    """The control socket; asked once per tick, never waited for."""
+    """The control socket; :meth:`poll` never blocks."""
 
-    def __init__(self, path: Path, desk: Desk) -> None:
-        """Open it; raises :class:`VehicleError` where it cannot be made."""
-        self._path, self._desk = path, desk
+    def __init__(self, path: Path, console: OperatorConsole) -> None:
+        """Create the socket; raises :class:`VehicleError` if that fails."""
+        self._path, self._console = path, console
         self._clients: dict[socket.socket, bytes] = {}
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         before = os.umask(0o177)
         try:
             path.unlink(missing_ok=True)
             self._listening.bind(str(path))
-            self._listening.listen(_MOST_CLIENTS)
+            self._listening.listen(_MAX_CLIENTS)
             self._listening.setblocking(False)
         except OSError as error:
             self._listening.close()
@@ -107,52 +109,53 @@ class ControlSocket:
             os.umask(before)
 
     def poll(self) -> None:
-        """Take what has been typed, and answer it."""
+        """Accept clients, and answer the lines that have arrived."""
         with suppress(OSError):
-            while len(self._clients) < _MOST_CLIENTS:
+            while len(self._clients) < _MAX_CLIENTS:
                 client, _ = self._listening.accept()
                 client.setblocking(False)
                 self._clients[client] = b""
         for client in list(self._clients):
             try:
-                data = client.recv(_LONGEST_LINE)
+                data = client.recv(_MAX_LINE)
             except BlockingIOError:
                 continue
             except OSError:
                 data = b""
             if data:
-                self._take(client, data)
+                self._handle(client, data)
             else:
-                self._forget(client)
+                self._disconnect(client)
 
-    def _take(self, client: socket.socket, data: bytes) -> None:
+    def _handle(self, client: socket.socket, data: bytes) -> None:
         *lines, rest = (self._clients[client] + data).split(b"\n")
         self._clients[client] = rest
-        if len(rest) > _LONGEST_LINE:
-            self._forget(client)
+        if len(rest) > _MAX_LINE:
+            self._disconnect(client)
             return
         for line in lines:
-            answer = self._desk.line(line.decode("utf-8", "replace"))
+            answer = self._console.line(line.decode("utf-8", "replace"))
             with suppress(OSError):
                 client.send(answer.encode() + b"\n")
 
-    def _forget(self, client: socket.socket) -> None:
+    def _disconnect(self, client: socket.socket) -> None:
         self._clients.pop(client, None)
         client.close()
 
     def close(self) -> None:
-        """Close and remove it."""
+        """Close and remove the socket."""
         for client in list(self._clients):
-            self._forget(client)
+            self._disconnect(client)
         self._listening.close()
         self._path.unlink(missing_ok=True)
 
 
 @contextmanager
-def keys(desk: Keyed, stream: Any = None) -> Iterator[Callable[[], None]]:
-    """Take single keys from a terminal while it lasts; yields what to call once per tick.
+def terminal_keys(handler: KeyHandler, stream: Any = None) -> Iterator[Callable[[], None]]:
+    """Read single keys from a terminal; yields a function to call once per tick.
 
-    Where ``stream`` (standard input) is no terminal, nothing is taken. Ctrl-C stays what it is.
+    If ``stream`` (default: standard input) is not a terminal, nothing is read. Ctrl-C still raises
+    SIGINT.
     """
     stream = stream if stream is not None else sys.stdin
     try:
@@ -168,7 +171,7 @@ def keys(desk: Keyed, stream: Any = None) -> Iterator[Callable[[], None]]:
             if not typed:
                 return
             for key in typed.decode("ascii", "ignore"):
-                desk.key(key)
+                handler.key(key)
 
     tty.setcbreak(number)
     try:

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common
 from swarm.errors import InputError, VehicleError
 from swarm.flight.listening import LinkQuality, radio_finding, radio_findings
 from swarm.ground.commissioning.check import Wanted, check
-from swarm.ground.fly import fly
+from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.sockets import Links
 from swarm.mission.fleet import emulated_fleet, parse_fleet
 from tests.network import small_plan
@@ -54,7 +54,7 @@ def test_parameters_are_found_set_and_put_back(tmp_path):
 
 
 def test_a_flight_with_autopilot_defaults_is_refused_by_the_audit(tmp_path):
-    result = fly(small_plan(), emulated_fleet(3), tmp_path / "record", audit=True)
+    result = fly(small_plan(), emulated_fleet(3), tmp_path / "record", FlyOptions(audit=True))
     assert result.outcome.word == "refused"
     assert "NAV_RCL_ACT is 2, should be 1 (hold) or 3 (land)" in result.outcome.explanation
     assert "armed" not in {event.kind for event in result.events}

@@ -7,7 +7,8 @@ import sys
 
 import pytest
 
-from swarm.ground.fly import fly
+from swarm.ground.callbacks import FlightCallbacks
+from swarm.ground.fly import FlyOptions, fly
 from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
 
@@ -60,7 +61,13 @@ def test_a_hundred_thousand_packets_a_second_make_no_setpoint_late(tmp_path):
             flooding.append(subprocess.Popen(command, stdout=counted))
 
     try:
-        result = fly(FLIGHT_PLAN, fleet, tmp_path / "record", speed=2.0, on_event=flood)
+        result = fly(
+            FLIGHT_PLAN,
+            fleet,
+            tmp_path / "record",
+            FlyOptions(speed=2.0),
+            FlightCallbacks(on_event=flood),
+        )
     finally:
         for one in flooding:
             one.send_signal(signal.SIGKILL)

@@ -15,8 +15,9 @@ from pymavlink import mavutil
 
 from swarm.errors import VehicleError
 from swarm.flight.world import emulated_world
+from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.emulator import EmulatorProcess
-from swarm.ground.fly import fly
+from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.ground.sockets import open_links
 from swarm.mission.fleet import emulated_fleet
@@ -36,9 +37,8 @@ def flown(tmp_path_factory):
         FLIGHT_PLAN,
         emulated_fleet(3, ("px4", "ardupilot")),
         folder,
-        speed=SPEED,
-        on_snapshot=snapshots.append,
-        on_event=events.append,
+        FlyOptions(speed=SPEED),
+        FlightCallbacks(on_snapshot=snapshots.append, on_event=events.append),
     )
     return result, snapshots, events
 
@@ -83,7 +83,11 @@ def test_a_dead_emulator_is_explained_and_is_a_vehicle_error(tmp_path):
         killers[0].start()
 
     result = fly(
-        FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=SPEED, on_emulator=kill_soon
+        FLIGHT_PLAN,
+        emulated_fleet(3),
+        tmp_path / "record",
+        FlyOptions(speed=SPEED),
+        FlightCallbacks(on_emulator=kill_soon),
     )
     killers[0].join()
     assert result.outcome.exit_code == 3
@@ -97,9 +101,9 @@ from pathlib import Path
 from swarm.mission.fleet import emulated_fleet
 from swarm.flight.world import emulated_world
 from swarm.ground.emulator import EmulatorProcess
-from swarm.ground.fly import fly
+from swarm.ground.fly import FlyOptions, fly
 from tests.network import small_plan
-result = fly(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
+result = fly(small_plan(), emulated_fleet(3), Path(sys.argv[1]), FlyOptions(speed=4.0))
 sys.exit(result.outcome.exit_code)
 """
 
@@ -181,7 +185,11 @@ def test_vehicles_may_take_as_long_to_start_however_fast_flight_time_runs(tmp_pa
     fleet = fleet.model_copy(update={"limits": limits})
     asked = []
     result = fly(
-        FLIGHT_PLAN, fleet, tmp_path, speed=20.0, confirm=lambda audit: bool(asked.append(audit))
+        FLIGHT_PLAN,
+        fleet,
+        tmp_path,
+        FlyOptions(speed=20.0),
+        FlightCallbacks(confirm=lambda audit: bool(asked.append(audit))),
     )
     assert result.outcome.explanation == "not confirmed"
     assert len(asked) == 1
@@ -190,4 +198,4 @@ def test_vehicles_may_take_as_long_to_start_however_fast_flight_time_runs(tmp_pa
 def test_an_emulator_that_does_not_start_in_time_is_said_and_ended(tmp_path):
     world = emulated_world(FLIGHT_PLAN.plan, emulated_fleet(3), with_cable=False, seed=1)
     with pytest.raises(VehicleError, match="the emulator has not started in 0 s"):
-        EmulatorProcess(world, tmp_path, 14999, 1.0, patience=0.0)
+        EmulatorProcess(world, tmp_path, 14999, 1.0, timeout=0.0)

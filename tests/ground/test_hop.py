@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 
 from swarm.flight.hop import HOVER, hop
+from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.hop import fly_hop
 from swarm.mission.fleet import emulated_fleet
 from swarm.reports.check_json import hop_object
@@ -21,9 +22,13 @@ def test_a_hop_says_for_each_vehicle_how_well_it_hovers_and_what_to_plan_with(tm
     flight = hop(plan)
     with FlightScreen(flight.plan, console) as screen:
         result = fly_hop(
-            flight, plan, emulated_fleet(3), tmp_path / "hop",
-            speed=8.0, on_snapshot=screen.show, on_event=screen.event,
-        )  # fmt: skip
+            flight,
+            plan,
+            emulated_fleet(3),
+            tmp_path / "hop",
+            speed=8.0,
+            callbacks=FlightCallbacks(on_snapshot=screen.show, on_event=screen.event),
+        )
     advice, *each = [finding.message for finding in result.findings]
     assert advice.startswith("plan with vehicles.tracking of 0.")
     assert [words.split(" m RMS")[0].split("0.")[0] for words in each] == [

@@ -13,7 +13,7 @@ from swarm.errors import VehicleError
 from swarm.ground.commissioning.check import check
 from swarm.ground.commissioning.logs import download_logs
 from swarm.ground.commissioning.mavsdk_client import TRIES, reports
-from swarm.ground.fly import fly
+from swarm.ground.fly import FlyOptions, fly
 from swarm.mission.fleet import emulated_fleet
 from tests.command import run
 from tests.ground.test_logs import NEW, PX4, content, team
@@ -76,7 +76,7 @@ def test_crashes_in_every_try_are_told_by_the_command_with_exit_code_3(tmp_path)
 
 def test_crashes_refuse_a_flight_and_leave_its_record(tmp_path):
     with killing(signal.SIGABRT):
-        result = fly(small_plan(), emulated_fleet(3), tmp_path / "record", audit=True)
+        result = fly(small_plan(), emulated_fleet(3), tmp_path / "record", FlyOptions(audit=True))
     assert result.outcome.word == "refused"
     assert result.outcome.explanation == (
         "MAVSDK failed in 3 tries of 3 when asked about system 1, 2, 3: "

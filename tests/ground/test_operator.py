@@ -1,4 +1,4 @@
-"""Typed wishes, keys and the control socket."""
+"""Typed requests, keys and the control socket."""
 
 import os
 import pty
@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from swarm.errors import VehicleError
-from swarm.ground.operator import KEYS, ControlSocket, Desk, keys
+from swarm.ground.operator import KEYS, ControlSocket, OperatorConsole, terminal_keys
 
 
 class Flight:
     def __init__(self):
-        self.wishes = []
+        self.requests = []
 
-    def request(self, wish):
-        self.wishes.append(wish)
-        return f"{wish} it is"
+    def request(self, request):
+        self.requests.append(request)
+        return f"{request} it is"
 
 
 @pytest.fixture
@@ -28,43 +28,43 @@ def flight():
 
 
 @pytest.fixture
-def desk(flight):
-    return Desk(flight, lambda: {"land": (True, "here"), "rewind": (False, "too far")})
+def console(flight):
+    return OperatorConsole(flight, lambda: {"land": (True, "here"), "rewind": (False, "too far")})
 
 
-def test_a_line_is_a_wish(flight, desk):
-    assert desk.line(" Hold \n") == "hold it is"
-    assert flight.wishes == ["hold"]
+def test_a_line_is_a_request(flight, console):
+    assert console.line(" Hold \n") == "hold it is"
+    assert flight.requests == ["hold"]
 
 
-def test_status_says_what_is_open(desk):
-    assert desk.line("status") == "land open (here); rewind closed (too far)"
+def test_status_lists_the_open_requests(console):
+    assert console.line("status") == "land open (here); rewind closed (too far)"
 
 
-def test_what_is_not_a_wish_is_refused(flight, desk):
-    assert desk.line("return to launch").startswith("expected one of status, hold, resume")
-    assert flight.wishes == []
+def test_an_unknown_line_is_refused(flight, console):
+    assert console.line("return to launch").startswith("expected one of status, hold, resume")
+    assert flight.requests == []
 
 
-def test_killing_is_confirmed_with_the_number_that_was_given(flight, desk):
-    asked = desk.line("kill")
-    number = asked.split()[-1]
-    assert asked == f"to stop all motors in the air, type: kill {number}"
-    again = desk.line("kill 1")
-    assert flight.wishes == []
-    assert desk.line(f"kill {again.split()[-1]}") == "kill it is"
-    assert flight.wishes == ["kill"]
-    desk.line(f"kill {number}")
-    assert flight.wishes == ["kill"]
+def test_kill_is_confirmed_with_the_number_in_the_answer(flight, console):
+    answer = console.line("kill")
+    number = answer.split()[-1]
+    assert answer == f"to stop all motors in the air, type: kill {number}"
+    again = console.line("kill 1")
+    assert flight.requests == []
+    assert console.line(f"kill {again.split()[-1]}") == "kill it is"
+    assert flight.requests == ["kill"]
+    console.line(f"kill {number}")
+    assert flight.requests == ["kill"]
 
 
-def test_no_key_kills():
+def test_kill_has_no_key():
     assert "kill" not in KEYS.values()
 
 
-def test_the_socket_is_private_and_answers(flight, desk, tmp_path):
+def test_the_socket_is_private_and_answers(flight, console, tmp_path):
     path = tmp_path / "control"
-    control = ControlSocket(path, desk)
+    control = ControlSocket(path, console)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     with socket.socket(socket.AF_UNIX) as client:
         client.settimeout(5)
@@ -82,13 +82,13 @@ def test_the_socket_is_private_and_answers(flight, desk, tmp_path):
     control.poll()
     control.close()
     assert not path.exists()
-    assert flight.wishes == ["hold"]
+    assert flight.requests == ["hold"]
 
 
-def test_no_noise_on_the_socket_is_a_wish_or_ends_it(flight, desk, tmp_path):
+def test_noise_on_the_socket_is_no_request_and_does_not_end_it(flight, console, tmp_path):
     """Random bytes, lines without end, kills with guessed numbers, clients that come and go."""
     rng = np.random.default_rng(4)
-    control = ControlSocket(tmp_path / "control", desk)
+    control = ControlSocket(tmp_path / "control", console)
     for k in range(200):
         with socket.socket(socket.AF_UNIX) as client:
             client.connect(str(tmp_path / "control"))
@@ -103,23 +103,27 @@ def test_no_noise_on_the_socket_is_a_wish_or_ends_it(flight, desk, tmp_path):
             control.poll()
         assert client.recv(100) == b"hold it is\n"
     control.close()
-    assert flight.wishes == ["hold"]
+    assert flight.requests == ["hold"]
 
 
-def test_a_socket_that_cannot_be_made_is_named(desk, tmp_path):
+def test_a_socket_that_cannot_be_created_is_named(console, tmp_path):
     with pytest.raises(VehicleError, match=r"control socket .*nowhere"):
-        ControlSocket(tmp_path / "nowhere" / "control", desk)
+        ControlSocket(tmp_path / "nowhere" / "control", console)
 
 
-def test_keys_are_taken_from_a_terminal_and_from_nothing_else(flight, desk):
+def test_keys_are_read_from_a_terminal_only(flight, console):
     master, slave = pty.openpty()
     with os.fdopen(slave, "rb", buffering=0) as terminal:
-        with keys(desk, terminal) as poll:
+        with terminal_keys(console, terminal) as poll:
             os.write(master, b" rq")
-            while len(flight.wishes) < 2:
+            while len(flight.requests) < 2:
                 poll()
         os.close(master)
-    assert flight.wishes == ["hold", "resume"]
-    with keys(desk, None) as poll, open(os.devnull, "rb") as nothing, keys(desk, nothing) as silent:
+    assert flight.requests == ["hold", "resume"]
+    with (
+        terminal_keys(console, None) as poll,
+        open(os.devnull, "rb") as file,
+        terminal_keys(console, file) as silent,
+    ):
         poll()
         silent()

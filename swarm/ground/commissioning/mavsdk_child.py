@@ -25,7 +25,7 @@ from mavsdk.plugins.info import Info
 from mavsdk.plugins.log_files import Entry, LogFiles, LogFilesError, LogFilesResult
 from mavsdk.plugins.telemetry import Telemetry
 
-from swarm.ground.child import die_with_parent
+from swarm.ground.child_process import die_with_parent
 
 DISCOVERY = 10.0
 """Seconds within which every vehicle must be discovered."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from swarm.errors import VehicleError
-from swarm.ground.child import Child, ChildError
+from swarm.ground.child_process import ChildError, ChildProcess
 from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
 
 TRIES = 3
@@ -148,7 +148,7 @@ def _converse(
     is silent before that, and :class:`VehicleError` with its words where it cannot do what it is
     asked.
     """
-    child = Child(_MODULE)
+    child = ChildProcess(_MODULE)
     try:
         child.send(request)
         heard = time.monotonic()
@@ -157,7 +157,7 @@ def _converse(
             if cancelled() and not told:
                 child.send("cancel")
                 told = True
-            for message in child.received(_POLL):
+            for message in child.receive(_POLL):
                 heard = time.monotonic()
                 if message[0] == "done":
                     return

@@ -1,6 +1,6 @@
-"""A child process that speaks pickled messages over a pipe, and ends with its parent.
+"""A child process that exchanges pickled messages over a pipe, and ends with its parent.
 
-For libraries that may crash or hang: whatever they do, it is an exception here and nothing more.
+For libraries that may crash or hang: a crash or a hang becomes an exception in this process.
 """
 
 import ctypes
@@ -14,16 +14,16 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 _SET_PARENT_DEATH_SIGNAL = 1
-_LAST_WORDS = 0.5
-"""Seconds that a child has to end by itself when it is told to."""
+_EXIT_TIMEOUT = 0.5
+"""Seconds within which a child must exit by itself once its pipe is closed."""
 
 
 class ChildError(Exception):
-    """A child process ended, or was silent for too long; the text says how."""
+    """A child process ended or stopped responding; the text is the reason."""
 
 
-class Child:
-    """The process of a module that is run with ``python -m`` and the pipe's descriptor."""
+class ChildProcess:
+    """A module that runs with ``python -m`` and gets the descriptor of its pipe as argument."""
 
     def __init__(self, module: str) -> None:
         ours, theirs = socket.socketpair()
@@ -39,39 +39,44 @@ class Child:
         self._pipe = Connection(ours.detach())
 
     def send(self, message: Any) -> None:
-        """Send a message; a child that is gone shows when it is listened to."""
+        """Send a message; :meth:`receive` reports a child that has ended."""
         with suppress(OSError):
             self._pipe.send(message)
 
-    def received(self, patience: float) -> Iterator[Any]:
-        """Yield the message that comes within so many seconds, or nothing.
+    def receive(self, timeout: float) -> Iterator[Any]:
+        """Yield the next message, if one arrives within ``timeout`` seconds.
 
-        Raises :class:`ChildError` where the process has ended.
+        Raises :class:`ChildError` if the process has ended.
         """
         try:
-            if self._pipe.poll(patience):
+            if self._pipe.poll(timeout):
                 yield self._pipe.recv()
         except (EOFError, OSError):
-            raise ChildError(f"its process ended ({self._how()})") from None
+            raise ChildError(f"its process ended ({self._end()})") from None
 
-    def _how(self) -> str:
+    def _end(self) -> str:
         try:
-            code = self._process.wait(_LAST_WORDS)
+            code = self._process.wait(_EXIT_TIMEOUT)
         except subprocess.TimeoutExpired:
             return "it closed its pipe"
-        return f"signal {-code}" if code < 0 else f"exit code {code}"
+        return exit_reason(code)
 
     def close(self) -> None:
-        """End the process, whatever it does."""
+        """End the process: by closing its pipe, then by force."""
         self._pipe.close()
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(_LAST_WORDS)
+            self._process.wait(_EXIT_TIMEOUT)
         if self._process.poll() is None:
             self._process.kill()
             self._process.wait()
 
 
+def exit_reason(code: int) -> str:
+    """Return a return code of :mod:`subprocess` as text: a signal or an exit code."""
+    return f"signal {-code}" if code < 0 else f"exit code {code}"
+
+
 def die_with_parent() -> None:
-    """End this process when its parent ends, where the system knows how."""
+    """Have this process killed when its parent ends, on systems that support it."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)

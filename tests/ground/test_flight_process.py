@@ -1,4 +1,4 @@
-"""The flight in its own process: callbacks that are slow, signals, a process that dies."""
+"""The flight in its own process: slow callbacks, signals, a process that dies."""
 
 import os
 import signal
@@ -10,7 +10,9 @@ import time
 import pytest
 
 from swarm.errors import InputError, VehicleError
+from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.flight_process import FlightRequest, fly_in_process
+from swarm.ground.fly import FlyOptions
 from swarm.ground.priority import helper_niceness
 from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
@@ -20,42 +22,44 @@ pytestmark = pytest.mark.usefixtures("in_real_time")
 
 
 def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
-    shown, said, asked, nice = [], [], [], set()
+    shown, events, asked, nice = [], [], [], set()
 
     def slow(snapshot):
         shown.append(snapshot)
         nice.add(os.getpriority(os.PRIO_PROCESS, 0))
         end = time.monotonic() + 0.3
-        while time.monotonic() < end:  # busy, as a screen that is drawn is
+        while time.monotonic() < end:  # busy, like drawing
             pass
 
     flight = FlightRequest(
-        FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=5.0, asks=True
+        FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", FlyOptions(speed=5.0), confirm=True
     )
     result = fly_in_process(
         flight,
-        confirm=lambda audit: asked.append(audit) or True,
-        on_snapshot=slow,
-        on_event=said.append,
-        gives_way=True,
+        FlightCallbacks(
+            confirm=lambda audit: asked.append(audit) or True,
+            on_snapshot=slow,
+            on_event=events.append,
+        ),
+        low_priority=True,
     )
     assert result.outcome.word == "done", result.events[-5:]
     assert [audit.systems for audit in asked] == [(1, 2, 3)]
     assert result.statistics.lateness[0] < 0.01
     assert nice == {helper_niceness()}
     assert 0 < len(shown) < len(result.trace.time)
-    assert [event.kind for event in said] == [event.kind for event in result.events]
+    assert [event.kind for event in events] == [event.kind for event in result.events]
 
 
-def test_no_answer_no_flight(tmp_path):
+def test_a_flight_that_is_not_confirmed_is_refused(tmp_path):
     flight = FlightRequest(
-        FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=8.0, asks=True
+        FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", FlyOptions(speed=8.0), confirm=True
     )
-    result = fly_in_process(flight, confirm=lambda _: False)
+    result = fly_in_process(flight, FlightCallbacks(confirm=lambda _: False))
     assert (result.outcome.word, result.outcome.explanation) == ("refused", "not confirmed")
 
 
-def test_errors_come_through_as_they_are(tmp_path):
+def test_errors_are_passed_on_unchanged(tmp_path):
     (tmp_path / "flight.tlog").write_text("")
     with pytest.raises(InputError, match="holds the record of a flight"):
         fly_in_process(FlightRequest(FLIGHT_PLAN, emulated_fleet(3), tmp_path))
@@ -84,7 +88,9 @@ def test_a_process_that_dies_is_a_vehicle_error(tmp_path):
     killer.start()
     with pytest.raises(VehicleError, match=r"the flight's process ended \(signal 9\)"):
         fly_in_process(
-            FlightRequest(FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", speed=4.0)
+            FlightRequest(
+                FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", FlyOptions(speed=4.0)
+            )
         )
     killer.join()
 
@@ -101,8 +107,9 @@ import sys
 from pathlib import Path
 from swarm.mission.fleet import emulated_fleet
 from swarm.ground.flight_process import FlightRequest, fly_in_process
+from swarm.ground.fly import FlyOptions
 from tests.network import small_plan
-flight = FlightRequest(small_plan(), emulated_fleet(3), Path(sys.argv[1]), speed=4.0)
+flight = FlightRequest(small_plan(), emulated_fleet(3), Path(sys.argv[1]), FlyOptions(speed=4.0))
 fly_in_process(flight)
 """
 
