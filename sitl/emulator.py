@@ -17,7 +17,7 @@ import numpy as np
 from sitl.autopilots import services, streams
 from sitl.autopilots.ardupilot.autopilot import ArduPilot
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.cable.rope import Rope
+from sitl.cable.swinging import AnyRope, make_rope
 from sitl.faults.injector import Injector
 from sitl.faults.scenario import Fault
 from sitl.physics import landing, motion, wind
@@ -57,8 +57,10 @@ class Emulator:
         self._key: bytes | None = None
         self._landings = 0
         self.events: list[dict[str, Any]] = []
-        self.rope = (
-            Rope(world.cable, world.floor, np.array(world.wind.steady)) if world.cable else None
+        self.rope: AnyRope | None = (
+            make_rope(world.cable, world.floor, np.array(world.wind.steady))
+            if world.cable
+            else None
         )
         self.contacts = Contacts(self.bodies)
         origin = world.origin

@@ -104,6 +104,10 @@ class CableSpec(_Strict):
     )
     breaking_load: Positive = Field(default=200.0, description="newtons at which it snaps")
     stiffness: Positive = Field(default=1500.0, description="axial stiffness EA, N")
+    model: Literal["static", "swinging"] = Field(
+        default="static",
+        description="static: catenaries without inertia; swinging: a chain of masses with drag",
+    )
     attached: list[NotNegative] | None = Field(
         default=None,
         description="arc lengths tied to the vehicles whose gripper is `attached`, in file order",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sitl.cable.rope import Rope
+from sitl.cable.swinging import AnyRope
 from sitl.faults.link_errors import Channel, UniformNumbers
 from sitl.faults.mapping import INJECTED, UNITS, fault_of_injection, fault_of_parameter
 from sitl.faults.scenario import WORLDWIDE, Fault
@@ -37,7 +37,7 @@ class Injector:
         self,
         vehicles: Sequence[Vehicle],
         bodies: Bodies,
-        rope: Rope | None,
+        rope: AnyRope | None,
         faults: Sequence[Fault],
         rng: np.random.Generator,
     ) -> None:

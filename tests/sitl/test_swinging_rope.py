@@ -1,0 +1,134 @@
+"""The emulator's cable with inertia against statics, oscillations, free fall and the planner's."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sitl.cable.rope import Rope
+from sitl.cable.swinging import SwingingRope
+from sitl.physics.dynamics import STEP
+from sitl.physics.geodesy import GRAVITY
+from sitl.world import CableSpec
+from swarm.geometry.lumped_mass import SwingModel, swing
+
+STILL_AIR = np.zeros(3)
+
+
+def rope(length: float, ties: list[float], floor: float = -100.0, **spec: float) -> SwingingRope:
+    made = SwingingRope(CableSpec(points=[(0, 0, 0), (length, 0, 0)], **spec), floor, STILL_AIR)
+    for vehicle, arc in enumerate(ties):
+        made.attach(vehicle, arc)
+    return made
+
+
+def settle(made: SwingingRope, grips: np.ndarray, seconds: float) -> np.ndarray:
+    """Draw the grip points in smoothly from where they are, wait, and return the last forces."""
+    begin = np.array([made.position_at(arc) for arc, _ in made.grips])
+    for k in range(round(seconds / STEP)):
+        share = min(1.0, k * STEP / (0.3 * seconds))
+        share = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        force = made.forces(begin + share * (grips - begin), np.zeros_like(grips))
+    return force
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(0.8, 3.5), st.floats(-1.5, 1.5), st.floats(1.1, 1.8))
+def test_at_rest_it_hangs_and_pulls_as_the_static_cable(x: float, z: float, ratio: float) -> None:
+    length = ratio * math.hypot(x, z)
+    made = rope(length, [0.0, length], diameter=0.03)  # thick: the air soon takes its oscillation
+    grips = np.array([[0.0, 0.0, 10.0], [x, 0.0, 10.0 + z]])
+    force = settle(made, grips, 30.0)
+    static = Rope(made.spec, -100.0, STILL_AIR)
+    for vehicle, arc in enumerate((0.0, length)):
+        static.attach(vehicle, arc)
+    weight = made.spec.mass_per_length * GRAVITY * length
+    assert force == pytest.approx(static.forces(grips, np.zeros_like(grips)), abs=0.03 * weight)
+    gap = np.abs(made.update(grips, 0.0) - static.update(grips, 0.0)).max()
+    assert gap < 0.02 * length
+
+
+def test_it_swings_as_the_planners_lumped_masses() -> None:
+    # two codes and two time steps: positions of the middle while the ends move to and fro
+    length, model = 4.0, SwingModel(16, 0.0025, 0.5 * 1.2 * 1.1 * 0.006 / 0.012)
+    time = np.arange(0.0, 12.0, STEP)
+    start, step = np.array([[0.0, 0.0, 9.0], [2.5, 0.0, 9.0]]), np.array([0.0, 0.3, 0.0])
+
+    def ends(at: np.ndarray) -> np.ndarray:
+        ramp = np.clip(at / 2.0, 0.0, 1.0)[:, None, None] ** 3
+        return start + ramp * np.sin(2.0 * math.pi * 0.4 * at)[:, None, None] * step
+
+    fine = ends(np.arange(0.0, 12.0, model.step))
+    expected = swing(fine, np.array([length]), model, every=8)[:, 0, 8]
+    made = rope(length, [0.0, length])
+    settle(made, start, 60.0)
+    found = []
+    for grips in ends(time):
+        made.forces(grips, np.zeros_like(grips))
+        found.append(made.position_at(2.0))
+    gap = np.linalg.norm(np.array(found) - expected[: len(time)], axis=1)
+    assert np.ptp(expected[:, 1]) > 0.5, "it swings"
+    assert gap.max() < 0.03
+
+
+def test_free_fall_and_coming_to_rest_on_the_floor() -> None:
+    made = rope(3.0, [0.0, 3.0], floor=0.0)
+    settle(made, np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0]]), 30.0)
+    high = made.update(np.zeros((2, 3)), 0.0)[:, 2].copy()
+    assert made.release(0)
+    assert made.release(1)
+    assert not made.release(1)
+    for _ in range(round(0.4 / STEP)):
+        made.forces(np.zeros((2, 3)), np.zeros((2, 3)))
+    fallen = (high - made.update(np.zeros((2, 3)), 0.0)[:, 2]).mean()
+    assert fallen == pytest.approx(0.5 * GRAVITY * 0.4**2, rel=0.1), "air takes a little"
+    for _ in range(round(5.0 / STEP)):
+        made.forces(np.zeros((2, 3)), np.zeros((2, 3)))
+    shape = made.update(np.zeros((2, 3)), 0.0).copy()
+    assert shape[:, 2] == pytest.approx(0.003, abs=1e-9)
+    for _ in range(50):
+        made.forces(np.zeros((2, 3)), np.zeros((2, 3)))
+    assert np.abs(made.update(np.zeros((2, 3)), 0.0) - shape).max() < 1e-3, "friction holds it"
+
+
+def test_a_taut_cable_stretches_by_its_stiffness_and_breaks_at_its_load() -> None:
+    made = rope(2.0, [0.0, 2.0], stiffness=1500.0, breaking_load=40.0)
+    force = settle(made, np.array([[0.0, 0.0, 9.0], [2.02, 0.0, 9.0]]), 20.0)
+    assert -force[1, 0] == pytest.approx(1500.0 * 0.01, rel=0.02)
+    assert not made.breaks
+    settle(made, np.array([[0.0, 0.0, 9.0], [2.08, 0.0, 9.0]]), 3.0)
+    assert len(made.breaks) == 1
+    assert len(made.solved.tension) == 0
+    assert (
+        np.abs(settle(made, np.array([[0.0, 0.0, 9.0], [2.08, 0.0, 9.0]]), 20.0)[:, 0]).max() < 0.1
+    )
+
+
+def test_a_gripper_catches_what_is_in_reach_and_slides() -> None:
+    made = rope(6.0, [0.0], floor=0.0)
+    assert made.grab(1, np.array([3.03, 0.0, 0.5])) is None
+    assert made.grab(1, np.array([3.03, 0.1, 0.05])) == pytest.approx(3.03)
+    assert made.position_at(3.03) == pytest.approx([3.03, 0.0, 0.003], abs=1e-6), "no jump"
+    for _ in range(100):
+        made.forces(np.array([[0.0, 0.0, 0.0], [3.03, 0.1, 0.05]]), np.zeros((2, 3)))
+    assert made.position_at(3.03) == pytest.approx([3.03, 0.1, 0.05], abs=1e-3)
+    made.slide(1, 0.4)
+    assert made.grips[1] == (pytest.approx(3.43), 1)
+    made.slide(1, 9.0)
+    assert made.grips[1][0] < 6.0
+    assert min(abs(made.nearest_free(3.0) - arc) for arc, _ in made.grips) >= 0.1 - 1e-9
+
+
+def test_wash_presses_down_all_but_the_holders_own_spans() -> None:
+    made = rope(8.0, [0.0, 4.0, 8.0])
+    grips = np.array([[0.0, 0.0, 9.0], [3.0, 0.0, 9.0], [6.0, 0.0, 9.0]])
+    before = settle(made, grips, 60.0)
+    speed = np.zeros((len(made.arc), 3))
+    speed[:, 0] = 8.0
+    made.set_wash(speed)
+    for _ in range(round(40.0 / STEP)):
+        after = made.forces(grips, np.zeros_like(grips))
+    assert after[2, 2] < 1.1 * before[2, 2]
+    assert after[0] == pytest.approx(before[0], abs=0.02)
