@@ -16,6 +16,8 @@ import click
 from sitl.__main__ import argument_parser
 from sitl.faults.scenario import KINDS
 from swarm.cli.main import COMMANDS, cli
+from swarm.flight import policy
+from swarm.flight.stages import mermaid
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "reference"
@@ -31,9 +33,30 @@ _TITLES = {
 """Kind of file → title of its page, and what reads it."""
 
 
+_POLICY = """\
+Every failure that is detected in flight, and the team's response: while the plan is executed, and in
+the contingency in which the team has left it. The last four columns say how the team comes down
+where it has come to rest, by what the plan allows there: landing together, releasing the cable, both,
+neither. `swarm failures --table` prints the same table.
+"""
+_STAGES = """\
+No other transition is possible: the program raises an error. `swarm failures --diagram` prints the
+same diagram.
+"""
+
+
 def pages() -> dict[str, str]:
     """Return the text of every generated page by its file name in docs/reference."""
-    return {"commands.md": _commands()} | {f"{kind}.md": _schema(kind) for kind in _TITLES}
+    texts = {"commands.md": _commands(), "failures.md": _failures()}
+    return texts | {f"{kind}.md": _schema(kind) for kind in _TITLES}
+
+
+def _failures() -> str:
+    heading, *rows = policy.rows()
+    found = [_GENERATED, "# Failures and responses\n", _POLICY]
+    found += _table(heading, rows)
+    found += ["## Stages of a flight\n", _STAGES, "```mermaid", mermaid(), "```", ""]
+    return "\n".join(found)
 
 
 def _commands() -> str:

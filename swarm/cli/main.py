@@ -28,6 +28,7 @@ COMMANDS = {
     "certify": ("certify", "Check anybody's trajectories in the cable model."),
     "verify": ("verify", "Tell from a flight's record what was flown."),
     "view": ("view", "Open a record, a plan or a mission in the Rerun viewer."),
+    "failures": ("responses", "Print the team's response to every failure."),
     "knots": ("knots", "List the knots, or show one."),
     "identify": ("knots", "Name the knot of a curve in space."),
     "init": ("files", "Write a commented mission file for a knot."),

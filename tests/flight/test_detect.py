@@ -1,0 +1,167 @@
+"""Detectors by themselves: an observation and the commanded state in, failures out."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from swarm.flight.clone import branch
+from swarm.flight.detect.health import HealthDetector
+from swarm.flight.detect.latch import Latch
+from swarm.flight.detect.links import LinkDetector
+from swarm.flight.detect.motion import MotionDetector
+from swarm.flight.detect.reports import ReportDetector
+from swarm.flight.detect.standstill import HoldTimeoutDetector, StandstillDetector
+from swarm.flight.detect.tracking import TrackingDetector
+from swarm.flight.estimation import Measured
+from swarm.flight.failures import OPERATOR, Failure, FailureKind, Recovery
+from swarm.flight.jit_warm_up import lasting
+from swarm.flight.modes import execute
+from swarm.flight.observation import Expected, Observation
+from swarm.flight.stages import Stage
+from swarm.mavlink.telemetry_table import WIDTH
+from swarm.mavlink.vehicle_state import VehicleEvent
+from swarm.mission.fleet import emulated_fleet
+from tests.network import Network, small_plan
+
+PLACES = np.array([[0.0, 0.0, 5.0], [3.0, 0.0, 5.0], [6.0, 0.0, 5.0]])
+LIMITS = emulated_fleet(3).limits
+
+
+def seen(now=10.0, at=None, position=PLACES, velocity=None, **fields) -> Observation:
+    """Three vehicles that hover in good health at 5 m, 3 m apart."""
+    places = np.zeros((3, 3, 3))
+    places[0] = places[2] = position
+    places[1] = 0.0 if velocity is None else velocity
+    numbers = np.array([np.full(3, now if at is None else at), np.zeros(3)])
+    table = np.zeros((3, WIDTH))
+    table[:, 0] = now
+    values = {
+        "heard_at": np.full(3, now), "position_at": np.full(3, now), "mode_at": np.full(3, now),
+        "attitude": np.zeros((3, 3)), "battery": np.full(3, 0.9), "located": np.full(3, True),
+        "fix": np.full(3, 3), "height_gap": np.zeros(3), "height_accuracy": np.full(3, 0.1),
+        "gripped": np.full(3, True),
+    }  # fmt: skip
+    return Observation(
+        now, ("vehicle 1", "vehicle 2", "vehicle 3"), table, np.arange(3),
+        Measured(places, numbers), **(values | fields),
+    )  # fmt: skip
+
+
+def expected(**fields) -> Expected:
+    values = {
+        "setpoint": PLACES, "velocity": np.zeros((3, 3)), "streaming": np.full(3, True),
+        "armed": np.full(3, True), "may_land": np.full(3, False), "fallen": frozenset(),
+        "rejoining": frozenset(), "start_height": np.zeros(3), "cable": "aloft",
+        "descending": False, "waiting": False, "holds": {}, "rate": 1.0, "rewinding": False,
+        "allowed_error": 0.1, "monitored": None,
+    }  # fmt: skip
+    return Expected(**(values | fields))
+
+
+def kinds(found) -> list[FailureKind]:
+    return [one.kind for one in found if isinstance(one, Failure)]
+
+
+def test_a_calm_team_shows_no_failure():
+    detectors = (
+        LinkDetector(LIMITS, Latch()), MotionDetector(3, Latch()), HealthDetector(Latch(), gps=True),
+        TrackingDetector(1.0, 1.0), HoldTimeoutDetector(10.0), StandstillDetector(enabled=True),
+    )  # fmt: skip
+    for now in (10.0, 10.1, 10.2):
+        for detector in detectors:
+            assert detector.detect(seen(now), expected()) == []
+
+
+def test_a_vehicle_is_silent_once_and_is_received_again_with_its_mode():
+    links = LinkDetector(LIMITS, Latch())
+    silent = np.array([10.0, 10.0 - LIMITS.silence - 0.1, 10.0])
+    assert kinds(links.detect(seen(heard_at=silent), expected())) == [FailureKind.SILENT]
+    assert links.detect(seen(heard_at=silent), expected()) == []
+    unknown = seen(mode_at=np.array([10.0, 5.0, 10.0]))
+    assert links.detect(unknown, expected()) == []
+    (recovery,) = links.detect(seen(), expected())
+    assert isinstance(recovery, Recovery)
+    assert FailureKind.SILENT in recovery.kinds
+    assert recovery.vehicle == 1
+
+
+def test_a_jump_is_measured_and_its_report_does_not_count_twice():
+    motion = MotionDetector(3, Latch())
+    motion.detect(seen(10.0), expected())
+    jumped = PLACES + np.array([[0, 0, 0], [0, 2.0, 0], [0, 0, 0]])
+    (failure,) = motion.detect(seen(10.1, position=jumped), expected())
+    assert failure.kind is FailureKind.POSITION_JUMPED
+    assert failure.vehicle == 1
+    assert failure.jump == pytest.approx([0.0, 2.0, 0.0])
+    # the frame follows the jump: the next report is where the one before was
+    assert motion.detect(seen(10.2), expected()) == []
+
+
+def test_the_neighbour_that_a_silent_vehicle_pulls_down_has_not_fallen():
+    motion = MotionDetector(3, Latch())
+    motion.detect(seen(10.0), expected())
+    down = np.array([[0.0, 0.0, -2.0], [0, 0, 0], [0, 0, 0]])
+    heard = np.array([10.1, 9.0, 10.1])
+    (failure,) = motion.detect(seen(10.1, velocity=down, heard_at=heard), expected())
+    assert (failure.kind, failure.vehicle) == (FailureKind.FALLEN_SILENT, 1)
+
+
+def test_large_errors_and_short_distances_land_a_flight_that_measures_errors():
+    tracking = TrackingDetector(0.5, 1.0)
+    off = seen()
+    off.measured.error[:] = 0.1, 0.6, 0.2
+    (failure,) = tracking.detect(off, expected())
+    assert (failure.kind, failure.vehicle) == (FailureKind.TRACKING_ERROR, 1)
+    near = PLACES.copy()
+    near[2] = near[1] + [0.8, 0.0, 3.0]
+    (failure,) = tracking.detect(seen(position=near), expected())
+    assert failure.kind is FailureKind.TRACKING_ERROR
+    assert "vehicle 2 and vehicle 3 are 0.80 m apart" in failure.message
+    assert tracking.detect(off, expected(may_land=np.full(3, True))) == []
+
+
+@pytest.mark.parametrize(
+    ("mode", "kind"),
+    [
+        ("return", FailureKind.RETURNING),
+        ("smart return", FailureKind.RETURNING),
+        ("land", FailureKind.LANDING_ALONE),
+        ("hold", FailureKind.LEFT_OFFBOARD),
+    ],
+)
+def test_a_vehicle_that_leaves_offboard_mode_fails_by_the_mode_it_takes(mode, kind):
+    vehicle = SimpleNamespace(
+        mode=mode, in_manual_mode=False, in_mode=lambda _: False, recent_warnings=lambda _: ""
+    )
+    event = VehicleEvent("mode", f"mode {mode}")
+    detector = ReportDetector(Latch())
+    assert kinds(detector.detect(seen(), expected(), 1, vehicle, event, 10.0)) == [kind]
+    rejoining = expected(rejoining=frozenset({1}))
+    assert detector.detect(seen(), rejoining, 1, vehicle, event, 10.0) == []
+
+
+def test_a_hold_ends_after_t_and_a_recovered_hold_begins_anew():
+    timeout, held = HoldTimeoutDetector(10.0), expected(holds={OPERATOR: "words"})
+    assert timeout.detect(seen(0.0), held) == []
+    assert timeout.detect(seen(9.9), held) == []
+    assert timeout.detect(seen(9.95), expected()) == []
+    assert timeout.detect(seen(10.0), held) == []
+    assert timeout.detect(seen(20.0), held) == []
+    (failure,) = timeout.detect(seen(20.1), held)
+    assert failure.kind is FailureKind.HOLD_TIMEOUT
+
+
+def test_a_gate_that_is_not_passed_in_time_lands_the_team():
+    flight = Network(small_plan())
+    flight.until_phase("fold", 0.0)
+    state = branch(flight.conductor, lasting(flight.conductor)).state
+    gates = state.setup.gates
+    index = next(k for k, gate in enumerate(gates) if gate.condition == "released")
+    late = state.now - gates[index].timeout - 1.0
+    state.progress = replace(state.progress, gate=index, waiting=True, gate_since=late)
+    execute.tick(state)
+    assert state.stage is Stage.CONTINGENCY
+    (words,) = (e.message for e in state.recorder.take_events() if e.kind == "failure")
+    assert words.startswith(f"{FailureKind.GATE_TIMEOUT}: not all are released in ")

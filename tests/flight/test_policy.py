@@ -1,0 +1,192 @@
+"""The policy, cell by cell: each failure in each stage, under each combination of open windows.
+
+The cells come from the table itself, so a cell without a test is an error of the build: a kind of
+failure without a row, a response or an end without a check fails here.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarm.certification.contingency_windows import ContingencyWindows
+from swarm.flight.clone import branch
+from swarm.flight.failures import Failure, FailureKind, HoldCause
+from swarm.flight.jit_warm_up import lasting
+from swarm.flight.modes import contingency
+from swarm.flight.policy import (
+    ENDS,
+    LOSES_A_VEHICLE,
+    TABLE,
+    Cell,
+    End,
+    Response,
+    Windows,
+    cells,
+    response_to,
+    rows,
+)
+from swarm.flight.responding import respond
+from swarm.flight.stages import Stage, Step
+from swarm.flight.state import FlightState, Timing
+from tests.network import Network, small_plan
+
+PLAN = small_plan(vehicles=5)
+VICTIM, NEIGHBOURS, FAR = 1, {0, 2}, {3, 4}
+WORDS = "for the test"
+GOLDENS = Path(__file__).parents[1] / "golden" / "failures"
+
+
+@pytest.fixture(scope="module")
+def folding():
+    """A team in its fold whose clock is at rest."""
+    flight = Network(PLAN)
+    flight.until_phase("fold", 3.0)
+    flight.conductor.request("hold")
+    flight.run(lambda: flight.conductor.clock.stopped, most=10.0)
+    flight.conductor.request("resume")
+    return flight.conductor
+
+
+def standing(conductor, windows: Windows, stage: Stage) -> FlightState:
+    """A copy of the team in a stage, where the plan opens these windows all the time."""
+    flight = branch(conductor, lasting(conductor)).state
+    time = np.arange(0.0, PLAN.plan.duration, 0.25)
+    land = np.full(len(time), windows in {Windows.BOTH, Windows.LAND})
+    release = np.full(len(time), windows in {Windows.BOTH, Windows.RELEASE})
+    flight.setup = replace(flight.setup, windows=ContingencyWindows(time, land, release))
+    if stage is Stage.CONTINGENCY:
+        contingency.leave_the_plan(flight, Response.LAND_HERE, WORDS)
+    flight.recorder.take_events()
+    return flight
+
+
+def come_to_rest(flight: FlightState) -> None:
+    """Let a contingency bring the clock to rest, and begin what it does there."""
+    for _ in range(400):
+        if flight.contingency is None or flight.contingency.step is not Step.APPROACH:
+            return
+        now = flight.now + 0.05
+        flight.timing = Timing(now, flight.now, flight.timing.moving + 0.05)
+        contingency.tick(flight)
+    raise AssertionError("the clock does not come to rest")
+
+
+def opened(flight: FlightState) -> set[int]:
+    """The vehicles whose grippers are commanded to open."""
+    vehicles = flight.roster.vehicles
+    return {k for k, vehicle in enumerate(vehicles) if vehicle.commands.contains("release")}
+
+
+def goes_on(flight: FlightState, cell: Cell) -> None:
+    assert flight.stage is cell.stage
+    assert not flight.holds.causes
+    assert not opened(flight)
+    if flight.contingency is not None:
+        assert flight.contingency.response is Response.LAND_HERE
+        assert not flight.streams.fallen
+
+
+def holds(flight: FlightState, cell: Cell) -> None:
+    system = flight.roster.systems[VICTIM]
+    assert flight.stage is Stage.EXECUTE
+    assert flight.holds.causes == {HoldCause(cell.failure, system): WORDS}
+
+
+def lands(flight: FlightState, cell: Cell) -> None:
+    assert flight.contingency.step is Step.DESCEND
+    assert flight.guidance.descending
+    assert not opened(flight)
+    assert flight.contingency.cornered == (cell.windows is Windows.NEITHER)
+
+
+def releases(flight: FlightState, _cell: Cell) -> None:
+    assert flight.contingency.step is Step.RELEASE
+    assert opened(flight) == {VICTIM, *NEIGHBOURS, *FAR}
+
+
+def releases_fallen(flight: FlightState, cell: Cell) -> None:
+    releases(flight, cell)
+    assert flight.streams.fallen == {VICTIM}
+    assert not flight.streams.active[VICTIM]
+    (words,) = (e.message for e in flight.recorder.take_events() if e.kind == "release")
+    assert words.endswith("vehicles 2, 1, 3, 4, 5")
+
+
+def releases_beside(flight: FlightState, _cell: Cell) -> None:
+    assert flight.contingency.step is Step.RELEASE
+    assert opened(flight) == {VICTIM, *NEIGHBOURS}
+    assert flight.streams.fallen == {VICTIM}
+
+
+CHECKS: dict[End, Callable[[FlightState, Cell], None]] = {
+    End.GO_ON: goes_on,
+    End.HOLD: holds,
+    End.LAND: lands,
+    End.RELEASE: releases,
+    End.RELEASE_FALLEN: releases_fallen,
+    End.RELEASE_BESIDE: releases_beside,
+}
+
+
+@pytest.mark.parametrize("kind", FailureKind)
+def test_the_team_responds_as_every_cell_of_the_table_says(folding, kind):
+    mine = [cell for cell in cells() if cell.failure is kind]
+    assert {(cell.stage, cell.windows) for cell in mine} == {
+        (stage, windows) for stage in (Stage.EXECUTE, Stage.CONTINGENCY) for windows in Windows
+    }
+    for cell in mine:
+        flight = standing(folding, cell.windows, cell.stage)
+        begun = flight.contingency
+        respond(flight, Failure(kind, WORDS, VICTIM))
+        assert (flight.ending.failure == WORDS) == TABLE[kind].irreversible, cell
+        assert bool(flight.streams.active[VICTIM]) == (
+            not TABLE[kind].ends_stream and cell.response is not Response.RELEASE_FALLEN
+        ), cell
+        if cell.end not in {End.GO_ON, End.HOLD} and flight.contingency is not begun:
+            come_to_rest(flight)
+        if cell.stage is Stage.CONTINGENCY and cell.end is End.LAND:
+            # the contingency that was begun before goes on
+            assert flight.contingency is begun, cell
+            continue
+        CHECKS[cell.end](flight, cell)
+
+
+def test_the_table_is_complete():
+    assert set(TABLE) == set(FailureKind)
+    assert set(ENDS) == set(Response)
+    assert all(set(ends) == set(Windows) for ends in ENDS.values())
+    assert set(CHECKS) == set(End)
+    assert len(list(cells())) == len(FailureKind) * 2 * len(Windows)
+    assert len(rows()) == 1 + 2 * len(FailureKind)
+
+
+def test_before_the_flight_every_failure_is_only_reported():
+    for stage in (Stage.PREPARE, Stage.READY, Stage.RESUME, Stage.FINISHED):
+        assert {response_to(kind, stage) for kind in FailureKind} == {Response.REPORT}
+
+
+def test_no_response_returns_to_launch_and_a_fall_is_irreversible():
+    words = " ".join([*Response, *End])
+    assert not re.search(r"return|launch|home", words)
+    assert all(TABLE[kind].irreversible for kind in LOSES_A_VEHICLE)
+
+
+ELSEWHERE = {
+    FailureKind.RETURNING: "test_detect.py",
+    FailureKind.TRACKING_ERROR: "test_detect.py",
+    FailureKind.GATE_TIMEOUT: "test_detect.py",
+}
+"""Failures that no transcript shows, and the files whose tests detect them."""
+
+
+@pytest.mark.parametrize("kind", FailureKind)
+def test_every_failure_is_detected_in_a_test(kind):
+    shown = any(f"failure: {kind}: " in path.read_text() for path in GOLDENS.iterdir())
+    if kind not in ELSEWHERE:
+        assert shown
+    else:
+        assert f"FailureKind.{kind.name}" in (Path(__file__).parent / ELSEWHERE[kind]).read_text()
