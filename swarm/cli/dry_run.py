@@ -1,4 +1,4 @@
-"""``swarm dry-run``: the same conductor and packets against the emulator, in virtual time."""
+"""``swarm dry-run``: simulated flights of a mission, in virtual time."""
 
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -8,8 +8,8 @@ import click
 from rich.console import Console
 
 from swarm import planner
-from swarm.cli.inputs import JSON, MISSION, SET, print_json, progress_bar
-from swarm.errors import InputError
+from swarm.cli.inputs import JSON, MISSION, SET, print_json, refuse_option_conflicts
+from swarm.cli.planning import plan_mission
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.front.files import load_mission
@@ -27,56 +27,56 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @MISSION
 @SET
 @JSON
-@click.option("--seed", default=1, show_default=True, help="Seed of everything that is random.")
-@click.option("--no-cable", is_flag=True, help="Fly with nothing attached, grips simulated.")
-@click.option("--report", type=FILE, help="Write a page (HTML, needs no network) about it.")
-@click.option("--plot", type=FILE, help="Draw distances, errors and the clock (PNG).")
-@click.option("--recording", type=FILE, help="Keep it for Rerun (.rrd): swarm view FILE.")
+@click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
+@click.option("--no-cable", is_flag=True, help="Fly without cable; simulate the grips.")
+@click.option("--report", type=FILE, help="Write a report (one HTML file).")
+@click.option("--plot", type=FILE, help="Plot distances, tracking errors and mission clock (PNG).")
+@click.option("--recording", type=FILE, help="Write a Rerun recording (.rrd) for swarm view FILE.")
 @click.option(
-    "--trials", type=click.IntRange(1, 100_000), help="Fly so many, each with other conditions."
+    "--trials",
+    type=click.IntRange(1, 100_000),
+    help="Fly this many trials, each under other conditions.",
 )
 @click.option(
     "--scenario",
     type=FILE,
-    help="With --trials or --trial: what is drawn and which faults happen (YAML).",
+    help="With --trials or --trial: distributions of the conditions, and faults (YAML).",
 )
-@click.option("--trial", type=click.IntRange(0), help="Fly this one of the trials again, alone.")
+@click.option("--trial", type=click.IntRange(0), help="Repeat one trial, by its number.")
+@click.option("--failures", is_flag=True, help="Run failure tests: one injected fault per flight.")
 @click.option(
-    "--failures", is_flag=True, help="Let everything go wrong that can, and judge what follows."
-)
-@click.option(
-    "--times", type=click.IntRange(1, 1000), help="With --failures: random times of each [2]."
+    "--times", type=click.IntRange(1, 1000), help="With --failures: random times per fault [2]."
 )
 @click.option(
     "--team",
     multiple=True,
     type=click.Choice(["px4", "ardupilot", "mixed"]),
-    help="With --failures: only this kind of team; may be given many times.",
+    help="With --failures: autopilots of the team; can be repeated.",
 )
-@click.option("--row", multiple=True, help="With --failures: only what has this in its name.")
-@click.option("--jobs", type=click.IntRange(1, 1024), help="Trials at a time; all cores if absent.")
+@click.option("--row", multiple=True, help="With --failures: only cases whose name contains this.")
+@click.option("--jobs", type=click.IntRange(1, 1024), help="Parallel processes [one per core].")
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Fly trials on this Dask cluster.")
 @click.option(
     "--results",
     type=FILE,
-    help="With --trials: one row per trial (Parquet). With --failures: a line for each that is "
-    "flown, at once (JSON); what it holds already is not flown again.",
+    help="With --trials: write one row per trial (Parquet). With --failures: append each result "
+    "(JSON lines); results that the file holds are not flown again.",
 )
 @click.option(
-    "--compare", is_flag=True, help="With --trials or --rope: the paper's trajectory beside it."
+    "--compare", is_flag=True, help="With --trials or --rope: also fly the paper's trajectory."
 )
 @click.option(
-    "--rope", is_flag=True, help="Move a rope of hundreds of links with contact instead (MuJoCo)."
+    "--rope", is_flag=True, help="Simulate a rope of hundreds of links with contact (MuJoCo)."
 )
-@click.option("--links", type=click.IntRange(20, 5000), help="With --rope: how many links.")
+@click.option("--links", type=click.IntRange(20, 5000), help="With --rope: number of links.")
 @click.option(
-    "--no-contact", is_flag=True, help="With --rope: let strands pass through; shows nothing."
+    "--no-contact", is_flag=True, help="With --rope: no contact; strands pass through each other."
 )
 @click.option(
     "--flown",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="RECORD",
-    help="With --rope: move it as this flight's record says, not as planned.",
+    help="With --rope: use the reported motion of this flight record instead of the plan.",
 )
 @click.pass_context
 def dry_run(
@@ -85,75 +85,54 @@ def dry_run(
     mission: str,
     overrides: tuple[str, ...],
     as_json: bool,
-    seed: int,
     **options: Any,
 ) -> None:
-    """Fly MISSION (a file or a knot's name) against the emulator in virtual time, and report.
+    """Simulate a flight of MISSION (a file or the name of a knot) in virtual time.
 
-    The same seed gives the same flight. With --trials many are flown, each with its own wind,
-    delays, losses, tracking, grip and length errors, and now and then a failing vehicle. With
-    --failures everything that can go wrong does, one at a time, with all kinds of vehicles. With
-    --rope the planned motion moves a rope with self-contact, whose knot is then identified.
+    The flight software flies the built-in emulator; the same seed gives the same flight. --trials
+    flies many flights, each with its own wind, delays, packet loss, tracking, grip and length
+    errors, and sometimes a failing vehicle. --failures injects every known fault, one at a time,
+    with PX4, ArduPilot and mixed teams. --rope moves a rope with self-contact along the planned
+    motion and identifies its knot.
 
-    Exit code 0 when it went as planned and implies the knot, 1 when the plan is refused, another
-    knot came out or a trial fell short, 3 when a vehicle failed.
+    Exit code 0 if the flight is completed and implies the planned knot; 1 if the plan is refused,
+    the knot is another one or a trial failed; 3 if a vehicle failed.
+
+    Example: swarm dry-run missions/overhand.yaml --trials 100 --report trials.html
     """
-    _refuse_strays(options)
+    refuse_option_conflicts(options, _REQUIRES, _EXCLUDES)
     loaded = load_mission(mission, overrides)
-    console = Console(quiet=as_json)
-    with progress_bar(Console(stderr=True)) as progress, _workers(options):
-        planned = planner.plan(loaded, progress)
+    with _workers(options):
+        planned = plan_mission(loaded)
     if options["rope"]:
-        from swarm.cli.rope import run_rope  # noqa: PLC0415 - needs an optional extra
+        from swarm.cli.rope import RopeOptions, run_rope  # noqa: PLC0415 - needs an optional extra
 
-        chosen = _chosen(options, "links", "no_contact", "flown", "plot", "report", "compare")
-        run_rope(context, loaded, planned, as_json=as_json, **chosen)
+        run_rope(context, planned, RopeOptions(**_of(RopeOptions, options)), as_json=as_json)
         return
+    console = Console(quiet=as_json)
     plan_summary(planned.plan, planned.assessment, console)
     if options["failures"]:
-        from swarm.cli.failures import run_failures  # noqa: PLC0415 - slow to import
+        from swarm.cli.failures import FailureOptions, run_failures  # noqa: PLC0415 - slow to import
 
-        chosen = _chosen(options, "times", "team", "row", "jobs", "report", "results")
-        run_failures(context, planned, seed=seed, as_json=as_json, **chosen)
-        return
-    if options["trials"] is not None:
-        from swarm.cli.trials import run_trials  # noqa: PLC0415 - slow to import
+        failures = FailureOptions(**_of(FailureOptions, options))
+        run_failures(context, planned, failures, as_json=as_json)
+    elif options["trials"] is not None:
+        from swarm.cli.trials import TrialOptions, run_trials  # noqa: PLC0415 - slow to import
 
-        chosen = _chosen(
-            options,
-            "trials", "scenario", "jobs", "scheduler", "results", "plot", "report", "compare",
-        )  # fmt: skip
-        run_trials(context, loaded, planned, seed=seed, as_json=as_json, **chosen)
-        return
-    with FlightScreen(planned.plan, console) as screen:
-        result = _fly(planned, screen, seed, options)
-    flown = verify_trace(planned.plan, result.trace)
-    outcome = outcome_object(result, flown, planned.assessment)
-    if options["plot"]:
-        from swarm.reports.plots import plot_flight  # noqa: PLC0415 - slow to import
-
-        plot_flight(planned.plan, result.trace, options["plot"])
-    if options["recording"]:
-        from swarm.view.replay import write_flight  # noqa: PLC0415 - slow to import
-
-        write_flight(planned.plan, result.trace, result.events, options["recording"])
-    if options["report"]:
-        from swarm.reports.flight_report import flight_report  # noqa: PLC0415 - slow to import
-
-        page = flight_report(planned.plan, planned.assessment, outcome, result.trace, result.events)
-        write_text(options["report"], page)
-    if as_json:
-        print_json(outcome)
+        run_trials(context, planned, TrialOptions(**_of(TrialOptions, options)), as_json=as_json)
     else:
-        print_outcome(planned.plan, result, flown, planned.assessment, console)
-    error = result.error()
-    if error is not None:
-        raise error
-    context.exit(0 if flown.as_planned else 1)
+        with FlightScreen(planned.plan, console) as screen:
+            result = _fly(planned, screen, options)
+        _end(context, planned, result, options, as_json=as_json)
+
+
+def _of(kind: Any, options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that are fields of a dataclass."""
+    return {name: options[name] for name in kind.__dataclass_fields__}
 
 
 def _workers(options: dict[str, Any]) -> AbstractContextManager[None]:
-    """While a plan is made that many trials will fly, have the processes start that fly them."""
+    """Start the processes that fly the trials while the plan is computed."""
     if options["trials"] is None or options["scheduler"] is not None:
         return nullcontext()
     from swarm.simulation.monte_carlo import workers_starting  # noqa: PLC0415 - slow to import
@@ -161,38 +140,69 @@ def _workers(options: dict[str, Any]) -> AbstractContextManager[None]:
     return workers_starting(options["jobs"])
 
 
-def _chosen(options: dict[str, Any], *names: str) -> dict[str, Any]:
-    return {name: options[name] for name in names}
-
-
 def _fly(
-    planned: planner.PlanningResult, screen: FlightScreen, seed: int, options: dict[str, Any]
+    planned: planner.PlanningResult, screen: FlightScreen, options: dict[str, Any]
 ) -> FlightResult:
-    """One flight: as the plan expects the world, or under the conditions of one trial."""
+    """Return one flight, under nominal conditions or under those of one trial."""
     flight_plan = planned.certified()
     callbacks = Callbacks(on_snapshot=screen.show, on_event=screen.event)
     if options["trial"] is None:
         return simulate_flight(
             flight_plan,
-            seed=seed,
+            seed=options["seed"],
             options=FlightOptions(no_cable=options["no_cable"]),
             callbacks=callbacks,
         )
-    from swarm.cli.trials import load_scenario  # noqa: PLC0415 - slow to import
+    from swarm.front.trials import load_scenario  # noqa: PLC0415 - slow to import
     from swarm.simulation.monte_carlo import fly_trial  # noqa: PLC0415 - slow to import
 
     spread, faults = load_scenario(options["scenario"])
     return fly_trial(
         flight_plan,
         spread,
-        seed,
+        options["seed"],
         options["trial"],
         faults=faults,
         callbacks=callbacks,
     )[1]
 
 
-_NEEDS = {
+def _end(
+    context: click.Context,
+    planned: planner.PlanningResult,
+    result: FlightResult,
+    options: dict[str, Any],
+    *,
+    as_json: bool,
+) -> None:
+    """Write the files of a flight, print its outcome, and exit with its code."""
+    plan, assessment = planned.plan, planned.assessment
+    verification = verify_trace(plan, result.trace)
+    outcome = outcome_object(result, verification, assessment)
+    if options["plot"]:
+        from swarm.reports.plots import plot_flight  # noqa: PLC0415 - slow to import
+
+        plot_flight(plan, result.trace, options["plot"])
+    if options["recording"]:
+        from swarm.view.replay import write_flight  # noqa: PLC0415 - slow to import
+
+        write_flight(plan, result.trace, result.events, options["recording"])
+    if options["report"]:
+        from swarm.reports.flight_report import flight_report  # noqa: PLC0415 - slow to import
+
+        page = flight_report(plan, assessment, outcome, result.trace, result.events)
+        write_text(options["report"], page)
+    if as_json:
+        print_json(outcome)
+    else:
+        print_outcome(plan, result, verification, assessment, Console())
+    error = result.error()
+    if error is not None:
+        raise error
+    context.exit(0 if verification.as_planned else 1)
+
+
+_REQUIRES = {
     "scenario": ("trials", "trial"),
     "jobs": ("trials", "failures"),
     "times": ("failures",),
@@ -205,31 +215,12 @@ _NEEDS = {
     "no_contact": ("rope",),
     "flown": ("rope",),
 }
-_APART = (
+"""Option → options of which it requires one."""
+_EXCLUDES = (
     ("trials", "trial"), ("trials", "rope"), ("trial", "rope"), ("jobs", "scheduler"),
     ("no_cable", "trials"), ("no_cable", "trial"), ("no_cable", "rope"),
     ("failures", "trials"), ("failures", "trial"), ("failures", "rope"), ("failures", "plot"),
     ("failures", "no_cable"), ("recording", "failures"),
     ("recording", "trials"), ("recording", "rope"), ("compare", "flown"),
 )  # fmt: skip
-
-
-def _refuse_strays(options: dict[str, Any]) -> None:
-    """Refuse options that would do nothing, or that contradict each other."""
-    given = {name for name, value in options.items() if value not in (None, False, ())}
-    stray = [
-        f"{_option(name)} needs {' or '.join(map(_option, needed))}"
-        for name, needed in _NEEDS.items()
-        if name in given and not given & set(needed)
-    ]
-    stray += [
-        f"{_option(one)} and {_option(other)} do not go together"
-        for one, other in _APART
-        if {one, other} <= given
-    ]
-    if stray:
-        raise InputError("\n".join(stray))
-
-
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
+"""Pairs of options that exclude each other."""

@@ -1,7 +1,7 @@
 """Parts that all commands share: common options, the progress line, JSON output."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +9,8 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
+
+from swarm.errors import InputError
 
 MISSION = click.argument("mission", metavar="MISSION")
 SET = click.option(
@@ -60,3 +62,28 @@ def progress_bar(console: Console, first: str = "planning") -> Iterator[Progress
 def print_json(value: Any) -> None:
     """Print one JSON object; raises ValueError for numbers that are not finite."""
     click.echo(json.dumps(value, indent=2, allow_nan=False))
+
+
+def refuse_option_conflicts(
+    options: Mapping[str, Any],
+    requires: Mapping[str, Sequence[str]],
+    excludes: Sequence[tuple[str, str]],
+) -> None:
+    """Raise :class:`InputError` for options without a required one, and for pairs that exclude."""
+    given = {name for name, value in options.items() if value not in (None, False, ())}
+    problems = [
+        f"{_option(name)} needs {' or '.join(map(_option, required))}"
+        for name, required in requires.items()
+        if name in given and not given & set(required)
+    ]
+    problems += [
+        f"{_option(one)} and {_option(other)} do not go together"
+        for one, other in excludes
+        if {one, other} <= given
+    ]
+    if problems:
+        raise InputError("\n".join(problems))
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")

@@ -1,227 +1,117 @@
-"""What ``swarm dry-run --trials`` does: fly many, keep what is done, tell what they say."""
+"""``swarm dry-run --trials``: many simulated flights under varied conditions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from swarm import planner
-from swarm.cli.inputs import print_json, progress_bar
+from swarm.cli.inputs import print_json
+from swarm.cli.planning import plan_paper_trajectory
 from swarm.errors import Interrupted
-from swarm.files import read_text, write_text
+from swarm.files import write_text
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
-from swarm.mission import Mission
-from swarm.mission.validation import LARGEST_FILE
-from swarm.planning import Plan
-from swarm.reports.trial_plots import KINDS, NAMES, trial_distances, trials_figure
-from swarm.simulation.loop import Fault
-from swarm.simulation.monte_carlo import (
-    CLEARANCES,
-    CertifiedClearances,
-    Spread,
-    Trial,
-    certify_clearances,
-    fly_trials,
-    process_count,
-    read_scenario,
-    summary,
-)
+from swarm.front.trials import Trials, TrialSeries, fly_series, load_scenario
+from swarm.reports.trials_text import print_trials
 from swarm.simulation.monte_carlo.results import write_results
 
 
-def load_scenario(path: Path | None) -> tuple[Spread, tuple[Fault, ...]]:
-    """Return what is drawn, and the faults of every trial; the usual ones without a file."""
-    return read_scenario(read_text(path, LARGEST_FILE), str(path)) if path else (Spread(), ())
+@dataclass(frozen=True)
+class TrialOptions:
+    """The options of ``--trials``."""
 
-
-def paper_mission(mission: Mission) -> Mission:
-    """Return the same mission with the paper's own trajectory."""
-    return mission.model_copy(
-        update={"fold": mission.fold.model_copy(update={"method": "paper"})}, deep=True
-    )
+    trials: int
+    scenario: Path | None
+    seed: int
+    jobs: int | None
+    scheduler: str | None
+    results: Path | None
+    plot: Path | None
+    report: Path | None
+    compare: bool
 
 
 def run_trials(
-    context: click.Context,
-    mission: Mission,
-    planned: planner.PlanningResult,
-    *,
-    trials: int,
-    scenario: Path | None,
-    seed: int,
-    jobs: int | None,
-    scheduler: str | None,
-    results: Path | None,
-    plot: Path | None,
-    report: Path | None,
-    compare: bool,
-    as_json: bool,
+    context: click.Context, planned: planner.PlanningResult, options: TrialOptions, *, as_json: bool
 ) -> None:
-    """Fly the trials, print or write what they say, and end the command with its exit code."""
-    console = Console(quiet=as_json)
-    spread, faults = load_scenario(scenario)
-    runs: list[tuple[Plan, FlightPlan]] = [(planned.plan, planned.certified())]
-    if compare:
-        with progress_bar(Console(stderr=True)) as progress:
-            other = planner.plan(paper_mission(mission), progress)
-        runs.append((other.plan, ComparisonFlight(other.plan, other.certificate)))
-    done: list[tuple[Plan, list[Trial], CertifiedClearances]] = []
+    """Fly the trials, print or write their summaries, and exit with their code."""
+    spread, faults = load_scenario(options.scenario)
+    flights: list[FlightPlan] = [planned.certified()]
+    if options.compare:
+        paper = plan_paper_trajectory(planned.plan.mission)
+        flights.append(ComparisonFlight(paper.plan, paper.certificate))
+    runs: list[Trials] = []
     interrupted = False
-    for plan, flight_plan in runs:
-        # the paper has no clock that waits: with ours its trajectory would stop, not come close
-        open_loop = plan is not planned.plan
-        flown, interrupted = _fly(
-            flight_plan, spread, seed, trials, faults, jobs, scheduler, open_loop=open_loop
-        )
-        if not flown:
-            raise Interrupted("stopped before any trial was done")
-        together = 1 if interrupted else process_count(jobs)
-        done.append((plan, flown, certify_clearances(plan, flown, together)))
+    for flight_plan in flights:
+        # the paper has no mission clock: with ours its trajectory would stop, not come close
+        open_loop = bool(runs)
+        series = TrialSeries(options.trials, options.seed, spread, faults, open_loop=open_loop)
+        trials, interrupted = _fly(flight_plan, series, options)
+        runs.append(trials)
         if interrupted:
             break
-    told = [
-        summary(plan, flown, seed=seed, spread=spread, certified=certified)
-        for plan, flown, certified in done
-    ]
-    if results:
-        write_results(results, [(plan, flown) for plan, flown, _ in done], seed, spread)
-    if plot or report:
-        from swarm.reports.plots import save  # noqa: PLC0415 - slow to import
-        from swarm.reports.trials_report import trials_report  # noqa: PLC0415 - slow to import
-
-        drawn = [trial_distances(plan, flown, certified) for plan, flown, certified in done]
-        required = {name: getattr(planned.plan.mission.clearance, name) for name in CLEARANCES}
-        if plot:
-            save(trials_figure(drawn, required), plot)
-        if report:
-            # one by one, so that a phone shows them one below the other
-            figures = [trials_figure(drawn, required, [kind]) for kind in KINDS]
-            page = trials_report(planned.plan, planned.assessment, told, figures)
-            write_text(report, page)
+    summaries = [trials.summary() for trials in runs]
+    if options.results:
+        flown = [(trials.plan, trials.trials) for trials in runs]
+        write_results(options.results, flown, options.seed, spread)
+    if options.plot or options.report:
+        _write_figures(planned, runs, summaries, options)
     if as_json:
-        print_json(told[0] if len(told) == 1 else {"ours": told[0], "paper": told[1]})
+        both = {"ours": summaries[0], "paper": summaries[-1]}
+        print_json(both if len(runs) > 1 else summaries[0])
     else:
-        for one in told:
-            print_summary(one, console)
+        for summary in summaries:
+            print_trials(summary, Console())
     if interrupted:
-        raise Interrupted(f"stopped after {sum(len(flown) for _, flown, _ in done)} trials")
-    context.exit(0 if _as_certified(told[0]) else 1)
+        raise Interrupted(f"stopped after {sum(map(len, runs))} trials")
+    context.exit(0 if _passed(summaries[0]) else 1)
 
 
-def _as_certified(told: Mapping[str, Any]) -> bool:
-    """Whether all trials without a failing vehicle went as planned, none below its certificate."""
-    sound = told["without_failure"]
-    return sound["completed"]["count"] == sound["trials"] and not told["certificate"]["below"]
+def _passed(summary: Mapping[str, Any]) -> bool:
+    """Whether all trials without a failing vehicle are completed, and all keep the certificate."""
+    sound = summary["without_failure"]
+    return sound["completed"]["count"] == sound["trials"] and not summary["certificate"]["below"]
 
 
 def _fly(
-    flight_plan: FlightPlan,
-    spread: Spread,
-    seed: int,
-    trials: int,
-    faults: Sequence[Fault],
-    jobs: int | None,
-    scheduler: str | None,
-    *,
-    open_loop: bool,
-) -> tuple[list[Trial], bool]:
-    """Fly with a progress bar; return the trials done, and whether it was interrupted."""
-    flown: list[Trial] = []
+    flight_plan: FlightPlan, series: TrialSeries, options: TrialOptions
+) -> tuple[Trials, bool]:
+    """Return the trials that were flown, and whether an interrupt ended them; show progress."""
     console = Console(stderr=True)
-    flying = fly_trials(
-        flight_plan, spread, seed=seed, trials=range(trials), faults=faults, jobs=jobs,
-        scheduler=scheduler, open_loop=open_loop,
-    )  # fmt: skip
     with Progress(
         TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(),
         TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
     ) as bar:  # fmt: skip
-        task = bar.add_task(f"trials ({flight_plan.plan.mission.fold.method})", total=trials)
-        try:
-            for trial in flying:
-                flown.append(trial)
-                bar.advance(task)
-        except KeyboardInterrupt:
-            flying.close()
-            return sorted(flown, key=lambda one: one.number), True
-    return sorted(flown, key=lambda one: one.number), False
-
-
-def print_summary(told: Mapping[str, Any], console: Console) -> None:
-    """Print what trials say: completion, distances with intervals, harm, reasons, the worst."""
-    sound, failing = told["without_failure"], told["with_failure"]
-    name = "the paper's trajectory" if told["method"] == "paper" else "this plan"
-    console.print(f"\n[bold]{told['trials']} trials of {name}[/], seed {told['seed']}")
-    _say(console, f"completed, no vehicle failing: {_share(sound['completed'], sound['trials'])}")
-    if failing["trials"]:
-        _say(
-            console,
-            f"completed, one vehicle failing: {_share(failing['completed'], failing['trials'])}",
+        method = flight_plan.plan.mission.fold.method
+        task = bar.add_task(f"trials ({method})", total=series.trials)
+        trials, interrupted = fly_series(
+            flight_plan, series, options.jobs, options.scheduler, lambda: bar.advance(task)
         )
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column("smallest distance")
-    for head in ("required", "in the worst", "5 % below", "half below"):
-        table.add_column(head, justify="right", no_wrap=True)
-    for kind, values in sound["clearance"].items():
-        if values["count"]:
-            table.add_row(NAMES[kind], f"{values['required']:.2f} m", *_distribution_cells(values))
-    console.print(table)
-    error = sound["tracking_error"]
-    if error["count"]:
-        _say(
-            console,
-            f"tracking errors: up to {error['quantiles']['0.5']['value']:.2f} m in half of the "
-            f"trials, {error['largest']:.2f} m in the worst; {sound['outside_tracking_radius']} of "
-            f"{sound['trials']} trials left the tracking ball that the plan is certified for",
-        )
-    _say(
-        console,
-        f"trials with rotor strikes: {told['trials_with_rotor_strikes']}, with collisions of "
-        f"vehicles: {told['trials_with_collisions']}; vehicles lost: {told['vehicles_lost']}",
-    )
-    for words, count in told["reasons"].items():
-        _say(console, f"not completed: {count} × {words}")
-    checked = told["certificate"]
-    style = "red" if checked["below"] else "green"
-    _say(
-        console,
-        f"[{style}]{len(checked['below'])} of {checked['compared']} trials came closer than was "
-        "certified for their tracking error[/]",
-    )
-    for one in told["worst"][:3]:
-        cable = "unknown" if one["cable"] is None else f"{one['cable']:.2f} m"
-        words = ", ".join(filter(None, (one["failing"], one["reason"])))
-        _say(
-            console,
-            f"worth a look: trial {one['trial']} (cable {cable}{', ' + words if words else ''})",
-        )
-    if told["method"] != "paper":
-        _say(
-            console,
-            f"see one again: swarm dry-run … --seed {told['seed']} --trial "
-            f"{told['worst'][0]['trial']} --recording trial.rrd",
-        )
+    if not len(trials):
+        raise Interrupted("stopped before the first trial was completed")
+    return trials, interrupted
 
 
-def _say(console: Console, words: str) -> None:
-    console.print(words, highlight=False, soft_wrap=True)
+def _write_figures(
+    planned: planner.PlanningResult,
+    runs: list[Trials],
+    summaries: list[Mapping[str, Any]],
+    options: TrialOptions,
+) -> None:
+    from swarm.reports.plots import save  # noqa: PLC0415 - slow to import
+    from swarm.reports.trial_plots import KINDS, trial_distances, trials_figure  # noqa: PLC0415
+    from swarm.reports.trials_report import trials_report  # noqa: PLC0415
 
-
-def _share(share: Mapping[str, Any], trials: int) -> str:
-    if share["interval"] is None:
-        return "no trials"
-    low, high = share["interval"]
-    return f"{share['count']} of {trials} ({low:.1%} to {high:.1%} at 95 % confidence)"
-
-
-def _distribution_cells(values: Mapping[str, Any]) -> list[str]:
-    cells = [f"{values['smallest']:.2f} m"]
-    for share in ("0.05", "0.5"):
-        quantile = values["quantiles"][share]
-        low, high = (f"{v:.2f}" if v is not None else "?" for v in quantile["interval"])
-        cells.append(f"{quantile['value']:.2f} m ({low} to {high})")
-    return cells
+    distances = [trial_distances(run.plan, run.trials, run.certified) for run in runs]
+    required = runs[0].required
+    if options.plot:
+        save(trials_figure(distances, required), options.plot)
+    if options.report:
+        # one figure per distance, so that a phone shows them one below the other
+        figures = [trials_figure(distances, required, [kind]) for kind in KINDS]
+        page = trials_report(planned.plan, planned.assessment, summaries, figures)
+        write_text(options.report, page)

@@ -1,4 +1,4 @@
-"""Many flights of a plan, each in a world drawn anew."""
+"""Many simulated flights of a plan, each under conditions of its own."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Any, overload
 from swarm import planning
 from swarm.certification.certificate import Certificate
 from swarm.errors import InputError, Problem, SwarmError
+from swarm.files import read_text
+from swarm.flight.flight_plan import FlightPlan
 from swarm.front.flights import flyable
+from swarm.mission.validation import LARGEST_FILE
 from swarm.notebook import table
 from swarm.simulation.loop import Fault
 from swarm.simulation.monte_carlo import (
@@ -21,6 +24,7 @@ from swarm.simulation.monte_carlo import (
     certify_clearances,
     fly_trials,
     process_count,
+    read_scenario,
     summary,
 )
 from swarm.simulation.monte_carlo.results import results_table, write_results
@@ -33,10 +37,10 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Trials(Sequence[Trial]):
-    """Trials of one plan, in the order of their numbers; made by :func:`swarm.monte_carlo`.
+    """The trials of one plan, in the order of their numbers; see :func:`swarm.monte_carlo`.
 
-    A sequence of :class:`swarm.Trial`. ``seed`` and ``spread`` are what they were drawn from; the
-    same seed, number and spread fly the same trial again.
+    A sequence of :class:`swarm.Trial`. ``seed`` and ``spread`` determine the conditions: the same
+    seed, number and spread give the same trial again.
     """
 
     plan: planning.Plan
@@ -71,13 +75,13 @@ class Trials(Sequence[Trial]):
     def to_pandas(self) -> Any:
         """Return the table of :meth:`to_arrow` as a :class:`pandas.DataFrame`.
 
-        Raises :class:`swarm.SwarmError` where pandas is not installed; it is no requirement of this
-        package. Source: :func:`swarm.simulation.monte_carlo.results.results_table`.
+        Raises :class:`swarm.SwarmError` if pandas, which this package does not require, is not
+        installed. Source: :func:`swarm.simulation.monte_carlo.results.results_table`.
         """
         try:
             import pandas  # noqa: F401, PLC0415 - optional
         except ImportError:
-            message = "to_pandas() needs pandas: pip install pandas (to_arrow() does without)"
+            message = "to_pandas() needs pandas: pip install pandas (to_arrow() does not need it)"
             raise SwarmError(message) from None
         return self.to_arrow().to_pandas()
 
@@ -91,31 +95,37 @@ class Trials(Sequence[Trial]):
 
     @cached_property
     def certified(self) -> CertifiedClearances:
-        """What is certified for the tracking errors that the trials had; worked out once, seconds.
+        """The certified distances for the tracking errors of the trials; computed once, in seconds.
 
         Source: :func:`swarm.simulation.monte_carlo.certify_clearances`.
         """
         return certify_clearances(self.plan, self.trials, process_count(self.jobs))
 
-    def summary(self) -> Mapping[str, Any]:
-        """Return what the trials say: shares and distributions with 95 % intervals, and the worst.
+    @property
+    def required(self) -> Mapping[str, float]:
+        """The clearances of the mission in metres, by name."""
+        return {name: getattr(self.plan.mission.clearance, name) for name in CLEARANCES}
 
-        Distances in metres. ``["certificate"]["below"]`` lists trials that came closer than was
-        certified for their tracking error. Source: :func:`swarm.simulation.monte_carlo.summary`.
+    def summary(self) -> Mapping[str, Any]:
+        """Return shares and distributions with 95 % intervals, and the worst trials.
+
+        Distances in metres. ``["certificate"]["below"]`` lists the trials with a smaller distance
+        than certified for their tracking error.
+        Source: :func:`swarm.simulation.monte_carlo.summary`.
         """
         return summary(
             self.plan, self.trials, seed=self.seed, spread=self.spread, certified=self.certified
         )
 
     def plot(self) -> "Figure":
-        """Return a matplotlib figure: distributions of distances, and distances kept and certified.
+        """Return a matplotlib figure: distributions of distances, flown beside certified distances.
 
         Source: :func:`swarm.reports.trial_plots.trials_figure`.
         """
         from swarm.reports.trial_plots import trial_distances, trials_figure  # noqa: PLC0415 - slow
 
-        required = {name: getattr(self.plan.mission.clearance, name) for name in CLEARANCES}
-        return trials_figure([trial_distances(self.plan, self.trials, self.certified)], required)
+        distances = trial_distances(self.plan, self.trials, self.certified)
+        return trials_figure([distances], self.required)
 
     def __repr__(self) -> str:
         return f"<Trials {self.plan.mission.name}: {', '.join(self._figures().values())}>"
@@ -124,7 +134,7 @@ class Trials(Sequence[Trial]):
         return table(f"Trials {self.plan.mission.name}", self._figures().items())
 
     def _figures(self) -> dict[str, str]:
-        """What one line says of the trials, by name."""
+        """Return the key figures of the trials by name."""
         sound = [trial for trial in self.trials if not trial.failure]
         failing = [trial for trial in self.trials if trial.failure]
         figures = {"trials": f"{len(self.trials)} flown"}
@@ -147,18 +157,17 @@ def monte_carlo(
     faults: Sequence[Fault] = (),
     progress: Progress | None = None,
 ) -> Trials:
-    """Simulate a plan many times, each in a world with its own wind, links, masses and failures.
+    """Simulate a plan many times, each time with other wind, links, masses and failures.
 
-    ``trials`` is how many, numbered from 0. ``spread`` says what is drawn from which distributions
-    (:class:`swarm.Spread`), ``faults`` (as for :func:`simulate`) happen in every trial. ``jobs``
-    processes of this machine share the work (None: as many as it has cores), or the workers of the
-    Dask cluster whose ``scheduler`` is given (tcp://host:port). ``seed`` and number of a trial
-    decide all of it, whatever the number of processes. ``progress(stage, share)`` is called after
-    each trial.
+    ``trials`` is the number of trials, which are numbered from 0. ``spread`` has the distributions
+    of the conditions (:class:`swarm.Spread`); ``faults`` (as for :func:`simulate`) happen in every
+    trial. ``jobs`` processes of this machine share the work (None: one per core), or the workers of
+    the Dask cluster at ``scheduler`` (tcp://host:port). ``seed`` and number determine a trial,
+    whatever the number of processes. ``progress(stage, share)`` is called after each trial.
 
-    Raises :class:`swarm.Refused` where the certificate belongs to another plan or holds errors,
+    Raises :class:`swarm.Refused` where the certificate belongs to another plan or has errors,
     :class:`swarm.InputError` for numbers out of range, and :class:`swarm.SwarmError` where the
-    cluster's packages are missing or it is not there.
+    cluster's packages are missing or the scheduler does not respond.
 
     Source: :func:`swarm.simulation.monte_carlo.fly_trials`.
     """
@@ -180,3 +189,58 @@ def monte_carlo(
             progress("trials", len(flown) / trials)
     flown.sort(key=lambda trial: trial.number)
     return Trials(plan, tuple(flown), seed, spread, jobs)
+
+
+def load_scenario(path: str | os.PathLike[str] | None) -> tuple[Spread, tuple[Fault, ...]]:
+    """Read a scenario file (YAML) and return the distributions, and the faults of every trial.
+
+    Without a file: the default distributions and no faults.
+
+    Raises :class:`swarm.InputError` with every problem at once; `swarm schema scenario` prints the
+    format.
+    """
+    if path is None:
+        return Spread(), ()
+    return read_scenario(read_text(path, LARGEST_FILE), os.fspath(path))
+
+
+@dataclass(frozen=True)
+class TrialSeries:
+    """The number of trials and what determines them; ``open_loop`` trials never slow down."""
+
+    trials: int
+    seed: int
+    spread: Spread
+    faults: Sequence[Fault] = ()
+    open_loop: bool = False
+
+
+def fly_series(
+    flight_plan: FlightPlan,
+    series: TrialSeries,
+    jobs: int | None,
+    scheduler: str | None,
+    on_trial: Callable[[], None],
+) -> tuple[Trials, bool]:
+    """Fly trials until an interrupt; return those that were completed, and whether it came.
+
+    ``on_trial`` is called after each trial.
+    """
+    flown: list[Trial] = []
+    interrupted = False
+    flying = fly_trials(
+        flight_plan, series.spread, seed=series.seed, trials=range(series.trials),
+        faults=series.faults, jobs=jobs, scheduler=scheduler, open_loop=series.open_loop,
+    )  # fmt: skip
+    try:
+        for trial in flying:
+            flown.append(trial)
+            on_trial()
+    except KeyboardInterrupt:
+        flying.close()
+        interrupted = True
+    flown.sort(key=lambda trial: trial.number)
+    # after an interrupt the certificates are computed in this process
+    processes_after = 1 if interrupted else jobs
+    done = Trials(flight_plan.plan, tuple(flown), series.seed, series.spread, processes_after)
+    return done, interrupted

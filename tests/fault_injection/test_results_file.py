@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.cli.failures import _keep, _known
 from swarm.errors import InputError
 from swarm.simulation.fault_injection import (
     FAILURE_CASES,
@@ -18,7 +17,9 @@ from swarm.simulation.fault_injection import (
 )
 from swarm.simulation.fault_injection.results_file import (
     CaseTrials,
+    append_results,
     line,
+    open_results,
     read_results,
     results_header,
 )
@@ -73,20 +74,20 @@ def flown_rows(known=()):
 
 def test_a_run_that_was_interrupted_goes_on_where_it_was(tmp_path):
     path = tmp_path / "drills.jsonl"
-    assert _known(path, HEADING) == []
+    assert open_results(path, HEADING) == []
     whole, kept = flown_rows()
     assert [one.row for one in kept] == ["disarms", "interrupted twice"]
     for one in kept:
-        _keep(path, one)
+        append_results(path, one)
     # killed while it wrote the second
     path.write_bytes(path.read_bytes()[:-30])
-    known = _known(path, HEADING)
+    known = open_results(path, HEADING)
     assert known == kept[:1]
     again, more = flown_rows(known)
     assert [one.row for one in more] == ["interrupted twice"]
     assert again == whole
-    _keep(path, more[0])
-    assert _known(path, HEADING) == kept
+    append_results(path, more[0])
+    assert open_results(path, HEADING) == kept
 
 
 @pytest.mark.parametrize(
@@ -105,10 +106,10 @@ def test_a_file_of_something_else_is_refused_and_left_as_it_is(tmp_path, text, w
     path.write_text(text + "without an end", encoding="latin-1")
     before = path.read_bytes()
     with pytest.raises(InputError, match="mine: .*" + words):
-        _known(path, HEADING)
+        open_results(path, HEADING)
     assert path.read_bytes() == before
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError, match="nowhere/drills: no such file or directory"):
-        _known(tmp_path / "nowhere" / "drills", HEADING)
+        open_results(tmp_path / "nowhere" / "drills", HEADING)

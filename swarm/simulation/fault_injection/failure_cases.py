@@ -1,10 +1,12 @@
 """What can go wrong, what is asked of the team then, and how it may end: the table of drills."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+from swarm.errors import InputError, Problem, Refused
 from swarm.flight.parameters import STREAM_LOSS_TIME
+from swarm.planning import Plan
 
 Part = Literal["fold", "grab", "release"]
 Group = Literal["one vehicle", "links", "ground station", "world"]
@@ -257,3 +259,34 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         why="a strand that is held elsewhere is no longer where the cable model has it",
     ),
 )  # fmt: skip
+
+
+def cases_of(plan: Plan, names: Sequence[str] = ()) -> list[FailureCase]:
+    """Return the failure cases that can happen in a plan, whose names contain one of ``names``.
+
+    Raises :class:`InputError` where no name matches, and :class:`Refused` where the plan folds no
+    cable in the air.
+    """
+    cases = [
+        case for case in FAILURE_CASES if not names or any(part in case.name for part in names)
+    ]
+    if not cases:
+        known = ", ".join(case.name for case in FAILURE_CASES)
+        raise InputError([Problem("--row", f"expected a part of one of: {known}")])
+    cases = [case for case in cases if case.part in _parts(plan)]
+    if not cases:
+        raise Refused("this mission folds no cable in the air: it has no failure cases")
+    return cases
+
+
+def _parts(plan: Plan) -> set[Part]:
+    """Return the parts of a flight, of those with failure cases, that a plan has."""
+    if not any(phase.name == "fold" and phase.cable == "aloft" for phase in plan.phases):
+        return set()
+    conditions = {gate.condition for gate in plan.gates}
+    parts: set[Part] = {"fold"}
+    if "gripped" in conditions:
+        parts.add("grab")
+    if "released" in conditions:
+        parts.add("release")
+    return parts

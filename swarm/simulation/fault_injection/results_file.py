@@ -8,16 +8,18 @@ import hashlib
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from swarm.errors import InputError
+from swarm.errors import InputError, Problem, reason
 from swarm.planning import Plan
 from swarm.simulation.fault_injection.evaluation import FaultTrial
 from swarm.simulation.fault_injection.stepped_simulation import TeamAutopilots
 from swarm.version import __version__
 
+_LARGEST_FILE = 256 * 1024 * 1024
 _NEVER_JUDGED = ("clearance", "apart")
 """What is infinite where there was nothing to judge, and null in JSON."""
 
@@ -85,6 +87,39 @@ def read_results(lines: Iterable[str], wanted: ResultsHeader) -> list[CaseTrials
         except (ValidationError, ValueError):
             raise InputError(f"line {number} is not a line of drills") from None
     return found
+
+
+def open_results(path: Path, header: ResultsHeader) -> list[CaseTrials]:
+    """Return the trials that a results file holds; a file that does not exist is created.
+
+    A last line without an end, which an interrupt cut off, is removed: its trials are flown again.
+    Raises :class:`InputError` for another kind of file, and for results of another plan or seed.
+    """
+    try:
+        with path.open("a+b") as file:
+            file.seek(0)
+            complete, end, _ = file.read(_LARGEST_FILE).rpartition(b"\n")
+            known = read_results(complete.decode().splitlines(), header)
+            file.truncate(len(complete + end))
+            if not complete:
+                file.write(line(header).encode())
+        return known
+    except OSError as error:
+        problem = reason(error)
+    except UnicodeDecodeError:
+        problem = "line 1 is not a line of drills"
+    except InputError as error:
+        problem = str(error)
+    raise InputError([Problem(str(path), problem)])
+
+
+def append_results(path: Path, trials: CaseTrials) -> None:
+    """Append the trials of a case to a results file."""
+    try:
+        with path.open("a", encoding="utf-8", newline="\n") as file:
+            file.write(line(trials))
+    except OSError as error:
+        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 def _flown(text: str) -> CaseTrials:

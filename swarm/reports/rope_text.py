@@ -1,0 +1,89 @@
+"""A simulated rope on the terminal, and its curves for the figure."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+
+from swarm.planning import Plan
+from swarm.reports.rope_plots import Moved
+
+if TYPE_CHECKING:
+    from swarm.analysis.rope import RopeRun
+    from swarm.simulation.rope import RopeResult
+
+
+def rope_curves(result: "RopeResult") -> Moved:
+    """Return the curves of a result: at each moment, of the segment that strays farthest."""
+    run = result.run
+    beyond = np.where(run.stray > run.swing, run.stray, -np.inf).max(axis=1, initial=-np.inf)
+    return Moved(
+        label=result.trajectory.name,
+        verdict=_verdict(run),
+        times=run.times,
+        stray=run.stray.max(axis=1, initial=0.0),
+        farther=np.where(np.isfinite(beyond), beyond, np.nan),
+        apart=run.apart,
+        still_apart=run.still_apart,
+        shape=run.shape,
+    )
+
+
+def print_rope(document: Mapping[str, Any], plan: Plan, console: Console) -> None:
+    """Print the knot of a rope, its distances, and how far it strays from the cable model.
+
+    ``document`` is the JSON object of the result.
+    """
+    for line in _lines(document, plan):
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def _verdict(run: "RopeRun") -> str:
+    if run.void:
+        return "void"
+    hand = "" if run.chirality == "none" else f", {run.chirality}-handed"
+    return f"{run.knot}{hand}" + ("" if run.as_planned else " (not as planned)")
+
+
+def _lines(told: Mapping[str, Any], plan: Plan) -> list[str]:
+    knot, stray = told["knot"], told["stray"]
+    lines = [
+        f"\n[bold]A rope of {told['links']} links moved by {told['trajectory']}[/], "
+        f"{told['simulated']:.0f} s in {told['took']:.0f} s"
+    ]
+    if told["void"]:
+        lines += ["[bold red]The run is void:[/]", *(f"  {reason}" for reason in told["void"])]
+    style = "green" if knot["as_planned"] and not told["void"] else "red"
+    hand = "" if knot["chirality"] == "none" else f" {knot['chirality']}-handed"
+    planned = f"{plan.knot.type} {plan.knot.chirality}-handed".replace(" none-handed", "")
+    planned = planned.strip() or "none"
+    name = "Knot after tightening" if told["tightened"] else "Knot of the rope"
+    lines.append(f"{name}: [{style}]{knot['type']}{hand}[/] (planned: {planned})")
+    if told["tightened"]:
+        lines.append(f"tightened until its ends were {told['ends_apart']:.2f} m apart")
+    if told["smallest_distance"] is not None:
+        static = told["smallest_distance_of_quasi_static_cable"]
+        lines.append(
+            "smallest distance of segments without a common vehicle: "
+            f"{told['smallest_distance']:.2f} m (quasi-static cable: {static:.2f} m)"
+        )
+    lines.append(
+        f"largest distance from the quasi-static cable: {stray['largest']:.2f} m, segment "
+        f"{stray['segment']} at {stray['time']:.0f} s; the budget's models of sway and a stop "
+        f"allow {stray['sway_and_stop']:.2f} m there"
+    )
+    farther = stray["farther"]
+    if farther["share"]:
+        lines.append(
+            f"these models are exceeded by up to {farther['by']:.2f} m, at {farther['share']:.0%} "
+            "of moments and segments: strands swing on after a movement, which the budget leaves "
+            "out"
+        )
+    depth, stretch, speed = told["penetration"], told["stretch"], told["speed"]
+    lines.append(
+        f"deepest penetration {depth['radii']:.2f} radii (void beyond {depth['most']:g}), largest "
+        f"stretch {stretch['share']:.2%} (void beyond {stretch['most']:.0%}), top speed "
+        f"{speed['metres_per_second']:.1f} m/s (void beyond {speed['most']:g})"
+    )
+    return lines
