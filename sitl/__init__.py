@@ -1,4 +1,4 @@
-"""Emulated vehicles that any MAVLink client takes for real ones, tied to one cable.
+"""Emulated vehicles for any MAVLink client, attached to one cable.
 
     world = load_world("world.yaml")
     emulator = Emulator(world)
@@ -10,18 +10,18 @@ Written from the autopilots' documented and measured behaviour; it shares no pro
 ground station. `sitl.autopilots` has PX4 and ArduPilot, `sitl.protocol` MAVLink, `sitl.physics` the
 motion of vehicles, `sitl.cable` the cable, `sitl.faults` faults, `sitl.server` the sockets.
 
-Conventions: the world is ENU metres about the world file's origin; a vehicle's centre stands
+Conventions: the world is ENU in metres from the world file's origin. A vehicle's centre is
 ``grip_offset`` above its grip point, on legs of that length: on the ground the grip point touches
-the floor. LOCAL_POSITION_NED is of the centre, about the vehicle's own origin, which by default is
-where its estimator started (its centre on its pad) moved by up to 30 m.
+the floor. LOCAL_POSITION_NED is the position of the centre relative to the vehicle's own origin: by
+default the start of its estimator (its centre on its pad), displaced by up to 30 m.
 
-What QGroundControl asks for before it shows a vehicle as ready is answered, in its order (its
-``src/Vehicle/InitialConnectStateMachine.cc``): HEARTBEAT; AUTOPILOT_VERSION on REQUEST_MESSAGE;
-AVAILABLE_MODES and COMPONENT_METADATA, which are refused, and it goes on without; all parameters
-(over FILE_TRANSFER_PROTOCOL, which is refused at once, so that it falls back to
-PARAM_REQUEST_LIST); mission, fence and rally points. Then its ``Vehicle.cc`` shows what SYS_STATUS
-(with the pre-arm bit), EXTENDED_SYS_STATE, HOME_POSITION, GPS_RAW_INT, GLOBAL_POSITION_INT,
-ATTITUDE, VFR_HUD and BATTERY_STATUS say. `tests/sitl/test_services.py` goes through it.
+The emulator answers the requests of QGroundControl's first contact, in its order
+(``src/Vehicle/InitialConnectStateMachine.cc``): HEARTBEAT; AUTOPILOT_VERSION on REQUEST_MESSAGE;
+AVAILABLE_MODES and COMPONENT_METADATA, which it refuses, and QGroundControl continues without them;
+all parameters (over FILE_TRANSFER_PROTOCOL, which it refuses, so that QGroundControl falls back to
+PARAM_REQUEST_LIST); mission, fence and rally points. Then ``Vehicle.cc`` shows SYS_STATUS (with the
+pre-arm bit), EXTENDED_SYS_STATE, HOME_POSITION, GPS_RAW_INT, GLOBAL_POSITION_INT, ATTITUDE, VFR_HUD
+and BATTERY_STATUS. `tests/sitl/test_services.py` tests this sequence.
 """
 
 from sitl.emulator import Emulator

@@ -15,45 +15,48 @@ from sitl.world import WorldError, default_world, load_key, load_world, schema
 
 
 def argument_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line; the reference pages are made from it, too."""
+    """Return the parser of the command line; the reference pages are generated from it."""
     parser = argparse.ArgumentParser(
         prog="swarm sitl",
-        description="Emulated vehicles (PX4-like or ArduPilot-like), tied to one cable if the "
-        "world has one. Without --target they speak on the ports of the real simulators.",
+        description="Run emulated vehicles (PX4-like or ArduPilot-like), attached to one cable if "
+        "the world has one. Without --target they use the ports of the real simulators.",
     )
     world = parser.add_mutually_exclusive_group()
     world.add_argument("--world", type=Path, metavar="FILE", help="world file (YAML or JSON)")
-    world.add_argument("-n", "--count", type=int, default=1, help="that many vehicles, no cable")
+    world.add_argument("-n", "--count", type=int, default=1, help="number of vehicles, no cable")
     parser.add_argument(
         "--autopilot",
         default="px4",
-        help="px4, ardupilot or a list of them to take in turn (with -n)",
+        help="px4, ardupilot, or both separated by a comma, in turn (with -n)",
     )
     parser.add_argument("--scenario", type=Path, metavar="FILE", help="faults to inject (YAML)")
-    parser.add_argument("--speed", type=float, default=1.0, help="times real time")
-    parser.add_argument("--seed", type=int, help="instead of the world's")
+    parser.add_argument("--speed", type=float, default=1.0, help="factor of real time")
+    parser.add_argument("--seed", type=int, help="seed, instead of the world's")
     parser.add_argument("--host", default="127.0.0.1", help="address to bind (loopback)")
-    parser.add_argument("--target", metavar="HOST:PORT", help="send everything to this UDP address")
-    parser.add_argument("--port-step", type=int, help="PX4: vehicle i to UDP 14540 + i·STEP")
+    parser.add_argument("--target", metavar="HOST:PORT", help="UDP address for all vehicles")
+    parser.add_argument("--port-step", type=int, help="PX4: vehicle i sends to UDP 14540 + i·STEP")
     parser.add_argument(
-        "--signing-key", type=Path, metavar="FILE", help="sign with this key and hear nothing else"
+        "--signing-key",
+        type=Path,
+        metavar="FILE",
+        help="sign frames with this key, drop all others",
     )
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write ground truth, JSON lines")
-    parser.add_argument("--json", action="store_true", help="say what is ready as one JSON line")
+    parser.add_argument("--json", action="store_true", help="print connections as one JSON line")
     parser.add_argument(
         "--follow-parent",
         nargs="?",
         type=int,
         const=0,
         metavar="PID",
-        help="end when the parent ends",
+        help="end when the parent process ends",
     )
-    parser.add_argument("--schema", action="store_true", help="print the world file's JSON schema")
+    parser.add_argument("--schema", action="store_true", help="print the schema of world files")
     return parser
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the emulator; return the exit code (0 done, 2 usage or bad file, 3 sockets)."""
+    """Run the emulator; return the exit code (0 success, 2 usage or file error, 3 sockets)."""
     parent = os.getppid()
     parser = argument_parser()
     given = parser.parse_args(arguments)
@@ -95,11 +98,13 @@ def main(arguments: list[str] | None = None) -> int:
             given.truth,
             as_json=given.json,
             follow_parent=given.follow_parent is not None,
-            # told by its number, a parent that is gone before this began is noticed, too
+            # with its PID, a parent that ended before this process started is detected too
             parent=given.follow_parent or parent,
         )
     except OSError as error:
-        sys.stderr.write(f"swarm sitl: no sockets on {given.host}: {error.strerror or error}\n")
+        sys.stderr.write(
+            f"swarm sitl: cannot open sockets on {given.host}: {error.strerror or error}\n"
+        )
         return 3
 
 

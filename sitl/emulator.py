@@ -1,8 +1,8 @@
-"""All vehicles, one cable and their links, advanced in virtual time: no sockets, no clock.
+"""All vehicles, the cable and their links in virtual time: no sockets, no clock.
 
-`Emulator.receive` takes bytes for a vehicle, `Emulator.step` advances physics and autopilots to a
-time and returns the bytes that they sent, `Emulator.truth` tells what really is. The same world,
-seed and bytes at the same times give the same result. Ground truth never goes over MAVLink.
+`Emulator.receive` delivers bytes to a vehicle, `Emulator.step` advances physics and autopilots to a
+time and returns the bytes that they sent, `Emulator.truth` returns ground truth. The same world,
+seed and bytes at the same times give the same result. Ground truth is never sent over MAVLink.
 """
 
 import functools
@@ -27,24 +27,28 @@ from sitl.physics.geodesy import GRAVITY, Geodesy
 from sitl.protocol import wire
 from sitl.protocol.incoming import Incoming, Received
 from sitl.protocol.links import Link
-from sitl.protocol.parameter_protocol import pump_parameters
+from sitl.protocol.parameter_protocol import send_queued
 from sitl.protocol.vehicle import Environment, Vehicle
 from sitl.truth import Truth
 from sitl.world import World
 
 _link_of = operator.itemgetter(0)
 _EPOCH = 1_800_000_000.0
-_SLOW_EVERY = 5
-_TICK_EVERY = 2
-_DRAIN_EVERY = 25
-_WASH_EVERY, _WASH_STRIDE = 50, 3
+"""Unix time at the emulator's time zero, seconds."""
+AUTOPILOT_STEPS, _AIR_STEPS, _BATTERY_STEPS, _WASH_STEPS = 2, 5, 25, 50
+"""Steps of physics between updates of autopilots, air, batteries, downwash on the cable."""
+_WASH_STRIDE = 3
+"""Downwash is computed for every third sample of the cable."""
 _FULL_CELL, _EMPTY_CELL, _CELL_RESISTANCE = 4.2, 3.3, 0.004
 _VISION_TIMEOUT = 1.0
 _HOVER_CURRENT = 15.0
 
 
 class Emulator:
-    """The emulated team; see the module's text for its three calls."""
+    """The emulated team.
+
+    ``kinds`` are the links that every vehicle has from the start ("onboard" or "gcs").
+    """
 
     def __init__(
         self, world: World, faults: Sequence[Fault] = (), kinds: Sequence[str] = ("onboard",)
@@ -53,9 +57,9 @@ class Emulator:
         seeds = np.random.SeedSequence(world.seed).spawn(len(world.vehicles) + 2)
         self.bodies = Bodies(world, np.random.default_rng(seeds[0]))
         self.time = 0.0
-        self._ticks = 0
+        self._steps = 0
         self._key: bytes | None = None
-        self._landings = 0
+        self._landed_changes = 0
         self.events: list[dict[str, Any]] = []
         self.rope: AnyRope | None = (
             make_rope(world.cable, world.floor, np.array(world.wind.steady))
@@ -88,7 +92,7 @@ class Emulator:
             if vehicle.global_valid:
                 vehicle.set_home_here()
         self._links = [(v, link) for v in self.vehicles for link in v.links]
-        self._tie_attached()
+        self._attach_tied()
         self.injector = Injector(
             self.vehicles, self.bodies, self.rope, faults, np.random.default_rng(seeds[-1])
         )
@@ -97,26 +101,26 @@ class Emulator:
             vehicle.simulation_changed = functools.partial(self.injector.apply_parameter, vehicle)
 
     def sign_with(self, key: bytes, unix_time: float) -> None:
-        """Sign everything with a key from now on and hear nothing that is not signed with it.
+        """Sign all frames with a key, and drop frames that are not signed with it.
 
-        ``unix_time`` is what the vehicles' clocks show at the emulator's time zero.
+        ``unix_time`` is the vehicles' Unix time at the emulator's time zero.
         """
         self._key = key
         for vehicle in self.vehicles:
             vehicle.environment.unix_time = unix_time
             for number, link in enumerate(vehicle.links):
-                self._keyed(link, number)
+                self._set_key(link, number)
 
-    def _keyed(self, link: Link, number: int) -> None:
+    def _set_key(self, link: Link, number: int) -> None:
         if self._key is not None:
             link.receiver.set_key(self._key)
             link.sender.signer = wire.Signer(self._key, number, 0)
 
     def open_link(self, vehicle: Vehicle, kind: str) -> Link:
-        """Add a connection of a kind ("onboard" or "gcs") with the autopilot's default streams."""
+        """Open a connection of a kind ("onboard" or "gcs") with the autopilot's default streams."""
         link = vehicle.add_link(kind)
         vehicle.origin_announced_at = vehicle.now
-        self._keyed(link, len(vehicle.links) - 1)
+        self._set_key(link, len(vehicle.links) - 1)
         rates = streams.default_streams(vehicle, link)
         spread = np.linspace(0.0, 1.0, len(rates) * 7)[1:]
         for k, (name, rate) in enumerate(rates.items()):
@@ -126,14 +130,14 @@ class Emulator:
         return link
 
     def close_link(self, vehicle: Vehicle, link: Link) -> None:
-        """Forget a connection."""
+        """Close a connection."""
         vehicle.links.remove(link)
         vehicle.parameter_queue = [
             entry for entry in vehicle.parameter_queue if entry[0] is not link
         ]
         self._links = [(v, one) for v in self.vehicles for one in v.links]
 
-    def _tie_attached(self) -> None:
+    def _attach_tied(self) -> None:
         if self.rope is None or self.world.cable is None:
             return
         tied = [v for v in self.vehicles if v.spec.gripper == "attached"]
@@ -141,43 +145,41 @@ class Emulator:
             self.rope.attach(vehicle.index, min(arc, self.rope.length))
             vehicle.gripper.gripped = True
 
-    # The three calls.
-
     def receive(self, sysid: int, data: bytes, now: float) -> None:
-        """Give bytes from a ground station to one vehicle, at emulated time ``now``."""
+        """Deliver bytes from a ground station to one vehicle at emulated time ``now``."""
         vehicle = self.by_id.get(sysid)
         if vehicle is not None:
             self.deliver(vehicle, vehicle.links[0], data, now)
 
     def receive_all(self, sent: Iterable[tuple[int, bytes]], now: float) -> None:
-        """As `receive`, of (vehicle, bytes) for any number of vehicles at once, and quicker."""
+        """Deliver (system id, bytes) to any number of vehicles; faster than `receive`."""
         known = [(self.by_id[sysid], data) for sysid, data in sent if sysid in self.by_id]
         self._deliver([(vehicle, vehicle.links[0], data) for vehicle, data in known], now)
 
     def step(self, now: float) -> list[tuple[int, bytes]]:
-        """Advance to ``now`` seconds; return (vehicle, bytes) that were sent meanwhile."""
+        """Advance to ``now`` seconds; return the (system id, bytes) that were sent meanwhile."""
         self.advance(now)
         return [(vehicle.system, data) for vehicle, _, data in self.collect()]
 
     def deliver(self, vehicle: Vehicle, link: Link, data: bytes, now: float) -> None:
-        """As `receive`, on one of a vehicle's links."""
+        """Deliver bytes to one of a vehicle's links, as `receive`."""
         self._deliver([(vehicle, link, data)], now)
 
     def _deliver(self, sent: list[Received], now: float) -> None:
-        """Give bytes to vehicles, those of troubled links to these."""
+        """Deliver bytes to vehicles; those on links with faults wait in their channels."""
         if self.injector.link_faults:
-            at_once, up = [], self.injector.up
+            direct, up = [], self.injector.up
             for one in sent:
                 channel = up[one[0].index]
                 if channel.fault is None and not channel.queue:
-                    at_once.append(one)
+                    direct.append(one)
                 else:
                     channel.push_all((one,), now)
-            sent = at_once
+            sent = direct
         self._incoming.deliver(sent, now)
 
-    def _arrive(self, now: float) -> None:
-        """Hand over what comes late through troubled links."""
+    def _deliver_delayed(self, now: float) -> None:
+        """Deliver the bytes that arrive now through links with faults."""
         if not self.injector.link_faults:
             return
         limit = now + 1e-9
@@ -190,14 +192,14 @@ class Emulator:
             self._incoming.deliver(arrived, now)
 
     def advance(self, now: float) -> None:
-        """Advance physics and autopilots to ``now`` seconds; what they say waits in the links."""
-        while (self._ticks + 1) * STEP <= now + 1e-9:
-            self._ticks += 1
-            self.time = self._ticks * STEP
-            self._advance()
+        """Advance physics and autopilots to ``now`` seconds; their frames wait in the links."""
+        while (self._steps + 1) * STEP <= now + 1e-9:
+            self._steps += 1
+            self.time = self._steps * STEP
+            self._step()
 
     def collect(self) -> list[tuple[Vehicle, Link, bytes]]:
-        """Take what waits in the links."""
+        """Return the bytes that wait in the links, and remove them."""
         sent = []
         down = self.injector.down
         for vehicle, link in self._links:
@@ -224,23 +226,25 @@ class Emulator:
         return sent
 
     def inject(self, fault: Fault) -> None:
-        """Put a fault on the agenda; one whose time is past begins at the next step."""
+        """Schedule a fault; a fault in the past starts at the next step."""
         self.injector.add(fault)
 
     def held(self) -> tuple[Array, Array, Array]:
-        """Grip points (n, 3), where along the cable they hold it (n,), NaN where they do not, and
-        the cable's samples (m, 3): the part of ground truth that dry runs keep looking at."""
+        """Return grip points (n, 3), their arc lengths (n,; NaN: free) and cable samples (m, 3).
+
+        This is the part of ground truth that dry runs need often.
+        """
         rope = self.rope
         arcs = np.full(self.bodies.count, math.nan)
         for arc, holder in rope.grips if rope else ():
             if holder < len(arcs):
                 arcs[holder] = arc
         grips = self.bodies.grip_points()
-        cable = rope.update(self._held()[0], 0.0).copy() if rope else np.zeros((0, 3))
+        cable = rope.update(self._holders()[0], 0.0).copy() if rope else np.zeros((0, 3))
         return grips, arcs, cable
 
     def truth(self) -> Truth:
-        """Return ground truth, for tests and the record only."""
+        """Return ground truth, for tests and records only."""
         b = self.bodies
         rope = self.rope
         grips, arcs, cable = self.held()
@@ -266,36 +270,34 @@ class Emulator:
             events=tuple(self.events),
         )
 
-    # One tick.
-
-    def _advance(self) -> None:
+    def _step(self) -> None:
         now = self.time
         b = self.bodies
         if self.injector.tick(now):
             self._wake()
-        self._arrive(now)
+        self._deliver_delayed(now)
         rope = self.rope
-        if rope is not None and self._ticks % rope.force_interval == 0:
-            force = rope.forces(*self._held())
+        if rope is not None and self._steps % rope.force_interval == 0:
+            force = rope.forces(*self._holders())
             b.set_external_force(force[: b.count])
             if self.injector.anchors:
                 self.injector.drag(force[b.count :], rope.force_interval * STEP)
         hit = b.step()
         if hit is not None:
-            self._crashed(hit)
-        if self._ticks % _SLOW_EVERY == 0:
-            self._slow(_SLOW_EVERY * STEP)
-        if self._ticks % _TICK_EVERY == 0:
-            landing.supervise(b, _TICK_EVERY * STEP)
-            if b.landed_changes != self._landings:
-                self._landings = b.landed_changes
+            self._record_crashes(hit)
+        if self._steps % _AIR_STEPS == 0:
+            self._update_air(_AIR_STEPS * STEP)
+        if self._steps % AUTOPILOT_STEPS == 0:
+            landing.supervise(b, AUTOPILOT_STEPS * STEP)
+            if b.landed_changes != self._landed_changes:
+                self._landed_changes = b.landed_changes
                 self._wake()
             for vehicle in self.vehicles:
                 if vehicle.awake_at <= now:
-                    self._tick(vehicle, now)
+                    self._update(vehicle, now)
         streams.send_due(self._links, now)
 
-    def _crashed(self, hit: Flags) -> None:
+    def _record_crashes(self, hit: Flags) -> None:
         for i in np.nonzero(hit)[0]:
             system = self.vehicles[i].system
             self.contacts.contacts.append(
@@ -303,8 +305,8 @@ class Emulator:
             )
             self._event("crashed", system)
 
-    def _held(self) -> tuple[Array, Array]:
-        """Grip points and velocities of all that holds cable: vehicles, then snags."""
+    def _holders(self) -> tuple[Array, Array]:
+        """Return positions and velocities of all holders of cable: vehicles, then snags."""
         b = self.bodies
         grips = b.grip_points()
         anchors = self.injector.anchors
@@ -314,11 +316,11 @@ class Emulator:
         return np.vstack([grips, pinned]), np.vstack([b.velocity, np.zeros_like(pinned)])
 
     def _wake(self) -> None:
-        """Have every autopilot look again, as something happened that may concern it."""
+        """Make every autopilot check again after an event that may concern it."""
         for vehicle in self.vehicles:
             vehicle.awake_at = -math.inf
 
-    def _tick(self, vehicle: Vehicle, now: float) -> None:
+    def _update(self, vehicle: Vehicle, now: float) -> None:
         vehicle.now = max(vehicle.now, now)
         if vehicle.later:
             due = [entry for entry in vehicle.later if entry[0] <= now]
@@ -330,31 +332,31 @@ class Emulator:
         if vehicle.gripper.pending:
             vehicle.finish_gripper()
         if vehicle.parameter_queue:
-            pump_parameters(vehicle)
-        quiet = vehicle.autopilot.update()
+            send_queued(vehicle)
+        next_check = vehicle.autopilot.update()
         if not (vehicle.later or vehicle.gripper.pending or vehicle.parameter_queue):
-            vehicle.awake_at = quiet
+            vehicle.awake_at = next_check
 
-    def _slow(self, interval: float) -> None:
+    def _update_air(self, interval: float) -> None:
         b = self.bodies
         b.step_disturbances(interval)
-        if self._ticks % _DRAIN_EVERY == 0:
-            self._drain(_DRAIN_EVERY * STEP)
+        if self._steps % _BATTERY_STEPS == 0:
+            self._update_batteries(_BATTERY_STEPS * STEP)
         cable = None
         rope = self.rope
         if rope is not None:
-            washing = self._ticks % _WASH_EVERY == 0
-            if washing or rope.within_reach(b.position, b.radius):
-                cable = rope.update(self._held()[0], interval, solved=True)
-                if washing:
+            wash_due = self._steps % _WASH_STEPS == 0
+            if wash_due or rope.within_reach(b.position, b.radius):
+                cable = rope.update(self._holders()[0], interval, solved=True)
+                if wash_due:
                     washed = cable[::_WASH_STRIDE]
                     rope.set_wash(
                         wind.downwash_at(washed, b.position, b.lift(), b.radius), _WASH_STRIDE
                     )
         self.contacts.detect(self.time, self._ids, cable)
 
-    def _drain(self, interval: float) -> None:
-        """Batteries, by momentum theory (power as thrust to the power 3/2); and missed vision."""
+    def _update_batteries(self, interval: float) -> None:
+        """Discharge batteries (momentum theory: power ∝ thrust^1.5); detect lost vision."""
         b = self.bodies
         load = (np.maximum(np.linalg.norm(b.thrust, axis=1), 0.0) / GRAVITY) ** 1.5 * b.armed
         for vehicle, share in zip(self.vehicles, load.tolist(), strict=True):
@@ -371,8 +373,6 @@ class Emulator:
                 vehicle.vision_lost, vehicle.local_valid = True, False
                 vehicle.awake_at = -math.inf
 
-    # Hooks for vehicles.
-
     def _event(self, kind: str, vehicle: int, **details: Any) -> None:
         self.events.append({"time": self.time, "kind": kind, "vehicle": vehicle, **details})
 
@@ -380,7 +380,7 @@ class Emulator:
         if self.rope is None:
             return False
         grips = self.bodies.grip_points()
-        self.rope.update(self._held()[0], 0.0)
+        self.rope.update(self._holders()[0], 0.0)
         arc = self.rope.grab(index, grips[index])
         held = arc is not None
         self._event("grabbed" if held else "grab failed", self.vehicles[index].system, arc=arc)
@@ -389,7 +389,7 @@ class Emulator:
     def _release(self, index: int) -> bool:
         if self.rope is None:
             return False
-        self.rope.update(self._held()[0], 0.0)
+        self.rope.update(self._holders()[0], 0.0)
         held = self.rope.release(index)
         if held:
             self._event("released", self.vehicles[index].system)

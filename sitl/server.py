@@ -1,6 +1,6 @@
-"""The emulator in real time (or n times that): UDP and TCP sockets on loopback, one loop.
+"""The emulator in real time, or faster: UDP and TCP sockets on loopback, one loop.
 
-Ports are those of the real simulators, unless every vehicle is to talk to one ``target``.
+The ports are those of the real simulators, or all vehicles send to one target address.
 """
 
 import contextlib
@@ -26,15 +26,17 @@ from sitl.truth import Truth
 
 HOST = "127.0.0.1"
 OFFBOARD, OFFBOARD_LOCAL, GROUND, GROUND_LOCAL, TCP = 14540, 14580, 14550, 18570, 5760
+"""Ports of PX4's and ArduPilot's simulators."""
 _LARGEST_DATAGRAM = 65535
 _LARGEST_LAG = 0.25
-_TRUTH_EVERY = 0.1
+"""Delay in seconds beyond which emulated time falls behind real time."""
+_TRUTH_INTERVAL = 0.1
 _BUFFER = 1 << 20
 
 
 @dataclass
 class Endpoint:
-    """A socket of one vehicle's link."""
+    """The socket of one link of one vehicle."""
 
     socket: socket.socket
     vehicle: Vehicle
@@ -44,7 +46,7 @@ class Endpoint:
 
 
 class Server:
-    """Joins an `Emulator` to sockets and the wall clock."""
+    """Connects an `Emulator` to sockets and the wall clock."""
 
     def __init__(self, emulator: Emulator, host: str, speed: float) -> None:
         self.emulator = emulator
@@ -61,7 +63,7 @@ class Server:
     def udp(
         self, vehicle: Vehicle, link: Link, peer: tuple[str, int] | None, local: int = 0
     ) -> int:
-        """Give a link a UDP socket that sends to ``peer``; return the local port."""
+        """Open a UDP socket for a link that sends to ``peer``; return the local port."""
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
@@ -73,7 +75,7 @@ class Server:
         return int(sock.getsockname()[1])
 
     def listen(self, vehicle: Vehicle, port: int) -> int | None:
-        """Accept TCP connections to a vehicle; None if the port is taken."""
+        """Accept TCP connections to a vehicle; return the port, None if it is in use."""
         sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -110,7 +112,7 @@ class Server:
         endpoint.socket.close()
         self.emulator.close_link(endpoint.vehicle, endpoint.link)
 
-    def _drain(self, descriptor: int, now: float) -> None:
+    def _receive(self, descriptor: int, now: float) -> None:
         endpoint = self.endpoints.get(descriptor)
         if endpoint is None:
             self._accept(descriptor)
@@ -134,14 +136,14 @@ class Server:
             self.emulator.deliver(endpoint.vehicle, endpoint.link, data, now)
 
     def _flush(self) -> None:
-        """Send everything that waits."""
+        """Send all waiting frames."""
         for _, link, data in self.emulator.collect():
             endpoint = self.by_link.get(id(link))
             if endpoint is not None:
                 self._send(endpoint, data)
 
-    def _answer(self, endpoint: Endpoint) -> None:
-        """Send at once what a vehicle has just answered, unless faults may hold it back."""
+    def _send_answer(self, endpoint: Endpoint) -> None:
+        """Send the answer of a vehicle immediately, unless a fault may delay it."""
         link = endpoint.link
         if link.outgoing and not self.emulator.injector.link_faults and not endpoint.vehicle.frozen:
             self._send(endpoint, b"".join(link.outgoing))
@@ -160,7 +162,7 @@ class Server:
                 self._drop(endpoint)
 
     def run(self, on_truth: Callable[[Truth], None] | None, parent: int | None) -> None:
-        """Run until `stop` (or until the parent process is another one)."""
+        """Run until `stop`, or until the parent process has changed."""
         emulator = self.emulator
         start = time.monotonic() - emulator.time / self.speed
         next_truth = 0.0
@@ -174,26 +176,26 @@ class Server:
                 if ready:
                     now = max(emulator.time, (time.monotonic() - start) * self.speed)
                     for descriptor, _ in ready:
-                        self._drain(descriptor, now)
+                        self._receive(descriptor, now)
                         if descriptor in self.endpoints:
-                            self._answer(self.endpoints[descriptor])
+                            self._send_answer(self.endpoints[descriptor])
                     continue
             elif wait < -_LARGEST_LAG:
                 start -= wait
                 self.slipped -= wait
             else:
                 for descriptor, _ in self.poll.poll(0):
-                    self._drain(descriptor, emulator.time)
+                    self._receive(descriptor, emulator.time)
             emulator.advance(emulator.time + STEP)
             self._flush()
             if on_truth is not None and emulator.time >= next_truth:
                 on_truth(emulator.truth())
-                next_truth = emulator.time + _TRUTH_EVERY - 1e-6
+                next_truth = emulator.time + _TRUTH_INTERVAL - 1e-6
             if parent is not None and os.getppid() != parent:
                 return
 
     def stop(self, *_: Any) -> None:
-        """End `run` soon; usable as a signal handler."""
+        """End `run` at its next step; a signal handler."""
         self.stopped = True
 
     def close(self) -> None:
@@ -205,7 +207,7 @@ class Server:
 
 
 def to_target(emulator: Emulator, target: tuple[str, int], host: str, speed: float) -> Server:
-    """Every vehicle from its own ephemeral UDP port to one address."""
+    """Return a server that sends from one ephemeral UDP port per vehicle to one address."""
     server = Server(emulator, host, speed)
     for vehicle in emulator.vehicles:
         local = server.udp(vehicle, vehicle.links[0], target)
@@ -221,9 +223,9 @@ def to_target(emulator: Emulator, target: tuple[str, int], host: str, speed: flo
 
 
 def to_default_ports(emulator: Emulator, host: str, speed: float, port_step: int | None) -> Server:
-    """Speak on the ports of the real simulators.
+    """Return a server on the ports of the real simulators.
 
-    PX4 number i (from 0) sends to UDP 14540 + i, all beyond the tenth to 14549, or to
+    PX4 number i (from 0) sends to UDP 14540 + i, from the tenth on to 14549, or to
     14540 + i·step; all send to 14550 too. ArduPilot sends to 14550 and listens on TCP 5760 + 10 i.
     """
     server = Server(emulator, host, speed)
@@ -245,7 +247,7 @@ def to_default_ports(emulator: Emulator, host: str, speed: float, port_step: int
 
 
 def truth_line(truth: Truth) -> str:
-    """One JSON line of ground truth (NaN as null)."""
+    """Return ground truth as one JSON line (NaN as null)."""
     data: dict[str, Any] = {}
     for name, value in vars(truth).items():
         if name in {"contacts", "strikes", "events"}:
@@ -259,7 +261,7 @@ def truth_line(truth: Truth) -> str:
 
 
 def truth_writer(file: TextIO) -> Callable[[Truth], None]:
-    """Write truth as JSON lines; events, contacts and strikes once each, as they happen."""
+    """Return a function that writes truth as JSON lines, each event and contact once."""
     seen = {"events": 0, "contacts": 0, "strikes": 0}
 
     def write(truth: Truth) -> None:
@@ -274,20 +276,20 @@ def truth_writer(file: TextIO) -> Callable[[Truth], None]:
     return write
 
 
-_WORDS = {
+_PHRASES = {
     "udp_local": "on UDP port {}",
     "tcp": "listens on TCP {}",
-    "tcp_taken": "does not listen, as somebody else has TCP {}",
+    "tcp_taken": "does not listen: another program uses TCP {}",
     "udp_to": "offboard client on UDP {}",
     "udp_ground": "ground station on UDP {}",
 }
 
 
 def connect_help(server: Server) -> str:
-    """How to connect the usual clients to what `server` speaks."""
+    """Return instructions for connecting the usual clients to ``server``."""
     lines = [
         f"{one['id']:>4}  {one['autopilot']:<9}  "
-        + ", ".join(words.format(one[key]) for key, words in _WORDS.items() if one.get(key))
+        + ", ".join(phrase.format(one[key]) for key, phrase in _PHRASES.items() if one.get(key))
         for one in server.description
     ]
     first = server.description[0]
@@ -304,7 +306,7 @@ def connect_help(server: Server) -> str:
         "",
         f"MAVSDK          {mavsdk}",
         f"MAVProxy        mavproxy.py --master={f'tcp:{tcp[0]}' if tcp else f'udpin:{ground}'}",
-        "QGroundControl  finds all of them by itself (UDP 14550)"
+        "QGroundControl  finds all vehicles automatically (UDP 14550)"
         if port == GROUND
         else f"QGroundControl  needs a UDP link on port {port} (Application Settings, Comm Links)",
     ]

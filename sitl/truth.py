@@ -1,4 +1,4 @@
-"""What really is, which only tests and the record may know."""
+"""Ground truth, for tests and records only."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,13 +11,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Truth:
-    """What really is at ``time`` (world ENU, SI).
+    """The true state at ``time`` (world ENU, SI).
 
     ``position`` (n, 3) are grip points in the file's order of vehicles, ``velocity`` (n, 3),
-    ``tilt`` (n,) radians from upright, ``gripped`` (n,) and the ``grip_arc`` (n,) held (NaN: none),
-    ``cable`` (m, 3) samples along the cable (empty without one), ``tension``, ``chord`` and
-    ``length`` of the spans between grips, ``contacts`` between vehicles or with the ground,
-    ``strikes`` of rotors on cable and all ``events`` since the start.
+    ``tilt`` (n,) radians from vertical, ``gripped`` (n,), ``grip_arc`` (n,) the arc length of each
+    grip (NaN: none), ``cable`` (m, 3) samples along the cable (empty without one), ``tension``,
+    ``chord`` and ``length`` of the spans between grips, ``contacts`` between vehicles or with the
+    ground, ``strikes`` of rotors on cable and all ``events`` since the start.
     """
 
     time: float

@@ -1,6 +1,6 @@
-"""What is compiled when it is first called is called before any vehicle is heard of.
+"""Warm-up: compile all inner loops before the first vehicle sends.
 
-On a new machine a first call takes seconds, in which emulated vehicles would fall silent.
+On a new machine the first calls take seconds, in which emulated vehicles would send nothing.
 """
 
 import numpy as np
@@ -23,13 +23,13 @@ vehicles:
 
 
 _SPUN_UP = 10.0
-"""Seconds after arming when any autopilot's motors turn."""
+"""Seconds after arming in which the motors of every autopilot have started."""
 _FLY = {"px4": 6 << 16, "ardupilot": 4}
 _LAND = {"px4": 4 << 16 | 6 << 24, "ardupilot": 9}
 
 
 def _take_off(vehicle: Vehicle) -> None:
-    """Have a vehicle armed and flying by setpoints, whatever it takes."""
+    """Arm a vehicle by force and let it follow setpoints."""
     vehicle.autopilot.set_mode(1, _FLY[vehicle.spec.autopilot])
     vehicle.autopilot.arm(force=True)
     vehicle.bodies.may_lift[vehicle.index] = True
@@ -37,8 +37,10 @@ def _take_off(vehicle: Vehicle) -> None:
 
 
 def warm_up() -> None:
-    """Fly three vehicles with a cable in virtual time: up, across until it is taut, let go, and
-    down. It has a loose end."""
+    """Fly three vehicles with a cable and a loose end in virtual time.
+
+    They climb, fly apart until the cable is taut, release it, and land.
+    """
     emulator = Emulator(parse_world(_WORLD))
     ground = dialect.MAVLink(None, 255, 190)
     places = np.array([[0.0, 0.0, 3.0], [2.5, 0.0, 3.5], [6.8, 1.0, 3.0]])

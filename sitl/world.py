@@ -1,7 +1,7 @@
-"""The world file: vehicles and their pads, the cable and how it lies, floor, wind, seed.
+"""The world file: vehicles and their pads, the cable and its initial shape, floor, wind, seed.
 
-It knows nothing of knots or plans. A file is checked once, here: unknown keys are errors, and every
-error is reported at once as ``file: key.path: expected …, got …``.
+World files do not contain knots or plans. Files are validated here: unknown keys are errors, and
+all errors are reported together, as ``file: key.path: expected …, got …``.
 """
 
 import json
@@ -17,9 +17,9 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 _KEY_LENGTH = 32
 _LARGEST_FILE = 4_000_000
-ALONE = 200.0
-"""Metres between vehicles that shall never meet."""
-_DEEPEST = 50
+SEPARATE = 200.0
+"""Metres between the pads of vehicles that never meet."""
+_MOST_NESTED = 50
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -28,7 +28,7 @@ Point = tuple[Number, Number, Number]
 
 
 class WorldError(Exception):
-    """A world or scenario file that cannot be used; the text lists every error, one a line."""
+    """An invalid world or scenario file; the text lists every error, one per line."""
 
 
 class _Strict(BaseModel):
@@ -48,61 +48,63 @@ class Origin(_Strict):
 
 
 class Wind(_Strict):
-    """Wind: a steady part (m/s, ENU, where it blows to) and a Dryden gust intensity (m/s)."""
+    """Wind: a steady part (m/s, ENU, to where it blows) and a Dryden gust intensity (m/s)."""
 
-    steady: Point = Field(default=(0.0, 0.0, 0.0), description="m/s, ENU, where it blows to")
+    steady: Point = Field(default=(0.0, 0.0, 0.0), description="m/s, ENU, to where it blows")
     gust: NotNegative = Field(default=0.0, description="Dryden intensity of gusts, m/s")
 
 
 class VehicleSpec(_Strict):
-    """One vehicle: its system id, where it stands and what it can do (SI units, ENU)."""
+    """One vehicle: system id, pad, capabilities (SI units, ENU)."""
 
     id: Annotated[int, Field(ge=1, le=250)] = Field(description="MAVLink system id")
     autopilot: Literal["px4", "ardupilot"] = Field(
-        default="px4", description="the autopilot that it behaves like"
+        default="px4", description="the autopilot that it emulates"
     )
-    pad: Point = Field(description="where it stands, metres ENU")
+    pad: Point = Field(description="position of the pad, metres ENU")
     heading: Number = Field(
         default=0.0, description="radians, compass: 0 north, clockwise seen from above"
     )
     mass: Positive = Field(default=1.5, description="kg")
     payload: NotNegative = Field(
-        default=0.4, description="kg it can lift beside itself with half its thrust in reserve"
+        default=0.4,
+        description="kg beside its own mass that it lifts with half of its thrust",
     )
     radius: Positive = Field(default=0.25, description="rotor disc and collision radius, m")
     grip_offset: NotNegative = Field(
-        default=0.6, description="height of the centre over the grip point, m; also its legs"
+        default=0.6,
+        description="height of the centre above the grip point, m; also its legs",
     )
     max_speed: Positive = Field(default=5.0, description="largest speed, m/s")
     max_acceleration: Positive = Field(default=4.0, description="largest acceleration, m/s²")
     gripper: Literal["mavlink", "attached", "none"] = Field(
         default="mavlink",
-        description="how it holds cable: by a gripper that obeys MAVLink, tied on, or not at all",
+        description="grip: a gripper that obeys MAVLink, cable that is tied on, or none",
     )
     radio: bool = Field(default=False, description="a pilot's transmitter is switched on")
     gps_noise: NotNegative = Field(
         default=0.0,
-        description="metres by which its receiver's altitude jumps about (standard deviation; the "
-        "place by 0.4 of it), but not its estimate; 0.5 is PX4's simulated receiver",
+        description="standard deviation of the GPS receiver's altitude, metres (0.4 of that "
+        "for east and north), without effect on the estimate; 0.5 is PX4's simulated receiver",
     )
     disturbance: NotNegative = Field(
         default=0.0,
-        description="m/s² on each axis, standard deviation of a random acceleration that its "
-        "controller must reject (first-order Gauss-Markov over 2 s), as errors of an attitude "
-        "estimate cause; with 0.6 it hovers as PX4 does in its own simulator (SIH): 0.35 m RMS",
+        description="standard deviation of a random acceleration on each axis, m/s² (first-order "
+        "Gauss-Markov over 2 s), as errors of an attitude estimate cause; with 0.6 it hovers as "
+        "PX4 does in its own simulator (SIH): 0.35 m RMS",
     )
     endurance: Positive = Field(default=900.0, description="hovering time of a full battery, s")
 
 
 class CableSpec(_Strict):
-    """The cable: kg/m, m, the polyline as which it lies, N at which it snaps, N per unit strain."""
+    """The cable: mass, diameter, initial shape, breaking load, stiffness, attached vehicles."""
 
     mass_per_length: Positive = Field(default=0.012, description="kg/m")
     diameter: Positive = Field(default=0.006, description="metres")
     points: Annotated[list[Point], Field(min_length=2)] = Field(
-        description="the polyline as which it lies at the start, metres ENU"
+        description="polyline of its initial shape, metres ENU"
     )
-    breaking_load: Positive = Field(default=200.0, description="newtons at which it snaps")
+    breaking_load: Positive = Field(default=200.0, description="tension at which it breaks, N")
     stiffness: Positive = Field(default=1500.0, description="axial stiffness EA, N")
     model: Literal["static", "swinging"] = Field(
         default="static",
@@ -110,40 +112,39 @@ class CableSpec(_Strict):
     )
     attached: list[NotNegative] | None = Field(
         default=None,
-        description="arc lengths tied to the vehicles whose gripper is `attached`, in file order",
+        description="arc lengths of the vehicles whose gripper is `attached`, in file order",
     )
 
 
 class World(_Strict):
-    """Everything that the emulator is told before it starts."""
+    """The initial state and settings of the emulator."""
 
     schema_: Literal[1] = Field(default=1, alias="schema", description="version of this format")
-    seed: Annotated[int, Field(ge=0)] = Field(
-        default=1, description="seed of everything that is random"
-    )
-    origin: Origin = Field(default=Origin(), description="where on the Earth")
+    seed: Annotated[int, Field(ge=0)] = Field(default=1, description="seed of all random numbers")
+    origin: Origin = Field(default=Origin(), description="position on the Earth")
     floor: Number = Field(default=0.0, description="height of the floor, metres")
     wind: Wind = Field(default=Wind(), description="the wind")
     indoor: bool = Field(
-        default=False, description="no GPS: position comes from VISION_POSITION_ESTIMATE/ODOMETRY"
+        default=False,
+        description="no GPS: position from VISION_POSITION_ESTIMATE or ODOMETRY",
     )
     vehicles: Annotated[list[VehicleSpec], Field(min_length=1, max_length=250)] = Field(
         description="the vehicles"
     )
-    cable: CableSpec | None = Field(default=None, description="the cable; none: there is none")
+    cable: CableSpec | None = Field(default=None, description="the cable; none: no cable")
     biases: Literal["default", "none"] = Field(
         default="default",
-        description="whether every vehicle has errors of its own: origin, clock, position",
+        description="errors of each vehicle: origin, clock, position",
     )
     local_origin: Literal["anywhere", "pad"] = Field(
         default="anywhere",
-        description="where estimators began, from which local positions count: each anywhere "
-        "within 30 m of its vehicle's pad, 3 m up or down (with `biases: default`), or on the pad",
+        description="origin of local positions: anywhere within 30 m of the vehicle's pad and "
+        "3 m above or below it (with `biases: default`), or on the pad",
     )
     projection: Literal["exact", "autopilot"] = Field(
         default="autopilot",
-        description="how estimators turn degrees into local metres: as each autopilot does (PX4 on "
-        "a sphere, ArduPilot with the equator's scale: up to 0.3 % off), or exactly (WGS-84)",
+        description="conversion of degrees into local metres: as each autopilot does (PX4 on a "
+        "sphere, ArduPilot with the equator's scale: errors up to 0.3 %), or exactly (WGS-84)",
     )
 
     @model_validator(mode="after")
@@ -165,9 +166,9 @@ class World(_Strict):
 
 
 def parse_world(text: str, name: str = "world") -> World:
-    """Turn the text of a world file (YAML or JSON) into a `World`.
+    """Return the world in the text of a world file (YAML or JSON).
 
-    Raises `WorldError` with every error found, one a line, each ``name: key.path: …``.
+    Raises `WorldError` with all errors, one per line, each ``name: key.path: …``.
     """
     data = parse_yaml(text, name)
     try:
@@ -177,11 +178,11 @@ def parse_world(text: str, name: str = "world") -> World:
 
 
 def parse_yaml(text: str, name: str) -> Any:
-    """Parse YAML or JSON safely (no tags, bounded size); `WorldError` with line and column."""
+    """Return parsed YAML or JSON (no tags, limited size); raise `WorldError` with the place."""
     if len(text) > _LARGEST_FILE:
         raise WorldError(f"{name}: expected at most {_LARGEST_FILE} characters, got {len(text)}")
-    if _depth(text) > _DEEPEST:
-        raise WorldError(f"{name}: expected at most {_DEEPEST} nested brackets, got more")
+    if _depth(text) > _MOST_NESTED:
+        raise WorldError(f"{name}: expected at most {_MOST_NESTED} nested brackets, got more")
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -197,7 +198,7 @@ def parse_yaml(text: str, name: str) -> Any:
 
 
 def _depth(text: str) -> int:
-    """How deep brackets nest (those in text too): what keeps a parser from running wild."""
+    """Return the depth of nested brackets, also in strings: a limit for the parser."""
     depth = deepest = 0
     for mark in re.findall(r"[\[\]{}]", text):
         depth += 1 if mark in "[{" else -1
@@ -214,9 +215,9 @@ def explain(error: ValidationError, name: str) -> str:
             where = f"{place}: " if place else ""
             lines.append(f"{name}: {where}{one['msg'].removeprefix('Value error, ')}")
         elif one["type"] == "extra_forbidden":
-            lines.append(f"{name}: {place}: expected a known key, got this one")
+            lines.append(f"{name}: {place}: expected a known key, got an unknown one")
         elif one["type"] == "missing":
-            lines.append(f"{name}: {place}: expected a value, got nothing")
+            lines.append(f"{name}: {place}: expected a value, got none")
         else:
             message = one["msg"].removeprefix("Input should be ").strip()
             lines.append(f"{name}: {place or 'file'}: expected {message}, got {_short(one)}")
@@ -229,22 +230,22 @@ def _short(one: Any) -> str:
 
 
 def load_world(path: str | Path) -> World:
-    """Read and check a world file; `WorldError` if it cannot be read or used."""
+    """Return the world of a file; raise `WorldError` if it is unreadable or invalid."""
     path = Path(path)
     return parse_world(read_text(path), str(path))
 
 
-def _said(error: OSError) -> str:
+def _reason(error: OSError) -> str:
     return error.strerror or repr(error)
 
 
 def load_key(path: Path) -> bytes:
-    """Read a signing key, 64 hexadecimal digits or 32 bytes; `WorldError` if it is none."""
+    """Return the signing key in a file: 64 hexadecimal digits or 32 bytes; raise `WorldError`."""
     try:
         data = path.read_bytes()[:1024]
         key = data if len(data) == _KEY_LENGTH else bytes.fromhex(data.decode("ascii"))
     except OSError as error:
-        raise WorldError(f"{path}: expected a readable file, got {_said(error)}") from None
+        raise WorldError(f"{path}: expected a readable file, got {_reason(error)}") from None
     except ValueError:
         key = b""
     if len(key) != _KEY_LENGTH:
@@ -253,32 +254,33 @@ def load_key(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Read a small text file; `WorldError` instead of an operating system's or codec's error."""
+    """Return the text of a small file; raise `WorldError` for errors of reading or decoding."""
     try:
         with path.open("rb") as file:
             data = file.read(_LARGEST_FILE + 1)
         return data.decode("utf-8")
     except OSError as error:
-        raise WorldError(f"{path}: expected a readable file, got {_said(error)}") from None
+        raise WorldError(f"{path}: expected a readable file, got {_reason(error)}") from None
     except UnicodeDecodeError as error:
-        raise WorldError(f"{path}: expected UTF-8 text, got byte {error.start} otherwise") from None
+        raise WorldError(
+            f"{path}: expected UTF-8 text, got an invalid byte {error.start}"
+        ) from None
 
 
 def default_world(
     count: int, autopilots: Sequence[Literal["px4", "ardupilot"]] = ("px4",), seed: int = 1
 ) -> World:
-    """Return ``count`` vehicles on a square grid of pads ALONE apart, without a cable.
+    """Return ``count`` vehicles on a square grid of pads SEPARATE apart, without a cable.
 
-    As in the autopilots' own simulators none ever meets another: ground stations that take each
-    vehicle's place for where it should stand may fly them through each other there. Local positions
-    count from the pads, as they do there.
+    As in the autopilots' own simulators, vehicles never meet: a ground station may place them
+    anywhere relative to each other. Local positions start at the pads, as in those simulators.
     """
     side = math.ceil(math.sqrt(count))
     vehicles = [
         VehicleSpec(
             id=i + 1,
             autopilot=autopilots[i % len(autopilots)],
-            pad=(ALONE * (i % side), ALONE * (i // side), 0.0),
+            pad=(SEPARATE * (i % side), SEPARATE * (i // side), 0.0),
         )
         for i in range(count)
     ]

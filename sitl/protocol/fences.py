@@ -1,7 +1,7 @@
-"""Fences as ground stations upload them: inclusion and exclusion, polygons and circles.
+"""Fences that ground stations upload: inclusion and exclusion, polygons and circles.
 
-Items of the mission protocol's fence list (MAV_CMD_NAV_FENCE_*) become `Area`s in world ENU; what
-follows from a breach is the autopilot's business.
+Items of the mission protocol's fence list (MAV_CMD_NAV_FENCE_*) become `Area`s in world ENU; the
+autopilot decides on the reaction to a breach.
 """
 
 import math
@@ -16,14 +16,14 @@ _POLYGON_IN, _POLYGON_OUT, _CIRCLE_IN, _CIRCLE_OUT = 5001, 5002, 5003, 5004
 
 @dataclass(frozen=True)
 class Area:
-    """One fence: stay in it, or out of it; a polygon, or a circle about its only corner (m)."""
+    """One fence: ``inside`` or outside a polygon, or a circle around its only corner (m)."""
 
     inside: bool
     corners: tuple[tuple[float, float], ...]
     radius: float = 0.0
 
-    def holds(self, x: float, y: float) -> bool:
-        """Whether a place (world ENU) is on the right side of this fence."""
+    def contains(self, x: float, y: float) -> bool:
+        """Return whether a point (world ENU) is on the permitted side of this fence."""
         if self.radius > 0:
             within = math.hypot(x - self.corners[0][0], y - self.corners[0][1]) <= self.radius
         else:
@@ -32,7 +32,7 @@ class Area:
 
 
 def _in_polygon(corners: Sequence[tuple[float, float]], x: float, y: float) -> bool:
-    """Even-odd rule: how often a ray to the east crosses the outline."""
+    """Return whether a point is in a polygon (even-odd rule with a ray to the east)."""
     within = False
     for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True):
         if (y1 > y) != (y2 > y) and x < x1 + (y - y1) / (y2 - y1) * (x2 - x1):
@@ -41,7 +41,7 @@ def _in_polygon(corners: Sequence[tuple[float, float]], x: float, y: float) -> b
 
 
 def areas(items: Sequence[dict[str, Any]], geodesy: Geodesy) -> tuple[Area, ...] | None:
-    """Return the fences of an uploaded list, None if it does not make sense."""
+    """Return the fences of an uploaded list, None if the list is invalid."""
     found = []
     rest = list(items)
     while rest:
@@ -70,5 +70,5 @@ def _place(item: dict[str, Any], geodesy: Geodesy) -> tuple[float, float]:
 
 
 def breached(fences: Sequence[Area], x: float, y: float) -> bool:
-    """Whether a place is outside any inclusion, or inside any exclusion."""
-    return not all(area.holds(x, y) for area in fences)
+    """Return whether a point is outside an inclusion, or inside an exclusion."""
+    return not all(area.contains(x, y) for area in fences)

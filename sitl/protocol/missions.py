@@ -17,7 +17,7 @@ _MISSION_TIMEOUT = 5.0
 _LARGEST_MISSION = 500
 
 
-def _mission_request_list(v: Vehicle, message: Any, link: Link) -> None:
+def _send_count(v: Vehicle, message: Any, link: Link) -> None:
     if addressed(v, message):
         kind = message.mission_type
         v.send(
@@ -30,12 +30,12 @@ def _mission_request_list(v: Vehicle, message: Any, link: Link) -> None:
         )
 
 
-def _mission_item(v: Vehicle, message: Any, link: Link) -> None:
+def _send_item(v: Vehicle, message: Any, link: Link) -> None:
     if not addressed(v, message):
         return
     items = v.mission.get(message.mission_type, [])
     if message.seq >= len(items):
-        _mission_ack(v, message, link, dialect.MAV_MISSION_INVALID_SEQUENCE)
+        _acknowledge(v, message, link, dialect.MAV_MISSION_INVALID_SEQUENCE)
         return
     item = dict(items[message.seq])
     item["target_system"], item["target_component"] = (
@@ -49,7 +49,7 @@ def _mission_item(v: Vehicle, message: Any, link: Link) -> None:
         v.send("MISSION_ITEM", link, **item)
 
 
-def _mission_ack(v: Vehicle, message: Any, link: Link, result: int) -> None:
+def _acknowledge(v: Vehicle, message: Any, link: Link, result: int) -> None:
     v.send(
         "MISSION_ACK",
         link,
@@ -60,20 +60,20 @@ def _mission_ack(v: Vehicle, message: Any, link: Link, result: int) -> None:
     )
 
 
-def _mission_count(v: Vehicle, message: Any, link: Link) -> None:
+def _start_upload(v: Vehicle, message: Any, link: Link) -> None:
     if not addressed(v, message):
         return
     kind = message.mission_type
     if kind not in v.mission or message.count > _LARGEST_MISSION:
-        _mission_ack(v, message, link, dialect.MAV_MISSION_NO_SPACE)
+        _acknowledge(v, message, link, dialect.MAV_MISSION_NO_SPACE)
     elif message.count == 0:
-        _mission_ack(v, message, link, _keep(v, kind, []))
+        _acknowledge(v, message, link, _store(v, kind, []))
     else:
         v.upload = {"kind": kind, "count": message.count, "items": [], "at": v.now}
-        _ask_item(v, message, link)
+        _request_item(v, message, link)
 
 
-def _ask_item(v: Vehicle, message: Any, link: Link) -> None:
+def _request_item(v: Vehicle, message: Any, link: Link) -> None:
     v.send(
         "MISSION_REQUEST_INT",
         link,
@@ -90,15 +90,15 @@ _ITEM_FIELDS = (
 )  # fmt: skip
 
 
-def _mission_receive(v: Vehicle, message: Any, link: Link) -> None:
+def _receive_item(v: Vehicle, message: Any, link: Link) -> None:
     if not addressed(v, message):
         return
     upload = v.upload
     if not upload or v.now - upload["at"] > _MISSION_TIMEOUT:
-        _mission_ack(v, message, link, dialect.MAV_MISSION_ERROR)
+        _acknowledge(v, message, link, dialect.MAV_MISSION_ERROR)
         return
     if message.seq != len(upload["items"]):
-        _ask_item(v, message, link)
+        _request_item(v, message, link)
         return
     item = {name: getattr(message, name) for name in _ITEM_FIELDS}
     if message.get_type() == "MISSION_ITEM":
@@ -106,15 +106,15 @@ def _mission_receive(v: Vehicle, message: Any, link: Link) -> None:
     upload["items"].append(item)
     upload["at"] = v.now
     if len(upload["items"]) < upload["count"]:
-        _ask_item(v, message, link)
+        _request_item(v, message, link)
         return
     v.upload = {}
-    result = _keep(v, upload["kind"], upload["items"])
-    _mission_ack(v, message, link, result)
+    result = _store(v, upload["kind"], upload["items"])
+    _acknowledge(v, message, link, result)
 
 
-def _keep(v: Vehicle, kind: int, items: list[dict[str, Any]]) -> int:
-    """Take a whole list up; return the MAV_MISSION_RESULT."""
+def _store(v: Vehicle, kind: int, items: list[dict[str, Any]]) -> int:
+    """Store a complete list; return the MAV_MISSION_RESULT."""
     if kind == dialect.MAV_MISSION_TYPE_FENCE:
         fence = fences.areas(items, v.environment.geodesy)
         if fence is None:
@@ -131,21 +131,21 @@ def _set_current(v: Vehicle, message: Any, link: Link) -> None:
         v.send("MISSION_CURRENT", link, seq=message.seq)
 
 
-def _mission_clear(v: Vehicle, message: Any, link: Link) -> None:
+def _clear(v: Vehicle, message: Any, link: Link) -> None:
     if addressed(v, message):
         kinds = list(v.mission) if message.mission_type == 255 else [message.mission_type]
         for kind in set(kinds) & set(v.mission):
-            _keep(v, kind, [])
-        _mission_ack(v, message, link, dialect.MAV_MISSION_ACCEPTED)
+            _store(v, kind, [])
+        _acknowledge(v, message, link, dialect.MAV_MISSION_ACCEPTED)
 
 
 HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {
-    "MISSION_REQUEST_LIST": _mission_request_list,
-    "MISSION_REQUEST": _mission_item,
-    "MISSION_REQUEST_INT": _mission_item,
-    "MISSION_COUNT": _mission_count,
-    "MISSION_ITEM": _mission_receive,
-    "MISSION_ITEM_INT": _mission_receive,
+    "MISSION_REQUEST_LIST": _send_count,
+    "MISSION_REQUEST": _send_item,
+    "MISSION_REQUEST_INT": _send_item,
+    "MISSION_COUNT": _start_upload,
+    "MISSION_ITEM": _receive_item,
+    "MISSION_ITEM_INT": _receive_item,
     "MISSION_SET_CURRENT": _set_current,
-    "MISSION_CLEAR_ALL": _mission_clear,
+    "MISSION_CLEAR_ALL": _clear,
 }

@@ -1,4 +1,4 @@
-"""The parameter protocol: list, read, set; SIM_* ones break things (`sitl.faults.mapping`)."""
+"""The parameter protocol: list, read, set; SIM_* parameters inject faults."""
 
 import zlib
 from collections.abc import Callable
@@ -8,41 +8,42 @@ from sitl.protocol import wire
 from sitl.protocol.links import Link
 from sitl.protocol.vehicle import Vehicle, addressed
 
-_PARAMETERS_PER_TICK = 20
+PARAMETERS_PER_UPDATE = 20
+"""PARAM_VALUE messages per update of the autopilot, 25 times a second."""
 _INFO = 6
 _BANNER = ("ArduCopter V4.6.2 (1a132e4b)",)
 
 
 _HASH, _UINT32 = "_HASH_CHECK", 5
-_NO_PLACE = 65535
+_NO_INDEX = 65535
 
 
 def send_parameter(v: Vehicle, link: Link, name: str) -> None:
-    """Send one PARAM_VALUE of the list."""
+    """Send PARAM_VALUE of a parameter, with its index."""
     p = v.parameters
-    _send(v, link, name, p.encode(name), p.kinds[name], p.places[name])
+    _send(v, link, name, p.encode(name), p.kinds[name], p.indices[name])
 
 
 def _send_changed(v: Vehicle, link: Link, name: str) -> None:
-    """Send one that was asked for by name, or set: ArduPilot does not say its place."""
+    """Send PARAM_VALUE after a request by name or a change: ArduPilot omits the index."""
     p = v.parameters
-    place = p.places[name] if v.spec.autopilot == "px4" else _NO_PLACE
-    _send(v, link, name, p.encode(name), p.kinds[name], place)
+    index = p.indices[name] if v.spec.autopilot == "px4" else _NO_INDEX
+    _send(v, link, name, p.encode(name), p.kinds[name], index)
 
 
 def _send_hash(v: Vehicle, link: Link) -> None:
-    """PX4's checksum of all parameters, by which clients tell whether they know them already."""
+    """Send PX4's checksum of all parameters; clients compare it with their cached list."""
     p = v.parameters
-    everything = b"".join(name.encode() + p.encode(name) for name in p.names)
-    value = zlib.crc32(everything).to_bytes(4, "little")
-    _send(v, link, _HASH, value, _UINT32, _NO_PLACE)
+    contents = b"".join(name.encode() + p.encode(name) for name in p.names)
+    value = zlib.crc32(contents).to_bytes(4, "little")
+    _send(v, link, _HASH, value, _UINT32, _NO_INDEX)
 
 
-def _send(v: Vehicle, link: Link, name: str, value: bytes, kind: int, place: int) -> None:
+def _send(v: Vehicle, link: Link, name: str, value: bytes, kind: int, index: int) -> None:
     body = (
         value
         + len(v.parameters.names).to_bytes(2, "little")
-        + place.to_bytes(2, "little")
+        + index.to_bytes(2, "little")
         + name.encode().ljust(16, b"\0")
         + bytes([kind])
     )
@@ -62,11 +63,11 @@ def _param_list(v: Vehicle, message: Any, link: Link) -> None:
         v.parameter_queue += [(link, k) for k in range(len(v.parameters.names))]
 
 
-def pump_parameters(v: Vehicle) -> None:
-    """Send the next few of a requested parameter list (400 a second)."""
-    for link, place in v.parameter_queue[:_PARAMETERS_PER_TICK]:
-        send_parameter(v, link, v.parameters.names[place])
-    del v.parameter_queue[:_PARAMETERS_PER_TICK]
+def send_queued(v: Vehicle) -> None:
+    """Send the next parameters of the requested lists."""
+    for link, index in v.parameter_queue[:PARAMETERS_PER_UPDATE]:
+        send_parameter(v, link, v.parameters.names[index])
+    del v.parameter_queue[:PARAMETERS_PER_UPDATE]
 
 
 def _name(text: Any) -> str:

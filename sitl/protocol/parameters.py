@@ -1,6 +1,6 @@
-"""Parameters of an autopilot: typed values by name, in a fixed order, as PARAM_* carries them.
+"""Parameters of an autopilot: typed values by name, in a fixed order, and their encoding.
 
-PX4 sends integers as their four bytes in the float field, ArduPilot as a number.
+PX4 sends the four bytes of an integer in the float field, ArduPilot the number as a float.
 """
 
 import math
@@ -21,13 +21,13 @@ class Parameters:
     bytewise: bool = True
 
     def load(self, table: dict[str, float | int], kinds: dict[str, int] | None = None) -> None:
-        """Take a table of defaults."""
+        """Load a table of defaults; ``kinds`` are other MAV_PARAM_TYPEs than INT32 and REAL32."""
         for name in sorted(table):
             self.values[name] = table[name]
             kind = INT32 if isinstance(table[name], int) else REAL32
             self.kinds[name] = (kinds or {}).get(name, kind)
         self.names = list(self.values)
-        self.places = {name: i for i, name in enumerate(self.names)}
+        self.indices = {name: i for i, name in enumerate(self.names)}
 
     def __getitem__(self, name: str) -> float:
         return self.values[name]
@@ -37,14 +37,14 @@ class Parameters:
         return int(self.values[name])
 
     def encode(self, name: str) -> bytes:
-        """Return the four bytes that carry the value."""
+        """Return the four bytes of the value in PARAM_VALUE."""
         value = self.values[name]
         if self.kinds[name] == REAL32 or not self.bytewise:
             return struct.pack("<f", value)
         return struct.pack("<i", int(value))
 
     def decode(self, name: str, raw: bytes, kind: int) -> float | int | None:
-        """Return the value that four received bytes mean for this parameter, None if unusable."""
+        """Return the value of four received bytes for this parameter, None if unusable."""
         if self.kinds[name] == REAL32:
             value = float(struct.unpack("<f", raw)[0])
             return value if math.isfinite(value) else None

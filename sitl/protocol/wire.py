@@ -1,8 +1,8 @@
-"""MAVLink 2 frames for one vehicle's side of a link: bytes in and out, no sockets and no clock.
+"""MAVLink 2 frames of one vehicle: bytes in and out, no sockets and no clock.
 
-Telemetry is packed by hand (about a microsecond a message) because an emulator of a hundred
-vehicles spends most of its time here; field order, sizes and CRC seeds are pymavlink's. Incoming
-bytes are parsed by pymavlink, but for the one message that arrives fifty times a second.
+Telemetry is packed by hand (about a microsecond per message), because an emulator of a hundred
+vehicles spends most of its time here; field order, sizes and CRC seeds are pymavlink's. pymavlink
+parses incoming bytes, except setpoints, which arrive fifty times a second, and frequent messages.
 """
 
 import hashlib
@@ -31,10 +31,10 @@ _crc: Callable[..., int] = crc16.mcrf4xx
 
 @dataclass(frozen=True)
 class Layout:
-    """How one message lies on the wire: number, packed structure, CRC seed, fields.
+    """Wire format of one message: number, packed structure, CRC seed, fields.
 
-    ``blank`` is the list of values of an empty message in wire order, ``places`` where in it each
-    field begins and, of an array of numbers, how long it is (otherwise 0).
+    ``blank`` are the values of an empty message in wire order; ``places`` are the index of each
+    field in it, and the length of an array of numbers (otherwise 0).
     """
 
     number: int
@@ -58,11 +58,11 @@ def _layouts() -> dict[str, Layout]:
         seed = bytes([message.crc_extra])
         found[message.msgname] = Layout(number, message.unpacker, seed, blank, places)
     found["EKF_STATUS_REPORT"] = _ekf_status_report()
-    found |= {name: _newer(*described) for name, described in _NEWER.items()}
+    found |= {name: _newer_layout(*described) for name, described in _NEWER_MESSAGES.items()}
     return found
 
 
-_NEWER: dict[str, tuple[int, int, str, str]] = {
+_NEWER_MESSAGES: dict[str, tuple[int, int, str, str]] = {
     "LINK_NODE_STATUS": (8, 117, "<QIIIIIHHHBB",
         "timestamp tx_rate rx_rate messages_sent messages_received messages_lost rx_parse_err "
         "tx_overflows rx_overflows tx_buf rx_buf"),
@@ -72,18 +72,18 @@ _NEWER: dict[str, tuple[int, int, str, str]] = {
     "CURRENT_EVENT_SEQUENCE": (411, 106, "<HB", "sequence flags"),
     "CURRENT_MODE": (436, 193, "<IIB", "custom_mode intended_custom_mode standard_mode"),
 }  # fmt: skip
-"""PX4's messages that common.xml has and the library has not yet: number, CRC seed, structure,
-fields in wire order."""
+"""Messages of PX4 in common.xml that the library lacks: number, CRC seed, structure, fields in
+wire order."""
 
 
-def _newer(number: int, seed: int, packed: str, names: str) -> Layout:
+def _newer_layout(number: int, seed: int, packed: str, names: str) -> Layout:
     places = {name: (place, 0) for place, name in enumerate(names.split())}
     blank: list[Any] = [b"" if name == "uri" else 0 for name in places]
     return Layout(number, struct.Struct(packed), bytes([seed]), blank, places)
 
 
 def _ekf_status_report() -> Layout:
-    """ArduPilot's own message about its estimator, which clients ask it for (ardupilotmega.xml)."""
+    """Return the layout of ArduPilot's message about its estimator (ardupilotmega.xml)."""
     variances = ("velocity", "pos_horiz", "pos_vert", "compass", "terrain_alt")
     names = (*(f"{name}_variance" for name in variances), "flags", "airspeed_variance")
     places = {name: (place, 0) for place, name in enumerate(names)}
@@ -95,14 +95,16 @@ NUMBERS: dict[str, int] = {name: layout.number for name, layout in LAYOUTS.items
 _BY_NUMBER = {number: LAYOUTS[message.msgname] for number, message in dialect.mavlink_map.items()}
 
 
-_BRIEF = {NUMBERS[name]: (name, tuple(LAYOUTS[name].places)) for name in ("HEARTBEAT", "TIMESYNC")}
-"""What ground stations keep sending, and is read without pymavlink for speed."""
+_FAST_MESSAGES = {
+    NUMBERS[name]: (name, tuple(LAYOUTS[name].places)) for name in ("HEARTBEAT", "TIMESYNC")
+}
+"""Frequent messages of ground stations, read without pymavlink for speed."""
 
 
 def payload(name: str, fields: dict[str, Any]) -> bytes:
-    """Pack named fields (missing ones are zero) into the message's payload.
+    """Return the payload of a message with named fields; other fields are zero.
 
-    Text is a ``str`` or ``bytes``, arrays are sequences; shorter ones are filled with zeros.
+    Text is a ``str`` or ``bytes``; arrays are sequences, extended with zeros.
     """
     layout = LAYOUTS[name]
     values = layout.blank.copy()
@@ -117,9 +119,9 @@ def payload(name: str, fields: dict[str, Any]) -> bytes:
 
 
 def template(name: str, varying: str, **constant: Any) -> Callable[..., bytes]:
-    """Return a function that packs a message's payload from the ``varying`` fields, in their order.
+    """Return a function that packs a message's payload from the values of ``varying`` fields.
 
-    They are names separated by spaces; all other fields are ``constant`` or zero.
+    ``varying`` are names separated by spaces; all other fields are ``constant`` or zero.
     """
     layout = LAYOUTS[name]
     blank = list(layout.struct.unpack(payload(name, constant)))
@@ -143,14 +145,14 @@ class Signer:
         self.timestamp = timestamp
 
     def sign(self, frame: bytes, now_ticks: int) -> bytes:
-        """Return the 13 bytes to append to a frame; timestamps only ever go up."""
+        """Return the 13 bytes that sign a frame; timestamps strictly increase."""
         self.timestamp = max(self.timestamp + 1, now_ticks)
         tail = bytes([self.link]) + self.timestamp.to_bytes(6, "little")
         return tail + hashlib.sha256(self.key + frame + tail).digest()[:6]
 
 
 class Sender:
-    """Frames payloads for one (vehicle, link): sequence numbers, checksum, signature."""
+    """Packs frames for one link of one vehicle: sequence numbers, checksum, signature."""
 
     def __init__(self, system: int, component: int = 1) -> None:
         self.system = system
@@ -159,9 +161,9 @@ class Sender:
         self.signer: Signer | None = None
 
     def frame(self, number: int, body: bytes, seed: bytes, now_ticks: int = 0) -> bytes:
-        """Return a whole MAVLink 2 frame around ``body``, whose trailing zeros are dropped.
+        """Return a MAVLink 2 frame with payload ``body``, without its trailing zeros.
 
-        ``number`` is below 65536, as all messages' are that vehicles send.
+        ``number`` is below 65536, as in all messages that vehicles send.
         """
         if not body[-1]:
             body = body.rstrip(b"\0") or b"\0"
@@ -202,7 +204,7 @@ _setpoint: Callable[[tuple[Any, ...]], Setpoint] = partial(tuple.__new__, Setpoi
 
 
 def setpoint_of(message: Any) -> Setpoint:
-    """Turn pymavlink's message into the same tuple as the fast path gives."""
+    """Return pymavlink's message as the tuple of the fast path."""
     m = message
     return Setpoint(
         m.get_srcSystem(),
@@ -218,7 +220,7 @@ def setpoint_of(message: Any) -> Setpoint:
 
 
 def setpoint_in(data: bytes) -> Setpoint | None:
-    """Return the setpoint that ``data`` is, if it is one with nothing cut off and nothing else."""
+    """Return the setpoint in ``data``, None unless that is exactly one complete packet."""
     if len(data) != SETPOINT_LENGTH or data[:3] != _WHOLE or data[7:10] != _NUMBER:
         return None
     if _crc(data[1:-2] + b"\x8f") != data[-2] | data[-1] << 8:
@@ -227,8 +229,8 @@ def setpoint_in(data: bytes) -> Setpoint | None:
     return _setpoint((v[0], v[1], v[14], v[15], v[16], v[13], v[2:11], v[11], v[12]))
 
 
-class Brief:
-    """A message of numbers alone, with what handlers ask of pymavlink's."""
+class FastMessage:
+    """A message of numbers only, with the methods of pymavlink's messages that handlers use."""
 
     def __init__(self, name: str, number: int, data: bytes, values: dict[str, Any]) -> None:
         self._name, self._number, self._data = name, number, data
@@ -238,26 +240,26 @@ class Brief:
         raise AttributeError(f"{self._name} has no field {name}")
 
     def get_type(self) -> str:
-        """The message's name."""
+        """Return the message's name."""
         return self._name
 
-    def get_msgId(self) -> int:  # noqa: N802 - as pymavlink has it
-        """The message's number."""
+    def get_msgId(self) -> int:  # noqa: N802 - pymavlink's name
+        """Return the message's number."""
         return self._number
 
-    def get_srcSystem(self) -> int:  # noqa: N802 - as pymavlink has it
-        """Who sent it."""
+    def get_srcSystem(self) -> int:  # noqa: N802 - pymavlink's name
+        """Return the sender's system id."""
         return self._data[5]
 
-    def get_srcComponent(self) -> int:  # noqa: N802 - as pymavlink has it
-        """Which of the sender's components."""
+    def get_srcComponent(self) -> int:  # noqa: N802 - pymavlink's name
+        """Return the sender's component id."""
         return self._data[6]
 
 
 class Receiver:
-    """Parses what arrives on one link; garbage is dropped and counted, never raised.
+    """Parses the bytes of one link; invalid bytes are dropped and counted, without exceptions.
 
-    With a key only signed frames with a fresh timestamp get through (``keyed`` drops the rest).
+    With a key, only signed frames with a new timestamp are accepted.
     """
 
     def __init__(self, key: bytes | None = None) -> None:
@@ -268,13 +270,13 @@ class Receiver:
         self.set_key(key)
 
     def set_key(self, key: bytes | None) -> None:
-        """Demand signatures made with ``key`` from now on, or none."""
+        """Require signatures with ``key`` from now on; None accepts unsigned frames."""
         self.key = key
         self._parser.signing.secret_key = key
 
     @property
     def plain(self) -> bool:
-        """Whether what comes next is neither signed nor the rest of something."""
+        """Whether the next bytes are unsigned and start a new frame."""
         return self.key is None and not self._pending
 
     def feed(self, data: bytes) -> list[Any]:
@@ -322,9 +324,9 @@ class Receiver:
         self._pending = self._parser.buf_len() > 0
 
     def _whole(self, data: bytes) -> list[Any]:
-        """Return the message that ``data`` is, if it is one good unsigned one and nothing else.
+        """Return the message in ``data``, if that is exactly one valid unsigned packet.
 
-        It is what the parser's state machine would have given.
+        The result equals that of the parser's state machine.
         """
         if (
             not self.plain
@@ -337,13 +339,13 @@ class Receiver:
         layout = _BY_NUMBER.get(int.from_bytes(data[7:10], "little"))
         if layout is None or _crc(data[1:-2] + layout.seed) != data[-2] | data[-1] << 8:
             return []
-        brief = _BRIEF.get(layout.number)
-        if brief is None:
+        fast = _FAST_MESSAGES.get(layout.number)
+        if fast is None:
             return [self._parser.decode(bytearray(data))]
-        name, names = brief
+        name, names = fast
         body = data[_HEADER_LENGTH:-2][: layout.struct.size].ljust(layout.struct.size, b"\0")
         values = dict(zip(names, layout.struct.unpack(body), strict=True))
-        return [Brief(name, layout.number, data, values)]
+        return [FastMessage(name, layout.number, data, values)]
 
     def _reset(self) -> None:
         self.bad += 1

@@ -20,7 +20,7 @@ from unittest import mock
 
 import sitl.protocol.parameter_protocol
 from sitl import server
-from sitl.emulator import _TICK_EVERY, Emulator
+from sitl.emulator import AUTOPILOT_STEPS, Emulator
 from sitl.physics.dynamics import STEP
 from sitl.warm import warm_up
 from sitl.world import default_world
@@ -45,7 +45,9 @@ def carrying(kind: str, table: dict[str, float], vehicles: int) -> Emulator:
 def serve(kind: str, table: dict[str, float], vehicles: int, ready: object) -> None:
     """Run the emulator as a process."""
     sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
-    sitl.protocol.parameter_protocol._PARAMETERS_PER_TICK = round(PACE[kind] * _TICK_EVERY * STEP)
+    sitl.protocol.parameter_protocol.PARAMETERS_PER_UPDATE = round(
+        PACE[kind] * AUTOPILOT_STEPS * STEP
+    )
     emulator = carrying(kind, table, vehicles)
     warm_up()
     running = server.to_default_ports(emulator, "127.0.0.1", 1.0, None)

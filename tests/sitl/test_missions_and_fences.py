@@ -156,10 +156,10 @@ def test_px4_cannot_fly_a_mission_that_it_does_not_have() -> None:
 
 def test_what_is_inside_which_fence() -> None:
     square = Area(True, ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (2.0, 2.0), (0.0, 4.0)))
-    assert square.holds(1.0, 1.0)
-    assert square.holds(3.5, 3.4)
-    assert not square.holds(2.0, 3.5), "the notch"
-    assert not square.holds(-0.1, 1.0)
+    assert square.contains(1.0, 1.0)
+    assert square.contains(3.5, 3.4)
+    assert not square.contains(2.0, 3.5), "the notch"
+    assert not square.contains(-0.1, 1.0)
     hole = Area(False, ((1.0, 1.0),), 0.5)
     assert breached([square, hole], 1.2, 1.2)
     assert not breached([square, hole], 1.0, 0.2)

@@ -110,8 +110,8 @@ def test_bad_files_and_usage_are_exit_code_2(
     bad = tmp_path / "w.yaml"
     bad.write_text("schema: 1\nvehicles: []\nwinds: 3\n")
     for arguments, error in (
-        (["--world", str(bad)], f"{bad}: winds: expected a known key, got this one"),
-        (["--scenario", str(bad)], f"{bad}: winds: expected a known key, got this one"),
+        (["--world", str(bad)], f"{bad}: winds: expected a known key, got an unknown one"),
+        (["--scenario", str(bad)], f"{bad}: winds: expected a known key, got an unknown one"),
         (["-n", "0"], "-n: expected 1 to 250, got 0"),
         (["--target", "nowhere"], "--target: expected HOST:PORT, got nowhere"),
         (["--speed", "nan"], "--speed: expected 0.01 to 1000, got nan"),

@@ -43,7 +43,7 @@ def test_all_errors_at_once_each_with_its_place() -> None:
         "w.yaml: seed: expected greater than or equal to 0, got -3",
         "w.yaml: vehicles.0.autopilot: expected 'px4' or 'ardupilot', got 'betaflight'",
         "w.yaml: vehicles.0.payload: expected a finite number, got nan",
-        "w.yaml: flor: expected a known key, got this one",
+        "w.yaml: flor: expected a known key, got an unknown one",
     ]
 
 
@@ -57,7 +57,7 @@ def test_all_errors_at_once_each_with_its_place() -> None:
             "'attached', got 0",
         ),
         (("schema: 1", "schema: 2"), "w: schema: expected 1, got 2"),
-        (("[3, 0, 0]", "[3, 0]"), "w: vehicles.1.pad.2: expected a value, got nothing"),
+        (("[3, 0, 0]", "[3, 0]"), "w: vehicles.1.pad.2: expected a value, got none"),
         (("seed: 3", "seed: [3"), "w:4:7: expected YAML, got expected ',' or ']', but got ':'"),
         (("seed: 3", "seed: !!python/object:os.system 3"), None),
     ],
