@@ -100,7 +100,7 @@ def test_bad_values_are_named_with_place_and_expectation(override: str, message:
 def test_every_problem_is_reported_at_once() -> None:
     found = problems("{schema: 1, cable: {length: 0, mass: 1}, knot: {}}")
     assert found == [
-        "m.yaml: name: expected this key (What the flight's record is called.), got nothing",
+        "m.yaml: name: expected this key (Name of the mission and of its flight records.), got nothing",
         "m.yaml: knot: expected exactly one of name, gauss, dt, pd or grid, got none",
         "m.yaml: cable.length: expected a length > 0 in metres, got 0",
         "m.yaml: cable.mass: unknown key, got 1",
@@ -117,7 +117,7 @@ def test_every_problem_is_reported_at_once() -> None:
         ),
         ("", "m.yaml: expected a mapping of keys, got None"),
         ("[" * 1000, "m.yaml: nested more than 64 deep"),
-        ("{a: &x [1], b: *x}", "m.yaml: YAML aliases are not used here"),
+        ("{a: &x [1], b: *x}", "m.yaml: YAML aliases are not supported"),
         ("x" * 1_000_001, "m.yaml: expected at most 1000000 characters"),
         ("\x00", "m.yaml: not valid YAML"),
     ],

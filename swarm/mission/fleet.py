@@ -1,6 +1,6 @@
-"""The fleet: which vehicles, on which links, in which frame.
+"""The fleet: vehicles, links, frame, rates and limits.
 
-Text in, a frozen :class:`Fleet` out; every error with its key path. The default is the built-in
+Parses text to a frozen :class:`Fleet`. Errors name the key path. The default fleet is the built-in
 emulator.
 """
 
@@ -28,21 +28,24 @@ class Vehicle(Section):
 
     sysid: SystemId = Field(description="MAVLink system id, 1 to 250.")
     links: tuple[Name, ...] = Field(
-        min_length=1, description="Names of the links on which it is heard; the first is preferred."
+        min_length=1, description="Names of the links to the vehicle; the first is preferred."
     )
-    autopilot: Autopilot = Field("detect", description="Its autopilot; `detect` asks heartbeats.")
+    autopilot: Autopilot = Field(
+        "detect", description="Autopilot of the vehicle; `detect`: read from its heartbeats."
+    )
     pad: Annotated[int, Field(strict=True, ge=1)] | None = Field(
-        None, description="Number of its pad (1 is the cable's first end); else the nearest one."
+        None,
+        description="Number of the pad, from 1 at the first end of the cable; default: nearest.",
     )
 
 
 class Place(Section):
-    """Where the mission's (0, 0, 0) lies on the earth, and how its axes are turned."""
+    """Position of the mission's origin (0, 0, 0) on the earth, and heading of its axes."""
 
-    latitude: float = number(..., "degrees", "Latitude.", least=-89.0, most=89.0)
-    longitude: float = number(..., "degrees", "Longitude.", least=-180.0, most=180.0)
+    latitude: float = number(..., "degrees", "Latitude of the origin.", least=-89.0, most=89.0)
+    longitude: float = number(..., "degrees", "Longitude of the origin.", least=-180.0, most=180.0)
     altitude: float | None = number(
-        None, "metres", "Height of the floor above mean sea level; else as the vehicles say.",
+        None, "metres", "Height of the floor above mean sea level; default: from the vehicles.",
         least=-500.0, most=9000.0,
     )  # fmt: skip
     heading: float = number(
@@ -51,62 +54,87 @@ class Place(Section):
 
 
 class Rates(Section):
-    """How often what is sent and asked for."""
+    """Rates of messages to and from every vehicle."""
 
-    setpoint: float = number(20.0, "Hz", "Setpoints to every vehicle.", least=4.0, most=100.0)
-    position: float = number(10.0, "Hz", "Positions from every vehicle.", least=2.0, most=100.0)
-    heartbeat: float = number(
-        4.0, "Hz", "Heartbeats of every vehicle: modes and arming.", least=1.0, most=20.0
+    setpoint: float = number(
+        20.0, "Hz", "Rate of setpoints to every vehicle.", least=4.0, most=100.0
     )
-    status: float = number(2.0, "Hz", "Attitude, landed state, battery.", least=0.5, most=20.0)
+    position: float = number(
+        10.0, "Hz", "Rate of position messages from every vehicle.", least=2.0, most=100.0
+    )
+    heartbeat: float = number(
+        4.0,
+        "Hz",
+        "Rate of heartbeats from every vehicle, with mode and arming state.",
+        least=1.0,
+        most=20.0,
+    )
+    status: float = number(
+        2.0,
+        "Hz",
+        "Rate of attitude, landed state and battery messages from every vehicle.",
+        least=0.5,
+        most=20.0,
+    )
 
 
 class Limits(Section):
-    """When the flight stops waiting or stops going on."""
+    """Time limits, and limits of placement and descent."""
 
     silence: float = number(
         0.7,
         "s",
-        "A vehicle that is not heard for so long holds the whole team; the longer, the "
-        "slower the team flies where one that stops would be in the others' way.",
+        "Time without messages from a vehicle after which the team holds; with a longer time "
+        "the team flies slower where a stopped vehicle would obstruct others.",
         above=0.1,
     )
     lost: float = number(
-        5.0, "s", "A vehicle that is not heard for so long is lost: the others land.", above=0.2
+        5.0,
+        "s",
+        "Time without messages from a vehicle after which it is lost and the others land.",
+        above=0.2,
     )
     hold: float = number(
-        60.0, "s", "After so long on hold everybody lands together; autopilots that miss the "
-        "ground station must be set to the same time.", least=5.0, most=120.0,
+        60.0, "s", "Hold timeout T, after which the team lands together; autopilots must use the "
+        "same time after the loss of the ground station.", least=5.0, most=120.0,
     )  # fmt: skip
     placement: float = number(
-        0.5, "metres", "How far a vehicle may stand from its pad.", above=0.0, most=5.0
+        0.5,
+        "metres",
+        "Largest distance of a vehicle from its pad before take-off.",
+        above=0.0,
+        most=5.0,
     )
     ready: float = number(
-        90.0, "s", "How long to wait until all vehicles are ready to arm.", above=1.0
+        90.0, "s", "Largest time to wait until all vehicles are ready to arm.", above=1.0
     )
     descent: float = number(
         0.6,
         "m/s",
-        "Speed at which the team lands together; PX4 documents 0.6 as the least.",
+        "Speed of a common landing; the documented minimum of PX4 is 0.6.",
         above=0.05,
         most=2.0,
     )
 
 
 class Emulated(Section):
-    """Vehicles that the built-in emulator flies."""
+    """Settings of the built-in emulator."""
 
     biases: Literal["default", "none"] = Field(
-        "default", description="Whether every vehicle has its own origin, clock and biases."
+        "default",
+        description="default: every vehicle has its own origin, clock offset and biases; "
+        "none: it has none.",
     )
-    seed: Annotated[int, Field(strict=True, ge=0)] = Field(1, description="Seed of its chances.")
+    seed: Annotated[int, Field(strict=True, ge=0)] = Field(
+        1, description="Seed of the random numbers."
+    )
 
 
 class Fleet(Section):
-    """A fleet file, validated."""
+    """A fleet: the validated content of a fleet file."""
 
     schema_version: Literal[1] = Field(alias="schema", description="Version of this format.")
-    name: Name = Field(description="What the fleet is called.")
+    name: Name = Field(description="Name of the fleet.")
     links: dict[Name, str] = Field(
         min_length=1,
         description="Links by name: udpin://host:port, udpout://host:port, tcp://host:port or "
@@ -115,28 +143,34 @@ class Fleet(Section):
     vehicles: tuple[Vehicle, ...] = Field(min_length=1, description="The vehicles.")
     capacity: dict[Name, Annotated[float, Field(gt=0.0)]] = Field(
         {},
-        description="What a link carries in kbit/s, where a radio behind it is slower than the "
-        "link itself (a serial port's is known).",
+        description="Capacity of links in kbit/s, for links with a slower radio behind them (the "
+        "capacity of a serial port follows from its baud rate).",
     )
     frame: Literal["gps", "shared", "pads"] = Field(
         "gps",
-        description="gps: every vehicle has its own origin on the earth; shared: all have the "
-        "mission's (motion capture); pads: each stands on its pad, wherever it thinks it is "
-        "(simulators that put all vehicles in one place).",
+        description="Frame of the vehicles' positions. gps: every vehicle has its own origin on "
+        "the earth; shared: all use the mission's origin (motion capture); pads: every vehicle "
+        "starts on its pad, whatever position it reports (simulators that start all vehicles in "
+        "one place).",
     )
     origin: Place | None = Field(
-        None, description="Where the mission lies (frame: gps); else fitted to the vehicles' pads."
+        None,
+        description="Origin of the mission on the earth (frame: gps); default: fitted to the "
+        "positions of the vehicles.",
     )
     gripper: Literal["mavlink", "attached", "none"] = Field(
-        "mavlink", description="How the cable is held: by MAVLink grippers, tied on, or not at all."
+        "mavlink",
+        description="mavlink: MAVLink grippers hold the cable; attached: it is tied on; none: "
+        "there is no cable.",
     )
     signing_key: str | None = Field(
-        None, description="File with the MAVLink 2 signing key, readable only by its owner."
+        None,
+        description="Path of the file with the MAVLink 2 signing key; only its owner may read it.",
     )
-    rates: Rates = Field(Rates(), description="Rates.")
-    limits: Limits = Field(Limits(), description="Limits.")
+    rates: Rates = Field(Rates(), description="Rates of messages.")
+    limits: Limits = Field(Limits(), description="Limits of the flight.")
     emulated: Emulated | None = Field(
-        None, description="Have the built-in emulator fly these vehicles."
+        None, description="Settings of the built-in emulator, where it emulates these vehicles."
     )
 
     @field_validator("links")
@@ -177,7 +211,7 @@ class Fleet(Section):
 
     @property
     def capacities(self) -> dict[str, float]:
-        """Bits per second of the links of which it is known; serial ports send ten per byte."""
+        """Known capacities of links, bits per second; a serial port sends ten bits per byte."""
         known = {name: 1000.0 * kilobits for name, kilobits in self.capacity.items()}
         for name, url in self.links.items():
             match = _URL.fullmatch(url)
@@ -197,7 +231,7 @@ def _listed(items: Iterable[Any]) -> str:
 
 
 def parse_fleet(text: str, source: str, overrides: Iterable[str] = ()) -> Fleet:
-    """Turn a fleet file's text into a :class:`Fleet`.
+    """Return the fleet of a fleet file's text.
 
     ``source`` names the file in errors, ``overrides`` are ``key.path=value`` strings. Raises
     :class:`swarm.errors.InputError` with every problem at once.
@@ -212,7 +246,7 @@ def emulated_fleet(
     seed: int = 1,
     biases: Literal["default", "none"] = "default",
 ) -> Fleet:
-    """Return the built-in emulator's fleet; personalities are dealt out in turn."""
+    """Return a fleet for the built-in emulator; the autopilots are assigned in turn."""
     document = {
         "schema": 1,
         "name": "emulator",

@@ -27,35 +27,38 @@ from swarm.notebook import table
 
 
 class Mission(Section):
-    """A mission file, validated."""
+    """A mission: the validated content of a mission file."""
 
     schema_version: Literal[1] = Field(alias="schema", description="Version of this format.")
-    name: Text = Field(description="What the flight's record is called.")
-    knot: Knot | None = Field(None, description="Which knot to tie.")
+    name: Text = Field(description="Name of the mission and of its flight records.")
+    knot: Knot | None = Field(None, description="The knot to tie.")
     formation: Formation | None = Field(
-        None, description="Places to fly to with a piece of cable or none, instead of a knot."
+        None, description="Formations to fly, with or without cable, instead of a knot."
     )
-    cable: Cable = Field(Cable(), description="The cable to tie it in.")
+    cable: Cable = Field(Cable(), description="Properties of the cable.")
     vehicles: Vehicles = Field(Vehicles(), description="The vehicles.")
-    layout: Layout = Field(Layout(), description="Where the knot lies in space.")
-    clearance: Clearance = Field(Clearance(), description="Distances to keep.")
-    wind: Wind = Field(Wind(), description="The wind to withstand.")
-    workspace: Workspace = Field(Workspace(), description="Where to fly.")
-    fold: Fold = Field(Fold(), description="How to get there.")
+    layout: Layout = Field(Layout(), description="Size and height of the knot in space.")
+    clearance: Clearance = Field(Clearance(), description="Clearances to keep.")
+    wind: Wind = Field(Wind(), description="Wind that the flight must withstand.")
+    workspace: Workspace = Field(Workspace(), description="Limits of the space for the flight.")
+    fold: Fold = Field(Fold(), description="Method of folding.")
     start: Literal["line", "serpentine"] = Field(
-        "line", description="How the cable lies on the floor."
+        "line",
+        description="Shape of the cable on the floor before the flight; only line is planned.",
     )
     grab: Literal["floor", "attached"] = Field(
-        "floor", description="Pick the cable up from the floor, or have it tied on by hand."
+        "floor",
+        description="floor: vehicles grip the cable on the floor; attached: it is tied on by hand.",
     )
     hold_time: Number = number(
-        4.0, "s", "How long the knot hangs folded before the finish; a strand swings as long.",
+        4.0, "s", "Duration of the hold before the finish; the strands swing as long.",
         least=4.0,
     )  # fmt: skip
     finish: Literal["release", "unfold", "tighten", "hold"] = Field(
         "release",
-        description="What follows the hold: release by all; unfold, back to how the cable lay; "
-        "tighten (the inner vehicles let go, the ends pull apart); hold, put down as it hangs.",
+        description="Phases after the hold. release: all vehicles release aloft; unfold: the "
+        "flight backwards, to the cable on the floor; tighten: the inner vehicles release, the two "
+        "at the ends pull; hold: a common descent, release on the floor.",
     )
 
     @classmethod
@@ -69,12 +72,13 @@ class Mission(Section):
     ) -> Self:
         """Return the default mission for a knot's name, such as "3_1", "overhand" or "3_1#m3_1".
 
-        A chiral knot is tied right-handed unless its name (m3_1) or ``chirality`` says otherwise.
-        ``tracking`` is the tracking error in metres to certify for (``vehicles.tracking``); other
-        ``keys`` are those of mission files: ``clearance={"cable": 0.2}``, ``finish="unfold"``.
+        A chiral knot is tied right-handed unless its name (m3_1) or ``chirality`` selects the
+        other. ``tracking`` is the largest certified tracking error in metres
+        (``vehicles.tracking``); other ``keys`` are keys of mission files:
+        ``clearance={"cable": 0.2}``, ``finish="unfold"``.
 
-        Raises :class:`swarm.errors.InputError` with every problem. Whether the knot exists is told
-        when it is planned. Source: :class:`Mission`; `swarm schema mission` prints all keys.
+        Raises :class:`swarm.errors.InputError` with every problem, but not for an unknown knot:
+        planning does. Source: :class:`Mission`; `swarm schema mission` prints all keys.
         """
         described = {"name": knot, "chirality": chirality}
         document: dict[str, Any] = {"schema": 1, "name": knot, "knot": described}
@@ -97,7 +101,7 @@ class Mission(Section):
         return table(f"Mission {self.name}", self._figures().items())
 
     def _figures(self) -> dict[str, str]:
-        """What one line says of a mission, by name."""
+        """Return the figures for one line, by name."""
         return {
             "task": _task(self),
             "tracking": f"tracking errors up to {self.vehicles.tracking:g} m",
@@ -105,9 +109,9 @@ class Mission(Section):
         }
 
     def document(self) -> dict[str, Any]:
-        """Return the mission as plain data that makes the same mission again, defaults included.
+        """Return the mission as plain data that gives the same mission, with defaults.
 
-        Keys that say nothing of a formation are left out, as they must be in a file.
+        Keys that do not apply to a formation are left out, as in a file.
         """
         document = self.model_dump(mode="json", by_alias=True)
         unused: set[str] = set()
@@ -127,7 +131,7 @@ class Mission(Section):
         return self
 
     def _check_formation(self, formation: Formation) -> None:
-        """Refuse what says nothing of a formation rather than to ignore it."""
+        """Refuse keys that do not apply to a formation, rather than ignore them."""
         unused = sorted(
             [name for name in ("layout", "fold") if name in self.model_fields_set]
             + ["cable.length"] * (self.cable.length is not None)
@@ -155,8 +159,8 @@ class Mission(Section):
         if self.cable.length is not None and (given or self.fold.method == "paper"):
             wrong = f"layout.{given[0]}" if given else "fold.method: paper"
             raise ValueError(
-                "expected cable.length only with a layout that is left to the planner, which it "
-                f"rescales, got {wrong} too"
+                "expected cable.length only with a layout that the planner chooses and scales, "
+                f"got {wrong} too"
             )
         return self
 
@@ -167,8 +171,8 @@ class Mission(Section):
                 raise ValueError("expected vehicles.breakaway in newtons with grab: attached")
             if self.finish in {"release", "tighten"}:
                 raise ValueError(
-                    "expected finish: hold or unfold with grab: attached, for nothing lets go of a "
-                    f"cable that is tied on, got {self.finish}"
+                    "expected finish: hold or unfold with grab: attached, because a tied-on cable "
+                    f"is not released, got {self.finish}"
                 )
         elif self.vehicles.breakaway is not None:
             raise ValueError("expected vehicles.breakaway only with grab: attached")
@@ -176,23 +180,23 @@ class Mission(Section):
 
 
 def _task(mission: Mission) -> str:
-    """What a mission is for, in a few words."""
+    """Return the task of a mission in a few words."""
     if mission.formation is not None:
         count = len(mission.formation.places)
         return f"{count} formation{'s' if count > 1 else ''}"
     assert mission.knot is not None  # noqa: S101 - a mission has one or the other
-    told = mission.knot.model_dump(exclude_none=True)
-    hand = told.pop("chirality", "either")
-    described, value = next(iter(told.items()))
+    knot = mission.knot.model_dump(exclude_none=True)
+    chirality = knot.pop("chirality", "either")
+    described, value = next(iter(knot.items()))
     task = str(value) if described == "name" else f"a knot given by its {_CODES[described]}"
-    return task if hand == "either" else f"{task}, {hand}-handed"
+    return task if chirality == "either" else f"{task}, {chirality}-handed"
 
 
 _CODES = {"gauss": "Gauss code", "dt": "DT code", "pd": "PD code", "grid": "grid diagram"}
 
 
 def parse_mission(text: str, source: str, overrides: Iterable[str] = ()) -> Mission:
-    """Turn a mission file's text into a :class:`Mission`.
+    """Return the mission of a mission file's text.
 
     ``source`` names the file in errors, ``overrides`` are ``key.path=value`` strings applied to
     the document before it is validated. Raises :class:`swarm.errors.InputError` with every
@@ -204,7 +208,7 @@ def parse_mission(text: str, source: str, overrides: Iterable[str] = ()) -> Miss
 def mission_for_knot(knot: str, overrides: Iterable[str] = ()) -> Mission:
     """Return the default mission for a knot's name, with overrides applied.
 
-    A chiral knot is tied right-handed unless its name (m3_1) or an override says otherwise.
+    A chiral knot is tied right-handed unless its name (m3_1) or an override selects the other.
     """
     document = {"schema": 1, "name": knot, "knot": {"name": knot, "chirality": "either"}}
     return validate(Mission, apply_overrides(document, overrides), knot)

@@ -20,25 +20,26 @@ def _length(default: Any, sentence: str, **bounds: Any) -> Any:
 
 
 class Knot(Section):
-    """Which knot: one of a name, a Gauss code, a DT code, a PD code or a grid diagram."""
+    """The knot: exactly one of a name, a Gauss code, a DT code, a PD code or a grid diagram."""
 
     name: Text | None = Field(
-        None, description="A knot's name: overhand, figure-eight, 8_18, torus(2,5), 3_1#m3_1."
+        None,
+        description="Name of the knot: overhand, figure-eight, 8_18, torus(2,5), 3_1#m3_1.",
     )
     gauss: Text | None = Field(
-        None, description='A Gauss code: "1- 2+ 3- 1+ 2- 3+", + passes over, - passes under.'
+        None, description='Gauss code, such as "1- 2+ 3- 1+ 2- 3+": + passes over, - passes under.'
     )
-    dt: tuple[int, ...] | None = Field(None, description="A Dowker-Thistlethwaite code.")
+    dt: tuple[int, ...] | None = Field(None, description="Dowker-Thistlethwaite code.")
     pd: tuple[tuple[int, int, int, int], ...] | None = Field(
-        None, description="A planar diagram code, four strands per crossing."
+        None, description="Planar diagram code: the four edges of each crossing."
     )
     grid: tuple[tuple[int, int], ...] | None = Field(
-        None, description="A grid diagram: the two rows of each column; columns pass over."
+        None, description="Grid diagram: the two rows of each column; columns pass over."
     )
     chirality: Literal["left", "right", "either"] | None = Field(
         None,
-        description="Which mirror image to tie. Must be said where the knot is chiral and the "
-        "code does not fix it.",
+        description="Mirror image to tie. Required where the knot is chiral and the code does "
+        "not determine it.",
     )
 
     @model_validator(mode="after")
@@ -55,37 +56,37 @@ class Knot(Section):
 class Cable(Section):
     """The cable."""
 
-    mass_per_length: Number = number(0.012, "kg/m", "Mass of a metre of cable.", above=0)
-    diameter: Number = _length(0.006, "Thickness of the cable.")
+    mass_per_length: Number = number(0.012, "kg/m", "Mass per length of the cable.", above=0)
+    diameter: Number = _length(0.006, "Diameter of the cable.")
     length_tolerance: Number = _length(
-        0.01, "How far a segment's length may be off, each.", least=0
+        0.01, "Largest error of the length of each segment.", least=0
     )
     length: Number | None = _length(
-        None, "Total length of the cable at hand; the layout is rescaled to use it."
+        None, "Total length of the available cable; the layout is scaled to use it."
     )
-    breaking_load: Number = number(200.0, "newtons", "Load at which the cable breaks.", above=0)
+    breaking_load: Number = number(200.0, "newtons", "Tension at which the cable breaks.", above=0)
 
 
 class Vehicles(Section):
-    """What every vehicle of the team can do, and how well."""
+    """Properties and limits of every vehicle of the team."""
 
-    radius: Number = _length(0.25, "From the vehicle's axis to its rotor tips.")
+    radius: Number = _length(0.25, "Distance from the vehicle's axis to the tips of its rotors.")
     grip_offset: Number = _length(
         0.6, "Height of the vehicle's centre above its grip point.", least=0
     )
     max_speed: Number = number(2.0, "m/s", "Largest planned speed.", above=0)
     max_acceleration: Number = number(2.0, "m/s²", "Largest planned acceleration.", above=0)
     braking_acceleration: Number = number(
-        1.0, "m/s²", "Part of the acceleration kept for stopping along the path.", above=0
+        1.0, "m/s²", "Part of the acceleration reserved for braking along the path.", above=0
     )
-    payload: Number = number(0.4, "kg", "Mass that a vehicle can carry beside itself.", above=0)
+    payload: Number = number(0.4, "kg", "Largest mass that a vehicle can carry.", above=0)
     mass: Number = number(1.5, "kg", "Mass of a vehicle.", above=0)
     tracking: Number = _length(
-        0.1, "Radius of the ball around the setpoint within which a grip point stays.", least=0
+        0.1, "Largest tracking error: distance of a grip point from its setpoint.", least=0
     )
-    endurance: Number = number(600.0, "s", "Flight time on one battery, with load.", above=0)
+    endurance: Number = number(600.0, "s", "Flight time on one battery, with payload.", above=0)
     breakaway: Number | None = number(
-        None, "newtons", "Pull at which a tied-on cable lets go (grab: attached).", above=0
+        None, "newtons", "Tension at which a tied-on cable releases (grab: attached).", above=0
     )
 
     @model_validator(mode="after")
@@ -99,9 +100,9 @@ class Vehicles(Section):
 
 
 class Layout(Section):
-    """Where the knot's corners lie in space: numbers as they are, or ``auto``."""
+    """Size and height of the knot in space: numbers, or ``auto`` for the planner's choice."""
 
-    cell: Positive | Auto = _length("auto", "Width of a grid cell.", above=0, auto=True)
+    cell: Positive | Auto = _length("auto", "Width of a cell of the grid.", above=0, auto=True)
     sag_over: Positive | Auto = _length(
         "auto", "Sag of the segments that pass over.", above=0, auto=True
     )
@@ -118,10 +119,10 @@ class Layout(Section):
         "auto", "Height of the knot's plane above the floor.", above=0, auto=True
     )
     corners: tuple[Point2, ...] | None = Field(
-        None, description="Corners in plan view in order along the cable, instead of a grid's."
+        None, description="Corners x, y in metres in order along the cable, instead of the grid's."
     )
     sags: tuple[Number, ...] | None = Field(
-        None, description="One sag per segment in metres, with `corners`."
+        None, description="Sag of each segment in metres, together with `corners`."
     )
 
     @model_validator(mode="after")
@@ -147,28 +148,40 @@ class Layout(Section):
 
 
 class Clearance(Section):
-    """Distances to keep, whatever the tracking errors within the ball do."""
+    """Clearances to keep for every tracking error up to `vehicles.tracking`."""
 
-    cable: Number = _length(0.15, "Between strands, surface to surface.")
-    vehicle: Number = _length(1.0, "Between vehicles horizontally, centre to centre, or …")
-    downwash: Number = _length(1.5, "… between vehicles vertically, centre to centre.")
-    vehicle_cable: Number = _length(0.3, "Between a vehicle and other segments' cable.")
-    floor: Number = _length(0.5, "Between cable aloft and the floor.", least=0)
+    cable: Number = _length(0.15, "Distance between strands, surface to surface.")
+    vehicle: Number = _length(
+        1.0,
+        "Horizontal distance between vehicles, centre to centre; `vehicle` or `downwash` is kept.",
+    )
+    downwash: Number = _length(
+        1.5,
+        "Vertical distance between vehicles, centre to centre; `vehicle` or `downwash` is kept.",
+    )
+    vehicle_cable: Number = _length(
+        0.3, "Distance between a vehicle and the segments that it does not hold."
+    )
+    floor: Number = _length(0.5, "Distance between the cable aloft and the floor.", least=0)
 
 
 class Wind(Section):
     """The wind that the flight must withstand."""
 
-    steady: Number = number(0.0, "m/s", "Steady wind, from any direction.", least=0, kind="a speed")
-    gust: Number = number(0.0, "m/s", "Gusts on top of it.", least=0, kind="a speed")
+    steady: Number = number(
+        0.0, "m/s", "Speed of the steady wind, from any direction.", least=0, kind="a speed"
+    )
+    gust: Number = number(
+        0.0, "m/s", "Speed of gusts in addition to the steady wind.", least=0, kind="a speed"
+    )
 
 
 class Workspace(Section):
-    """Where the team may fly."""
+    """The space in which the team may fly."""
 
     ceiling: Number = _length(30.0, "Largest height of a vehicle above the floor.")
     fence: tuple[Point2, ...] | None = Field(
-        None, description="Corners of the geofence in plan view (x east, y north, metres)."
+        None, description="Corners x, y of the geofence in metres (x east, y north)."
     )
 
     @model_validator(mode="after")
@@ -179,13 +192,14 @@ class Workspace(Section):
 
 
 class Fold(Section):
-    """How the team gets to the knot."""
+    """How the team folds the knot."""
 
     method: Literal["certified", "paper"] = Field(
-        "certified", description="Our planner, or the published trajectory for comparison."
+        "certified",
+        description="certified: this planner; paper: the published trajectory, for comparison.",
     )
     delay: Number | None = number(
-        None, "s", "Constant delay between vehicles (method: paper).", above=0
+        None, "s", "Delay between neighbouring vehicles (method: paper).", above=0
     )
 
     @model_validator(mode="after")
@@ -196,14 +210,15 @@ class Fold(Section):
 
 
 class Formation(Section):
-    """First steps: where grip points go, one formation after the other, and the cable between."""
+    """Formations of grip points to fly one after the other, instead of a knot."""
 
     places: tuple[tuple[Point3, ...], ...] = Field(
-        description="Formations in the order in which they are flown: a grip point x, y, z (metres "
-        "east, north, up) for each vehicle, in order along the cable."
+        description="Formations in flight order, each with a grip point x, y, z (metres east, "
+        "north, up) for each vehicle in order along the cable."
     )
     lengths: tuple[Number, ...] = Field(
-        (), description="Metres of cable between neighbouring vehicles; none for no cable."
+        (),
+        description="Length of the cable between neighbouring vehicles in metres; empty: no cable.",
     )
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""From text that people write to validated models, with every error at its place.
+"""Validation of YAML files that people write: models, or every error with its place.
 
 Mission and fleet files share these rules: YAML 1.2, bounded size, no duplicate keys, unknown keys
 refused, NaN and infinities refused. Errors read ``file: key.path: expected …, got …``.
@@ -17,10 +17,10 @@ from ruamel.yaml.resolver import VersionedResolver
 from swarm.errors import InputError, Problem
 
 LARGEST_FILE = 1_000_000
-"""Characters that a mission or fleet file may have; more is not something a person wrote."""
+"""Largest number of characters of a mission or fleet file."""
 
 DEEPEST_NESTING = 64
-"""How deep brackets may nest; the parser recurses, and a hostile file must not end it."""
+"""Largest depth of nesting: the parser recurses, and a hostile file must not crash it."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -44,9 +44,9 @@ def number(
 ) -> Any:
     """Declare a numeric key with its unit, range and the sentence that the schema shows.
 
-    ``above`` is an exclusive lower bound, ``least`` and ``most`` are inclusive; ``kind`` is what
-    error messages call it; ``auto`` says that the word ``auto`` is taken too (the key's type then
-    carries the range, since a word has none).
+    ``above`` is an exclusive lower bound, ``least`` and ``most`` are inclusive bounds. ``kind`` is
+    the noun in error messages. With ``auto`` the word ``auto`` is valid too, and the type of the
+    key holds the range.
     """
     bounds = [
         *([f"> {above:g}"] if above is not None else []),
@@ -69,10 +69,10 @@ def number(
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Parse YAML 1.2 text from a stranger.
+    """Return the data of YAML 1.2 text from an untrusted source.
 
-    Raises :class:`InputError` with line and column on a syntax error or a repeated key, and on
-    text that is too large or nests too deeply.
+    Raises :class:`InputError`, with line and column for a syntax error or a repeated key, and for
+    text that is too large or nested too deeply.
     """
     if len(text) > LARGEST_FILE:
         raise InputError([Problem(source, f"expected at most {LARGEST_FILE} characters")])
@@ -91,7 +91,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 class _KnotNameResolver(VersionedResolver):  # type: ignore[misc]
-    """Plain scalars with an underscore are words: ``3_1`` is a knot, not thirty-one."""
+    """Reads plain scalars with an underscore as text: ``3_1`` is a knot, not the number 31."""
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
         if kind is ScalarNode and implicit[0] and "_" in value:
@@ -104,7 +104,7 @@ def _refuse_deep_nesting(loader: YAML, text: str, source: str) -> None:
     for event in loader.parse(text):
         name = type(event).__name__
         if name == "AliasEvent":
-            raise InputError([Problem(source, "YAML aliases are not used here")])
+            raise InputError([Problem(source, "YAML aliases are not supported")])
         depth += name.endswith("StartEvent") - name.endswith("EndEvent")
         if depth > DEEPEST_NESTING:
             raise InputError([Problem(source, f"nested more than {DEEPEST_NESTING} deep")])
@@ -139,12 +139,12 @@ def _replaced(document: Any, keys: list[str], value: Any) -> Any:
     if document is None:
         document = {}
     if not isinstance(document, Mapping):
-        document = {}  # the model says what was expected here
+        document = {}  # the model reports the expected type
     return {**document, head: _replaced(document.get(head), rest, value)}
 
 
 def validate(model: type[Model], document: Any, source: str) -> Model:
-    """Validate a parsed document against a model.
+    """Return the model of a parsed document.
 
     Raises :class:`InputError` with every problem, each at ``source: key.path``.
     """
@@ -175,7 +175,7 @@ def _problem(model: type[BaseModel], item: dict[str, Any], source: str) -> Probl
 def _named_field(
     model: type[BaseModel], location: tuple[int | str, ...]
 ) -> tuple[list[str], FieldInfo | None]:
-    """Key path of an error without pydantic's union tags, and the innermost field on it."""
+    """Return the key path of an error without pydantic's union tags, and its innermost field."""
     keys: list[str] = []
     field: FieldInfo | None = None
     inside: Any = model
@@ -192,7 +192,7 @@ def _named_field(
 
 
 def _section_of(annotation: Any) -> Any:
-    """Return the model that an annotation holds (bare, optional or as a list's element)."""
+    """Return the model of an annotation: bare, optional or as the element of a list."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     for argument in getattr(annotation, "__args__", ()):
