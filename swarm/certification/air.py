@@ -1,6 +1,7 @@
-"""The air around vehicles and cable: wind on strands, and the jets below rotors.
+"""The air around vehicles and cable: wind on strands, and the downwash of rotors.
 
-Estimates with their sources; how a vehicle answers is that of an autopilot's usual gains.
+Estimates, each with its source. The response of a vehicle is that of an autopilot with default
+gains.
 """
 
 import math
@@ -18,6 +19,8 @@ Floats = npt.NDArray[np.float64]
 Place = tuple[float, float, float]
 
 AIR_DENSITY = 1.225
+"""kg/m³ at sea level, 15 °C (ISO 2533)."""
+
 DRAG_COEFFICIENT = 1.1
 """Of a cylinder across the flow, at the Reynolds numbers of a cable (Hoerner 1965, p. 3-9)."""
 
@@ -25,15 +28,18 @@ _JET_DECAY = 6.2
 """A round turbulent jet's axial speed is 6.2 of its diameter over the distance (Pope 2000, 5.1)."""
 
 _JET_WIDENING = 0.1
-"""Its half-width grows by this share of the distance (the same); so does the air below quadrotors
+"""Its half-width grows by this share of the distance (Pope 2000, 5.1), also below quadrotors
 (Bauersfeld et al. 2024, "Robotics meets Fluid Dynamics")."""
 
 STEP = 0.1
+"""Seconds between samples: a tenth of the response time of the transfer function."""
+
 LEAST_SINKING = 0.01
-"""Metres; less is not worth a word."""
-_ANSWER = (2.0, 6.0, 4.0)
-"""An autopilot's vertical error for a disturbing acceleration, as a transfer function: with PX4's
-defaults MPC_Z_P 1, MPC_Z_VEL_P_ACC 4 and MPC_Z_VEL_I_ACC 2 it is s / (s³ + 4s² + 6s + 2)."""
+"""Metres; a smaller sinking is not reported."""
+
+_DENOMINATOR = (2.0, 6.0, 4.0)
+"""Coefficients of the transfer function from a disturbing acceleration to the vertical error: with
+PX4's defaults MPC_Z_P 1, MPC_Z_VEL_P_ACC 4 and MPC_Z_VEL_I_ACC 2 it is s / (s³ + 4s² + 6s + 2)."""
 
 
 def wind_down(plan: Plan, speed: float, heading: float) -> Place:
@@ -50,14 +56,14 @@ def wind_down(plan: Plan, speed: float, heading: float) -> Place:
 
 
 def induced_speed(mission: Mission) -> float:
-    """Speed of the air through a hovering vehicle's rotors, √(T / 2ρA), m/s (momentum theory)."""
+    """Return the induced speed of a hovering vehicle, √(T / 2ρA), m/s (momentum theory)."""
     vehicles = mission.vehicles
     area = math.pi * vehicles.radius**2
     return math.sqrt(vehicles.mass * STANDARD_GRAVITY / (2.0 * AIR_DENSITY * area))
 
 
 def jet_speed(mission: Mission, below: Floats, aside: Floats) -> Floats:
-    """Downward speed of the air (…,), m/s, in the jet of a hovering vehicle.
+    """Return the downward speed of the air (…,), m/s, in the jet of a hovering vehicle.
 
     ``below`` (…,) metres under its rotors, ``aside`` (…,) from their axis. Momentum theory: far
     below a disc of radius R the jet has twice the induced speed and the radius R/√2; beyond about
@@ -73,14 +79,18 @@ def jet_speed(mission: Mission, below: Floats, aside: Floats) -> Floats:
 
 
 def jet_width(mission: Mission, below: Floats) -> Floats:
-    """Radius (…,) of a vehicle's jet at metres under its rotors."""
+    """Return the radius (…,) of a vehicle's jet at ``below`` metres under its rotors."""
     width: Floats = mission.vehicles.radius / math.sqrt(2.0) + _JET_WIDENING * below
     return width
 
 
 @dataclass(frozen=True)
 class Sinking:
-    """How far a vehicle sinks in others' jets: metres, who, under whom, air speed (m/s), when."""
+    """Sinking of a vehicle in the downwash of another.
+
+    ``depth`` in metres; indices of the ``vehicle`` and of that ``above`` it, by ``below`` metres;
+    air ``speed`` in m/s; mission ``time``.
+    """
 
     depth: float
     vehicle: int
@@ -91,49 +101,49 @@ class Sinking:
 
 
 def deepest_sinking(plan: Plan) -> Sinking | None:
-    """Return the largest error that downwash alone makes while the cable is held off the floor.
+    """Return the largest vertical error by downwash alone while the cable is off the floor.
 
-    Air that comes down through a rotor at speed w takes w / 2v of its thrust at the same power, v
-    the induced speed (Leishman 2006, 2.13, for a slow climb; at most half of it here). The
-    autopilot answers with _ANSWER. The largest speed counts where
-    several jets meet. None where nobody passes below anybody.
+    Air that comes down through a rotor at speed w reduces its thrust by w / 2v at the same power, v
+    the induced speed (Leishman 2006, 2.13, for a slow climb); here by at most half. The autopilot
+    responds with _DENOMINATOR. Where several jets meet, the largest speed counts. None where no
+    vehicle passes below another.
     """
     held = [phase for phase in plan.phases if phase.cable in {"lifting", "aloft"}]
     if not held or plan.vehicles < 2:
         return None
     time = np.arange(held[0].start, held[-1].end, STEP)
-    place = plan.motion.at(time)[0]
-    speeds = np.empty(place.shape[:2])
-    sources = np.empty(place.shape[:2], dtype=np.intp)
-    for vehicle in range(plan.vehicles):
-        step = place - place[:, vehicle : vehicle + 1]
+    position = plan.motion.at(time)[0]
+    speeds = np.empty(position.shape[:2])
+    sources = np.empty(position.shape[:2], dtype=np.intp)
+    for k in range(plan.vehicles):
+        step = position - position[:, k : k + 1]
         blown = jet_speed(plan.mission, step[..., 2], np.hypot(step[..., 0], step[..., 1]))
-        sources[:, vehicle] = blown.argmax(axis=1)
-        speeds[:, vehicle] = blown.max(axis=1)
+        sources[:, k] = blown.argmax(axis=1)
+        speeds[:, k] = blown.max(axis=1)
     lost = np.minimum(0.5, speeds / (2.0 * induced_speed(plan.mission))) * STANDARD_GRAVITY
     depth = _error(lost)
-    instant, who = np.unravel_index(np.argmax(depth), depth.shape)
-    if depth[instant, who] < LEAST_SINKING:
+    instant, vehicle = np.unravel_index(np.argmax(depth), depth.shape)
+    if depth[instant, vehicle] < LEAST_SINKING:
         return None
-    # The air is strongest a little before the vehicle is lowest.
+    # The air is fastest up to 1.5 s before the vehicle is lowest, by the transfer function.
     before = slice(max(0, int(instant) - int(1.5 / STEP)), int(instant) + 1)
-    worst = before.start + int(np.argmax(speeds[before, who]))
-    above = int(sources[worst, who])
+    worst = before.start + int(np.argmax(speeds[before, vehicle]))
+    above = int(sources[worst, vehicle])
     return Sinking(
-        depth=float(depth[instant, who]),
-        vehicle=int(who),
+        depth=float(depth[instant, vehicle]),
+        vehicle=int(vehicle),
         above=above,
-        below=float(place[worst, above, 2] - place[worst, who, 2]),
-        speed=float(speeds[worst, who]),
+        below=float(position[worst, above, 2] - position[worst, vehicle, 2]),
+        speed=float(speeds[worst, vehicle]),
         time=float(time[worst]),
     )
 
 
 def _error(disturbance: Floats) -> Floats:
-    """Vertical errors (k, n), metres, for accelerations (k, n) that last a STEP each."""
-    # States are 1, s and s² over the polynomial, and the disturbance, which is held for a step.
+    """Vertical errors (k, n), metres, for accelerations (k, n) of a STEP each."""
+    # States: 1, s and s² over the denominator, and the disturbance, constant for a step.
     rates = np.diag(np.ones(3), 1)
-    rates[2, :3] = -np.array(_ANSWER)
+    rates[2, :3] = -np.array(_DENOMINATOR)
     held = expm(STEP * rates)[:3]
     state, error = np.zeros((3, disturbance.shape[1])), np.empty_like(disturbance)
     for k, now in enumerate(disturbance):

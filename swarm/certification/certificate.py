@@ -1,7 +1,7 @@
-"""The certificate: what the checks found out about exactly one plan, and the only way to make one.
+"""The certificate: the results of all checks of exactly one plan, and its only constructors.
 
-A certificate carries the digest of the plan that it was computed from. Whatever flies takes a plan
-together with its certificate and compares the two; nothing else says that a plan is certified.
+A certificate carries the digest of the plan that it was computed from. A flight takes a plan
+together with its certificate and compares both; no other value states that a plan is certified.
 """
 
 import math
@@ -21,43 +21,43 @@ from swarm.planning import Gate, Phase, Plan, digest
 
 Progress = Callable[[str, float], None]
 
-_MADE_HERE = object()
-"""Known to this module alone: only its functions measure and certify."""
+_KEY = object()
+"""Private to this module: only its functions create measured clearances and certificates."""
 
 
-def _refuse_forgery(made_by: object, what: str) -> None:
-    if made_by is not _MADE_HERE:
-        raise TypeError(f"{what} are made by swarm.certification.certificate alone")
+def _require_key(key: object, values: str) -> None:
+    if key is not _KEY:
+        raise TypeError(f"{values} are created only by swarm.certification.certificate")
 
 
 @dataclass(frozen=True)
 class MeasuredClearances:
-    """The tightest moments of the plan with this digest. Made by :func:`measure_clearances`."""
+    """The tightest moments of the plan with this digest, from :func:`measure_clearances`."""
 
     digest: str
     moments: tuple[Moment, ...]
-    made_by: InitVar[object]
+    key: InitVar[object]
 
-    def __post_init__(self, made_by: object) -> None:
-        _refuse_forgery(made_by, "measured clearances")
+    def __post_init__(self, key: object) -> None:
+        _require_key(key, "measured clearances")
 
 
 @dataclass(frozen=True, repr=False)
 class Certificate:
-    """What the checks found out about the plan with this digest. Made by :func:`certify` alone.
+    """The results of all checks of the plan with this digest, from :func:`certify` only.
 
     ``digest`` is :func:`swarm.planning.digest` of the plan, ``tracking`` the tracking error in
-    metres for which it was checked (the mission's ``vehicles.tracking``), ``assessment`` everything
-    that the checks found.
+    metres for which it was checked (the mission's ``vehicles.tracking``), ``assessment`` the
+    results.
     """
 
     digest: str
     assessment: Assessment
     tracking: float
-    made_by: InitVar[object]
+    key: InitVar[object]
 
-    def __post_init__(self, made_by: object) -> None:
-        _refuse_forgery(made_by, "certificates")
+    def __post_init__(self, key: object) -> None:
+        _require_key(key, "certificates")
 
     @property
     def cleared(self) -> bool:
@@ -66,12 +66,12 @@ class Certificate:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Everything that the checks have to say."""
+        """Findings of all checks."""
         return self.assessment.findings
 
     @property
     def tightest(self) -> tuple[Moment, ...]:
-        """The five tightest moments of all clearances, tightest first: what, where, when, metres.
+        """The five tightest moments of all clearances, tightest first.
 
         Distances are certified lower bounds for every tracking error up to ``tracking``.
         """
@@ -81,7 +81,7 @@ class Certificate:
     def max_tracking_error(self) -> float | None:
         """e*: the largest tracking error in metres for which every clearance still holds.
 
-        None where it was not worked out, and where clearances do not even hold for exact tracking.
+        None where it was not computed, or where clearances fail even for exact tracking.
         """
         return self.assessment.robustness.tracking
 
@@ -89,25 +89,25 @@ class Certificate:
     def max_wind(self) -> float | None:
         """w*: the largest steady wind in m/s, from any direction, for which clearances still hold.
 
-        None where it was not worked out, and where clearances do not hold in still air.
+        None where it was not computed, or where clearances fail in still air.
         """
         return self.assessment.robustness.wind
 
     def __repr__(self) -> str:
-        return f"<Certificate: {', '.join(self._words())}>"
+        return f"<Certificate: {', '.join(self._summary())}>"
 
     def _repr_html_(self) -> str:
-        cleared, *held = self._words()
+        cleared, *held = self._summary()
         rows = [(found.severity, f"{found.check}: {found.message}") for found in self.findings]
         return table(f"Certificate: {', '.join((cleared, *held))}", rows)
 
-    def _words(self) -> list[str]:
-        """What one line says: cleared or not, and for how much more than asked it would hold."""
+    def _summary(self) -> list[str]:
+        """Parts of a one-line summary: cleared or not, errors, e* and w*."""
         words = [f"{'' if self.cleared else 'not '}cleared for {self.tracking:g} m"]
         errors = sum(finding.severity == "error" for finding in self.findings)
         if errors:
             words.append(f"{errors} error{'s' if errors > 1 else ''}")
-        # Rounded down: a certificate never says more than it holds for.
+        # Rounded down: a certificate never states more than it holds for.
         if self.max_tracking_error is not None:
             words.append(f"e* {math.floor(100.0 * self.max_tracking_error) / 100.0:g} m")
         if self.max_wind is not None:
@@ -120,9 +120,9 @@ class Certificate:
 
 
 def measure_clearances(plan: Plan, progress: Progress | None = None) -> MeasuredClearances:
-    """Return the tightest moments of a plan; ``progress`` is as in :func:`certify`."""
+    """Return the tightest moments of a plan; ``progress`` as in :func:`certify`."""
     moments = tightest_moments(plan, progress=progress)
-    return MeasuredClearances(digest(plan), moments, _MADE_HERE)
+    return MeasuredClearances(digest(plan), moments, _KEY)
 
 
 def certify(
@@ -134,8 +134,8 @@ def certify(
 ) -> Certificate:
     """Check a plan and return its certificate, cleared or not.
 
-    ``measured`` are its clearances where they are known already. ``progress`` is called with a
-    stage's name and the share of it that is done. ``robustness`` asks for e* and w* too.
+    ``measured`` are its clearances, if already computed. ``progress`` is called with the name of a
+    stage and the share of it that is done. With ``robustness``, e* and w* are computed too.
 
     Raises :class:`ValueError` where ``measured`` belongs to another plan.
     """
@@ -144,23 +144,23 @@ def certify(
     if measured.digest != name:
         raise ValueError("the clearances were measured on another plan")
     found = assess(plan, moments=measured.moments, progress=progress, robustness=robustness)
-    return Certificate(name, found, plan.mission.vehicles.tracking, _MADE_HERE)
+    return Certificate(name, found, plan.mission.vehicles.tracking, _KEY)
 
 
 def certify_robustness(
     plan: Plan, certificate: Certificate, progress: Progress | None = None
 ) -> Certificate:
-    """Return the certificate with e* and w* added, which takes a dozen certificates more.
+    """Return the certificate with e* and w*; as long as a dozen certificates.
 
     Raises :class:`Refused` where it belongs to another plan.
     """
     require_same_plan(plan, certificate)
     found = with_robustness(plan, certificate.assessment, progress)
-    return replace(certificate, assessment=found, made_by=_MADE_HERE)
+    return replace(certificate, assessment=found, key=_KEY)
 
 
 def without_cable(plan: Plan) -> Plan:
-    """Return the same motion with nothing attached: what its vehicles do is left to be checked."""
+    """Return the same motion without cable, to check the motion of the vehicles alone."""
     phases = tuple(_free(phase) for phase in plan.phases)
     none = np.empty(0)
     layout = replace(plan.layout, sags=none, lengths=none, lanes=none, crossings=())
@@ -180,12 +180,12 @@ def require_same_plan(plan: Plan, certificate: Certificate) -> None:
     if not certificate.of(plan):
         raise Refused(
             "the certificate belongs to another plan: the motion, the cable or the mission was "
-            "changed after it was certified"
+            "changed after certification"
         )
 
 
 def require_no_errors(certificate: Certificate) -> None:
-    """Raise :class:`Refused` with every error that the certificate holds."""
+    """Raise :class:`Refused` with every error of the certificate."""
     errors = [finding for finding in certificate.findings if finding.severity == "error"]
     if errors:
         raise Refused("\n".join(f"{finding.check}: {finding.message}" for finding in errors))
@@ -193,9 +193,9 @@ def require_no_errors(certificate: Certificate) -> None:
 
 @dataclass(frozen=True)
 class CertifiedPlan:
-    """A plan and the certificate that was computed from it, without errors.
+    """A plan and its certificate without errors.
 
-    Raises :class:`Refused` where the certificate belongs to another plan or holds errors.
+    Raises :class:`Refused` where the certificate belongs to another plan or has errors.
     """
 
     plan: Plan
@@ -205,16 +205,16 @@ class CertifiedPlan:
         self.check()
 
     def check(self) -> None:
-        """Compare plan and certificate once more: arrays of a plan can be written to."""
+        """Compare plan and certificate again: the arrays of a plan are writable."""
         require_same_plan(self.plan, self.certificate)
         require_no_errors(self.certificate)
 
     @property
     def assessment(self) -> Assessment:
-        """What the checks found."""
+        """Results of the checks."""
         return self.certificate.assessment
 
     @property
     def stream_loss(self) -> StreamLossCertificate | None:
-        """The largest rates of the mission clock for lost setpoints, where they are known."""
+        """The largest rates of the mission clock for stream losses; None where not computed."""
         return self.assessment.stream_loss

@@ -1,6 +1,6 @@
-"""What if it stops here: when everybody can hold, land straight down together, or let go.
+"""Contingency windows: the moments at which a team can land together, or release the cable.
 
-Looked at every STEP seconds; a moment counts for the time around it.
+Sampled every STEP seconds; a sample stands for the time around it.
 """
 
 from dataclasses import dataclass
@@ -16,23 +16,32 @@ Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 STEP = 0.25
+"""Seconds between samples; a vehicle at 2 m/s moves by 0.5 m meanwhile, and a window counts as open
+between two open samples only."""
 LANDING_SPEED = 0.7
-"""m/s; PX4's MPC_LAND_SPEED. With STAGGER it says how uneven a common descent may get."""
+"""m/s; PX4's MPC_LAND_SPEED. With STAGGER it bounds the height differences of a common descent."""
 STAGGER = 1.0
-"""Seconds by which vehicles may begin a common descent before or after another."""
+"""Seconds by which vehicles may begin a common descent at different times."""
 AROUND_ROTORS = 0.1
-"""Metres beside a rotor disc within which nothing may come down."""
+"""Metres beside a rotor disc within which no cable may fall."""
 
-_POINTS = 24
-_PORTION = 64
+_NEARLY_STRAIGHT = 0.9999
+"""Largest ratio of chord to length at which strands are drawn: a straight one has no catenary."""
+_PIECES = 24
+"""Pieces of a strand: 12 cm of a strand of 3 m; half of that is added to the rotors' reach."""
+_BATCH = 64
+"""Moments that are computed together, which bounds the memory."""
+_STOP_STEP = 0.05
+"""Seconds between the samples of the longest stop; speeds change by 5 cm/s meanwhile at 1 m/s²."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContingencyWindows:
-    """What can be done at the moments ``time`` (k,) of a plan.
+    """Open contingencies at the moments ``time`` (k,) of a plan.
 
-    ``land`` (k,): all straight down together, up to STAGGER apart; ``release`` (k,): all let go.
-    Holding is possible at all of them, where the certificate holds: the team stops along its path.
+    ``land`` (k,): all vehicles can descend vertically together, up to STAGGER apart; ``release``
+    (k,): all can release. Holding is possible at all moments of a certified plan: the team stops
+    along its path.
     """
 
     time: Floats
@@ -40,12 +49,12 @@ class ContingencyWindows:
     release: Flags
 
     def share(self, open_: Flags, start: float, end: float) -> float:
-        """Share of the moments from ``start`` to ``end`` at which a window is open."""
+        """Return the share of the moments from ``start`` to ``end`` at which a window is open."""
         within = (self.time >= start) & (self.time <= end)
         return float(open_[within].mean()) if within.any() else 0.0
 
     def longest_wait(self, open_: Flags, start: float, end: float) -> float:
-        """Largest time, forward or back, to the nearest open moment; infinite if there is none."""
+        """Return the largest time, forward or backward, to the nearest open moment; or infinity."""
         if not open_.any():
             return float("inf")
         within = self.time[(self.time >= start) & (self.time <= end)]
@@ -63,11 +72,11 @@ class ContingencyWindows:
         return float(moments[np.argmin(np.abs(moments - time))])
 
     def can_release(self, time: float) -> bool:
-        """Whether all can let go at a time: at the moments on both sides of it."""
+        """Whether all vehicles can release at a time: at the moments on both sides of it."""
         return self._open(self.release, time)
 
     def can_land(self, time: float) -> bool:
-        """Whether all can land together at a time: at the moments on both sides of it."""
+        """Whether all vehicles can land together at a time: at the moments on both sides of it."""
         return self._open(self.land, time)
 
     def _open(self, flags: Flags, time: float) -> bool:
@@ -78,11 +87,11 @@ class ContingencyWindows:
 
 
 def contingency_windows(plan: Plan, *, whole: bool = False) -> ContingencyWindows:
-    """Work out the windows of a plan while its cable is aloft, or of the ``whole`` flight.
+    """Return the windows of a plan while its cable is aloft, or of the ``whole`` flight.
 
-    Nothing may hang above a rotor disc, nor beside it by tracking and AROUND_ROTORS: what falls or
-    is set down would land on it. To land, vehicles must be apart horizontally besides, and their
-    chords must bear that some are LANDING_SPEED·STAGGER lower than others.
+    Both need rotors without cable above them (:func:`rotors_clear`). For landing, vehicles must
+    also be apart horizontally, and chords must allow that some vehicles are LANDING_SPEED·STAGGER
+    lower than others.
     """
     phases = [phase for phase in plan.phases if whole or phase.cable == "aloft"]
     instants = [
@@ -95,71 +104,76 @@ def contingency_windows(plan: Plan, *, whole: bool = False) -> ContingencyWindow
     for phase in phases:
         if phase.cable in {"aloft", "lifting"}:
             hangs |= (time >= phase.start) & (time <= phase.end)
-    for begin in range(0, len(time), _PORTION):
-        part = slice(begin, begin + _PORTION)
-        place, held = plan.motion.at(time[part])[0], hangs[part]
+    for begin in range(0, len(time), _BATCH):
+        part = slice(begin, begin + _BATCH)
+        position, held = plan.motion.at(time[part])[0], hangs[part]
         even = ~held
         if held.any():
-            release[part][held] = rotors_clear(plan, place[held])
-            even[held] = _uneven(plan, place[held])
-        land[part] = release[part] & _apart(plan, place) & even
+            release[part][held] = rotors_clear(plan, position[held])
+            even[held] = _chords_allow_stagger(plan, position[held])
+        land[part] = release[part] & _vehicles_apart(plan, position) & even
     return ContingencyWindows(time, land, release)
 
 
-def rotors_clear(plan: Plan, place: Floats) -> Flags:
-    """Whether no cable is above any rotor disc, for grip points (k, n, 3)."""
+def rotors_clear(plan: Plan, position: Floats) -> Flags:
+    """Return whether no cable is above any rotor disc, for grip points (k, n, 3).
+
+    Falling cable, or cable that is set down, would land on it. The disc is widened by tracking and
+    AROUND_ROTORS.
+    """
     vehicles, lengths = plan.mission.vehicles, plan.layout.lengths
-    chords = np.linalg.norm(np.diff(place, axis=1), axis=-1)
-    cable = polyline(place, np.maximum(lengths, chords / 0.9999), _POINTS)
+    chords = np.linalg.norm(np.diff(position, axis=1), axis=-1)
+    cable = polyline(position, np.maximum(lengths, chords / _NEARLY_STRAIGHT), _PIECES)
     reach = vehicles.radius + vehicles.tracking + AROUND_ROTORS
-    # A piece's points are this far apart at most, so its middle is nearer than its ends suggest.
-    reach += 0.5 * float(lengths.max()) / _POINTS
+    # Points are up to a piece apart: the middle between two is nearer than both.
+    reach += 0.5 * float(lengths.max()) / _PIECES
     aside = np.hypot(
-        cable[:, None, :, 0] - place[:, :, None, 0], cable[:, None, :, 1] - place[:, :, None, 1]
+        cable[:, None, :, 0] - position[:, :, None, 0],
+        cable[:, None, :, 1] - position[:, :, None, 1],
     )
-    rotors = place[:, :, None, 2] + vehicles.grip_offset - 2.0 * vehicles.tracking
+    rotors = position[:, :, None, 2] + vehicles.grip_offset - 2.0 * vehicles.tracking
     above = cable[:, None, :, 2] > rotors
-    free: Flags = ~np.any((aside < reach) & above, axis=(1, 2))
-    return free
+    clear: Flags = ~np.any((aside < reach) & above, axis=(1, 2))
+    return clear
 
 
-def _apart(plan: Plan, place: Floats) -> Flags:
+def _vehicles_apart(plan: Plan, position: Floats) -> Flags:
     first, second = np.triu_indices(plan.vehicles, 1)
-    apart = place[:, first, :2] - place[:, second, :2]
-    needed = plan.mission.clearance.vehicle + 2.0 * plan.mission.vehicles.tracking
-    enough: Flags = np.all(np.hypot(apart[..., 0], apart[..., 1]) >= needed, axis=1)
-    return enough
+    step = position[:, first, :2] - position[:, second, :2]
+    required = plan.mission.clearance.vehicle + 2.0 * plan.mission.vehicles.tracking
+    apart: Flags = np.all(np.hypot(step[..., 0], step[..., 1]) >= required, axis=1)
+    return apart
 
 
-def _uneven(plan: Plan, place: Floats) -> Flags:
-    step = np.diff(place, axis=1)
+def _chords_allow_stagger(plan: Plan, position: Floats) -> Flags:
+    step = np.diff(position, axis=1)
     rise = np.abs(step[..., 2]) + LANDING_SPEED * STAGGER
     chord = np.hypot(np.hypot(step[..., 0], step[..., 1]), rise)
-    slack = TAUT * plan.layout.lengths - 2.0 * plan.mission.vehicles.tracking
-    bearable: Flags = np.all(chord <= slack, axis=1)
-    return bearable
+    longest = TAUT * plan.layout.lengths - 2.0 * plan.mission.vehicles.tracking
+    allowed: Flags = np.all(chord <= longest, axis=1)
+    return allowed
 
 
 @dataclass(frozen=True)
-class Stopping:
-    """The longest stop along the path, from the planned pace: seconds, metres, and when."""
+class LongestStop:
+    """The longest stop along the path from the planned speed: seconds, metres, mission time."""
 
     time: float
     distance: float
     at_time: float
 
 
-def longest_stop(plan: Plan) -> Stopping:
-    """Return the stop that takes longest with the braking reserve while the cable is aloft.
+def longest_stop(plan: Plan) -> LongestStop:
+    """Return the longest stop with the braking reserve while the cable is aloft.
 
-    The clock slows so that nobody brakes by more than vehicles.braking_acceleration; at that rate
-    the fastest vehicle's speed v takes v / b seconds and v² / 2b metres (setpoint acceleration is
+    The clock slows so that no vehicle brakes by more than b = vehicles.braking_acceleration; the
+    fastest vehicle's speed v then takes v / b seconds and v² / 2b metres (setpoint acceleration is
     r²a + ṙv).
     """
     aloft = [phase for phase in plan.phases if phase.cable == "aloft"]
-    times = np.concatenate([np.arange(phase.start, phase.end, 0.05) for phase in aloft])
+    times = np.concatenate([np.arange(phase.start, phase.end, _STOP_STEP) for phase in aloft])
     speed = np.linalg.norm(plan.motion.at(times)[1], axis=-1).max(axis=1)
     fastest = int(np.argmax(speed))
     braking = plan.mission.vehicles.braking_acceleration
     largest = float(speed[fastest])
-    return Stopping(largest / braking, largest**2 / (2.0 * braking), float(times[fastest]))
+    return LongestStop(largest / braking, largest**2 / (2.0 * braking), float(times[fastest]))

@@ -8,9 +8,10 @@ Severity = Literal["error", "warning", "info"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that a check has to say.
+    """A result of a check.
 
-    ``at_time`` is mission time in seconds, ``where`` a place in ENU metres; None where it has none.
+    ``at_time`` is mission time in seconds, ``where`` a place in ENU metres; None where not
+    applicable.
     """
 
     severity: Severity

@@ -1,4 +1,4 @@
-"""What the cable asks of every vehicle: its weight, its pull, and what a neighbour's loss adds."""
+"""Quasi-static loads of the cable on vehicles, as planned and after a failure."""
 
 from dataclasses import dataclass
 
@@ -11,22 +11,24 @@ from swarm.planning import Plan
 Floats = npt.NDArray[np.float64]
 
 STEP = 0.1
-"""Seconds between samples. Loads change slowly and have no sign to miss."""
+"""Seconds between samples. Loads change slowly, and no sign change can be missed."""
+_NEARLY_STRAIGHT = 0.999
+"""Ratio of chord to length at which taut segments are drawn: the taut check refuses them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Loads:
     """Loads at k instants with the cable aloft; newtons.
 
-    ``vertical`` and ``horizontal`` (k, n) are what the cable does to each vehicle at its setpoint;
-    ``pull`` (k, n) is the whole force when each segment's ends err apart by the tracking ball;
-    ``tension`` (k, n − 1) the largest tension in each segment then.
+    ``vertical`` and ``horizontal`` (k, n) are the components of the cable's force on each vehicle
+    at its setpoint. ``force`` (k, n) is the whole force, and ``tension`` (k, n − 1) the largest
+    tension of each segment, with the segments' ends displaced outwards by the tracking radius.
     """
 
     time: Floats
     vertical: Floats
     horizontal: Floats
-    pull: Floats
+    force: Floats
     tension: Floats
 
 
@@ -39,90 +41,95 @@ def loads(plan: Plan) -> Loads:
         if phase.cable == "aloft"
     ]
     time = np.unique(np.concatenate(instants)) if instants else np.empty(0)
-    place = plan.motion.at(time)[0]
-    length = plan.layout.lengths  # none where no cable is carried
-    start, end = place[:, : len(length)], place[:, 1 : len(length) + 1]
-    weight = mission.cable.mass_per_length
-    at_setpoint = _forces(_hung(start, end, length), weight)
+    position = plan.motion.at(time)[0]
+    length = plan.layout.lengths  # empty where no cable is carried
+    start, end = position[:, : len(length)], position[:, 1 : len(length) + 1]
+    mass = mission.cable.mass_per_length
+    at_setpoint = _forces(_strands(start, end, length), mass)
     chord = np.linalg.norm(end - start, axis=-1, keepdims=True)
-    away = mission.vehicles.tracking * (end - start) / np.maximum(chord, 1e-9)
-    stretched = _hung(start - away, end + away, length)
-    _, at_start, at_end = stretched.tension(weight)
+    outwards = mission.vehicles.tracking * (end - start) / np.maximum(chord, 1e-9)
+    stretched = _strands(start - outwards, end + outwards, length)
+    _, at_start, at_end = stretched.tension(mass)
     return Loads(
         time=time,
         vertical=-at_setpoint[..., 2],
         horizontal=np.hypot(at_setpoint[..., 0], at_setpoint[..., 1]),
-        pull=np.linalg.norm(_forces(stretched, weight), axis=-1),
+        force=np.linalg.norm(_forces(stretched, mass), axis=-1),
         tension=np.maximum(at_start, at_end),
     )
 
 
-def _hung(start: Floats, end: Floats, length: Floats) -> Catenaries:
-    """Hang the segments; taut ones as at 0.999 of their length, the taut rule refuses them."""
+def _strands(start: Floats, end: Floats, length: Floats) -> Catenaries:
     chord = np.linalg.norm(end - start, axis=-1)
-    return solve_catenaries(start, end, np.maximum(length, chord / 0.999))
+    return solve_catenaries(start, end, np.maximum(length, chord / _NEARLY_STRAIGHT))
 
 
-def _forces(strands: Catenaries, weight: float) -> Floats:
+def _forces(strands: Catenaries, mass_per_length: float) -> Floats:
     """Force (k, n, 3) of the cable on every vehicle."""
-    at_start, at_end = strands.end_forces(weight)
-    nothing = np.zeros_like(at_start[:, :1])
-    force: Floats = np.concatenate([at_start, nothing], axis=1)
+    at_start, at_end = strands.end_forces(mass_per_length)
+    none = np.zeros_like(at_start[:, :1])
+    force: Floats = np.concatenate([at_start, none], axis=1)
     force[:, 1:] += at_end
     return force
 
 
 def payload_limit(plan: Plan) -> float:
-    """Force that a vehicle can carry beside its own weight, newtons."""
+    """Return the force that a vehicle can carry in addition to its own weight, newtons."""
     return plan.mission.vehicles.payload * STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
-class Mishap:
-    """The largest pull on a vehicle after another's failure: newtons, who bears it, and when."""
+class FailureLoad:
+    """The largest force on a vehicle after a failure: newtons, both vehicles, and mission time.
 
-    pull: float
-    bearer: int
-    cause: int
+    ``vehicle`` carries the load, ``failed`` causes it; indices from 0.
+    """
+
+    force: float
+    vehicle: int
+    failed: int
     time: float
 
 
-def dead_vehicle(plan: Plan) -> Mishap | None:
-    """Largest pull on a neighbour of a vehicle that dies while it holds the cable, aloft.
+def failed_vehicle_load(plan: Plan) -> FailureLoad | None:
+    """Return the largest force on a neighbour of a vehicle that fails aloft, holding the cable.
 
-    It hangs below its neighbours on two straight segments, or below one of them at an end of the
-    cable; the cable's own weight on the bearer, at its setpoint, comes on top. Vehicles are indices
-    from 0. None where the cable is never aloft.
+    The failed vehicle hangs below its neighbours on two straight segments, or below one of them at
+    an end of the cable; the cable's own load on the neighbour, at its setpoint, is added. None
+    where the cable is never aloft.
     """
-    found = loads(plan)
-    if not len(found.time):
+    planned = loads(plan)
+    if not len(planned.time):
         return None
-    place = plan.motion.at(found.time)[0]
+    position = plan.motion.at(planned.time)[0]
     weight = plan.mission.vehicles.mass * STANDARD_GRAVITY
-    own = np.hypot(found.vertical, found.horizontal)
-    lengths = plan.layout.lengths
-    first = own[:, [1, -2]] + weight
-    mishaps = [
-        Mishap(
-            float(first[:, side].max()), bearer, cause, float(found.time[first[:, side].argmax()])
-        )
-        for side, (bearer, cause) in enumerate(((1, 0), (plan.vehicles - 2, plan.vehicles - 1)))
+    own = np.hypot(planned.vertical, planned.horizontal)
+    lengths, last = plan.layout.lengths, plan.vehicles - 1
+    found = [
+        _largest(own[:, vehicle] + weight, planned.time, vehicle, failed)
+        for vehicle, failed in ((1, 0), (last - 1, last))
     ]
-    for dead in range(1, plan.vehicles - 1):
-        pulls = _two_strings(
-            place[:, dead - 1], place[:, dead + 1], lengths[dead - 1], lengths[dead], weight
-        )
-        for pull, bearer in zip(pulls, (dead - 1, dead + 1), strict=True):
-            whole = own[:, bearer] + pull
-            at = int(np.argmax(whole))
-            mishaps.append(Mishap(float(whole[at]), bearer, dead, float(found.time[at])))
-    return max(mishaps, key=lambda mishap: mishap.pull)
+    for failed in range(1, last):
+        forces = _two_strings(
+            position[:, failed - 1], position[:, failed + 1], lengths[failed - 1], lengths[failed],
+            weight,
+        )  # fmt: skip
+        found += [
+            _largest(own[:, vehicle] + force, planned.time, vehicle, failed)
+            for force, vehicle in zip(forces, (failed - 1, failed + 1), strict=True)
+        ]
+    return max(found, key=lambda load: load.force)
+
+
+def _largest(force: Floats, time: Floats, vehicle: int, failed: int) -> FailureLoad:
+    at = int(np.argmax(force))
+    return FailureLoad(float(force[at]), vehicle, failed, float(time[at]))
 
 
 def _two_strings(
     one: Floats, other: Floats, first: float, last: float, weight: float
 ) -> tuple[Floats, Floats]:
-    """Pulls (k,) on two supports (k, 3) of a weight on two strings, as it hangs."""
+    """Forces (k,) on two supports (k, 3) of a weight that hangs on two strings."""
     across = np.maximum(np.hypot(other[:, 0] - one[:, 0], other[:, 1] - one[:, 1]), 1e-6)
     rise = other[:, 2] - one[:, 2]
     chord = np.hypot(across, rise)
@@ -130,8 +137,8 @@ def _two_strings(
     depth = np.sqrt(np.maximum(first**2 - along**2, 0.0))
     x = along * across / chord + depth * rise / chord
     z = along * rise / chord - depth * across / chord
-    # Balance: horizontal parts cancel, vertical ones add up to the weight. If it hangs beyond one
-    # of the supports, that one alone bears it.
+    # Balance: horizontal components cancel, vertical ones add up to the weight. A weight beyond one
+    # of the supports is carried by that support alone.
     to_one = np.maximum(-z, 1e-6) / np.maximum(x, 1e-6)
     to_other = np.maximum(rise - z, 1e-6) / np.maximum(across - x, 1e-6)
     horizontal = weight / (to_one + to_other)
@@ -141,10 +148,10 @@ def _two_strings(
     return on_one, on_other
 
 
-def stuck_gripper(plan: Plan) -> Mishap | None:
-    """Largest weight on a vehicle whose gripper alone stays shut at the release.
+def stuck_gripper_load(plan: Plan) -> FailureLoad | None:
+    """Return the largest load on a vehicle whose gripper alone stays closed at the release.
 
-    Both ends of the cable hang from it, down to the floor at most. None without a release.
+    Both ends of the cable hang from it, at most down to the floor. None without a release.
     """
     times = [gate.time for gate in plan.gates if gate.condition == "released"]
     if not times:
@@ -154,4 +161,4 @@ def stuck_gripper(plan: Plan) -> Mishap | None:
     hanging = np.minimum(before, height) + np.minimum(before[-1] - before, height)
     stuck = int(np.argmax(hanging))
     weight = plan.mission.cable.mass_per_length * STANDARD_GRAVITY
-    return Mishap(float(hanging[stuck]) * weight, stuck, stuck, times[0])
+    return FailureLoad(float(hanging[stuck]) * weight, stuck, stuck, times[0])

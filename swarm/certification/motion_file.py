@@ -1,4 +1,4 @@
-"""Anybody's trajectories, in the format of ``swarm plan --export``, as a plan to certify."""
+"""External trajectories in the format of ``swarm plan --export``, as a plan to certify."""
 
 import csv
 import json
@@ -22,18 +22,21 @@ Floats = npt.NDArray[np.float64]
 
 COLUMNS = ("time", "vehicle", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "phase")
 MOST_PROBLEMS = 20
+"""Errors that are reported at once: about a terminal page."""
 
 LEAST_STEP = 1e-4
-"""Seconds between two rows of a vehicle, at least: below it rounding makes the motion."""
+"""Smallest time in seconds between two rows of a vehicle: with six decimals, rounding of times
+becomes part of the motion below it."""
 
 LARGEST = 1e4
-"""Largest coordinate, speed, acceleration and length; beyond it there is no number to compute with
-that is as exact as a certificate must be."""
+"""Largest coordinate, speed, acceleration and length: beyond it, floating-point numbers are too
+coarse for a certificate."""
 
 LONGEST = 14_400.0
-"""Seconds that a motion may last."""
+"""Longest motion in seconds: four hours."""
 
 _RELEASE_TIMEOUT = 20.0
+"""Seconds at the gate of the release, as in planned flights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +107,7 @@ def _finite(text: str | None, name: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{name}: expected a finite number, got {text!r}")
     if name != "time" and abs(value) > LARGEST:
-        raise ValueError(f"{name}: expected at most {LARGEST:g} either way, got {text!r}")
+        raise ValueError(f"{name}: expected at most ±{LARGEST:g}, got {text!r}")
     return value
 
 
@@ -123,7 +126,7 @@ def _phase(text: str | None) -> PhaseName:
 
 
 def _phase_problem(phases: list[PhaseName], phase: PhaseName, vehicle: int) -> str | None:
-    """What is wrong with a row's phase after those of the times so far, if anything."""
+    """The error in a row's phase after the phases so far, if any."""
     if vehicle == 1 and (not phases or phase != phases[-1]):
         return phase_order_error(phases[-1] if phases else None, phase)
     if phases and phase != phases[-1]:
@@ -218,11 +221,11 @@ def _is_number(value: Any) -> bool:
 def plan_of_motion(
     motion: MotionFile, lengths: Floats, mission: Mission, knot: KnotSummary | None = None
 ) -> Plan:
-    """Make a plan of trajectories, to be assessed like one of ours.
+    """Return external trajectories as a plan, for the same checks.
 
-    Between its rows the motion is the quintic through position, velocity and acceleration. Where
-    ``knot`` is None nothing is said about which knot was wanted. Raises :class:`InputError` where
-    the lengths are not one fewer than the vehicles, or no row has the cable aloft.
+    Between its rows the motion is the quintic through position, velocity and acceleration. With
+    ``knot`` None, no knot is required. Raises :class:`InputError` where the lengths are not one
+    fewer than the vehicles, or no row has the cable aloft.
     """
     count = motion.states.shape[1]
     if len(lengths) != count - 1:
@@ -246,23 +249,23 @@ def plan_of_motion(
 
 
 def _phases(motion: MotionFile, *, attached: bool) -> tuple[tuple[Phase, ...], tuple[Gate, ...]]:
-    """Phases from row to row, each to the next one's first, and where vehicles let go of the cable.
+    """Phases, each up to the first row of the next, and the gate of the release.
 
-    A phase of the last row alone has no time; it says at most that the cable is let go of there.
+    A phase of the last row alone has no duration; it can only mark the release.
     """
     starts = [0] + [
         i for i in range(1, len(motion.phase)) if motion.phase[i] != motion.phase[i - 1]
     ]
     edges = [float(motion.time[i]) for i in starts] + [float(motion.time[-1])]
     names = [motion.phase[start] for start in starts]
-    says = declared_cable(names, attached=attached)
+    order = declared_cable(names, attached=attached)
     phases = tuple(
         Phase(name, start, end, cable, False)
-        for name, (start, end), cable in zip(names, pairwise(edges), says.cable, strict=True)
+        for name, (start, end), cable in zip(names, pairwise(edges), order.cable, strict=True)
     )
     gates = []
-    if says.held_until < len(names):
-        gates.append(Gate(edges[says.held_until], "released", _RELEASE_TIMEOUT, says.inner_first))
+    if order.held_until < len(names):
+        gates.append(Gate(edges[order.held_until], "released", _RELEASE_TIMEOUT, order.inner_first))
     return phases, tuple(gates)
 
 
@@ -278,6 +281,6 @@ def _layout(corners: Floats, lengths: Floats) -> KnotLayout:
             for (i, j), gap in zip(pairs, gaps, strict=True)
         ]
     except SwarmError:
-        # Over-stretched, or no crossings to be read off: the assessment says so.
+        # Over-stretched, or without identifiable crossings: the assessment reports it.
         sags, over_first = np.zeros_like(lengths), []
     return KnotLayout(corners, sags, lengths, np.zeros_like(lengths), tuple(over_first), 0.0)

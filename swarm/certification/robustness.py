@@ -1,4 +1,4 @@
-"""How much worse than planned it may be: e*, the tracking error, and w*, the steady wind."""
+"""Robustness of a plan: e*, the largest tracking error, and w*, the largest steady wind."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -16,16 +16,21 @@ from swarm.planning import Plan
 Progress = Callable[[str, float], None]
 
 MOST_TRACKING = 1.0
+"""Largest tracking error that is tried, metres: as large as the default clearance of vehicles."""
 TRACKING_STEP = 0.005
+"""Resolution of e*, metres: half of the last digit that is shown."""
 MOST_WIND = 15.0
+"""Largest wind that is tried, m/s (Beaufort 7)."""
 WIND_STEP = 0.1
+"""Resolution of w*, m/s: the last digit that is shown."""
 DIRECTIONS = 8
+"""Directions of the wind, 45° apart."""
 
 
 def robustness_of(
     plan: Plan, moments: Iterable[Moment], progress: Progress | None = None
 ) -> Robustness:
-    """Return e* and w* of a plan with its tightest moments; ``progress`` is told of both."""
+    """Return e* and w* of a plan with its tightest moments; ``progress`` is called for both."""
     moments = tuple(moments)
     if progress:
         progress("largest tracking error", 0.0)
@@ -39,11 +44,11 @@ def robustness_of(
 
 
 def largest_tracking(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
-    """Return e*, metres: the largest tracking ball for which the certificate holds.
+    """Return e*, metres: the largest tracking radius for which the certificate holds.
 
-    Found to TRACKING_STEP from below, so it does hold there; None where the certificate does not
-    even hold for exact tracking. At most MOST_TRACKING. The tightest ``moments`` of the mission's
-    own tracking ball need not be given; where they are, the answer comes sooner.
+    Found to TRACKING_STEP from below, so the certificate does hold there; at most MOST_TRACKING.
+    None where it does not even hold for exact tracking. The tightest ``moments`` for the mission's
+    own tracking radius are optional and make the search faster.
     """
     moments = tuple(moments)
 
@@ -51,27 +56,26 @@ def largest_tracking(plan: Plan, moments: Iterable[Moment] = ()) -> float | None
         return {0: lambda: families(plan, error, STILL_AIR)}
 
     tracking = plan.mission.vehicles.tracking
-    search = _Search(cases, _tight(moments))
-    return _largest(search, tracking, _all_held(moments), MOST_TRACKING, TRACKING_STEP)
+    search = _Search(cases, _tight_times(moments))
+    return _largest(search, tracking, _all_hold(moments), MOST_TRACKING, TRACKING_STEP)
 
 
 def largest_wind(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
-    """Return w*, m/s: the largest steady wind that the certificate bears, from DIRECTIONS headings.
+    """Return w*, m/s: the largest steady wind for which the certificate holds, in DIRECTIONS.
 
-    All strands that hang free tilt with their drag, at the mission's tracking ball, and keep from
-    each other, from vehicles, floor and fence. None where the certificate does not hold in still
-    air. At most MOST_WIND. ``moments`` as for :func:`largest_tracking`.
+    All freely hanging strands tilt with their drag, at the mission's tracking radius, and keep
+    their distance from each other, from vehicles, floor and fence; at most MOST_WIND. None where
+    the certificate does not hold in still air. ``moments`` as for :func:`largest_tracking`.
     """
     moments = tuple(moments)
-    search = _Search(lambda speed: _windy(plan, speed), _tight(moments))
-    return _largest(search, 0.0, _all_held(moments), MOST_WIND, WIND_STEP)
+    search = _Search(lambda speed: _windy(plan, speed), _tight_times(moments))
+    return _largest(search, 0.0, _all_hold(moments), MOST_WIND, WIND_STEP)
 
 
 def failure_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], float] | None:
-    """Return what the certificate loses first with the strands tilted by a steady wind, m/s.
+    """Return the first check that fails in a steady wind (m/s), its pair and the time.
 
-    That is the check, between which two things, and when; None where everything holds. At the
-    mission's tracking ball, for DIRECTIONS directions.
+    At the mission's tracking radius, for DIRECTIONS directions; None where all checks hold.
     """
     for case in _windy(plan, speed).values():
         for family in case():
@@ -82,21 +86,21 @@ def failure_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], flo
 
 
 Cases = Mapping[int, Callable[[], tuple[Family, ...]]]
-"""What must hold together, each case with a number that it keeps when the value changes."""
+"""Families of checks for each case; a case keeps its number when the value changes."""
 
 
 def _windy(plan: Plan, speed: float) -> Cases:
-    """Still air, or the wind from every direction that is tried; it moves no vehicle here."""
+    """Still air, or the wind in every direction; it does not move vehicles here."""
     tracking = plan.mission.vehicles.tracking
     if speed == 0.0:
         return {0: lambda: families(plan, tracking, STILL_AIR)}
 
-    def blown(towards: float) -> tuple[Family, ...]:
-        every = families(plan, tracking, wind_down(plan, speed, towards))
-        return tuple(family for family in every if family.check not in _WINDLESS)
+    def in_wind(towards: float) -> tuple[Family, ...]:
+        found = families(plan, tracking, wind_down(plan, speed, towards))
+        return tuple(family for family in found if family.check not in _WINDLESS)
 
     headings = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    return {k: partial(blown, float(heading)) for k, heading in enumerate(headings)}
+    return {k: partial(in_wind, float(heading)) for k, heading in enumerate(headings)}
 
 
 _WINDLESS = frozenset(
@@ -105,48 +109,47 @@ _WINDLESS = frozenset(
         "over-stretched on the floor", "lying", "drawn out", "beside rotors", "straight down",
     }
 )  # fmt: skip
-"""Checks that are the same in any wind: of vehicles, of chords, and of what cable can reach."""
+"""Checks that are the same in any wind: of vehicles, of chords, and of the reach of cable."""
 
 
 class _Search:
-    """Tries values, those boxes first in which earlier ones failed."""
+    """Tries values, first in the boxes in which earlier values failed."""
 
     def __init__(self, cases: Callable[[float], Cases], tight: "Tight") -> None:
         self._cases = cases
         self._tight = tight
-        self._known: dict[tuple[int, int], set[tuple[int, float]]] = {}
+        self._failed: dict[tuple[int, int], set[tuple[int, float]]] = {}
         self._worst = 0
 
     def narrowed(self, good: float, bad: float, most: float, step: float) -> tuple[float, float]:
-        """Return the largest value that holds in the boxes that are known to matter, and one that
-        does not, ``step`` apart; quick.
+        """Return the largest value that holds in the tight boxes, and a value ``step`` above it.
 
-        ``good`` holds everywhere, ``bad`` does not or is above ``most``. A case is bisected only
-        where it does not hold what those before it hold.
+        ``good`` holds everywhere, ``bad`` fails or is above ``most``. A case is bisected only where
+        it fails for the value that holds for the cases before it.
         """
         least = good
         for number, case in enumerate(self._likely_first(0.5 * (good + bad))):
             if number:
-                if least == good or self._holds_where_it_is_tight(case, least):
+                if least == good or self._holds_in_tight_boxes(case, least):
                     continue
                 bad = least
             least = good
             while bad - least > step:
                 middle = 0.5 * (least + bad)
-                fine = middle <= most and self._holds_where_it_is_tight(case, middle)
+                fine = middle <= most and self._holds_in_tight_boxes(case, middle)
                 least, bad = (middle, bad) if fine else (least, middle)
             self._worst = case
         return least, bad
 
-    def _holds_where_it_is_tight(self, case: int, value: float) -> bool:
+    def _holds_in_tight_boxes(self, case: int, value: float) -> bool:
         for index, family in enumerate(self._cases(value)[case]()):
-            known = self._known.setdefault((case, index), self._tight_of(family))
-            if known and not holds(family.evaluate, _boxes(family, known)):
+            tight = self._failed.setdefault((case, index), self._tight_of(family))
+            if tight and not holds(family.evaluate, _boxes(family, tight)):
                 return False
         return True
 
     def _likely_first(self, value: float) -> list[int]:
-        """All cases, the one first that failed last: it is the likeliest to fail again."""
+        """All cases, the last failed one first: it is the most likely to fail again."""
         return sorted(self._cases(value), key=lambda case: case != self._worst)
 
     def _tight_of(self, family: Family) -> set[tuple[int, float]]:
@@ -158,22 +161,22 @@ class _Search:
         }
 
     def holds(self, value: float) -> bool:
-        """Whether the value holds everywhere; where it does not, that box is known from now on."""
+        """Return whether the value holds everywhere; keeps the box in which it fails."""
         cases = self._cases(value)
         for case in self._likely_first(value):
             for index, family in enumerate(cases[case]()):
                 found = failing(family.evaluate, family.roots())
                 if found is not None:
-                    self._known.setdefault((case, index), set()).add(found)
+                    self._failed.setdefault((case, index), set()).add(found)
                     self._worst = case
                     return False
         return True
 
 
-def _boxes(family: Family, known: set[tuple[int, float]]) -> Boxes:
-    """Boxes of a root's width around where pairs failed, within the family's times."""
+def _boxes(family: Family, tight: set[tuple[int, float]]) -> Boxes:
+    """Boxes of a root's width around the times at which pairs are tight, within the spans."""
     rows = []
-    for pair, time in sorted(known):
+    for pair, time in sorted(tight):
         start, end = next(span for span in family.spans if span[0] <= time <= span[1])
         low, high = max(start, time - 0.5 * ROOT), min(end, time + 0.5 * ROOT)
         rows.append((pair, 0.5 * (low + high), 0.5 * (high - low)))
@@ -182,28 +185,30 @@ def _boxes(family: Family, known: set[tuple[int, float]]) -> Boxes:
 
 
 Tight = Mapping[tuple[str, tuple[str, str]], Iterable[float]]
-"""Times that are known to be tight, by check and pair."""
+"""Tight times, by check and pair."""
 
 
-def _tight(moments: Iterable[Moment]) -> Tight:
+def _tight_times(moments: Iterable[Moment]) -> Tight:
     times: dict[tuple[str, tuple[str, str]], list[float]] = {}
     for moment in moments:
         times.setdefault((moment.check, moment.between), []).append(moment.time)
     return times
 
 
-def _all_held(moments: tuple[Moment, ...]) -> bool:
+def _all_hold(moments: tuple[Moment, ...]) -> bool:
     return bool(moments) and all(moment.margin >= 0.0 for moment in moments)
 
 
-def _largest(search: _Search, likely: float, known: bool, most: float, step: float) -> float | None:
-    """Largest value that holds, to ``step``; ``likely`` is tried first, or ``known`` to hold.
+def _largest(
+    search: _Search, likely: float, holds_there: bool, most: float, step: float
+) -> float | None:
+    """Largest value that holds, to ``step``; ``likely`` is tried first, unless it holds already.
 
-    Bisects over the boxes that are known to be tight, and asks for all of them only about what is
-    left: most values are refused by few boxes.
+    Bisects over the tight boxes, and searches all boxes only for the result: most values fail in
+    few boxes.
     """
     good, bad = 0.0, most + step
-    if known or search.holds(likely):
+    if holds_there or search.holds(likely):
         good = likely
     elif likely == 0.0 or not search.holds(0.0):
         return None

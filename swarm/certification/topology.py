@@ -1,4 +1,4 @@
-"""Which knot the cable hangs in at the end: the exact crossing code, and a second opinion."""
+"""The knot of the folded cable: its exact crossing code, and its type from the curve in space."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +13,11 @@ from swarm.planning import KnotLayout, Plan
 Floats = npt.NDArray[np.float64]
 
 PIECES_PER_SEGMENT = 64
+"""Straight pieces of a segment in a curve: 5 cm of a segment of 3 m."""
 
 
 def layout_code(layout: KnotLayout) -> SignedGauss:
-    """Signed Gauss code that the layout's crossings make of its corners, seen from above.
+    """Return the signed Gauss code of the layout's corners and crossings, seen from above.
 
     Raises :class:`swarm.errors.SwarmError` where the crossings are not those of the corners.
     """
@@ -25,7 +26,7 @@ def layout_code(layout: KnotLayout) -> SignedGauss:
     met = {frozenset(pair) for pair in found.segments.tolist()}
     if met != set(over_of):
         wrong = sorted(sorted(i + 1 for i in pair) for pair in met ^ set(over_of))
-        raise SwarmError(f"segments cross in plan view, or fail to, against the layout: {wrong}")
+        raise SwarmError(f"crossings in plan view and of the layout differ, segments: {wrong}")
     steps = np.diff(layout.corners[:, :2], axis=0)
     passes = []
     for label, (pair, where) in enumerate(
@@ -43,12 +44,12 @@ def layout_code(layout: KnotLayout) -> SignedGauss:
 
 
 def cable_curve(grip_points: Floats, lengths: Floats) -> Floats:
-    """The cable as a curve (k, 3), every segment the catenary of its length."""
+    """Return the cable as a curve (k, 3), every segment the catenary of its length."""
     return polyline(grip_points, lengths, PIECES_PER_SEGMENT)
 
 
 def end_code(plan: Plan) -> SignedGauss:
-    """Signed Gauss code of the cable's plan view when it hangs folded.
+    """Return the signed Gauss code of the folded cable in plan view.
 
     Raises :class:`swarm.errors.SwarmError` where strands meet or the cable is over-stretched.
     """
@@ -56,12 +57,12 @@ def end_code(plan: Plan) -> SignedGauss:
 
 
 def end_knot(plan: Plan) -> Identification:
-    """The knot type of the cable's curve in space when it hangs folded, ends closed upwards."""
+    """Return the knot type of the folded cable in space, its ends closed upwards."""
     return identify_curve(cable_curve(_held(plan), plan.layout.lengths))
 
 
 def end_time(plan: Plan) -> float:
-    """Mission time at which the folded cable hangs still: the last one aloft before it unfolds."""
+    """Return the mission time of the folded cable: the last one aloft before it unfolds."""
     return max(
         phase.end for phase in plan.phases if phase.cable == "aloft" and phase.name != "unfold"
     )

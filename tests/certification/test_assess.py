@@ -7,7 +7,7 @@ import pytest
 
 from swarm.certification.assess import assess
 from swarm.certification.certificate import CertifiedPlan, certify
-from swarm.certification.what_if import endurance_findings
+from swarm.certification.operational_findings import endurance_findings
 from swarm.errors import Refused
 from swarm.geometry.motion import Motion, concatenate, through_states
 from swarm.planning import Plan
@@ -71,8 +71,8 @@ def test_a_segment_cut_short_is_taut(overhand):
     lengths = overhand.layout.lengths.copy()
     lengths[3] *= 0.85
     found = errors(replace(overhand, layout=replace(overhand.layout, lengths=lengths)))
-    assert any(message.startswith("segment 4 ") for message in found["taut"])
-    assert not any(message.startswith("segment 2 ") for message in found["taut"])
+    assert any("length of segment 4 " in message for message in found["taut"])
+    assert not any("length of segment 2 " in message for message in found["taut"])
 
 
 def test_a_vehicle_that_is_late_by_seconds_is_refused_for_its_own_segments(overhand):
@@ -117,15 +117,15 @@ def test_limits_of_speed_and_acceleration_with_the_braking_reserve():
     ):
         plan = plan_of(moving([0, duration], places), [3.0])
         assert set(errors(plan)) == wrong, duration
-    assert "1 m/s² are allowed (2 less 1 to brake)" in errors(plan)["acceleration"][0]
+    assert "1 m/s² allowed (2 less 1 to brake)" in errors(plan)["acceleration"][0]
 
 
 def test_batteries_must_last_with_the_caps_of_the_clock(overhand, overhand_assessed):
     slowed = overhand_assessed.stream_loss.delay
     assert slowed > 1.0
     (said,) = [f for f in overhand_assessed.findings if f.check == "endurance"]
-    takes = f"the plan takes {overhand.duration + slowed:.0f} s with the caps of its clock"
-    assert (said.severity, said.message.startswith(takes)) == ("info", True)
+    flight = f"{overhand.duration + slowed:.0f} s of flight with the rate limits of the clock"
+    assert (said.severity, said.message.startswith(flight)) == ("info", True)
     endurance = overhand.duration + 0.5 * slowed
     vehicles = overhand.mission.vehicles.model_copy(update={"endurance": endurance})
     mission = overhand.mission.model_copy(update={"vehicles": vehicles})
@@ -136,7 +136,7 @@ def test_batteries_must_last_with_the_caps_of_the_clock(overhand, overhand_asses
 def test_payload_and_endurance():
     still = moving([0, 10], [[[0, 0, 50.0], [30, 0, 50.0], [60, 0, 50.0]]] * 2)
     found = errors(plan_of(still, [34.0, 34.0], "cable.mass_per_length=0.15"))
-    assert "vehicle 2 bears up to" in found["payload"][0]
+    assert "N of cable force on vehicle 2; " in found["payload"][0]
     assert set(
         errors(plan_of(still, [34.0, 34.0], "cable.mass_per_length=0.01", "vehicles.endurance=9"))
     ) == {"endurance"}
@@ -168,7 +168,7 @@ def test_a_velocity_that_jumps_is_refused():
     there = through_states(np.array([0.0, 9.0]), places, speed, still)
     back = through_states(np.array([9.0, 18.0]), places[::-1], still, still)
     found = errors(plan_of(concatenate(there, back), [3.0]))
-    assert found == {"smoothness": ["the velocity of vehicle 2 jumps by 0.2 m/s"]}
+    assert found == {"smoothness": ["0.2 m/s jump in the velocity of vehicle 2"]}
 
 
 def test_a_single_vehicle_without_cable_is_judged_by_its_motion_alone():

@@ -1,6 +1,7 @@
 """``swarm certify`` on motions that are broken on purpose: each is caught for the right reason."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,7 +71,7 @@ def test_a_vehicle_that_is_late_by_a_second_is_named(tmp_path: Path) -> None:
 
     errors, _ = said(tmp_path, plan, late)
     assert "taut" in errors
-    assert errors["taut"].startswith(("segment 5 is ", "segment 6 is "))
+    assert re.search(r"length of segment [56] ", errors["taut"])
 
 
 @pytest.mark.full

@@ -73,9 +73,9 @@ def test_pictures_and_notes_are_not_part_of_a_plan():
 
 def test_only_certify_makes_certificates():
     for made_by in (None, object(), True):
-        with pytest.raises(TypeError, match="certificates are made by"):
+        with pytest.raises(TypeError, match="certificates are created only by"):
             Certificate(digest(OTHER.plan), CERTIFIED.assessment, 0.1, made_by)
-        with pytest.raises(TypeError, match="measured clearances are made by"):
+        with pytest.raises(TypeError, match="measured clearances are created only by"):
             MeasuredClearances(digest(OTHER.plan), (), made_by)
     with pytest.raises(ValueError, match="must be specified"):
         replace(CERTIFIED.certificate, digest=digest(OTHER.plan))

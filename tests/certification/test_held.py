@@ -189,7 +189,7 @@ def test_a_vehicle_below_the_floor_is_refused_in_every_phase(depth):
     broken = assess(replace(plan, phases=phases))
     assert errors(broken.findings) == {"ground"}
     (said,) = [finding for finding in broken.findings if finding.check == "ground"][:1]
-    assert said.message.startswith("vehicle 1 goes as low as ")
+    assert "m below the floor: vehicle 1 (at " in said.message
     standing = plan_of(moving([0.0, 4.0, 16.0], [*places[:2], [[0, 0, 0.0], [2.5, 0, 0.0]]]), [3.0])
     assert errors(assess(replace(standing, phases=phases)).findings) == set()
 
@@ -209,7 +209,7 @@ def test_cable_that_the_wind_blows_over_the_fence_is_refused():
     found = assess(in_wind(3.6)).findings
     assert errors(found) == {"wind"}
     (said,) = [finding.message for finding in found if finding.check == "wind"]
-    assert ": fence, segment 1 and the fence (at " in said
+    assert ": fence of segment 1 and the fence fails (at " in said
     assert errors(assess(in_wind(9.0)).findings) == set()
 
 
@@ -252,11 +252,11 @@ def test_an_acceleration_just_over_its_limit_is_said():
 def test_the_scope_says_what_is_held_when_and_what_is_exempt(overhand, overhand_assessed):
     (scope,) = [f.message for f in overhand_assessed.findings if f.check == "scope"]
     beyond = exempt_length(overhand)
-    assert f"cable within {beyond:.2f} m of its grip (at most 50% of the shorter one)" in scope
-    assert "all vehicles hold it until 224.7 s" in scope
+    assert f"{beyond:.2f} m of cable from its grip (at most 50% of the shorter one)" in scope
+    assert "all vehicles hold the cable until 224.7 s" in scope
     let_go = through_each_other("fold", "tighten")
     (scope,) = [f.message for f in assess(let_go).findings if f.check == "scope"]
-    assert "all vehicles hold it until 2.0 s" in scope
+    assert "all vehicles hold the cable until 2.0 s" in scope
 
 
 def test_yes_and_no_agree_with_the_findings_for_whole_flights(overhand):

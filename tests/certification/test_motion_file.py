@@ -86,7 +86,7 @@ def test_a_table_of_the_wrong_shape(lines, message):
     [
         (
             [row(0, 1, x="1e300"), row(0, 2)],
-            "m.csv: line 2: x: expected at most 10000 either way, got '1e300'",
+            "m.csv: line 2: x: expected at most ±10000, got '1e300'",
         ),
         (
             [row(t, v, x=2 * v) for t in (0, 1e-9) for v in (1, 2)],

@@ -11,9 +11,9 @@ from swarm.certification.assess import assess
 from swarm.certification.budget import budgets, table
 from swarm.certification.clearances import certified, tightest_moments
 from swarm.certification.contingency_windows import contingency_windows, longest_stop
-from swarm.certification.loads import dead_vehicle, loads, stuck_gripper
+from swarm.certification.loads import failed_vehicle_load, loads, stuck_gripper_load
+from swarm.certification.operational_findings import contingencies_of, downwash_findings
 from swarm.certification.robustness import failure_in_wind, largest_tracking, largest_wind
-from swarm.certification.what_if import contingencies_of, downwash_findings
 from swarm.planning import Gate, Phase
 from tests.certification.synthetic import moving, plan_of
 
@@ -83,25 +83,25 @@ def test_loads_are_the_weight_of_the_cable():
 
 
 def test_a_dead_vehicle_between_two_hangs_on_both():
-    found = dead_vehicle(still(LINE, [3.0, 3.0]))
+    found = failed_vehicle_load(still(LINE, [3.0, 3.0]))
     assert found is not None
     # At an end one neighbour bears all of it; between two, T = W / 2cos, with span 5 of 6 metres.
     whole = 1.5 * 9.80665
-    assert found.pull >= whole
+    assert found.force >= whole
     slope = math.sqrt(9 - 6.25) / 2.5
     shared = whole / 2 * math.hypot(1.0, 1.0 / slope)
-    assert found.pull < whole + 1.0
+    assert found.force < whole + 1.0
     assert shared < whole
 
 
 def test_a_stuck_gripper_bears_what_hangs_from_it_to_the_floor():
     plan = still(LINE, [3.0, 9.0])
-    assert stuck_gripper(plan) is None
+    assert stuck_gripper_load(plan) is None
     released = replace(plan, gates=(Gate(4.0, "released", 20.0),))
-    found = stuck_gripper(released)
+    found = stuck_gripper_load(released)
     assert found is not None
-    assert found.bearer == 1
-    assert found.pull == pytest.approx((3.0 + 5.0) * 0.012 * 9.80665)
+    assert found.vehicle == 1
+    assert found.force == pytest.approx((3.0 + 5.0) * 0.012 * 9.80665)
 
 
 def crossed(gap, *overrides):
@@ -203,18 +203,18 @@ def test_a_vehicle_that_passes_under_another_sinks_for_a_while():
     assert deepest_sinking(still(LINE, [3.0, 3.0])) is None
     (said,) = downwash_findings(plan)
     assert said.severity == "warning"
-    assert said.message.startswith("vehicle 2 flies 4.0 m below vehicle 1, in air that falls at ")
+    assert "m of sinking for vehicle 2, 4.0 m below vehicle 1 in downwash of " in said.message
 
 
 def test_stops_are_told_with_their_windows():
     stops, findings = contingencies_of(still(LINE, [3.0, 3.0]))
     assert (stops.land.share, stops.release.share, stops.land.wait) == (1.0, 1.0, 0.0)
     assert [finding.message for finding in findings][:2] == [
-        "all can land straight down together at 100% of the moments with the cable aloft",
-        "all can let go at 100% of the moments with the cable aloft",
+        "100% of the time aloft, all can land together",
+        "100% of the time aloft, all can release",
     ]
     under = [[0, 0, 5.0], [2.0, 0, 5.0], [1.0, 0, 1.5]]
     stops, findings = contingencies_of(still(under, [2.4, 6.0]))
     assert not stops.release.share
     assert findings[1].severity == "warning"
-    assert findings[1].message == "all can let go at no moment with the cable aloft"
+    assert findings[1].message == "0% of the time aloft, all can release"
