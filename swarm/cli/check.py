@@ -17,7 +17,7 @@ from swarm.flight.hop import hop
 from swarm.flight.parameters import Row
 from swarm.front.files import load_fleet, load_mission
 from swarm.ground.callbacks import FlightCallbacks
-from swarm.ground.commissioning.check import Wanted
+from swarm.ground.commissioning.check import CheckOptions
 from swarm.ground.commissioning.check import check as check_fleet
 from swarm.ground.commissioning.logs import download_logs
 from swarm.ground.hop import HopResult, fly_hop, hop_question
@@ -129,17 +129,17 @@ def check(
     with progress_bar(Console(stderr=True), f"listening to {fleet.name}") as progress:
         confirm_fix = _fix_question(console, progress, yes=yes) if fix else None
         report = check_fleet(
-            fleet, folder, flight_plan, Wanted(soak, confirm_fix, restore, progress)
+            fleet, folder, flight_plan, CheckOptions(soak, confirm_fix, restore, progress)
         )
     hop_result = None
     if flight_plan is not None:
-        report = report.having(_plan_finding(flight_plan))
+        report = report.with_findings(_plan_finding(flight_plan))
         if with_hop:
             ready = report.passed or fleet.emulated is not None
             hop_result = _fly_hop(
                 flight_plan, fleet, folder / "hop", speed, console, ready=ready, yes=yes
             )
-            report = report.having(*hop_result.findings)
+            report = report.with_findings(*hop_result.findings)
         if sheet:
             write_text(sheet, layout_sheet(flight_plan.plan, fleet, report.order))
     if as_json:

@@ -16,8 +16,8 @@ def check_object(report: CheckReport, hop: HopResult | None, folder: Path) -> di
     return {
         "go": report.passed,
         "checklist": [
-            {"check": item.check, "subject": item.subject, "go": item.go, "message": item.words}
-            for item in report.items()
+            {"check": item.check, "subject": item.subject, "go": item.go, "message": item.message}
+            for item in report.checklist()
         ],
         "vehicles": [_vehicle(vehicle) for vehicle in report.vehicles],
         "links": [
@@ -31,7 +31,7 @@ def check_object(report: CheckReport, hop: HopResult | None, folder: Path) -> di
             }
             for link in report.links
         ],
-        "parameters_set": list(report.changed),
+        "parameters_set": list(report.parameters_set),
         "order": list(report.order),
         "findings": [finding_object(finding) for finding in report.findings],
         "record": str(folder),
@@ -62,6 +62,6 @@ def _vehicle(vehicle: VehicleAudit) -> dict[str, Any]:
                 "reason": row.why,
                 "severity": row.severity,
             }
-            for row in (*vehicle.wrong, *vehicle.good)
+            for row in (*vehicle.deviations, *vehicle.correct)
         ],
     }

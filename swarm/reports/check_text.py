@@ -16,8 +16,8 @@ STYLES = {"error": "bold red", "warning": "yellow", "info": "green"}
 
 def print_check(report: CheckReport, console: Console) -> None:
     """Print the parameters that were set, those that are wrong, the findings, and go or no-go."""
-    _print_changes(report.changed, console)
-    wrong = [row for vehicle in report.vehicles for row in vehicle.wrong]
+    _print_changes(report.parameters_set, console)
+    wrong = [row for vehicle in report.vehicles for row in vehicle.deviations]
     if wrong:
         console.print(parameter_table(wrong))
     table = _table("", "check", "finding")
@@ -28,9 +28,9 @@ def print_check(report: CheckReport, console: Console) -> None:
     console.print(table)
     console.print()
     table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
-    for item in report.items():
+    for item in report.checklist():
         mark = Text("GO", "bold green") if item.go else Text("NO-GO", "bold red")
-        table.add_row(mark, item.subject, item.words)
+        table.add_row(mark, item.subject, item.message)
     console.print(table)
     if report.passed:
         console.print(Text("GO for flight", "bold green"))

@@ -1,4 +1,4 @@
-"""Ground checks through MAVSDK: what is found, set and put back."""
+"""Ground checks through MAVSDK: findings, and parameters that are set and restored."""
 
 import json
 import sys
@@ -10,32 +10,32 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, VehicleError
 from swarm.flight.listening import LinkQuality, radio_finding, radio_findings
-from swarm.ground.commissioning.check import Wanted, check
+from swarm.ground.commissioning.check import CheckOptions, check
 from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.sockets import Links
 from swarm.mission.fleet import emulated_fleet, parse_fleet
 from tests.network import small_plan
 
 
-def test_parameters_are_found_set_and_put_back(tmp_path):
+def test_parameters_are_checked_set_and_restored(tmp_path):
     fleet = emulated_fleet(3, ("px4", "ardupilot"))
     shown = []
-    wanted = Wanted(soak=2.0, fix=lambda rows: shown.extend(rows) or True)
-    report = check(fleet, tmp_path, small_plan(), wanted)
+    options = CheckOptions(soak=2.0, confirm_fix=lambda rows: shown.extend(rows) or True)
+    report = check(fleet, tmp_path, small_plan(), options)
     assert report.passed, [f.message for f in report.findings if f.severity == "error"]
     assert report.order == (1, 2, 3)
-    assert [item.check for item in report.items()] == [
+    assert [item.check for item in report.checklist()] == [
         "fleet", "firmware", "ready", "health", "battery", "position", "parameters", "placement",
         "origin", "clock", "hold", "link",
     ]  # fmt: skip
-    assert all(item.go for item in report.items())
-    said = [f.message for f in report.findings]
-    assert "system 1: took it and came back" in said
-    assert sum("m up of the first one's" in words for words in said) == 3
+    assert all(item.go for item in report.checklist())
+    messages = [f.message for f in report.findings]
+    assert "system 1: entered Hold and returned" in messages
+    assert sum("m up of the first one's" in message for message in messages) == 3
     assert {vehicle.firmware for vehicle in report.vehicles} == {"PX4 1.16.0", "ArduPilot 4.6.2"}
-    assert "system 1: COM_OBL_RC_ACT 0 → 5" in report.changed
-    assert "system 2: GUID_TIMEOUT 3 → 0.5" in report.changed
-    assert [row for vehicle in report.vehicles for row in vehicle.wrong if row.value] == []
+    assert "system 1: COM_OBL_RC_ACT 0 → 5" in report.parameters_set
+    assert "system 2: GUID_TIMEOUT 3 → 0.5" in report.parameters_set
+    assert [row for vehicle in report.vehicles for row in vehicle.deviations if row.value] == []
     assert {row.name for row in shown} >= {"COM_OBL_RC_ACT", "FS_GCS_ENABLE"}
     saved = json.loads((tmp_path / "parameters" / "1.json").read_text())
     assert saved["COM_OBL_RC_ACT"] == 0
@@ -46,11 +46,11 @@ def test_parameters_are_found_set_and_put_back(tmp_path):
     # the emulator starts anew, with its own defaults: nothing else differs from what was saved
     saved["COM_OBL_RC_ACT"] = 4
     (tmp_path / "parameters" / "1.json").write_text(json.dumps(saved))
-    restored = check(fleet, tmp_path / "restored", wanted=Wanted(restore=tmp_path))
-    assert restored.changed == ("system 1: COM_OBL_RC_ACT 0 → 4",)
+    restored = check(fleet, tmp_path / "restored", options=CheckOptions(restore=tmp_path))
+    assert restored.parameters_set == ("system 1: COM_OBL_RC_ACT 0 → 4",)
     assert not restored.passed
-    with pytest.raises(InputError, match="expected the parameters that an earlier check saved"):
-        check(fleet, tmp_path / "no", wanted=Wanted(restore=tmp_path / "nowhere"))
+    with pytest.raises(InputError, match="expected the saved parameters of an earlier check"):
+        check(fleet, tmp_path / "no", options=CheckOptions(restore=tmp_path / "nowhere"))
 
 
 def test_a_flight_with_autopilot_defaults_is_refused_by_the_audit(tmp_path):
@@ -60,18 +60,18 @@ def test_a_flight_with_autopilot_defaults_is_refused_by_the_audit(tmp_path):
     assert "armed" not in {event.kind for event in result.events}
 
 
-def test_vehicles_that_are_not_there_are_named(tmp_path):
+def test_missing_vehicles_are_named(tmp_path):
     fleet = emulated_fleet(2).model_copy(
         update={
             "emulated": None,
             "limits": emulated_fleet(2).limits.model_copy(update={"ready": 1.0}),
         }
     )
-    with pytest.raises(VehicleError, match="not heard: system 1, system 2"):
+    with pytest.raises(VehicleError, match="not received: system 1, system 2"):
         check(fleet, tmp_path)
 
 
-def test_a_radio_that_is_too_slow_says_how_many_would_fit():
+def test_a_slow_radio_is_reported_with_the_number_that_fits():
     finding = radio_finding(19, 20.0, 57_600, signed=False)
     assert finding.severity == "error"
     assert "at this rate 2 vehicles fit" in finding.message
@@ -79,7 +79,7 @@ def test_a_radio_that_is_too_slow_says_how_many_would_fit():
     assert radio_finding(9, 4.0, 57_600, signed=False).severity == "info"
 
 
-def test_serial_ports_and_stated_capacities_are_judged():
+def test_serial_ports_and_stated_capacities_are_checked():
     text = """
 schema: 1
 name: radio
@@ -102,49 +102,54 @@ def test_gaps_beyond_the_stream_timeout_are_errors():
     assert len(LinkQuality(3, 12.0, 0.2, 0.0, 0.05).findings(0.5)) == 1
 
 
-def test_each_vehicles_parameters_are_asked_for_once_and_progress_is_told(tmp_path, monkeypatch):
-    asked: Counter[tuple[int, int]] = Counter()
+def test_parameters_are_requested_once_and_progress_is_reported(tmp_path, monkeypatch):
+    requests: Counter[tuple[int, int]] = Counter()
     send = Links.send
 
     def watched(self, outgoing):
         packets = list(outgoing)
         for one in packets:
             for message in common.MAVLink(None).parse_buffer(one.data) or []:
-                asked[message.get_msgId(), getattr(message, "target_system", 0)] += 1
+                requests[message.get_msgId(), getattr(message, "target_system", 0)] += 1
         send(self, packets)
 
     monkeypatch.setattr(Links, "send", watched)
-    told = []
-    wanted = Wanted(fix=lambda _: True, tell=lambda stage, share: told.append((stage, share)))
-    report = check(emulated_fleet(2, ("px4", "ardupilot")), tmp_path, wanted=wanted)
+    reported = []
+    options = CheckOptions(
+        confirm_fix=lambda _: True,
+        progress=lambda step, share: reported.append((step, share)),
+    )
+    report = check(emulated_fleet(2, ("px4", "ardupilot")), tmp_path, options=options)
     for vehicle in report.vehicles:
-        lists = asked[common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST, vehicle.system]
-        sets = asked[common.MAVLINK_MSG_ID_PARAM_SET, vehicle.system]
-        changed = [one for one in report.changed if one.startswith(f"system {vehicle.system}:")]
+        lists = requests[common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST, vehicle.system]
+        sets = requests[common.MAVLINK_MSG_ID_PARAM_SET, vehicle.system]
+        changed = [
+            one for one in report.parameters_set if one.startswith(f"system {vehicle.system}:")
+        ]
         assert lists == 1
         assert 0 < len(changed) <= sets < 2 * len(changed)
-        assert [row for row in vehicle.wrong if row.value is not None] == []
-    stages = " ".join(stage for stage, _ in told)
-    for words in ("heard 2 of 2 vehicles", "parameters: ", "setting parameters: ",
-                  "health and firmware: 2 of 2 vehicles", "trying Hold"):  # fmt: skip
-        assert words in stages
-    assert all(0.0 <= share <= 1.0 for _, share in told)
+        assert [row for row in vehicle.deviations if row.value is not None] == []
+    steps = " ".join(step for step, _ in reported)
+    for words in ("received 2 of 2 vehicles", "parameters: ", "setting parameters: ",
+                  "health and firmware: 2 of 2 vehicles", "testing Hold"):  # fmt: skip
+        assert words in steps
+    assert all(0.0 <= share <= 1.0 for _, share in reported)
 
 
-def test_a_parameter_that_is_not_taken_is_named_with_what_it_is(tmp_path):
+def test_a_parameter_that_is_not_set_is_named_with_its_value(tmp_path):
     saved = tmp_path / "parameters" / "1.json"
     saved.parent.mkdir()
     saved.write_text('{"COM_OBL_RC_ACT": 0.5, "COM_OF_LOSS_T": 0.25}')
     with pytest.raises(VehicleError) as error:
-        check(emulated_fleet(1), tmp_path / "record", wanted=Wanted(restore=tmp_path))
-    assert str(error.value) == "system 1: COM_OBL_RC_ACT was set to 0.5, and is 0"
+        check(emulated_fleet(1), tmp_path / "record", options=CheckOptions(restore=tmp_path))
+    assert str(error.value) == "system 1: COM_OBL_RC_ACT was set to 0.5, but is 0"
 
 
 def test_progress_is_shown_on_a_terminal(tmp_path):
     code = "from swarm.cli.main import main; main()"
     program = ["-c", code, "check", "--record", str(tmp_path)]
     terminal = pexpect.spawn(sys.executable, program, encoding="utf-8", timeout=60)
-    for words in ("heard 9 of 9", "parameters: ", "health and firmware: "):
+    for words in ("received 9 of 9", "parameters: ", "health and firmware: "):
         terminal.expect(words)
     terminal.expect(pexpect.EOF)
     terminal.close()

@@ -1,4 +1,4 @@
-"""Autopilots' logs through MAVSDK, from vehicles that are nothing but pymavlink and a socket."""
+"""Autopilots' logs through MAVSDK, from minimal vehicles: pymavlink and a socket."""
 
 import itertools
 import json
@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import common
 from swarm.cli.check import check
 from swarm.errors import Refused
 from swarm.ground.commissioning.logs import download_logs
-from swarm.ground.commissioning.mavsdk_child import Fetching
+from swarm.ground.commissioning.mavsdk_child import LogDownloader
 from swarm.mission.fleet import Fleet, emulated_fleet
 
 OLD, NEW = 1_763_700_000, 1_763_730_000
@@ -29,18 +29,18 @@ PX4, ARDUPILOT = 12, 3
 class Vehicle:
     """Sends heartbeats and serves its logs: times in s since 1970 and contents, by id.
 
-    Every ``loses``-th piece of a log is lost on the way, and none comes any more after ``stops``
-    pieces. ``arms`` after so many pieces.
+    Every ``loses``-th packet of a log is lost, and none is sent after ``stops`` packets. The vehicle
+    arms after ``arms`` packets.
     """
 
     def __init__(
         self, system: int, port: int, autopilot: int, logs: Mapping[int, tuple[int, bytes]],
         *, loses: int = 0, stops: int | None = None, arms: int | None = None,
     ) -> None:  # fmt: skip
-        self.logs, self.asked = logs, 0
+        self.logs, self.requests = logs, 0
         self._loses, self._stops, self._arms = loses, stops, arms
         self._autopilot, self._to = autopilot, ("127.0.0.1", port)
-        self._pieces = itertools.count(1)
+        self._packets = itertools.count(1)
         self._sent = 0
         self._link = common.MAVLink(None, srcSystem=system, srcComponent=1)
         self._link.robust_parsing = True
@@ -70,9 +70,9 @@ class Vehicle:
             except TimeoutError:
                 continue
             for message in self._link.parse_buffer(data) or []:
-                self._answer(message)
+                self._respond(message)
 
-    def _answer(self, message: common.MAVLink_message) -> None:
+    def _respond(self, message: common.MAVLink_message) -> None:
         if message.get_type() == "LOG_REQUEST_LIST":
             last = max(self.logs, default=0)
             for number, (at, content) in self.logs.items():
@@ -80,7 +80,7 @@ class Vehicle:
                     common.MAVLink_log_entry_message(number, len(self.logs), last, at, len(content))
                 )
         elif message.get_type() == "LOG_REQUEST_DATA":
-            self.asked += 1
+            self.requests += 1
             content = self.logs[message.id][1]
             end = min(len(content), message.ofs + message.count)
             for start in range(message.ofs, end, 90):
@@ -90,7 +90,7 @@ class Vehicle:
         if self._stops is not None and self._sent >= self._stops:
             return
         self._sent += 1
-        if self._loses and next(self._pieces) % self._loses == 0:
+        if self._loses and next(self._packets) % self._loses == 0:
             return
         data = list(piece.ljust(90, b"\0"))
         self._send(common.MAVLink_log_data_message(number, start, len(piece), data))
@@ -104,12 +104,12 @@ def team(*vehicles: dict) -> Iterator[tuple[Fleet, list[Vehicle]]]:
     fleet = emulated_fleet(len(vehicles), ("px4", "ardupilot"))
     limits = fleet.limits.model_copy(update={"ready": 1.5})
     links = {"loopback": f"udpin://127.0.0.1:{port}"}
-    with ExitStack() as around:
+    with ExitStack() as resources:
         flown = []
         for system, options in enumerate(vehicles, start=1):
             if options:
                 flown.append(Vehicle(system, port, **options))
-                around.callback(flown[-1].close)
+                resources.callback(flown[-1].close)
         changed = {"emulated": None, "links": links, "limits": limits}
         yield fleet.model_copy(update=changed), flown
 
@@ -118,19 +118,19 @@ def content(seed: int, size: int) -> bytes:
     return random.Random(seed).randbytes(size)
 
 
-def test_the_newest_log_arrives_whole_although_the_link_loses_pieces(tmp_path):
+def test_the_newest_log_arrives_whole_over_a_lossy_link(tmp_path):
     new, other = content(1, 20_011), content(2, 9_000)
     first = {"autopilot": PX4, "logs": {0: (NEW, new), 1: (OLD, content(3, 500))}, "loses": 100}
-    # An ArduPilot counts its logs from one, also where it does not know the time.
+    # ArduPilot counts its logs from one, also if it does not know the time
     second = {"autopilot": ARDUPILOT, "logs": {1: (0, content(4, 200)), 2: (0, other)}}
     shares = []
     with team(first, second, {}) as (fleet, vehicles):
-        logs = download_logs(fleet, tmp_path, lambda *told: shares.append(told))
-        asked = [vehicle.asked for vehicle in vehicles]
+        logs = download_logs(fleet, tmp_path, lambda *arguments: shares.append(arguments))
+        requests = [vehicle.requests for vehicle in vehicles]
         again = download_logs(fleet, tmp_path)
-        assert [vehicle.asked for vehicle in vehicles] == asked, "it is there already"
+        assert [vehicle.requests for vehicle in vehicles] == requests, "the file exists"
     assert [log.system for log in logs] == [1, 2, 3]
-    assert [log.problem for log in logs] == ["", "", "not heard"]
+    assert [log.problem for log in logs] == ["", "", "not received"]
     assert again == logs
     assert logs[0].path is not None
     assert logs[0].path.name == "1-2025-11-21T13-00-00Z.ulg"
@@ -146,26 +146,26 @@ def test_the_newest_log_arrives_whole_although_the_link_loses_pieces(tmp_path):
     assert of_first[-1] == pytest.approx(1.0)
 
 
-def test_who_stops_sending_is_named_with_how_far_it_came(tmp_path):
+def test_a_download_that_stops_is_reported_with_its_progress(tmp_path):
     with team(
         {"autopilot": PX4, "logs": {0: (NEW, content(1, 300_000))}, "stops": 600},
         {"autopilot": PX4, "logs": {0: (NEW, content(2, 900))}},
     ) as (fleet, _):
-        stuck, fine = download_logs(fleet, tmp_path, patience=1.5)
+        stuck, fine = download_logs(fleet, tmp_path, timeout=1.5)
     assert stuck.path is None
-    assert stuck.problem == "nothing more came after 15% of it"
+    assert stuck.problem == "no more data after 15% of it"
     assert fine.path is not None
     assert [path.name for path in tmp_path.iterdir()] == [fine.path.name]
 
 
-def test_nothing_is_fetched_from_an_armed_team(tmp_path):
+def test_an_armed_team_is_refused(tmp_path):
     log = {"autopilot": PX4, "logs": {0: (NEW, content(1, 400_000))}}
     with (
         team({**log, "arms": 0}, log) as (fleet, vehicles),
-        pytest.raises(Refused, match="system 1 is armed: logs are fetched from vehicles that"),
+        pytest.raises(Refused, match="system 1 is armed: logs are downloaded from disarmed"),
     ):
         download_logs(fleet, tmp_path)
-    assert [vehicle.asked for vehicle in vehicles] == [0, 0]
+    assert [vehicle.requests for vehicle in vehicles] == [0, 0]
     with (
         team({**log, "arms": 700}) as (fleet, _),
         pytest.raises(Refused, match="system 1 is armed"),
@@ -174,7 +174,7 @@ def test_nothing_is_fetched_from_an_armed_team(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_the_library_has_queued_is_not_freed_before_the_library(tmp_path, monkeypatch):
+def test_callbacks_are_kept_until_mavsdk_is_destroyed(tmp_path, monkeypatch):
     callbacks, alive = [], []
     download, destroy = LogFiles.download_log_file_async, Mavsdk.destroy
 
@@ -191,13 +191,13 @@ def test_what_the_library_has_queued_is_not_freed_before_the_library(tmp_path, m
     log = {"autopilot": PX4, "logs": {0: (NEW, content(1, 400_000))}}
     with team(log) as (fleet, vehicles):
         port = int(fleet.links["loopback"].rpartition(":")[2])
-        fetching = Fetching(tmp_path, 5.0, lambda _: None, lambda: vehicles[0]._sent >= 700)
-        fetching.run({1: port}, (255, 190), {1: ".ulg"})
+        downloader = LogDownloader(tmp_path, 5.0, lambda _: None, lambda: vehicles[0]._sent >= 700)
+        downloader.run({1: port}, (255, 190), {1: ".ulg"})
     assert alive[0] == [True]
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_says_who_has_no_logs_and_exits_with_3(tmp_path):
+def test_the_command_reports_missing_logs_with_exit_code_3(tmp_path):
     result = CliRunner().invoke(check, ["--logs", str(tmp_path), "--json"], catch_exceptions=False)
     assert result.exit_code == 3
     found = json.loads(result.stdout)["logs"]

@@ -1,7 +1,7 @@
-"""The vehicles before arming: parameters by our own protocol, the rest in words through MAVSDK.
+"""Audit of vehicles before arming: parameters by our own protocol, health and firmware by MAVSDK.
 
-Each vehicle's parameters are fetched once, all vehicles side by side; what is set counts when it
-has been read back. Both happen on the links that the loop keeps; this is the blocking part, for a
+The parameters of all vehicles are fetched once, at the same time; a changed parameter counts as set
+once it has been read back. The loop keeps the links meanwhile: the audit blocks, so it runs in a
 thread of its own.
 """
 
@@ -15,28 +15,29 @@ from pathlib import Path
 from swarm.certification.findings import Finding
 from swarm.errors import VehicleError
 from swarm.flight.parameters import Demands, Row, judge, rules
-from swarm.ground.commissioning.mavsdk_client import Report, reports
+from swarm.ground.commissioning.mavsdk_client import VehicleReport, vehicle_reports
 from swarm.ground.relay import Relay
 from swarm.mavlink.frames import AutopilotName
 from swarm.mavlink.vehicle import Vehicle
 
 BATTERY_RESERVE = 25.0
-"""Percent of a battery that must be left when all vehicles have landed."""
-_LONGEST = 300.0
-"""Seconds that fetching or setting may take, however slow the link."""
+"""Percent of a battery that must remain when all vehicles have landed."""
+_TIMEOUT = 300.0
+"""Seconds for fetching or setting parameters, on the slowest link."""
 _POLL = 0.05
 _FIRMWARE = {"px4": "PX4", "ardupilot": "ArduPilot"}
 
-Tell = Callable[[str, float], None]
-"""Is told what is being done, in words, and the share of it that is done."""
+ProgressCallback = Callable[[str, float], None]
+"""Called with the name of the present step, and the completed share of it."""
 
 
 @dataclass(frozen=True)
 class VehicleAudit:
-    """What one vehicle said of itself before arming.
+    """The state that one vehicle reports before arming.
 
-    ``wrong`` and ``good`` are rows of the parameter table; ``parameters`` everything it has;
-    ``problems`` what keeps it from arming, in its own words.
+    ``deviations`` and ``correct`` are rows of the parameter table; ``parameters`` all parameters;
+    ``health`` whether each subsystem is healthy; ``battery`` in percent, negative or NaN if it is
+    unknown; ``problems`` the vehicle's own reasons why it cannot be armed.
     """
 
     system: int
@@ -46,56 +47,57 @@ class VehicleAudit:
     satellites: int
     problems: tuple[str, ...]
     parameters: Mapping[str, float]
-    wrong: tuple[Row, ...]
-    good: tuple[Row, ...]
+    deviations: tuple[Row, ...]
+    correct: tuple[Row, ...]
 
-    def findings(self, battery: float = 0.0) -> Iterator[Finding]:
-        """Yield what is to be said of it; ``battery`` is the percentage that the flight takes."""
+    def findings(self, required_battery: float = 0.0) -> Iterator[Finding]:
+        """Yield the findings; ``required_battery`` is the percentage that the flight uses."""
         name = f"system {self.system}"
         yield Finding("info", "firmware", f"{name}: {self.firmware}")
-        bad = ", ".join(what for what, fine in self.health.items() if not fine)
+        unhealthy = ", ".join(subsystem for subsystem, fine in self.health.items() if not fine)
         for problem in self.problems:
             yield Finding("warning", "health", f"{name}: {problem}")
-        if bad:
-            yield Finding("warning", "health", f"{name}: not healthy: {bad}")
+        if unhealthy:
+            yield Finding("warning", "health", f"{name}: not healthy: {unhealthy}")
         elif not self.problems:
             yield Finding("info", "health", f"{name}: healthy and armable")
-        yield self._battery(name, battery)
-        for row in self.wrong:
+        yield self._battery(name, required_battery)
+        for row in self.deviations:
             yield Finding(row.severity, "parameters", row.message)
-        if not self.wrong:
-            yield Finding("info", "parameters", f"{name}: all {len(self.good)} as they should be")
+        if not self.deviations:
+            yield Finding("info", "parameters", f"{name}: all {len(self.correct)} correct")
 
-    def _battery(self, name: str, needed: float) -> Finding:
+    def _battery(self, name: str, required: float) -> Finding:
         if not self.battery >= 0.0:
-            return Finding("warning", "battery", f"{name}: says nothing of its battery")
-        words = f"{name}: {self.battery:.0f} %"
-        if self.battery < needed + BATTERY_RESERVE:
-            words += f"; the flight takes {needed:.0f} % and {BATTERY_RESERVE:.0f} % must be left"
-            return Finding("error", "battery", words)
-        return Finding("info", "battery", words)
+            return Finding("warning", "battery", f"{name}: does not report its battery")
+        text = f"{name}: {self.battery:.0f} %"
+        if self.battery < required + BATTERY_RESERVE:
+            text += f"; the flight uses {required:.0f} %, and {BATTERY_RESERVE:.0f} % must remain"
+            return Finding("error", "battery", text)
+        return Finding("info", "battery", text)
 
 
 @dataclass
 class Auditor:
-    """Asks a team of vehicles on the ground, through the links of a relay's team.
+    """Audits a team of vehicles on the ground, through the links of a relay's team.
 
-    ``names`` tell the autopilot of each vehicle that is asked. Blocking, so not for the loop's
-    thread. Raises :class:`VehicleError` that names all vehicles which do not answer.
+    ``names`` are the system ids of the vehicles, with their autopilots. All methods block, so they
+    must not run in the loop's thread. They raise :class:`VehicleError` with the names of all
+    vehicles that do not respond.
     """
 
     relay: Relay
     names: Mapping[int, AutopilotName]
     demands: Demands
-    tell: Tell = lambda *_: None
-    _reports: dict[int, Report] = field(default_factory=dict)
+    progress: ProgressCallback = lambda *_: None
+    _reports: dict[int, VehicleReport] = field(default_factory=dict)
 
     def audit(self) -> list[VehicleAudit]:
-        """Fetch all parameters, and ask MAVSDK for the rest; all vehicles at the same time."""
+        """Fetch all parameters, then the reports of MAVSDK, for all vehicles at the same time."""
         vehicles = self._vehicles()
         for vehicle in vehicles.values():
             vehicle.parameters.fetch()
-        self._until_done("parameters", lambda: _fetched(vehicles.values()))
+        self._wait("parameters", lambda: _fetched(vehicles.values()))
         problems = [
             f"system {system}: {vehicle.parameters.problem}"
             for system, vehicle in vehicles.items()
@@ -103,72 +105,78 @@ class Auditor:
         ]
         if problems:
             raise VehicleError("\n".join(problems))
-        self._ask_mavsdk()
-        return [self._judged(system) for system in vehicles]
+        self._fetch_reports()
+        return [self._vehicle_audit(system) for system in vehicles]
 
     def fix(self, rows: Sequence[Row]) -> list[str]:
-        """Set the parameters of rows that are wrong; return what was changed, in words."""
-        wanted: dict[int, dict[str, float]] = {}
+        """Set the parameters of deviating rows; return a line for each change."""
+        values: dict[int, dict[str, float]] = {}
         for row in rows:
             if row.value is not None:
-                wanted.setdefault(row.system, {})[row.name] = row.should
-        return self.set(wanted)
+                values.setdefault(row.system, {})[row.name] = row.should
+        return self.set(values)
 
-    def set(self, wanted: Mapping[int, Mapping[str, float]]) -> list[str]:
-        """Set parameters of each system and read them back; return what was changed, in words.
+    def set(self, values: Mapping[int, Mapping[str, float]]) -> list[str]:
+        """Set parameters of each system and read them back; return a line for each change.
 
-        Raises :class:`VehicleError` that names those which are not what they were set to.
+        Raises :class:`VehicleError` with the names of parameters that are read back differently.
         """
-        vehicles = {system: self.relay.team.vehicles[system] for system in wanted}
+        vehicles = {system: self.relay.team.vehicles[system] for system in values}
         before = {system: dict(vehicle.parameters.values) for system, vehicle in vehicles.items()}
         for system, vehicle in vehicles.items():
-            vehicle.parameters.set(wanted[system])
-        number = sum(len(values) for values in wanted.values())
-        self._until_done("setting parameters", lambda: _set(vehicles.values(), number))
+            vehicle.parameters.set(values[system])
+        number = sum(len(parameters) for parameters in values.values())
+        self._wait("setting parameters", lambda: _set(vehicles.values(), number))
         problems = [
-            f"system {system}: {refusal.name} was set to {refusal.requested:g}, "
+            f"system {system}: {failed.name} was set to {failed.requested:g}, "
             + (
-                "and nothing came back"
-                if refusal.reported is None
-                else f"and is {refusal.reported:g}"
+                "but was not read back"
+                if failed.reported is None
+                else f"but is {failed.reported:g}"
             )
             for system, vehicle in vehicles.items()
-            for refusal in vehicle.parameters.failed
+            for failed in vehicle.parameters.failed
         ]
         if problems:
             raise VehicleError("\n".join(problems))
         return [
             f"system {system}: {name} {before[system][name]:g} → {value:g}"
-            for system, values in wanted.items()
-            for name, value in values.items()
+            for system, parameters in values.items()
+            for name, value in parameters.items()
         ]
 
-    def judged_again(self, audits: Sequence[VehicleAudit]) -> list[VehicleAudit]:
-        """Return audits by what the parameters are now; nothing is asked again."""
+    def updated(self, audits: Sequence[VehicleAudit]) -> list[VehicleAudit]:
+        """Return audits with the present parameters; nothing is fetched again."""
+        new = [self._vehicle_audit(audit.system) for audit in audits]
         return [
-            replace(audit, parameters=again.parameters, wrong=again.wrong, good=again.good)
-            for audit, again in ((one, self._judged(one.system)) for one in audits)
+            replace(
+                audit,
+                parameters=now.parameters,
+                deviations=now.deviations,
+                correct=now.correct,
+            )
+            for audit, now in zip(audits, new, strict=True)
         ]
 
     def _vehicles(self) -> dict[int, Vehicle]:
         return {system: self.relay.team.vehicles[system] for system in sorted(self.names)}
 
-    def _ask_mavsdk(self) -> None:
-        """Have MAVSDK say what it knows of every vehicle."""
+    def _fetch_reports(self) -> None:
         ports = {system: self.relay.ports[system] for system in sorted(self.names)}
-        what, told = "health and firmware", [0]
-        self.tell(what, 0.0)
+        step, received = "health and firmware", [0]
+        self.progress(step, 0.0)
 
-        def one_more(_: int) -> None:
-            told[0] += 1
-            self.tell(f"{what}: {told[0]} of {len(ports)} vehicles", told[0] / len(ports))
+        def on_report(_: int) -> None:
+            received[0] += 1
+            text = f"{step}: {received[0]} of {len(ports)} vehicles"
+            self.progress(text, received[0] / len(ports))
 
-        self._reports = reports(ports, one_more)
+        self._reports = vehicle_reports(ports, on_report)
 
-    def _judged(self, system: int) -> VehicleAudit:
+    def _vehicle_audit(self, system: int) -> VehicleAudit:
         report, name = self._reports[system], self.names[system]
         values = dict(self.relay.team.vehicles[system].parameters.values)
-        wrong, good = judge(system, values, rules(name, self.demands))
+        deviations, correct = judge(system, values, rules(name, self.demands))
         number = report.firmware
         return VehicleAudit(
             system=system,
@@ -178,28 +186,28 @@ class Auditor:
             satellites=report.satellites,
             problems=report.problems,
             parameters=values,
-            wrong=tuple(wrong),
-            good=tuple(good),
+            deviations=tuple(deviations),
+            correct=tuple(correct),
         )
 
-    def _until_done(self, what: str, progress: Callable[[], tuple[int, int]]) -> None:
-        """Wait until all that is fetched or set has come, telling how much has."""
-        pause, deadline = threading.Event(), time.monotonic() + _LONGEST
+    def _wait(self, step: str, progress: Callable[[], tuple[int, int]]) -> None:
+        """Wait until all parameters are fetched or set, and report the progress."""
+        pause, deadline = threading.Event(), time.monotonic() + _TIMEOUT
         vehicles = self._vehicles().values()
         while any(vehicle.parameters.busy for vehicle in vehicles):
-            done, of = progress()
-            if of:
-                self.tell(f"{what}: {done} of {of}", done / of)
+            done, total = progress()
+            if total:
+                self.progress(f"{step}: {done} of {total}", done / total)
             if time.monotonic() > deadline:
-                slow = [v.system for v in vehicles if v.parameters.busy]
-                names = ", ".join(str(system) for system in slow)
-                raise VehicleError(f"{what} of system {names}: not done in {_LONGEST:g} s")
+                busy = [vehicle.system for vehicle in vehicles if vehicle.parameters.busy]
+                names = ", ".join(str(system) for system in busy)
+                raise VehicleError(f"{step} of system {names}: not done in {_TIMEOUT:g} s")
             pause.wait(_POLL)
 
 
 def _fetched(vehicles: Iterable[Vehicle]) -> tuple[int, int]:
-    known = [vehicle.parameters for vehicle in vehicles]
-    return sum(one.received for one in known), sum(one.total for one in known)
+    parameters = [vehicle.parameters for vehicle in vehicles]
+    return sum(one.received for one in parameters), sum(one.total for one in parameters)
 
 
 def _set(vehicles: Iterable[Vehicle], number: int) -> tuple[int, int]:
@@ -207,7 +215,7 @@ def _set(vehicles: Iterable[Vehicle], number: int) -> tuple[int, int]:
 
 
 def save_parameters(folder: Path, audits: Sequence[VehicleAudit]) -> None:
-    """Keep all vehicles' parameters below a folder, one file per vehicle."""
+    """Save the parameters of all vehicles in a folder, one JSON file per vehicle."""
     below = folder / "parameters"
     below.mkdir(parents=True, exist_ok=True)
     for audit in audits:

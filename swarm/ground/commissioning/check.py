@@ -1,4 +1,4 @@
-"""``swarm check``: what the vehicles say of themselves before anything is armed."""
+"""The ground check of a fleet, ``swarm check``: a go/no-go list before arming."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -22,17 +22,22 @@ from swarm.flight.parameters import (
     stream_loss_model,
 )
 from swarm.flight.preparation import GATHERING, Prepared
-from swarm.ground.commissioning.audit import Auditor, Tell, VehicleAudit, save_parameters
-from swarm.ground.commissioning.survey import Survey, attended
+from swarm.ground.commissioning.audit import (
+    Auditor,
+    ProgressCallback,
+    VehicleAudit,
+    save_parameters,
+)
+from swarm.ground.commissioning.survey import Survey, open_survey
 from swarm.mission import Vehicles
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 
-_SETTLE = 2.5
-"""Seconds after the first heartbeats until streams run as they were asked for."""
-_STEADY = 5.0
-"""Seconds that a vehicle which has run for long is given to say that it is ready."""
-_HOLD_PATIENCE = 15.0
+_STREAM_START = 2.5
+"""Seconds after the first heartbeats until messages arrive at the requested rates."""
+_READY_TIMEOUT = 5.0
+"""Seconds within which a vehicle that has run for long must report that it is ready."""
+_HOLD_TIMEOUT = 15.0
 
 SUBJECTS = {
     "plan": "plan",
@@ -46,224 +51,225 @@ SUBJECTS = {
     "placement": "positions against pads",
     "origin": "origins",
     "clock": "clocks and delays",
-    "hold": "Hold, tried",
+    "hold": "Hold mode, tested",
     "link": "links",
-    "radio": "what fits the radios",
-    "hop": "hover in a hop",
+    "radio": "capacity of the radios",
+    "hop": "hover errors in a hop",
 }
-"""The go/no-go list: checks of findings, in order, and what they are called."""
+"""The go/no-go list: the checks of findings, in order, with their titles."""
 
 
 @dataclass(frozen=True)
-class Item:
-    """One line of the go/no-go list; ``words`` say what was found."""
+class ChecklistItem:
+    """One line of the go/no-go list."""
 
     check: str
     subject: str
     go: bool
-    words: str
+    message: str
 
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What the check found: per vehicle, per link, and what it changed.
+    """The result of a check: vehicles, links, findings, and the parameters that were set.
 
     ``order`` are the system ids in order along the cable; empty without a plan.
     """
 
     vehicles: tuple[VehicleAudit, ...]
     links: tuple[LinkQuality, ...]
-    changed: tuple[str, ...]
+    parameters_set: tuple[str, ...]
     findings: tuple[Finding, ...]
     order: tuple[int, ...] = ()
 
     @property
     def passed(self) -> bool:
-        """Whether nothing is an error."""
+        """Whether no finding is an error."""
         return all(finding.severity != "error" for finding in self.findings)
 
-    def items(self) -> list[Item]:
-        """Return the go/no-go list: one line for everything that was looked at."""
-        found = []
+    def checklist(self) -> list[ChecklistItem]:
+        """Return the go/no-go list: one line for every check with findings."""
+        items = []
         for check, subject in SUBJECTS.items():
-            said = [finding for finding in self.findings if finding.check == check]
-            if said:
-                found.append(Item(check, subject, *_verdict(said)))
-        return found
+            findings = [finding for finding in self.findings if finding.check == check]
+            if findings:
+                items.append(ChecklistItem(check, subject, *_verdict(findings)))
+        return items
 
-    def having(self, *findings: Finding) -> "CheckReport":
-        """Return the report with more findings."""
+    def with_findings(self, *findings: Finding) -> "CheckReport":
+        """Return the report with these findings added."""
         return replace(self, findings=(*self.findings, *findings))
 
 
-def _verdict(said: Sequence[Finding]) -> tuple[bool, str]:
+def _verdict(findings: Sequence[Finding]) -> tuple[bool, str]:
     counts = {
-        level: sum(finding.severity == level for finding in said) for level in ("error", "warning")
+        level: sum(finding.severity == level for finding in findings)
+        for level in ("error", "warning")
     }
     worst: Severity = "error" if counts["error"] else "warning" if counts["warning"] else "info"
-    first = next(finding for finding in said if finding.severity == worst)
+    first = next(finding for finding in findings if finding.severity == worst)
     number = counts.get(worst, 0)
     if worst == "info":
-        return True, said[0].message if len(said) == 1 else f"{len(said)} looked at, all well"
+        return True, findings[0].message if len(
+            findings
+        ) == 1 else f"{len(findings)} without faults"
     more = f" (and {number - 1} more)" if number > 1 else ""
     return worst != "error", ("" if worst == "error" else "warning: ") + first.message + more
 
 
-Asked = Callable[[Sequence[Row]], bool]
-
-
 @dataclass(frozen=True)
-class Wanted:
-    """What a check shall do beside looking.
+class CheckOptions:
+    """Options of a check.
 
-    ``soak`` measures the links for so many seconds. ``fix`` is shown the rows that are wrong and
-    says whether to set them; ``restore`` is a folder of an earlier check or flight whose
-    parameters are put back; ``tell`` is told what is being done, from another thread.
+    - ``soak``: seconds for which the links are measured.
+    - ``confirm_fix``: called with the deviating parameters; True sets them.
+    - ``restore``: folder of an earlier check or flight whose saved parameters are set again.
+    - ``progress``: called from another thread with the present step.
     """
 
     soak: float = 0.0
-    fix: Asked | None = None
+    confirm_fix: Callable[[Sequence[Row]], bool] | None = None
     restore: Path | None = None
-    tell: Tell = lambda *_: None
+    progress: ProgressCallback = lambda *_: None
 
 
 def check(
     fleet: Fleet,
     folder: Path,
     flight_plan: CertifiedPlan | None = None,
-    wanted: Wanted | None = None,
+    options: CheckOptions | None = None,
 ) -> CheckReport:
-    """Check a fleet on the ground; parameters are saved in ``folder`` before anything is changed.
+    """Check a fleet on the ground; parameters are saved in ``folder`` before any is changed.
 
-    With a plan the vehicles are judged by what it asks and stand against its pads.
+    With a plan, the vehicles are compared with its requirements and their positions with its pads.
 
-    Raises :class:`VehicleError` where links or vehicles are missing, and :class:`Refused` where
-    the fleet is too small for the plan or one system id is two vehicles, of which nothing is asked.
+    Raises :class:`VehicleError` if links or vehicles are missing, and :class:`Refused` if the fleet
+    is too small for the plan or two vehicles share a system id, which are then not checked.
     """
     if flight_plan is not None and len(fleet.vehicles) < flight_plan.plan.vehicles:
         raise Refused(
             f"the plan needs {flight_plan.plan.vehicles} vehicles, the fleet {fleet.name} "
             f"has {len(fleet.vehicles)}"
         )
-    restore = (wanted or Wanted()).restore
-    if restore is not None:
+    options = options or CheckOptions()
+    if options.restore is not None:
         for system in fleet.systems:
-            _saved(restore, system)
+            _saved(options.restore, system)
     plan = flight_plan.plan if flight_plan else None
-    with attended(fleet, folder, plan) as attendance:
-        return attendance.run(_Work(attendance, folder, plan, wanted or Wanted()).run)
+    with open_survey(fleet, folder, plan) as survey:
+        return survey.run(_Check(survey, folder, plan, options).run)
 
 
 @dataclass
-class _Work:
-    """The blocking part, in a thread of its own beside the loop."""
+class _Check:
+    """The blocking part, in a thread beside the loop."""
 
-    attendance: Survey
+    survey: Survey
     folder: Path
     plan: Plan | None
-    wanted: Wanted
+    options: CheckOptions
 
     def run(self) -> CheckReport:
-        self._hear()
+        self._wait_for_vehicles()
         names = {
             vehicle.system: vehicle.autopilot.name
             for vehicle in self.listening.heard
             if vehicle.autopilot is not None
         }
-        auditor = Auditor(self.attendance.relay, names, self._demands(), self.wanted.tell)
+        auditor = Auditor(self.survey.relay, names, self._demands(), self.options.progress)
         audits = auditor.audit()
-        self.attendance.relay.closed = True
+        self.survey.relay.closed = True
         save_parameters(self.folder, audits)
         changed: list[str] = []
-        if self.wanted.restore is not None:
-            changed += auditor.set(_saved_otherwise(audits, self.wanted.restore))
-            audits = auditor.judged_again(audits)
-        wrong = [row for audit in audits for row in audit.wrong if row.value is not None]
-        if wrong and self.wanted.fix is not None and self.wanted.fix(wrong):
-            changed += auditor.fix(wrong)
-            audits = auditor.judged_again(audits)
-        standing, order = self._standing()
-        hold = self._hold()
+        if self.options.restore is not None:
+            changed += auditor.set(_changed_since(audits, self.options.restore))
+            audits = auditor.updated(audits)
+        rows = [row for audit in audits for row in audit.deviations if row.value is not None]
+        confirm_fix = self.options.confirm_fix
+        if rows and confirm_fix is not None and confirm_fix(rows):
+            changed += auditor.fix(rows)
+            audits = auditor.updated(audits)
+        placement, order = self._placement()
+        hold = self._test_hold()
         links = self._soak()
-        return self._report(audits, links, changed, [*standing, *hold], order)
+        return self._report(audits, links, changed, [*placement, *hold], order)
 
     @property
     def listening(self) -> Listening:
-        """Who is heard, and what of."""
-        return self.attendance.listening
+        """The fleet as it is received."""
+        return self.survey.listening
 
     def _demands(self) -> Demands:
         fleet = self.listening.fleet
         return demands_of_plan(self.plan, fleet) if self.plan else demands_of(Vehicles(), fleet)
 
-    def _hear(self) -> None:
-        """Wait until all vehicles are heard and their streams run."""
+    def _wait_for_vehicles(self) -> None:
+        """Wait until all vehicles are received, at the requested rates."""
         fleet = self.listening.fleet
-        self.wanted.tell(f"listening to {fleet.name}", 0.0)
-        missing = self.attendance.hear(self._tell_heard)
+        self.options.progress(f"listening to {fleet.name}", 0.0)
+        missing = self.survey.wait_for_vehicles(self._report_received)
         if missing:
             names = ", ".join(f"system {system}" for system in missing)
-            raise VehicleError(f"not heard: {names}")
-        self.attendance.wait(_SETTLE)
-        self._tell_heard()
+            raise VehicleError(f"not received: {names}")
+        self.survey.wait(_STREAM_START)
+        self._report_received()
 
-    def _tell_heard(self) -> None:
-        """Tell how many vehicles are heard; refuse to ask more where one id is two vehicles."""
+    def _report_received(self) -> None:
+        """Report the number of received vehicles; refuse if two of them share a system id."""
         if self.listening.team.conflicts():
-            self.attendance.wait(GATHERING)
+            self.survey.wait(GATHERING)
             if conflicts := self.listening.team.conflicts():
                 raise Refused("\n".join(finding.message for finding in conflicts))
-        heard, of = len(self.listening.heard), len(self.listening.fleet.vehicles)
-        self.wanted.tell(f"heard {heard} of {of} vehicles", heard / of)
+        number, total = len(self.listening.heard), len(self.listening.fleet.vehicles)
+        self.options.progress(f"received {number} of {total} vehicles", number / total)
 
-    def _standing(self) -> tuple[list[Finding], tuple[int, ...]]:
-        """Wait until vehicles are ready; tell why not, and where they stand.
+    def _placement(self) -> tuple[list[Finding], tuple[int, ...]]:
+        """Wait until the vehicles are ready; return findings, and the order along the cable.
 
-        A vehicle gets the fleet's ``limits.ready`` from its own start: one that has run for longer
-        will not become ready by waiting.
+        ``limits.ready`` counts from the start of each autopilot: one that has run for longer does
+        not become ready by waiting.
         """
         listening = self.listening
-        self.wanted.tell("waiting until all are ready to arm", 0.0)
+        self.options.progress("waiting until all are ready to arm", 0.0)
         ready = listening.fleet.limits.ready
-        self.attendance.until(lambda: not listening.not_ready(), _STEADY)
+        self.survey.wait_until(lambda: not listening.not_ready(), _READY_TIMEOUT)
         youngest = min((vehicle.boot_ms / 1000.0 for vehicle in listening.heard), default=ready)
-        self.attendance.until(lambda: not listening.not_ready(), ready - youngest)
+        self.survey.wait_until(lambda: not listening.not_ready(), ready - youngest)
         findings = [replace(finding, check="ready") for finding in listening.not_ready()]
         if not findings:
-            words = f"{len(listening.heard)} vehicles are ready"
-            findings.append(Finding("info", "ready", words))
+            text = f"{len(listening.heard)} vehicles are ready"
+            findings.append(Finding("info", "ready", text))
         if self.plan is None:
             return findings, ()
         lift = np.array([0.0, 0.0, self.plan.mission.vehicles.grip_offset])
-        stood = listening.stand(self.plan.motion.at(0.0)[0] + lift)
-        if isinstance(stood, Prepared):
-            return [*findings, *stood.audit.findings], stood.audit.systems
-        return [*findings, stood], ()
+        placed = listening.stand(self.plan.motion.at(0.0)[0] + lift)
+        if isinstance(placed, Prepared):
+            return [*findings, *placed.audit.findings], placed.audit.systems
+        return [*findings, placed], ()
 
-    def _hold(self) -> list[Finding]:
-        """Try Hold on everybody; on ArduPilot that is Brake."""
+    def _test_hold(self) -> list[Finding]:
+        """Test Hold mode on all vehicles, on ArduPilot Brake; return the findings."""
         listening = self.listening
-        self.wanted.tell("trying Hold", 0.0)
+        self.options.progress("testing Hold", 0.0)
         listening.try_hold()
-        self.attendance.until(lambda: listening.holds is not None, _HOLD_PATIENCE)
+        self.survey.wait_until(lambda: listening.holds is not None, _HOLD_TIMEOUT)
         findings = []
         for vehicle in listening.heard:
-            words = (listening.holds or {}).get(vehicle.system, "no answer")
-            text = f"system {vehicle.system}: " + (words or "took it and came back")
-            if words:
-                text += "; a failsafe that should hold would land or descend instead"
+            problem = (listening.holds or {}).get(vehicle.system, "no answer")
+            text = f"system {vehicle.system}: " + (problem or "entered Hold and returned")
             severity: Severity = "info"
-            if words:
+            if problem:
+                text += "; a failsafe with Hold would land or descend instead"
                 severity = "warning" if listening.fleet.frame == "shared" else "error"
             findings.append(Finding(severity, "hold", text))
         return findings
 
     def _soak(self) -> Sequence[LinkQuality]:
-        if self.wanted.soak <= 0.0:
+        if self.options.soak <= 0.0:
             return ()
-        self.wanted.tell(f"measuring the links for {self.wanted.soak:g} s", 0.0)
+        self.options.progress(f"measuring the links for {self.options.soak:g} s", 0.0)
         self.listening.begin_soak()
-        self.attendance.wait(self.wanted.soak)
+        self.survey.wait(self.options.soak)
         return self.listening.soak()
 
     def _report(
@@ -271,15 +277,17 @@ class _Work:
         audits: Sequence[VehicleAudit],
         links: Sequence[LinkQuality],
         changed: Sequence[str],
-        said: Sequence[Finding],
+        observed: Sequence[Finding],
         order: tuple[int, ...],
     ) -> CheckReport:
         fleet, plan = self.listening.fleet, self.plan
         battery = 100.0 * plan.duration / plan.mission.vehicles.endurance if plan else 0.0
         findings = [
-            Finding("info", "fleet", f"{len(self.listening.heard)} vehicles of {fleet.name} heard"),
+            Finding(
+                "info", "fleet", f"{len(self.listening.heard)} vehicles of {fleet.name} received"
+            ),
             *self.listening.team.findings(),
-            *said,
+            *observed,
         ]
         for audit in audits:
             findings.extend(audit.findings(battery))
@@ -295,8 +303,8 @@ class _Work:
         return CheckReport(tuple(audits), tuple(links), tuple(changed), tuple(findings), order)
 
 
-def _saved_otherwise(audits: Sequence[VehicleAudit], folder: Path) -> dict[int, dict[str, float]]:
-    """Return which parameters of which system are other than they were saved, as saved."""
+def _changed_since(audits: Sequence[VehicleAudit], folder: Path) -> dict[int, dict[str, float]]:
+    """Return the saved values of the parameters that differ from them, by system id."""
     return {
         audit.system: {
             name: value
@@ -308,10 +316,10 @@ def _saved_otherwise(audits: Sequence[VehicleAudit], folder: Path) -> dict[int, 
 
 
 def _saved(folder: Path, system: int) -> Mapping[str, float]:
-    """Return the parameters of a vehicle as an earlier check saved them."""
+    """Return the parameters of a vehicle that an earlier check has saved."""
     path = folder / "parameters" / f"{system}.json"
     with suppress(ValueError, OSError):
         document = json.loads(path.read_text())
         if isinstance(document, dict):
             return {str(name): float(value) for name, value in document.items()}
-    raise InputError([Problem(str(path), "expected the parameters that an earlier check saved")])
+    raise InputError([Problem(str(path), "expected the saved parameters of an earlier check")])

@@ -1,28 +1,28 @@
-"""The autopilots' own logs, fetched on request: the newest of every vehicle, through MAVSDK."""
+"""Download of the autopilots' own logs through MAVSDK: the newest of every vehicle."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from swarm.errors import Refused
-from swarm.ground.commissioning.mavsdk_client import fetch
-from swarm.ground.commissioning.survey import Survey, attended
+from swarm.ground.commissioning.mavsdk_client import newest_logs
+from swarm.ground.commissioning.survey import Survey, open_survey
 from swarm.mission.fleet import Fleet
 
-PATIENCE = 15.0
-"""Seconds without a piece of a log after which it is given up."""
+TIMEOUT = 15.0
+"""Seconds without new data after which the download of a log fails."""
 _SUFFIX = {"px4": ".ulg", "ardupilot": ".bin"}
 
-Tell = Callable[[int, float], None]
-"""Is told of a vehicle and of the share of its log that has arrived."""
+LogProgress = Callable[[int, float], None]
+"""Called with a system id and the share of its log that has arrived."""
 
 
 @dataclass(frozen=True)
 class LogDownload:
-    """What came of one vehicle's newest log.
+    """The result for the newest log of one vehicle.
 
-    ``path`` is where it is, None where it could not be had, and then ``problem`` says why; ``size``
-    in bytes; ``date`` as the vehicle gives it, empty where it does not know the time.
+    ``path`` is the file, None if it was not downloaded; ``problem`` is then the reason. ``size`` in
+    bytes; ``date`` as the vehicle reports it, empty if the vehicle has no date.
     """
 
     system: int
@@ -33,43 +33,44 @@ class LogDownload:
 
 
 def download_logs(
-    fleet: Fleet, folder: Path, tell: Tell = lambda *_: None, *, patience: float = PATIENCE
+    fleet: Fleet, folder: Path, progress: LogProgress = lambda *_: None, *, timeout: float = TIMEOUT
 ) -> tuple[LogDownload, ...]:
-    """Fetch every vehicle's newest log into ``folder``, one vehicle after the other.
+    """Download the newest log of every vehicle into ``folder``, one vehicle after the other.
 
-    A log that is there already is not fetched again; nothing is overwritten. Who is not heard, has
-    no log or does not send it is told in the result and does not keep others from sending theirs.
+    A log that exists already is not downloaded again, and no file is overwritten. A vehicle that is
+    not received, has no log or does not send it does not affect the others.
 
-    Raises :class:`Refused` where anything is armed, or is armed meanwhile.
+    Raises :class:`Refused` if a vehicle is armed before or during the download.
     """
-    with attended(fleet, folder) as attendance:
-        return attendance.run(_Fetching(attendance, folder, tell, patience).run)
+    with open_survey(fleet, folder) as survey:
+        return survey.run(_Download(survey, folder, progress, timeout).run)
 
 
 @dataclass
-class _Fetching:
-    """The blocking part, in a thread of its own beside the loop."""
+class _Download:
+    """The blocking part, in a thread beside the loop; ``armed`` are systems that were armed."""
 
-    attendance: Survey
+    survey: Survey
     folder: Path
-    tell: Tell
-    patience: float
+    progress: LogProgress
+    timeout: float
     armed: set[int] = field(default_factory=set)
-    """Systems that were armed at any time since it began."""
 
     def run(self) -> tuple[LogDownload, ...]:
-        missing = self.attendance.hear()
+        missing = self.survey.wait_for_vehicles()
         self._refuse_armed()
-        heard = {vehicle.system: vehicle for vehicle in self.attendance.listening.heard}
-        logs = [LogDownload(system, None, problem="not heard") for system in missing]
-        relay = self.attendance.relay
-        if heard:
-            ports = {system: relay.ports[system] for system in heard}
+        vehicles = {vehicle.system: vehicle for vehicle in self.survey.listening.heard}
+        logs = [LogDownload(system, None, problem="not received") for system in missing]
+        relay = self.survey.relay
+        if vehicles:
+            ports = {system: relay.ports[system] for system in vehicles}
             suffixes = {
                 system: _SUFFIX.get(vehicle.autopilot.name if vehicle.autopilot else "", ".log")
-                for system, vehicle in heard.items()
+                for system, vehicle in vehicles.items()
             }
-            found = fetch(ports, suffixes, self.folder, self.patience, self.tell, self._any_armed)
+            found = newest_logs(
+                ports, suffixes, self.folder, self.timeout, self.progress, self._any_armed
+            )
             self._refuse_armed()
             logs += [
                 LogDownload(system, log.path, log.size, log.date, log.problem)
@@ -79,12 +80,12 @@ class _Fetching:
         return tuple(sorted(logs, key=lambda log: log.system))
 
     def _any_armed(self) -> bool:
-        self.armed |= {v.system for v in self.attendance.listening.heard if v.armed}
+        self.armed |= {v.system for v in self.survey.listening.heard if v.armed}
         return bool(self.armed)
 
     def _refuse_armed(self) -> None:
         if self._any_armed():
-            self.attendance.relay.closed = True
+            self.survey.relay.closed = True
             names = ", ".join(map(str, sorted(self.armed)))
-            words = "logs are fetched from vehicles that stand on the ground, disarmed"
-            raise Refused(f"system {names} is armed: {words}")
+            text = "logs are downloaded from disarmed vehicles on the ground only"
+            raise Refused(f"system {names} is armed: {text}")

@@ -1,8 +1,8 @@
 """MAVSDK in a process of its own: the only module that imports it, run as ``python -m``.
 
-It is a library in C++ with threads of its own, which has crashed inside its caller. Here it is
-asked by one thread, one vehicle after the other; what it says goes over the pipe whose descriptor
-is the first argument. See :mod:`swarm.ground.commissioning.mavsdk_client` for the other side.
+MAVSDK is a C++ library with threads of its own, which has crashed inside its caller. Here one
+thread uses it, one vehicle after the other, and sends the results over the pipe whose descriptor is
+the first argument. :mod:`swarm.ground.commissioning.mavsdk_client` is the other side.
 """
 
 import os
@@ -27,27 +27,27 @@ from mavsdk.plugins.telemetry import Telemetry
 
 from swarm.ground.child_process import die_with_parent
 
-DISCOVERY = 10.0
+DISCOVERY_TIMEOUT = 10.0
 """Seconds within which every vehicle must be discovered."""
-HEALTH = 5.0
-"""Seconds within which a vehicle that is healthy is expected to have said so."""
+HEALTH_TIMEOUT = 5.0
+"""Seconds within which a healthy vehicle is expected to report that it is healthy."""
 _POLL = 0.05
 _UNKNOWN_DATE = "1970"
 
-Tell = Callable[[tuple[Any, ...]], None]
+Send = Callable[[tuple[Any, ...]], None]
 
 
 class NotFoundError(Exception):
-    """Vehicles that the library does not find; the text names them."""
+    """MAVSDK has not found vehicles; the text names them."""
 
 
 @contextmanager
 def discovered(ports: Mapping[int, int], source: tuple[int, int]) -> Iterator[dict[int, Any]]:
-    """Give the library's handles of the vehicles behind loopback ports, by system id.
+    """Yield MAVSDK's handles of the vehicles behind loopback ports, by system id.
 
-    ``source`` is the system and component that it speaks as. Raises :class:`NotFoundError`.
+    ``source`` are the system and component ids of its packets. Raises :class:`NotFoundError`.
     """
-    _quiet()
+    _silence_log()
     with Mavsdk(Configuration.create_manual(*source, False)) as mavsdk:
         for port in ports.values():
             mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
@@ -57,27 +57,27 @@ def discovered(ports: Mapping[int, int], source: tuple[int, int]) -> Iterator[di
             found.update({s.get_system_id(): s for s in mavsdk.get_systems()})
             return found.keys() >= ports.keys()
 
-        if not _wait(all_found, DISCOVERY):
+        if not _wait(all_found, DISCOVERY_TIMEOUT):
             missing = ", ".join(str(s) for s in sorted(ports.keys() - found.keys()))
             raise NotFoundError(f"not found by MAVSDK: system {missing}")
         yield {system: found[system] for system in ports}
 
 
 @cache
-def _quiet() -> None:
-    """Keep the library's log off the terminal; once, since it frees what it was given before."""
+def _silence_log() -> None:
+    """Keep MAVSDK's log off the terminal; only once, since it frees the previous callback."""
     log_subscribe(lambda *_: True)
 
 
-def report(ports: Mapping[int, int], source: tuple[int, int], tell: Tell) -> None:
-    """Tell firmware, health, battery and arming problems: ``("vehicle", system, what)`` each."""
+def report(ports: Mapping[int, int], source: tuple[int, int], send: Send) -> None:
+    """Send ``("vehicle", system, fields)`` with firmware, health, battery, arming problems."""
     with discovered(ports, source) as systems:
         telemetries = {system: Telemetry(handle) for system, handle in systems.items()}
-        _wait(lambda: all(one.health_all_ok() for one in telemetries.values()), HEALTH)
+        _wait(lambda: all(one.health_all_ok() for one in telemetries.values()), HEALTH_TIMEOUT)
         for system, handle in systems.items():
             telemetry = telemetries[system]
             health = telemetry.health()
-            what = {
+            fields = {
                 "firmware": _firmware(handle),
                 "health": {
                     "gyroscope": health.is_gyrometer_calibration_ok,
@@ -92,7 +92,7 @@ def report(ports: Mapping[int, int], source: tuple[int, int], tell: Tell) -> Non
                 "satellites": int(telemetry.gps_info().num_satellites),
                 "problems": _arming_problems(handle),
             }
-            tell(("vehicle", system, what))
+            send(("vehicle", system, fields))
 
 
 def _firmware(handle: Any) -> str | None:
@@ -103,7 +103,7 @@ def _firmware(handle: Any) -> str | None:
 
 
 def _arming_problems(handle: Any) -> tuple[str, ...]:
-    """What PX4's health and arming checks complain of; other firmware has no such report."""
+    """Return the problems of PX4's health and arming checks; other firmware has no such report."""
     with suppress(MavsdkError):
         found = Events(handle).get_health_and_arming_checks_report()
         return tuple(
@@ -114,25 +114,25 @@ def _arming_problems(handle: Any) -> tuple[str, ...]:
 
 
 @dataclass
-class Fetching:
-    """Fetches the newest log of each vehicle into a folder, one vehicle after the other.
+class LogDownloader:
+    """Downloads the newest log of each vehicle into a folder, one vehicle after the other.
 
-    Tells ``("share", system, share)`` while a log arrives and then ``("log", system, path, size,
-    date, problem)``. A log that is there already is not fetched again; nothing is overwritten.
-    ``patience`` in seconds without a piece ends one; ``cancelled`` ends everything.
+    Sends ``("share", system, share)`` while a log arrives, and then ``("log", system, path, size,
+    date, problem)``. A log that exists already is not downloaded again; no file is overwritten.
+    The download of a log fails after ``timeout`` seconds without data; ``cancelled`` ends all
+    downloads. ``callbacks`` are kept because MAVSDK may call them until it is destroyed.
     """
 
     folder: Path
-    patience: float
-    tell: Tell
+    timeout: float
+    send: Send
     cancelled: Callable[[], bool] = lambda: False
     callbacks: list[object] = field(default_factory=list)
-    """What the library may still call, until it is gone."""
 
     def run(
         self, ports: Mapping[int, int], source: tuple[int, int], suffixes: Mapping[int, str]
     ) -> None:
-        """Fetch them all."""
+        """Download all logs."""
         with discovered(ports, source) as systems:
             for system, handle in systems.items():
                 if self.cancelled():
@@ -143,11 +143,11 @@ class Fetching:
         try:
             entries = logs.get_entries()
         except LogFilesError as error:
-            self._done(system, problem=_words(error.result))
+            self._done(system, problem=_problem(error.result))
             return
         entry = max(entries, key=lambda one: (one.date, one.id), default=None)
         if entry is None:
-            self._done(system, problem=_words(LogFilesResult.NO_LOGFILES))
+            self._done(system, problem=_problem(LogFilesResult.NO_LOGFILES))
             return
         date = "" if entry.date.startswith(_UNKNOWN_DATE) else entry.date
         when = date.replace(":", "-") or f"log{entry.id}"
@@ -157,7 +157,7 @@ class Fetching:
             if path.stat().st_size == entry.size_bytes:
                 done(path=path)
                 return
-            done(problem=f"{path} is there already, and is another log")
+            done(problem=f"{path} exists, and is another log")
             return
         part = path.with_name(f"{path.name}.part")
         part.unlink(missing_ok=True)
@@ -181,41 +181,41 @@ class Fetching:
         date: str = "",
         problem: str = "",
     ) -> None:
-        self.tell(("log", system, path, size, date, problem))
+        self.send(("log", system, path, size, date, problem))
 
     def _download(self, logs: LogFiles, entry: Entry, path: Path, system: int) -> str:
-        """Download a log; return why it could not be had, or nothing."""
-        said: queue.SimpleQueue[tuple[LogFilesResult, float]] = queue.SimpleQueue()
+        """Download a log; return the reason if it fails, otherwise an empty text."""
+        results: queue.SimpleQueue[tuple[LogFilesResult, float]] = queue.SimpleQueue()
         logs.download_log_file_async(
-            entry, str(path), lambda result, data, _: said.put((result, data.progress))
+            entry, str(path), lambda result, data, _: results.put((result, data.progress))
         )
-        # The library frees these with `logs`, but what it has queued by then, after a download that
-        # was given up, it still calls: it would jump into memory that is something else by now.
+        # MAVSDK frees these with `logs`, but after a cancelled download it still makes the calls
+        # that are queued by then: it would jump into memory that has been reused
         self.callbacks += logs._callbacks
         silent, share = 0.0, 0.0
-        while silent < self.patience and not self.cancelled():
+        while silent < self.timeout and not self.cancelled():
             try:
-                result, progress = said.get(timeout=_POLL)
+                result, progress = results.get(timeout=_POLL)
             except queue.Empty:
                 silent += _POLL
                 continue
             if result is LogFilesResult.SUCCESS:
-                self.tell(("share", system, 1.0))
+                self.send(("share", system, 1.0))
                 return ""
             if result is not LogFilesResult.NEXT:
-                return _words(result)
+                return _problem(result)
             silent, share = 0.0, progress
-            self.tell(("share", system, share))
+            self.send(("share", system, share))
         logs.cancel_download_log_file()
-        return f"nothing more came after {share:.0%} of it"
+        return f"no more data after {share:.0%} of it"
 
 
-def _words(result: LogFilesResult) -> str:
+def _problem(result: LogFilesResult) -> str:
     if result is LogFilesResult.NO_LOGFILES:
         return "has no logs"
     if result is LogFilesResult.TIMEOUT:
-        return "does not answer when it is asked for its logs"
-    return f"its log cannot be had: {result.name.replace('_', ' ').lower()}"
+        return "does not respond to the request for its logs"
+    return f"its log cannot be downloaded: {result.name.replace('_', ' ').lower()}"
 
 
 def _wait(condition: Callable[[], bool], seconds: float) -> bool:
@@ -229,17 +229,17 @@ def _wait(condition: Callable[[], bool], seconds: float) -> bool:
 
 
 def main() -> None:
-    """Do what the first message asks; a second one cancels it."""
+    """Serve the request in the first message; a second message cancels it."""
     die_with_parent()
     with Connection(int(sys.argv[1])) as pipe:
         kind, arguments = pipe.recv()
         try:
             if kind == "report":
-                report(tell=pipe.send, **arguments)
+                report(send=pipe.send, **arguments)
             else:
-                ports, source, suffixes, folder, patience = arguments
-                fetching = Fetching(folder, patience, pipe.send, pipe.poll)
-                fetching.run(ports, source, suffixes)
+                ports, source, suffixes, folder, timeout = arguments
+                downloader = LogDownloader(folder, timeout, pipe.send, pipe.poll)
+                downloader.run(ports, source, suffixes)
         except NotFoundError as error:
             pipe.send(("missing", str(error)))
         except OSError as error:
@@ -248,7 +248,7 @@ def main() -> None:
             pipe.send(("broken", f"{type(error).__name__}: {error}"))
         else:
             pipe.send(("done",))
-    # nothing of the library's is waited for: its threads have hung and crashed at their end
+    # do not wait for MAVSDK: its threads have hung and crashed at their end
     os._exit(0)
 
 

@@ -1,4 +1,4 @@
-"""What MAVSDK is asked for: firmware, health and arming problems in words, and log download.
+"""Requests to MAVSDK: firmware, health and arming problems of vehicles, and log download.
 
 MAVSDK runs in a child process (:mod:`swarm.ground.commissioning.mavsdk_child`) behind the relay's
 loopback endpoints. If the process ends early or is silent for too long, it is started again a few
@@ -16,20 +16,20 @@ from swarm.errors import VehicleError
 from swarm.ground.child_process import ChildError, ChildProcess
 from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
 
-TRIES = 3
-SILENCE = 15.0
-"""Seconds without a word after which the process is given up: longer than discovery takes."""
+ATTEMPTS = 3
+TIMEOUT = 15.0
+"""Seconds without a message after which the process has failed: longer than discovery takes."""
 _MODULE = "swarm.ground.commissioning.mavsdk_child"
 _SOURCE = (GROUND_SYSTEM, GROUND_COMPONENT)
 _POLL = 0.1
 
 
 @dataclass(frozen=True)
-class Report:
-    """What a vehicle said of itself through MAVSDK.
+class VehicleReport:
+    """The state of a vehicle as MAVSDK reports it.
 
-    ``firmware`` is the version's number, None where it did not say; ``battery`` in percent,
-    negative or NaN where it is not known; ``problems`` what keeps it from arming, in its own words.
+    ``firmware`` is the version number, None if unknown; ``battery`` in percent, negative or NaN if
+    unknown; ``problems`` the vehicle's own reasons why it cannot be armed.
     """
 
     firmware: str | None
@@ -40,8 +40,8 @@ class Report:
 
 
 @dataclass(frozen=True)
-class Log:
-    """What came of one vehicle's newest log; ``path`` None where ``problem`` says why."""
+class NewestLog:
+    """The result for one vehicle's newest log; ``path`` is None if there is a ``problem``."""
 
     path: Path | None
     size: int
@@ -49,77 +49,77 @@ class Log:
     problem: str
 
 
-def reports(
+def vehicle_reports(
     ports: Mapping[int, int],
     on_report: Callable[[int], None] = lambda _: None,
     *,
-    silence: float = SILENCE,
-) -> dict[int, Report]:
-    """Ask the vehicles behind loopback ports, by system id; ``on_report`` is called for each.
+    timeout: float = TIMEOUT,
+) -> dict[int, VehicleReport]:
+    """Return the reports of the vehicles behind loopback ports, by system id.
 
-    Blocks. Raises :class:`VehicleError` where vehicles are not found, or the process ends or is
-    silent for so many seconds in every try.
+    Blocks; ``on_report`` is called for each vehicle. Raises :class:`VehicleError` if vehicles are
+    not found, or if in every attempt the process ends or sends nothing for ``timeout`` seconds.
     """
-    found: dict[int, Report] = {}
+    found: dict[int, VehicleReport] = {}
 
-    def take(message: tuple[Any, ...]) -> None:
-        _, system, what = message
-        found[system] = Report(**what)
+    def handle(message: tuple[Any, ...]) -> None:
+        _, system, fields = message
+        found[system] = VehicleReport(**fields)
         on_report(system)
 
-    for left in range(TRIES - 1, -1, -1):
+    for remaining in range(ATTEMPTS - 1, -1, -1):
         missing = {system: port for system, port in ports.items() if system not in found}
         try:
             request = ("report", {"ports": missing, "source": _SOURCE})
-            _converse(request, take, silence, partial(_all_in, found, ports))
+            _request(request, handle, timeout, partial(_complete, found, ports))
             return found
         except MissingError:
-            if not left:
+            if not remaining:
                 raise
         except ChildError as error:
-            if not left:
+            if not remaining:
                 names = ", ".join(str(s) for s in sorted(ports.keys() - found.keys()))
-                words = f"MAVSDK failed in {TRIES} tries of {TRIES} when asked about system {names}"
-                raise VehicleError(f"{words}: {error}") from None
+                text = f"MAVSDK failed in {ATTEMPTS} attempts of {ATTEMPTS} for system {names}"
+                raise VehicleError(f"{text}: {error}") from None
     return found
 
 
-def fetch(
+def newest_logs(
     ports: Mapping[int, int],
     suffixes: Mapping[int, str],
     folder: Path,
-    patience: float,
+    timeout: float,
     on_share: Callable[[int, float], None],
     cancelled: Callable[[], bool],
-) -> dict[int, Log]:
-    """Fetch the newest log of each vehicle behind loopback ports into ``folder``.
+) -> dict[int, NewestLog]:
+    """Download the newest log of each vehicle behind loopback ports into ``folder``.
 
-    A vehicle in whose turn the process ends or hangs is asked again a few times; then that is its
-    log's problem, and the next vehicle is asked. Ends early where ``cancelled`` says so. Raises
-    :class:`VehicleError` where vehicles are not found or ``folder`` cannot be written.
+    If the process fails for a vehicle in every attempt, this is the problem of its log, and the
+    next vehicle follows. Ends early once ``cancelled`` returns True. Raises :class:`VehicleError`
+    if vehicles are not found or ``folder`` cannot be written.
     """
-    found: dict[int, Log] = {}
+    found: dict[int, NewestLog] = {}
     failures = dict.fromkeys(ports, 0)
 
-    def take(message: tuple[Any, ...]) -> None:
-        kind, system, *what = message
+    def handle(message: tuple[Any, ...]) -> None:
+        kind, system, *fields = message
         if kind == "share":
-            on_share(system, *what)
+            on_share(system, *fields)
         else:
-            found[system] = Log(*what)
+            found[system] = NewestLog(*fields)
 
     while not cancelled() and (missing := [s for s in ports if s not in found]):
-        asked = {system: ports[system] for system in missing}
-        request = ("logs", (asked, _SOURCE, suffixes, folder, patience))
+        remaining = {system: ports[system] for system in missing}
+        request = ("logs", (remaining, _SOURCE, suffixes, folder, timeout))
         try:
-            enough = partial(_all_in, found, ports)
-            _converse(request, take, SILENCE + patience, enough, cancelled)
+            complete = partial(_complete, found, ports)
+            _request(request, handle, TIMEOUT + timeout, complete, cancelled)
         except ChildError as error:
-            turn = next(system for system in missing if system not in found)
-            failures[turn] += 1
-            if failures[turn] == TRIES:
-                words = f"MAVSDK failed in {TRIES} tries of {TRIES}: {error}"
-                found[turn] = Log(None, 0, "", words)
+            current = next(system for system in missing if system not in found)
+            failures[current] += 1
+            if failures[current] == ATTEMPTS:
+                text = f"MAVSDK failed in {ATTEMPTS} attempts of {ATTEMPTS}: {error}"
+                found[current] = NewestLog(None, 0, "", text)
         finally:
             for system in missing:
                 for part in folder.glob(f"{system}-*{suffixes[system]}.part"):
@@ -128,37 +128,36 @@ def fetch(
 
 
 class MissingError(VehicleError):
-    """The library did not find vehicles that are heard on the links: worth another try."""
+    """MAVSDK did not find vehicles that send on the links; another attempt may find them."""
 
 
-def _all_in(found: Mapping[int, object], wanted: Mapping[int, object]) -> bool:
-    return found.keys() >= wanted.keys()
+def _complete(found: Mapping[int, object], required: Mapping[int, object]) -> bool:
+    return found.keys() >= required.keys()
 
 
-def _converse(
+def _request(
     request: Any,
-    take: Callable[[tuple[Any, ...]], None],
-    silence: float,
-    enough: Callable[[], bool],
+    handle: Callable[[tuple[Any, ...]], None],
+    timeout: float,
+    complete: Callable[[], bool],
     cancelled: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Ask a child process, and take its messages until it is done or they are ``enough``.
+    """Send a request to a new child process, and handle its messages until it is complete.
 
-    What the library does at its end is not waited for. Raises :class:`ChildError` where it ends or
-    is silent before that, and :class:`VehicleError` with its words where it cannot do what it is
-    asked.
+    The end of the process is not waited for. Raises :class:`ChildError` if the process ends or is
+    silent before, and :class:`VehicleError` with its message if it cannot serve the request.
     """
     child = ChildProcess(_MODULE)
     try:
         child.send(request)
-        heard = time.monotonic()
-        told = False
-        while not enough():
-            if cancelled() and not told:
+        latest = time.monotonic()
+        cancel_sent = False
+        while not complete():
+            if cancelled() and not cancel_sent:
                 child.send("cancel")
-                told = True
+                cancel_sent = True
             for message in child.receive(_POLL):
-                heard = time.monotonic()
+                latest = time.monotonic()
                 if message[0] == "done":
                     return
                 if message[0] == "missing":
@@ -167,8 +166,8 @@ def _converse(
                     raise VehicleError(message[1])
                 if message[0] == "broken":
                     raise ChildError(f"its process failed: {message[1]}")
-                take(message)
-            if time.monotonic() - heard > silence:
-                raise ChildError(f"its process said nothing for {silence:g} s")
+                handle(message)
+            if time.monotonic() - latest > timeout:
+                raise ChildError(f"its process was silent for {timeout:g} s")
     finally:
         child.close()

@@ -1,6 +1,6 @@
-"""A fleet that is listened to and never flown, while something slow and blocking asks it things.
+"""A fleet on open links that is never armed, while blocking work runs in a thread.
 
-The loop keeps the links; what asks runs in a thread of its own and speaks through the relay.
+The loop keeps the links; the thread reaches the vehicles through the relay.
 """
 
 import threading
@@ -24,7 +24,7 @@ from swarm.planning import Plan
 
 T = TypeVar("T")
 
-_LISTEN = 0.1
+_POLL = 0.1
 
 
 @dataclass
@@ -37,14 +37,14 @@ class Survey:
     _pause: threading.Event = field(default_factory=threading.Event)
 
     def run(self, work: Callable[[], T]) -> T:
-        """Keep the links while ``work`` runs in a thread; return what it returns.
+        """Keep the links while ``work`` runs in a thread; return its result.
 
-        Raises what it raises, where that is meant for the user.
+        Raises the errors of ``work`` that are meant for the user.
         """
         results: list[T] = []
         errors: list[Exception] = []
 
-        def work_beside() -> None:
+        def run_work() -> None:
             try:
                 results.append(work())
             except (SwarmError, OSError) as error:
@@ -52,7 +52,7 @@ class Survey:
             finally:
                 self.listening.over = True
 
-        thread = threading.Thread(target=work_beside, name="attendance", daemon=True)
+        thread = threading.Thread(target=run_work, name="survey", daemon=True)
         thread.start()
         Loop(self.listening, self.links, None, 1.0, lambda _: None, self.relay).run()
         thread.join()
@@ -62,50 +62,50 @@ class Survey:
             raise VehicleError("it ended without a result")
         return results[0]
 
-    # For what runs in the thread
+    # For the work in the thread
 
     def wait(self, seconds: float) -> None:
-        """Wait while the links go on."""
+        """Wait while the links continue."""
         self._pause.wait(seconds)
 
-    def until(self, condition: Callable[[], bool], patience: float) -> bool:
-        """Wait until a condition holds; return whether it did within so many seconds."""
-        latest = time.monotonic() + patience
+    def wait_until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait until a condition holds; return whether it did within ``timeout`` seconds."""
+        deadline = time.monotonic() + timeout
         while not condition():
-            if time.monotonic() >= latest:
+            if time.monotonic() >= deadline:
                 return False
-            self.wait(_LISTEN)
+            self.wait(_POLL)
         return True
 
-    def hear(self, tell: Callable[[], None] = lambda: None) -> list[int]:
-        """Wait until all vehicles are heard; return those not heard within ``limits.ready``.
+    def wait_for_vehicles(self, progress: Callable[[], None] = lambda: None) -> list[int]:
+        """Wait until all vehicles are received; return those missing after ``limits.ready``.
 
-        ``tell`` is called now and then meanwhile.
+        ``progress`` is called several times a second.
         """
 
-        def all_heard() -> bool:
-            tell()
+        def complete() -> bool:
+            progress()
             return not self.listening.missing
 
-        self.until(all_heard, self.listening.fleet.limits.ready)
+        self.wait_until(complete, self.listening.fleet.limits.ready)
         return self.listening.missing
 
 
 @contextmanager
-def attended(fleet: Fleet, folder: Path, plan: Plan | None = None) -> Iterator[Survey]:
-    """Open a fleet's links, with the emulator behind them where the fleet is an emulated one.
+def open_survey(fleet: Fleet, folder: Path, plan: Plan | None = None) -> Iterator[Survey]:
+    """Open the links of a fleet, and start the emulator for an emulated one.
 
-    ``folder`` is for what the emulator reads and says; with a ``plan`` it stands on its pads.
-    Raises :class:`InputError` where files cannot be written.
+    ``folder`` is for the files of the emulator, whose vehicles stand on the pads of ``plan``.
+    Raises :class:`InputError` if files cannot be written.
     """
-    with ExitStack() as around:
+    with ExitStack() as resources:
         links = open_links(fleet.links)
-        around.callback(links.close)
+        resources.callback(links.close)
         listening = Listening(fleet)
         relay = Relay(listening.team)
-        around.callback(relay.close)
+        resources.callback(relay.close)
         try:
-            listening.team.signing = around.enter_context(signing_with(fleet.signing_key))
+            listening.team.signing = resources.enter_context(signing_with(fleet.signing_key))
             folder.mkdir(parents=True, exist_ok=True)
             if fleet.emulated is not None:
                 port = links.port(next(iter(fleet.links)))
@@ -116,7 +116,7 @@ def attended(fleet: Fleet, folder: Path, plan: Plan | None = None) -> Iterator[S
                     else bare_world(fleet)
                 )
                 emulator = EmulatorProcess(world, folder, port, 1.0, fleet.signing_key)
-                around.callback(emulator.stop)
+                resources.callback(emulator.stop)
             yield Survey(listening, relay, links)
         except OSError as error:
             raise InputError([Problem(str(folder), str(error.strerror or error))]) from None
