@@ -21,12 +21,12 @@ from swarm.planning import Gate, Phase, Plan, digest
 
 Progress = Callable[[str, float], None]
 
-_KEY = object()
+_CONSTRUCTION_KEY = object()
 """Private to this module: only its functions create measured clearances and certificates."""
 
 
 def _require_key(key: object, values: str) -> None:
-    if key is not _KEY:
+    if key is not _CONSTRUCTION_KEY:
         raise TypeError(f"{values} are created only by swarm.certification.certificate")
 
 
@@ -122,7 +122,7 @@ class Certificate:
 def measure_clearances(plan: Plan, progress: Progress | None = None) -> MeasuredClearances:
     """Return the tightest moments of a plan; ``progress`` as in :func:`certify`."""
     moments = tightest_moments(plan, progress=progress)
-    return MeasuredClearances(digest(plan), moments, _KEY)
+    return MeasuredClearances(digest(plan), moments, _CONSTRUCTION_KEY)
 
 
 def certify(
@@ -144,7 +144,7 @@ def certify(
     if measured.digest != name:
         raise ValueError("the clearances were measured on another plan")
     found = assess(plan, moments=measured.moments, progress=progress, robustness=robustness)
-    return Certificate(name, found, plan.mission.vehicles.tracking, _KEY)
+    return Certificate(name, found, plan.mission.vehicles.tracking, _CONSTRUCTION_KEY)
 
 
 def certify_robustness(
@@ -156,7 +156,7 @@ def certify_robustness(
     """
     require_same_plan(plan, certificate)
     found = with_robustness(plan, certificate.assessment, progress)
-    return replace(certificate, assessment=found, key=_KEY)
+    return replace(certificate, assessment=found, key=_CONSTRUCTION_KEY)
 
 
 def without_cable(plan: Plan) -> Plan:

@@ -1,4 +1,4 @@
-"""Brute force with its own catenaries: shares no code with what it checks."""
+"""Brute force with its own catenaries: shares no code with the certificate."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Small plans made by hand, to be certified or broken on purpose."""
+"""Small synthetic plans, to certify or to break on purpose."""
 
 import numpy as np
 

@@ -15,7 +15,7 @@ from tests.certification.synthetic import moving, plan_of
 
 
 def errors(plan):
-    """What is wrong with a plan: check → messages."""
+    """Errors of a plan: check → messages."""
     found = {}
     for finding in assess(plan).findings:
         if finding.severity == "error":
@@ -30,7 +30,7 @@ def changed(plan: Plan, change) -> Plan:
     return replace(plan, motion=through_states(times, *states))
 
 
-def test_our_own_overhand_is_cleared(overhand_assessed):
+def test_the_recorded_overhand_is_cleared(overhand_assessed):
     assert [f.message for f in overhand_assessed.findings if f.severity == "error"] == []
     assert overhand_assessed.cleared
     assert (overhand_assessed.knot, overhand_assessed.chirality) == ("3_1", "right")
@@ -40,7 +40,7 @@ def test_our_own_overhand_is_cleared(overhand_assessed):
     assert all(f.at_time is not None and f.where is not None for f in tightest)
 
 
-def test_a_mirrored_knot_has_the_wrong_code_and_the_wrong_hand(overhand):
+def test_a_mirrored_knot_has_the_wrong_code_and_chirality(overhand):
     mirror = np.array([-1.0, 1.0, 1.0])
     mirrored = replace(
         overhand, motion=Motion(overhand.motion.times, overhand.motion.coefficients * mirror)
@@ -51,7 +51,7 @@ def test_a_mirrored_knot_has_the_wrong_code_and_the_wrong_hand(overhand):
 
 
 def test_swapped_lanes_make_strands_meet(overhand):
-    """What should pass above passes below on the way, though the end looks right."""
+    """Strands pass below instead of above during the fold; the end is right."""
     fold = overhand.phase("fold")
     height = overhand.layout.corners[:, 2].mean()
 
@@ -67,7 +67,7 @@ def test_swapped_lanes_make_strands_meet(overhand):
     assert "knot type" not in found
 
 
-def test_a_segment_cut_short_is_taut(overhand):
+def test_a_shortened_segment_is_taut(overhand):
     lengths = overhand.layout.lengths.copy()
     lengths[3] *= 0.85
     found = errors(replace(overhand, layout=replace(overhand.layout, lengths=lengths)))
@@ -89,8 +89,8 @@ def test_a_vehicle_that_is_late_by_seconds_is_refused_for_its_own_segments(overh
 
     found = errors(changed(overhand, late))
     assert set(found) & {"taut", "cable clearance", "neighbouring segments"}
-    said = " ".join(message for messages in found.values() for message in messages)
-    assert "segment 4" in said or "segment 5" in said
+    text = " ".join(message for messages in found.values() for message in messages)
+    assert "segment 4" in text or "segment 5" in text
 
 
 def test_a_whip_near_taut_between_coarse_samples_is_caught():
@@ -120,12 +120,12 @@ def test_limits_of_speed_and_acceleration_with_the_braking_reserve():
     assert "1 m/s² allowed (2 less 1 to brake)" in errors(plan)["acceleration"][0]
 
 
-def test_batteries_must_last_with_the_caps_of_the_clock(overhand, overhand_assessed):
+def test_endurance_includes_the_rate_limits_of_the_clock(overhand, overhand_assessed):
     slowed = overhand_assessed.stream_loss.delay
     assert slowed > 1.0
-    (said,) = [f for f in overhand_assessed.findings if f.check == "endurance"]
+    (endurance_,) = [f for f in overhand_assessed.findings if f.check == "endurance"]
     flight = f"{overhand.duration + slowed:.0f} s of flight with the rate limits of the clock"
-    assert (said.severity, said.message.startswith(flight)) == ("info", True)
+    assert (endurance_.severity, endurance_.message.startswith(flight)) == ("info", True)
     endurance = overhand.duration + 0.5 * slowed
     vehicles = overhand.mission.vehicles.model_copy(update={"endurance": endurance})
     mission = overhand.mission.model_copy(update={"vehicles": vehicles})
@@ -152,7 +152,7 @@ def test_refusal_carries_every_error(overhand):
     assert len(str(refusal.value).splitlines()) == len(wrong) > 1
 
 
-def test_what_is_not_certified_for_tracking_errors_says_so():
+def test_a_plan_without_tracking_errors_is_reported_as_geometry_only():
     places = [[[0, 0, 5.0], [2.5, 0, 5.0]], [[3, 0, 5.0], [5.5, 0, 5.0]]]
     exact = plan_of(moving([0, 6], places), [3.0], "vehicles.tracking=0")
     scope = [f.message for f in assess(exact).findings if f.check == "scope"]
@@ -171,7 +171,7 @@ def test_a_velocity_that_jumps_is_refused():
     assert found == {"smoothness": ["0.2 m/s jump in the velocity of vehicle 2"]}
 
 
-def test_a_single_vehicle_without_cable_is_judged_by_its_motion_alone():
+def test_a_single_vehicle_without_cable_is_checked_by_its_motion_alone():
     plan = plan_of(moving([0, 6], [[[0, 0, 5.0]], [[2, 0, 5.0]]]), [], cable="free")
     assessment = assess(plan)
     assert assessment.cleared

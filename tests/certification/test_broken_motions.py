@@ -1,4 +1,4 @@
-"""``swarm certify`` on motions that are broken on purpose: each is caught for the right reason."""
+"""``swarm certify`` on motions that are broken on purpose: each is refused for the right reason."""
 
 import json
 import re
@@ -16,16 +16,16 @@ from swarm.planning import Plan, make_plan
 from tests.certification.conftest import recorded_overhand
 
 STEP = 0.5
-"""Seconds between rows: the recorded plan has knots every second, and reading rows takes time."""
+"""Seconds between rows; the recorded plan has breakpoints every second."""
 
 Rows = np.ndarray
 """Times, vehicles and states of a motion file: (k, n, 9) positions, velocities, accelerations."""
 
 
-def said(
+def certified(
     tmp_path: Path, plan: Plan, change: Callable[[Rows, Rows], Rows] | None = None, *keys: str
 ):
-    """Errors by check, and the knot, that the command finds in a plan's export after a change."""
+    """Errors by check, and the knot, of a plan's export after a change."""
     lines = list(motion_rows(plan, STEP))
     table = [line.split(",") for line in lines[1:]]
     count = plan.vehicles
@@ -53,12 +53,12 @@ def said(
 
 def test_the_papers_trajectory_entangles_its_cable(tmp_path: Path) -> None:
     paper = make_plan(mission_for_knot("overhand", ["fold.method=paper", "layout.cell=3.0"]))
-    errors, _ = said(tmp_path, paper, None, "--set", "vehicles.tracking=0.0")
+    errors, _ = certified(tmp_path, paper, None, "--set", "vehicles.tracking=0.0")
     assert "strands meet" in errors
     assert "the cable would entangle" in errors["strands meet"]
 
 
-def test_a_vehicle_that_is_late_by_a_second_is_named(tmp_path: Path) -> None:
+def test_a_vehicle_that_is_late_by_a_second_is_identified(tmp_path: Path) -> None:
     plan = recorded_overhand()
     fold = plan.phase("fold")
 
@@ -69,19 +69,19 @@ def test_a_vehicle_that_is_late_by_a_second_is_named(tmp_path: Path) -> None:
         states[:, 5] = np.concatenate(plan.motion.at(moved), axis=-1)[:, 5]
         return states
 
-    errors, _ = said(tmp_path, plan, late)
+    errors, _ = certified(tmp_path, plan, late)
     assert "taut" in errors
     assert re.search(r"length of segment [56] ", errors["taut"])
 
 
 @pytest.mark.full
-def test_a_mirrored_motion_ties_the_other_hand(tmp_path: Path) -> None:
+def test_a_mirrored_motion_ties_the_mirrored_knot(tmp_path: Path) -> None:
     def mirror(_: Rows, states: Rows) -> Rows:
         states[:, :, 1::3] *= -1.0
         return states
 
-    errors, knot = said(tmp_path, recorded_overhand(), mirror)
-    assert errors == {}, "the file does not say which hand was wanted"
+    errors, knot = certified(tmp_path, recorded_overhand(), mirror)
+    assert errors == {}, "the file requires no chirality"
     assert (knot["type"], knot["chirality"]) == ("3_1", "left")
 
 
@@ -93,6 +93,6 @@ def test_a_motion_that_jumps_or_is_too_fast_is_refused(tmp_path: Path) -> None:
         states[times > plan.phase("fold").end, 2, 0] += 1.5
         return states
 
-    errors, _ = said(tmp_path, plan, jump)
+    errors, _ = certified(tmp_path, plan, jump)
     assert {"speed", "acceleration"} <= set(errors)
     assert "vehicle 3" in errors["speed"]

@@ -1,4 +1,4 @@
-"""Anybody's trajectories: the export format in, the same assessment out, every mistake named."""
+"""External trajectories: the export format in, the same assessment out, errors with their lines."""
 
 import json
 
@@ -27,7 +27,7 @@ def problems(text):
     return [str(problem) for problem in error.value.problems]
 
 
-def test_an_exported_plan_comes_back_as_the_same_motion(overhand, overhand_assessed):
+def test_an_exported_plan_is_imported_as_the_same_motion(overhand, overhand_assessed):
     text = "\n".join(motion_rows(overhand))
     motion = read_motion(text, "m.csv")
     plan = plan_of_motion(motion, overhand.layout.lengths, overhand.mission)
@@ -40,7 +40,7 @@ def test_an_exported_plan_comes_back_as_the_same_motion(overhand, overhand_asses
     assert assessment.cable.distance == pytest.approx(overhand_assessed.cable.distance, abs=0.01)
 
 
-def test_every_mistake_is_named_with_its_line():
+def test_every_error_has_its_line():
     lines = [HEADER, row(0, 1), row(0, 2, "folding", 2), row("nan", 1), row(0.1, "x")]
     assert problems("\n".join(lines)) == [
         "m.csv: line 3: phase: expected one of takeoff, grab, contract, lift, fold, hold, unfold, "
@@ -98,7 +98,7 @@ def test_a_table_of_the_wrong_shape(lines, message):
         ),
     ],
 )
-def test_numbers_that_no_flight_has(rows, message):
+def test_numbers_out_of_range(rows, message):
     assert problems("\n".join([HEADER, *rows]))[0] == message
 
 
@@ -181,7 +181,7 @@ def test_the_command_clears_and_refuses_with_its_exit_code(files):
     assert [finding["check"] for finding in wrong] == ["vehicle clearance"]
 
 
-def test_the_command_names_bad_files_and_clearances(files, tmp_path):
+def test_the_command_reports_bad_files_and_clearances(files, tmp_path):
     for arguments, words in (
         ([*files, "--clearance", "cable=-1"], "clearance.cable: expected a length > 0"),
         ([str(tmp_path / "none.csv"), *files[1:]], "none.csv: no such file"),
@@ -191,7 +191,7 @@ def test_the_command_names_bad_files_and_clearances(files, tmp_path):
         assert words in str(result.exception)
 
 
-def test_a_motion_of_nothing_but_a_hold_is_certified():
+def test_a_motion_with_only_a_hold_is_certified():
     rows = [row(t, v, "hold", 2.5 * v) for t in (0, 6) for v in (1, 2)]
     motion = read_motion("\n".join([HEADER, *rows]), "m.csv")
     plan = plan_of_motion(motion, np.array([3.0]), mission_for_knot("overhand"))

@@ -1,4 +1,4 @@
-"""ContingencyWindows, stops, loads and the budget, against figures worked out by hand."""
+"""Contingency windows, stops, loads, the budget and robustness, against analytic figures."""
 
 import math
 from dataclasses import replace
@@ -24,7 +24,7 @@ def still(places, lengths, *overrides):
     return plan_of(moving([0, 4], [places, places]), lengths, *overrides)
 
 
-def test_a_line_of_vehicles_can_land_and_let_go_at_any_time():
+def test_a_line_of_vehicles_can_land_and_release_at_any_time():
     found = contingency_windows(still(LINE, [3.0, 3.0]))
     assert found.land.all()
     assert found.release.all()
@@ -32,7 +32,7 @@ def test_a_line_of_vehicles_can_land_and_let_go_at_any_time():
     assert found.longest_wait(found.land, 0.0, 4.0) == 0.0
 
 
-def test_a_vehicle_under_a_strand_can_neither_land_nor_see_it_released():
+def test_a_vehicle_under_a_strand_prevents_landing_and_release():
     """Vehicle 4 passes under segment 1 from 3 s to 5 s or so, and beyond."""
     high = [[0, 0, 9.0], [3.0, 0, 9.0]]
     places = [[*high, [1.5, y - 2.4, 3.0], [1.5, y, 3.0]] for y in (-6.0, -6.0, 6.0, 6.0)]
@@ -48,7 +48,7 @@ def test_a_vehicle_under_a_strand_can_neither_land_nor_see_it_released():
     )
 
 
-def test_vehicles_above_each_other_cannot_land_but_could_let_go():
+def test_vehicles_above_each_other_cannot_land():
     found = contingency_windows(still([[0, 0, 8.0], [2.2, 0, 8.0], [2.4, 0, 5.0]], [3.0, 4.0]))
     assert not found.land.any()
 
@@ -82,10 +82,10 @@ def test_loads_are_the_weight_of_the_cable():
     assert found.vertical[0] == pytest.approx([1.5 * weight, 3.2 * weight, 1.7 * weight])
 
 
-def test_a_dead_vehicle_between_two_hangs_on_both():
+def test_a_failed_vehicle_hangs_on_both_neighbours():
     found = failed_vehicle_load(still(LINE, [3.0, 3.0]))
     assert found is not None
-    # At an end one neighbour bears all of it; between two, T = W / 2cos, with span 5 of 6 metres.
+    # At an end one neighbour carries all of it; between two, T = W / 2cos, span 5 m of 6 m.
     whole = 1.5 * 9.80665
     assert found.force >= whole
     slope = math.sqrt(9 - 6.25) / 2.5
@@ -94,7 +94,7 @@ def test_a_dead_vehicle_between_two_hangs_on_both():
     assert shared < whole
 
 
-def test_a_stuck_gripper_bears_what_hangs_from_it_to_the_floor():
+def test_a_stuck_gripper_carries_the_cable_down_to_the_floor():
     plan = still(LINE, [3.0, 9.0])
     assert stuck_gripper_load(plan) is None
     released = replace(plan, gates=(Gate(4.0, "released", 20.0),))
@@ -112,24 +112,24 @@ def crossed(gap, *overrides):
     return still(places, [3.5, 50.0, 66.0, 50.0, 3.5], *overrides)
 
 
-def test_the_budget_names_what_tracking_and_tolerance_take():
+def test_the_budget_separates_tracking_and_tolerance():
     plan = crossed(1.0)
     moment = tightest_moments(plan, checks=("cable clearance",))[0]
     (row,) = budgets(plan, [moment])
     assert row.between == ("segment 1", "segment 5")
     assert row.tracking == pytest.approx(0.2)
-    # The certificate takes tracking with what it makes of sag, and no more.
+    # The certificate includes tracking and its amplification only.
     assert row.available - row.tracking - row.amplification >= moment.distance - 0.01
     assert row.available - row.tracking - row.amplification <= moment.distance + 0.15
     # A centimetre of cable more lets a strand sag by a little more than half a centimetre.
     assert 0.01 < row.length < 0.03
     assert row.grip == row.sway == row.wind == 0.0
-    assert row.wash < 1e-4, "nobody flies above these strands"
+    assert row.wash < 1e-4, "no vehicle is above these strands"
     assert row.remaining == pytest.approx(row.available - row.effects - 0.15)
     assert "segments 1 and 5" in table([row])
 
 
-def test_wind_and_gusts_part_strands_only_by_their_difference():
+def test_wind_and_gusts_separate_strands_only_by_their_difference():
     plan = crossed(1.0, "wind.steady=3.0")
     (calm,) = budgets(plan, tightest_moments(plan, checks=("cable clearance",))[:1])
     gusty = crossed(1.0, "wind.steady=3.0", "wind.gust=3.0")
@@ -137,7 +137,7 @@ def test_wind_and_gusts_part_strands_only_by_their_difference():
     assert calm.wind < 0.15 < rough.wind
 
 
-def test_the_wind_tilts_a_cable_as_far_as_its_drag_says():
+def test_the_wind_tilts_a_cable_by_its_drag():
     """17° at 3 m/s and 41° at 5 m/s for 12 g/m and 6 mm."""
     plan = crossed(1.0)
     for speed, degrees in ((0.0, 0.0), (3.0, 17.0), (5.0, 41.0)):
@@ -163,7 +163,7 @@ def test_a_wind_across_the_vehicles_blows_strands_together():
     assert failure_in_wind(plan, 8.0) is not None
 
 
-def test_strands_that_are_only_just_apart_bear_no_wind():
+def test_strands_without_margin_tolerate_no_wind():
     side = [[0, 0, 60], [3, 0, 60], [40, -20, 60], [40, 30, 60], [3, 1.2, 59.4], [0, 1.2, 59.4]]
 
     def keeping(clearance):
@@ -198,23 +198,24 @@ def test_a_vehicle_that_passes_under_another_sinks_for_a_while():
     found = deepest_sinking(plan)
     assert (found.vehicle, found.above) == (1, 0)
     assert found.below == pytest.approx(4.0)
-    assert 2.0 < found.time < 8.0, "the autopilot makes up for it as the others stay"
+    assert 2.0 < found.time < 8.0, "the autopilot compensates while the others stay"
     assert 0.2 < found.depth < 1.0
     assert deepest_sinking(still(LINE, [3.0, 3.0])) is None
-    (said,) = downwash_findings(plan)
-    assert said.severity == "warning"
-    assert "m of sinking for vehicle 2, 4.0 m below vehicle 1 in downwash of " in said.message
+    (finding,) = downwash_findings(plan)
+    assert finding.severity == "warning"
+    assert "m of sinking for vehicle 2, 4.0 m below vehicle 1 in downwash of " in finding.message
 
 
-def test_stops_are_told_with_their_windows():
-    stops, findings = contingencies_of(still(LINE, [3.0, 3.0]))
-    assert (stops.land.share, stops.release.share, stops.land.wait) == (1.0, 1.0, 0.0)
+def test_contingencies_are_reported_with_their_windows():
+    contingencies, findings = contingencies_of(still(LINE, [3.0, 3.0]))
+    assert (contingencies.land.share, contingencies.land.wait) == (1.0, 0.0)
+    assert contingencies.release.share == 1.0
     assert [finding.message for finding in findings][:2] == [
         "100% of the time aloft, all can land together",
         "100% of the time aloft, all can release",
     ]
     under = [[0, 0, 5.0], [2.0, 0, 5.0], [1.0, 0, 1.5]]
-    stops, findings = contingencies_of(still(under, [2.4, 6.0]))
-    assert not stops.release.share
+    contingencies, findings = contingencies_of(still(under, [2.4, 6.0]))
+    assert not contingencies.release.share
     assert findings[1].severity == "warning"
     assert findings[1].message == "0% of the time aloft, all can release"

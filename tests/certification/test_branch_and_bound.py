@@ -1,4 +1,4 @@
-"""Enclosing the smallest of many functions, where bounds converge and where they do not."""
+"""Smallest margins by branch and bound, where bounds converge and where they do not."""
 
 import numpy as np
 import pytest
@@ -18,9 +18,9 @@ SPAN = [(0.0, 4.0)]
 
 
 def margins(*functions, loose=0.0):
-    """An evaluator of functions of time that change by at most 1 a second.
+    """An evaluator of functions of time with slopes up to 1 per second.
 
-    The bound of the first pair never gets nearer to it than ``loose``.
+    The bound of the first pair stays ``loose`` below the value.
     """
 
     def evaluate(boxes):
@@ -36,7 +36,7 @@ def steady(margin):
     return lambda _time: margin
 
 
-def test_what_cannot_be_shown_comes_before_what_is_tighter_but_kept():
+def test_margins_that_cannot_be_shown_come_first():
     kept = [steady(0.1 + 0.01 * k) for k in range(8)]
     evaluate = margins(steady(0.9), *kept, loose=1.0)
     found = smallest(evaluate, 9, roots(9, SPAN, 1.0))
@@ -45,18 +45,18 @@ def test_what_cannot_be_shown_comes_before_what_is_tighter_but_kept():
 
 
 @pytest.mark.parametrize("least", [0.05 * TOLERANCE * 1.01, 0.5 * TOLERANCE, 2.0 * TOLERANCE])
-def test_a_margin_just_above_nothing_is_not_refused_for_the_tolerance(least):
+def test_a_margin_just_above_zero_is_not_refused_by_the_tolerance(least):
     found = smallest(margins(lambda t: least + abs(t - 1.3)), 1, roots(1, SPAN, 1.0))
     assert 0.0 <= found.low[0] <= least
 
 
 @pytest.mark.parametrize("least", [-1e-6, -0.5 * TOLERANCE])
-def test_a_margin_just_below_nothing_is_refused(least):
+def test_a_margin_just_below_zero_is_refused(least):
     found = smallest(margins(lambda t: least + abs(t - 1.3)), 1, roots(1, SPAN, 1.0))
     assert found.low[0] <= least
 
 
-def test_every_second_that_falls_short_is_found_and_no_other():
+def test_exactly_the_failing_seconds_are_found():
     def dipping(t):
         return 0.2 - 0.3 * max(1.0 - 4.0 * abs(t - 0.4), 1.0 - 2.0 * abs(t - 2.6), 0.0)
 
@@ -68,8 +68,8 @@ def test_every_second_that_falls_short_is_found_and_no_other():
     assert found.low[short] == pytest.approx([-0.1, -0.1], abs=0.02)
 
 
-def test_what_was_shown_of_a_box_holds_in_its_parts():
-    """Bounds of parts may be poorer, by another way to find them; what is known stays known."""
+def test_the_bound_of_a_box_holds_in_its_parts():
+    """Bounds of parts can be weaker; the known bound stays."""
 
     def evaluate(boxes):
         whole = boxes.half[:, 0] >= 0.5
@@ -79,14 +79,14 @@ def test_what_was_shown_of_a_box_holds_in_its_parts():
     assert smallest(evaluate, 1, roots(1, SPAN, 1.0)).low[0] == 0.005
 
 
-def test_every_span_has_boxes_of_the_asked_width():
+def test_every_span_has_boxes_of_the_given_width():
     boxes = roots(2, [(0.0, 4.0), (10.0, 14.0), (20.0, 20.5), (30.0, 32.2)], 1.0)
     assert np.unique(boxes.half) == pytest.approx([0.25, 2.2 / 6, 0.5])
     assert len(boxes) == 2 * (4 + 4 + 1 + 3)
 
 
 def enclosing(low, high, doubt):
-    """An evaluator that says the same of every box."""
+    """An evaluator with the same enclosure for every box."""
 
     def evaluate(boxes):
         size = len(boxes)
@@ -96,7 +96,7 @@ def enclosing(low, high, doubt):
     return evaluate
 
 
-def test_a_search_that_never_comes_to_an_end_is_ended_with_what_is_shown():
+def test_a_search_that_does_not_converge_ends_with_its_bounds():
     begun = roots(1, SPAN, 1.0)
     found = smallest(enclosing(-0.5, 1.0, 1.0), 1, begun)
     assert found.boxes < 10 * MOST_BOXES
@@ -108,8 +108,8 @@ def test_a_search_that_never_comes_to_an_end_is_ended_with_what_is_shown():
     ("low", "high", "doubt"),
     [(np.inf, np.inf, 0.0), (np.nan, 1.0, 1.0), (1.0, np.nan, 1.0), (-np.inf, 1.0, np.nan)],
 )
-def test_what_is_no_margin_is_never_clear(low, high, doubt):
-    """Nothing counts anywhere, or it is not a number: neither is a margin that is kept."""
+def test_a_missing_margin_is_never_cleared(low, high, doubt):
+    """No box counts, or the margin is not a number."""
     begun = roots(2, SPAN, 1.0)
 
     def evaluate(boxes):
