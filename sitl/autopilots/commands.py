@@ -22,7 +22,7 @@ _NAMES = {number: name for name, number in wire.NUMBERS.items()}
 NO_ACK = -1
 """Result of a command that gets no COMMAND_ACK now."""
 _NOT_PX4 = frozenset({"EKF_STATUS_REPORT", "HEARTBEAT"})
-"""Messages whose rate cannot be set: PX4's heartbeats come once a second."""
+"""Messages without a settable rate: PX4's heartbeats have a period of one second."""
 _NOT_ARDUPILOT = frozenset(
     {"COMPONENT_METADATA", "CURRENT_EVENT_SEQUENCE", "CURRENT_MODE", "LINK_NODE_STATUS", "PING",
      "TIMESYNC", "TIME_ESTIMATE_TO_TARGET"}
@@ -30,9 +30,10 @@ _NOT_ARDUPILOT = frozenset(
 
 
 def _request_message(v: Vehicle, command: Command) -> int:
-    """PX4 denies what it has nothing to say of, and answers after it has said the rest.
+    """Send one message.
 
-    ArduPilot answers first, and takes the request where it then says nothing.
+    PX4 denies messages that it cannot send now, and acknowledges after the message. ArduPilot
+    acknowledges first, also where it then sends no message.
     """
     name = str(_NAMES.get(int(command.p[0])))
     known = name in telemetry.MESSAGES
@@ -50,8 +51,8 @@ def _request_message(v: Vehicle, command: Command) -> int:
 def _set_interval(v: Vehicle, command: Command) -> int:
     name = _NAMES.get(int(command.p[0]))
     px4 = v.spec.autopilot == "px4"
-    foreign = name in (_NOT_PX4 if px4 else _NOT_ARDUPILOT)
-    if foreign or name not in telemetry.MESSAGES or not math.isfinite(command.p[1]):
+    unsupported = name in (_NOT_PX4 if px4 else _NOT_ARDUPILOT)
+    if unsupported or name not in telemetry.MESSAGES or not math.isfinite(command.p[1]):
         return FAILED if px4 else DENIED
     if command.p[1] < 0:
         command.link.stream(name, None, v.now)

@@ -55,19 +55,19 @@ def _command_int(v: Vehicle, message: Any, link: Link) -> None:
 
 
 def _command(v: Vehicle, message: Any, p: list[float], xy: tuple[int, int], link: Link) -> None:
-    number, asker = message.command, (message.get_srcSystem(), message.get_srcComponent())
-    command = Command(number, p, *xy, link, *asker)
-    own = COMMANDS.get(number)
+    number, sender = message.command, (message.get_srcSystem(), message.get_srcComponent())
+    command = Command(number, p, *xy, link, *sender)
+    common = COMMANDS.get(number)
     try:
-        result = own(v, command) if own else v.autopilot.handle_command(command)
+        result = common(v, command) if common else v.autopilot.handle_command(command)
     except (ValueError, OverflowError):
         result = DENIED
     if result is None:
         result = UNSUPPORTED
     if result != NO_ACK:
-        v.acknowledge(number, result, link, *asker)
+        v.acknowledge(number, result, link, *sender)
         if number == dialect.MAV_CMD_DO_SET_MODE and v.spec.autopilot == "px4":
-            v.acknowledge(number, result, link, *asker)
+            v.acknowledge(number, result, link, *sender)
 
 
 def _set_mode(v: Vehicle, message: Any, link: Link) -> None:
@@ -125,7 +125,7 @@ def _ping(v: Vehicle, message: Any, link: Link) -> None:
 
 
 def _set_origin(v: Vehicle, message: Any, link: Link) -> None:
-    """PX4 moves its origin when told to; ArduPilot keeps one that it has."""
+    """Set the origin of PX4's estimator; ArduPilot keeps an origin that it already has."""
     if message.target_system not in {0, v.system} or v.spec.autopilot == "ardupilot":
         return
     if abs(message.latitude) > 900_000_000 or abs(message.longitude) > 1_800_000_000:
@@ -138,15 +138,16 @@ def _set_origin(v: Vehicle, message: Any, link: Link) -> None:
 
 
 def _vision(v: Vehicle, message: Any, _: Link) -> None:
-    """Indoors the estimator follows what motion capture says (local NED of the shared frame).
+    """Correct the indoor position with motion capture (local NED of the common frame).
 
-    Once it has, it misses it when it stops (`Emulator`); before, it knows its place by itself.
+    After the first message, a gap ends the local position (`Emulator`); before it, the estimate is
+    valid without motion capture.
     """
     place = (message.x, message.y, message.z)
     if not v.environment.indoor or not all(map(math.isfinite, place)):
         return
-    told = np.array(v.to_world(*place))
-    correction = told - v.bodies.position[v.index]
+    measured = np.array(v.to_world(*place))
+    correction = measured - v.bodies.position[v.index]
     if float(np.linalg.norm(correction)) < 5.0:
         v.bodies.bias[v.index] = correction
         v.bodies.refresh()
@@ -165,7 +166,7 @@ def _data_stream(v: Vehicle, message: Any, link: Link) -> None:
 
 
 def _global_setpoint(v: Vehicle, message: Any, _: Link) -> None:
-    """A setpoint in degrees, above the sea or above home, becomes a local one."""
+    """Convert a setpoint in degrees, above the sea or above home, to a local one."""
     m = message
     if not addressed(v, m) or m.coordinate_frame not in {*_ABOVE_SEA, *_ABOVE_HOME}:
         return

@@ -1,6 +1,6 @@
-"""What a vehicle says about itself: one function per message, state → payload bytes.
+"""Telemetry messages: one function per message, state → payload bytes.
 
-The frequent ones pack their structure directly, in MAVLink's wire order; the rest go by name.
+Frequent messages pack their structure directly, in MAVLink's wire order; the rest use field names.
 """
 
 import math
@@ -22,7 +22,7 @@ _pack_target = wire.LAYOUTS["POSITION_TARGET_LOCAL_NED"].struct.pack
 
 
 def _diagonal(*variances: float) -> list[float]:
-    """Return the upper triangle of a covariance, row by row, of which the diagonal is known."""
+    """Return the upper triangle of a covariance, row by row; only the diagonal is given."""
     return [variances[i] if i == j else math.nan for i in range(6) for j in range(i, 6)]
 
 
@@ -38,31 +38,33 @@ _fill_home = {
 }
 _fill_origin = wire.template("GPS_GLOBAL_ORIGIN", "latitude longitude altitude time_usec")
 _pack_mode = wire.LAYOUTS["CURRENT_MODE"].struct.pack
-_AUTOPILOTS_OWN = 8
+_ESTIMATOR_AUTOPILOT = 8
 _POSE_COVARIANCE = _diagonal(2.5e-3, 2.5e-3, 2.5e-3, 3e-4, 3e-4, 1e-2)
 _SPEED_COVARIANCE = _diagonal(1e-2, 1e-2, 1e-2, math.nan, math.nan, math.nan)
 _PX4_DISARMED = 900
 _NO_MOTION = 63
 _LARGEST = 2**32
 _LOCAL_NED = 1
-_SAID = 48
-_MODE_AGAIN = 0.49
-_ORIGIN_NEW = 1.0
+_ROW_BYTES = 48
+"""Bytes of a vehicle in `Bodies.telemetry`: 24 of LOCAL_POSITION_NED, 24 of ATTITUDE."""
+_MODE_INTERVAL = 0.49
+_ORIGIN_TIME = 1.0
+"""Seconds after a change or request in which PX4 sends its origin."""
 
 
 def boot_ms(v: Vehicle) -> int:
-    """Milliseconds since boot by the vehicle's clock."""
+    """Return milliseconds since boot by the vehicle's clock."""
     return int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST
 
 
 def attitude(v: Vehicle) -> tuple[float, float, float]:
-    """Roll, pitch, yaw (NED, radians) that point the thrust where it points."""
+    """Return roll, pitch and yaw (NED, radians) of the thrust vector."""
     rows, i = v.bodies.rows(), v.index
     fx, fy, fz = rows.thrust[i]
     yaw = math.pi / 2 - rows.yaw[i]
     if rows.tumbling[i]:
-        turned = float(v.bodies.tumble[i])
-        return _wrap(turned), _wrap(0.3 * turned), _wrap(yaw + turned)
+        angle = float(v.bodies.tumble[i])
+        return _wrap(angle), _wrap(0.3 * angle), _wrap(yaw + angle)
     if fz < 1.0:
         return 0.0, 0.0, _wrap(yaw)
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -78,7 +80,7 @@ def _wrap(angle: float) -> float:
 
 
 def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
-    """Estimated position and velocity in the vehicle's own NED frame."""
+    """Return estimated position and velocity in the vehicle's own NED frame."""
     rows, i = v.bodies.rows(), v.index
     x, y, z = rows.position[i]
     vx, vy, vz = rows.velocity[i]
@@ -88,13 +90,13 @@ def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
 
 
 def _local(v: Vehicle) -> bytes:
-    at = _SAID * v.index
+    at = _ROW_BYTES * v.index
     boot = int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST
     return _pack_boot(boot) + v.bodies.telemetry()[at : at + 24]
 
 
 def _attitude(v: Vehicle) -> bytes:
-    at = _SAID * v.index
+    at = _ROW_BYTES * v.index
     boot = int((v.now - v.booted_at) * v.clock_rate * 1000) % _LARGEST
     return _pack_boot(boot) + v.bodies.telemetry()[at + 24 : at + 48]
 
@@ -107,7 +109,7 @@ def _quaternion(v: Vehicle) -> bytes:
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Quaternion (w, x, y, z) of roll, pitch, yaw."""
+    """Return the quaternion (w, x, y, z) of roll, pitch and yaw."""
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
@@ -160,10 +162,10 @@ def _home(v: Vehicle) -> bytes | None:
 
 
 def _origin(v: Vehicle) -> bytes | None:
-    """PX4 says it when asked, and once when it is new."""
+    """PX4 sends its origin on request, and once after a change."""
     if v.environment.indoor or not v.autopilot.has_origin:
         return None
-    if v.spec.autopilot == "px4" and v.now - v.origin_announced_at >= _ORIGIN_NEW:
+    if v.spec.autopilot == "px4" and v.now - v.origin_announced_at >= _ORIGIN_TIME:
         return None
     latitude, longitude, altitude = v.environment.geodesy.degrees(*v.place)
     return _fill_origin(
@@ -223,12 +225,12 @@ def _target(v: Vehicle) -> bytes | None:
 
 
 def _idle_target(v: Vehicle) -> bytes | None:
-    """PX4's controller on the ground: no position or velocity, and full acceleration downwards."""
+    """PX4's controller on the ground: no position or velocity, full downward acceleration."""
     if v.spec.autopilot != "px4" or v.armed:
         return None
-    nothing = (math.nan,) * 6
+    unset = (math.nan,) * 6
     yaw = _wrap(math.pi / 2 - float(v.bodies.yaw[v.index]))
-    return _pack_target(boot_ms(v), *nothing, 0.0, 0.0, 100.0, yaw, 0.0, _NO_MOTION, _LOCAL_NED)
+    return _pack_target(boot_ms(v), *unset, 0.0, 0.0, 100.0, yaw, 0.0, _NO_MOTION, _LOCAL_NED)
 
 
 def _odometry(v: Vehicle) -> bytes:
@@ -248,7 +250,7 @@ def _odometry(v: Vehicle) -> bytes:
             "vz": vz,
             "pose_covariance": _POSE_COVARIANCE,
             "velocity_covariance": _SPEED_COVARIANCE,
-            "estimator_type": _AUTOPILOTS_OWN,
+            "estimator_type": _ESTIMATOR_AUTOPILOT,
         },
     )
 
@@ -268,7 +270,7 @@ def _nav(v: Vehicle) -> bytes:
 
 
 def _channels(v: Vehicle) -> bytes | None:
-    """PX4 says nothing of a radio that it does not hear."""
+    """PX4 omits the message without a radio signal."""
     if not v.radio_connected and v.spec.autopilot == "px4":
         return None
     return wire.payload("RC_CHANNELS", {"time_boot_ms": boot_ms(v), "chancount": 0, "rssi": 255})
@@ -293,12 +295,12 @@ def _mission_current(v: Vehicle) -> bytes:
 
 
 def _current_mode(v: Vehicle) -> bytes | None:
-    """PX4 says its mode when it changes, and twice a second."""
+    """PX4 sends its mode after a change, and twice a second."""
     if v.spec.autopilot != "px4":
         return None
     mode = v.autopilot.custom_mode()
-    told, at = v.reported_mode
-    if mode == told and v.now - at < _MODE_AGAIN:
+    reported, at = v.reported_mode
+    if mode == reported and v.now - at < _MODE_INTERVAL:
         return None
     v.reported_mode = mode, v.now
     standard = STANDARD_MODES.get((mode >> 16 & 0xFF, mode >> 24 & 0xFF), 0)

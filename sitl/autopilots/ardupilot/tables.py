@@ -29,13 +29,16 @@ MODES: dict[int, Mode] = {
 }
 STABILIZE, AUTO, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 3, 4, 5, 6, 9, 17
 
-# FS_GCS_ENABLE → mode; SmartRTL is not flown here and falls back as documented.
 GROUND_STATION_LOSS = {0: None, 1: RTL, 2: RTL, 3: RTL, 4: LAND, 5: LAND, 6: LAND, 7: BRAKE}
-# FS_THR_ENABLE, FENCE_ACTION.
+"""FS_GCS_ENABLE; SmartRTL does not exist here and falls back as documented."""
 RADIO_LOSS = {0: None, 1: RTL, 2: RTL, 3: LAND, 4: RTL, 5: LAND, 6: RTL, 7: BRAKE}
+"""FS_THR_ENABLE."""
 FENCE = {0: None, 1: RTL, 2: LAND, 3: RTL, 4: BRAKE, 5: LAND}
+"""FENCE_ACTION."""
 BATTERY = {0: None, 1: LAND, 2: RTL, 3: RTL, 4: LAND, 6: LAND, 7: BRAKE}
+"""BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
 DEAD_RECKONING = {0: None, 1: LAND, 2: RTL, 3: RTL, 4: LAND, 5: LAND}
+"""FS_DR_ENABLE."""
 
 PARAMETERS: dict[str, float | int] = {
     "ANGLE_MAX": 3000, "ARMING_CHECK": 1, "AUTO_OPTIONS": 0, "BATT_CAPACITY": 5000,
@@ -62,17 +65,17 @@ PARAMETERS: dict[str, float | int] = {
     "WPNAV_ACCEL_Z": 100.0, "WPNAV_JERK": 1.0, "WPNAV_RADIUS": 200.0, "WPNAV_SPEED": 1000.0,
     "WPNAV_SPEED_DN": 150.0, "WPNAV_SPEED_UP": 250.0, "WP_YAW_BEHAVIOR": 2,
 }  # fmt: skip
-_WIDE = (
+_INT32_NAMES = (
     "ARMING_CHECK", "AUTO_OPTIONS", "BATT_CAPACITY", "FLIGHT_OPTIONS", "FS_OPTIONS",
     "GUID_OPTIONS", "RTL_ALT", "RTL_LOIT_TIME",
 )  # fmt: skip
-_MIDDLE = ("FS_DR_TIMEOUT", "SERVO9_FUNCTION", "SR0_EXTRA1", "SR0_POSITION", "SYSID_THISMAV")
+_INT16_NAMES = ("FS_DR_TIMEOUT", "SERVO9_FUNCTION", "SR0_EXTRA1", "SR0_POSITION", "SYSID_THISMAV")
 KINDS = {
     name: INT16 if abs(value) > 100 or "SPEED" in name or "ALT" in name else INT8
     for name, value in PARAMETERS.items()
     if isinstance(value, int) and abs(value) < 32768
 }
-KINDS |= dict.fromkeys(_WIDE, INT32) | dict.fromkeys(_MIDDLE, INT16)
+KINDS |= dict.fromkeys(_INT32_NAMES, INT32) | dict.fromkeys(_INT16_NAMES, INT16)
 KINDS |= dict.fromkeys(("SIM_ENGINE_FAIL", "SIM_RC_FAIL"), INT8)
 
 _ALWAYS: dict[str, float] = {"HEARTBEAT": 1, "TIMESYNC": 0.1}

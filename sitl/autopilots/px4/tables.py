@@ -37,26 +37,26 @@ BY_NUMBER = {(mode.main, mode.sub): name for name, mode in MODES.items() if name
 BY_NUMBER[(1, 0)] = "MANUAL"
 BY_NUMBER[(4, 6)] = "LAND"
 
-# MAV_STANDARD_MODE, by main and sub mode; the others have none.
 STANDARD_MODES = {(3, 0): 1, (2, 0): 4, (4, 5): 5, (4, 4): 6, (4, 6): 7, (4, 2): 8}
+"""MAV_STANDARD_MODE by main and sub mode; other modes have none."""
 
-# What each failsafe action falls through to when its mode cannot run (failsafe framework).
 FALLBACK = {"LOITER": "RTL", "RTL": "LAND", "LAND": "DESCEND"}
+"""The mode that replaces one that cannot run (failsafe framework)."""
 
-# COM_OBL_RC_ACT: what follows the loss of the offboard signal; 0–2 need a pilot's sticks.
 OFFBOARD_LOSS = {0: "POSCTL", 1: "ALTCTL", 2: "STABILIZED", 3: "RTL", 4: "LAND", 5: "LOITER",
                  6: "TERMINATION", 7: "DISARM"}  # fmt: skip
-# NAV_DLL_ACT and NAV_RCL_ACT.
+"""COM_OBL_RC_ACT: action after the loss of the offboard signal; 0–2 need a pilot's sticks."""
 LINK_LOSS = {0: None, 1: "LOITER", 2: "RTL", 3: "LAND", 5: "TERMINATION", 6: "DISARM"}
-# GF_ACTION: 1 only warns.
+"""NAV_DLL_ACT and NAV_RCL_ACT."""
 GEOFENCE = {2: "LOITER", 3: "RTL", 4: "TERMINATION", 5: "LAND"}
-# COM_LOW_BAT_ACT → action when critical, action in an emergency.
+"""GF_ACTION: 1 only warns."""
 BATTERY: dict[int, tuple[str | None, str | None]] = {
     0: (None, None),
     1: ("RTL", "RTL"),
     2: ("LAND", "LAND"),
     3: ("RTL", "LAND"),
 }
+"""COM_LOW_BAT_ACT: actions at critical and at emergency level."""
 
 PARAMETERS: dict[str, float | int] = {
     "BAT1_CAPACITY": 5000.0, "BAT1_N_CELLS": 4, "BAT_CRIT_THR": 0.07, "BAT_EMERGEN_THR": 0.05,
@@ -89,13 +89,12 @@ PARAMETERS: dict[str, float | int] = {
     "UAVCAN_ENABLE": 0, "CAL_ACC0_ID": 1310988, "CAL_GYRO0_ID": 1310988, "CAL_MAG0_ID": 197388,
 }  # fmt: skip
 
-# What it sends on every link, beside what is more frequent on some.
 _SLOW: dict[str, float] = {
     "TIMESYNC": 10, "PING": 1, "MISSION_CURRENT": 1, "SCALED_PRESSURE": 1, "VIBRATION": 0.5,
     "LINK_NODE_STATUS": 1, "TIME_ESTIMATE_TO_TARGET": 0.5, "CURRENT_EVENT_SEQUENCE": 0.33,
     "CURRENT_MODE": 0.5,
 }  # fmt: skip
-# Streams of PX4's onboard and normal MAVLink modes (those that the emulator has), hertz.
+"""Streams of every link, hertz."""
 STREAMS: dict[str, dict[str, float]] = {
     "onboard": {
         "HEARTBEAT": 1, "LOCAL_POSITION_NED": 30, "ATTITUDE": 50, "ALTITUDE": 10, "ODOMETRY": 30,
@@ -115,3 +114,4 @@ STREAMS: dict[str, dict[str, float]] = {
         "ATTITUDE_TARGET": 2, "DISTANCE_SENSOR": 0.5, **_SLOW,
     },
 }  # fmt: skip
+"""Streams of PX4's MAVLink modes onboard and normal that the emulator has, hertz."""

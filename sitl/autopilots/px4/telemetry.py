@@ -1,6 +1,6 @@
-"""What PX4 says beside what every autopilot says: one function per message, state → payload bytes.
+"""Telemetry messages of PX4 only: one function per message, state → payload bytes.
 
-The sensors are ideal ones, as the emulator's vehicles have them.
+The sensors are ideal.
 """
 
 import math
@@ -37,9 +37,9 @@ def _pressure(v: Vehicle) -> float:
 
 def _inertial(v: Vehicle) -> bytes:
     fx, fy, fz = v.bodies.thrust[v.index].tolist()
-    pull = (0.0, 0.0, -GRAVITY) if v.landed else (fy, fx, -fz)
+    force = (0.0, 0.0, -GRAVITY) if v.landed else (fy, fx, -fz)
     fields = {
-        "time_usec": _time_usec(v), "xacc": pull[0], "yacc": pull[1], "zacc": pull[2],
+        "time_usec": _time_usec(v), "xacc": force[0], "yacc": force[1], "zacc": force[2],
         "xmag": _LEVEL_FIELD[0], "ymag": _LEVEL_FIELD[1], "zmag": _LEVEL_FIELD[2],
         "abs_pressure": _pressure(v) * 100.0, "pressure_alt": _height(v), "temperature": 15.0,
         "fields_updated": _ALL_UPDATED,
@@ -62,7 +62,7 @@ def _attitude_target(v: Vehicle) -> bytes:
     return wire.payload("ATTITUDE_TARGET", fields)
 
 
-def _air(v: Vehicle) -> bytes:
+def _air_pressure(v: Vehicle) -> bytes:
     fields = {"time_boot_ms": _boot_ms(v), "press_abs": _pressure(v), "temperature": 1182}
     return wire.payload("SCALED_PRESSURE", fields)
 
@@ -72,11 +72,11 @@ def _vibration(v: Vehicle) -> bytes:
 
 
 def _ping(v: Vehicle) -> bytes:
-    """A question to all that hear it; no answer is missed."""
+    """A broadcast PING; PX4 does not evaluate the answers."""
     return wire.payload("PING", {"time_usec": _time_usec(v), "seq": int(v.clock()) % _LARGEST})
 
 
-def _link(v: Vehicle) -> bytes:
+def _link_status(v: Vehicle) -> bytes:
     fields = {"timestamp": round(v.clock() * 1e3), "tx_rate": _SENDING, "rx_rate": _RECEIVING}
     return wire.payload("LINK_NODE_STATUS", fields)
 
@@ -99,7 +99,7 @@ def _metadata(v: Vehicle) -> bytes:
 
 
 def clock_request(v: Vehicle) -> bytes:
-    """TIMESYNC: what time is it there?"""
+    """Return a TIMESYNC request."""
     return wire.payload("TIMESYNC", {"tc1": 0, "ts1": round(v.clock() * 1e9)})
 
 
@@ -107,10 +107,10 @@ MESSAGES: dict[str, Callable[[Vehicle], bytes | None]] = {
     "HIGHRES_IMU": _inertial,
     "DISTANCE_SENSOR": _distance,
     "ATTITUDE_TARGET": _attitude_target,
-    "SCALED_PRESSURE": _air,
+    "SCALED_PRESSURE": _air_pressure,
     "VIBRATION": _vibration,
     "PING": _ping,
-    "LINK_NODE_STATUS": _link,
+    "LINK_NODE_STATUS": _link_status,
     "TIME_ESTIMATE_TO_TARGET": _time_to_target,
     "CURRENT_EVENT_SEQUENCE": _events,
     "COMPONENT_METADATA": _metadata,
