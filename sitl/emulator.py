@@ -98,7 +98,7 @@ class Emulator:
         )
         for vehicle in self.vehicles:
             vehicle.inject = functools.partial(self.injector.inject, vehicle)
-            vehicle.simulation_changed = functools.partial(self.injector.apply_parameter, vehicle)
+            vehicle.on_sim_parameter = functools.partial(self.injector.apply_parameter, vehicle)
 
     def sign_with(self, key: bytes, unix_time: float) -> None:
         """Sign all frames with a key, and drop frames that are not signed with it.
@@ -229,7 +229,7 @@ class Emulator:
         """Schedule a fault; a fault in the past starts at the next step."""
         self.injector.add(fault)
 
-    def held(self) -> tuple[Array, Array, Array]:
+    def grips_and_cable(self) -> tuple[Array, Array, Array]:
         """Return grip points (n, 3), their arc lengths (n,; NaN: free) and cable samples (m, 3).
 
         This is the part of ground truth that dry runs need often.
@@ -247,7 +247,7 @@ class Emulator:
         """Return ground truth, for tests and records only."""
         b = self.bodies
         rope = self.rope
-        grips, arcs, cable = self.held()
+        grips, arcs, cable = self.grips_and_cable()
         spans = rope.solved if rope else None
         empty = np.zeros(0)
         return Truth(
@@ -293,7 +293,7 @@ class Emulator:
                 self._landed_changes = b.landed_changes
                 self._wake()
             for vehicle in self.vehicles:
-                if vehicle.awake_at <= now:
+                if vehicle.next_check_at <= now:
                     self._update(vehicle, now)
         streams.send_due(self._links, now)
 
@@ -312,19 +312,19 @@ class Emulator:
         anchors = self.injector.anchors
         if not anchors:
             return grips, b.velocity
-        pinned = np.array([anchor.place for anchor in anchors])
+        pinned = np.array([anchor.position for anchor in anchors])
         return np.vstack([grips, pinned]), np.vstack([b.velocity, np.zeros_like(pinned)])
 
     def _wake(self) -> None:
         """Make every autopilot check again after an event that may concern it."""
         for vehicle in self.vehicles:
-            vehicle.awake_at = -math.inf
+            vehicle.next_check_at = -math.inf
 
     def _update(self, vehicle: Vehicle, now: float) -> None:
         vehicle.now = max(vehicle.now, now)
-        if vehicle.later:
-            due = [entry for entry in vehicle.later if entry[0] <= now]
-            vehicle.later = [entry for entry in vehicle.later if entry[0] > now]
+        if vehicle.timers:
+            due = [entry for entry in vehicle.timers if entry[0] <= now]
+            vehicle.timers = [entry for entry in vehicle.timers if entry[0] > now]
             for _, action in due:
                 action()
         if vehicle.frozen:
@@ -334,8 +334,8 @@ class Emulator:
         if vehicle.parameter_queue:
             send_queued(vehicle)
         next_check = vehicle.autopilot.update()
-        if not (vehicle.later or vehicle.gripper.pending or vehicle.parameter_queue):
-            vehicle.awake_at = next_check
+        if not (vehicle.timers or vehicle.gripper.pending or vehicle.parameter_queue):
+            vehicle.next_check_at = next_check
 
     def _update_air(self, interval: float) -> None:
         b = self.bodies
@@ -371,7 +371,7 @@ class Emulator:
             silence = self.time - vehicle.vision_at
             if math.isfinite(silence) and silence > _VISION_TIMEOUT and not vehicle.vision_lost:
                 vehicle.vision_lost, vehicle.local_valid = True, False
-                vehicle.awake_at = -math.inf
+                vehicle.next_check_at = -math.inf
 
     def _event(self, kind: str, vehicle: int, **details: Any) -> None:
         self.events.append({"time": self.time, "kind": kind, "vehicle": vehicle, **details})

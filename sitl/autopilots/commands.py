@@ -130,7 +130,7 @@ def _reboot(v: Vehicle, command: Command) -> int:
         return ACCEPTED if command.p[0] == 0.0 else DENIED
     if v.armed:
         return DENIED
-    v.later.append((v.now + 0.2, v.reboot))
+    v.timers.append((v.now + 0.2, v.reboot))
     return ACCEPTED
 
 

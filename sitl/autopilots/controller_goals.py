@@ -37,12 +37,12 @@ def gains(
 ) -> None:
     """Set the controller's gains, each (horizontal, vertical), clipped to stable values."""
     b, i = v.bodies, v.index
-    for gain, (level, upright), most in (
+    for gain, (horizontal, vertical), most in (
         (b.position_gain, position, 5.0),
         (b.velocity_gain, velocity, 15.0),
         (b.integral_gain, integral, 10.0),
     ):
-        gain[i] = np.clip((level, level, upright), 0.0, most)
+        gain[i] = np.clip((horizontal, horizontal, vertical), 0.0, most)
     b.refresh()
 
 

@@ -30,7 +30,7 @@ def handle(v: Vehicle, message: Any, link: Link) -> None:
         if message.target_system in (0, v.system) and message.target_component < 2:
             v.autopilot.handle_setpoint(message)
         return
-    v.awake_at = -math.inf
+    v.next_check_at = -math.inf
     handler = _HANDLERS.get(message.get_type())
     if handler is not None:
         handler(v, message, link)

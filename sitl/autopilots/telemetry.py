@@ -84,7 +84,7 @@ def local_ned(v: Vehicle) -> tuple[float, float, float, float, float, float]:
     rows, i = v.bodies.rows(), v.index
     x, y, z = rows.position[i]
     vx, vy, vz = rows.velocity[i]
-    ox, oy, oz = v.place
+    ox, oy, oz = v.origin_xyz
     east, north = v.scale
     return (y - oy) * north, (x - ox) * east, oz - z, vy, vx, -vz
 
@@ -167,7 +167,7 @@ def _origin(v: Vehicle) -> bytes | None:
         return None
     if v.spec.autopilot == "px4" and v.now - v.origin_announced_at >= _ORIGIN_TIME:
         return None
-    latitude, longitude, altitude = v.environment.geodesy.degrees(*v.place)
+    latitude, longitude, altitude = v.environment.geodesy.degrees(*v.origin_xyz)
     return _fill_origin(
         round(latitude * 1e7),
         round(longitude * 1e7),

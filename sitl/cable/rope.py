@@ -93,16 +93,16 @@ class Rope:
             return
         sampled = spans.samples % stride == 0
         span_of = spans.span_of[sampled]
-        felt = speed[spans.samples[sampled] // stride]
-        if not np.count_nonzero(felt):
+        wash = speed[spans.samples[sampled] // stride]
+        if not np.count_nonzero(wash):
             spans.set_load(self.weight)
             return
-        rows = np.arange(len(felt))
+        rows = np.arange(len(wash))
         for holders in (spans.starts, spans.stops):
             own = holders[span_of]
-            vehicles = own < felt.shape[1]
-            felt[rows[vehicles], own[vehicles]] = 0.0
-        fastest = felt.max(axis=1)
+            vehicles = own < wash.shape[1]
+            wash[rows[vehicles], own[vehicles]] = 0.0
+        fastest = wash.max(axis=1)
         drag = 0.5 * AIR_DENSITY * _CYLINDER_DRAG * self.spec.diameter * fastest**2
         count = np.bincount(span_of, minlength=spans.count)
         total = np.bincount(span_of, weights=drag, minlength=spans.count)

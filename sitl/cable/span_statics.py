@@ -231,7 +231,7 @@ def place_samples(
 
 @compiled
 def _resting_point(along: float, span: Array) -> tuple[float, float]:
-    """Return level distance from the start and height above the floor of a point of a resting span.
+    """Return distance from the start and height above the floor of a point of a resting span.
 
     ``span`` (ROWS,) is the solution: down one end, along the floor, up the other end.
     """

@@ -1,7 +1,7 @@
 """Statics of the spans of a cable between grips: catenaries, partly on the floor.
 
-With the level distance ``h`` and the rise ``v`` between the ends, the length ``L`` and
-``z = h/2a``: ``sinh z / z = √(L² − v²)/h``; the level tension is ``w a``; the ends carry
+With the horizontal distance ``h`` and the rise ``v`` between the ends, the length ``L`` and
+``z = h/2a``: ``sinh z / z = √(L² − v²)/h``; the horizontal tension is ``w a``; the ends carry
 ``w (L ∓ v coth z)/2`` (Routh, "Analytical Statics", ch. X; Irvine, "Cable Structures", 1981).
 A span that would hang below the floor lies on it, drawn towards both ends without friction.
 """
@@ -83,8 +83,8 @@ class SolvedSpans(NamedTuple):
         return stretch
 
     @property
-    def level_tension(self) -> Array:
-        """Level tension in newtons."""
+    def horizontal_tension(self) -> Array:
+        """Horizontal tension in newtons."""
         level: Array = self.load * self.parameter
         return level
 
@@ -92,7 +92,7 @@ class SolvedSpans(NamedTuple):
     def tension(self) -> Array:
         """The largest tension of each span in newtons, at its higher end."""
         reach = np.maximum(np.abs(self.start_arc), np.abs(self.stop_arc))
-        tension: Array = self.level_tension + self.load * reach + self.elastic
+        tension: Array = self.horizontal_tension + self.load * reach + self.elastic
         return tension
 
     @property

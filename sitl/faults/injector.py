@@ -26,7 +26,7 @@ class Anchor:
     """A point (3,) in world ENU at which a snag holds the cable."""
 
     fault: Fault
-    place: Array
+    position: Array
     holds: bool = True
 
 
@@ -143,7 +143,7 @@ class Injector:
             if not v.global_valid and not v.environment.indoor:
                 v.local_valid = False
 
-        v.later.append((v.now + _DEAD_RECKONING, end_local_position))
+        v.timers.append((v.now + _DEAD_RECKONING, end_local_position))
 
     def _restore_position(self, v: Vehicle, _: Fault) -> None:
         v.local_valid = True
@@ -254,7 +254,7 @@ class Injector:
         if self.rope is None:
             return
         middle = 0.5 * self.rope.length
-        places = [self.bodies.grip_points(), *(anchor.place[None] for anchor in self.anchors)]
+        places = [self.bodies.grip_points(), *(anchor.position[None] for anchor in self.anchors)]
         self.rope.update(np.vstack(places), 0.0)  # samples may be up to a second old
         arc = self.rope.nearest_free(middle if fault.arc is None else fault.arc)
         number = len(self.vehicles) + len(self.anchors)
@@ -289,7 +289,7 @@ class Injector:
             hold = anchor.fault.friction
             if anchor.holds and hold is not None and size > hold:
                 speed = min(_SLIDE_SPEED * (size - hold) / hold, _LARGEST_SLIDE_SPEED)
-                anchor.place += interval * speed * pull / size
+                anchor.position += interval * speed * pull / size
 
     def inject(self, v: Vehicle, unit: int, failure: int, instance: int) -> bool:
         """Execute MAV_CMD_INJECT_FAILURE; return whether the failure is known.

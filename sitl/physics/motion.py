@@ -147,9 +147,9 @@ def step_disturbances(
     """Advance estimator errors, gusts and downwash, and their effects on ``state``, in place.
 
     ``gust`` (n + 1, 3) adds to the steady wind; ``random`` (2 n + 1, 3) are normal numbers for
-    noise and gusts; level distances squared go to ``apart`` (n, n). ``factors`` are the interval in
-    seconds, the shares of noise and gusts that persist, the largest integral, the intensity of
-    gusts and the factor of downwash on vehicles.
+    noise and gusts; horizontal distances squared go to ``apart`` (n, n). ``factors`` are the
+    interval in seconds, the shares of noise and gusts that persist, the largest integral, the
+    intensity of gusts and the factor of downwash on vehicles.
     """
     interval, keep, gust_keep, integral, intensity, wash_factor = factors
     count = len(state)
@@ -203,7 +203,7 @@ def _add_gusts(gust: Array, disturbances: Array) -> None:
 def _downwash(state: Array, constants: Array, apart: Array) -> Array:
     """Return the downward air speed (n,) at every vehicle from those above it.
 
-    The formula is `sitl.physics.wind.jets`. Level distances squared go to ``apart`` (n, n).
+    The formula is `sitl.physics.wind.jets`. Horizontal distances squared go to ``apart`` (n, n).
     """
     count = len(state)
     wash = np.zeros(count)

@@ -19,7 +19,7 @@ def jets(lift: Array, radius: Array, below: Array, distance: Array) -> Array:
     """Return the downward air speed (m, n) at m places under n vehicles.
 
     ``lift`` (n,) in newtons, ``radius`` (n,) of the vehicles; ``below`` (m, n) are the heights of
-    the vehicles above the places, ``distance`` (m, n) the level distances squared.
+    the vehicles above the places, ``distance`` (m, n) the horizontal distances squared.
 
     Momentum theory gives the far-wake speed ``2 √(T / 2ρA)``; further down the wake is a turbulent
     round jet: Gaussian in radius, its width grows by a tenth of its length and its speed falls

@@ -102,8 +102,8 @@ def _param_set(v: Vehicle, message: Any, _: Link) -> None:
     if value is not None:
         p.values[name] = value
         v.autopilot.parameter_changed(name)
-        if name.startswith("SIM_") and v.simulation_changed is not None:
-            v.simulation_changed(name, p.values)
+        if name.startswith("SIM_") and v.on_sim_parameter is not None:
+            v.on_sim_parameter(name, p.values)
     for target in v.links:
         _send_changed(v, target, name)
 

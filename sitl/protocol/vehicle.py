@@ -90,7 +90,7 @@ class Vehicle:
         self.global_valid = not world.indoor
         self.frozen = False
         self.reported_mode = (-1, -math.inf)
-        self.awake_at = -math.inf
+        self.next_check_at = -math.inf
         self.vision_at = -math.inf
         self.vision_lost = False
         self.gripper = Gripper(
@@ -98,13 +98,13 @@ class Vehicle:
             partial(environment.grab, index),
             partial(environment.release, index),
         )
-        self.simulation_changed: Callable[[str, Mapping[str, float]], None] | None = None
+        self.on_sim_parameter: Callable[[str, Mapping[str, float]], None] | None = None
         self.inject: Callable[[int, int, int], bool] | None = None
         self._clear_mailbox()
         self.radio_lost = False
         self.fence: tuple[Area, ...] = ()
         self.refuse_arming: str | None = None
-        self.later: list[tuple[float, Callable[[], None]]] = []
+        self.timers: list[tuple[float, Callable[[], None]]] = []
         self.autopilot: Autopilot
 
     def _set_frame(self, world: World) -> None:
@@ -158,7 +158,7 @@ class Vehicle:
         """Set the estimator's local origin (world ENU)."""
         self.origin = np.array(origin, dtype=float)
         self.origin_announced_at = self.now
-        self.place: tuple[float, float, float] = tuple(self.origin.tolist())
+        self.origin_xyz: tuple[float, float, float] = tuple(self.origin.tolist())
         self.bodies.frames[self.index, :3] = self.origin
         self.bodies.refresh()
 
@@ -169,7 +169,7 @@ class Vehicle:
 
     def to_world(self, n: float, e: float, d: float) -> tuple[float, float, float]:
         """Return a point of this estimator's local NED in world ENU."""
-        x, y, z = self.place
+        x, y, z = self.origin_xyz
         return x + e / self.scale[0], y + n / self.scale[1], z - d
 
     def add_link(self, kind: str) -> Link:
@@ -242,7 +242,7 @@ class Vehicle:
         self.environment.event("rebooted", self.system)
         self.autopilot.restart()
         self.frozen = True
-        self.later.append((self.now + _BOOT_SILENCE, self._unfreeze))
+        self.timers.append((self.now + _BOOT_SILENCE, self._unfreeze))
 
     def _unfreeze(self) -> None:
         self.frozen = False

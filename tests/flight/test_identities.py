@@ -133,7 +133,7 @@ def test_an_autopilot_other_than_the_listed_one_is_told():
 
 def test_a_vehicle_that_is_restarted_once_is_still_one_vehicle():
     emulator = emulated("px4")
-    emulator.vehicles[0].later.append((3.0, emulator.vehicles[0].reboot))
+    emulator.vehicles[0].timers.append((3.0, emulator.vehicles[0].reboot))
     assert heard(fleet_of(), (emulator, both_links), seconds=20.0) == []
 
 

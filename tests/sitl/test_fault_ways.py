@@ -292,10 +292,10 @@ def test_a_snag_slides_when_it_is_pulled_harder_than_its_friction() -> None:
         )
         ground.run(0.1, ground.toward(PLACES))
         anchor = ground.emulator.injector.anchors[0]
-        start = anchor.place.copy()
+        start = anchor.position.copy()
         higher = {i: (x, y, z + 2.0) for i, (x, y, z) in PLACES.items()}
         ground.run(6.0, ground.toward(higher))
-        return float(np.linalg.norm(anchor.place - start))
+        return float(np.linalg.norm(anchor.position - start))
 
     assert held("") == 0.0
     assert held(", friction: 1.0") > 1.0
@@ -307,7 +307,7 @@ def test_a_snag_falls_with_a_cable_that_nobody_holds() -> None:
     (snag,) = parse_scenario("{schema: 1, faults: [{at: 0, kind: snag, arc: 1.8}]}")
     ground.emulator.inject(snag)
     ground.run(0.5, ground.toward(PLACES))
-    height = ground.emulator.injector.anchors[0].place[2]
+    height = ground.emulator.injector.anchors[0].position[2]
     assert height > 1.0
     for index in range(3):
         assert ground.emulator.injector.anchors

@@ -49,7 +49,7 @@ class ArduPilot(ArduPilotState):
         self.reset()
         self.booted = v.now
         self.has_origin = False
-        v.later.append((v.now + POSITION_READY, self._set_origin))
+        v.timers.append((v.now + POSITION_READY, self._set_origin))
 
     def _set_origin(self) -> None:
         v = self.v
@@ -146,7 +146,7 @@ class ArduPilot(ArduPilotState):
             self._on_ground()
             return
         if not self.has_flown:
-            v.later.append((v.now + _ALIGNED_AFTER, self._report_alignment))
+            v.timers.append((v.now + _ALIGNED_AFTER, self._report_alignment))
         self.has_flown = True
         self.idle_since, self.landed_at = v.now, math.inf
         flight.steer(self)

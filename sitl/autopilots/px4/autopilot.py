@@ -55,7 +55,7 @@ class Px4(Px4State):
         """Boot: arming is possible when estimator and checks are ready."""
         self.reset()
         self.ready_at = self.v.now + _BOOT_TIME
-        self.v.later.append((self.ready_at, self._set_home))
+        self.v.timers.append((self.ready_at, self._set_home))
 
     def _set_home(self) -> None:
         if self.v.global_valid:

@@ -56,14 +56,14 @@ def beyond_fence(px4: Px4State) -> bool:
     v, p = px4.v, px4.v.parameters
     if not v.global_valid:
         return False
-    level, upright = p["GF_MAX_HOR_DIST"], p["GF_MAX_VER_DIST"]
-    if not v.fence and level <= 0 and upright <= 0:
+    horizontal, vertical = p["GF_MAX_HOR_DIST"], p["GF_MAX_VER_DIST"]
+    if not v.fence and horizontal <= 0 and vertical <= 0:
         return False
     here = v.estimated()
     if v.home is not None:
         away = here - v.home
-        if level > 0 and math.hypot(away[0], away[1]) > level:
+        if horizontal > 0 and math.hypot(away[0], away[1]) > horizontal:
             return True
-        if upright > 0 and away[2] > upright:
+        if vertical > 0 and away[2] > vertical:
             return True
     return fences.breached(v.fence, float(here[0]), float(here[1]))

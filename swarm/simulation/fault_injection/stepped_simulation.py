@@ -111,7 +111,7 @@ class SteppedSimulation:
     def quiet(self) -> bool:
         """Whether nothing is under way that a copy could not take along."""
         return all(vehicle.commands.idle for vehicle in self.conductor.flyers) and not any(
-            vehicle.later for vehicle in self.emulator.vehicles
+            vehicle.timers for vehicle in self.emulator.vehicles
         )
 
 

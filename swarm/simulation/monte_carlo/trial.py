@@ -117,7 +117,7 @@ class _GroundTruthSampler:
         phase = conductor.phase.name if conductor.stage == "fly" else ""
         if phase not in {"fold", "hold"} or _at_release(conductor):
             return
-        grips, held, cable = emulator.held()
+        grips, held, cable = emulator.grips_and_cable()
         ids = [vehicle.system for vehicle in emulator.vehicles]
         order = [ids.index(system) for system in conductor.state.roster.systems]
         arcs = held[order]
