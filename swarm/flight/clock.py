@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-_EAGERNESS = 2.0
-"""How fast the rate approaches its target, per second."""
+_BANDWIDTH = 2.0
+"""The speed at which the rate approaches its target, per second."""
 _CLOSE = 1e-3
 
 
@@ -38,13 +38,13 @@ class MissionClock:
     def advance(self, duration: float, lowest: float, highest: float) -> None:
         """Move on by a short real time, within bounds of mission time.
 
-        The slope follows the wish for it with four times the eagerness, which is the critically
-        damped case: the rate does not overshoot.
+        The slope follows its own target at four times the bandwidth, the critically damped case:
+        the rate does not overshoot.
         """
-        wish = _EAGERNESS * (self.target - self.rate)
-        wish = max(-self.steepest, min(self.steepest, wish))
-        share = min(1.0, 4.0 * _EAGERNESS * duration)
-        slope = self.slope + share * (wish - self.slope)
+        wanted = _BANDWIDTH * (self.target - self.rate)
+        wanted = max(-self.steepest, min(self.steepest, wanted))
+        share = min(1.0, 4.0 * _BANDWIDTH * duration)
+        slope = self.slope + share * (wanted - self.slope)
         change = 0.5 * (self.slope + slope) * duration
         self.time += (self.rate + 0.5 * change) * duration
         self.rate += change

@@ -1,8 +1,8 @@
-"""What is reckoned for the whole team at every tick, compiled: loops over a handful of vehicles.
+"""The computations for the whole team at every tick, compiled: loops over a few vehicles.
 
-As array operations the same would cost ten times as much. Results go into arrays that are given: to
-make one in compiled code costs more than most of what is reckoned. Everything is of grip points,
-mission ENU, SI.
+Array operations would cost ten times as much. Results go into arrays of the caller: creating one in
+compiled code costs more than most of the computations. All quantities are of grip points, mission
+ENU, SI.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.jit import compiled
-from swarm.mavlink.telemetry_table import ATTITUDE, POSITION, POSITION_AT, RECEIVED_AT, VELOCITY
+from swarm.mavlink.telemetry_table import ATTITUDE, POSITION, POSITION_AT, VELOCITY
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -24,11 +24,11 @@ _AT, _ERROR = range(2)
 
 
 class Measured(NamedTuple):
-    """Where n vehicles were when they said so last, and where they are now.
+    """The latest reports of n vehicles, and their estimated places now.
 
-    ``places`` (3, n, 3) are their centres as reported, their velocities, and their grip points now,
-    mission ENU; ``numbers`` (2, n) are when they reported, and how far grip points are from where
-    setpoints have led.
+    ``places`` (3, n, 3) are the reported positions of their centres, the reported velocities, and
+    the grip points now, mission ENU; ``numbers`` (2, n) are the times of the reports, and the
+    tracking errors.
     """
 
     places: Floats
@@ -36,20 +36,20 @@ class Measured(NamedTuple):
 
     @classmethod
     def of(cls, n: int) -> "Measured":
-        """Return what is measured of n vehicles that have said nothing."""
+        """Return the measurements of n vehicles that have not reported yet."""
         numbers = np.full((2, n), np.nan)
         numbers[_AT] = -np.inf
         return cls(np.full((3, n, 3), np.nan), numbers)
 
     @property
     def reported(self) -> Floats:
-        """Centres as reported (n, 3)."""
+        """Reported positions of centres (n, 3)."""
         part: Floats = self.places[_REPORTED]
         return part
 
     @property
     def velocity(self) -> Floats:
-        """Velocities as reported (n, 3)."""
+        """Reported velocities (n, 3)."""
         part: Floats = self.places[_VELOCITY]
         return part
 
@@ -61,46 +61,45 @@ class Measured(NamedTuple):
 
     @property
     def at(self) -> Floats:
-        """When they reported (n,), seconds."""
+        """Times of the reports (n,), seconds."""
         part: Floats = self.numbers[_AT]
         return part
 
     @property
     def error(self) -> Floats:
-        """How far grip points are from where setpoints have led (n,), metres; NaN: not known."""
+        """Tracking errors (n,) in metres: grip points against setpoints; NaN: not known."""
         part: Floats = self.numbers[_ERROR]
         return part
 
 
 @compiled
 def measure(
-    said: Floats, rows: Indices, back: tuple[Floats, Floats], lift: Floats, setpoint: Floats,
+    table: Floats, rows: Indices, inverse: tuple[Floats, Floats], lift: Floats, setpoint: Floats,
     setpoint_velocity: Floats, streaming: Flags, times: tuple[float, float, float, float],
     places: Floats, numbers: Floats,
 ) -> None:  # fmt: skip
-    """Bring what vehicles ``rows`` (n,) of a team's columns ``said`` to this moment.
+    """Extrapolate the reports of vehicles ``rows`` (n,) of a telemetry ``table`` to this moment.
 
-    ``back`` are the maps from their NED, ``lift`` (3,) from grip points to centres. Setpoints are
-    the last tick's; errors are not known (NaN) of those who do not get any, or are silent.
-    ``times`` in seconds: now, for how long reports are carried on with their velocity, from when on
-    a vehicle is silent, and how long ago the last tick was. ``places`` and ``numbers`` are filled
-    in as `Measured` has them.
+    ``inverse`` are the maps from their NED frames, ``lift`` (3,) leads from grip points to centres.
+    Setpoints are the last tick's; the error is NaN for a silent vehicle, or one without setpoints.
+    ``times`` in seconds: now, the longest extrapolation, the age from which a vehicle is silent,
+    and the time since the last tick. ``places`` and ``numbers`` are filled in as in `Measured`.
     """
-    now, freshest, silence, elapsed = times
-    turn, offset = back
+    now, longest, silence, elapsed = times
+    turn, offset = inverse
     for i in range(len(rows)):
-        row = said[rows[i]]
+        row = table[rows[i]]
         age = now - row[POSITION_AT]
-        carried, square = min(age, freshest), 0.0
+        ahead, square = min(age, longest), 0.0
         for k in range(3):
             place = speed = 0.0
             for m in range(3):
                 place += turn[i, k, m] * row[POSITION + m]
                 speed += turn[i, k, m] * row[VELOCITY + m]
             place += offset[i, k]
-            here = place - lift[k] + speed * carried
-            led = setpoint[i, k] + setpoint_velocity[i, k] * elapsed
-            square += (here - led) ** 2
+            here = place - lift[k] + speed * ahead
+            target = setpoint[i, k] + setpoint_velocity[i, k] * elapsed
+            square += (here - target) ** 2
             places[_REPORTED, i, k], places[_VELOCITY, i, k] = place, speed
             places[_POSITION, i, k] = here
         numbers[_AT, i] = row[POSITION_AT]
@@ -108,11 +107,13 @@ def measure(
 
 
 @compiled
-def sampled(coefficients: Floats, u: float, rate: float, slope: float, states: Floats) -> None:
-    """Position, velocity and acceleration (3, n, 3) of a piece of quintics (6, n, 3), at ``u`` in
-    it, into ``states``.
+def evaluate_piece(
+    coefficients: Floats, u: float, rate: float, slope: float, states: Floats
+) -> None:
+    """Evaluate a piece of quintics (6, n, 3) at ``u`` into ``states``: position, velocity and
+    acceleration (3, n, 3).
 
-    ``rate`` is how fast time passes there, and ``slope`` how fast the rate grows, in 1/s.
+    ``rate`` is the rate of its time, and ``slope`` the derivative of that rate in 1/s.
     """
     orders, count, axes = coefficients.shape
     for i in range(count):
@@ -128,17 +129,17 @@ def sampled(coefficients: Floats, u: float, rate: float, slope: float, states: F
 
 
 @compiled
-def aimed(
+def setpoints_ned(
     state: tuple[Floats, Floats, Floats], lead: float, lift: Floats, mass: float,
     pull: tuple[Floats, Floats, float], frames: tuple[Floats, Floats], states: Floats,
 ) -> None:  # fmt: skip
-    """Setpoints of centres, in each vehicle's NED, into ``states`` (n, 3, 3): positions,
-    velocities, accelerations.
+    """Compute setpoints of centres, in each vehicle's NED frame, into ``states`` (n, 3, 3):
+    positions, velocities, accelerations.
 
-    ``state`` are position, velocity and acceleration (n, 3) of grip points, ``lift`` (3,) from
-    there to centres; positions are ``lead`` seconds ahead. Accelerations are relieved of what the
-    cable pulls at ``mass``: ``pull`` is the one at a moment (n, 3), its change to the next, and the
-    share of that. ``frames`` are rotations (n, 3, 3) and translations (n, 3).
+    ``state`` are position, velocity and acceleration (n, 3) of grip points, ``lift`` (3,) leads
+    from there to centres; positions are ``lead`` seconds ahead. The cable's pull on ``mass`` is fed
+    forward: ``pull`` is the pull at a sample (n, 3), its change to the next one, and the share of
+    that. ``frames`` are rotations (n, 3, 3) and translations (n, 3).
     """
     position, velocity, acceleration = state
     before, change, share = pull
@@ -162,43 +163,42 @@ def aimed(
 
 
 @compiled
-def news(
-    said: Floats, rows: Indices, places: Floats, at: Floats, last: Floats, last_at: Floats,
-    told: Floats, streaming: Flags, limits: tuple[float, float, float, float, float], step: Floats,
-) -> tuple[bool, bool, float]:  # fmt: skip
-    """Whether anybody has reported since the last time; whether all of them move as they were told
-    to; and when the one was heard who was not heard for longest.
+def new_reports(
+    table: Floats, rows: Indices, now: Measured, last: Measured, commanded: Floats,
+    streaming: Flags, limits: tuple[float, float, float, float, float], step: Floats,
+) -> tuple[bool, bool]:  # fmt: skip
+    """Return whether any vehicle has reported since ``last``, and whether all move as commanded.
 
-    ``places`` and ``last`` are those of `Measured`, reported ``at`` and ``last_at`` (n,); ``step``
-    (n,) becomes the seconds between, 0 where there is no new report. As they should move all who do
-    not sink faster than ``told`` (n, 3), jump, turn over, or have not been heard for too long.
-    ``limits``: the longest step in seconds, how fast those may sink that are not streamed to, by
-    how much anybody may beyond what was told, in m/s, the largest jump along an axis in metres, and
-    the largest roll or pitch.
+    ``step`` (n,) becomes the seconds between the reports, 0 without a new one. A vehicle moves as
+    commanded where it does not sink faster than ``commanded`` (n, 3), jump, turn over, or stay
+    without a report for too long. ``limits``: the longest step in seconds, the descent without
+    setpoints, the sinking beyond the commanded one, both in m/s, the largest jump along an axis in
+    metres, and the largest roll or pitch.
     """
-    longest, sinking, too_much, jump, tilt = limits
-    heard, reported, calm = math.inf, False, True
+    longest, descent, sinking, jump, tilt = limits
+    places, at = now.places, now.numbers[_AT]
+    before, last_at = last.places, last.numbers[_AT]
+    reported, calm = False, True
     for i in range(len(rows)):
-        row = said[rows[i]]
-        heard = min(heard, row[RECEIVED_AT])
+        row = table[rows[i]]
         step[i] = at[i] - last_at[i] if at[i] > last_at[i] else 0.0
         reported = reported or step[i] > 0.0
-        down = min(told[i, 2], 0.0) if streaming[i] else -sinking
-        calm = calm and step[i] <= longest and not down - places[_VELOCITY, i, 2] > too_much
+        down = min(commanded[i, 2], 0.0) if streaming[i] else -descent
+        calm = calm and step[i] <= longest and not down - places[_VELOCITY, i, 2] > sinking
         calm = calm and not (abs(row[ATTITUDE]) > tilt or abs(row[ATTITUDE + 1]) > tilt)
         for k in range(3):
-            middle = 0.5 * step[i] * (last[_VELOCITY, i, k] + places[_VELOCITY, i, k])
-            moved = places[_REPORTED, i, k] - last[_REPORTED, i, k]
+            middle = 0.5 * step[i] * (before[_VELOCITY, i, k] + places[_VELOCITY, i, k])
+            moved = places[_REPORTED, i, k] - before[_REPORTED, i, k]
             calm = calm and abs(moved - middle) <= jump
-    return reported, calm, heard
+    return reported, calm
 
 
 @compiled
-def note(places: Floats, at: Floats, last: Floats, last_at: Floats, step: Floats) -> None:
-    """Remember what was reported after ``step`` (n,) seconds as each one's last report."""
+def keep_reports(now: Measured, last: Measured, step: Floats) -> None:
+    """Copy the reports that came after ``step`` (n,) seconds into ``last``."""
     for i in range(len(step)):
-        last_at[i] = at[i]
+        last.numbers[_AT, i] = now.numbers[_AT, i]
         if step[i] > 0.0:
             for k in range(3):
-                last[_REPORTED, i, k] = places[_REPORTED, i, k]
-                last[_VELOCITY, i, k] = places[_VELOCITY, i, k]
+                last.places[_REPORTED, i, k] = now.places[_REPORTED, i, k]
+                last.places[_VELOCITY, i, k] = now.places[_VELOCITY, i, k]

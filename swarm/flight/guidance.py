@@ -1,8 +1,8 @@
-"""Where everybody should be now: the plan at the clock's time, and the ways out of it.
+"""The setpoints of this moment: the plan at the clock's time, or a contingency's motion.
 
-Everything is of grip points, mission ENU, SI. Inside the plan setpoints are a function of mission
-time alone; a vehicle that joins from somewhere else is blended in; after leaving the plan the team
-follows a motion of its own in real time, or goes straight down together.
+All quantities are of grip points, mission ENU, SI. Inside the plan, setpoints are a function of
+mission time alone; a vehicle that joins from elsewhere is blended in. Outside the plan the team
+follows a motion in real time, or descends straight down.
 """
 
 from bisect import bisect_right
@@ -18,9 +18,9 @@ from swarm.geometry.motion import Motion
 Floats = npt.NDArray[np.float64]
 
 SHORTEST_BLEND = 2.0
-"""Seconds that a blend into the plan takes at least."""
+"""Shortest duration of a blend into the plan, seconds."""
 BLEND_SPEED = 0.3
-"""Speed in m/s that a blend adds at most."""
+"""Mean speed in m/s that a blend adds at most."""
 RAMP = 1.0
 """Seconds in which a descent reaches its speed."""
 
@@ -34,16 +34,16 @@ class State(NamedTuple):
 
 
 class Sampler:
-    """One moment of a motion, quickly: a binary search and a compiled loop."""
+    """Evaluates a motion at one moment, quickly: a binary search and a compiled loop."""
 
     def __init__(self, motion: Motion) -> None:
         self._times = motion.times.tolist()
         self._coefficients = np.ascontiguousarray(motion.coefficients)
 
     def at(self, time: float, rate: float = 1.0, slope: float = 0.0) -> State:
-        """Return the state at a time; outside the motion its nearest end at rest.
+        """Return the state at a time; outside the motion, its nearest end at rest.
 
-        ``rate`` is how fast that time passes, and ``slope`` how fast the rate grows, in 1/s.
+        ``rate`` is the rate of its time, and ``slope`` the derivative of that rate in 1/s.
         """
         times = self._times
         inside = min(max(time, times[0]), times[-1])
@@ -52,7 +52,7 @@ class Sampler:
             rate = slope = 0.0
         coefficients = self._coefficients[piece]
         states = np.empty((3, *coefficients.shape[1:]))
-        estimation.sampled(coefficients, inside - times[piece], rate, slope, states)
+        estimation.evaluate_piece(coefficients, inside - times[piece], rate, slope, states)
         return State(states[0], states[1], states[2])
 
 
@@ -66,8 +66,8 @@ class Guidance:
         self._blend_since = np.zeros(n)
         self._blend_time = np.ones(n)
         self._blending = False
-        self._detour: tuple[float, float, Sampler] | None = None
-        self.detour_duration = 0.0
+        self._separation: tuple[float, float, Sampler] | None = None
+        self.duration = 0.0
         self._descent: tuple[float, float, Floats] | None = None
 
     def planned(self, time: float) -> State:
@@ -75,41 +75,41 @@ class Guidance:
         return self._plan.at(time)
 
     def join(self, k: int, position: Floats, time: float, now: float) -> None:
-        """Let a vehicle begin at a position (3,) and blend into the plan at mission ``time``."""
+        """Blend a vehicle from a position (3,) into the plan, from mission ``time`` on."""
         self._blend[k] = position - self._plan.at(time).position[k]
         self._blend_since[k] = now
         distance = float(np.linalg.norm(self._blend[k]))
         self._blend_time[k] = max(SHORTEST_BLEND, 1.875 * distance / BLEND_SPEED)
         self._blending = True
 
-    def detour(self, motion: Motion, now: float) -> None:
+    def follow(self, motion: Motion, now: float) -> None:
         """Leave the plan for a motion in real time that begins at rest at the present setpoints."""
         start = float(motion.times[0])
-        self._detour = now, start, Sampler(motion)
-        self.detour_duration = float(motion.times[-1]) - start
+        self._separation = now, start, Sampler(motion)
+        self.duration = float(motion.times[-1]) - start
         self._descent = None
 
     def descend(self, start: Floats, speed: float, now: float) -> None:
         """Leave the plan straight down from setpoints (n, 3) at rest, all at the same speed."""
         self._descent = now, speed, start.copy()
-        self._detour = None
+        self._separation = None
 
     @property
     def left_plan(self) -> bool:
         """Whether the setpoints no longer come from the plan."""
-        return self._detour is not None or self._descent is not None
+        return self._separation is not None or self._descent is not None
 
     @property
     def descending(self) -> bool:
-        """Whether the team is going straight down."""
+        """Whether the team descends straight down."""
         return self._descent is not None
 
-    def wanted(self, clock: MissionClock, now: float) -> State:
-        """Return where everybody should be."""
+    def state(self, clock: MissionClock, now: float) -> State:
+        """Return the setpoints of this moment."""
         if self._descent is not None:
             return _descending(*self._descent, now)
-        if self._detour is not None:
-            since, start, sampler = self._detour
+        if self._separation is not None:
+            since, start, sampler = self._separation
             return sampler.at(start + now - since)
         state = self._plan.at(clock.time, clock.rate, clock.slope)
         return self._blended(state, now) if self._blending else state
@@ -131,7 +131,7 @@ class Guidance:
 
 
 def _descending(since: float, speed: float, start: Floats, now: float) -> State:
-    """Straight down from rest; who has arrived at the floor waits there."""
+    """Return a descent from rest; vehicles stop at the floor."""
     time = now - since
     ramp = min(time / RAMP, 1.0)
     down = speed * (0.5 * RAMP * ramp**2 + max(0.0, time - RAMP))

@@ -90,7 +90,7 @@ def _fly(spare: "Conductor", phase: Phase, response: Response | None = None) -> 
 
 def _be_there(flight: FlightState, now: float, lean: float) -> None:
     """Let every vehicle report the place of its setpoint."""
-    state = flight.guidance.wanted(flight.clock, flight.timing.moving)
+    state = flight.guidance.state(flight.clock, flight.timing.moving)
     places = state.position + flight.setup.lift
     for k, (vehicle, (east, north, up)) in enumerate(
         zip(flight.roster.vehicles, places.tolist(), strict=True)

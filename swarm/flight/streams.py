@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from swarm.flight.estimation import aimed
+from swarm.flight.estimation import setpoints_ned
 from swarm.flight.router import Outgoing
 from swarm.flight.stages import Stage
 from swarm.flight.state import FlightState
@@ -67,7 +67,7 @@ def setpoints(flight: FlightState) -> list[Outgoing]:
     frames, setup = flight.placement.frames, flight.setup
     if frames is None or flight.stage not in {Stage.EXECUTE, Stage.CONTINGENCY}:
         return []
-    state = flight.guidance.wanted(flight.clock, flight.timing.moving)
+    state = flight.guidance.state(flight.clock, flight.timing.moving)
     active, roster = flight.streams.active, flight.roster
     packets: list[Outgoing] = []
     if np.count_nonzero(active):
@@ -76,7 +76,7 @@ def setpoints(flight: FlightState) -> list[Outgoing]:
         held = setup.carries_cable and all(vehicle.gripped for vehicle in roster.vehicles)
         pull = setup.pull.around(flight.clock.time) if held else setup.pull.nothing()
         states = np.empty((len(roster.systems), 3, 3))
-        aimed(
+        setpoints_ned(
             (state.position, state.velocity, state.acceleration), lead, setup.lift,
             setup.plan.mission.vehicles.mass, pull, (frames.rotation, frames.translation), states,
         )  # fmt: skip

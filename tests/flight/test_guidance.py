@@ -68,23 +68,23 @@ def test_whoever_joins_begins_where_it_is_and_ends_in_the_plan(start, off):
     clock = MissionClock(steepest=0.5, time=start, rate=0.5, target=0.5)
     here = MOTION.at(start)[0][1] + off
     guidance.join(1, here, start, now=100.0)
-    assert guidance.wanted(clock, 100.0).position[1] == pytest.approx(here)
-    step, now, last = 1e-3, 100.0, guidance.wanted(clock, 100.0)
+    assert guidance.state(clock, 100.0).position[1] == pytest.approx(here)
+    step, now, last = 1e-3, 100.0, guidance.state(clock, 100.0)
     for _ in range(200):
         now += step
         clock.time += clock.rate * step
-        state = guidance.wanted(clock, now)
+        state = guidance.state(clock, now)
         change = (state.position - last.position) / step
         assert change == pytest.approx(0.5 * (state.velocity + last.velocity), abs=1e-4)
         last = state
-    after = guidance.wanted(clock, 200.0)
+    after = guidance.state(clock, 200.0)
     assert after.position == pytest.approx(MOTION.at(clock.time)[0])
 
 
 def test_backwards_is_forwards_with_other_signs():
     guidance = Guidance(MOTION)
-    forth = guidance.wanted(MissionClock(0.5, time=2.0, rate=0.7, slope=0.1), 0.0)
-    back = guidance.wanted(MissionClock(0.5, time=2.0, rate=-0.7, slope=-0.1), 0.0)
+    forth = guidance.state(MissionClock(0.5, time=2.0, rate=0.7, slope=0.1), 0.0)
+    back = guidance.state(MissionClock(0.5, time=2.0, rate=-0.7, slope=-0.1), 0.0)
     assert back.position == pytest.approx(forth.position)
     assert back.velocity == pytest.approx(-forth.velocity)
     curve = MOTION.at(2.0)[2]
@@ -95,10 +95,10 @@ def test_going_down_together_keeps_levels_until_the_floor():
     guidance = Guidance(MOTION)
     guidance.descend(LINE, 0.5, now=10.0)
     clock = MissionClock(0.5)
-    last = guidance.wanted(clock, 10.0)
+    last = guidance.state(clock, 10.0)
     assert last.position == pytest.approx(LINE)
     for now in np.arange(10.02, 30.0, 0.02):
-        state = guidance.wanted(clock, float(now))
+        state = guidance.state(clock, float(now))
         assert state.position[:, :2] == pytest.approx(LINE[:, :2])
         aloft = state.position[:, 2] > 0.0
         levels = LINE[:, 2] - state.position[:, 2]
@@ -115,8 +115,8 @@ def test_a_detour_runs_in_real_time():
     way = through_states(
         np.array([0.0, 4.0]), np.stack([LINE, THERE]), np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
     )
-    guidance.detour(way, now=50.0)
-    assert guidance.detour_duration == 4.0
-    assert guidance.wanted(MissionClock(0.5, time=1.0), 52.0).position == pytest.approx(
+    guidance.follow(way, now=50.0)
+    assert guidance.duration == 4.0
+    assert guidance.state(MissionClock(0.5, time=1.0), 52.0).position == pytest.approx(
         0.5 * (LINE + THERE)
     )

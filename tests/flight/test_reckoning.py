@@ -52,7 +52,7 @@ def test_setpoints_aim_ahead_of_centres_and_are_relieved_of_what_pulls():
     turn, move = some(3, 3, 3), some(3, 3)
     states = np.empty((3, 3, 3))
     moving, frames = (position, velocity, acceleration), (turn, move)
-    estimation.aimed(moving, 0.025, LIFT, 1.6, (pull, change, 0.3), frames, states)
+    estimation.setpoints_ned(moving, 0.025, LIFT, 1.6, (pull, change, 0.3), frames, states)
     ahead = position + 0.025 * velocity + 0.5 * 0.025**2 * acceleration + LIFT
     relieved = acceleration - (pull + 0.3 * change) / 1.6
     enu = np.stack([ahead, velocity, relieved], axis=1)
@@ -91,13 +91,14 @@ def test_who_sinks_jumps_or_turns_over_does_not_move_as_told(change, told, calm)
 
     said, step = np.full((2, WIDTH), np.nan), np.zeros(2)
     said[:, RECEIVED_AT], said[:, ATTITUDE : ATTITUDE + 3] = [5.0, 4.8], of("angles")
-    now = np.array([of("reported"), of("velocity"), np.zeros((2, 3))])
-    last = np.array([of("last"), of("before"), np.zeros((2, 3))])
-    found = estimation.news(
-        said, np.arange(2), now, of("at"), last, of("last_at"), of("told"), of("streaming"),
-        LIMITS, step,
-    )  # fmt: skip
-    assert found == (told, calm, 4.8)
+    places = np.array([of("reported"), of("velocity"), np.zeros((2, 3))])
+    before = np.array([of("last"), of("before"), np.zeros((2, 3))])
+    now = Measured(places, np.array([of("at"), np.zeros(2)]))
+    last = Measured(before, np.array([of("last_at"), np.zeros(2)]))
+    found = estimation.new_reports(
+        said, np.arange(2), now, last, of("told"), of("streaming"), LIMITS, step
+    )
+    assert found == (told, calm)
     assert (step > 0).any() == told
 
 
@@ -107,10 +108,7 @@ def test_the_time_between_reports_is_none_where_there_was_no_report():
     at.numbers[0] = [-np.inf, 1.5, 2.0, 2.0]
     said, step = np.full((4, WIDTH), np.nan), np.ones(4)
     none = np.zeros((4, 3))
-    estimation.news(
-        said, np.arange(4), at.places, at.at, before.places, before.at, none, np.ones(4, bool),
-        LIMITS, step,
-    )  # fmt: skip
+    estimation.new_reports(said, np.arange(4), at, before, none, np.ones(4, bool), LIMITS, step)
     assert step.tolist() == [0.0, 0.5, np.inf, 0.0]
 
 
@@ -118,7 +116,7 @@ def test_only_new_reports_are_noted():
     now, last = Measured.of(2), Measured.of(2)
     now.places[:], now.numbers[0] = 1.0, 5.0
     last.places[:], last.numbers[0] = 0.0, [4.9, 5.0]
-    estimation.note(now.places, now.at, last.places, last.at, np.array([0.1, 0.0]))
+    estimation.keep_reports(now, last, np.array([0.1, 0.0]))
     assert last.reported.tolist() == [[1.0] * 3, [0.0] * 3]
     assert last.velocity.tolist() == [[1.0] * 3, [0.0] * 3]
     assert last.at.tolist() == [5.0, 5.0]

@@ -53,7 +53,7 @@ def test_neither_the_fold_nor_a_gale_nor_lost_packets_look_like_it(folding):
 
 def test_a_flight_without_cable_has_none_to_lose(monkeypatch):
     """Grips are simulated then, and nobody leans as the model says."""
-    monkeypatch.setattr(GripSlipDetector, "look", lambda *_: 0)
+    monkeypatch.setattr(GripSlipDetector, "evaluate", lambda *_: 0)
     flight = Network(PLAN, emulated_fleet(5), no_cable=True)
     flight.until_phase("fold", 2.0)
     assert all(vehicle.gripped for vehicle in flight.conductor.flyers)
@@ -72,10 +72,10 @@ def test_what_is_always_off_is_usual():
     """A compass that is off and a wind from the first look on are no news."""
     rng = np.random.default_rng(2)
     grips = np.array([[3.0 * k, 0.0, 5.0] for k in range(5)])
-    grasps = GripSlipDetector(PLAN.plan, Latch(), enabled=True)
+    detector = GripSlipDetector(PLAN.plan, Latch(), enabled=True)
     attitude = np.column_stack([rng.normal(0.0, 0.03, (5, 2)), rng.uniform(-3, 3, 5)])
     for k in range(80):
-        assert grasps.look(0.25 * k, attitude, np.zeros((5, 3)), grips) is None
+        assert detector.evaluate(0.25 * k, attitude, np.zeros((5, 3)), grips) is None
 
 
 WRONG = 0.05
@@ -88,7 +88,7 @@ def told(pulled, patterns, count=400):
     found = []
     for _ in range(count):
         left = pulled + rng.normal(0.0, WRONG, pulled.shape)
-        found.append(grip_slip._whose(left, left - left.mean(axis=0), patterns)[0])
+        found.append(grip_slip.match(left, left - left.mean(axis=0), patterns)[0])
     return [found.count(k) / count for k in (None, *range(len(pulled)))]
 
 

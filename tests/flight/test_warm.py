@@ -105,4 +105,4 @@ def test_all_that_a_flight_calls_is_compiled_before_it():
 
 @pytest.mark.full
 def test_without_going_through_it_before_something_would_be():
-    assert "swarm.flight.estimation.aimed" in compiled_in_flight("cold")
+    assert "swarm.flight.estimation.setpoints_ned" in compiled_in_flight("cold")

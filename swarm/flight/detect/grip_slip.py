@@ -1,11 +1,11 @@
-"""Whose gripper has lost the cable: told from how everybody leans.
+"""Grippers that have lost the cable without reporting it, from the vehicles' attitudes.
 
-A vehicle leans against what pulls it sideways: over some time its impulse is m·Δv = ∫(thrust +
-pull), so the pull follows from attitudes and velocities alone, and the cable model says what it
-should be. Where a gripper opens, its vehicle loses its pull and its neighbours get a strand that is
-as long as both of theirs: a pattern over three vehicles that is worked out for each, and looked
-for. Wind pushes all alike and fits no pattern; what a sensor or the model has wrong all the time is
-learnt as usual. The level parts are enough, and forces within the team cancel out in them.
+A vehicle leans against a sideways pull. Over a window its impulse is m·Δv = ∫(thrust + pull), so
+attitudes and velocities give the pull, and the cable model predicts it. Where a gripper opens, its
+vehicle loses its pull and its neighbours share a strand of the length of both: a pattern over three
+vehicles, computed for each vehicle and compared with the residual. Wind pushes all vehicles alike
+and fits no pattern; a constant error of a sensor or of the model becomes part of the bias. The
+horizontal parts are enough, and forces within the team cancel in them.
 """
 
 import math
@@ -26,35 +26,34 @@ from swarm.planning import Plan
 Floats = npt.NDArray[np.float64]
 
 INTERVAL = 0.25
-"""Seconds between two looks."""
+"""Seconds between two samples."""
 WINDOW = 6
-"""Looks over which an impulse is balanced."""
-USUAL_FOR = 20.0
-"""Seconds in which a lasting difference becomes usual."""
-SHARE = 0.6
-"""Share of a pattern from which it counts as seen; without a slip it is about 0, with one about 1.
-"""
-FAINTEST = 0.2
-"""Newtons; a slip that changes the team's level loads by less is not told from noise."""
-FITS, HARDLY_FITS = 0.6, 0.4
-"""Shares of what differs that the pattern must explain: to be seen, and to be seen faintly, as
-where it is no stronger than what the model has wrong by 0.2 N all over the team."""
-MOST = 1.6
-"""Share of a pattern beyond which something faint is not taken for it."""
-FROM_OUTSIDE = 0.8
-"""Force from outside the team per force that differs, beyond which something else than the cable
-pulls: where a strand is caught, its two vehicles are pulled the same way, and this is above 1. What
-the model has wrong of the vehicles farther away is allowed for: faint slips differ by little more.
-"""
-ENOUGH, CLEARLY, FAINTLY = 4, 2, 1
-"""What looks in a row that see the same vehicle's pattern must add up to, and what each counts. In
-whole flights without a slip no look sees one even faintly."""
+"""Samples over which an impulse is balanced."""
+BIAS_TIME = 20.0
+"""Seconds in which a lasting residual becomes part of the bias."""
+MIN_SHARE = 0.6
+"""Share of a pattern in the residual from which it counts; about 0 without a slip, about 1 with
+one."""
+NOISE_FORCE = 0.2
+"""Newtons; a slip that changes the team's horizontal loads by less is not distinct from noise."""
+MIN_FIT, MIN_WEAK_FIT = 0.6, 0.4
+"""Shares of the residual that the pattern must explain: for a clear match, and for a weak one,
+where the pattern is no stronger than a model error of 0.2 N all over the team."""
+MAX_WEAK_SHARE = 1.6
+"""Share of a pattern beyond which a weak match does not count."""
+MAX_NET_FORCE = 0.8
+"""Net force on the three vehicles per residual force, beyond which something other than the cable
+pulls: a caught strand pulls its two vehicles the same way, with a ratio above 1. The model error of
+the vehicles farther away is subtracted: weak slips differ by little more."""
+SCORE_NEEDED, CLEAR_SCORE, WEAK_SCORE = 4, 2, 1
+"""The sum of scores of successive samples that match the same vehicle's pattern, and the score of
+each match. Whole flights without a slip have no match, not even a weak one."""
 _OLDEST = 0.6
-"""Seconds by which the newest position may be old."""
+"""Seconds of age up to which the oldest position may be used."""
 
 
 class GripSlipDetector:
-    """Compares the cable's level pull on n vehicles, from their attitudes, with the cable model.
+    """Compares the cable's horizontal pull on n vehicles, from attitudes, with the cable model.
 
     ``enabled`` is false where no cable is carried, or vehicles do not follow the plan's pace.
     """
@@ -65,9 +64,9 @@ class GripSlipDetector:
         self._lengths = {1: lengths, 2: lengths[:-1] + lengths[1:]}
         self._weight = plan.mission.cable.mass_per_length
         self._mass = plan.mission.vehicles.mass
-        self._looks: deque[tuple[float, Floats, Floats]] = deque(maxlen=WINDOW + 1)
-        self._usual: Floats | None = None
-        self._suspect, self._seen = -1, 0
+        self._samples: deque[tuple[float, Floats, Floats]] = deque(maxlen=WINDOW + 1)
+        self._bias: Floats | None = None
+        self._suspect, self._score = -1, 0
         self._next = 0.0
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
@@ -76,9 +75,9 @@ class GripSlipDetector:
             return []
         self._next = seen.now + INTERVAL
         if not (self._enabled and self._comparable(seen, expected)):
-            self.forget()
+            self.reset()
             return []
-        k = self.look(seen.now, seen.attitude, seen.velocity, seen.position)
+        k = self.evaluate(seen.now, seen.attitude, seen.velocity, seen.position)
         if k is None or not self._reported.first(FailureKind.GRIP_SLIPPED, k):
             return []
         words = f"{seen.names[k]} leans as if its gripper had lost the cable"
@@ -92,59 +91,59 @@ class GripSlipDetector:
         oldest = seen.now - min(seen.measured.at.tolist())
         return oldest <= _OLDEST and bool(np.isfinite(seen.attitude).all())
 
-    def forget(self) -> None:
-        """Begin anew: something keeps the loads from being comparable."""
-        self._looks.clear()
-        self._usual = None
-        self._seen = 0
+    def reset(self) -> None:
+        """Begin again: the loads were not comparable."""
+        self._samples.clear()
+        self._bias = None
+        self._score = 0
 
-    def look(self, now: float, attitude: Floats, velocity: Floats, grips: Floats) -> int | None:
-        """Return which vehicle's gripper seems to have lost the cable, if one does.
+    def evaluate(self, now: float, attitude: Floats, velocity: Floats, grips: Floats) -> int | None:
+        """Return the vehicle whose gripper has lost the cable; None where none has.
 
         ``attitude`` (n, 3) roll, pitch, yaw of NED, radians; ``velocity`` and ``grips`` (n, 3),
         mission ENU.
         """
         held = self._held(grips)
         force = thrust(attitude, held.pull, self._mass)
-        if self._looks and now - self._looks[-1][0] > 2.0 * INTERVAL:
-            self.forget()
-        self._looks.append((now, velocity[:, :2].copy(), force))
-        if len(self._looks) <= WINDOW:
+        if self._samples and now - self._samples[-1][0] > 2.0 * INTERVAL:
+            self.reset()
+        self._samples.append((now, velocity[:, :2].copy(), force))
+        if len(self._samples) <= WINDOW:
             return None
-        time = now - self._looks[0][0]
-        mean = sum([force for _, _, force in self._looks][1:]) / WINDOW
-        left = self._mass * (velocity[:, :2] - self._looks[0][1]) / time - mean
-        if self._usual is None:
-            self._usual = left
-        self._usual += (left - self._usual) * (INTERVAL / USUAL_FOR)
-        who, counts = self._whose(left - self._usual, held)
-        self._seen = self._seen + counts if who == self._suspect else counts
+        time = now - self._samples[0][0]
+        mean = sum([force for _, _, force in self._samples][1:]) / WINDOW
+        residual = self._mass * (velocity[:, :2] - self._samples[0][1]) / time - mean
+        if self._bias is None:
+            self._bias = residual
+        self._bias += (residual - self._bias) * (INTERVAL / BIAS_TIME)
+        who, score = self._match(residual - self._bias, held)
+        self._score = self._score + score if who == self._suspect else score
         self._suspect = -1 if who is None else who
-        return who if self._seen >= ENOUGH else None
+        return who if self._score >= SCORE_NEEDED else None
 
-    def shows(self, grips: Floats) -> npt.NDArray[np.bool_]:
-        """Return of which vehicles (n,) a slip would change the level pulls enough to be seen."""
+    def detectable(self, grips: Floats) -> npt.NDArray[np.bool_]:
+        """Return for which vehicles (n,) a slip changes the pulls enough to be detected."""
         patterns = self._patterns(self._held(grips))
-        shown: npt.NDArray[np.bool_] = np.linalg.norm(patterns, axis=(1, 2)) > FAINTEST
-        return shown
+        enough: npt.NDArray[np.bool_] = np.linalg.norm(patterns, axis=(1, 2)) > NOISE_FORCE
+        return enough
 
     def _held(self, grips: Floats) -> "_Held":
         above = np.maximum(grips, [-np.inf, -np.inf, 0.0])
         return _Held(above, *_pulls(above, 1, self._lengths[1], self._weight))
 
-    def _whose(self, left: Floats, held: "_Held") -> tuple[int | None, int]:
-        """The vehicle whose pattern explains best what differs (n, 2) from the model, if any does,
-        and how much that counts.
+    def _match(self, residual: Floats, held: "_Held") -> tuple[int | None, int]:
+        """Return the vehicle whose pattern explains the residual (n, 2) best, and the score.
 
-        Patterns are only worked out where one could fit: the vehicle's own pull is part of it.
+        None and 0 where no pattern does. Patterns are computed only where one could fit: the
+        vehicle's own pull is part of it.
         """
-        if not _could_fit(left, held.pull):
+        if not _could_fit(residual, held.pull):
             return None, 0
-        return _whose(left, left - left.mean(axis=0), self._patterns(held))
+        return match(residual, residual - residual.mean(axis=0), self._patterns(held))
 
     def _patterns(self, held: "_Held") -> Floats:
-        """How the level pulls (n, n, 2) change where the vehicle of the first index holds nothing;
-        its neighbours' cable is one strand then, or hangs."""
+        """Return the changes of the horizontal pulls (n, n, 2) where the vehicle of the first index
+        slips; the cable between its neighbours is one strand then, or hangs."""
         n = len(held.pull)
         patterns = np.zeros((n, n, 2))
         who, inner = np.arange(n), np.arange(1, n - 1)
@@ -158,7 +157,7 @@ class GripSlipDetector:
 
 
 class _Held(NamedTuple):
-    """Grip points off the floor, the strands' forces on their two ends, and the pulls (n, 3)."""
+    """Grip points not below the floor, the strands' forces on their ends, and the pulls (n, 3)."""
 
     above: Floats
     on_first: Floats
@@ -167,68 +166,81 @@ class _Held(NamedTuple):
 
 
 @compiled
-def _could_fit(left: Floats, pull: Floats) -> bool:
-    """Whether some vehicle's pattern could explain enough of what differs (n, 2) from the model.
+def _could_fit(residual: Floats, pull: Floats) -> bool:
+    """Return whether any vehicle's pattern could explain enough of the residual (n, 2).
 
-    Its own pull (n, 3) is part of its pattern, which lies on it and its neighbours.
+    The vehicle's own pull (n, 3) is part of its pattern, which covers it and its neighbours.
     """
-    count = len(left)
+    count = len(residual)
     squared = np.zeros(count)
     for axis in range(2):
         mean = 0.0
         for k in range(count):
-            mean += left[k, axis] / count
+            mean += residual[k, axis] / count
         for k in range(count):
-            squared[k] += (left[k, axis] - mean) ** 2
-    differs = HARDLY_FITS * squared.sum()
+            squared[k] += (residual[k, axis] - mean) ** 2
+    total = MIN_WEAK_FIT * squared.sum()
     for k in range(count):
         around = squared[max(k - 1, 0) : k + 2].sum()
         own = pull[k, 0] ** 2 + pull[k, 1] ** 2
-        if around > (1.0 - 1e-9) * max(SHARE**2 * max(own, FAINTEST**2), differs):
+        if around > (1.0 - 1e-9) * max(MIN_SHARE**2 * max(own, NOISE_FORCE**2), total):
             return True
     return False
 
 
-def _whose(left: Floats, shared: Floats, patterns: Floats) -> tuple[int | None, int]:
-    k, counts = _fitting(shared, patterns)
+def match(residual: Floats, centred: Floats, patterns: Floats) -> tuple[int | None, int]:
+    """Return the vehicle whose pattern matches the residual (n, 2), and the score; None, 0: none.
+
+    ``centred`` is the residual without its mean. A net force from outside the cable is no match.
+    """
+    k, score = _best_fit(centred, patterns)
     if k < 0:
         return None, 0
-    near = np.abs(np.arange(len(left)) - k) <= 1
-    own = left[near] - (left[~near].mean(axis=0) if not near.all() else 0.0)
-    outside = float(np.linalg.norm(own.sum(axis=0))) - _wrong_in_sum(left[~near], len(own))
-    if outside >= FROM_OUTSIDE * float(np.linalg.norm(own)):
+    near = np.abs(np.arange(len(residual)) - k) <= 1
+    own = residual[near] - (residual[~near].mean(axis=0) if not near.all() else 0.0)
+    net = float(np.linalg.norm(own.sum(axis=0))) - _sum_error(residual[~near], len(own))
+    if net >= MAX_NET_FORCE * float(np.linalg.norm(own)):
         return None, 0
-    return k, counts
+    return k, score
 
 
 @compiled
-def _fitting(shared: Floats, patterns: Floats) -> tuple[int, int]:
-    """The vehicle whose pattern fits what differs (n, 2) best, and how much that counts; -1, 0:
-    none fits."""
-    differs = np.sum(shared * shared)
-    best, clear, faint, faintly = -1, 0.0, -1, 0.0
+def _best_fit(centred: Floats, patterns: Floats) -> tuple[int, int]:
+    """Return the vehicle whose pattern fits the centred residual (n, 2) best, and the score.
+
+    -1 and 0 where none fits.
+    """
+    total = np.sum(centred * centred)
+    best, clear, weak, weakly = -1, 0.0, -1, 0.0
     for k in range(len(patterns)):
         pattern = patterns[k]
-        norm, along = np.sum(pattern * pattern), np.sum(pattern * shared)
-        if not (norm > FAINTEST**2 and along > SHARE * norm):
+        norm, along = np.sum(pattern * pattern), np.sum(pattern * centred)
+        if not (norm > NOISE_FORCE**2 and along > MIN_SHARE * norm):
             continue
         explained = along * along / max(norm, 1e-9)
-        if explained > FITS * differs and explained > clear:
+        if explained > MIN_FIT * total and explained > clear:
             best, clear = k, explained
-        if explained > HARDLY_FITS * differs and along < MOST * norm and explained > faintly:
-            faint, faintly = k, explained
+        if (
+            explained > MIN_WEAK_FIT * total
+            and along < MAX_WEAK_SHARE * norm
+            and explained > weakly
+        ):
+            weak, weakly = k, explained
     if best >= 0:
-        return best, CLEARLY
-    return (faint, FAINTLY) if faint >= 0 else (-1, 0)
+        return best, CLEAR_SCORE
+    return (weak, WEAK_SCORE) if weak >= 0 else (-1, 0)
 
 
-def _wrong_in_sum(left: Floats, count: int) -> float:
-    """By how much the sum of ``count`` vehicles' differences from the mean of the others (n, 2),
-    whose pull is as modelled, is wrong as a rule: 0 where there are too few to tell."""
-    others = len(left)
+def _sum_error(residual: Floats, count: int) -> float:
+    """Return the usual error of the sum of ``count`` vehicles' differences from a mean.
+
+    The mean is of the other vehicles' residuals (n, 2), whose pull is as modelled. 0 where there
+    are fewer than two.
+    """
+    others = len(residual)
     if others < 2:
         return 0.0
-    spread = float(np.sum((left - left.mean(axis=0)) ** 2)) / (others - 1)
+    spread = float(np.sum((residual - residual.mean(axis=0)) ** 2)) / (others - 1)
     return math.sqrt(spread * (count + count * count / others))
 
 
@@ -236,8 +248,8 @@ def _wrong_in_sum(left: Floats, count: int) -> float:
 def _pulls(
     above: Floats, every: int, lengths: Floats, mass_per_length: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Forces on both ends of the strands from each of n vehicles to the next, or the next but one,
-    and their sums (n, 3); newtons, ENU."""
+    """Return the forces on both ends of the strands from each of n vehicles to the next (``every``
+    1) or to the next but one (2), and their sums (n, 3); newtons, ENU."""
     count = len(above) - every
     reaching = np.empty(count)
     for i in range(count):
@@ -256,24 +268,24 @@ def _pulls(
 
 @compiled
 def thrust(attitude: Floats, pull: Floats, mass: float) -> Floats:
-    """Return the level forces (n, 2), east and north, of thrusts that carry what they must, and of
-    the cable's pulls (n, 3); newtons.
+    """Return the horizontal forces (n, 2), east and north, of the thrusts that carry vehicle and
+    cable, plus the cable's pulls (n, 3); newtons.
 
     ``attitude`` (n, 3) as for :func:`lean`.
     """
     force = np.empty((len(pull), 2))
     for i in range(len(pull)):
-        bears = mass * (STANDARD_GRAVITY - pull[i, 2] / mass)
+        lift = mass * (STANDARD_GRAVITY - pull[i, 2] / mass)
         east, north = lean(attitude[i, 0], attitude[i, 1], attitude[i, 2])
-        force[i, 0], force[i, 1] = bears * east + pull[i, 0], bears * north + pull[i, 1]
+        force[i, 0], force[i, 1] = lift * east + pull[i, 0], lift * north + pull[i, 1]
     return force
 
 
 @compiled
 def lean(roll: float, pitch: float, yaw: float) -> tuple[float, float]:
-    """Return the level part of the thrust per upward part, east and north.
+    """Return the horizontal part of the thrust per vertical part, east and north.
 
-    Angles of NED in radians; NaN where the thrust hardly points up.
+    Angles of NED in radians; NaN where the thrust is nearly horizontal.
     """
     upward = math.cos(roll) * math.cos(pitch)
     if abs(upward) < 0.1:

@@ -28,8 +28,8 @@ JUMP = 0.5
 LONGEST_STEP = 0.5
 """Seconds between reports up to which a jump can be distinguished from flight."""
 _CALM = LONGEST_STEP, SINKING, FALLING_SINKING, 0.5 * JUMP, TURNED_OVER
-"""`estimation.news` finds motion within these limits calm: it is no failure. Beyond them it is
-examined, and may still be none."""
+"""Motion within these limits is no failure (`estimation.new_reports`). Beyond them it is examined,
+and may still be none."""
 
 
 class MotionDetector:
@@ -43,9 +43,9 @@ class MotionDetector:
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
         """Return the failures of motion at this tick."""
         now, last = seen.measured, self._last
-        new, calm, _ = estimation.news(
-            seen.table, seen.rows, now.places, now.at, last.places, last.at,
-            expected.velocity, expected.streaming, _CALM, self._step,
+        new, calm = estimation.new_reports(
+            seen.table, seen.rows, now, last, expected.velocity, expected.streaming, _CALM,
+            self._step,
         )  # fmt: skip
         if not new:
             return []
@@ -54,7 +54,7 @@ class MotionDetector:
             for k in range(len(seen.names)):
                 if expected.armed[k] and not expected.may_land[k] and now.at[k] > last.at[k]:
                     found += self._examine(seen, expected, k)
-        estimation.note(now.places, now.at, last.places, last.at, self._step)
+        estimation.keep_reports(now, last, self._step)
         for failure in found:
             if isinstance(failure, Failure) and failure.jump is not None:
                 last.reported[failure.vehicle] -= failure.jump

@@ -312,12 +312,12 @@ def _begin_separation(flight: FlightState) -> None:
         level = np.linalg.norm(start[first, :2] - start[second, :2], axis=1)
         nearest = max(float(level.min(initial=np.inf)), 1e-3)
         spread = float(np.clip(solo_landing_distance(mission) / nearest, 1.0, 4.0))
-    flight.guidance.detour(separation_motion(start, centre, spread, mission), flight.timing.moving)
+    flight.guidance.follow(separation_motion(start, centre, spread, mission), flight.timing.moving)
     _change_step(flight, StepTrigger.RELEASED)
 
 
 def _separate(flight: FlightState) -> None:
-    if flight.now - _contingency(flight).step_since > flight.guidance.detour_duration:
+    if flight.now - _contingency(flight).step_since > flight.guidance.duration:
         _begin_descent(flight, StepTrigger.APART)
 
 

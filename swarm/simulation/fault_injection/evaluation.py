@@ -74,7 +74,7 @@ class Judge:
             return
         self._next = flight.now + LOOK_EVERY
         if self._slipping is not None and flight.conductor.stage == "fly":
-            shows = flight.conductor.state.detectors.grip_slip.shows(
+            shows = flight.conductor.state.detectors.grip_slip.detectable(
                 flight.conductor.state.streams.setpoint
             )
             aloft = flight.conductor.phase.cable == "aloft"
