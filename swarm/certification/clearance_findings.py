@@ -7,9 +7,9 @@ import numpy as np
 from swarm.certification.clearances import Moment, limits, moments_of, tightest_moments
 from swarm.certification.findings import Finding, Severity
 from swarm.certification.floor_limits import LYING
-from swarm.certification.limits import TAUT
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.robustness import DIRECTIONS, failure_in_wind
+from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.planning import Plan
 
 LIMIT_TOLERANCE = 1e-4
@@ -63,7 +63,9 @@ def _clearance_finding(plan: Plan, moment: Moment) -> Finding:
     if not np.isfinite(moment.distance):
         message = f"no distance between {one} and {other} can be certified"
     elif moment.check == "taut":
-        message = f"{short:.3f} m of chord beyond {TAUT:.1%} of the length of {one}{errors}"
+        message = (
+            f"{short:.3f} m of chord beyond {MAX_CHORD_RATIO:.1%} of the length of {one}{errors}"
+        )
     elif moment.check == "over-stretched on the floor":
         message = f"{short:.3f} m of chord beyond the length of {one} on the floor"
     elif moment.check == "rotor disc":

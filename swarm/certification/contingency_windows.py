@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.limits import TAUT
+from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.chain import polyline
 from swarm.planning import Plan
 
@@ -149,7 +149,7 @@ def _chords_allow_stagger(plan: Plan, position: Floats) -> Flags:
     step = np.diff(position, axis=1)
     rise = np.abs(step[..., 2]) + LANDING_SPEED * STAGGER
     chord = np.hypot(np.hypot(step[..., 0], step[..., 1]), rise)
-    longest = TAUT * plan.layout.lengths - 2.0 * plan.mission.vehicles.tracking
+    longest = MAX_CHORD_RATIO * plan.layout.lengths - 2.0 * plan.mission.vehicles.tracking
     allowed: Flags = np.all(chord <= longest, axis=1)
     return allowed
 

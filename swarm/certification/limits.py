@@ -8,12 +8,10 @@ import numpy.typing as npt
 from swarm.certification.branch_and_bound import Boxes, Enclosure
 from swarm.certification.motion_bounds import BoundedMotion, TeamStates
 from swarm.certification.strand_pieces import Displacement, HeldCable, Selection, pieces
+from swarm.geometry.catenary import MAX_CHORD_RATIO
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
-
-TAUT = 0.985
-"""Largest ratio of chord to length, including tracking errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +19,7 @@ class Slack:
     """Margins of chords to ``share`` of their length, with both ends displaced; per segment."""
 
     cable: HeldCable
-    share: float = TAUT
+    share: float = MAX_CHORD_RATIO
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box."""

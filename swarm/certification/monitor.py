@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.limits import TAUT
+from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.catenary_kernel import max_drop_below_ends, sample_strand
 from swarm.geometry.distance import polyline_distance
 from swarm.jit import compiled
@@ -88,7 +88,7 @@ class Monitor:
             vertical=clearance.downwash,
             strands=clearance.cable,
             near=clearance.cable + self._diameter + 1.5 * SLOWING_MARGIN,
-            chord=TAUT * self._lengths,
+            chord=MAX_CHORD_RATIO * self._lengths,
             pairs=np.ascontiguousarray(np.stack(np.triu_indices(max(n - 1, 0), 2), axis=1)),
             lengths=self._lengths,
             spacing=float(self._lengths.max(initial=0.0)) / _PIECES,
@@ -115,7 +115,7 @@ class Monitor:
         step = moments[:, 1:] - moments[:, :-1]
         chord = np.sqrt(np.einsum("kij,kij->ki", step, step))
         ratio = (chord / self._lengths).max(axis=1)
-        margin = np.minimum(margin, (TAUT * self._lengths - chord).min(axis=1))
+        margin = np.minimum(margin, (MAX_CHORD_RATIO * self._lengths - chord).min(axis=1))
         strands = np.full(len(moments), np.nan)
         fits = ratio < 1.0
         if fits.any():

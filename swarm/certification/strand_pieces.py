@@ -13,9 +13,8 @@ import numpy.typing as npt
 
 from swarm.certification.motion_bounds import BoundedMotion, TeamStates
 from swarm.geometry.catenary import Catenaries, solve_catenaries
-from swarm.geometry.catenary_kernel import max_elevation_sine
+from swarm.geometry.catenary_kernel import Catenary, max_elevation_sine
 from swarm.geometry.linear_response import (
-    CatenaryFigures,
     curvature_table,
     movement,
     movement_difference,
@@ -199,7 +198,7 @@ def _write_movement(
         length, begin, end = shapes.length[k], shapes.begin[k], shapes.end[k]
         ends, relative = motion.ends[k], motion.relative[k]
         fraction = begin + direction.along[k] * (end - begin)
-        strand = CatenaryFigures(
+        strand = Catenary(
             length, shapes.parameter[k], shapes.slope[k], shapes.span[k], shapes.rise[k]
         )
         at_point, per_arc, curvature = strand_response(

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.findings import Finding
-from swarm.certification.limits import TAUT
 from swarm.certification.monitor import Monitor
 from swarm.certification.stream_loss_bound import Overrun, StreamLossBound
+from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.mission import Mission
 from swarm.planning import CableState, Plan, digest
 
@@ -255,7 +255,7 @@ def _clearances(monitor: Monitor, positions: Floats, cable: CableState) -> tuple
 def _vehicle_margins(plan: Plan, monitor: Monitor, positions: Floats) -> Floats:
     """Smallest margins (k,) of chords and between vehicles."""
     chords = np.linalg.norm(np.diff(positions, axis=1), axis=2)
-    slack = (TAUT * plan.layout.lengths - chords).min(axis=1, initial=np.inf)
+    slack = (MAX_CHORD_RATIO * plan.layout.lengths - chords).min(axis=1, initial=np.inf)
     between: Floats = np.minimum(_clearances(monitor, positions, "free")[1], slack)
     return between
 

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import Boxes, Enclosure, search
-from swarm.certification.limits import TAUT
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.stream_loss_pairs import (
     TOLERANCE,
@@ -31,6 +30,7 @@ from swarm.certification.stream_loss_team import (
     allocate_team,
     write_state,
 )
+from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.sensitivity import sensitivity_tables
 from swarm.jit import compiled
 from swarm.planning import Plan
@@ -113,7 +113,7 @@ class StreamLossBound:
         )  # fmt: skip
         tables, lengths = sensitivity_tables(), plan.layout.lengths
         self._required = Required(
-            TAUT * lengths, clearance.vehicle, clearance.downwash,
+            MAX_CHORD_RATIO * lengths, clearance.vehicle, clearance.downwash,
             clearance.cable + plan.mission.cable.diameter, np.array(lengths), tables.norm,
             tables.integral,
         )  # fmt: skip

@@ -13,10 +13,10 @@ import numpy.typing as npt
 from swarm.folding.end_sensitivity import PIECES, interpolate, point_movement, sag_response
 from swarm.folding.margins import Margins
 from swarm.folding.soft_constraints import margin_cost, vehicle_cost
-from swarm.folding.strand_clearance import point_distance
 from swarm.folding.vehicle_clearance import rotor_disc_cost
 from swarm.geometry import catenary_kernel
 from swarm.geometry.catenary_shape import drop_at
+from swarm.geometry.distance import point_distance
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -164,8 +164,9 @@ def _passing(
             continue
         if not hung:
             enough = max(length, chord * 1.001 + 1e-9)
-            level, parameter, slope = catenary_kernel.solve_catenary(rear, front, enough, 1e-6)
-            angle, turn = math.asinh(slope), level / parameter
+            strand = catenary_kernel.solve_catenary(rear, front, enough, 1e-6)
+            parameter = strand.parameter
+            angle, turn = math.asinh(strand.slope), strand.span / parameter
             lifted, hung = sag_response(chord / length), True
         ahead_of = 0.5 * turn * share
         up = 2.0 * parameter * math.sinh(ahead_of) * math.sinh(angle + ahead_of)

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+from swarm.geometry.catenary import MAX_CHORD_RATIO
+
 
 class Margins(NamedTuple):
     """Clearances in metres, and what else the distances of a team depend on.
@@ -23,4 +25,4 @@ class Margins(NamedTuple):
     grip_offset: float
     exempt: float = 0.0
     chord_ratio: float = 0.79
-    max_chord_ratio: float = 0.985
+    max_chord_ratio: float = MAX_CHORD_RATIO

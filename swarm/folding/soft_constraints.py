@@ -13,8 +13,9 @@ import numpy.typing as npt
 
 from swarm.folding.end_sensitivity import PIECES
 from swarm.folding.margins import Margins
-from swarm.folding.strand_clearance import bounding_boxes, point_distance, spare_margins
+from swarm.folding.strand_clearance import spare_margins
 from swarm.geometry import catenary_kernel
+from swarm.geometry.distance import Box, bounding_boxes, point_distance
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -50,7 +51,7 @@ def outline_strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Outlin
     middle, reach = np.empty(start.shape), np.empty(start.shape)
     corners = points.reshape(-1, PIECES + 1, 3)
     _outlined(start.reshape(-1, 3), end.reshape(-1, 3), length.ravel(), corners)
-    bounding_boxes(corners, middle.reshape(-1, 3), reach.reshape(-1, 3))
+    bounding_boxes(corners, Box(middle.reshape(-1, 3), reach.reshape(-1, 3)))
     return Outlines(points, middle, reach, chord / length, length)
 
 

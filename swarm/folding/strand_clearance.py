@@ -21,7 +21,13 @@ from swarm.folding.end_sensitivity import (
     sag_response,
 )
 from swarm.folding.margins import Margins
-from swarm.geometry.distance import polyline_distance, polyline_distance_sized
+from swarm.geometry.distance import (
+    Box,
+    boxes_closer,
+    point_distance,
+    polyline_distance,
+    polyline_distance_sized,
+)
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -55,7 +61,8 @@ def penalize_strands(
             for j in range(i + 2, count):
                 pair += 1
                 most = wanted + more[s] + error[i] + error[j]
-                if boxes_closer(middle[s, i], reach[s, i], middle[s, j], reach[s, j], most):
+                box = Box(middle[s, i], reach[s, i])
+                if boxes_closer(box, Box(middle[s, j], reach[s, j]), most):
                     missed[s] += _pair(
                         points[s], i, j, lifted, sides[s, pair], most, more[s], margins, slopes[s]
                     )
@@ -361,36 +368,6 @@ def _share_of(sizes: Floats, place: float) -> float:
     piece = min(int(place), len(sizes) - 1)
     before = sizes[:piece].sum() + (place - piece) * sizes[piece]
     return float(before / max(sizes.sum(), 1e-12))
-
-
-@compiled
-def point_distance(one: Floats, other: Floats) -> float:
-    """Distance of two points (3,)."""
-    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
-    return float(np.sqrt(x * x + y * y + z * z))
-
-
-@compiled
-def bounding_boxes(points: Floats, middle: Floats, reach: Floats) -> None:
-    """Write the middles and reaches (q, 3) of the boxes around polylines (q, k, 3)."""
-    for q in range(len(points)):
-        for axis in range(3):
-            low = high = points[q, 0, axis]
-            for k in range(1, points.shape[1]):
-                low, high = min(low, points[q, k, axis]), max(high, points[q, k, axis])
-            middle[q, axis], reach[q, axis] = 0.5 * (low + high), 0.5 * (high - low)
-
-
-@compiled
-def boxes_closer(
-    middle: Floats, reach: Floats, other_middle: Floats, other_reach: Floats, most: float
-) -> bool:
-    """Whether two boxes are less than so far apart along every axis."""
-    for axis in range(3):
-        gap = abs(middle[axis] - other_middle[axis]) - reach[axis] - other_reach[axis]
-        if gap >= most:
-            return False
-    return True
 
 
 @compiled

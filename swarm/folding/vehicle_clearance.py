@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from swarm.folding.end_sensitivity import PIECES, add_to_ends, point_movement, sag_response
 from swarm.folding.margins import Margins
-from swarm.folding.strand_clearance import PREFERRED, boxes_closer, height_at_span
+from swarm.folding.strand_clearance import PREFERRED, height_at_span
+from swarm.geometry.distance import Box, boxes_closer
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -50,8 +51,8 @@ def penalize_strands_at_vehicles(
             for segment in range(ratio.shape[1]):
                 if segment in (vehicle, vehicle - 1):
                     continue
-                box = middle[s, segment], reach[s, segment]
-                if boxes_closer(centre, size, box[0], box[1], most + more[s]):
+                box = Box(middle[s, segment], reach[s, segment])
+                if boxes_closer(Box(centre, size), box, most + more[s]):
                     missed[s] += _body(
                         places[s], vehicle, points[s, segment], segment, ratio[s, segment],
                         sides[s, vehicle, segment], more[s], margins, slopes[s],

@@ -1,4 +1,4 @@
-"""Batches of catenaries: an inextensible, perfectly flexible cable hung between two points.
+"""Batches of catenaries: an inextensible, perfectly flexible cable between two points.
 
 In the plane of ``up`` (against the effective gravity) and ``heading`` (the horizontal direction
 from start to end) the strand is ``a·(θ, cosh θ)`` up to a shift, where θ runs over an interval of
@@ -6,23 +6,24 @@ length ``2x`` whose middle is ``artanh(rise / length)`` and ``x`` solves
 ``sinh(x) / x = √(length² − rise²) / span``. ``sinh θ`` is the slope, ``a·cosh θ`` the tension per
 weight of a metre, ``a·sinh θ`` the arc length from the lowest point (Routh, *Statics*, § 443).
 
-Everything is computed from differences that do not cancel, so that nearly taut and deeply slack
-strands are as exact as the rest. A vertical strand is the limit of a vanishing span, taken at a
-span of ``1e-80`` lengths.
+All figures come from differences that do not cancel, so that nearly taut and deeply slack strands
+are as exact as others. A vertical strand is the limit of a vanishing span, computed at a span of
+``1e-80`` lengths.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from swarm.errors import SwarmError
+from swarm.geometry.catenary_kernel import arc_offset, solve
 from swarm.geometry.catenary_shape import (
     SMALLEST_HALF_ANGLE,
     half_angle_for_drop,
     half_angle_for_sag,
-    half_angle_for_stretch,
     log_sinhc,
     sag_per_span,
 )
@@ -31,17 +32,21 @@ from swarm.jit import compiled
 Floats = NDArray[np.float64]
 
 STANDARD_GRAVITY = 9.80665
-"""m/s²; what turns a mass per length into a weight."""
+"""m/s², the standard acceleration of gravity (3rd CGPM, 1901)."""
+
+MAX_CHORD_RATIO = 0.985
+"""Largest chord over length of a segment in the air. Nearer to taut, errors of the ends grow: the
+sag changes by 1.7 m per metre of an end at a ratio of 0.97, and by 9.7 m at 0.999."""
 
 _VERTICAL = 1e-80
-"""Smallest span per length: below it a strand is vertical to any accuracy."""
+"""Smallest span per length: vertical to any accuracy, and no figure overflows."""
 
 _ROUNDING = 1e-12
-"""A chord may exceed the length by this share: it is rounding of the coordinates, not stretch."""
+"""A chord may exceed the length by this share: coordinates of 1 km are rounded by 1e-13 m."""
 
 
-class OverStretched(SwarmError):  # noqa: N818 - reads as what happened to the cable
-    """A chord is longer than its cable, which does not stretch; names every such segment.
+class OverStretched(SwarmError):  # noqa: N818 - names the state of the cable
+    """A chord is longer than its cable, which does not stretch; lists every such segment.
 
     ``segments`` are the indices in the batch (one tuple each), ``chords`` and ``lengths`` metres.
     """
@@ -60,7 +65,7 @@ class OverStretched(SwarmError):  # noqa: N818 - reads as what happened to the c
 
 @dataclass(frozen=True, eq=False)
 class Catenaries:
-    """A batch of hanging strands, as solved by :func:`solve_catenaries`.
+    """A batch of hanging strands, solved by :func:`solve_catenaries`.
 
     Vectors are (…, 3), scalars (…,), metres. Horizontal and vertical mean across and along
     ``down``, which is vertical only in still air and without acceleration.
@@ -72,44 +77,45 @@ class Catenaries:
     down: Floats
     """Unit vector of the effective gravity."""
     heading: Floats
-    """Unit vector, horizontally from start to end; zero where one is straight above the other."""
+    """Unit vector, horizontal, from start to end; zero where one is straight above the other."""
     span: Floats
     """Horizontal distance of the ends."""
     rise: Floats
-    """How much higher the end is than the start."""
+    """Height of the end above the start."""
     half_angle: Floats
-    """x = span / 2a: from nothing (taut) over 1 (sag of a quarter of the span) upwards (slack)."""
+    """x = span / 2a: 0 where taut; at 1 the sag is a quarter of the span; large where slack."""
     parameter: Floats
-    """a, metres: horizontal tension over the weight of a metre; huge where taut."""
+    """a, metres: horizontal tension over the weight of a metre; very large where taut."""
     slope: Floats
-    """sinh θ at the start: rise per horizontal metre there (negative: the strand goes down)."""
+    """sinh θ at the start: rise per horizontal metre there (negative: downward)."""
 
     def points(self, fractions: ArrayLike) -> Floats:
-        """Points at the given fractions (k,) of the arc length of every strand: (…, k, 3)."""
+        """Return points (…, k, 3) at given fractions (k,) of the arc length of every strand."""
         fractions = _floats(fractions)
         points = np.empty((self.span.size, fractions.size, 3))
-        _points(
-            _flat(fractions), _flat(self.length), _flat(self.parameter), _flat(self.slope),
-            _flat(self.start, 3), _flat(self._per_angle, 3), _flat(self._per_height, 3), points,
-        )  # fmt: skip
+        arcs = _Arcs(_flat(self.length), _flat(self.parameter), _flat(self.slope))
+        vectors = _Vectors(
+            _flat(self.start, 3), _flat(self._per_angle, 3), _flat(self._per_height, 3)
+        )
+        _write_points(_flat(fractions), arcs, vectors, points)
         return points.reshape(*self.span.shape, fractions.size, 3)
 
     def points_at(self, fraction: ArrayLike) -> Floats:
-        """One point per strand, at its own fraction (…,) of its arc length: (…, 3)."""
+        """Return one point per strand, at its own fraction (…,) of its arc length: (…, 3)."""
         shape = np.broadcast_shapes(np.shape(fraction), self.span.shape)
         figures = (_floats(fraction), self.length, self.parameter, self.slope)
         at, length, parameter, slope = (_flat(np.broadcast_to(v, shape)) for v in figures)
         angle, height = np.empty((2, len(at)))
-        _offsets(at, length, parameter, slope, angle, height)
+        _write_offsets(at, _Arcs(length, parameter, slope), angle, height)
         angle, height = angle.reshape(*shape, 1), height.reshape(*shape, 1)
         point: Floats = self.start + angle * self._per_angle + height * self._per_height
         return point
 
     def at_span(self, fraction: ArrayLike) -> Floats:
-        """The point of each strand above or below a fraction (…,) of its horizontal span: (…, 3).
+        """Return the point of each strand at a fraction (…,) of its horizontal span: (…, 3).
 
-        This is how heights at a crossing of the plan view are found. A strand between two ends
-        that are straight above another has no such point; one of its points is returned.
+        Heights at a crossing of the plan view are found so. A vertical strand has no unique such
+        point; one of its points is returned.
         """
         fraction = _floats(fraction)
         turned = self.half_angle * fraction
@@ -120,25 +126,25 @@ class Catenaries:
 
     @cached_property
     def lowest_fraction(self) -> Floats:
-        """Where each strand is lowest, as a fraction (…,) of its arc length."""
+        """Fraction (…,) of the arc length at which each strand is lowest."""
         fraction: Floats = np.clip(-self.slope * (self.parameter / self.length), 0.0, 1.0)
         return fraction
 
     def lowest(self) -> Floats:
-        """The lowest point of each strand: (…, 3). It is an end where the strand never turns."""
+        """Return the lowest point (…, 3) of each strand; an end where the strand is monotone."""
         return self.points_at(self.lowest_fraction)
 
     def sag(self) -> Floats:
-        """How far each strand hangs below its chord at the deepest, along ``down``: (…,) metres."""
+        """Return the largest distance (…,) of each strand below its chord, along ``down``."""
         return self._span * sag_per_span(self.half_angle, self.rise / self._span)
 
     def tension(
         self, mass_per_length: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
     ) -> tuple[Floats, Floats, Floats]:
-        """Tension (…,) in newtons: its horizontal part, at the start, and at the end.
+        """Return tensions (…,) in newtons: the horizontal part, at the start, and at the end.
 
         ``mass_per_length`` in kg/m; ``gravity`` is the size of the effective gravity, m/s².
-        Where a strand is taut to the last digit the figure is huge and means just that.
+        Tensions of a strand that is taut to the last digit are very large and finite.
         """
         weight = _floats(mass_per_length) * _floats(gravity)
         horizontal = weight * self.parameter
@@ -151,9 +157,9 @@ class Catenaries:
     def end_forces(
         self, mass_per_length: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
     ) -> tuple[Floats, Floats]:
-        """Force (…, 3) of each strand on what holds its start, and on what holds its end; newtons.
+        """Return the forces (…, 3) of each strand on the holders of its start and end; newtons.
 
-        Together they are the weight of the strand. Arguments as for :meth:`tension`.
+        Their sum is the weight of the strand. Arguments as for :meth:`tension`.
         """
         weight = _floats(mass_per_length) * _floats(gravity)
         horizontal = (weight * self.parameter)[..., None]
@@ -181,7 +187,7 @@ class Catenaries:
 def solve_catenaries(
     start: ArrayLike, end: ArrayLike, length: ArrayLike, *, down: ArrayLike = (0.0, 0.0, -1.0)
 ) -> Catenaries:
-    """Hang cables of the given lengths between the given ends.
+    """Return the catenaries of cables of given lengths between given ends.
 
     ``start``, ``end`` and ``down`` are (…, 3), ``length`` is (…,), metres; they broadcast. ``down``
     is the direction (of any size) of the effective gravity: tilt it for steady wind drag or for a
@@ -206,13 +212,12 @@ def solve_catenaries(
 
     wide = np.maximum(span, _VERTICAL * length)
     excess = np.maximum(length - chord, 0.0) * (length + chord)
-    half_angle = np.maximum(
-        half_angle_for_stretch(0.5 * np.log1p(excess / wide**2)), SMALLEST_HALF_ANGLE
-    )
+    stretch = 0.5 * np.log1p(excess / wide**2)
+    solved = np.empty((3, span.size))
+    strands = _Strands(_flat(wide), _flat(rise), _flat(length), _flat(excess), _flat(stretch))
+    _solve_all(strands, solved)
+    half_angle, parameter, slope = solved.reshape(3, *shape)
     across /= wide[..., None]
-    # sinh and cosh of the middle angle are rise and length over the level length of the same x.
-    level = np.sqrt(excess + wide**2)
-    sinh = half_angle * (level / wide)
     return Catenaries(
         start=start,
         end=end,
@@ -222,13 +227,13 @@ def solve_catenaries(
         span=span,
         rise=rise,
         half_angle=half_angle,
-        parameter=wide / (2.0 * half_angle),
-        slope=(rise * np.sqrt(1.0 + sinh * sinh) - length * sinh) / level,
+        parameter=parameter,
+        slope=slope,
     )
 
 
 def sag_for_length(span: ArrayLike, length: ArrayLike, rise: ArrayLike = 0.0) -> Floats:
-    """Deepest vertical distance (…,) of a strand below its chord, for its length; metres.
+    """Return the sag (…,) below the chord of strands of given lengths; metres.
 
     ``span`` is the horizontal and ``rise`` the vertical distance of its ends. Raises
     :class:`OverStretched`.
@@ -238,7 +243,7 @@ def sag_for_length(span: ArrayLike, length: ArrayLike, rise: ArrayLike = 0.0) ->
 
 
 def length_for_sag(span: ArrayLike, sag: ArrayLike, rise: ArrayLike = 0.0) -> Floats:
-    """Length (…,) of the strand that hangs ``sag`` below its chord; metres.
+    """Return the length (…,) of the strand that sags by ``sag`` below its chord; metres.
 
     At level ends this is ℓ = 2a·sinh(s/a) = 2√((h + a)² − a²) with h/a = cosh(s/a) − 1, s half the
     span and h the sag (paper eq. 2; its printed length √(s² − a²) is a misprint). ``span`` must be
@@ -256,10 +261,10 @@ def length_for_sag(span: ArrayLike, sag: ArrayLike, rise: ArrayLike = 0.0) -> Fl
 def sag_for_drop(
     span: ArrayLike, drop: ArrayLike, fraction: ArrayLike, rise: ArrayLike = 0.0
 ) -> Floats:
-    """Sag (…,) of the strand that passes ``drop`` below its chord at a fraction of its span.
+    """Return the sag (…,) of the strand that is ``drop`` below its chord at a fraction of its span.
 
     ``fraction`` lies strictly between 0 and 1; ``drop`` is positive; metres. A longer cable hangs
-    lower everywhere, so there is just one such strand.
+    lower everywhere, so the strand is unique.
     """
     span, drop, fraction, rise = np.broadcast_arrays(
         _floats(span), _floats(drop), _floats(fraction), _floats(rise)
@@ -279,63 +284,66 @@ def _require_reach(chord: Floats, length: Floats) -> None:
         raise OverStretched(segments, chord[over], length[over])
 
 
+class _Strands(NamedTuple):
+    """Arguments (q,) of :func:`swarm.geometry.catenary_kernel.solve`."""
+
+    span: Floats
+    rise: Floats
+    length: Floats
+    excess: Floats
+    stretch: Floats
+
+
+class _Arcs(NamedTuple):
+    """Length, parameter and start slope (q,) of strands."""
+
+    length: Floats
+    parameter: Floats
+    slope: Floats
+
+
+class _Vectors(NamedTuple):
+    """Starts of strands, and vectors per angle and per height over length, (q, 3)."""
+
+    start: Floats
+    per_angle: Floats
+    per_height: Floats
+
+
 @compiled
-def _points(
-    fractions: Floats,
-    length: Floats,
-    parameter: Floats,
-    slope: Floats,
-    start: Floats,
-    per_angle: Floats,
-    per_height: Floats,
-    found: Floats,
-) -> None:
+def _solve_all(strands: _Strands, solved: Floats) -> None:
+    """Write half angles, parameters and start slopes (3, q)."""
+    for q in range(len(strands.span)):
+        solved[0, q], solved[1, q], solved[2, q] = solve(
+            strands.span[q], strands.rise[q], strands.length[q], strands.excess[q],
+            strands.stretch[q], SMALLEST_HALF_ANGLE,
+        )  # fmt: skip
+
+
+@compiled
+def _write_points(fractions: Floats, arcs: _Arcs, vectors: _Vectors, points: Floats) -> None:
     """Write points (q, k, 3) of strands (q,) at fractions (k,) of their arcs."""
-    for q in range(len(length)):
+    for q in range(len(arcs.length)):
         for k in range(len(fractions)):
-            angle, height = _offset(fractions[k], length[q], parameter[q], slope[q])
+            angle, height = arc_offset(
+                fractions[k], arcs.length[q], arcs.parameter[q], arcs.slope[q]
+            )
             for axis in range(3):
-                moved = angle * per_angle[q, axis] + height * per_height[q, axis]
-                found[q, k, axis] = start[q, axis] + moved
+                moved = angle * vectors.per_angle[q, axis] + height * vectors.per_height[q, axis]
+                points[q, k, axis] = vectors.start[q, axis] + moved
 
 
 @compiled
-def _offsets(
-    fraction: Floats,
-    length: Floats,
-    parameter: Floats,
-    slope: Floats,
-    angle: Floats,
-    height: Floats,
-) -> None:
-    """Write :func:`_offset` of strands (q,) at a fraction (q,) of each."""
-    for q in range(len(length)):
-        angle[q], height[q] = _offset(fraction[q], length[q], parameter[q], slope[q])
-
-
-@compiled
-def _offset(fraction: float, length: float, parameter: float, first: float) -> tuple[float, float]:
-    """Angle turned, and height gained over length, from the start to a fraction of the arc.
-
-    With slopes A at the start and B at the point, and C = √(1 + slope²): the height is
-    arc · (A + B)/(C_A + C_B), which does not cancel. The angle is arsinh B − arsinh A, or where it
-    is small, from tanh(Δθ/2) = (B − A)/(C_A + C_B).
-    """
-    turned = fraction * (length / parameter)
-    slope = first + turned
-    cosh_first, cosh = np.sqrt(1.0 + first * first), np.sqrt(1.0 + slope * slope)
-    total = cosh_first + cosh
-    if parameter * 1e-3 > length:
-        half = turned / total
-        angle = half * (2.0 + half * half * (2 / 3 + half * half * (2 / 5)))
-    else:
-        angle = np.copysign(np.log(abs(slope) + cosh), slope)
-        angle -= np.copysign(np.log(abs(first) + cosh_first), first)
-    return angle, fraction * ((slope + first) / total)
+def _write_offsets(fraction: Floats, arcs: _Arcs, angle: Floats, height: Floats) -> None:
+    """Write :func:`arc_offset` of strands (q,) at a fraction (q,) of each."""
+    for q in range(len(arcs.length)):
+        angle[q], height[q] = arc_offset(
+            fraction[q], arcs.length[q], arcs.parameter[q], arcs.slope[q]
+        )
 
 
 def _flat(array: Floats, *last: int) -> Floats:
-    """The array as a row of numbers or vectors, contiguous and writable as compiled for."""
+    """Return the array as a row of numbers or vectors, contiguous and writable for the kernels."""
     return np.require(array.reshape(-1, *last), requirements=["C", "W"])
 
 

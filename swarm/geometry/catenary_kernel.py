@@ -1,10 +1,11 @@
-"""Hanging strands for looking at them many times a second, one at a time, compiled.
+"""The catenary of one strand, compiled: solved, sampled, and partly on the floor.
 
-The same catenaries as :mod:`swarm.geometry.catenary` and :mod:`swarm.geometry.floor` have in
-batches, for vertical gravity and a floor at z = 0.
+:mod:`swarm.geometry.catenary` applies these kernels to batches.
+Functions that take two end points assume vertical gravity and a floor at z = 0. Metres, z up.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,90 +16,111 @@ from swarm.jit import compiled
 Floats = NDArray[np.float64]
 
 _VERTICAL = 1e-6
-"""Span over length below which a strand counts as hanging straight down and up again."""
-_TAUTEST = 1e-6
-"""Smallest half angle: its strand sags by a quarter of a millionth of its span."""
-_NEARLY_ON_FLOOR = 1e-18
-"""Metres of height that stand for none at all."""
-_NEWTON, _SETTLED = 60, 1e-9
+"""Smallest span over length; a smaller one counts as this, which moves an end by a millionth."""
+_SMALLEST_HALF_ANGLE = 1e-6
+"""At this half angle a strand sags by a quarter of a millionth of its span."""
+_SMALLEST_HEIGHT = 1e-18
+"""Metres; replaces a height of 0 over the floor, of which the solver would take the logarithm."""
+_NEWTON_STEPS = 60
+"""Steps of at most 2 in log a: enough for every ratio of parameter to height up to e¹²⁰."""
+_CONVERGED = 1e-9
+"""A last Newton step of this size leaves an error of about its square, below rounding."""
+
+
+class Catenary(NamedTuple):
+    """A solved strand; metres.
+
+    ``parameter`` is a, the horizontal tension over the weight of a metre; ``slope`` is sinh θ at
+    the start, the rise per horizontal metre there; ``span`` and ``rise`` are the horizontal and
+    vertical distance from start to end.
+    """
+
+    length: float
+    parameter: float
+    slope: float
+    span: float
+    rise: float
 
 
 @compiled
-def solve_catenary(
-    start: Floats, end: Floats, length: float, taut: float
+def solve(
+    span: float, rise: float, length: float, excess: float, stretch: float, smallest: float
 ) -> tuple[float, float, float]:
-    """Span, parameter and slope at the start of the catenary between two points (3,).
+    """Return half angle x, parameter a and start slope of the catenary of a strand.
 
-    The half angle is at least ``taut``. No chord may be longer than its strand.
+    ``excess`` is length² − chord², ``stretch`` is ½ log(1 + excess / span²) = log(sinh(x) / x)
+    (Routh, *Statics*, § 443); callers compute both, each as exactly as its figures allow. x is at
+    least ``smallest``. ``span`` must be positive.
+    """
+    x = max(solve_half_angle(stretch), smallest)
+    # sinh and cosh of the middle angle are rise and length over the level length of the same x.
+    level = math.sqrt(excess + span * span)
+    sinh = x * (level / span)
+    slope = (rise * math.sqrt(1.0 + sinh * sinh) - length * sinh) / level
+    return x, span / (2.0 * x), slope
+
+
+@compiled
+def solve_catenary(start: Floats, end: Floats, length: float, smallest: float) -> Catenary:
+    """Return the catenary between two points (3,), which are at most ``length`` apart.
+
+    Its half angle is at least ``smallest``, its span at least a millionth of its length.
     """
     east, north, rise = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     square = east * east + north * north
     span = max(math.sqrt(square), _VERTICAL * length)
     excess = max(length * length - square - rise * rise, 0.0)
-    x = max(solve_half_angle(0.5 * math.log1p(excess / (span * span))), taut)
-    level = math.sqrt(excess + span * span)
-    sinh = x * (level / span)
-    slope = (rise * math.sqrt(1.0 + sinh * sinh) - length * sinh) / level
-    return span, span / (2.0 * x), slope
+    stretch = 0.5 * math.log1p(excess / (span * span))
+    _, parameter, slope = solve(span, rise, length, excess, stretch, smallest)
+    return Catenary(length, parameter, slope, span, rise)
 
 
 @compiled
-def max_drop_below_ends(start: Floats, end: Floats, length: float) -> float:
-    """How far a strand may come down below its lower end, at most.
+def arc_offset(
+    fraction: float, length: float, parameter: float, first: float
+) -> tuple[float, float]:
+    """Return the angle θ − θ₀ and the height over length gained up to a fraction of the arc.
 
-    One that comes down by d is at least as long as two straight lines down to there:
-    length² ≥ span² + (2d + rise)².
+    With slopes A = ``first`` at the start and B at the point, and C = √(1 + slope²): the height is
+    arc · (A + B)/(C_A + C_B), which does not cancel. The angle is arsinh B − arsinh A, or where it
+    is small, from tanh(Δθ/2) = (B − A)/(C_A + C_B).
     """
-    level = length * length - (end[0] - start[0]) ** 2 - (end[1] - start[1]) ** 2
-    drop = 0.5 * (math.sqrt(max(level, 0.0)) - float(abs(end[2] - start[2])))
-    return max(drop, 0.0)
-
-
-@compiled
-def max_elevation_sine(rise: float, span: float, reach: float) -> float:
-    """Sine of the largest elevation that a chord may get, with its ends moving by ``reach``.
-
-    That is relative to each other, in metres as ``rise`` and ``span``; it turns the chord by an
-    angle of which the sine is reach / chord at most.
-    """
-    if reach >= span:
-        return 1.0
-    square = rise * rise + span * span
-    return (abs(rise) * math.sqrt(square - reach * reach) + span * reach) / square
-
-
-@compiled
-def min_elevation_sine(rise: float, span: float, reach: float) -> float:
-    """As :func:`max_elevation_sine`, of the smallest elevation; 0 where the chord may get level."""
-    square = rise * rise + span * span
-    if reach * reach >= rise * rise:
-        return 0.0
-    return (abs(rise) * math.sqrt(square - reach * reach) - span * reach) / square
+    turned = fraction * (length / parameter)
+    slope = first + turned
+    cosh_first, cosh = np.sqrt(1.0 + first * first), np.sqrt(1.0 + slope * slope)
+    total = cosh_first + cosh
+    if parameter * 1e-3 > length:
+        half = turned / total
+        angle = half * (2.0 + half * half * (2 / 3 + half * half * (2 / 5)))
+    else:
+        angle = np.copysign(np.log(abs(slope) + cosh), slope)
+        angle -= np.copysign(np.log(abs(first) + cosh_first), first)
+    return angle, fraction * ((slope + first) / total)
 
 
 @compiled
 def sample_strand(start: Floats, end: Floats, length: float, points: Floats) -> None:
-    """Fill ``points`` (k, 3) with those of a strand, equally far apart along it."""
-    span, parameter, slope = solve_catenary(start, end, length, _TAUTEST)
-    first, angle = math.sqrt(1.0 + slope * slope), math.asinh(slope)
+    """Write points (k, 3) of a strand at equal distances along its arc, both ends included."""
+    strand = solve_catenary(start, end, length, _SMALLEST_HALF_ANGLE)
     last = len(points) - 1
     for k in range(last + 1):
-        here = slope + length / parameter * (k / last)
-        along = parameter / span * (math.asinh(here) - angle)
+        angle, height = arc_offset(k / last, length, strand.parameter, strand.slope)
+        along = strand.parameter / strand.span * angle
         points[k, 0] = start[0] + along * (end[0] - start[0])
         points[k, 1] = start[1] + along * (end[1] - start[1])
-        points[k, 2] = start[2] + parameter * (math.sqrt(1.0 + here * here) - first)
+        points[k, 2] = start[2] + length * height
 
 
 @compiled
 def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) -> None:
-    """Fill ``points`` (k, 3) with the corners of a polygon that goes along a strand.
+    """Write corners (k, 3) of a polygon along a strand, at equal distances in plan view.
 
-    They are equally far apart in plan view. So, steep or level, every edge is as far from the
-    strand as every other, where corners that are equally far apart along it cut off the bottom of a
-    narrow loop. Corners lie below the strand by as much as edges lie above it.
+    So, steep or level, every edge is as far from the strand as every other; corners at equal
+    distances along the arc would cut off the bottom of a narrow loop. Corners lie below the strand
+    by as much as edges lie above it.
     """
-    span, parameter, slope = solve_catenary(start, end, length, _TAUTEST)
+    strand = solve_catenary(start, end, length, _SMALLEST_HALF_ANGLE)
+    span, parameter, slope = strand.span, strand.parameter, strand.slope
     last = len(points) - 1
     # Hyperbolic functions by powers of one exponential: of the angle at the start, and per piece.
     root = math.sqrt(1.0 + slope * slope)
@@ -119,22 +141,57 @@ def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) ->
 
 
 @compiled
+def max_drop_below_ends(start: Floats, end: Floats, length: float) -> float:
+    """Return an upper bound of how far a strand hangs below its lower end.
+
+    A strand that reaches d below is at least as long as two straight lines to that depth:
+    length² ≥ span² + (2d + rise)².
+    """
+    level = length * length - (end[0] - start[0]) ** 2 - (end[1] - start[1]) ** 2
+    drop = 0.5 * (math.sqrt(max(level, 0.0)) - float(abs(end[2] - start[2])))
+    return max(drop, 0.0)
+
+
+@compiled
+def max_elevation_sine(rise: float, span: float, reach: float) -> float:
+    """Return the sine of the largest elevation of a chord whose ends move by ``reach``, in metres.
+
+    ``reach`` is the movement of one end relative to the other. It turns the chord by an angle
+    whose sine is at most reach / chord.
+    """
+    if reach >= span:
+        return 1.0
+    square = rise * rise + span * span
+    return (abs(rise) * math.sqrt(square - reach * reach) + span * reach) / square
+
+
+@compiled
+def min_elevation_sine(rise: float, span: float, reach: float) -> float:
+    """Return the sine of the smallest elevation; see :func:`max_elevation_sine`."""
+    square = rise * rise + span * span
+    if reach * reach >= rise * rise:
+        return 0.0
+    return (abs(rise) * math.sqrt(square - reach * reach) - span * reach) / square
+
+
+@compiled
 def end_forces(
     start: Floats, end: Floats, length: float, weight: float, on_start: Floats, on_end: Floats
 ) -> None:
-    """Fill in the forces (3,) of a strand on its ends, newtons; it may rest on the floor.
+    """Write the forces (3,) of a strand on its ends in newtons; it may rest on the floor.
 
-    ``weight`` is of a metre of it.
+    ``weight`` is the weight of a metre of cable, in newtons.
     """
-    span, parameter, slope = solve_catenary(start, end, length, _VERTICAL)
+    strand = solve_catenary(start, end, length, _VERTICAL)
+    span, parameter, slope = strand.span, strand.parameter, strand.slope
     end_slope, lowest = slope + length / parameter, start[2]
     if slope < 0.0 < end_slope:
         lowest -= parameter * (math.sqrt(1.0 + slope * slope) - 1.0)
     up, down = parameter * slope, -parameter * end_slope
     if lowest < 0.0:
-        first, last = max(start[2], _NEARLY_ON_FLOOR), max(end[2], _NEARLY_ON_FLOOR)
         reach = math.hypot(end[0] - start[0], end[1] - start[1])
-        parameter, up, down = _on_floor(first, last, length - reach)
+        parameter, up, down = solve_on_floor(start[2], end[2], length - reach)
+        up, down = -up, -down
     for k in range(2):
         on_start[k] = weight * parameter / span * (end[k] - start[k])
         on_end[k] = -on_start[k]
@@ -142,40 +199,42 @@ def end_forces(
 
 
 @compiled
-def _on_floor(first: float, last: float, surplus: float) -> tuple[float, float, float]:
-    """Parameter, and lifted lengths downward, of a strand that partly lies on the floor.
+def solve_on_floor(first: float, last: float, surplus: float) -> tuple[float, float, float]:
+    """Return the parameter and the two lifted lengths of a strand that partly lies on the floor.
 
-    ``first`` and ``last`` are the ends' heights, ``surplus`` is cable over span. From height h a
-    branch of parameter a comes down over an arc s = √(h² + 2ah) and a reach a·arcosh(1 + h/a); both
-    branches' s − reach are the surplus. Newton in log a against its logarithm; 0 where cable lies
-    loose.
+    ``first`` and ``last`` are the heights of the ends, ``surplus`` is length − span. From height h
+    a branch of parameter a comes down over an arc s = √(h² + 2ah) and a reach a·arcosh(1 + h/a);
+    s − reach of both branches add up to the surplus. Newton's method in log a, for the logarithm of
+    that sum. The parameter is 0 where surplus cable lies loose.
     """
+    first, last = max(first, _SMALLEST_HEIGHT), max(last, _SMALLEST_HEIGHT)
     if surplus >= first + last:
-        return 0.0, -first, -last
+        return 0.0, first, last
     log_a, target = math.log(first + last), math.log(surplus)
-    for _ in range(_NEWTON):
+    for _ in range(_NEWTON_STEPS):
         a = math.exp(log_a)
-        less, slope = _branch(first, a)
-        other, steeper = _branch(last, a)
-        left = less + other
-        step = (target - math.log(left)) * left / ((slope + steeper) * a)
+        one, one_rate = _branch_surplus(first, a)
+        other, other_rate = _branch_surplus(last, a)
+        total = one + other
+        step = (target - math.log(total)) * total / ((one_rate + other_rate) * a)
         step = min(max(step, -2.0), 2.0)
         log_a += step
-        if abs(step) <= _SETTLED:
+        if abs(step) <= _CONVERGED:
             break
     a = math.exp(log_a)
-    return a, -math.sqrt(first * (first + 2.0 * a)), -math.sqrt(last * (last + 2.0 * a))
+    return a, math.sqrt(first * (first + 2.0 * a)), math.sqrt(last * (last + 2.0 * a))
 
 
 @compiled
-def _branch(height: float, a: float) -> tuple[float, float]:
-    """By how much a branch is longer than its reach, and how fast that grows with a."""
+def _branch_surplus(height: float, a: float) -> tuple[float, float]:
+    """Return arc − reach of a branch, and its derivative by a."""
     arc = math.sqrt(height * (height + 2.0 * a))
     angle = 2.0 * math.asinh(math.sqrt(0.5 * height / a))
-    slope = 2.0 * height / arc - angle
+    rate = 2.0 * height / arc - angle
     if angle >= 1.0:
-        return arc - a * angle, slope
-    square = angle * angle
+        return arc - a * angle, rate
     # sinh θ − θ of a small θ by its series, where the difference would cancel
-    series = 1.0 + square / 42.0 * (1.0 + square / 72.0 * (1.0 + square / 110.0))
-    return a * angle * (square / 6.0) * (1.0 + square / 20.0 * series), slope
+    square, series = angle * angle, 1.0
+    for k in (16, 14, 12, 10, 8, 6, 4):
+        series = 1.0 + square * series / (k * (k + 1))
+    return a * angle * (square / 6.0) * series, rate

@@ -1,7 +1,8 @@
-"""The shape of a catenary without its size: relations between dimensionless figures.
+"""Dimensionless relations of a catenary: half angle, stretch, sag and drop.
 
 x is the half angle, half the span over the catenary's parameter; the gradient is rise over span.
-Sags and drops are over the span. All functions take arrays (…,) that broadcast.
+Sags and drops are over the span. Functions take arrays (…,) that broadcast; compiled ones take
+numbers.
 """
 
 import numpy as np
@@ -12,7 +13,7 @@ from swarm.jit import compiled
 Floats = NDArray[np.float64]
 
 SMALLEST_HALF_ANGLE = 1e-100
-"""Smallest half angle: a strand without any slack gets this, and a tension beyond all numbers."""
+"""Half angle of a strand without slack: it changes no shape, and the tension stays finite."""
 
 _REVERTED = np.array(
     [
@@ -32,28 +33,12 @@ _REVERTED = np.array(
 """x² as a power series in log(sinh(x) / x), from the first power up; by reversion."""
 
 
-def half_angle_for_stretch(stretch: Floats) -> Floats:
-    """Solve log(sinh(x) / x) = stretch (…,) for x ≥ 0, exact to rounding.
-
-    ``sinh(x) / x`` is length over chord of a level strand.
-    """
-    found = np.empty(stretch.size)
-    _half_angles(np.require(stretch.reshape(-1), requirements=["C", "W"]), found)
-    return found.reshape(stretch.shape)
-
-
-@compiled
-def _half_angles(stretch: Floats, found: Floats) -> None:
-    for k in range(len(stretch)):
-        found[k] = solve_half_angle(stretch[k])
-
-
 @compiled
 def solve_half_angle(stretch: float) -> float:
-    """Solve log(sinh(x) / x) = stretch for x ≥ 0.
+    """Return x ≥ 0 with log(sinh(x) / x) = stretch.
 
-    Up to 0.16 the reverted power series is exact; beyond, it or the asymptote of x − log 2x starts
-    Halley's method.
+    Up to 0.16 the reverted power series is exact to rounding. Beyond, two steps of Halley's method
+    are, from the series (below 4) or from the asymptote of x − log 2x.
     """
     if stretch < 4.0:
         square = 0.0
@@ -75,7 +60,7 @@ def solve_half_angle(stretch: float) -> float:
 
 
 def log_sinhc(x: Floats) -> Floats:
-    """log(sinh(x) / x), exact to rounding for every x ≥ 0."""
+    """Return log(sinh(x) / x), exact to rounding for every x ≥ 0."""
     u = np.minimum(x * x, 1.0)
     term = np.ones_like(u)
     for k in (18, 16, 14, 12, 10, 8, 6, 4):
@@ -89,7 +74,7 @@ def log_sinhc(x: Floats) -> Floats:
 
 
 def sinh_minus_argument(x: Floats) -> Floats:
-    """sinh x − x for x ≥ 0, without cancellation."""
+    """Return sinh x − x for x ≥ 0, without cancellation."""
     u = np.minimum(x * x, 1.0)
     term = np.ones_like(u)
     for k in (16, 14, 12, 10, 8, 6, 4):
@@ -98,7 +83,7 @@ def sinh_minus_argument(x: Floats) -> Floats:
 
 
 def sag_per_span(x: Floats, gradient: Floats) -> Floats:
-    """Sag over span of a strand of half angle x whose chord rises by ``gradient`` per metre.
+    """Return sag over span of a strand of half angle x whose chord rises by ``gradient`` per metre.
 
     The curve is farthest below the chord where it is parallel to it, at θ* = arsinh(gradient),
     δ = θ* − θ_start along from the start.
@@ -120,20 +105,6 @@ def sag_per_span(x: Floats, gradient: Floats) -> Floats:
     return np.where(delta < 1.0, near, far) / (2.0 * x)
 
 
-def drop_per_span(x: Floats, fraction: Floats, gradient: Floats) -> Floats:
-    """Distance below the chord at a fraction of the span, over the span.
-
-    The chord's height minus the catenary's. The first term is what a level strand drops, the
-    second vanishes with the gradient and in the middle of the span.
-    """
-    side = 2.0 * fraction - 1.0
-    at_middle = gradient * np.exp(-log_sinhc(x))
-    level = np.sinh(x * fraction) * np.sinh(x * (1.0 - fraction)) / x
-    tilt = side - np.sinh(x * side) / np.sinh(x)
-    drop: Floats = level * np.hypot(1.0, at_middle) + 0.5 * gradient * tilt
-    return drop
-
-
 def half_angle_for_sag(sag: Floats, gradient: Floats) -> Floats:
     """Invert :func:`sag_per_span` for x by Newton's method in logarithms."""
     taut = sag == 0.0
@@ -152,15 +123,16 @@ def half_angle_for_sag(sag: Floats, gradient: Floats) -> Floats:
 
 
 def half_angle_for_drop(drop: Floats, fraction: Floats, gradient: Floats) -> Floats:
-    """Invert :func:`drop_per_span` for x by bisection of its logarithm."""
+    """Invert :func:`drop_at` for x by bisection of its logarithm."""
     found = np.empty(drop.size)
     fraction, gradient = (np.broadcast_to(each, drop.shape) for each in (fraction, gradient))
-    _bisected(drop.ravel(), fraction.ravel(), gradient.ravel(), found)
+    _bisect(drop.ravel(), fraction.ravel(), gradient.ravel(), found)
     return found.reshape(drop.shape)
 
 
 @compiled
-def _bisected(drop: Floats, fraction: Floats, gradient: Floats, found: Floats) -> None:
+def _bisect(drop: Floats, fraction: Floats, gradient: Floats, found: Floats) -> None:
+    """Write half angles (k,) between 1e-11 and 400, in 60 halvings: to the last bits."""
     for k in range(len(drop)):
         low, high = -25.0, 6.0
         for _ in range(60):
@@ -174,7 +146,11 @@ def _bisected(drop: Floats, fraction: Floats, gradient: Floats, found: Floats) -
 
 @compiled
 def drop_at(x: float, fraction: float, gradient: float) -> float:
-    """As :func:`drop_per_span`, of one strand."""
+    """Return the distance below the chord at a fraction of the span, over the span.
+
+    It is the chord's height minus the catenary's. The first term is the drop of a level strand,
+    the second vanishes with the gradient and in the middle of the span.
+    """
     sinh = np.sinh(x)
     level = np.sinh(x * fraction) * np.sinh(x * (1.0 - fraction)) / x
     if gradient == 0.0:

@@ -1,8 +1,8 @@
-"""The multi-catenary: a chain of catenaries from corner to corner, and its crossings in plan view.
+"""Chains of catenaries from corner to corner, and their crossings in plan view.
 
-Corners are (n, 3), ENU, z up; segment i hangs from corner i to corner i + 1. Plan view is seen
-from above; a crossing is a pair (over, under) of segments. Gravity is vertical here: this is the
-statics of a layout at rest in still air.
+Corners are (n, 3), ENU, z up; segment i joins corners i and i + 1. Plan view is from above; a
+crossing is a pair (over, under) of segments. Gravity is vertical: this is the statics of a layout
+at rest in still air.
 """
 
 from collections.abc import Sequence
@@ -18,17 +18,26 @@ from swarm.geometry.catenary import length_for_sag, sag_for_drop, solve_catenari
 Floats = NDArray[np.float64]
 Pairs = NDArray[np.intp]
 
+_PARALLEL = 1e-12
+"""Sine of the angle below which two segments count as parallel: rounding of the cross product."""
+
+_ON_LINE = 1e-9
+"""Distance from a line, over the segments' size, below which parallel segments count as on it."""
+
+_SETTLED = 1e-12
+"""Relative change of a sag below which the iteration of sags has converged."""
+
 
 @dataclass(frozen=True, eq=False)
 class PlanCrossings:
-    """Where segments cross in plan view: indices (c, 2) and the fractions of their spans (c, 2)."""
+    """Crossings in plan view: indices (c, 2) of segments, and fractions (c, 2) of their spans."""
 
     segments: Pairs
     fractions: Floats
 
 
 def segment_lengths(corners: ArrayLike, sags: ArrayLike) -> Floats:
-    """Lengths ℓ_i (…, n − 1) of the cable segments that hang the given sags below their chords.
+    """Return the lengths ℓ_i (…, n − 1) of cable segments with the given sags below their chords.
 
     Paper section III-C, with the length of a catenary instead of its misprint. ``corners`` are
     (…, n, 3), ``sags`` (…, n − 1), metres. Neighbouring corners must differ in plan view.
@@ -40,8 +49,8 @@ def segment_lengths(corners: ArrayLike, sags: ArrayLike) -> Floats:
 def polyline(corners: ArrayLike, lengths: ArrayLike, points_per_segment: int) -> Floats:
     """Return the whole chain as points (…, (n − 1)·points_per_segment + 1, 3).
 
-    Each segment is cut into ``points_per_segment`` pieces of equal arc length; corners are exact
-    and appear once. ``corners`` are (…, n, 3), ``lengths`` (…, n − 1).
+    Each segment has ``points_per_segment`` pieces of equal arc length; corners are exact and occur
+    once. ``corners`` are (…, n, 3), ``lengths`` (…, n − 1).
     """
     corners = _floats(corners)
     strands = solve_catenaries(corners[..., :-1, :], corners[..., 1:, :], lengths)
@@ -52,7 +61,7 @@ def polyline(corners: ArrayLike, lengths: ArrayLike, points_per_segment: int) ->
 
 
 def alpha(corners: ArrayLike, sags: ArrayLike, r: ArrayLike) -> Floats:
-    """Points α(r) (k, 3) of the multi-catenary at horizontal distances r (k,) along its corners.
+    """Return points α(r) (k, 3) of the chain at horizontal distances r (k,) along its corners.
 
     Paper eq. 3 (one catenary, placed) and eq. 4 (the chain), r from 0 to the sum of the spans. The
     print shifts by half spans and starts each piece at its middle; here the pieces join. Headings
@@ -69,10 +78,10 @@ def alpha(corners: ArrayLike, sags: ArrayLike, r: ArrayLike) -> Floats:
 
 
 def plan_crossings(corners: ArrayLike) -> PlanCrossings:
-    """Find every pair of segments that cross in plan view, by index in ascending order.
+    """Return every pair of segments that cross in plan view, by index in ascending order.
 
-    ``corners`` are (n, 2) or (n, 3). Segments that share a corner do not cross; touching counts.
-    Raises :class:`Refused` where two segments lie on one line and overlap, which has no crossing.
+    ``corners`` are (n, 2) or (n, 3). Segments that share a corner do not cross; segments that touch
+    do. Raises :class:`Refused` where two segments on one line overlap, which has no crossing.
     """
     corners = _floats(corners)
     first, second = np.triu_indices(len(corners) - 1, 2)
@@ -91,7 +100,7 @@ def plan_crossings(corners: ArrayLike) -> PlanCrossings:
 
 
 def crossing_fractions(corners: ArrayLike, crossings: ArrayLike) -> Floats:
-    """Fractions (…, c, 2) of their spans at which crossing segments meet in plan view.
+    """Return fractions (…, c, 2) of their spans at which crossing segments meet in plan view.
 
     Raises :class:`ValueError` where a pair does not cross.
     """
@@ -106,9 +115,9 @@ def crossing_fractions(corners: ArrayLike, crossings: ArrayLike) -> Floats:
 
 
 def crossing_gaps(corners: ArrayLike, lengths: ArrayLike, crossings: ArrayLike) -> Floats:
-    """Height (…, c) of the over strand above the under strand at each crossing; exact, metres.
+    """Return the height (…, c) of the over strand above the under strand at each crossing; metres.
 
-    The crossing condition of the paper is that all are positive. ``corners`` are (…, n, 3),
+    Exact. The crossing condition of the paper is that all are positive. ``corners`` are (…, n, 3),
     ``lengths`` (…, n − 1), ``crossings`` (c, 2) pairs (over, under) of segments, which must cross.
     """
     corners, lengths, crossings = _floats(corners), _floats(lengths), _pairs(crossings)
@@ -122,8 +131,9 @@ def crossing_gaps(corners: ArrayLike, lengths: ArrayLike, crossings: ArrayLike) 
 
 
 def minimum_under_sag(grid_size: ArrayLike, cell: ArrayLike, sag_over: ArrayLike) -> Floats:
-    """Least h_max that keeps every crossing of any N×N grid apart: Proposition 1, corrected.
+    """Return the least h_max that separates every crossing of any N×N grid.
 
+    Proposition 1 of the paper, corrected:
     h_max > h_min + ā·cosh((L − 3d)/2ā) − ā, with L = N·d and ā of a catenary with sag h_max and
     span L − d. Both sides hold h_max: the root is where the widest under strand has dropped h_min
     within one cell from its end. (The print adds ā, and its proof has L − d for L − 3d.)
@@ -135,11 +145,11 @@ def minimum_under_sag(grid_size: ArrayLike, cell: ArrayLike, sag_over: ArrayLike
 
 
 def cell_for_length(corners: ArrayLike, sags: ArrayLike, length: float) -> float:
-    """Cell width with which the chain of unit-cell ``corners`` uses just ``length`` of cable.
+    """Return the cell width with which the chain of unit-cell ``corners`` uses ``length`` of cable.
 
-    ``corners`` (n, 3) are in cells, ``sags`` (n − 1,) in metres stay as they are. (Where sags scale
-    with the cell, all lengths do, and the answer is a quotient.) Raises :class:`Refused` where the
-    sags alone need more cable.
+    ``corners`` (n, 3) are in cells; ``sags`` (n − 1,) are metres and do not change. (Where sags
+    scale with the cell, all lengths do, and the result is a quotient.) Raises :class:`Refused`
+    where the sags alone need more cable.
     """
     corners = _floats(corners)
 
@@ -165,16 +175,16 @@ def minimum_sags(
     minimum_sag: ArrayLike,
     one_each: bool = False,
 ) -> Floats:
-    """Sags (n − 1,) that use the least cable with ``clearance`` at every crossing, in metres.
+    """Return the sags (n − 1,) of the shortest cable with ``clearance`` at every crossing; metres.
 
     ``clearance`` is the height of the over above the under strand at their crossing in plan view,
-    ``minimum_sag`` one number or one per segment.
-    With ``one_each`` every segment gets its own sag; else there are two, one for segments that
-    pass over (or cross nothing) and one for those that pass under. A deeper strand only ever asks
-    those under it to go deeper, so the least fixed point is the shortest cable.
+    ``minimum_sag`` one number or one per segment. With ``one_each`` every segment has its own sag;
+    otherwise there are two sags, one for segments that pass over (or cross no other) and one for
+    segments that pass under. A deeper strand can only make strands below it deeper, so the least
+    fixed point is the shortest cable.
 
-    Raises :class:`Refused` where strands pass over each other in a circle that no sags can serve,
-    or where two sags cannot because a segment passes both over and under.
+    Raises :class:`Refused` where strands pass over each other in a circle, for which no sags exist,
+    or where a segment passes both over and under and there are only two sags.
     """
     corners, crossings = _floats(corners), _pairs(crossings)
     count = len(corners) - 1
@@ -193,7 +203,7 @@ def minimum_sags(
         np.maximum.at(deeper, under, needed)
         if not one_each and len(under):
             deeper[below] = deeper[below].max()
-        if np.all(deeper <= sags * (1.0 + 1e-12)):
+        if np.all(deeper <= sags * (1.0 + _SETTLED)):
             return sags
         sags = deeper
     raise Refused(
@@ -203,7 +213,7 @@ def minimum_sags(
 
 
 def _needed_sags(corners: Floats, crossings: Pairs, sags: Floats, clearance: float) -> Floats:
-    """Sag (c,) that the under strand of each crossing needs, with the over strands as they are."""
+    """Return the sag (c,) that the under strand of each crossing needs below its over strand."""
     if not len(crossings):
         return np.zeros(0)
     over, under = crossings[:, 0], crossings[:, 1]
@@ -217,14 +227,14 @@ def _needed_sags(corners: Floats, crossings: Pairs, sags: Floats, clearance: flo
     inner = (fractions[:, 1] > 0.0) & (fractions[:, 1] < 1.0)
     if np.any(~inner & (drop > 0.0)):
         raise Refused("a strand crosses over the corner of another, where no sag lowers it")
-    asks = inner & (drop > 0.0)
+    lower = inner & (drop > 0.0)
     needed = np.zeros(len(crossings))
-    needed[asks] = sag_for_drop(span[asks], drop[asks], fractions[asks, 1], step[asks, 2])
+    needed[lower] = sag_for_drop(span[lower], drop[lower], fractions[lower, 1], step[lower, 2])
     return needed
 
 
 def _circle(over: Pairs, under: Pairs) -> list[int]:
-    """Segments that are part of some circle of "passes over"; those left when sinks are peeled."""
+    """Return the segments in circles of "passes over": the rest after all sinks are removed."""
     left = set(over.tolist()) & set(under.tolist())
     pairs = list(zip(over.tolist(), under.tolist(), strict=True))
     while True:
@@ -240,22 +250,22 @@ def _circle(over: Pairs, under: Pairs) -> list[int]:
 
 
 def _meet(corners: Floats, first: Pairs, second: Pairs) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Fractions at which the lines of two segments meet in plan view, and which are parallel."""
+    """Return fractions at which lines of segments meet in plan view, and which are parallel."""
     p, q = corners[..., first, :2], corners[..., second, :2]
     u, w = corners[..., first + 1, :2] - p, corners[..., second + 1, :2] - q
     area = _cross(u, w)
     size = np.linalg.norm(u, axis=-1) * np.linalg.norm(w, axis=-1)
-    parallel = np.abs(area) <= 1e-12 * size
+    parallel = np.abs(area) <= _PARALLEL * size
     area = np.where(parallel, 1.0, area)
     return _cross(q - p, w) / area, _cross(q - p, u) / area, parallel
 
 
 def _overlapping(corners: Floats, first: Pairs, second: Pairs) -> NDArray[np.bool_]:
-    """Whether parallel segments lie on one line (to 1e-9 of their size) and share some of it."""
+    """Return which parallel segments are on one line and share a part of it."""
     p, q = corners[first, :2], corners[second, :2]
     u, w = corners[first + 1, :2] - p, corners[second + 1, :2] - q
     size = np.linalg.norm(u, axis=-1)
-    on_line: NDArray[np.bool_] = np.abs(_cross(u, q - p)) <= 1e-9 * size * (
+    on_line: NDArray[np.bool_] = np.abs(_cross(u, q - p)) <= _ON_LINE * size * (
         size + np.linalg.norm(w, axis=-1)
     )
     begin = np.einsum("ij,ij->i", q - p, u) / size**2

@@ -1,10 +1,12 @@
-"""Closest distances between strands: the one distance model of planner, certificate and flight.
+"""Distances between segments, polylines and boxes, for planner, certificate and flight alike.
 
-All functions are batched over leading dimensions and exact for straight pieces; a polyline that
-stands for a catenary is off by no more than the catenary bows out from its pieces.
+Functions on arrays are batched over leading dimensions and exact for straight pieces; the error of
+a polyline in place of a catenary is at most the distance of the catenary from its chords. Compiled
+functions take single segments, polylines and boxes.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,10 +18,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Closest:
-    """Where two things are closest: the distance (…,), and where on each of the two (…,).
+    """Distances (…,), and the places on the first and on the second thing that are closest (…,).
 
-    On a segment the place is a fraction from 0 to 1; on a polyline it is the index of the piece
-    plus the fraction along it.
+    On a segment a place is a fraction from 0 to 1; on a polyline it is the index of the piece plus
+    the fraction along it.
     """
 
     distance: Floats
@@ -27,83 +29,68 @@ class Closest:
     second: Floats
 
 
-def segment_segment(first: ArrayLike, second: ArrayLike) -> Closest:
-    """Closest points of two straight segments (…, 2, 3); zero length is allowed.
+class Box(NamedTuple):
+    """An upright box: its middle (3,) and its half sizes (3,), metres."""
 
-    The unclamped optimum of one parameter, then each parameter clamped and optimised in turn
-    (Ericson, *Real-Time Collision Detection*, 5.1.9).
-    """
-    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    return _segment_segment(
-        a[..., 0, :], a[..., 1, :] - a[..., 0, :], b[..., 0, :], b[..., 1, :] - b[..., 0, :]
-    )
+    middle: Floats
+    reach: Floats
+
+
+def segment_segment(first: ArrayLike, second: ArrayLike) -> Closest:
+    """Return the closest points of straight segments (…, 2, 3); zero length is allowed."""
+    first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    return polyline_polyline(first, second)
 
 
 def point_segment(point: ArrayLike, segment: ArrayLike) -> Closest:
-    """Closest point of straight segments (…, 2, 3) to points (…, 3); ``first`` is always 0."""
-    point, segment = np.asarray(point, dtype=np.float64), np.asarray(segment, dtype=np.float64)
-    start = segment[..., 0, :]
-    along = segment[..., 1, :] - start
-    apart = point - start
-    fraction = np.clip(_ratio(_dot(along, apart), _dot(along, along)), 0.0, 1.0)
-    distance = np.linalg.norm(apart - fraction[..., None] * along, axis=-1)
-    return Closest(distance, np.zeros_like(distance), fraction)
+    """Return the closest points of segments (…, 2, 3) to points (…, 3); ``first`` is always 0."""
+    point = np.asarray(point, dtype=np.float64)
+    return polyline_polyline(np.stack([point, point], axis=-2), segment)
 
 
 def polyline_polyline(first: ArrayLike, second: ArrayLike) -> Closest:
-    """Closest points of two polylines (…, m, 3) and (…, k, 3), over all pairs of their pieces.
+    """Return the closest points of polylines (…, m, 3) and (…, k, 3).
 
-    Not a number where a point is none.
+    NaN where a coordinate is NaN.
     """
     first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     shape = np.broadcast_shapes(first.shape[:-2], second.shape[:-2])
     a = np.broadcast_to(first, shape + first.shape[-2:]).reshape(-1, *first.shape[-2:])
     b = np.broadcast_to(second, shape + second.shape[-2:]).reshape(-1, *second.shape[-2:])
     found = np.empty((3, len(a)))
-    _polylines(_plain(a), _plain(b), found)
+    _write_closest(_plain(a), _plain(b), found)
     distance, at_first, at_second = found.reshape(3, *shape)
     return Closest(distance, at_first, at_second)
 
 
 def strand_strand(strands: ArrayLike, pairs: ArrayLike) -> Closest:
-    """Closest points of chosen pairs (p, 2) among polylines (…, s, k, 3): (…, p).
+    """Return the closest points of chosen pairs (p, 2) among polylines (…, s, k, 3): (…, p).
 
-    The same as :func:`polyline_polyline` of the strands picked by ``pairs``, without ever copying
-    them.
+    As :func:`polyline_polyline` of the strands chosen by ``pairs``, without copies of them.
     """
     strands, pairs = np.asarray(strands, dtype=np.float64), np.asarray(pairs, dtype=np.intp)
     flat = strands.reshape(-1, *strands.shape[-3:])
     found = np.empty((3, len(flat), len(pairs)))
-    _chosen(_plain(flat), pairs.reshape(-1, 2), found)
+    _write_chosen(_plain(flat), pairs.reshape(-1, 2), found)
     distance, at_first, at_second = found.reshape(3, *strands.shape[:-3], len(pairs))
     return Closest(distance, at_first, at_second)
 
 
 def _plain(array: Floats) -> Floats:
-    """The array itself, or a copy where it is not contiguous and writable as compiled for."""
+    """Return the array, or a copy that is contiguous and writable, as the kernels require."""
     return np.require(array, requirements=["C", "W"])
 
 
-def _segment_segment(a: Floats, u: Floats, b: Floats, w: Floats) -> Closest:
-    apart = a - b
-    uu, ww, uw = _dot(u, u), _dot(w, w), _dot(u, w)
-    ua, wa = _dot(u, apart), _dot(w, apart)
-    s = np.clip(_ratio(uw * wa - ua * ww, uu * ww - uw * uw), 0.0, 1.0)
-    t = np.clip(_ratio(uw * s + wa, ww), 0.0, 1.0)
-    s = np.clip(_ratio(uw * t - ua, uu), 0.0, 1.0)
-    distance = np.linalg.norm(apart + s[..., None] * u - t[..., None] * w, axis=-1)
-    return Closest(distance, s, t)
-
-
 @compiled
-def _polylines(first: Floats, second: Floats, found: Floats) -> None:
-    """Fill ``found`` (3, q) with distances and places of polylines (q, m, 3) and (q, k, 3)."""
+def _write_closest(first: Floats, second: Floats, found: Floats) -> None:
+    """Write distances and places (3, q) of polylines (q, m, 3) and (q, k, 3)."""
     for q in range(len(first)):
         found[0, q], found[1, q], found[2, q] = polyline_distance(first[q], second[q], np.inf)
 
 
 @compiled
-def _chosen(strands: Floats, pairs: NDArray[np.intp], found: Floats) -> None:
+def _write_chosen(strands: Floats, pairs: NDArray[np.intp], found: Floats) -> None:
+    """Write distances and places (3, q, p) of pairs (p, 2) among strands (q, s, k, 3)."""
     for q in range(len(strands)):
         for p in range(len(pairs)):
             pair = polyline_distance(strands[q, pairs[p, 0]], strands[q, pairs[p, 1]], np.inf)
@@ -112,14 +99,14 @@ def _chosen(strands: Floats, pairs: NDArray[np.intp], found: Floats) -> None:
 
 @compiled
 def polyline_distance(first: Floats, second: Floats, limit: float) -> tuple[float, float, float]:
-    """Distance of two polylines (m, 3) and (k, 3), and where on each they are closest.
+    """Return the distance of polylines (m, 3) and (k, 3), and the closest places on each.
 
-    Where they are not nearer than ``limit``, that is returned as their distance. Pieces whose
-    enclosing spheres are farther apart than that, or than what was found already, are left out.
+    The distance is ``limit`` where they are not closer. Pieces are skipped whose enclosing spheres
+    are farther apart than ``limit`` or than the smallest distance so far.
     """
     sizes = np.empty(len(second) - 1)
     for j in range(len(sizes)):
-        sizes[j] = _size(second, j)
+        sizes[j] = _piece_length(second, j)
     return polyline_distance_sized(first, second, sizes, limit)
 
 
@@ -127,22 +114,22 @@ def polyline_distance(first: Floats, second: Floats, limit: float) -> tuple[floa
 def polyline_distance_sized(
     first: Floats, second: Floats, sizes: Floats, limit: float
 ) -> tuple[float, float, float]:
-    """As :func:`polyline_distance`, where the sizes (k − 1,) of the second's pieces are known."""
+    """As :func:`polyline_distance`, with given lengths (k − 1,) of the pieces of the second."""
     best, here, there = limit, 0.0, 0.0
     for i in range(len(first) - 1):
-        own = _size(first, i)
+        own = _piece_length(first, i)
         x, y = first[i, 0] + first[i + 1, 0], first[i, 1] + first[i + 1, 1]
         z = first[i, 2] + first[i + 1, 2]
         for j in range(len(second) - 1):
-            # The spheres are half as large as the pieces; a hair's breadth more, for rounding.
-            # Compared is twice of what middles are apart, and of what is reached.
+            # Spheres around the pieces, with 1e-12 for rounding. Both sides of the comparison are
+            # twice the distance: of the middles, and of the sum of radii and best distance.
             reach = 2.0 * best + own + sizes[j]
             square = (x - second[j, 0] - second[j + 1, 0]) ** 2
             square += (y - second[j, 1] - second[j + 1, 1]) ** 2
             square += (z - second[j, 2] - second[j + 1, 2]) ** 2
             if square * (1.0 - 1e-12) > reach * reach:
                 continue
-            square, s, t = _pieces(first, i, second, j)
+            square, s, t = segment_distance(first, i, second, j)
             if np.isnan(square):
                 return np.nan, 0.0, 0.0
             if square < best * best:
@@ -151,16 +138,20 @@ def polyline_distance_sized(
 
 
 @compiled
-def _size(points: Floats, i: int) -> float:
-    """Length of a piece of a polyline."""
+def _piece_length(points: Floats, i: int) -> float:
+    """Return the length of a piece of a polyline."""
     x, y = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
     z = points[i + 1, 2] - points[i, 2]
     return float(np.sqrt(x * x + y * y + z * z))
 
 
 @compiled
-def _pieces(first: Floats, i: int, second: Floats, j: int) -> tuple[float, float, float]:
-    """As :func:`_segment_segment` for two pieces: squared distance, and fractions along both."""
+def segment_distance(first: Floats, i: int, second: Floats, j: int) -> tuple[float, float, float]:
+    """Return the squared distance of two pieces of polylines, and the closest fractions of both.
+
+    The unclamped optimum of one parameter, then each parameter clamped and optimised in turn
+    (Ericson, *Real-Time Collision Detection*, 5.1.9).
+    """
     uu = ww = uw = ua = wa = 0.0
     for axis in range(3):
         u, w = first[i + 1, axis] - first[i, axis], second[j + 1, axis] - second[j, axis]
@@ -179,17 +170,41 @@ def _pieces(first: Floats, i: int, second: Floats, j: int) -> tuple[float, float
 
 @compiled
 def _part(above: float, below: float) -> float:
-    """Quotient clamped to 0…1, and 0 where the divisor is not positive."""
+    """Return a quotient clamped to 0…1, and 0 where the divisor is not positive."""
     if not below > 0.0:
         return 0.0
     return min(max(above / below, 0.0), 1.0)
 
 
-def _ratio(above: Floats, below: Floats) -> Floats:
-    """Quotient, and 0 where the divisor is not positive (parallel or of no length)."""
-    return np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), 0.0)
+@compiled
+def point_distance(one: Floats, other: Floats) -> float:
+    """Return the distance of two points (3,)."""
+    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    return float(np.sqrt(x * x + y * y + z * z))
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
-    product: Floats = np.einsum("...i,...i->...", a, b)
-    return product
+@compiled
+def bounding_boxes(points: Floats, boxes: Box) -> None:
+    """Write the middles and reaches (q, 3) of the boxes around polylines (q, k, 3)."""
+    for q in range(len(points)):
+        for axis in range(3):
+            low = high = points[q, 0, axis]
+            for k in range(1, points.shape[1]):
+                low, high = min(low, points[q, k, axis]), max(high, points[q, k, axis])
+            boxes.middle[q, axis], boxes.reach[q, axis] = 0.5 * (low + high), 0.5 * (high - low)
+
+
+@compiled
+def boxes_closer(one: Box, other: Box, limit: float) -> bool:
+    """Return whether the gap between two boxes is smaller than ``limit`` along every axis."""
+    for axis in range(3):
+        gap = abs(one.middle[axis] - other.middle[axis]) - one.reach[axis] - other.reach[axis]
+        if gap >= limit:
+            return False
+    return True
+
+
+@compiled
+def interval_gap(low: float, high: float, other_low: float, other_high: float) -> float:
+    """Return the gap between two intervals; 0 where they overlap."""
+    return max(low - other_high, other_low - high, 0.0)

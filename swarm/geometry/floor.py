@@ -1,9 +1,12 @@
-"""Strands whose middle lies on the floor: lifting a cable, and putting it down.
+"""Strands that partly lie on the floor, in batches.
 
-Where a hanging strand would dip below the floor, it comes down as part of a catenary that meets
-the floor tangentially, lies straight, and goes up again as part of a catenary with the same
-horizontal tension (no friction, quasi-static). With more cable than that can hold, the horizontal
-tension vanishes: both ends hang straight down and the surplus lies loose on the floor.
+Where a strand would hang below the floor, it comes down as part of a catenary that meets the floor
+tangentially, lies straight, and rises again as part of a catenary with the same horizontal tension
+(no friction, quasi-static). With surplus cable the horizontal tension vanishes: both ends hang
+straight down and the surplus lies loose on the floor.
+
+:func:`swarm.geometry.catenary_kernel.solve_on_floor` solves the same equation for one strand. Both
+remain: pulls of neighbouring segments cancel to the last bit, and setpoints carry the remainder.
 """
 
 from dataclasses import dataclass
@@ -17,34 +20,37 @@ from swarm.geometry.catenary_shape import sinh_minus_argument
 
 Floats = NDArray[np.float64]
 
-_HAIR = 1e-12
-"""Share of the length below which a height or a stretch of cable on the floor is none."""
+_NEGLIGIBLE = 1e-12
+"""Share of the length below which a height or a length on the floor counts as 0: rounding."""
+
+_BELOW_FLOOR = 1e-9
+"""Metres by which an end may be below the floor: rounding of coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
 class FloorStrands:
-    """A batch of strands, hanging free or partly on the floor; made by :func:`rest_on_floor`.
+    """A batch of strands, in the air or partly on the floor; from :func:`rest_on_floor`.
 
-    Vectors are (…, 3), scalars (…,), metres, z up. Figures other than those of ``free`` hold where
+    Vectors are (…, 3), scalars (…,), metres, z up. Fields other than ``free`` hold where
     ``touching``; elsewhere the strand is the catenary ``free``.
     """
 
     free: Catenaries
-    """The strands as they would hang without a floor."""
+    """The catenaries without a floor."""
     floor: Floats
     touching: NDArray[np.bool_]
     """Whether some of the strand lies on the floor."""
     parameter: Floats
     """a, metres: horizontal tension over the weight of a metre; 0 where cable lies loose."""
     lifted_start: Floats
-    """Arc length from the start to where the strand touches the floor."""
+    """Arc length from the start to the point where the strand touches the floor."""
     lifted_end: Floats
     loose: Floats
-    """Cable beyond what lies straight; it lies somewhere about the line between the ends."""
+    """Surplus cable, which lies loose somewhere about the line between the ends."""
 
     @property
     def lying(self) -> Floats:
-        """Arc length (…,) on the floor, with what is loose; 0 where the strand hangs free."""
+        """Arc length (…,) on the floor, with the loose cable; 0 where nothing touches the floor."""
         return np.where(self.touching, self.free.length - self.lifted_start - self.lifted_end, 0.0)
 
     @cached_property
@@ -52,7 +58,7 @@ class FloorStrands:
         return _heights(self.free, self.floor)
 
     def points(self, fractions: ArrayLike) -> Floats:
-        """Points at the given fractions (k,) of the arc length of every strand: (…, k, 3).
+        """Return points at the given fractions (k,) of the arc length of every strand: (…, k, 3).
 
         Loose cable is drawn evenly along the straight line on the floor.
         """
@@ -64,7 +70,7 @@ class FloorStrands:
         down_start, up_start = _branch(a, np.maximum(first - arc, 0.0))
         down_end, up_end = _branch(a, np.maximum(last - from_end, 0.0))
         reach_start, reach_end = _branch(a, first)[0], _branch(a, last)[0]
-        lying = np.maximum(self.lying, _HAIR * self.free.length)[..., None]
+        lying = np.maximum(self.lying, _NEGLIGIBLE * self.free.length)[..., None]
         run = np.clip((arc - first) / lying, 0.0, 1.0)
         flat = self.free.span[..., None] - reach_start - reach_end
         along = reach_start - down_start + run * flat + down_end
@@ -76,7 +82,7 @@ class FloorStrands:
     def tension(
         self, mass_per_length: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
     ) -> tuple[Floats, Floats, Floats]:
-        """Tension (…,) in newtons: its horizontal part, at the start, and at the end."""
+        """Return tensions (…,) in newtons: the horizontal part, at the start, and at the end."""
         weight = np.asarray(mass_per_length, dtype=np.float64) * np.asarray(gravity)
         low, high = self._heights
         resting = self.parameter, self.parameter + low, self.parameter + high
@@ -90,9 +96,9 @@ class FloorStrands:
     def end_forces(
         self, mass_per_length: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
     ) -> tuple[Floats, Floats]:
-        """Force (…, 3) of each strand on what holds its start and its end; newtons.
+        """Return the forces (…, 3) of each strand on the holders of its start and end; newtons.
 
-        Together they are the weight of what is off the floor.
+        Their sum is the weight of the cable off the floor.
         """
         weight = np.asarray(mass_per_length, dtype=np.float64) * np.asarray(gravity)
         heading, down = self.free.heading, self.free.down
@@ -107,22 +113,22 @@ class FloorStrands:
 def rest_on_floor(
     start: ArrayLike, end: ArrayLike, length: ArrayLike, floor: ArrayLike = 0.0
 ) -> FloorStrands:
-    """Hang cables between ends above a level floor, letting them lie on it where they reach it.
+    """Return the strands of cables between ends above a level floor, on which cable may lie.
 
     ``start`` and ``end`` are (…, 3), z up, ``length`` and ``floor`` (the floor's z) are (…,); they
     broadcast; metres. Ends may be on the floor, not below it.
 
     Raises :class:`swarm.geometry.catenary.OverStretched`, and :class:`ValueError` for ends below
-    it.
+    the floor.
     """
     free = solve_catenaries(start, end, length)
     floor = np.broadcast_to(np.asarray(floor, dtype=np.float64), free.length.shape)
     low, high = _heights(free, floor)
-    touching = free.lowest()[..., 2] < floor - _HAIR * free.length
+    touching = free.lowest()[..., 2] < floor - _NEGLIGIBLE * free.length
     surplus = free.length - free.span
     loose = np.maximum(surplus - low - high, 0.0)
     tight = touching & (loose == 0.0)
-    parameter = _parameter(low, high, np.where(tight, surplus, 0.5 * (low + high)))
+    parameter = _solve_parameter(low, high, np.where(tight, surplus, 0.5 * (low + high)))
     parameter = np.where(tight, parameter, 0.0)
     return FloorStrands(
         free=free,
@@ -136,18 +142,19 @@ def rest_on_floor(
 
 
 def _heights(free: Catenaries, floor: Floats) -> tuple[Floats, Floats]:
-    """Heights of the ends above the floor; a hair's breadth is none."""
+    """Return the heights of both ends above the floor; negligible ones are 0."""
     low, high = free.start[..., 2] - floor, free.end[..., 2] - floor
-    if np.any(np.minimum(low, high) < -1e-9):
+    if np.any(np.minimum(low, high) < -_BELOW_FLOOR):
         raise ValueError("an end of a strand is below the floor")
-    hair = _HAIR * free.length
-    return np.where(low > hair, low, 0.0), np.where(high > hair, high, 0.0)
+    negligible = _NEGLIGIBLE * free.length
+    return np.where(low > negligible, low, 0.0), np.where(high > negligible, high, 0.0)
 
 
-def _parameter(low: Floats, high: Floats, surplus: Floats) -> Floats:
-    """Solve Σ (arc − reach) of the two branches = surplus for a, by Newton in log a.
+def _solve_parameter(low: Floats, high: Floats, surplus: Floats) -> Floats:
+    """Return the parameter a with Σ (arc − reach) of both branches = surplus.
 
     With cosh θ = 1 + h/a: arc a·sinh θ, reach a·θ, and d(arc − reach)/da = 2·tanh(θ/2) − θ.
+    Newton's method in log a, with bisection as a safeguard, within a factor of e⁸⁰ of the heights.
     """
     scale = np.maximum(low + high, np.finfo(float).tiny)
     log_a = np.log(scale)
@@ -172,13 +179,13 @@ def _parameter(low: Floats, high: Floats, surplus: Floats) -> Floats:
 
 
 def _lifted(a: Floats, height: Floats) -> Floats:
-    """Arc length of a branch that ends ``height`` above the floor: √(h² + 2ah)."""
+    """Return the arc length of a branch that ends ``height`` above the floor: √(h² + 2ah)."""
     arc: Floats = np.sqrt(height * (height + 2.0 * a))
     return arc
 
 
 def _branch(a: Floats, arc: Floats) -> tuple[Floats, Floats]:
-    """Horizontal and vertical distance from the touching point, at an arc length from it."""
+    """Return how far and how high a point is from the touching point, at an arc length from it."""
     safe = np.where(a > 0.0, a, 1.0)
     across = np.where(a > 0.0, safe * np.arcsinh(arc / safe), 0.0)
     total = np.hypot(arc, a) + a

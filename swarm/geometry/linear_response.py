@@ -1,27 +1,27 @@
-"""How a strand answers small movements of its ends: exactly to first order, bounded beyond.
+"""Linear response of a strand to movements of its ends: exact first order, bounded remainder.
 
-Where a strand is near its nominal shape this is much sharper than :mod:`.sensitivity`, which asks
-for the worst of all shapes. In the strand's plane, with the unit normal ν and the tension T per
-weight of a metre (Routh, *Statics*, § 443; the cable turns by ν·δF/T where forces change by δF),
+Near the nominal shape this is much sharper than :mod:`.sensitivity`, which covers the worst of all
+shapes. In the strand's plane, with the unit normal ν and the tension T per weight of a metre
+(Routh, *Statics*, § 443; the cable turns by ν·δF/T where forces change by δF),
 
     K(s) = ∫₀ˢ ν νᵀ / T,    B(s) = K(s) K(ℓ)⁻¹,    A = 1 − B,
 
 and across the plane B is the share of the span. K is elementary in θ, sinh θ the slope:
-K₁₁ = [θ − tanh θ], K₂₂ = [tanh θ], K₁₂ = [sech θ]. What is beyond the first order is at most
-½·G²·M when the ends move by G relative to each other; M·span is tabulated. It is much less of
-points near a grip than of others.
+K₁₁ = [θ − tanh θ], K₂₂ = [tanh θ], K₁₂ = [sech θ]. The remainder is at most ½·G²·M when the ends
+move by G relative to each other; M·span is tabulated. It is much smaller near a grip than
+elsewhere.
 """
 
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import Catenaries, solve_catenaries
-from swarm.geometry.catenary_kernel import max_elevation_sine, min_elevation_sine
+from swarm.geometry.catenary_kernel import Catenary, max_elevation_sine, min_elevation_sine
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, find_class
 from swarm.jit import compiled
 
@@ -30,24 +30,30 @@ Ints = npt.NDArray[np.intp]
 Numbers = TypeVar("Numbers", float, Floats)
 
 _INFLATION = 1.1
+"""Covers second derivatives between the samples of elevation and direction; the tests check it."""
 _BANDS = np.array([0.0, 20.0, 40.0, 60.0, 70.0, 76.0, 80.0, 84.0, 88.0])
-"""Elevations of chords, in degrees, between which largest second derivatives are told apart."""
+"""Bands of chord elevation, in degrees; narrow where second derivatives grow, near the vertical."""
 _SINES = np.sin(np.radians(_BANDS[1:]))
 _BINS = 48
+"""Bins of the chord ratio, equally wide in log(1 − ratio): 1 − ratio falls by 13 % in each."""
 _STEPS = 2
-"""Steps in which the largest second derivative on the way is read."""
+"""Steps of the movement for which the table of second derivatives is read."""
 _PARTS = 16
-"""Parts of a strand of which the largest second derivatives are told apart."""
+"""Parts of a strand with a table entry each."""
+_SHORTEST_SPAN = 0.05
+"""Share of the length below which a span is too short for the table."""
+_DEGENERATE = 1e-12
+"""Determinant of K(ℓ) below which the response is not computed."""
 _COLUMNS = float(_BINS / np.log1p(-LARGEST_RATIO))
 
 
 @dataclass(frozen=True, eq=False)
 class LinearResponse:
-    """First-order answer of points of strands, and what lies beyond; all (b,).
+    """First-order response of points of strands, and the bound of the remainder; all (b,).
 
-    ``at_point`` is the largest movement along a direction per metre by which the ends move;
-    ``per_arc`` how much that can differ a metre of cable farther on; ``curvature`` is M, per metre.
-    ``known`` is false where the strand is too steep or too short a span to say.
+    ``at_point`` is the largest movement along a direction per metre of movement of the ends;
+    ``per_arc`` the largest change of that per metre of cable; ``curvature`` is M, per metre.
+    ``known`` is false where the strand is too steep or its span too short for a bound.
     """
 
     at_point: Floats
@@ -56,27 +62,28 @@ class LinearResponse:
     known: npt.NDArray[np.bool_]
 
     def movement(self, size: Floats, relative: Floats) -> Floats:
-        """Bound the movement (b,) of the points when the ends move by ``size``.
+        """Return a bound (b,) of the movement of the points when the ends move by ``size``.
 
-        ``relative`` (b,) bounds how far they move relative to each other. Infinite where unknown.
+        ``relative`` (b,) bounds the movement of one end relative to the other. Infinite where
+        not ``known``.
         """
         bound = movement(self.at_point, self.curvature, size, relative)
         return np.where(self.known, bound, np.inf)
 
     def movement_difference(self, arc: Floats, relative: Floats) -> Floats:
-        """How much farther points up to ``arc`` (b,) metres along may move."""
+        """Return a bound (b,) of the extra movement of points up to ``arc`` (b,) metres away."""
         return np.where(self.known, movement_difference(self.per_arc, arc, relative), np.inf)
 
 
 @compiled
 def movement(at_point: Numbers, curvature: Numbers, size: Numbers, relative: Numbers) -> Numbers:
-    """As :meth:`LinearResponse.movement`, where bounded: first order, and the remainder."""
+    """As :meth:`LinearResponse.movement`, where known: the first order and the remainder."""
     return at_point * size + 0.5 * curvature * relative * relative
 
 
 @compiled
 def movement_difference(per_arc: Numbers, arc: Numbers, relative: Numbers) -> Numbers:
-    """As :meth:`LinearResponse.movement_difference` of what is known."""
+    """As :meth:`LinearResponse.movement_difference`, where known."""
     return per_arc * arc * relative
 
 
@@ -90,8 +97,9 @@ def linear_response(
 ) -> LinearResponse:
     """Return the response of strands (b,) at fractions (b,) along unit vectors (b, 3).
 
-    ``ends`` says which ends move; ``piece`` gives the fractions between which ``per_arc`` must
-    hold. ``stretch`` (b,) is how far the ends may move relative to each other.
+    ``ends`` (b,) are BOTH_ENDS, FAR_END or NEAR_END: the ends that move. ``per_arc`` holds between
+    the two fractions ``piece``. ``stretch`` (b,) bounds the movement of one end relative to the
+    other, in metres.
     """
     up = -np.einsum("bi,bi->b", normal, strands.down)
     along = np.einsum("bi,bi->b", normal, strands.heading)
@@ -106,33 +114,24 @@ def linear_response(
 
 
 @compiled
-def _responses(strands: Floats, asked: Floats, ends: Ints, table: Floats, found: Floats) -> None:
+def _responses(strands: Floats, points: Floats, ends: Ints, table: Floats, found: Floats) -> None:
     """Write :func:`strand_response` (3, b) of strands (5, b).
 
-    ``asked`` (6, b) holds the parts of normals, fractions, begins and ends of pieces, stretches.
+    ``points`` (6, b) holds the two parts of normals, fractions, begins and ends of pieces, and
+    stretches.
     """
     for k in range(len(ends)):
         length, parameter, slope, span, rise = strands[:, k]
-        along, up, fraction, begin, end, stretch = asked[:, k]
-        strand = CatenaryFigures(length, parameter, slope, span, rise)
+        along, up, fraction, begin, end, stretch = points[:, k]
+        strand = Catenary(length, parameter, slope, span, rise)
         found[0, k], found[1, k], found[2, k] = strand_response(
             strand, (along, up), fraction, (begin, end), ends[k], stretch, table
         )
 
 
-class CatenaryFigures(NamedTuple):
-    """The figures of one of :class:`swarm.geometry.catenary.Catenaries`."""
-
-    length: float
-    parameter: float
-    slope: float
-    span: float
-    rise: float
-
-
 @compiled
 def strand_response(
-    strand: CatenaryFigures,
+    strand: Catenary,
     normal: tuple[float, float],
     fraction: float,
     piece: tuple[float, float],
@@ -140,10 +139,10 @@ def strand_response(
     stretch: float,
     table: Floats,
 ) -> tuple[float, float, float]:
-    """As :func:`linear_response`, for one strand: at the point, per arc, and curvature.
+    """Return :func:`linear_response` of one strand: at the point, per arc, and curvature.
 
-    ``normal`` is a unit vector's part along the strand's heading and upward, ``table`` that of
-    :func:`curvature_table`. All infinite where nothing is known.
+    ``normal`` holds the parts of a unit vector along the strand's heading and upward, ``table`` is
+    :func:`curvature_table`. All are infinite where the response is not known.
     """
     along, up = normal
     across = 1.0 - up * up - along * along
@@ -175,25 +174,25 @@ def strand_response(
     per_arc = max(
         softest / determinant / (strand.parameter * flattest), 1.0 / (strand.span * flattest)
     )
-    answer = by_end if ends == FAR_END else by_start
+    at_point = by_end if ends == FAR_END else by_start
     if ends == BOTH_ENDS:
-        answer = by_start + by_end
+        at_point = by_start + by_end
     curvature = _curvature(strand, piece, stretch, table)
-    if determinant > 1e-12 and np.isfinite(answer + per_arc + curvature):
-        return answer, per_arc, curvature
+    if determinant > _DEGENERATE and np.isfinite(at_point + per_arc + curvature):
+        return at_point, per_arc, curvature
     return np.inf, np.inf, np.inf
 
 
 @compiled
 def _curvature(
-    strand: CatenaryFigures, piece: tuple[float, float], stretch: float, table: Floats
+    strand: Catenary, piece: tuple[float, float], stretch: float, table: Floats
 ) -> float:
-    """Upper bound of M of a piece while the ends move by up to ``stretch`` to each other.
+    """Return an upper bound of M of a piece while one end moves by ``stretch`` to the other.
 
-    What is beyond the first order is ∫(1 − t)·G²·M(t) over the way, t from 0 to 1: the first steps
-    count most, when the strand is not yet as taut as at the end.
+    The remainder is ∫(1 − t)·G²·M(t) over the movement, t from 0 to 1: the first steps weigh most,
+    when the strand is not yet as taut as at the end.
     """
-    if strand.span - stretch <= 0.05 * strand.length:
+    if strand.span - stretch <= _SHORTEST_SPAN * strand.length:
         return np.inf
     first = find_class(min_elevation_sine(strand.rise, strand.span, stretch), _SINES)
     last = find_class(max_elevation_sine(strand.rise, strand.span, stretch), _SINES)
@@ -209,7 +208,7 @@ def _curvature(
         column = min(int(np.floor(np.log1p(-ratio) * _COLUMNS)), _BINS - 1)
         largest = 0.0
         for band in range(first, last + 1):
-            # Counted from the lower end; either may be that of a strand that is nearly level.
+            # Counted from the lower end; of a nearly level strand either end may be the lower one.
             if strand.rise >= -reach:
                 here = _largest(table[band, column], piece[0], piece[1])
                 largest = max(largest, here)
@@ -222,7 +221,7 @@ def _curvature(
 
 @compiled
 def _largest(parts: Floats, begin: float, end: float) -> float:
-    """The largest value of the parts of a strand that hold some of a piece of it."""
+    """Return the largest value of the parts of a strand that a piece overlaps."""
     first = max(int(begin * _PARTS - 1e-9), 0)
     last = min(int(end * _PARTS + 1e-9), _PARTS - 1)
     largest = 0.0
@@ -233,11 +232,10 @@ def _largest(parts: Floats, begin: float, end: float) -> float:
 
 @cache
 def curvature_table() -> Floats:
-    """Largest second derivative times span over ratios up to a bin's end: (band, bin, part).
+    """Return the largest second derivative times span up to a bin's ratio: (band, bin, part).
 
-    Bands are of elevations; parts of strands are counted from the lower end, and those beside one
-    count for it, too. By central differences over fractions and directions, for strands of
-    length 1.
+    Bands are of elevations; parts of a strand are counted from the lower end, and each includes its
+    neighbours. By central differences over fractions and directions, for strands of length 1.
     """
     upper = -np.expm1(np.log1p(-LARGEST_RATIO) * np.arange(1, _BINS + 1) / _BINS)
     degrees = np.concatenate([np.arange(0.0, 60.0, 4.0), np.arange(60.0, 89.0, 2.0)])
@@ -246,14 +244,14 @@ def curvature_table() -> Floats:
     angle = np.linspace(0.0, np.pi, 12, endpoint=False)
     in_plane = np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=-1)
     sideways = [[0.0, 1.0, 0.0], [0.7071, 0.7071, 0.0], [0.0, 0.7071, 0.7071]]
-    ways = np.concatenate([in_plane, sideways])
+    directions = np.concatenate([in_plane, sideways])
     step = 1e-3 * np.minimum(1.0 - ratio, np.minimum(0.3, ratio * np.cos(steep)))[..., None]
     fractions = np.linspace(0.0, 1.0, 4 * _PARTS + 1)
     largest = np.zeros((*ratio.shape, len(fractions)))
     still = solve_catenaries(np.zeros(3), end, 1.0).points(fractions)
-    for way in ways:
-        ahead = solve_catenaries(np.zeros(3), end + step * way, 1.0).points(fractions)
-        back = solve_catenaries(np.zeros(3), end - step * way, 1.0).points(fractions)
+    for direction in directions:
+        ahead = solve_catenaries(np.zeros(3), end + step * direction, 1.0).points(fractions)
+        back = solve_catenaries(np.zeros(3), end - step * direction, 1.0).points(fractions)
         second = (ahead - 2.0 * still + back) / step[..., None] ** 2
         largest = np.maximum(largest, np.linalg.norm(second, axis=-1))
     around = np.pad(largest, ((0, 0), (0, 0), (2, 2)))

@@ -1,4 +1,4 @@
-"""Motion as piecewise quintics: the one form in which everything here moves.
+"""Motion of a team as piecewise quintic polynomials.
 
 All grip points share the breakpoints, so that a setpoint of the whole team is one lookup and one
 polynomial.
@@ -38,34 +38,34 @@ class Motion:
     def at(self, times: npt.ArrayLike) -> tuple[Floats, Floats, Floats]:
         """Return position, velocity and acceleration, each (…, n, 3), at times (…,).
 
-        Outside the motion the nearest end is held at rest.
+        Outside the motion the result is its nearest end, at rest.
         """
-        asked = np.asarray(times, dtype=np.float64)
-        found = np.empty((3, asked.size, *self.coefficients.shape[2:]))
+        moments = np.asarray(times, dtype=np.float64)
+        states = np.empty((3, moments.size, *self.coefficients.shape[2:]))
         breaks, coefficients, flat = (
             np.require(values, requirements=["C", "W"])
-            for values in (self.times, self.coefficients, asked.reshape(-1))
+            for values in (self.times, self.coefficients, moments.reshape(-1))
         )
-        _evaluate(breaks, coefficients, flat, found)
-        position, velocity, acceleration = found.reshape(3, *asked.shape, *found.shape[2:])
+        _evaluate(breaks, coefficients, flat, states)
+        position, velocity, acceleration = states.reshape(3, *moments.shape, *states.shape[2:])
         return position, velocity, acceleration
 
 
 @compiled
-def _evaluate(breaks: Floats, coefficients: Floats, asked: Floats, found: Floats) -> None:
+def _evaluate(breaks: Floats, coefficients: Floats, times: Floats, states: Floats) -> None:
     """Write position, velocity and acceleration (3, q, n, 3) at times (q,)."""
-    for q in range(len(asked)):
-        piece, since, moving = find_piece(breaks, asked[q])
+    for q in range(len(times)):
+        piece, since, moving = find_piece(breaks, times[q])
         for i in range(coefficients.shape[2]):
             evaluate_piece(
-                coefficients[piece], i, since, moving, found[0, q, i], found[1, q, i],
-                found[2, q, i],
+                coefficients[piece], i, since, moving, states[0, q, i], states[1, q, i],
+                states[2, q, i],
             )  # fmt: skip
 
 
 @compiled
 def find_piece(breaks: Floats, time: float) -> tuple[int, float, float]:
-    """The piece of a motion at a time, the seconds since its start, and 1; 0 where all rest."""
+    """Return the piece at a time, the seconds since its start, and 1; 0 outside the motion."""
     inside = min(max(time, breaks[0]), breaks[-1])
     piece = np.searchsorted(breaks[1:-1], inside, side="right")
     return piece, inside - breaks[piece], 1.0 if inside == time else 0.0
@@ -73,14 +73,23 @@ def find_piece(breaks: Floats, time: float) -> tuple[int, float, float]:
 
 @compiled
 def evaluate_piece(
-    c: Floats, i: int, u: float, moving: float, place: Floats, speed: Floats, push: Floats
+    c: Floats,
+    i: int,
+    u: float,
+    moving: float,
+    position: Floats,
+    velocity: Floats,
+    acceleration: Floats,
 ) -> None:
-    """Write position, velocity and acceleration (3,) of one of n in a piece (6, n, 3)."""
+    """Write the state of point ``i``, (3,) each, ``u`` seconds into a piece ``c`` (6, n, 3).
+
+    Velocity and acceleration are multiplied by ``moving``.
+    """
     for x in range(3):
         c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
-        place[x] = c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
-        speed[x] = moving * (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5))))
-        push[x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
+        position[x] = c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+        velocity[x] = moving * (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5))))
+        acceleration[x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
 
 
 def through_states(
@@ -121,7 +130,7 @@ def concatenate(first: Motion, *others: Motion) -> Motion:
 
 
 def reverse(motion: Motion) -> Motion:
-    """Return the motion flown from its end to its beginning, over the same times."""
+    """Return the motion from its end to its beginning, over the same times."""
     times = motion.times[0] + (motion.times[-1] - motion.times[::-1])
     duration = np.diff(motion.times)[:, None, None]
     coefficients = np.zeros_like(motion.coefficients)
@@ -132,22 +141,22 @@ def reverse(motion: Motion) -> Motion:
     return Motion(times, coefficients[::-1])
 
 
-def at_rest(place: Floats, duration: float) -> Motion:
-    """Stay at (n, 3) for a while."""
-    coefficients = np.zeros((1, 6, *place.shape))
-    coefficients[0, 0] = place
+def at_rest(position: Floats, duration: float) -> Motion:
+    """Return the motion that stays at a position (n, 3) for a duration in seconds."""
+    coefficients = np.zeros((1, 6, *position.shape))
+    coefficients[0, 0] = position
     return Motion(np.array([0.0, duration]), coefficients)
 
 
 def leg(start: Floats, end: Floats, max_speed: float, max_acceleration: float) -> Motion:
-    """Go from rest to rest along straight lines, all (n, 3) at once and within the limits."""
+    """Return the motion of all points (n, 3) at once along straight lines, from rest to rest."""
     return staggered_leg(start, end, np.zeros(len(start)), max_speed, max_acceleration)
 
 
 def staggered_leg(
     start: Floats, end: Floats, delays: Floats, max_speed: float, max_acceleration: float
 ) -> Motion:
-    """As :func:`leg`, each vehicle leaving after its own delay (n,) in seconds."""
+    """As :func:`leg`, with a delay (n,) in seconds for each vehicle."""
     distance = float(np.linalg.norm(end - start, axis=1).max())
     duration = rest_to_rest_time(distance, max_speed, max_acceleration)
     times = np.unique(np.concatenate([[0.0], delays, delays + duration]).round(9))
@@ -161,7 +170,11 @@ def staggered_leg(
 
 
 def rest_to_rest_time(distance: float, max_speed: float, max_acceleration: float) -> float:
-    """Least duration of a rest-to-rest quintic over a distance, in seconds (at least 1)."""
+    """Return the shortest duration of a rest-to-rest quintic over a distance, in seconds.
+
+    The quintic's largest speed is 15/8 and its largest acceleration 10/√3 of the means. At least
+    1 s; 0.1 % longer, so that rounding keeps the limits.
+    """
     by_speed = 1.875 * distance / max_speed
     by_acceleration = float(np.sqrt(10.0 / np.sqrt(3.0) * distance / max_acceleration))
     return max(1.0, 1.001 * by_speed, 1.001 * by_acceleration)

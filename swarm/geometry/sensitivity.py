@@ -1,12 +1,13 @@
-"""How far a strand moves when its grip points do: upper bounds, tabulated.
+"""Sensitivity of a strand to its ends: tabulated upper bounds of the movement of its points.
 
 A point x(f) of a catenary, f a share of its arc length, depends on both ends p₀, p₁ with the
 Jacobians A(f) = ∂x/∂p₀ and B(f) = ∂x/∂p₁, A + B = 1. They depend on the chord as a share ρ of the
-length, on the chord's elevation, and on f; nearest to taut they grow like 1/√(1 − ρ). Ends that
-move by up to D along straight ways move a point by at most D times the mean of ‖A‖ + ‖B‖ on the
-way, and on the way ρ grows at most linearly to ρ + 2D/ℓ. So the tables hold, for every ρ and for
-dyadic pieces of the strand, the largest norm over all chords that are not longer and not steeper,
-and its integral over ρ. Horizontal and vertical movement are kept apart: what tautens, lifts.
+length, on the chord's elevation, and on f; close to taut they grow like 1/√(1 − ρ). Ends that move
+by up to D along straight lines move a point by at most D times the mean of ‖A‖ + ‖B‖ along the
+movement, and during it ρ grows at most linearly to ρ + 2D/ℓ. So the tables hold, for every ρ and
+for dyadic pieces of the strand, the largest norm over all chords that are not longer and not
+steeper, and its integral over ρ. Horizontal and vertical movement have separate tables, since a
+strand that gets tauter rises.
 """
 
 from dataclasses import dataclass
@@ -23,21 +24,26 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
 BOTH_ENDS, FAR_END, NEAR_END = 0, 1, 2
-"""Which ends move: both by up to D, only the end (start held), only the start (end held)."""
+"""The ends that move: both by up to D, only the end (start fixed), only the start (end fixed)."""
 
 LARGEST_RATIO = 0.999
-"""Beyond this share of the length a strand counts as taut; nothing is certified there."""
+"""A chord beyond this share of the length counts as taut; nothing is certified there."""
 
 _STEP = 0.04
+"""Width of a bin in −log(1 − ratio), in which a norm like 1/√(1 − ratio) grows by 2 %."""
 _RATIOS = -np.expm1(-_STEP * np.arange(np.ceil(-np.log1p(-LARGEST_RATIO - 1e-9) / _STEP) + 1.0))
-"""Where the bins of ratios begin."""
+"""Lower ends of the bins of ratios."""
 _CLASSES = np.radians([20.0, 40.0, 60.0, 70.0, 80.0, 90.0])
+"""Upper ends of the classes of chord elevation; narrow near the vertical, where norms grow."""
 _SINES = np.sin(_CLASSES[:-1])
+_OVERLAP = 0.08
+"""Radians beyond a class whose samples count for it: more than the distance of two samples."""
 _DEPTH = 6
+"""Halvings of a strand: the smallest pieces are a 64th of it."""
 FINEST = 2**_DEPTH
-"""Heap number of the first of the smallest pieces of a strand, and how many there are."""
+"""Number of the smallest pieces, and the heap number of the first one."""
 _INFLATION = 1.02
-"""Covers what lies between the samples of elevation; checked adversarially in the tests."""
+"""Covers elevations between the samples; the tests check it adversarially."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,47 +60,43 @@ class Sensitivity:
     def largest(
         self, ratio: Floats, reach: Floats, sine: Floats, ends: Ints, piece: Ints
     ) -> tuple[Floats, Floats]:
-        """Mean norms on the way, horizontal and vertical, each (…,): movement per metre of D.
+        """Return mean norms, horizontal and vertical, each (…,): movement per metre of D.
 
-        ``ratio`` is chord / length at the nominal ends, ``reach`` the largest growth of that
-        ratio, ``sine`` the largest |rise| / chord on the way (1 if in doubt), ``ends`` one of
+        ``ratio`` is chord / length at the nominal ends, ``reach`` the largest growth of that ratio
+        during the movement, ``sine`` the largest |rise| / chord (1 if in doubt), ``ends`` one of
         BOTH_ENDS, FAR_END, NEAR_END, ``piece`` heap numbers of pieces (1 is the whole strand).
         """
         ratio, reach, sine, ends, piece = np.broadcast_arrays(ratio, reach, sine, ends, piece)
         found = np.empty((2, ratio.size))
-        _largest(
-            self.norm, self.integral, ratio.ravel(), reach.ravel(), sine.ravel(),
-            ends.ravel(), piece.ravel(), found,
-        )  # fmt: skip
+        moves = _Movements(ratio.ravel(), reach.ravel(), sine.ravel(), ends.ravel(), piece.ravel())
+        _write_bounds(self.norm, self.integral, moves, found)
         across, up = found.reshape(2, *ratio.shape)
         return across, up
 
 
+class _Movements(NamedTuple):
+    """Arguments (k,) of :meth:`Sensitivity.largest`."""
+
+    ratio: Floats
+    reach: Floats
+    sine: Floats
+    ends: Ints
+    piece: Ints
+
+
 @compiled
-def _largest(
-    norm: Floats,
-    integral: Floats,
-    ratio: Floats,
-    reach: Floats,
-    sine: Floats,
-    ends: Ints,
-    piece: Ints,
-    found: Floats,
-) -> None:
+def _write_bounds(norm: Floats, integral: Floats, moves: _Movements, found: Floats) -> None:
     """Write :meth:`Sensitivity.largest` of k strands, found (2, k)."""
-    for k in range(len(ratio)):
+    for k in range(len(moves.ratio)):
+        steep = elevation_class(moves.sine[k])
+        ratios = ratio_range(moves.ratio[k], moves.reach[k])
         found[0, k], found[1, k] = movement_bound(
-            norm,
-            integral,
-            elevation_class(sine[k]),
-            ends[k],
-            piece[k],
-            ratio_range(ratio[k], reach[k]),
+            norm, integral, steep, moves.ends[k], moves.piece[k], ratios
         )
 
 
 class RatioRange(NamedTuple):
-    """Ratios between which a strand's is on its way, and the bins of the tables that hold them."""
+    """Smallest and largest chord ratio during a movement, and the bins of the tables for both."""
 
     low: float
     high: float
@@ -104,7 +106,7 @@ class RatioRange(NamedTuple):
 
 @compiled
 def ratio_range(ratio: float, reach: float) -> RatioRange:
-    """The ratios of a strand that is ``ratio`` taut and gets tauter by ``reach`` at most."""
+    """Return the range of a chord ratio that grows from ``ratio`` by at most ``reach``."""
     low = min(max(ratio, 0.0), LARGEST_RATIO)
     high = min(max(ratio + max(reach, 1e-9), 1e-9), LARGEST_RATIO + 1e-9)
     return RatioRange(low, high, _bin(low), _bin(high))
@@ -112,13 +114,13 @@ def ratio_range(ratio: float, reach: float) -> RatioRange:
 
 @compiled
 def elevation_class(sine: float) -> int:
-    """The elevation class of a strand whose chord has this sine of an elevation at most."""
+    """Return the elevation class of a chord whose sine of elevation is at most ``sine``."""
     return find_class(sine, _SINES)
 
 
 @compiled
 def find_class(sine: float, sines: Floats) -> int:
-    """The first of rising classes that reaches up to a sine; their number where none does."""
+    """Return the first of increasing classes that includes a sine, or their number."""
     found = 0
     while found < len(sines) and sines[found] < sine:
         found += 1
@@ -127,7 +129,7 @@ def find_class(sine: float, sines: Floats) -> int:
 
 @compiled
 def _tabulated(piece: int) -> int:
-    """The smallest piece in the tables that holds a whole piece."""
+    """Return the smallest piece in the tables that contains a piece."""
     while piece >= 2 * FINEST:
         piece //= 2
     return piece
@@ -135,10 +137,10 @@ def _tabulated(piece: int) -> int:
 
 @compiled
 def finest_piece(piece: int, fraction: float) -> int:
-    """The smallest piece in the tables that holds a point of a piece, and is part of it.
+    """Return the smallest piece in the tables that contains a point, within a given piece.
 
-    Where two of them meet, tables may say much more of one than of the other: of a point at the end
-    of a piece, the part of that piece is meant.
+    Table entries of two neighbours may differ much: for a point at the end of the given piece, the
+    neighbour inside that piece counts.
     """
     first = last = _tabulated(piece)
     while first < FINEST:
@@ -149,31 +151,32 @@ def finest_piece(piece: int, fraction: float) -> int:
 
 @compiled
 def movement_bound(
-    norm: Floats, integral: Floats, steep: int, ends: int, piece: int, way: RatioRange
+    norm: Floats, integral: Floats, steep: int, ends: int, piece: int, ratios: RatioRange
 ) -> tuple[float, float]:
-    """As :meth:`Sensitivity.largest` of one strand, with the tables of that."""
+    """Return :meth:`Sensitivity.largest` of one strand; ``steep`` is its elevation class."""
     piece = _tabulated(piece)
     return (
-        _mean(norm[steep, ends, 0], integral[steep, ends, 0], piece, way),
-        _mean(norm[steep, ends, 1], integral[steep, ends, 1], piece, way),
+        _mean(norm[steep, ends, 0], integral[steep, ends, 0], piece, ratios),
+        _mean(norm[steep, ends, 1], integral[steep, ends, 1], piece, ratios),
     )
 
 
 @compiled
-def _mean(norms: Floats, integrals: Floats, piece: int, way: RatioRange) -> float:
-    """The mean norm of a piece on the way."""
-    at_high = float(norms[way.high_bin, piece])
-    if way.low_bin == way.high_bin:
+def _mean(norms: Floats, integrals: Floats, piece: int, ratios: RatioRange) -> float:
+    """Return the mean norm of a piece over a range of ratios."""
+    at_high = float(norms[ratios.high_bin, piece])
+    if ratios.low_bin == ratios.high_bin:
         return at_high
-    to_low = integrals[way.low_bin, piece]
-    to_low += norms[way.low_bin, piece] * (way.low - _RATIOS[way.low_bin])
-    to_high = integrals[way.high_bin, piece] + at_high * (way.high - _RATIOS[way.high_bin])
-    mean = float((to_high - to_low) / max(way.high - way.low, 1e-12))
+    to_low = integrals[ratios.low_bin, piece]
+    to_low += norms[ratios.low_bin, piece] * (ratios.low - _RATIOS[ratios.low_bin])
+    to_high = integrals[ratios.high_bin, piece] + at_high * (ratios.high - _RATIOS[ratios.high_bin])
+    mean = float((to_high - to_low) / max(ratios.high - ratios.low, 1e-12))
     return min(mean, at_high)
 
 
 @compiled
 def _bin(ratio: float) -> int:
+    """Return the bin of a ratio."""
     return int(np.floor(-np.log1p(-ratio) / _STEP))
 
 
@@ -182,18 +185,18 @@ def sensitivity_tables() -> Sensitivity:
     """Return the tables; computed once, in about 0.2 s."""
     bins = _bin(LARGEST_RATIO + 1e-9) + 1
     upper = -np.expm1(-_STEP * np.arange(1, bins + 1))
-    nearly_plumb = [89.0, 89.8, 89.96, 89.99, 89.999]
-    elevation = np.radians(np.concatenate([np.arange(0.0, 90.0, 4.0), nearly_plumb]))
+    nearly_vertical = [89.0, 89.8, 89.96, 89.99, 89.999]
+    elevation = np.radians(np.concatenate([np.arange(0.0, 90.0, 4.0), nearly_vertical]))
     fractions = np.linspace(0.0, 1.0, 2**_DEPTH + 1)
     start, end = _jacobian_norms(upper[:, None], elevation[None, :], fractions)
-    # A chord that falls is the same strand walked from its other end.
+    # A descending chord is the same strand from its other end.
     both = start + end
     far = np.maximum(end, start[..., ::-1])
     both = np.maximum(both, both[..., ::-1])
     kinds = np.stack([both, far, far[..., ::-1]])  # (kind, direction, bin, elevation, fraction)
     kinds = np.maximum.accumulate(kinds, axis=2) * _INFLATION
     by_class = np.stack(
-        [kinds[:, :, :, elevation <= steepest + 0.08].max(axis=3) for steepest in _CLASSES]
+        [kinds[:, :, :, elevation <= steepest + _OVERLAP].max(axis=3) for steepest in _CLASSES]
     )
     norm = _over_pieces(by_class)
     width = np.diff(np.concatenate([[0.0], upper]))
@@ -203,7 +206,7 @@ def sensitivity_tables() -> Sensitivity:
 
 
 def _over_pieces(by_fraction: Floats) -> Floats:
-    """Largest value over every dyadic piece, in heap order; a piece's neighbours count too."""
+    """Return the largest value over every dyadic piece and its neighbours, in heap order."""
     cells = np.maximum(by_fraction[..., :-1], by_fraction[..., 1:])
     wider = cells.copy()
     wider[..., 1:] = np.maximum(wider[..., 1:], cells[..., :-1])
@@ -217,7 +220,7 @@ def _over_pieces(by_fraction: Floats) -> Floats:
 
 
 def _jacobian_norms(ratio: Floats, elevation: Floats, fractions: Floats) -> tuple[Floats, Floats]:
-    """Norms of A and B, each (2, …, k): of their horizontal rows, and of the vertical one.
+    """Return the norms of A and B, each (2, …, k): of the horizontal rows and of the vertical one.
 
     The strand has length 1 and parameters (a, s), a the catenary's, s = sinh θ₀ the slope at its
     start: sinh θ = s + f/a, x = a(θ − θ₀), z = a(cosh θ − cosh θ₀). Both x(f) and the end x(1) are

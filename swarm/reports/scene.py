@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.flight.snapshot import Snapshot
-from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.catenary import MAX_CHORD_RATIO, solve_catenaries
 from swarm.geometry.distance import strand_strand
 from swarm.planning import KnotLayout, Plan
 from swarm.planning.cable_shape import laid_grip_points, planned_grip
@@ -21,8 +21,6 @@ Colours = npt.NDArray[np.uint8]
 
 POINTS_PER_SEGMENT: Final = 25
 
-TAUT: Final = 0.985
-"""Chord over length beyond which a segment counts as taut."""
 
 SILENT_AFTER: Final = 2.0
 """Seconds without a word after which a vehicle is drawn as silent."""
@@ -110,7 +108,7 @@ def tautness(grips: Floats, lengths: Floats) -> Floats:
 
 def tautness_colours(ratio: Floats) -> Colours:
     """Return colours (…, 3): teal while slack, yellow from 0.9, red where taut; grey if unknown."""
-    stops = np.array([0.0, 0.7, 0.9, TAUT, 1.0])
+    stops = np.array([0.0, 0.7, 0.9, MAX_CHORD_RATIO, 1.0])
     colours = np.array(
         [[70, 200, 190], [70, 200, 190], [245, 205, 80], [235, 60, 60], [235, 60, 60]], float
     )

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from swarm.flight.trace import Trace
+from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.planning import Plan
 from swarm.planning.cable_shape import planned_grip
 from swarm.reports import scene
@@ -118,7 +119,7 @@ def send_plan_curves(stream: rr.RecordingStream, plan: Plan) -> None:
     taut[~held] = np.nan
     segments = [f"segment {i + 1}" for i in range(n - 1)]
     _curves(stream, "plan/tautness", segments, clock, taut)
-    _limit(stream, "plan/tautness/limit", scene.TAUT, "taut", clock)
+    _limit(stream, "plan/tautness/limit", MAX_CHORD_RATIO, "taut", clock)
     if n < 4:
         return
     sampled, distance = strand_distances(plan)

@@ -48,7 +48,7 @@ def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends, shall
         assert np.all(moved(at) <= bound + 1e-12)
         other = piece[0] + rng.uniform(size=count) * (piece[1] - piece[0])
         farthest = np.maximum(at - piece[0], piece[1] - at)
-        assert np.all(moved(other) <= bound + answer.elsewhere(farthest, growth) + 1e-12)
+        assert np.all(moved(other) <= bound + answer.movement_difference(farthest, growth) + 1e-12)
         assert np.isfinite(bound).mean() > (0.8 if shallowest == 0.0 else 0.5)
         sharpest = max(sharpest, float(np.max(moved(at) / bound)))
     assert sharpest > 0.95

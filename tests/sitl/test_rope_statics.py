@@ -9,6 +9,7 @@ from sitl.cable.rope import Rope
 from sitl.physics.geodesy import GRAVITY
 from sitl.world import CableSpec
 from swarm.geometry import catenary
+from swarm.geometry.floor import rest_on_floor
 
 STILL = np.zeros((9, 3))
 
@@ -65,6 +66,22 @@ def test_spans_on_the_floor_weigh_what_is_lifted_and_stay_above_it(
     assert steps.sum() <= length * (1 + 5e-3)
     assert np.linalg.norm(shape[0] - grips[0]) < 5e-3 * length
     assert np.linalg.norm(shape[-1] - grips[1]) < 5e-3 * length
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0.05, 1.5), st.floats(0.05, 1.5), st.floats(0.5, 4.0), st.floats(1.02, 1.6))
+def test_spans_on_the_floor_pull_as_the_planners(
+    left: float, right: float, across: float, ratio: float
+) -> None:
+    length = ratio * float(np.hypot(across, left - right))
+    made = rope(length, [0.0, length], floor=0.0)
+    grips = np.array([[0.0, 0.0, left], [across, 0.0, right]])
+    force = made.forces(grips, STILL[:2])
+    theirs = rest_on_floor(grips[0], grips[1], length)
+    expected = theirs.end_forces(made.spec.mass_per_length, GRAVITY)
+    weight = made.spec.mass_per_length * GRAVITY * length
+    assert force[0] == pytest.approx(expected[0], abs=2e-3 * weight, rel=2e-3)
+    assert force[1] == pytest.approx(expected[1], abs=2e-3 * weight, rel=2e-3)
 
 
 def test_crosswind_tilts_the_plane_by_drag_over_weight() -> None:
