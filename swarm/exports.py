@@ -1,4 +1,4 @@
-"""A plan as others read it: one JSON object, and one table of every grip point's motion."""
+"""Plans and check results as JSON-ready objects, and the motion of a plan as CSV."""
 
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -18,14 +18,14 @@ MOTION_COLUMNS = (
     "time", "vehicle", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "phase",
 )  # fmt: skip
 MOTION_STEP = 0.05
-"""Seconds between two rows of the same vehicle."""
+"""Seconds between two rows of a vehicle."""
 
 
 def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
-    """Return the plan and what the checks say of it as one JSON-ready object.
+    """Return a plan and the results of its checks; lengths in metres, times in seconds.
 
-    Lengths in metres, times in seconds. ``sag.over`` is the deepest sag of the segments that only
-    pass over, ``sag.under`` the shallowest of those that pass under.
+    ``sag.over`` is the largest sag of the segments that only pass over others, ``sag.under`` the
+    smallest sag of the segments that pass under others.
     """
     layout = plan.layout
     fold = plan.phase("fold")
@@ -50,15 +50,8 @@ def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
             "total": float(layout.lengths.sum()),
         },
         "duration": {"fold": fold.end - fold.start, "total": plan.duration},
-        "clearance": {
-            "cable": tightest_object(assessment.cable),
-            "vehicle": tightest_object(assessment.vehicle),
-            "vehicle_cable": tightest_object(assessment.vehicle_cable),
-        },
-        "robustness": {
-            "tracking": assessment.robustness.tracking,
-            "wind": assessment.robustness.wind,
-        },
+        "clearance": _clearance_object(assessment),
+        "robustness": _robustness_object(assessment),
         "tightest": [moment_object(moment) for moment in assessment.tightest],
         "budget": [asdict(row) | {"remaining": row.remaining} for row in assessment.budget],
         "contingencies": contingencies_object(assessment.contingencies)
@@ -68,20 +61,48 @@ def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
     }
 
 
+def assessment_object(assessment: Assessment) -> dict[str, Any]:
+    """Return the results of all checks of an external trajectory."""
+    return {
+        "cleared": assessment.cleared,
+        "findings": [finding_object(finding) for finding in assessment.findings],
+        "knot": {
+            "type": assessment.knot,
+            "chirality": assessment.chirality,
+            "gauss": assessment.gauss,
+        },
+        "clearance": _clearance_object(assessment),
+        "robustness": _robustness_object(assessment),
+    }
+
+
+def _clearance_object(assessment: Assessment) -> dict[str, Any]:
+    return {
+        "cable": tightest_object(assessment.cable),
+        "vehicle": tightest_object(assessment.vehicle),
+        "vehicle_cable": tightest_object(assessment.vehicle_cable),
+    }
+
+
+def _robustness_object(assessment: Assessment) -> dict[str, Any]:
+    robustness = assessment.robustness
+    return {"max_tracking_error": robustness.tracking, "max_wind": robustness.wind}
+
+
 def moment_object(moment: Moment) -> dict[str, Any]:
-    """Return a tight moment as a JSON-ready object; no distance where nothing could be shown."""
+    """Return a tight moment; its distance is None without a certified bound."""
     return {
         "check": moment.check,
         "between": list(moment.between),
         "distance": moment.distance if isfinite(moment.distance) else None,
         "required": moment.required,
         "time": moment.time,
-        "where": list(moment.where),
+        "position": list(moment.where),
     }
 
 
 def contingencies_object(contingencies: Contingencies) -> dict[str, Any]:
-    """Return the contingencies of a plan; a wait is null without a window."""
+    """Return the contingencies of a plan; a wait is None without a window."""
     windows = {"land": contingencies.land, "release": contingencies.release}
     return {
         **{
@@ -93,7 +114,7 @@ def contingencies_object(contingencies: Contingencies) -> dict[str, Any]:
 
 
 def refusal_object(mission: Mission, refusal: Refused) -> dict[str, Any]:
-    """Return what is known of a mission for which no motion was found, as a JSON-ready object."""
+    """Return the result for a mission without a plan: the reason as a finding."""
     return {
         "mission": mission.name,
         "cleared": False,
@@ -114,18 +135,18 @@ def _sags(plan: Plan) -> dict[str, float | None]:
 
 
 def finding_object(finding: Finding) -> dict[str, Any]:
-    """Return a finding as a JSON-ready object."""
+    """Return a finding; time and position are None where they do not apply."""
     return {
         "severity": finding.severity,
         "check": finding.check,
         "message": finding.message,
-        "at_time": finding.at_time,
-        "where": list(finding.where) if finding.where is not None else None,
+        "time": finding.at_time,
+        "position": list(finding.where) if finding.where is not None else None,
     }
 
 
 def tightest_object(tightest: Tightest) -> dict[str, Any]:
-    """Return a tightest moment as a JSON-ready object; no distance where there is no pair."""
+    """Return the tightest moment of a clearance; its distance is None without such a pair."""
     return {
         "distance": tightest.distance if isfinite(tightest.distance) else None,
         "required": tightest.required,
@@ -135,10 +156,10 @@ def tightest_object(tightest: Tightest) -> dict[str, Any]:
 
 
 def motion_rows(plan: Plan, step: float = MOTION_STEP) -> Iterator[str]:
-    """Yield the CSV lines of every grip point's motion, header first.
+    """Yield the CSV lines of the motion of every grip point, header first.
 
-    One row per time and vehicle (1…n along the cable): ENU metres, m/s, m/s², and the phase; the
-    last row is the end of the motion.
+    One row per time and vehicle (1…n along the cable): ENU metres, m/s, m/s², and the phase. The
+    last rows are those of the end of the motion.
     """
     times = np.append(np.arange(0.0, plan.duration, step), plan.duration)
     states = np.concatenate(plan.motion.at(times), axis=-1)

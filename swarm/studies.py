@@ -1,16 +1,27 @@
 """Many plans side by side: one of each knot, and the Pareto front of one mission."""
 
-from collections.abc import Callable, Iterator, Sequence
+import csv
+import io
+import json
+import re
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from math import isfinite
+from pathlib import Path
 from typing import Any, Final
+
+from joblib import Parallel, delayed
 
 from swarm import planner
 from swarm.certification.assessment import Assessment, Tightest
 from swarm.certification.robustness import largest_tracking, robustness_of
-from swarm.errors import InputError, Refused
+from swarm.errors import InputError, Problem, Refused, reason
+from swarm.files import read_text
 from swarm.knots.catalog import lookup_knot, table_names
 from swarm.mission import Mission, mission_for_knot
+from swarm.mission.validation import LARGEST_FILE
 
 Progress = Callable[[str, float], None]
 Clock = Callable[[], float]
@@ -83,6 +94,78 @@ def plan_row(
         limits = robustness_of(plan, assessment.moments)
         row |= {"max_tracking_error": limits.tracking, "max_wind": limits.wind}
     return row
+
+
+def matching_knots(pattern: str | None) -> list[str]:
+    """Return the knots of the table whose names match a regular expression; None: all of them.
+
+    Raises :class:`InputError` where the expression is wrong or matches no name.
+    """
+    try:
+        expression = re.compile(pattern or "")
+    except re.error as error:
+        message = f"expected a regular expression, got {pattern!r}: {error}"
+        raise InputError([Problem("--only", message)]) from None
+    names = [name for name in knots_to_plan() if expression.search(name)]
+    if not names:
+        raise InputError([Problem("--only", f"no knot of the table matches {pattern!r}")])
+    return names
+
+
+def plan_rows(
+    names: Sequence[str], overrides: Sequence[str], *, jobs: int = 1, robustness: bool = True
+) -> Generator[dict[str, Any], None, None]:
+    """Plan knots in ``jobs`` processes; yield their rows as they are completed, in any order.
+
+    ``planning_time`` is processor time. Close the generator to end the planning.
+    """
+    tasks = (
+        delayed(plan_row)(name, overrides, time.process_time, robustness=robustness)
+        for name in names
+    )
+    rows: Generator[dict[str, Any], None, None]
+    rows = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")(tasks)
+    with closing(rows):
+        yield from rows
+
+
+def read_rows(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the rows of a file by knot; an incomplete last line, after an interrupt, is ignored.
+
+    Raises :class:`InputError` for a line that is no row.
+    """
+    if not path.exists():
+        return {}
+    rows: dict[str, dict[str, Any]] = {}
+    lines = read_text(path, LARGEST_FILE).splitlines()
+    for number, line in enumerate(lines, start=1):
+        try:
+            row = json.loads(line)
+            rows[row["knot"]] = {name: row[name] for name in COLUMNS}
+        except (ValueError, TypeError, KeyError) as error:
+            if isinstance(error, ValueError) and number == len(lines):
+                break
+            place = f"{path}: line {number}"
+            raise InputError([Problem(place, "expected a row that --plan wrote")]) from None
+    return rows
+
+
+def append_row(path: Path, row: Mapping[str, Any]) -> None:
+    """Append a row to a file of JSON lines."""
+    try:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row, ensure_ascii=False) + "\n")
+    except OSError as error:
+        raise InputError([Problem(str(path), reason(error))]) from None
+
+
+def rows_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows as CSV with a header."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 def _distance(tightest: Tightest) -> float | None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from swarm.cli.main import COMMANDS, _own_fault
+from swarm.cli.main import COMMANDS, _report_bug
 from swarm.errors import reason
 from tests.command import run
 
@@ -188,10 +188,10 @@ def test_what_no_plan_would_do_is_refused_rather_than_ignored() -> None:
 
 def test_a_bug_is_told_where_its_traceback_cannot_be_kept(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
-    assert _own_fault(ZeroDivisionError()) == 70
+    assert _report_bug(ZeroDivisionError()) == 70
     assert capsys.readouterr().err == (
         "swarm has a bug: ZeroDivisionError: failed without saying why (ZeroDivisionError)\n"
-        "What to report with it cannot be kept: no such file or directory\n"
+        "The traceback cannot be written: no such file or directory\n"
     )
 
 

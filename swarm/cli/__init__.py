@@ -1,1 +1,1 @@
-"""The command line: reads files, wires it all, turns errors into exit codes."""
+"""The command line: a shell around the library that turns errors into exit codes."""

@@ -1,4 +1,4 @@
-"""``swarm init`` and ``swarm schema``: files to start from, and what editors check them with."""
+"""``swarm init`` and ``swarm schema``: mission files to start from, and JSON schemas."""
 
 import json
 from pathlib import Path
@@ -23,14 +23,17 @@ KINDS = ("mission", "fleet", "world", "scenario")
     "-o",
     "--output",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Where to write it; the default is KNOT.yaml here.",
+    help="Output file. Default: KNOT.yaml in the current folder.",
 )
 def init(knot: str, output: Path | None) -> None:
-    """Write a commented mission file for KNOT (a name such as overhand or 8_18)."""
+    """Write a commented mission file for KNOT (a name such as overhand or 8_18).
+
+    Example: swarm init figure_eight -o mission.yaml
+    """
     choose_knot(name=knot, chirality="either")
     path = output or Path(f"{knot}.yaml")
     if path.exists():
-        raise InputError([Problem(str(path), "exists already and is left as it is")])
+        raise InputError([Problem(str(path), "exists already; it is not changed")])
     write_text(path, commented_mission(knot))
     click.echo(f"{path} — plan it with: swarm plan {path}")
 
@@ -41,13 +44,15 @@ def init(knot: str, output: Path | None) -> None:
     "--write",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="Write the schemas of all kinds of files into this folder instead.",
+    help="Write the schemas of all kinds of files to this folder.",
 )
 def schema(kind: str, write: Path | None) -> None:
     """Print the JSON schema of mission, fleet, world or scenario files.
 
-    Editors complete and check a YAML file that names its schema in a comment, as those in missions/
-    do: yaml-language-server: $schema=FILE.
+    Editors complete and check a YAML file with its schema in a comment, as in missions/:
+    yaml-language-server: $schema=FILE.
+
+    Example: swarm schema mission
     """
     if write is None:
         print_json(schema_of(kind))
@@ -78,11 +83,11 @@ def schema_of(kind: str) -> dict[str, Any]:
 
 
 def commented_mission(knot: str) -> str:
-    """Return a mission file with every key at its default and a sentence about each."""
+    """Return a mission file with the default and the description of every key."""
     mission = mission_for_knot(knot)
     lines = [
         "# A mission for `swarm`: metres, seconds, kilograms; x east, y north, z up.",
-        "# Editors check it with the file that `swarm schema mission` prints.",
+        "# Editors check it with the schema that `swarm schema mission` prints.",
     ]
     for key, field in Mission.model_fields.items():
         value = getattr(mission, key)

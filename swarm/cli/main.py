@@ -1,4 +1,4 @@
-"""The ``swarm`` command: a shell around the library that turns errors into exit codes."""
+"""The ``swarm`` command."""
 
 import os
 import signal
@@ -16,37 +16,37 @@ import click
 from swarm.errors import InputError, Interrupted, SwarmError, reason
 from swarm.version import __version__
 
-# Vectors here are too short to be worth several threads, which spin while they wait for more and
-# take the cores from the loop that flies. NumPy reads this when it is imported.
+# The vectors are too short for several threads, which spin while they wait and take the cores from
+# the flight loop. NumPy reads this when it is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {
-    "fly": ("fly", "Plan a mission, check it, and fly it."),
-    "dry-run": ("dry_run", "Fly a mission against the emulator in virtual time."),
-    "check": ("check", "Check a fleet on the ground, before anything is armed."),
-    "plan": ("plan", "Plan a mission, check it, and show or export the plan."),
-    "certify": ("certify", "Check anybody's trajectories in the cable model."),
-    "verify": ("verify", "Tell from a flight's record what was flown."),
-    "view": ("view", "Open a record, a plan or a mission in the Rerun viewer."),
+    "fly": ("fly", "Plan, check and fly a mission."),
+    "dry-run": ("dry_run", "Simulate flights of a mission in virtual time."),
+    "check": ("check", "Check a fleet on the ground, before arming."),
+    "plan": ("plan", "Plan a mission, check the plan, and show or export it."),
+    "certify": ("certify", "Certify an external trajectory."),
+    "verify": ("verify", "Verify a flight record."),
+    "view": ("view", "Open a flight record, a plan or a recording in the Rerun viewer."),
     "failures": ("responses", "Print the team's response to every failure."),
     "knots": ("knots", "List the knots, or show one."),
-    "identify": ("knots", "Name the knot of a curve in space."),
+    "identify": ("knots", "Identify the knot of a curve in space."),
     "init": ("files", "Write a commented mission file for a knot."),
     "schema": ("files", "Print the JSON schema of mission, fleet, world or scenario files."),
-    "sitl": ("sitl", "Run emulated vehicles alone, for anybody's client."),
+    "sitl": ("sitl", "Run the emulator of vehicles, for any MAVLink client."),
 }
-"""Command → module of swarm.cli that defines it, and what ``swarm --help`` says of it."""
+"""Command → module of swarm.cli that defines it, and its line in ``swarm --help``."""
 
 
 class Commands(click.Group):
-    """Loads a command's module when that command is asked for: help must not wait for SciPy."""
+    """Imports the module of a command when it is needed: help must not wait for SciPy."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Return the commands in the order in which they are shown."""
+        """Return the commands in the order of the help."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        """Import and return a command, or None where there is none of that name."""
+        """Import and return a command; None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
         module = import_module(f"swarm.cli.{COMMANDS[cmd_name][0]}")
@@ -54,7 +54,7 @@ class Commands(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """Write the list of commands from the table above."""
+        """Write the list of commands."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
@@ -67,14 +67,17 @@ class Commands(click.Group):
 def cli() -> None:
     """Make a team of quadrotors tie a knot in a cable in mid-air.
 
-    Exit codes: 0 done, 1 refused, 2 usage or bad file, 3 link or vehicle failure, 130 interrupted.
+    Exit codes: 0 success, 1 refused, 2 wrong usage or file, 3 link or vehicle failure, 130
+    interrupted.
+
+    Example: swarm dry-run missions/overhand.yaml
     """
 
 
 def main() -> None:
     """Run the command line and exit with its code."""
     try:
-        with ends_as_interrupted():
+        with termination_as_interrupt():
             code = cli(standalone_mode=False)
     except click.ClickException as error:
         error.show()
@@ -85,24 +88,24 @@ def main() -> None:
         click.echo(f"{error}", err=True)
         code = error.exit_code
     except BrokenPipeError:
-        sys.stderr.close()  # whoever reads us has enough; nothing is left to say it to
+        sys.stderr.close()  # the reader of the output has closed it
         code = 0
     except Exception as error:
-        code = _own_fault(error)
+        code = _report_bug(error)
     sys.exit(code if isinstance(code, int) else 0)
 
 
 @contextmanager
-def ends_as_interrupted() -> Iterator[None]:
-    """Have SIGTERM and SIGHUP end a command as Ctrl-C does.
+def termination_as_interrupt() -> Iterator[None]:
+    """Raise KeyboardInterrupt on SIGTERM and SIGHUP, as on Ctrl-C.
 
-    Otherwise they would end this process on the spot: its children would stay, and its temporary
-    folders. A signal that is ignored (nohup) stays so, and a flight answers for itself.
+    Otherwise they would end this process at once and leave its children and temporary folders. An
+    ignored signal (nohup) stays ignored; a flight has handlers of its own.
     """
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         for each in before:
-            signal.signal(each, signal.SIG_IGN)  # what cleans up is not interrupted once more
+            signal.signal(each, signal.SIG_IGN)  # the cleanup must not be interrupted
         raise KeyboardInterrupt
 
     names = ("SIGTERM", "SIGHUP")
@@ -122,8 +125,8 @@ def ends_as_interrupted() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _own_fault(error: Exception) -> int:
-    """Say that this is our bug, keep the traceback in a file for the report, return EX_SOFTWARE."""
+def _report_bug(error: Exception) -> int:
+    """Print that this is a bug, write the traceback to a file, and return EX_SOFTWARE."""
     click.echo(f"swarm has a bug: {type(error).__name__}: {reason(error)}", err=True)
     try:
         with tempfile.NamedTemporaryFile(
@@ -131,7 +134,7 @@ def _own_fault(error: Exception) -> int:
         ) as file:
             traceback.print_exception(error, file=file)
     except OSError as full:
-        click.echo(f"What to report with it cannot be kept: {reason(full)}", err=True)
+        click.echo(f"The traceback cannot be written: {reason(full)}", err=True)
     else:
         click.echo(f"Please report it together with {file.name}", err=True)
     return 70

@@ -1,21 +1,23 @@
-"""``swarm plan``: plan a mission, check it, and show or export the result."""
+"""``swarm plan``: plan a mission, check the plan, and show or export it."""
 
 from dataclasses import asdict
 from pathlib import Path
 
 import click
-import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from swarm import exports, planner, studies
 from swarm.cli.inputs import JSON, MISSION, SET, print_json, progress_bar
+from swarm.cli.planning import plan_mission
 from swarm.errors import Refused
 from swarm.files import write_text
 from swarm.front.files import load_mission
 from swarm.mission import Mission
 from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.plan_summary import plan_summary
+from swarm.reports.studies_text import print_front
+
+FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @click.command()
@@ -23,29 +25,23 @@ from swarm.reports.plan_summary import plan_summary
 @SET
 @JSON
 @click.option(
-    "--export",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Write every grip point's motion as CSV (ENU, SI, every 0.05 s).",
+    "--export", type=FILE, help="Write the motion of every grip point (CSV; ENU, SI, every 0.05 s)."
 )
 @click.option(
     "--plot",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Draw grid diagram, plan view and folded cable as PNG; with --front, all its plans.",
+    type=FILE,
+    help="Plot grid diagram, plan view and folded cable (PNG); with --front, the Pareto front.",
 )
-@click.option(
-    "--report",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Write a page (HTML, needs no network) about the plan.",
-)
+@click.option("--report", type=FILE, help="Write a report (one HTML file).")
 @click.option(
     "--sheet",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Write a lay-out sheet to print (HTML): cable, grip marks, pads, lay line.",
+    type=FILE,
+    help="Write a layout sheet to print (HTML): cable, grip marks, pads, lay line.",
 )
 @click.option(
     "--front",
     is_flag=True,
-    help="List cable against fold time against e* for plans with more and less room.",
+    help="Plan variants of the mission, and list their cable, fold time and e* (Pareto front).",
 )
 @click.pass_context
 def plan(
@@ -59,22 +55,39 @@ def plan(
     sheet: Path | None,
     front: bool,
 ) -> None:
-    """Plan MISSION (a file or a knot's name), check it, and print the plan.
+    """Plan MISSION (a file or the name of a knot), check the plan, and print it.
 
-    Exit code 0 when the plan is cleared for flight, 1 when it is refused.
+    Exit code 0 if the plan is cleared for flight, 1 if it is refused.
+
+    Example: swarm plan missions/overhand.yaml --plot plan.png --export motion.csv
     """
     loaded = load_mission(mission, overrides)
     if front:
         if export or report or sheet:
-            raise click.UsageError("--front is of many plans: of all files it only takes --plot")
+            raise click.UsageError("--front can be combined with --plot, --set and --json only")
         context.exit(_front(loaded, as_json, plot))
     try:
-        with progress_bar(Console(stderr=True)) as progress:
-            planned = planner.plan(loaded, progress)
+        planned = plan_mission(loaded)
     except Refused as refusal:
         if as_json:
             print_json(exports.refusal_object(loaded, refusal))
         raise
+    _write_files(planned, export=export, plot=plot, report=report, sheet=sheet)
+    if as_json:
+        print_json(exports.plan_object(planned.plan, planned.assessment))
+    else:
+        plan_summary(planned.plan, planned.assessment, Console())
+    context.exit(0 if planned.assessment.cleared else 1)
+
+
+def _write_files(
+    planned: planner.PlanningResult,
+    *,
+    export: Path | None,
+    plot: Path | None,
+    report: Path | None,
+    sheet: Path | None,
+) -> None:
     if export:
         write_text(export, "\n".join(exports.motion_rows(planned.plan)) + "\n")
     if plot:
@@ -87,51 +100,20 @@ def plan(
         write_text(report, plan_report(planned.plan, planned.assessment))
     if sheet:
         write_text(sheet, layout_sheet(planned.plan))
-    if as_json:
-        print_json(exports.plan_object(planned.plan, planned.assessment))
-    else:
-        plan_summary(planned.plan, planned.assessment, Console())
-    context.exit(0 if planned.assessment.cleared else 1)
 
 
 def _front(mission: Mission, as_json: bool, plot: Path | None) -> int:
-    """List plans with more and less room; exit code 1 where none was cleared."""
+    """Print the Pareto front of a mission; return exit code 1 if no variant is cleared."""
     with progress_bar(Console(stderr=True)) as progress:
         found = list(studies.pareto_front(mission, progress))
-    points = studies.mark_dominated(
-        [point for point in found if isinstance(point, studies.FrontPoint)]
-    )
-    refused = [words for words in found if isinstance(words, str)]
+    points = studies.mark_dominated([one for one in found if isinstance(one, studies.FrontPoint)])
+    refused = [one for one in found if isinstance(one, str)]
     if plot and points:
         from swarm.reports.plots import front_figure, save  # noqa: PLC0415 - slow to import
 
-        figure = front_figure(
-            np.array([point.cable_length for point in points]),
-            np.array([point.fold_time for point in points]),
-            np.array([point.max_tracking_error for point in points]),
-            [point.variant for point in points],
-            [point.dominated for point in points],
-        )
-        save(figure, plot)
+        save(front_figure([asdict(point) for point in points]), plot)
     if as_json:
         print_json({"plans": [asdict(point) for point in points], "refused": refused})
-        return 0 if points else 1
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column("variant")
-    for name in ("cell", "cable", "fold", "e*"):
-        table.add_column(name, justify="right")
-    table.add_column("")
-    for point in sorted(points, key=lambda point: point.cable_length):
-        table.add_row(
-            point.variant,
-            f"{point.cell:.2f} m",
-            f"{point.cable_length:.1f} m",
-            f"{point.fold_time:.0f} s",
-            f"{point.max_tracking_error:.3f} m",
-            "[dim]dominated[/]" if point.dominated else "",
-        )
-    console = Console()
-    console.print(table)
-    for words in refused:
-        console.print(f"refused: {words}", style="yellow", highlight=False)
+    else:
+        print_front([asdict(point) for point in points], refused, Console())
     return 0 if points else 1

@@ -1,4 +1,4 @@
-"""``swarm sitl``: the emulated vehicles alone, for QGroundControl, MAVProxy or anybody's client."""
+"""``swarm sitl``: the emulator alone, for QGroundControl, MAVProxy or another client."""
 
 import os
 import sys
@@ -11,5 +11,5 @@ import click
 )
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 def sitl(arguments: tuple[str, ...]) -> None:
-    """Run the emulator with ARGUMENTS; it is a program of its own (`python -m sitl`)."""
+    """Run the emulator, a program of its own (`python -m sitl`), with ARGUMENTS."""
     os.execv(sys.executable, [sys.executable, "-m", "sitl", *arguments])  # noqa: S606

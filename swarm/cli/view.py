@@ -1,14 +1,13 @@
-"""``swarm view``: open a flight's record, a recording or a plan in the Rerun viewer."""
+"""``swarm view``: open a flight record, a recording or a plan in the Rerun viewer."""
 
 import math
 import tempfile
 from pathlib import Path
 
 import click
-from rich.console import Console
 
-from swarm import planner
-from swarm.cli.inputs import SET, progress_bar
+from swarm.cli.inputs import SET
+from swarm.cli.planning import plan_mission
 from swarm.errors import InputError, Interrupted, Problem, reason
 from swarm.front.files import load_mission
 from swarm.ground.record_reader import recorded_flight, recorded_plan
@@ -27,33 +26,35 @@ from swarm.view.viewers import (
 )
 
 _RECORDING = b"RRF"
-"""What a Rerun recording begins with; the version follows."""
+"""The first bytes of a Rerun recording; the version follows."""
 
 
 @click.command()
 @click.argument("source", metavar="RECORD|FILE.rrd|MISSION")
 @SET
-@click.option("--web", is_flag=True, help="Serve the viewer as a page on this machine only.")
+@click.option("--web", is_flag=True, help="Serve the viewer as a web page, on this machine only.")
 @click.option(
     "--screenshot",
     "picture",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Render a PNG instead of opening a window; needs no screen.",
+    help="Render a PNG without a window; needs no display.",
 )
-@click.option("--at", type=float, metavar="SECONDS", help="With --screenshot: the moment to show.")
+@click.option("--at", type=float, metavar="SECONDS", help="With --screenshot: the time to show.")
 @click.option(
     "--only",
     metavar="VIEW",
-    help="With --screenshot: one of the views: Knot or Field (of a flight or a plan), Planned or "
-    "Flown (with --compare), or another by the name that it is shown with.",
+    help="With --screenshot: the view to show: Knot or Field (of a flight or a plan), Planned or "
+    "Flown (with --compare), or another view by its name.",
 )
 @click.option(
-    "--compare", is_flag=True, help="With RECORD: planned and flown side by side, from its .tlog."
+    "--compare",
+    is_flag=True,
+    help="With RECORD: planned and flown motion side by side, from its .tlog.",
 )
 @click.option(
     "--output",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="With MISSION: keep the plan's recording in this file (.rrd).",
+    help="With MISSION: write the recording of the plan to this file (.rrd).",
 )
 def view(
     source: str,
@@ -65,10 +66,12 @@ def view(
     compare: bool,
     output: Path | None,
 ) -> None:
-    """Open a flight's RECORD (its folder), a recording, or the plan of a MISSION in Rerun.
+    """Open a flight RECORD (a folder), a recording, or the plan of a MISSION in Rerun.
 
-    A mission (a file or a knot's name) is planned first. The command ends when the window is
-    closed; with --web, when it is interrupted.
+    A mission (a file or the name of a knot) is planned first. The command ends when the window is
+    closed; with --web, at an interrupt.
+
+    Example: swarm view flights/2025-06-01T10-00-00-overhand --compare
     """
     if picture is None and (at is not None or only is not None):
         raise click.UsageError("--at and --only belong to --screenshot")
@@ -79,9 +82,7 @@ def view(
         recording = find_recording(Path(source))
         if recording is None:
             recording = output or folder / "plan.rrd"
-            with progress_bar(Console(stderr=True)) as progress:
-                planned = planner.plan(load_mission(source, overrides), progress)
-            write_plan(planned.plan, recording)
+            write_plan(plan_mission(load_mission(source, overrides)).plan, recording)
         else:
             _require_recording(recording)
         sources = [recording]
@@ -95,25 +96,27 @@ def view(
             with ending(window(*map(str, sources), folder=folder)) as shown:
                 _wait(shown, folder)
         else:
-            click.echo("no display here; see it with --web, or as a picture with --screenshot")
+            click.echo("no display: use --web, or --screenshot for a picture")
 
 
 def _verification(record: Path, path: Path) -> Path:
-    """Write what the record's .tlog says was flown beside its plan, arranged for verification."""
+    """Write a recording of the flown motion, from the .tlog, beside the planned motion."""
     plan = recorded_plan(record)
     write_flight(plan, recorded_flight(record, plan).trace, (), path)
     return path
 
 
 def find_recording(source: Path) -> Path | None:
-    """Return the recording of a record's folder or the file itself; None where it is neither.
+    """Return the recording in a record, or the recording itself; None for another source.
 
     Raises :class:`InputError` for a folder without a recording.
     """
     if source.is_dir():
         found = sorted(source.glob("*.rrd"))
         if not found:
-            raise InputError([Problem(str(source), "expected a record with an .rrd file in it")])
+            raise InputError(
+                [Problem(str(source), "expected a flight record with an .rrd file in it")]
+            )
         return found[0]
     if source.suffix == ".rrd":
         if not source.is_file():
@@ -123,17 +126,14 @@ def find_recording(source: Path) -> Path | None:
 
 
 def _require_recording(path: Path) -> None:
-    """Raise :class:`InputError` for a file that cannot be read or does not begin as recordings do.
-
-    The viewer would show nothing and say nothing.
-    """
+    """Raise :class:`InputError` for a file that is no recording: the viewer would stay empty."""
     try:
         with path.open("rb") as file:
             begins = file.read(len(_RECORDING))
     except OSError as error:
         raise InputError([Problem(str(path), reason(error))]) from None
     if begins != _RECORDING:
-        got = "something else" if begins else "an empty file"
+        got = "another kind of file" if begins else "an empty file"
         raise InputError([Problem(str(path), f"expected a Rerun recording, got {got}")])
 
 
@@ -152,10 +152,10 @@ def _serve(sources: list[Path], folder: Path) -> None:
             click.echo(f"{web_url(web_port, port)} — ends with Ctrl-C")
             _wait(server, folder)
     except KeyboardInterrupt:
-        raise Interrupted("no longer served") from None
+        raise Interrupted("the viewer has stopped") from None
 
 
 def _wait(process: Process, folder: Path) -> None:
-    """Wait for the viewer's end; raises :class:`ViewerFailed` where it failed."""
+    """Wait until the viewer ends; raises :class:`ViewerFailed` if it failed."""
     if process.wait():
         raise ViewerFailed(ended(process, folder))

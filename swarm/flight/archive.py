@@ -87,13 +87,14 @@ def read_frames(document: Mapping[str, Any], plan: Plan) -> KnownFrames:
 
 
 def _read_finding(document: Mapping[str, Any]) -> Finding:
-    where = document["where"]
+    # older records have the keys at_time and where
+    where = document["position"] if "position" in document else document["where"]
     x, y, z = where if where is not None else (0.0, 0.0, 0.0)
     return Finding(
         document["severity"],
         str(document["check"]),
         str(document["message"]),
-        document["at_time"],
+        document["time"] if "time" in document else document["at_time"],
         None if where is None else (float(x), float(y), float(z)),
     )
 

@@ -1,5 +1,6 @@
-"""Certificates of plans, and of motions that others planned."""
+"""Certificates of plans and of external trajectories."""
 
+import csv
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +11,12 @@ import numpy as np
 from swarm import planning
 from swarm.certification.certificate import Certificate
 from swarm.certification.certificate import certify as certified
-from swarm.certification.motion_file import MotionFile, plan_of_motion, read_motion
+from swarm.certification.motion_file import (
+    MotionFile,
+    plan_of_motion,
+    read_lengths,
+    read_motion,
+)
 from swarm.errors import InputError, Problem
 from swarm.files import read_text
 from swarm.front.plans import Plan
@@ -18,21 +24,21 @@ from swarm.geometry.motion import Motion as Quintics
 from swarm.geometry.motion import through_states
 from swarm.mission import Cable as CableSection
 from swarm.mission import Mission, mission_for_knot
-from swarm.mission.validation import validate
+from swarm.mission.validation import LARGEST_FILE, validate
 
 Progress = Callable[[str, float], None]
 
 LARGEST_MOTION = 500_000_000
-"""Bytes of a motion table; an hour of a hundred vehicles is less."""
+"""Bytes of a motion table; an hour of a hundred vehicles takes less."""
 
 
 @dataclass(frozen=True)
 class Cable:
-    """The cable of a motion that others planned.
+    """The cable of an external trajectory.
 
-    ``lengths`` (n − 1,) are the segments' lengths in metres, in order along the cable. The rest is
-    None for what the mission says: ``mass_per_length`` (kg/m), ``diameter`` (m),
-    ``length_tolerance`` (m per segment), ``breaking_load`` (N).
+    ``lengths`` (n − 1,) are the lengths of the segments in metres, in order along the cable.
+    ``mass_per_length`` (kg/m), ``diameter`` (m), ``length_tolerance`` (m per segment) and
+    ``breaking_load`` (N) are None for the values of the mission.
 
     Raises :class:`swarm.InputError` for values out of range. Source: :class:`swarm.mission.Cable`.
     """
@@ -55,23 +61,38 @@ class Cable:
             raise InputError(problems)
         self.section(CableSection())
 
-    def section(self, otherwise: CableSection) -> CableSection:
-        """Return the cable as a mission describes it; ``otherwise`` says what is None here."""
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> Self:
+        """Read the lengths of the segments in metres from a JSON or CSV file.
+
+        JSON: a list, or the JSON of a plan. CSV: one length per line, with or without a heading.
+        Raises :class:`swarm.InputError` with each wrong length.
+
+        Source: :func:`swarm.certification.motion_file.read_lengths`.
+        """
+        name = os.fspath(path)
+        try:
+            return cls(tuple(read_lengths(read_text(path, LARGEST_FILE), name).tolist()))
+        except csv.Error as error:
+            raise InputError([Problem(name, f"not valid CSV: {error}")]) from None
+
+    def section(self, default: CableSection) -> CableSection:
+        """Return the cable section of a mission; ``default`` has the values that are None."""
         given = {
             name: value
             for name in ("mass_per_length", "diameter", "length_tolerance", "breaking_load")
             if (value := getattr(self, name)) is not None
         }
-        return validate(CableSection, {**otherwise.model_dump(), **given}, "cable")
+        return validate(CableSection, {**default.model_dump(), **given}, "cable")
 
 
 @dataclass(frozen=True, repr=False)
 class Motion(Quintics):
-    """A motion of n grip points that others planned, with the phases that it declares.
+    """An external trajectory: the motion of n grip points with its phases.
 
-    ``motion(t)`` gives position, velocity and acceleration, each (…, n, 3), ENU and SI, for times
-    (…,) in seconds: the quintic through the table's rows. ``table`` holds these rows: ``time``
-    (k,), ``states`` (k, n, 9) and ``phase`` (k,). Made by :meth:`from_csv`.
+    ``motion(t)`` returns position, velocity and acceleration, each (…, n, 3), ENU and SI, at times
+    (…,) in seconds: the quintic through the rows of the table. ``table`` has these rows: ``time``
+    (k,), ``states`` (k, n, 9) and ``phase`` (k,). Create it with :meth:`from_csv`.
 
     Source: :class:`swarm.geometry.motion.Motion`.
     """
@@ -83,20 +104,24 @@ class Motion(Quintics):
         """Read a table of the motion, as :meth:`swarm.Plan.to_csv` writes it.
 
         Columns: time, vehicle (1…n along the cable), x, y, z, vx, vy, vz, ax, ay, az (ENU, m, m/s,
-        m/s²), phase. Raises :class:`swarm.InputError` with the lines of what is wrong.
+        m/s²), phase. Raises :class:`swarm.InputError` with each wrong line.
 
         Source: :func:`swarm.certification.motion_file.read_motion`.
         """
-        read = read_motion(read_text(path, LARGEST_MOTION), os.fspath(path))
-        made = through_states(read.time, *np.split(read.states, 3, axis=-1))
-        return cls(made.times, made.coefficients, table=read)
+        name = os.fspath(path)
+        try:
+            rows = read_motion(read_text(path, LARGEST_MOTION), name)
+        except csv.Error as error:
+            raise InputError([Problem(name, f"not valid CSV: {error}")]) from None
+        motion = through_states(rows.time, *np.split(rows.states, 3, axis=-1))
+        return cls(motion.times, motion.coefficients, table=rows)
 
     def plan(self, cable: Cable, mission: Mission | None = None) -> Plan:
         """Return the motion with its cable as a plan, as :func:`certify` checks it.
 
-        ``mission`` gives vehicles, clearances, wind and workspace; by default the values of
-        :meth:`swarm.Mission.for_knot`. Its knot is not looked at.
-        Raises :class:`swarm.InputError` where the lengths are not one fewer than the vehicles, or
+        ``mission`` has vehicles, clearances, wind and workspace, by default the values of
+        :meth:`swarm.Mission.for_knot`; its knot has no effect.
+        Raises :class:`swarm.InputError` unless there is one length fewer than vehicles, and where
         no row has the cable aloft.
 
         Source: :func:`swarm.certification.motion_file.plan_of_motion`.
@@ -132,17 +157,17 @@ def certify(
     robustness: bool = True,
     progress: Progress | None = None,
 ) -> Certificate:
-    """Check a plan, or a motion that others planned, and return its certificate, cleared or not.
+    """Return the certificate of a plan or of an external trajectory, cleared or not.
 
-    A :class:`swarm.Motion` needs its ``cable``, and takes limits from ``mission`` (see
+    A :class:`swarm.Motion` needs its ``cable``, and has its limits from ``mission`` (see
     :meth:`swarm.Motion.plan`); a plan has both. The certificate belongs to exactly this plan, by
-    digest. With ``robustness`` it says e* (``max_tracking_error``, m) and w* (``max_wind``, m/s)
-    too, which takes about three times as long as the rest: seconds for an overhand knot, a minute
-    for large ones. ``progress(stage, share)`` is called with what is being done and how much of it
-    is done, 0…1.
+    digest. With ``robustness`` it includes e* (``max_tracking_error``, m) and w* (``max_wind``,
+    m/s), which takes about three times as long as the rest: seconds for an overhand knot, a minute
+    for large ones. ``progress(stage, share)`` is called with the name of a stage and its completed
+    share, 0…1.
 
-    What is certified: every clearance in the quasi-static cable model, for every displacement of
-    every grip point by up to ``mission.vehicles.tracking``.
+    A cleared certificate holds for every clearance in the quasi-static cable model, and for every
+    displacement of every grip point by up to ``mission.vehicles.tracking``.
 
     Raises :class:`swarm.InputError` where a cable is missing, is given with a plan or does not fit.
 
@@ -151,7 +176,7 @@ def certify(
     """
     if isinstance(motion, Motion):
         if cable is None:
-            raise InputError([Problem("cable", "expected swarm.Cable(lengths=…), got nothing")])
+            raise InputError([Problem("cable", "expected swarm.Cable(lengths=…), got none")])
         return certified(motion.plan(cable, mission), robustness=robustness, progress=progress)
     given = [name for name, value in (("cable", cable), ("mission", mission)) if value is not None]
     if given:

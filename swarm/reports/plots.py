@@ -3,7 +3,7 @@
 Every ``draw_…`` function draws into axes that it is given; ``plot_…`` make a whole picture.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -115,30 +115,33 @@ def flight_figure(plan: Plan, trace: Trace) -> Figure:
 
 
 def front_figure(
-    cable: Floats, fold: Floats, tracking: Floats, labels: Sequence[str], beaten: Sequence[bool]
+    points: Sequence[Mapping[str, Any]],
 ) -> Figure:
-    """Return what plans with more and less room cost and stand: cable, fold time and e*.
+    """Return a Pareto front: cable length, fold time and e* of plans; dominated ones are faint.
 
-    All (k,): metres, seconds, metres. Plans that another one beats in all three are drawn faintly.
+    ``points`` have the fields of :class:`swarm.studies.FrontPoint`.
     """
+    tracking = [point["max_tracking_error"] for point in points]
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(8.0, 4.6), layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots()
-        low, high = float(np.min(tracking)), float(np.max(tracking))
-        for i, label in enumerate(labels):
-            share = (tracking[i] - low) / (high - low) if high > low else 1.0
+        low, high = min(tracking), max(tracking)
+        for point in points:
+            cable, fold = point["cable_length"], point["fold_time"]
+            error, dominated = point["max_tracking_error"], point["dominated"]
+            share = (error - low) / (high - low) if high > low else 1.0
             axes.plot(
-                cable[i], fold[i], "o", markersize=7 + 11 * share, color=START,
-                alpha=0.25 if beaten[i] else 0.9, markeredgewidth=0,
+                cable, fold, "o", markersize=7 + 11 * share, color=START,
+                alpha=0.25 if dominated else 0.9, markeredgewidth=0,
             )  # fmt: skip
             axes.annotate(
-                f"e* {tracking[i]:.3f} m\n{label}", (cable[i], fold[i]), fontsize=7.5,
+                f"e* {error:.3f} m\n{point['variant']}", (cable, fold), fontsize=7.5,
                 textcoords="offset points", xytext=(12, -4),
-                color=FAINT_INK if beaten[i] else INK,
+                color=FAINT_INK if dominated else INK,
             )  # fmt: skip
         axes.set(xlabel="cable, m", ylabel="fold, s")
-        axes.set_title("Cable, fold time and the tracking error e* that a plan stands")
+        axes.set_title("Cable, fold time and the largest tracking error e*")
         axes.margins(0.25, 0.18)
         return figure
 

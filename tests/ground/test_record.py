@@ -9,6 +9,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common
 
+from swarm.certification.findings import Finding
 from swarm.errors import InputError
 from swarm.flight.archive import certificate_document, read_certificate
 from swarm.flight.flight_plan import basis_of
@@ -125,6 +126,16 @@ def test_a_broken_certificate_is_an_input_error(wrong):
     broken = {**document, **wrong} if wrong else {}
     with pytest.raises(InputError, match="the record's certificate cannot be read"):
         read_certificate(json.loads(json.dumps(broken)))
+
+
+def test_a_certificate_with_the_keys_of_older_records_is_read():
+    finding = Finding("warning", "floor", "near the floor", 3.0, (1.0, 2.0, 3.0))
+    found = replace(FLIGHT_PLAN.assessment, findings=(finding,))
+    document = certificate_document(basis_of(FLIGHT_PLAN, cable=True), found)
+    (written,) = document["findings"]
+    written["at_time"], written["where"] = written.pop("time"), written.pop("position")
+    _, again = read_certificate(json.loads(json.dumps(document)))
+    assert again.findings == (finding,)
 
 
 def test_a_full_disk_costs_the_record_and_not_the_flight(tmp_path):

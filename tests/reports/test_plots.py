@@ -110,10 +110,15 @@ def test_a_line_and_a_point_are_drawn_too(vehicles: int) -> None:
 
 def test_the_front_shows_every_plan_and_what_it_stands() -> None:
     tracking = np.array([0.01, 0.12, 0.2])
-    figure = plots.front_figure(
-        np.array([60.0, 70.0, 90.0]), np.array([110.0, 130.0, 150.0]), tracking,
-        ["least", "the mission's", "roomy"], [True, False, False],
-    )  # fmt: skip
+    points = [
+        {"variant": variant, "cable_length": cable, "fold_time": fold, "max_tracking_error": error,
+         "dominated": dominated}
+        for variant, cable, fold, error, dominated in zip(
+            ("least", "the mission's", "roomy"), (60.0, 70.0, 90.0), (110.0, 130.0, 150.0),
+            tracking, (True, False, False), strict=True,
+        )
+    ]  # fmt: skip
+    figure = plots.front_figure(points)
     axes = figure.axes[0]
     assert [text.get_text().split("\n")[0] for text in axes.texts] == [
         f"e* {value:.3f} m" for value in tracking

@@ -41,7 +41,7 @@ def test_a_record_is_opened_by_its_recording(tmp_path: Path) -> None:
 
 
 def test_what_is_no_record_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"expected a record with an \.rrd file in it"):
+    with pytest.raises(InputError, match=r"expected a flight record with an \.rrd file in it"):
         find_recording(tmp_path)
     with pytest.raises(InputError, match="no such file"):
         find_recording(tmp_path / "flight.rrd")
@@ -69,9 +69,7 @@ def test_without_a_display_the_ways_out_are_named(
     (tmp_path / "flight.rrd").write_bytes(b"RRF2")
     answer = CliRunner().invoke(view, [str(tmp_path)])
     assert answer.exit_code == 0
-    assert answer.output == (
-        "no display here; see it with --web, or as a picture with --screenshot\n"
-    )
+    assert answer.output == ("no display: use --web, or --screenshot for a picture\n")
 
 
 def test_a_mission_that_is_none_is_an_input_error(tmp_path: Path) -> None:
@@ -83,7 +81,7 @@ def test_a_mission_that_is_none_is_an_input_error(tmp_path: Path) -> None:
     ("contents", "message"),
     [
         (b"", "expected a Rerun recording, got an empty file"),
-        (b"\x89PNG\r\n", "expected a Rerun recording, got something else"),
+        (b"\x89PNG\r\n", "expected a Rerun recording, got another kind of file"),
     ],
 )
 def test_what_is_no_recording_is_said(tmp_path: Path, contents: bytes, message: str) -> None:
@@ -208,7 +206,7 @@ def test_the_server_ends_with_the_command(recording: Path, scratch: Path, name: 
             os.kill(child, signal.SIGKILL)
         assert left == []
         assert list(scratch.iterdir()) == []
-        assert process.stderr.read() == "no longer served\n"
+        assert process.stderr.read() == "the viewer has stopped\n"
 
 
 def runs(process: int) -> bool:

@@ -1,0 +1,75 @@
+"""Studies of many plans on the terminal: the table of all knots, and a Pareto front."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+_SHOWN_COLUMNS = (
+    ("knot", "", "knot"),
+    ("vehicles", "d", "n"),
+    ("cell", ".2f", "cell"),
+    ("cable_length", ".1f", "cable"),
+    ("fold_time", ".0f", "fold"),
+    ("cable_clearance", ".2f", "clearance"),
+    ("cable_clearance_per_cell", ".3f", "/cell"),
+    ("max_tracking_error", ".3f", "e*"),
+    ("max_wind", ".1f", "w*"),
+    ("planning_time", ".1f", "time"),
+    ("cleared", "", ""),
+)
+"""Column, format and heading: n vehicles, metres, seconds, and w* in m/s."""
+
+
+def print_plan_rows(rows: Sequence[Mapping[str, Any]], console: Console) -> None:
+    """Print the table of planned knots, and the reasons of those that were refused.
+
+    ``rows`` have the keys of :data:`swarm.studies.COLUMNS`.
+    """
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    for _, form, heading in _SHOWN_COLUMNS:
+        table.add_column(heading, justify="right" if form else "left")
+    for row in rows:
+        table.add_row(*(_cell(name, row[name], form) for name, form, _ in _SHOWN_COLUMNS))
+    console.print(table)
+    refused = [row for row in rows if not row["cleared"]]
+    for row in refused:
+        console.print(f"[bold]{row['knot']}[/]: {row['message']}", highlight=False)
+    time = sum(row["planning_time"] for row in rows)
+    console.print(
+        f"{len(rows)} knots, {len(refused)} refused; {time:.0f} s of processor time",
+        highlight=False,
+    )
+
+
+def print_front(
+    points: Sequence[Mapping[str, Any]], refused: Sequence[str], console: Console
+) -> None:
+    """Print a Pareto front, the shortest cable first, and the refused variants.
+
+    ``points`` have the fields of :class:`swarm.studies.FrontPoint`.
+    """
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("variant")
+    for name in ("cell", "cable", "fold", "e*"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    for point in sorted(points, key=lambda point: float(point["cable_length"])):
+        table.add_row(
+            point["variant"],
+            f"{point['cell']:.2f} m",
+            f"{point['cable_length']:.1f} m",
+            f"{point['fold_time']:.0f} s",
+            f"{point['max_tracking_error']:.3f} m",
+            "[dim]dominated[/]" if point["dominated"] else "",
+        )
+    console.print(table)
+    for variant in refused:
+        console.print(f"refused: {variant}", style="yellow", highlight=False)
+
+
+def _cell(name: str, value: Any, form: str) -> str:
+    if name == "cleared":
+        return "[green]cleared[/]" if value else "[bold red]refused[/]"
+    return "–" if value is None else format(value, form)
