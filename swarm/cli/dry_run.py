@@ -12,12 +12,13 @@ from swarm.cli.inputs import JSON, MISSION, SET, print_json, refuse_option_confl
 from swarm.cli.planning import plan_mission
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
+from swarm.flight.setup import Options
 from swarm.front.files import load_mission
 from swarm.reports.flight_json import outcome_object
 from swarm.reports.flight_text import print_outcome
 from swarm.reports.plan_summary import plan_summary
 from swarm.reports.terminal import FlightScreen
-from swarm.simulation.loop import Callbacks, FlightOptions, simulate_flight
+from swarm.simulation.loop import Callbacks, simulate_flight
 from swarm.verification import verify_trace
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -150,7 +151,7 @@ def _fly(
         return simulate_flight(
             flight_plan,
             seed=options["seed"],
-            options=FlightOptions(no_cable=options["no_cable"]),
+            options=Options(no_cable=options["no_cable"]),
             callbacks=callbacks,
         )
     from swarm.front.trials import load_scenario  # noqa: PLC0415 - slow to import

@@ -17,6 +17,7 @@ from swarm.simulation.fault_injection import (
     SYSTEM_FAILURE_CASES,
     TEAM_AUTOPILOTS,
     FailureTest,
+    FailureTestSettings,
     TeamAutopilots,
     run_failure_tests,
 )
@@ -74,12 +75,9 @@ def _run(planned: planner.PlanningResult, options: FailureOptions) -> tuple[Fail
         task = bar.add_task("failure tests", total=None)
         return run_failure_tests(
             planned.certified(),
-            rows=cases,
-            personalities=teams,
-            times=options.times or TIMES,
-            seed=options.seed,
+            FailureTestSettings(cases, teams, options.times or TIMES, options.seed),
             jobs=options.jobs,
-            tell=lambda done, total: bar.update(task, completed=done, total=total),
-            known=open_results(options.results, header) if options.results else (),
-            keep=partial(append_results, options.results) if options.results else None,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            earlier_results=open_results(options.results, header) if options.results else (),
+            on_result=partial(append_results, options.results) if options.results else None,
         )

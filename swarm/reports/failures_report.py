@@ -1,35 +1,35 @@
 """The page of the failure tests of a plan."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import groupby
-from typing import Any
 
 from swarm.planning import Plan
+from swarm.reports.failures_text import FailureTestDocument, verdict
 from swarm.reports.rendering import render
 from swarm.simulation.fault_injection import SystemFailureCase
 
 
 def failures_report(
     plan: Plan,
-    tests: Sequence[Mapping[str, Any]],
+    tests: Sequence[FailureTestDocument],
     system_cases: Sequence[SystemFailureCase] = (),
 ) -> str:
     """Return the page of a plan's failure tests.
 
-    ``tests`` are the JSON objects that ``swarm dry-run --failures --json`` prints; ``system_cases``
-    are tested elsewhere, over real sockets, files and processes.
+    ``tests`` are the JSON objects that ``swarm dry-run --failures --json`` prints. The tests of
+    ``system_cases`` run elsewhere, over real sockets, files and processes.
     """
+    most_lost = max((test["vehicles_lost"] for test in tests), default=0)
     return render(
         "failures.html.j2",
         mission=plan.mission,
-        tests=tests,
-        trials=sum(len(test["times"]) for test in tests),
-        failed=sum(not test["passed"] for test in tests),
+        passed=all(test["passed"] for test in tests),
+        verdict=verdict(tests),
         figures=[
-            ("drills", len(tests)),
+            ("failure tests", len(tests)),
             ("flights", sum(len(test["times"]) for test in tests)),
-            ("rotor strikes", sum(test["strikes"] for test in tests)),
-            ("most vehicles lost at once", max((test["lost"] for test in tests), default=0)),
+            ("rotor strikes", sum(test["rotor_strikes"] for test in tests)),
+            ("most vehicles lost in one flight", most_lost),
         ],
         groups=[
             (group, list(cases)) for group, cases in groupby(tests, key=lambda test: test["group"])

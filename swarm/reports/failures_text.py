@@ -10,54 +10,54 @@ from rich.table import Table
 from swarm.reports.formatting import number
 from swarm.simulation.fault_injection import SYSTEM_FAILURE_CASES
 
+FailureTestDocument = Mapping[str, Any]
+"""The JSON object of a failure test."""
+
 
 def print_failures(
-    tests: Sequence[Mapping[str, Any]], console: Console, *, system_cases: bool
+    tests: Sequence[FailureTestDocument], console: Console, *, system_cases: bool
 ) -> None:
-    """Print the failure tests, their verdict and, on request, the cases that are tested elsewhere.
-
-    ``tests`` are the JSON objects of the failure tests.
-    """
+    """Print failure tests and verdict; with ``system_cases`` also the cases tested elsewhere."""
     console.print(failures_table(tests))
-    console.print(_verdict(tests), highlight=False)
+    console.print(verdict(tests), highlight=False)
     if system_cases:
         console.print("\nTested over real sockets, files and processes:")
         for case in SYSTEM_FAILURE_CASES:
             references = f"[dim]({', '.join(case.tests)})[/dim]"
-            line = f"  [bold]{case.name}[/bold]: {case.follows} {references}"
+            line = f"  [bold]{case.name}[/bold]: {case.expected} {references}"
             console.print(line, highlight=False)
 
 
-def failures_table(tests: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table with a line per failure case: the worst result over all autopilots."""
+def failures_table(tests: Sequence[FailureTestDocument]) -> Table:
+    """Return a table with a line per failure case: the worst result of all teams."""
     table = Table(box=None, pad_edge=False, header_style="dim")
-    autopilots = list(dict.fromkeys(test["personality"] for test in tests))
-    table.add_column("failure")
+    autopilots = list(dict.fromkeys(test["autopilots"] for test in tests))
+    table.add_column("failure case")
     for name in autopilots:
         table.add_column(name, justify="center")
-    for name in ("detected s", "cable m", "chord", "strikes", "lost"):
+    for name in ("detected s", "strands m", "chord", "rotor strikes", "vehicles lost"):
         table.add_column(name.replace(" ", "\n"), justify="right")
     table.add_column("response and end")
     for group, in_group in groupby(tests, key=lambda test: test["group"]):
         table.add_row(f"[bold]{group}[/bold]")
-        for case, of_case in groupby(in_group, key=lambda test: test["row"]):
+        for case, of_case in groupby(in_group, key=lambda test: test["case"]):
             same = list(of_case)
-            marks = {test["personality"]: _mark(test["passed"]) for test in same}
+            marks = {test["autopilots"]: _mark(test["passed"]) for test in same}
             table.add_row(
                 f" {case}", *(marks.get(name, "") for name in autopilots),
                 number(max(_values(same, "detected_after"), default=None)),
-                number(min(_values(same, "clearance"), default=None)),
+                number(min(_values(same, "strand_distance"), default=None)),
                 number(max(_values(same, "chord_ratio"), default=None)),
-                str(sum(test["strikes"] for test in same)),
-                str(max(test["lost"] for test in same)), _response_and_end(same),
+                str(sum(test["rotor_strikes"] for test in same)),
+                str(max(test["vehicles_lost"] for test in same)), _response_and_end(same),
             )  # fmt: skip
             for test in same:
                 for problem in test["problems"]:
-                    table.add_row(f"[red]  {test['personality']} {problem}[/red]")
+                    table.add_row(f"[red]  {test['autopilots']} {problem}[/red]")
     return table
 
 
-def _values(tests: Sequence[Mapping[str, Any]], name: str) -> list[float]:
+def _values(tests: Sequence[FailureTestDocument], name: str) -> list[float]:
     return [test[name] for test in tests if test[name] is not None]
 
 
@@ -65,7 +65,7 @@ def _mark(passed: bool) -> str:
     return "[green]✓[/green]" if passed else "[red]✗[/red]"
 
 
-def _response_and_end(tests: Sequence[Mapping[str, Any]]) -> str:
+def _response_and_end(tests: Sequence[FailureTestDocument]) -> str:
     """Return the most frequent first response, and all ends."""
     first = [test["response"].partition(",")[0] for test in tests]
     response = max(dict.fromkeys(first), key=first.count)
@@ -73,7 +73,8 @@ def _response_and_end(tests: Sequence[Mapping[str, Any]]) -> str:
     return ends if response == "none" else f"{response} → {ends}"
 
 
-def _verdict(tests: Sequence[Mapping[str, Any]]) -> str:
+def verdict(tests: Sequence[FailureTestDocument]) -> str:
+    """Return a sentence with the number of tests that passed or failed."""
     failed = sum(not test["passed"] for test in tests)
     flights = sum(len(test["times"]) for test in tests)
     if not failed:

@@ -24,7 +24,7 @@ from swarm.flight.world import emulated_world
 from swarm.mission.fleet import Fleet, emulated_fleet
 
 __all__ = [
-    "NO_CALLBACKS", "NO_OPTIONS", "Callbacks", "Emulator", "Fault", "FlightOptions", "StepCallback",
+    "DEFAULT_OPTIONS", "NO_CALLBACKS", "Callbacks", "Emulator", "Fault", "StepCallback",
     "faults_from", "parse_world", "scenario_schema", "simulate_flight", "world_schema",
 ]  # fmt: skip
 
@@ -40,19 +40,6 @@ StepCallback = Callable[[Conductor, Emulator, float], None]
 
 
 @dataclass(frozen=True)
-class FlightOptions:
-    """Options of the ground station, as in :class:`swarm.flight.conductor.Conductor`.
-
-    ``open_loop`` keeps the planned rate of the mission clock even where margins shrink; it shows
-    the motion of a trajectory without the clock's protection.
-    """
-
-    no_cable: bool = False
-    open_loop: bool = False
-    stray_limit: float | None = None
-
-
-@dataclass(frozen=True)
 class Callbacks:
     """Functions that a simulation calls; None for none.
 
@@ -65,7 +52,7 @@ class Callbacks:
     on_event: Callable[[Event], None] | None = None
 
 
-NO_OPTIONS: Final = FlightOptions()
+DEFAULT_OPTIONS: Final = Options()
 NO_CALLBACKS: Final = Callbacks()
 
 
@@ -89,7 +76,7 @@ def simulate_flight(
     seed: int = 1,
     world: Mapping[str, Any] | None = None,
     faults: Sequence[Fault] = (),
-    options: FlightOptions = NO_OPTIONS,
+    options: Options = DEFAULT_OPTIONS,
     callbacks: Callbacks = NO_CALLBACKS,
 ) -> FlightResult:
     """Fly a plan against the emulator in virtual time and return the result.
@@ -100,15 +87,7 @@ def simulate_flight(
     """
     plan = flight_plan.plan
     fleet = fleet or emulated_fleet(plan.vehicles, seed=seed)
-    conductor = Conductor(
-        flight_plan,
-        fleet,
-        Options(
-            no_cable=options.no_cable,
-            open_loop=options.open_loop,
-            error_limit=options.stray_limit,
-        ),
-    )
+    conductor = Conductor(flight_plan, fleet, options)
     if world is None:
         world = emulated_world(plan, fleet, with_cable=not options.no_cable, seed=seed)
     emulator = Emulator(parse_world(json.dumps(world)), faults)

@@ -1,4 +1,4 @@
-"""Drills that are kept as they are flown: a run that was interrupted goes on where it was."""
+"""Results of failure tests are written as they complete; an interrupted run is continued."""
 
 import json
 from dataclasses import replace
@@ -12,6 +12,7 @@ from swarm.errors import InputError
 from swarm.simulation.fault_injection import (
     FAILURE_CASES,
     TEAM_AUTOPILOTS,
+    FailureTestSettings,
     FaultTrial,
     run_failure_tests,
 )
@@ -30,32 +31,32 @@ HEADING = results_header(PLAN.plan, 1)
 numbers = st.floats(0.0, 1e3)
 trials = st.builds(
     FaultTrial,
-    at=numbers,
+    mission_time=numbers,
     vehicle=st.integers(1, 9),
-    noticed=st.none() | numbers,
+    detected_after=st.none() | numbers,
     response=st.text(),
-    clearance=numbers | st.just(np.inf),
-    apart=numbers | st.just(np.inf),
-    chord=numbers,
-    strikes=st.integers(0, 5),
-    lost=st.integers(0, 2),
+    strand_distance=numbers | st.just(np.inf),
+    vehicle_distance=numbers | st.just(np.inf),
+    chord_ratio=numbers,
+    rotor_strikes=st.integers(0, 5),
+    vehicles_lost=st.integers(0, 2),
     end=st.text(),
     problems=st.lists(st.text(), max_size=3).map(tuple),
-    hidden=numbers,
-    shown=numbers,
-    falling=st.integers(0, 2),
+    hidden_time=numbers,
+    visible_time=numbers,
+    fall_strikes=st.integers(0, 2),
 )
-drills = st.builds(
+case_trials = st.builds(
     CaseTrials,
-    row=st.sampled_from([row.name for row in FAILURE_CASES]),
-    personality=st.sampled_from(TEAM_AUTOPILOTS),
+    case=st.sampled_from([case.name for case in FAILURE_CASES]),
+    autopilots=st.sampled_from(TEAM_AUTOPILOTS),
     seeds=st.tuples(*[st.integers(0, 2**31)] * 3),
     trials=st.lists(trials, max_size=3).map(tuple),
 )
 
 
-@given(st.lists(drills, max_size=3))
-def test_drills_are_read_as_they_were_written_in_lines_of_plain_json(flown):
+@given(st.lists(case_trials, max_size=3))
+def test_results_are_read_as_they_were_written_in_lines_of_plain_json(flown):
     lines = [line(one) for one in (HEADING, *flown)]
     assert all(one.count("\n") == 1 and one.endswith("\n") for one in lines)
     for one in lines:
@@ -63,28 +64,32 @@ def test_drills_are_read_as_they_were_written_in_lines_of_plain_json(flown):
     assert read_results([one[:-1] for one in lines], HEADING) == flown
 
 
-def flown_rows(known=()):
-    kept = []
-    rows = [row for row in FAILURE_CASES if row.name in {"disarms", "interrupted twice"}]
-    found = run_failure_tests(
-        PLAN, rows=rows, personalities=["px4"], times=2, jobs=1, known=known, keep=kept.append
+def run_two_cases(earlier_results=()):
+    new_results = []
+    cases = [case for case in FAILURE_CASES if case.name in {"disarms", "interrupted twice"}]
+    tests = run_failure_tests(
+        PLAN,
+        FailureTestSettings(cases, ["px4"], times=2),
+        jobs=1,
+        earlier_results=earlier_results,
+        on_result=new_results.append,
     )
-    return found, kept
+    return tests, new_results
 
 
-def test_a_run_that_was_interrupted_goes_on_where_it_was(tmp_path):
-    path = tmp_path / "drills.jsonl"
+def test_an_interrupted_run_is_continued(tmp_path):
+    path = tmp_path / "results.jsonl"
     assert open_results(path, HEADING) == []
-    whole, kept = flown_rows()
-    assert [one.row for one in kept] == ["disarms", "interrupted twice"]
+    whole, kept = run_two_cases()
+    assert [one.case for one in kept] == ["disarms", "interrupted twice"]
     for one in kept:
         append_results(path, one)
     # killed while it wrote the second
     path.write_bytes(path.read_bytes()[:-30])
     known = open_results(path, HEADING)
     assert known == kept[:1]
-    again, more = flown_rows(known)
-    assert [one.row for one in more] == ["interrupted twice"]
+    again, more = run_two_cases(known)
+    assert [one.case for one in more] == ["interrupted twice"]
     assert again == whole
     append_results(path, more[0])
     assert open_results(path, HEADING) == kept
@@ -93,11 +98,11 @@ def test_a_run_that_was_interrupted_goes_on_where_it_was(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (line(replace(HEADING, seed=2)), "it holds drills of 3_1 with seed 2, plan "),
+        (line(replace(HEADING, seed=2)), "got 3_1 with seed 2, plan "),
         (line(replace(HEADING, plan="another")), "plan another and swarm "),
-        ("schema: 1\nname: mine\n", "line 1 is not a line of drills"),
-        (line(HEADING) + "{}\n", "line 2 is not a line of drills"),
-        ("\xff\xfe\n\x00", "line 1 is not a line of drills"),
+        ("schema: 1\nname: mine\n", "line 1: expected results of failure tests"),
+        (line(HEADING) + "{}\n", "line 2: expected results of failure tests"),
+        ("\xff\xfe\n\x00", "line 1: expected results of failure tests"),
     ],
     ids=["another seed", "another plan", "a mission", "a damaged line", "bytes"],
 )
@@ -111,5 +116,5 @@ def test_a_file_of_something_else_is_refused_and_left_as_it_is(tmp_path, text, w
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(InputError, match="nowhere/drills: no such file or directory"):
-        open_results(tmp_path / "nowhere" / "drills", HEADING)
+    with pytest.raises(InputError, match="nowhere/results: no such file or directory"):
+        open_results(tmp_path / "nowhere" / "results", HEADING)

@@ -17,17 +17,18 @@ from swarm.flight.hop import (
     tracking_to_plan_with,
 )
 from swarm.flight.result import FlightResult
+from swarm.flight.setup import Options
 from swarm.flight.trace import Trace
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.loop import Callbacks, FlightOptions, StepCallback, simulate_flight
+from swarm.simulation.loop import Callbacks, StepCallback, simulate_flight
 from tests.network import small_plan, uncleared
 
 PLAN = small_plan(vehicles=9)
 LIKE_SIH = 0.6
 """m/s² of disturbance with which emulated PX4 vehicles hover as nine of 1.16 were recorded to."""
 
-OPTIONS = FlightOptions(no_cable=True, stray_limit=ERROR_LIMIT)
+OPTIONS = Options(no_cable=True, error_limit=ERROR_LIMIT)
 
 
 def flown(

@@ -3,8 +3,9 @@
 import pytest
 
 from sitl.faults.scenario import Fault
+from swarm.flight.setup import Options
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.loop import FlightOptions, simulate_flight
+from swarm.simulation.loop import simulate_flight
 from tests.network import Network, small_plan, uncleared
 
 PLAN = small_plan()
@@ -33,6 +34,6 @@ def test_a_clock_that_stands_for_want_of_clearance_is_told_and_ends_in_landing()
 
 
 def test_an_open_loop_flight_keeps_its_pace():
-    result = simulate_flight(TOO_NEAR, options=FlightOptions(open_loop=True))
+    result = simulate_flight(TOO_NEAR, options=Options(open_loop=True))
     assert result.outcome.word == "done"
     assert not [event for event in result.events if event.kind in {"failure", "hold"}]

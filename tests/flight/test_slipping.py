@@ -19,9 +19,9 @@ PLAN = small_plan(vehicles=5)
 
 @pytest.fixture(scope="module")
 def folding():
-    flight = SteppedSimulation.of(PLAN, failure_test_fleet(5, "mixed"), seed=4)
+    flight = SteppedSimulation.create(PLAN, failure_test_fleet(5, "mixed"), seed=4)
     start = PLAN.plan.phase("fold").start
-    while flight.conductor.clock.time < start + 3.0 or not flight.quiet:
+    while flight.conductor.clock.time < start + 3.0 or not flight.can_be_copied:
         flight.step()
     return flight
 

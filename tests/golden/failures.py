@@ -1,7 +1,7 @@
-"""Goldens of failures: what follows from each row of the table of drills, line by line.
+"""Goldens of failures: the transcript of every failure case.
 
-Every row is flown from the same moment of a small flight, by a team of PX4 and by one of ArduPilot
-vehicles; what goes wrong goes wrong with the vehicle in the middle.
+Every case is flown from the same moment of a small flight, by a team of PX4 and by one of ArduPilot
+vehicles; the fault is injected at the vehicle in the middle.
 """
 
 import json
@@ -38,33 +38,33 @@ _SHOWN = 12
 """Lines of a difference that are shown; the rest is counted."""
 
 
-def name_of(row: FailureCase) -> str:
-    """Return what a row's file is called."""
-    return re.sub(r"[^a-z0-9.]+", "-", row.name.lower().replace("%", "percent")).strip("-")
+def name_of(case: FailureCase) -> str:
+    """Return the name of a case's file."""
+    return re.sub(r"[^a-z0-9.]+", "-", case.name.lower().replace("%", "percent")).strip("-")
 
 
-NAMES: Mapping[str, FailureCase] = {name_of(row): row for row in FAILURE_CASES}
+NAMES: Mapping[str, FailureCase] = {name_of(case): case for case in FAILURE_CASES}
 
 
 def make(name: str) -> str:
-    """Fly a row with each team and return its golden."""
-    row = NAMES[name]
-    lines = [f"# failure: {row.name}", f"# environment: {environment()}"]
+    """Fly a case with each team and return its golden."""
+    case = NAMES[name]
+    lines = [f"# failure: {case.name}", f"# environment: {environment()}"]
     for team in TEAMS:
-        lines += ["", *_flown(row, team)]
+        lines += ["", *_flown(case, team)]
     return "\n".join(lines) + "\n"
 
 
-def _flown(row: FailureCase, team: TeamAutopilots) -> list[str]:
-    stage = _stage(team, row.part)
+def _flown(case: FailureCase, team: TeamAutopilots) -> list[str]:
+    stage = _stage(team, case.part)
     flight = stage.copy()
     since, at = flight.now, flight.conductor.clock.time
-    trial = fly_fault_trial(flight, row, VICTIM)
+    trial = fly_fault_trial(flight, case, VICTIM)
     emulator = flight.emulator
     assert isinstance(emulator, Tapped)
-    heading = f"# team {team} · vehicle {VICTIM + 1} · {row.part}, mission time {at:.2f} s"
+    heading = f"# team {team} · vehicle {VICTIM + 1} · {case.part}, mission time {at:.2f} s"
     after = transcript(emulator.wire, flight.events, since + 1e-6)
-    return [heading, fault_line(_fault(row)), *after, _verdict(trial)]
+    return [heading, fault_line(_fault(case)), *after, _verdict(trial)]
 
 
 @cache
@@ -77,10 +77,10 @@ def _stage(team: TeamAutopilots, part: Part) -> SteppedSimulation:
     set_audited_parameters(emulator, flight_plan, fleet)
     flight = SteppedSimulation(flight_plan, fleet, Conductor(flight_plan, fleet), emulator)
     moment = _moment(flight, part)
-    while flight.conductor.clock.time < moment or not flight.quiet:
+    while flight.conductor.clock.time < moment or not flight.can_be_copied:
         assert flight.conductor.finished is None, flight.conductor.finished
         flight.step()
-        # two seconds tell what is known of the vehicles when something goes wrong
+        # two seconds show the state of the vehicles before the fault
         emulator.wire[:] = [one for one in emulator.wire if one.time > flight.now - 2.0]
     return flight
 
@@ -93,25 +93,28 @@ def _moment(flight: SteppedSimulation, part: Part) -> float:
     return next(gate.time for gate in plan.gates if gate.condition == condition) - BEFORE_GATE
 
 
-def _fault(row: FailureCase) -> str:
-    """What goes wrong, in the words of the table of drills."""
+def _fault(case: FailureCase) -> str:
+    """Return the fault of a case in words."""
     words = [
         f"{fault['kind']} " + " ".join(f"{k}={v}" for k, v in fault.items() if k != "kind")
-        for fault in row.faults
+        for fault in case.faults
     ]
-    if row.station:
-        words.append(f"ground station {row.station}")
-    if row.lose:
-        words.append(f"one {row.lose} is lost")
-    target = " · all vehicles" if row.whole_team else ""
+    if case.station_fault:
+        words.append(f"ground station {case.station_fault}")
+    if case.lost_message:
+        words.append(f"one {case.lost_message} is lost")
+    target = " · all vehicles" if case.whole_team else ""
     return ", ".join(one.strip() for one in words) + target
 
 
 def _verdict(trial: FaultTrial) -> str:
-    noticed = "not noticed" if trial.noticed is None else f"noticed after {trial.noticed:.2f} s"
-    problems = "; ".join(trial.problems) or "as the table asks"
+    detection = "not detected"
+    if trial.detected_after is not None:
+        detection = f"detected after {trial.detected_after:.2f} s"
+    problems = "; ".join(trial.problems) or "as required"
     return (
-        f"== {trial.end} · {noticed} · {trial.strikes} rotor strikes · {trial.lost} vehicles lost "
+        f"== {trial.end} · {detection} · {trial.rotor_strikes} rotor strikes · "
+        f"{trial.vehicles_lost} vehicles lost "
         f"· {problems}"
     )
 

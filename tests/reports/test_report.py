@@ -245,18 +245,18 @@ def test_a_template_without_one_of_its_values_is_refused() -> None:
 
 def made_failures_report() -> str:
     told: dict[str, Any] = {
-        "row": "gripper slips", "group": "one vehicle", "personality": "px4", "times": [60.0],
-        "detected_after": 0.95, "response": "lost its grip, landing together", "clearance": None,
-        "apart": 3.1, "chord_ratio": None, "strikes": 0, "lost": 0, "end": "landed",
-        "passed": True, "problems": [], "explained": "one long strand from then on",
+        "case": "gripper slips", "group": "one vehicle", "autopilots": "px4", "times": [60.0],
+        "detected_after": 0.95, "response": "lost its grip, landing together", "strand_distance": None,
+        "vehicle_distance": 3.1, "chord_ratio": None, "rotor_strikes": 0, "vehicles_lost": 0, "end": "landed",
+        "passed": True, "problems": [], "explanation": "one long strand from then on",
     }  # fmt: skip
-    failed = {**told, "personality": "mixed", "passed": False, "problems": ["at 60.0 s: <late>"]}
+    failed = {**told, "autopilots": "mixed", "passed": False, "problems": ["at 60.0 s: <late>"]}
     return failures_report(PLAN, [told, failed], SYSTEM_FAILURE_CASES)
 
 
-def test_the_page_of_drills_shows_every_row_and_what_is_tested_elsewhere() -> None:
+def test_the_page_of_failure_tests_shows_every_case_and_the_tests_of_system_cases() -> None:
     source = made_failures_report()
-    assert "1 of 2 drills did not go as asked" in source
+    assert "1 of 2 failure tests failed (2 flights)." in source
     assert "at 60.0 s: &lt;late&gt;" in source
     assert source.count("gripper slips") == 1
     assert "test_a_stalled_sink_holds_up_nobody" in source

@@ -1,14 +1,20 @@
-"""Drills: flights in which something goes wrong, in virtual time, judged by what really is."""
+"""Fault injection: simulated flights with faults, evaluated by the emulator's ground truth."""
 
 from swarm.simulation.fault_injection.evaluation import FaultTrial
 from swarm.simulation.fault_injection.failure_cases import (
     FAILURE_CASES,
-    SYSTEM_FAILURE_CASES,
     FailureCase,
+)
+from swarm.simulation.fault_injection.failure_tests import (
+    FailureTest,
+    FailureTestSettings,
+    run_failure_tests,
+)
+from swarm.simulation.fault_injection.stepped_simulation import TEAM_AUTOPILOTS, TeamAutopilots
+from swarm.simulation.fault_injection.system_failure_cases import (
+    SYSTEM_FAILURE_CASES,
     SystemFailureCase,
 )
-from swarm.simulation.fault_injection.failure_tests import FailureTest, run_failure_tests
-from swarm.simulation.fault_injection.stepped_simulation import TEAM_AUTOPILOTS, TeamAutopilots
 
 __all__ = [
     "FAILURE_CASES",
@@ -16,6 +22,7 @@ __all__ = [
     "TEAM_AUTOPILOTS",
     "FailureCase",
     "FailureTest",
+    "FailureTestSettings",
     "FaultTrial",
     "SystemFailureCase",
     "TeamAutopilots",

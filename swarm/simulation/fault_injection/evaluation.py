@@ -1,7 +1,8 @@
-"""What came of a drill, judged by the emulator's ground truth."""
+"""Evaluation of a failure test by the emulator's ground truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -11,216 +12,254 @@ from swarm.flight.snapshot import Event
 from swarm.simulation.fault_injection.failure_cases import FailureCase
 from swarm.simulation.fault_injection.stepped_simulation import SteppedSimulation
 
-LOOK_EVERY = 0.1
-AT_ONCE = 3.0
-"""Seconds after the end of a fault up to which a slower clock is taken for an answer to it."""
-_LOW = 0.5
-"""Metres above the floor below which a vehicle's cable is no longer judged: it lies down."""
+SAMPLE_INTERVAL: Final = 0.1
+"""Seconds between two samples of the ground truth."""
+
+LATE_REACTION: Final = 3.0
+"""Seconds after the end of a fault up to which a slower clock counts as a reaction to it."""
+
+_MIN_HEIGHT: Final = 0.5
+"""Metres above the floor below which a vehicle's cable is no longer evaluated: it lies down."""
 
 
 @dataclass(frozen=True)
 class FaultTrial:
-    """One fault at one time, and what came of it.
+    """One fault at one time, and the behaviour that followed.
 
-    ``at`` is mission time; ``noticed`` seconds until the first event that says so, None if none
-    does, ``hidden`` and ``shown`` those in which there was nothing, and something, to notice where
-    a row hides (``shown`` up to the end); ``response`` the words of what the team did;
-    ``clearance`` the smallest distance between strands, ``apart`` the smallest level distance
-    between vehicles that are not apart in height, both metres (infinite: never judged); ``chord``
-    the largest chord over length. ``strikes`` of rotors on cable, ``falling`` those of them that
-    came with the fault, before anybody could answer; ``lost`` vehicles, ``problems`` what is not as
-    asked.
+    - ``mission_time`` of the fault, seconds; ``vehicle`` from 1.
+    - ``detected_after``: seconds until the first event about the fault, None without any.
+      ``hidden_time`` and ``visible_time``: seconds in which the fault had no measurable effect, and
+      had one, for cases that may be hidden.
+    - ``response``: the kinds of events that followed, in order.
+    - ``strand_distance`` and ``vehicle_distance``: the smallest distance between strands, and the
+      smallest horizontal distance between vehicles that are not apart in height; metres, infinite
+      where never evaluated. ``chord_ratio``: the largest chord over length.
+    - ``rotor_strikes`` on cable, ``fall_strikes`` of them within the case's ``fall_time``;
+      ``vehicles_lost``; ``end`` of the flight; ``problems``: the violated requirements.
     """
 
-    at: float
+    mission_time: float
     vehicle: int
-    noticed: float | None
+    detected_after: float | None
     response: str
-    clearance: float
-    apart: float
-    chord: float
-    strikes: int
-    lost: int
+    strand_distance: float
+    vehicle_distance: float
+    chord_ratio: float
+    rotor_strikes: int
+    vehicles_lost: int
     end: str
     problems: tuple[str, ...]
-    hidden: float = 0.0
-    shown: float = 0.0
-    falling: int = 0
+    hidden_time: float = 0.0
+    visible_time: float = 0.0
+    fall_strikes: int = 0
 
 
-class Judge:
-    """Looks at what really is, from the fault on.
+class GroundTruthMonitor:
+    """Measures distances, chords and contacts of the emulator from the fault on.
 
-    ``hidden`` are the seconds in which a slip of ``slipping`` would not show, ``shown`` those in
-    which it would, ``unseen`` whether it does not now.
+    With the index of a ``slipping`` vehicle it also measures the seconds in which the slip has no
+    measurable effect (``hidden_time``) and in which it has one (``visible_time``); ``hidden`` is
+    true where it had none at the last sample.
     """
 
     def __init__(self, flight: SteppedSimulation, slipping: int | None = None) -> None:
         self._flight = flight
         self._slipping = slipping
-        self.hidden, self.shown, self.unseen = 0.0, 0.0, False
+        self.hidden_time, self.visible_time, self.hidden = 0.0, 0.0, False
         self._monitor = Monitor(flight.flight_plan.plan)
         truth = flight.emulator.truth()
-        self._strikes, self._contacts = len(truth.strikes), len(truth.contacts)
-        self._next = 0.0
+        self._earlier_strikes = len(truth.strikes)
+        self._earlier_contacts = len(truth.contacts)
+        self._next_time = 0.0
         self._laid_down = False
-        self.clearance = self.apart = np.inf
-        self.chord = 0.0
+        self.strand_distance = self.vehicle_distance = np.inf
+        self.chord_ratio = 0.0
 
-    def look(self) -> None:
-        """Look at this moment, ten times a second."""
+    def sample(self) -> None:
+        """Take a sample, at most one every :data:`SAMPLE_INTERVAL`."""
         flight = self._flight
-        if flight.now < self._next:
+        if flight.now < self._next_time:
             return
-        self._next = flight.now + LOOK_EVERY
+        self._next_time = flight.now + SAMPLE_INTERVAL
         if self._slipping is not None and flight.conductor.stage == "fly":
-            shows = flight.conductor.state.detectors.grip_slip.detectable(
-                flight.conductor.state.streams.setpoint
-            )
-            aloft = flight.conductor.phase.cable == "aloft"
-            self.unseen = not (aloft and bool(shows[self._slipping]))
-            self.hidden += LOOK_EVERY if self.unseen else 0.0
-            self.shown += 0.0 if self.unseen else LOOK_EVERY
+            self._sample_slip(self._slipping)
         truth = flight.emulator.truth()
-        place = truth.position
-        flying = ~flight.emulator.bodies.tumbling & (place[:, 2] > _LOW)
+        position = truth.position
+        flying = ~flight.emulator.bodies.tumbling & (position[:, 2] > _MIN_HEIGHT)
         self._laid_down |= not bool(flying.all())
         held = bool(truth.gripped.all()) and not self._laid_down
-        aloft = flight.conductor.phase.cable == "aloft" and flight.conductor.phase.name != "finish"
-        if held and aloft:
-            (seen,) = self._monitor.clearances(place[None], "aloft")
-            if np.isfinite(seen.cable):
-                self.clearance = min(self.clearance, seen.cable)
-            self.chord = max(self.chord, seen.chord)
+        phase = flight.conductor.phase
+        if held and phase.cable == "aloft" and phase.name != "finish":
+            (clearances,) = self._monitor.clearances(position[None], "aloft")
+            if np.isfinite(clearances.cable):
+                self.strand_distance = min(self.strand_distance, clearances.cable)
+            self.chord_ratio = max(self.chord_ratio, clearances.chord)
         if flying.all():
-            (seen,) = self._monitor.clearances(place[None], "free")
-            self.apart = min(self.apart, seen.vehicle)
+            (clearances,) = self._monitor.clearances(position[None], "free")
+            self.vehicle_distance = min(self.vehicle_distance, clearances.vehicle)
 
-    def strikes(self, until: float = np.inf) -> int:
-        """Return how often a rotor struck cable, up to a time of the flight."""
-        strikes = self._flight.emulator.truth().strikes[self._strikes :]
+    def _sample_slip(self, vehicle: int) -> None:
+        conductor = self._flight.conductor
+        state = conductor.state
+        visible = state.detectors.grip_slip.detectable(state.streams.setpoint)
+        self.hidden = not (conductor.phase.cable == "aloft" and bool(visible[vehicle]))
+        if self.hidden:
+            self.hidden_time += SAMPLE_INTERVAL
+        else:
+            self.visible_time += SAMPLE_INTERVAL
+
+    def rotor_strikes(self, until: float = np.inf) -> int:
+        """Return the number of rotor strikes on cable, up to a time of the flight."""
+        strikes = self._flight.emulator.truth().strikes[self._earlier_strikes :]
         return sum(strike["time"] <= until for strike in strikes)
 
-    def lost(self) -> int:
-        """Return how many vehicles came down hard, or struck each other."""
-        contacts = self._flight.emulator.truth().contacts[self._contacts :]
-        broken = {one for c in contacts for one in c["vehicles"] if c["kind"] == "crash"}
-        broken |= {
-            one for c in contacts if c["kind"] == "vehicles" and c["speed"] > 1.0
-            for one in c["vehicles"]
-        }  # fmt: skip
-        return len(broken)
+    def vehicles_lost(self) -> int:
+        """Return the number of vehicles that crashed or collided with another vehicle."""
+        contacts = self._flight.emulator.truth().contacts[self._earlier_contacts :]
+        lost: set[int] = set()
+        for contact in contacts:
+            collision = contact["kind"] == "vehicles" and contact["speed"] > 1.0
+            if contact["kind"] == "crash" or collision:
+                lost.update(contact["vehicles"])
+        return len(lost)
 
 
-def judged(
-    flight: SteppedSimulation,
-    row: FailureCase,
-    judge: Judge,
-    at: float,
-    victim: int,
-    began: float,
-    slowed: float | None,
+@dataclass(frozen=True)
+class Injection:
+    """A fault as it was injected.
+
+    ``time`` of the flight and ``mission_time`` in seconds, index of the ``vehicle``;
+    ``slowed_after``: seconds until the mission clock slowed down, None if it did not.
+    """
+
+    case: FailureCase
+    vehicle: int
+    time: float
+    mission_time: float
+    slowed_after: float | None
+
+
+def evaluate(
+    flight: SteppedSimulation, injection: Injection, monitor: GroundTruthMonitor
 ) -> FaultTrial:
-    """Return what came of a fault that ``began`` at a time of the flight, at mission time ``at``.
-
-    ``slowed`` are the seconds until the clock ran slower, None if it did not.
-    """
+    """Return the trial of a fault whose flight has ended."""
+    case, began = injection.case, injection.time
     events = [event for event in flight.events if event.kind in {"failure", "hold", "leave"}]
-    events += [e for e in flight.events if row.station and e.kind == "operator"]
-    told = [event for event in events if event.time >= began]
-    late = slowed is not None and 0.0 < row.lasts < slowed - AT_ONCE
-    if late or not row.slows:
-        slowed = None
-    moments = [event.time - began for event in told] + ([] if slowed is None else [slowed])
-    noticed = min(moments, default=None)
-    end = _end(flight, row)
+    if case.station_fault:
+        events += [event for event in flight.events if event.kind == "operator"]
+    events = [event for event in events if event.time >= began]
+    slowed_after = injection.slowed_after if case.slows_clock else None
+    if slowed_after is not None and 0.0 < case.duration < slowed_after - LATE_REACTION:
+        slowed_after = None
+    detections = [event.time - began for event in events]
+    if slowed_after is not None:
+        detections.append(slowed_after)
     trial = FaultTrial(
-        at=at,
-        vehicle=victim + 1,
-        noticed=noticed,
-        response=_response(told, slowed),
-        clearance=judge.clearance,
-        apart=judge.apart,
-        chord=judge.chord,
-        strikes=judge.strikes(),
-        lost=judge.lost(),
-        end=end,
+        mission_time=injection.mission_time,
+        vehicle=injection.vehicle + 1,
+        detected_after=min(detections, default=None),
+        response=_response(events, slowed_after),
+        strand_distance=monitor.strand_distance,
+        vehicle_distance=monitor.vehicle_distance,
+        chord_ratio=monitor.chord_ratio,
+        rotor_strikes=monitor.rotor_strikes(),
+        vehicles_lost=monitor.vehicles_lost(),
+        end=_end(flight, case),
         problems=(),
-        hidden=judge.hidden,
-        shown=judge.shown,
-        falling=judge.strikes(began + row.falls) if row.falls else 0,
+        hidden_time=monitor.hidden_time,
+        visible_time=monitor.visible_time,
+        fall_strikes=monitor.rotor_strikes(began + case.fall_time) if case.fall_time else 0,
     )
-    return replace(trial, problems=_problems(flight, row, trial))
+    return replace(trial, problems=find_problems(flight, case, trial))
 
 
-def _problems(flight: SteppedSimulation, row: FailureCase, trial: FaultTrial) -> tuple[str, ...]:
-    """What is not as the row asks.
+def find_problems(
+    flight: SteppedSimulation, case: FailureCase, trial: FaultTrial
+) -> tuple[str, ...]:
+    """Return the requirements of a case that a trial violates.
 
-    Where neither the fault nor a fall moves what was certified, the certified worst case holds.
+    Where the fault moves neither vehicles nor cable beyond the certificate, and no vehicle falls,
+    the certified distances are required.
     """
-    cable, vehicle = _certified(flight, row)
     problems = []
-    if trial.end not in row.ends:
+    if trial.end not in case.allowed_ends:
         problems.append(f"ended as {trial.end}")
-    seen = None if trial.noticed is None else trial.noticed - trial.hidden
-    never = seen is None and not (row.hides and trial.shown <= (row.within or 0.0))
-    if row.within is not None and (never or (seen or 0.0) > row.within + 1e-6):
-        after = "never" if seen is None else f"after {seen:.2f} s"
-        problems.append(f"noticed {after}, not within {row.within:g} s")
-    allowed = row.strikes + (row.stays and _nowhere_to_go(flight))
-    if trial.strikes - trial.falling > allowed and not row.dead:
-        problems.append(f"{trial.strikes - trial.falling} rotor strikes")
-    if trial.lost > int(row.dead):
-        problems.append(f"{trial.lost} vehicles lost")
-    taken_along = row.drifts and trial.end != "released and landed"
-    if not (row.moves or row.dead or taken_along):
-        if trial.chord >= 1.0:
-            problems.append(f"a chord of {trial.chord:.3f} of its length")
-        if trial.clearance < cable:
-            problems.append(f"strands {trial.clearance:.2f} m apart")
-    if trial.apart < vehicle and not (row.moves or row.drifts or row.dead):
-        problems.append(f"vehicles {trial.apart:.2f} m apart")
+    problems += _detection_problem(case, trial)
+    strikes = trial.rotor_strikes - trial.fall_strikes
+    allowed_strikes = case.allowed_strikes + (case.cannot_follow and _cornered(flight))
+    if strikes > allowed_strikes and not case.loses_vehicle:
+        problems.append(f"{strikes} rotor strikes")
+    if trial.vehicles_lost > int(case.loses_vehicle):
+        problems.append(f"{trial.vehicles_lost} vehicles lost")
+    strand_distance, vehicle_distance = _certified_distances(flight, case)
+    moved = case.moves_certified or case.loses_vehicle
+    cable_drifts = case.vehicle_drifts and trial.end != "released and landed"
+    if not (moved or cable_drifts):
+        if trial.chord_ratio >= 1.0:
+            problems.append(f"a chord of {trial.chord_ratio:.3f} of its length")
+        if trial.strand_distance < strand_distance:
+            problems.append(f"strands {trial.strand_distance:.2f} m apart")
+    if trial.vehicle_distance < vehicle_distance and not (moved or case.vehicle_drifts):
+        problems.append(f"vehicles {trial.vehicle_distance:.2f} m apart")
     return tuple(problems)
 
 
-def _nowhere_to_go(flight: SteppedSimulation) -> bool:
-    """Whether the team left the plan where all can neither land nor let go as they stand."""
+def _detection_problem(case: FailureCase, trial: FaultTrial) -> list[str]:
+    limit = case.detection_limit
+    if limit is None:
+        return []
+    if trial.detected_after is None:
+        if case.may_be_hidden and trial.visible_time <= limit:
+            return []
+        return [f"not detected within {limit:g} s"]
+    visible_for = trial.detected_after - trial.hidden_time
+    if visible_for <= limit + 1e-6:
+        return []
+    return [f"detected after {visible_for:.2f} s, not within {limit:g} s"]
+
+
+def _cornered(flight: SteppedSimulation) -> bool:
+    """Return whether the team left the plan where it can neither land nor release as it stands."""
     contingency = flight.conductor.state.contingency
     return contingency is not None and contingency.cornered
 
 
-def _certified(flight: SteppedSimulation, row: FailureCase) -> tuple[float, float]:
-    """Return the least distances between strands and between vehicles that are certified."""
-    known, required = flight.flight_plan.assessment, flight.flight_plan.plan.mission.clearance
-    if row.coasts and known.stream_loss is not None and known.stream_loss.worst.margin >= 0.0:
+def _certified_distances(flight: SteppedSimulation, case: FailureCase) -> tuple[float, float]:
+    """Return the certified distances between strands and between vehicles, metres."""
+    assessment = flight.flight_plan.assessment
+    stream_loss = assessment.stream_loss
+    if case.stream_loss and stream_loss is not None and stream_loss.worst.margin >= 0.0:
+        required = flight.flight_plan.plan.mission.clearance
         return required.cable, required.vehicle
-    cable = known.cable.distance if known.cable is not None else 0.0
-    return cable, known.vehicle.distance if known.vehicle is not None else 0.0
+    return (
+        assessment.cable.distance if assessment.cable is not None else 0.0,
+        assessment.vehicle.distance if assessment.vehicle is not None else 0.0,
+    )
 
 
-def _end(flight: SteppedSimulation, row: FailureCase) -> str:
+def _end(flight: SteppedSimulation, case: FailureCase) -> str:
     conductor, truth = flight.conductor, flight.emulator.truth()
-    if row.station == "killed":
+    if case.station_fault == "killed":
         return "still flying" if truth.armed.any() else "landed by failsafe"
     outcome = conductor.finished
     if outcome is None:
-        return "goes on" if conductor.stage == "fly" else "not landed"
+        return "continued" if conductor.stage == "fly" else "not landed"
     if outcome.word == "done":
-        return "flown to the end"
+        return "completed"
     contingency = conductor.state.contingency
     if contingency is None:
-        return "landed by failsafe" if not truth.armed.any() else f"given up: {outcome.explanation}"
-    alive = ~flight.emulator.bodies.crashed
-    if (truth.armed & alive & ~flight.emulator.bodies.tumbling).any():
+        return "landed by failsafe" if not truth.armed.any() else f"aborted: {outcome.explanation}"
+    bodies = flight.emulator.bodies
+    if (truth.armed & ~bodies.crashed & ~bodies.tumbling).any():
         return "not landed"
     lands = contingency.response in {Response.LAND, Response.LAND_HERE}
     return "landed" if lands else "released and landed"
 
 
-def _response(told: Sequence[Event], slowed: float | None) -> str:
-    """What the team did, in the order in which it did it."""
-    words: list[str] = ["slow"] if slowed is not None and not told else []
-    for event in sorted(told, key=lambda event: event.time):
+def _response(events: Sequence[Event], slowed_after: float | None) -> str:
+    """Return the reactions of the team, in order."""
+    words: list[str] = ["slow"] if slowed_after is not None and not events else []
+    for event in sorted(events, key=lambda event: event.time):
         word = event.kind
         if event.kind in {"failure", "leave"}:
             word = event.message.partition(":")[0]

@@ -1,115 +1,78 @@
-"""What can go wrong, what is asked of the team then, and how it may end: the table of drills."""
+"""The table of failure cases: the fault, the required detection and the allowed ends."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from swarm.errors import InputError, Problem, Refused
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.planning import Plan
 
 Part = Literal["fold", "grab", "release"]
+"""The part of the flight in which a fault occurs."""
+
 Group = Literal["one vehicle", "links", "ground station", "world"]
-Station = Literal["asleep", "killed", "interrupted", "interrupted twice"]
-End = Literal["goes on", "landed", "released and landed", "landed by failsafe", "flown to the end"]
+StationFault = Literal["stalled", "killed", "interrupted", "interrupted twice"]
+End = Literal["continued", "landed", "released and landed", "landed by failsafe", "completed"]
+"""How a flight ends after a fault; "continued" is a flight that is still on its plan."""
 
 
 @dataclass(frozen=True)
 class FailureCase:
-    """What goes wrong, and what is asked of the team then.
+    """A fault, and the required behaviour of the team.
 
-    ``faults`` are the emulator's, without time and vehicle; ``whole_team`` hits everybody.
-    ``within`` is the time in seconds in which it must be noticed (None: nothing to notice), by a
-    word of the table of failures, or where ``slows`` by a clock that runs slower; of what ``hides``
-    it counts from when there is anything to see. ``ends`` are the ends that are right. ``dead``
-    says that the fault itself takes a vehicle out of the air; ``moves`` that it moves vehicles or
-    cable beyond what was certified, ``drifts`` that it does so with one vehicle, and with the cable
-    only where nobody may let go; ``strikes`` how many rotors may touch cable then, with ``why``.
-    Where one ``stays`` where it is, and the others with it, one more rotor may where all can
-    neither land nor let go without cable coming down on somebody.
-    In the first ``falls`` seconds any may: it is what the fault lets fall on whoever is below.
-    Where somebody ``coasts`` for want of setpoints, the coast certificate's worst case counts: the
-    mission's own clearances.
+    - ``faults``: those of the emulator, without time and vehicle; with ``whole_team`` they hit all
+      vehicles. ``station_fault`` is a fault of the ground station, ``lost_message`` a message that
+      is lost. ``duration`` in seconds, 0 for a permanent fault.
+    - ``detection_limit``: seconds within which the fault must be detected, None where no detection
+      is required. It is detected by an event, or with ``slows_clock`` by a slower mission clock.
+      With ``may_be_hidden`` the time counts only while the fault has a measurable effect.
+    - ``allowed_ends``: with ``pilot_lands`` a pilot lands the vehicle along with the team.
+    - ``loses_vehicle``: the fault itself takes a vehicle out of the air. ``moves_certified``: it
+      moves vehicles or cable beyond the certificate. ``vehicle_drifts``: it does so with one
+      vehicle, and with the cable only where it cannot be released.
+    - ``allowed_strikes``: number of rotors that may touch cable. With ``cannot_follow`` the vehicle
+      stays where it is and the others with it; one more rotor may touch cable where the team can
+      neither land nor release without cable on a rotor. During the first ``fall_time`` seconds any
+      number may: the cable falls because of the fault.
+    - ``stream_loss``: vehicles fly on without setpoints, so the worst case of the stream loss
+      certificate applies: the mission's own clearances.
+    - ``explanation``: the reason for exceptions.
     """
 
     name: str
     group: Group
-    ends: tuple[End, ...]
+    allowed_ends: tuple[End, ...]
     faults: tuple[Mapping[str, Any], ...] = ()
     part: Part = "fold"
-    within: float | None = None
-    slows: bool = False
-    hides: bool = False
+    detection_limit: float | None = None
+    slows_clock: bool = False
+    may_be_hidden: bool = False
     whole_team: bool = False
-    dead: bool = False
-    moves: bool = False
-    drifts: bool = False
-    strikes: int = 0
-    stays: bool = False
-    falls: float = 0.0
-    coasts: bool = False
-    why: str = ""
-    station: Station | None = None
-    lasts: float = 0.0
-    lose: str = ""
-    by_hand: bool = False
+    loses_vehicle: bool = False
+    moves_certified: bool = False
+    vehicle_drifts: bool = False
+    allowed_strikes: int = 0
+    cannot_follow: bool = False
+    fall_time: float = 0.0
+    stream_loss: bool = False
+    explanation: str = ""
+    station_fault: StationFault | None = None
+    duration: float = 0.0
+    lost_message: str = ""
+    pilot_lands: bool = False
 
 
-class SystemFailureCase(NamedTuple):
-    """What goes wrong outside the bytes between station and vehicles, and the tests that make it
-    go wrong over real files, processes and sockets, with what must follow."""
-
-    name: str
-    follows: str
-    tests: tuple[str, ...]
-
-
-SYSTEM_FAILURE_CASES: tuple[SystemFailureCase, ...] = (
-    SystemFailureCase(
-        "disk full",
-        "told once; the flight goes on, the record keeps what was written before",
-        (
-            "tests/ground/test_fly.py::"
-            "test_a_disk_that_is_full_in_flight_costs_the_rest_of_the_record_and_not_the_flight",
-            "tests/ground/test_record.py::test_a_full_disk_costs_the_record_and_not_the_flight",
-        ),
-    ),
-    SystemFailureCase(
-        "viewer hangs",
-        "no setpoint is late; the viewer misses what it does not take",
-        (
-            "tests/ground/test_pilot.py::test_a_caller_that_is_slow_does_not_slow_the_flight",
-            "tests/view/test_rerun_log.py::test_a_stalled_sink_holds_up_nobody",
-            "tests/view/test_rerun_log.py::test_a_killed_sink_holds_up_nobody",
-        ),
-    ),
-    SystemFailureCase(
-        "killed in flight, and taken up again",
-        "the record lacks a second at most; the next process finds the team and holds it",
-        (
-            "tests/ground/test_fly.py::"
-            "test_after_sigkill_only_the_last_second_of_the_record_is_missing",
-            "tests/flight/test_resuming.py",
-            "tests/ground/test_resume.py",
-        ),
-    ),
-    SystemFailureCase(
-        "strangers on the links",
-        "spoofed, replayed and fuzzed packets and floods change no setpoint",
-        ("tests/flight/test_security.py", "tests/ground/test_flood.py"),
-    ),
+_CONTINUED: tuple[End, ...] = ("continued", "completed")
+_LANDED: tuple[End, ...] = ("landed", "released and landed")
+_FALLS = "the vehicle falls; its rotors may strike cable below"
+_CANNOT_FOLLOW = (
+    "the vehicle no longer follows setpoints, so the team cannot move to a place where all can "
+    "land together; where it can neither land nor release as it stands, it lands, and cable may "
+    "touch a rotor on the ground"
 )
-
-
-_ON: tuple[End, ...] = ("goes on", "flown to the end")
-_DOWN: tuple[End, ...] = ("landed", "released and landed")
-_FALLS = "it is out of the air; as it falls its rotors may strike what hangs there"
-_STAYS = (
-    "it no longer follows, so that nobody can move to where all can land together; where they can "
-    "neither land nor let go as they stand, they land, and cable may touch a rotor on the ground"
-)
-_BEHIND = (
-    "it shows by how far somebody falls behind, and takes longer where the plan hardly moves them"
+_SLOW_MOTION = (
+    "detected by the tracking error, which takes longer where the plan hardly moves the vehicles"
 )
 _SILENCE = 1.2
 """Seconds: more than the fleet's limits.silence and a packet's time."""
@@ -120,149 +83,291 @@ def _gap(seconds: float, direction: str) -> tuple[Mapping[str, Any], ...]:
 
 
 def _gaps() -> Iterator[FailureCase]:
-    """Gaps of 0.1, 0.5, 2 and 10 s: of telemetry, of setpoints, of both; for one and for all.
+    """Yield gaps of 0.1, 0.5, 2 and 10 s in telemetry, setpoints and both; for one and for all.
 
-    Vehicles that miss half a second of setpoints may leave offboard mode, as PX4 does: the team
-    holds then, and lands after T.
+    A vehicle without setpoints for half a second may leave offboard mode, as PX4 does; the team
+    then holds, and lands after T.
     """
-    words = {"down": "telemetry", "up": "setpoint", "both": "two-way"}
+    names = {"down": "telemetry", "up": "setpoint", "both": "two-way"}
     for whole in (False, True):
-        for direction, word in words.items():
+        for direction, name in names.items():
             for seconds in (0.1, 0.5, 2.0, 10.0):
-                left: tuple[End, ...] = () if seconds < 0.5 or direction == "down" else ("landed",)
-                late: tuple[End, ...] = ("landed by failsafe",) if seconds > 5.0 else ()
+                loses_setpoints = seconds >= 0.5 and direction != "down"
+                ends = list(_CONTINUED)
+                if loses_setpoints:
+                    ends.append("landed")
+                if loses_setpoints and seconds > 5.0:
+                    ends.append("landed by failsafe")
+                limit = 2.0 if direction == "up" else _SILENCE
                 yield FailureCase(
-                    f"{word} gap of {seconds:g} s, {'all' if whole else 'one'}",
+                    f"{name} gap of {seconds:g} s, {'all' if whole else 'one'}",
                     "links",
-                    (*_ON, *left, *(late if left else ())),
+                    tuple(ends),
                     _gap(seconds, direction),
-                    within=None if seconds < 1.0 else 2.0 if direction == "up" else _SILENCE,
-                    slows=direction == "up",
+                    detection_limit=None if seconds < 1.0 else limit,
+                    slows_clock=direction == "up",
                     whole_team=whole,
-                    lasts=seconds,
-                    coasts=direction != "down" and seconds >= STREAM_LOSS_TIME,
-                    why=_BEHIND if direction == "up" else "",
+                    duration=seconds,
+                    stream_loss=direction != "down" and seconds >= STREAM_LOSS_TIME,
+                    explanation=_SLOW_MOTION if direction == "up" else "",
                 )
 
 
 FAILURE_CASES: tuple[FailureCase, ...] = (
     FailureCase(
-        "lags", "one vehicle", _ON, ({"kind": "weak_thrust", "fraction": 0.9},), within=2.0,
-        slows=True,
+        "lags",
+        "one vehicle",
+        _CONTINUED,
+        ({"kind": "weak_thrust", "fraction": 0.9},),
+        detection_limit=2.0,
+        slows_clock=True,
     ),
     FailureCase(
-        "weak thrust", "one vehicle", (*_ON, "landed"),
-        ({"kind": "weak_thrust", "fraction": 0.75},), within=2.0, slows=True,
-    ),
-    FailureCase("motor lost", "one vehicle", _DOWN, ({"kind": "motor_loss"},), within=0.3,
-        dead=True, why=_FALLS),
-    FailureCase(
-        "battery low", "one vehicle", ("landed",), ({"kind": "battery", "charge": 0.18},),
-        within=1.0,
+        "weak thrust",
+        "one vehicle",
+        (*_CONTINUED, "landed"),
+        ({"kind": "weak_thrust", "fraction": 0.75},),
+        detection_limit=2.0,
+        slows_clock=True,
     ),
     FailureCase(
-        "battery critical", "one vehicle", ("landed",), ({"kind": "battery", "charge": 0.09},),
-        within=1.0,
+        "motor lost",
+        "one vehicle",
+        _LANDED,
+        ({"kind": "motor_loss"},),
+        detection_limit=0.3,
+        loses_vehicle=True,
+        explanation=_FALLS,
     ),
     FailureCase(
-        "position lost", "one vehicle", _DOWN, ({"kind": "position_loss"},), within=1.0, moves=True,
-        strikes=1,
-        why="it comes down blind, drifting as it does, and takes the cable along; where some "
-        "hangs above a rotor it cannot be let go of",
+        "battery low",
+        "one vehicle",
+        ("landed",),
+        ({"kind": "battery", "charge": 0.18},),
+        detection_limit=1.0,
     ),
     FailureCase(
-        "position worse", "one vehicle", _DOWN, ({"kind": "gps_loss"},), within=1.5, drifts=True,
-        strikes=1,
-        why="it drifts while it reckons, maybe towards another vehicle, and takes the cable along "
-        "where some hangs above a rotor, so that nobody may let go",
+        "battery critical",
+        "one vehicle",
+        ("landed",),
+        ({"kind": "battery", "charge": 0.09},),
+        detection_limit=1.0,
     ),
     FailureCase(
-        "position jumps", "one vehicle", ("landed",),
-        ({"kind": "gps_jump", "offset": (3.0, -2.0, 0.5)},), within=0.3,
+        "position lost",
+        "one vehicle",
+        _LANDED,
+        ({"kind": "position_loss"},),
+        detection_limit=1.0,
+        moves_certified=True,
+        allowed_strikes=1,
+        explanation=(
+            "it descends without a position and drifts with the cable; where cable hangs above a "
+            "rotor it cannot be released"
+        ),
     ),
     FailureCase(
-        "origin reset", "one vehicle", ("landed",),
-        ({"kind": "origin_reset", "offset": (4.0, 3.0, 1.0)},), within=0.3,
+        "position degraded",
+        "one vehicle",
+        _LANDED,
+        ({"kind": "gps_loss"},),
+        detection_limit=1.5,
+        vehicle_drifts=True,
+        allowed_strikes=1,
+        explanation=(
+            "it drifts on dead reckoning, possibly towards another vehicle, and moves the cable "
+            "where cable hangs above a rotor, so that it cannot be released"
+        ),
     ),
     FailureCase(
-        "barometer drifts", "one vehicle", _DOWN, ({"kind": "barometer_drift", "rate": 0.1},),
-        within=6.0, strikes=1,
-        why="a height drifts by as much as GPS can be off before GPS can tell: 0.3 m with these "
-        "receivers, 1 m with poor ones; it drifts on as all come down, where nobody may let go, "
-        "and a rotor may touch cable then",
+        "position jumps",
+        "one vehicle",
+        ("landed",),
+        ({"kind": "gps_jump", "offset": (3.0, -2.0, 0.5)},),
+        detection_limit=0.3,
     ),
     FailureCase(
-        "pilot takes over", "one vehicle", ("landed",), ({"kind": "pilot"},), within=0.5,
-        by_hand=True, stays=True, why=_STAYS,
+        "origin reset",
+        "one vehicle",
+        ("landed",),
+        ({"kind": "origin_reset", "offset": (4.0, 3.0, 1.0)},),
+        detection_limit=0.3,
     ),
     FailureCase(
-        "leaves offboard", "one vehicle", ("landed",), ({"kind": "leave_offboard"},), within=0.5,
-        stays=True, why=_STAYS,
-    ),
-    FailureCase("disarms", "one vehicle", _DOWN, ({"kind": "disarm"},), within=0.3, dead=True,
-        why=_FALLS),
-    FailureCase("reboots", "one vehicle", _DOWN, ({"kind": "reboot"},), within=1.5, dead=True,
-        why=_FALLS),
-    FailureCase(
-        "thinks it has landed", "one vehicle", _DOWN, ({"kind": "believes_landed"},), within=0.5,
-        dead=True, why=_FALLS,
-    ),
-    FailureCase(
-        "gripper fails to grab", "one vehicle", ("landed",), ({"kind": "gripper_stuck_open"},),
-        part="grab", within=8.0,
+        "barometer drifts",
+        "one vehicle",
+        _LANDED,
+        ({"kind": "barometer_drift", "rate": 0.1},),
+        detection_limit=6.0,
+        allowed_strikes=1,
+        explanation=(
+            "the height drifts by as much as the error of GPS before GPS shows it: 0.3 m with "
+            "these receivers, 1 m with poor ones; it drifts on during the landing where the cable "
+            "cannot be released, and a rotor may touch cable"
+        ),
     ),
     FailureCase(
-        "gripper slips", "one vehicle", ("landed", *_ON), ({"kind": "gripper_slip"},),
-        within=10.0, hides=True, moves=True, falls=1.0,
-        why="the cable between its neighbours is one long strand from then on; it shows by their "
-        "leaning, and where that changes by less than 0.2 N only when the team has moved on; where "
-        "it passed over a vehicle close below, it falls on its rotor within a second",
+        "pilot takes over",
+        "one vehicle",
+        ("landed",),
+        ({"kind": "pilot"},),
+        detection_limit=0.5,
+        pilot_lands=True,
+        cannot_follow=True,
+        explanation=_CANNOT_FOLLOW,
     ),
     FailureCase(
-        "gripper sticks shut at release", "one vehicle", ("landed",),
-        ({"kind": "gripper_stuck_shut"},), part="release", within=3.0,
+        "leaves offboard",
+        "one vehicle",
+        ("landed",),
+        ({"kind": "leave_offboard"},),
+        detection_limit=0.5,
+        cannot_follow=True,
+        explanation=_CANNOT_FOLLOW,
+    ),
+    FailureCase(
+        "disarms",
+        "one vehicle",
+        _LANDED,
+        ({"kind": "disarm"},),
+        detection_limit=0.3,
+        loses_vehicle=True,
+        explanation=_FALLS,
+    ),
+    FailureCase(
+        "reboots",
+        "one vehicle",
+        _LANDED,
+        ({"kind": "reboot"},),
+        detection_limit=1.5,
+        loses_vehicle=True,
+        explanation=_FALLS,
+    ),
+    FailureCase(
+        "reports a false landing",
+        "one vehicle",
+        _LANDED,
+        ({"kind": "believes_landed"},),
+        detection_limit=0.5,
+        loses_vehicle=True,
+        explanation=_FALLS,
+    ),
+    FailureCase(
+        "gripper fails to grab",
+        "one vehicle",
+        ("landed",),
+        ({"kind": "gripper_stuck_open"},),
+        part="grab",
+        detection_limit=8.0,
+    ),
+    FailureCase(
+        "gripper slips",
+        "one vehicle",
+        ("landed", *_CONTINUED),
+        ({"kind": "gripper_slip"},),
+        detection_limit=10.0,
+        may_be_hidden=True,
+        moves_certified=True,
+        fall_time=1.0,
+        explanation=(
+            "the cable between its neighbours becomes one long strand; the slip is detected from "
+            "their lean, and where that changes by less than 0.2 N only after the team has moved; "
+            "where the cable passed close above a vehicle, it falls on the rotor within a second"
+        ),
+    ),
+    FailureCase(
+        "gripper sticks shut at release",
+        "one vehicle",
+        ("landed",),
+        ({"kind": "gripper_stuck_shut"},),
+        part="release",
+        detection_limit=3.0,
     ),
     *_gaps(),
     FailureCase(
-        "20 % loss", "links", _ON, ({"kind": "link", "loss": 0.2},), whole_team=True,
+        "20 % loss",
+        "links",
+        _CONTINUED,
+        ({"kind": "link", "loss": 0.2},),
+        whole_team=True,
     ),
     FailureCase(
-        "300 ms latency with jitter", "links", _ON,
-        ({"kind": "link", "latency": 0.3, "jitter": 0.1},), whole_team=True, slows=True,
+        "300 ms latency with jitter",
+        "links",
+        _CONTINUED,
+        ({"kind": "link", "latency": 0.3, "jitter": 0.1},),
+        whole_team=True,
+        slows_clock=True,
     ),
     FailureCase(
-        "duplicates and reordering", "links", _ON,
-        ({"kind": "link", "duplicate": 0.3, "reorder": 0.3},), whole_team=True,
-    ),
-    FailureCase("one ACK lost at the release", "links", _ON, part="release", lose="ack"),
-    FailureCase(
-        "starved of CPU for 1 s", "ground station", (*_ON, "landed"), station="asleep", lasts=1.0,
-        slows=True, coasts=True,
+        "duplicates and reordering",
+        "links",
+        _CONTINUED,
+        ({"kind": "link", "duplicate": 0.3, "reorder": 0.3},),
+        whole_team=True,
     ),
     FailureCase(
-        "interrupted once", "ground station", ("landed",), station="interrupted", within=0.1,
+        "one ACK lost at the release", "links", _CONTINUED, part="release", lost_message="ack"
     ),
     FailureCase(
-        "interrupted twice", "ground station", ("landed",), station="interrupted twice", within=0.1,
-    ),
-    FailureCase("killed", "ground station", ("landed by failsafe",), station="killed",
-        coasts=True),
-    FailureCase(
-        "wind beyond w*", "world", (*_ON, *_DOWN), ({"kind": "wind"},), within=3.0, slows=True,
-        moves=True, strikes=1,
-        why="6 m/s all of a sudden blow the cable aside by 50° and push vehicles off their "
-        "path; it may touch a rotor as all come down; from about 8 m/s on the emulated ones no "
-        "longer hold against it",
+        "starved of CPU for 1 s",
+        "ground station",
+        (*_CONTINUED, "landed"),
+        station_fault="stalled",
+        duration=1.0,
+        slows_clock=True,
+        stream_loss=True,
     ),
     FailureCase(
-        "snag", "world", (*_ON, *_DOWN), ({"kind": "snag"},), moves=True, slows=True,
-        why="a strand that is held elsewhere is no longer where the cable model has it",
+        "interrupted once",
+        "ground station",
+        ("landed",),
+        station_fault="interrupted",
+        detection_limit=0.1,
     ),
-)  # fmt: skip
+    FailureCase(
+        "interrupted twice",
+        "ground station",
+        ("landed",),
+        station_fault="interrupted twice",
+        detection_limit=0.1,
+    ),
+    FailureCase(
+        "killed",
+        "ground station",
+        ("landed by failsafe",),
+        station_fault="killed",
+        stream_loss=True,
+    ),
+    FailureCase(
+        "wind beyond w*",
+        "world",
+        (*_CONTINUED, *_LANDED),
+        ({"kind": "wind"},),
+        detection_limit=3.0,
+        slows_clock=True,
+        moves_certified=True,
+        allowed_strikes=1,
+        explanation=(
+            "a sudden wind of 6 m/s deflects the cable by 50° and pushes vehicles off their path; "
+            "the cable may touch a rotor during the landing; from about 8 m/s on the emulated "
+            "vehicles cannot hold their positions"
+        ),
+    ),
+    FailureCase(
+        "snag",
+        "world",
+        (*_CONTINUED, *_LANDED),
+        ({"kind": "snag"},),
+        moves_certified=True,
+        slows_clock=True,
+        explanation="a snagged strand does not have the shape of the cable model",
+    ),
+)
 
 
 def cases_of(plan: Plan, names: Sequence[str] = ()) -> list[FailureCase]:
-    """Return the failure cases that can happen in a plan, whose names contain one of ``names``.
+    """Return the failure cases that can occur in a plan, whose names contain one of ``names``.
 
     Raises :class:`InputError` where no name matches, and :class:`Refused` where the plan folds no
     cable in the air.

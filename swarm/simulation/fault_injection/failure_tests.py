@@ -1,24 +1,27 @@
-"""Drills: a flight in which something goes wrong, judged by what really happened.
+"""Failure tests: simulated flights into which one fault is injected.
 
-A row says what goes wrong, in which part of the flight, and how it must end. Each trial starts from
-a copy of the flight shortly before (both sides are state machines without sockets or clocks), takes
-one fault, flies on in virtual time and is judged by the emulator's ground truth.
+Each trial starts from a copy of the flight shortly before the fault (conductor and emulator are
+state machines without sockets or clocks), and is flown on in virtual time.
 """
 
 import gc
 import itertools
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from joblib import Parallel, delayed
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.mission.fleet import Fleet
-from swarm.simulation.fault_injection.evaluation import FaultTrial, Judge, judged
+from swarm.simulation.fault_injection.evaluation import (
+    FaultTrial,
+    GroundTruthMonitor,
+    Injection,
+    evaluate,
+)
 from swarm.simulation.fault_injection.failure_cases import FAILURE_CASES, FailureCase, Part
 from swarm.simulation.fault_injection.results_file import CaseTrials
 from swarm.simulation.fault_injection.stepped_simulation import (
@@ -30,223 +33,257 @@ from swarm.simulation.fault_injection.stepped_simulation import (
 )
 from swarm.simulation.loop import Fault
 
-Floats = npt.NDArray[np.float64]
-_TIMES_PER_TASK, _ROWS_PER_TASK = 5, 13
-AFTER = 12.0
-"""Seconds after the end of a fault for which a team that simply goes on is watched."""
-LONGEST = 200.0
-STRONG_WIND = 6.0
-"""m/s that blow at least, all of a sudden, where more wind is asked for than a plan stands."""
+OBSERVATION_TIME: Final = 12.0
+"""Seconds after the end of a fault during which a flight that continues is observed."""
+
+MAX_TRIAL_TIME: Final = 200.0
+"""Seconds after which a trial is ended."""
+
+MIN_STRONG_WIND: Final = 6.0
+"""Least wind, m/s, of the case with more wind than is certified."""
+
+_TIMES_PER_TASK: Final = 5
+_CASES_PER_TASK: Final = 13
+
+
+@dataclass(frozen=True)
+class FailureTestSettings:
+    """The cases to test, the autopilots of the teams, and the random ``times`` per case and team.
+
+    The same ``seed`` gives the same trials of a case, also with other cases beside it.
+    """
+
+    cases: Sequence[FailureCase] = FAILURE_CASES
+    autopilots: Sequence[TeamAutopilots] = TEAM_AUTOPILOTS
+    times: int = 3
+    seed: int = 1
 
 
 @dataclass(frozen=True)
 class FailureTest:
-    """All trials of one row with one personality."""
+    """All trials of one case with one team."""
 
-    row: FailureCase
-    personality: TeamAutopilots
+    case: FailureCase
+    autopilots: TeamAutopilots
     trials: tuple[FaultTrial, ...]
 
     @property
     def passed(self) -> bool:
-        """Whether every trial went as asked."""
+        """Whether every trial meets the requirements of the case."""
         return all(not trial.problems for trial in self.trials)
 
     def document(self) -> dict[str, Any]:
-        """Return the drill as plain data for JSON."""
+        """Return the test as an object for JSON; distances in metres, times in seconds."""
         trials = self.trials
-        noticed = [t.noticed for t in trials if t.noticed is not None]
+        detections = [t.detected_after for t in trials if t.detected_after is not None]
+        strand_distance = min((t.strand_distance for t in trials), default=np.inf)
+        vehicle_distance = min((t.vehicle_distance for t in trials), default=np.inf)
+        chord_ratio = max((t.chord_ratio for t in trials), default=0.0)
         return {
-            "row": self.row.name,
-            "group": self.row.group,
-            "personality": self.personality,
-            "times": [round(t.at, 2) for t in trials],
-            "detected_after": round(max(noticed), 3) if noticed else None,
+            "case": self.case.name,
+            "group": self.case.group,
+            "autopilots": self.autopilots,
+            "times": [round(t.mission_time, 2) for t in trials],
+            "detected_after": round(max(detections), 3) if detections else None,
             "response": _most_frequent([t.response for t in trials]),
-            "clearance": _finite(min((t.clearance for t in trials), default=np.inf)),
-            "apart": _finite(min((t.apart for t in trials), default=np.inf)),
-            "chord_ratio": _finite(max((t.chord for t in trials), default=0.0) or np.inf),
-            "strikes": sum(t.strikes for t in trials),
-            "lost": max((t.lost for t in trials), default=0),
+            "strand_distance": _finite(strand_distance),
+            "vehicle_distance": _finite(vehicle_distance),
+            "chord_ratio": _finite(chord_ratio or np.inf),
+            "rotor_strikes": sum(t.rotor_strikes for t in trials),
+            "vehicles_lost": max((t.vehicles_lost for t in trials), default=0),
             "end": " or ".join(sorted({t.end for t in trials})),
             "passed": self.passed,
-            "problems": [f"at {t.at:.1f} s: {words}" for t in trials for words in t.problems],
-            "explained": self.row.why or None,
+            "problems": [
+                f"at {t.mission_time:.1f} s: {problem}" for t in trials for problem in t.problems
+            ],
+            "explanation": self.case.explanation or None,
         }
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Some cases that one process flies with one team, from the same moments of one flight."""
+
+    cases: tuple[FailureCase, ...]
+    autopilots: TeamAutopilots
+    times: int
+    seeds: tuple[int, int, int]
+
+    def key(self, case: FailureCase) -> tuple[str, TeamAutopilots, tuple[int, int, int], int]:
+        return case.name, self.autopilots, self.seeds, self.times
 
 
 def run_failure_tests(
     flight_plan: CertifiedPlan,
+    settings: FailureTestSettings,
     *,
-    rows: Sequence[FailureCase] = FAILURE_CASES,
-    personalities: Sequence[TeamAutopilots] = TEAM_AUTOPILOTS,
-    times: int = 3,
-    seed: int = 1,
     jobs: int | None = None,
-    tell: Callable[[int, int], None] | None = None,
-    known: Iterable[CaseTrials] = (),
-    keep: Callable[[CaseTrials], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    earlier_results: Iterable[CaseTrials] = (),
+    on_result: Callable[[CaseTrials], None] | None = None,
 ) -> tuple[FailureTest, ...]:
-    """Fly every row at random times of its part of the flight, with each personality.
+    """Fly every case at random times of its part of the flight, with each team.
 
-    ``times`` is the number of trials per row and personality; ``jobs`` processes fly them (None: as
-    many as there are cores); ``tell`` is told how many trials are done, and of how many. What is
-    ``known`` from an earlier run with the same plan and seed is not flown again; ``keep`` is given
-    what is flown as it comes. The same seed gives the same drills, whichever else are flown beside
-    them.
+    ``jobs`` processes share the work (None: one per core). ``progress(done, total)`` receives the
+    number of trials. Trials in ``earlier_results``, from a run with the same plan and seed, are not
+    flown again; ``on_result`` receives the new ones as they complete.
     """
-    # one task flies one personality at a few times: the flight up to there is flown once
-    counts = [min(_TIMES_PER_TASK, times - k) for k in range(0, times, _TIMES_PER_TASK)]
-    tasks = [(p, count, (seed, k, TEAM_AUTOPILOTS.index(p))) for p in personalities
-             for k, count in enumerate(counts)]  # fmt: skip
-    total = len(rows) * len(personalities) * times
-    wanted = {(row.name, p, seeds, count) for p, count, seeds in tasks for row in rows}
-    found = {flown.key: flown for flown in known if flown.key in wanted}
-    left = [
-        (p, count, seeds, [row for row in rows if (row.name, p, seeds, count) not in found])
-        for p, count, seeds in tasks
-    ]
-    flying = Parallel(n_jobs=jobs or -1, return_as="generator_unordered")(
-        delayed(_fly_rows)(flight_plan, part, personality, count, seeds)
-        for personality, count, seeds, these in left
-        for part in _portions(these)
+    tasks = _tasks(settings)
+    keys = {task.key(case) for task in tasks for case in task.cases}
+    results = {one.key: one for one in earlier_results if one.key in keys}
+    total = len(settings.cases) * len(settings.autopilots) * settings.times
+    new_results = Parallel(n_jobs=jobs or -1, return_as="generator_unordered")(
+        delayed(_fly_cases)(flight_plan, part)
+        for task in tasks
+        for part in _parts(task, [case for case in task.cases if task.key(case) not in results])
     )
-    for flown in itertools.chain.from_iterable(flying):
-        found[flown.key] = flown
-        if keep is not None:
-            keep(flown)
-        if tell is not None:
-            tell(sum(len(one.trials) for one in found.values()), total)
+    for result in itertools.chain.from_iterable(new_results):
+        results[result.key] = result
+        if on_result is not None:
+            on_result(result)
+        if progress is not None:
+            progress(sum(len(one.trials) for one in results.values()), total)
     trials: dict[tuple[str, TeamAutopilots], list[FaultTrial]] = {}
-    for flown in found.values():
-        trials.setdefault((flown.row, flown.personality), []).extend(flown.trials)
+    for result in results.values():
+        trials.setdefault((result.case, result.autopilots), []).extend(result.trials)
     return tuple(
-        FailureTest(row, p, tuple(sorted(trials[row.name, p], key=lambda trial: trial.at)))
-        for row in rows
-        for p in personalities
+        FailureTest(case, team, tuple(sorted(trials[case.name, team], key=_by_mission_time)))
+        for case in settings.cases
+        for team in settings.autopilots
     )
 
 
-def _portions(rows: Sequence[FailureCase]) -> list[Sequence[FailureCase]]:
-    return [rows[k : k + _ROWS_PER_TASK] for k in range(0, len(rows), _ROWS_PER_TASK)]
+def _by_mission_time(trial: FaultTrial) -> float:
+    return trial.mission_time
 
 
-def _fly_rows(
-    flight_plan: CertifiedPlan,
-    rows: Sequence[FailureCase],
-    personality: TeamAutopilots,
-    times: int,
-    seeds: tuple[int, int, int],
-) -> list[CaseTrials]:
-    """Fly some rows with one personality, all from the same moments."""
-    fleet = failure_test_fleet(flight_plan.plan.vehicles, personality, seeds[0])
-    stages: dict[Part, list[SteppedSimulation]] = {}
-    flown = []
+def _tasks(settings: FailureTestSettings) -> list[_Task]:
+    """Return a task per team and few random times, so that each flies its flight only once."""
+    first_times = range(0, settings.times, _TIMES_PER_TASK)
+    counts = [min(_TIMES_PER_TASK, settings.times - first) for first in first_times]
+    return [
+        _Task(tuple(settings.cases), team, count, (settings.seed, k, TEAM_AUTOPILOTS.index(team)))
+        for team in settings.autopilots
+        for k, count in enumerate(counts)
+    ]
+
+
+def _parts(task: _Task, cases: Sequence[FailureCase]) -> Iterator[_Task]:
+    """Yield the task with some of its cases at a time."""
+    for first in range(0, len(cases), _CASES_PER_TASK):
+        yield replace(task, cases=tuple(cases[first : first + _CASES_PER_TASK]))
+
+
+def _fly_cases(flight_plan: CertifiedPlan, task: _Task) -> list[CaseTrials]:
+    fleet = failure_test_fleet(flight_plan.plan.vehicles, task.autopilots, task.seeds[0])
+    starts: dict[Part, list[SteppedSimulation]] = {}
+    results = []
     gc.collect()
     gc.freeze()
-    for row in rows:
-        if row.part not in stages:
-            rng = np.random.default_rng(seeds)
-            stages[row.part] = list(_stages(flight_plan, fleet, row.part, times, rng, seeds[0]))
-        victims = np.random.default_rng((*seeds, zlib.crc32(row.name.encode())))
+    for case in task.cases:
+        if case.part not in starts:
+            starts[case.part] = list(_starts(flight_plan, fleet, case.part, task))
+        vehicles = np.random.default_rng((*task.seeds, zlib.crc32(case.name.encode())))
         trials = []
-        for stage in stages[row.part]:
-            trials.append(
-                fly_fault_trial(stage.copy(), row, int(victims.integers(flight_plan.plan.vehicles)))
-            )
-            # a flight's parts know each other: few objects, which Python is in no hurry to look
-            # through, and large arrays
+        for start in starts[case.part]:
+            vehicle = int(vehicles.integers(flight_plan.plan.vehicles))
+            trials.append(fly_fault_trial(start.copy(), case, vehicle))
+            # The objects of a flight refer to each other in cycles and hold large arrays.
             gc.collect()
-        flown.append(CaseTrials(row.name, personality, seeds, tuple(trials)))
+        results.append(CaseTrials(case.name, task.autopilots, task.seeds, tuple(trials)))
     gc.unfreeze()
-    return flown
+    return results
 
 
-def _stages(
-    flight_plan: CertifiedPlan,
-    fleet: Fleet,
-    part: Part,
-    times: int,
-    rng: np.random.Generator,
-    seed: int,
+def _starts(
+    flight_plan: CertifiedPlan, fleet: Fleet, part: Part, task: _Task
 ) -> Iterator[SteppedSimulation]:
     """Yield copies of a flight at random moments of one of its parts."""
     plan = flight_plan.plan
     if part == "fold":
         phase = plan.phase("fold")
-        moments = np.sort(rng.uniform(phase.start + 0.5, phase.end - 0.5, times))
+        begin, end = phase.start + 0.5, phase.end - 0.5
     else:
         condition = "gripped" if part == "grab" else "released"
         gate = next(gate.time for gate in plan.gates if gate.condition == condition)
-        moments = np.sort(rng.uniform(gate - 1.5, gate - 0.1, times))
-    flight = SteppedSimulation.of(flight_plan, fleet, seed)
-    for moment in moments:
-        while flight.conductor.clock.time < moment or not flight.quiet:
+        begin, end = gate - 1.5, gate - 0.1
+    rng = np.random.default_rng(task.seeds)
+    flight = SteppedSimulation.create(flight_plan, fleet, task.seeds[0])
+    for moment in np.sort(rng.uniform(begin, end, task.times)):
+        while flight.conductor.clock.time < moment or not flight.can_be_copied:
             flight.step()
             if flight.conductor.finished is not None:
                 raise AssertionError(f"the flight ended early: {flight.conductor.finished}")
         yield flight.copy()
 
 
-def fly_fault_trial(flight: SteppedSimulation, row: FailureCase, victim: int) -> FaultTrial:
-    """Fly one trial to its end and judge it."""
+def fly_fault_trial(flight: SteppedSimulation, case: FailureCase, vehicle: int) -> FaultTrial:
+    """Inject a case's fault at the vehicle of an index, fly on to the end, and evaluate."""
     conductor, began = flight.conductor, flight.now
-    system = conductor.flyers[victim].system
-    at = conductor.clock.time
-    flight.events.clear()
-    for values in row.faults:
-        target = {} if row.group == "world" else {"vehicle": "all" if row.whole_team else system}
-        worst = _worst(flight.flight_plan, values["kind"], victim)
-        flight.emulator.inject(Fault.model_validate({"at": began, **target, **values, **worst}))
-    if row.lose:
-        flight.keeps = FirstAckLoss(system)
-    if row.station in {"interrupted", "interrupted twice"}:
-        conductor.request("interrupt")
-        if row.station == "interrupted twice":
-            conductor.request("interrupt")
-    judge, pace = Judge(flight, victim if row.hides else None), conductor.clock.rate
-    slowed: float | None = None
-    calm_since = began + row.lasts
-    while flight.now < began + LONGEST:
-        asleep = row.station == "killed" or (
-            row.station == "asleep" and flight.now < began + row.lasts
-        )
-        flight.step(station=not asleep)
-        judge.look()
-        if row.by_hand and conductor.stage == "leave":
-            flight.land_by_hand(system)
-        usual = min(0.9, pace, conductor.stream_loss.rate_limit(conductor.clock.time))
-        if slowed is None and abs(conductor.clock.rate) < usual - 0.1:
-            slowed = flight.now - began
+    mission_time = conductor.clock.time
+    _inject(flight, case, vehicle)
+    rate = conductor.clock.rate
+    monitor = GroundTruthMonitor(flight, vehicle if case.may_be_hidden else None)
+    slowed_after: float | None = None
+    undisturbed_since = began + case.duration
+    while flight.now < began + MAX_TRIAL_TIME:
+        stalled = case.station_fault == "stalled" and flight.now < began + case.duration
+        flight.step(station=not stalled and case.station_fault != "killed")
+        monitor.sample()
+        if case.pilot_lands and conductor.stage == "leave":
+            flight.land_by_pilot(conductor.flyers[vehicle].system)
+        usual_rate = min(0.9, rate, conductor.stream_loss.rate_limit(conductor.clock.time))
+        if slowed_after is None and abs(conductor.clock.rate) < usual_rate - 0.1:
+            slowed_after = flight.now - began
         if conductor.finished is not None:
             break
-        if row.station == "killed":
+        if case.station_fault == "killed":
             if not flight.emulator.truth().armed.any():
                 break
-        elif conductor.stage != "fly" or conductor.holding or conductor.waiting or judge.unseen:
-            calm_since = flight.now
-        elif flight.now - calm_since > AFTER and conductor.clock.rate > 0.05:
+        elif conductor.stage != "fly" or conductor.holding or conductor.waiting or monitor.hidden:
+            undisturbed_since = flight.now
+        elif flight.now - undisturbed_since > OBSERVATION_TIME and conductor.clock.rate > 0.05:
             break
-    return judged(flight, row, judge, at, victim, began, slowed)
+    return evaluate(flight, Injection(case, vehicle, began, mission_time, slowed_after), monitor)
 
 
-def _worst(flight_plan: CertifiedPlan, kind: str, victim: int) -> dict[str, Any]:
-    """Return what a plan makes of a fault: wind half again as strong as the strongest that it is
-    certified for, and strong in any case; a snag in the middle of a segment."""
+def _inject(flight: SteppedSimulation, case: FailureCase, vehicle: int) -> None:
+    conductor, system = flight.conductor, flight.conductor.flyers[vehicle].system
+    flight.events.clear()
+    for fault in case.faults:
+        target: dict[str, Any] = {"vehicle": "all" if case.whole_team else system}
+        if case.group == "world":
+            target = _world_fault(flight.flight_plan, fault["kind"], vehicle)
+        flight.emulator.inject(Fault.model_validate({"at": flight.now, **target, **fault}))
+    if case.lost_message:
+        flight.delivers = FirstAckLoss(system)
+    if case.station_fault in {"interrupted", "interrupted twice"}:
+        conductor.request("interrupt")
+        if case.station_fault == "interrupted twice":
+            conductor.request("interrupt")
+
+
+def _world_fault(flight_plan: CertifiedPlan, kind: str, vehicle: int) -> dict[str, Any]:
+    """Return the values of a fault that depend on the plan.
+
+    Wind is half again as strong as the certified wind and at least :data:`MIN_STRONG_WIND`; a snag
+    is in the middle of a segment.
+    """
     lengths = flight_plan.plan.layout.lengths
     if kind == "snag":
-        segment = min(victim, len(lengths) - 1)
+        segment = min(vehicle, len(lengths) - 1)
         return {"arc": float(lengths[:segment].sum() + 0.5 * lengths[segment])}
     if kind != "wind":
         return {}
     certified = max(
         flight_plan.assessment.robustness.wind or 0.0, flight_plan.plan.mission.wind.steady
     )
-    speed = max(STRONG_WIND, 1.5 * certified)
+    speed = max(MIN_STRONG_WIND, 1.5 * certified)
     return {"steady": (speed, 0.0, 0.0), "gust": 0.1 * speed}
 
 
 def _most_frequent(words: Sequence[str]) -> str:
+    """Return the most frequent word, the first in the alphabet of several."""
     return max(sorted(set(words)), key=words.count) if words else ""
 
 

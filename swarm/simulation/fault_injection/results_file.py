@@ -1,7 +1,6 @@
-"""Drills as lines of text, so that a run that was interrupted goes on where it was.
+"""Results of failure tests as lines of JSON, so that an interrupted run can be continued.
 
-The first line says which plan and seed they belong to, each other one what came of one row with one
-team at some random times.
+The first line identifies plan and seed; each further line has the trials of one case with one team.
 """
 
 import hashlib
@@ -19,29 +18,31 @@ from swarm.simulation.fault_injection.evaluation import FaultTrial
 from swarm.simulation.fault_injection.stepped_simulation import TeamAutopilots
 from swarm.version import __version__
 
-_LARGEST_FILE = 256 * 1024 * 1024
-_NEVER_JUDGED = ("clearance", "apart")
-"""What is infinite where there was nothing to judge, and null in JSON."""
+_MAX_FILE_SIZE = 256 * 1024 * 1024
+"""Bytes of a results file that are read."""
+
+_DISTANCES = ("strand_distance", "vehicle_distance")
+"""Fields that are infinite where never evaluated, and null in JSON."""
 
 
 @dataclass(frozen=True)
 class CaseTrials:
-    """The trials of a row with a team at random times that are drawn together from ``seeds``."""
+    """The trials of a case with a team, at random times that are drawn from ``seeds``."""
 
-    row: str
-    personality: TeamAutopilots
+    case: str
+    autopilots: TeamAutopilots
     seeds: tuple[int, int, int]
     trials: tuple[FaultTrial, ...]
 
     @property
     def key(self) -> tuple[str, TeamAutopilots, tuple[int, int, int], int]:
-        """What the same drills have in common, whenever they are flown."""
-        return self.row, self.personality, self.seeds, len(self.trials)
+        """The key of these trials, the same in every run."""
+        return self.case, self.autopilots, self.seeds, len(self.trials)
 
 
 @dataclass(frozen=True)
 class ResultsHeader:
-    """What drills belong to."""
+    """The plan (digest of its motion), seed and version of the results."""
 
     mission: str
     plan: str
@@ -49,43 +50,43 @@ class ResultsHeader:
     swarm: str = __version__
 
 
-_HEADING, _FLOWN = TypeAdapter(ResultsHeader), TypeAdapter(CaseTrials)
+_HEADER, _TRIALS = TypeAdapter(ResultsHeader), TypeAdapter(CaseTrials)
 
 
 def results_header(plan: Plan, seed: int) -> ResultsHeader:
-    """Return what the drills of a plan belong to; another motion has another digest."""
+    """Return the header of a plan's results."""
     digest = hashlib.sha256(plan.motion.times.tobytes() + plan.motion.coefficients.tobytes())
     return ResultsHeader(plan.mission.name, digest.hexdigest()[:16], seed)
 
 
-def line(what: ResultsHeader | CaseTrials) -> str:
-    """Return a heading or drills as one line of JSON, with its end."""
-    if isinstance(what, ResultsHeader):
-        return _HEADING.dump_json(what).decode() + "\n"
-    document = asdict(what)
+def line(content: ResultsHeader | CaseTrials) -> str:
+    """Return a header or trials as one line of JSON, with its line end."""
+    if isinstance(content, ResultsHeader):
+        return _HEADER.dump_json(content).decode() + "\n"
+    document = asdict(content)
     for trial in document["trials"]:
         _swap(trial, math.inf, None)
-    return _FLOWN.dump_json(document, warnings=False).decode() + "\n"  # type: ignore[arg-type]
+    return _TRIALS.dump_json(document, warnings=False).decode() + "\n"  # type: ignore[arg-type]
 
 
-def read_results(lines: Iterable[str], wanted: ResultsHeader) -> list[CaseTrials]:
-    """Return the drills that lines hold, each without its end; raises :class:`InputError` where
-    they belong to something else, or are none."""
+def read_results(lines: Iterable[str], expected: ResultsHeader) -> list[CaseTrials]:
+    """Return the trials of lines without line ends.
+
+    Raises :class:`InputError` where a line has no results or the header is not the expected one.
+    """
     found: list[CaseTrials] = []
     for number, text in enumerate(lines, 1):
         try:
             if number == 1:
-                known = _HEADING.validate_json(text)
-                if known != wanted:
+                header = _HEADER.validate_json(text)
+                if header != expected:
                     raise InputError(
-                        f"it holds drills of {known.mission} with seed {known.seed}, plan "
-                        f"{known.plan} and swarm {known.swarm}; these are of {wanted.mission} with "
-                        f"seed {wanted.seed}, plan {wanted.plan} and swarm {wanted.swarm}"
+                        f"expected results of {_described(expected)}, got {_described(header)}"
                     )
                 continue
-            found.append(_flown(text))
+            found.append(_trials(text))
         except (ValidationError, ValueError):
-            raise InputError(f"line {number} is not a line of drills") from None
+            raise InputError(f"line {number}: expected results of failure tests") from None
     return found
 
 
@@ -98,16 +99,16 @@ def open_results(path: Path, header: ResultsHeader) -> list[CaseTrials]:
     try:
         with path.open("a+b") as file:
             file.seek(0)
-            complete, end, _ = file.read(_LARGEST_FILE).rpartition(b"\n")
-            known = read_results(complete.decode().splitlines(), header)
+            complete, end, _ = file.read(_MAX_FILE_SIZE).rpartition(b"\n")
+            trials = read_results(complete.decode().splitlines(), header)
             file.truncate(len(complete + end))
             if not complete:
                 file.write(line(header).encode())
-        return known
+        return trials
     except OSError as error:
         problem = reason(error)
     except UnicodeDecodeError:
-        problem = "line 1 is not a line of drills"
+        problem = "line 1: expected results of failure tests"
     except InputError as error:
         problem = str(error)
     raise InputError([Problem(str(path), problem)])
@@ -122,14 +123,18 @@ def append_results(path: Path, trials: CaseTrials) -> None:
         raise InputError([Problem(str(path), reason(error))]) from None
 
 
-def _flown(text: str) -> CaseTrials:
+def _described(header: ResultsHeader) -> str:
+    return f"{header.mission} with seed {header.seed}, plan {header.plan} and swarm {header.swarm}"
+
+
+def _trials(text: str) -> CaseTrials:
     document = TypeAdapter(dict[str, Any]).validate_json(text)
     for trial in document.get("trials", ()):
         _swap(trial, None, math.inf)
-    return _FLOWN.validate_python(document)
+    return _TRIALS.validate_python(document)
 
 
 def _swap(trial: dict[str, Any], before: float | None, after: float | None) -> None:
-    for name in _NEVER_JUDGED:
+    for name in _DISTANCES:
         if trial.get(name, 0.0) == before:
             trial[name] = after

@@ -1,4 +1,4 @@
-"""Both sides of a flight in virtual time, stepped by hand, that can be copied in mid-air."""
+"""A simulated flight that is advanced step by step and can be copied in mid-air."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -22,39 +22,42 @@ TeamAutopilots = Literal["px4", "ardupilot", "mixed"]
 TEAM_AUTOPILOTS: tuple[TeamAutopilots, ...] = get_args(TeamAutopilots)
 LINK = "loopback"
 HOLD = 10.0
-"""Seconds of the common T in drills: long enough to see it, short enough to wait for it."""
+"""Hold timeout T of the failure tests, seconds; short, to save simulated time."""
 _AUTOPILOTS: Mapping[TeamAutopilots, tuple[Literal["px4", "ardupilot"], ...]] = {
     "px4": ("px4",),
     "ardupilot": ("ardupilot",),
     "mixed": ("px4", "ardupilot"),
 }
 _ACK = bytes((77, 0, 0))
-"""COMMAND_ACK's number in a MAVLink 2 header."""
+"""The message id of COMMAND_ACK in a MAVLink 2 header."""
 
 
 def failure_test_fleet(vehicles: int, personality: TeamAutopilots, seed: int = 1) -> Fleet:
-    """Return the emulated fleet of the drills: as the default one, but for a short T."""
+    """Return the emulated fleet of the failure tests: the default one with a short T."""
     fleet = emulated_fleet(vehicles, _AUTOPILOTS[personality], seed=seed)
     limits = fleet.limits.model_copy(update={"hold": HOLD})
     return fleet.model_copy(update={"limits": limits})
 
 
 def set_audited_parameters(emulator: Emulator, flight_plan: CertifiedPlan, fleet: Fleet) -> None:
-    """Give emulated vehicles the parameters with which they would pass the audit."""
+    """Set the parameters of emulated vehicles to the values that the audit requires."""
     demands = demands_of_plan(flight_plan.plan, fleet)
     for vehicle in emulator.vehicles:
         values = vehicle.parameters.values
         for rule in rules(vehicle.spec.autopilot, demands):
             if rule.name in values and not rule.good(values[rule.name]):
-                wanted = rule.should
-                value = wanted(values[rule.name]) if callable(wanted) else wanted
+                required = rule.should
+                value = required(values[rule.name]) if callable(required) else required
                 values[rule.name] = type(values[rule.name])(value)
                 vehicle.autopilot.parameter_changed(rule.name)
 
 
 @dataclass(eq=False)
 class SteppedSimulation:
-    """Both sides of a flight and the time, one step after the other; can be copied at any time."""
+    """Conductor and emulator of a flight, in steps of virtual time.
+
+    ``delivers`` decides whether a packet of a system id reaches the ground station (None: all do).
+    """
 
     flight_plan: CertifiedPlan
     fleet: Fleet
@@ -62,10 +65,10 @@ class SteppedSimulation:
     emulator: Emulator
     ticks: int = 0
     events: list[Event] = field(default_factory=list)
-    keeps: Callable[[int, bytes], bool] | None = None
+    delivers: Callable[[int, bytes], bool] | None = None
 
     @classmethod
-    def of(cls, flight_plan: CertifiedPlan, fleet: Fleet, seed: int) -> "SteppedSimulation":
+    def create(cls, flight_plan: CertifiedPlan, fleet: Fleet, seed: int) -> "SteppedSimulation":
         """Return a flight before its first tick; its vehicles' parameters pass the audit."""
         world = emulated_world(flight_plan.plan, fleet, with_cable=True, seed=seed)
         emulator = Emulator(parse_world(json.dumps(world)))
@@ -78,15 +81,15 @@ class SteppedSimulation:
         return self.ticks / self.fleet.rates.setpoint
 
     def copy(self) -> "SteppedSimulation":
-        """Return the same flight, to be flown on apart from this one."""
+        """Return an independent copy of this flight."""
         return branch(self, lasting(self.conductor))
 
     def step(self, *, station: bool = True) -> None:
-        """One step of virtual time; without ``station`` the ground station does nothing."""
+        """Advance by one step; without ``station`` the ground station is stopped."""
         self.ticks += 1
         conductor, now = self.conductor, self.now
         for sysid, data in self.emulator.step(now):
-            if station and (self.keeps is None or self.keeps(sysid, data)):
+            if station and (self.delivers is None or self.delivers(sysid, data)):
                 conductor.receive(LINK, sysid, data, now)
         if not station:
             return
@@ -97,8 +100,8 @@ class SteppedSimulation:
             conductor.start(go(self.flight_plan, conductor.audit))
         self.events.extend(conductor.events())
 
-    def land_by_hand(self, system: int) -> None:
-        """Have a vehicle's pilot land it along with the team."""
+    def land_by_pilot(self, system: int) -> None:
+        """Switch a vehicle in manual mode to landing, as its pilot would."""
         vehicle = next(v for v in self.conductor.flyers if v.system == system)
         if vehicle.autopilot is not None and vehicle.in_manual_mode:
             main, sub = vehicle.autopilot.modes["land"]
@@ -108,22 +111,22 @@ class SteppedSimulation:
             self.emulator.receive(system, land.pack(common.MAVLink(None, 254, 190)), self.now)
 
     @property
-    def quiet(self) -> bool:
-        """Whether nothing is under way that a copy could not take along."""
+    def can_be_copied(self) -> bool:
+        """Whether no command and no delayed action is pending, which a copy would lose."""
         return all(vehicle.commands.idle for vehicle in self.conductor.flyers) and not any(
             vehicle.timers for vehicle in self.emulator.vehicles
         )
 
 
 class FirstAckLoss:
-    """Loses a vehicle's first answer to a gripper command."""
+    """Drops the first acknowledgement that a vehicle sends."""
 
     def __init__(self, system: int) -> None:
         self._system = system
         self.lost = 0
 
     def __call__(self, system: int, data: bytes) -> bool:
-        """Whether a datagram gets through."""
+        """Return whether a packet is delivered."""
         if system == self._system and self.lost == 0 and _ACK in data:
             self.lost += 1
             return False

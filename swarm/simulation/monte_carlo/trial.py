@@ -10,16 +10,16 @@ import numpy.typing as npt
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
+from swarm.flight.setup import Options
 from swarm.flight.trace import Trace
 from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning import Plan
 from swarm.simulation.loop import (
+    DEFAULT_OPTIONS,
     NO_CALLBACKS,
-    NO_OPTIONS,
     Callbacks,
     Emulator,
     Fault,
-    FlightOptions,
     simulate_flight,
 )
 from swarm.simulation.monte_carlo.spread import Conditions, Spread, draw
@@ -162,7 +162,7 @@ def fly_trial(
     *,
     fleet: Fleet | None = None,
     faults: Sequence[Fault] = (),
-    options: FlightOptions = NO_OPTIONS,
+    options: Options = DEFAULT_OPTIONS,
     callbacks: Callbacks = NO_CALLBACKS,
 ) -> tuple[Trial, FlightResult]:
     """Fly one trial; return its results and those of its flight.

@@ -1,0 +1,48 @@
+"""Failures outside the links: files, processes and sockets, with the tests that cause them."""
+
+from typing import NamedTuple
+
+
+class SystemFailureCase(NamedTuple):
+    """A failure of files, processes or sockets, the required behaviour, and its tests."""
+
+    name: str
+    expected: str
+    tests: tuple[str, ...]
+
+
+SYSTEM_FAILURE_CASES: tuple[SystemFailureCase, ...] = (
+    SystemFailureCase(
+        "disk full",
+        "reported once; the flight continues, the record keeps the data written before",
+        (
+            "tests/ground/test_fly.py::"
+            "test_a_disk_that_is_full_in_flight_costs_the_rest_of_the_record_and_not_the_flight",
+            "tests/ground/test_record.py::test_a_full_disk_costs_the_record_and_not_the_flight",
+        ),
+    ),
+    SystemFailureCase(
+        "viewer hangs",
+        "no setpoint is late; the viewer loses the data that it does not read",
+        (
+            "tests/ground/test_flight_process.py::test_a_caller_that_is_slow_does_not_slow_the_flight",
+            "tests/view/test_rerun_log.py::test_a_stalled_sink_holds_up_nobody",
+            "tests/view/test_rerun_log.py::test_a_killed_sink_holds_up_nobody",
+        ),
+    ),
+    SystemFailureCase(
+        "killed in flight and resumed",
+        "the record lacks one second at most; the next process finds the team and holds it",
+        (
+            "tests/ground/test_fly.py::"
+            "test_after_sigkill_only_the_last_second_of_the_record_is_missing",
+            "tests/flight/test_resuming.py",
+            "tests/ground/test_resume.py",
+        ),
+    ),
+    SystemFailureCase(
+        "foreign packets on the links",
+        "spoofed, replayed and fuzzed packets and floods change no setpoint",
+        ("tests/flight/test_security.py", "tests/ground/test_flood.py"),
+    ),
+)

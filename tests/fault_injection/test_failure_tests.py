@@ -1,0 +1,228 @@
+"""The behaviour of the team in every failure case, evaluated by ground truth.
+
+In the default run a small team flies some cases; ``-m full`` flies every case at twenty random
+times with every team, tying a knot.
+"""
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from swarm import planner
+from swarm.certification.stream_loss import StreamLossCertificate, StreamLossModel, WorstLoss
+from swarm.flight.modes.contingency import leave_the_plan, release_fallen
+from swarm.flight.policy import LOSES_A_VEHICLE, TABLE, Response
+from swarm.mission import mission_for_knot
+from swarm.planning import digest
+from swarm.simulation.fault_injection import (
+    FAILURE_CASES,
+    SYSTEM_FAILURE_CASES,
+    TEAM_AUTOPILOTS,
+    FailureTestSettings,
+    FaultTrial,
+    evaluation,
+    run_failure_tests,
+)
+from swarm.simulation.fault_injection.stepped_simulation import (
+    SteppedSimulation,
+    failure_test_fleet,
+)
+from swarm.simulation.loop import Fault
+from tests.network import small_plan
+
+PLAN = small_plan(vehicles=3)
+SLICE = {
+    "px4": ("motor lost", "pilot takes over"),
+    "ardupilot": ("killed",),
+    "mixed": (
+        "disarms", "position jumps", "two-way gap of 10 s, one", "gripper sticks shut at release"
+    ),
+}  # fmt: skip
+LARGER_SLICE = {
+    "px4": ("position lost", "starved of CPU for 1 s", "killed"),
+    "ardupilot": ("motor lost",),
+    "mixed": ("reboots", "one ACK lost at the release"),
+}
+BY_NAME = {case.name: case for case in FAILURE_CASES}
+
+
+@pytest.mark.parametrize(
+    ("team", "names"),
+    [
+        *SLICE.items(),
+        *(pytest.param(*case, marks=pytest.mark.full) for case in LARGER_SLICE.items()),
+    ],
+)
+def test_the_team_meets_the_requirements_of_failure_cases(team, names):
+    settings = FailureTestSettings([BY_NAME[name] for name in names], [team], times=1)
+    tests = run_failure_tests(PLAN, settings, jobs=1)
+    failed = [test.document() for test in tests if not test.passed]
+    assert not failed
+
+
+@pytest.fixture(scope="module")
+def overhand():
+    return planner.plan(mission_for_knot("overhand", ())).certified()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("case", FAILURE_CASES, ids=lambda case: case.name)
+def test_every_failure_of_a_team_that_ties_a_knot(overhand, case):
+    settings = FailureTestSettings([case], times=20, seed=3)
+    tests = run_failure_tests(overhand, settings, jobs=1)
+    assert [test.autopilots for test in tests] == list(TEAM_AUTOPILOTS)
+    failed = [test.document() for test in tests if not test.passed]
+    assert not failed
+
+
+def problems(case, flight_plan=PLAN, cornered=False, **changes):
+    """Return the problems of a trial that meets the case's requirements but for ``changes``.
+
+    ``cornered``: the team left the plan where it can neither land nor release.
+    """
+    passed = FaultTrial(
+        50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[case].allowed_ends[0], ()
+    )
+    contingency = SimpleNamespace(cornered=True) if cornered else None
+    conductor = SimpleNamespace(state=SimpleNamespace(contingency=contingency))
+    flight = SimpleNamespace(flight_plan=flight_plan, conductor=conductor)
+    return evaluation.find_problems(flight, BY_NAME[case], replace(passed, **changes))
+
+
+def test_only_strikes_after_the_fall_are_a_problem():
+    assert problems("gripper slips", rotor_strikes=1, fall_strikes=1) == ()
+    assert problems("gripper slips", rotor_strikes=2, fall_strikes=1) == ("1 rotor strikes",)
+    assert problems("pilot takes over", rotor_strikes=1) == (
+        "detected after 1.00 s, not within 0.5 s",
+        "1 rotor strikes",
+    )
+
+
+def test_a_vehicle_that_cannot_follow_may_strike_only_where_the_team_is_cornered():
+    detected = {"detected_after": 0.2}
+    assert problems("leaves offboard", cornered=True, **detected, rotor_strikes=1) == ()
+    one, two = ("1 rotor strikes",), ("2 rotor strikes",)
+    assert problems("leaves offboard", cornered=True, **detected, rotor_strikes=2) == two
+    assert problems("leaves offboard", **detected, rotor_strikes=1) == one
+    assert problems("battery low", cornered=True, **detected, rotor_strikes=1) == one
+
+
+def test_after_a_stream_loss_the_clearances_of_its_certificate_are_required():
+    """These are the mission's clearance, here 1 m, and less than the plan's distance elsewhere."""
+    assessment = PLAN.assessment
+    assessment = replace(assessment, vehicle=replace(assessment.vehicle, distance=1.2))
+    nothing = np.zeros(0)
+    certificate = StreamLossCertificate(
+        nothing, nothing, WorstLoss(0.0, 0.0, 1), nothing, StreamLossModel(), digest(PLAN.plan)
+    )
+    without = SimpleNamespace(plan=PLAN.plan, assessment=replace(assessment, stream_loss=None))
+    with_certificate = SimpleNamespace(
+        plan=PLAN.plan, assessment=replace(assessment, stream_loss=certificate)
+    )
+    gap, too_near = "two-way gap of 2 s, one", ("vehicles 1.10 m apart",)
+    assert problems(gap, with_certificate, vehicle_distance=1.1) == ()
+    assert problems(gap, with_certificate, vehicle_distance=0.9) == ("vehicles 0.90 m apart",)
+    assert problems(gap, without, vehicle_distance=1.1) == too_near
+    telemetry_gap = "telemetry gap of 2 s, one"
+    assert problems(telemetry_gap, with_certificate, vehicle_distance=1.1) == too_near
+
+
+def test_the_detection_time_of_a_slip_counts_while_the_slip_is_measurable():
+    assert problems("gripper slips", detected_after=14.0, hidden_time=6.0) == ()
+    assert problems("gripper slips", detected_after=14.0, hidden_time=2.0) == (
+        "detected after 12.00 s, not within 10 s",
+    )
+    undetected = {"detected_after": None}
+    assert problems("gripper slips", **undetected, hidden_time=30.0, visible_time=4.0) == ()
+    assert problems("gripper slips", **undetected, hidden_time=3.0, visible_time=12.0) == (
+        "not detected within 10 s",
+    )
+    assert problems("motor lost", **undetected) == ("not detected within 0.3 s",)
+
+
+def test_a_copy_of_a_flight_in_mid_air_continues_exactly_as_the_original():
+    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, "mixed"), seed=2)
+    while (
+        flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0
+        or not flight.can_be_copied
+    ):
+        flight.step()
+    copied = flight.copy()
+    for _ in range(100):
+        flight.step()
+    before = flight.emulator.truth()
+    for _ in range(100):
+        copied.step()
+    after = copied.emulator.truth()
+    assert np.array_equal(before.position, after.position)
+    assert np.array_equal(before.tension, after.tension)
+    assert flight.conductor.clock.time == copied.conductor.clock.time
+
+
+def test_after_a_lost_motor_the_vehicles_release_in_order():
+    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, "px4"), seed=2)
+    while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
+        flight.step()
+    release_fallen(flight.conductor.state, 1, "for the test")
+    while flight.conductor.finished is None:
+        flight.step()
+    (order,) = [event.message for event in flight.events if event.kind == "release"]
+    assert order == "letting go, in this order: vehicles 2, 1, 3"
+    assert not flight.emulator.truth().gripped.any()
+
+
+def test_a_vehicle_that_does_not_answer_releases_first():
+    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, "px4"), seed=2)
+    while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
+        flight.step()
+    system, began = flight.conductor.flyers[1].system, flight.now
+    lost_uplink = {
+        "kind": "link",
+        "vehicle": system,
+        "loss": 1.0,
+        "direction": "up",
+        "duration": 5.0,
+    }
+    flight.emulator.inject(Fault.model_validate({"at": began, **lost_uplink}))
+    while flight.now < began + 3.5:
+        flight.step()
+    leave_the_plan(flight.conductor.state, Response.RELEASE, "for the test", move=False)
+    while flight.emulator.truth().gripped.any():
+        flight.step()
+    first, then = [event.message for event in flight.events if event.kind == "release"]
+    assert first == "releasing first, who has not answered lately: vehicle 2"
+    assert then == "releasing all together"
+
+
+def test_responses_are_those_of_the_team_and_no_vehicle_returns_to_launch():
+    assert not any("return" in response or "launch" in response for response in Response)
+    assert {"falling", "disarmed", "rebooted"} <= LOSES_A_VEHICLE
+    assert all(TABLE[kind].irreversible for kind in LOSES_A_VEHICLE)
+
+
+def test_the_same_seed_gives_the_same_test_and_its_document_has_all_keys():
+    settings = FailureTestSettings([BY_NAME["interrupted once"]], ["mixed"], times=1, seed=5)
+    (test,), (again,) = (run_failure_tests(PLAN, settings, jobs=1) for _ in range(2))
+    assert test == again
+    document = test.document()
+    assert document.keys() == {
+        "case", "group", "autopilots", "times", "detected_after", "response", "strand_distance",
+        "vehicle_distance", "chord_ratio", "rotor_strikes", "vehicles_lost", "end", "passed",
+        "problems", "explanation",
+    }  # fmt: skip
+    assert document["end"] == "landed"
+    assert document["passed"]
+
+
+def test_the_tests_of_system_failure_cases_exist():
+    root = Path(__file__).parents[2]
+    assert {"disk full", "viewer hangs"} <= {one.name for one in SYSTEM_FAILURE_CASES}
+    for test in (test for one in SYSTEM_FAILURE_CASES for test in one.tests):
+        file, _, name = test.partition("::")
+        tree = ast.parse((root / file).read_text(encoding="utf-8"))
+        names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        assert name in names if name else any(one.startswith("test_") for one in names), test
