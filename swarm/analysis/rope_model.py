@@ -16,31 +16,38 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
 STEP: Final = 0.002
-"""Seconds; at 5 ms strands were seen to pass through each other."""
+"""Seconds; at 5 ms, strands passed through each other."""
 
 TIGHTENING_STEP: Final = 0.0005
-"""Seconds, once the inner vehicles have let go: rope that falls three metres is so much faster."""
+"""Seconds after the inner vehicles' release: rope that falls by three metres is faster."""
 
 SAMPLE_INTERVAL: Final = 0.2
+"""Seconds between samples; a strand swings with a period of one to two seconds."""
+
 BESIDE_GRIP: Final = 0.3
-"""Metres of rope. A held node is put from place to place, and no constraint knows how fast it
-moves: links beside it lag by its speed times two steps, some millimetres."""
+"""Metres of rope in which stretch does not count. Held nodes are set to positions, and constraints
+do not include their velocity: links beside them lag by their speed times two steps, some
+millimetres."""
 
 CONTACT_STEPS: Final = 2
-"""Steps in which contacts and links answer, MuJoCo's least: a strand comes in by its speed times
-this, and may leave on the other side."""
+"""Steps in which contacts and links respond, MuJoCo's minimum: a strand penetrates by its speed
+times this time, and may leave on the other side."""
 
 STIFF: Final = "0.99 0.999 0.001"
-"""Impedance of links and contacts (MuJoCo's solimp): by default short links stretch by 3 %."""
+"""Impedance of links and contacts (MuJoCo's solimp): short links stretch by 3 % by default."""
 
 FRICTION: Final = 0.3
+"""Friction coefficient of rope on rope and on the floor: smooth polymer on itself."""
+
 _DRAG_EVERY: Final = 5
-_WATCH_EVERY: Final = 5
+"""Steps between updates of the drag: 10 ms, in which velocities hardly change."""
+_CHECK_EVERY: Final = 5
+"""Steps between checks of penetration, stretch and speed; contacts last for tens of steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grips:
-    """Where the grip points (k, n, 3) are at increasing times (k,), seconds; straight between."""
+    """Grip points (k, n, 3) at increasing times (k,), seconds; linear between."""
 
     times: Floats
     places: Floats
@@ -54,9 +61,18 @@ class Grips:
         return found
 
 
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """Conditions of a simulation: self-contact, wind (3,) in m/s, and the time step in seconds."""
+
+    contact: bool
+    wind: Floats
+    step: float = STEP
+
+
 @dataclass
-class Seen:
-    """The worst that was seen of a rope: metres, a share of a link's length, m/s, a number."""
+class Extremes:
+    """Largest values of a simulation: metres, a share of a link's length, m/s, a number."""
 
     penetration: float = 0.0
     stretch: float = 0.0
@@ -65,57 +81,55 @@ class Seen:
 
 
 class Rope:
-    """A rope in MuJoCo: a one-dimensional flex whose held nodes are moved from outside."""
+    """A rope in MuJoCo: a one-dimensional flex whose held nodes follow given positions."""
 
     def __init__(
         self,
         cable: Cable,
         nodes: Floats,
         held: Ints,
-        contact: bool,
-        wind: Floats,
-        seen: Seen,
-        speeds: Floats | None = None,
-        step: float = STEP,
+        conditions: Conditions,
+        extremes: Extremes,
+        velocities: Floats | None = None,
     ) -> None:
-        """Take nodes (m, 3) where they are, of which those numbered ``held`` follow the grips.
+        """Start with nodes (m, 3), of which those with indices ``held`` follow the grips.
 
-        What is worth seeing is added to ``seen``; nodes begin with ``speeds`` (m, 3), or at rest.
+        ``extremes`` is updated. Nodes start with ``velocities`` (m, 3), or at rest.
         """
-        self._step, self._seen = step, seen
+        self._step, self._extremes = conditions.step, extremes
         links = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
         mass = cable.mass_per_length * float(links.mean())
         self._model = mujoco.MjModel.from_xml_string(
-            _description(nodes, set(held.tolist()), 0.5 * cable.diameter, mass, contact, step)
+            _description(nodes, set(held.tolist()), 0.5 * cable.diameter, mass, conditions)
         )
         self._data = mujoco.MjData(self._model)
         self._start = nodes
         self._free = np.setdiff1d(np.arange(len(nodes)), held)
         self._held = held
-        if speeds is not None:
-            self._data.qvel[:] = speeds[self._free].ravel()
+        if velocities is not None:
+            self._data.qvel[:] = velocities[self._free].ravel()
         mujoco.mj_forward(self._model, self._data)
         self._rest = self._model.flexedge_length0.copy()
         arc = np.append(0.0, np.cumsum(links))
         middles = 0.5 * (arc[1:] + arc[:-1])
         self._away = np.abs(middles[:, None] - arc[held]).min(axis=1) > BESIDE_GRIP
         self._load = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * cable.diameter
-        self._wind = wind
-        self._speed_of_held = np.zeros((len(held), 3))
+        self._wind = conditions.wind
+        self._held_velocity = np.zeros((len(held), 3))
 
     def nodes(self) -> Floats:
         """Return the nodes (m, 3)."""
         return np.array(self._data.flexvert_xpos)
 
-    def speeds(self) -> Floats:
+    def velocities(self) -> Floats:
         """Return the nodes' velocities (m, 3)."""
         velocity = np.zeros((len(self._start), 3))
         velocity[self._free] = self._data.qvel.reshape(-1, 3)
-        velocity[self._held] = self._speed_of_held
+        velocity[self._held] = self._held_velocity
         return velocity
 
     def run(self, grips: Grips) -> Iterator[tuple[float, Floats]]:
-        """Step through the motion; yields time and grip points (n, 3) every SAMPLE_INTERVAL."""
+        """Step through the motion; yield time and grip points (n, 3) every SAMPLE_INTERVAL."""
         model, data = self._model, self._data
         step = self._step
         steps = round(float(grips.times[-1] - grips.times[0]) / step)
@@ -125,18 +139,18 @@ class Rope:
             times = grips.times[0] + step * np.arange(begin, begin + count + 1)
             places = grips.at(times)
             for k in range(count):
-                self._speed_of_held = (places[k + 1] - places[k]) / step
+                self._held_velocity = (places[k + 1] - places[k]) / step
                 data.mocap_pos[:] = places[k + 1]
                 if k % _DRAG_EVERY == 0:
-                    self._drag()
+                    self._apply_drag()
                 mujoco.mj_step(model, data)
-                if k % _WATCH_EVERY == 0:
-                    self._watch()
+                if k % _CHECK_EVERY == 0:
+                    self._update_extremes()
             yield float(times[-1]), places[-1]
 
-    def _drag(self) -> None:
-        """Drag of a cylinder across the flow on every node's share of the rope (Morison)."""
-        nodes, velocity = self._data.flexvert_xpos, self.speeds()
+    def _apply_drag(self) -> None:
+        """Apply the drag of a cylinder across the flow (Morison) to each node's share of rope."""
+        nodes, velocity = self._data.flexvert_xpos, self.velocities()
         along = np.empty_like(nodes)
         along[1:-1] = nodes[2:] - nodes[:-2]
         along[0], along[-1] = nodes[1] - nodes[0], nodes[-1] - nodes[-2]
@@ -148,25 +162,25 @@ class Rope:
         force = (0.5 * self._load * size * flow)[:, None] * air
         self._data.qfrc_applied[:] = force[self._free].ravel()
 
-    def _watch(self) -> None:
-        data, seen = self._data, self._seen
+    def _update_extremes(self) -> None:
+        data, extremes = self._data, self._extremes
         stretch = data.flexedge_length / self._rest - 1.0
-        seen.stretch = max(seen.stretch, float(stretch[self._away].max(initial=0.0)))
+        extremes.stretch = max(extremes.stretch, float(stretch[self._away].max(initial=0.0)))
         velocity = data.qvel.reshape(-1, 3)
-        seen.speed = max(
-            seen.speed, float(np.sqrt(np.einsum("ij,ij->i", velocity, velocity).max()))
+        extremes.speed = max(
+            extremes.speed, float(np.sqrt(np.einsum("ij,ij->i", velocity, velocity).max()))
         )
         if data.ncon:
             depth = -data.contact.dist[data.contact.flex[:, 0] == data.contact.flex[:, 1]]
-            seen.contacts = max(seen.contacts, len(depth))
-            seen.penetration = max(seen.penetration, float(depth.max(initial=0.0)))
+            extremes.contacts = max(extremes.contacts, len(depth))
+            extremes.penetration = max(extremes.penetration, float(depth.max(initial=0.0)))
 
 
 def _description(
-    nodes: Floats, held: set[int], radius: float, mass: float, contact: bool, step: float
+    nodes: Floats, held: set[int], radius: float, mass: float, conditions: Conditions
 ) -> str:
     """Return the rope as MuJoCo's XML: point masses that slide freely, and held ones."""
-    answer = CONTACT_STEPS * step
+    response = CONTACT_STEPS * conditions.step
     bodies = []
     slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
     point = f'<inertial pos="0 0 0" mass="{mass:.9g}" diaginertia="1e-9 1e-9 1e-9"/>'
@@ -177,24 +191,24 @@ def _description(
         bodies.append(f'<body name="n{k}" pos="{at}"{mocap}>{inner}</body>')
     names = " ".join(f"n{k}" for k in range(len(nodes)))
     links = " ".join(f"{k} {k + 1}" for k in range(len(nodes) - 1))
-    collide = "auto" if contact else "none"
+    collide = "auto" if conditions.contact else "none"
     floor = (
-        f'<geom type="plane" size="500 500 1" friction="0.3" solref="{answer} 1"/>'
-        if contact
+        f'<geom type="plane" size="500 500 1" friction="{FRICTION}" solref="{response} 1"/>'
+        if conditions.contact
         else ""
     )
     return f"""<mujoco>
   <compiler boundinertia="1e-12"/>
-  <option timestep="{step}" integrator="implicitfast" solver="Newton" jacobian="sparse"
+  <option timestep="{conditions.step}" integrator="implicitfast" solver="Newton" jacobian="sparse"
     gravity="0 0 {-STANDARD_GRAVITY}"/>
   <size memory="256M"/>
   <worldbody>{floor}{"".join(bodies)}</worldbody>
   <deformable>
     <flex name="rope" dim="1" radius="{radius:.9g}" body="{names}"
       vertex="{" ".join(["0 0 0"] * len(nodes))}" element="{links}">
-      <contact selfcollide="{collide}" condim="3" solref="{answer} 1" solimp="{STIFF}"
+      <contact selfcollide="{collide}" condim="3" solref="{response} 1" solimp="{STIFF}"
         friction="{FRICTION} 0.005 0.0001"/>
     </flex>
   </deformable>
-  <equality><flex flex="rope" solref="{answer} 1" solimp="{STIFF}"/></equality>
+  <equality><flex flex="rope" solref="{response} 1" solimp="{STIFF}"/></equality>
 </mujoco>"""

@@ -79,4 +79,4 @@ def run_rope(
         for document in documents:
             print_rope(document, plan, Console())
     run = results[0].run
-    context.exit(0 if run.as_planned and not run.void else 1)
+    context.exit(0 if run.as_planned and not run.invalid else 1)

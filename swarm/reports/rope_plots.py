@@ -21,21 +21,20 @@ _COLOURS: Final = (START, END)
 class Moved:
     """A rope's run under its trajectory's name.
 
-    At times (k,): ``stray`` (k,) of the segment that is farthest from the quasi-static cable then,
-    and ``farther`` (k,) of the one that is farthest of those that are farther from it than the
-    budget's models of sway and a stop have that segment at that moment (NaN: none is); ``apart``
-    and ``still_apart`` (k,), the smallest distances of the rope's segments and of the quasi-static
-    cable's. ``shape`` (m, 3) is at the end; metres and seconds. ``verdict`` says in words what came
-    of it.
+    At times (k,): ``deviation`` (k,), the largest distance of a segment from the quasi-static
+    cable; ``farther`` (k,), the largest one beyond the swing that the budget's models of sway and a
+    stop allow that segment (NaN: none); ``distance`` and ``static_distance`` (k,), the smallest
+    distances of the rope's segments and of the quasi-static cable's. ``shape`` (m, 3) is at the
+    end; metres and seconds. ``verdict`` is the result in words.
     """
 
     label: str
     verdict: str
     times: Floats
-    stray: Floats
+    deviation: Floats
     farther: Floats
-    apart: Floats
-    still_apart: Floats
+    distance: Floats
+    static_distance: Floats
     shape: Floats
 
 
@@ -57,7 +56,7 @@ def draw_stray(axes: Axes, runs: Sequence[Moved]) -> None:
     """Draw how far the rope was from the quasi-static cable over time, and where farther than the
     budget's models of sway and a stop have it."""
     for run, colour in zip(runs, _COLOURS, strict=False):
-        axes.plot(run.times, run.stray, color=colour, linewidth=1.4, label=run.label)
+        axes.plot(run.times, run.deviation, color=colour, linewidth=1.4, label=run.label)
     words: str | None = "farther than sway and a stop in the budget, of that segment then"
     for run in runs:
         if np.isfinite(run.farther).any():
@@ -72,16 +71,16 @@ def draw_stray(axes: Axes, runs: Sequence[Moved]) -> None:
 def draw_apart(axes: Axes, runs: Sequence[Moved], required: float) -> None:
     """Draw the smallest distance of segments that share no vehicle, over time."""
     for run, colour in zip(runs, _COLOURS, strict=False):
-        axes.plot(run.times, run.apart, color=colour, linewidth=1.4, label=run.label)
+        axes.plot(run.times, run.distance, color=colour, linewidth=1.4, label=run.label)
         axes.plot(
-            run.times, run.still_apart, color=colour, linewidth=0.9, linestyle="--",
+            run.times, run.static_distance, color=colour, linewidth=0.9, linestyle="--",
             label="the quasi-static cable",
         )  # fmt: skip
     axes.legend(fontsize=7.5, frameon=False)
     axes.axhline(required, color=ALARM, linewidth=1.2, linestyle="--")
     _say_at(axes, required, f"required {required:.2f} m")
     axes.set(xlabel="time, s", ylabel="smallest distance, m", title="Strand to strand, as it moved")
-    axes.set_ylim(bottom=min(0.0, *(float(run.apart.min(initial=0.0)) for run in runs)))
+    axes.set_ylim(bottom=min(0.0, *(float(run.distance.min(initial=0.0)) for run in runs)))
 
 
 def _say_at(axes: Axes, height: float, words: str) -> None:

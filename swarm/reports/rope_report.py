@@ -45,21 +45,21 @@ def _rows(runs: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 
 
 def _values(run: Mapping[str, Any]) -> dict[str, str]:
-    penetration, stray = run["penetration"], run["stray"]
+    penetration, stray = run["penetration"], run["deviation"]
     return {
         "knot": _knot(run),
-        "shows something": "no" if run["void"] else "yes",
+        "shows something": "no" if run["invalid"] else "yes",
         "closest strands": number_with_unit(run["smallest_distance"], "m"),
         "those of the quasi-static cable": number_with_unit(
             run["smallest_distance_of_quasi_static_cable"], "m"
         ),
         "deepest penetration": (
-            f"{penetration['radii']:.2f} radii (void beyond {penetration['most']:g})"
+            f"{penetration['radii']:.2f} radii (invalid beyond {penetration['limit']:g})"
         ),
         "largest stretch": f"{run['stretch']['share']:.2%}",
         "top speed": f"{run['speed']['metres_per_second']:.1f} m/s",
         "farthest from the quasi-static cable": metres(stray["largest"]),
-        "there and then by sway and a stop, in the budget's models": metres(stray["sway_and_stop"]),
-        "farther than these by": metres(stray["farther"]["by"]),
-        "simulated, took": f"{run['simulated']:.0f} s, {run['took']:.0f} s",
+        "there and then by sway and a stop, in the budget's models": metres(stray["allowed_swing"]),
+        "farther than these by": metres(stray["beyond_models"]["by"]),
+        "simulated, took": f"{run['simulated']:.0f} s, {run['computing_time']:.0f} s",
     }

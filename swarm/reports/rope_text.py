@@ -17,15 +17,17 @@ if TYPE_CHECKING:
 def rope_curves(result: "RopeResult") -> Moved:
     """Return the curves of a result: at each moment, of the segment that strays farthest."""
     run = result.run
-    beyond = np.where(run.stray > run.swing, run.stray, -np.inf).max(axis=1, initial=-np.inf)
+    beyond = np.where(run.deviation > run.allowed_swing, run.deviation, -np.inf).max(
+        axis=1, initial=-np.inf
+    )
     return Moved(
         label=result.trajectory.name,
         verdict=_verdict(run),
         times=run.times,
-        stray=run.stray.max(axis=1, initial=0.0),
+        deviation=run.deviation.max(axis=1, initial=0.0),
         farther=np.where(np.isfinite(beyond), beyond, np.nan),
-        apart=run.apart,
-        still_apart=run.still_apart,
+        distance=run.distance,
+        static_distance=run.static_distance,
         shape=run.shape,
     )
 
@@ -40,28 +42,31 @@ def print_rope(document: Mapping[str, Any], plan: Plan, console: Console) -> Non
 
 
 def _verdict(run: "RopeRun") -> str:
-    if run.void:
-        return "void"
+    if run.invalid:
+        return "invalid"
     hand = "" if run.chirality == "none" else f", {run.chirality}-handed"
     return f"{run.knot}{hand}" + ("" if run.as_planned else " (not as planned)")
 
 
 def _lines(told: Mapping[str, Any], plan: Plan) -> list[str]:
-    knot, stray = told["knot"], told["stray"]
+    knot, stray = told["knot"], told["deviation"]
     lines = [
         f"\n[bold]A rope of {told['links']} links moved by {told['trajectory']}[/], "
-        f"{told['simulated']:.0f} s in {told['took']:.0f} s"
+        f"{told['simulated']:.0f} s in {told['computing_time']:.0f} s"
     ]
-    if told["void"]:
-        lines += ["[bold red]The run is void:[/]", *(f"  {reason}" for reason in told["void"])]
-    style = "green" if knot["as_planned"] and not told["void"] else "red"
+    if told["invalid"]:
+        lines += [
+            "[bold red]The run is invalid:[/]",
+            *(f"  {reason}" for reason in told["invalid"]),
+        ]
+    style = "green" if knot["as_planned"] and not told["invalid"] else "red"
     hand = "" if knot["chirality"] == "none" else f" {knot['chirality']}-handed"
     planned = f"{plan.knot.type} {plan.knot.chirality}-handed".replace(" none-handed", "")
     planned = planned.strip() or "none"
     name = "Knot after tightening" if told["tightened"] else "Knot of the rope"
     lines.append(f"{name}: [{style}]{knot['type']}{hand}[/] (planned: {planned})")
     if told["tightened"]:
-        lines.append(f"tightened until its ends were {told['ends_apart']:.2f} m apart")
+        lines.append(f"tightened until its ends were {told['end_distance']:.2f} m apart")
     if told["smallest_distance"] is not None:
         static = told["smallest_distance_of_quasi_static_cable"]
         lines.append(
@@ -73,7 +78,7 @@ def _lines(told: Mapping[str, Any], plan: Plan) -> list[str]:
         f"{stray['segment']} at {stray['time']:.0f} s; the budget's models of sway and a stop "
         f"allow {stray['sway_and_stop']:.2f} m there"
     )
-    farther = stray["farther"]
+    farther = stray["beyond_models"]
     if farther["share"]:
         lines.append(
             f"these models are exceeded by up to {farther['by']:.2f} m, at {farther['share']:.0%} "
@@ -82,8 +87,8 @@ def _lines(told: Mapping[str, Any], plan: Plan) -> list[str]:
         )
     depth, stretch, speed = told["penetration"], told["stretch"], told["speed"]
     lines.append(
-        f"deepest penetration {depth['radii']:.2f} radii (void beyond {depth['most']:g}), largest "
-        f"stretch {stretch['share']:.2%} (void beyond {stretch['most']:.0%}), top speed "
-        f"{speed['metres_per_second']:.1f} m/s (void beyond {speed['most']:g})"
+        f"deepest penetration {depth['radii']:.2f} radii (invalid beyond {depth['limit']:g}), "
+        f"largest stretch {stretch['share']:.2%} (invalid beyond {stretch['limit']:.0%}), "
+        f"top speed {speed['metres_per_second']:.1f} m/s (invalid beyond {speed['limit']:g})"
     )
     return lines

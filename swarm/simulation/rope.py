@@ -34,8 +34,8 @@ class RopeResult:
         """Return the result as one JSON-ready object."""
         return {
             "trajectory": self.trajectory.name,
-            "took": self.duration,
-            **rope.told(self.run, self.trajectory.plan),
+            "computing_time": self.duration,
+            **rope.run_object(self.run, self.trajectory.plan),
         }
 
 

@@ -1,4 +1,4 @@
-"""The rope: it hangs as a catenary does, blocks where it must, and says when it shows nothing."""
+"""The simulated rope: hangs as a catenary, blocks at contact, and reports invalid runs."""
 
 import json
 from dataclasses import replace
@@ -39,15 +39,14 @@ def test_a_rope_at_rest_hangs_as_the_catenary():
     layout = replace(PLAN.layout, corners=line, lengths=np.array([length, 2.3]))
     run = rope.simulate_rope(replace(PLAN, layout=layout), still(line, 1.0), links=80)
     assert run.links == 80
-    assert run.void == ()
-    assert run.stray.max() < 0.02
+    assert run.invalid == ()
+    assert run.deviation.max() < 0.02
     drop = solve_catenaries(start, end, length).points(np.linspace(0, 1, 200))[:, 2].min()
     assert run.shape[:41, 2].min() == pytest.approx(drop, abs=0.01)
 
 
 def test_sway_turns_a_strand_about_its_chord():
-    """Gravity that is felt aslant turns a strand between level ends, whose lowest point moves by
-    the chord of an arc around them."""
+    """Tilted effective gravity turns a strand between level ends about its chord."""
     ends = np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0]])
     length, sideways = np.array([3.0]), np.tile([0.0, 2.0, 0.0], (2, 1))
     sag = float(solve_catenaries(*ends, length[0]).sag())
@@ -58,7 +57,7 @@ def test_sway_turns_a_strand_about_its_chord():
     assert largest_swings(ends, sideways, length, 2.0) == pytest.approx(turned + at_rest, rel=1e-3)
 
 
-def test_a_rope_that_swings_on_is_told_to_stray_farther_than_sway_and_a_stop():
+def test_residual_swing_is_reported_beyond_the_models_of_the_budget():
     line = np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0], [4.0, 0.0, 5.0]])
     layout = replace(PLAN.layout, corners=line, lengths=np.array([3.0, 2.02]))
     sag = float(solve_catenaries(line[0], line[1], 3.0).sag())
@@ -67,14 +66,14 @@ def test_a_rope_that_swings_on_is_told_to_stray_farther_than_sway_and_a_stop():
     aside = 0.5 / rate**2 * np.sin(rate * times)
     grips = rope.Grips(times, line + aside[:, None, None] * [0.0, 1.0, 0.0])
     run = rope.simulate_rope(replace(PLAN, layout=layout), grips, links=50)
-    told = rope.stray_told(run)
-    assert told["segment"] == 1
-    assert told["largest"] == run.stray.max() > 2.0 * told["sway_and_stop"] > 0.0
-    assert 0.0 < told["farther"]["share"] < 0.5
-    assert told["farther"]["by"] == pytest.approx((run.stray - run.swing).max())
+    found = rope.deviation_object(run)
+    assert found["segment"] == 1
+    assert found["largest"] == run.deviation.max() > 2.0 * found["allowed_swing"] > 0.0
+    assert 0.0 < found["beyond_models"]["share"] < 0.5
+    assert found["beyond_models"]["by"] == pytest.approx((run.deviation - run.allowed_swing).max())
 
 
-def test_wind_blows_the_rope_aside_as_its_drag_says():
+def test_wind_tilts_the_rope_by_its_drag():
     line = np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0], [4.0, 0.0, 5.0]])
     layout = replace(PLAN.layout, corners=line, lengths=np.array([2.4, 2.4]))
     plan = replace(PLAN, layout=layout)
@@ -83,7 +82,7 @@ def test_wind_blows_the_rope_aside_as_its_drag_says():
     cable = plan.mission.cable
     tilt = 0.5 * 1.225 * 1.1 * cable.diameter * wind**2 / (cable.mass_per_length * 9.80665)
     low = run.shape[np.argmin(run.shape[:, 2])]
-    # slopes of the span see less of the wind across them, and it largest_swings a little
+    # the slopes of the span have less wind across them, and it swings a little
     assert low[1] / (5.0 - low[2]) == pytest.approx(tilt, rel=0.2)
 
 
@@ -105,7 +104,7 @@ def test_strands_stop_each_other_only_with_contact(contact):
     else:
         assert higher < -0.1
         assert run.contacts == 0
-        assert run.void == ("contact is switched off: whatever knot comes out, it shows nothing",)
+        assert run.invalid == ("contact is disabled: the resulting knot is no evidence",)
 
 
 @pytest.mark.full
@@ -113,27 +112,27 @@ def test_a_tightened_overhand_keeps_its_knot():
     mission = mission_for_knot("overhand", ("finish=tighten",))
     plan = planner.plan(mission, robustness=False).plan
     run = rope.simulate_rope(plan, rope.planned_grips(plan))
-    assert run.void == ()
+    assert run.invalid == ()
     assert (run.knot, run.chirality, run.as_planned) == ("3_1", "right", True)
     assert run.span > 0.8 * plan.layout.lengths.sum()
 
 
-def test_a_rope_that_is_torn_taut_is_void():
+def test_a_rope_that_is_pulled_taut_is_invalid():
     line = PLAN.layout.corners
     apart = line * [1.3, 1.0, 1.0]
     grips = rope.Grips(np.array([0.0, 1.0, 1.5]), np.array([line, apart, apart]))
     run = rope.simulate_rope(PLAN, grips, links=40)
-    assert any("stretched" in reason for reason in run.void)
-    assert not run.void[0].endswith(" is")
+    assert any("stretched" in reason for reason in run.invalid)
+    assert not run.invalid[0].endswith(" is")
 
 
-def test_links_are_dealt_out_by_length():
-    counts = rope._links_of(np.array([1.0, 2.0, 7.0]), 100)
+def test_links_are_distributed_by_length():
+    counts = rope._distribute_links(np.array([1.0, 2.0, 7.0]), 100)
     assert counts.tolist() == [10, 20, 70]
-    assert rope._links_of(np.array([0.1, 9.9]), 20).min() == 2
+    assert rope._distribute_links(np.array([0.1, 9.9]), 20).min() == 2
 
 
-def test_a_rope_too_short_to_begin_with_is_refused():
+def test_a_rope_that_is_too_short_at_the_beginning_is_refused():
     with pytest.raises(Refused, match="begin too far apart"):
         rope.simulate_rope(PLAN, still(PLAN.layout.corners * [2.0, 1.0, 1.0], 1.0))
 
@@ -146,9 +145,9 @@ def test_the_planned_motion_is_that_of_fold_and_hold():
     assert np.allclose(grips.at(middle)[0], PLAN.motion.at(middle[0])[0], atol=1e-3)
 
 
-def test_what_is_told_can_be_printed_as_json():
+def test_a_run_can_be_printed_as_json():
     run = rope.simulate_rope(PLAN, still(PLAN.layout.corners, 0.2), links=30)
-    told = rope.told(run, PLAN)
-    json.dumps(told, allow_nan=False)
-    assert told["knot"]["type"] == "0_1"
-    assert told["smallest_distance"] is None
+    found = rope.run_object(run, PLAN)
+    json.dumps(found, allow_nan=False)
+    assert found["knot"]["type"] == "0_1"
+    assert found["smallest_distance"] is None

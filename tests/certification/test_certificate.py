@@ -137,7 +137,7 @@ def test_a_hop_carries_no_cable_and_names_its_check():
     )
     with pytest.raises(Refused, match="a hop flight carries no cable: none was checked"):
         basis_of(flight, cable=True)
-    assert not Conductor(flight, emulated_fleet(3)).carries
+    assert not Conductor(flight, emulated_fleet(3)).state.setup.carries_cable
     checks = {finding.check for finding in flight.certificate.findings}
     assert "scope" in checks
 

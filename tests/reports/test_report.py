@@ -208,14 +208,14 @@ def made_trials_report(below: tuple[int, ...] = ()) -> str:
 
 def made_rope_report(*void: str) -> str:
     told = {
-        "trajectory": "this plan", "took": 20.0, "simulated": 130.0, "links": 400,
-        "knot": {"type": "3_1", "chirality": "right", "as_planned": True}, "void": list(void),
-        "smallest_distance": None, "penetration": {"radii": 0.2, "most": 1.5},
+        "trajectory": "this plan", "computing_time": 20.0, "simulated": 130.0, "links": 400,
+        "knot": {"type": "3_1", "chirality": "right", "as_planned": True}, "invalid": list(void),
+        "smallest_distance": None, "penetration": {"radii": 0.2, "limit": 1.5},
         "stretch": {"share": 0.004}, "speed": {"metres_per_second": 1.5},
         "smallest_distance_of_quasi_static_cable": 0.61,
-        "stray": {
-            "largest": 0.29, "segment": 2, "time": 40.0, "sway_and_stop": 0.17,
-            "farther": {"share": 0.1, "by": 0.12},
+        "deviation": {
+            "largest": 0.29, "segment": 2, "time": 40.0, "allowed_swing": 0.17,
+            "beyond_models": {"share": 0.1, "by": 0.12},
         },
     }  # fmt: skip
     return rope_report(PLAN, assessment(), [told], drawn())
