@@ -1,8 +1,8 @@
-"""What a vehicle said, field by field, in a form in which two vehicles can be compared.
+"""Comparison of the messages of two vehicles, field by field.
 
-A recording of a real autopilot has both directions. `emulated` tells an emulated vehicle the same
-things at the same times; `facts` reduces what either of them said to named values, and
-`differences` lists those that differ.
+A recording of a real autopilot has both directions. `replay` sends the same packets at the same
+times to an emulated vehicle; `facts` reduces the answers of either vehicle to named values, and
+`differences` lists the values that differ.
 """
 
 import math
@@ -23,41 +23,41 @@ from tests.recordings.trim import target as addressed
 Packets = Sequence[tuple[float, bytes]]
 _STEP = 0.004
 _FEW = 6
-"""Up to so many distinct values are compared one by one; more are "many"."""
+"""Up to this number, distinct values are compared one by one; more are "many"."""
 _NEWER = {8: "LINK_NODE_STATUS", 380: "TIME_ESTIMATE_TO_TARGET", 397: "COMPONENT_METADATA",
           410: "EVENT", 411: "CURRENT_EVENT_SEQUENCE"}  # fmt: skip
-"""Messages that are newer than the library that decodes the others."""
+"""Messages that the library cannot decode yet."""
 dialect.mavlink_map.setdefault(436, development.mavlink_map[436])
 
 
 @dataclass(frozen=True)
-class Said:
-    """A message that a vehicle sent: when, its name, its fields."""
+class Decoded:
+    """A decoded message: time in seconds, name, fields."""
 
     at: float
     name: str
     fields: Mapping[str, Any]
 
 
-def emulated(
-    emulator: Emulator, told: Packets, system: int, delay: float, end: float
+def replay(
+    emulator: Emulator, uplink: Packets, system: int, delay: float, end: float
 ) -> list[tuple[float, bytes]]:
-    """Tell an emulated vehicle what a real one was told, ``delay`` seconds later.
+    """Send the packets of a recording to an emulated vehicle, ``delay`` seconds later.
 
-    Returns what it said, with times as in the recording; ``end`` is when it ends.
+    Returns its packets until ``end``, with the times of the recording.
     """
-    said: list[tuple[float, bytes]] = []
-    queue = iter([*told, (math.inf, b"")])
+    downlink: list[tuple[float, bytes]] = []
+    queue = iter([*uplink, (math.inf, b"")])
     at, packet = next(queue)
     for k in range(1, math.ceil((end + delay) / _STEP) + 1):
         now = k * _STEP
         while at + delay <= now:
             emulator.receive(system, packet, now)
             at, packet = next(queue)
-        for who, data in emulator.step(now):
-            if who == system:
-                said += [(now - delay, one) for one in _split(data) if now >= delay]
-    return said
+        for sender, data in emulator.step(now):
+            if sender == system:
+                downlink += [(now - delay, one) for one in _split(data) if now >= delay]
+    return downlink
 
 
 def _split(data: bytes) -> Iterator[bytes]:
@@ -68,7 +68,7 @@ def _split(data: bytes) -> Iterator[bytes]:
 
 
 def to_vehicle(packets: Iterable[tuple[float, bytes]], system: int) -> list[tuple[float, bytes]]:
-    """Return the ground station's packets that a vehicle gets."""
+    """Return the ground station's packets to a vehicle."""
     return [
         (at, packet)
         for at, packet in packets
@@ -76,10 +76,10 @@ def to_vehicle(packets: Iterable[tuple[float, bytes]], system: int) -> list[tupl
     ]
 
 
-def decoded(packets: Iterable[tuple[float, bytes]]) -> list[Said]:
-    """Return packets with their fields by name; of the newest messages the name alone."""
+def decoded(packets: Iterable[tuple[float, bytes]]) -> list[Decoded]:
+    """Return packets with their fields by name; of the newest messages only the name."""
     reader = dialect.MAVLink(None)
-    said = []
+    downlink = []
     for at, packet in packets:
         name = _NEWER.get(number(packet))
         if name is None:
@@ -88,38 +88,41 @@ def decoded(packets: Iterable[tuple[float, bytes]]) -> list[Said]:
             name = fields.pop("mavpackettype")
         else:
             fields = {}
-        said.append(Said(at, name, fields))
-    return said
+        downlink.append(Decoded(at, name, fields))
+    return downlink
 
 
-def facts(said: Sequence[Said], told: Sequence[Said], skip: Iterable[str] = ()) -> dict[str, Any]:
-    """Return what can be compared of a flight, by name.
+def facts(
+    downlink: Sequence[Decoded], uplink: Sequence[Decoded], skip: Iterable[str] = ()
+) -> dict[str, Any]:
+    """Return the comparable values of a flight, by name.
 
-    Told and said are of one vehicle; names in ``skip`` (a message, or message.field) are left out.
+    ``uplink`` and ``downlink`` are the messages to and from one vehicle; names in ``skip`` (a
+    message, or message.field) are omitted.
     """
-    left_out = set(skip)
+    omitted = set(skip)
     found: dict[str, Any] = {}
-    by_name: dict[str, list[Said]] = defaultdict(list)
-    for one in said:
+    by_name: dict[str, list[Decoded]] = defaultdict(list)
+    for one in downlink:
         by_name[one.name].append(one)
-    for name, all_of_it in by_name.items():
+    for name, messages in by_name.items():
         found[f"{name}.is sent"] = True
-        if name in {"PARAM_VALUE", "COMMAND_ACK", "STATUSTEXT", "TIMESYNC"} | left_out:
+        if name in {"PARAM_VALUE", "COMMAND_ACK", "STATUSTEXT", "TIMESYNC"} | omitted:
             continue
-        for field in all_of_it[0].fields:
-            if f"{name}.{field}" not in left_out:
-                found[f"{name}.{field}"] = _course(one.fields[field] for one in all_of_it)
-    found |= _answers(by_name["COMMAND_ACK"], told)
-    found |= _order(said, told)
+        for field in messages[0].fields:
+            if f"{name}.{field}" not in omitted:
+                found[f"{name}.{field}"] = _sequence(one.fields[field] for one in messages)
+    found |= _answers(by_name["COMMAND_ACK"], uplink)
+    found |= _order(downlink, uplink)
     found["STATUSTEXT"] = tuple(_texts(by_name["STATUSTEXT"]))
-    found |= _rates(by_name, told)
-    found |= _clock(by_name["TIMESYNC"], told)
-    found |= _parameters(by_name["PARAM_VALUE"], told)
+    found |= _rates(by_name, uplink)
+    found |= _clock(by_name["TIMESYNC"], uplink)
+    found |= _parameters(by_name["PARAM_VALUE"], uplink)
     return found
 
 
-def _course(values: Iterable[Any]) -> Any:
-    """Values one after the other without repetitions; "many" where they are."""
+def _sequence(values: Iterable[Any]) -> Any:
+    """Return the values in order without repetitions; "many" for more than a few."""
     rounded = [_rounded(value) for value in values]
     if len(set(rounded)) > _FEW:
         return "many"
@@ -134,14 +137,14 @@ def _rounded(value: Any) -> Any:
     return value
 
 
-def _texts(said: Iterable[Said]) -> Iterator[tuple[int, str, bool]]:
-    """Severity, wording, and whether a text has a number of its own."""
-    for one in said:
+def _texts(downlink: Iterable[Decoded]) -> Iterator[tuple[int, str, bool]]:
+    """Yield severity, text, and whether the text has an id."""
+    for one in downlink:
         yield one.fields["severity"], one.fields["text"], bool(one.fields["id"])
 
 
-def _commands(told: Iterable[Said]) -> Iterator[tuple[float, str]]:
-    for one in told:
+def _commands(uplink: Iterable[Decoded]) -> Iterator[tuple[float, str]]:
+    for one in uplink:
         if one.name == "COMMAND_LONG":
             p = [one.fields[f"param{k}"] for k in range(1, 4)]
             number = int(one.fields["command"])
@@ -149,50 +152,50 @@ def _commands(told: Iterable[Said]) -> Iterator[tuple[float, str]]:
             yield one.at, f"{number} {detail}".strip()
 
 
-def _answers(acks: Sequence[Said], told: Sequence[Said]) -> dict[str, Any]:
-    """Results and number of acknowledgements, by command and what it is about."""
-    asked = list(_commands(told))
+def _answers(acks: Sequence[Decoded], uplink: Sequence[Decoded]) -> dict[str, Any]:
+    """Return the results of all acknowledgements, by command and its first parameter."""
+    requested = list(_commands(uplink))
     found: dict[str, Any] = {}
-    times = [at for at, _ in asked]
+    times = [at for at, _ in requested]
     answers: dict[int, list[int]] = defaultdict(list)
     for one in acks:
         candidates = [
             k for k in range(bisect_right(times, one.at + 1e-9))
-            if asked[k][1].split()[0] == str(one.fields["command"])
+            if requested[k][1].split()[0] == str(one.fields["command"])
         ]  # fmt: skip
         answers[candidates[-1] if candidates else -1].append(one.fields["result"])
-    for k, (_, name) in enumerate(asked):
+    for k, (_, name) in enumerate(requested):
         found.setdefault(f"answer to {name}", []).append(tuple(answers[k]))
     return {name: tuple(results) for name, results in found.items()}
 
 
-def _order(said: Sequence[Said], told: Sequence[Said]) -> dict[str, Any]:
-    """Whether a message that was asked for comes before its acknowledgement; order of events."""
-    asked = [at for at, name in _commands(told) if name == "512 148"]
+def _order(downlink: Sequence[Decoded], uplink: Sequence[Decoded]) -> dict[str, Any]:
+    """Return the order of requested messages and acknowledgements, and of events."""
+    requested = [at for at, name in _commands(uplink) if name == "512 148"]
     places = []
-    for at in asked:
-        names = [one.name for one in said if at <= one.at < at + 0.3]
+    for at in requested:
+        names = [one.name for one in downlink if at <= one.at < at + 0.3]
         both = [name for name in names if name in {"COMMAND_ACK", "AUTOPILOT_VERSION"}]
         places.append(tuple(both))
     return {
         "order of AUTOPILOT_VERSION and its answer": tuple(places),
-        "events": tuple(_events(said)),
+        "events": tuple(_events(downlink)),
     }
 
 
-def _events(said: Sequence[Said]) -> Iterator[str]:
-    """What changed, in order: modes, arming, landed states."""
+def _events(downlink: Sequence[Decoded]) -> Iterator[str]:
+    """Yield the changes of modes, arming and landed states in order."""
     state: dict[str, Any] = {}
-    for one in said:
-        news = {}
+    for one in downlink:
+        changes = {}
         if one.name == "HEARTBEAT":
-            news["armed"] = one.fields["base_mode"] >> 7
-            news["mode"] = one.fields["custom_mode"]
+            changes["armed"] = one.fields["base_mode"] >> 7
+            changes["mode"] = one.fields["custom_mode"]
         elif one.name == "CURRENT_MODE":
-            news["mode"] = one.fields["custom_mode"]
+            changes["mode"] = one.fields["custom_mode"]
         elif one.name == "EXTENDED_SYS_STATE":
-            news["landed"] = one.fields["landed_state"]
-        for key, value in news.items():
+            changes["landed"] = one.fields["landed_state"]
+        for key, value in changes.items():
             known = key in state
             if state.get(key) != value:
                 state[key] = value
@@ -200,36 +203,36 @@ def _events(said: Sequence[Said]) -> Iterator[str]:
                     yield f"{key} {value}"
 
 
-def _rates(by_name: Mapping[str, Sequence[Said]], told: Sequence[Said]) -> dict[str, Any]:
-    """Messages a second, before requests are over, on the ground after that, and in flight."""
-    armed = next((at for at, name in _commands(told) if name == "400"), math.inf)
-    asked = [at for at, name in _commands(told) if name.startswith("511 ") and at < armed]
-    spans = {"at first": (0.05, 0.74), "when asked": (max(asked) + 0.1, armed - 0.1),
+def _rates(by_name: Mapping[str, Sequence[Decoded]], uplink: Sequence[Decoded]) -> dict[str, Any]:
+    """Return messages per second, before the requests, on the ground after them, in flight."""
+    armed = next((at for at, name in _commands(uplink) if name == "400"), math.inf)
+    requested = [at for at, name in _commands(uplink) if name.startswith("511 ") and at < armed]
+    spans = {"initially": (0.05, 0.74), "on request": (max(requested) + 0.1, armed - 0.1),
              "in flight": (armed + 10.0, armed + 50.0)}  # fmt: skip
     found: dict[str, Any] = {}
-    for name, all_of_it in by_name.items():
+    for name, messages in by_name.items():
         if name in {"COMMAND_ACK", "STATUSTEXT", "PARAM_VALUE", "TIMESYNC", "EVENT"}:
             continue
         for span, (begin, end) in spans.items():
-            n = sum(begin <= one.at < end for one in all_of_it)
+            n = sum(begin <= one.at < end for one in messages)
             found[f"rate of {name} {span}"] = _rate(n, end - begin)
     return found
 
 
 def _rate(n: int, seconds: float) -> float:
-    """A rate among those that are asked for, within the error of counting; 1 is all that is too
-    slow to be measured in a second."""
-    known = (0.0, 0.1, 0.33, 0.5, 1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 30.0, 50.0)
+    """Return the nearest requested rate, within the error of counting; 1 also stands for rates
+    that are too slow to measure in a second."""
+    rates = (0.0, 0.1, 0.33, 0.5, 1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 30.0, 50.0)
     if n <= 3 and seconds < 2.0:
         return 1.0
-    return min(known, key=lambda rate: abs(rate * seconds - n) - (0.5 if rate else 0.0))
+    return min(rates, key=lambda rate: abs(rate * seconds - n) - (0.5 if rate else 0.0))
 
 
-def _clock(said: Sequence[Said], told: Sequence[Said]) -> dict[str, Any]:
-    ours = {one.fields["ts1"] for one in told if one.name == "TIMESYNC"}
-    replies = [one for one in said if one.fields["tc1"]]
+def _clock(downlink: Sequence[Decoded], uplink: Sequence[Decoded]) -> dict[str, Any]:
+    ours = {one.fields["ts1"] for one in uplink if one.name == "TIMESYNC"}
+    replies = [one for one in downlink if one.fields["tc1"]]
     known = [one.fields["ts1"] in ours for one in replies]
-    own = [one.at for one in said if not one.fields["tc1"]]
+    own = [one.at for one in downlink if not one.fields["tc1"]]
     every = (own[-1] - own[0]) / (len(own) - 1) if len(own) > 1 else math.inf
     return {
         "TIMESYNC replies to requests": round(sum(known) / len(ours), 1) if ours else 0.0,
@@ -238,11 +241,11 @@ def _clock(said: Sequence[Said], told: Sequence[Said]) -> dict[str, Any]:
     }
 
 
-def _parameters(said: Sequence[Said], told: Sequence[Said]) -> dict[str, Any]:
-    lists = [one.at for one in told if one.name == "PARAM_REQUEST_LIST"]
+def _parameters(downlink: Sequence[Decoded], uplink: Sequence[Decoded]) -> dict[str, Any]:
+    lists = [one.at for one in uplink if one.name == "PARAM_REQUEST_LIST"]
     if not lists:
         return {}
-    listed = [one.fields for one in said if lists[-1] <= one.at < lists[-1] + 3.0]
+    listed = [one.fields for one in downlink if lists[-1] <= one.at < lists[-1] + 3.0]
     whole = [one["param_index"] for one in listed if one["param_index"] < 65535]
     count = listed[0]["param_count"] if listed else 0
     found = {
@@ -271,7 +274,7 @@ def _sorted(listed: Sequence[Mapping[str, Any]]) -> bool:
 def differences(
     real: Mapping[str, Any], other: Mapping[str, Any], known: Callable[[str], bool]
 ) -> dict[str, tuple[Any, Any]]:
-    """Return by name what differs, as (real, emulated); ``known`` tells which names to leave out."""
+    """Return the differing values (real, emulated) by name, without names that are ``known``."""
     found = {}
     sent, also = _messages(real), _messages(other)
     for name in sorted({*real, *other}):
@@ -287,7 +290,7 @@ def differences(
 
 
 def _message(name: str) -> str:
-    """The message that a fact is about; "" where it is about something else."""
+    """Return the message of a fact; "" if the fact does not concern a message."""
     if name.startswith("rate of "):
         return name.split()[2]
     head, dot, _ = name.partition(".")
@@ -300,24 +303,29 @@ def _messages(of: Iterable[str]) -> set[str]:
 
 def table(found: Mapping[str, tuple[Any, Any]]) -> str:
     """Return differences as lines of a table."""
-    rows = [f"{name:58} {_brief(real)} | {_brief(other)}" for name, (real, other) in found.items()]
+    rows = [
+        f"{name:58} {_shortened(real)} | {_shortened(other)}"
+        for name, (real, other) in found.items()
+    ]
     return "\n".join([f"{'':58} real | emulated", *rows])
 
 
-def _brief(value: Any) -> str:
+def _shortened(value: Any) -> str:
     text = str(value)
     return text if len(text) <= 300 else text[:297] + "…"
 
 
-def delays(said: Sequence[Said], told: Sequence[Said]) -> dict[str, float]:
-    """Seconds from the command or change before it to each first change of arming and landing."""
+def delays(downlink: Sequence[Decoded], uplink: Sequence[Decoded]) -> dict[str, float]:
+    """Return the seconds from the last command or change to each first change of state."""
     last, name = 0.0, ""
-    asked = [(at, name) for at, name in _commands(told) if name.split()[0] in {"400", "22", "176"}]
+    requested = [
+        (at, name) for at, name in _commands(uplink) if name.split()[0] in {"400", "22", "176"}
+    ]
     found: dict[str, float] = {}
     state: dict[str, int] = {}
-    for one in said:
-        while asked and asked[0][0] < one.at:
-            last, name = asked.pop(0)
+    for one in downlink:
+        while requested and requested[0][0] < one.at:
+            last, name = requested.pop(0)
         if one.name == "HEARTBEAT":
             key, value = "armed", one.fields["base_mode"] >> 7
         elif one.name == "EXTENDED_SYS_STATE":

@@ -1,8 +1,8 @@
 """The emulator against recordings of the real autopilots, field by field.
 
-An emulated vehicle is told what the real one was told, at the same times, after having been
-prepared as that one was: connected to, its streams asked for, parameters set, left alone for over
-a minute. What differs in what they say is listed, and is either mended or explained below.
+An emulated vehicle receives the packets of the recorded one, at the same times, after the same
+preparation: connection, requests of streams, parameters, more than a minute of waiting. Every
+difference between the two vehicles' messages is explained below.
 """
 
 import gzip
@@ -24,38 +24,38 @@ from sitl.autopilots.px4 import tables as px4_tables
 from tests.recordings import ARDUCOPTER, PX4, recorded
 from tests.sitl.client import world
 from tests.sitl.conformance import (
+    Decoded,
     Packets,
-    Said,
     decoded,
     delays,
     differences,
-    emulated,
     facts,
+    replay,
     table,
     to_vehicle,
 )
 
 RECORDINGS = Path(__file__).parent.parent / "recordings"
 BEFORE = 100.2
-"""Seconds for which the emulated vehicle lives before the recording begins; the fraction lets its
-ArduPilot look for its ground station as long after the first heartbeat as the recorded one did."""
+"""Seconds of the emulated vehicle before the recording starts; the fraction gives its ArduPilot the
+same time between the first heartbeat and its check of the ground station as in the recording."""
 CUT = 0.05
-"""Seconds at the end that are left out: the recordings end before the last answers."""
+"""Seconds omitted at the end: the recordings end before the last answers."""
 
-PLACE = "the recorded vehicles stand elsewhere on earth, at other headings"
-RECEIVER = "the emulated receiver is as good as its world file says, SIH's is poor, SITL's has RTK"
-NOISE = "ideal sensors, and a ground without slope: nothing reads them"
-BATTERY = "SIH's and SITL's batteries do not run down"
+PLACE = "the recorded vehicles have other positions and headings"
+RECEIVER = "the emulated receiver follows the world file, SIH's is poor, SITL's has RTK"
+NOISE = "ideal sensors and level ground, which no client evaluates"
+BATTERY = "SIH's and SITL's batteries do not discharge"
 BUILD = "commits, machine and serial number of a build"
 
-KNOWN: Mapping[str, Mapping[str, str]] = {
+EXPLAINED: Mapping[str, Mapping[str, str]] = {
     PX4: {
         "GPS_RAW_INT.*": RECEIVER,
-        "HOME_POSITION.*": PLACE + "; home moves with the estimate, which strays more on SIH",
+        "HOME_POSITION.*": PLACE + "; home moves with the estimate, which drifts more on SIH",
         "GLOBAL_POSITION_INT.*": PLACE,
         "ALTITUDE.*": NOISE,
         "ATTITUDE*": NOISE,
-        "ESTIMATOR_STATUS.*": NOISE + "; SIH's terrain estimate comes and goes",
+        "ESTIMATOR_STATUS.*": NOISE + "; SIH's terrain estimate is intermittent",
         "HIGHRES_IMU.*": NOISE,
         "ODOMETRY.*": NOISE,
         "POSITION_TARGET_LOCAL_NED.yaw": NOISE,
@@ -68,11 +68,11 @@ KNOWN: Mapping[str, Mapping[str, str]] = {
         "SYS_STATUS.load": "a constant load",
         "AUTOPILOT_VERSION.*": BUILD,
         "HEARTBEAT.*_mode": "it lands sooner: a heartbeat falls between disarming and the next command",
-        "message OPEN_DRONE_ID_*": "remote identification: nothing reads it",
-        "message POSITION_TARGET_GLOBAL_INT": "the goal of AUTO modes: nothing reads it",
-        "message EVENT": "events, for which MAVLink has texts, too",
+        "message OPEN_DRONE_ID_*": "remote identification, which no client evaluates",
+        "message POSITION_TARGET_GLOBAL_INT": "the goal of AUTO modes, which no client evaluates",
+        "message EVENT": "events, which STATUSTEXT reports too",
         "message COMMAND_LONG": "PX4's commands to gimbals: the vehicles have none",
-        "rate of CURRENT_EVENT_SEQUENCE *": "it comes with EVENT, too",
+        "rate of CURRENT_EVENT_SEQUENCE *": "EVENT triggers it too",
     },
     ARDUCOPTER: {
         "GPS_RAW_INT.*": RECEIVER,
@@ -83,32 +83,32 @@ KNOWN: Mapping[str, Mapping[str, str]] = {
         "SYS_STATUS.voltage_battery": BATTERY,
         "SYS_STATUS.load": "a constant load",
         "AUTOPILOT_VERSION.uid2": BUILD,
-        "STATUSTEXT": "SITL says how hard it hits the ground, and the number of its board",
+        "STATUSTEXT": "SITL reports the speed of ground contact, and its board number",
         "parameters: sorted": "the order of ArduPilot's list is that of its classes",
     },
 }  # fmt: skip
-ELSEWHERE: Mapping[str, tuple[Any, Any]] = {
+ONE_SIDE_ONLY: Mapping[str, tuple[Any, Any]] = {
     PX4: (),
     ARDUCOPTER: ("SIM Hit ground", "3d1219c7c4c5404aaa1f6d2a48adfda4", "emulated 001"),
 }  # fmt: skip
-"""Texts that only one side says."""
+"""Start of texts that only one side sends."""
 LANDS_SOONER = {"landed 4 → landed 1"}
-"""What depends on how high it was, and on an estimate that drifts while SIH's vehicle stands."""
+"""Delays that depend on the height and on the drift of SIH's estimate on the ground."""
 TABLES = {"px4": px4_tables.PARAMETERS, "ardupilot": ardupilot_tables.PARAMETERS}
 SETTINGS = {"px4": "px4-1.16.0", "ardupilot": "arducopter-4.6.2"}
 
 
 @dataclass(frozen=True)
-class Both:
-    """What the real and the emulated vehicle were told and said."""
+class Flown:
+    """Messages to both vehicles, and from the real and the emulated one."""
 
-    told: list[Said]
-    real: list[Said]
-    emulated: list[Said]
+    uplink: list[Decoded]
+    real: list[Decoded]
+    emulated: list[Decoded]
 
 
-def prepared(autopilot: str, told: Packets, mode: int | None) -> Packets:
-    """Packets that bring a new emulated vehicle to where the recorded one began."""
+def prepared(autopilot: str, uplink: Packets, mode: int | None) -> Packets:
+    """Return packets that bring a new emulated vehicle to the initial state of the recording."""
     mav = dialect.MAVLink(None, 255, 190)
     beat = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     packets = [(float(at), beat.pack(mav)) for at in range(-99, -94)]
@@ -117,10 +117,10 @@ def prepared(autopilot: str, told: Packets, mode: int | None) -> Packets:
     if mode is not None:
         change = dialect.MAVLink_command_long_message(1, 1, 176, 0, 1, mode, 0, 0, 0, 0, 0)
         packets.append((-96.0, change.pack(mav)))
-    asked = [
-        packet for at, packet in told if at < 2.0 and packet[7] == 76 and 511 in _command(packet)
+    requested = [
+        packet for at, packet in uplink if at < 2.0 and packet[7] == 76 and 511 in _command(packet)
     ]
-    packets += [(-95.9 + 0.001 * k, packet) for k, packet in enumerate(asked)]
+    packets += [(-95.9 + 0.001 * k, packet) for k, packet in enumerate(requested)]
     return sorted(packets, key=lambda one: one[0])
 
 
@@ -129,7 +129,7 @@ def _command(packet: bytes) -> tuple[int, ...]:
 
 
 def _settings(autopilot: str) -> list[Any]:
-    """The recorded vehicle's parameters, as far as the emulated one has them."""
+    """Return PARAM_SET of the recorded parameters that the emulated vehicle has."""
     path = RECORDINGS / f"{SETTINGS[autopilot]}-parameters.json.gz"
     messages = []
     for name, value in json.loads(gzip.decompress(path.read_bytes())).items():
@@ -146,63 +146,68 @@ def _settings(autopilot: str) -> list[Any]:
 
 
 @cache
-def flown(name: str) -> Both:
+def flown(name: str) -> Flown:
     autopilot = "px4" if name == PX4 else "ardupilot"
     log = list(recorded(name))
     end = log[-1][0] - CUT
     log = [entry for entry in log if entry[0] < end]
-    told = to_vehicle(log, 1)
-    before = prepared(autopilot, told, None if name == PX4 else 4)
+    uplink = to_vehicle(log, 1)
+    before = prepared(autopilot, uplink, None if name == PX4 else 4)
     emulator = Emulator(world(1, autopilot=autopilot))
-    said = emulated(emulator, [*before, *told], 1, BEFORE, end)
+    downlink = replay(emulator, [*before, *uplink], 1, BEFORE, end)
     real = [(at, packet) for at, packet in log if packet[5] == 1]
-    return Both(decoded(told), decoded(real), decoded(said))
+    return Flown(decoded(uplink), decoded(real), decoded(downlink))
 
 
 def _without(facts: dict[str, Any], name: str) -> dict[str, Any]:
-    """Leave texts out that are known to be said on one side only."""
+    """Return facts without texts that only one side sends."""
     texts = facts["STATUSTEXT"]
-    kept = tuple(one for one in texts if not one[1].startswith(tuple(ELSEWHERE[name]) or ("\0",)))
+    kept = tuple(
+        one for one in texts if not one[1].startswith(tuple(ONE_SIDE_ONLY[name]) or ("\0",))
+    )
     return {**facts, "STATUSTEXT": kept}
 
 
 def _differences(name: str) -> dict[str, tuple[Any, Any]]:
     both = flown(name)
-    real, other = facts(both.real, both.told), facts(both.emulated, both.told)
+    real, other = facts(both.real, both.uplink), facts(both.emulated, both.uplink)
     known = [key for key in {*real, *other} if key.startswith("parameter ")]
     few = {key for key in known if key not in real or key not in other}
     return differences(real, other, lambda key: key in few)
 
 
 @pytest.mark.parametrize("name", [PX4, ARDUCOPTER])
-def test_the_emulator_says_what_the_real_autopilot_says(name):
-    """Messages, rates, flags, answers, modes, texts: whatever differs has its reason above."""
+def test_messages_match_the_real_autopilot(name):
+    """Messages, rates, flags, answers, modes, texts: every difference is explained above."""
     found = _differences(name)
     unexplained = {
         key: value
         for key, value in found.items()
-        if not any(fnmatch(key, pattern) for pattern in KNOWN[name])
+        if not any(fnmatch(key, pattern) for pattern in EXPLAINED[name])
     }
     assert not unexplained, "\n" + table(unexplained)
-    stale = [pattern for pattern in KNOWN[name] if not any(fnmatch(key, pattern) for key in found)]
+    stale = [
+        pattern for pattern in EXPLAINED[name] if not any(fnmatch(key, pattern) for key in found)
+    ]
     assert not stale, "no longer different"
 
 
 @pytest.mark.parametrize("name", [PX4, ARDUCOPTER])
-def test_the_emulators_texts_are_those_of_the_real_autopilot(name):
-    """Severity, wording with its trailing tab, and whether a text has a number."""
+def test_texts_match_the_real_autopilot(name):
+    """Severity, text with its trailing tab, and whether it has an id."""
     both = flown(name)
     real, other = (
-        _without(facts(said, both.told), name)["STATUSTEXT"] for said in (both.real, both.emulated)
+        _without(facts(downlink, both.uplink), name)["STATUSTEXT"]
+        for downlink in (both.real, both.emulated)
     )
     assert real == other
 
 
 @pytest.mark.parametrize("name", [PX4, ARDUCOPTER])
-def test_what_follows_a_command_follows_as_soon(name):
-    """Seconds from arming, take-off and landing commands to what they bring."""
+def test_delays_after_commands_match_the_real_autopilot(name):
+    """Seconds from arming, take-off and landing commands to their effects."""
     both = flown(name)
-    real, other = (delays(said, both.told) for said in (both.real, both.emulated))
+    real, other = (delays(downlink, both.uplink) for downlink in (both.real, both.emulated))
     later = {"176 4 → armed 0", "landed 1 → armed 0"}
     assert real.keys() ^ other.keys() <= later
     both_ways = [key for key in real if key in other and key not in LANDS_SOONER]
