@@ -1,8 +1,8 @@
-"""The emulator's process in real time under a full load: CPU, tick lateness, rates at the receiver.
+"""The emulator's process in real time under full load: CPU time, lateness, rates at the receiver.
 
 Starts ``python -m sitl`` with vehicles that send LOCAL_POSITION_NED at a rate (50 Hz) and ATTITUDE
-at 10 Hz, sends each as many setpoints a second, and measures for some seconds. Lateness is that of
-the positions against an even beat, per vehicle, seen at the receiving socket.
+at 10 Hz, sends setpoints to each at the same rate, and measures for some seconds. Lateness is the
+delay of positions against an even rate, per vehicle, at the receiving socket.
 Run: ``python tests/bench/sitl_realtime.py [vehicles] [hertz] [seconds]``.
 """
 
@@ -31,7 +31,7 @@ def cpu_seconds(pid: int) -> float:
 def exchange(
     sock: socket.socket, setpoints: list[tuple[Address, bytes]], rate: float, seconds: float
 ) -> list[tuple[float, bytes]]:
-    """Send all setpoints at a rate; return what came, and when."""
+    """Send all setpoints at a rate; return the received datagrams with their times."""
     start = due = time.monotonic()
     datagrams = []
     while time.monotonic() < start + seconds:

@@ -1,7 +1,7 @@
-"""How much faster than real time the emulator is in virtual time: nine vehicles on one cable.
+"""Speed of the emulator in virtual time: nine vehicles on one cable.
 
-Setpoints come in at 20 Hz and positions go out at 10 Hz, as real MAVLink bytes; the ratio is to the
-CPU time of one core. Run: ``python tests/bench/sitl_virtual.py [vehicles] [seconds]``.
+Setpoints arrive at 20 Hz and positions leave at 10 Hz, as MAVLink bytes; the ratio is to the CPU
+time of one core. Run: ``python tests/bench/sitl_virtual.py [vehicles] [seconds]``.
 """
 
 import sys

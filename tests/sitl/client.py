@@ -1,4 +1,4 @@
-"""A small ground station of the tests' own: pymavlink against the emulator in virtual time."""
+"""A small ground station for tests: pymavlink against the emulator in virtual time."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,7 +8,6 @@ from pymavlink.dialects.v20 import common as dialect
 from sitl import Emulator, parse_world
 
 STEP = 0.05
-# PX4's default rates are hundreds of messages a second; what tests wait for comes more slowly.
 _QUIET: dict[str, float | None] = {
     "LOCAL_POSITION_NED": 0.1,
     "ATTITUDE": 0.2,
@@ -28,11 +27,12 @@ _QUIET: dict[str, float | None] = {
     "SERVO_OUTPUT_RAW": None,
     "VFR_HUD": None,
 }
+"""Intervals for tests: PX4's default rates are hundreds of messages a second."""
 Setpoints = Callable[[int, float], tuple[float, ...] | None]
 
 
 def world(count: int = 1, cable: str = "", **keys: Any) -> Any:
-    """A world of ``count`` vehicles 3 m apart along x; other keys of all vehicles by name."""
+    """Return a world of ``count`` vehicles 3 m apart along x; ``keys`` are of all vehicles."""
     autopilots = keys.pop("autopilots", [keys.pop("autopilot", "px4")])
     common = keys
     top = {
@@ -55,7 +55,7 @@ def world(count: int = 1, cable: str = "", **keys: Any) -> Any:
 
 
 class Ground:
-    """Sends and receives real MAVLink bytes; time advances only in `run`."""
+    """Sends and receives MAVLink bytes; time advances only in `run`."""
 
     def __init__(self, emulator: Emulator, *, quiet: bool = True) -> None:
         self.emulator = emulator
@@ -114,15 +114,17 @@ class Ground:
     def acks(self, vehicle: int, command: int) -> list[int]:
         return [
             message.result
-            for _, who, message in self.log
-            if who == vehicle and message.get_type() == "COMMAND_ACK" and message.command == command
+            for _, system, message in self.log
+            if system == vehicle
+            and message.get_type() == "COMMAND_ACK"
+            and message.command == command
         ]
 
     def texts(self, vehicle: int) -> list[str]:
-        """What the vehicle said, chunks put together."""
+        """Return the texts of a vehicle, with joined chunks."""
         texts: list[str] = []
-        for _, who, message in self.log:
-            if who == vehicle and message.get_type() == "STATUSTEXT":
+        for _, system, message in self.log:
+            if system == vehicle and message.get_type() == "STATUSTEXT":
                 if message.id and message.chunk_seq:
                     texts[-1] += message.text
                 else:
@@ -130,13 +132,13 @@ class Ground:
         return texts
 
     def origin(self, vehicle: int) -> Any:
-        """The vehicle's estimator origin in world ENU: what a ground station works out by GPS."""
+        """Return the origin of the vehicle's estimator in world ENU."""
         return self.emulator.by_id[vehicle].origin
 
     def toward(self, places: dict[int, tuple[float, float, float]]) -> Setpoints:
-        """Setpoints that keep the vehicles' centres at world ENU places."""
+        """Return setpoints that hold the vehicles' centres at positions in world ENU."""
 
-        def wanted(vehicle: int, _: float) -> tuple[float, ...] | None:
+        def goal(vehicle: int, _: float) -> tuple[float, ...] | None:
             if vehicle not in places:
                 return None
             x, y, z = (
@@ -144,10 +146,10 @@ class Ground:
             )
             return (y, x, -z)
 
-        return wanted
+        return goal
 
     def px4_offboard(self, places: dict[int, tuple[float, float, float]], seconds: float) -> None:
-        """Stream, mode, arm and fly there, as PX4 wants it."""
+        """Start the stream, set the mode, arm and fly to the positions, in PX4's order."""
         stream = self.toward(places)
         self.run(1.0, stream)
         for vehicle in places:

@@ -1,4 +1,4 @@
-"""Faults: at their time, of their size, over when they should be, and by every way in."""
+"""Faults: start, size, end and sources."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def test_bad_scenarios_are_refused_with_every_error() -> None:
 @pytest.mark.parametrize(
     ("burst", "runs"), [(0.0, pytest.approx(1.25, abs=0.15)), (0.5, pytest.approx(10, rel=0.3))]
 )
-def test_losses_have_their_share_and_their_runs(burst: float, runs: object) -> None:
+def test_losses_have_the_given_share_and_bursts(burst: float, runs: object) -> None:
     channel = Channel(
         UniformNumbers(np.random.default_rng(3)), Fault(at=0.0, kind="link", loss=0.2, burst=burst)
     )
@@ -59,7 +59,7 @@ def test_losses_have_their_share_and_their_runs(burst: float, runs: object) -> N
     assert (gaps[gaps > 1] - 1).mean() == runs
 
 
-def test_dice_fall_as_they_would_one_by_one() -> None:
+def test_numbers_drawn_in_blocks_equal_single_draws() -> None:
     numbers, singly = UniformNumbers(np.random.default_rng(8)), np.random.default_rng(8)
     assert [numbers.draw() for _ in range(1000)] == [singly.random() for _ in range(1000)]
 
@@ -89,7 +89,7 @@ def test_latency_jitter_duplicates_and_reordering() -> None:
     assert len(slow) * 50 / 150.0 == pytest.approx(500.0, rel=0.05), "bytes per second"
 
 
-def test_an_outage_towards_the_vehicle_is_a_lost_stream() -> None:
+def test_an_uplink_outage_is_a_stream_loss() -> None:
     ground = flying("at: 10.0, kind: link, loss: 1.0, direction: up, duration: 3.0")
     stay(ground, 3.5)
     assert ground.mode(1) != OFFBOARD
@@ -97,7 +97,7 @@ def test_an_outage_towards_the_vehicle_is_a_lost_stream() -> None:
     assert ground.mode(1) == OFFBOARD, "it comes back by itself"
 
 
-def test_an_outage_from_the_vehicle_is_silence_and_nothing_else() -> None:
+def test_a_downlink_outage_only_stops_telemetry() -> None:
     ground = flying("at: 9.0, kind: link, loss: 1.0, direction: down")
     ground.log.clear()
     stay(ground, 4.0)
@@ -105,7 +105,7 @@ def test_an_outage_from_the_vehicle_is_silence_and_nothing_else() -> None:
     assert ground.emulator.truth().position[0, 2] == pytest.approx(4.4, abs=0.1)
 
 
-def test_latency_delays_what_arrives() -> None:
+def test_latency_delays_telemetry() -> None:
     ground = flying("at: 9.0, kind: link, latency: 0.5, direction: up")
     stay(ground, 2.0)
     ground.command(1, dialect.MAV_CMD_DO_SET_MODE, 1, 4, 3)
@@ -129,7 +129,7 @@ def test_a_lost_motor_falls_and_a_weak_one_sags() -> None:
     assert ground.emulator.truth().contacts[0]["kind"] == "crash"
 
 
-def test_position_faults_and_what_the_autopilot_makes_of_them() -> None:
+def test_position_faults_and_the_reaction_of_the_autopilot() -> None:
     ground = flying("at: 9.0, kind: gps_jump, offset: [2.0, 0, 0], duration: 6.0")
     stay(ground, 6.0)
     assert ground.emulator.truth().position[0, 0] == pytest.approx(-2.0, abs=0.3), "it believes it"
@@ -193,7 +193,7 @@ def test_freezing_rebooting_and_slow_clocks() -> None:
     assert ground.last[1, "ATTITUDE"].time_boot_ms - before == pytest.approx(9000, abs=60)
 
 
-def test_refused_arming_and_a_believed_landing() -> None:
+def test_refused_arming_and_a_false_landing() -> None:
     ground = Ground(Emulator(world(1), scenario("at: 0.5, kind: refuse_arming, text: Compass bad")))
     ground.run(1.0)
     ground.command(1, 400, 1)
@@ -232,7 +232,7 @@ def test_gripper_faults() -> None:
     assert ground.emulator.truth().gripped.tolist() == [False, True, False]
 
 
-def test_a_snag_holds_the_cable_back() -> None:
+def test_a_snag_holds_the_cable() -> None:
     cable = "{mass_per_length: 0.05, points: [[0, 0, 0], [5.0, 0, 0]], attached: [0, 3.0]}"
     ground = flying("at: 0, kind: snag, arc: 5.0", count=2, cable=cable, gripper="attached")
     truth = ground.emulator.truth()

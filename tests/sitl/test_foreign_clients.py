@@ -1,4 +1,4 @@
-"""Clients that we did not write: MAVSDK and MAVProxy find, understand and fly the vehicles."""
+"""Foreign clients: MAVSDK and MAVProxy find and fly the vehicles."""
 
 import contextlib
 import importlib.util
@@ -52,7 +52,7 @@ def emulator(port: int, *arguments: str) -> Iterator[None]:
 
 
 def until(condition: Callable[[], Any], seconds: float = 30.0) -> None:
-    """Wait for something that the other process does; fail if it does not."""
+    """Wait for an effect of the other process; fail after ``seconds``."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "it did not happen in time"
@@ -61,7 +61,7 @@ def until(condition: Callable[[], Any], seconds: float = 30.0) -> None:
 
 @contextlib.contextmanager
 def station(port: int, count: int) -> Iterator[list[Any]]:
-    """MAVSDK as a ground station that sees ``count`` vehicles."""
+    """Yield MAVSDK's systems of ``count`` vehicles."""
     with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as mavsdk:
         mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
         until(lambda: mavsdk.system_count() == count)
@@ -91,7 +91,7 @@ class Pilot:
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_mavsdk_flies_nine_at_once(autopilot: str) -> None:
-    """All found, healthy, set up, up, moved twice, held; then landed, returned, broken, killed."""
+    """Discovery, health, setup, take-off, two moves, hold; landing, return, failure, kill."""
     port = free_port()
     with emulator(port, "-n", "9", "--autopilot", autopilot), station(port, 9) as systems:
         pilots = [Pilot(system) for system in systems]
@@ -163,7 +163,7 @@ def test_mavsdk_flies_nine_at_once(autopilot: str) -> None:
         assert all(pilot.telemetry.armed() and pilot.height() > 3.0 for pilot in pilots[:3])
 
 
-def test_mavsdk_breaks_one_of_a_mixed_nine_on_the_ground() -> None:
+def test_mavsdk_injects_failures_on_the_ground() -> None:
     port = free_port()
     with (
         emulator(port, "-n", "9", "--autopilot", "ardupilot,px4"),
@@ -188,7 +188,7 @@ def test_mavsdk_breaks_one_of_a_mixed_nine_on_the_ground() -> None:
 
 
 def _is_px4(pilot: Pilot) -> bool:
-    """Whether a parameter that only one autopilot has is there."""
+    """Return whether the vehicle has a parameter of PX4."""
     try:
         return pilot.param.get_param_int("COM_OBL_RC_ACT") == 0
     except ParamError:

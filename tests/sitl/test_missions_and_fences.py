@@ -1,4 +1,4 @@
-"""Uploaded missions are flown, fences kept, a pilot's radio missed: by both autopilots."""
+"""Uploaded missions, fences and a pilot's radio, with both autopilots."""
 
 import math
 
@@ -25,7 +25,7 @@ def item(command: int, x: float, y: float, z: float, *p: float, frame: int = 6) 
 
 
 def upload(ground: Ground, items: list[tuple], kind: int = MISSION) -> int:
-    """Send a list as a ground station does, item by item as asked for; the result."""
+    """Upload a list item by item as requested; return the result."""
     ground.log.clear()
     ground.send(1, dialect.MAVLink_mission_count_message(1, 1, len(items), kind))
     for seq, (frame, command, values, x, y, z) in enumerate(items):
@@ -53,7 +53,7 @@ def ready(autopilot: str, **keys) -> Ground:
 
 
 def up(ground: Ground, autopilot: str, height: float = 5.0) -> None:
-    """Take off and wait there."""
+    """Take off and wait."""
     if autopilot == "ardupilot":
         ground.command(1, dialect.MAV_CMD_DO_SET_MODE, 1, 4)
         ground.run(0.2)
@@ -76,7 +76,7 @@ def modes(ground: Ground) -> list[str]:
 
 
 @BOTH
-def test_a_mission_is_flown_from_the_ground_and_back_to_it(autopilot: str) -> None:
+def test_a_mission_is_flown_from_take_off_to_landing(autopilot: str) -> None:
     ground = ready(autopilot)
     home = [item(WAYPOINT, 0, 0, 0)] if autopilot == "ardupilot" else []
     items = [
@@ -110,7 +110,7 @@ def test_a_mission_is_flown_from_the_ground_and_back_to_it(autopilot: str) -> No
 
 
 @BOTH
-def test_a_mission_may_return_and_may_be_jumped_in(autopilot: str) -> None:
+def test_a_mission_returns_and_accepts_jumps(autopilot: str) -> None:
     ground = ready(autopilot)
     places = [item(WAYPOINT, x, 0.0, 6.0) for x in (0.0, 40.0, 80.0, 6.0)]
     assert upload(ground, [*places, item(RETURN, 0, 0, 0)]) == 0
@@ -126,7 +126,7 @@ def test_a_mission_may_return_and_may_be_jumped_in(autopilot: str) -> None:
     assert modes(ground)[-1] == "RTL"
 
 
-def test_ardupilot_wants_a_mission_that_takes_off() -> None:
+def test_ardupilot_requires_a_take_off_item() -> None:
     ground = ready("ardupilot")
     ground.command(1, dialect.MAV_CMD_DO_SET_MODE, 1, 3)
     ground.run(0.2)
@@ -142,7 +142,7 @@ def test_ardupilot_wants_a_mission_that_takes_off() -> None:
     assert ground.acks(1, dialect.MAV_CMD_MISSION_START) == [4]
 
 
-def test_px4_cannot_fly_a_mission_that_it_does_not_have() -> None:
+def test_px4_refuses_mission_mode_without_a_mission() -> None:
     ground = ready("px4")
     up(ground, "px4")
     ground.command(1, dialect.MAV_CMD_MISSION_START)
@@ -151,10 +151,7 @@ def test_px4_cannot_fly_a_mission_that_it_does_not_have() -> None:
     assert ground.texts(1)[-1] == "Switching to mode 'Mission' is currently not possible\t"
 
 
-# Fences.
-
-
-def test_what_is_inside_which_fence() -> None:
+def test_points_inside_fences() -> None:
     square = Area(True, ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (2.0, 2.0), (0.0, 4.0)))
     assert square.contains(1.0, 1.0)
     assert square.contains(3.5, 3.4)
@@ -176,7 +173,7 @@ def test_what_is_inside_which_fence() -> None:
     ],
     ids=["too few corners", "corners of two kinds", "no number", "no radius"],
 )
-def test_fences_that_make_no_sense_are_refused(bad: list[tuple]) -> None:
+def test_invalid_fences_are_refused(bad: list[tuple]) -> None:
     named = [{"command": c, "param1": p[0], "x": x, "y": y} for _, c, p, x, y, _ in bad]
     assert areas(named, HERE) is None
     ground = ready("px4")
@@ -201,7 +198,7 @@ HOLE = [item(5004, 14.0, 0.0, 0, 6.0)]
 @pytest.mark.parametrize(
     "fence", [SQUARE, HOLE], ids=["polygon to stay in", "circle to stay out of"]
 )
-def test_an_uploaded_fence_is_kept(autopilot: str, fence: list[tuple]) -> None:
+def test_an_uploaded_fence_stops_the_vehicle(autopilot: str, fence: list[tuple]) -> None:
     ground = ready(autopilot)
     assert upload(ground, fence, FENCE) == 0
     ground.command(1, dialect.MAV_CMD_DO_FENCE_ENABLE, 1)
@@ -215,7 +212,7 @@ def test_an_uploaded_fence_is_kept(autopilot: str, fence: list[tuple]) -> None:
 
 
 @BOTH
-def test_fences_by_parameter_and_what_they_do(autopilot: str) -> None:
+def test_fences_from_parameters(autopilot: str) -> None:
     ground = ready(autopilot)
     names = {
         "px4": {"GF_MAX_HOR_DIST": 8.0, "GF_ACTION": 5},
@@ -230,7 +227,7 @@ def test_fences_by_parameter_and_what_they_do(autopilot: str) -> None:
     assert 7.5 < place(ground)[0] < 16.0
 
 
-def test_without_its_switch_ardupilots_fence_is_none() -> None:
+def test_ardupilots_fence_is_off_without_FENCE_ENABLE() -> None:
     ground = ready("ardupilot")
     upload(ground, SQUARE, FENCE)
     up(ground, "ardupilot")
@@ -240,7 +237,7 @@ def test_without_its_switch_ardupilots_fence_is_none() -> None:
 
 
 @BOTH
-def test_nobody_arms_outside_the_fence(autopilot: str) -> None:
+def test_arming_is_refused_outside_the_fence(autopilot: str) -> None:
     ground = ready(autopilot)
     upload(ground, [item(5003, 50.0, 0.0, 0, 20.0)], FENCE)
     ground.command(1, dialect.MAV_CMD_DO_FENCE_ENABLE, 1)
@@ -252,13 +249,12 @@ def test_nobody_arms_outside_the_fence(autopilot: str) -> None:
     assert not ground.armed(1)
 
 
-# A pilot's radio.
-
-
 @BOTH
 @pytest.mark.parametrize("radio", [True, False])
-def test_a_lost_radio_matters_to_those_who_had_one(autopilot: str, radio: bool) -> None:
-    """PX4 holds for COM_FAIL_ACT_T and returns (NAV_RCL_ACT 2), ArduPilot returns at once."""
+def test_a_lost_radio_triggers_a_failsafe_only_if_connected_before(
+    autopilot: str, radio: bool
+) -> None:
+    """PX4 holds for COM_FAIL_ACT_T and returns (NAV_RCL_ACT 2), ArduPilot returns immediately."""
     ground = ready(autopilot, radio="true" if radio else "false")
     up(ground, autopilot)
     before = modes(ground)[-1]
@@ -275,7 +271,7 @@ def test_a_lost_radio_matters_to_those_who_had_one(autopilot: str, radio: bool) 
 
 
 @BOTH
-def test_a_lost_radio_may_be_excepted_where_setpoints_fly(autopilot: str) -> None:
+def test_parameters_disable_the_radio_failsafe_with_setpoints(autopilot: str) -> None:
     ground = ready(autopilot, radio="true")
     name, value = ("COM_RCL_EXCEPT", 4) if autopilot == "px4" else ("FS_OPTIONS", 4)
     ground.send(1, dialect.MAVLink_param_set_message(1, 1, name.encode(), value, 9))
@@ -289,8 +285,8 @@ def test_a_lost_radio_may_be_excepted_where_setpoints_fly(autopilot: str) -> Non
     assert modes(ground)[-1] == ("OFFBOARD" if autopilot == "px4" else "GUIDED")
 
 
-def test_with_a_radio_px4_gives_position_mode_when_the_stream_stops() -> None:
-    """COM_OBL_RC_ACT 0 is Position where somebody could move sticks, a blind descent elsewhere."""
+def test_with_a_radio_px4_changes_to_position_mode_after_stream_loss() -> None:
+    """COM_OBL_RC_ACT 0 is Position with a radio, a blind descent without one."""
     last = []
     for radio in ("true", "false"):
         ground = ready("px4", radio=radio)
@@ -300,7 +296,7 @@ def test_with_a_radio_px4_gives_position_mode_when_the_stream_stops() -> None:
     assert last == ["POSCTL", "DESCEND"]
 
 
-def test_ardupilot_may_let_go_of_the_cable_in_a_failsafe() -> None:
+def test_ardupilot_releases_the_cable_in_a_failsafe_if_configured() -> None:
     cable = "{mass_per_length: 0.02, points: [[0, 0, 0], [3.0, 0, 0]]}"
     held = []
     for options in (16, 48):
@@ -318,7 +314,7 @@ def test_ardupilot_may_let_go_of_the_cable_in_a_failsafe() -> None:
 
 
 @BOTH
-def test_a_gripper_that_is_not_set_up_is_unknown(autopilot: str) -> None:
+def test_a_gripper_without_setup_is_unsupported(autopilot: str) -> None:
     ground = ready(autopilot)
     name = b"PD_GRIPPER_EN" if autopilot == "px4" else b"GRIP_ENABLE"
     ground.send(1, dialect.MAVLink_param_set_message(1, 1, name, 0, 9))

@@ -1,4 +1,4 @@
-"""The emulated cable against an independent solver, and its bookkeeping of grips and pieces."""
+"""The emulated cable against an independent solver; grips, breaks and falling parts."""
 
 import numpy as np
 import pytest
@@ -27,9 +27,7 @@ coordinate = st.floats(-3.0, 3.0)
 
 @settings(max_examples=60, deadline=None)
 @given(coordinate, coordinate, coordinate, st.floats(1.01, 3.0))
-def test_spans_are_the_same_catenaries_as_the_planners(
-    x: float, y: float, z: float, ratio: float
-) -> None:
+def test_spans_equal_the_planners_catenaries(x: float, y: float, z: float, ratio: float) -> None:
     stop = np.array([x, y, z])
     chord = float(np.linalg.norm(stop))
     if chord < 0.3 or np.hypot(x, y) < 0.05:
@@ -50,7 +48,7 @@ def test_spans_are_the_same_catenaries_as_the_planners(
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(0.0, 1.5), st.floats(0.0, 1.5), st.floats(0.5, 4.0), st.floats(1.001, 1.6))
-def test_spans_on_the_floor_weigh_what_is_lifted_and_stay_above_it(
+def test_spans_on_the_floor_pull_with_the_lifted_weight(
     left: float, right: float, across: float, ratio: float
 ) -> None:
     length = ratio * float(np.hypot(across, left - right))
@@ -94,7 +92,7 @@ def test_crosswind_tilts_the_plane_by_drag_over_weight() -> None:
     assert angle == pytest.approx(np.arctan(drag / (0.012 * GRAVITY)), rel=1e-6)
 
 
-def test_a_taut_span_stretches_and_snaps_at_its_breaking_load() -> None:
+def test_a_taut_span_stretches_and_breaks_at_its_breaking_load() -> None:
     made = rope(4.0, [0.0, 4.0], breaking_load=50.0, stiffness=2000.0)
     grips = np.array([[0.0, 0.0, 0.0], [4.05, 0.0, 0.0]])
     force = made.forces(grips, STILL[:2])
@@ -108,7 +106,7 @@ def test_a_taut_span_stretches_and_snaps_at_its_breaking_load() -> None:
     assert force[:, 2].sum() == pytest.approx(-made.weight * 4.0, rel=1e-9)
 
 
-def test_pulls_of_a_team_carry_the_whole_cable() -> None:
+def test_forces_of_a_team_carry_the_whole_cable() -> None:
     made = rope(30.0, [1.0 + 3.5 * k for k in range(9)])
     grips = np.zeros((9, 3))
     grips[:, 0] = 3.0 * np.arange(9)
@@ -122,7 +120,7 @@ def test_pulls_of_a_team_carry_the_whole_cable() -> None:
         assert made.position_at(arc) == pytest.approx(grips[vehicle], abs=0.06)
 
 
-def test_grabbing_takes_the_nearest_free_cable_within_reach() -> None:
+def test_a_gripper_grabs_the_nearest_free_cable() -> None:
     made = rope(10.0, [], floor=0.0)
     assert made.grab(0, np.array([3.33, 0.14, 0.0])) == pytest.approx(3.33)
     assert made.grab(1, np.array([5.0, 0.16, 0.0])) is None
@@ -134,8 +132,8 @@ def test_grabbing_takes_the_nearest_free_cable_within_reach() -> None:
     assert [vehicle for _, vehicle in made.grips] == [1]
 
 
-def test_cable_lies_where_it_was_laid_while_others_grab_it() -> None:
-    """Slack laid in bows between the grasp points is still there for the last to grab."""
+def test_cable_on_the_floor_stays_while_others_grab_it() -> None:
+    """Slack in bows between the grip points is still there for the last gripper."""
     points = [(0.0, 0.0, 0.0), (2.0, 0.6, 0.0), (4.0, 0.0, 0.0), (6.0, 0.6, 0.0), (8.0, 0.0, 0.0)]
     made = Rope(CableSpec(points=points), 0.0, np.zeros(3))
     grips = np.array([[x, 0.0, 0.02] for x in (0.0, 4.0, 8.0)])
@@ -146,7 +144,7 @@ def test_cable_lies_where_it_was_laid_while_others_grab_it() -> None:
         made.update(grips, 0.1)
 
 
-def test_what_is_let_go_falls_and_lies() -> None:
+def test_released_cable_falls_to_the_floor() -> None:
     made = rope(8.0, [0.0, 4.0, 8.0], floor=0.0)
     grips = np.array([[0.0, 0.0, 5.0], [3.0, 0.0, 5.0], [6.0, 0.0, 5.0]])
     made.forces(grips, STILL[:3])
@@ -164,7 +162,7 @@ def test_what_is_let_go_falls_and_lies() -> None:
     assert heights[-1] < 1.1, "hanging from its neighbour"
 
 
-def test_downwash_weighs_on_the_strands_below() -> None:
+def test_downwash_adds_load_to_the_strands_below() -> None:
     made = rope(6.4, [0.0, 3.2, 6.4])
     grips = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
     before = made.forces(grips, STILL[:3])
@@ -185,7 +183,7 @@ def test_downwash_weighs_on_the_strands_below() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.floats(0.0, 0.2), st.floats(0.0, 0.2), st.floats(0.97, 1.02))
-def test_a_straight_span_just_off_the_floor_pulls_no_harder_than_its_elasticity(
+def test_the_force_of_a_straight_span_near_the_floor_is_limited_by_elasticity(
     left: float, right: float, ratio: float
 ) -> None:
     made = rope(3.0, [0.0, 3.0], floor=0.0)

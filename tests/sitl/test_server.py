@@ -1,4 +1,4 @@
-"""The emulator as a process of its own: sockets, signals, exit codes, ground truth on file."""
+"""The emulator as a process: sockets, signals, exit codes, ground truth on file."""
 
 import json
 import os
@@ -46,8 +46,8 @@ def ground_socket() -> socket.socket:
 
 
 @pytest.mark.parametrize("kinds", [["px4"], ["ardupilot"], ["px4", "ardupilot"]])
-def test_what_it_says_of_connecting_is_where_it_sends(kinds: list) -> None:
-    """Everything goes to one address: hints at 14540, 14550 or TCP lead nowhere."""
+def test_connection_instructions_name_the_used_address(kinds: list) -> None:
+    """With one target address, the instructions name neither 14540 nor 14550 nor TCP."""
     emulator = Emulator(default_world(2, kinds))
     running = server.to_target(emulator, ("127.0.0.1", 14777), "127.0.0.1", 1.0)
     words = server.connect_help(running)
@@ -58,7 +58,7 @@ def test_what_it_says_of_connecting_is_where_it_sends(kinds: list) -> None:
     assert not {"14540", "14550", "5760"} & set(re.findall(r"\d+", words))
 
 
-def test_every_vehicle_from_its_own_port_to_one_target() -> None:
+def test_every_vehicle_sends_from_its_own_port_to_the_target() -> None:
     with ground_socket() as sock:
         target = f"127.0.0.1:{sock.getsockname()[1]}"
         with running("-n", "3", "--target", target, "--speed", "5") as (process, ready):
@@ -88,7 +88,7 @@ def test_every_vehicle_from_its_own_port_to_one_target() -> None:
             assert process.communicate()[1] == ""
 
 
-def test_a_termination_signal_ends_it_quietly_and_truth_is_on_file(tmp_path: Path) -> None:
+def test_a_termination_signal_ends_the_process_and_truth_is_on_file(tmp_path: Path) -> None:
     file = tmp_path / "truth.jsonl"
     with running("--truth", str(file), "--target", "127.0.0.1:9", "--speed", "20") as (process, _):
         deadline = time.monotonic() + 10
@@ -104,7 +104,7 @@ def test_a_termination_signal_ends_it_quietly_and_truth_is_on_file(tmp_path: Pat
     assert len(states[-1]["position"][0]) == 3
 
 
-def test_bad_files_and_usage_are_exit_code_2(
+def test_invalid_files_and_usage_give_exit_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bad = tmp_path / "w.yaml"
@@ -135,7 +135,7 @@ def test_the_ports_of_the_real_simulators() -> None:
         assert ports == [14540 + 2 * i for i in range(12)]
 
 
-def test_ardupilot_listens_on_tcp_as_its_simulator_does() -> None:
+def test_ardupilot_listens_on_the_tcp_port_of_its_simulator() -> None:
     with running("-n", "2", "--autopilot", "ardupilot", "--speed", "5") as (_, ready):
         for i, one in enumerate(ready["vehicles"]):
             assert one.get("tcp") in {f"127.0.0.1:{5760 + 10 * i}", None}
@@ -147,7 +147,7 @@ def test_ardupilot_listens_on_tcp_as_its_simulator_does() -> None:
                 assert {message.get_srcSystem() for message in messages} == {i + 1}
 
 
-def test_it_ends_when_its_parent_does() -> None:
+def test_the_process_ends_with_its_parent() -> None:
     script = (
         "import subprocess, sys\n"
         "child = subprocess.Popen([sys.executable, '-m', 'sitl', '--follow-parent', '--json',"

@@ -1,4 +1,4 @@
-"""What ground stations ask any autopilot: parameters, rates, missions, logs, files, time, keys."""
+"""Requests to any autopilot: parameters, rates, missions, logs, files, time, keys."""
 
 import hashlib
 
@@ -26,7 +26,7 @@ def count(ground: Ground, name: str, since: float) -> int:
     return sum(1 for t, _, m in ground.log if t > since and m.get_type() == name)
 
 
-def test_heartbeat_says_what_flies(ground: Ground) -> None:
+def test_heartbeat_identifies_the_autopilot(ground: Ground) -> None:
     beat = ground.last[1, "HEARTBEAT"]
     assert (beat.type, beat.autopilot, beat.system_status) == (2, 12, 3)
     before = ground.now
@@ -34,7 +34,7 @@ def test_heartbeat_says_what_flies(ground: Ground) -> None:
     assert count(ground, "HEARTBEAT", before) == 10
 
 
-def test_rates_are_those_asked_for(ground: Ground) -> None:
+def test_rates_equal_the_requested_ones(ground: Ground) -> None:
     for rate in (50, 10, 4):
         ground.command(1, INTERVAL, 32, 1e6 / rate)
         before = ground.now
@@ -53,7 +53,7 @@ def test_rates_are_those_asked_for(ground: Ground) -> None:
     assert ground.acks(1, INTERVAL)[-1] == FAILED
 
 
-def test_px4s_heartbeats_come_once_a_second_and_its_mode_when_it_changes(ground: Ground) -> None:
+def test_px4_sends_heartbeats_once_a_second_and_its_mode_after_a_change(ground: Ground) -> None:
     ground.command(1, INTERVAL, 0, 250_000)
     ground.command(1, INTERVAL, 436, 250_000)
     before = ground.now
@@ -80,7 +80,7 @@ def test_single_messages_on_request(ground: Ground, name: str) -> None:
     assert ground.acks(1, REQUEST) == [ACCEPTED]
 
 
-def test_unknown_requests_are_answered_too(ground: Ground) -> None:
+def test_unknown_requests_are_answered(ground: Ground) -> None:
     ground.command(1, REQUEST, 9999)
     ground.command(1, 31000)
     ground.run(0.1)
@@ -88,7 +88,7 @@ def test_unknown_requests_are_answered_too(ground: Ground) -> None:
     assert ground.acks(1, 31000) == [UNSUPPORTED]
 
 
-def test_all_parameters_come_within_a_second(ground: Ground) -> None:
+def test_all_parameters_arrive_within_a_second(ground: Ground) -> None:
     ground.send(1, dialect.MAVLink_param_request_list_message(1, 1))
     ground.run(1.0)
     hashed, *values = [m for _, _, m in ground.log if m.get_type() == "PARAM_VALUE"]
@@ -101,7 +101,7 @@ def test_all_parameters_come_within_a_second(ground: Ground) -> None:
     assert np.array([negative.param_value], "<f4").view("<i4")[0] == -1, "PX4 sends bytes"
 
 
-def test_a_parameter_is_set_read_and_kept(ground: Ground) -> None:
+def test_a_parameter_is_set_and_read(ground: Ground) -> None:
     bits = float(np.array([5], "<i4").view("<f4")[0])
     ground.send(1, dialect.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", bits, 6))
     ground.run(0.1)
@@ -117,7 +117,7 @@ def test_a_parameter_is_set_read_and_kept(ground: Ground) -> None:
     assert not [m for _, _, m in ground.log if m.get_type() == "PARAM_VALUE"]
 
 
-def test_a_mission_goes_up_and_comes_down_again(ground: Ground) -> None:
+def test_a_mission_is_uploaded_and_read_back(ground: Ground) -> None:
     for seq in range(3):
         if seq == 0:
             ground.send(1, dialect.MAVLink_mission_count_message(1, 1, 3))
@@ -144,7 +144,7 @@ def test_a_mission_goes_up_and_comes_down_again(ground: Ground) -> None:
     assert ground.last[1, "MISSION_COUNT"].count == 0
 
 
-def test_files_are_refused_at_once_and_there_are_no_logs(ground: Ground) -> None:
+def test_file_transfer_is_refused_and_the_log_list_is_empty(ground: Ground) -> None:
     request = [7, 0, 3, 4, 0, 0] + [0] * 245
     ground.send(1, dialect.MAVLink_file_transfer_protocol_message(0, 1, 1, request))
     ground.send(1, dialect.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF))
@@ -154,7 +154,7 @@ def test_files_are_refused_at_once_and_there_are_no_logs(ground: Ground) -> None
     assert ground.last[1, "LOG_ENTRY"].num_logs == 0
 
 
-def test_timesync_tells_the_vehicles_own_clock() -> None:
+def test_timesync_returns_the_vehicles_clock() -> None:
     ground = Ground(Emulator(world(2, biases="default")))
     ground.run(1.0)
     for vehicle in (1, 2):
@@ -163,8 +163,8 @@ def test_timesync_tells_the_vehicles_own_clock() -> None:
     answers = [
         message
         for vehicle in (1, 2)
-        for _, who, message in ground.log
-        if who == vehicle and message.get_type() == "TIMESYNC" and message.tc1
+        for _, system, message in ground.log
+        if system == vehicle and message.get_type() == "TIMESYNC" and message.tc1
     ]
     assert [answer.ts1 for answer in answers] == [123456789] * 2
     boots = [answer.tc1 * 1e-9 - 1.0 for answer in answers]
@@ -175,7 +175,7 @@ def test_timesync_tells_the_vehicles_own_clock() -> None:
         )
 
 
-def test_commands_to_others_are_not_obeyed(ground: Ground) -> None:
+def test_commands_to_other_systems_are_ignored(ground: Ground) -> None:
     message = dialect.MAVLink_command_long_message(2, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
     ground.send(1, message)
     ground.run(0.1)
@@ -199,8 +199,8 @@ def test_local_and_global_position_agree_through_the_origin() -> None:
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-def test_local_metres_may_be_the_autopilots_own(autopilot: str) -> None:
-    """A hundred true metres east at 47° are fewer on PX4's sphere, and on ArduPilot's equator."""
+def test_the_projection_of_each_autopilot_scales_local_metres(autopilot: str) -> None:
+    """A hundred true metres east at 47° are fewer local metres on PX4's sphere and in ArduPilot."""
     keys = {"autopilot": autopilot, "biases": "none", "projection": "autopilot"}
     emulator = Emulator(world(1, **keys))
     ground = Ground(emulator)
@@ -218,7 +218,7 @@ def test_local_metres_may_be_the_autopilots_own(autopilot: str) -> None:
     assert local.y == pytest.approx(100 * east, abs=0.01)
 
 
-def test_signing_once_set_up_is_demanded_and_given() -> None:
+def test_signing_is_required_and_applied_after_setup() -> None:
     ground = Ground(Emulator(world(1)))
     ground.run(1.0)
     key = hashlib.sha256(b"a shared secret").digest()
@@ -247,7 +247,7 @@ def test_signing_once_set_up_is_demanded_and_given() -> None:
     assert ground.emulator.truth().armed[0], "an old timestamp is a replay"
 
 
-def test_indoors_there_is_no_global_position_and_vision_is_followed() -> None:
+def test_indoors_the_position_follows_vision() -> None:
     ground = Ground(Emulator(world(1, indoor=True)))
     ground.run(2.0)
     assert (1, "GLOBAL_POSITION_INT") not in ground.last
@@ -270,7 +270,7 @@ def test_the_same_seed_and_bytes_give_the_same_flight() -> None:
     assert fly(1) != fly(2)
 
 
-def test_ardupilots_own_estimator_report_is_as_its_dialect_says() -> None:
+def test_ardupilots_estimator_report_matches_its_dialect() -> None:
     from pymavlink.dialects.v20 import ardupilotmega
 
     ground = Ground(Emulator(world(2, autopilots=["ardupilot", "px4"])))
@@ -286,8 +286,8 @@ def test_ardupilots_own_estimator_report_is_as_its_dialect_says() -> None:
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-def test_qgroundcontrol_gets_through_its_first_questions(autopilot: str) -> None:
-    """In the order of its InitialConnectStateMachine.cc; each answer comes within half a second."""
+def test_the_first_requests_of_qgroundcontrol_are_answered(autopilot: str) -> None:
+    """In the order of its InitialConnectStateMachine.cc; each answer arrives within 0.5 s."""
     ground = Ground(Emulator(world(1, autopilot=autopilot)), quiet=False)
     ground.run(1.2)
     assert ground.last[1, "HEARTBEAT"].type == dialect.MAV_TYPE_QUADROTOR
@@ -332,7 +332,7 @@ def test_qgroundcontrol_gets_through_its_first_questions(autopilot: str) -> None
 
 
 @pytest.mark.parametrize("frame", [5, 6])
-def test_setpoints_in_degrees_are_flown_to_the_same_place(frame: int) -> None:
+def test_setpoints_in_degrees_reach_the_same_position(frame: int) -> None:
     ground = Ground(Emulator(world(1)))
     emulator = ground.emulator
     geodesy = emulator.environment.geodesy
@@ -349,7 +349,7 @@ def test_setpoints_in_degrees_are_flown_to_the_same_place(frame: int) -> None:
     assert emulator.truth().position[0] == pytest.approx([3.0, 4.0, 5.0], abs=0.1)
 
 
-def test_vision_that_stops_is_missed_and_welcome_again() -> None:
+def test_a_gap_of_vision_ends_the_position_until_it_returns() -> None:
     ground = Ground(Emulator(world(1, indoor=True)))
     message = dialect.MAVLink_vision_position_estimate_message(0, 0.0, 0.0, -0.6, 0, 0, 0)
     for _ in range(10):

@@ -1,4 +1,4 @@
-"""The emulator's quick ways to read and write packets, against pymavlink."""
+"""The emulator's fast parsing and packing, against pymavlink."""
 
 import math
 from typing import Any
@@ -19,7 +19,7 @@ small = st.integers(0, 255)
 
 
 def same(one: float, other: float) -> bool:
-    """Whether two numbers are the same; NaN is."""
+    """Return whether two numbers are equal, NaN included."""
     return one == other or (math.isnan(one) and math.isnan(other))
 
 
@@ -31,14 +31,14 @@ def same(one: float, other: float) -> bool:
     frame=st.integers(0, 255),
     flipped=st.none() | st.tuples(st.integers(0, 64), st.integers(0, 7)),
 )
-def test_setpoints_are_read_as_pymavlink_reads_them(
+def test_setpoints_are_parsed_as_by_pymavlink(
     values: list[float],
     mask: int,
     addresses: tuple[int, int, int, int],
     frame: int,
     flipped: tuple[int, int] | None,
 ) -> None:
-    """Whole ones, those whose trailing zeros are cut off, and those with a flipped bit."""
+    """Complete packets, packets without trailing zeros, and packets with a flipped bit."""
     system, component, *target = addresses
     mav = dialect.MAVLink(None, system, component)
     message = dialect.MAVLink_set_position_target_local_ned_message(
@@ -54,7 +54,7 @@ def test_setpoints_are_read_as_pymavlink_reads_them(
         for one in reader.parse_buffer(bytes(data)) or []
         if one.get_type() == "SET_POSITION_TARGET_LOCAL_NED"
     ]
-    # A flipped bit may make a message of a number that nobody knows; nobody answers it.
+    # A flipped bit may give an unknown message number, which has no answer.
     ours: list[Any] = [
         one
         for one in wire.Receiver().feed(bytes(data))
@@ -70,7 +70,7 @@ def test_setpoints_are_read_as_pymavlink_reads_them(
 
 @settings(max_examples=200, deadline=None)
 @given(st.sampled_from(sorted(wire.LAYOUTS)), st.binary(max_size=255), small)
-def test_frames_are_pymavlinks_byte_for_byte(name: str, content: bytes, sequence: int) -> None:
+def test_frames_equal_pymavlinks(name: str, content: bytes, sequence: int) -> None:
     layout = wire.LAYOUTS[name]
     if layout.number not in dialect.mavlink_map:
         return
@@ -88,8 +88,8 @@ def test_frames_are_pymavlinks_byte_for_byte(name: str, content: bytes, sequence
     assert frame == bytes(theirs)
 
 
-def test_all_that_vehicles_say_is_read_by_pymavlink_as_it_is_meant() -> None:
-    """States that are packed by place are what their names say."""
+def test_pymavlink_parses_the_packed_telemetry() -> None:
+    """Fields that are packed by position have their meaning in pymavlink."""
     emulator = Emulator(world(2, autopilot="ardupilot"))
     emulator.step(3.0)
     vehicle = emulator.vehicles[0]
@@ -115,8 +115,8 @@ def test_all_that_vehicles_say_is_read_by_pymavlink_as_it_is_meant() -> None:
     assert np.allclose((local.x, local.y, local.z), meant, atol=1e-3)
 
 
-def test_attitudes_point_the_thrust_where_it_points() -> None:
-    """Upright, leaning every way, standing and turning over; against a rotation matrix."""
+def test_attitudes_match_the_thrust() -> None:
+    """Level, tilted in all directions, on the ground and tumbling; against a rotation matrix."""
     emulator = Emulator(world(5))
     b, reader, sender = emulator.bodies, dialect.MAVLink(None), wire.Sender(1)
     b.thrust[:] = [[0, 0, 9.8], [3, 0, 9], [-2, 4, 8], [0, 0, 0.5], [1, 1, 9]]
@@ -136,7 +136,7 @@ def test_attitudes_point_the_thrust_where_it_points() -> None:
             cr, sr, cp, sp = (f(a) for a in (said.roll, said.pitch) for f in (math.cos, math.sin))
             heading = np.array([math.cos(said.yaw), math.sin(said.yaw), 0.0])
             aside = np.array([-heading[1], heading[0], 0.0])
-            # the body's up axis in NED: back against the nose's pitch, and aside with the roll
+            # the body's up axis in NED, from pitch and roll
             up = -(sp * cr * heading - sr * aside) - np.array([0.0, 0.0, cp * cr])
             east, north, upward = b.thrust[vehicle.index] / np.linalg.norm(b.thrust[vehicle.index])
             assert up == pytest.approx([north, east, -upward], abs=1e-6)
@@ -144,7 +144,7 @@ def test_attitudes_point_the_thrust_where_it_points() -> None:
 
 @pytest.fixture(scope="module")
 def followers() -> Emulator:
-    """Two vehicles in the air that follow setpoints."""
+    """Return two flying vehicles that follow setpoints."""
     ground = Ground(Emulator(world(2)))
     ground.run(1.0)
     stream = ground.toward({i: (3.0 * (i - 1), 0.0, 5.0) for i in ground.ids})
@@ -157,8 +157,8 @@ def followers() -> Emulator:
     return ground.emulator
 
 
-def what_was_taken(emulator: Emulator, pieces: list[bytes]) -> list[Any]:
-    """What setpoints change for vehicle 1; then all is as before."""
+def changes_by_setpoints(emulator: Emulator, pieces: list[bytes]) -> list[Any]:
+    """Return the changes by setpoints for vehicle 1, and restore the state."""
     b = emulator.bodies
     autopilot: Any = emulator.vehicles[0].autopilot
     before = b.state.copy(), b.goal_yaw.copy(), b.position_axes.copy(), b.velocity_axes.copy()
@@ -185,7 +185,7 @@ def what_was_taken(emulator: Emulator, pieces: list[bytes]) -> list[Any]:
     frame=st.sampled_from([1, 1, 1, 7, 8]),
     flipped=st.none() | st.tuples(st.integers(0, 64), st.integers(0, 7)),
 )
-def test_setpoints_that_are_taken_together_are_taken_as_any_others(
+def test_setpoints_in_a_batch_equal_single_ones(
     followers: Emulator,
     values: list[float],
     mask: int,
@@ -193,7 +193,7 @@ def test_setpoints_that_are_taken_together_are_taken_as_any_others(
     frame: int,
     flipped: tuple[int, int] | None,
 ) -> None:
-    """In one piece they are read by the compiled loop, in two by pymavlink."""
+    """The compiled loop parses a packet in one piece, pymavlink one in two pieces."""
     message = dialect.MAVLink_set_position_target_local_ned_message(
         17, *address, frame, mask, *values
     )
@@ -201,5 +201,5 @@ def test_setpoints_that_are_taken_together_are_taken_as_any_others(
     if flipped is not None and flipped[0] < len(data):
         data[flipped[0]] ^= 1 << flipped[1]
     whole = bytes(data)
-    in_pieces = what_was_taken(followers, [whole[:20], whole[20:]])
-    assert repr(what_was_taken(followers, [whole])) == repr(in_pieces)
+    in_pieces = changes_by_setpoints(followers, [whole[:20], whole[20:]])
+    assert repr(changes_by_setpoints(followers, [whole])) == repr(in_pieces)

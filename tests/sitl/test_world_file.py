@@ -1,4 +1,4 @@
-"""World files: every error at once and in its place."""
+"""World files: all errors, with their keys."""
 
 import json
 from pathlib import Path
@@ -25,7 +25,7 @@ cable: {mass_per_length: 0.012, diameter: 0.006, points: [[0, 0, 0], [3.5, 0, 0]
 """
 
 
-def test_a_good_file_is_read() -> None:
+def test_a_valid_file_is_read() -> None:
     world = parse_world(GOOD)
     assert [vehicle.autopilot for vehicle in world.vehicles] == ["px4", "ardupilot"]
     truth = Emulator(world).truth()
@@ -33,7 +33,7 @@ def test_a_good_file_is_read() -> None:
     assert truth.cable[-1].tolist() == [3.5, 0.0, 0.0]
 
 
-def test_all_errors_at_once_each_with_its_place() -> None:
+def test_all_errors_are_reported_with_their_keys() -> None:
     bad = GOOD.replace("seed: 3", "seed: -3").replace("autopilot: px4", "autopilot: betaflight")
     bad = bad.replace("payload: 0.4", "payload: .nan").replace("floor: 0.0", "flor: 0.0")
     with pytest.raises(WorldError) as error:
@@ -70,12 +70,12 @@ def test_exact_messages(change: tuple[str, str], message: str | None) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "\x00", "a: &a [*a]", "{" * 5000, "- " * 3000])
-def test_nonsense_is_refused_not_crashed_on(text: str) -> None:
+def test_random_text_is_refused(text: str) -> None:
     with pytest.raises(WorldError):
         parse_world(text)
 
 
-def test_files_that_are_not_there_or_not_text(tmp_path: Path) -> None:
+def test_missing_and_binary_files(tmp_path: Path) -> None:
     with pytest.raises(WorldError, match="expected a readable file, got No such file"):
         load_world(tmp_path / "none.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
@@ -89,7 +89,7 @@ def test_schema_and_default_world() -> None:
     assert default_world(2, ["px4", "ardupilot"]).vehicles[1].autopilot == "ardupilot"
 
 
-def test_without_a_world_file_vehicles_begin_at_zero_as_real_ones_do() -> None:
+def test_default_vehicles_start_at_local_zero() -> None:
     emulator = Emulator(default_world(4, ["px4", "ardupilot"]))
     for step in range(40):
         emulator.step(0.05 * step)
@@ -111,7 +111,7 @@ WORLD = default_world(2).model_dump(mode="json", by_alias=True)
 
 @settings(max_examples=60, deadline=None)
 @given(key=st.sampled_from(sorted(WORLD)), value=ANYTHING)
-def test_a_strangers_world_is_read_or_refused_in_words(key: str, value: object) -> None:
+def test_random_worlds_are_read_or_refused_with_a_message(key: str, value: object) -> None:
     try:
         parse_world(json.dumps({**WORLD, key: value}))
     except WorldError:

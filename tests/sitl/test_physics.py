@@ -1,4 +1,4 @@
-"""Flight dynamics: tracking, limits, wind, wash, battery, contacts."""
+"""Flight dynamics: tracking, limits, wind, downwash, battery, contacts."""
 
 import copy
 from typing import Any
@@ -19,7 +19,7 @@ from tests.sitl.client import Ground, world
 
 
 def airborne(autopilot: str = "px4", count: int = 1, **keys) -> Ground:
-    """Vehicles at 5 m by the shortest way: put there, armed, in the mode that follows setpoints."""
+    """Return vehicles that start at 5 m, armed, in the mode that follows setpoints."""
     ground = Ground(Emulator(world(count, autopilot=autopilot, **keys)))
     ground.run(1.0)
     stream = ground.toward({i: (3.0 * (i - 1), 0.0, 5.0) for i in ground.ids})
@@ -39,7 +39,7 @@ def airborne(autopilot: str = "px4", count: int = 1, **keys) -> Ground:
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 @pytest.mark.parametrize("speed", [1.0, 2.0])
-def test_a_circle_with_full_feed_forward_is_tracked_to_a_decimetre(
+def test_the_tracking_error_with_full_feed_forward_is_a_decimetre(
     autopilot: str, speed: float
 ) -> None:
     ground = airborne(autopilot, biases="default")
@@ -98,7 +98,7 @@ def test_speed_acceleration_and_tilt_stay_within_limits() -> None:
 
 
 @pytest.mark.parametrize("huge", [1e6, 1e30, 3e38])
-def test_huge_setpoints_are_flown_no_faster(huge: float) -> None:
+def test_far_setpoints_do_not_exceed_the_limits(huge: float) -> None:
     ground = airborne("px4")
     for values in ((huge, 0, -5), (0, 0, -5, huge, 0, 0), (0, 0, -5, 0, 0, 0, huge, -huge, huge)):
         ground.run(1.0, lambda _, __, values=values: values)
@@ -107,7 +107,7 @@ def test_huge_setpoints_are_flown_no_faster(huge: float) -> None:
     assert np.abs(b.velocity).max() < 8.0
 
 
-def test_steady_wind_is_leant_against() -> None:
+def test_steady_wind_tilts_the_vehicle() -> None:
     ground = airborne("px4", wind="{steady: [6.0, 0, 0]}")
     ground.run(10.0, ground.toward({1: (0.0, 0.0, 5.0)}))
     b = ground.emulator.bodies
@@ -120,7 +120,7 @@ def test_steady_wind_is_leant_against() -> None:
     )
 
 
-def test_gusts_have_the_intensity_asked_for() -> None:
+def test_gusts_have_the_given_intensity() -> None:
     emulator = Emulator(world(4, wind="{steady: [5.0, 0, 0], gust: 1.5}"))
     b = emulator.bodies
     winds = []
@@ -133,7 +133,7 @@ def test_gusts_have_the_intensity_asked_for() -> None:
     assert together == pytest.approx(0.64, abs=0.1)
 
 
-def test_a_vehicle_in_anothers_wash_is_pushed_down() -> None:
+def test_downwash_pushes_a_lower_vehicle_down() -> None:
     ground = airborne("px4", 2)
     b = ground.emulator.bodies
     ground.run(2.0, ground.toward({1: (0.0, 0.0, 7.0), 2: (3.0, 0.0, 5.0)}))
@@ -145,7 +145,7 @@ def test_a_vehicle_in_anothers_wash_is_pushed_down() -> None:
     assert b.position[1, 2] < level - 0.1
 
 
-def test_the_battery_empties_by_load_in_its_endurance() -> None:
+def test_the_battery_discharges_with_load_within_its_endurance() -> None:
     ground = airborne("px4", endurance=100.0)
     before, start = ground.emulator.truth().charge[0], ground.now
     ground.run(20.0, ground.toward({1: (0.0, 0.0, 5.0)}))
@@ -153,7 +153,7 @@ def test_the_battery_empties_by_load_in_its_endurance() -> None:
     assert used * 100.0 == pytest.approx(ground.now - start, rel=0.03)
 
 
-def test_vehicles_that_meet_are_recorded_and_hard_meetings_end_flights() -> None:
+def test_collisions_are_recorded_and_hard_ones_stop_the_motors() -> None:
     ground = airborne("px4", 2)
     ground.run(6.0, ground.toward({1: (3.0, 0.0, 5.0), 2: (0.0, 0.0, 5.0)}))
     (contact, *_) = ground.emulator.truth().contacts
@@ -163,7 +163,7 @@ def test_vehicles_that_meet_are_recorded_and_hard_meetings_end_flights() -> None
     assert ground.emulator.truth().position[:, 2].max() < 1.0
 
 
-def test_a_rotor_that_touches_cable_is_a_strike() -> None:
+def test_a_rotor_in_the_cable_is_a_strike() -> None:
     cable = "{points: [[0, 0, 0], [3.3, 0, 0]], attached: [0, 3.3]}"
     ground = Ground(Emulator(world(2, cable, gripper="attached")))
     ground.px4_offboard({1: (0.0, 0.0, 3.0), 2: (3.0, 0.0, 3.0)}, 8.0)
@@ -188,7 +188,7 @@ def test_standing_and_hard_landings() -> None:
 
 
 def stepped_with_arrays(b: Bodies) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity and integral one step on: the controller's cascade, with arrays."""
+    """Return position, velocity and integral after one step of the cascade, with arrays."""
     goal = b.position_gain * b.position_axes * (b.goal_position - b.estimated()) + b.goal_velocity
     speed = np.linalg.norm(goal[:, :2], axis=1)
     goal[:, :2] *= np.minimum(1.0, b.speed_limit / np.maximum(speed, 1e-12))[:, None]
@@ -213,8 +213,8 @@ def stepped_with_arrays(b: Bodies) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), wild=st.sampled_from([0.1, 1.0, 10.0]))
-def test_a_step_is_the_cascade_that_both_autopilots_fly(seed: int, wild: float) -> None:
-    """Well inside the limits, at them and far beyond, in the air."""
+def test_a_step_equals_the_cascade_of_both_autopilots(seed: int, wild: float) -> None:
+    """In flight, inside the limits, at them and far beyond."""
     rng = np.random.default_rng(seed)
     b = Emulator(world(4, wind="{steady: [2, 1, 0], gust: 0.5}", biases="default")).bodies
     b.position[:] = [0.0, 0.0, 50.0] + wild * rng.normal(size=(4, 3))
@@ -235,7 +235,7 @@ def test_a_step_is_the_cascade_that_both_autopilots_fly(seed: int, wild: float) 
     assert np.abs(b.integral - integral).max() < 1e-9
 
 
-def test_a_copy_in_the_middle_of_a_flight_flies_on_alike_and_alone() -> None:
+def test_a_copy_in_flight_continues_independently() -> None:
     ground = Ground(Emulator(world(2)))
     b = ground.emulator.bodies
     b.armed[:] = b.may_lift[:] = True
@@ -267,10 +267,10 @@ places = arrays(float, (3, 3), elements=st.floats(0.0, 4.0))
     st.sampled_from([(0.0, 4.5, 9.0), (0.8, 4.5, 7.5)]),
     st.sampled_from([(0.0, 0.0, 0.0), (0.4, -0.3, 0.0), (0.0, 8.0, 0.0)]),
 )
-def test_nothing_within_reach_of_a_rotor_is_overlooked(
+def test_the_broad_phase_misses_no_contact(
     grips: Any, others: Any, arcs: tuple[float, float, float], wind: tuple[float, float, float]
 ) -> None:
-    """The quick look may warn in vain, never keep silent: against every sample of the cable."""
+    """The broad phase is conservative: compared with every sample of the cable."""
     spec = CableSpec(points=[(0, 0, 0), (9, 0, 0)])
     rope = Rope(spec, 0.0, np.array(wind))
     for i, arc in enumerate(arcs):

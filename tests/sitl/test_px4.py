@@ -1,4 +1,4 @@
-"""PX4's rules, as its documentation and source have them, over real MAVLink bytes."""
+"""PX4's rules from its documentation and source, over MAVLink bytes."""
 
 import math
 
@@ -31,7 +31,7 @@ def set_parameter(ground: Ground, name: str, value: float | int) -> None:
     )
 
 
-def test_arming_in_offboard_needs_the_stream() -> None:
+def test_arming_in_offboard_requires_the_stream() -> None:
     ground = Ground(Emulator(world(1)))
     ground.run(1.0)
     ground.command(1, MODE, 1, 6, 0)
@@ -61,7 +61,7 @@ def test_offboard_is_refused_in_flight_without_a_stream() -> None:
     assert "Switching to mode 'Offboard' is currently not possible\t" in ground.texts(1)
 
 
-def test_it_lifts_from_the_ground_by_setpoints_alone() -> None:
+def test_setpoints_alone_start_a_take_off() -> None:
     ground = flying({1: (1.0, 2.0, 3.0)})
     place = ground.emulator.truth().position[0]
     assert place == pytest.approx([1.0, 2.0, 2.4], abs=0.1), "grip point 0.6 m below the centre"
@@ -71,7 +71,7 @@ def test_it_lifts_from_the_ground_by_setpoints_alone() -> None:
 @pytest.mark.parametrize(
     ("action", "mode"), [(0, LAND), (3, RETURN), (4, LAND), (5, HOLD)], ids=str
 )
-def test_the_stream_stops(action: int, mode: int) -> None:
+def test_reactions_to_stream_loss(action: int, mode: int) -> None:
     ground = flying()
     set_parameter(ground, "COM_OBL_RC_ACT", action)
     ground.run(0.5, ground.toward({1: (0, 0, 3)}))
@@ -90,7 +90,7 @@ def test_the_stream_stops(action: int, mode: int) -> None:
         assert change["mode"] == "DESCEND", "blind: no pilot, no position control"
 
 
-def test_hold_without_a_global_position_lands_at_once() -> None:
+def test_hold_without_a_global_position_lands() -> None:
     ground = flying(indoor=True)
     set_parameter(ground, "COM_OBL_RC_ACT", 5)
     ground.run(0.5, ground.toward({1: (0, 0, 3)}))
@@ -98,7 +98,7 @@ def test_hold_without_a_global_position_lands_at_once() -> None:
     assert ground.mode(1) == LAND
 
 
-def test_it_enters_offboard_again_by_itself_when_setpoints_return() -> None:
+def test_offboard_resumes_when_setpoints_return() -> None:
     ground = flying()
     set_parameter(ground, "COM_OBL_RC_ACT", 4)
     ground.run(2.5)
@@ -108,8 +108,8 @@ def test_it_enters_offboard_again_by_itself_when_setpoints_return() -> None:
     assert ground.emulator.truth().position[0, 2] == pytest.approx(2.4, abs=0.1)
 
 
-def test_until_the_failsafe_it_flies_on() -> None:
-    """Position and velocity stay in force for COM_OF_LOSS_T: it coasts to where they balance."""
+def test_motion_continues_until_the_failsafe() -> None:
+    """Position and velocity stay valid for COM_OF_LOSS_T: the vehicle moves to their balance."""
     ground = flying()
     origin = ground.origin(1)
 
@@ -124,7 +124,7 @@ def test_until_the_failsafe_it_flies_on() -> None:
     assert 0.6 < ground.emulator.truth().position[0, 0] - there < 1.05
 
 
-def test_landing_is_detected_and_disarms_and_the_mode_goes_back() -> None:
+def test_after_landing_px4_disarms_and_restores_the_mode() -> None:
     ground = flying()
     ground.command(1, MODE, 1, 4, 6)
     ground.run(10.0)
@@ -137,7 +137,7 @@ def test_landing_is_detected_and_disarms_and_the_mode_goes_back() -> None:
     assert not ground.last[1, "SYS_STATUS"].onboard_control_sensors_health & 1 << 28
 
 
-def test_an_armed_vehicle_that_stays_down_disarms() -> None:
+def test_an_armed_vehicle_on_the_ground_disarms() -> None:
     ground = Ground(Emulator(world(1)))
     ground.run(1.0)
     ground.command(1, ARM, 1)
@@ -147,7 +147,7 @@ def test_an_armed_vehicle_that_stays_down_disarms() -> None:
     assert not ground.armed(1)
 
 
-def test_disarming_in_the_air_takes_the_magic_number() -> None:
+def test_disarming_in_flight_requires_the_magic_number() -> None:
     ground = flying()
     ground.command(1, ARM, 0)
     ground.run(0.2, ground.toward({1: (0, 0, 3)}))
@@ -159,7 +159,7 @@ def test_disarming_in_the_air_takes_the_magic_number() -> None:
     assert [contact["kind"] for contact in ground.emulator.truth().contacts] == ["crash"]
 
 
-def test_takeoff_takes_an_altitude_above_the_sea() -> None:
+def test_takeoff_uses_an_altitude_above_mean_sea_level() -> None:
     ground = Ground(Emulator(world(1)))
     ground.run(1.0)
     ground.command(1, ARM, 1)
@@ -169,7 +169,7 @@ def test_takeoff_takes_an_altitude_above_the_sea() -> None:
     assert ground.mode(1) == HOLD
 
 
-def test_return_goes_home_and_lands() -> None:
+def test_return_flies_home_and_lands() -> None:
     ground = flying({1: (6.0, 0.0, 3.0)})
     ground.command(1, dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
     ground.run(45.0)
@@ -177,7 +177,7 @@ def test_return_goes_home_and_lands() -> None:
     assert not ground.armed(1)
 
 
-def test_what_setpoints_it_takes() -> None:
+def test_accepted_setpoints() -> None:
     ground = flying()
     place = ground.emulator.bodies.goal_position[0].copy()
     nan = math.nan
@@ -206,7 +206,7 @@ def test_what_setpoints_it_takes() -> None:
         assert (moved.tolist() == [2.0, 1.0, 3.0]) == (target == 0), "0 is everybody"
 
 
-def test_a_lost_ground_station_ends_as_NAV_DLL_ACT_says() -> None:
+def test_a_lost_ground_station_triggers_NAV_DLL_ACT() -> None:
     ground = flying()
     set_parameter(ground, "NAV_DLL_ACT", 3)
     ground.run(1.2, ground.toward({1: (0, 0, 3)}))
@@ -218,8 +218,8 @@ def test_a_lost_ground_station_ends_as_NAV_DLL_ACT_says() -> None:
     assert ground.mode(1) == LAND
 
 
-def test_a_vehicle_held_up_by_its_neighbours_may_believe_that_it_has_landed() -> None:
-    """Told to descend and not descending: the land detector cuts its thrust (PX4 #15718)."""
+def test_the_land_detector_fails_for_a_vehicle_that_hangs_on_the_cable() -> None:
+    """A descent setpoint without a descent: the land detector cuts the thrust (PX4 #15718)."""
     cable = "{mass_per_length: 0.02, points: [[0, 0, 0], [6.1, 0, 0]], attached: [0, 3.05, 6.1]}"
     ground = Ground(Emulator(world(3, cable, gripper="attached", payload=1.5)))
     places = {1: (0.0, 0.0, 4.6), 2: (3.0, 0.0, 4.4), 3: (6.0, 0.0, 4.6)}

@@ -1,4 +1,4 @@
-"""Every fault by each of its three ways, in flight, judged by what it does."""
+"""Every fault from each of its three sources, in flight, judged by its effects."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -15,12 +15,12 @@ from tests.sitl.client import Ground, world
 INJECT, GRIP, ARM = 420, dialect.MAV_CMD_DO_GRIPPER, dialect.MAV_CMD_COMPONENT_ARM_DISARM
 CABLE = "{mass_per_length: 0.02, points: [[0, 0, 0], [7.2, 0, 0]], attached: [0, 3.6, 7.2]}"
 PLACES = {i + 1: (3.0 * i, 0.0, 5.0) for i in range(4)}
-SCENARIO, PARAMETER, INJECTION, WELL = 1, 2, 3, 4
+SCENARIO, PARAMETER, INJECTION, HEALTHY = 1, 2, 3, 4
 POSITION = "LOCAL_POSITION_NED"
 
 
 class Flight:
-    """One vehicle of a flight, from the moment of its fault on."""
+    """One vehicle of a flight since the start of its fault."""
 
     def __init__(self, ground: Ground, vehicle: int) -> None:
         self.ground, self.vehicle = ground, vehicle
@@ -51,12 +51,14 @@ class Flight:
 
     @property
     def positions(self) -> list[tuple[float, Any]]:
-        """Positions that arrived since the fault, and when."""
+        """Times and positions that arrived since the fault."""
         log = self.ground.log
-        return [(t, m) for t, who, m in log if who == self.vehicle and m.get_type() == POSITION]
+        return [
+            (t, m) for t, system, m in log if system == self.vehicle and m.get_type() == POSITION
+        ]
 
     @property
-    def heard(self) -> int:
+    def received(self) -> int:
         return len(self.positions)
 
     @property
@@ -65,7 +67,7 @@ class Flight:
 
     @property
     def delays(self) -> Any:
-        """How long after their time stamp positions came."""
+        """Delays of positions after their time stamps."""
         boot = -self.ground.emulator.by_id[self.vehicle].booted_at
         return np.array([t - (m.time_boot_ms * 1e-3 - boot) for t, m in self.positions])
 
@@ -79,7 +81,7 @@ class Flight:
 
 
 class Case(NamedTuple):
-    """A fault as a scenario, as parameters, as an injection; what shows it how much later."""
+    """A fault as scenario, parameters and injection; its effect after some seconds."""
 
     scenario: str
     parameters: dict[str, float]
@@ -90,28 +92,28 @@ class Case(NamedTuple):
 
 CASES: dict[str, Case] = {
     "outage": Case("kind: link, loss: 1", {"SIM_LINK_LOSS": 1}, (105, 1), 3.0,
-        lambda f: f.heard <= 1 and f.mode == "DESCEND"),
+        lambda f: f.received <= 1 and f.mode == "DESCEND"),
     "outage towards it": Case("kind: link, loss: 1, direction: up",
         {"SIM_LINK_DIR": 1, "SIM_LINK_LOSS": 1}, (105, 1, 1), 3.0,
-        lambda f: f.heard > 20 and f.mode == "DESCEND"),
+        lambda f: f.received > 20 and f.mode == "DESCEND"),
     "outage from it": Case("kind: link, loss: 1, direction: down",
         {"SIM_LINK_DIR": 2, "SIM_LINK_LOSS": 1}, (105, 1, 2), 3.0,
-        lambda f: f.heard <= 1 and f.mode == "OFFBOARD"),
+        lambda f: f.received <= 1 and f.mode == "OFFBOARD"),
     "bursts": Case("kind: link, loss: 0.5, burst: 0.3",
         {"SIM_LINK_BURST": 0.3, "SIM_LINK_LOSS": 0.5}, (105, 7), 8.0,
-        lambda f: 15 < f.heard < 65 and max(np.diff(f.order)) >= 300),
+        lambda f: 15 < f.received < 65 and max(np.diff(f.order)) >= 300),
     "loss": Case("kind: link, loss: 0.5", {"SIM_UART_LOSS": 50}, None, 8.0,
-        lambda f: 20 < f.heard < 60),
+        lambda f: 20 < f.received < 60),
     "latency and jitter": Case("kind: link, latency: 0.3, jitter: 0.1",
         {"SIM_LINK_DELAY": 0.3, "SIM_LINK_JITTER": 0.1}, (105, 6), 4.0,
         lambda f: np.median(f.delays[10:]) > 0.3 and np.ptp(f.delays[10:]) > 0.04),
     "duplication": Case("kind: link, duplicate: 0.3", {"SIM_LINK_DUP": 0.3}, (105, 3), 8.0,
-        lambda f: f.heard > 85 and len(set(f.order)) < f.heard),
+        lambda f: f.received > 85 and len(set(f.order)) < f.received),
     "reordering": Case("kind: link, reorder: 0.3, jitter: 0.2",
         {"SIM_LINK_REORD": 0.3, "SIM_LINK_JITTER": 0.2}, None, 8.0,
         lambda f: f.order != sorted(f.order)),
     "bandwidth": Case("kind: link, bandwidth: 300", {"SIM_LINK_BANDW": 300}, None, 8.0,
-        lambda f: f.delays[-1] > 1.0 and f.heard < 75),
+        lambda f: f.delays[-1] > 1.0 and f.received < 75),
     "narrow band": Case("kind: link, bandwidth: 2000", {"SIM_LINK_BANDW": 2000}, (105, 5), 3.0,
         lambda f: getattr(
             f.ground.emulator.injector.down[f.vehicle - 1].fault, "bandwidth", 0) == 2000.0),
@@ -137,7 +139,7 @@ CASES: dict[str, Case] = {
     "barometer drift": Case("kind: barometer_drift, rate: 0.1", {"SIM_BARO_DRIFT": 0.1}, (3, 4),
         8.0, lambda f: f.height < 4.0),
     "frozen": Case("kind: freeze, duration: 30", {"SIM_FREEZE": 30}, (200, 2), 4.0,
-        lambda f: f.heard <= 1 and f.height > 4.0),
+        lambda f: f.received <= 1 and f.height > 4.0),
     "rebooting": Case("kind: reboot", {"SIM_REBOOT": 1}, (200, 7), 4.0,
         lambda f: f.height < 2.5
         and f.last().time_boot_ms
@@ -156,7 +158,7 @@ CASES: dict[str, Case] = {
 
 
 def set_parameters(ground: Ground, vehicle: int, values: dict[str, float]) -> None:
-    """Send PARAM_SET, every value as a number."""
+    """Send PARAM_SET with every value as a number."""
     for name, value in values.items():
         mav = ground.mav[vehicle]
         message = dialect.MAVLink_param_set_message(vehicle, 1, name.encode(), value, 9)
@@ -170,26 +172,26 @@ def aloft(count: int, cable: str = "", **keys: Any) -> Ground:
     return ground
 
 
-def begin(ground: Ground, vehicle: int, way: int, case: Case) -> None:
-    if way == SCENARIO:
+def start_fault(ground: Ground, vehicle: int, source: int, case: Case) -> None:
+    if source == SCENARIO:
         text = f"{{schema: 1, faults: [{{at: 0, vehicle: {vehicle}, {case.scenario}}}]}}"
         for fault in parse_scenario(text):
             ground.emulator.inject(fault)
-    elif way == PARAMETER:
+    elif source == PARAMETER:
         set_parameters(ground, vehicle, case.parameters)
     elif case.injection is not None:
         ground.command(vehicle, INJECT, *case.injection)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_fault_does_the_same_by_every_way(name: str) -> None:
-    """Each of three vehicles gets it in its own way; the fourth stays well."""
+def test_a_fault_has_the_same_effect_from_every_source(name: str) -> None:
+    """Each of three vehicles has another source; the fourth stays healthy."""
     case = CASES[name]
     ground = aloft(4)
     flights = [Flight(ground, vehicle) for vehicle in ground.ids]
     ground.log.clear()
-    for way in (SCENARIO, PARAMETER, INJECTION):
-        begin(ground, way, way, case)
+    for source in (SCENARIO, PARAMETER, INJECTION):
+        start_fault(ground, source, source, case)
     ground.run(case.seconds, ground.toward(PLACES))
     seen = [case.seen(flight) for flight in flights]
     assert seen == [True, True, case.injection is not None, False]
@@ -204,19 +206,21 @@ CARRIED = {
 
 
 @pytest.mark.parametrize("name", CARRIED)
-@pytest.mark.parametrize("way", [SCENARIO, PARAMETER, INJECTION])
-def test_a_fault_of_a_carried_cable_does_the_same_by_every_way(name: str, way: int) -> None:
+@pytest.mark.parametrize("source", [SCENARIO, PARAMETER, INJECTION])
+def test_a_fault_of_a_carried_cable_has_the_same_effect_from_every_source(
+    name: str, source: int
+) -> None:
     case = CARRIED[name]
     ground = aloft(3, CABLE, gripper="attached")
     flight = Flight(ground, 2)
-    begin(ground, 2, way, case)
+    start_fault(ground, 2, source, case)
     aside = {i: (x, y + 1.0, z) for i, (x, y, z) in PLACES.items()}
     ground.run(case.seconds, ground.toward(aside))
     assert case.seen(flight)
 
 
-def test_every_fault_is_among_the_cases_or_has_its_own_test() -> None:
-    """Gripper jaws and arming are tried on the ground, radios with what hangs on them."""
+def test_every_fault_has_a_case_or_a_test() -> None:
+    """Tests of grippers and arming are on the ground, those of radios with their failsafes."""
     covered = {
         fault.kind
         for case in [*CASES.values(), *CARRIED.values()]
@@ -227,12 +231,12 @@ def test_every_fault_is_among_the_cases_or_has_its_own_test() -> None:
     assert {values["kind"] for values in INJECTED.values()} == set(KINDS) - {"wind"}
 
 
-@pytest.mark.parametrize("way", ["parameters", "injection"])
-def test_jaws_that_stick_and_arming_that_is_refused(way: str) -> None:
+@pytest.mark.parametrize("source", ["parameters", "injection"])
+def test_stuck_grippers_and_refused_arming(source: str) -> None:
     cable = "{points: [[-1, 0, 0], [7, 0, 0]]}"
     ground = Ground(Emulator(world(2, cable)))
     ground.run(0.5)
-    if way == "parameters":
+    if source == "parameters":
         set_parameters(ground, 1, {"SIM_GRIP_FAIL": 1, "SIM_ARM_REFUSE": 1})
     else:
         ground.command(1, INJECT, 102, 1)
@@ -245,7 +249,7 @@ def test_jaws_that_stick_and_arming_that_is_refused(way: str) -> None:
     assert ground.acks(1, GRIP)[-1] == 4
     assert ground.acks(1, ARM) == [1]
     assert ground.emulator.truth().gripped.tolist() == [False, True]
-    if way == "parameters":
+    if source == "parameters":
         set_parameters(ground, 2, {"SIM_GRIP_FAIL": 2})
         set_parameters(ground, 1, {"SIM_GRIP_FAIL": 0, "SIM_ARM_REFUSE": 0})
     else:
@@ -262,7 +266,7 @@ def test_jaws_that_stick_and_arming_that_is_refused(way: str) -> None:
     assert ground.emulator.truth().gripped.tolist() == [True, True], "one cannot open"
 
 
-def test_wind_by_parameters_comes_from_where_they_say_and_calms_down_again() -> None:
+def test_wind_parameters_set_and_end_the_wind() -> None:
     ground = Ground(Emulator(world(1, wind="{steady: [1.0, 0, 0]}")))
     set_parameters(ground, 1, {"SIM_WIND_DIR": 270.0, "SIM_WIND_SPD": 4.0})
     ground.run(0.2)
@@ -273,7 +277,7 @@ def test_wind_by_parameters_comes_from_where_they_say_and_calms_down_again() -> 
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-def test_both_autopilots_have_the_parameters_and_ardupilots_keep_their_names(
+def test_both_autopilots_have_the_sim_parameters(
     autopilot: str,
 ) -> None:
     ground = Ground(Emulator(world(1, autopilot=autopilot)))
@@ -283,9 +287,9 @@ def test_both_autopilots_have_the_parameters_and_ardupilots_keep_their_names(
     assert max(map(len, PARAMETERS)) <= 16
 
 
-def test_a_snag_slides_when_it_is_pulled_harder_than_its_friction() -> None:
+def test_a_snag_slides_above_its_friction() -> None:
     def held(friction: str) -> float:
-        """How far the catch has moved, one metre above which the team then climbs."""
+        """Return the distance that the snag has moved after the team has climbed by one metre."""
         ground = aloft(3, CABLE, gripper="attached")
         ground.emulator.inject(
             parse_scenario(f"{{schema: 1, faults: [{{at: 0, kind: snag, arc: 1.8{friction}}}]}}")[0]
@@ -302,7 +306,7 @@ def test_a_snag_slides_when_it_is_pulled_harder_than_its_friction() -> None:
     assert held(", friction: 60.0") < 0.05
 
 
-def test_a_snag_falls_with_a_cable_that_nobody_holds() -> None:
+def test_a_snag_falls_with_a_released_cable() -> None:
     ground = aloft(3, CABLE, gripper="attached")
     (snag,) = parse_scenario("{schema: 1, faults: [{at: 0, kind: snag, arc: 1.8}]}")
     ground.emulator.inject(snag)
@@ -317,7 +321,7 @@ def test_a_snag_falls_with_a_cable_that_nobody_holds() -> None:
     assert ground.emulator.truth().cable[:, 2].max() < 0.1
 
 
-def test_a_cable_may_slip_a_little_through_the_jaws() -> None:
+def test_a_cable_slides_through_the_jaws() -> None:
     ground = aloft(3, CABLE, gripper="attached")
     ground.emulator.inject(Fault(at=0.0, kind="gripper_slip", vehicle=2, slide=0.2))
     ground.run(0.2, ground.toward(PLACES))
@@ -325,7 +329,7 @@ def test_a_cable_may_slip_a_little_through_the_jaws() -> None:
     assert ground.emulator.truth().gripped.all()
 
 
-def test_link_faults_overlap_and_end_one_by_one() -> None:
+def test_overlapping_link_faults_end_separately() -> None:
     faults = parse_scenario(
         "{schema: 1, faults: [{at: 1, kind: link, loss: 0.2, duration: 4},"
         " {at: 2, kind: link, latency: 0.5, direction: up, duration: 1}]}"

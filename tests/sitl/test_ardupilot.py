@@ -1,4 +1,4 @@
-"""ArduCopter's rules, as its documentation and source have them, over real MAVLink bytes."""
+"""ArduCopter's rules from its documentation and source, over MAVLink bytes."""
 
 import math
 
@@ -56,7 +56,7 @@ def test_streams_must_be_requested() -> None:
     }
 
 
-def test_it_starts_in_stabilize_and_takes_one_ack_for_a_mode() -> None:
+def test_boot_mode_is_stabilize_and_a_mode_change_gets_one_ack() -> None:
     ground = copter()
     assert ground.mode(1) == STABILIZE
     ground.command(1, MODE, 1, GUIDED)
@@ -65,7 +65,7 @@ def test_it_starts_in_stabilize_and_takes_one_ack_for_a_mode() -> None:
     assert ground.mode(1) == GUIDED
 
 
-def test_take_off_wants_guided_and_armed() -> None:
+def test_take_off_requires_guided_and_armed() -> None:
     ground = copter()
     ground.command(1, TAKEOFF, 0, 0, 0, 0, 0, 0, 3)
     ground.command(1, MODE, 1, GUIDED)
@@ -79,7 +79,7 @@ def test_take_off_wants_guided_and_armed() -> None:
     assert ground.emulator.truth().position[0, 2] == pytest.approx(3.0, abs=0.15)
 
 
-def test_setpoints_alone_do_not_lift_it() -> None:
+def test_setpoints_alone_do_not_start_a_take_off() -> None:
     ground = copter()
     guided(ground)
     ground.run(5.0, ground.toward({1: (0.0, 0.0, 3.0)}))
@@ -87,7 +87,7 @@ def test_setpoints_alone_do_not_lift_it() -> None:
 
 
 @pytest.mark.parametrize(("wait", "lifts"), [(0.1, False), (4.0, True)])
-def test_a_setpoint_right_after_take_off_cancels_it_silently(wait: float, lifts: bool) -> None:
+def test_an_early_setpoint_cancels_a_take_off_without_a_message(wait: float, lifts: bool) -> None:
     ground = copter()
     guided(ground)
     ground.command(1, TAKEOFF, 0, 0, 0, 0, 0, 0, 3)
@@ -106,7 +106,7 @@ def test_an_idle_armed_vehicle_disarms_after_ten_seconds() -> None:
     assert not ground.armed(1)
 
 
-def test_return_and_land_cannot_be_armed_in() -> None:
+def test_arming_is_refused_in_return_and_land() -> None:
     ground = copter()
     ground.command(1, MODE, 1, RTL)
     ground.command(1, ARM, 1)
@@ -115,7 +115,7 @@ def test_return_and_land_cannot_be_armed_in() -> None:
     assert ground.texts(1)[-1] == "Arm: RTL mode not armable"
 
 
-def test_when_the_stream_stops_it_flies_on_for_GUID_TIMEOUT_and_says_nothing() -> None:
+def test_motion_continues_for_GUID_TIMEOUT_after_the_last_setpoint() -> None:
     ground = flying()
     origin = ground.origin(1)
     start = ground.now
@@ -135,7 +135,7 @@ def test_when_the_stream_stops_it_flies_on_for_GUID_TIMEOUT_and_says_nothing() -
     assert np.linalg.norm(truth.velocity[0]) < 0.1
 
 
-def test_position_and_acceleration_without_velocity_is_taken_as_velocity() -> None:
+def test_position_and_acceleration_without_velocity_select_velocity_control() -> None:
     ground = flying()
     ground.command(1, INTERVAL, 85, 100_000)
     for _ in range(20):
@@ -150,7 +150,7 @@ def test_position_and_acceleration_without_velocity_is_taken_as_velocity() -> No
     assert np.hypot(*(ground.emulator.truth().position[0, :2] - 1.0)) < 0.2
 
 
-def test_offset_frames_are_taken() -> None:
+def test_offset_frames_are_accepted() -> None:
     ground = flying()
     ground.send(
         1,
@@ -162,7 +162,7 @@ def test_offset_frames_are_taken() -> None:
     assert ground.emulator.truth().position[0, 1] == pytest.approx(2.0, abs=0.2)
 
 
-def test_ground_station_loss_is_off_and_5_lands() -> None:
+def test_ground_station_loss_is_off_by_default_and_5_lands() -> None:
     ground = flying()
     ground.run(12.0, heartbeat=False)
     assert ground.mode(1) == GUIDED
@@ -175,7 +175,7 @@ def test_ground_station_loss_is_off_and_5_lands() -> None:
     assert not ground.armed(1)
 
 
-def test_only_the_listed_ground_station_keeps_it_quiet() -> None:
+def test_only_heartbeats_of_SYSID_MYGCS_prevent_the_failsafe() -> None:
     ground = flying()
     set_parameter(ground, "FS_GCS_ENABLE", 5)
     ground.run(1.0)
@@ -187,7 +187,7 @@ def test_only_the_listed_ground_station_keeps_it_quiet() -> None:
     assert ground.mode(1) == LAND
 
 
-def test_return_climbs_comes_home_and_lands() -> None:
+def test_return_climbs_flies_home_and_lands() -> None:
     ground = flying()
     ground.run(8.0, ground.toward({1: (5.0, 0.0, 4.0)}))
     ground.command(1, MODE, 1, RTL)
@@ -198,7 +198,7 @@ def test_return_climbs_comes_home_and_lands() -> None:
     assert not ground.armed(1)
 
 
-def test_a_reboot_takes_forty_seconds_to_a_position() -> None:
+def test_the_position_is_valid_forty_seconds_after_a_reboot() -> None:
     ground = copter()
     ground.command(1, MODE, 1, GUIDED)
     ground.command(1, dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
@@ -216,7 +216,7 @@ def test_a_reboot_takes_forty_seconds_to_a_position() -> None:
     assert ground.acks(1, ARM)[-1] == ACCEPTED
 
 
-def test_parameters_travel_as_numbers() -> None:
+def test_parameters_are_sent_as_numbers() -> None:
     ground = copter()
     set_parameter(ground, "FS_GCS_ENABLE", 5.0)
     ground.run(0.1)
@@ -227,7 +227,7 @@ def test_parameters_travel_as_numbers() -> None:
 
 
 @pytest.mark.parametrize("action", [0, 1])
-def test_a_low_battery_counts_after_its_timer_and_does_what_it_should(action: int) -> None:
+def test_a_low_battery_acts_after_its_timer(action: int) -> None:
     """Three cells, 10.5 V, for BATT_LOW_TIMER (10 s); BATT_FS_LOW_ACT 0 warns, 1 lands."""
     ground = flying()
     ground.send(

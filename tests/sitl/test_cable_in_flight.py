@@ -1,4 +1,4 @@
-"""The cable in flight: grabbed where it lies, heavy, and felt by the neighbours."""
+"""The cable in flight: grabbing, weight, forces on neighbours."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ GRIPPER = dialect.MAV_CMD_DO_GRIPPER
 def hung_team(
     count: int = 3, integral: float = 0.4, mass: float = 0.05, slack: float = 0.8
 ) -> Ground:
-    """Vehicles in the air over their pads, holding one straight cable with some slack."""
+    """Return vehicles above their pads with one straight cable with some slack."""
     span = 3.0 + slack
     tied = [span * i for i in range(count)]
     cable = (
@@ -30,7 +30,7 @@ def hung_team(
     return ground
 
 
-def test_a_gripper_takes_the_cable_where_it_is_and_nothing_elsewhere() -> None:
+def test_a_gripper_grabs_cable_only_within_reach() -> None:
     ground = Ground(Emulator(world(2, "{points: [[-1, 0.05, 0], [2.5, 0.05, 0]]}")))
     ground.run(0.5)
     for vehicle in (1, 2):
@@ -43,7 +43,7 @@ def test_a_gripper_takes_the_cable_where_it_is_and_nothing_elsewhere() -> None:
     assert truth.grip_arc[0] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_the_cable_weighs_on_those_who_hold_it() -> None:
+def test_the_holders_carry_the_weight_of_the_cable() -> None:
     ground = hung_team(3)
     truth = ground.emulator.truth()
     assert not truth.strikes
@@ -55,7 +55,7 @@ def test_the_cable_weighs_on_those_who_hold_it() -> None:
     assert lengths == pytest.approx(7.6, rel=2e-3)
 
 
-def test_neighbours_of_a_weak_vehicle_shift_by_what_statics_says() -> None:
+def test_neighbours_of_a_weak_vehicle_shift_as_statics_predicts() -> None:
     """Without integrators F newtons move a vehicle by F / (m · P_velocity · P_position)."""
     ground = hung_team(3, integral=0.0, mass=0.3)
     b, rope = ground.emulator.bodies, ground.emulator.rope
@@ -76,7 +76,7 @@ def test_neighbours_of_a_weak_vehicle_shift_by_what_statics_says() -> None:
         assert moved[neighbour, 2] == pytest.approx(change[neighbour, 2] / (1.5 * 4.0), rel=0.1)
 
 
-def test_a_released_cable_falls_and_a_bare_vehicle_stays() -> None:
+def test_a_released_cable_falls_and_the_vehicle_stays() -> None:
     ground = hung_team(2)
     ground.emulator.rope.release(0)
     ground.emulator.rope.release(1)
@@ -133,7 +133,7 @@ def test_a_team_picks_up_carries_and_drops_a_cable(autopilots: list[str]) -> Non
     assert truth.cable[:, 2].max() < 0.01
 
 
-def test_asking_a_gripper_again_while_it_moves_does_not_start_it_anew() -> None:
+def test_a_repeated_gripper_command_does_not_restart_the_movement() -> None:
     for autopilot in ("px4", "ardupilot"):
         ground = Ground(
             Emulator(world(1, "{points: [[-1, 0, 0], [2, 0, 0]]}", autopilot=autopilot))

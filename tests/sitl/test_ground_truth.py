@@ -10,8 +10,8 @@ from swarm.simulation.loop import Callbacks, simulate_flight
 from tests.network import small_plan
 
 
-def test_everybody_really_is_where_the_plan_has_them() -> None:
-    """Origins some 30 m away, in each autopilot's own local metres: 0.3 % of that is 9 cm."""
+def test_true_positions_follow_the_plan() -> None:
+    """Origins are some 30 m away, in each autopilot's local metres: 0.3 % of that is 9 cm."""
     flight_plan = small_plan()
     fleet = emulated_fleet(flight_plan.plan.vehicles, ("px4", "ardupilot"), seed=1)
     world = emulated_world(flight_plan.plan, fleet, with_cable=True, seed=1)
@@ -29,5 +29,5 @@ def test_everybody_really_is_where_the_plan_has_them() -> None:
     )
     assert result.outcome.word == "done"
     mean = np.nanmean(np.array(misses), axis=0)
-    assert np.abs(mean[:, :2]).max() < 0.03, "but for GPS and barometer biases of a centimetre"
+    assert np.abs(mean[:, :2]).max() < 0.03, "GPS and barometer biases are a centimetre"
     assert np.abs(mean[:, 2]).max() < 0.05
