@@ -120,12 +120,12 @@ def test_a_lost_motor_falls_and_a_weak_one_sags() -> None:
                     "at: 9.0, kind: weak_thrust, vehicle: 2, fraction: 0.8", count=2)  # fmt: skip
     stay(ground, 0.8)
     assert ground.emulator.truth().position[1, 2] < 4.35
-    assert ground.emulator.truth().tilt[0] > 1.0, "it turns over, and says so"
+    assert ground.emulator.truth().tilt[0] > 1.0, "it tumbles, and reports it"
     assert abs(ground.last[1, "ATTITUDE"].roll) > 1.0
     stay(ground, 3.0)
     position = ground.emulator.truth().position
     assert position[0, 2] < 0.01
-    assert position[1, 2] == pytest.approx(4.4, abs=0.2), "the integrator makes up for it"
+    assert position[1, 2] == pytest.approx(4.4, abs=0.2), "the integrator compensates"
     assert ground.emulator.truth().contacts[0]["kind"] == "crash"
 
 

@@ -95,11 +95,11 @@ def test_mavsdk_flies_nine_at_once(autopilot: str) -> None:
     port = free_port()
     with emulator(port, "-n", "9", "--autopilot", autopilot), station(port, 9) as systems:
         pilots = [Pilot(system) for system in systems]
-        everybody = [pilot.telemetry for pilot in pilots]
+        telemetries = [pilot.telemetry for pilot in pilots]
         version = Info(systems[0]).get_version()
         assert (version.flight_sw_major, version.flight_sw_minor) == VERSIONS[autopilot]
-        everything = pilots[0].param.get_all_params()
-        assert len(everything.int_params) + len(everything.float_params) > 80
+        parameters = pilots[0].param.get_all_params()
+        assert len(parameters.int_params) + len(parameters.float_params) > 80
         name = "COM_OBL_RC_ACT" if autopilot == "px4" else "FS_GCS_ENABLE"
         for pilot in pilots:
             pilot.telemetry.set_rate_position(10)
@@ -116,7 +116,7 @@ def test_mavsdk_flies_nine_at_once(autopilot: str) -> None:
             pilot.action.arm()
             pilot.action.takeoff()
         until(lambda: all(abs(pilot.height() - 4.0) < 0.4 for pilot in pilots))
-        assert all(telemetry.armed() and telemetry.in_air() for telemetry in everybody)
+        assert all(telemetry.armed() and telemetry.in_air() for telemetry in telemetries)
 
         start = [pilot.north() for pilot in pilots]
         for pilot in pilots:

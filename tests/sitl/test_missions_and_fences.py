@@ -30,8 +30,8 @@ def upload(ground: Ground, items: list[tuple], kind: int = MISSION) -> int:
     ground.send(1, dialect.MAVLink_mission_count_message(1, 1, len(items), kind))
     for seq, (frame, command, values, x, y, z) in enumerate(items):
         ground.run(0.05)
-        asked = ground.last[1, "MISSION_REQUEST_INT"]
-        assert (asked.seq, asked.mission_type) == (seq, kind)
+        request = ground.last[1, "MISSION_REQUEST_INT"]
+        assert (request.seq, request.mission_type) == (seq, kind)
         ground.send(
             1,
             dialect.MAVLink_mission_item_int_message(

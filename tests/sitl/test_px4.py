@@ -203,7 +203,7 @@ def test_accepted_setpoints() -> None:
             ),
         )
         moved = ground.emulator.bodies.goal_position[0] - ground.origin(1)
-        assert (moved.tolist() == [2.0, 1.0, 3.0]) == (target == 0), "0 is everybody"
+        assert (moved.tolist() == [2.0, 1.0, 3.0]) == (target == 0), "0 is a broadcast"
 
 
 def test_a_lost_ground_station_triggers_NAV_DLL_ACT() -> None:

@@ -63,8 +63,8 @@ def test_px4_sends_heartbeats_once_a_second_and_its_mode_after_a_change(ground: 
     ground.command(1, dialect.MAV_CMD_DO_SET_MODE, 1, 6, 0)
     before = ground.now
     ground.run(0.3)
-    told = [m for t, _, m in ground.log if t > before and m.get_type() == "UNKNOWN_436"]
-    assert bytes(told[-1].get_msgbuf())[10:14] == (6 << 16).to_bytes(4, "little")
+    modes = [m for t, _, m in ground.log if t > before and m.get_type() == "UNKNOWN_436"]
+    assert bytes(modes[-1].get_msgbuf())[10:14] == (6 << 16).to_bytes(4, "little")
 
 
 @pytest.mark.parametrize(
@@ -239,7 +239,7 @@ def test_signing_is_required_and_applied_after_setup() -> None:
     assert ground.emulator.truth().armed[0]
     types = {message.get_type() for _, _, message in ground.log[before:]}
     assert "HEARTBEAT" in types
-    assert "BAD_DATA" not in types, "what it sends is signed with the same key"
+    assert "BAD_DATA" not in types, "telemetry is signed with the same key"
     replayed = dialect.MAVLink_command_long_message(1, 1, 400, 0, 0, 0, 0, 0, 0, 0, 0)
     mav.signing.timestamp -= 100_000 * 3600
     ground.send(1, replayed)
@@ -361,7 +361,7 @@ def test_a_gap_of_vision_ends_the_position_until_it_returns() -> None:
     assert not vehicle.local_valid
     ground.command(1, 400, 1)
     ground.run(0.2)
-    assert ground.acks(1, 400) == [1], "nobody arms without a position"
+    assert ground.acks(1, 400) == [1], "no arming without a position"
     ground.send(1, message)
     ground.run(0.2)
     assert vehicle.local_valid

@@ -99,7 +99,7 @@ def test_default_vehicles_start_at_local_zero() -> None:
     assert any(abs(local_ned(vehicle)[2]) > 1.0 for vehicle in Emulator(anywhere).vehicles)
 
 
-ANYTHING = st.recursive(
+VALUES = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=12),
     lambda inner: (
         st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4)
@@ -110,7 +110,7 @@ WORLD = default_world(2).model_dump(mode="json", by_alias=True)
 
 
 @settings(max_examples=60, deadline=None)
-@given(key=st.sampled_from(sorted(WORLD)), value=ANYTHING)
+@given(key=st.sampled_from(sorted(WORLD)), value=VALUES)
 def test_random_worlds_are_read_or_refused_with_a_message(key: str, value: object) -> None:
     try:
         parse_world(json.dumps({**WORLD, key: value}))
