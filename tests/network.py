@@ -138,7 +138,7 @@ class Network:
         """Run until so many seconds into a phase of the plan."""
         start = self.flight_plan.plan.phase(name).start + after  # type: ignore[arg-type]
         self.run(lambda: self.conductor.clock.time >= start)
-        assert self.conductor.stage == "fly", self.words()[-12:]
+        assert self.conductor.stage == "execute", self.words()[-12:]
 
     def until_time(self, seconds: float) -> None:
         """Run for so many seconds."""

@@ -28,7 +28,7 @@ def conclude(flight: FlightState) -> None:
     if ending.failure is not None:
         finish(flight, "failed", ending.failure)
     elif ending.interrupted:
-        finish(flight, "interrupted", "interrupted; everybody has landed")
+        finish(flight, "interrupted", "interrupted; all vehicles have landed")
     elif flight.stage is Stage.CONTINGENCY:
         finish(flight, "interrupted", "landed before the plan was flown to its end")
     else:

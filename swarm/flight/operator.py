@@ -40,19 +40,21 @@ def request(flight: FlightState, command: Request) -> str:
 def available(flight: FlightState) -> Mapping[Request, Availability]:
     """Return the effect of every command at this moment of the flight."""
     if flight.stage is Stage.FINISHED:
-        return dict.fromkeys(REQUESTS, Availability(False, "the flight is over"))
+        return dict.fromkeys(REQUESTS, Availability(False, "the flight has ended"))
     if flight.stage is Stage.RESUME:
         closed = Availability(False, "the team has not been found yet")
-        end = Availability(True, "ends here: everybody lands by itself after the fleet's hold time")
+        end = Availability(
+            True, "ends here: each vehicle lands by its failsafe after the fleet's hold time"
+        )
         return {**dict.fromkeys(REQUESTS, closed), "interrupt": end}
     if flight.stage in {Stage.PREPARE, Stage.READY}:
-        closed = Availability(False, "nothing flies yet")
-        end = Availability(True, "ends here: nothing is armed")
+        closed = Availability(False, "no vehicle flies yet")
+        end = Availability(True, "ends here: no vehicle is armed")
         return {**dict.fromkeys(REQUESTS, closed), "interrupt": end, "abort": closed}
-    kill = Availability(True, "stops all motors at once, wherever they are")
-    interrupt = Availability(True, "holds, then lands everybody together; again: lands at once")
+    kill = Availability(True, "stops all motors at once, also in the air")
+    interrupt = Availability(True, "holds, then lands all together; again: lands at once")
     if flight.contingency is not None:
-        closed = Availability(False, "the team is leaving the plan already")
+        closed = Availability(False, "the team has already left the plan")
         return {**dict.fromkeys(REQUESTS, closed), "kill": kill, "interrupt": interrupt}
     return {
         "hold": _hold(flight),
@@ -71,15 +73,13 @@ def _hold(flight: FlightState) -> Availability:
     if flight.holds.causes:
         return Availability(False, f"already holding: {flight.holds.message}")
     limit = flight.setup.fleet.limits.hold
-    return Availability(
-        True, f"everybody stops along the path; after {limit:g} s all land together"
-    )
+    return Availability(True, f"all stop along the path; after {limit:g} s all land together")
 
 
 def _resume(flight: FlightState) -> Availability:
     if not flight.holds.causes:
-        return Availability(False, "nothing is on hold")
-    return Availability(True, "goes on with the plan")
+        return Availability(False, "the clock is not held")
+    return Availability(True, "continues the plan")
 
 
 def _rewind(flight: FlightState) -> Availability:
@@ -89,45 +89,45 @@ def _rewind(flight: FlightState) -> Availability:
         return Availability(False, "the clock waits at a gate")
     back = flight.clock.time - rewind_end(flight)
     if back < 0.5:
-        return Availability(False, "this is as far back as it is safe")
-    return Availability(True, f"goes back along the path by up to {back:.0f} s, then holds")
+        return Availability(False, "the plan is rewound as far as it is safe")
+    return Availability(True, f"rewinds along the path by up to {back:.0f} s, then holds")
 
 
 def _land(flight: FlightState) -> Availability:
     if flight.setup.windows.can_land(flight.clock.time):
-        return Availability(True, "everybody straight down together, here")
-    return Availability(True, "somebody is above somebody: moves to where all can land, then lands")
+        return Availability(True, "all descend straight down together, here")
+    return Availability(True, "a vehicle is above another: moves to where all can land, then lands")
 
 
 def _release(flight: FlightState) -> Availability:
     if not flight.attached:
-        return Availability(False, "nobody holds the cable")
+        return Availability(False, "no vehicle holds the cable")
     if flight.setup.windows.can_release(flight.clock.time):
-        return Availability(True, "drops the cable, separates upwards and lands")
+        return Availability(True, "releases the cable, separates upwards and lands")
     return Availability(
-        True, "cable hangs above a vehicle: moves to where it does not, then releases"
+        True, "cable hangs above a vehicle: moves to where none does, then releases"
     )
 
 
 def _rejoin(flight: FlightState) -> Availability:
     away = outside(flight)
     if not away:
-        return Availability(False, "everybody who can be streamed to is")
+        return Availability(False, "every vehicle that can get setpoints does")
     names = ", ".join(flight.name(flight.roster.vehicles[k]) for k in away)
     if not flight.clock.stopped:
-        return Availability(False, f"the clock still runs: {names} can rejoin a team that holds")
-    return Availability(True, f"takes {names} into the team again, from where it is, and holds")
+        return Availability(False, f"the clock still runs: {names} can rejoin when the team holds")
+    return Availability(True, f"returns {names} to the team, from its position, and holds")
 
 
 def _abort(flight: FlightState) -> Availability:
     if flight.attached and flight.setup.windows.can_release(flight.clock.time):
-        return Availability(True, "drops the cable here, separates upwards and lands")
-    return Availability(True, "everybody straight down together, here")
+        return Availability(True, "releases the cable here, separates upwards and lands")
+    return Availability(True, "all descend straight down together, here")
 
 
 def _do_hold(flight: FlightState) -> None:
     set_rewinding(flight, rewinding=False)
-    hold(flight, OPERATOR, "the operator asked")
+    hold(flight, OPERATOR, "operator command")
 
 
 def _do_resume(flight: FlightState) -> None:
@@ -141,18 +141,18 @@ def _do_rewind(flight: FlightState) -> None:
 
 
 def _do_land(flight: FlightState) -> None:
-    leave_the_plan(flight, Response.LAND, "the operator asked to land")
+    leave_the_plan(flight, Response.LAND, "operator command: land")
 
 
 def _do_release(flight: FlightState) -> None:
-    leave_the_plan(flight, Response.RELEASE, "the operator asked to release")
+    leave_the_plan(flight, Response.RELEASE, "operator command: release")
 
 
 def _do_abort(flight: FlightState) -> None:
     """Choose the quickest end that drops no cable on a rotor."""
     release = flight.attached and flight.setup.windows.can_release(flight.clock.time)
     response = Response.RELEASE if release else Response.LAND_HERE
-    leave_the_plan(flight, response, "the operator aborted", move=False)
+    leave_the_plan(flight, response, "operator command: abort", move=False)
 
 
 def _do_kill(flight: FlightState) -> None:

@@ -18,9 +18,9 @@ class Stage(StrEnum):
 
     PREPARE = "prepare"
     READY = "ready"
-    RESUME = "find"
-    EXECUTE = "fly"
-    CONTINGENCY = "leave"
+    RESUME = "resume"
+    EXECUTE = "execute"
+    CONTINGENCY = "contingency"
     FINISHED = "finished"
 
 

@@ -62,8 +62,8 @@ class TickTasks:
             self._disk_reported = True
             text = f"the record cannot be written: {record.problem}; the flight goes on"
             conductor.report("record", text)
-        phase = conductor.phase.name if conductor.stage == "fly" else ""
-        if conductor.stage in {"ready", "fly", "leave"}:
+        phase = conductor.phase.name if conductor.stage == "execute" else ""
+        if conductor.stage in {"ready", "execute", "contingency"}:
             record.packet(self._clock.tell(now, conductor.clock.time, phase), now)
         if conductor.stage in {"listen", "prepare"} and self.emulator is not None:
             ended = self.emulator.ended()

@@ -171,7 +171,7 @@ def test_after_a_lost_motor_the_vehicles_release_in_order():
     while flight.conductor.finished is None:
         flight.step()
     (order,) = [event.message for event in flight.events if event.kind == "release"]
-    assert order == "letting go, in this order: vehicles 2, 1, 3"
+    assert order == "releasing in this order: vehicles 2, 1, 3"
     assert not flight.emulator.truth().gripped.any()
 
 
@@ -194,7 +194,7 @@ def test_a_vehicle_that_does_not_answer_releases_first():
     while flight.emulator.truth().gripped.any():
         flight.step()
     first, then = [event.message for event in flight.events if event.kind == "release"]
-    assert first == "releasing first, who has not answered lately: vehicle 2"
+    assert first == "releasing first, without recent answers: vehicle 2"
     assert then == "releasing all together"
 
 

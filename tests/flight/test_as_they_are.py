@@ -46,7 +46,7 @@ def test_ardupilots_that_boot_are_waited_for_and_not_pestered():
     flight = network(("ardupilot",))
     for vehicle in flight.emulator.vehicles:
         vehicle.reboot()
-    flight.run(lambda: flight.conductor.stage == "fly", most=90.0)
+    flight.run(lambda: flight.conductor.stage == "execute", most=90.0)
     assert flight.now > 42.0
     asked = commands(flight)
     for number in (common.MAV_CMD_REQUEST_MESSAGE, common.MAV_CMD_DO_SET_MODE):
@@ -82,7 +82,7 @@ def test_a_refused_rate_does_not_end_a_flight():
     flight.conductor.flyers[0].request_interval(int(common.MAVLINK_MSG_ID_HEARTBEAT), 4.0)
     flight.until_time(2.0)
     assert "interval of HEARTBEAT: failed" in flight.words("failed")
-    assert flight.conductor.stage == "fly"
+    assert flight.conductor.stage == "execute"
     assert not flight.conductor.holding
 
 
@@ -134,5 +134,5 @@ def test_programs_start_in_real_time_however_fast_flight_time_runs(speed, word):
     """After 100 s of flight time 20 s have passed at five times real time: not too late."""
     flight = network(("px4",), downlink=lambda now, *_: now > 100.0)
     flight.conductor = Conductor(PLAN, flight.fleet, Options(no_cable=True, speed=speed))
-    flight.run(lambda: flight.conductor.stage == "fly", most=120.0)
+    flight.run(lambda: flight.conductor.stage == "execute", most=120.0)
     assert (flight.conductor.finished and flight.conductor.finished.word) == word

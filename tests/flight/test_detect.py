@@ -92,7 +92,7 @@ def test_a_jump_is_measured_and_its_report_does_not_count_twice():
     motion.detect(seen(10.0), expected())
     jumped = PLACES + np.array([[0, 0, 0], [0, 2.0, 0], [0, 0, 0]])
     (failure,) = motion.detect(seen(10.1, position=jumped), expected())
-    assert failure.kind is FailureKind.POSITION_JUMPED
+    assert failure.kind is FailureKind.POSITION_JUMP
     assert failure.vehicle == 1
     assert failure.jump == pytest.approx([0.0, 2.0, 0.0])
     # the frame follows the jump: the next report is where the one before was

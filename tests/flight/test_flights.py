@@ -106,7 +106,7 @@ def test_a_hold_that_nobody_ends_becomes_a_landing():
     flight.conductor.request("hold")
     outcome = flight.run(most=60.0)
     assert outcome.word == "interrupted"
-    assert "held too long: on hold for 5 s: the operator asked" in flight.words("failure")
+    assert "hold timeout: on hold for 5 s: operator command" in flight.words("failure")
 
 
 def test_rewind_goes_back_to_the_beginning_of_the_fold_and_holds():
@@ -164,7 +164,7 @@ def test_kill_stops_the_motors():
     flight.conductor.request("kill")
     assert flight.run(most=20.0).word == "failed"
     assert not flight.emulator.truth().armed.any()
-    assert flight.words("leave") == ["all motors stopped: killed by the operator"]
+    assert flight.words("contingency") == ["all motors stopped: killed by the operator"]
 
 
 def test_an_interrupt_holds_and_lands_and_a_second_one_lands_at_once():
@@ -192,11 +192,11 @@ def test_one_silent_vehicle_holds_the_team_and_after_t_all_land_as_its_failsafe_
     flight.downlink = lambda _now, system, _data: system != 2
     flight.run(lambda: flight.conductor.holding is not None, most=3.0)
     assert flight.now - since == pytest.approx(0.7, abs=0.2)
-    flight.run(lambda: flight.conductor.stage == "leave", most=12.0)
+    flight.run(lambda: flight.conductor.stage == "contingency", most=12.0)
     assert flight.now - since == pytest.approx(9.0, abs=0.3)
     outcome = flight.run(most=80.0)
     assert outcome.exit_code == 3
-    assert outcome.explanation == "not heard for 5 s: vehicle 2"
+    assert outcome.explanation == "no packets for 5 s: vehicle 2"
     truth = flight.emulator.truth()
     assert not truth.armed.any(), "it still hears, and lands with the others"
 
@@ -207,7 +207,7 @@ def test_a_short_silence_is_only_a_hold():
     start = flight.now
     flight.downlink = lambda now, system, _data: system != 2 or now > start + 2.0
     assert flight.run().word == "done"
-    assert "vehicle 2 is heard again" in flight.words("link")
+    assert "vehicle 2 is received again" in flight.words("link")
 
 
 def test_a_team_that_is_not_heard_any_more_holds_and_is_landed_blind():
@@ -217,8 +217,8 @@ def test_a_team_that_is_not_heard_any_more_holds_and_is_landed_blind():
     flight.downlink = lambda *_: False
     outcome = flight.run(most=80.0)
     assert (outcome.word, outcome.exit_code) == ("failed", 3)
-    assert outcome.explanation == "no vehicle has been heard for 5 s"
-    assert any("landing together" in words for words in flight.words("leave"))
+    assert outcome.explanation == "no packets of any vehicle for 5 s"
+    assert any("landing together" in words for words in flight.words("contingency"))
     assert flight.now - since > 8.0
     assert not flight.emulator.truth().armed.any()
 
@@ -243,12 +243,12 @@ def test_a_vehicle_that_leaves_offboard_is_not_streamed_to_again(autopilots):
     flight.run(lambda: flight.conductor.holding is not None, most=2.0)
     since = flight.now
     outcome = flight.run(lambda: flight.now > since + 40.0, most=60.0)
-    assert any("landing together" in words for words in flight.words("leave"))
+    assert any("landing together" in words for words in flight.words("contingency"))
     later = [(t, k) for t, system, k, *_ in sent_to(flight) if system == 2 and t > since]
     assert "setpoint" not in [kind for _, kind in later]
     if autopilots == ("ardupilot",):
         assert "mode" not in [kind for _, kind in later], "loiter means a pilot's hands"
-    assert any("left offboard mode by itself" in words for words in flight.words("failure"))
+    assert any("left offboard mode uncommanded" in words for words in flight.words("failure"))
     assert outcome is None or outcome.exit_code == 3
 
 
@@ -267,7 +267,7 @@ def test_a_vehicle_that_left_rejoins_from_where_it_is_when_the_operator_agrees()
     flight.until_time(1.0)
     where = flight.emulator.truth().position[1].copy()
     flight.sent.clear()
-    assert flight.conductor.request("rejoin").startswith("takes vehicle 2 into the team")
+    assert flight.conductor.request("rejoin").startswith("returns vehicle 2 to the team")
     flight.until_time(0.2)
     first = next(m for _, system, kind, m in sent_to(flight) if kind == "setpoint" and system == 2)
     asked = flight.conductor.state.streams.setpoint[1]

@@ -41,8 +41,7 @@ def test_a_vehicle_whose_height_has_drifted_holds_the_team_until_the_operator_sa
     assert flight.conductor.phase.name == "fold"
     assert flight.conductor.clock.time == PLAN.plan.phase("fold").start
     assert (
-        "heights disagree with satellites before the fold: vehicle 3 by +0.5"
-        in flight.conductor.holding
+        "heights disagree with GPS before the fold: vehicle 3 by +0.5" in flight.conductor.holding
     )
     flight.until_time(5.0)
     assert flight.conductor.clock.time == PLAN.plan.phase("fold").start
@@ -58,4 +57,4 @@ def test_without_satellites_only_reports_are_compared(monkeypatch):
     monkeypatch.setattr(vehicle_module, "HANDLERS", without_gps)
     flight.until_phase("fold", 0.5)
     (words,) = flight.words("heights")
-    assert words.endswith("nothing else tells of heights")
+    assert words.endswith("no GPS heights to compare")

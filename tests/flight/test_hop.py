@@ -91,7 +91,7 @@ def test_beyond_the_limit_all_land_and_nothing_is_advised(disturbance: float) ->
     seen = []
     result = flown(disturbance, on_step=lambda _, emulator, __: seen.append(emulator.truth()))
     assert result.outcome.word == "failed"
-    allowed = f"more than the {ERROR_LIMIT:g} m allowed", "nearer than the 1 m allowed"
+    allowed = f"more than the limit of {ERROR_LIMIT:g} m", "less than the required 1 m"
     assert any(words in result.outcome.explanation for words in allowed)
     assert not seen[-1].armed.any()
     assert seen[-1].contacts == ()
@@ -99,7 +99,7 @@ def test_beyond_the_limit_all_land_and_nothing_is_advised(disturbance: float) ->
     if hovers(result.trace):
         assert advice.severity == "error"
         assert "no vehicles.tracking to plan with" in advice.message
-    landing = [event.time for event in result.events if event.kind == "leave"]
+    landing = [event.time for event in result.events if event.kind == "contingency"]
     assert len(landing) == 1
 
 
@@ -111,7 +111,7 @@ def test_two_that_come_too_near_each_other_are_landed_before_either_is_far_off()
         vehicle["disturbance"] = LIKE_SIH
     result = simulate_flight(plan, fleet=fleet, world=world, options=OPTIONS)
     assert result.outcome.word == "failed"
-    assert "nearer than the 3.3 m allowed" in result.outcome.explanation
+    assert "less than the required 3.3 m" in result.outcome.explanation
     assert apart(result.trace) > 2.5
 
 

@@ -17,7 +17,7 @@ def test_a_position_that_jumps_is_noticed_whenever_its_report_comes(early):
     flight = Network(PLAN, early=early)
     flight.until_phase("fold", 1.0)
     flight.emulator.inject(Fault(at=0.0, kind="gps_jump", vehicle=2, offset=(2.0, 0.0, 0.0)))
-    flight.run(lambda: flight.conductor.stage == "leave", most=5.0)
+    flight.run(lambda: flight.conductor.stage == "contingency", most=5.0)
     assert any("vehicle 2's position jumped by 2.0 m" in words for words in flight.words())
 
 
@@ -26,9 +26,9 @@ def test_a_clock_that_stands_for_want_of_clearance_is_told_and_ends_in_landing()
     fleet = fleet.model_copy(update={"limits": fleet.limits.model_copy(update={"hold": 4.0})})
     result = simulate_flight(TOO_NEAR, fleet=fleet)
     said = [event.message for event in result.events if event.kind == "failure"]
-    assert said[0].startswith("stands still: nothing is left of the clearances (strands ")
+    assert said[0].startswith("standstill: no clearance remains (strands ")
     assert "vehicles 3.0" in said[0]
-    assert said[1].startswith("held too long: on hold for 4 s")
+    assert said[1].startswith("hold timeout: on hold for 4 s")
     assert result.outcome.word == "interrupted"
     assert result.statistics.duration < 90.0
 

@@ -93,7 +93,7 @@ def test_a_spare_takes_the_place_of_a_vehicle_that_is_not_there():
     absent = listed[0].model_copy(update={"sysid": 9})
     team = whole.model_copy(update={"vehicles": (*listed, absent)})
     flight = Network(flight_plan, team, no_cable=True)
-    flight.run(lambda: flight.conductor.stage == "fly")
+    flight.run(lambda: flight.conductor.stage == "execute")
     assert flight.conductor.state.roster.systems == (1, 2, 3)
 
 

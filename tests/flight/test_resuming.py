@@ -49,8 +49,8 @@ class Recorded(Network):
         for now, _, data in self.sent[before:]:
             self._keep(now, data)
         conductor = self.conductor
-        if conductor.stage in {"ready", "fly", "leave"}:
-            phase = conductor.phase.name if conductor.stage == "fly" else ""
+        if conductor.stage in {"ready", "execute", "contingency"}:
+            phase = conductor.phase.name if conductor.stage == "execute" else ""
             self._keep(self.now, self.teller.tell(self.now, conductor.clock.time, phase))
 
 
@@ -97,9 +97,9 @@ def test_a_flight_goes_on_where_it_broke_off(autopilots):
     flight, left = broken_off(autopilots, 3.0, 4.0)
     before = flight.emulator.truth().position.copy()
     taken_up(flight, left, "continue")
-    flight.run(lambda: flight.conductor.stage == "fly", most=10.0)
+    flight.run(lambda: flight.conductor.stage == "execute", most=10.0)
     (words,) = flight.words("resume")
-    assert words.startswith("found everybody at ")
+    assert words.startswith("found the team at ")
     assert abs(flight.conductor.clock.time - left.mission_time) < 2.0
     flight.run(lambda: not flight.conductor.holding, most=15.0)
     moved = np.linalg.norm(flight.emulator.truth().position - before, axis=1)
@@ -124,9 +124,9 @@ def test_the_operator_may_say_what_follows(then, ends):
     taken_up(flight, left, then)
     if then == "rewind":
         start = PLAN.plan.phase("fold").start
-        flight.run(lambda: flight.conductor.stage == "fly", most=10.0)
+        flight.run(lambda: flight.conductor.stage == "execute", most=10.0)
         flight.run(lambda: flight.conductor.clock.time <= start + 1e-6, most=60.0)
-        assert flight.conductor.stage == "fly"
+        assert flight.conductor.stage == "execute"
         return
     assert flight.run(most=120.0).word == ends
     truth = flight.emulator.truth()
@@ -140,7 +140,7 @@ def test_without_a_word_from_the_operator_the_team_holds_and_then_lands():
         update={"limits": flight.fleet.limits.model_copy(update={"hold": 8.0})}
     )
     taken_up(flight, left, "hold")
-    flight.run(lambda: flight.conductor.stage == "fly", most=10.0)
+    flight.run(lambda: flight.conductor.stage == "execute", most=10.0)
     flight.until_time(5.0)
     assert flight.conductor.holding is not None, flight.words()
     assert flight.run(most=120.0).word == "interrupted"
@@ -207,7 +207,7 @@ def test_a_vehicle_that_is_not_found_is_named():
     flight.downlink = lambda _now, system, _data: system != 2
     outcome = flight.run(most=200.0)
     assert outcome.exit_code == 3
-    assert outcome.explanation == "not found: vehicle 2; everybody lands by itself"
+    assert outcome.explanation == "not found: vehicle 2; each vehicle lands by its failsafe"
 
 
 def test_a_team_that_was_leaving_or_standing_is_not_taken_up():

@@ -26,8 +26,8 @@ def logged(flight_plan, fleet, most=400.0, **options):
     conductor = flight.conductor
 
     def tick():
-        if conductor.stage in {"ready", "fly", "leave"}:
-            phase = conductor.phase.name if conductor.stage == "fly" else ""
+        if conductor.stage in {"ready", "execute", "contingency"}:
+            phase = conductor.phase.name if conductor.stage == "execute" else ""
             entries.append((flight.now, teller.tell(flight.now, conductor.clock.time, phase)))
         return False
 

@@ -36,7 +36,7 @@ class Taped(Network):
         """One step of virtual time."""
         super().once()
         stage = self.conductor.stage
-        name = self.conductor.phase.name if stage == "fly" else stage
+        name = self.conductor.phase.name if stage == "execute" else stage
         self.phases += [name] * (len(self.sent) - len(self.phases))
 
 

@@ -52,8 +52,8 @@ def run(conductor: Conductor, folder: Path, speed: float) -> None:
         if conductor.stage == "ready" and conductor.audit is not None:
             links.send([as_audited(conductor, listed.sysid) for listed in conductor.fleet.vehicles])
             conductor.start(go(conductor.flight_plan, conductor.audit))
-        phase = conductor.phase.name if conductor.stage == "fly" else ""
-        if conductor.stage in {"ready", "fly", "leave"}:
+        phase = conductor.phase.name if conductor.stage == "execute" else ""
+        if conductor.stage in {"ready", "execute", "contingency"}:
             record.packet(teller.tell(now, conductor.clock.time, phase), now)
         for event in conductor.events():
             record.event(event)

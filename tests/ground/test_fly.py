@@ -168,7 +168,7 @@ def test_ctrl_c_lands_the_team_and_exits_with_130(tmp_path):
     process.send_signal(signal.SIGINT)
     assert process.wait(60.0) == 130
     summary = json.loads((tmp_path / "record" / "summary.json").read_text())
-    assert summary["explanation"] == "interrupted; everybody has landed"
+    assert summary["explanation"] == "interrupted; all vehicles have landed"
 
 
 def test_links_that_cannot_be_opened_are_all_named():

@@ -62,7 +62,7 @@ def test_after_sigkill_in_mid_fold_the_team_is_found_and_the_flight_goes_on(tmp_
             station.wait()
         with process("tests.ground.station", "resume", str(record), port, SPEED, "continue") as on:
             said = on.communicate(timeout=60)[0]
-    assert "resume: found everybody at " in said
+    assert "resume: found the team at " in said
     assert "vehicle 3 follows again" in said, said[:3000]
     assert "outcome: done: all vehicles have landed and disarmed" in said, said[-2000:]
     resumed = record / "resumed"

@@ -246,7 +246,7 @@ def test_a_template_without_one_of_its_values_is_refused() -> None:
 def made_failures_report() -> str:
     told: dict[str, Any] = {
         "case": "gripper slips", "group": "one vehicle", "autopilots": "px4", "times": [60.0],
-        "detected_after": 0.95, "response": "lost its grip, landing together", "strand_distance": None,
+        "detected_after": 0.95, "response": "grip slip, landing together", "strand_distance": None,
         "vehicle_distance": 3.1, "chord_ratio": None, "rotor_strikes": 0, "vehicles_lost": 0, "end": "landed",
         "passed": True, "problems": [], "explanation": "one long strand from then on",
     }  # fmt: skip

@@ -18,7 +18,7 @@ def test_true_positions_follow_the_plan() -> None:
     misses = []
 
     def observe(conductor: Conductor, emulator: Emulator, now: float) -> None:
-        if conductor.stage == "fly" and round(now * 20) % 10 == 0:
+        if conductor.stage == "execute" and round(now * 20) % 10 == 0:
             misses.append(emulator.truth().position - conductor.state.streams.setpoint)
 
     result = simulate_flight(

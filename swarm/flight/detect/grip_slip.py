@@ -78,10 +78,10 @@ class GripSlipDetector:
             self.reset()
             return []
         k = self.evaluate(seen.now, seen.attitude, seen.velocity, seen.position)
-        if k is None or not self._reported.first(FailureKind.GRIP_SLIPPED, k):
+        if k is None or not self._reported.first(FailureKind.GRIP_SLIP, k):
             return []
-        words = f"{seen.names[k]} leans as if its gripper had lost the cable"
-        return [Failure(FailureKind.GRIP_SLIPPED, words, k)]
+        words = f"{seen.names[k]} leans as after a slip of the cable"
+        return [Failure(FailureKind.GRIP_SLIP, words, k)]
 
     def _comparable(self, seen: Observation, expected: Expected) -> bool:
         """Return whether attitudes show the pull of a cable that all vehicles hold aloft."""

@@ -25,17 +25,17 @@ class HealthDetector:
         found: list[Finding] = []
         for k in np.flatnonzero(suspect & expected.armed & ~expected.may_land).tolist():
             battery, name = float(seen.battery[k]), seen.names[k]
-            words = f"{name} has {battery:.0%} of its battery left"
+            words = f"{name} has a battery charge of {battery:.0%}"
             if battery <= BATTERY_CRITICAL and self._first(FailureKind.BATTERY_CRITICAL, k):
                 found.append(Failure(FailureKind.BATTERY_CRITICAL, words, k))
             elif battery <= BATTERY_LOW and self._first(FailureKind.BATTERY_LOW, k):
                 found.append(Failure(FailureKind.BATTERY_LOW, words, k))
             if not seen.located[k] and self._first(FailureKind.POSITION_LOST, k):
-                words = f"{name} does not know where it is"
+                words = f"{name} has no position estimate"
                 found.append(Failure(FailureKind.POSITION_LOST, words, k))
-            if poor[k] and self._gps and self._first(FailureKind.POSITION_POOR, k):
+            if poor[k] and self._gps and self._first(FailureKind.FIX_LOST, k):
                 words = f"{name} has lost its GPS fix"
-                found.append(Failure(FailureKind.POSITION_POOR, words, k))
+                found.append(Failure(FailureKind.FIX_LOST, words, k))
         return found
 
     def _first(self, kind: FailureKind, k: int) -> bool:

@@ -53,9 +53,9 @@ class HeightDetector:
             off = by - middle
             allowed = min(max(_ACCURACIES * max(accuracies[k], usual), least), most)
             drifted = abs(off) > allowed and expected.armed[k]
-            if drifted and self._reported.first(FailureKind.HEIGHTS_DISAGREE, k):
+            if drifted and self._reported.first(FailureKind.HEIGHT_DRIFT, k):
                 words = f"{seen.names[k]}'s height has drifted by {off:+.1f} m"
-                found.append(Failure(FailureKind.HEIGHTS_DISAGREE, words, k))
+                found.append(Failure(FailureKind.HEIGHT_DRIFT, words, k))
         return found
 
     def _drift(self, seen: Observation, expected: Expected) -> Floats:

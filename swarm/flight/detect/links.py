@@ -37,12 +37,12 @@ class LinkDetector:
         for k, name in enumerate(seen.names):
             found += self._silence(seen, k)
             if k in lost and not all_lost and self._reported.first(FailureKind.LOST, k):
-                words = f"not heard for {limits.lost:g} s: {name}"
+                words = f"no packets for {limits.lost:g} s: {name}"
                 found.append(Failure(FailureKind.LOST, words, k))
             if seen.silent_for(k) > FALLEN_SILENCE and neighbour_pulled_down(seen, expected, k):
                 found += fallen_silent(seen, self._reported, k)
         if all_lost and self._reported.first(FailureKind.ALL_LOST, 0):
-            words = f"no vehicle has been heard for {limits.lost:g} s"
+            words = f"no packets of any vehicle for {limits.lost:g} s"
             found.append(Failure(FailureKind.ALL_LOST, words))
         return found
 
@@ -59,7 +59,7 @@ class LinkDetector:
         self._silent.discard(k)
         self._reported.forget(FailureKind.LOST, k)
         self._reported.forget(FailureKind.ALL_LOST, 0)
-        return [Recovery(_ENDED, f"{name} is heard again", "link", k)]
+        return [Recovery(_ENDED, f"{name} is received again", "link", k)]
 
 
 def mode_valid(seen: Observation, k: int) -> bool:

@@ -80,7 +80,7 @@ class MotionDetector:
         if size <= JUMP:
             return []
         words = f"{seen.names[k]}'s position jumped by {size:.1f} m: its frame moved"
-        return [Failure(FailureKind.POSITION_JUMPED, words, k, jump)]
+        return [Failure(FailureKind.POSITION_JUMP, words, k, jump)]
 
     def _fallen(self, seen: Observation, k: int, tilt: float) -> list[Finding]:
         """Return which vehicle has fallen: this one, or a silent neighbour that pulls it down."""
@@ -89,6 +89,6 @@ class MotionDetector:
             return fallen_silent(seen, self._reported, silent[0])
         if not self._reported.first(FailureKind.FALLING, k):
             return []
-        sinking = f"going down at {-float(seen.velocity[k, 2]):.1f} m/s"
+        sinking = f"descending at {-float(seen.velocity[k, 2]):.1f} m/s"
         how = "turned over" if tilt > TURNED_OVER else sinking
         return [Failure(FailureKind.FALLING, f"{seen.names[k]} falls: {how}", k)]

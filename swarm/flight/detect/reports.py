@@ -38,8 +38,8 @@ class ReportDetector:
             case "disarmed" if flying and (expected.streaming[k] or high):
                 failure = Failure(FailureKind.DISARMED, f"{name} disarmed in flight", k)
             case "landed" if flying and not expected.descending and high:
-                words = f"{name} takes itself for landed, in the air"
-                failure = Failure(FailureKind.BELIEVES_LANDED, words, k)
+                words = f"{name} reports that it has landed, in the air"
+                failure = Failure(FailureKind.FALSE_LANDING, words, k)
             case "mode" if flying and k not in expected.rejoining:
                 if not vehicle.in_mode("offboard"):
                     failure = _left_offboard(name, k, vehicle, event, now)
@@ -53,7 +53,7 @@ class ReportDetector:
 def _left_offboard(name: str, k: int, vehicle: Vehicle, event: VehicleEvent, now: float) -> Failure:
     """Return how a vehicle has left offboard mode: by its own decision, or a pilot's."""
     texts = vehicle.recent_warnings(now)
-    words = f"{name} left offboard mode by itself: {event.message}"
+    words = f"{name} left offboard mode uncommanded: {event.message}"
     words += f" ({texts})" if texts else ""
     if vehicle.in_manual_mode:
         kind = FailureKind.PILOT

@@ -42,7 +42,7 @@ class StandstillDetector:
         if held and not kept:
             self._since = seen.now
             ended = frozenset({FailureKind.STANDSTILL})
-            return [Recovery(ended, "everybody follows again", "hold")]
+            return [Recovery(ended, "all vehicles follow again", "hold")]
         if held:
             return []
         if expected.holds or not kept:
@@ -81,17 +81,17 @@ def _large_errors(seen: Observation, expected: Expected, worst: float) -> str:
         for name, error in zip(seen.names, seen.error, strict=True)
         if error > SLOW_FROM * allowed
     ]
-    return f"{', '.join(off)} cannot follow (up to {worst * allowed:.2f} m off)"
+    return f"{', '.join(off)} cannot follow (errors up to {worst * allowed:.2f} m)"
 
 
 def _small_clearances(expected: Expected) -> str:
     if expected.monitored is None:
-        return "nothing is left of the clearances"
+        return "no clearance remains"
     seen = expected.monitored.clearances
     cable = "no slack" if math.isnan(seen.cable) else f"strands {seen.cable:.2f} m apart"
     return (
-        f"nothing is left of the clearances ({cable}, vehicles {seen.vehicle:.2f} m apart, "
-        f"chords up to {seen.chord:.0%} of their cable)"
+        f"no clearance remains ({cable}, vehicles {seen.vehicle:.2f} m apart, "
+        f"chords up to {seen.chord:.0%} of the cable length)"
     )
 
 

@@ -27,8 +27,8 @@ class TrackingDetector:
         worst = int(np.argmax(error))
         if error[worst] <= limit:
             return []
-        words = f"{seen.names[worst]} is {error[worst]:.2f} m off its place, "
-        words += f"more than the {limit:g} m allowed"
+        words = f"{seen.names[worst]} is {error[worst]:.2f} m from its setpoint, "
+        words += f"more than the limit of {limit:g} m"
         return [Failure(FailureKind.TRACKING_ERROR, words, worst)]
 
     def _distances(self, seen: Observation) -> list[Finding]:
@@ -41,5 +41,5 @@ class TrackingDetector:
         pair = near[np.argmin(apart[near])]
         one, other = int(first[pair]), int(second[pair])
         words = f"{seen.names[one]} and {seen.names[other]} are {apart[pair]:.2f} m apart, "
-        words += f"nearer than the {self._clearance:g} m allowed"
+        words += f"less than the required {self._clearance:g} m"
         return [Failure(FailureKind.TRACKING_ERROR, words, one)]

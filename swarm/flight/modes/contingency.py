@@ -42,7 +42,7 @@ _ANNOUNCED: Mapping[Response, str] = {
     Response.LAND_HERE: "landing together",
     Response.RELEASE: "releasing and landing",
     Response.RELEASE_HERE: "landing together",
-    Response.RELEASE_FALLEN: "letting go of what falls, separating and landing",
+    Response.RELEASE_FALLEN: "releasing the fallen vehicle, separating and landing",
 }
 
 
@@ -63,7 +63,7 @@ def leave_the_plan(
         finish(flight, "interrupted", message)
     if flight.stage is not Stage.EXECUTE:
         return
-    flight.report("leave", f"{announced or _ANNOUNCED[response]}: {message}")
+    flight.report("contingency", f"{announced or _ANNOUNCED[response]}: {message}")
     leave_plan(flight)
     change_stage(flight, Trigger.LEAVE_PLAN)
     moves = response in {Response.LAND, Response.RELEASE} if move is None else move
@@ -201,7 +201,7 @@ def _begin_release(flight: FlightState) -> None:
     if 0 < len(unanswering) < len(vehicles):
         flight.contingency = replace(_contingency(flight), staggered=True)
         names = ", ".join(flight.name(vehicle) for vehicle in unanswering)
-        flight.report("release", f"releasing first, who has not answered lately: {names}")
+        flight.report("release", f"releasing first, without recent answers: {names}")
         _open_grippers(flight, [vehicles.index(vehicle) for vehicle in unanswering])
     else:
         _release_all(flight)
@@ -232,7 +232,7 @@ def _release_fallen(flight: FlightState) -> None:
     if end_of(Response.RELEASE_FALLEN, windows(flight)) is End.RELEASE_FALLEN:
         order += range(n)
     names = ", ".join(str(k + 1) for k in dict.fromkeys(order))
-    flight.report("release", f"letting go, in this order: vehicles {names}")
+    flight.report("release", f"releasing in this order: vehicles {names}")
     _open_grippers(flight, list(dict.fromkeys(order)))
 
 
@@ -267,7 +267,7 @@ def _release(flight: FlightState) -> None:
         _begin_separation(flight)
     elif waited > (FALLEN_RELEASE_TIMEOUT if fallen else RELEASE_TIMEOUT):
         names = ", ".join(flight.name(vehicle) for vehicle in holding)
-        flight.report("leave", f"{names} still hold the cable: landing where everybody is")
+        flight.report("contingency", f"{names} still hold the cable: landing here")
         _begin_descent(flight, StepTrigger.STUCK)
 
 
@@ -376,7 +376,7 @@ def _finished(flight: FlightState) -> bool:
         return True
     if flight.now - contingency.since > GIVE_UP + limits.hold:
         names = ", ".join(flight.name(vehicle) for vehicle in armed)
-        mark_failed(flight, f"still armed long after landing was begun: {names}")
+        mark_failed(flight, f"still armed long after landing began: {names}")
         return True
     return False
 

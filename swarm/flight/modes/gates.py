@@ -148,20 +148,20 @@ def _level(flight: FlightState) -> bool:
     drift = seen.height_gap - flight.detectors.heights.reference
     known = np.isfinite(drift)
     if known.sum() < 3:
-        flight.report("heights", f"{words}; nothing else tells of heights")
+        flight.report("heights", f"{words}; no GPS heights to compare")
         return True
     off = drift - np.median(drift[known])
     accuracy = seen.height_accuracy
     allowed = np.fmax(2.0 * accuracy, flight.setup.plan.mission.vehicles.tracking)
     worst = int(np.nanargmax(np.abs(off)))
-    flight.report("heights", f"{words}; against satellites by up to {abs(off[worst]):.2f} m")
+    flight.report("heights", f"{words}; against GPS by up to {abs(off[worst]):.2f} m")
     wrong = np.flatnonzero(known & np.isfinite(accuracy) & (np.abs(off) > allowed))
     if not len(wrong):
         return True
     names = ", ".join(
-        f"{seen.names[k]} by {off[k]:+.2f} m (good to {accuracy[k]:.2f} m)" for k in wrong.tolist()
+        f"{seen.names[k]} by {off[k]:+.2f} m (accuracy {accuracy[k]:.2f} m)" for k in wrong.tolist()
     )
-    hold(flight, OPERATOR, f"heights disagree with satellites before the fold: {names}")
+    hold(flight, OPERATOR, f"heights disagree with GPS before the fold: {names}")
     return False
 
 

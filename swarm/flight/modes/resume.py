@@ -42,24 +42,24 @@ def find_team(flight: FlightState) -> None:
     if missing := _missing(flight):
         if flight.now - flight.progress.gate_since > flight.setup.fleet.limits.hold:
             names = ", ".join(flight.name(vehicle) for vehicle in missing)
-            finish(flight, "failed", f"not found: {names}; everybody lands by itself")
+            finish(flight, "failed", f"not found: {names}; each vehicle lands by its failsafe")
         return
     if disarmed := [vehicle for vehicle in flight.roster.vehicles if not vehicle.armed]:
         names = ", ".join(flight.name(vehicle) for vehicle in disarmed)
-        finish(flight, "failed", f"no longer flying: {names}; the others land by themselves")
+        finish(flight, "failed", f"no longer flying: {names}; the others land by their failsafes")
         return
     time, off = _place_in_plan(flight, left)
     _go_on(flight, left, time)
     flight.report(
-        "resume", f"found everybody at {time:.1f} s of the plan, up to {off:.2f} m from it"
+        "resume", f"found the team at {time:.1f} s of the plan, up to {off:.2f} m from it"
     )
     landing = any(vehicle.in_mode("land") for vehicle in flight.roster.vehicles)
     if landing or off > LARGEST:
-        why = "they land already" if landing else f"a vehicle is {off:.1f} m off its place"
-        words = f"the flight cannot be taken up: {why}"
+        why = "vehicles already land" if landing else f"a vehicle is {off:.1f} m from its place"
+        words = f"the flight cannot be resumed: {why}"
         leave_the_plan(flight, Response.LAND_HERE, words)
         return
-    hold(flight, OPERATOR, "the flight was taken up")
+    hold(flight, OPERATOR, "the flight is resumed")
     rejoin(flight)
 
 

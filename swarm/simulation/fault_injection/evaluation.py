@@ -81,7 +81,7 @@ class GroundTruthMonitor:
         if flight.now < self._next_time:
             return
         self._next_time = flight.now + SAMPLE_INTERVAL
-        if self._slipping is not None and flight.conductor.stage == "fly":
+        if self._slipping is not None and flight.conductor.stage == "execute":
             self._sample_slip(self._slipping)
         truth = flight.emulator.truth()
         position = truth.position
@@ -144,7 +144,7 @@ def evaluate(
 ) -> FaultTrial:
     """Return the trial of a fault whose flight has ended."""
     case, began = injection.case, injection.time
-    events = [event for event in flight.events if event.kind in {"failure", "hold", "leave"}]
+    events = [event for event in flight.events if event.kind in {"failure", "hold", "contingency"}]
     if case.station_fault:
         events += [event for event in flight.events if event.kind == "operator"]
     events = [event for event in events if event.time >= began]
@@ -243,7 +243,7 @@ def _end(flight: SteppedSimulation, case: FailureCase) -> str:
         return "still flying" if truth.armed.any() else "landed by failsafe"
     outcome = conductor.finished
     if outcome is None:
-        return "continued" if conductor.stage == "fly" else "not landed"
+        return "continued" if conductor.stage == "execute" else "not landed"
     if outcome.word == "done":
         return "completed"
     contingency = conductor.state.contingency
@@ -261,7 +261,7 @@ def _response(events: Sequence[Event], slowed_after: float | None) -> str:
     words: list[str] = ["slow"] if slowed_after is not None and not events else []
     for event in sorted(events, key=lambda event: event.time):
         word = event.kind
-        if event.kind in {"failure", "leave"}:
+        if event.kind in {"failure", "contingency"}:
             word = event.message.partition(":")[0]
         if word not in words:
             words.append(word)

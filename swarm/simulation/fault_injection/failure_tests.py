@@ -230,7 +230,7 @@ def fly_fault_trial(flight: SteppedSimulation, case: FailureCase, vehicle: int) 
         stalled = case.station_fault == "stalled" and flight.now < began + case.duration
         flight.step(station=not stalled and case.station_fault != "killed")
         monitor.sample()
-        if case.pilot_lands and conductor.stage == "leave":
+        if case.pilot_lands and conductor.stage == "contingency":
             flight.land_by_pilot(conductor.flyers[vehicle].system)
         usual_rate = min(0.9, rate, conductor.stream_loss.rate_limit(conductor.clock.time))
         if slowed_after is None and abs(conductor.clock.rate) < usual_rate - 0.1:
@@ -240,7 +240,9 @@ def fly_fault_trial(flight: SteppedSimulation, case: FailureCase, vehicle: int) 
         if case.station_fault == "killed":
             if not flight.emulator.truth().armed.any():
                 break
-        elif conductor.stage != "fly" or conductor.holding or conductor.waiting or monitor.hidden:
+        elif (
+            conductor.stage != "execute" or conductor.holding or conductor.waiting or monitor.hidden
+        ):
             undisturbed_since = flight.now
         elif flight.now - undisturbed_since > OBSERVATION_TIME and conductor.clock.rate > 0.05:
             break

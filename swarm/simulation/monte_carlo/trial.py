@@ -114,7 +114,7 @@ class _GroundTruthSampler:
             return
         self._next_time = now + SAMPLE_INTERVAL
         self._count_contacts(emulator)
-        phase = conductor.phase.name if conductor.stage == "fly" else ""
+        phase = conductor.phase.name if conductor.stage == "execute" else ""
         if phase not in {"fold", "hold"} or _at_release(conductor):
             return
         grips, held, cable = emulator.grips_and_cable()
