@@ -89,8 +89,12 @@ def fly(
         if emulator is not None:
             resources.callback(emulator.stop)
         # flight time begins once the emulator sends packets, which takes a while
-        record.began = time.time()
-        facts = {"speed": options.speed, "no_cable": options.no_cable, "began": record.began}
+        record.start_time = time.time()
+        facts = {
+            "speed": options.speed,
+            "no_cable": options.no_cable,
+            "start_time": record.start_time,
+        }
         record.before(flight_plan, conductor.basis, fleet, facts)
         if options.left is not None:
             record.frames(options.left.known)

@@ -1,7 +1,7 @@
-"""A flight's record: a folder that fills while it flies, and never holds the flight up.
+"""The record of a flight: a folder that is written during the flight, without delaying it.
 
-Packets and events are handed to a thread that writes them a few times a second; a disk that is
-full or gone costs the record, not the flight.
+A thread writes packets and events a few times a second. A disk that is full or missing damages the
+record, not the flight.
 """
 
 import json
@@ -33,22 +33,24 @@ from swarm.planning.archive import plan_document, plan_motion
 from swarm.version import __version__
 
 WRITE_INTERVAL = 0.25
-_AT_ONCE, _BREATH = 40, 0.001
-"""Packets that are made ready to be written in one go, and seconds of rest after that."""
-_MOST_WAITING = 200_000
-_STAMP = struct.Struct(">Q")
+_BATCH, _PAUSE = 40, 0.001
+"""Items that are prepared for writing without interruption, and the pause in seconds after them."""
+_MAX_QUEUED = 200_000
+_TIMESTAMP = struct.Struct(">Q")
 
 
 class Record:
     """The record of one flight.
 
-    ``began`` is the wall-clock time in seconds since 1970 at which flight time was zero.
+    ``start_time`` is the wall-clock time in seconds since 1970 at which flight time is zero.
+    ``problem`` is the reason why the record cannot be written, None without one; ``dropped`` counts
+    packets and events that were not written.
     """
 
-    def __init__(self, folder: Path, began: float) -> None:
-        """Raise :class:`InputError` where the folder cannot be made or holds a flight's record."""
+    def __init__(self, folder: Path, start_time: float) -> None:
+        """Raise :class:`InputError` if the folder cannot be created or holds a flight record."""
         self.folder = folder
-        self.began = began
+        self.start_time = start_time
         self.problem: str | None = None
         self.dropped = 0
         try:
@@ -60,55 +62,55 @@ class Record:
         except OSError as error:
             reason = (error.strerror or "cannot be written").lower()
             raise InputError([Problem(str(folder), reason)]) from None
-        self._waiting: deque[Event | tuple[str, float, bytes]] = deque()
-        self._cut: dict[str, bytes] = {}
+        self._queue: deque[Event | tuple[str, float, bytes]] = deque()
+        self._incomplete: dict[str, bytes] = {}
         self._closing = threading.Event()
         self._writer = threading.Thread(target=self._write, name="record", daemon=True)
         self._writer.start()
 
     def packet(self, data: bytes, now: float, stream: str = "") -> None:
-        """Keep what was sent or received at once; on a ``stream`` packets may be cut anywhere."""
-        self._keep((stream, now, data))
+        """Record sent or received bytes; on a ``stream`` they may end in the middle of a packet."""
+        self._enqueue((stream, now, data))
 
     def event(self, event: Event) -> None:
-        """Keep an event."""
-        self._keep(event)
+        """Record an event."""
+        self._enqueue(event)
 
-    def _keep(self, what: Event | tuple[str, float, bytes]) -> None:
-        if len(self._waiting) < _MOST_WAITING:
-            self._waiting.append(what)
+    def _enqueue(self, item: Event | tuple[str, float, bytes]) -> None:
+        if len(self._queue) < _MAX_QUEUED:
+            self._queue.append(item)
         else:
             self.dropped += 1
 
     def _write(self) -> None:
         run_behind_main_thread()
         while not self._closing.wait(WRITE_INTERVAL):
-            self._write_waiting()
-        self._write_waiting()
+            self._write_queue()
+        self._write_queue()
 
-    def _write_waiting(self) -> None:
+    def _write_queue(self) -> None:
         packets: list[bytes] = []
         events: list[bytes] = []
-        for done in range(len(self._waiting)):
-            if done % _AT_ONCE == _AT_ONCE - 1:
-                # while this holds the interpreter, the flight's loop waits for it
-                self._closing.wait(_BREATH)
-            what = self._waiting.popleft()
-            if isinstance(what, Event):
-                events.append(json.dumps(asdict(what), ensure_ascii=False).encode() + b"\n")
+        for done in range(len(self._queue)):
+            if done % _BATCH == _BATCH - 1:
+                # the flight loop waits while this thread holds the interpreter lock
+                self._closing.wait(_PAUSE)
+            item = self._queue.popleft()
+            if isinstance(item, Event):
+                events.append(json.dumps(asdict(item), ensure_ascii=False).encode() + b"\n")
             else:
-                packets.extend(self._stamped(*what))
+                packets.extend(self._timestamped(*item))
         self._append(self._packets, packets)
         self._append(self._events, events)
 
-    def _stamped(self, stream: str, now: float, data: bytes) -> Iterator[bytes]:
-        """Yield the packets with their times: eight bytes, microseconds since 1970, big-endian."""
-        stamp = _STAMP.pack(int((self.began + now) * 1e6))
-        whole, cut = split_packets(self._cut.get(stream, b"") + data)
+    def _timestamped(self, stream: str, now: float, data: bytes) -> Iterator[bytes]:
+        """Yield the packets with timestamps: eight bytes, microseconds since 1970, big-endian."""
+        timestamp = _TIMESTAMP.pack(int((self.start_time + now) * 1e6))
+        packets, rest = split_packets(self._incomplete.get(stream, b"") + data)
         if stream:
-            self._cut[stream] = cut
-        for packet in whole:
-            yield stamp + packet
+            self._incomplete[stream] = rest
+        for packet in packets:
+            yield timestamp + packet
 
     def _append(self, file: Any, chunks: list[bytes]) -> None:
         data = b"".join(chunks)
@@ -122,7 +124,7 @@ class Record:
     def before(
         self, flight_plan: FlightPlan, basis: Basis, fleet: Fleet, facts: Mapping[str, Any]
     ) -> None:
-        """Write down what is about to be flown, with what."""
+        """Write mission, fleet, plan, certificate, software versions and other facts."""
         plan = flight_plan.plan
         self._file("mission.json", json.dumps(plan.mission.document(), indent=1).encode())
         self._file("fleet.json", fleet.model_dump_json(by_alias=True, indent=1).encode())
@@ -133,7 +135,7 @@ class Record:
         self._file("versions.json", json.dumps({**_versions(), **facts}, indent=1).encode())
 
     def frames(self, known: KnownFrames) -> None:
-        """Keep the frames of vehicles that fly already: this record cannot tell them."""
+        """Write the frames of vehicles that fly already: they do not follow from this record."""
         self._file("frames.json", json.dumps(frames_document(known), indent=1).encode())
 
     def after(self, result: FlightResult) -> None:
@@ -164,7 +166,7 @@ class Record:
         self.close()
 
     def close(self) -> None:
-        """Write what is waiting and close the files."""
+        """Write the queue and close the files."""
         self._closing.set()
         self._writer.join(5.0)
         for file in (self._packets, self._events):
@@ -178,7 +180,7 @@ class Record:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value that JSON can hold: NaN becomes null."""
+    """Return a value for JSON: numbers that are not finite become null."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

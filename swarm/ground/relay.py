@@ -1,7 +1,7 @@
-"""One loopback UDP endpoint per vehicle, for the library that audits them.
+"""A loopback UDP endpoint for each vehicle, through which MAVSDK reaches it. Closed in flight.
 
-What a vehicle sends is passed on; what the library sends goes to the vehicle, except heartbeats,
-which would tell vehicles that a ground station is there when ours is not. Closed in flight.
+Packets are forwarded in both directions, except MAVSDK's heartbeats: with them, vehicles would
+not detect the loss of this ground station.
 """
 
 import socket
@@ -23,7 +23,7 @@ class _Endpoint:
 
 @dataclass
 class Relay:
-    """The endpoints of a team's vehicles; ``ports`` is where the library must listen."""
+    """The endpoints of a team's vehicles; MAVSDK listens on ``ports``."""
 
     team: Team
     closed: bool = False
@@ -42,11 +42,11 @@ class Relay:
 
     @property
     def ports(self) -> Mapping[int, int]:
-        """Loopback port by system id."""
+        """Loopback ports by system id."""
         return {system: endpoint.port for system, endpoint in self._endpoints.items()}
 
     def from_vehicles(self, link: str, address: Address | None, data: bytes) -> None:
-        """Pass on what arrived, each packet that can be trusted to its vehicle's endpoint."""
+        """Forward each received packet that can be trusted to the endpoint of its vehicle."""
         if self.closed:
             return
         for packet in split_packets(data)[0]:
@@ -59,15 +59,15 @@ class Relay:
                     continue
 
     def to_vehicles(self) -> Iterator[Outgoing]:
-        """Yield what the library wants sent."""
+        """Yield the packets that MAVSDK sends to vehicles."""
         for system, endpoint in self._endpoints.items():
-            for arrived in _arrived(endpoint.ours):
+            for datagram in _datagrams(endpoint.ours):
                 route = self.team.way_to(system)
                 if self.closed or route is None:
                     continue
-                for packet in split_packets(arrived)[0]:
-                    (known,) = self._decoder.feed(packet) or (None,)
-                    if known is not None and packet[0] == 0xFD and known.number != _HEARTBEAT:
+                for packet in split_packets(datagram)[0]:
+                    (decoded,) = self._decoder.feed(packet) or (None,)
+                    if decoded is not None and packet[0] == 0xFD and decoded.number != _HEARTBEAT:
                         data = self.team.sealed(route.link, packet)
                         yield Outgoing(route.link, route.address, data)
 
@@ -78,7 +78,7 @@ class Relay:
             endpoint.ours.close()
 
 
-def _arrived(ours: socket.socket) -> Iterator[bytes]:
+def _datagrams(ours: socket.socket) -> Iterator[bytes]:
     while True:
         try:
             data, _ = ours.recvfrom(_LARGEST_DATAGRAM)

@@ -1,4 +1,4 @@
-"""The sockets and serial ports of a fleet's links: opened once, never waited for when sending."""
+"""The sockets and serial ports of a fleet's links. Sending never blocks."""
 
 import errno
 import fcntl
@@ -18,39 +18,39 @@ from swarm.flight.router import Outgoing
 
 _LARGEST_DATAGRAM = 65_536
 _RECEIVE_BUFFER = 1 << 21
-_MOST_AT_ONCE = 512
-"""Datagrams taken before the clock is looked at again: a flood must not hold the flight up."""
+_MAX_DATAGRAMS = 512
+"""Datagrams that are read before the clock is checked: a flood must not delay the flight."""
 _CONNECT_TIMEOUT = 5.0
-_MOST_UNSENT = 4096
-"""Bytes that may wait in a connection's buffer: what waits longer would arrive stale."""
-_LONGEST_UNSENT = 0.1
-"""Seconds of a serial port's time that may wait in its buffer."""
+_MAX_UNSENT = 4096
+"""Bytes that may wait in the buffer of a connection; with more, setpoints would arrive stale."""
+_MAX_UNSENT_TIME = 0.1
+"""Seconds of transmission that may wait in the buffer of a serial port."""
 
-Arrived = tuple[str, Any, bytes]
+Received = tuple[str, Any, bytes]
 
 
 class Port(Protocol):
-    """One open link; ``dropped`` counts what was not sent because it did not fit."""
+    """One open link; ``dropped`` counts packets that were not sent because the buffer was full."""
 
     name: str
     dropped: int
 
     def fileno(self) -> int:
-        """Return what can be waited for."""
+        """Return the file descriptor, for select()."""
 
     def send(self, outgoing: Outgoing) -> None:
-        """Send at once or not at all: what cannot be sent now is counted and forgotten."""
+        """Send without blocking; a packet that cannot be sent now is dropped and counted."""
 
-    def receive(self) -> Iterator[Arrived]:
-        """Yield what has arrived, up to a bound: link, address, bytes."""
+    def receive(self) -> Iterator[Received]:
+        """Yield link, address and bytes of received data, up to a bound."""
 
     def close(self) -> None:
-        """Close it."""
+        """Close the link."""
 
 
 @dataclass
 class Datagrams:
-    """A UDP socket. ``address`` is None where datagrams come from many."""
+    """A UDP socket; ``address`` is that of the only peer, or None."""
 
     name: str
     socket: socket.socket
@@ -62,22 +62,22 @@ class Datagrams:
         return self.socket.fileno()
 
     def send(self, outgoing: Outgoing) -> None:
-        """Send at once or not at all: what cannot be sent now is counted and forgotten."""
+        """Send without blocking; a packet that cannot be sent now is dropped and counted."""
         try:
             address: Any = self.address or outgoing.address
             self.socket.sendto(outgoing.data, address)
         except OSError:
             self.dropped += 1
 
-    def receive(self) -> Iterator[Arrived]:
-        """Yield what has arrived, up to a bound: link, address, bytes."""
-        for _ in range(_MOST_AT_ONCE):
+    def receive(self) -> Iterator[Received]:
+        """Yield link, address and bytes of received data, up to a bound."""
+        for _ in range(_MAX_DATAGRAMS):
             try:
                 data, address = self.socket.recvfrom(_LARGEST_DATAGRAM)
             except BlockingIOError:
                 return
             except OSError:
-                # a port that nobody listens to answers with an error; it is silence, not an end
+                # an unused port answers with an error: treat it as silence, not as the end
                 continue
             yield self.name, None if self.address else address, data
 
@@ -88,15 +88,15 @@ class Datagrams:
 
 @dataclass
 class Stream:
-    """A TCP connection or a serial port: bytes one after the other, no datagrams.
+    """A TCP connection or a serial port: a stream of bytes without datagrams.
 
-    A packet goes out whole or not at all: what is left of one is sent before the next, and while
-    more than ``most_unsent`` bytes wait in the buffer the next ones are dropped.
+    A packet is sent whole or not at all: the rest of a packet is sent before the next one. While
+    more than ``max_unsent`` bytes wait in the buffer, packets are dropped.
     """
 
     name: str
     device: Any
-    most_unsent: int
+    max_unsent: int
     dropped: int = 0
     _rest: bytes = b""
 
@@ -105,13 +105,13 @@ class Stream:
         return int(self.device.fileno())
 
     def send(self, outgoing: Outgoing) -> None:
-        """Send at once or not at all: what cannot be sent now is counted and forgotten."""
+        """Send without blocking; a packet that cannot be sent now is dropped and counted."""
         try:
             self.flush()
-            if self._rest or self._unsent() > self.most_unsent:
+            if self._rest or self._unsent() > self.max_unsent:
                 self.dropped += 1
             else:
-                self._rest = self._written(outgoing.data)
+                self._rest = self._write(outgoing.data)
                 if self._rest == outgoing.data:
                     self._rest = b""
                     self.dropped += 1
@@ -120,11 +120,11 @@ class Stream:
             self.dropped += 1
 
     def flush(self) -> None:
-        """Send what is left of a packet, as far as that goes now."""
-        self._rest = self._written(self._rest)
+        """Send as much of the rest of a packet as fits now."""
+        self._rest = self._write(self._rest)
 
-    def _written(self, data: bytes) -> bytes:
-        """Write what can be written now; return what is left."""
+    def _write(self, data: bytes) -> bytes:
+        """Write without blocking; return the bytes that did not fit."""
         if not data:
             return b""
         try:
@@ -136,8 +136,8 @@ class Stream:
         (waiting,) = struct.unpack("i", fcntl.ioctl(self.fileno(), termios.TIOCOUTQ, bytes(4)))
         return int(waiting)
 
-    def receive(self) -> Iterator[Arrived]:
-        """Yield what has arrived; nothing where the other end is gone."""
+    def receive(self) -> Iterator[Received]:
+        """Yield received data; none if the connection is closed."""
         try:
             data = os.read(self.fileno(), _LARGEST_DATAGRAM)
         except OSError:
@@ -155,8 +155,8 @@ class Links:
     """The open links of a fleet."""
 
     ports: Mapping[str, Port]
-    # select() waits for microseconds; epoll and poll for whole milliseconds, rounded up, which is
-    # more than a setpoint may be late
+    # select() has a resolution of microseconds; epoll and poll round up to whole milliseconds,
+    # which is more than a setpoint may be late
     _selector: selectors.BaseSelector = field(default_factory=selectors.SelectSelector)
 
     def __post_init__(self) -> None:
@@ -170,35 +170,35 @@ class Links:
             raise VehicleError(f"link {name} has no UDP port")
         return int(one.socket.getsockname()[1])
 
-    def wait(self, timeout: float) -> Iterator[Arrived]:
-        """Wait at most so many seconds for something to arrive, and yield all that has."""
+    def wait(self, timeout: float) -> Iterator[Received]:
+        """Wait at most ``timeout`` seconds for data, and yield all received data."""
         for key, _ in self._selector.select(max(0.0, timeout)):
-            silent = True
-            for arrived in key.data.receive():
-                silent = False
-                yield arrived
-            if silent and isinstance(key.data, Stream):
-                # readable and nothing to read: the other end is gone, and would be so for ever
+            empty = True
+            for received in key.data.receive():
+                empty = False
+                yield received
+            if empty and isinstance(key.data, Stream):
+                # readable but empty: the connection is closed, and would stay readable
                 self._selector.unregister(key.fileobj)
 
     def send(self, outgoing: Iterable[Outgoing]) -> None:
-        """Send what the conductor wants sent."""
+        """Send packets, each on its link."""
         for one in outgoing:
             self.ports[one.link].send(one)
 
     def dropped(self) -> dict[str, int]:
-        """Return how many packets did not fit, by link."""
+        """Return the number of dropped packets by link."""
         return {name: one.dropped for name, one in self.ports.items()}
 
     def close(self) -> None:
-        """Close everything."""
+        """Close all links."""
         self._selector.close()
         for one in self.ports.values():
             one.close()
 
 
 def open_links(urls: Mapping[str, str]) -> Links:
-    """Open links by URL; raises :class:`VehicleError` that names each that cannot be opened."""
+    """Open links by URL; raises :class:`VehicleError` with every link that cannot be opened."""
     opened: dict[str, Port] = {}
     problems: list[str] = []
     for name, url in urls.items():
@@ -215,8 +215,8 @@ def open_links(urls: Mapping[str, str]) -> Links:
 
 
 def _reason(error: OSError) -> str:
-    known = os.strerror(error.errno) if error.errno else error.strerror
-    return (known or str(error)).lower()
+    text = os.strerror(error.errno) if error.errno else error.strerror
+    return (text or str(error)).lower()
 
 
 def _open(name: str, url: str) -> Port:
@@ -230,7 +230,7 @@ def _open(name: str, url: str) -> Port:
         stream = socket.create_connection(address, timeout=_CONNECT_TIMEOUT)
         stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         stream.setblocking(False)
-        return Stream(name, stream, _MOST_UNSENT)
+        return Stream(name, stream, _MAX_UNSENT)
     datagrams = socket.socket(family, socket.SOCK_DGRAM)
     try:
         datagrams.setblocking(False)
@@ -246,11 +246,11 @@ def _open(name: str, url: str) -> Port:
 
 
 def _serial(name: str, device: str, baud: int) -> Stream:
-    """Open a serial port for us alone, 8N1, without flow control."""
+    """Open a serial port exclusively, 8N1, without flow control."""
     try:
         port = serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True)
     except ValueError as error:
         raise OSError(errno.EINVAL, str(error)) from None
     os.set_blocking(port.fileno(), False)
     port.reset_input_buffer()
-    return Stream(name, port, max(256, int(_LONGEST_UNSENT * baud / 10)))
+    return Stream(name, port, max(256, int(_MAX_UNSENT_TIME * baud / 10)))

@@ -40,7 +40,7 @@ def _heartbeat(vehicle: VehicleState, message: Message, now: float) -> None:
     vehicle.system_status = message.system_status
     if first:
         name = vehicle.autopilot.name if vehicle.autopilot else "unknown"
-        vehicle.report("heard", f"heard: {name}")
+        vehicle.report("discovered", f"discovered: {name}")
     _current_mode(vehicle, message, now)
     if armed != vehicle.armed:
         vehicle.armed = armed

@@ -35,7 +35,7 @@ TAKING_OFF = int(common.MAV_LANDED_STATE_TAKEOFF)
 class VehicleEvent:
     """An event of a vehicle.
 
-    ``kind`` is one of heard, armed, disarmed, mode, landed, airborne, text, text warning, text
+    ``kind`` is one of discovered, armed, disarmed, mode, landed, airborne, text, text warning, text
     error (by its severity), origin, rebooted, done, failed; ``subject`` is the name of the command
     or mode.
     """

@@ -11,7 +11,7 @@ from swarm.flight.snapshot import Event
 from swarm.flight.words import numbers
 
 ROUTINE: Final = frozenset(
-    {"heard", "mode", "armed", "disarmed", "airborne", "landed", "done", "interval"}
+    {"discovered", "mode", "armed", "disarmed", "airborne", "landed", "done", "interval"}
 )
 """Kinds of events that every vehicle has in every flight: for the record, not for the screen."""
 

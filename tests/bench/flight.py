@@ -181,7 +181,7 @@ def ours(
     watcher.close()
     found = receiver.arrivals()
     # boot times are cut off to milliseconds: the tick is the one that began within the next
-    due = loop.began + np.floor((found["boot"] * 1e-3 + 1.5e-3) * rate) / rate
+    due = loop.start_time + np.floor((found["boot"] * 1e-3 + 1.5e-3) * rate) / rate
     return found, due, loop.cpu
 
 

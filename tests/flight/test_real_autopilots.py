@@ -132,7 +132,7 @@ def test_messages_that_no_library_knows_are_counted_and_not_missed(signed):
         unknown = (
             bytes((0xFD, 4, int(signed), 0, k, 1, 1)) + number.to_bytes(3, "little") + b"abcdef"
         )
-        packet = theirs.sign(unknown) if signed else unknown
+        packet = theirs.append_signature(unknown) if signed else unknown
         for one in decoder.feed(packet, ours if signed else None):
             vehicle.receive(one, float(k))
     assert (decoder.unknown, vehicle.packets, vehicle.lost_packets) == (30, 30, 0)

@@ -47,7 +47,7 @@ def test_a_flight_over_udp_ends_well(flown):
     result, snapshots, events = flown
     assert result.outcome.word == "done", [event.message for event in events[-10:]]
     assert result.statistics.setpoints > 500
-    assert {event.kind for event in events} >= {"heard", "gate", "armed", "landed", "outcome"}
+    assert {event.kind for event in events} >= {"discovered", "gate", "armed", "landed", "outcome"}
     assert {snapshot.phase for snapshot in snapshots} >= {"takeoff", "fold", "land"}
 
 
@@ -131,7 +131,7 @@ def test_after_sigkill_only_the_last_second_of_the_record_is_missing(tmp_path):
     first = last = log.recv_match()
     while (message := log.recv_match()) is not None:
         last = message
-    began = json.loads((folder / "versions.json").read_text())["began"]
+    began = json.loads((folder / "versions.json").read_text())["start_time"]
     log.close()
     flown = (last._timestamp - began) / 4.0
     assert killed - began - flown < 1.0

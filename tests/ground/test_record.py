@@ -1,4 +1,4 @@
-"""The record: complete, readable by others, and never in the way of a flight."""
+"""The flight record: complete, readable by other programs, and without delay for the flight."""
 
 import json
 from dataclasses import replace
@@ -26,7 +26,7 @@ from tests.network import small_plan
 FLIGHT_PLAN = small_plan()
 
 
-def test_a_plan_comes_back_from_its_record_as_it_was():
+def test_a_plan_is_read_from_its_record_unchanged():
     plan = FLIGHT_PLAN.plan
     document = json.loads(json.dumps(plan_document(plan)))
     again = read_plan(document, plan_motion(plan))
@@ -46,8 +46,8 @@ MISSIONS = sorted((Path(__file__).parents[2] / "missions").glob("**/*.yaml"))
     [path for path in MISSIONS if "knot:" in path.read_text() or "formation:" in path.read_text()],
     ids=lambda path: path.stem,
 )
-def test_every_mission_comes_back_from_its_record(path):
-    """A formation has keys that its file may not have; the record of its flight was unreadable."""
+def test_every_mission_is_read_from_its_record_unchanged(path):
+    """A formation has keys that are not allowed in its file; its record was not readable."""
     mission = parse_mission(path.read_text(), str(path))
     plan = replace(FLIGHT_PLAN.plan, mission=mission)
     document = json.loads(json.dumps(plan_document(plan)))
@@ -72,8 +72,8 @@ def test_a_broken_plan_is_an_input_error(break_it):
         read_plan(*break_it(document, plan_motion(FLIGHT_PLAN.plan)))
 
 
-def test_packets_are_readable_with_pymavlinks_own_reader(tmp_path):
-    record = Record(tmp_path / "new", began=1_700_000_000.0)
+def test_pymavlink_reads_the_packets(tmp_path):
+    record = Record(tmp_path / "new", start_time=1_700_000_000.0)
     encoder = Encoder(3, 1)
     for k in range(5):
         message = common.MAVLink_attitude_message(k, 0.1 * k, 0, 0, 0, 0, 0)
@@ -87,15 +87,15 @@ def test_packets_are_readable_with_pymavlinks_own_reader(tmp_path):
 
 
 def test_events_are_lines_of_json(tmp_path):
-    record = Record(tmp_path, began=0.0)
+    record = Record(tmp_path, start_time=0.0)
     record.event(Event(1.5, "text", "Łódź", 3))
     record.close()
     (line,) = (tmp_path / "events.jsonl").read_text().splitlines()
     assert json.loads(line) == {"time": 1.5, "kind": "text", "message": "Łódź", "vehicle": 3}
 
 
-def test_what_is_flown_is_written_down_before_it_flies(tmp_path):
-    record = Record(tmp_path, began=0.0)
+def test_plan_and_certificate_are_written_before_the_flight(tmp_path):
+    record = Record(tmp_path, start_time=0.0)
     basis = basis_of(FLIGHT_PLAN, cable=False)
     record.before(FLIGHT_PLAN, basis, emulated_fleet(3), {"speed": 2.0})
     record.close()
@@ -138,8 +138,8 @@ def test_a_certificate_with_the_keys_of_older_records_is_read():
     assert again.findings == (finding,)
 
 
-def test_a_full_disk_costs_the_record_and_not_the_flight(tmp_path):
-    record = Record(tmp_path, began=0.0)
+def test_a_full_disk_damages_the_record_only(tmp_path):
+    record = Record(tmp_path, start_time=0.0)
     record._packets.close()
     record._packets = open("/dev/full", "wb", buffering=0)  # noqa: SIM115
     encoder = Encoder(1, 1)
@@ -153,12 +153,12 @@ def test_a_full_disk_costs_the_record_and_not_the_flight(tmp_path):
 
 
 def test_a_flight_does_not_overwrite_another(tmp_path):
-    Record(tmp_path, began=0.0).close()
+    Record(tmp_path, start_time=0.0).close()
     with pytest.raises(InputError, match="holds the record of a flight"):
-        Record(tmp_path, began=0.0)
+        Record(tmp_path, start_time=0.0)
 
 
 def test_a_folder_that_cannot_be_used_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file"):
-        Record(tmp_path / "file" / "record", began=0.0)
+        Record(tmp_path / "file" / "record", start_time=0.0)

@@ -1,4 +1,4 @@
-"""Serial ports and connections: whole packets or none, nothing stale, never waiting."""
+"""Serial ports and connections: whole packets or none, never stale, never blocking."""
 
 import os
 import pty
@@ -32,11 +32,11 @@ def serial_pair():
     os.close(near)
 
 
-def arrived(links):
+def received_bytes(links):
     return b"".join(data for _, _, data in links.wait(0.5))
 
 
-def test_bytes_go_both_ways_over_a_serial_port(serial_pair):
+def test_a_serial_port_sends_and_receives(serial_pair):
     far, near, links = serial_pair
     assert termios.tcgetattr(near)[4] == termios.B57600
     packet = Encoder(4, 1).encode(HEARTBEAT)
@@ -44,13 +44,13 @@ def test_bytes_go_both_ways_over_a_serial_port(serial_pair):
     first = list(links.wait(0.5))
     assert first == [("usb", None, packet[:5])]
     os.write(far, packet[5:])
-    assert arrived(links) == packet[5:]
+    assert received_bytes(links) == packet[5:]
     links.send([Outgoing("usb", None, b"hello")])
     assert select.select([far], [], [], 5.0)[0]
     assert os.read(far, 100) == b"hello"
 
 
-def test_a_vehicle_is_heard_and_answered_on_a_serial_port(serial_pair):
+def test_a_vehicle_is_discovered_on_a_serial_port(serial_pair):
     far, near, links = serial_pair
     text = f'schema: 1\nname: one\nlinks: {{usb: "serial://{os.ttyname(near)}:57600"}}\n'
     listening = Listening(parse_fleet(text + "vehicles: [{sysid: 4, links: [usb]}]\n", "one"))
@@ -61,13 +61,13 @@ def test_a_vehicle_is_heard_and_answered_on_a_serial_port(serial_pair):
             listening.receive(link, address, data, 1.0)
     assert listening.missing == []
     links.send(listening.tick(1.0))
-    decoder, said = Decoder(stream=True), set()
-    while not said >= {0, 76, 111}:
+    decoder, numbers = Decoder(stream=True), set()
+    while not numbers >= {0, 76, 111}:
         assert select.select([far], [], [], 5.0)[0]
-        said |= {packet.number for packet in decoder.feed(os.read(far, 4096))}
+        numbers |= {packet.number for packet in decoder.feed(os.read(far, 4096))}
 
 
-def test_a_port_that_takes_no_more_drops_whole_packets_and_never_waits(serial_pair):
+def test_a_full_port_drops_whole_packets_without_blocking(serial_pair):
     far, _, links = serial_pair
     packets = [Encoder(255, 190).encode(HEARTBEAT) for _ in range(4000)]
     links.send(Outgoing("usb", None, packet) for packet in packets)
@@ -82,7 +82,7 @@ def test_a_port_that_takes_no_more_drops_whole_packets_and_never_waits(serial_pa
     assert received == 4000 - dropped
 
 
-def test_a_slow_connection_holds_no_stale_packets():
+def test_a_slow_connection_keeps_no_stale_packets():
     server = socket.create_server(("127.0.0.1", 0))
     server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     links = open_links({"net": f"tcp://127.0.0.1:{server.getsockname()[1]}"})
@@ -97,7 +97,7 @@ def test_a_slow_connection_holds_no_stale_packets():
     server.close()
 
 
-def test_a_port_that_is_not_there_is_named():
+def test_a_missing_port_is_named():
     with pytest.raises(
         VehicleError,
         match=r"link usb \(serial:///dev/nowhere:57600\) cannot be opened: no such file",

@@ -56,7 +56,7 @@ def current_mode(custom_mode):
 )
 def test_modes_are_words(autopilot, custom_mode, name):
     wire = Wire()
-    assert wire(heartbeat(autopilot, custom_mode=custom_mode)) == ["heard", "mode"]
+    assert wire(heartbeat(autopilot, custom_mode=custom_mode)) == ["discovered", "mode"]
     assert wire.vehicle.mode == name
 
 
