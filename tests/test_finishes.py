@@ -144,8 +144,8 @@ def test_every_finish_is_flown_to_its_end(overrides: tuple[str, ...]) -> None:
         ),
         (
             "grab: attached, vehicles: {breakaway: 8}",
-            "m.yaml: expected finish: hold or unfold with grab: attached, for nothing lets go of a "
-            "cable that is tied on, got release",
+            "m.yaml: expected finish: hold or unfold with grab: attached, because a tied-on "
+            "cable is not released, got release",
         ),
         (
             "vehicles: {breakaway: 8}",

@@ -40,7 +40,7 @@ def test_a_cable_that_is_too_short_says_what_it_would_mean() -> None:
 
 
 def test_a_given_cable_asks_for_a_layout_that_can_be_scaled() -> None:
-    words = "overhand: expected cable.length only with a layout that is left to the planner, which"
+    words = "overhand: expected cable.length only with a layout that the planner chooses and scales"
     assert refusal("cable.length=50", "layout.cell=2.0").startswith(words)
     assert refusal("cable.length=50", "fold.method=paper").endswith("got fold.method: paper too")
 

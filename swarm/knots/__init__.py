@@ -1,1 +1,1 @@
-"""Topology only, no metres: codes, diagrams, grid diagrams, invariants, the catalogue."""
+"""Knot topology without lengths: codes, diagrams, grid diagrams, invariants, the catalogue."""

@@ -7,14 +7,15 @@ from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import SignedGauss
 
 MODULUS = 2**31 - 1
+"""The prime p of all arithmetic."""
 
 
 def alexander_polynomial(diagram: Diagram) -> dict[int, int]:
-    """Alexander polynomial {power: coefficient}, symmetric, with value 1 at t = 1.
+    """Return the Alexander polynomial {power: coefficient}, symmetric, with value 1 at t = 1.
 
-    A minor of the Alexander matrix (Alexander 1928), evaluated and interpolated modulo the prime
-    2³¹ − 1; its coefficients are far smaller in any diagram that a cable can have (they are at most
-    the determinant of the knot).
+    It is a minor of the Alexander matrix (Alexander 1928), evaluated and interpolated modulo the
+    prime 2³¹ − 1. The coefficients are at most the determinant of the knot, which is far smaller
+    for every diagram of a cable.
     """
     count = diagram.crossings
     if count < 3:
@@ -32,9 +33,9 @@ def alexander_polynomial(diagram: Diagram) -> dict[int, int]:
 
 
 def crossing_arcs(code: SignedGauss) -> list[tuple[int, int, int, int]]:
-    """Per crossing: its over arc, the under arcs coming in and going out, its sign.
+    """Return for each crossing: over arc, incoming and outgoing under arc, sign.
 
-    Arcs run from one under pass to the next; arc 0 is the one that ends at the first under pass.
+    Arcs run from one under pass to the next; arc 0 ends at the first under pass.
     """
     count = code.crossings
     over_arc: dict[int, int] = {}
@@ -50,7 +51,7 @@ def crossing_arcs(code: SignedGauss) -> list[tuple[int, int, int, int]]:
 
 
 def _matrices(code: SignedGauss, points: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Minors of the Alexander matrix at each point, (points, n − 1, n − 1), modulo the prime."""
+    """Return minors of the Alexander matrix at each point, (points, n − 1, n − 1), modulo p."""
     count = code.crossings
     matrix = np.zeros((len(points), count, count), dtype=np.int64)
     for row, (over, into, out, sign) in enumerate(crossing_arcs(code)):
@@ -62,7 +63,7 @@ def _matrices(code: SignedGauss, points: NDArray[np.int64]) -> NDArray[np.int64]
 
 
 def _determinants(matrices: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Determinants modulo the prime, by elimination of all matrices at once."""
+    """Return determinants modulo p, by elimination of all matrices at once."""
     work = matrices.copy()
     batch, size, _ = work.shape
     result = np.ones(batch, dtype=np.int64)
@@ -83,12 +84,12 @@ def _determinants(matrices: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _inverses(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Inverses modulo the prime; of 0, anything (the determinant is 0 then)."""
+    """Return inverses modulo p; 0 for 0, whose determinant is 0 anyway."""
     return np.array([pow(v, -1, MODULUS) if v else 0 for v in values.tolist()], dtype=np.int64)
 
 
 def _interpolated(points: list[int], values: list[int]) -> list[int]:
-    """Coefficients, lowest first, of the polynomial through all points, modulo the prime."""
+    """Return the coefficients, lowest first, of the polynomial through all points, modulo p."""
     table = list(values)
     count = len(points)
     for order in range(1, count):

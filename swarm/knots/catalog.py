@@ -1,4 +1,4 @@
-"""From a knot's name or code to the diagram and the smallest grid diagram to fold it from."""
+"""The catalogue: a knot's name or code → its diagram and the smallest grid diagram."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -23,13 +23,13 @@ __all__ = ["KnotChoice", "choose_knot", "lookup_knot", "other_grids", "table_nam
 
 @dataclass(frozen=True)
 class KnotChoice:
-    """The knot to tie: what it is, and the diagrams it is tied from.
+    """The knot to tie, and its diagrams.
 
-    ``name`` is KnotInfo's, a sum's or "unknown", as for identification. ``chirality`` is "left",
-    "right", or "none" for a knot that is its own mirror image. ``gauss`` is the Gauss code of
-    ``diagram`` in the paper's notation, as it was given if it was. ``grid`` is a grid diagram of
-    the knot, of minimal size where that is known. ``warnings`` are for the user. ``title`` is what
-    to call the knot where ``name`` is "unknown", such as "torus(3,7)".
+    ``name`` is KnotInfo's name, the name of a sum, or "unknown", as for identification.
+    ``chirality`` is "left", "right", or "none" for a knot that equals its mirror image. ``gauss``
+    is the Gauss code of ``diagram`` in the paper's notation; a given code is kept. ``grid`` is a
+    grid diagram of the knot, of minimal size where that size is known. ``warnings`` are for the
+    user. ``title`` names the knot where ``name`` is "unknown", such as "torus(3,7)".
     """
 
     name: str
@@ -53,14 +53,14 @@ class KnotChoice:
 
 
 def table_names() -> tuple[str, ...]:
-    """Names of all prime knots of the table, in its order."""
+    """Return the names of all prime knots of the table, in its order."""
     return tuple(knot_table())
 
 
 def lookup_knot(name: str) -> KnotChoice:
-    """The knot of a name, right-handed where it is chiral and the name does not say left."""
-    wanted = parse_name(name)
-    return _of_name(wanted, wanted.chirality or "right")
+    """Return the knot of a name; a chiral knot is right-handed unless the name says left."""
+    parsed = parse_name(name)
+    return _of_name(parsed, parsed.chirality or "right")
 
 
 def choose_knot(
@@ -72,15 +72,15 @@ def choose_knot(
     grid: Grid | Sequence[Sequence[int]] | None = None,
     chirality: str | None = None,
 ) -> KnotChoice:
-    """The knot that exactly one of a name, a Gauss, DT or PD code, or a grid diagram describes.
+    """Return the knot of exactly one of: name, Gauss code, DT code, PD code, grid diagram.
 
-    ``chirality`` is "left", "right", "either" or None. It may be left out only where the knot is
-    its own mirror image, or where the description says which hand it means (a name such as m3_1,
-    a code with signs, a PD code, a grid). "either" means that hand, or right where none is said.
-    A code or grid of the other hand than asked for is mirrored, with a warning; such a name is
-    refused.
+    ``chirality`` is "left", "right", "either" or None. None is valid only where the knot equals its
+    mirror image, or where the description determines the chirality (a name such as m3_1, a code
+    with signs, a PD code, a grid). "either" means the chirality of the description, or right where
+    the description has none. A code or grid of the opposite chirality is mirrored, with a warning;
+    a name of the opposite chirality is an error.
 
-    Raises KnotError for a wrong code or name, a link, or a hand or summand that is left open.
+    Raises KnotError for an invalid code or name, a link, or an undetermined chirality or summand.
     """
     if chirality not in {None, "left", "right", "either"}:
         raise KnotError(f'chirality: expected left, right or either, got "{chirality}"')
@@ -103,55 +103,55 @@ def choose_knot(
     return _of_diagrams(diagrams, chirality, None)
 
 
-def _hand(is_chiral: bool, known: str | None, asked: str | None, what: str) -> str:
-    """The hand to tie: "left", "right" or "none". Raises KnotError where it is left open."""
+def _resolve_chirality(is_chiral: bool, known: str | None, required: str | None, knot: str) -> str:
+    """Return "left", "right" or "none". Raises KnotError where the chirality is undetermined."""
     if not is_chiral:
         return "none"
-    if asked in {"left", "right"}:
-        return str(asked)
+    if required in {"left", "right"}:
+        return str(required)
     if known is not None:
         return known
-    if asked == "either":
+    if required == "either":
         return "right"
     raise KnotError(
-        f"{what} is chiral and the description fits both its mirror images: "
-        "say chirality: left, right or either"
+        f"{knot} is chiral and the description fits both mirror images: "
+        "set chirality: left, right or either"
     )
 
 
-def _of_name(wanted: ParsedName, asked: str | None) -> KnotChoice:
-    own = wanted.chirality
-    if own and asked in {"left", "right"} and asked != own:
-        raise KnotError(f'"{wanted.text}" is {own}-handed, but chirality says {asked}')
-    if wanted.factors is not None:
-        name, right = name_of_sum(wanted.factors)
-        hand = _hand(right != "none", own, asked, name)
-        factors = wanted.factors if hand in {right, "none"} else _mirror(wanted.factors)
+def _of_name(parsed: ParsedName, required: str | None) -> KnotChoice:
+    own = parsed.chirality
+    if own and required in {"left", "right"} and required != own:
+        raise KnotError(f'"{parsed.text}" is {own}-handed, but chirality says {required}')
+    if parsed.factors is not None:
+        name, right = name_of_sum(parsed.factors)
+        chirality = _resolve_chirality(right != "none", own, required, name)
+        factors = parsed.factors if chirality in {right, "none"} else _mirror(parsed.factors)
         return _of_factors(factors, ())
-    shape = torus_grid(*wanted.torus)
+    shape = torus_grid(*parsed.torus)
     known = identify_diagram(Diagram(shape.code))
     if known.name in knot_table():
-        return _of_name(parse_name(known.name), own or asked)
-    name = "torus({},{})".format(*wanted.torus)
-    hand = _hand(is_chiral=True, known=own, asked=asked, what=name)
-    if hand == "left":
+        return _of_name(parse_name(known.name), own or required)
+    name = "torus({},{})".format(*parsed.torus)
+    chirality = _resolve_chirality(is_chiral=True, known=own, required=required, knot=name)
+    if chirality == "left":
         shape = mirrored_grid(shape)
     diagram = simplified(Diagram(shape.code))
-    crossings = min(p * (q - 1) for p, q in (wanted.torus, wanted.torus[::-1]))
+    crossings = min(p * (q - 1) for p, q in (parsed.torus, parsed.torus[::-1]))
     grid = smallest_grid(shape, target=shape.size)
-    warning = f"{name} is not in the table: its knot type can only be told by its crossing code"
+    warning = f"{name} is not in the table: it can be identified only by its Gauss code"
     return KnotChoice(
-        "unknown", hand, diagram.code.text(), diagram, grid, crossings, (warning,), title=name
+        "unknown", chirality, diagram.code.text(), diagram, grid, crossings, (warning,), title=name
     )
 
 
 def _mirror(factors: tuple[Factor, ...]) -> tuple[Factor, ...]:
-    return tuple((name, -hand) for name, hand in factors)
+    return tuple((name, -sign) for name, sign in factors)
 
 
 @lru_cache(maxsize=64)
 def _of_factors(factors: tuple[Factor, ...], warnings: tuple[str, ...]) -> KnotChoice:
-    """A knot of the table, or a sum of such, with these hands."""
+    """Return a knot of the table or a sum of table knots, with the given chiralities."""
     name, chirality = name_of_sum(factors)
     if not factors:
         return KnotChoice(
@@ -170,14 +170,14 @@ def _of_factors(factors: tuple[Factor, ...], warnings: tuple[str, ...]) -> KnotC
 
 
 def factor_grid(factors: tuple[Factor, ...]) -> Grid:
-    """The table's grid diagram of a prime knot; of a sum, one from a search.
+    """Return the table's grid diagram of a prime knot; for a sum, the result of a search.
 
-    The arc index of a sum is the sum of its summands' less 2 for every further one (Cromwell
-    1995), so the search knows when it is done.
+    The search stops at the arc index of the sum: the sum of the arc indices of its summands, less 2
+    for every summand after the first (Cromwell 1995).
     """
     grids = [
-        mirrored_grid(prime_knot(name).grid) if hand < 0 else prime_knot(name).grid
-        for name, hand in factors
+        mirrored_grid(prime_knot(name).grid) if sign < 0 else prime_knot(name).grid
+        for name, sign in factors
     ]
     if len(grids) == 1:
         return grids[0]
@@ -186,11 +186,11 @@ def factor_grid(factors: tuple[Factor, ...]) -> Grid:
 
 
 def _of_diagrams(
-    diagrams: tuple[Diagram, ...], asked: str | None, shape: Grid | None
+    diagrams: tuple[Diagram, ...], required: str | None, shape: Grid | None
 ) -> KnotChoice:
-    """The knot of a code: of one diagram, or of all those that the code can mean.
+    """Return the knot of a code: of one diagram, or of all diagrams that the code can mean.
 
-    A grid diagram that was given is kept, mirrored if need be; otherwise the table's is taken.
+    A given grid diagram is kept, mirrored if necessary; otherwise it is the table's.
     """
     found = [(diagram, identify_diagram(diagram)) for diagram in diagrams]
     kinds = {known.name for _, known in found}
@@ -199,20 +199,21 @@ def _of_diagrams(
             f"the code can mean any of {', '.join(sorted(kinds))}: give crossing signs or a name"
         )
     known = found[0][1]
-    hands = {one.chirality for _, one in found}
-    own = hands.pop() if len(hands) == 1 else None
-    hand = _hand(own != "none", own, asked, known.name if known.known else "this knot")
-    match = [diagram for diagram, one in found if one.chirality == hand]
+    chiralities = {one.chirality for _, one in found}
+    own = chiralities.pop() if len(chiralities) == 1 else None
+    knot = known.name if known.known else "this knot"
+    chirality = _resolve_chirality(own != "none", own, required, knot)
+    match = [diagram for diagram, one in found if one.chirality == chirality]
     diagram = match[0] if match else found[0][0].mirrored()
     if shape is not None and not match:
         shape = mirrored_grid(shape)
-    choice = _best_known(known, hand, diagram, shape)
+    choice = _best_known(known, chirality, diagram, shape)
     warnings = list(choice.warnings)
     if not match:
-        warnings.append(f"what was given is {own}-handed: its mirror image is tied, as asked for")
-    if not known.known and hand == "none" and len(found) > 1:
+        warnings.append(f"the given knot is {own}-handed: its mirror image is tied, as required")
+    if not known.known and chirality == "none" and len(found) > 1:
         warnings.append(
-            "its Jones polynomial does not tell its mirror images apart: the hand is open"
+            "its Jones polynomial is that of its mirror image: its chirality is undetermined"
         )
     if shape is not None and shape.size > choice.grid.size:
         warnings.append(
@@ -229,24 +230,24 @@ def _of_diagrams(
 
 
 def _best_known(
-    known: Identification, hand: str, diagram: Diagram, shape: Grid | None
+    known: Identification, chirality: str, diagram: Diagram, shape: Grid | None
 ) -> KnotChoice:
-    """What is known of an identified knot without its code; a search where that is nothing."""
+    """Return the table's entry of an identified knot, or the result of a search."""
     if known.known:
-        wanted = parse_name(known.name)
-        return _of_name(replace(wanted, chirality=None), hand if hand != "none" else None)
+        parsed = parse_name(known.name)
+        return _of_name(replace(parsed, chirality=None), chirality if chirality != "none" else None)
     small = smallest_grid(grid_of_diagram(diagram) if shape is None else shape)
     warning = (
         "this knot is not in the table of knots to ten crossings (at most "
         f"{known.crossings} crossings, determinant {known.invariants['determinant']})"
     )
     return KnotChoice(
-        "unknown", hand, diagram.code.text(), diagram, small, known.crossings, (warning,)
+        "unknown", chirality, diagram.code.text(), diagram, small, known.crossings, (warning,)
     )
 
 
 def other_grids(choice: KnotChoice, *, larger: int = 0, seed: int = 1) -> Iterator[Grid]:
-    """Other grid diagrams of the same knot that can be opened, without end, each one new.
+    """Yield other grid diagrams of the same knot that can be opened, endlessly, each a new one.
 
     They have the size of ``choice.grid`` plus ``larger``. Deterministic for a seed.
     """

@@ -1,9 +1,9 @@
-"""Which mirror image of a knot is the right-handed one.
+"""The convention for the chirality of a knot: which mirror image is right-handed.
 
 A chiral knot is right-handed where the lowest and the highest power of its Jones polynomial have a
-positive sum (right-handed trefoil: t + t³ − t⁴, sum 5), left-handed where it is negative. Where
-the sum is 0, the first power at which V(t) and V(1/t) differ, counted outward from 0, decides: the
-right-handed one has the larger coefficient at the positive power. Where V(t) = V(1/t), the diagram
+positive sum (right-handed trefoil: t + t³ − t⁴, sum 5), left-handed where it is negative. Where the
+sum is 0, the first power at which V(t) and V(1/t) differ, counted outward from 0, decides: the
+right-handed knot has the larger coefficient at the positive power. Where V(t) = V(1/t), the diagram
 in the table is right-handed by definition.
 """
 
@@ -33,11 +33,11 @@ AMPHICHIRAL = frozenset(
         "10_123",
     ]
 )
-"""The prime knots to ten crossings that are their own mirror images."""
+"""The prime knots to ten crossings that equal their mirror images."""
 
 
 def chirality_sign(jones: Mapping[int, int]) -> int:
-    """1 right, −1 left, 0 where the Jones polynomial is the same for both mirror images."""
+    """Return 1 for right, −1 for left, 0 where both mirror images have this Jones polynomial."""
     span = min(jones) + max(jones)
     if span:
         return 1 if span > 0 else -1
@@ -49,5 +49,5 @@ def chirality_sign(jones: Mapping[int, int]) -> int:
 
 
 def is_right_handed(jones: Mapping[int, int]) -> bool:
-    """Whether the Jones polynomial alone says right-handed."""
+    """Return whether the Jones polynomial determines a right-handed knot."""
     return chirality_sign(jones) > 0

@@ -1,9 +1,9 @@
 """Diagrams from Conway's notation (Conway 1970, "An enumeration of knots and links").
 
-A tangle is a part of a diagram with four loose ends at its corners. The tangle n is a row of n
-crossings; ``a b`` is a reflected in its falling diagonal, followed by b; ``a,b,c`` stands for
-``a 0 + b 0 + c 0``. Tangles may be put into the vertices of a basic polyhedron: ``6*`` (mostly left
-out), ``8*``, ``9*`` and ``10*``.
+A tangle is a part of a diagram with four ends at its corners. The tangle n is a row of n crossings;
+``a b`` is a reflected in its falling diagonal, followed by b; ``a,b,c`` stands for ``a 0 + b 0 +
+c 0``. Tangles may replace the vertices of a basic polyhedron: ``6*`` (usually omitted), ``8*``,
+``9*`` and ``10*``.
 """
 
 import itertools
@@ -20,9 +20,9 @@ Ends = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class Tangle:
-    """Crossings with the edges at their corners, and whether the rising strand is the upper one.
+    """Crossings with the edges at their corners, and whether the rising strand passes over.
 
-    ``glue`` lists pairs of edges that are one; ``ends`` are the edges at the tangle's own corners.
+    ``glue`` lists pairs of identified edges; ``ends`` are the edges at the tangle's own corners.
     """
 
     crossings: tuple[tuple[Ends, bool], ...]
@@ -31,7 +31,7 @@ class Tangle:
 
 
 class _Edges:
-    """A source of edge numbers that were never used before."""
+    """A source of unused edge numbers."""
 
     def __init__(self) -> None:
         self._numbers = itertools.count(1)
@@ -40,7 +40,7 @@ class _Edges:
         return next(self._numbers)
 
     def integer(self, number: int) -> Tangle:
-        """A row of crossings; 0 is two strands that run from left to right."""
+        """Return a row of crossings; 0 is two parallel strands from left to right."""
         if number == 0:
             top, bottom = self.new(), self.new()
             return Tangle((), (), (top, top, bottom, bottom))
@@ -54,7 +54,7 @@ class _Edges:
 
 
 def tangle_sum(left: Tangle, right: Tangle) -> Tangle:
-    """Two tangles side by side."""
+    """Return two tangles side by side."""
     return Tangle(
         left.crossings + right.crossings,
         (
@@ -68,7 +68,7 @@ def tangle_sum(left: Tangle, right: Tangle) -> Tangle:
 
 
 def reflect(tangle: Tangle) -> Tangle:
-    """Reflected in the diagonal that falls from north-west to south-east."""
+    """Return the tangle reflected in the diagonal from north-west to south-east."""
 
     def turn(ends: Ends) -> Ends:
         return (ends[0], ends[3], ends[2], ends[1])
@@ -78,24 +78,24 @@ def reflect(tangle: Tangle) -> Tangle:
 
 
 def rotate(tangle: Tangle) -> Tangle:
-    """Turned by 90° as a whole: its north-east end is now its north-west one."""
+    """Return the tangle rotated by 90°: its north-east end becomes its north-west end."""
     nw, ne, se, sw = tangle.ends
     return Tangle(tangle.crossings, tangle.glue, (ne, se, sw, nw))
 
 
 def negate(tangle: Tangle) -> Tangle:
-    """With every crossing changed."""
+    """Return the tangle with every crossing changed."""
     crossings = tuple((ends, not rising) for ends, rising in tangle.crossings)
     return Tangle(crossings, tangle.glue, tangle.ends)
 
 
 def tangle_product(left: Tangle, right: Tangle) -> Tangle:
-    """Conway's ``a b``."""
+    """Return Conway's product ``a b``."""
     return tangle_sum(reflect(left), right)
 
 
 def diagram_of_conway(notation: str) -> Diagram:
-    """A diagram of the knot that has this Conway notation. Raises KnotError if it is none."""
+    """Return a diagram of a Conway notation. Raises KnotError for an invalid notation."""
     edges = _Edges()
     text = notation.replace(" ", "")
     if "*" in text or "." in text or ":" in text:
@@ -106,7 +106,7 @@ def diagram_of_conway(notation: str) -> Diagram:
 
 
 def _closed(tangles: Sequence[Tangle], joints: Sequence[tuple[int, int]]) -> Diagram:
-    """The diagram of tangles whose ends are joined in pairs."""
+    """Return the diagram of tangles whose ends are joined in pairs."""
     parent: dict[int, int] = {}
 
     def root(edge: int) -> int:
@@ -129,7 +129,7 @@ _SIGNS = re.compile(r"[+-]*$")
 
 
 def _tangle(text: str, edges: _Edges) -> Tangle:
-    """An algebraic tangle: ``22``, ``3,21,2-``, ``(3,2)(21,2)``."""
+    """Return an algebraic tangle: ``22``, ``3,21,2-``, ``(3,2)(21,2)``."""
     parts = _split(text, ",")
     if len(parts) > 1:
         tail = _SIGNS.search(parts[-1])
@@ -160,7 +160,7 @@ def _factor(text: str, edges: _Edges) -> Tangle:
 
 
 def _split(text: str, mark: str) -> list[str]:
-    """Split at a mark that is not inside brackets."""
+    """Return the parts of a text between marks outside brackets."""
     parts, depth = [""], 0
     for letter in text:
         depth += (letter == "(") - (letter == ")")
@@ -177,7 +177,7 @@ _NW, _NE, _SE, _SW = range(4)
 
 @dataclass(frozen=True)
 class _Polyhedron:
-    """A basic polyhedron: which corners of its vertices are joined, and how tangles are put in.
+    """A basic polyhedron: the joined corners of its vertices, and the orientation of tangles.
 
     ``order`` are the vertices in the order of the notation. At the vertices in
     ``rotated`` a tangle is rotated by 90°, so that crossings alternate; before that, it is
@@ -191,7 +191,7 @@ class _Polyhedron:
 
 
 def _braided(order: Sequence[int], flipped: Sequence[int]) -> _Polyhedron:
-    """A polyhedron that is a closed braid of three strands, crossing in turn above and below."""
+    """Return the polyhedron of a closed three-strand braid, crossing in turn above and below."""
     joints: list[Joint] = []
     last: list[tuple[int, int] | None] = [None] * 3
     first: list[tuple[int, int]] = [(-1, 0)] * 3
@@ -210,7 +210,7 @@ def _braided(order: Sequence[int], flipped: Sequence[int]) -> _Polyhedron:
 
 
 def _prismatic() -> _Polyhedron:
-    """9*: a vertex for each edge of a triangular prism: outer 0–2, upright 3–5, inner 6–8."""
+    """Return 9*: a vertex per edge of a triangular prism: outer 0–2, upright 3–5, inner 6–8."""
     joints: list[Joint] = []
     for k in range(3):
         following = (k + 1) % 3
@@ -237,9 +237,11 @@ _POLYHEDRA = {
 
 
 def _polyhedral(text: str, edges: _Edges) -> Diagram:
-    """Tangles in a polyhedron: ``8*2:.20``; a missing tangle is 1; ``:`` stands for ``.1.``.
+    """Return the diagram of tangles in a polyhedron, such as ``8*2:.20``.
 
-    Without a polyhedron's name it is 6*, or with a leading dot Conway's other lettering, 6**.
+    A missing tangle is 1; ``:`` stands for ``.1.``.
+
+    Without the name of a polyhedron it is 6*, or, with a leading dot, Conway's other lettering 6**.
     """
     name, star, rest = text.rpartition("*")
     if not star:

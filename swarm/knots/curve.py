@@ -1,9 +1,9 @@
 """The signed Gauss code of a polygonal curve's plan view, seen from above (from +z).
 
-The comparison of this code with a diagram's is exact, and the flight certificate rests on it, so
-nothing is rounded silently: where floating point cannot tell on which side of a strand a point
-lies, the plan is shifted by less than anything physical, several ways, and the code counts only if
-all of them agree.
+The flight certificate depends on the exact comparison of this code with the code of a diagram.
+Therefore no rounding is silent: where floating point cannot determine on which side of a strand a
+point lies, the plan is shifted several ways, by less than any physical length, and the code is
+valid only if all results agree.
 """
 
 from dataclasses import dataclass, replace
@@ -19,14 +19,14 @@ NUDGE = 1e-9
 """Largest shift of a point in a degenerate plan view, as a share of the curve's extent."""
 
 REPEATED = 1e-12
-"""Points that follow each other within this share of the curve's extent are one point."""
+"""Consecutive points closer than this share of the curve's extent are one point."""
 
 _SHIFTS = 2
 _TIE = 1e-11
-"""Crossings closer to each other than this share of a segment have no certain order."""
+"""The order of crossings closer than this share of a segment is undetermined."""
 
 _AT_ONCE = 2_000_000
-"""Pairs of segments looked at together: bounds the memory that a long curve takes."""
+"""Pairs of segments per batch: bounds the memory for a long curve."""
 
 _ROUNDING = 4e-16
 """Shewchuk's bound for the orientation test, 3.33e-16, rounded up."""
@@ -34,11 +34,12 @@ _ROUNDING = 4e-16
 
 @dataclass(frozen=True)
 class _View:
-    """The plan view of a curve: its corners in plan, and the heights at both ends of segments.
+    """The plan view of a curve: its corners in plan, and the heights of its segments' ends.
 
     Corners are (n, 2), the heights (n,): segment k runs from corner k to k + 1 and from ``start``
-    to ``end``. Plumb segments are left out, so ``end`` of one and ``start`` of the next may differ.
-    ``tilt`` is how far the view leans, in plan lengths per height.
+    to ``end``. Vertical segments are omitted, so ``end`` of one and ``start`` of the next may
+    differ.
+    ``tilt`` is the lean of the view, plan length per height.
     """
 
     corners: Points
@@ -52,11 +53,11 @@ class _View:
 def curve_gauss(
     points: Points, *, closed: bool = False, tilt: tuple[float, float] = (0.0, 0.0)
 ) -> SignedGauss:
-    """Signed Gauss code of a curve's plan view, seen from above.
+    """Return the signed Gauss code of a curve's plan view, seen from above.
 
     ``points`` is (n, 3); consecutive points are joined by straight lines, and the last to the first
     if ``closed``. With a ``tilt`` the view leans: plan = (x, y) + tilt · z. Degenerate views (a
-    vertex on another strand, repeated points, plumb segments) are read as the view of any curve
+    vertex on another strand, repeated points, vertical segments) are read as the view of any curve
     within ``NUDGE`` × extent of it.
 
     Raises KnotError where those differ (strands on top of each other over a length, a strand that
@@ -92,7 +93,7 @@ def _view(curve: Points, closed: bool, tilt: tuple[float, float]) -> _View:
     extent = float(np.max(np.ptp(np.hstack([plan, curve]), axis=0)))
     moved = np.max(np.abs(plan - np.roll(plan, 1, axis=0)), axis=1) > REPEATED * extent
     if closed and moved.any():
-        # Begin at a corner, not in the middle of a plumb line.
+        # Start at a corner, not inside a vertical line.
         first = int(np.argmax(moved))
         plan, curve = np.roll(plan, -first, axis=0), np.roll(curve, -first, axis=0)
         moved = np.roll(moved, -first)
@@ -104,7 +105,7 @@ def _view(curve: Points, closed: bool, tilt: tuple[float, float]) -> _View:
 
 
 def validated_curve(points: Points, *, closed: bool) -> Points:
-    """The curve without repeated points. Raises KnotError for a wrong shape or numbers."""
+    """Return the curve without repeated points. Raises KnotError for an invalid shape or value."""
     curve: Points = np.asarray(points, dtype=np.float64)
     if curve.ndim != 2 or curve.shape[1] != 3:
         raise KnotError(f"a curve is an (n, 3) array, got shape {curve.shape}")
@@ -123,9 +124,9 @@ def validated_curve(points: Points, *, closed: bool) -> Points:
 
 
 def overlapping_segments(corners: Points, *, closed: bool, margin: float) -> NDArray[np.int64]:
-    """Pairs (k, 2) of segments, not neighbours, whose boxes overlap, of corners (n, d).
+    """Return pairs (k, 2) of non-neighbouring segments of corners (n, d) whose boxes overlap.
 
-    Each box is ``margin`` larger, on every side, than its segment.
+    Each box is larger than its segment by ``margin`` on every side.
     """
     start = corners
     end = np.roll(start, -1, axis=0)
@@ -158,7 +159,7 @@ def overlapping_segments(corners: Points, *, closed: bool, margin: float) -> NDA
 
 
 def _sides(a: Points, b: Points, c: Points) -> tuple[Points, NDArray[np.bool_]]:
-    """Twice the signed area of each plan triangle, and whether its sign is certain."""
+    """Return twice the signed area of each plan triangle, and whether its sign is certain."""
     left = (a[:, 0] - c[:, 0]) * (b[:, 1] - c[:, 1])
     right = (a[:, 1] - c[:, 1]) * (b[:, 0] - c[:, 0])
     area = left - right
@@ -166,7 +167,7 @@ def _sides(a: Points, b: Points, c: Points) -> tuple[Points, NDArray[np.bool_]]:
 
 
 def _code(view: _View, pairs: NDArray[np.int64]) -> SignedGauss | None:
-    """The code, or None where floating point cannot decide it."""
+    """Return the code, or None where floating point cannot determine it."""
     after = np.roll(view.corners, -1, axis=0)
     a, b = view.corners[pairs[:, 0]], after[pairs[:, 0]]
     c, d = view.corners[pairs[:, 1]], after[pairs[:, 1]]

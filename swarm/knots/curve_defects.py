@@ -1,4 +1,4 @@
-"""Why a curve in space is that of no knot: too few points, or strands that meet."""
+"""Defects of a curve in space for which it has no knot: too few points, or strands that meet."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,12 +11,12 @@ from swarm.knots.gauss import KnotError
 
 LARGEST_EXTENT: Final = 1e100
 SMALLEST_EXTENT: Final = 1e-100
-"""Extents of a curve whose products neither overflow nor vanish."""
+"""Extents of a curve between which products neither overflow nor underflow."""
 
 
 @dataclass(frozen=True)
 class CurveDefect:
-    """What is wrong with a curve, and at which of its points, counted from 0."""
+    """A defect of a curve, with its points, counted from 0."""
 
     points: tuple[int, ...]
     message: str
@@ -29,11 +29,11 @@ class CurveDefect:
 
 
 def find_defect(points: Points, *, closed: bool) -> CurveDefect | None:
-    """Why a curve (n, 3) of finite points has no knot, or None where it has one.
+    """Return why a curve (n, 3) of finite points has no knot, or None where it has one.
 
-    Points that follow each other in the same place count once. Strands meet where they come within
-    ``REPEATED`` × the curve's extent of each other, which is as exact as numbers are. Whether an
-    open curve meets what closes it is not looked at.
+    Consecutive points in the same place count once. Strands meet where their distance is at most
+    ``REPEATED`` × the curve's extent, the limit of floating point. Whether an open curve meets its
+    closure is not checked.
     """
     with np.errstate(over="ignore"):
         extent = float(np.max(np.ptp(points, axis=0)))
@@ -43,13 +43,13 @@ def find_defect(points: Points, *, closed: bool) -> CurveDefect | None:
     kept = _kept(points, REPEATED * extent, closed)
     if len(kept) < 3:
         return CurveDefect((), f"expected at least 3 different points, got {len(kept)}")
-    # From 0 to 1, so that no product of theirs overflows or vanishes.
+    # Scaled to 0…1, so that no product overflows or underflows.
     curve = (points[kept] - points[kept].min(axis=0)) / extent
-    return _turned_back(curve, kept, closed) or _met(curve, kept, closed)
+    return _backward_step(curve, kept, closed) or _meeting_segments(curve, kept, closed)
 
 
 def _kept(points: Points, same: float, closed: bool) -> NDArray[np.int64]:
-    """The points that are not in the place of the one before them."""
+    """Return the indices of the points that differ from the point before."""
     steps = np.max(np.abs(np.diff(points, axis=0)), axis=1)
     kept = np.flatnonzero(np.concatenate([[True], steps > same])[: len(points)])
     if closed and len(kept) > 1 and np.max(np.abs(points[kept[-1]] - points[kept[0]])) <= same:
@@ -57,8 +57,8 @@ def _kept(points: Points, same: float, closed: bool) -> NDArray[np.int64]:
     return kept
 
 
-def _turned_back(curve: Points, kept: NDArray[np.int64], closed: bool) -> CurveDefect | None:
-    """Where a curve goes back along the segment that it has just come along."""
+def _backward_step(curve: Points, kept: NDArray[np.int64], closed: bool) -> CurveDefect | None:
+    """Return the first point after which a curve runs back along its last segment."""
     come = curve - np.roll(curve, 1, axis=0)
     go = np.roll(curve, -1, axis=0) - curve
     aside = np.linalg.norm(np.cross(come, go), axis=1)
@@ -72,12 +72,12 @@ def _turned_back(curve: Points, kept: NDArray[np.int64], closed: bool) -> CurveD
     return CurveDefect((int(kept[at[0]]),), "the curve goes back along itself from here")
 
 
-def _met(curve: Points, kept: NDArray[np.int64], closed: bool) -> CurveDefect | None:
-    """Where two segments that do not follow each other meet."""
+def _meeting_segments(curve: Points, kept: NDArray[np.int64], closed: bool) -> CurveDefect | None:
+    """Return the first two segments that meet and are not neighbours."""
     start, end = curve, np.roll(curve, -1, axis=0)
     pairs = overlapping_segments(curve, closed=closed, margin=REPEATED)
     first, second = pairs.T
-    gap = _gap(start[first], end[first], start[second], end[second])
+    gap = _distances(start[first], end[first], start[second], end[second])
     at = np.flatnonzero(gap <= REPEATED)
     if not len(at):
         return None
@@ -85,8 +85,8 @@ def _met(curve: Points, kept: NDArray[np.int64], closed: bool) -> CurveDefect | 
     return CurveDefect((one, two), "the segments of the curve that begin here meet")
 
 
-def _gap(a: Points, b: Points, c: Points, d: Points) -> NDArray[np.float64]:
-    """Distances (n,) between segments from a to b and from c to d, each (n, 3), none of length 0.
+def _distances(a: Points, b: Points, c: Points, d: Points) -> NDArray[np.float64]:
+    """Return distances (n,) between segments a–b and c–d, each (n, 3), none of length 0.
 
     After Ericson, Real-Time Collision Detection, 2005, 5.1.9.
     """
@@ -96,7 +96,7 @@ def _gap(a: Points, b: Points, c: Points, d: Points) -> NDArray[np.float64]:
     area = own * other - shared**2
     with np.errstate(divide="ignore", invalid="ignore"):
         s = np.where(area > 0.0, (shared * on_two - on_one * other) / area, 0.0)
-    s = np.clip(s, 0.0, 1.0)  # any s will do where they are parallel
+    s = np.clip(s, 0.0, 1.0)  # where they are parallel, any s is valid
     t = np.clip((shared * s + on_two) / other, 0.0, 1.0)
     s = np.clip((shared * t - on_one) / own, 0.0, 1.0)
     apart = between + s[:, None] * one - t[:, None] * two

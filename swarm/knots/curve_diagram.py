@@ -7,11 +7,11 @@ from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import KnotError, SignedGauss
 
 _TILTS = ((0.0137, 0.0071), (-0.0523, 0.0911), (0.313, -0.177), (-1.37, -0.853), (7.1, 3.3))
-"""How far the directions of view lean from straight above; none is special to any grid."""
+"""Leans of the directions of view from straight above; none is aligned with a grid."""
 
 
 def curve_diagram(points: Points, *, closed: bool = False) -> Diagram:
-    """A diagram of a curve's knot; an open curve is closed straight up, above itself.
+    """Return a diagram of a curve's knot; an open curve is closed far above itself.
 
     Raises KnotError where the curve meets itself.
     """
@@ -31,7 +31,7 @@ def curve_diagram(points: Points, *, closed: bool = False) -> Diagram:
 
 
 def close_upward(curve: Points) -> Points:
-    """An open curve with both ends taken straight up and joined far above it."""
+    """Return an open curve with both ends extended straight up and joined far above it."""
     top = float(np.max(curve[:, 2]) + np.max(np.ptp(curve, axis=0)) + 1.0)
     up = np.array([[0.0, 0.0, 1.0]])
     ends = curve[[-1, 0]] + up * (top - curve[[-1, 0], 2:])

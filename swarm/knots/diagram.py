@@ -1,9 +1,8 @@
 """Planar diagrams of knots: Gauss, DT and PD codes in and out, realisability, mirror images.
 
-A :class:`Diagram` is a closed signed Gauss code of genus 0, that is, one that a curve in the plane
-(or on the sphere) has. Codes that leave the crossing signs open are turned into all the diagrams
-that they can mean: a prime code means two, mirror images of each other; every further summand
-doubles them.
+A :class:`Diagram` is a closed signed Gauss code of genus 0, the code of a curve in the plane (or on
+the sphere). Codes without crossing signs give all diagrams that they can mean: a prime code means
+two, mirror images of each other; every further summand doubles their number.
 """
 
 import itertools
@@ -32,6 +31,7 @@ __all__ = [
 ]
 
 MAX_REALISATIONS = 64
+"""Largest number of diagrams of a code without signs."""
 
 
 @dataclass(frozen=True)
@@ -58,24 +58,24 @@ class Diagram:
 
     @property
     def alternating(self) -> bool:
-        """Whether over and under passes take turns all along."""
+        """Whether over and under passes alternate."""
         levels = [over for _, over, _ in self.code.passes]
         return all(one != two for one, two in itertools.pairwise(levels))
 
     @cached_property
     def faces(self) -> tuple[tuple[int, ...], ...]:
-        """Faces, each as the half edges that have it on their left (``2·edge + backward``).
+        """Faces, each as the half edges with the face on their left (``2·edge + backward``).
 
-        Edge k runs from pass k to the next pass. One crossing-free circle has two faces.
+        Edge k runs from pass k to the next pass. A circle without crossings has two faces.
         """
         return faces(self.code)
 
     def mirrored(self) -> "Diagram":
-        """The mirror image."""
+        """Return the mirror image."""
         return Diagram(self.code.mirrored())
 
     def pd(self) -> tuple[tuple[int, int, int, int], ...]:
-        """Planar diagram code: per crossing its edges, counterclockwise from the incoming under.
+        """Return the planar diagram code: edges per crossing, counterclockwise from incoming under.
 
         Edges are numbered 1…2n along the knot (KnotTheory's convention, also KnotInfo's).
         """
@@ -94,10 +94,10 @@ class Diagram:
         return tuple(rows)
 
     def dt(self) -> tuple[int, ...]:
-        """Dowker–Thistlethwaite code: for odd 1, 3, … the even number at the same crossing.
+        """Return the Dowker–Thistlethwaite code: per odd 1, 3, … the even number at its crossing.
 
-        An even number is negative where its pass and the code's first pass are alike (both over or
-        both under); an alternating diagram has one sign only. The mirror image has the same code.
+        An even number is negative where its pass is like the code's first pass (both over or both
+        under); an alternating diagram has one sign only. The mirror image has the same code.
         """
         partner = partners(self.code)
         if not partner:
@@ -110,7 +110,7 @@ class Diagram:
 
 
 def partners(code: SignedGauss) -> list[int]:
-    """Position of the other pass of each pass's crossing."""
+    """Return for each pass the position of the other pass of its crossing."""
     where: dict[int, int] = {}
     partner = [0] * len(code.passes)
     for position, (label, _, _) in enumerate(code.passes):
@@ -121,7 +121,7 @@ def partners(code: SignedGauss) -> list[int]:
 
 
 def faces(code: SignedGauss) -> tuple[tuple[int, ...], ...]:
-    """Faces of the surface that a closed code is drawn on (see :attr:`Diagram.faces`)."""
+    """Return the faces of the surface of a closed code (see :attr:`Diagram.faces`)."""
     count = len(code.passes)
     if not count:
         return ((0,), (1,))
@@ -150,13 +150,13 @@ def faces(code: SignedGauss) -> tuple[tuple[int, ...], ...]:
 
 
 def realisations(passes: Sequence[tuple[int, bool]]) -> tuple[Diagram, ...]:
-    """All diagrams on the sphere that a Gauss code without signs can mean.
+    """Return all diagrams on the sphere that a Gauss code without signs can mean.
 
     A prime code has two, mirror images; a code made of k indecomposable parts has 2^k. The signs
     follow from which pairs of crossings interlace (Cairns and Elton 1993, "The planarity problem
     for signed Gauss words"). The first diagram's first crossing is positive.
 
-    Raises KnotError for wrong labels, or where no plane curve has the code.
+    Raises KnotError for invalid labels, or where no plane curve has the code.
     """
     listed = tuple(passes)
     plain = SignedGauss.of(((k, over, 1) for k, over in listed), closed=True)
@@ -180,7 +180,8 @@ def realisations(passes: Sequence[tuple[int, bool]]) -> tuple[Diagram, ...]:
     parts = int(part.max()) + 1
     if 2**parts > MAX_REALISATIONS:
         raise KnotError(
-            f"the Gauss code consists of {parts} parts, each of either hand: give crossing signs"
+            f"the Gauss code consists of {parts} parts, each of either chirality: "
+            "give crossing signs"
         )
     found = []
     for flips in itertools.product((1, -1), repeat=parts):
@@ -197,7 +198,7 @@ def realisations(passes: Sequence[tuple[int, bool]]) -> tuple[Diagram, ...]:
 
 
 def _turns(ends: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
-    """Direction in which each chord's second pass crosses its first, and the chord's part.
+    """Return the direction in which each chord's second pass crosses its first, and its part.
 
     ``ends`` is (n, 2), positions of the two passes. +1 means from right to left.
     """
@@ -231,7 +232,7 @@ def _turns(ends: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
 
 
 def diagrams_of_gauss(text: str | ParsedGauss) -> tuple[Diagram, ...]:
-    """All diagrams that a written Gauss code can mean; one if it gives signs."""
+    """Return all diagrams that a written Gauss code can mean; one if it has signs."""
     read = parse_gauss(text) if isinstance(text, str) else text
     signed = read.signed()
     return realisations(read.passes) if signed is None else (Diagram(signed),)
@@ -262,10 +263,10 @@ def diagrams_of_dt(dt: Sequence[int]) -> tuple[Diagram, ...]:
 
 
 def diagram_of_pd(pd: Iterable[Sequence[int]]) -> Diagram:
-    """The diagram of a planar diagram code (KnotTheory's convention).
+    """Return the diagram of a planar diagram code (KnotTheory's convention).
 
     Each crossing lists its four edges counterclockwise from an under edge; edges may have any
-    numbers. Raises KnotError for wrong entries, a link, or a code that no plane curve has.
+    numbers. Raises KnotError for invalid entries, a link, or a code that no plane curve has.
     """
     rows = [tuple(row) for row in pd]
     if not rows:

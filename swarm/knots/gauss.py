@@ -1,9 +1,9 @@
-"""Signed Gauss codes, the texts they are written in, and comparing two of them exactly.
+"""Signed Gauss codes, their notations, and the exact comparison of two codes.
 
-A cable that is seen from above meets itself at crossings. Walking along it, each crossing is passed
-twice, once over and once under. A *signed Gauss code* lists these passes in order, and says for
-each crossing whether it is positive (over direction × under direction points up, right-handed) or
-negative. It fixes a closed diagram up to isotopy of the sphere, and an open one likewise.
+The plan view of a cable has crossings. A walk along the cable passes each crossing twice, once over
+and once under. A *signed Gauss code* lists these passes in order, with the sign of each crossing:
+positive (over direction × under direction points up, right-handed) or negative. It determines a
+closed or open diagram up to isotopy of the sphere.
 """
 
 import re
@@ -15,14 +15,14 @@ from swarm.errors import InputError
 
 
 class KnotError(InputError):
-    """A code, grid, name or curve is not that of one knot, or does not say which."""
+    """A code, grid, name or curve describes no knot, a link, or more than one knot."""
 
 
 @dataclass(frozen=True)
 class SignedGauss:
     """Passes ``(crossing, over, sign)`` in order along the cable; crossings numbered from 1.
 
-    ``sign`` is +1 or −1. Crossings are numbered in the order in which they are first met.
+    ``sign`` is +1 or −1. Crossings are numbered in order of their first pass.
     """
 
     passes: tuple[tuple[int, bool, int], ...]
@@ -30,7 +30,7 @@ class SignedGauss:
 
     @staticmethod
     def of(passes: Iterable[tuple[int, bool, int]], *, closed: bool) -> "SignedGauss":
-        """Make a code from passes with any labels: they are renumbered in order of first meeting.
+        """Return the code of passes with any labels, renumbered in order of their first pass.
 
         Raises KnotError where a crossing is not passed exactly once over and once under.
         """
@@ -54,27 +54,27 @@ class SignedGauss:
         return sum(sign for _, _, sign in self.passes) // 2
 
     def mirrored(self) -> "SignedGauss":
-        """Seen in a mirror that lies beside the cable: same over and under, all signs changed."""
+        """Return the mirror image in a vertical mirror: same over and under, all signs changed."""
         return SignedGauss(tuple((k, over, -sign) for k, over, sign in self.passes), self.closed)
 
     def reversed(self) -> "SignedGauss":
-        """Walked from the other end. Signs do not change."""
+        """Return the code from the other end; signs do not change."""
         return _renumbered(self.passes[::-1], self.closed)
 
     def rotated(self, start: int) -> "SignedGauss":
-        """The same closed code, read from its pass number ``start`` on."""
+        """Return the same closed code from its pass number ``start`` on."""
         return _renumbered(self.passes[start:] + self.passes[:start], self.closed)
 
     def as_closed(self) -> "SignedGauss":
-        """An open code closed without further crossings (or far above everything)."""
+        """Return an open code closed without further crossings, or far above all strands."""
         return SignedGauss(self.passes, closed=True)
 
     def text(self) -> str:
-        """Over/under marks only, as in the paper: ``1- 2+ 3- 1+ 2- 3+`` (+ passes over)."""
+        """Return over and under marks, as in the paper: ``1- 2+ 3- 1+ 2- 3+`` (+ passes over)."""
         return " ".join(f"{label}{'+' if over else '-'}" for label, over, _ in self.passes)
 
     def signed_text(self) -> str:
-        """With signs: ``U1+ O2+ …``, each pass being O(ver) or U(nder), crossing, sign."""
+        """Return the code with signs, ``U1+ O2+ …``: O(ver) or U(nder), crossing, sign."""
         return " ".join(
             f"{'O' if over else 'U'}{label}{'+' if sign > 0 else '-'}"
             for label, over, sign in self.passes
@@ -89,10 +89,10 @@ def _renumbered(passes: Sequence[tuple[int, bool, int]], closed: bool) -> Signed
 
 
 def same_code(first: SignedGauss, second: SignedGauss, *, reverse: bool = False) -> bool:
-    """Whether two codes are the same diagram, up to the names of the crossings.
+    """Return whether two codes describe the same diagram, up to the labels of crossings.
 
-    Open codes must agree in order and direction from end to end, closed ones from some starting
-    point. With ``reverse`` the second one may also be walked the other way.
+    Open codes must agree in order and direction from end to end, closed codes from some starting
+    point. With ``reverse`` the second code may also run the other way.
     """
     if first.closed != second.closed or len(first.passes) != len(second.passes):
         return False
@@ -103,7 +103,7 @@ def same_code(first: SignedGauss, second: SignedGauss, *, reverse: bool = False)
 
 
 def check_labels(passes: Sequence[tuple[int, bool]]) -> None:
-    """Raise KnotError, naming every crossing that is not passed once over and once under."""
+    """Raise KnotError with every crossing that is not passed once over and once under."""
     wrong = []
     overs = Counter(label for label, over in passes if over)
     unders = Counter(label for label, over in passes if not over)
@@ -120,13 +120,13 @@ def check_labels(passes: Sequence[tuple[int, bool]]) -> None:
 
 @dataclass(frozen=True)
 class ParsedGauss:
-    """What a written Gauss code says: passes, and crossing signs where it gives them."""
+    """A parsed Gauss code: passes, and crossing signs where the text has them."""
 
     passes: tuple[tuple[int, bool], ...]
     signs: tuple[int, ...] | None
 
     def signed(self) -> SignedGauss | None:
-        """The signed code, if the text gave signs."""
+        """Return the signed code, or None where the text has no signs."""
         if self.signs is None:
             return None
         return SignedGauss.of(
@@ -142,11 +142,11 @@ _LINK = re.compile(r"[|/;]|\)\s*,?\s*\(|\}\s*,?\s*\{|\]\s*,?\s*\[")
 
 
 def parse_gauss(text: str) -> ParsedGauss:
-    """Read a Gauss code in one of three notations.
+    """Return the parsed Gauss code of a text in one of three notations.
 
     ``1- 2+ 3- 1+ 2- 3+`` is the paper's (+ passes over, − under); ``U1+ O2+ U3+ O1+ U2+ O3+`` also
     gives each crossing's sign; ``-1, 2, -3, 1, -2, 3`` is KnotInfo's (negative passes under).
-    Raises KnotError that names what is wrong: a token, a label, a second component, an empty code.
+    Raises KnotError for an invalid token or label, a second component, or an empty code.
     """
     if _LINK.search(text):
         parts = len([part for part in _LINK.split(text) if part.strip(" ,()[]{}")])

@@ -2,8 +2,8 @@
 
 A grid diagram of size N has one vertical edge in each of N columns and one horizontal edge in each
 of N rows; verticals pass over horizontals. Columns count from 1 at the left, rows from 1 at the
-bottom. Cromwell's moves (Cromwell 1995, "Embedding knots and links in an open book I") join any two
-grid diagrams of one knot, and none of them changes the knot.
+bottom. Cromwell's moves (Cromwell 1995, "Embedding knots and links in an open book I") connect any
+two grid diagrams of one knot, and preserve the knot.
 """
 
 from collections import Counter
@@ -22,7 +22,7 @@ Corner = tuple[int, int]
 class Grid:
     """A grid diagram of one knot: the (low, high) rows of each column's edge, left to right.
 
-    Raises KnotError that names every wrong column or row, or the number of components of a link.
+    Raises KnotError with every invalid column or row, or for a link.
     """
 
     columns: tuple[tuple[int, int], ...]
@@ -107,7 +107,7 @@ def _check(columns: tuple[tuple[int, int], ...]) -> None:
 
 
 def _walk(grid: Grid, column: int) -> tuple[Corner, ...]:
-    """Corners from a column's low end, up its edge, until the start is reached again."""
+    """Return the corners from a column's low end, up its edge, back to the start."""
     found: list[Corner] = []
     row = start = grid.columns[column - 1][0]
     first = column
@@ -121,7 +121,7 @@ def _walk(grid: Grid, column: int) -> tuple[Corner, ...]:
 
 
 def _path_code(corners: tuple[Corner, ...], *, closed: bool) -> SignedGauss:
-    """Signed Gauss code of a path whose edges are alternately vertical and horizontal."""
+    """Return the signed Gauss code of a path of alternating vertical and horizontal edges."""
     passes = []
     for segment, place, over, other, sign in _passes(corners, closed=closed):
         vertical, horizontal = (segment, other) if over else (other, segment)
@@ -134,7 +134,7 @@ def _path_code(corners: tuple[Corner, ...], *, closed: bool) -> SignedGauss:
 
 
 def _passes(corners: tuple[Corner, ...], *, closed: bool) -> list[tuple[int, int, bool, int, int]]:
-    """Per pass: segment, distance along it, whether it is on top, the other segment, the sign."""
+    """Return per pass: segment, distance along it, whether it passes over, other segment, sign."""
     ends = list(zip(corners, corners[1:] + corners[:1], strict=True))
     if not closed:
         ends.pop()
@@ -154,12 +154,12 @@ def _passes(corners: tuple[Corner, ...], *, closed: bool) -> list[tuple[int, int
 
 
 def opening_gauss(opened: OpenGrid) -> SignedGauss:
-    """The signed Gauss code of an opened grid diagram, from its first corner to its last."""
+    """Return the signed Gauss code of an opened grid diagram, from first to last corner."""
     return _path_code(opened.corners, closed=False)
 
 
 def grid_of_columns(columns: object) -> Grid:
-    """A grid from nested lists, row pairs in either order, as written in a mission file."""
+    """Return the grid of nested lists of row pairs, in either order, as in a mission file."""
     if not isinstance(columns, list | tuple):
         raise KnotError(f"a grid is a list of row pairs, one per column, got {columns!r}")
     pairs = []
@@ -174,33 +174,27 @@ def grid_of_columns(columns: object) -> Grid:
     return Grid(tuple(pairs))
 
 
-# Symmetries
-
-
 def mirrored(grid: Grid) -> Grid:
-    """The mirror image: columns from right to left, verticals still over."""
+    """Return the mirror image: columns from right to left, verticals still over."""
     return Grid(grid.columns[::-1])
 
 
 def turned(grid: Grid) -> Grid:
-    """Turned by 180° in its plane: the same knot."""
+    """Return the grid rotated by 180° in its plane: the same knot."""
     size = grid.size
     return Grid(tuple((size + 1 - high, size + 1 - low) for low, high in grid.columns[::-1]))
 
 
 def transposed(grid: Grid) -> Grid:
-    """Seen from below along the diagonal: rows become columns and still verticals pass over.
+    """Return the grid of the same knot with rows and columns exchanged.
 
-    Reflecting in the diagonal mirrors the knot, exchanging over and under mirrors it back.
+    Reflecting in the diagonal mirrors the knot; exchanging over and under mirrors it back.
     """
     return Grid(grid.rows)
 
 
-# Cromwell's moves. Columns and rows are counted from 1.
-
-
 def translated(grid: Grid, columns: int, rows: int) -> Grid:
-    """Shifted to the right and up on the torus: what leaves at one side comes in at the other."""
+    """Return the grid shifted to the right and up on the torus (a move of Cromwell's)."""
     size = grid.size
     start = -columns % size
     shifted = grid.columns[start:] + grid.columns[:start]
@@ -208,9 +202,9 @@ def translated(grid: Grid, columns: int, rows: int) -> Grid:
 
 
 def commuted(grid: Grid, column: int) -> Grid:
-    """Columns ``column`` and ``column + 1`` exchanged (the last one with the first).
+    """Return the grid with columns ``column`` and ``column + 1`` (cyclic) exchanged.
 
-    Raises KnotError if their edges interleave or share a row, because that would change the knot.
+    Raises KnotError if their edges interleave or share a row, which would change the knot.
     """
     first, second = column - 1, column % grid.size
     if not 1 <= column <= grid.size or first == second:
@@ -224,15 +218,15 @@ def commuted(grid: Grid, column: int) -> Grid:
 
 
 def interleaved(one: tuple[int, int], two: tuple[int, int]) -> bool:
-    """Whether two pairs interleave on a circle, or share an end."""
+    """Return whether two pairs interleave on a circle, or share an end."""
     return (one[0] <= two[0] <= one[1]) != (one[0] <= two[1] <= one[1]) or bool({*one} & {*two})
 
 
 def stabilised(grid: Grid, column: int, *, high: bool, right: bool, above: bool) -> Grid:
-    """One column and one row more, at the low or high end of a column.
+    """Return the grid with one column and one row more, at the low or high end of a column.
 
-    That end moves to a corner of a new unit step: a new column of length 1 to the ``right`` or
-    left of it, whose far end (``above`` or below) takes over the row's edge.
+    That end moves to a corner of a new unit step: a new column of length 1 to the ``right`` or left
+    of it, whose far end (``above`` or below) becomes the end of the row's edge.
     """
     if not 1 <= column <= grid.size:
         raise KnotError(f"there is no column {column} in a grid of size {grid.size}")
@@ -250,9 +244,9 @@ def stabilised(grid: Grid, column: int, *, high: bool, right: bool, above: bool)
 
 
 def destabilised(grid: Grid, column: int) -> Grid:
-    """Without a column of length 1 (also across the border), its two rows merged into one.
+    """Return the grid without a column of length 1 (also across the border), its rows merged.
 
-    Raises KnotError where the column is longer, or the grid too small.
+    Raises KnotError for a longer column or a grid of size 2.
     """
     if not 1 <= column <= grid.size:
         raise KnotError(f"there is no column {column} in a grid of size {grid.size}")
@@ -270,16 +264,13 @@ def _pair(one: int, two: int) -> tuple[int, int]:
     return (one, two) if one < two else (two, one)
 
 
-# Openings
-
-
 def openings(grid: Grid, *, limit: int | None = None) -> tuple[OpenGrid, ...]:
-    """All ways to open a grid diagram for a cable, best first.
+    """Return all openings of a grid diagram for a cable, best first, at most ``limit``.
 
-    Any of the 2N corners may be taken out, after any translation on the torus and a reflection in
-    the diagonal that both keep the knot, if both its edges are free of crossings; the rest is
-    walked in either direction. Order: fewest crossings, then least total edge length, then a fixed
-    order. ``limit`` keeps only the first so many.
+    An opening removes one of the 2N corners whose two edges have no crossings, after any
+    translation on the torus and a reflection in the diagonal (both preserve the knot), and walks
+    the rest in either direction. Order: fewest crossings, then least total edge length, then a
+    fixed order.
     """
     bases = (grid, transposed(grid))
     found = np.concatenate([_free_corners(base, flip) for flip, base in enumerate(bases)])
@@ -293,7 +284,7 @@ def openings(grid: Grid, *, limit: int | None = None) -> tuple[OpenGrid, ...]:
 
 
 def best_opening(grid: Grid) -> tuple[int, int] | None:
-    """Crossings and total edge length of the best opening; None if there is no opening."""
+    """Return crossings and total edge length of the best opening; None without an opening."""
     found = _free_corners(grid, 0)
     return (
         min((crossings, length) for crossings, length in found[:, :2].tolist())
@@ -303,10 +294,10 @@ def best_opening(grid: Grid) -> tuple[int, int] | None:
 
 
 def _free_corners(grid: Grid, flip: int) -> NDArray[np.int64]:
-    """Corners with crossing-free edges, after every translation.
+    """Return the corners with crossing-free edges, after every translation.
 
-    Rows of (crossings, length of the other edges, columns and rows moved by, the corner's column
-    and row, ``flip``).
+    Rows of (crossings, length of the other edges, translation in columns and rows, column and row
+    of the corner, ``flip``).
     """
     size = grid.size
     columns, rows = np.array(grid.columns) - 1, np.array(grid.rows) - 1
@@ -336,7 +327,7 @@ def _free_corners(grid: Grid, flip: int) -> NDArray[np.int64]:
 
 
 def _opened(grid: Grid, corner: Corner) -> list[OpenGrid]:
-    """The diagram without one corner, walked in both directions."""
+    """Return the openings at one corner, in both directions."""
     at = grid.corners.index(corner)
     path = grid.corners[at + 1 :] + grid.corners[:at]
     return [

@@ -1,14 +1,14 @@
-"""From a planar diagram to a grid diagram of the same knot, directly.
+"""The direct construction of a grid diagram from a planar diagram of the same knot.
 
-The diagram is drawn upward, as if it were being knitted: the strands that are not finished hang
-over the top edge in some order from left to right, and crossings are added one after another. Each
-strand is a vertical line. A crossing costs one or two horizontal edges, because the upper strand
-runs straight on while the lower one steps across beneath it; loose ends of one edge that have
-become neighbours are joined by another. Every horizontal edge gets a row of its own.
+The diagram is drawn upward, row by row. Unfinished strands end at the top, in an order from left to
+right, and crossings are added one after another. Each strand is a vertical line. A crossing adds
+one or two horizontal edges: the upper strand continues straight, and the lower one steps across
+beneath it. Two neighbouring ends of the same edge are joined by another horizontal edge. Every
+horizontal edge has a row of its own.
 
-What is drawn is a disc of the sphere, so its loose ends have a cyclic order: the strand at the far
-left is also a neighbour of the one at the far right. Turning that order is a translation of the
-grid on the torus.
+The drawn part is a disc of the sphere, so its loose ends have a cyclic order: the first strand on
+the left is also a neighbour of the last one on the right. A rotation of that order is a translation
+of the grid on the torus.
 """
 
 from swarm.knots.diagram import Diagram
@@ -19,7 +19,7 @@ UNKNOT = Grid(((1, 2), (1, 2)))
 
 
 def grid_of_diagram(diagram: Diagram) -> Grid:
-    """A grid diagram of the diagram's knot; its size is about the number of crossings plus 2."""
+    """Return a grid diagram of a diagram's knot, of a size near the number of crossings + 2."""
     diagram = without_nugatory(diagram)
     if diagram.crossings == 0:
         return UNKNOT
@@ -44,10 +44,10 @@ _Row = tuple[int, int, int, int]
 
 
 def _next(waiting: list[_Row], edges: list[int]) -> tuple[_Row, int, int]:
-    """A crossing whose loose edges lie side by side: its row, the first slot, their place.
+    """Return a crossing with adjacent loose edges: its row, the first slot, their place.
 
-    Counterclockwise round the crossing from that slot, these edges come from below, left to right.
-    Most edges first, because those crossings close what is open.
+    Counterclockwise around the crossing from that slot, these edges come from below, left to right.
+    Crossings with the most loose edges come first.
     """
     best: tuple[int, _Row, int, int] | None = None
     for row in waiting:
@@ -60,7 +60,7 @@ def _next(waiting: list[_Row], edges: list[int]) -> tuple[_Row, int, int]:
                 best = (loose, row, turn, edges.index(run[0]))
                 break
     if best is None:
-        raise AssertionError("a diagram without nugatory crossings always has one")
+        raise AssertionError("a diagram without nugatory crossings always has such a crossing")
     return best[1:]
 
 
@@ -70,7 +70,7 @@ def _turned(row: _Row, turn: int) -> _Row:
 
 
 class _Drawing:
-    """Loose strands from left to right, and all columns from left to right with their rows."""
+    """The unfinished grid: loose strands and all columns with their rows, from left to right."""
 
     def __init__(self) -> None:
         self.edges: list[int] = []
@@ -80,13 +80,13 @@ class _Drawing:
         self.row = 0
 
     def _column(self, place: int) -> int:
-        """A new column at a place in the order from left to right, starting at this row."""
+        """Add a column at a place in the order from left to right, from this row on; return it."""
         self.ends.append([self.row])
         self.order.insert(place, len(self.ends) - 1)
         return len(self.ends) - 1
 
     def start(self, row: _Row) -> None:
-        """The first crossing: two cups, the lower one with the straight upper strand."""
+        """Draw the first crossing: two cups, the lower one with the straight upper strand."""
         under_in, over_a, under_out, over_b = row
         self.row += 1
         left, right = self._column(0), self._column(1)
@@ -96,9 +96,9 @@ class _Drawing:
         self.edges = [over_b, under_out, over_a, under_in]
 
     def add(self, row: _Row, *, over_first: bool, at: int) -> None:
-        """One crossing; its edges counterclockwise, those that are loose first, from place ``at``.
+        """Draw a crossing, its edges counterclockwise, first the loose ones from place ``at``.
 
-        ``over_first`` says whether the first and third edges are the upper strand.
+        ``over_first`` states whether the first and third edges are the upper strand.
         """
         loose = sum(edge in self.edges for edge in row)
         add = (self._one, self._two, self._three, self._four)[loose - 1]
@@ -109,7 +109,7 @@ class _Drawing:
         self.loose[at : at + count] = columns
 
     def _step(self, at: int, *, to_right: bool) -> int:
-        """The strand at a place steps across its neighbour, below it, into a new column."""
+        """Move the strand at a place under its neighbour into a new column; return the column."""
         self.row += 1
         own, neighbour = self.loose[at], self.loose[at + (1 if to_right else -1)]
         self.ends[own].append(self.row)
@@ -168,13 +168,13 @@ class _Drawing:
         self._replace(at, 4, [], [])
 
     def _join(self, one: int, two: int) -> None:
-        """A cap: one horizontal edge that ends two columns."""
+        """Draw a cap: a horizontal edge that ends two columns."""
         self.row += 1
         self.ends[one].append(self.row)
         self.ends[two].append(self.row)
 
     def join_neighbours(self) -> None:
-        """Caps for loose ends of the same edge that lie side by side."""
+        """Draw caps for adjacent loose ends of the same edge."""
         place = 0
         while place + 1 < len(self.edges):
             if self.edges[place] == self.edges[place + 1]:
@@ -188,13 +188,13 @@ class _Drawing:
             self.join_neighbours()
 
     def turn(self, count: int) -> None:
-        """The first ``count`` loose strands become the last: a translation on the torus."""
+        """Make the first ``count`` loose strands the last: a translation on the torus."""
         place = self.order.index(self.loose[count - 1]) + 1
         self.order = self.order[place:] + self.order[:place]
         self.edges = self.edges[count:] + self.edges[:count]
         self.loose = self.loose[count:] + self.loose[:count]
 
     def grid(self) -> Grid:
-        """The finished grid diagram."""
+        """Return the finished grid diagram."""
         pairs = (sorted(self.ends[column]) for column in self.order)
         return Grid(tuple((low, high) for low, high in pairs))

@@ -1,4 +1,4 @@
-"""Grid diagrams that a cable would rather have: few crossings, short edges, as small as can be."""
+"""Reduction of grid diagrams to small size, few crossings and short edges."""
 
 import math
 from random import Random
@@ -19,11 +19,11 @@ def smallest_grid(
     moves: int = MOVES,
     fewest: int | None = None,
 ) -> Grid:
-    """A grid diagram of the same knot, as small as is found, with a good opening.
+    """Return the smallest grid diagram of the same knot that is found, with a good opening.
 
-    Commutations do not join all grids of one size, so several searches, with different random
-    numbers, lead to ``starts`` of them; each is annealed for ``steps``, and the best is taken.
-    Where ``fewest`` crossings are asked for, up to four times as many are looked at to reach them.
+    Commutations do not connect all grids of one size, so several searches with different seeds lead
+    to ``starts`` grids. Each is annealed for ``steps``; the result is the best of them. With
+    ``fewest`` crossings, up to four times as many are searched until that number is reached.
     """
     first = minimise_grid(grid, target=target, moves=moves)
     best = anneal(first, steps=steps)
@@ -37,9 +37,9 @@ def smallest_grid(
 
 
 def anneal(grid: Grid, *, steps: int, seed: int = 1) -> Grid:
-    """Among grids that commutations lead to, one whose best opening is good.
+    """Return a grid, connected by commutations, with a good best opening, by annealing.
 
-    Fewest crossings first, then least total edge length, by annealing.
+    Good means fewest crossings, then least total edge length.
     """
     walk = GridWalk(grid, seed)
     chance = Random(seed).random
@@ -62,7 +62,7 @@ def anneal(grid: Grid, *, steps: int, seed: int = 1) -> Grid:
 
 
 def _score(grid: Grid) -> float:
-    """Crossings of the best opening, and a little for its length (never as much as a crossing)."""
+    """Return the crossings of the best opening plus its scaled length, which is less than 1."""
     found = best_opening(grid)
     if found is None:
         return float(grid.size**2)

@@ -1,8 +1,8 @@
-"""Smaller grid diagrams of the same knot, by a walk through Cromwell's moves.
+"""Search for smaller grid diagrams of the same knot by a random walk of Cromwell's moves.
 
-Commutations at random, on the torus (so that translations come free); whenever an edge of length 1
-turns up, it is destabilised; when the walk has been stuck for long, it is stabilised somewhere.
-Deterministic: the walk's random numbers come from a seed.
+Commutations are random, on the torus (which includes translations). Every edge of length 1 is
+destabilised. After many moves without progress, the grid is stabilised at a random corner. The walk
+is deterministic for a seed.
 """
 
 from collections.abc import Iterator
@@ -11,16 +11,19 @@ from random import Random
 from swarm.knots.grid import Grid
 
 MOVES = 100_000
-"""Attempted moves before a search is given up: about a third of a second."""
+"""Attempted moves before a search ends: about a third of a second."""
 
 _PATIENCE = 100
+"""Moves without a smaller grid after which the grid is stabilised."""
+
 _APART = 5
+"""Commutations after a stabilisation before edges are destabilised again, per column."""
 
 
 def minimise_grid(grid: Grid, *, target: int = 2, moves: int = MOVES, seed: int = 1) -> Grid:
-    """The smallest grid diagram of the same knot that the walk meets.
+    """Return the smallest grid diagram of the same knot on the walk.
 
-    Contingencies early at size ``target``; otherwise after ``moves`` attempted moves.
+    The walk ends at size ``target`` or after ``moves`` attempted moves.
     """
     walk = GridWalk(grid, seed)
     walk.shrink()
@@ -39,14 +42,14 @@ def minimise_grid(grid: Grid, *, target: int = 2, moves: int = MOVES, seed: int 
             best, stuck = walk.grid(), 0
         stuck += 1
         if stuck % _PATIENCE == 0 and walk.size < best.size + 2:
-            # Unless the new edge first gets away from where it was put in, nothing is gained.
+            # The new edge must move away before the next destabilisation, which would undo it.
             walk.stabilise()
             free = _APART * walk.size
     return best
 
 
 def random_grids(grid: Grid, *, seed: int = 1, apart: int = 30) -> Iterator[Grid]:
-    """Endless grid diagrams of the same knot and size, some moves apart from each other."""
+    """Yield grid diagrams of the same knot and size, endlessly, ``apart`` moves between them."""
     walk = GridWalk(grid, seed)
     while True:
         for _ in range(apart):
@@ -55,7 +58,7 @@ def random_grids(grid: Grid, *, seed: int = 1, apart: int = 30) -> Iterator[Grid
 
 
 class GridWalk:
-    """A grid on the torus that is being rearranged: ends of columns and of rows, from 0."""
+    """A grid on the torus under random moves: ends of columns and of rows, from 0."""
 
     def __init__(self, grid: Grid, seed: int) -> None:
         self._set([(low - 1, high - 1) for low, high in grid.columns])
@@ -70,19 +73,19 @@ class GridWalk:
         self.sides = (columns, [(one, two) for one, two in rows])
 
     def state(self) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-        """What :meth:`restore` needs to come back to this grid."""
+        """Return the state for :meth:`restore`."""
         return list(self.sides[0]), list(self.sides[1])
 
     def restore(self, state: tuple[list[tuple[int, int]], list[tuple[int, int]]]) -> None:
-        """Back to an earlier grid of the same size."""
+        """Restore an earlier grid of the same size."""
         self.sides = state
 
     def grid(self) -> Grid:
-        """The current grid diagram."""
+        """Return the current grid diagram."""
         return Grid(tuple((a + 1, b + 1) if a < b else (b + 1, a + 1) for a, b in self.sides[0]))
 
     def commute(self) -> bool:
-        """Exchange two neighbouring columns or rows chosen at random, if that keeps the knot."""
+        """Exchange two random neighbouring columns or rows; False where that changes the knot."""
         pick = int(self.random() * 2 * self.size)
         side, here = divmod(pick, self.size)
         lines, cross = self.sides[side], self.sides[1 - side]
@@ -104,7 +107,7 @@ class GridWalk:
         return True
 
     def shrink(self) -> bool:
-        """Destabilise every edge of length 1. Tells whether there was one."""
+        """Destabilise every edge of length 1; return whether there was one."""
         found = False
         while self.size > 2:
             last = self.size - 1
@@ -137,7 +140,7 @@ class GridWalk:
             self.sides = (self.sides[1], self.sides[0])
 
     def stabilise(self) -> None:
-        """A new edge of length 1 at a corner chosen at random, in one of four ways."""
+        """Add an edge of length 1 at a random corner, in one of four ways."""
         side = int(self.random() * 2)
         place = int(self.random() * self.size)
         end = int(self.random() * 2)

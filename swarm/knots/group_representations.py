@@ -1,9 +1,9 @@
-"""Telling apart knots whose polynomials agree, by representations of their groups.
+"""Distinguishing knots with equal polynomials by representations of their groups.
 
-The knot group is mapped to SL(2, p) in all ways that take a fixed meridian m to a fixed matrix M.
-The longitude ℓ that belongs to m commutes with it, so its image is a + bM. How often each pair
-(a, b) occurs is an invariant of the knot. It does not depend on orientation, and the mirror image
-has (a + b·tr M, −b) instead: chirality shows.
+All homomorphisms of the knot group to SL(2, p) are counted that map a fixed meridian m to a fixed
+matrix M. The longitude ℓ of m commutes with m, so its image is a + bM. The number of occurrences of
+each pair (a, b) is an invariant of the knot. It does not depend on orientation. The mirror image
+has (a + b·tr M, −b) instead, so the invariant detects chirality.
 """
 
 import itertools
@@ -22,18 +22,16 @@ from swarm.knots.table import prime_knot
 
 Matrices = NDArray[np.int64]
 Signature = tuple[tuple[tuple[int, int], int], ...]
-"""Sorted ((a, b), how often)."""
+"""Sorted ((a, b), number of occurrences)."""
 
 REPRESENTATIONS = ((5, 2), (7, 2), (5, 0), (7, 0), (11, 2), (7, 3), (13, 2), (11, 0), (11, 3))
-"""(prime, trace of M), in the order in which they are tried: quick and telling ones first."""
-
-_MOST_SEEDS = 4
+"""(prime, trace of M), in order of use: fast and distinguishing ones first."""
 
 
 def matching_candidates(
     diagram: Diagram, candidates: Sequence[tuple[Factor, ...]]
 ) -> list[tuple[Factor, ...]]:
-    """Those of the candidates (sums of table knots) that the diagram can be, as far as told."""
+    """Return the candidates (sums of table knots) that the representations do not exclude."""
     left = list(candidates)
     for modulus, trace in REPRESENTATIONS:
         if len(left) < 2:
@@ -49,7 +47,7 @@ def _of_sum(factors: tuple[Factor, ...], modulus: int, trace: int) -> Signature:
 
 
 def sum_diagram(factors: Sequence[Factor]) -> Diagram:
-    """The table's diagrams of the factors, tied one after another."""
+    """Return the connected sum of the table's diagrams of the factors."""
     passes: list[tuple[int, bool, int]] = []
     for name, hand in factors:
         code = prime_knot(name).diagram.code
@@ -59,12 +57,12 @@ def sum_diagram(factors: Sequence[Factor]) -> Diagram:
 
 
 def longitude_counts(diagram: Diagram, modulus: int, trace: int) -> Signature:
-    """How often each longitude occurs among the representations in SL(2, modulus)."""
+    """Return how often each longitude occurs among the representations in SL(2, modulus)."""
     crossings = crossing_arcs(diagram.code)
     fixed = np.array([[0, -1], [1, trace]], dtype=np.int64) % modulus
     if not crossings:
         return (((1, 0), 1),)
-    seeds, steps = _plan(tuple(crossings))
+    seeds, steps = _generators(tuple(crossings))
     images = _seeded(seeds, _conjugates(modulus, trace), fixed)
     for arc, source, over, forward in steps:
         images[arc] = _conjugated(images[source], images[over], forward, modulus)
@@ -93,7 +91,7 @@ def _inverse(matrices: Matrices, modulus: int) -> Matrices:
 
 
 def _conjugated(image: Matrices, over: Matrices, forward: bool, modulus: int) -> Matrices:
-    """What an arc becomes when it passes under another: o⁻¹ u o, or o u o⁻¹ if not ``forward``."""
+    """Return the image of an arc after passing under another: o⁻¹ u o, or o u o⁻¹ backwards."""
     inverse = _inverse(over, modulus)
     left, right = (inverse, over) if forward else (over, inverse)
     return (left @ image % modulus) @ right % modulus
@@ -101,7 +99,7 @@ def _conjugated(image: Matrices, over: Matrices, forward: bool, modulus: int) ->
 
 @lru_cache(maxsize=32)
 def _conjugates(modulus: int, trace: int) -> Matrices:
-    """All matrices that are conjugate to [[0, −1], [1, trace]], (k, 2, 2)."""
+    """Return all matrices (k, 2, 2) conjugate to [[0, −1], [1, trace]]."""
     values = np.arange(modulus)
     a, b, c, d = (part.ravel() for part in np.meshgrid(values, values, values, values))
     special = (a * d - b * c) % modulus == 1
@@ -112,7 +110,7 @@ def _conjugates(modulus: int, trace: int) -> Matrices:
 
 
 def _seeded(seeds: Sequence[int], conjugates: Matrices, fixed: Matrices) -> dict[int, Matrices]:
-    """Every choice of images of the seeds, arc 0 always being the fixed matrix."""
+    """Return every choice of images of the seeds; the image of arc 0 is the fixed matrix."""
     others = [arc for arc in seeds if arc]
     count = len(conjugates)
     total = count ** len(others)
@@ -124,10 +122,10 @@ def _seeded(seeds: Sequence[int], conjugates: Matrices, fixed: Matrices) -> dict
 
 
 @lru_cache(maxsize=256)
-def _plan(
+def _generators(
     crossings: tuple[tuple[int, int, int, int], ...],
 ) -> tuple[tuple[int, ...], tuple[tuple[int, int, int, bool], ...]]:
-    """Few arcs, among them arc 0, whose images fix all others; and how each of those follows."""
+    """Return few arcs, including arc 0, that determine all others, and the steps to the others."""
     count = len(crossings)
     others = range(1, count)
     for size in range(count):
@@ -135,13 +133,13 @@ def _plan(
             steps = _steps(crossings, {0, *extra})
             if len(steps) + size + 1 == count:
                 return (0, *extra), tuple(steps)
-    raise AssertionError("all arcs together fix themselves")
+    raise AssertionError("all arcs together determine all arcs")
 
 
 def _steps(
     crossings: Sequence[tuple[int, int, int, int]], known: set[int]
 ) -> list[tuple[int, int, int, bool]]:
-    """(arc, from arc, over arc, forward), each from arcs that are known by then."""
+    """Return steps (arc, from arc, over arc, forward), each from arcs with known images."""
     steps: list[tuple[int, int, int, bool]] = []
     before = -1
     while len(steps) != before:

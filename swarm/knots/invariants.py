@@ -1,10 +1,9 @@
-"""Which knot is this? From a diagram or from a curve in space.
+"""Identification of the knot of a diagram or of a curve in space.
 
-The answer is sound, not only likely: a diagram is first made as small as it will go and split into
-its visible summands. A part with at most ten crossings can only be a knot of the table (or a sum
-of such), so the invariants need to tell only those apart, with chirality. A part that keeps more
-crossings might be any knot, so it stays ``unknown``, with the table's knots that share its
-invariants as candidates.
+The result is exact, not only likely. A diagram is first simplified and split into its visible
+summands. A part with at most ten crossings can only be a knot of the table or a sum of such knots,
+so the invariants have to distinguish only those, with chirality. A part with more crossings can be
+any knot: it is ``unknown``, and the table's knots with the same invariants are candidates.
 """
 
 import itertools
@@ -34,30 +33,31 @@ from swarm.knots.simplify import simplified
 from swarm.knots.table import Laurent, knot_table, prime_knot
 
 MAX_TABLE_CROSSINGS = 10
-"""Every knot with a diagram of this many crossings is in the table, or a sum of its knots."""
+"""Every knot with a diagram of at most so many crossings is in the table, or a sum of its knots."""
 
 MAX_SEARCHED_CROSSINGS = 64
-"""Parts that keep more crossings than this are not searched further, nor are their polynomials."""
+"""Parts with more crossings are not simplified further and have no polynomials."""
 
 _KICKS = 60
-_MOVES = 50_000
-_VIEWS = 60
+"""Reroutings of equal length in the simplification of a part with more than ten crossings."""
+
+_MOVES, _VIEWS = 50_000, 60
+"""Moves of the grid search for such a part, and grid diagrams of it that are simplified."""
 
 Sum = tuple[Factor, ...]
 
 
 @dataclass(frozen=True)
 class Identification:
-    """What a knot was found to be.
+    """The result of the identification of a knot.
 
     ``name`` is KnotInfo's name ("3_1", "0_1", sums as "3_1#m3_1") or "unknown". ``chirality`` is
-    "left", "right", or "none" for a knot that is its own mirror image, and for the unknot; of an
-    unknown knot it is what its Jones polynomial says, and "none" if that says nothing.
+    "left", "right", or "none" for the unknot and a knot that equals its mirror image; for an
+    unknown knot it follows from the Jones polynomial, and is "none" where that is symmetric.
     ``crossings`` is an upper bound of the crossing number.
-    ``candidates`` are the knots that agree with everything computed, with a leading m where the
-    left-handed one is meant; one if the knot is known. ``invariants`` holds "jones" and "alexander"
-    as {power: coefficient}, and "determinant"; None where a part keeps more than ``LARGEST``
-    crossings.
+    ``candidates`` are the knots that agree with all invariants, with a leading m for a left-handed
+    knot; one if the knot is known. ``invariants`` holds "jones" and "alexander" as {power:
+    coefficient}, and "determinant"; None where a part has more than ``MAX_SEARCHED_CROSSINGS``.
     """
 
     name: str
@@ -72,18 +72,18 @@ class Identification:
         return self.name != "unknown"
 
     def __str__(self) -> str:
-        """Name and chirality in words."""
+        """Return name and chirality in words."""
         hand = "" if self.chirality == "none" else f", {self.chirality}-handed"
         perhaps = "" if self.known else " or ".join(self.candidates)
         return f"{self.name}{hand}" + (f", perhaps {perhaps}" if perhaps else "")
 
 
 def identify_curve(points: Points, *, closed: bool = False) -> Identification:
-    """Name the knot of a curve (n, 3) in space; an open one is closed straight up, above itself.
+    """Return the knot of a curve (n, 3) in space; an open curve is closed far above itself.
 
-    Degenerate curves (collinear, axis-parallel, repeated points) are looked at from a direction in
-    which they are not. Raises KnotError where the curve meets itself, has fewer than 3 different
-    points, or is not a curve at all.
+    Degenerate views (collinear, axis-parallel, repeated points) are replaced by views from another
+    direction. Raises KnotError where the curve meets itself, has fewer than 3 different points, or
+    is not an (n, 3) array of finite numbers.
     """
     curve = validated_curve(points, closed=closed)
     wrong = find_defect(points, closed=closed)
@@ -93,7 +93,7 @@ def identify_curve(points: Points, *, closed: bool = False) -> Identification:
 
 
 def identify_diagram(diagram: Diagram) -> Identification:
-    """Name the knot of a diagram. Deterministic."""
+    """Return the knot of a diagram. Deterministic."""
     parts = minimal_summands(diagram)
     invariants = _report(parts)
     if invariants["jones"] is None:
@@ -116,10 +116,10 @@ def identify_diagram(diagram: Diagram) -> Identification:
 
 
 def minimal_summands(diagram: Diagram) -> tuple[Diagram, ...]:
-    """The visible summands of a diagram, each made as small as it will go.
+    """Return the visible summands of a diagram, each simplified.
 
-    Where a part keeps more than ten crossings, it is also redrawn as grid diagrams, which are
-    rearranged, in case another view of the knot is smaller.
+    A part with more than ten crossings is also drawn as random grid diagrams, whose diagrams may be
+    smaller.
     """
     parts = summands(simplified(diagram))
     result: list[Diagram] = []
@@ -132,7 +132,7 @@ def minimal_summands(diagram: Diagram) -> tuple[Diagram, ...]:
 
 
 def _smaller(part: Diagram) -> tuple[Diagram, ...]:
-    """A part with more than ten crossings, tried harder."""
+    """Return the summands of a part with more than ten crossings after a longer search."""
     best = summands(simplified(part, kicks=_KICKS))
     most = max((one.crossings for one in best), default=0)
     if most <= MAX_TABLE_CROSSINGS or most > MAX_SEARCHED_CROSSINGS or _is_minimal(best):
@@ -148,9 +148,9 @@ def _smaller(part: Diagram) -> tuple[Diagram, ...]:
 
 
 def _is_minimal(parts: tuple[Diagram, ...]) -> bool:
-    """Whether the diagrams are known to have as few crossings as their knots.
+    """Return whether the diagrams have the crossing numbers of their knots.
 
-    Reduced alternating diagrams do (Kauffman, Murasugi, Thistlethwaite 1987).
+    Reduced alternating diagrams have (Kauffman, Murasugi, Thistlethwaite 1987).
     """
     return all(part.alternating for part in parts)
 
@@ -178,7 +178,7 @@ def _report(parts: tuple[Diagram, ...]) -> dict[str, Any]:
 
 
 def summands(diagram: Diagram) -> tuple[Diagram, ...]:
-    """The parts of a diagram that hang together by two strands only, each closed by itself."""
+    """Return the parts of a diagram that only two strands connect, each closed by itself."""
     passes = list(diagram.code.passes)
     count = len(passes)
     for start in range(count):
@@ -196,7 +196,7 @@ def summands(diagram: Diagram) -> tuple[Diagram, ...]:
 
 
 def _candidates(part: Diagram) -> list[Sum]:
-    """All sums of table knots that share a part's invariants and fit into its crossings."""
+    """Return all sums of table knots with a part's invariants and at most its crossings."""
     key = (_key(jones_polynomial(part)), _key(alexander_polynomial(part)))
     fitting = [
         sums
@@ -212,7 +212,7 @@ def _key(polynomial: Polynomial) -> Laurent:
 
 @lru_cache(maxsize=1)
 def _index() -> dict[tuple[Laurent, Laurent], list[Sum]]:
-    """Jones and Alexander polynomials → knots, for every knot with at most ten crossings."""
+    """Return Jones and Alexander polynomials → knots, for every knot to ten crossings."""
     primes: list[Sum] = [
         ((name, hand),)
         for name, knot in knot_table().items()
@@ -225,7 +225,7 @@ def _index() -> dict[tuple[Laurent, Laurent], list[Sum]]:
 
 
 def _composites(primes: list[Sum]) -> list[Sum]:
-    """All sums of two or three knots that have at most ten crossings together."""
+    """Return all sums of two or three knots with at most ten crossings in total."""
     small = [one for one in primes if prime_knot(one[0][0]).crossings <= MAX_TABLE_CROSSINGS - 3]
     found = {
         canonical_factors(itertools.chain.from_iterable(choice))
@@ -237,7 +237,7 @@ def _composites(primes: list[Sum]) -> list[Sum]:
 
 
 def polynomials(factors: Sum) -> tuple[Laurent, Laurent]:
-    """Jones and Alexander polynomials of a sum: products of its summands'."""
+    """Return the Jones and Alexander polynomials of a sum: products over its summands."""
     of_jones: dict[int, int] = {0: 1}
     of_alexander: dict[int, int] = {0: 1}
     for name, hand in factors:

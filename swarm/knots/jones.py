@@ -1,17 +1,17 @@
-"""The Jones polynomial of a diagram, by contracting Kauffman's bracket crossing by crossing."""
+"""The Jones polynomial of a diagram, from Kauffman's bracket contracted crossing by crossing."""
 
 from collections.abc import Mapping
 
 from swarm.knots.diagram import Diagram
 
 Polynomial = Mapping[int, int]
-"""Coefficient of each power of one variable; zeros are left out."""
+"""Coefficient of each power of one variable, without zeros."""
 
 _State = tuple[tuple[int, int], ...]
 
 
 def jones_polynomial(diagram: Diagram) -> dict[int, int]:
-    """Jones polynomial V(t) as {power: coefficient}; the right-handed trefoil's is t + t³ − t⁴.
+    """Return the Jones polynomial V(t) as {power: coefficient}; right-handed trefoil: t + t³ − t⁴.
 
     Kauffman 1987, "State models and the Jones polynomial", with t = A⁻⁴. Time grows with the
     diagram's width (the crossings are added to a growing disc), not with 2^crossings.
@@ -36,7 +36,7 @@ def jones_polynomial(diagram: Diagram) -> dict[int, int]:
 
 
 def _bracket(pd: tuple[tuple[int, int, int, int], ...], bits: int) -> int:
-    """Kauffman's bracket of the diagram cut open at one edge, as one packed integer.
+    """Return Kauffman's bracket of the diagram, cut open at one edge, as one packed integer.
 
     Coefficients of a = A² are digits in base 2^bits; each crossing contributes a factor A·a² so
     that no power is negative.
@@ -64,7 +64,7 @@ def _bracket(pd: tuple[tuple[int, int, int, int], ...], bits: int) -> int:
 
 
 def _joined(state: _State, arcs: tuple[tuple[int, int], ...]) -> tuple[_State, int]:
-    """The matching of loose ends after arcs were added, and the number of loops closed."""
+    """Return the matching of loose ends after arcs were added, and the number of closed loops."""
     other: dict[int, int] = {}
     for one, two in state:
         other[one], other[two] = two, one

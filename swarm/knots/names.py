@@ -1,4 +1,4 @@
-"""The names that knots go by: KnotInfo's, common ones, torus knots, sums and mirror images."""
+"""Names of knots: KnotInfo's, common names, torus knots, sums and mirror images."""
 
 import math
 import re
@@ -45,9 +45,9 @@ def describe_knot(name: str, chirality: str) -> str:
 
 @dataclass(frozen=True)
 class ParsedName:
-    """What a name says: prime factors with hands as written, or a torus knot.
+    """A parsed name: prime factors with their chiralities, or a torus knot (p, q).
 
-    ``chirality`` is set where the name itself says which hand is meant; ``text`` is the name.
+    ``chirality`` is set where the name determines it; ``text`` is the name as written.
     """
 
     factors: tuple[Factor, ...] | None
@@ -57,14 +57,14 @@ class ParsedName:
 
 
 _LARGEST_TORUS = 125
-"""Largest arc index of a torus knot, p + q: 2N − 1 vehicles have MAVLink's system ids, to 250."""
+"""Largest arc index p + q of a torus knot: 250 MAVLink system ids for 2 (p + q) − 1 vehicles."""
 
 _TORUS = re.compile(r"(m?)(?:torus|t)\(?\s*(-?\d+)\s*[,\s]\s*(-?\d+)\s*\)?")
 _TABLE = re.compile(r"(m?)(\d+)[_\-. ](\d+)")
 
 
 def parse_name(text: str) -> ParsedName:
-    """Read a knot's name. Raises KnotError for one that is not known, with near ones."""
+    """Return the parsed name of a knot. Raises KnotError for an unknown name."""
     plain = re.sub(r"\s+", " ", text.strip().lower().replace("’", "'"))
     plain = re.sub(r"[ -]?knot$", "", plain) if plain not in COMMON_NAMES else plain
     hand = None
@@ -76,20 +76,20 @@ def parse_name(text: str) -> ParsedName:
     if torus:
         return _torus(torus, hand, text)
     factors: list[Factor] = []
-    says_left = False
+    marked_left = False
     for part in plain.split("#"):
         own, left = _factor(part.strip(), text)
         factors += own
-        says_left |= left
+        marked_left |= left
     chirality = name_of_sum(tuple(factors))[1]
     if chirality == "none":
         return ParsedName(tuple(factors), (0, 0), None, text)
-    written = chirality if says_left or chirality == "left" else None
+    written = chirality if marked_left or chirality == "left" else None
     return ParsedName(tuple(factors), (0, 0), hand or written, text)
 
 
 def _factor(part: str, text: str) -> tuple[list[Factor], bool]:
-    """The prime factors of one summand, and whether it is written as a mirror image."""
+    """Return the prime factors of one summand, and whether it is written as a mirror image."""
     part = COMMON_NAMES.get(part, part)
     mirror = part.startswith("m") and (part[1:] in COMMON_NAMES or _TABLE.fullmatch(part[1:]))
     if mirror:
@@ -121,7 +121,7 @@ def _torus(match: re.Match[str], hand: str | None, text: str) -> ParsedName:
 
 
 def torus_grid(p: int, q: int) -> Grid:
-    """A grid diagram of the right-handed torus knot, of its arc index p + q (Matsuda 2006)."""
+    """Return a grid of the right-handed torus knot, of its arc index p + q (Matsuda 2006)."""
     size = p + q
     pairs = (sorted((k, (k + p) % size)) for k in range(size))
     return Grid(tuple((low + 1, high + 1) for low, high in pairs)[::-1])

@@ -1,9 +1,8 @@
-"""Fewer crossings for the same knot: Reidemeister moves and rerouted overpasses.
+"""Simplification of diagrams: Reidemeister moves and rerouted overpasses.
 
-An overpass (a maximal run of over passes) can be lifted off the diagram and laid down along any
-other way between its two ends, as long as it passes over everything there. The shortest way in the
-dual graph takes the fewest crossings. Underpasses likewise. This undoes Reidemeister 1 and 2 and
-most of what needs Reidemeister 3.
+An overpass (a maximal run of over passes) can be moved to any other path between its two ends that
+passes over all strands there. The shortest path in the dual graph has the fewest crossings.
+Underpasses are analogous. This includes Reidemeister moves 1 and 2 and most uses of move 3.
 """
 
 from collections import deque
@@ -17,10 +16,10 @@ Pass = tuple[int, bool, int]
 
 
 def simplified(diagram: Diagram, *, kicks: int = 0) -> Diagram:
-    """A diagram of the same knot with as many crossings or fewer. Deterministic.
+    """Return a diagram of the same knot with at most as many crossings. Deterministic.
 
-    After no overpass or underpass can be shortened, up to ``kicks`` of them are laid along another
-    way of the same length, in case that opens a shorter one.
+    Where no overpass or underpass can be shortened, up to ``kicks`` of them are moved to another
+    path of the same length, which may permit a shorter one.
     """
     passes = _reduced(list(diagram.code.passes))
     rng = Random(1)
@@ -45,13 +44,13 @@ def simplified(diagram: Diagram, *, kicks: int = 0) -> Diagram:
 
 
 def without_nugatory(diagram: Diagram) -> Diagram:
-    """Without crossings that a circle meets nowhere else: the part beyond is turned over."""
+    """Return the diagram without nugatory crossings: the part behind each is turned over."""
     passes = _unturned(list(diagram.code.passes))
     return Diagram(SignedGauss.of(passes, closed=True))
 
 
 def _unturned(passes: list[Pass]) -> list[Pass]:
-    """Nugatory crossings taken out, each by turning what lies between its passes by 180°."""
+    """Return the passes without nugatory crossings; the part between is turned by 180°."""
     found = True
     while found:
         found = False
@@ -66,10 +65,10 @@ def _unturned(passes: list[Pass]) -> list[Pass]:
 
 
 def _reduced(passes: list[Pass]) -> list[Pass]:
-    """Without every kink and every pair of crossings that Reidemeister 1 and 2 take away.
+    """Return the passes without all kinks and pairs that Reidemeister moves 1 and 2 remove.
 
-    Two strands with passes (x, y) next to each other on both, one strand on top at both, can always
-    be pulled apart: the upper one is laid along the lower one's other side.
+    Where crossings x, y are adjacent on two strands and one strand is on top at both, the strands
+    can be separated: the upper one moves to the other side of the lower one.
     """
     count = len(passes)
     after = [*range(1, count), 0] if count else []
@@ -114,7 +113,7 @@ def _partners(passes: list[Pass]) -> list[int]:
 
 
 def _runs(passes: list[Pass]) -> Iterator[tuple[int, int]]:
-    """(start, length) of each maximal run of passes on one level, longest first."""
+    """Return (start, length) of each maximal run of passes on one level, longest first."""
     count = len(passes)
     starts = [k for k in range(count) if passes[k][1] != passes[k - 1][1]]
     runs = [
@@ -125,7 +124,7 @@ def _runs(passes: list[Pass]) -> Iterator[tuple[int, int]]:
 
 
 def _rerouted(passes: list[Pass], rng: Random | None) -> list[Pass] | None:
-    """The first run laid along a shorter way; with ``rng``, one along another way as long."""
+    """Return the passes with a run on a shorter path; with ``rng``, on another path as long."""
     runs = list(_runs(passes))
     if rng is not None:
         rng.shuffle(runs)
@@ -134,19 +133,19 @@ def _rerouted(passes: list[Pass], rng: Random | None) -> list[Pass] | None:
         run, arc = turned[:length], turned[length:]
         gone = {label for label, _, _ in run}
         arc = [item for item in arc if item[0] not in gone]
-        way = _shortest_way(arc, length if rng is None else length + 1, rng)
-        if way is None:
+        path = _shortest_path(arc, length if rng is None else length + 1, rng)
+        if path is None:
             continue
-        laid = _laid(arc, way, run[0][1])
+        laid = _with_run(arc, path, run[0][1])
         if rng is None or laid != arc + run:
             return laid
     return None
 
 
-def _shortest_way(arc: list[Pass], below: int, rng: Random | None) -> list[int] | None:
-    """Half edges crossed (from their left side) from the arc's last edge round to its first.
+def _shortest_path(arc: list[Pass], below: int, rng: Random | None) -> list[int] | None:
+    """Return the half edges crossed (from their left side) from the arc's last edge to its first.
 
-    Only ways of fewer than ``below`` crossings count. Edge k of the arc leads to its pass k; half
+    Only paths of fewer than ``below`` crossings count. Edge k of the arc leads to its pass k; half
     edge 2k has the same direction, 2k + 1 the opposite one.
     """
     count = len(arc)
@@ -168,16 +167,16 @@ def _shortest_way(arc: list[Pass], below: int, rng: Random | None) -> list[int] 
                 waiting.append((beyond, depth + 1))
     if goal not in came:
         return None
-    way = []
+    path = []
     face = goal
     while came[face] >= 0:
-        way.append(came[face])
+        path.append(came[face])
         face = face_of[came[face]]
-    return way[::-1]
+    return path[::-1]
 
 
 def _arc_faces(arc: list[Pass]) -> tuple[list[int], list[list[int]]]:
-    """The face on the left of each half edge of an open arc's diagram, and each face's edges."""
+    """Return the face left of each half edge of an open arc's diagram, and each face's edges."""
     count = len(arc)
     partner = _partners(arc)
     follows = [0] * (2 * count + 2)
@@ -203,12 +202,12 @@ def _arc_faces(arc: list[Pass]) -> tuple[list[int], list[list[int]]]:
     return face_of, on_face
 
 
-def _laid(arc: list[Pass], way: list[int], over: bool) -> list[Pass]:
-    """The closed code of the arc with a run along ``way``, over or under all that it meets."""
+def _with_run(arc: list[Pass], path: list[int], over: bool) -> list[Pass]:
+    """Return the closed code of the arc with a run along ``path``, over or under all strands."""
     label = max((k for k, _, _ in arc), default=0)
     met: dict[int, Pass] = {}
     run: list[Pass] = []
-    for half in way:
+    for half in path:
         label += 1
         # From left to right over a strand that runs up: over × under points up.
         sign = 1 if (half % 2 == 0) == over else -1

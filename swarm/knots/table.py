@@ -1,4 +1,4 @@
-"""The table of the 249 prime knots to ten crossings, made by ``python -m swarm.knots.tabulate``."""
+"""The table of the 249 prime knots to ten crossings, from ``python -m swarm.knots.tabulate``."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -14,9 +14,9 @@ Laurent = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True)
 class TableKnot:
-    """One prime knot, right-handed if it is chiral.
+    """A prime knot, right-handed if it is chiral.
 
-    ``first_sign`` is the sign of the first crossing in the diagram that the DT code means.
+    ``first_sign`` is the sign of the first crossing in the diagram of the DT code.
     """
 
     name: str
@@ -39,7 +39,7 @@ class TableKnot:
 
     @cached_property
     def diagram(self) -> Diagram:
-        """A diagram with as few crossings as the knot has, right-handed if the knot is chiral."""
+        """A diagram with the fewest crossings, right-handed if the knot is chiral."""
         return next(
             diagram
             for diagram in diagrams_of_dt(self.dt)
@@ -47,7 +47,7 @@ class TableKnot:
         )
 
     def line(self) -> str:
-        """The knot as a line of the table's file."""
+        """Return the knot as a line of the table's file."""
         return "\t".join(
             (
                 self.name,
@@ -73,7 +73,7 @@ def _read_polynomial(text: str) -> Laurent:
 
 
 def read_line(line: str) -> TableKnot:
-    """The knot of one line of the table's file."""
+    """Return the knot of a line of the table's file."""
     name, kind, dt, sign, jones, alexander, columns = line.rstrip("\n").split("\t")
     pairs = (column.split("-") for column in columns.split(" "))
     return TableKnot(
@@ -89,14 +89,14 @@ def read_line(line: str) -> TableKnot:
 
 @lru_cache(maxsize=1)
 def knot_table() -> dict[str, TableKnot]:
-    """All knots of the table by name, in its order."""
+    """Return all knots of the table by name, in its order."""
     text = resources.files("swarm.knots").joinpath("table.txt").read_text(encoding="utf-8")
     knots = [read_line(line) for line in text.splitlines()]
     return {knot.name: knot for knot in knots}
 
 
 def prime_knot(name: str) -> TableKnot:
-    """The knot of a name such as ``8_18``. Raises KnotError if the table has none."""
+    """Return the knot of a name such as ``8_18``. Raises KnotError for a name not in the table."""
     try:
         return knot_table()[name]
     except KeyError:

@@ -1,4 +1,4 @@
-"""The whole table put to the test: every knot's grid found again by search, and named again."""
+"""A check of the whole table: every knot's grid is found again by search, and identified."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ from swarm.knots.table import TableKnot, knot_table
 
 @dataclass(frozen=True)
 class TableCheck:
-    """One knot: the grid size that a search from its code found, and what that grid is.
+    """The check of one knot: the grid size found by a search, and the knot of that grid.
 
-    ``arc_index`` is the table's. ``chirality`` is what was identified, "none" for a knot that is
-    its own mirror image.
+    ``arc_index`` is that of the table. ``chirality`` is the identified one, "none" for a knot that
+    equals its mirror image. ``right`` states whether all agree.
     """
 
     name: str
@@ -27,7 +27,7 @@ class TableCheck:
 
 
 def check_knot(knot: TableKnot, *, moves: int = MOVES) -> TableCheck:
-    """Search a grid from the knot's code, without the table's grid, and name what was found."""
+    """Return the check of a knot: a grid search from its code, without the table's grid."""
     target = knot.crossings + 2 if knot.diagram.alternating else 2
     grid = minimise_grid(grid_of_diagram(knot.diagram), target=target, moves=moves)
     known = identify_diagram(Diagram(grid.code))
@@ -42,5 +42,5 @@ def check_knot(knot: TableKnot, *, moves: int = MOVES) -> TableCheck:
 
 
 def check_table() -> Iterator[TableCheck]:
-    """A row for every knot of the table."""
+    """Yield the check of every knot of the table."""
     return (check_knot(knot) for knot in knot_table().values())

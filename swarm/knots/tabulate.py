@@ -1,9 +1,8 @@
-"""Makes ``table.txt``: ``python -m swarm.knots.tabulate``.
+"""Write ``table.txt``: ``python -m swarm.knots.tabulate``.
 
 The names and Conway notations in ``conway.txt`` are those of Rolfsen's table (Conway 1970, Rolfsen
-1976) without the second half of Perko's pair, numbered as in KnotInfo. Everything else, the
-diagrams, which mirror image is the right-handed one, the polynomials and the grid diagrams, is
-computed here.
+1976) without the second knot of the Perko pair, numbered as in KnotInfo. The diagrams, chiralities,
+polynomials and grid diagrams are computed here.
 """
 
 from importlib import resources
@@ -21,17 +20,17 @@ from swarm.knots.simplify import simplified
 from swarm.knots.table import TableKnot
 
 MOVES = 400_000
-"""Attempted moves for a knot whose arc index is not known beforehand."""
+"""Attempted moves for a knot with an unknown arc index."""
 
 
 def tabulate_knot(
     name: str, notation: str, *, moves: int = MOVES, starts: int = 24, steps: int = 400
 ) -> TableKnot:
-    """One line of the table from a knot's Conway notation."""
+    """Return the table's entry of a knot from its Conway notation."""
     chiral = name not in AMPHICHIRAL
     drawing = simplified(diagram_of_conway(notation), kicks=500)
     if drawing.crossings != table_order(name)[0]:
-        raise RuntimeError(f"{name} came out with {drawing.crossings} crossings")
+        raise RuntimeError(f"{name} has {drawing.crossings} crossings")
     dt = drawing.dt()
     diagram = _right(diagrams_of_dt(dt), chiral)
     # The arc index of an alternating knot is known (Bae and Park 2000).
@@ -56,7 +55,7 @@ def tabulate_knot(
 
 
 def _right(pair: tuple[Diagram, ...], chiral: bool) -> Diagram:
-    """The right-handed one of a mirror pair; the first where the convention leaves it open."""
+    """Return the right-handed diagram of a mirror pair; the first where both are possible."""
     if chiral:
         for diagram in pair:
             if is_right_handed(jones_polynomial(diagram)):
@@ -65,7 +64,7 @@ def _right(pair: tuple[Diagram, ...], chiral: bool) -> Diagram:
 
 
 def main() -> None:
-    """Write the table beside this file."""
+    """Write the table next to this file."""
     text = resources.files("swarm.knots").joinpath("conway.txt").read_text(encoding="utf-8")
     lines = []
     for entry in text.splitlines():

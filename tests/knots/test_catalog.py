@@ -145,8 +145,8 @@ def test_what_fixes_the_hand_and_what_does_not() -> None:
         with pytest.raises(KnotError) as caught:
             choose_knot(**description)  # type: ignore[arg-type]
         assert str(caught.value) == (
-            "3_1 is chiral and the description fits both its mirror images: "
-            "say chirality: left, right or either"
+            "3_1 is chiral and the description fits both mirror images: "
+            "set chirality: left, right or either"
         )
 
 
@@ -154,7 +154,7 @@ def test_a_grid_of_the_other_hand_is_mirrored() -> None:
     left = mirrored(knot_table()["5_2"].grid)
     choice = choose_knot(grid=left, chirality="right")
     assert choice.warnings == (
-        "what was given is left-handed: its mirror image is tied, as asked for",
+        "the given knot is left-handed: its mirror image is tied, as required",
     )
     assert choose_knot(grid=left, chirality="either").chirality == "left"
     assert identify_diagram(Diagram(choice.grid.code)).candidates == ("5_2",)
