@@ -1,15 +1,15 @@
-"""Everything that can go wrong and that a user is told about, with its exit code.
+"""The errors that are reported to the user, with their exit codes.
 
 ::
 
     SwarmError                1
-    ├── Refused               1   the plan or the pre-flight says no
+    ├── Refused               1   the plan or the pre-flight checks have errors
     ├── InputError            2   a file, a code or an option is wrong (all problems at once)
     ├── VehicleError          3   a link or a vehicle failed
-    └── Interrupted         130   stopped by the user, after a controlled stop
+    └── Interrupted         130   stopped by the user, after a controlled end
 
-Only :mod:`swarm.cli` turns these into text and exit codes. Anything else that reaches a user is
-a bug of ours.
+Only :mod:`swarm.cli` turns these into text and exit codes. Another exception that reaches the
+user is a bug.
 """
 
 import os
@@ -20,7 +20,7 @@ from typing import ClassVar
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong with an input: where it is, and what was expected there."""
+    """One error of an input: its place, and the expected value."""
 
     place: str
     message: str
@@ -30,31 +30,31 @@ class Problem:
 
 
 def reason(error: BaseException) -> str:
-    """Return what went wrong in words that are never empty, as they stand after a colon.
+    """Return the cause of an error as text for use after a colon; it is never empty.
 
-    What the system says of a failed call is without its path, for messages begin with that;
-    libraries put theirs into ``strerror``.
+    The text of a failed system call has no path, because messages begin with the path. Libraries
+    put their own text into ``strerror``.
     """
     if isinstance(error, OSError):
         words = os.strerror(error.errno) if error.errno else error.strerror or ""
         if words:
             return words[:1].lower() + words[1:]
-    said = str(error).strip()
-    return said or f"failed without saying why ({type(error).__name__})"
+    text = str(error).strip()
+    return text or f"failed without a message ({type(error).__name__})"
 
 
 class SwarmError(Exception):
-    """Root of the errors that are meant for the user."""
+    """Base class of the errors that are reported to the user."""
 
     exit_code: ClassVar[int] = 1
 
 
-class Refused(SwarmError):  # noqa: N818 - it is an answer, not a malfunction
-    """The plan or the pre-flight checks say no, and why."""
+class Refused(SwarmError):  # noqa: N818 - a result, not a malfunction
+    """The plan or the pre-flight checks have errors; the message has the reasons."""
 
 
 class InputError(SwarmError):
-    """A file, a code or an option is wrong; carries every problem found in it."""
+    """A file, a code or an option is wrong; ``problems`` has every problem in it."""
 
     exit_code = 2
 
@@ -71,7 +71,7 @@ class VehicleError(SwarmError):
     exit_code = 3
 
 
-class Interrupted(SwarmError):  # noqa: N818 - the user's wish, not a malfunction
-    """Stopped by the user, after a controlled stop."""
+class Interrupted(SwarmError):  # noqa: N818 - a request, not a malfunction
+    """Stopped by the user, after a controlled end."""
 
     exit_code = 130

@@ -1,11 +1,11 @@
-"""What notebooks show of an object: a title and one small table of figures, as HTML."""
+"""Objects in notebooks: a title and a table of figures, as HTML."""
 
 from collections.abc import Iterable
 from html import escape
 
 
 def table(title: str, rows: Iterable[tuple[str, str]]) -> str:
-    """Return HTML of a bold title above rows of (name, figure); all text is escaped."""
+    """Return HTML with a bold title and rows of (name, figure); all text is escaped."""
     cells = "".join(
         f'<tr><th style="text-align:left">{escape(name)}</th>'
         f'<td style="text-align:left">{escape(figure)}</td></tr>'

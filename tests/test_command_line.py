@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from swarm import verify
 from swarm.cli.main import COMMANDS, _report_bug
 from swarm.errors import reason
 from tests.command import run
@@ -128,6 +129,7 @@ def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> No
     verified = run("verify", str(tmp_path / "flight"), "--json")
     assert verified.returncode == 0, verified.stderr
     assert json.loads(verified.stdout)["knot"] == flown["knot"]
+    assert verify(tmp_path / "flight").passed
 
 
 @pytest.mark.usefixtures("in_real_time")
@@ -190,7 +192,7 @@ def test_a_bug_is_told_where_its_traceback_cannot_be_kept(monkeypatch, tmp_path,
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
     assert _report_bug(ZeroDivisionError()) == 70
     assert capsys.readouterr().err == (
-        "swarm has a bug: ZeroDivisionError: failed without saying why (ZeroDivisionError)\n"
+        "swarm has a bug: ZeroDivisionError: failed without a message (ZeroDivisionError)\n"
         "The traceback cannot be written: no such file or directory\n"
     )
 
@@ -198,10 +200,10 @@ def test_a_bug_is_told_where_its_traceback_cannot_be_kept(monkeypatch, tmp_path,
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (ConnectionError(), "failed without saying why (ConnectionError)"),
+        (ConnectionError(), "failed without a message (ConnectionError)"),
         (OSError("no words from the system"), "no words from the system"),
         (PermissionError(13, "Permission denied", "/a/path"), "permission denied"),
-        (ValueError("  "), "failed without saying why (ValueError)"),
+        (ValueError("  "), "failed without a message (ValueError)"),
     ],
 )
 def test_a_reason_is_never_empty(error, words):

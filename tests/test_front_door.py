@@ -226,7 +226,7 @@ def test_a_motion_from_elsewhere_is_certified_as_the_plan_it_came_from(tmp_path)
     assert again == pytest.approx(certified, abs=0.01)
     foreign = motion.plan(cable, plan.mission)
     assert found.of(foreign)
-    with pytest.raises(swarm.Refused, match="a motion that others planned is certified, not flown"):
+    with pytest.raises(swarm.Refused, match="an external trajectory can be certified, not flown"):
         swarm.simulate(foreign, found)
 
 
@@ -248,7 +248,7 @@ def test_a_cable_belongs_to_a_motion_and_to_nothing_else(tmp_path):
     motion = swarm.Motion.from_csv(tmp_path / "mine.csv")
     with pytest.raises(swarm.InputError, match=r"cable: expected swarm\.Cable"):
         swarm.certify(motion)
-    with pytest.raises(swarm.InputError, match="cable: expected nothing: a plan has its own"):
+    with pytest.raises(swarm.InputError, match="cable: expected none: a plan has its own"):
         swarm.certify(plan, cable=swarm.Cable([3.6, 3.6]))
     with pytest.raises(swarm.InputError, match="cable: expected 2 segments for 3 vehicles, got 1"):
         swarm.certify(motion, cable=swarm.Cable([3.6]))

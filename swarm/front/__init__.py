@@ -1,5 +1,5 @@
-"""The front door: the objects and functions that ``import swarm`` offers by name.
+"""The public API: the types and functions of ``import swarm``.
 
-Each is a thin shell around the layers below. ``swarm/__init__.py`` loads a module of this package
-when one of its names is first used.
+Each is a thin shell around the layers below. ``swarm/__init__.py`` imports a module of this package
+at the first use of one of its names.
 """

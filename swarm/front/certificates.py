@@ -180,5 +180,5 @@ def certify(
         return certified(motion.plan(cable, mission), robustness=robustness, progress=progress)
     given = [name for name, value in (("cable", cable), ("mission", mission)) if value is not None]
     if given:
-        raise InputError([Problem(name, "expected nothing: a plan has its own") for name in given])
+        raise InputError([Problem(name, "expected none: a plan has its own") for name in given])
     return certified(motion, robustness=robustness, progress=progress)

@@ -1,8 +1,9 @@
-"""One flight of a plan in the emulator, and what it came to."""
+"""Simulated flights of a plan, and the verification of flight records."""
 
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from swarm.errors import Refused
 from swarm.flight.result import FlightResult, Word
 from swarm.flight.trace import Trace
 from swarm.front.recordings import Recording
+from swarm.ground.record_verification import VerifiedRecord, verify_record
 from swarm.knots.names import describe_knot
 from swarm.mission.fleet import Fleet
 from swarm.notebook import table
@@ -29,8 +31,8 @@ class FlownClearances:
     """The smallest distances at reported positions in fold and hold, in the cable model.
 
     ``cable`` between strands, surface to surface; ``vehicle`` between vehicles; ``vehicle_cable``
-    between vehicles and other segments' cable: metres, with mission time and the two things.
-    None where there are no two such things.
+    between a vehicle and segments that it does not hold: metres, with mission time and the names of
+    the two bodies. None without two such bodies.
     """
 
     cable: Tightest | None
@@ -42,8 +44,8 @@ class FlownClearances:
 class Flight:
     """A simulated flight: its ``plan``, the ``result``, and its ``verification``.
 
-    Made by :func:`swarm.simulate`. Source: :mod:`swarm.simulation.loop` (the flight software
-    against the emulator) and :mod:`swarm.verification` (what reported positions imply).
+    Returned by :func:`swarm.simulate`. Source: :mod:`swarm.simulation.loop` (the flight software
+    against the emulator) and :mod:`swarm.verification` (implied knot and distances).
     """
 
     plan: planning.Plan
@@ -52,40 +54,40 @@ class Flight:
 
     @property
     def outcome(self) -> Word:
-        """How it ended: "done", "refused", "failed" or "interrupted"."""
+        """The outcome: "done", "refused", "failed" or "interrupted"."""
         return self.result.outcome.word
 
     @property
     def explanation(self) -> str:
-        """Why it ended so, in words."""
+        """The reason of the outcome."""
         return self.result.outcome.explanation
 
     @property
     def knot(self) -> str:
-        """The knot that the last positions of the hold imply, such as "3_1 right-handed".
+        """The knot that the last reported positions of the hold imply, such as "3_1 right-handed".
 
-        "unknown" where nothing was reported then. Implied is not observed: in the cable model.
+        "unknown" without such positions. Implied by the cable model is not observed.
         """
         return describe_knot(self.verification.knot, self.verification.chirality)
 
     @property
     def as_planned(self) -> bool:
-        """Whether the implied crossings are those of the plan's layout, and the knot the plan's."""
+        """Whether the implied crossings are those of the layout, and the knot that of the plan."""
         return self.verification.as_planned
 
     @property
     def clearance(self) -> FlownClearances:
-        """The smallest distances that were kept, metres."""
+        """The smallest distances of the flight, metres."""
         return FlownClearances(
             self.verification.cable, self.verification.vehicle, self.verification.vehicle_cable
         )
 
     @property
     def tracking_error(self) -> float | None:
-        """The largest distance in metres of a grip point from its setpoint, as reported.
+        """The largest reported distance in metres of a grip point from its setpoint.
 
-        Of the time in which the cable is lifted or aloft, to be compared with what the certificate
-        is for; of the whole flight where no cable is carried. None where nothing was reported.
+        With cable: while it is lifted or aloft, for comparison with the certificate. Without cable:
+        of the whole flight. None without reported positions.
         """
         if len(self.plan.layout.lengths):
             return self.result.adherence.largest
@@ -94,7 +96,7 @@ class Flight:
 
     @property
     def within_certificate(self) -> bool:
-        """Whether no tracking error was reported for which the certificate does not hold."""
+        """Whether the certificate holds for every reported tracking error."""
         return self.result.adherence.within
 
     @property
@@ -103,7 +105,7 @@ class Flight:
         return self.result.trace
 
     def plot(self) -> "Figure":
-        """Return a matplotlib figure: where it was held, tracking errors, the mission clock.
+        """Return a matplotlib figure: the cable in the hold, tracking errors, the mission clock.
 
         Source: :func:`swarm.reports.plots.flight_figure`.
         """
@@ -112,14 +114,14 @@ class Flight:
         return flight_figure(self.plan, self.trace)
 
     def view(self, path: str | os.PathLike[str] | None = None) -> Recording:
-        """Write flight and plan side by side as a Rerun recording and open it, as Plan.view does.
+        """Write flight and plan side by side as a Rerun recording and open it, as ``Plan.view``.
 
         Raises :class:`swarm.InputError` where the file cannot be written.
         Source: :func:`swarm.view.replay.write_flight`.
         """
         from swarm.view.replay import write_flight  # noqa: PLC0415 - slow to import
 
-        return Recording.made(
+        return Recording.written(
             lambda file: write_flight(self.plan, self.trace, self.result.events, file), path
         )
 
@@ -130,10 +132,10 @@ class Flight:
         return table(f"Flight {self.plan.mission.name}", self._figures().items())
 
     def _figures(self) -> dict[str, str]:
-        """What one line says of the flight, by name."""
+        """Return the key figures of the flight by name."""
         figures: dict[str, str] = {"outcome": self.outcome}
         if self.outcome != "done":
-            figures["why"] = self.explanation
+            figures["reason"] = self.explanation
         if self.plan.knot.type:
             figures["knot"] = f"{self.knot}{'' if self.as_planned else ' (not as planned)'}"
         if self.tracking_error is not None:
@@ -144,11 +146,11 @@ class Flight:
 
 
 def flyable(plan: planning.Plan, certificate: Certificate) -> CertifiedPlan:
-    """Return the plan as certified; raises :class:`Refused` where it cannot be flown."""
+    """Return a plan with its certificate; raises :class:`Refused` where it cannot be flown."""
     if not any(gate.condition == "armed" for gate in plan.gates):
         raise Refused(
-            "a motion that others planned is certified, not flown: it has no gates at which "
-            "vehicles arm, grip and settle"
+            "an external trajectory can be certified, not flown: it has no gates at which vehicles "
+            "arm, grip and settle"
         )
     return CertifiedPlan(plan, certificate)
 
@@ -164,18 +166,34 @@ def simulate(
 ) -> Flight:
     """Fly a plan in virtual time: the flight software against the emulator, packet by packet.
 
-    The same ``seed`` gives the same flight. ``fleet`` is an emulated one, by default of PX4
-    vehicles (:func:`swarm.mission.fleet.emulated_fleet`); ``faults`` are what goes
-    wrong during it (:class:`swarm.simulation.loop.Fault`); ``world`` is what the emulator is told
-    instead of what the plan expects (`swarm schema world`).
+    The same ``seed`` gives the same flight. ``fleet`` is an emulated fleet, by default of PX4
+    vehicles (:func:`swarm.mission.fleet.emulated_fleet`). ``faults`` are injected during the flight
+    (:class:`swarm.simulation.loop.Fault`). ``world`` replaces the emulator's world that the plan
+    expects (`swarm schema world`).
 
-    A flight that does not end as planned is returned, with its ``outcome``.
-    Raises :class:`swarm.Refused` where the certificate belongs to another plan or holds errors,
-    where the fleet does not fit the plan, and for a :class:`swarm.Motion` of others, which has no
-    gates at which vehicles arm, grip and settle.
+    A flight that does not end as planned is returned too, with its ``outcome``.
+    Raises :class:`swarm.Refused` where the certificate belongs to another plan or has errors, where
+    the fleet does not fit the plan, and for an external trajectory, which has no gates at which
+    vehicles arm, grip and settle.
 
     Source: :func:`swarm.simulation.loop.simulate_flight`, :func:`swarm.verification.verify_trace`.
     """
     flight_plan = flyable(plan, certificate)
     result = simulate_flight(flight_plan, fleet=fleet, seed=seed, faults=faults, world=world)
     return Flight(plan, result, verify_trace(plan, result.trace))
+
+
+def verify(record: str | os.PathLike[str]) -> VerifiedRecord:
+    """Verify a flight ``record``, the folder that `swarm fly` leaves.
+
+    Compares reported positions and sent setpoints, from the .tlog, with the recorded plan:
+    ``.verification`` has the implied knot, the smallest distances and the tracking errors;
+    ``.adherence`` compares the largest tracking error with the certified one; ``.observations`` are
+    by persons and cameras; ``.log`` has the trace and the statistics of the links. ``.passed`` is
+    the verdict of `swarm verify`.
+
+    Raises :class:`swarm.InputError` for a folder that is not a complete record.
+
+    Source: :func:`swarm.ground.record_verification.verify_record`.
+    """
+    return verify_record(Path(record))

@@ -1,4 +1,4 @@
-"""Naming the knot of a curve."""
+"""Identification of the knot of a curve."""
 
 import numpy as np
 import numpy.typing as npt
@@ -9,12 +9,13 @@ from swarm.knots.names import describe_knot
 
 
 def identify(curve: npt.ArrayLike, *, closed: bool = False) -> str:
-    """Name the knot of a curve (n, 3), points in order along it, in any unit of length.
+    """Return the name of the knot of a curve (n, 3), points in order, in any unit of length.
 
-    An open curve is closed straight up, above itself; with ``closed`` its last point is joined to
-    its first. The answer is KnotInfo's name with the chirality, such as ``"3_1 right-handed"``,
-    ``"4_1"`` (its own mirror image), ``"0_1"`` (not knotted) or ``"3_1#m3_1"`` (a sum). A knot of
-    more than ten crossings is ``"unknown"``, with the knots of the table that share its invariants.
+    The ends of an open curve are extended straight up and joined above it; with ``closed`` the last
+    point is joined to the first. The name is KnotInfo's with the chirality, such as
+    ``"3_1 right-handed"``, ``"4_1"`` (its own mirror image), ``"0_1"`` (not knotted) or
+    ``"3_1#m3_1"`` (a sum). A knot of more than ten crossings is ``"unknown"``, with the knots of
+    the table that share its invariants.
 
     Raises :class:`swarm.InputError` where the curve meets itself, has fewer than 3 different points
     or numbers that are not finite.

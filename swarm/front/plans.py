@@ -1,4 +1,4 @@
-"""Plans as a user holds them: made from missions, kept in files, drawn."""
+"""Plans with files, figures and views."""
 
 import os
 from collections.abc import Callable
@@ -27,14 +27,13 @@ Progress = Callable[[str, float], None]
 Picture = Literal["knot", "schedule"]
 
 LARGEST_PLAN = 512 * 1024 * 1024
-"""Bytes of a plan file; an hour of a hundred vehicles is less."""
+"""Bytes of a plan file; an hour of a hundred vehicles takes less."""
 
 
 class NotCleared(Refused):
-    """A motion was found for a mission, and the checks do not clear it.
+    """The mission has a plan, but the checks do not clear it.
 
-    ``plan`` is that motion and ``certificate`` what the checks found, for looking at what is wrong.
-    The message has one line for every error.
+    ``plan`` and ``certificate`` show the reasons. The message has one line per error.
     """
 
     def __init__(self, message: str, plan: "Plan", certificate: Certificate) -> None:
@@ -43,29 +42,29 @@ class NotCleared(Refused):
 
 
 class Plan(planning.Plan):
-    """Everything that will be flown: the motion of n grip points, phases, gates, knot and layout.
+    """A complete flight: the motion of n grip points, phases, gates, knot and layout.
 
-    Made by :func:`swarm.plan` and :func:`swarm.load_plan`. Immutable: change the mission and plan
-    again. Lengths are in metres, times in seconds of mission time (0 at take-off), places in ENU
-    (x east, y north, z up). A vehicle's centre is ``mission.vehicles.grip_offset`` above its grip
-    point.
+    Returned by :func:`swarm.plan` and :func:`swarm.load_plan`. Immutable: change the mission and
+    plan again. Lengths are in metres, times in seconds of mission time (0 at take-off), positions
+    in ENU (x east, y north, z up). The centre of a vehicle is ``mission.vehicles.grip_offset``
+    above its grip point.
 
-    ``motion(t)`` gives position, velocity and acceleration, each (…, n, 3), for times (…,);
-    ``duration``, ``vehicles``, ``phase(name)``, ``layout.lengths`` (n − 1,) and ``knot`` say the
+    ``motion(t)`` returns position, velocity and acceleration, each (…, n, 3), at times (…,);
+    ``duration``, ``vehicles``, ``phase(name)``, ``layout.lengths`` (n − 1,) and ``knot`` have the
     rest. Source: :class:`swarm.planning.Plan`.
     """
 
     @classmethod
     def of(cls, plan: planning.Plan) -> Self:
-        """Return a plan of the planning layer with this class's methods; nothing is copied."""
+        """Return a plan of the planning layer with the methods of this class; arrays are shared."""
         return cls(**{field.name: getattr(plan, field.name) for field in fields(plan)})
 
     def cable_at(self, time: npt.ArrayLike, points: int = 100) -> Floats:
         """Return the cable at mission times (…,) in seconds: (…, n − 1, points, 3), ENU metres.
 
-        Each of the n − 1 segments is given by ``points`` evenly spaced points, its ends included:
-        the catenary of its length in still air, lying on the floor (z = 0) where it reaches it.
-        NaN where the plan says nothing of the cable: let go of aloft, or held by its ends alone.
+        Each of the n − 1 segments has ``points`` evenly spaced points, ends included: the catenary
+        of its length in still air, on the floor (z = 0) where it touches it. NaN where the plan
+        does not determine the cable: after a release aloft, or held by its ends alone.
 
         Raises :class:`swarm.InputError` for times that are not finite or fewer than 2 points, and
         :class:`swarm.SwarmError` where a chord is longer than its cable (in no cleared plan).
@@ -75,7 +74,7 @@ class Plan(planning.Plan):
         return cable_shape(self, time, points)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the plan as one file, which :func:`swarm.load_plan` reads; an old one is replaced.
+        """Write the plan as one file for :func:`swarm.load_plan`; an existing file is replaced.
 
         A ZIP archive of JSON and NumPy arrays with the plan's digest; equal plans give equal files.
         Raises :class:`swarm.InputError` where the file cannot be written.
@@ -96,10 +95,10 @@ class Plan(planning.Plan):
         write_bytes(path, ("\n".join(motion_rows(self, step)) + "\n").encode())
 
     def plot(self, picture: Picture = "knot") -> "Figure":
-        """Return a matplotlib figure of the plan; ``figure.savefig(path)`` keeps it.
+        """Return a matplotlib figure of the plan; ``figure.savefig(path)`` writes it.
 
-        ``"knot"``: grid diagram, plan view and the folded cable in space. ``"schedule"``: how far
-        each vehicle is along the path of the fold over time, and how high.
+        ``"knot"``: grid diagram, plan view and the folded cable in space. ``"schedule"``: progress
+        of each vehicle along the path of the fold, and its height, over time.
 
         Raises :class:`ValueError` for another picture. Source: :mod:`swarm.reports.plots`.
         """
@@ -110,17 +109,17 @@ class Plan(planning.Plan):
         return plan_figure(self) if picture == "knot" else schedule_figure(self)
 
     def view(self, path: str | os.PathLike[str] | None = None) -> Recording:
-        """Write the plan as a Rerun recording and open it in Rerun's viewer, in a process apart.
+        """Write the plan as a Rerun recording and open it in Rerun's viewer, a separate process.
 
-        With a ``path`` (.rrd) the recording is kept there; otherwise it lasts as long as Python.
-        Where there is no display nothing is opened and a :class:`UserWarning` says so.
+        The recording is written to ``path`` (.rrd), otherwise to a temporary file that is deleted
+        when Python ends. Without a display, a :class:`UserWarning` replaces the viewer.
         Raises :class:`swarm.InputError` where the file cannot be written.
 
         Source: :mod:`swarm.view.replay`.
         """
         from swarm.view.replay import write_plan  # noqa: PLC0415 - slow to import
 
-        return Recording.made(lambda file: write_plan(self, file), path)
+        return Recording.written(lambda file: write_plan(self, file), path)
 
     def _repr_html_(self) -> str:
         return table(f"Plan {self.mission.name}", self.figures().items())
@@ -129,31 +128,31 @@ class Plan(planning.Plan):
 def plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
     """Plan a mission and return the first plan that the checks clear.
 
-    ``progress(stage, share)`` is called with what is being done and the share of it that is done,
-    0…1. The same mission gives the same plan.
+    ``progress(stage, share)`` is called with the name of a stage and its completed share, 0…1. The
+    same mission gives the same plan.
 
-    Raises :class:`swarm.Refused` with every reason: where no motion was found, and, as
-    :class:`swarm.NotCleared` with the plan and its certificate, where none of those found is
-    cleared. Raises :class:`swarm.InputError` for a knot that does not exist.
+    Raises :class:`swarm.Refused` with every reason where no motion exists;
+    :class:`swarm.NotCleared`, with a plan and its certificate, where no plan is cleared; and
+    :class:`swarm.InputError` for a knot that does not exist.
 
     Source: :func:`swarm.planner.plan`, which certifies and repairs the candidates of
     :mod:`swarm.planning.candidates` (grid diagram, layout, folding).
     """
-    found = planner.plan(mission, progress, robustness=False)
-    made = Plan.of(found.plan)
+    result = planner.plan(mission, progress, robustness=False)
+    planned = Plan.of(result.plan)
     try:
-        require_no_errors(found.certificate)
+        require_no_errors(result.certificate)
     except Refused as refusal:
-        raise NotCleared(str(refusal), made, found.certificate) from None
-    return made
+        raise NotCleared(str(refusal), planned, result.certificate) from None
+    return planned
 
 
 def load_plan(path: str | os.PathLike[str]) -> Plan:
-    """Read a plan file that :meth:`Plan.save` wrote; the plan is the same to the last bit.
+    """Read a plan file of :meth:`Plan.save`; the plan is the same to the last bit.
 
-    Raises :class:`swarm.InputError` for a file that cannot be read, is no plan file, was cut off or
-    changed, or has another version of the format. A certificate of the plan that was saved belongs
-    to the plan that is read.
+    A certificate of the saved plan belongs to the returned plan too.
+    Raises :class:`swarm.InputError` for a file that cannot be read, is no plan file, is incomplete
+    or changed, or has another version of the format.
 
     Source: :mod:`swarm.planning.archive`.
     """

@@ -17,19 +17,20 @@ from swarm.errors import InputError, Problem, reason
 class Recording:
     """A Rerun recording in a file.
 
-    ``path`` is the file; ``shown`` says whether a viewer's window was opened for it.
+    ``path`` is the file; ``shown`` is true if a viewer opened it.
     """
 
     path: Path
     shown: bool
 
     @classmethod
-    def made(
+    def written(
         cls, write: Callable[[Path], None], path: str | os.PathLike[str] | None = None
     ) -> Self:
-        """Write a recording to ``path``, or to a file that lasts as long as Python, and open it.
+        """Write a recording to ``path`` or to a temporary file, and open it in the viewer.
 
-        Raises :class:`InputError` where the file cannot be written. Warns where nothing is opened.
+        The temporary file is deleted when Python ends. Raises :class:`InputError` where the file
+        cannot be written. Warns without a display.
         """
         from swarm.view.viewers import has_display, open_window  # noqa: PLC0415 - slow to import
 
@@ -41,8 +42,8 @@ class Recording:
             open_window(str(file))
         else:
             warnings.warn(
-                "no display here, so no viewer is opened; view(path) keeps the recording for "
-                "another machine, and `swarm view PATH --web` shows it as a page",
+                "no display here, so no viewer is opened; view(path) writes the recording for "
+                "another machine, and `swarm view PATH --web` serves it as a web page",
                 stacklevel=3,
             )
         return cls(file, shown)
@@ -58,7 +59,7 @@ def _temporary() -> Path:
 
 
 def _require_writable(path: Path) -> None:
-    """Raise :class:`InputError` where a file cannot be written; Rerun would only log that."""
+    """Raise :class:`InputError` where a file cannot be written: Rerun only logs that."""
     try:
         path.open("ab").close()
     except OSError as error:

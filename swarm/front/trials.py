@@ -163,7 +163,7 @@ def monte_carlo(
     of the conditions (:class:`swarm.Spread`); ``faults`` (as for :func:`simulate`) happen in every
     trial. ``jobs`` processes of this machine share the work (None: one per core), or the workers of
     the Dask cluster at ``scheduler`` (tcp://host:port). ``seed`` and number determine a trial,
-    whatever the number of processes. ``progress(stage, share)`` is called after each trial.
+    for any number of processes. ``progress(stage, share)`` is called after each trial.
 
     Raises :class:`swarm.Refused` where the certificate belongs to another plan or has errors,
     :class:`swarm.InputError` for numbers out of range, and :class:`swarm.SwarmError` where the
@@ -196,7 +196,9 @@ def load_scenario(path: str | os.PathLike[str] | None) -> tuple[Spread, tuple[Fa
 
     Without a file: the default distributions and no faults.
 
-    Raises :class:`swarm.InputError` with every problem at once; `swarm schema scenario` prints the
+    Raises :class:`swarm.InputError` with every problem at once.
+
+    Source: :func:`swarm.simulation.monte_carlo.read_scenario`; `swarm schema scenario` prints the
     format.
     """
     if path is None:
@@ -222,7 +224,7 @@ def fly_series(
     scheduler: str | None,
     on_trial: Callable[[], None],
 ) -> tuple[Trials, bool]:
-    """Fly trials until an interrupt; return those that were completed, and whether it came.
+    """Fly trials until an interrupt; return the completed trials, and whether it came.
 
     ``on_trial`` is called after each trial.
     """
