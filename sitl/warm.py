@@ -39,7 +39,8 @@ def _take_off(vehicle: Vehicle) -> None:
 def warm_up() -> None:
     """Fly three vehicles with a cable and a loose end in virtual time.
 
-    They climb, fly apart until the cable is taut, release it, and land.
+    They climb, fly apart until the cable is taut, release it, and land. The other model of the
+    cable makes one step.
     """
     emulator = Emulator(parse_world(_WORLD))
     ground = dialect.MAVLink(None, 255, 190)
@@ -64,3 +65,4 @@ def warm_up() -> None:
                 vehicle.autopilot.set_mode(1, _LAND[vehicle.spec.autopilot])
         emulator.step(now)
     emulator.truth()
+    Emulator(parse_world(_WORLD.replace("cable: {", "cable: {model: swinging, "))).step(_STEP)
