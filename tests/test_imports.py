@@ -5,15 +5,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-KNOWN = {
-    "swarm.flight.conductor", "swarm.flight.contingency", "swarm.flight.failure_detection",
-    "swarm.flight.failures", "swarm.flight.gates", "swarm.flight.grip_slip",
-    "swarm.flight.measuring", "swarm.flight.operator", "swarm.flight.pace",
-    "swarm.flight.rejoining", "swarm.flight.reporting", "swarm.flight.resuming",
-    "swarm.flight.sending", "swarm.flight.stages", "swarm.flight.straying",
-}  # fmt: skip
-"""Modules that are still part of a circle. Remove a name here as soon as its circle is gone."""
-
 
 def circles() -> list[set[str]]:
     """Return the strongly connected components, of two modules or more, of all imports."""
@@ -33,11 +24,5 @@ def circles() -> list[set[str]]:
     return [component for component in components if len(component) > 1]
 
 
-def test_no_new_module_is_part_of_a_circle_of_imports():
-    new = [sorted(circle) for circle in circles() if not circle <= KNOWN]
-    assert new == []
-
-
-def test_every_known_circle_still_exists():
-    """A circle that is gone is removed from KNOWN, so that it cannot come back."""
-    assert set().union(*circles()) >= KNOWN
+def test_no_module_is_part_of_a_circle_of_imports():
+    assert [sorted(circle) for circle in circles()] == []
