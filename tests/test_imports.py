@@ -24,5 +24,5 @@ def circles() -> list[set[str]]:
     return [component for component in components if len(component) > 1]
 
 
-def test_no_module_is_part_of_a_circle_of_imports():
+def test_there_is_no_circle_of_imports():
     assert [sorted(circle) for circle in circles()] == []

@@ -232,7 +232,7 @@ def test_only_the_emulator_flies_a_refused_plan(tmp_path):
     with pytest.raises(Refused, match="vehicle clearance: "):
         CertifiedPlan(wrong.plan, wrong.certificate)
     fleet = emulated_fleet(3)
-    with pytest.raises(Refused, match="a comparison is flown by swarm dry-run alone"):
+    with pytest.raises(Refused, match="a comparison is flown by swarm dry-run only"):
         fly(wrong, fleet, tmp_path / "record")
     assert not (tmp_path / "record").exists()
     flown, result = fly_trial(wrong, CALM, 1, 0, options=Options(open_loop=True))
