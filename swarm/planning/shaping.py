@@ -1,0 +1,188 @@
+"""A fold that excites little swing of its cable: input shaping, and slowing where needed.
+
+A zero-vibration shaper (Singer and Seering 1990) replaces a motion by shares of it at delays of
+half a period of a mode; a cascade of them is quiet over a band of periods. The lateral modes of a
+strand have about the period of a pendulum of 0.8 times its sag (Irvine 1981), which changes during
+a fold: the cascade covers the band from the smallest sag of the layout to beyond the largest.
+Strands that still leave their catenary by more than the limit lean in the air or are accelerated as
+a whole; there the motion is slowed until the simulated swing keeps the limit.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d, minimum_filter1d
+
+from swarm.geometry.catenary import STANDARD_GRAVITY
+from swarm.geometry.lumped_mass import SwingModel, stray, swing
+from swarm.geometry.motion import Motion, through_states
+
+Floats = npt.NDArray[np.float64]
+
+_DAMPING = 0.04
+"""Damping ratio of a strand's lateral mode by drag, at amplitudes of 0.25 m (measured in the
+lumped-mass model)."""
+
+_BEYOND = 1.3
+"""Longest period of the cascade over that of the largest sag at rest: sags are larger in the
+fold."""
+
+_SAMPLE = 0.2
+"""Duration of the pieces of a shaped motion, seconds: as those of timed paths."""
+
+_GRID = 0.05
+"""Seconds between the samples of the rate at which a motion is flown."""
+
+_AROUND, _SMOOTHING = 61, 20.0
+"""Samples of the rate around one that slow with it, and standard deviation of their smoothing: a
+rate that changes within a period would excite swing itself."""
+
+_EXPONENT = 0.7
+"""Power of limit over stray by which the rate is reduced in one round."""
+
+_TARGET = 0.97
+"""Share of the limit that rounds aim at."""
+
+_SLOWEST = 0.3
+"""Smallest rate: where it is not enough, slowing is not the remedy."""
+
+_ROUNDS = 12
+_SETTLING = 4.0
+"""Seconds after the motion in which swing counts, too."""
+
+_STORED = 0.1
+"""Seconds between the compared moments."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shaper:
+    """Impulses: ``delays`` (k,) in seconds from 0, and their ``shares`` (k,), which sum to 1."""
+
+    delays: Floats
+    shares: Floats
+
+
+def zero_vibration(periods: tuple[float, ...], damping: float = _DAMPING) -> Shaper:
+    """Return the cascade of zero-vibration shapers for modes of the given periods, in seconds.
+
+    ``damping`` is the damping ratio of all modes (Singer and Seering 1990, eq. 6).
+    """
+    decay = math.exp(-damping * math.pi / math.sqrt(1.0 - damping * damping))
+    pairs = [((0.0, 1.0 / (1.0 + decay)), (0.5 * t, decay / (1.0 + decay))) for t in periods]
+    impulses = list(product(*pairs))
+    delays = np.array([sum(delay for delay, _ in chosen) for chosen in impulses])
+    shares = np.array([math.prod(share for _, share in chosen) for chosen in impulses])
+    order = np.argsort(delays, kind="stable")
+    return Shaper(delays[order], shares[order])
+
+
+def shaper_for(sags: Floats) -> Shaper:
+    """Return the shaper for strands that hang with sags (m,), metres, at the end of a fold."""
+    shortest, longest = (_period(float(sag)) for sag in (sags.min(), sags.max()))
+    return zero_vibration((shortest, math.sqrt(shortest * longest), longest, _BEYOND * longest))
+
+
+def _period(sag: float) -> float:
+    return 2.0 * math.pi * math.sqrt(0.8 * sag / STANDARD_GRAVITY)
+
+
+@dataclass(frozen=True, eq=False)
+class PacedMotion:
+    """A motion at a varying rate: ``rate`` (k,) at its own times ``at`` (k,), evenly spaced."""
+
+    motion: Motion
+    at: Floats
+    rate: Floats
+
+    @property
+    def time(self) -> Floats:
+        """The times (k,), from 0, at which the motion has reached ``at``."""
+        pace = 1.0 / self.rate
+        steps = np.diff(self.at) * 0.5 * (pace[1:] + pace[:-1])
+        time: Floats = np.concatenate([[0.0], np.cumsum(steps)])
+        return time
+
+    def states(self, time: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return position, velocity and acceleration (m, n, 3) at times (m,); at rest outside."""
+        reached = self.time
+        inside = ((time >= 0.0) & (time <= reached[-1]))[:, None, None]
+        at = np.interp(time, reached, self.at)
+        rate = np.interp(at, self.at, self.rate)[:, None, None]
+        slope = np.interp(at, self.at, np.gradient(self.rate, self.at))[:, None, None]
+        place, velocity, acceleration = self.motion.at(at)
+        change = acceleration * rate**2 + velocity * rate * slope
+        return place, inside * velocity * rate, inside * change
+
+
+def shape(paced: PacedMotion, shaper: Shaper) -> Motion:
+    """Return the shaped motion, from time 0: the sum of shares of a motion, each with its delay.
+
+    It lasts longer by the largest delay and is C²: quintics through its states every 0.2 s. Speeds
+    and accelerations are no larger than those of the paced motion, up to interpolation.
+    """
+    duration = paced.time[-1] + shaper.delays[-1]
+    times = np.linspace(0.0, duration, math.ceil(duration / _SAMPLE) + 1)
+    place, velocity, acceleration = (
+        np.zeros((len(times), *paced.motion.coefficients.shape[2:])) for _ in range(3)
+    )
+    for delay, share in zip(shaper.delays, shaper.shares, strict=True):
+        states = paced.states(times - delay)
+        place += share * states[0]
+        velocity += share * states[1]
+        acceleration += share * states[2]
+    return through_states(times, place, velocity, acceleration)
+
+
+def largest_stray(motion: Motion, lengths: Floats, model: SwingModel) -> tuple[Floats, Floats]:
+    """Return times (k,) and how far strands (k, n − 1) are from their catenaries then, metres.
+
+    The cable is at rest when the motion begins; the moments last until four seconds after its end.
+    """
+    every = max(1, round(_STORED / model.step))
+    times = np.arange(motion.times[0], motion.times[-1] + _SETTLING, model.step)
+    ends = motion.at(times)[0]
+    return times[::every], stray(swing(ends, lengths, model, every), ends[::every], lengths)
+
+
+def limit_swing(
+    motion: Motion, lengths: Floats, sags: Floats, model: SwingModel, limit: float
+) -> Motion:
+    """Return a motion along nearly the same paths whose cable swings no farther than a limit.
+
+    ``motion`` begins and ends at rest; ``lengths`` and ``sags`` (n − 1,) of the strands, metres, at
+    its end; ``limit`` in metres is for the distance from the catenary, at equal arc length. Where
+    twelve rounds do not reach the limit, the motion with the least swing is returned.
+    """
+    shaper = shaper_for(sags)
+    start, end = motion.times[0], motion.times[-1]
+    at = np.linspace(start, end, math.ceil((end - start) / _GRID) + 1)
+    rate, best, least = np.ones(len(at)), motion, math.inf
+    for _ in range(_ROUNDS):
+        smooth = gaussian_filter1d(
+            minimum_filter1d(rate, _AROUND, mode="nearest"), _SMOOTHING, mode="nearest"
+        )
+        paced = PacedMotion(motion, at, smooth)
+        shaped = shape(paced, shaper)
+        times, strays = largest_stray(shaped, lengths, model)
+        worst = np.nan_to_num(strays.max(axis=1), nan=math.inf)
+        if worst.max() < least:
+            best, least = shaped, float(worst.max())
+        if least <= limit:
+            break
+        reduction = _reduction(paced.time, times, worst / (_TARGET * limit), shaper)
+        rate = np.maximum(rate * reduction, _SLOWEST)
+    return best
+
+
+def _reduction(reached: Floats, times: Floats, excess: Floats, shaper: Shaper) -> Floats:
+    """Return the factors (k,) of the rate at times ``reached`` (k,), by the swing that follows.
+
+    ``excess`` (m,) at ``times`` (m,) is stray over limit.
+    """
+    factors = np.minimum(1.0, np.maximum(excess, 1e-9) ** -_EXPONENT)
+    first = np.searchsorted(times, reached)
+    last = np.searchsorted(times, reached + shaper.delays[-1] + 0.5)
+    return np.array([factors[a:b].min(initial=1.0) for a, b in zip(first, last, strict=True)])
