@@ -48,6 +48,7 @@ def test_what_is_no_record_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"with plan\.json and motion\.npz in it"):
         recorded_plan(tmp_path)
     (tmp_path / "plan.json").write_text("{")
+    (tmp_path / "motion.npz").write_bytes(b"")
     with pytest.raises(InputError, match="not valid JSON"):
         recorded_plan(tmp_path)
 

@@ -18,7 +18,7 @@ SYSTEM_FAILURE_CASES: tuple[SystemFailureCase, ...] = (
         (
             "tests/ground/test_fly.py::"
             "test_a_disk_that_is_full_in_flight_costs_the_rest_of_the_record_and_not_the_flight",
-            "tests/ground/test_record.py::test_a_full_disk_costs_the_record_and_not_the_flight",
+            "tests/ground/test_record.py::test_a_full_disk_damages_the_record_only",
         ),
     ),
     SystemFailureCase(
