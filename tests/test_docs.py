@@ -1,5 +1,6 @@
 """The documentation: generated pages are up to date, links resolve, shown commands exist."""
 
+import importlib
 import re
 import shlex
 import tomllib
@@ -95,6 +96,51 @@ def test_commands_that_are_shown_exist(page):
         if command not in COMMANDS or not given <= options_of(command):
             wrong.append(" ".join(words))
     assert wrong == []
+
+
+def missing_names(page: Path) -> Iterator[str]:
+    """Paths, and dotted names of the two packages, in inline code, that do not exist."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
+    for name in re.findall(r"(?<!`)`([^`\n]+)`(?!`)", text):
+        if re.fullmatch(r"(swarm|sitl|tests|missions|docs)/[\w./-]*", name):
+            if not (ROOT / name).exists():
+                yield name
+        elif re.fullmatch(r"(swarm|sitl|tests)(\.\w+)+", name) and not is_importable(name):
+            yield name
+
+
+def is_importable(name: str) -> bool:
+    """Whether a dotted name is a module, or an attribute of the longest module in it."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[count:]:
+            if not hasattr(found, part):
+                return False
+            found = getattr(found, part)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("page", WRITTEN, ids=named)
+def test_names_of_the_code_that_are_mentioned_exist(page):
+    assert list(missing_names(page)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "exists"),
+    [
+        ("swarm.planner.plan", True),
+        ("swarm.planner.PlanningResult.certified", True),
+        ("swarm.planner.unplan", False),
+        ("swarm.no_module", False),
+    ],
+)
+def test_a_name_that_does_not_exist_is_found(name, exists):
+    assert is_importable(name) == exists
 
 
 def test_every_command_is_shown_somewhere():
