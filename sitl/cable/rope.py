@@ -26,11 +26,13 @@ REACH = 0.15
 SPACING = 0.1
 """Distance of samples along the cable in metres."""
 _CYLINDER_DRAG = 1.1
-_DAMPING_RATIO = 0.1
-_NODE_MASS = 1.5
-_STIFFEST = 1500.0
+"""Drag coefficient of a cylinder in crossflow."""
+_DAMPING_RATIO, _END_MASS, _LARGEST_STIFFNESS = 0.1, 1.5, 1500.0
+"""Damping ratio, mass at an end in kg and largest stiffness in N/m of an overstretched span."""
 _NEARLY_TAUT, _LITTLE_SLACK = 0.03, 0.2
+"""Slack in metres below which forces are computed at every step, and at every second step."""
 _FALL_SPEED = 9.0
+"""Largest speed of falling cable, m/s."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,7 @@ class Rope:
         nearest = int(np.argmin(gaps))
         if gaps[nearest] > REACH + SPACING:
             return None
-        best, place = np.inf, 0.0
+        best, best_arc = np.inf, 0.0
         for first in (nearest - 1, nearest):
             if 0 <= first < len(self.arc) - 1:
                 start, end = self.shape[first], self.shape[first + 1]
@@ -127,11 +129,13 @@ class Rope:
                 gap = float(np.linalg.norm(start + share * step - grip_point))
                 if gap < best:
                     best = gap
-                    place = float(self.arc[first] + share * (self.arc[first + 1] - self.arc[first]))
-        if best > REACH or any(abs(place - arc) < 1e-3 for arc in taken):
+                    best_arc = float(
+                        self.arc[first] + share * (self.arc[first + 1] - self.arc[first])
+                    )
+        if best > REACH or any(abs(best_arc - arc) < 1e-3 for arc in taken):
             return None
-        self.attach(vehicle, place)
-        return place
+        self.attach(vehicle, best_arc)
+        return best_arc
 
     def attach(self, vehicle: int, arc: float) -> None:
         """Attach the cable to a holder at an arc length."""
@@ -245,7 +249,7 @@ class Rope:
         """Add the elastic forces of overstretched spans to the forces on their ends, in place."""
         spans = self._spans
         elastic = np.empty(spans.count)
-        constants = (self.spec.stiffness, _STIFFEST, _DAMPING_RATIO, _NODE_MASS)
+        constants = (self.spec.stiffness, _LARGEST_STIFFNESS, _DAMPING_RATIO, _END_MASS)
         span_statics.add_elastic_forces(
             solved.ends, spans.holders, velocity, solved.solution, constants, on_ends, elastic
         )

@@ -59,6 +59,13 @@ class Bodies:
 
     Autopilots set goals with `set_goal` and `set_goal_values`; they write gains, limits and flags
     directly, then call `refresh`. `step` advances all vehicles by `STEP` seconds.
+
+    Flags (n,): ``may_lift`` permits a take-off, ``all_cruising`` says that no vehicle needs
+    `sitl.physics.landing`, ``goal_moves`` is 1 where the goal moves with its velocity. Times in
+    seconds (n,): since arming (``armed_time``), since the start of lift (``lift_time``), with the
+    condition of a landing (``landing_time``); until lift (``spool_time``), full thrust
+    (``ramp_time``), reduced thrust (``cut_time``) and landed (``land_time``). ``frames`` (n, 5) are
+    local origins and scales; ``apart`` (n, n) are horizontal distances squared.
     """
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
@@ -144,17 +151,17 @@ class Bodies:
 
     def _create_views(self) -> None:
         """Create the views of the arrays with several columns."""
-        now, slow = self.state, self._disturbances
-        self.position = now[..., motion.POSITION]
-        self.velocity = now[..., motion.VELOCITY]
-        self.thrust = now[..., motion.THRUST]
-        self.thrust_rate = now[..., motion.THRUST_RATE]
-        self.integral = now[..., motion.INTEGRAL]
-        self.goal_position = now[..., motion.GOAL_POSITION]
-        self.goal_velocity = now[..., motion.GOAL_VELOCITY]
-        self.goal_acceleration = now[..., motion.GOAL_ACCELERATION]
-        self._estimate_error = now[..., motion.ESTIMATE_ERROR]
-        self._external = now[..., motion.EXTERNAL]
+        state, slow = self.state, self._disturbances
+        self.position = state[..., motion.POSITION]
+        self.velocity = state[..., motion.VELOCITY]
+        self.thrust = state[..., motion.THRUST]
+        self.thrust_rate = state[..., motion.THRUST_RATE]
+        self.integral = state[..., motion.INTEGRAL]
+        self.goal_position = state[..., motion.GOAL_POSITION]
+        self.goal_velocity = state[..., motion.GOAL_VELOCITY]
+        self.goal_acceleration = state[..., motion.GOAL_ACCELERATION]
+        self._estimate_error = state[..., motion.ESTIMATE_ERROR]
+        self._external = state[..., motion.EXTERNAL]
         self.noise = slow[..., motion.NOISE]
         self._noise_sigma = slow[..., motion.NOISE_SIGMA]
         self.bias = slow[..., motion.BIAS]
@@ -162,7 +169,7 @@ class Bodies:
         self.steady_wind = slow[..., motion.STEADY_WIND]
         self.wind = slow[..., motion.WIND]
         self.downwash = slow[..., motion.DOWNWASH]
-        self._bytes = memoryview(cast("Any", now)).cast("B")
+        self._bytes = memoryview(cast("Any", state)).cast("B")
         self.armed, self.landed, self.tumbling = self.status
 
     def __getstate__(self) -> dict[str, Any]:
