@@ -2,15 +2,17 @@
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 from rich.console import Console
 
-from swarm import planner
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
 from swarm.cli.inputs import JSON, SET, ProgressLine, print_json, progress_bar
+from swarm.cli.planning import plan_mission
 from swarm.errors import InputError, Problem, VehicleError
 from swarm.files import write_text
 from swarm.flight.hop import hop
@@ -31,6 +33,31 @@ from swarm.reports.terminal import FlightScreen
 
 EMULATED_VEHICLES = 9
 """Vehicles of the built-in emulator without a fleet file and without a mission."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """The argument and the options of the command."""
+
+    mission: str | None
+    overrides: tuple[str, ...]
+    as_json: bool
+    fleet_file: Path | None
+    fix: bool
+    restore: Path | None
+    soak: float
+    with_hop: bool
+    sheet: Path | None
+    logs: Path | None
+    record: Path | None
+    speed: float
+    yes: bool
+
+    def require_mission(self) -> None:
+        """Raise :class:`InputError` for options that need a mission, without one."""
+        if self.mission is None and (self.with_hop or self.sheet or self.overrides):
+            name = "--hop" if self.with_hop else "--sheet" if self.sheet else "--set"
+            raise InputError([Problem(name, "expected a MISSION")])
 
 
 @click.command()
@@ -88,22 +115,7 @@ EMULATED_VEHICLES = 9
 )
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation; errors still refuse.")
 @click.pass_context
-def check(
-    context: click.Context,
-    mission: str | None,
-    overrides: tuple[str, ...],
-    as_json: bool,
-    fleet_file: Path | None,
-    fix: bool,
-    restore: Path | None,
-    soak: float,
-    with_hop: bool,
-    sheet: Path | None,
-    logs: Path | None,
-    record: Path | None,
-    speed: float,
-    yes: bool,
-) -> None:
+def check(context: click.Context, /, **options: Any) -> None:
     """Check a fleet on the ground, and against MISSION (a file or the name of a knot) if given.
 
     Checks links, firmware, health, batteries, positions, parameters, origins, clocks and the Hold
@@ -112,47 +124,40 @@ def check(
 
     Example: swarm check missions/overhand.yaml --fleet fleet.yaml --soak 60
     """
-    if logs is not None:
-        if mission or fix or restore or soak or with_hop or sheet or record:
-            raise click.UsageError("--logs can be combined with --fleet and --json only")
-        context.exit(_fetch_logs(fleet_file, logs, as_json=as_json))
-    if mission is None and (with_hop or sheet or overrides):
-        name = "--hop" if with_hop else "--sheet" if sheet else "--set"
-        raise InputError([Problem(name, "expected a MISSION")])
-    fleet = load_fleet(fleet_file) if fleet_file else None
-    flight_plan = _certified_plan(mission, overrides) if mission is not None else None
+    given = Options(**options)
+    if given.logs is not None:
+        context.exit(_fetch_logs(given, given.logs))
+    given.require_mission()
+    fleet = load_fleet(given.fleet_file) if given.fleet_file else None
+    flight_plan = None
+    if given.mission is not None:
+        flight_plan = plan_mission(load_mission(given.mission, given.overrides)).certified()
     if fleet is None:
         fleet = emulated_fleet(flight_plan.plan.vehicles if flight_plan else EMULATED_VEHICLES)
-    console = Console(quiet=as_json)
-    folder = record or new_check_folder(Path("checks"))
+    console = Console(quiet=given.as_json)
+    folder = given.record or new_check_folder(Path("checks"))
     console.print(f"{fleet.name}: {len(fleet.vehicles)} vehicles listed", highlight=False)
     with progress_bar(Console(stderr=True), f"listening to {fleet.name}") as progress:
-        confirm_fix = _fix_question(console, progress, yes=yes) if fix else None
+        confirm_fix = _fix_question(console, progress, yes=given.yes) if given.fix else None
         report = check_fleet(
-            fleet, folder, flight_plan, CheckOptions(soak, confirm_fix, restore, progress)
-        )
+            fleet, folder, flight_plan,
+            CheckOptions(given.soak, confirm_fix, given.restore, progress),
+        )  # fmt: skip
     hop_result = None
     if flight_plan is not None:
         report = report.with_findings(_plan_finding(flight_plan))
-        if with_hop:
+        if given.with_hop:
             ready = report.passed or fleet.emulated is not None
-            hop_result = _fly_hop(
-                flight_plan, fleet, folder / "hop", speed, console, ready=ready, yes=yes
-            )
+            hop_result = _fly_hop(flight_plan, fleet, folder / "hop", given, ready=ready)
             report = report.with_findings(*hop_result.findings)
-        if sheet:
-            write_text(sheet, layout_sheet(flight_plan.plan, fleet, report.order))
-    if as_json:
+        if given.sheet:
+            write_text(given.sheet, layout_sheet(flight_plan.plan, fleet, report.order))
+    if given.as_json:
         print_json(check_object(report, hop_result, folder))
     else:
         print_check(report, console)
         console.print(f"Parameters saved in {folder}", soft_wrap=True, highlight=False)
     context.exit(0 if report.passed else 1)
-
-
-def _certified_plan(mission: str, overrides: tuple[str, ...]) -> CertifiedPlan:
-    with progress_bar(Console(stderr=True)) as progress:
-        return planner.plan(load_mission(mission, overrides), progress).certified()
 
 
 def _plan_finding(flight_plan: CertifiedPlan) -> Finding:
@@ -178,41 +183,37 @@ def _fix_question(
 
 
 def _fly_hop(
-    flight_plan: CertifiedPlan,
-    fleet: Fleet,
-    folder: Path,
-    speed: float,
-    console: Console,
-    *,
-    ready: bool,
-    yes: bool,
+    flight_plan: CertifiedPlan, fleet: Fleet, folder: Path, given: Options, *, ready: bool
 ) -> HopResult:
     """Fly the hop if the vehicles are ready and the operator confirms it; emulated ones always."""
     if not ready:
         return HopResult((Finding("warning", "hop", "not flown: the check is a no-go"),))
-    ask = fleet.emulated is None and not yes
+    ask = fleet.emulated is None and not given.yes
     if ask and not (sys.stdin.isatty() and click.confirm(hop_question(flight_plan), err=True)):
         return HopResult((Finding("warning", "hop", "not flown: not confirmed"),))
     flight = hop(flight_plan)
-    with FlightScreen(flight.plan, console) as screen:
+    with FlightScreen(flight.plan, Console(quiet=given.as_json)) as screen:
         return fly_hop(
             flight,
             flight_plan,
             fleet,
             folder,
-            speed=speed,
+            speed=given.speed,
             callbacks=FlightCallbacks(on_snapshot=screen.show, on_event=screen.event),
         )
 
 
-def _fetch_logs(fleet_file: Path | None, folder: Path, *, as_json: bool) -> int:
+def _fetch_logs(given: Options, folder: Path) -> int:
     """Fetch every vehicle's newest log, print the paths, and return the exit code."""
-    fleet = load_fleet(fleet_file) if fleet_file else emulated_fleet(EMULATED_VEHICLES)
+    checks = (given.mission, given.fix, given.restore, given.soak, given.with_hop, given.sheet)
+    if any(checks) or given.record:
+        raise click.UsageError("--logs can be combined with --fleet and --json only")
+    fleet = load_fleet(given.fleet_file) if given.fleet_file else emulated_fleet(EMULATED_VEHICLES)
     with progress_bar(Console(stderr=True), f"listening to {fleet.name}") as progress:
         logs = download_logs(
             fleet, folder, lambda system, share: progress(f"log of system {system}", share)
         )
-    if as_json:
+    if given.as_json:
         print_json(logs_object(logs))
     else:
         Console().print(logs_table(logs))

@@ -4,19 +4,21 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import click
 from rich.console import Console
 
-from swarm import planner
 from swarm.cli.flight_session import Displays, Viewer, displays, end_flight
-from swarm.cli.inputs import JSON, SET, progress_bar
+from swarm.cli.inputs import JSON, SET
+from swarm.cli.planning import plan_mission
 from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.clearance import Audit
+from swarm.flight.result import FlightResult
 from swarm.flight.resuming import Then
 from swarm.flight.setup import LOOSE_ERROR
 from swarm.front.files import load_fleet, load_mission
@@ -33,6 +35,37 @@ _RAISED_FLIGHT = (
     f"The fleet has no grippers (gripper: none): flown {RAISED:g} m higher, without contact with "
     f"the ground; tracking errors up to {LOOSE_ERROR:g} m do not stop the clock."
 )
+
+
+@dataclass(frozen=True)
+class Options:
+    """The argument and the options of the command."""
+
+    mission: str | None
+    overrides: tuple[str, ...]
+    as_json: bool
+    fleet: Path | None
+    speed: float
+    no_cable: bool
+    view: Viewer | None
+    yes: bool
+    record: Path | None
+    resume: Path | None
+    then: Then
+
+    def refuse_with_resume(self) -> None:
+        """Raise :class:`InputError` for options whose values come from the resumed record."""
+        given = {
+            "MISSION": self.mission,
+            "--set": self.overrides,
+            "--fleet": self.fleet,
+            "--no-cable": self.no_cable,
+            "--speed": self.speed != 1.0,
+        }
+        message = "comes from the record with --resume"
+        problems = [Problem(name, message) for name, value in given.items() if value]
+        if problems:
+            raise InputError(problems)
 
 
 @click.command()
@@ -79,20 +112,7 @@ _RAISED_FLIGHT = (
     help="With --resume: action when all vehicles are found.",
 )
 @click.pass_context
-def fly(
-    context: click.Context,
-    mission: str | None,
-    overrides: tuple[str, ...],
-    as_json: bool,
-    fleet: Path | None,
-    speed: float,
-    no_cable: bool,
-    view: Viewer | None,
-    yes: bool,
-    record: Path | None,
-    resume: Path | None,
-    then: Then,
-) -> None:
+def fly(context: click.Context, /, **options: Any) -> None:
     """Plan MISSION (a file or the name of a knot), check the plan, and fly it.
 
     Without --fleet, the built-in emulator flies in a process of its own. Ctrl-C holds and then
@@ -101,35 +121,41 @@ def fly(
 
     Example: swarm fly missions/overhand.yaml --fleet fleet.yaml --view
     """
-    if resume is not None:
-        _refuse_with_resume(mission, overrides, fleet, speed, no_cable=no_cable)
-        folder = record or new_record_folder(_FLIGHTS, f"{resume.name}-resumed")
-        resume_flight(context, resume, folder, then=then, view=view, as_json=as_json)
+    given = Options(**options)
+    if given.resume is not None:
+        given.refuse_with_resume()
+        folder = given.record or new_record_folder(_FLIGHTS, f"{given.resume.name}-resumed")
+        resume_flight(
+            context, given.resume, folder, then=given.then, view=given.view, as_json=given.as_json
+        )
         return
-    if mission is None:
+    if given.mission is None:
         raise click.UsageError("Missing argument 'MISSION'.")
-    loaded = load_mission(mission, overrides)
-    given = load_fleet(fleet) if fleet else None
-    console = Console(quiet=as_json)
-    with progress_bar(Console(stderr=True)) as progress:
-        planned = planner.plan(loaded, progress)
+    mission = load_mission(given.mission, given.overrides)
+    fleet = load_fleet(given.fleet) if given.fleet else None
+    console = Console(quiet=given.as_json)
+    planned = plan_mission(mission)
     plan_summary(planned.plan, planned.assessment, console)
-    team = given or emulated_fleet(planned.plan.vehicles)
-    flight_plan = raised(planned.certified(), team, no_cable=no_cable)
-    plan = flight_plan.plan
-    if plan is not planned.plan:
+    team = fleet or emulated_fleet(planned.plan.vehicles)
+    flight_plan = raised(planned.certified(), team, no_cable=given.no_cable)
+    if flight_plan.plan is not planned.plan:
         console.print(_RAISED_FLIGHT, style="dim", highlight=False, soft_wrap=True)
-    folder = record or new_record_folder(_FLIGHTS, loaded.name)
+    folder = given.record or new_record_folder(_FLIGHTS, mission.name)
+    control = control_socket(folder)
     flight = FlightRequest(
-        flight_plan,
-        team,
-        folder,
-        FlyOptions(speed=speed, no_cable=no_cable, control=control_socket(folder)),
-        confirm=True,
-    )
-    unattended = team.emulated is not None or yes
-    with displays(plan, folder, view, console) as shown, ExitStack() as screen:
-        result = fly_in_process(
+        flight_plan, team, folder,
+        FlyOptions(speed=given.speed, no_cable=given.no_cable, control=control), confirm=True,
+    )  # fmt: skip
+    result = _fly(flight, given, console)
+    end_flight(context, flight_plan.plan, planned.assessment, result, folder, as_json=given.as_json)
+
+
+def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResult:
+    """Fly with terminal and viewer, after the operator's confirmation for real vehicles."""
+    unattended = flight.fleet.emulated is not None or given.yes
+    plan = flight.flight_plan.plan
+    with displays(plan, flight.folder, given.view, console) as shown, ExitStack() as screen:
+        return fly_in_process(
             flight,
             FlightCallbacks(
                 confirm=_confirmation(shown, screen, console, unattended=unattended),
@@ -139,7 +165,6 @@ def fly(
             read_keys=unattended and sys.stdin.isatty(),
             low_priority=True,
         )
-    end_flight(context, plan, planned.assessment, result, folder, as_json=as_json)
 
 
 def _confirmation(
@@ -164,18 +189,3 @@ def _confirmation(
         return True
 
     return confirm
-
-
-def _refuse_with_resume(
-    mission: str | None,
-    overrides: tuple[str, ...],
-    fleet: Path | None,
-    speed: float,
-    *,
-    no_cable: bool,
-) -> None:
-    given = {"MISSION": mission, "--set": overrides, "--fleet": fleet, "--no-cable": no_cable}
-    names = [name for name, value in given.items() if value] + ["--speed"] * (speed != 1.0)
-    if names:
-        message = "comes from the record with --resume"
-        raise InputError([Problem(name, message) for name in names])

@@ -1,6 +1,7 @@
 """``swarm knots`` and ``swarm identify``: the table of knots, and the knots of curves."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 from rich.console import Console
@@ -53,17 +54,13 @@ from swarm.reports.knots_text import (
 @click.pass_context
 def knots(
     context: click.Context,
+    /,
     name: str | None,
     as_json: bool,
     plot: Path | None,
     whole_table: bool,
     planning: bool,
-    only: str | None,
-    jobs: int,
-    target: Path | None,
-    as_csv: bool,
-    no_robustness: bool,
-    overrides: tuple[str, ...],
+    **plan_options: Any,
 ) -> None:
     """List the knots, or show the knot NAME.
 
@@ -80,9 +77,8 @@ def knots(
     if planning:
         if name or plot or whole_table:
             raise click.UsageError("--plan is of many knots: use --only instead of a NAME")
-        options = PlanOptions(only, jobs, target, overrides, not no_robustness)
-        context.exit(print_planned(options, as_json=as_json, as_csv=as_csv))
-    if only or target or as_csv or no_robustness or overrides or jobs > 1:
+        context.exit(print_planned(PlanOptions(**plan_options), as_json=as_json))
+    if PlanOptions(**plan_options) != PlanOptions():
         raise click.UsageError("these options belong to --plan")
     if name is None and plot is not None:
         raise click.UsageError("--plot needs the NAME of a knot")

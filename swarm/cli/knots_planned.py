@@ -18,14 +18,15 @@ from swarm.studies import append_row, matching_knots, plan_rows, read_rows, rows
 class PlanOptions:
     """The options of ``--plan``."""
 
-    only: str | None
-    jobs: int
-    target: Path | None
-    overrides: tuple[str, ...]
-    robustness: bool
+    only: str | None = None
+    jobs: int = 1
+    target: Path | None = None
+    as_csv: bool = False
+    no_robustness: bool = False
+    overrides: tuple[str, ...] = ()
 
 
-def print_planned(options: PlanOptions, *, as_json: bool, as_csv: bool) -> int:
+def print_planned(options: PlanOptions, *, as_json: bool) -> int:
     """Plan the knots that the target file does not have, print all rows, return the exit code.
 
     After an interrupt, the completed rows are in the file and are printed.
@@ -35,7 +36,7 @@ def print_planned(options: PlanOptions, *, as_json: bool, as_csv: bool) -> int:
     remaining = [name for name in names if name not in rows]
     interrupted = False
     planned = plan_rows(
-        remaining, options.overrides, jobs=options.jobs, robustness=options.robustness
+        remaining, options.overrides, jobs=options.jobs, robustness=not options.no_robustness
     )
     try:
         with closing(planned):
@@ -54,7 +55,7 @@ def print_planned(options: PlanOptions, *, as_json: bool, as_csv: bool) -> int:
     found = [rows[name] for name in names if name in rows]
     if as_json:
         print_json(found)
-    elif as_csv:
+    elif options.as_csv:
         click.echo(rows_csv(found), nl=False)
     else:
         print_plan_rows(found, Console())

@@ -46,14 +46,12 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @click.pass_context
 def plan(
     context: click.Context,
+    /,
     mission: str,
     overrides: tuple[str, ...],
     as_json: bool,
-    export: Path | None,
-    plot: Path | None,
-    report: Path | None,
-    sheet: Path | None,
     front: bool,
+    **files: Path | None,
 ) -> None:
     """Plan MISSION (a file or the name of a knot), check the plan, and print it.
 
@@ -63,16 +61,16 @@ def plan(
     """
     loaded = load_mission(mission, overrides)
     if front:
-        if export or report or sheet:
+        if files["export"] or files["report"] or files["sheet"]:
             raise click.UsageError("--front can be combined with --plot, --set and --json only")
-        context.exit(_front(loaded, as_json, plot))
+        context.exit(_front(loaded, as_json, files["plot"]))
     try:
         planned = plan_mission(loaded)
     except Refused as refusal:
         if as_json:
             print_json(exports.refusal_object(loaded, refusal))
         raise
-    _write_files(planned, export=export, plot=plot, report=report, sheet=sheet)
+    _write_files(planned, **files)
     if as_json:
         print_json(exports.plan_object(planned.plan, planned.assessment))
     else:
