@@ -153,10 +153,12 @@ class CommandQueue:
         if active.command.reached is not None and active.command.reached():
             self._finish(active, now, succeeded=True)
         elif active.deadline is not None and now >= active.deadline:
-            self._finish(active, now, succeeded=False, reason="accepted, but it did not happen")
+            self._finish(
+                active, now, succeeded=False, reason="accepted, but the state was not reached"
+            )
         elif active.stage == "waiting" and now >= active.next_send:
             if active.attempts >= ATTEMPTS:
-                self._finish(active, now, succeeded=False, reason="no answer")
+                self._finish(active, now, succeeded=False, reason="no acknowledgement")
                 return
             messages.append(self._message(active))
             active.attempts += 1

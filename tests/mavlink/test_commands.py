@@ -1,4 +1,4 @@
-"""Commands as transcripts in virtual time: what is sent when, and what becomes of it."""
+"""Commands as transcripts in virtual time: when they are sent, and their results."""
 
 from collections import namedtuple
 from itertools import pairwise
@@ -28,7 +28,7 @@ def queue():
 
 
 def run(queue, start, stop, step=0.1):
-    """Tick from start to stop; return what was sent [(time, confirmation)] and the results."""
+    """Tick from start to stop; return the sent [(time, confirmation)] and the results."""
     sent, results = [], []
     count = round((stop - start) / step)
     for k in range(count + 1):
@@ -39,18 +39,18 @@ def run(queue, start, stop, step=0.1):
     return sent, results
 
 
-def test_a_command_is_repeated_with_a_rising_confirmation_until_it_is_given_up(queue):
+def test_a_command_is_repeated_with_a_rising_confirmation_until_it_fails(queue):
     queue.add(Command("arm", ARM, [1, 0, 0, 0, 0, 0, 0]))
     sent, results = run(queue, 0.0, 10.0)
     assert [confirmation for _, confirmation in sent] == list(range(ATTEMPTS))
     gaps = [b[0] - a[0] for a, b in pairwise(sent)]
     assert gaps == pytest.approx([RESEND_AFTER] * (ATTEMPTS - 1))
     (result,) = results
-    assert (result.succeeded, result.reason) == (False, "no answer")
+    assert (result.succeeded, result.reason) == (False, "no acknowledgement")
     assert queue.idle
 
 
-def test_what_is_sent_names_the_vehicle_and_the_parameters(queue):
+def test_a_message_has_the_vehicle_and_the_parameters(queue):
     queue.add(Command("takeoff", common.MAV_CMD_NAV_TAKEOFF, [0, 0, 0, 0, 0, 0, 2.5]))
     ((message,), _) = queue.tick(0.0)
     assert (message.target_system, message.target_component) == (4, 1)
@@ -58,7 +58,7 @@ def test_what_is_sent_names_the_vehicle_and_the_parameters(queue):
     assert message.param7 == 2.5
 
 
-def test_an_acknowledgement_ends_a_command_that_brings_no_state(queue):
+def test_an_acknowledgement_ends_a_command_without_a_resulting_state(queue):
     queue.add(Command("grab", 211, [1, 1, 0, 0, 0, 0, 0]))
     run(queue, 0.0, 0.2)
     queue.acknowledge(Ack(211, ACCEPTED), 0.25)
@@ -68,7 +68,7 @@ def test_an_acknowledgement_ends_a_command_that_brings_no_state(queue):
     assert queue.latencies == [0.25]
 
 
-def test_an_acknowledged_mode_is_not_a_mode_until_it_is_seen(queue):
+def test_an_acknowledged_mode_counts_once_it_is_reported(queue):
     seen = []
     queue.add(Command("mode", 176, [1] * 7, reached=lambda: bool(seen)))
     run(queue, 0.0, 0.1)
@@ -79,15 +79,15 @@ def test_an_acknowledged_mode_is_not_a_mode_until_it_is_seen(queue):
     assert result.succeeded
 
 
-def test_a_promise_that_is_not_kept_is_a_failure(queue):
+def test_an_accepted_command_without_effect_fails(queue):
     queue.add(Command("mode", 176, [1] * 7, reached=lambda: False))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(176, ACCEPTED), 0.2)
     _, (result,) = run(queue, 0.3, STATE_TIMEOUT + 1.0)
-    assert result.reason == "accepted, but it did not happen"
+    assert result.reason == "accepted, but the state was not reached"
 
 
-def test_the_state_is_enough_where_the_acknowledgement_was_lost(queue):
+def test_the_state_suffices_if_the_acknowledgement_is_lost(queue):
     armed = []
     queue.add(Command("arm", ARM, [1] * 7, reached=lambda: bool(armed)))
     run(queue, 0.0, 0.5)
@@ -96,7 +96,7 @@ def test_the_state_is_enough_where_the_acknowledgement_was_lost(queue):
     assert result.succeeded
 
 
-def test_in_progress_buys_time_each_time(queue):
+def test_each_in_progress_extends_the_timeout(queue):
     queue.add(Command("grab", 211, [0] * 7))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(211, common.MAV_RESULT_IN_PROGRESS), 0.2)
@@ -110,7 +110,7 @@ def test_in_progress_buys_time_each_time(queue):
     ("result", "words"),
     [(REJECTED, "temporarily rejected"), (common.MAV_RESULT_FAILED, "failed")],
 )
-def test_a_refusal_that_may_not_last_is_asked_again_while_there_is_patience(queue, result, words):
+def test_a_temporary_rejection_is_retried_for_a_while(queue, result, words):
     queue.add(Command("arm", ARM, [1] * 7, reached=lambda: False, retry_for=2.0))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(ARM, result), 0.2)
@@ -128,14 +128,14 @@ def test_a_refusal_that_may_not_last_is_asked_again_while_there_is_patience(queu
         (common.MAV_RESULT_UNSUPPORTED, "unsupported"),
     ],
 )
-def test_a_refusal_is_final_and_in_words(queue, result, words):
+def test_a_permanent_rejection_is_final_and_has_a_reason(queue, result, words):
     queue.add(Command("arm", ARM, [1] * 7, reached=lambda: False, retry_for=5.0))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(ARM, result), 0.2)
     assert run(queue, 0.3, 0.3)[1][0].reason == words
 
 
-def test_answers_to_others_and_to_other_commands_are_not_ours(queue):
+def test_acknowledgements_for_other_stations_and_commands_are_ignored(queue):
     queue.add(Command("grab", 211, [0] * 7))
     run(queue, 0.0, 0.1)
     queue.acknowledge(Ack(211, ACCEPTED, 250, 190), 0.15)
@@ -146,7 +146,7 @@ def test_answers_to_others_and_to_other_commands_are_not_ours(queue):
     assert run(queue, 0.3, 0.3)[1][0].succeeded
 
 
-def test_one_command_of_a_kind_at_a_time_different_kinds_together(queue):
+def test_commands_with_one_number_are_sequential_others_parallel(queue):
     for number in (511, 511, 176):
         queue.add(Command(f"{number}", number, [0] * 7))
     messages, _ = queue.tick(0.0)

@@ -23,7 +23,7 @@ def haversine(one: Origin, other: Origin, radius: float) -> float:
 
 
 @given(latitudes, longitudes, metres, metres)
-def test_px4_measures_great_circles_on_its_sphere(latitude, longitude, north, east):
+def test_px4_distances_are_great_circles_on_its_sphere(latitude, longitude, north, east):
     origin = Origin(latitude, longitude, 100.0)
     place = Origin(latitude + north * 9e-6, longitude + east * 9e-6, 93.0)
     local = to_local("px4", origin, place)
@@ -31,7 +31,7 @@ def test_px4_measures_great_circles_on_its_sphere(latitude, longitude, north, ea
     assert local[2] == pytest.approx(7.0)
 
 
-def test_the_longitude_may_wrap():
+def test_longitudes_wrap():
     north, east, _ = to_local("px4", Origin(10, 179.9999, 0), Origin(10, -179.9999, 0))
     assert north == pytest.approx(0.0, abs=1e-3)
     assert east == pytest.approx(0.0002 * math.pi / 180 * 6_371_000 * math.cos(math.radians(10)))
@@ -40,10 +40,8 @@ def test_the_longitude_may_wrap():
 @pytest.mark.parametrize("projection", ["px4", "ardupilot"])
 @given(latitudes, longitudes, st.floats(-3.2, 3.2), st.data())
 @settings(max_examples=60, deadline=None)
-def test_points_reach_the_place_on_earth_that_is_meant(
-    projection, latitude, longitude, heading, data
-):
-    """What the autopilot makes of our numbers is where WGS 84 says the mission point is."""
+def test_points_are_at_their_place_on_the_earth(projection, latitude, longitude, heading, data):
+    """The autopilot's place of our setpoint is the place of the mission point on WGS 84."""
     mission = Origin(latitude, longitude, 400.0)
     east, north, up, e, n, u = (data.draw(metres) for _ in range(6))
     at = pymap3d.enu2geodetic(east, north, 0.0, latitude, longitude, 400.0)
@@ -67,7 +65,7 @@ def test_points_reach_the_place_on_earth_that_is_meant(
 
 @given(st.data())
 @settings(max_examples=50)
-def test_there_and_back(data):
+def test_the_inverse_returns_the_points(data):
     n = 4
     numbers = st.lists(metres, min_size=3 * n, max_size=3 * n)
     position, velocity = (np.array(data.draw(numbers)).reshape(n, 3) for _ in range(2))
@@ -82,7 +80,7 @@ def test_there_and_back(data):
     assert frames.points_to_mission(local[:, 0]) == pytest.approx(position, abs=1e-9)
 
 
-def test_a_shift_moves_what_a_vehicle_says_of_itself():
+def test_a_shift_moves_reported_positions():
     frames = shared_frames(2)
     ned = np.array([[1.0, 2.0, -3.0], [0.0, 0.0, 0.0]])
     before = frames.points_to_mission(ned)
@@ -90,7 +88,7 @@ def test_a_shift_moves_what_a_vehicle_says_of_itself():
     assert frames.shifted(by).points_to_mission(ned) == pytest.approx(before + by)
 
 
-def test_shared_frames_are_east_north_up_turned():
+def test_shared_frames_are_rotated_enu():
     states = np.full((1, 3, 3), [1.0, 0.0, 2.0])
     assert shared_frames(1).to_vehicles(states)[0][0] == pytest.approx([0, 1, -2])
     turned = shared_frames(1, math.pi / 2).to_vehicles(states)[0][0]

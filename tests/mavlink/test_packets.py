@@ -17,7 +17,7 @@ NUMBERS = sorted(common.mavlink_map)
 
 
 def random_message(number: int, payload: bytes):
-    """Return the pymavlink message that these payload bytes say, through its own decoder."""
+    """Return pymavlink's message with these payload bytes, from its own decoder."""
     kind = common.mavlink_map[number]
     body = payload[: kind.unpacker.size].ljust(kind.unpacker.size, b"\0")
     header = struct.pack(
@@ -28,7 +28,7 @@ def random_message(number: int, payload: bytes):
 
 
 def same(ours, theirs) -> bool:
-    """Whether two values are the same; NaN is, and pymavlink cuts and decodes texts."""
+    """Return whether two values are equal, NaN included; pymavlink truncates and decodes texts."""
     if isinstance(theirs, float):
         return ours == theirs or (math.isnan(ours) and math.isnan(theirs))
     if isinstance(theirs, list):
@@ -40,7 +40,7 @@ def same(ours, theirs) -> bool:
 
 @given(number=st.sampled_from(NUMBERS), payload=st.binary(min_size=0, max_size=255))
 @settings(max_examples=400, deadline=None)
-def test_every_message_is_read_as_pymavlink_reads_it(number, payload):
+def test_every_message_is_decoded_as_by_pymavlink(number, payload):
     theirs = random_message(number, payload)
     (packet,) = Decoder().feed(bytes(theirs.get_msgbuf()))
     assert (packet.number, packet.system, packet.component, packet.sequence) == (number, 7, 1, 3)
@@ -50,7 +50,7 @@ def test_every_message_is_read_as_pymavlink_reads_it(number, payload):
 
 @given(number=st.sampled_from(NUMBERS), payload=st.binary(min_size=0, max_size=255))
 @settings(max_examples=400, deadline=None)
-def test_every_message_is_written_as_pymavlink_writes_it(number, payload):
+def test_every_message_is_encoded_as_by_pymavlink(number, payload):
     message = random_message(number, payload)
     mav = common.MAVLink(None, srcSystem=9, srcComponent=4)
     encoder = Encoder(9, 4)
@@ -59,7 +59,7 @@ def test_every_message_is_written_as_pymavlink_writes_it(number, payload):
         mav.seq += 1
 
 
-def test_truncated_payloads_and_version_1_packets_are_read():
+def test_truncated_payloads_and_version_1_packets_are_decoded():
     mav = common.MAVLink(None, srcSystem=5, srcComponent=1)
     message = common.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 0)
     for data in (message.pack(mav), message.pack(mav, force_mavlink1=True)):
@@ -70,7 +70,7 @@ def test_truncated_payloads_and_version_1_packets_are_read():
 
 
 @given(cuts=st.lists(st.integers(0, 400), max_size=8))
-def test_a_stream_may_be_cut_anywhere(cuts):
+def test_a_stream_can_be_divided_anywhere(cuts):
     encoder = Encoder(3, 1)
     data = b"".join(
         encoder.encode(common.MAVLink_attitude_message(k, 0.1 * k, 0, 0, 0, 0, 0)) for k in range(8)
@@ -86,7 +86,7 @@ def test_a_stream_may_be_cut_anywhere(cuts):
 
 @given(garbage=st.binary(max_size=600), stream=st.booleans())
 @settings(max_examples=300)
-def test_no_bytes_end_the_flight(garbage, stream):
+def test_arbitrary_bytes_raise_no_error(garbage, stream):
     decoder = Decoder(stream=stream)
     decoder.feed(garbage)
     good = Encoder(1, 1).encode(common.MAVLink_heartbeat_message(2, 3, 0, 0, 0, 3))
@@ -96,7 +96,7 @@ def test_no_bytes_end_the_flight(garbage, stream):
 
 
 @given(place=st.integers(1, 20), bit=st.integers(0, 7))
-def test_a_flipped_bit_is_noticed(place, bit):
+def test_a_flipped_bit_is_detected(place, bit):
     data = bytearray(Encoder(1, 1).encode(common.MAVLink_heartbeat_message(2, 3, 9, 8, 7, 3)))
     data[place] ^= 1 << bit
     decoder = Decoder()
@@ -104,7 +104,7 @@ def test_a_flipped_bit_is_noticed(place, bit):
     assert decoder.damaged + decoder.unknown >= 1
 
 
-def test_only_what_is_wanted_is_unpacked():
+def test_only_selected_messages_are_unpacked():
     encoder = Encoder(1, 1)
     data = encoder.encode(common.MAVLink_heartbeat_message(2, 3, 0, 0, 0, 3))
     data += encoder.encode(common.MAVLink_attitude_message(1, 0, 0, 0, 0, 0, 0))
@@ -118,7 +118,7 @@ finite = st.floats(-1e4, 1e4, width=32)
 
 @given(data=st.data())
 @settings(max_examples=60, deadline=None)
-def test_batches_of_setpoints_are_pymavlinks_byte_for_byte(data):
+def test_setpoints_are_encoded_as_by_pymavlink(data):
     n = data.draw(st.integers(1, 5))
     systems = data.draw(st.lists(st.integers(1, 250), min_size=n, max_size=n))
     components = data.draw(st.lists(st.integers(0, 255), min_size=n, max_size=n))
@@ -137,7 +137,7 @@ def test_batches_of_setpoints_are_pymavlinks_byte_for_byte(data):
         assert packets[k].tobytes() == bytes(single.pack(mav))
 
 
-def test_sequence_numbers_run_on_over_both_ways_of_packing():
+def test_both_ways_of_packing_share_the_sequence_numbers():
     encoder = Encoder()
     heartbeat = common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     taken = []
@@ -148,7 +148,7 @@ def test_sequence_numbers_run_on_over_both_ways_of_packing():
 
 
 @pytest.mark.parametrize("number", [common.MAVLINK_MSG_ID_STATUSTEXT])
-def test_texts_keep_their_bytes(number):
+def test_texts_are_encoded_unchanged(number):
     encoder = Encoder(1, 1)
     text = b"Preflight Fail: ekf2 missing data\t"
     data = encoder.encode(common.MAVLink_statustext_message(3, text, 0, 0))

@@ -1,4 +1,4 @@
-"""The parameter protocol with one vehicle: pymavlink's own messages are what it is judged by."""
+"""The parameter protocol with one vehicle, compared with pymavlink's messages."""
 
 import struct
 
@@ -16,13 +16,13 @@ STEP = 0.05
 
 
 class Vehicle:
-    """Carries parameters as pymavlink packs them; says or loses what it is asked."""
+    """A vehicle with parameters as pymavlink packs them; it responds or loses the packet."""
 
     def __init__(self, table, *, bytewise, loses=lambda _: False):
         self.table, self.bytewise, self.loses = dict(table), bytewise, loses
         self.names = list(self.table)
         self.link = common.MAVLink(None, srcSystem=7, srcComponent=1)
-        self.asked = []
+        self.requests = []
 
     def value(self, name, index=None):
         value = self.table[name]
@@ -38,9 +38,9 @@ class Vehicle:
             b"\xfd" + head + body + struct.pack("<H", common.x25crc(head + body + bytes([220])).crc)
         )
 
-    def answer(self, packet):
+    def respond(self, packet):
         (message,) = common.MAVLink(None).parse_buffer(packet)
-        self.asked.append(message.get_type())
+        self.requests.append(message.get_type())
         if message.get_type() == "PARAM_REQUEST_LIST":
             return [self.value(name) for name in self.names if not self.loses(name)]
         if message.get_type() == "PARAM_REQUEST_READ":
@@ -55,12 +55,12 @@ class Vehicle:
         return [] if self.loses(name) else [self.value(name)]
 
 
-def talk(parameters, vehicle, begin=0.0, most=30.0):
-    """Let both speak until nothing is under way; the time that it took."""
+def exchange(parameters, vehicle, begin=0.0, most=30.0):
+    """Exchange packets until the parameters are not busy; return the duration."""
     encoder, decoder, now = Encoder(), Decoder(), begin
     while parameters.busy and now < begin + most:
         for message in parameters.tick(7, 1, bytewise=vehicle.bytewise, now=now):
-            for reply in vehicle.answer(encoder.encode(message)):
+            for reply in vehicle.respond(encoder.encode(message)):
                 (packet,) = decoder.feed(reply)
                 parameters.receive(packet.message, bytewise=vehicle.bytewise, now=now)
         now += STEP
@@ -77,87 +77,87 @@ def table(count):
     }
 
 
-def test_all_of_a_real_autopilots_number_come_exactly():
+def test_as_many_as_a_real_autopilot_has_are_fetched_exactly():
     vehicle = Vehicle(table(1400), bytewise=True)
     parameters = Parameters()
     parameters.fetch()
-    took = talk(parameters, vehicle)
+    took = exchange(parameters, vehicle)
     assert parameters.values == vehicle.table
-    assert vehicle.asked == ["PARAM_REQUEST_LIST"]
+    assert vehicle.requests == ["PARAM_REQUEST_LIST"]
     assert took < 1.0
 
 
 @pytest.mark.parametrize("share", [0.05, 0.4])
-def test_what_is_lost_is_asked_for_again_and_nothing_else(share):
+def test_only_lost_parameters_are_requested_again(share):
     rng = np.random.default_rng(5)
     vehicle = Vehicle(table(300), bytewise=True, loses=lambda _: rng.random() < share)
     parameters = Parameters()
     parameters.fetch()
-    talk(parameters, vehicle)
+    exchange(parameters, vehicle)
     assert parameters.values == vehicle.table
-    assert vehicle.asked.count("PARAM_REQUEST_LIST") == 1
-    assert vehicle.asked.count("PARAM_REQUEST_READ") < 300 * share * 3
+    assert vehicle.requests.count("PARAM_REQUEST_LIST") == 1
+    assert vehicle.requests.count("PARAM_REQUEST_READ") < 300 * share * 3
 
 
-def test_one_that_never_comes_ends_in_words_and_in_time():
+def test_a_parameter_that_never_arrives_ends_in_time_with_a_reason():
     vehicle = Vehicle(table(300), bytewise=True, loses=lambda name: name == "INT_0007")
     parameters = Parameters()
     parameters.fetch()
-    assert talk(parameters, vehicle) < FETCH_TIMEOUT + 1.0
+    assert exchange(parameters, vehicle) < FETCH_TIMEOUT + 1.0
     assert parameters.problem == "299 of 300 of its parameters received, then none for 5 s"
 
 
-def test_a_silent_vehicle_ends_in_words_and_in_time():
+def test_a_silent_vehicle_ends_in_time_with_a_reason():
     parameters = Parameters()
     parameters.fetch()
     assert (
-        talk(parameters, Vehicle({"A": 1}, bytewise=True, loses=lambda _: True))
+        exchange(parameters, Vehicle({"A": 1}, bytewise=True, loses=lambda _: True))
         < FETCH_TIMEOUT + 1.0
     )
     assert parameters.problem == "none of its parameters received, then none for 5 s"
 
 
 @pytest.mark.parametrize("bytewise", [True, False])
-def test_what_is_set_is_read_back_although_answers_are_lost(bytewise):
+def test_set_parameters_are_read_back_although_responses_are_lost(bytewise):
     rng = np.random.default_rng(1)
     vehicle = Vehicle({"COUNT": 3, "SPEED": 2.5, "KEPT": 9}, bytewise=bytewise)
     parameters = Parameters()
     parameters.fetch()
-    talk(parameters, vehicle)
+    exchange(parameters, vehicle)
     vehicle.loses = lambda _: rng.random() < 0.3
-    vehicle.asked.clear()
+    vehicle.requests.clear()
     parameters.set({"COUNT": 5.0, "SPEED": 0.3})
-    talk(parameters, vehicle, 10.0)
+    exchange(parameters, vehicle, 10.0)
     assert parameters.failed == []
     assert vehicle.table == {"COUNT": 5, "SPEED": pytest.approx(0.3), "KEPT": 9}
     assert parameters.values["COUNT"] == 5.0
-    assert set(vehicle.asked) == {"PARAM_SET"}
+    assert set(vehicle.requests) == {"PARAM_SET"}
 
 
-def test_what_a_vehicle_does_not_take_is_named_with_what_it_says():
+def test_a_rejected_value_is_reported_with_the_vehicles_value():
     vehicle = Vehicle({"COUNT": 3}, bytewise=True)
     parameters = Parameters()
     parameters.fetch()
-    talk(parameters, vehicle)
+    exchange(parameters, vehicle)
     vehicle.loses = lambda what: what == "set"
     parameters.set({"COUNT": 5.0})
-    talk(parameters, vehicle, 10.0)
+    exchange(parameters, vehicle, 10.0)
     assert parameters.failed == [("COUNT", 5.0, 3.0)]
-    assert vehicle.asked.count("PARAM_SET") == ATTEMPTS
+    assert vehicle.requests.count("PARAM_SET") == ATTEMPTS
 
 
 def test_a_fraction_is_not_sent_to_an_integer():
     vehicle = Vehicle({"COUNT": 3}, bytewise=False)
     parameters = Parameters()
     parameters.fetch()
-    talk(parameters, vehicle)
+    exchange(parameters, vehicle)
     parameters.set({"COUNT": 5.5})
-    talk(parameters, vehicle, 10.0)
+    exchange(parameters, vehicle, 10.0)
     assert parameters.failed == [("COUNT", 5.5, 3.0)]
-    assert "PARAM_SET" not in vehicle.asked
+    assert "PARAM_SET" not in vehicle.requests
 
 
-def test_checksums_and_values_that_are_said_unasked_are_not_taken_for_the_list():
+def test_checksums_and_unrequested_values_are_not_part_of_the_list():
     vehicle = Vehicle({"A": 1, "B": 2}, bytewise=True)
     parameters = Parameters()
     parameters.fetch()
@@ -173,7 +173,7 @@ def test_checksums_and_values_that_are_said_unasked_are_not_taken_for_the_list()
 @settings(max_examples=200, deadline=None)
 @given(value=st.integers(-(2**31), 2**31 - 1))
 def test_every_integer_survives_as_bytes(value):
-    """Also those whose bytes are a float's signalling NaN, which a float would change."""
+    """Including bytes of a signalling NaN, which a conversion to float changes."""
     assert decode_value(encode_value(value, INT32, bytewise=True), INT32, bytewise=True) == value
     assert (
         encode_value(value, INT32, bytewise=True)
@@ -182,7 +182,7 @@ def test_every_integer_survives_as_bytes(value):
 
 
 @given(value=st.integers(-128, 127))
-def test_small_integers_travel_either_way(value):
+def test_small_integers_are_encoded_both_ways(value):
     for bytewise in (True, False):
         assert (
             decode_value(encode_value(value, INT8, bytewise=bytewise), INT8, bytewise=bytewise)

@@ -1,4 +1,4 @@
-"""Signed MAVLink 2, against pymavlink's own signing; and a whole flight that is signed."""
+"""MAVLink 2 signing, compared with pymavlink's; and a whole signed flight."""
 
 import hashlib
 
@@ -25,7 +25,7 @@ def theirs(timestamp: int = NOW, key: bytes = KEY, link: int = 3) -> common.MAVL
     return mav
 
 
-def test_pymavlink_takes_what_we_sign():
+def test_pymavlink_accepts_our_signatures():
     signing = Signing(KEY, NOW)
     encoder = Encoder()
     reader = theirs()
@@ -40,7 +40,7 @@ def test_pymavlink_takes_what_we_sign():
     assert messages[2].target_system == 2
 
 
-def test_we_take_what_pymavlink_signs_and_nothing_else():
+def test_only_packets_signed_with_the_key_are_accepted():
     signing, decoder = Signing(KEY, NOW), Decoder()
     mav = theirs()
     genuine = bytes(HEARTBEAT.pack(mav))
@@ -52,7 +52,7 @@ def test_we_take_what_pymavlink_signs_and_nothing_else():
     assert len(decoder.feed(bytes(HEARTBEAT.pack(mav)), signing)) == 1
 
 
-def test_a_stream_that_begins_long_ago_is_a_replay():
+def test_a_stream_with_an_old_first_timestamp_is_a_replay():
     signing, decoder = Signing(KEY, NOW), Decoder()
     minute = 60 * TICKS_PER_SECOND
     assert decoder.feed(bytes(HEARTBEAT.pack(theirs(NOW - minute - 10))), signing) == []
@@ -60,7 +60,7 @@ def test_a_stream_that_begins_long_ago_is_a_replay():
     assert signing.dropped["replayed"] == 1
 
 
-def test_our_timestamp_follows_the_clock_and_those_that_are_ahead():
+def test_our_timestamp_follows_the_clock_and_later_timestamps():
     signing = Signing(KEY, NOW)
     signing.advance(2.0)
     assert signing.timestamp == NOW + 2 * TICKS_PER_SECOND
@@ -76,7 +76,7 @@ def test_a_key_of_another_length_is_refused():
         Signing(b"short", 0)
 
 
-def test_a_signed_team_flies_and_hears_nothing_unsigned():
+def test_a_signed_team_flies_and_ignores_unsigned_packets():
     flight = Network(small_plan(), emulated_fleet(3, ("px4", "ardupilot")), no_cable=True)
     signing = flight.conductor.team.signing = Signing(KEY, NOW)
     flight.emulator.sign_with(KEY, 1_800_000_000.0)
@@ -94,7 +94,7 @@ def test_a_signed_team_flies_and_hears_nothing_unsigned():
     assert any("not signed as they must be" in words for words in flight.words("security"))
 
 
-def test_vehicles_with_a_key_do_not_obey_a_ground_station_without():
+def test_vehicles_with_a_key_ignore_a_ground_station_without_one():
     flight = Network(small_plan(), emulated_fleet(3), no_cable=True)
     flight.emulator.sign_with(KEY, 1_800_000_000.0)
     flight.run(most=200.0)

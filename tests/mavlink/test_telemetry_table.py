@@ -1,4 +1,4 @@
-"""What is read for the whole team at once is what is read packet by packet."""
+"""Reading for the whole team at once equals reading packet by packet."""
 
 import math
 
@@ -19,7 +19,7 @@ boot = st.integers(0, 20_000)
 
 @st.composite
 def packets(draw):
-    """A packet of one of the vehicles, of a camera aboard, or what a bad link makes of one."""
+    """A packet of a vehicle or of a camera on board, intact or damaged by a bad link."""
     sender = common.MAVLink(
         None, draw(st.sampled_from(SYSTEMS)), draw(st.sampled_from([1, 1, 100]))
     )
@@ -56,25 +56,25 @@ def packets(draw):
 
 
 def team():
-    """A team of which everybody has been heard."""
-    told = []
-    made = Team(emulated_fleet(len(SYSTEMS)), lambda *words: told.append(words))
+    """A team whose vehicles have all been discovered, and the list of its reports."""
+    reports = []
+    new = Team(emulated_fleet(len(SYSTEMS)), lambda *report: reports.append(report))
     for system in SYSTEMS:
         vehicle = common.MAVLink(None, system, 1)
         beat = common.MAVLink_heartbeat_message(2, common.MAV_AUTOPILOT_PX4, 0, 4 << 16, 4, 3)
-        made.receive("loopback", system, bytes(beat.pack(vehicle)), 0.0)
-    return made, told
+        new.receive("loopback", system, bytes(beat.pack(vehicle)), 0.0)
+    return new, reports
 
 
-def known(made):
-    """All that is known of a team's vehicles, and what they have to tell."""
+def state(team):
+    """The state of a team's vehicles, and their events."""
     return [
         (
             v.take_events(), v.received_at, v.position_at, v.position, v.velocity, v.attitude, v.boot_ms,
             v.packets, v.lost_packets, v.component, v.custom_mode, v.height_difference, v.origin_mismatches,
             v.texts, v.unhandled,
         )
-        for v in made.vehicles.values()
+        for v in team.vehicles.values()
     ]  # fmt: skip
 
 
@@ -88,36 +88,36 @@ def known(made):
         max_size=6,
     )
 )
-def test_the_whole_team_is_read_as_packets_are_one_by_one(ticks):
-    """From everybody's own address or another's, whole or damaged, in order or not."""
+def test_reading_the_whole_team_equals_reading_one_by_one(ticks):
+    """From the vehicle's own address or another, whole or damaged, in order or not."""
     (one_by_one, singly), (at_once, together) = team(), team()
     for tick, datagrams in enumerate(ticks, 1):
         arrived = [(address, b"".join(parts)) for address, parts in datagrams]
         for address, data in arrived:
             one_by_one.receive("loopback", address, data, 0.05 * tick)
         at_once.receive_all("loopback", arrived, 0.05 * tick)
-        assert repr(known(at_once)) == repr(known(one_by_one))
+        assert repr(state(at_once)) == repr(state(one_by_one))
     assert (together, at_once.rejected) == (singly, one_by_one.rejected)
 
 
-def test_nothing_is_known_of_vehicles_that_were_never_heard():
+def test_undiscovered_vehicles_have_no_state():
     table = TelemetryTable(2)
-    made, _ = team()
+    known, _ = team()
     fresh = Team(emulated_fleet(2), lambda *_: None).vehicles[1]
     assert (fresh.received_at, fresh.position_at) == (-math.inf, -math.inf)
     assert np.isnan([*fresh.position, *fresh.velocity, *fresh.attitude]).all()
     assert (fresh.boot_ms, fresh.packets, fresh.lost_packets, fresh.component) == (-1, 0, 0, 1)
     assert table.values.shape == (2, 15)
-    assert made.vehicles[1].packets == 1
+    assert known.vehicles[1].packets == 1
 
 
-def test_a_copy_of_a_vehicle_stays_as_it_was():
+def test_a_copy_of_a_vehicle_does_not_change():
     from copy import copy
 
-    made, _ = team()
-    vehicle = made.vehicles[2]
+    known, _ = team()
+    vehicle = known.vehicles[2]
     vehicle.position = (1.0, 2.0, 3.0)
     twin = copy(vehicle)
     vehicle.position = (4.0, 5.0, 6.0)
     assert twin.position == pytest.approx((1.0, 2.0, 3.0))
-    assert made.vehicles[1].position != vehicle.position
+    assert known.vehicles[1].position != vehicle.position

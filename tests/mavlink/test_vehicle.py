@@ -1,4 +1,4 @@
-"""One vehicle: what its messages change, and what it is asked."""
+"""One vehicle: the effects of its messages, and the commands to it."""
 
 import math
 
@@ -15,7 +15,7 @@ PX4, ARDUPILOT = common.MAV_AUTOPILOT_PX4, common.MAV_AUTOPILOT_ARDUPILOTMEGA
 
 
 class Wire:
-    """Feeds a vehicle with packets that pymavlink made."""
+    """Passes packets that pymavlink has packed to a vehicle."""
 
     def __init__(self, system=3):
         self.vehicle = Vehicle(system)
@@ -37,7 +37,7 @@ def heartbeat(autopilot=PX4, armed=False, custom_mode=0):
 
 
 def current_mode(custom_mode):
-    """CURRENT_MODE, from a dialect that has it already."""
+    """CURRENT_MODE, from a dialect that defines it."""
     return development.MAVLink_current_mode_message(0, custom_mode, custom_mode)
 
 
@@ -54,13 +54,13 @@ def current_mode(custom_mode):
         (ARDUPILOT, 250, "mode 250"),
     ],
 )
-def test_modes_are_words(autopilot, custom_mode, name):
+def test_modes_have_names(autopilot, custom_mode, name):
     wire = Wire()
     assert wire(heartbeat(autopilot, custom_mode=custom_mode)) == ["discovered", "mode"]
     assert wire.vehicle.mode == name
 
 
-def test_arming_and_disarming_are_told_once():
+def test_arming_and_disarming_are_reported_once():
     wire = Wire()
     wire(heartbeat())
     assert wire(heartbeat(armed=True)) == ["armed"]
@@ -76,7 +76,7 @@ def test_other_components_do_not_change_the_autopilots_state():
     assert not wire.vehicle.armed
 
 
-def test_a_companion_that_goes_on_talking_is_not_taken_for_the_autopilot():
+def test_packets_of_a_companion_computer_do_not_count_as_the_autopilots():
     wire = Wire()
     wire(heartbeat(), 1.0)
     aboard = common.MAVLink(None, srcSystem=3, srcComponent=191)
@@ -86,24 +86,24 @@ def test_a_companion_that_goes_on_talking_is_not_taken_for_the_autopilot():
     assert wire.vehicle.received_at == 1.0
 
 
-def test_px4_tells_its_mode_between_its_heartbeats():
+def test_px4_reports_its_mode_between_heartbeats():
     wire = Wire()
     wire(heartbeat(custom_mode=6 << 16))
     offboard, hold = 6 << 16, 4 << 16 | 3 << 24
-    said = [wire(current_mode(mode), 0.3) for mode in (offboard, hold, hold)]
-    assert said == [[], ["mode"], []]
+    events = [wire(current_mode(mode), 0.3) for mode in (offboard, hold, hold)]
+    assert events == [[], ["mode"], []]
     assert (wire.vehicle.mode, wire.vehicle.mode_at) == ("hold", 0.3)
     assert wire.vehicle.heartbeat_at == 0.0
 
 
-def test_an_autopilot_that_is_neither_is_not_taken_for_one():
+def test_another_autopilot_is_unknown():
     wire = Wire()
     wire(heartbeat(common.MAV_AUTOPILOT_GENERIC))
     assert wire.vehicle.autopilot is None
     assert wire.vehicle.mode == "unknown"
 
 
-def test_readiness_is_unknown_until_it_is_said():
+def test_readiness_is_unknown_until_it_is_reported():
     wire = Wire()
     bit = common.MAV_SYS_STATUS_PREARM_CHECK
 
@@ -124,7 +124,7 @@ def test_readiness_is_unknown_until_it_is_said():
     assert wire.vehicle.battery == pytest.approx(0.87)
 
 
-def test_px4_says_that_it_is_ready_in_its_health_alone():
+def test_px4_reports_readiness_in_the_sensors_health_only():
     wire = Wire()
     wire(heartbeat(PX4))
     bit = common.MAV_SYS_STATUS_PREARM_CHECK
@@ -133,13 +133,13 @@ def test_px4_says_that_it_is_ready_in_its_health_alone():
         assert wire.vehicle.ready is ready
 
 
-def test_an_unknown_battery_is_not_an_empty_one():
+def test_an_unknown_battery_is_not_empty():
     wire = Wire()
     wire(common.MAVLink_sys_status_message(0, 0, 0, 0, 16000, 0, -1, 0, 0, 0, 0, 0, 0))
     assert math.isnan(wire.vehicle.battery)
 
 
-def test_long_texts_are_put_together_and_trailing_tabs_go():
+def test_chunks_of_long_texts_are_joined_and_stripped():
     wire = Wire()
     long = "x" * 50 + "the rest\t"
     for chunk in range(2):
@@ -160,7 +160,7 @@ def test_lost_packets_are_counted_by_sequence():
 
 
 @pytest.mark.parametrize("start", [0, 200, 254])
-def test_packets_that_come_late_are_not_lost_and_those_that_come_twice_are_not_found(start):
+def test_late_packets_are_not_lost_and_repeated_ones_count_once(start):
     vehicle = Vehicle(7)
     order = [0, 1, 3, 4, 2, 2, 4, 8, 9, 6, 5, 12]
     for number in order:
@@ -170,12 +170,12 @@ def test_packets_that_come_late_are_not_lost_and_those_that_come_twice_are_not_f
         vehicle.receive(Packet(9999, 7, 1, start + number & 0xFF, None), 2.0)
     for number in (256 + 7, 256 + 10):
         vehicle.receive(Packet(9999, 7, 1, start + number & 0xFF, None), 3.0)
-    assert vehicle.lost_packets == 3, "numbers come again, and these came already"
+    assert vehicle.lost_packets == 3, "the numbers repeat, and these have arrived"
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_lost_packets_are_those_that_never_come(seed):
+def test_lost_packets_are_those_that_never_arrive(seed):
     """Packets are lost, doubled and overtaken by up to twenty others."""
     rng = np.random.default_rng(seed)
     vehicle = Vehicle(7)
@@ -187,7 +187,7 @@ def test_lost_packets_are_those_that_never_come(seed):
     assert vehicle.lost_packets == 1501 - len(sent) - 1
 
 
-def test_a_packet_that_was_overtaken_is_not_two_hundred_lost_ones():
+def test_an_overtaken_packet_is_not_two_hundred_lost_ones():
     wire = Wire()
     wire(heartbeat())
     wire.lose(255 - 1)
@@ -195,7 +195,7 @@ def test_a_packet_that_was_overtaken_is_not_two_hundred_lost_ones():
     assert wire.vehicle.lost_packets == 0
 
 
-def test_a_clock_that_goes_back_is_a_reboot_and_reordering_is_not():
+def test_a_boot_time_that_goes_back_is_a_reboot_but_reordering_is_not():
     wire = Wire()
 
     def position(boot):
@@ -206,7 +206,7 @@ def test_a_clock_that_goes_back_is_a_reboot_and_reordering_is_not():
     assert wire(position(1_000)) == ["rebooted"]
 
 
-def test_an_origin_that_moves_is_told_and_rounding_is_not():
+def test_a_moved_origin_is_reported_but_rounding_is_not():
     wire = Wire()
 
     def origin(latitude, altitude):
@@ -217,8 +217,8 @@ def test_an_origin_that_moves_is_told_and_rounding_is_not():
     assert wire(origin(470_000_100, 400_000)) == ["origin"]
 
 
-@pytest.mark.parametrize(("metres", "told"), [(0.5, 0), (3.0, 1)])
-def test_a_local_frame_that_leaves_the_global_one_is_told_once(metres, told):
+@pytest.mark.parametrize(("metres", "reports"), [(0.5, 0), (3.0, 1)])
+def test_a_mismatch_of_local_and_global_position_is_reported_once(metres, reports):
     wire = Wire()
     wire(heartbeat())
     wire(common.MAVLink_gps_global_origin_message(470_000_000, 85_000_000, 400_000, 0))
@@ -228,14 +228,14 @@ def test_a_local_frame_that_leaves_the_global_one_is_told_once(metres, told):
         boot = 1000 * second
         local = common.MAVLink_local_position_ned_message(boot, north, 0, -5, 0, 0, 0)
         kinds += wire(local, float(second))
-        place = common.MAVLink_global_position_int_message(
+        position = common.MAVLink_global_position_int_message(
             boot, 470_000_000, 85_000_000, 405_000, 5_000, 0, 0, 0, 0
         )
-        kinds += wire(place, second + 0.1)
-    assert kinds.count("origin") == told
+        kinds += wire(position, second + 0.1)
+    assert kinds.count("origin") == reports
 
 
-def test_the_clock_offset_comes_from_the_quickest_answer():
+def test_the_clock_offset_is_that_of_the_fastest_answer():
     wire = Wire()
     for delay, late in ((0.4, 0.1), (0.02, 0.01), (0.3, 0.0)):
         sent = 100.0
@@ -246,36 +246,36 @@ def test_the_clock_offset_comes_from_the_quickest_answer():
     assert wire.vehicle.clock_offset == pytest.approx(7.01)
 
 
-def test_what_nobody_reads_is_stopped_and_given_back():
+def test_unused_streams_are_stopped_and_restored():
     wire = Wire()
     wire(heartbeat())
     for k in range(100):
         wire(common.MAVLink_attitude_quaternion_message(k, 1, 0, 0, 0, 0, 0, 0), 0.02 * k)
         wire(common.MAVLink_attitude_message(k, 0, 0, 0, 0, 0, 0), 0.02 * k)
     wire.vehicle.stop_unused_streams(0.0, 2.0)
-    unread = {
+    unused = {
         common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
         common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
     }
-    assert answered(wire, 2.0) == {(message, -1.0) for message in unread}
+    assert accepted_commands(wire, 2.0) == {(message, -1.0) for message in unused}
     wire.vehicle.stop_unused_streams(0.0, 2.0)
     assert wire.vehicle.commands.idle
     wire.vehicle.restore_streams()
-    assert answered(wire, 3.0) == {(message, 0.0) for message in unread}
+    assert accepted_commands(wire, 3.0) == {(message, 0.0) for message in unused}
 
 
-def answered(wire: "Wire", now: float) -> set[tuple[float, float]]:
-    """Return what was asked, one command after the other, each being accepted."""
-    asked = set()
+def accepted_commands(wire: "Wire", now: float) -> set[tuple[float, float]]:
+    """Accept all commands, one after the other; return their first two parameters."""
+    commands = set()
     while messages := wire.vehicle.tick(now):
         for message in messages:
-            asked.add((message.param1, message.param2))
+            commands.add((message.param1, message.param2))
             wire(common.MAVLink_command_ack_message(message.command, 0), now)
     wire.vehicle.tick(now)
-    return asked
+    return commands
 
 
-def test_modes_are_asked_for_as_each_autopilot_takes_them():
+def test_modes_are_commanded_as_each_autopilot_expects():
     for autopilot, main, sub in ((PX4, 4.0, 6.0), (ARDUPILOT, 9.0, 0.0)):
         wire = Wire()
         wire(heartbeat(autopilot))
@@ -285,14 +285,14 @@ def test_modes_are_asked_for_as_each_autopilot_takes_them():
         assert (message.param1, message.param2, message.param3) == (1.0, main, sub)
 
 
-@pytest.mark.parametrize(("accuracy", "patience"), [(0.02, 0.0), (1.0, 5.0), (1.78, 9.0)])
-def test_a_height_from_satellites_is_averaged_as_long_as_the_receiver_is_poor(accuracy, patience):
+@pytest.mark.parametrize(("accuracy", "window"), [(0.02, 0.0), (1.0, 5.0), (1.78, 9.0)])
+def test_the_satellite_height_is_averaged_longer_for_poor_receivers(accuracy, window):
     wire = Wire()
     wire(heartbeat())
     wire(common.MAVLink_gps_global_origin_message(0, 0, 100_000))
     rng = np.random.default_rng(1)
     heights = rng.normal(0.0, accuracy / 3.56, 60)
-    told = []
+    differences = []
     for now, height in enumerate(heights.tolist()):
         wire(common.MAVLink_local_position_ned_message(1000 * now, 0, 0, -5.0, 0, 0, 0), float(now))
         millimetres = round(1000 * (105.0 + height))
@@ -302,8 +302,8 @@ def test_a_height_from_satellites_is_averaged_as_long_as_the_receiver_is_poor(ac
             ),
             float(now),
         )
-        told.append(wire.vehicle.height_difference)
-    known = [k for k, gap in enumerate(told) if not math.isnan(gap)]
-    assert known[0] == pytest.approx(patience, abs=1.0)
+        differences.append(wire.vehicle.height_difference)
+    known = [k for k, difference in enumerate(differences) if not math.isnan(difference)]
+    assert known[0] == pytest.approx(window, abs=1.0)
     assert known == list(range(known[0], 60))
-    assert np.abs(np.array(told)[known]).max() < 0.3
+    assert np.abs(np.array(differences)[known]).max() < 0.3

@@ -255,7 +255,7 @@ class _Check:
         self.survey.wait_until(lambda: listening.holds is not None, _HOLD_TIMEOUT)
         findings = []
         for vehicle in listening.heard:
-            problem = (listening.holds or {}).get(vehicle.system, "no answer")
+            problem = (listening.holds or {}).get(vehicle.system, "no acknowledgement")
             text = f"system {vehicle.system}: " + (problem or "entered Hold and returned")
             severity: Severity = "info"
             if problem:
