@@ -30,7 +30,7 @@ def test_a_flight_without_a_cable_says_nothing_of_knots_and_has_no_empty_table(h
     assert len(after) == 2
     assert "quasi-static" not in said.stdout
     assert "Cleared: distances between vehicles are certified." in said.stdout
-    assert "Asked for no knot" in words
+    assert "Planned knot: no knot" in words
     assert "imply" not in words
     assert "Smallest distances" not in words
 
@@ -51,6 +51,6 @@ def test_a_flight_that_ends_before_the_fold_has_no_table_of_unknowns():
         **verification_object(flown, flight_plan.assessment), outcome="failed", explanation="down"
     )
     words = Reader(flight_report(flight_plan.plan, flight_plan.assessment, told, trace, [])).words
-    assert "Failed: down. Which knot the cable has is not known." in words
+    assert "Failed: down. The knot of the cable is not known." in words
     assert "Smallest distances" not in words
     assert "unknown" not in words

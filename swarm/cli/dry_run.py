@@ -16,7 +16,7 @@ from swarm.flight.setup import Options
 from swarm.front.files import load_mission
 from swarm.reports.flight_json import outcome_object
 from swarm.reports.flight_text import print_outcome
-from swarm.reports.plan_summary import plan_summary
+from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.terminal import FlightScreen
 from swarm.simulation.loop import Callbacks, simulate_flight
 from swarm.verification import verify_trace
@@ -111,7 +111,7 @@ def dry_run(
         run_rope(context, planned, RopeOptions(**_of(RopeOptions, options)), as_json=as_json)
         return
     console = Console(quiet=as_json)
-    plan_summary(planned.plan, planned.assessment, console)
+    print_plan_summary(planned.plan, planned.assessment, console)
     if options["failures"]:
         from swarm.cli.failures import FailureOptions, run_failures  # noqa: PLC0415 - slow to import
 

@@ -27,7 +27,7 @@ from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlyOptions
 from swarm.ground.record_folder import control_socket, new_record_folder
 from swarm.mission.fleet import emulated_fleet
-from swarm.reports.plan_summary import findings_table, plan_summary
+from swarm.reports.plan_summary import findings_table, print_plan_summary
 
 COUNTDOWN = 3
 _FLIGHTS = Path("flights")
@@ -135,7 +135,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
     fleet = load_fleet(given.fleet) if given.fleet else None
     console = Console(quiet=given.as_json)
     planned = plan_mission(mission)
-    plan_summary(planned.plan, planned.assessment, console)
+    print_plan_summary(planned.plan, planned.assessment, console)
     team = fleet or emulated_fleet(planned.plan.vehicles)
     flight_plan = raised(planned.certified(), team, no_cable=given.no_cable)
     if flight_plan.plan is not planned.plan:

@@ -14,7 +14,7 @@ from swarm.files import write_text
 from swarm.front.files import load_mission
 from swarm.mission import Mission
 from swarm.reports.layout_sheet import layout_sheet
-from swarm.reports.plan_summary import plan_summary
+from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.studies_text import print_front
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -74,7 +74,7 @@ def plan(
     if as_json:
         print_json(exports.plan_object(planned.plan, planned.assessment))
     else:
-        plan_summary(planned.plan, planned.assessment, Console())
+        print_plan_summary(planned.plan, planned.assessment, Console())
     context.exit(0 if planned.assessment.cleared else 1)
 
 
@@ -107,9 +107,9 @@ def _front(mission: Mission, as_json: bool, plot: Path | None) -> int:
     points = studies.mark_dominated([one for one in found if isinstance(one, studies.FrontPoint)])
     refused = [one for one in found if isinstance(one, str)]
     if plot and points:
-        from swarm.reports.plots import front_figure, save  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import pareto_figure, save  # noqa: PLC0415 - slow to import
 
-        save(front_figure([asdict(point) for point in points]), plot)
+        save(pareto_figure([asdict(point) for point in points]), plot)
     if as_json:
         print_json({"plans": [asdict(point) for point in points], "refused": refused})
     else:

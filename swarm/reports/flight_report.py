@@ -13,9 +13,16 @@ from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
 from swarm.reports import plots
-from swarm.reports.formatting import ROUTINE, level, merged, metres, seconds, sentence
+from swarm.reports.formatting import (
+    ROUTINE_KINDS,
+    event_text,
+    log_level,
+    merge_events,
+    metres,
+    seconds,
+)
 from swarm.reports.rendering import Picture, picture, render
-from swarm.reports.strand_distances import CLEARANCE_STEP, distances_of_strands
+from swarm.reports.strand_distances import SAMPLE_INTERVAL, smallest_strand_distances
 from swarm.reports.wording import (
     CLEARANCES,
     implied_in_words,
@@ -34,11 +41,10 @@ def flight_report(
 ) -> str:
     """Return the page of a flight or of a dry run.
 
-    ``outcome`` is the JSON object that ``swarm fly --json`` prints: word, implied knot, clearances
-    flown and certified, tracking, timing.
+    ``outcome`` is the JSON object that ``swarm fly --json`` prints.
     """
     completed = outcome["outcome"] == "done" and outcome["knot"]["as_planned"]
-    shown_events = merged(event for event in events if event.kind not in ROUTINE)
+    shown_events = merge_events(event for event in events if event.kind not in ROUTINE_KINDS)
     return render(
         "flight.html.j2",
         mission=plan.mission,
@@ -53,7 +59,9 @@ def flight_report(
             error for error in outcome["tracking_error"] if error["vehicle"] == 0 and error["phase"]
         ],
         tracking_radius=plan.mission.vehicles.tracking,
-        events=[(one.time, level(one), sentence(one, others)) for one, others in shown_events],
+        events=[
+            (one.time, log_level(one), event_text(one, others)) for one, others in shown_events
+        ],
         plan_figures=plan_figures(plan, assessment),
         findings=sorted_findings(assessment),
     )
@@ -64,7 +72,7 @@ def _figures(plan: Plan, outcome: Mapping[str, Any]) -> list[tuple[str, object]]
     chord = outcome["max_chord_ratio"]
     return [
         ("vehicles", plan.vehicles),
-        ("of flight", seconds(outcome["duration"])),
+        ("duration of the flight", seconds(outcome["duration"])),
         ("largest tracking error in the fold", metres(max(in_fold, default=np.nan))),
         ("chord of the tautest segment", "–" if chord is None else f"{chord:.1%}"),
         ("setpoints sent", outcome["setpoints"]),
@@ -104,19 +112,21 @@ def _pictures(plan: Plan, trace: Trace) -> list[Picture]:
     sampled = aloft[:: _sampling_step(trace)]
     if plan.vehicles >= 4 and len(sampled):
         figure, axes = plots.new_axes((8.0, 2.8))
-        distance = distances_of_strands(plan, trace.position[sampled])
+        distance = smallest_strand_distances(plan, trace.position[sampled])
         required = plan.mission.clearance.cable
         title = "Distance of strands that are not neighbours, as flown (sampled)"
-        plots.draw_over_time(axes, trace.mission_time[sampled], distance, required, title)
+        plots.draw_clearance(axes, trace.mission_time[sampled], distance, required, title)
         pictures.append(picture(figure, title, wide=True))
     figure, axes = plots.new_axes()
     plots.draw_flown_view(axes, plan, trace)
-    pictures.append(picture(figure, "The cable from above as planned, and where it was held"))
+    pictures.append(
+        picture(figure, "The planned cable from above, with the last reported positions")
+    )
     if len(aloft):
         figure, axes = plots.new_axes(projection="3d")
         plots.draw_fold(axes, replace(plan.layout, corners=trace.position[aloft[-1]]))
-        axes.set_title("As held at last, distances at crossings in m")
-        pictures.append(picture(figure, "The cable in space as it was held at last"))
+        axes.set_title("Cable at the end of the hold, distances at crossings in m")
+        pictures.append(picture(figure, "The cable in space at the end of the hold"))
     return pictures
 
 
@@ -131,4 +141,4 @@ def _sampling_step(trace: Trace) -> int:
     if len(trace.time) < 2:
         return 1
     step = float(np.median(np.diff(trace.time)))
-    return max(1, round(CLEARANCE_STEP / step))
+    return max(1, round(SAMPLE_INTERVAL / step))

@@ -1,4 +1,4 @@
-"""Numbers as people read them, the same on screens, in pictures and in reports."""
+"""Formats of numbers, times and events, the same in texts, pictures and pages."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -10,53 +10,55 @@ import numpy.typing as npt
 from swarm.flight.snapshot import Event
 from swarm.flight.words import numbers
 
-ROUTINE: Final = frozenset(
+ROUTINE_KINDS: Final = frozenset(
     {"discovered", "mode", "armed", "disarmed", "airborne", "landed", "done", "interval"}
 )
-"""Kinds of events that every vehicle has in every flight: for the record, not for the screen."""
+"""Kinds of events of every vehicle in every flight; they are in the record, not on the screen."""
 
-TEXTS: Final = frozenset({"text", "text warning", "text error"})
-"""Kinds of events that are a vehicle's own words: notices and less, warnings, errors and worse."""
+STATUS_TEXT_KINDS: Final = frozenset({"text", "text warning", "text error"})
+"""Kinds of events with a vehicle's STATUSTEXT: notices and less, warnings, errors and worse."""
 
-ALARMING: Final = frozenset({"failure", "failed", "refused", "rebooted", "error", "text error"})
-SAME_WITHIN: Final = 5.0
-"""Seconds within which the same words of several vehicles are one line."""
+ERROR_KINDS: Final = frozenset({"failure", "failed", "refused", "rebooted", "error", "text error"})
+MERGE_TIME: Final = 5.0
+"""Seconds within which the same event of several vehicles becomes one line."""
 
-NOTABLE: Final = frozenset({"hold", "land", "link", "origin", "warning", "timeout", "text warning"})
+WARNING_KINDS: Final = frozenset(
+    {"hold", "land", "link", "origin", "warning", "timeout", "text warning"}
+)
 
 
-def level(event: Event) -> Literal["ERROR", "WARN", "INFO"]:
-    """Return how much attention an event asks for."""
-    if event.kind in ALARMING:
+def log_level(event: Event) -> Literal["ERROR", "WARN", "INFO"]:
+    """Return the level of an event in a log."""
+    if event.kind in ERROR_KINDS:
         return "ERROR"
     if event.kind == "outcome" and not event.message.startswith("done"):
         return "ERROR"
-    return "WARN" if event.kind in NOTABLE else "INFO"
+    return "WARN" if event.kind in WARNING_KINDS else "INFO"
 
 
-def sentence(event: Event, others: Sequence[int] = ()) -> str:
-    """Return an event's words with the vehicles that they are about, if they do not say so."""
+def event_text(event: Event, others: Sequence[int] = ()) -> str:
+    """Return an event's message, with its vehicle and ``others`` where it does not name them."""
     vehicles = sorted({*([] if event.vehicle is None else [event.vehicle]), *others})
     if not vehicles or (len(vehicles) == 1 and f"vehicle {vehicles[0]}" in event.message):
         return event.message
     return f"vehicle{'s' if len(vehicles) > 1 else ''} {numbers(vehicles)}: {event.message}"
 
 
-def merged(events: Iterable[Event]) -> list[tuple[Event, list[int]]]:
-    """Return events with the other vehicles of which the same was said soon after."""
-    found: list[tuple[Event, list[int]]] = []
+def merge_events(events: Iterable[Event]) -> list[tuple[Event, list[int]]]:
+    """Return each event with the other vehicles that have the same event soon after."""
+    merged: list[tuple[Event, list[int]]] = []
     for event in events:
-        for first, others in reversed(found):
-            if event.time - first.time > SAME_WITHIN:
-                found.append((event, []))
+        for first, others in reversed(merged):
+            if event.time - first.time > MERGE_TIME:
+                merged.append((event, []))
                 break
             same = (first.kind, first.message) == (event.kind, event.message)
             if same and event.vehicle is not None and first.vehicle is not None:
                 others.append(event.vehicle)
                 break
         else:
-            found.append((event, []))
-    return found
+            merged.append((event, []))
+    return merged
 
 
 def metres(value: float) -> str:
@@ -70,24 +72,25 @@ def seconds(value: float) -> str:
 
 
 def clock(value: float) -> str:
-    """Return seconds as minutes and seconds (``1:05.2``), with a sign before zero."""
+    """Return seconds as minutes and seconds (``1:05.2``), with a sign if negative."""
     tenths = round(abs(value) * 10)
     sign = "-" if value < 0 and tenths else ""
     return f"{sign}{tenths // 600}:{tenths % 600 / 10:04.1f}"
 
 
-def clip_rows(
-    errors: npt.NDArray[np.float64], link_age: npt.NDArray[np.float64], most: int
+def worst_vehicles(
+    errors: npt.NDArray[np.float64], link_age: npt.NDArray[np.float64], rows: int
 ) -> list[int]:
-    """Return which vehicles to list when there is room for ``most``, in order along the cable.
+    """Return the indices of the vehicles to list in at most ``rows`` rows, in cable order.
 
-    Those not heard for longest go first, then those with the largest errors.
+    Silent vehicles come first, by their time of silence, then those with the largest tracking
+    errors. One row is left for the number of the others.
     """
-    if len(errors) <= most:
+    if len(errors) <= rows:
         return list(range(len(errors)))
     silent = np.where(link_age <= 1.0, 0.0, np.nan_to_num(link_age, nan=np.inf))
     order = np.lexsort((np.nan_to_num(errors, nan=np.inf), silent))[::-1]
-    return sorted(int(i) for i in order[: most - 1])
+    return sorted(int(i) for i in order[: rows - 1])
 
 
 def number(value: float | None, unknown: str = "–") -> str:

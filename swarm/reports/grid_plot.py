@@ -12,7 +12,7 @@ from swarm.reports.plots import END, FAINT, GAP, INK, START, STYLE, Axes, along_
 
 
 def plot_grid(choice: KnotChoice, path: Path) -> None:
-    """Write a PNG with a knot's grid diagram, and with the cable in it and who holds it where."""
+    """Write a PNG with a knot's grid diagram, and with the cable and its vehicles in it."""
     save(grid_figure(choice), path)
 
 
@@ -55,7 +55,7 @@ def _draw_closed(axes: Axes, grid: Grid) -> None:
 
 
 def _over(axes: Axes, column: int, ends: Corner, grid: Grid, colour: object) -> None:
-    """A vertical edge with a white rim where it passes over."""
+    """Draw a vertical edge with a white rim where it passes over."""
     low, high = min(ends), max(ends)
     for row in range(low + 1, high):
         left, right = grid.rows[row - 1]

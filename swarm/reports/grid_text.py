@@ -15,11 +15,11 @@ _BENDS: Final = {
 """By (edge goes up, edge goes right)."""
 
 _WIDTH: Final = 3
-"""Characters per column: cells come out about square."""
+"""Characters per column, so that cells are about square."""
 
 
 def grid_text(opened: OpenGrid) -> Text:
-    """The opened grid diagram in box characters; the two edges taken out are dotted."""
+    """Return the opened grid diagram in box characters; the two removed edges are dotted."""
     grid = opened.grid
     text = Text()
     for row in range(grid.size, 0, -1):
@@ -34,16 +34,16 @@ def grid_text(opened: OpenGrid) -> Text:
 
 
 def _cell(opened: OpenGrid, column: int, row: int) -> list[tuple[str, str]]:
-    """A cell's own character, and the filling towards the next column."""
+    """Return a cell's character, and the filling towards the next column, with their styles."""
     grid = opened.grid
     (low, high), (left, right) = grid.columns[column - 1], grid.rows[row - 1]
-    gone_column, gone_row = opened.removed
+    removed_column, removed_row = opened.removed
     ghost = "dim"
-    row_style = ghost if row == gone_row else ""
-    column_style = ghost if column == gone_column else ""
+    row_style = ghost if row == removed_row else ""
+    column_style = ghost if column == removed_column else ""
     filling = " " * (_WIDTH - 1)
     if left <= column < right:
-        filling = ("┄" if row == gone_row else "─") * (_WIDTH - 1)
+        filling = ("┄" if row == removed_row else "─") * (_WIDTH - 1)
     if row in (low, high):
         bend = _BENDS[row == low, column == left]
         if (column, row) == opened.removed:
@@ -51,7 +51,7 @@ def _cell(opened: OpenGrid, column: int, row: int) -> list[tuple[str, str]]:
         end = (column, row) in (opened.corners[0], opened.corners[-1])
         return [("●" if end else bend, "bold" if end else ""), (filling, row_style)]
     if low < row < high:
-        return [("┆" if column == gone_column else "│", column_style), (filling, row_style)]
+        return [("┆" if column == removed_column else "│", column_style), (filling, row_style)]
     if left < column < right:
-        return [("┄" if row == gone_row else "─", row_style), (filling, row_style)]
+        return [("┄" if row == removed_row else "─", row_style), (filling, row_style)]
     return [(" ", ""), (filling, row_style)]

@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.float64]
 Point = tuple[float, float]
 
 END_PIECE: Final = 0.2
-"""Metres of cable beyond the first and the last grip, for knots and hands."""
+"""Metres of cable beyond the first and the last grip, for handling."""
 
 _MAP_WIDTH: Final = 900.0
 _MAP_MARGIN: Final = 60.0
@@ -26,8 +26,8 @@ _CHECKLIST: Final = (
     "cable cut, marked, free of twists and snags, marks on their points",
     "every vehicle on its pad, label and pad agree, grippers open",
     "batteries full, propellers on and tight, nothing loose",
-    "nobody inside the fence, one person at the kill switch",
-    "swarm check says GO",
+    "no person inside the fence, one person at the kill switch",
+    "swarm check reports GO",
 )
 
 
@@ -74,7 +74,7 @@ def layout_sheet(plan: Plan, fleet: Fleet | None = None, systems: Sequence[int] 
         mission=plan.mission,
         figures=[
             ("cut the cable to", f"{marks[-1] + END_PIECE:.2f} m"),
-            ("of which at each end free", f"{END_PIECE:.2f} m"),
+            ("of this free at each end", f"{END_PIECE:.2f} m"),
             ("grip marks", len(marks)),
             ("mass of the cable", f"{1000 * cable_mass:.0f} g"),
             ("vehicles", plan.vehicles),

@@ -7,7 +7,7 @@ from swarm.certification.assessment import Assessment
 from swarm.planning import Plan
 from swarm.reports import plots, scene
 from swarm.reports.rendering import Picture, picture, render
-from swarm.reports.strand_distances import strand_distances
+from swarm.reports.strand_distances import planned_strand_distances
 from swarm.reports.wording import (
     CLEARANCES,
     certified_in_words,
@@ -66,10 +66,10 @@ def _pictures(plan: Plan, assessment: Assessment) -> list[Picture]:
     pictures.append(picture(figure, "The folded cable in space"))
     if plan.vehicles >= 4:
         figure, axes = plots.new_axes((8.0, 2.8))
-        times, distance = strand_distances(plan)
+        times, distance = planned_strand_distances(plan)
         required = plan.mission.clearance.cable
         title = "Distance of strands that are not neighbours (sampled, without errors)"
-        plots.draw_over_time(axes, times, distance, required, title, assessment.cable)
+        plots.draw_clearance(axes, times, distance, required, title, assessment.cable)
         pictures.append(picture(figure, title, wide=True))
     schedule = plots.schedule_figure(plan)
     pictures.append(picture(schedule, "Schedule and heights of the vehicles", wide=True))

@@ -1,4 +1,4 @@
-"""A plan on the terminal: its figures, what is tight, what eats the room, and the findings."""
+"""A plan on the terminal: figures, tightest moments, clearance budget and findings."""
 
 from typing import Final
 
@@ -14,15 +14,15 @@ from swarm.certification.clearances import Moment
 from swarm.certification.findings import Finding
 from swarm.planning import Plan
 from swarm.reports.formatting import metres, seconds
-from swarm.reports.wording import CERTIFIED, certified_in_words
+from swarm.reports.wording import CERTIFIED, certified_in_words, knot_in_words
 
 SEVERITY_STYLES: Final = {"error": "bold red", "warning": "yellow", "info": "dim"}
 _IN_TABLES: Final = frozenset({"tightest", "budget"})
-"""Checks whose findings a plan's summary shows as tables."""
+"""Checks whose findings the summary shows as tables."""
 
 
-def plan_summary(plan: Plan, assessment: Assessment, console: Console) -> None:
-    """Print a plan's figures and what the checks found, the worst first."""
+def print_plan_summary(plan: Plan, assessment: Assessment, console: Console) -> None:
+    """Print a plan's figures and tables, then the findings, the worst first, and the verdict."""
     console.print(_headline(plan, assessment))
     tables = [_figures(plan, assessment)]
     if plan.vehicles > 1:
@@ -33,19 +33,19 @@ def plan_summary(plan: Plan, assessment: Assessment, console: Console) -> None:
         tables.append(_budget(assessment.budget))
     for number, table in enumerate(tables):
         console.print(Padding(table, (min(number, 1), 0, 0, 2), expand=False))
-    found = assessment.findings
+    listed = assessment.findings
     if assessment.moments:
-        found = tuple(finding for finding in found if finding.check not in _IN_TABLES)
-    findings(found, assessment.cleared, console, certified_in_words(plan))
+        listed = tuple(finding for finding in listed if finding.check not in _IN_TABLES)
+    print_findings(listed, assessment.cleared, console, certified_in_words(plan))
 
 
-def findings(
-    found: tuple[Finding, ...], cleared: bool, console: Console, certified: str = CERTIFIED
+def print_findings(
+    findings: tuple[Finding, ...], cleared: bool, console: Console, certified: str = CERTIFIED
 ) -> None:
-    """Print what the checks have to say, errors before warnings before remarks, and the verdict."""
-    if found:
-        console.print(Padding(findings_table(found), (1, 0, 0, 2), expand=False))
-    errors = sum(finding.severity == "error" for finding in found)
+    """Print the findings, errors before warnings before remarks, and the verdict."""
+    if findings:
+        console.print(Padding(findings_table(findings), (1, 0, 0, 2), expand=False))
+    errors = sum(finding.severity == "error" for finding in findings)
     verdict = (
         Text(f"Cleared: {certified}.", "green")
         if cleared
@@ -58,8 +58,7 @@ def _headline(plan: Plan, assessment: Assessment) -> Text:
     line = Text(f"{plan.mission.name}: ", "bold")
     if not plan.knot.type:
         return line.append("no knot, a flight through formations", "bold")
-    hand = f", {plan.knot.chirality}-handed" if plan.knot.chirality != "none" else ""
-    line.append(f"knot {plan.knot.type}{hand}", "bold")
+    line.append(f"knot {knot_in_words(plan.knot.type, plan.knot.chirality)}", "bold")
     if (assessment.knot, assessment.chirality) != (plan.knot.type, plan.knot.chirality):
         line.append(f"; the planned cable is {assessment.knot}, {assessment.chirality}", "bold red")
     return line
@@ -69,8 +68,8 @@ def _figures(plan: Plan, assessment: Assessment) -> Table:
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim")
     table.add_column()
-    for name, words in _rows(plan, assessment):
-        table.add_row(name, words)
+    for name, value in _rows(plan, assessment):
+        table.add_row(name, value)
     return table
 
 
@@ -93,21 +92,21 @@ def _rows(plan: Plan, assessment: Assessment) -> list[tuple[str, str]]:
     else:
         rows.append(("Cable", "none"))
     fold = plan.phase("fold")
-    lasting = f"{seconds(plan.duration)}, of which the fold {seconds(fold.end - fold.start)}"
-    rows.append(("Duration", lasting))
+    duration = f"{seconds(plan.duration)}, of which the fold {seconds(fold.end - fold.start)}"
+    rows.append(("Duration", duration))
     tracking = plan.mission.vehicles.tracking
-    ball = f"certified for {metres(tracking) if tracking > 0 else '0 (geometry only)'}"
+    error = f"certified for {metres(tracking) if tracking > 0 else '0 (geometry only)'}"
     if robustness.tracking is not None:
-        ball += f", would hold up to {metres(robustness.tracking)}"
-    rows.append(("Tracking error", ball))
+        error += f", valid up to {metres(robustness.tracking)}"
+    rows.append(("Tracking error", error))
     if robustness.wind is not None:
-        rows.append(("Steady wind", f"would hold up to {robustness.wind:.1f} m/s"))
-    found = assessment.contingencies
-    if found is not None:
+        rows.append(("Steady wind", f"valid up to {robustness.wind:.1f} m/s"))
+    stops = assessment.contingencies
+    if stops is not None:
         rows += [
-            ("If it stops", f"can land together {_window(found.land)}"),
-            ("", f"can release {_window(found.release)}"),
-            ("", f"longest stop {seconds(found.stop_time)}, {metres(found.stop_distance)}"),
+            ("On a stop", f"can land together {_window(stops.land)}"),
+            ("", f"can release {_window(stops.release)}"),
+            ("", f"longest stop {seconds(stops.stop_time)}, {metres(stops.stop_distance)}"),
         ]
     return rows
 
@@ -151,7 +150,7 @@ _BUDGET: Final = (
 
 
 def _budget(rows: tuple[Budget, ...]) -> Table:
-    """What strands have between them at their setpoints and what may eat it, in centimetres."""
+    """Return the clearance budget of pairs of strands, in centimetres."""
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="dim")
     table.add_column("Budget, cm")
     for name, _ in _BUDGET:
@@ -166,7 +165,7 @@ def _budget(rows: tuple[Budget, ...]) -> Table:
 def _clearances(plan: Plan, assessment: Assessment) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     table.add_column("Smallest distance")
-    for name in ("kept", "required", "at"):
+    for name in ("certified", "required", "at"):
         table.add_column(name, justify="right")
     table.add_column("between")
     for kind, tightest in (
@@ -182,24 +181,24 @@ def _clearances(plan: Plan, assessment: Assessment) -> Table:
 def _tightest(tightest: Tightest) -> tuple[RenderableType, ...]:
     if not np.isfinite(tightest.distance):
         return ("–", metres(tightest.required), "–", "–")
-    fine = tightest.distance >= tightest.required
+    sufficient = tightest.distance >= tightest.required
     return (
-        Text(metres(tightest.distance), "green" if fine else "bold red"),
+        Text(metres(tightest.distance), "green" if sufficient else "bold red"),
         metres(tightest.required),
         seconds(tightest.time),
         " and ".join(tightest.between),
     )
 
 
-def findings_table(found: tuple[Finding, ...]) -> Table:
+def findings_table(findings: tuple[Finding, ...]) -> Table:
     """Return a table of findings, errors before warnings before remarks."""
     order = list(SEVERITY_STYLES)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     table.add_column("Finding", no_wrap=True)
     table.add_column("check", no_wrap=True)
-    table.add_column("says", ratio=1)
+    table.add_column("message", ratio=1)
     table.add_column("at", justify="right", no_wrap=True)
-    for finding in sorted(found, key=lambda finding: order.index(finding.severity)):
+    for finding in sorted(findings, key=lambda finding: order.index(finding.severity)):
         when = "" if finding.at_time is None else seconds(finding.at_time)
         severity = Text(finding.severity, SEVERITY_STYLES[finding.severity])
         table.add_row(severity, finding.check, Text(finding.message), when)

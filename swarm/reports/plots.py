@@ -1,6 +1,6 @@
 """Figures of a plan: grid diagram, knot diagram in plan view, the folded cable in space, schedule.
 
-Every ``draw_…`` function draws into axes that it is given; ``plot_…`` make a whole picture.
+``draw_…`` draws into axes, ``…_figure`` returns a whole figure, ``plot_…`` writes it as PNG.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ from swarm.reports import scene
 
 Floats = npt.NDArray[np.float64]
 Axes = Any
-"""Matplotlib's axes, flat or in space; its stubs do not tell them apart."""
+"""Matplotlib's axes, in the plane or in space; its stubs do not distinguish them."""
 
 STYLE: Final[Any] = {
     "font.size": 9.0,
@@ -44,10 +44,10 @@ ALARM: Final = "#c03030"
 FAINT: Final = "#c8cdd6"
 FAINT_INK: Final = "#98a0ae"
 FLAT: Final = 0.25
-"""Least share of the longest side that any side of a drawing has: a line has no extent across."""
+"""Least side of a drawing, as a share of its longest side; a straight line has no width."""
 
 GAP: Final = 0.16
-"""Half of the gap of an under strand, in cells or in shares of a typical span."""
+"""Half of the gap of an under strand, in cells or in shares of a median span."""
 
 
 def plot_plan(plan: Plan, path: Path) -> None:
@@ -81,7 +81,7 @@ def _headline(plan: Plan) -> str:
 
 
 def plot_schedule(plan: Plan, path: Path) -> None:
-    """Write a PNG of how far every vehicle is along the fold's path over time, and how high."""
+    """Write a PNG of every vehicle's place along the fold's path and its height over time."""
     save(schedule_figure(plan), path)
 
 
@@ -97,7 +97,7 @@ def schedule_figure(plan: Plan) -> Figure:
 
 
 def plot_flight(plan: Plan, trace: Trace, path: Path) -> None:
-    """Write a PNG of a flight: where it was held, tracking errors and the mission clock."""
+    """Write a PNG of a flight: plan view, tracking errors and the mission clock."""
     save(flight_figure(plan, trace), path)
 
 
@@ -110,14 +110,16 @@ def flight_figure(plan: Plan, trace: Trace) -> Figure:
         draw_flown_view(figure.add_subplot(cells[:, 0]), plan, trace)
         draw_errors(figure.add_subplot(cells[0, 1]), trace, plan.mission.vehicles.tracking)
         draw_clock(figure.add_subplot(cells[1, 1]), trace)
-        figure.suptitle(f"{plan.mission.name}: as flown")
+        figure.suptitle(f"{plan.mission.name}: flight")
         return figure
 
 
-def front_figure(
+def pareto_figure(
     points: Sequence[Mapping[str, Any]],
 ) -> Figure:
-    """Return a Pareto front: cable length, fold time and e* of plans; dominated ones are faint.
+    """Return the figure of a Pareto front: cable length, fold time and e* of plans.
+
+    Dominated plans are faint.
 
     ``points`` have the fields of :class:`swarm.studies.FrontPoint`.
     """
@@ -173,7 +175,7 @@ def along_colours(count: int) -> Floats:
 
 
 def draw_grid(axes: Axes, knot: KnotSummary) -> None:
-    """Draw a grid diagram: columns pass over rows, marks where they meet."""
+    """Draw a grid diagram: columns pass over rows, with marks at the corners."""
     size = len(knot.grid_columns)
     numbers = np.sort(np.array(knot.grid_columns), axis=1)
     columns = np.unique(numbers, return_inverse=True)[1].reshape(size, 2)
@@ -196,7 +198,7 @@ def draw_grid(axes: Axes, knot: KnotSummary) -> None:
 
 
 def draw_plan_view(axes: Axes, layout: KnotLayout) -> None:
-    """Draw the cable from above as knot diagrams are drawn: the under strand has a gap."""
+    """Draw the cable from above as a knot diagram: the under strand has a gap."""
     corners = layout.corners[:, :2]
     colours = along_colours(len(corners) - 1)
     for segment, pieces in enumerate(_visible_pieces(layout)):
@@ -208,15 +210,15 @@ def draw_plan_view(axes: Axes, layout: KnotLayout) -> None:
         axes.add_collection(lines)
     _label_vehicles(axes, corners)
     low, high = _extent(corners)
-    spare = 0.12 * float((high - low).max())
-    axes.set(xlim=(low[0] - spare, high[0] + spare), ylim=(low[1] - spare, high[1] + spare))
+    margin = 0.12 * float((high - low).max())
+    axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_aspect("equal")
     axes.set(xlabel="east, m", ylabel="north, m")
     axes.set_title("Plan view")
 
 
 def _extent(points: Floats) -> tuple[Floats, Floats]:
-    """Return the lowest and highest corner of a box around points, no side of it very short."""
+    """Return two opposite corners of a box around points, with sides of at least FLAT."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = np.maximum(0.5 * (high - low), 0.5 * FLAT * max(float((high - low).max()), 1.0))
     middle = 0.5 * (low + high)
@@ -224,7 +226,7 @@ def _extent(points: Floats) -> tuple[Floats, Floats]:
 
 
 def _visible_pieces(layout: KnotLayout) -> list[list[tuple[float, float]]]:
-    """Return for each segment the shares of its span that are drawn, gaps left out."""
+    """Return the drawn pieces of each segment, in shares of its span, without the gaps."""
     corners = layout.corners[:, :2]
     spans = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     if not len(spans):
@@ -232,7 +234,7 @@ def _visible_pieces(layout: KnotLayout) -> list[list[tuple[float, float]]]:
     half = GAP * (layout.cell if layout.cell > 0 else 0.3 * float(np.median(spans)))
     gaps: list[list[float]] = [[] for _ in spans]
     for over, under in layout.crossings:
-        gaps[under].append(scene.meeting(corners, over, under)[1])
+        gaps[under].append(scene.crossing_shares(corners, over, under)[1])
     pieces = []
     for span, at in zip(spans, gaps, strict=True):
         edges = [0.0]
@@ -269,13 +271,13 @@ def draw_fold(axes: Axes, layout: KnotLayout) -> None:
 
 
 def sparse_ticks(axes: Axes, sides: Floats) -> None:
-    """Give the short ones of a box's ``sides`` (3,) so few ticks that their figures stay apart."""
+    """Set fewer ticks on the short ``sides`` (3,) of a box, so that labels do not overlap."""
     for side, axis in zip(sides, (axes.xaxis, axes.yaxis, axes.zaxis), strict=True):
         axis.set_major_locator(MaxNLocator(3 if side < 0.6 * sides.max() else 7))
 
 
 def draw_schedule(axes: Axes, plan: Plan) -> None:
-    """Draw each vehicle's place along the path that all follow, over the fold's time."""
+    """Draw each vehicle's place along the common path during the fold."""
     fold = plan.phase("fold")
     times = np.linspace(fold.start, fold.end, 400)
     places = places_along_path(plan, times)
@@ -288,21 +290,22 @@ def draw_schedule(axes: Axes, plan: Plan) -> None:
 
 
 def places_along_path(plan: Plan, times: Floats) -> Floats:
-    """Return how far along the fold's path each vehicle is (k, n) at mission times (k,); metres.
+    """Return each vehicle's arc length (k, n) on the fold's path at mission times (k,), metres.
 
-    Counted back from its corner by what is left to fly; negative before the path's beginning.
+    It is the arc length of the vehicle's corner minus its remaining distance, and negative before
+    the start of the path.
     """
     position = plan.motion.at(times)[0]
     step = np.linalg.norm(np.diff(position, axis=0), axis=-1)
-    left = np.vstack([step[::-1].cumsum(axis=0)[::-1], np.zeros(plan.vehicles)])
+    remaining = np.vstack([step[::-1].cumsum(axis=0)[::-1], np.zeros(plan.vehicles)])
     arc = np.append(0.0, np.linalg.norm(np.diff(plan.path, axis=0), axis=1).cumsum())
     apart = np.linalg.norm(plan.path[:, None] - plan.layout.corners, axis=-1)
-    places: Floats = arc[apart.argmin(axis=0)] - left
+    places: Floats = arc[apart.argmin(axis=0)] - remaining
     return places
 
 
 def draw_heights(axes: Axes, plan: Plan) -> None:
-    """Draw the heights of the grip points over the fold's time."""
+    """Draw the heights of the grip points during the fold."""
     fold = plan.phase("fold")
     times = np.linspace(fold.start, fold.end, 400)
     height = plan.motion.at(times)[0][:, :, 2]
@@ -311,7 +314,7 @@ def draw_heights(axes: Axes, plan: Plan) -> None:
     axes.set(xlabel="mission time, s", ylabel="height, m", title="Heights of the grip points")
 
 
-def draw_over_time(
+def draw_clearance(
     axes: Axes,
     times: Floats,
     distance: Floats,
@@ -319,7 +322,7 @@ def draw_over_time(
     title: str,
     tightest: Tightest | None = None,
 ) -> None:
-    """Draw a clearance (k,) in metres over times (k,) against what is required."""
+    """Draw a distance (k,) in metres over times (k,) with the required and certified values."""
     axes.plot(times, distance, color=INK, linewidth=1.4)
     axes.axhline(required, color=ALARM, linewidth=1.2, linestyle="--")
     axes.text(
@@ -343,37 +346,37 @@ def draw_over_time(
     axes.set_ylim(bottom=0.0)
 
 
-def draw_errors(axes: Axes, trace: Trace, ball: float) -> None:
-    """Draw every vehicle's tracking error over time against the tracking ball, metres."""
+def draw_errors(axes: Axes, trace: Trace, tracking_radius: float) -> None:
+    """Draw every vehicle's tracking error over time with the tracking radius, metres."""
     errors = np.linalg.norm(trace.position - trace.setpoint, axis=-1)
     for i, colour in enumerate(along_colours(errors.shape[1])):
         axes.plot(trace.time, errors[:, i], color=colour, linewidth=0.7)
-    if ball > 0:
-        axes.axhline(ball, color=ALARM, linewidth=1.2, linestyle="--")
+    if tracking_radius > 0:
+        axes.axhline(tracking_radius, color=ALARM, linewidth=1.2, linestyle="--")
     _shade_phases(axes, trace)
     axes.set(xlabel="time, s", ylabel="error, m", title="Tracking error")
     axes.set_ylim(bottom=0.0)
 
 
 def draw_clock(axes: Axes, trace: Trace) -> None:
-    """Draw the mission clock over time: level where it waits, falling where it runs back."""
+    """Draw the mission clock over time."""
     axes.plot(trace.time, trace.mission_time, color=INK, linewidth=1.4)
     _shade_phases(axes, trace)
     axes.set(xlabel="time, s", ylabel="mission time, s", title="Mission clock")
 
 
 def draw_flown_view(axes: Axes, plan: Plan, trace: Trace) -> None:
-    """Draw the knot's plan view as planned, and the last positions reported during the hold."""
+    """Draw the planned plan view and the last reported positions of the hold."""
     draw_plan_view(axes, plan.layout)
     held = trace.position[np.array(trace.phase, dtype=str) == "hold"]
     known = held[np.isfinite(held).all(axis=(1, 2))]
     if len(known):
         axes.plot(*known[-1][:, :2].T, "x", color=ALARM, markersize=13, zorder=3)
-    axes.set_title("Plan view; × where the vehicles held it" if len(known) else "Plan view")
+    axes.set_title("Plan view; × last reported positions" if len(known) else "Plan view")
 
 
 def _shade_phases(axes: Axes, trace: Trace) -> None:
-    """Shade every second phase, and name those that are long enough to be read."""
+    """Shade every second phase, and label the phases that are long enough for a label."""
     if not len(trace.time):
         return
     names = np.array(trace.phase)

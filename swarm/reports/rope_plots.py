@@ -1,4 +1,4 @@
-"""Figures of a simulated rope: how far it strays from the quasi-static cable, and where it ends."""
+"""Figures of a simulated rope: its deviation from the quasi-static cable, and its final shape."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,88 +18,88 @@ _COLOURS: Final = (START, END)
 
 
 @dataclass(frozen=True, eq=False)
-class Moved:
-    """A rope's run under its trajectory's name.
+class RopeCurves:
+    """The curves of a rope that was moved along a trajectory, in metres and seconds.
 
-    At times (k,): ``deviation`` (k,), the largest distance of a segment from the quasi-static
-    cable; ``farther`` (k,), the largest one beyond the swing that the budget's models of sway and a
-    stop allow that segment (NaN: none); ``distance`` and ``static_distance`` (k,), the smallest
-    distances of the rope's segments and of the quasi-static cable's. ``shape`` (m, 3) is at the
-    end; metres and seconds. ``verdict`` is the result in words.
+    At the ``times`` (k,): ``deviation`` (k,) is the largest distance of a segment of the rope from
+    the quasi-static cable; ``excess`` (k,) is the largest distance of a segment whose distance
+    exceeds the budget's models of sway and a stop for this segment and moment, NaN without one;
+    ``strand_distance`` and ``static_distance`` (k,) are the smallest distances of segments without
+    a common vehicle, of the rope and of the quasi-static cable. ``shape`` (m, 3) is the rope at the
+    end; ``verdict`` is its knot in words.
     """
 
     label: str
     verdict: str
     times: Floats
     deviation: Floats
-    farther: Floats
-    distance: Floats
+    excess: Floats
+    strand_distance: Floats
     static_distance: Floats
     shape: Floats
 
 
-def rope_figure(runs: Sequence[Moved], required: float) -> Figure:
-    """Return the whole picture; ``required`` is the clearance."""
+def rope_figure(runs: Sequence[RopeCurves], required: float) -> Figure:
+    """Return a figure of distances over time and of final shapes; ``required`` is the clearance."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 2.9 + 3.6 * len(runs)), layout="constrained")
         FigureCanvasAgg(figure)
         cells = figure.add_gridspec(1 + len(runs), 2, height_ratios=[2.9, *[3.6] * len(runs)])
-        draw_stray(figure.add_subplot(cells[0, 0]), runs)
-        draw_apart(figure.add_subplot(cells[0, 1]), runs, required)
+        draw_deviation(figure.add_subplot(cells[0, 0]), runs)
+        draw_strand_distance(figure.add_subplot(cells[0, 1]), runs, required)
         for row, run in enumerate(runs, 1):
             draw_rope_above(figure.add_subplot(cells[row, 0]), run)
             draw_rope(figure.add_subplot(cells[row, 1], projection="3d"), run)
         return figure
 
 
-def draw_stray(axes: Axes, runs: Sequence[Moved]) -> None:
-    """Draw how far the rope was from the quasi-static cable over time, and where farther than the
-    budget's models of sway and a stop have it."""
+def draw_deviation(axes: Axes, runs: Sequence[RopeCurves]) -> None:
+    """Draw the deviation from the quasi-static cable, and where it exceeds the budget's models."""
     for run, colour in zip(runs, _COLOURS, strict=False):
         axes.plot(run.times, run.deviation, color=colour, linewidth=1.4, label=run.label)
-    words: str | None = "farther than sway and a stop in the budget, of that segment then"
+    label: str | None = "more than sway and a stop in the budget, same segment and time"
     for run in runs:
-        if np.isfinite(run.farther).any():
-            axes.plot(run.times, run.farther, "o", color=ALARM, markersize=3.0, label=words)
-            words = None
+        if np.isfinite(run.excess).any():
+            axes.plot(run.times, run.excess, "o", color=ALARM, markersize=3.0, label=label)
+            label = None
     axes.set(xlabel="time, s", ylabel="largest distance, m")
-    axes.set_title("Rope from the quasi-static cable")
+    axes.set_title("Distance of the rope from the quasi-static cable")
     axes.set_ylim(bottom=0.0)
     axes.legend(fontsize=7.5, frameon=False)
 
 
-def draw_apart(axes: Axes, runs: Sequence[Moved], required: float) -> None:
-    """Draw the smallest distance of segments that share no vehicle, over time."""
+def draw_strand_distance(axes: Axes, runs: Sequence[RopeCurves], required: float) -> None:
+    """Draw the smallest distance of segments without a common vehicle, over time."""
     for run, colour in zip(runs, _COLOURS, strict=False):
-        axes.plot(run.times, run.distance, color=colour, linewidth=1.4, label=run.label)
+        axes.plot(run.times, run.strand_distance, color=colour, linewidth=1.4, label=run.label)
         axes.plot(
             run.times, run.static_distance, color=colour, linewidth=0.9, linestyle="--",
             label="the quasi-static cable",
         )  # fmt: skip
     axes.legend(fontsize=7.5, frameon=False)
     axes.axhline(required, color=ALARM, linewidth=1.2, linestyle="--")
-    _say_at(axes, required, f"required {required:.2f} m")
-    axes.set(xlabel="time, s", ylabel="smallest distance, m", title="Strand to strand, as it moved")
-    axes.set_ylim(bottom=min(0.0, *(float(run.distance.min(initial=0.0)) for run in runs)))
+    _annotate(axes, required, f"required {required:.2f} m")
+    axes.set(xlabel="time, s", ylabel="smallest distance, m", title="Distance of strands")
+    axes.set_ylim(bottom=min(0.0, *(float(run.strand_distance.min(initial=0.0)) for run in runs)))
 
 
-def _say_at(axes: Axes, height: float, words: str) -> None:
+def _annotate(axes: Axes, height: float, text: str) -> None:
     axes.annotate(
-        words, (1.0, height), xycoords=("axes fraction", "data"), color=ALARM, fontsize=7.5,
+        text, (1.0, height), xycoords=("axes fraction", "data"), color=ALARM, fontsize=7.5,
         ha="right", va="bottom", zorder=9,
         bbox={"facecolor": "white", "alpha": 0.85, "linewidth": 0, "pad": 1},
     )  # fmt: skip
 
 
-def _coloured(shape: Floats) -> Floats:
+def _piece_colours(shape: Floats) -> Floats:
     share = np.linspace(0.0, 1.0, len(shape) - 1)[:, None]
     colours: Floats = (1 - share) * START + share * END
     return colours
 
 
-def draw_rope_above(axes: Axes, run: Moved) -> None:
-    """Draw the rope at the end from above; the higher strand covers the lower one."""
-    shape, colours = run.shape, _coloured(run.shape)
+def draw_rope_above(axes: Axes, run: RopeCurves) -> None:
+    """Draw the final rope from above; the higher strand covers the lower one."""
+    shape, colours = run.shape, _piece_colours(run.shape)
     for k in np.argsort(shape[1:, 2] + shape[:-1, 2]):
         pair = shape[k : k + 2, :2].T
         axes.plot(*pair, color="white", linewidth=5.0, solid_capstyle="butt")
@@ -109,9 +109,9 @@ def draw_rope_above(axes: Axes, run: Moved) -> None:
     axes.set(xlabel="east, m", ylabel="north, m", title=f"{run.label}: {run.verdict}")
 
 
-def draw_rope(axes: Axes, run: Moved) -> None:
-    """Draw the rope at the end in space."""
-    shape, colours = run.shape, _coloured(run.shape)
+def draw_rope(axes: Axes, run: RopeCurves) -> None:
+    """Draw the final rope in space."""
+    shape, colours = run.shape, _piece_colours(run.shape)
     for k in range(len(shape) - 1):
         axes.plot(*shape[k : k + 2].T, color=colours[k], linewidth=1.6)
     low, high = shape.min(axis=0), shape.max(axis=0)

@@ -26,7 +26,7 @@ def rope_report(
         planned_knot=knot_in_words(plan.knot.type, plan.knot.chirality),
         run=runs[0],
         knot=_knot(runs[0]),
-        pictures=[picture(figure, "The rope's motion and end", wide=True)],
+        pictures=[picture(figure, "Distances of the rope and its final shape", wide=True)],
         head=["", *(run["trajectory"] for run in runs)],
         rows=_rows(runs),
         plan_figures=plan_figures(plan, assessment),
@@ -45,12 +45,12 @@ def _rows(runs: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 
 
 def _values(run: Mapping[str, Any]) -> dict[str, str]:
-    penetration, stray = run["penetration"], run["deviation"]
+    penetration, deviation = run["penetration"], run["deviation"]
     return {
         "knot": _knot(run),
-        "shows something": "no" if run["invalid"] else "yes",
-        "closest strands": number_with_unit(run["smallest_distance"], "m"),
-        "those of the quasi-static cable": number_with_unit(
+        "valid": "no" if run["invalid"] else "yes",
+        "smallest distance of strands": number_with_unit(run["smallest_distance"], "m"),
+        "the same of the quasi-static cable": number_with_unit(
             run["smallest_distance_of_quasi_static_cable"], "m"
         ),
         "deepest penetration": (
@@ -58,8 +58,9 @@ def _values(run: Mapping[str, Any]) -> dict[str, str]:
         ),
         "largest stretch": f"{run['stretch']['share']:.2%}",
         "top speed": f"{run['speed']['metres_per_second']:.1f} m/s",
-        "farthest from the quasi-static cable": metres(stray["largest"]),
-        "there and then by sway and a stop, in the budget's models": metres(stray["allowed_swing"]),
-        "farther than these by": metres(stray["beyond_models"]["by"]),
-        "simulated, took": f"{run['simulated']:.0f} s, {run['computing_time']:.0f} s",
+        "largest distance from the quasi-static cable": metres(deviation["largest"]),
+        "allowed there by the budget's models": metres(deviation["allowed_swing"]),
+        "largest excess over these models": metres(deviation["beyond_models"]["by"]),
+        "simulated time": f"{run['simulated']:.0f} s",
+        "computing time": f"{run['computing_time']:.0f} s",
     }

@@ -7,33 +7,33 @@ import numpy as np
 from rich.console import Console
 
 from swarm.planning import Plan
-from swarm.reports.rope_plots import Moved
+from swarm.reports.rope_plots import RopeCurves
 
 if TYPE_CHECKING:
     from swarm.analysis.rope import RopeRun
     from swarm.simulation.rope import RopeResult
 
 
-def rope_curves(result: "RopeResult") -> Moved:
-    """Return the curves of a result: at each moment, of the segment that strays farthest."""
+def rope_curves(result: "RopeResult") -> RopeCurves:
+    """Return the curves of a result: at each moment the largest deviation of a segment."""
     run = result.run
-    beyond = np.where(run.deviation > run.allowed_swing, run.deviation, -np.inf).max(
+    excess = np.where(run.deviation > run.allowed_swing, run.deviation, -np.inf).max(
         axis=1, initial=-np.inf
     )
-    return Moved(
+    return RopeCurves(
         label=result.trajectory.name,
         verdict=_verdict(run),
         times=run.times,
         deviation=run.deviation.max(axis=1, initial=0.0),
-        farther=np.where(np.isfinite(beyond), beyond, np.nan),
-        distance=run.distance,
+        excess=np.where(np.isfinite(excess), excess, np.nan),
+        strand_distance=run.distance,
         static_distance=run.static_distance,
         shape=run.shape,
     )
 
 
 def print_rope(document: Mapping[str, Any], plan: Plan, console: Console) -> None:
-    """Print the knot of a rope, its distances, and how far it strays from the cable model.
+    """Print the knot of a rope, its distances, and its deviation from the cable model.
 
     ``document`` is the JSON object of the result.
     """
@@ -48,30 +48,30 @@ def _verdict(run: "RopeRun") -> str:
     return f"{run.knot}{hand}" + ("" if run.as_planned else " (not as planned)")
 
 
-def _lines(told: Mapping[str, Any], plan: Plan) -> list[str]:
-    knot, stray = told["knot"], told["deviation"]
+def _lines(document: Mapping[str, Any], plan: Plan) -> list[str]:
+    knot, stray = document["knot"], document["deviation"]
     lines = [
-        f"\n[bold]A rope of {told['links']} links moved by {told['trajectory']}[/], "
-        f"{told['simulated']:.0f} s in {told['computing_time']:.0f} s"
+        f"\n[bold]A rope of {document['links']} links moved by {document['trajectory']}[/], "
+        f"{document['simulated']:.0f} s in {document['computing_time']:.0f} s"
     ]
-    if told["invalid"]:
+    if document["invalid"]:
         lines += [
             "[bold red]The run is invalid:[/]",
-            *(f"  {reason}" for reason in told["invalid"]),
+            *(f"  {reason}" for reason in document["invalid"]),
         ]
-    style = "green" if knot["as_planned"] and not told["invalid"] else "red"
+    style = "green" if knot["as_planned"] and not document["invalid"] else "red"
     hand = "" if knot["chirality"] == "none" else f" {knot['chirality']}-handed"
     planned = f"{plan.knot.type} {plan.knot.chirality}-handed".replace(" none-handed", "")
     planned = planned.strip() or "none"
-    name = "Knot after tightening" if told["tightened"] else "Knot of the rope"
+    name = "Knot after tightening" if document["tightened"] else "Knot of the rope"
     lines.append(f"{name}: [{style}]{knot['type']}{hand}[/] (planned: {planned})")
-    if told["tightened"]:
-        lines.append(f"tightened until its ends were {told['end_distance']:.2f} m apart")
-    if told["smallest_distance"] is not None:
-        static = told["smallest_distance_of_quasi_static_cable"]
+    if document["tightened"]:
+        lines.append(f"tightened until its ends were {document['end_distance']:.2f} m apart")
+    if document["smallest_distance"] is not None:
+        static = document["smallest_distance_of_quasi_static_cable"]
         lines.append(
             "smallest distance of segments without a common vehicle: "
-            f"{told['smallest_distance']:.2f} m (quasi-static cable: {static:.2f} m)"
+            f"{document['smallest_distance']:.2f} m (quasi-static cable: {static:.2f} m)"
         )
     lines.append(
         f"largest distance from the quasi-static cable: {stray['largest']:.2f} m, segment "
@@ -85,7 +85,7 @@ def _lines(told: Mapping[str, Any], plan: Plan) -> list[str]:
             "of moments and segments: strands swing on after a movement, which the budget leaves "
             "out"
         )
-    depth, stretch, speed = told["penetration"], told["stretch"], told["speed"]
+    depth, stretch, speed = document["penetration"], document["stretch"], document["speed"]
     lines.append(
         f"deepest penetration {depth['radii']:.2f} radii (invalid beyond {depth['limit']:g}), "
         f"largest stretch {stretch['share']:.2%} (invalid beyond {stretch['limit']:.0%}), "

@@ -1,7 +1,7 @@
-"""What pictures show, as plain arrays: the cable's strands, crossings, fence and colours.
+"""The geometry that pictures show, as arrays: strands of cable, crossings, fence, colours.
 
-Nothing here decides anything. Pictures must be drawn of bad data too, so a strand that is
-stretched beyond its length is drawn straight, and one of unknown ends is left out.
+Pictures are drawn of bad data as well: a strand that is stretched beyond its length is straight,
+and a strand with an unknown end is left out.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ POINTS_PER_SEGMENT: Final = 25
 
 
 SILENT_AFTER: Final = 2.0
-"""Seconds without a word after which a vehicle is drawn as silent."""
+"""Seconds without a packet after which a vehicle is drawn as silent."""
 
 STATE_COLOURS: Final[dict[str, tuple[int, int, int]]] = {
     "idle": (120, 128, 140),
@@ -32,14 +32,14 @@ STATE_COLOURS: Final[dict[str, tuple[int, int, int]]] = {
     "off track": (255, 140, 40),
     "silent": (235, 60, 140),
 }
-"""States of a vehicle in pictures, from calm to alarming, and their colours."""
+"""States of a vehicle in pictures, from normal to critical, with their colours."""
 
 
 @dataclass(frozen=True)
 class Crossing:
     """One crossing of the folded cable: the strands' points there (3,) and their segments, from 1.
 
-    ``distance`` is how far the over strand is above the under strand (negative: below), metres.
+    ``distance`` is the height of the over strand above the under strand, metres.
     """
 
     over: int
@@ -49,7 +49,7 @@ class Crossing:
 
     @property
     def distance(self) -> float:
-        """Height of the over strand above the under strand, metres."""
+        """Height of the over strand above the under strand, negative if below, metres."""
         return float(self.upper[2] - self.lower[2])
 
 
@@ -70,10 +70,10 @@ def strands(grips: Floats, lengths: Floats, points: int = POINTS_PER_SEGMENT) ->
 
 
 def closest_strands(shapes: Floats) -> tuple[float, Floats] | None:
-    """Return where strands (s, k, 3) that are not neighbours are closest: distance, points (2, 3).
+    """Return the smallest distance of strands (s, k, 3) that are not neighbours, and its points.
 
-    Pairs whose boxes are farther apart than some pair's strands are left out. None where there
-    are no two such strands of known shape.
+    The points are (2, 3). Pairs whose bounding boxes are farther apart than the distance of one
+    pair are skipped. None where no two such strands have a known shape.
     """
     pairs = np.column_stack(np.triu_indices(len(shapes), 2))
     known = np.flatnonzero(np.isfinite(shapes.sum(axis=(1, 2))))
@@ -88,15 +88,15 @@ def closest_strands(shapes: Floats) -> tuple[float, Floats] | None:
     pairs = pairs[bound <= nearest]
     found = strand_strand(shapes, pairs)
     best = int(found.distance.argmin())
-    places = (found.first[best], found.second[best])
-    ends = [_along(shapes[k], at) for k, at in zip(pairs[best], places, strict=True)]
+    positions = (found.first[best], found.second[best])
+    ends = [_point_at(shapes[k], at) for k, at in zip(pairs[best], positions, strict=True)]
     return float(found.distance[best]), np.array(ends)
 
 
-def _along(strand: Floats, place: float) -> Floats:
-    """The point of a polyline (k, 3) at an index of its pieces plus a fraction."""
-    piece = min(int(place), len(strand) - 2)
-    point: Floats = strand[piece] + (place - piece) * (strand[piece + 1] - strand[piece])
+def _point_at(strand: Floats, position: float) -> Floats:
+    """Return the point of a polyline (k, 3) at an index of its pieces plus a fraction."""
+    piece = min(int(position), len(strand) - 2)
+    point: Floats = strand[piece] + (position - piece) * (strand[piece + 1] - strand[piece])
     return point
 
 
@@ -119,20 +119,22 @@ def tautness_colours(ratio: Floats) -> Colours:
 
 
 def vehicle_states(snapshot: Snapshot, tracking: float) -> list[str]:
-    """Return each vehicle's state in pictures, a key of :data:`STATE_COLOURS`: the worst it is in.
+    """Return each vehicle's worst state, a key of :data:`STATE_COLOURS`.
 
-    A vehicle is off track beyond the ``tracking`` ball (metres), silent when not heard of.
+    A vehicle is off track beyond the ``tracking`` radius (metres), and silent without packets.
     """
     error = tracking_errors(snapshot)
-    held = [
+    grip_states = [
         "holding" if gripped else "armed" if armed else "idle"
         for gripped, armed in zip(snapshot.gripped, snapshot.armed, strict=True)
     ]
     silent = ~(snapshot.link_age <= SILENT_AFTER)
     off = (error > tracking) & (tracking > 0) & np.array(snapshot.armed)
     return [
-        "silent" if quiet or word == "silent" else "off track" if astray else state
-        for word, state, quiet, astray in zip(snapshot.states, held, silent, off, strict=True)
+        "silent" if is_silent or reported == "silent" else "off track" if is_off else state
+        for reported, state, is_silent, is_off in zip(
+            snapshot.states, grip_states, silent, off, strict=True
+        )
     ]
 
 
@@ -142,24 +144,24 @@ def tracking_errors(snapshot: Snapshot) -> Floats:
     return errors
 
 
-def held_points(
-    before: Floats, was_gripped: npt.NDArray[np.bool_], snapshot: Snapshot
+def follow_grips(
+    previous: Floats, was_gripped: npt.NDArray[np.bool_], snapshot: Snapshot
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Follow the cable's grip points (n, 3): with a vehicle while gripped, else on the floor.
+    """Return the cable's grip points (n, 3) after a snapshot, and which vehicles hold them (n,).
 
-    What is let go of is drawn flat below the place where it was let go; the cable's free fall is
-    not modelled.
+    A gripped point moves with its vehicle. A released point lies on the floor below the place of
+    the release; its fall is not modelled.
     """
     gripped = np.asarray(snapshot.gripped, dtype=bool)
     known = np.isfinite(snapshot.position).all(axis=-1)
-    moved = np.where((gripped & known)[:, None], snapshot.position, before)
-    dropped = was_gripped & ~gripped
-    moved[dropped, 2] = 0.0
+    moved = np.where((gripped & known)[:, None], snapshot.position, previous)
+    released = was_gripped & ~gripped
+    moved[released, 2] = 0.0
     return moved, gripped
 
 
 def planned_cable(plan: Plan, times: Floats) -> Floats:
-    """Return the cable's grip points (k, n, 3) at mission times (k,), as :func:`held_points`."""
+    """Return the cable's grip points (k, n, 3) at mission times (k,), as :func:`follow_grips`."""
     position = plan.motion.at(times)[0]
     gripped = planned_grip(plan, times)
     held = np.where(gripped[:, None, None], position, laid_grip_points(plan))
@@ -170,10 +172,10 @@ def planned_cable(plan: Plan, times: Floats) -> Floats:
 
 
 def crossings(layout: KnotLayout) -> list[Crossing]:
-    """Return the crossings of the folded cable, with the strands' heights there."""
+    """Return the crossings of the folded cable, with the points of both strands."""
     found = []
     for over, under in layout.crossings:
-        share = meeting(layout.corners[:, :2], over, under)
+        share = crossing_shares(layout.corners[:, :2], over, under)
         points = [
             solve_catenaries(layout.corners[k], layout.corners[k + 1], layout.lengths[k]).at_span(s)
             for k, s in zip((over, under), share, strict=True)
@@ -210,8 +212,8 @@ def thrust_quaternions(acceleration: Floats) -> Floats:
     return unit
 
 
-def meeting(corners: Floats, first: int, second: int) -> tuple[float, float]:
-    """Shares of two chords' spans at which they meet in plan view."""
+def crossing_shares(corners: Floats, first: int, second: int) -> tuple[float, float]:
+    """Return the shares of two chords at which they cross in plan view."""
     a, b = corners[first], corners[second]
     u, w = corners[first + 1] - a, corners[second + 1] - b
     share = np.linalg.solve(np.column_stack([u, -w]), b - a)

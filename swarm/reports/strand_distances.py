@@ -1,4 +1,4 @@
-"""How close strands come, sampled for curves: the certificate is continuous, these are not."""
+"""Sampled distances of strands, for curves; the certificate bounds them at every moment."""
 
 from typing import Final
 
@@ -11,26 +11,25 @@ from swarm.reports import scene
 
 Floats = npt.NDArray[np.float64]
 
-CLEARANCE_STEP: Final = 0.5
+SAMPLE_INTERVAL: Final = 0.5
 """Seconds between two sampled distances."""
 
 
-def strand_distances(plan: Plan, step: float = CLEARANCE_STEP) -> tuple[Floats, Floats]:
-    """Return times (k,) and the smallest surface distance (k,) of strands aloft then, metres.
+def planned_strand_distances(plan: Plan, step: float = SAMPLE_INTERVAL) -> tuple[Floats, Floats]:
+    """Return times (k,) and the smallest surface distance (k,) of strands aloft, metres.
 
-    A sample of the planned motion without tracking errors, for curves: the certificate is the
-    bound.
+    The motion is the planned one without tracking errors.
     """
     aloft = [phase for phase in plan.phases if phase.cable == "aloft"]
     start, end = aloft[0].start, aloft[-1].end
     times = np.linspace(start, end, max(2, round((end - start) / step) + 1))
-    return times, distances_of_strands(plan, plan.motion.at(times)[0])
+    return times, smallest_strand_distances(plan, plan.motion.at(times)[0])
 
 
-def distances_of_strands(plan: Plan, grips: Floats) -> Floats:
+def smallest_strand_distances(plan: Plan, grips: Floats) -> Floats:
     """Return the smallest surface distance (k,) of strands between grip points (k, n, 3), metres.
 
-    Neighbouring segments, which meet at a grip point, are left out.
+    Neighbouring segments meet at a grip point and are left out.
     """
     shapes = scene.strands(grips, plan.layout.lengths, scene.POINTS_PER_SEGMENT)
     first, second = np.triu_indices(plan.vehicles - 1, 2)

@@ -1,7 +1,4 @@
-"""What the terminal shows: the plan and its findings, and one quiet screen while flying.
-
-In a pipe the same is said in plain lines.
-"""
+"""The screen of a flight on the terminal; in a pipe, plain lines."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -19,16 +16,16 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.planning import Plan
 from swarm.reports import scene
 from swarm.reports.formatting import (
-    ROUTINE,
-    TEXTS,
-    clip_rows,
+    ROUTINE_KINDS,
+    STATUS_TEXT_KINDS,
     clock,
-    level,
-    merged,
+    event_text,
+    log_level,
+    merge_events,
     metres,
-    sentence,
+    worst_vehicles,
 )
-from swarm.reports.status_texts import Texts
+from swarm.reports.status_texts import StatusTexts
 
 STATE_STYLES: Final = {
     "idle": "dim",
@@ -39,16 +36,19 @@ STATE_STYLES: Final = {
 }
 LEVEL_STYLES: Final = {"ERROR": "bold red", "WARN": "yellow", "INFO": "default"}
 LAST_EVENTS: Final = 6
+"""Lines of events on the screen."""
+
 RECENT_EVENTS: Final = 200
+"""Events that are kept for these lines, before they are merged."""
 
 
 class FlightScreen:
-    """One screen while flying: phase, mission clock, the team, the last events.
+    """The screen of a flight: phase, mission clock, the team, the last events.
 
-    Use it as a context manager, :meth:`show` it every snapshot (it redraws a few times a second)
-    and tell it every :meth:`event`. In a pipe it prints events and phases as lines. What every
-    vehicle does in every flight (modes, arming, …) is in the table, not among the events. Of the
-    vehicles' own texts only warnings and worse are shown, each once, with all that say it.
+    Use it as a context manager; pass every snapshot to :meth:`show` and every event to
+    :meth:`event`. It redraws five times a second; in a pipe it prints events and phases as lines.
+    Routine events (modes, arming, …) are not listed. Of the vehicles' texts only warnings and worse
+    are shown, each once, with all vehicles that sent it.
     """
 
     def __init__(self, plan: Plan, console: Console) -> None:
@@ -56,8 +56,8 @@ class FlightScreen:
         self._console = console
         self._events: deque[Event] = deque(maxlen=RECENT_EVENTS)
         self._snapshot: Snapshot | None = None
-        self._said: str | None = None
-        self._texts = Texts()
+        self._printed_phase: str | None = None
+        self._texts = StatusTexts()
         self._live = (
             Live(
                 console=console, auto_refresh=True, refresh_per_second=5, get_renderable=self._draw
@@ -77,49 +77,49 @@ class FlightScreen:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._say_texts(self._texts.rest())
+        self._print_texts(self._texts.remaining())
         if self._live is not None:
             self._live.stop()
 
     def show(self, snapshot: Snapshot) -> None:
         """Show the team as it is now."""
         self._snapshot = snapshot
-        self._say_texts(self._texts.due(snapshot.time))
+        self._print_texts(self._texts.due(snapshot.time))
         if self._live is None:
-            self._say_phase(snapshot)
+            self._print_phase(snapshot)
 
     def event(self, event: Event) -> None:
-        """Show something that happened."""
-        if event.kind in ROUTINE:
+        """Show an event."""
+        if event.kind in ROUTINE_KINDS:
             return
-        self._say_texts(self._texts.due(event.time))
-        if event.kind in TEXTS:
-            self._texts.hear(event)
+        self._print_texts(self._texts.due(event.time))
+        if event.kind in STATUS_TEXT_KINDS:
+            self._texts.add(event)
             return
-        if level(event) == "ERROR":
-            self._say_texts(self._texts.rest())  # which may be its cause
-        self._say([event])
+        if log_level(event) == "ERROR":
+            self._print_texts(self._texts.remaining())  # a text may be the cause
+        self._print([event])
 
-    def _say_texts(self, texts: Sequence[Sequence[Event]]) -> None:
+    def _print_texts(self, texts: Sequence[Sequence[Event]]) -> None:
         for events in texts:
-            self._say(events)
+            self._print(events)
 
-    def _say(self, events: Sequence[Event]) -> None:
-        """Say what happened to several vehicles at about the same time."""
+    def _print(self, events: Sequence[Event]) -> None:
+        """Show the same event of several vehicles."""
         if self._live is None:
             others = [event.vehicle for event in events[1:] if event.vehicle is not None]
             self._console.print(_event_line(events[0], others), soft_wrap=True)
         else:
             self._events.extend(events)
 
-    def countdown(self, left: int) -> None:
-        """Show the seconds that are left before take-off."""
-        self.event(Event(-float(left), "countdown", f"take-off in {left} s"))
+    def countdown(self, seconds: int) -> None:
+        """Show the remaining seconds before take-off."""
+        self.event(Event(-float(seconds), "countdown", f"take-off in {seconds} s"))
 
-    def _say_phase(self, snapshot: Snapshot) -> None:
-        if snapshot.phase == self._said:
+    def _print_phase(self, snapshot: Snapshot) -> None:
+        if snapshot.phase == self._printed_phase:
             return
-        self._said = snapshot.phase
+        self._printed_phase = snapshot.phase
         line = f"{clock(snapshot.time)} phase {snapshot.phase}"
         self._console.print(line, soft_wrap=True, highlight=False, markup=False)
 
@@ -132,7 +132,9 @@ class FlightScreen:
                 team_table(self._snapshot, self._plan, self._console.height - LAST_EVENTS - 7),
             ]
         parts.append(Rule(style="dim"))
-        parts += [_event_line(*said) for said in merged(list(self._events))[-LAST_EVENTS:]]
+        parts += [
+            _event_line(*merged) for merged in merge_events(list(self._events))[-LAST_EVENTS:]
+        ]
         return Group(*parts)
 
 
@@ -150,29 +152,30 @@ def _flight_line(plan: Plan, snapshot: Snapshot) -> Text:
 
 def _margin_line(snapshot: Snapshot) -> Text:
     line = Text(overflow="ellipsis", no_wrap=True)
-    found = snapshot.clearances
-    if found is not None and np.isfinite(found.margin):
-        style = "bold red" if found.margin < 0 else "yellow" if found.margin < 0.1 else "green"
-        line.append(f"margin {metres(found.margin)}", style)
+    clearances = snapshot.clearances
+    if clearances is not None and np.isfinite(clearances.margin):
+        margin = clearances.margin
+        style = "bold red" if margin < 0 else "yellow" if margin < 0.1 else "green"
+        line.append(f"margin {metres(margin)}", style)
         line.append(
-            f"  cable {metres(found.cable)}, vehicles {metres(found.vehicle)}, "
-            f"tautest chord {found.chord:.0%}  ",
+            f"  cable {metres(clearances.cable)}, vehicles {metres(clearances.vehicle)}, "
+            f"tautest chord {clearances.chord:.0%}  ",
             "dim",
         )
-    windows = [wish for wish, (is_open, _) in snapshot.available.items() if is_open]
-    return line.append(f"you can: {', '.join(windows)}" if windows else "", "dim")
+    available = [command for command, (possible, _) in snapshot.available.items() if possible]
+    return line.append(f"commands: {', '.join(available)}" if available else "", "dim")
 
 
 def team_table(snapshot: Snapshot, plan: Plan, rows: int) -> Table:
-    """Return the team's table in at most ``rows`` rows; with more vehicles the worst ones."""
+    """Return the team's table; with more vehicles than ``rows``, those in the worst state."""
     tracking = plan.mission.vehicles.tracking
     states = scene.vehicle_states(snapshot, tracking)
     errors = scene.tracking_errors(snapshot)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    for name in ("vehicle", "state", "mode", "armed", "battery", "heard", "error"):
-        right = name in {"vehicle", "battery", "heard", "error"}
+    for name in ("vehicle", "state", "mode", "armed", "battery", "last packet", "error"):
+        right = name in {"vehicle", "battery", "last packet", "error"}
         table.add_column(name, justify="right" if right else "left", no_wrap=True)
-    shown = clip_rows(errors, snapshot.link_age, max(rows, 4))
+    shown = worst_vehicles(errors, snapshot.link_age, max(rows, 4))
     for i in shown:
         age = snapshot.link_age[i]
         battery = snapshot.battery[i]
@@ -198,4 +201,4 @@ def _age_style(age: float) -> str:
 def _event_line(event: Event, others: Sequence[int] = ()) -> Text:
     line = Text(overflow="ellipsis", no_wrap=True)
     line.append(f"{clock(event.time)} ", "dim")
-    return line.append(sentence(event, others), LEVEL_STYLES[level(event)])
+    return line.append(event_text(event, others), LEVEL_STYLES[log_level(event)])

@@ -49,10 +49,10 @@ def _figures(summary: Mapping[str, Any]) -> list[tuple[str, object]]:
     low, high = summary["without_failure"]["completed"]["interval"] or (0.0, 1.0)
     return [
         ("trials", summary["trials"]),
-        ("of them with a failing vehicle", summary["with_failure"]["trials"]),
+        ("of them with a failure", summary["with_failure"]["trials"]),
         (f"completed, {summary['confidence']:.0%} interval", f"{low:.1%} to {high:.1%}"),
-        ("with a rotor on cable", summary["trials_with_rotor_strikes"]),
-        ("with vehicles touching", summary["trials_with_collisions"]),
+        ("with rotor strikes", summary["trials_with_rotor_strikes"]),
+        ("with collisions of vehicles", summary["trials_with_collisions"]),
         ("vehicles lost", summary["vehicles_lost"]),
     ]
 

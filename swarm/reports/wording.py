@@ -33,15 +33,15 @@ def implied_in_words(plan: Plan, knot: Mapping[str, Any]) -> str:
     if not len(plan.layout.lengths):
         return ""
     if knot["type"] == "unknown":
-        return "Which knot the cable has is not known."
+        return "The knot of the cable is not known."
     untied = knot["type"] == "0_1" and not plan.knot.type
     implied = "no knot" if untied else knot_in_words(knot["type"], knot["chirality"])
-    unplanned = "" if knot["as_planned"] else ", which is not what was planned"
-    return f"The reported positions imply {implied} in the cable model{unplanned}."
+    unplanned = "" if knot["as_planned"] else ", not the planned knot"
+    return f"In the cable model, the reported positions imply {implied}{unplanned}."
 
 
 def certified_in_words(plan: Plan) -> str:
-    """Return what a cleared plan is certified for."""
+    """Return the certified property of a cleared plan."""
     return CERTIFIED if len(plan.layout.lengths) else "distances between vehicles are certified"
 
 

@@ -14,9 +14,9 @@ from swarm.planning import Plan
 from swarm.planning.cable_shape import planned_grip
 from swarm.reports import scene
 from swarm.reports.strand_distances import (
-    CLEARANCE_STEP,
-    distances_of_strands,
-    strand_distances,
+    SAMPLE_INTERVAL,
+    planned_strand_distances,
+    smallest_strand_distances,
 )
 from swarm.view.rerun_scene import (
     GHOST_COLOUR,
@@ -122,7 +122,7 @@ def send_plan_curves(stream: rr.RecordingStream, plan: Plan) -> None:
     _limit(stream, "plan/tautness/limit", MAX_CHORD_RATIO, "taut", clock)
     if n < 4:
         return
-    sampled, distance = strand_distances(plan)
+    sampled, distance = planned_strand_distances(plan)
     clock = {"mission_time": sampled}
     _curves(stream, "plan/clearance", ["strands that are not neighbours"], clock, distance[:, None])
     _limit(stream, "plan/clearance/limit", plan.mission.clearance.cable, "required", clock)
@@ -142,12 +142,12 @@ def send_distances(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None
     if plan.vehicles < 4:
         return
     names = ("planned", "flown")
-    sampled, planned = strand_distances(plan)
+    sampled, planned = planned_strand_distances(plan)
     known = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
     known &= np.isfinite(trace.position).all(axis=(1, 2))
     between = float(np.median(np.diff(trace.time)))
-    where = np.flatnonzero(known)[:: max(1, round(CLEARANCE_STEP / between))]
-    flown = distances_of_strands(plan, trace.position[where])
+    where = np.flatnonzero(known)[:: max(1, round(SAMPLE_INTERVAL / between))]
+    flown = smallest_strand_distances(plan, trace.position[where])
     for name, times, values in zip(
         names, (sampled, trace.mission_time[where]), (planned, flown), strict=True
     ):

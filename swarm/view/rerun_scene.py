@@ -15,7 +15,7 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.planning import Plan
 from swarm.planning.cable_shape import laid_grip_points
 from swarm.reports import scene
-from swarm.reports.formatting import clock, level, sentence
+from swarm.reports.formatting import clock, event_text, log_level
 from swarm.view.curves import Curves
 
 Floats = npt.NDArray[np.float64]
@@ -273,7 +273,7 @@ class Recorder:
 
     def _log_cable(self, snapshot: Snapshot, colours: bool) -> None:
         lengths = self._plan.layout.lengths
-        self._held, self._gripped = scene.held_points(self._held, self._gripped, snapshot)
+        self._held, self._gripped = scene.follow_grips(self._held, self._gripped, snapshot)
         self._strips = scene.strands(self._held, lengths, scene.POINTS_PER_SEGMENT)
         tints = scene.tautness_colours(scene.tautness(self._held, lengths)) if colours else None
         self._stream.log(
@@ -323,8 +323,8 @@ class Recorder:
 def log_event(stream: rr.RecordingStream, event: Event) -> None:
     """Log something that happened, at its own time."""
     stream.set_time("time", duration=event.time)
-    words = f"{clock(event.time)}  {sentence(event)}"
-    stream.log("log", rr.TextLog(words, level=level(event)))
+    words = f"{clock(event.time)}  {event_text(event)}"
+    stream.log("log", rr.TextLog(words, level=log_level(event)))
 
 
 def log_style(stream: rr.RecordingStream, entity: str, radius: float) -> None:

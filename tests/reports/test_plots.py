@@ -118,7 +118,7 @@ def test_the_front_shows_every_plan_and_what_it_stands() -> None:
             tracking, (True, False, False), strict=True,
         )
     ]  # fmt: skip
-    figure = plots.front_figure(points)
+    figure = plots.pareto_figure(points)
     axes = figure.axes[0]
     assert [text.get_text().split("\n")[0] for text in axes.texts] == [
         f"e* {value:.3f} m" for value in tracking

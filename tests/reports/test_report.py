@@ -132,7 +132,7 @@ def made_flight_report(**changed: Any) -> str:
 def test_flight_report_says_what_was_flown() -> None:
     read = Reader(made_flight_report())
     assert "Done: all vehicles have landed." in read.words
-    assert "imply 3_1, right-handed in the cable model." in read.words
+    assert "positions imply 3_1, right-handed." in read.words
     assert "unknown" in read.words
     assert "segment 3 was reported 101 % of its length apart" in read.words
     assert "vehicles 1–3: Landing detected" in read.words
@@ -157,7 +157,7 @@ def test_a_failed_flight_is_not_green() -> None:
     other = {"type": "0_1", "chirality": "none", "gauss": "", "as_planned": False}
     source = made_flight_report(knot=other)
     assert 'class="verdict bad"' in source
-    assert "imply 0_1 in the cable model, which is not what was planned." in Reader(source).words
+    assert "positions imply 0_1, not the planned knot." in Reader(source).words
 
 
 def test_a_flight_that_ended_before_anything_was_heard_has_its_page() -> None:
@@ -223,7 +223,7 @@ def made_rope_report(*void: str) -> str:
 
 def test_trials_report_says_what_trials_said() -> None:
     read = Reader(made_trials_report())
-    assert "2 of 2 trials without a failing vehicle were completed as planned" in read.words
+    assert "2 of 2 trials without a failure were completed as planned" in read.words
     assert "verdict good" in made_trials_report()
     assert "verdict bad" in made_trials_report(below=(7,))
     assert "<b>" in read.words  # what was drawn is text and not markup
@@ -231,11 +231,11 @@ def test_trials_report_says_what_trials_said() -> None:
         assert words in read.words
 
 
-def test_rope_report_is_not_green_where_it_shows_nothing() -> None:
+def test_the_report_of_a_void_rope_is_not_green() -> None:
     assert "The rope ends in 3_1, right-handed." in Reader(made_rope_report()).words
     void = made_rope_report("a link was stretched by 43.5%, more than 1%")
     assert "verdict bad" in void
-    assert "This run shows nothing: a link was stretched by 43.5%, more than 1%." in void
+    assert "This run is invalid: a link was stretched by 43.5%, more than 1%." in void
 
 
 def test_a_template_without_one_of_its_values_is_refused() -> None:

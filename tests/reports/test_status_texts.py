@@ -1,4 +1,4 @@
-"""What vehicles say in words: on the screen once, and all of it in the record."""
+"""Vehicles' texts: each once on the screen, all of them in the record."""
 
 import io
 import json
@@ -15,7 +15,7 @@ from swarm.flight.snapshot import Event
 from swarm.ground.record import Record
 from swarm.mavlink.packets import Encoder
 from swarm.mission.fleet import emulated_fleet
-from swarm.reports.status_texts import WINDOW, Texts
+from swarm.reports.status_texts import WINDOW, StatusTexts
 from swarm.reports.terminal import FlightScreen
 from tests.network import small_plan
 from tests.reports.synthetic import snapshot_at, trefoil_plan
@@ -38,15 +38,15 @@ def replayed(rows: list[tuple[float, int, int, str, int]]) -> list[Event]:
         while now + 0.05 < time:
             now += 0.05
             conductor.tick(now)
-        said = common.MAVLink_statustext_message(severity, text.encode(), number, 0)
-        conductor.receive("loopback", system, encoders[system].encode(said), time)
+        text_message = common.MAVLink_statustext_message(severity, text.encode(), number, 0)
+        conductor.receive("loopback", system, encoders[system].encode(text_message), time)
         conductor.tick(time)
         events += conductor.events()
     return events
 
 
 def shown(events: list[Event], *, terminal: bool = False) -> list[str]:
-    """Return what the screen says of events, with snapshots ten times a second."""
+    """Return the lines of the screen for events, with snapshots ten times a second."""
     console = Console(file=io.StringIO(), width=100, height=30, force_terminal=terminal)
     now = 0.0
     with FlightScreen(PLAN, console) as screen:
@@ -60,18 +60,18 @@ def shown(events: list[Event], *, terminal: bool = False) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("recording", "said", "lines"),
+    ("recording", "count", "lines"),
     [
         ("arducopter-4.6.2-overhand", 81, ["0:00.2 vehicles 1–9: GCS Failsafe Cleared"]),
         ("arducopter-4.6.2-one-vehicle-ends", 70, []),
         ("px4-1.16.0-takeoff-hold-land", 45, []),
     ],
 )
-def test_recorded_flights_do_not_flood_the_screen(recording, said, lines, tmp_path):
+def test_recorded_flights_do_not_flood_the_screen(recording, count, lines, tmp_path):
     """Each text was a line of its own: 81, 70 and 45 lines."""
     events = replayed(RECORDED[recording])
     texts = [event for event in events if event.kind.startswith("text")]
-    assert len(texts) == len(RECORDED[recording]) == said
+    assert len(texts) == len(RECORDED[recording]) == count
     assert shown(texts) == lines
     record = Record(tmp_path / "record", 0.0)
     for event in events:
@@ -85,7 +85,7 @@ def test_recorded_flights_do_not_flood_the_screen(recording, said, lines, tmp_pa
     assert [one["time"] for one in kept] == sorted(one["time"] for one in kept)
 
 
-def test_a_text_is_said_once_of_each_vehicle_and_later_ones_are_said_too():
+def test_a_text_is_shown_once_per_vehicle_and_a_later_one_separately():
     events = [
         Event(1.0, "text warning", "Low battery", 2),
         Event(1.5, "text warning", "Low battery", 3),
@@ -102,7 +102,7 @@ def test_a_text_is_said_once_of_each_vehicle_and_later_ones_are_said_too():
     ]
 
 
-def test_what_a_vehicle_complained_of_stands_before_the_failure():
+def test_the_error_text_of_a_vehicle_comes_before_the_failure():
     events = [
         Event(1.0, "text error", "GPS Glitch or Compass error", 2),
         Event(1.1, "failure", "left offboard: vehicle 2 left offboard mode by itself", 2),
@@ -121,15 +121,15 @@ def test_what_a_vehicle_complained_of_stands_before_the_failure():
         )
     )
 )  # fmt: skip
-def test_each_warning_of_each_vehicle_comes_out_once_and_not_late(said):
-    texts, found = Texts(), []
-    events = [Event(t, kind, words, vehicle) for t, words, vehicle, kind in sorted(said)]
+def test_each_warning_of_each_vehicle_is_returned_once_and_in_time(drawn):
+    texts, found = StatusTexts(), []
+    events = [Event(t, kind, words, vehicle) for t, words, vehicle, kind in sorted(drawn)]
     for event in events:
         for group in texts.due(event.time):
             assert group[0].time <= event.time - WINDOW
             found += group
-        texts.hear(event)
-    found += [event for group in texts.rest() for event in group]
-    wanted = {(e.kind, e.message, e.vehicle) for e in events if e.kind != "text"}
-    assert len(found) == len(wanted)
-    assert {(e.kind, e.message, e.vehicle) for e in found} == wanted
+        texts.add(event)
+    found += [event for group in texts.remaining() for event in group]
+    expected = {(e.kind, e.message, e.vehicle) for e in events if e.kind != "text"}
+    assert len(found) == len(expected)
+    assert {(e.kind, e.message, e.vehicle) for e in found} == expected

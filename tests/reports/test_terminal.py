@@ -7,8 +7,8 @@ from rich.console import Console
 from swarm.certification.assessment import Assessment, Robustness, Tightest
 from swarm.certification.findings import Finding
 from swarm.flight.snapshot import Event
-from swarm.reports.formatting import clip_rows, clock, level, metres, seconds
-from swarm.reports.plan_summary import plan_summary
+from swarm.reports.formatting import clock, log_level, metres, seconds, worst_vehicles
+from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.terminal import FlightScreen, team_table
 from tests.reports.synthetic import snapshot_at, trefoil_plan
 
@@ -43,14 +43,14 @@ def printed(console: Console) -> str:
 
 def test_summary_of_a_cleared_plan() -> None:
     console = plain()
-    plan_summary(PLAN, assessment(), console)
+    print_plan_summary(PLAN, assessment(), console)
     lines = [line.rstrip() for line in printed(console).splitlines()]
     assert lines[0] == "overhand: knot 3_1, right-handed"
     assert "  Layout          5×5 grid, cell 1.20 m" in lines
     assert "  Cable           33.97 m in 8 segments of 3.00 m to 5.54 m" in lines
-    assert "  Tracking error  certified for 0.10 m, would hold up to 0.14 m" in lines
-    assert "  cable to cable      0.21 m    0.15 m  51.3 s  segment 3 and segment 5" in lines
-    assert "  vehicle to cable         –    0.30 m       –  –" in lines
+    assert "  Tracking error  certified for 0.10 m, valid up to 0.14 m" in lines
+    assert "  cable to cable         0.21 m    0.15 m  51.3 s  segment 3 and segment 5" in lines
+    assert "  vehicle to cable            –    0.30 m       –  –" in lines
     assert lines[-1] == "Cleared: certified in the quasi-static cable model."
 
 
@@ -58,26 +58,26 @@ def test_errors_are_printed_first_and_refuse() -> None:
     console = plain()
     remark = Finding("info", "budget", "nothing to add")
     error = Finding("error", "certificate", "segments [3] and [5] touch", 51.3, (0.0, 0.0, 4.0))
-    plan_summary(PLAN, assessment(remark, error), console)
+    print_plan_summary(PLAN, assessment(remark, error), console)
     text = printed(console)
     assert text.index("segments [3] and [5] touch") < text.index("nothing to add")
     assert "51.3 s" in text
     assert text.rstrip().endswith("Refused: 1 error.")
 
 
-def test_a_planned_cable_of_another_knot_is_said_in_the_first_line() -> None:
+def test_another_knot_of_the_planned_cable_is_in_the_first_line() -> None:
     console = plain()
-    plan_summary(PLAN, replace(assessment(), knot="0_1", chirality="none"), console)
+    print_plan_summary(PLAN, replace(assessment(), knot="0_1", chirality="none"), console)
     assert printed(console).splitlines()[0] == (
         "overhand: knot 3_1, right-handed; the planned cable is 0_1, none"
     )
 
 
-def test_nothing_is_wider_than_the_terminal() -> None:
+def test_no_line_is_wider_than_the_terminal() -> None:
     for width in (60, 80, 120):
         console = plain(width)
         long = Finding("warning", "limits", "a long sentence about something " * 6)
-        plan_summary(PLAN, assessment(long), console)
+        print_plan_summary(PLAN, assessment(long), console)
         assert max(map(len, printed(console).splitlines())) <= width
 
 
@@ -110,10 +110,10 @@ def test_flight_on_a_screen_shows_team_and_events() -> None:
     assert text.count("OFFBOARD") >= 9
     assert "fold begins" in text
     assert "margin 0.27 m" in text
-    assert "you can: hold, rewind" in text
+    assert "commands: hold, rewind" in text
 
 
-def test_the_same_words_of_several_vehicles_share_a_line() -> None:
+def test_the_same_text_of_several_vehicles_is_one_line() -> None:
     console = screen()
     with FlightScreen(PLAN, console) as shown:
         for vehicle in (1, 2, 3, 5):
@@ -127,13 +127,13 @@ def test_the_same_words_of_several_vehicles_share_a_line() -> None:
 
 
 def test_levels_of_events() -> None:
-    assert level(Event(0.0, "failure", "a")) == "ERROR"
-    assert level(Event(0.0, "outcome", "failed: b")) == "ERROR"
-    assert level(Event(0.0, "outcome", "done: tied")) == "INFO"
-    assert level(Event(0.0, "hold", "c")) == "WARN"
+    assert log_level(Event(0.0, "failure", "a")) == "ERROR"
+    assert log_level(Event(0.0, "outcome", "failed: b")) == "ERROR"
+    assert log_level(Event(0.0, "outcome", "done: tied")) == "INFO"
+    assert log_level(Event(0.0, "hold", "c")) == "WARN"
 
 
-def test_what_is_wrong_with_a_vehicle_shows_in_its_row() -> None:
+def test_problems_of_a_vehicle_are_in_its_row() -> None:
     good = snapshot_at(PLAN, 50.0)
     position = good.position.copy()
     position[1] += 1.0
@@ -159,11 +159,11 @@ def test_with_many_vehicles_the_worst_are_listed() -> None:
     errors = np.linspace(0.0, 0.5, 50)
     age = np.full(50, 0.1)
     age[7] = 9.0
-    assert clip_rows(errors, age, 5) == [7, 47, 48, 49]
-    assert clip_rows(errors[:4], age[:4], 5) == [0, 1, 2, 3]
+    assert worst_vehicles(errors, age, 5) == [7, 47, 48, 49]
+    assert worst_vehicles(errors[:4], age[:4], 5) == [0, 1, 2, 3]
 
 
-def test_words() -> None:
+def test_formats_of_numbers() -> None:
     assert (metres(1.234), metres(float("nan"))) == ("1.23 m", "–")
     assert (seconds(61.26), seconds(float("inf"))) == ("61.3 s", "–")
     assert [clock(t) for t in (0.0, -0.04, -3.0, 59.96, 65.2)] == [

@@ -50,7 +50,7 @@ def test_the_upper_strand_of_a_rope_covers_the_lower() -> None:
     back = np.array([[1.5, 1.5, 0.5]])
     second = np.column_stack([0 * along, -along, 0 * along + 1.0])
     shape = np.concatenate([first, back, second])
-    moved = rope_plots.Moved(
+    moved = rope_plots.RopeCurves(
         "this plan", "0_1", np.arange(3.0), np.array([0.0, 0.1, 0.2]), np.full(3, 0.1), np.ones(3),
         np.ones(3), shape,
     )  # fmt: skip

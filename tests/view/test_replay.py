@@ -5,7 +5,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from swarm.flight.trace import Trace
-from swarm.reports.strand_distances import strand_distances
+from swarm.reports.strand_distances import planned_strand_distances
 from swarm.view import replay
 from swarm.view.columns import moments, planned_course
 from tests.reports.synthetic import events, trefoil_plan
@@ -75,7 +75,7 @@ def test_planned_vehicles_are_above_their_grips() -> None:
 
 
 def test_distances_of_strands_end_at_the_folded_knot_s() -> None:
-    times, distance = strand_distances(PLAN)
+    times, distance = planned_strand_distances(PLAN)
     assert times[0] == PLAN.phase("fold").start
     assert times[-1] == PLAN.phase("hold").end
     # 1.01 m is the smallest vertical distance at a crossing; strands come nearer aslant.
