@@ -130,6 +130,17 @@ def test_names_of_the_code_that_are_mentioned_exist(page):
     assert list(missing_names(page)) == []
 
 
+@pytest.mark.parametrize("package", ["swarm", "sitl"])
+def test_names_that_docstrings_refer_to_exist(package):
+    wrong = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for name in re.findall(r":[a-z]+:`~?((?:swarm|sitl)\.[\w.]+)`", path.read_text())
+        if not is_importable(name)
+    ]
+    assert wrong == []
+
+
 @pytest.mark.parametrize(
     ("name", "exists"),
     [
