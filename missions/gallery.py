@@ -1,4 +1,4 @@
-"""Draw the gallery: for every mission a figure of the plan and a picture of the knot as held.
+"""Draw the gallery: for every mission a figure of the plan and a picture of the folded knot.
 
     python missions/gallery.py [FOLDER] [MISSION.yaml …]
 
@@ -44,11 +44,11 @@ def main(folder: Path, missions: list[Path]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for path in missions:
         try:
-            planned = planner.plan(parse_mission(path.read_text(), str(path)), robustness=False)
+            result = planner.plan(parse_mission(path.read_text(), str(path)), robustness=False)
         except Refused as refusal:
             print(f"{path}: refused: {refusal}")
             continue
-        for picture in draw(planned.plan, folder):
+        for picture in draw(result.plan, folder):
             print(picture)
 
 
