@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.coarse_distance import box_distance, squared_point_distance
 from swarm.geometry.catenary import MAX_CHORD_RATIO
-from swarm.geometry.catenary_kernel import max_drop_below_ends, sample_strand
+from swarm.geometry.catenary_kernel import sample_strand
 from swarm.geometry.distance import polyline_distance
 from swarm.jit import compiled
 from swarm.planning import CableState, Plan
@@ -193,47 +194,17 @@ def _strand_distance(grips: Floats, required: _Required, far: float, points: Flo
     least = np.inf
     for pair in range(len(required.pairs)):
         one, other = required.pairs[pair]
-        apart = _box_distance(grips, lengths, one, other)
+        apart = box_distance(grips, lengths, (one, other), (0.0, 0.0), np.inf)
         if apart < required.near + far:
             for strand in (one, other):
                 if not sampled[strand]:
                     sample_strand(grips[strand], grips[strand + 1], lengths[strand], points[strand])
                     sampled[strand] = True
-            apart = _point_distance(points[one], points[other], required.spacing)
+            # Where two straight lines are closest, their samples are off by up to half a spacing
+            # each, both at right angles to the shortest distance.
+            square = squared_point_distance(points[one], points[other])
+            apart = math.sqrt(max(square - 0.5 * required.spacing**2, 0.0)) - _BOW
             if apart < required.near:
                 apart = polyline_distance(points[one], points[other], np.inf)[0]
         least = min(least, apart)
     return least
-
-
-@compiled
-def _box_distance(grips: Floats, lengths: Floats, one: int, other: int) -> float:
-    """Distance of the axis-aligned boxes that contain two strands."""
-    start, end = grips[one], grips[one + 1]
-    other_start, other_end = grips[other], grips[other + 1]
-    square = 0.0
-    for k in range(3):
-        low, high = min(start[k], end[k]), max(start[k], end[k])
-        other_low, other_high = min(other_start[k], other_end[k]), max(other_start[k], other_end[k])
-        if k == 2:
-            low -= max_drop_below_ends(start, end, lengths[one])
-            other_low -= max_drop_below_ends(other_start, other_end, lengths[other])
-        square += max(low - other_high, other_low - high, 0.0) ** 2
-    return math.sqrt(square)
-
-
-@compiled
-def _point_distance(first: Floats, second: Floats, spacing: float) -> float:
-    """A lower bound of the distance of strands given by their points (k, 3).
-
-    Where two straight lines are closest, their samples are off by up to half a spacing each, both
-    at right angles to the shortest distance.
-    """
-    square = np.inf
-    for i in range(len(first)):
-        for j in range(len(second)):
-            apart = 0.0
-            for k in range(3):
-                apart += (first[i, k] - second[j, k]) ** 2
-            square = min(square, apart)
-    return math.sqrt(max(square - 0.5 * spacing**2, 0.0)) - _BOW

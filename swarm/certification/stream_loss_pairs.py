@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.coarse_distance import box_distance, squared_point_distance
 from swarm.certification.stream_loss_team import TeamState
 from swarm.geometry.catenary_kernel import max_elevation_sine, sample_strand
 from swarm.geometry.distance import polyline_distance
@@ -102,7 +103,9 @@ def strand_margins(
             i + 2 if held else max(i + 2, case - 2), count if held else min(case, count)
         ):
             moved = _end_movements(i, j, team, half)
-            distance = _box_distance(team.position, required, (i, j), moved)
+            distance = box_distance(
+                team.position, required.lengths, (i, j), moved, required.strands
+            )
             if distance < required.strands:
                 margin = _strand_margin((i, j), moved, team.position, required, strands)
                 low, here = min(low, margin[0]), min(here, margin[1])
@@ -123,7 +126,8 @@ def _strand_margin(
     off += _deviation(j, moved[1], position, required, strands)
     # The points' distance bounds from above, and less a spacing from below: lines through points
     # that are a spacing apart come nearer by at most a spacing, half of it on each.
-    most = _point_distance(strands.points[i], strands.points[j]) - required.strands
+    most = np.sqrt(squared_point_distance(strands.points[i], strands.points[j]))
+    most -= required.strands
     least = most - required.lengths.max() / _PIECES
     if least < off and most >= off - TOLERANCE:
         limit = most + required.strands
@@ -169,18 +173,6 @@ def _sample(start: Floats, end: Floats, length: float, points: Floats) -> float:
 
 
 @compiled
-def _point_distance(first: Floats, second: Floats) -> float:
-    """Smallest distance between points (k, 3) of two strands."""
-    least = np.inf
-    for i in range(len(first)):
-        x, y, z = first[i, 0], first[i, 1], first[i, 2]
-        for j in range(len(second)):
-            square = (second[j, 0] - x) ** 2 + (second[j, 1] - y) ** 2 + (second[j, 2] - z) ** 2
-            least = min(least, square)
-    return float(np.sqrt(least))
-
-
-@compiled
 def _end_movements(i: int, j: int, team: TeamState, half: float) -> tuple[float, float]:
     """Largest movements of the ends of two strands, without their common movement."""
     velocity = team.velocity
@@ -204,41 +196,3 @@ def _end_movement(
     for axis in range(3):
         square += (team.velocity[k, axis] - common[axis]) ** 2
     return float(np.sqrt(square) * half + team.spread[k])
-
-
-@compiled
-def _box_distance(
-    position: Floats, required: Required, pair: tuple[int, int], moved: tuple[float, float]
-) -> float:
-    """Distance of the axis-aligned boxes that contain two strands.
-
-    From the required distance on, only a lower bound.
-    """
-    i, j = pair
-    square = 0.0
-    for axis in range(3):
-        low = min(position[i, axis], position[i + 1, axis]) - moved[0]
-        high = max(position[i, axis], position[i + 1, axis]) + moved[0]
-        other_low = min(position[j, axis], position[j + 1, axis]) - moved[1]
-        other_high = max(position[j, axis], position[j + 1, axis]) + moved[1]
-        if axis == 2:
-            if square >= required.strands * required.strands:
-                return required.strands
-            low -= _drop(position, required.lengths, i, moved[0])
-            other_low -= _drop(position, required.lengths, j, moved[1])
-        gap = max(low - other_high, other_low - high, 0.0)
-        square += gap * gap
-    return float(np.sqrt(square))
-
-
-@compiled
-def _drop(position: Floats, lengths: Floats, i: int, moved: float) -> float:
-    """Largest drop of a strand below its lower end.
-
-    A strand with drop d is at least as long as two straight lines down to there: length² ≥
-    span² + (2d + rise)².
-    """
-    x, y = position[i + 1, 0] - position[i, 0], position[i + 1, 1] - position[i, 1]
-    span = max(np.sqrt(x * x + y * y) - 2.0 * moved, 0.0)
-    rise = max(abs(position[i + 1, 2] - position[i, 2]) - 2.0 * moved, 0.0)
-    return float(max(0.5 * (np.sqrt(max(lengths[i] ** 2 - span**2, 0.0)) - rise), 0.0))

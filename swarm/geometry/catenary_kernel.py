@@ -141,15 +141,16 @@ def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) ->
 
 
 @compiled
-def max_drop_below_ends(start: Floats, end: Floats, length: float) -> float:
+def max_drop_below_ends(start: Floats, end: Floats, length: float, moved: float) -> float:
     """Return an upper bound of how far a strand hangs below its lower end.
 
-    A strand that reaches d below is at least as long as two straight lines to that depth:
-    length² ≥ span² + (2d + rise)².
+    Each end moves by up to ``moved`` metres. A strand that reaches d below is at least as long as
+    two straight lines to that depth: length² ≥ span² + (2d + rise)².
     """
-    level = length * length - (end[0] - start[0]) ** 2 - (end[1] - start[1]) ** 2
-    drop = 0.5 * (math.sqrt(max(level, 0.0)) - float(abs(end[2] - start[2])))
-    return max(drop, 0.0)
+    x, y = end[0] - start[0], end[1] - start[1]
+    span = max(math.sqrt(x * x + y * y) - 2.0 * moved, 0.0)
+    rise = max(float(abs(end[2] - start[2])) - 2.0 * moved, 0.0)
+    return max(0.5 * (math.sqrt(max(length**2 - span**2, 0.0)) - rise), 0.0)
 
 
 @compiled

@@ -37,7 +37,7 @@ def test_no_strand_comes_down_farther_than_its_dip(across, more):
     lowest = solve_catenaries(start, end, length).points(np.linspace(0.0, 1.0, 21))[:, 2].min()
     assert (
         lowest
-        >= min(0.0, across[2]) - catenary_kernel.max_drop_below_ends(start, end, length) - 1e-9
+        >= min(0.0, across[2]) - catenary_kernel.max_drop_below_ends(start, end, length, 0.0) - 1e-9
     )
 
 
