@@ -1,10 +1,10 @@
-"""Where a team's strands cross in plan view while it folds, and which of them must be over.
+"""Crossings of a team's strands in plan view during the fold, and the signs they must have.
 
-From above a cable passes over itself at points that move along it. As long as no strands pass
-through each other, one that moves past a vehicle, on to the next segment, keeps its side; two that
-appear or disappear together, where a vehicle moves across a strand, have the same. Crossings that
-are joined so are one *thread*. A thread that lasts to the end of the motion is a crossing of the
-knot, and its side is known: that of the end.
+In plan view, the points at which a cable crosses itself move along it. As long as no strand passes
+through another, a crossing that moves past a vehicle to the next segment keeps its sign; two
+crossings that appear or disappear together, where a vehicle moves across a strand, have the same
+sign. Crossings that are connected so are one *thread*. A thread that lasts to the end of the motion
+is a crossing of the knot, and has the sign of that crossing.
 """
 
 from collections import defaultdict
@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.soft_constraints import Outlines
-from swarm.folding.strand_clearance import crossing_heights, height_at_span, plan_crossing
+from swarm.folding.outlines import Outlines, crossing_heights, height_at_span, plan_crossing
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -25,20 +24,21 @@ _TOGETHER = 4
 
 @dataclass(frozen=True)
 class Passing:
-    """A vehicle that moves across a strand in plan view, at a moment, so much over it."""
+    """A vehicle that moves across a strand in plan view at a moment, ``height`` metres above it."""
 
     moment: int
     vehicle: int
     strand: int
-    over: float
+    height: float
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """Two strands that cross from a moment to another, the first before the second in the cable.
+    """Two strands that cross between two moments; the first comes first along the cable.
 
-    ``passings`` are those with which it begins and ends; it has no end that ends with the motion.
-    ``over`` is how high the first is over the second, summed up over moments, or in the end.
+    It begins and ends with its ``passings``; a crossing that lasts to the end of the motion has
+    only the first. ``height`` is the height of the first over the second: the final one, or the sum
+    over moments.
     """
 
     pair: int
@@ -47,54 +47,54 @@ class Crossing:
     begin: int
     end: int
     passings: tuple[Passing, ...]
-    over: float
+    height: float
 
     @property
     def lasts(self) -> bool:
-        """Whether it ends with the motion."""
+        """Whether the crossing lasts to the end of the motion."""
         return len(self.passings) == 1
 
-    def as_passed(self, passing: Passing) -> int:
-        """1 where the first is over if the vehicle passes over the strand, else −1."""
+    def sign_of(self, passing: Passing) -> int:
+        """Return the sign of the crossing if the vehicle passes over the strand: 1 or −1."""
         return 1 if passing.strand == self.second else -1
 
 
-def find_crossings(hung: Outlines, first: Ints, second: Ints) -> list[Crossing]:
-    """All crossings of pairs (p,) of strands (s, n − 1), which do not share vehicles."""
+def find_crossings(strands: Outlines, first: Ints, second: Ints) -> list[Crossing]:
+    """Return all crossings of pairs (p,) of strands (s, n − 1), which share no vehicles."""
     found: list[Crossing] = []
-    over = np.empty(len(hung.ratio))
+    heights = np.empty(len(strands.ratio))
     for pair, (one, other) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-        crossing_heights(hung.points[:, one], hung.points[:, other], over)
-        edges = np.flatnonzero(np.diff(over != 0.0, prepend=False, append=False))
+        crossing_heights(strands.points[:, one], strands.points[:, other], heights)
+        edges = np.flatnonzero(np.diff(heights != 0.0, prepend=False, append=False))
         for begin, end in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
-            lasts = end == len(over) - 1
+            lasts = end == len(heights) - 1
             moments = (begin,) if lasts else (begin, end)
             found.append(
                 Crossing(
                     pair, one, other, begin, end,
-                    tuple(_passing(hung, moment, one, other) for moment in moments),
-                    float(over[-1] if lasts else over[begin : end + 1].sum()),
+                    tuple(_passing(strands, moment, one, other) for moment in moments),
+                    float(heights[-1] if lasts else heights[begin : end + 1].sum()),
                 )
             )  # fmt: skip
     return found
 
 
 def required_signs(found: list[Crossing], segments: int) -> list[int]:
-    """Of every crossing, whether the first strand is to be over the second: 1, or −1."""
-    sides = [0] * len(found)
-    joined = _joined(found, segments)
+    """Return the sign of every crossing: 1 where the first strand must be over the second."""
+    signs = [0] * len(found)
+    neighbours = _connections(found, segments)
     for k in range(len(found)):
-        if sides[k] == 0:
-            thread = _thread(k, joined)
-            side = _side([(found[member], turned) for member, turned in thread.items()])
-            for member, turned in thread.items():
-                sides[member] = side * turned
-    return sides
+        if signs[k] == 0:
+            thread = _thread(k, neighbours)
+            sign = _thread_sign([(found[member], factor) for member, factor in thread.items()])
+            for member, factor in thread.items():
+                signs[member] = sign * factor
+    return signs
 
 
-def _passing(hung: Outlines, moment: int, one: int, other: int) -> Passing:
-    """The vehicle that just passes a strand, where two begin or cease to cross."""
-    points = hung.points[moment]
+def _passing(strands: Outlines, moment: int, one: int, other: int) -> Passing:
+    """Return the passing of a vehicle with which two strands begin or cease to cross."""
+    points = strands.points[moment]
     here, there = plan_crossing(points[one], points[other])
     ends = [(here, one, 0), (1.0 - here, one, 1), (there, other, 0), (1.0 - there, other, 1)]
     _, segment, end = min(ends)
@@ -103,49 +103,49 @@ def _passing(hung: Outlines, moment: int, one: int, other: int) -> Passing:
     return Passing(moment, segment + end, strand, height)
 
 
-def _joined(found: list[Crossing], segments: int) -> list[list[tuple[int, int]]]:
-    """Of every crossing those of the same thread next to it; with −1 where the sides differ."""
+def _connections(found: list[Crossing], segments: int) -> list[list[tuple[int, int]]]:
+    """Return the neighbours of every crossing in its thread, with the products of signs."""
     meets: dict[tuple[int, int], list[tuple[int, int, Passing]]] = defaultdict(list)
-    for k, each in enumerate(found):
-        for passing in each.passings:
-            own = each.first if passing.strand == each.second else each.second
+    for k, crossing in enumerate(found):
+        for passing in crossing.passings:
+            own = crossing.first if passing.strand == crossing.second else crossing.second
             meets[passing.vehicle, passing.strand].append((k, own, passing))
-    joined: list[list[tuple[int, int]]] = [[] for _ in found]
+    neighbours: list[list[tuple[int, int]]] = [[] for _ in found]
     for (vehicle, _), several in meets.items():
         if not 0 < vehicle < segments:
             continue
         for i, (k, own, passing) in enumerate(several):
-            for other, beside, next_passing in several[i + 1 :]:
+            for other, other_own, next_passing in several[i + 1 :]:
                 together = abs(passing.moment - next_passing.moment) <= _TOGETHER
-                if together and beside != own:
-                    turned = found[k].as_passed(passing) * found[other].as_passed(next_passing)
-                    joined[k].append((other, turned))
-                    joined[other].append((k, turned))
-    return joined
+                if together and other_own != own:
+                    factor = found[k].sign_of(passing) * found[other].sign_of(next_passing)
+                    neighbours[k].append((other, factor))
+                    neighbours[other].append((k, factor))
+    return neighbours
 
 
-def _thread(start: int, joined: list[list[tuple[int, int]]]) -> dict[int, int]:
-    """The crossings of a thread, and whether their sides are that of the one to start with."""
+def _thread(start: int, neighbours: list[list[tuple[int, int]]]) -> dict[int, int]:
+    """Return the crossings of a thread, each with its sign relative to ``start``."""
     thread, waiting = {start: 1}, [start]
     while waiting:
         k = waiting.pop()
-        for other, turned in joined[k]:
+        for other, factor in neighbours[k]:
             if other not in thread:
-                thread[other] = thread[k] * turned
+                thread[other] = thread[k] * factor
                 waiting.append(other)
     return thread
 
 
-def _side(thread: list[tuple[Crossing, int]]) -> int:
-    """The side of a thread: that of the end, else that on which most of its vehicles pass."""
-    last = [np.sign(each.over) * turned for each, turned in thread if each.lasts]
+def _thread_sign(thread: list[tuple[Crossing, int]]) -> int:
+    """Return the sign of a thread: the final one, else the majority of its vehicles' passings."""
+    last = [np.sign(crossing.height) * factor for crossing, factor in thread if crossing.lasts]
     passed = [
-        np.sign(passing.over) * each.as_passed(passing) * turned
-        for each, turned in thread
-        for passing in each.passings
+        np.sign(passing.height) * crossing.sign_of(passing) * factor
+        for crossing, factor in thread
+        for passing in crossing.passings
     ]
-    mostly = sum(each.over * turned for each, turned in thread)
-    for votes in (sum(last), sum(passed), mostly):
+    mean = sum(crossing.height * factor for crossing, factor in thread)
+    for votes in (sum(last), sum(passed), mean):
         if votes:
             return int(np.sign(votes))
     return 1

@@ -1,7 +1,8 @@
-"""Teams that are stuck: strands led through each other, which giving way a little does not undo.
+"""Basin hopping for teams in a local minimum, such as strands that were led through each other.
 
-One vehicle after another of those that are pushed hardest is moved aside for a while, one way after
-another, and all give way from there: basin hopping (Wales and Doye 1997) by a fixed list of hops.
+Vehicles with the largest derivatives are displaced for a while, one after another and in one
+direction after another, and the team is relaxed from there (Wales and Doye 1997), with a fixed list
+of hops.
 """
 
 from itertools import product
@@ -13,55 +14,57 @@ from swarm.folding.optimizer import RELAXING, ElasticBand
 
 Floats = npt.NDArray[np.float64]
 
-_SPOTS = 4
-"""So many moments a team is freed at, at most."""
+_MOMENTS = 4
+"""Largest number of moments at which hops are tried."""
 
-_FREE = 0.45
-"""Units of missed margin up to which a moment does not count as stuck."""
+_ACCEPTED = 0.45
+"""Units of missed margin up to which a moment needs no hop."""
 
-_PUSHED = 2
-"""So many vehicles are moved aside, those that are pushed hardest first."""
+_VEHICLES = 2
+"""Number of vehicles that are displaced, those with the largest derivatives."""
 
 _HOPS = ((1.7, 4.0, 24), (2.9, 6.0, 32))
-"""How far aside, in distances that vehicles keep; over how many stages, as a Gaussian's deviation;
-stages before and after in which all may give way."""
+"""Displacement in distances that vehicles keep; standard deviation of its Gaussian in stages;
+stages before and after in which all vehicles may move."""
 
-_WAYS = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, -1.0], [-1.0, 0, 0], [0, -1.0, 0], [0, 0, 1.0]])
+_DIRECTIONS = np.array(
+    [[1.0, 0, 0], [0, 1.0, 0], [0, 0, -1.0], [-1.0, 0, 0], [0, -1.0, 0], [0, 0, 1.0]]
+)
 
 
 def basin_hopping(band: ElasticBand, offsets: Floats) -> Floats:
-    """Offsets (c, n, 3) with which a team is stuck at fewer moments; the same where none is found.
+    """Return offsets (c, n, 3) with fewer moments in a local minimum; the same where none is found.
 
-    ``offsets`` (c, n, 3) are what to begin with.
+    ``offsets`` (c, n, 3) are the start.
     """
-    for _ in range(_SPOTS):
-        strain = band.strain(offsets, wishes=False)
-        worst = int(strain.missed.argmax())
-        if strain.missed[worst] <= _FREE**2:
+    for _ in range(_MOMENTS):
+        penalty = band.penalty(offsets, preferences=False)
+        worst = int(penalty.missed.argmax())
+        if penalty.missed[worst] <= _ACCEPTED**2:
             break
-        pushed = np.linalg.norm(strain.slopes[worst], axis=1)
-        found = _hopped(band, offsets, worst // band.density, np.argsort(-pushed)[:_PUSHED])
+        size = np.linalg.norm(penalty.gradient[worst], axis=1)
+        found = _hop(band, offsets, worst // band.density, np.argsort(-size)[:_VEHICLES])
         if found is None:
             break
         offsets = found
     return offsets
 
 
-def _hopped(
-    band: ElasticBand, offsets: Floats, stage: int, who: npt.NDArray[np.intp]
+def _hop(
+    band: ElasticBand, offsets: Floats, stage: int, vehicles: npt.NDArray[np.intp]
 ) -> Floats | None:
-    """Offsets with which nobody is stuck about a stage, by moving one of some vehicles aside."""
-    margins = band.crew.margins
+    """Return offsets that resolve the moments about a stage after a displacement of one vehicle."""
+    margins = band.team.margins
     apart = margins.vehicle + 2.0 * margins.tracking
-    for (far, long, near), way, vehicle in product(_HOPS, _WAYS, who):
+    for (size, deviation, near), direction, vehicle in product(_HOPS, _DIRECTIONS, vehicles):
         begin, end = stage - near, stage + near
         if begin < 0 or end > len(offsets):
             continue
-        bump = np.exp(-0.5 * ((np.arange(begin, end) - stage) / long) ** 2)
+        bump = np.exp(-0.5 * ((np.arange(begin, end) - stage) / deviation) ** 2)
         moved = offsets.copy()
-        moved[begin:end, vehicle] += far * apart * bump[:, None] * way
+        moved[begin:end, vehicle] += size * apart * bump[:, None] * direction
         moved = band.relaxed(moved, slice(begin, end), RELAXING)
         moments = slice(begin * band.density, end * band.density)
-        if band.strain(moved, moments, wishes=False).missed.max() <= _FREE**2:
+        if band.penalty(moved, moments, preferences=False).missed.max() <= _ACCEPTED**2:
             return moved
     return None

@@ -1,11 +1,10 @@
-"""What one segment may do on its way along γ, whatever the others do.
+"""Lattice of the possible motions of one segment along γ, independent of all others.
 
-The state of a segment is the progress of the two vehicles that hold it. Between each pair of edges
-that cross, half way between their final strands, lies a *surface*: traffic on the upper edge keeps
-above, traffic on the lower edge below. A segment that everywhere keeps its side of the surfaces,
-and its distance from the corners where others rest and change level, meets no other that does
-(NOTES, finding 4: but with margins for both sides). So every segment is a problem of its own,
-planar and quick.
+The state of a segment is the progress of its two vehicles. Between each pair of edges that cross,
+half way between their final strands, lies a *surface*: traffic on the upper edge stays above it,
+traffic on the lower edge below. A segment that stays on its side of all surfaces, and at a distance
+from the corners where others rest and change level, meets no other segment that does the same. So
+every segment is a problem of its own, planar and fast to solve.
 """
 
 from collections.abc import Iterator
@@ -25,10 +24,13 @@ from swarm.geometry.chain import crossing_fractions, crossing_gaps
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
+_OFF_PACE = 0.01
+"""Cost of a step in which only one of the two vehicles moves: small beside that of any miss."""
+
 
 @dataclass(frozen=True, eq=False)
 class SegmentCosts:
-    """Costs (a, b) of a segment's states: vehicle ahead at a, vehicle behind at b.
+    """Costs (a, b) of a segment's states: the vehicle ahead at a, the vehicle behind at b.
 
     ``ahead`` (a,) and ``behind`` (b,) are progress in metres.
     """
@@ -39,7 +41,7 @@ class SegmentCosts:
 
 
 def separating_surfaces(layout: KnotLayout) -> Surfaces:
-    """Surfaces half way between the strands that cross in a layout."""
+    """Return the surfaces half way between the strands that cross in a layout."""
     corners, count = layout.corners, len(layout.lengths)
     final = solve_catenaries(corners[:-1], corners[1:], layout.lengths)
     side = np.zeros((count, count), dtype=np.int8)
@@ -59,7 +61,7 @@ def separating_surfaces(layout: KnotLayout) -> Surfaces:
     return Surfaces(
         corners=corners,
         half_angle=final.half_angle,
-        lifted=sag_responses(final.span / layout.lengths),
+        response=sag_responses(final.span / layout.lengths),
         side=side,
         above=-np.sign(layout.lanes).astype(np.int8),
         fractions=np.take_along_axis(fractions, order, axis=1),
@@ -71,15 +73,15 @@ def separating_surfaces(layout: KnotLayout) -> Surfaces:
 def segment_costs(
     layout: KnotLayout, path: FoldPath, margins: Margins, step: float
 ) -> Iterator[SegmentCosts]:
-    """Cost of every state of each segment, on lattices of ``step`` metres that end in its goal."""
-    between = separating_surfaces(layout)
+    """Yield the costs of the states of each segment, on lattices of ``step`` metres to its goal."""
+    surfaces = separating_surfaces(layout)
     behind = _lattice(0, layout, path, margins, step)
     for segment, length in enumerate(layout.lengths):
         following = _lattice(segment + 1, layout, path, margins, step)
         begin = int(np.searchsorted(following.progress, -2.0 * step, side="right"))
         ahead = following.since(begin)
         cost = np.empty((len(ahead.progress), len(behind.progress)))
-        fill_costs(ahead, behind, float(length), between, margins, cost)
+        fill_costs(ahead, behind, float(length), surfaces, margins, cost)
         yield SegmentCosts(ahead.progress, behind.progress, cost)
         behind = following
 
@@ -87,7 +89,10 @@ def segment_costs(
 def _lattice(
     vehicle: int, layout: KnotLayout, path: FoldPath, margins: Margins, step: float
 ) -> VehicleLattice:
-    """Where a vehicle may be: from far enough behind the first corner to where it stops."""
+    """Return the places of a vehicle: from behind the first corner to its own corner.
+
+    It begins three lengths of its segment and a step before the first corner.
+    """
     own = layout.lengths[vehicle : vehicle + 1].sum()
     before, stop = step + 3.0 * own, path.stops[vehicle]
     count = int(np.ceil((stop + before) / step)) + 1
@@ -96,7 +101,7 @@ def _lattice(
     lead = margins.chord_ratio * layout.lengths[vehicle:].sum()
     leader = path.station(np.minimum(progress + lead, path.stops[-1]))
     return VehicleLattice(
-        places=path.at(vehicle, progress)[0],
+        positions=path.at(vehicle, progress)[0],
         progress=progress,
         station=station,
         edge=_edge(path, station),
@@ -106,48 +111,45 @@ def _lattice(
 
 
 def _edge(path: FoldPath, station: Floats) -> Ints:
-    """The edge (k,) over which a station lies; −1 on the run-in."""
+    """Return the edge (k,) of each station; −1 on the run-in."""
     edges = np.searchsorted(path.stations, station, side="right") - 1
     found: Ints = np.clip(edges, -1, len(path.stations) - 2)
     return found
 
 
-_OFF_PACE = 0.01
-"""Cost of a step in which only one of the two vehicles moves, next to a metre of margin."""
-
-
 @dataclass(frozen=True, eq=False)
 class LatticePath:
-    """A way through a passage: indices (m,) of ``ahead`` and ``behind``, one step after another.
+    """A path through a segment's states: indices (m,) of ``ahead`` and ``behind``, step by step.
 
-    ``cost`` (m,) is what its states cost.
+    ``cost`` (m,) are the costs of its states.
     """
 
-    table: SegmentCosts
+    costs: SegmentCosts
     ahead: Ints
     behind: Ints
     cost: Floats
 
 
-def cheapest_path(table: SegmentCosts, spacing: float) -> LatticePath:
-    """Cheapest way from the run-in to the goal.
+def cheapest_path(costs: SegmentCosts, chord: float) -> LatticePath:
+    """Return the cheapest path from the run-in to the goal.
 
-    Every step moves one of the vehicles, or both, by one place of the lattice. It begins with the
-    vehicle ahead at its first place and the one behind nearest to ``spacing`` metres behind.
+    Every step moves one of the vehicles, or both, by one place of the lattice. At the start the
+    vehicle ahead is at its first place, the vehicle behind nearest to ``chord`` metres behind it.
     """
-    first = int(np.argmin(np.abs(table.ahead[0] - spacing - table.behind)))
-    best = np.empty_like(table.cost)
-    accumulate_costs(table.cost, first, _OFF_PACE, best)
-    ahead, behind = _traced(best, first)
-    return LatticePath(table, ahead, behind, table.cost[ahead, behind])
+    first = int(np.argmin(np.abs(costs.ahead[0] - chord - costs.behind)))
+    best = np.empty_like(costs.cost)
+    accumulate_costs(costs.cost, first, _OFF_PACE, best)
+    ahead, behind = _backtrack(best, first)
+    return LatticePath(costs, ahead, behind, costs.cost[ahead, behind])
 
 
-def _traced(best: Floats, first: int) -> tuple[Ints, Ints]:
+def _backtrack(best: Floats, first: int) -> tuple[Ints, Ints]:
+    """Return the indices of the cheapest path, from the accumulated costs (a, b)."""
     b, a = best.shape[0] - 1, best.shape[1] - 1
     ahead, behind = [b], [a]
     while b > 0 or a > first:
-        # The cheapest of the places before is where the way came from, since the step's own cost
-        # is the same; only a step of one vehicle costs a little more.
+        # The path came from the cheapest of the places before: the step's own cost is the same,
+        # but for the small cost of a step of one vehicle.
         both = best[b - 1, a - 1] if b and a else np.inf
         one = best[b - 1, a] + _OFF_PACE if b else np.inf
         other = best[b, a - 1] + _OFF_PACE if a else np.inf
@@ -162,13 +164,13 @@ def _traced(best: Floats, first: int) -> tuple[Ints, Ints]:
     return np.array(ahead[::-1], dtype=np.intp), np.array(behind[::-1], dtype=np.intp)
 
 
-def append_follower(ticks: Floats, way: LatticePath, step: float) -> Floats:
-    """Progress (m, k + 1) of one vehicle more, behind those whose progress (m, k) is known."""
-    table, ahead, behind = way.table, way.ahead, way.behind
-    place = np.round((ticks[:, 0] - table.ahead[0]) / step).astype(np.intp)
-    wanted = np.bincount(ahead, minlength=len(table.ahead))
+def append_follower(ticks: Floats, path: LatticePath, step: float) -> Floats:
+    """Return progress (m, k + 1): one more vehicle behind those with progress (m, k)."""
+    costs, ahead, behind = path.costs, path.ahead, path.behind
+    place = np.round((ticks[:, 0] - costs.ahead[0]) / step).astype(np.intp)
+    wanted = np.bincount(ahead, minlength=len(costs.ahead))
     here = np.maximum(place, 0)
-    present = np.bincount(here[place >= 0], minlength=len(table.ahead))
+    present = np.bincount(here[place >= 0], minlength=len(costs.ahead))
     leaving = np.append(place[1:] != place[:-1], True) & (place >= 0)
     repeats = np.ones(len(place), dtype=np.intp)
     repeats[leaving] += np.maximum(wanted - present, 0)[place[leaving]]
@@ -176,12 +178,12 @@ def append_follower(ticks: Floats, way: LatticePath, step: float) -> Floats:
     begins = np.concatenate([[0], np.flatnonzero(place[1:] != place[:-1]) + 1])
     since = np.arange(len(place)) - np.repeat(begins, np.diff(np.append(begins, len(place))))
     here = np.maximum(place, 0)
-    stay = np.bincount(here[place >= 0], minlength=len(table.ahead))
+    stay = np.bincount(here[place >= 0], minlength=len(costs.ahead))
     first = np.searchsorted(ahead, here)
     state = first + since * wanted[here] // np.maximum(stay[here], 1)
     progress = np.where(
         place >= 0,
-        table.behind[behind[np.minimum(state, len(behind) - 1)]],
-        table.behind[behind[0]] + place * step,
+        costs.behind[behind[np.minimum(state, len(behind) - 1)]],
+        costs.behind[behind[0]] + place * step,
     )
     return np.concatenate([progress[:, None], ticks], axis=1)

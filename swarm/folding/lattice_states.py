@@ -1,7 +1,7 @@
-"""What a segment's states cost, one by one; compiled.
+"""Costs of the states of a segment on its lattice; compiled.
 
-A state is where the segment's two vehicles are, and over which edges. See
-:mod:`swarm.folding.lattice` for what costs.
+A state is the places of the segment's two vehicles, and the edges over which they are. See
+:mod:`swarm.folding.lattice`.
 """
 
 import math
@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from swarm.folding.end_sensitivity import PIECES, interpolate, point_movement, sag_response
 from swarm.folding.margins import Margins
+from swarm.folding.outlines import reachable_length
 from swarm.folding.soft_constraints import margin_cost, vehicle_cost
 from swarm.folding.vehicle_clearance import rotor_disc_cost
-from swarm.geometry import catenary_kernel
+from swarm.geometry.catenary_kernel import solve_catenary, strand_polygon
 from swarm.geometry.catenary_shape import drop_at
 from swarm.geometry.distance import point_distance
 from swarm.jit import compiled
@@ -24,25 +25,41 @@ Ints = npt.NDArray[np.intp]
 Signs = npt.NDArray[np.int8]
 
 BLOCKED = 1e4
-"""Cost of states in which the segment would be over-stretched or its vehicles out of order."""
+"""Cost of states in which the segment is over-stretched or its vehicles are out of order."""
 
 _TOUCH = 0.125
-"""Share of a segment's length around its own edges' corners where edges next to these touch it."""
+"""Share of a segment's length around a corner within which adjacent edges do not count as
+crossed."""
+
+_CLOSEST_PROGRESS = 0.4
+"""Smallest difference of progress of the two vehicles, over their distance."""
+
+_LONGEST_STATION = 2.2
+"""Largest difference of station of the two vehicles, over the length of the segment."""
+
+_SMALLEST_HALF_ANGLE = 1e-6
+"""Half angle below which a strand counts as straight; see :mod:`swarm.geometry.catenary_kernel`."""
+
+_PARALLEL = 1e-12
+"""Square metres of the plan-view parallelogram of chord and edge below which they are parallel."""
+
+_CORNER_ERRORS = 2.5
+"""Tracking errors in the distance from corners: of the segment, and of the vehicle there."""
 
 
 class Surfaces(NamedTuple):
-    """Surfaces between what passes over and under each of e edges: heights over the edge's course.
+    """Surfaces between strands that pass over and under each of e edges, as heights over an edge.
 
-    ``corners`` (e + 1, 3) are the edges'. ``half_angle`` and ``lifted`` (e,) describe the strands
-    that will finally hang along them. ``side`` (e, e) is 1 where traffic on the first passes over
-    the second, −1 where under; ``above`` (e,) is the side on which everything passes an edge whose
-    relation is not given. ``gaps`` (e, m) are half the heights to the strands that an edge crosses,
-    at ``fractions`` (e, m) of its span; of both the first ``crossed`` (e,) count.
+    ``corners`` (e + 1, 3) are those of the edges. ``half_angle`` and ``response`` (e,) describe the
+    final strands along them. ``side`` (e, e) is 1 where traffic on the first edge passes over the
+    second, −1 where under; ``above`` (e,) is the side of all traffic whose relation is not given.
+    ``gaps`` (e, m) are half the heights to the strands that an edge crosses, at ``fractions`` (e,
+    m) of its span; the first ``crossed`` (e,) of both are used.
     """
 
     corners: Floats
     half_angle: Floats
-    lifted: Floats
+    response: Floats
     side: Signs
     above: Signs
     fractions: Floats
@@ -51,13 +68,13 @@ class Surfaces(NamedTuple):
 
 
 class VehicleLattice(NamedTuple):
-    """Where one vehicle may be: k places (k, 3), and of each progress, station and edge (k,).
+    """The k places of one vehicle: positions (k, 3), progress, station and edge (k,).
 
-    At a corner ``edge`` is the one after it, ``edge_before`` the one before. Edges up to ``busy``
-    (k,) have been reached by the leader.
+    At a corner ``edge`` is the edge after it, ``edge_before`` the edge before. The leader has
+    reached the edges up to ``busy`` (k,).
     """
 
-    places: Floats
+    positions: Floats
     progress: Floats
     station: Floats
     edge: Ints
@@ -65,9 +82,9 @@ class VehicleLattice(NamedTuple):
     busy: Ints
 
     def since(self, first: int) -> "VehicleLattice":
-        """The lattice without what comes before its ``first`` place."""
+        """Return the lattice from its place ``first`` on."""
         return VehicleLattice(
-            self.places[first:],
+            self.positions[first:],
             self.progress[first:],
             self.station[first:],
             self.edge[first:],
@@ -76,67 +93,72 @@ class VehicleLattice(NamedTuple):
         )
 
 
+class _Segment(NamedTuple):
+    """A segment in one state: positions (3,) of its vehicles, chord and length in metres."""
+
+    rear: Floats
+    front: Floats
+    chord: float
+    length: float
+
+
 @compiled
 def fill_costs(
     ahead: VehicleLattice,
     behind: VehicleLattice,
     length: float,
-    between: Surfaces,
+    surfaces: Surfaces,
     margins: Margins,
     cost: Floats,
 ) -> None:
-    """Write the cost (a, b) of every state of a segment of some length."""
+    """Write the costs (a, b) of all states of a segment of some length."""
     points = np.empty((PIECES + 1, 3))
     for a in range(len(ahead.progress)):
         for b in range(len(behind.progress)):
-            rear, front = behind.places[b], ahead.places[a]
+            rear, front = behind.positions[b], ahead.positions[a]
             chord = point_distance(rear, front)
             station = ahead.station[a] - behind.station[b]
+            progress = ahead.progress[a] - behind.progress[b]
             if (
                 chord + 2.0 * margins.tracking > margins.max_chord_ratio * length + 1e-6
-                or ahead.progress[a] - behind.progress[b] <= 0.4 * margins.vehicle
-                or not 0.0 < station < 2.2 * length
+                or progress <= _CLOSEST_PROGRESS * margins.vehicle
+                or not 0.0 < station < _LONGEST_STATION * length
             ):
                 cost[a, b] = BLOCKED
                 continue
             edges = behind.edge[b], ahead.edge_before[a], ahead.busy[a]
-            found = _alone(rear, front, chord, length, margins, points)
-            found += _passing(rear, front, chord, length, edges, between, margins)
-            found += _at_corners(rear, front, edges, between.corners, margins)
-            cost[a, b] = min(found, 0.1 * BLOCKED)
+            segment = _Segment(rear, front, chord, length)
+            total = _own_cost(segment, margins, points)
+            total += _surface_cost(segment, edges, surfaces, margins)
+            total += _corner_cost(rear, front, edges, surfaces.corners, margins)
+            cost[a, b] = min(total, 0.1 * BLOCKED)
 
 
 @compiled
-def _alone(
-    rear: Floats, front: Floats, chord: float, length: float, margins: Margins, points: Floats
-) -> float:
-    """Cost of the segment by itself: near taut, in its vehicles' discs, these near each other."""
-    ratio = chord / length
+def _own_cost(segment: _Segment, margins: Margins, points: Floats) -> float:
+    """Return the cost of the segment alone: chord, distance of its vehicles, their rotor discs."""
+    rear, front, length = segment.rear, segment.front, segment.length
+    ratio = segment.chord / length
     over = (ratio + 2.0 * margins.tracking / length) / margins.max_chord_ratio
     cost = 3e-2 * (ratio - margins.chord_ratio) ** 2
     cost += 0.5 * max(over - 0.98, 0.0) + 200.0 * max(over - 0.995, 0.0)
     cost += vehicle_cost(rear, front, margins)
     if abs(rear[2] - front[2]) > margins.grip_offset - 1.5 * margins.tracking:
-        catenary_kernel.strand_polygon(rear, front, max(length, chord * 1.001 + 1e-9), points)
+        strand_polygon(rear, front, reachable_length(length, segment.chord), points)
         cost += rotor_disc_cost(rear, points, 0.0, margins)
         cost += rotor_disc_cost(front, points, 0.0, margins)
     return cost
 
 
 @compiled
-def _passing(
-    rear: Floats,
-    front: Floats,
-    chord: float,
-    length: float,
-    edges: tuple[int, int, int],
-    between: Surfaces,
-    margins: Margins,
+def _surface_cost(
+    segment: _Segment, edges: tuple[int, int, int], surfaces: Surfaces, margins: Margins
 ) -> float:
-    """Cost of not keeping to the right sides of edges' surfaces by a margin."""
+    """Return the cost of distances from the surfaces of edges below the margin."""
+    rear, front, length = segment.rear, segment.front, segment.length
     behind, ahead, busy = edges
-    corners, cost, hung = between.corners, 0.0, False
-    angle = turn = parameter = lifted = 0.0
+    corners, cost, solved = surfaces.corners, 0.0, False
+    angle = turn = parameter = response = 0.0
     own_x, own_y = front[0] - rear[0], front[1] - rear[1]
     for edge in range(min(busy, len(corners) - 2) + 1):
         if edge in (behind, ahead):
@@ -145,7 +167,7 @@ def _passing(
         along_x = corners[edge + 1, 0] - corners[edge, 0]
         along_y = corners[edge + 1, 1] - corners[edge, 1]
         area = own_x * along_y - own_y * along_x
-        if abs(area) < 1e-12:
+        if abs(area) < _PARALLEL:
             continue
         share = x * along_y - y * along_x
         if share * area <= 0.0 or abs(share) >= abs(area):
@@ -159,57 +181,58 @@ def _passing(
         most = 1.0 - touch if edge == behind - 1 else 1.0 + beyond
         if not least < fraction < most:
             continue
-        side = _side(edge, behind, ahead, between)
+        side = _side(edge, behind, ahead, surfaces)
         if side == 0:
             continue
-        if not hung:
-            enough = max(length, chord * 1.001 + 1e-9)
-            strand = catenary_kernel.solve_catenary(rear, front, enough, 1e-6)
+        if not solved:
+            enough = reachable_length(length, segment.chord)
+            strand = solve_catenary(rear, front, enough, _SMALLEST_HALF_ANGLE)
             parameter = strand.parameter
             angle, turn = math.asinh(strand.slope), strand.span / parameter
-            lifted, hung = sag_response(chord / length), True
-        ahead_of = 0.5 * turn * share
-        up = 2.0 * parameter * math.sinh(ahead_of) * math.sinh(angle + ahead_of)
-        steep = math.sinh(angle + 2.0 * ahead_of)
+            response, solved = sag_response(segment.chord / length), True
+        half_turn = 0.5 * turn * share
+        up = 2.0 * parameter * math.sinh(half_turn) * math.sinh(angle + half_turn)
+        slope = math.sinh(angle + 2.0 * half_turn)
         fraction = min(max(fraction, 0.0), 1.0)
-        apart = side * (rear[2] + up - _surface(edge, fraction, side, span, between))
-        error = point_movement(lifted, share, 1.0) + point_movement(
-            between.lifted[edge], fraction, 1.0
-        )
+        apart = side * (rear[2] + up - _surface_height(edge, fraction, side, span, surfaces))
+        error = point_movement(response, share, 1.0)
+        error += point_movement(surfaces.response[edge], fraction, 1.0)
         needed = 0.5 * margins.cable + 0.5 * margins.tracking * error
         unit = margins.cable + 2.0 * margins.tracking
-        cost += margin_cost((apart / math.sqrt(1.0 + steep * steep) - needed) / unit)
+        cost += margin_cost((apart / math.sqrt(1.0 + slope * slope) - needed) / unit)
     return cost
 
 
 @compiled
-def _side(edge: int, behind: int, ahead: int, between: Surfaces) -> int:
-    """On which side of an edge's surface a segment passes: 1 over it, −1 under it."""
-    side = between.side[ahead, edge] if ahead >= 0 else 0
+def _side(edge: int, behind: int, ahead: int, surfaces: Surfaces) -> int:
+    """Return the side on which a segment passes an edge's surface: 1 over, −1 under."""
+    side = surfaces.side[ahead, edge] if ahead >= 0 else 0
     if side == 0 and behind >= 0:
-        side = between.side[behind, edge]
-    return side if side != 0 else between.above[edge]
+        side = surfaces.side[behind, edge]
+    return side if side != 0 else surfaces.above[edge]
 
 
 @compiled
-def _surface(edge: int, fraction: float, side: int, span: float, between: Surfaces) -> float:
-    """Height of the surface over (side 1) or under (−1) an edge at a fraction of it."""
-    x = between.half_angle[edge]
+def _surface_height(
+    edge: int, fraction: float, side: int, span: float, surfaces: Surfaces
+) -> float:
+    """Return the height of the surface over (side 1) or under (−1) an edge at a fraction of it."""
+    x = surfaces.half_angle[edge]
     drop = span * drop_at(x, fraction, 0.0)
-    count = between.crossed[edge]
+    count = surfaces.crossed[edge]
     gap = 0.0
     if count:
-        gap = interpolate(fraction, between.fractions[edge, :count], between.gaps[edge, :count])
-    return float(between.corners[edge, 2] - drop + side * gap)
+        gap = interpolate(fraction, surfaces.fractions[edge, :count], surfaces.gaps[edge, :count])
+    return float(surfaces.corners[edge, 2] - drop + side * gap)
 
 
 @compiled
-def _at_corners(
+def _corner_cost(
     rear: Floats, front: Floats, edges: tuple[int, int, int], corners: Floats, margins: Margins
 ) -> float:
-    """Cost of coming near corners, where others rest or change level."""
+    """Return the cost of a short distance from corners, where others rest or change level."""
     behind, ahead, busy = edges
-    needed = margins.vehicle_cable + margins.radius + 2.5 * margins.tracking
+    needed = margins.vehicle_cable + margins.radius + _CORNER_ERRORS * margins.tracking
     unit, cost = margins.cable + 2.0 * margins.tracking, 0.0
     own_x, own_y = front[0] - rear[0], front[1] - rear[1]
     square = max(own_x * own_x + own_y * own_y, 1e-9)
@@ -226,9 +249,9 @@ def _at_corners(
 
 @compiled
 def accumulate_costs(cost: Floats, first: int, off_pace: float, best: Floats) -> None:
-    """Write what the cheapest way costs (a, b) from state (0, ``first``) to every other.
+    """Write the cost (a, b) of the cheapest path from state (0, ``first``) to every other state.
 
-    Every step moves one of the two vehicles, which costs ``off_pace`` more, or both by one place.
+    Every step moves both vehicles by one place, or one of them, which costs ``off_pace`` more.
     """
     for a in range(cost.shape[0]):
         for b in range(cost.shape[1]):

@@ -1,4 +1,4 @@
-"""Where the knot hangs: corners, sags, segment lengths and lanes from a diagram and the limits."""
+"""Layout of the knot: corners, sags, segment lengths and lanes from a diagram and the limits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,16 +15,16 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LayoutParameters:
-    """Everything about a layout that may be chosen, in metres.
+    """The free parameters of a layout, in metres.
 
-    ``cell`` scales the corners; ``gap`` is the height between strands at their crossings,
-    ``minimum_sag`` the least sag of any segment and ``slack`` its least sag as a share of its span;
-    with ends ``chord_margin`` farther apart than its corners a segment's chord is still shorter
-    than ``max_chord_ratio`` of its length. Lanes are heights over or under the corners. Levels
-    change from ``slope`` before a corner to ``slope`` after it; turns reach as far as ``rounding``.
-    Given sags are used as they are; with ``two_sags`` all under strands get the same. ``length`` is
-    the cable's, where the layout is to use all of it: then the other lengths that scale with the
-    cell are only a start.
+    ``cell`` scales the corners; ``gap`` is the height between strands at their crossings;
+    ``minimum_sag`` is the smallest sag of a segment, ``slack`` its smallest sag as a share of its
+    span. With its ends ``chord_margin`` farther apart than its corners, a segment's chord is still
+    shorter than ``max_chord_ratio`` of its length. Lanes are heights over or under the corners.
+    Levels change from ``slope`` before a corner to ``slope`` after it; turns reach as far as
+    ``rounding``. Given sags are used as they are; with ``two_sags`` all under strands have the
+    same. ``length`` is the cable's length if the layout must use all of it: then the other lengths
+    that scale with the cell are only a start.
     """
 
     cell: float
@@ -43,7 +43,7 @@ class LayoutParameters:
     length: float | None = None
 
     def scaled(self, factor: float) -> "LayoutParameters":
-        """Return the shape with everything wider that goes with the cell."""
+        """Return the parameters with the cell, and all that scales with it, times a factor."""
         return replace(
             self,
             cell=factor * self.cell,
@@ -57,7 +57,7 @@ class LayoutParameters:
 
 @dataclass(frozen=True, eq=False)
 class KnotLayout:
-    """Where the folded knot hangs: at height 0 while it is folded, at its own height in a plan.
+    """The folded knot: at height 0 while it is folded, at its own height in a plan.
 
     ``corners`` (n, 3) are the final positions of the grip points in order along the cable, metres
     (ENU in a plan). ``sags`` and ``lengths`` (n − 1,) belong to the segments. ``lanes`` (n − 1,)
@@ -74,49 +74,51 @@ class KnotLayout:
 
 
 def lay_out(
-    corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], shape: LayoutParameters
+    corners: npt.ArrayLike, crossings: Sequence[tuple[int, int]], parameters: LayoutParameters
 ) -> KnotLayout:
-    """Hang a diagram: ``corners`` (n, 2) in cells, crossings as (over, under) segments.
+    """Return the layout of a diagram: ``corners`` (n, 2) in cells, crossings as (over, under).
 
-    The first edge is turned to point along +x, with the first corner at the origin. Edges that
-    cross nothing are flown between the lanes of those before and after them.
+    The first edge points along +x, with the first corner at the origin. Lanes of edges without
+    crossings are interpolated between the edges before and after them.
 
-    Raises :class:`swarm.errors.Refused` where no sags serve the crossings.
+    Raises :class:`swarm.errors.Refused` where no sags separate the crossings.
     """
     plan = np.asarray(corners, dtype=np.float64)
     first = (plan[1] - plan[0]) / np.linalg.norm(plan[1] - plan[0])
     turn = np.array([[first[0], first[1]], [-first[1], first[0]]])
-    flat = ((plan - plan[0]) @ turn.T) * shape.cell
+    flat = ((plan - plan[0]) @ turn.T) * parameters.cell
     placed = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
     pairs = np.asarray(crossings, dtype=np.intp).reshape(-1, 2)
     spans = np.linalg.norm(np.diff(flat, axis=0), axis=1)
-    least = np.maximum(shape.minimum_sag, shape.slack * spans)
+    least = np.maximum(parameters.minimum_sag, parameters.slack * spans)
     slackest = solve_catenaries(
         np.zeros(3),
         spans[:, None] * np.eye(3)[0],
-        (spans + shape.chord_margin) / shape.max_chord_ratio,
+        (spans + parameters.chord_margin) / parameters.max_chord_ratio,
     )
     least = np.maximum(least, slackest.sag())
     over, under = np.setdiff1d(pairs[:, 0], pairs[:, 1]), np.unique(pairs[:, 1])
-    if shape.sag_over is not None:
-        least[:] = shape.sag_over
-    sags = minimum_sags(placed, pairs, shape.gap, minimum_sag=least, one_each=not shape.two_sags)
-    if shape.sag_over is not None:
-        sags[over] = shape.sag_over
-    if shape.sag_under is not None:
-        sags[under] = shape.sag_under
-    lanes = _lanes(len(placed) - 1, pairs, shape)
+    if parameters.sag_over is not None:
+        least[:] = parameters.sag_over
+    sags = minimum_sags(
+        placed, pairs, parameters.gap, minimum_sag=least, one_each=not parameters.two_sags
+    )
+    if parameters.sag_over is not None:
+        sags[over] = parameters.sag_over
+    if parameters.sag_under is not None:
+        sags[under] = parameters.sag_under
+    lanes = _lanes(len(placed) - 1, pairs, parameters)
     lengths = segment_lengths(placed, sags)
     return KnotLayout(
-        placed, sags, lengths, lanes, tuple((int(a), int(b)) for a, b in pairs), shape.cell
+        placed, sags, lengths, lanes, tuple((int(a), int(b)) for a, b in pairs), parameters.cell
     )
 
 
 def lay_out_corners(corners: npt.ArrayLike, sags: npt.ArrayLike, cell: float = 0.0) -> KnotLayout:
-    """Hang a layout given by its corners (n, 2) and the sag (n − 1,) of each segment, in metres.
+    """Return the layout of given corners (n, 2) and sags (n − 1,) of the segments, in metres.
 
-    Where two segments cross, the one that sags less is meant to pass over. Lanes are left at 0;
-    ``cell`` is only noted. Raises :class:`swarm.errors.Refused` where crossing segments sag alike.
+    Where two segments cross, the segment with the smaller sag passes over. Lanes are 0; ``cell`` is
+    only recorded. Raises :class:`swarm.errors.Refused` where crossing segments have equal sags.
     """
     plan = np.asarray(corners, dtype=np.float64)
     placed = np.concatenate([plan, np.zeros((len(plan), 1))], axis=1)
@@ -126,7 +128,7 @@ def lay_out_corners(corners: npt.ArrayLike, sags: npt.ArrayLike, cell: float = 0
         if depth[one] == depth[other]:
             raise Refused(
                 f"segments {one + 1} and {other + 1} cross and both sag {depth[one]:g} m: "
-                "nothing says which passes over"
+                "which passes over is not defined"
             )
     deeper = depth[pairs[:, 0]] > depth[pairs[:, 1]]
     over_under = np.where(deeper[:, None], pairs[:, ::-1], pairs)
@@ -140,12 +142,13 @@ def lay_out_corners(corners: npt.ArrayLike, sags: npt.ArrayLike, cell: float = 0
     )
 
 
-def _lanes(count: int, pairs: npt.NDArray[np.intp], shape: LayoutParameters) -> Floats:
+def _lanes(count: int, pairs: npt.NDArray[np.intp], parameters: LayoutParameters) -> Floats:
+    """Return the lane (count,) of every edge, interpolated between edges that cross others."""
     lanes = np.zeros(count)
     if not len(pairs):
         return lanes
-    lanes[pairs[:, 0]] = shape.lane_over
-    lanes[pairs[:, 1]] = -shape.lane_under
+    lanes[pairs[:, 0]] = parameters.lane_over
+    lanes[pairs[:, 1]] = -parameters.lane_under
     crossing = np.unique(pairs)
     between: Floats = np.interp(np.arange(count), crossing, lanes[crossing])
     return between

@@ -1,19 +1,24 @@
-"""What the distances of a team's vehicles and strands depend on."""
+"""Margins of a team's vehicles and strands, and how much they are missed."""
 
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from swarm.geometry.catenary import MAX_CHORD_RATIO
+
+Floats = npt.NDArray[np.float64]
 
 
 class Margins(NamedTuple):
-    """Clearances in metres, and what else the distances of a team depend on.
+    """Clearances in metres, and the figures of vehicles and cable that distances depend on.
 
-    ``cable`` counts from axis to axis of two strands, ``vehicle`` and ``downwash`` between
-    vehicles, ``vehicle_cable`` from a vehicle to a strand's axis. ``tracking`` is the radius of the
-    tracking ball; ``radius`` and ``grip_offset`` describe the vehicle. ``exempt`` is how much
-    cable on either side of a vehicle need not keep apart from the neighbouring segment's.
-    ``chord_ratio`` is the preferred chord of a segment in motion, as a share of its length, and
-    ``max_chord_ratio`` the largest one, less what two tracking errors add.
+    ``cable`` is from axis to axis of two strands, ``vehicle`` and ``downwash`` between vehicles,
+    ``vehicle_cable`` from a vehicle to a strand's axis. ``tracking`` is the radius of the tracking
+    ball; ``radius`` and ``grip_offset`` describe the vehicle. ``exempt`` is the length of cable on
+    either side of a grip that is not compared with the neighbouring segment. ``chord_ratio`` is the
+    preferred chord of a moving segment as a share of its length, ``max_chord_ratio`` the largest
+    one, of which two tracking errors are subtracted.
     """
 
     cable: float
@@ -26,3 +31,13 @@ class Margins(NamedTuple):
     exempt: float = 0.0
     chord_ratio: float = 0.79
     max_chord_ratio: float = MAX_CHORD_RATIO
+
+
+class Penalty(NamedTuple):
+    """Missed margins of a team at s moments, in units of a margin, squared and summed.
+
+    ``missed`` is (s,); ``gradient`` (s, n, 3) is half its derivative by all positions.
+    """
+
+    missed: Floats
+    gradient: Floats

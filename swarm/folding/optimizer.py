@@ -1,9 +1,9 @@
-"""A team's motion eased out of tight spots, as an elastic band: everybody gives way a little.
+"""Relaxation of a team's motion as an elastic band: vehicles move aside where margins are missed.
 
-The ways that segments find along γ keep strands on their sides of each other; they need not keep
-all margins. So vehicles leave γ, in all directions, by offsets that miss margins least and bend the
-paths little, smooth over time and found by a quasi-Newton method: as elastic bands (Quinlan and
-Khatib 1993) and CHOMP (Ratliff et al. 2009) do, with strands for bodies. Offsets vanish at the
+The lattice paths of segments along γ keep strands on their sides of each other; they need not keep
+all margins. So vehicles leave γ in all directions, by offsets that miss margins least and bend the
+paths little. Offsets are smooth over time; a quasi-Newton method finds them, as elastic bands
+(Quinlan and Khatib 1993) and CHOMP (Ratliff et al. 2009) do for rigid bodies. Offsets vanish at the
 beginning and the end.
 """
 
@@ -17,50 +17,53 @@ from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
 from swarm.folding.crossing_constraints import CrossingSigns
-from swarm.folding.penalty import ExtraMargins, Penalty, TeamGeometry
-from swarm.folding.strand_clearance import empty_margin_cache
+from swarm.folding.margins import Penalty
+from swarm.folding.neighbour_clearance import empty_margin_cache
+from swarm.folding.penalty import ExtraMargins, TeamGeometry
 
 Floats = npt.NDArray[np.float64]
 
-_LOOSE = 1.0
-"""Curvature of the cost of giving way by a metre at a stage, next to that of bending by a metre."""
+_STIFFNESS = 1.0
+"""Curvature of the cost of an offset of a metre at a stage, over that of a bend of a metre."""
 
-_HELD, _HOLD = 3, 1e4
-"""Stages at the ends of a window in which offsets stay, and how stiffly."""
+_FIXED, _FIXED_STIFFNESS = 3, 1e4
+"""Stages at the ends of a window whose offsets do not change, and their stiffness."""
 
-_NOTHING = 1e-6
-"""Share of the largest weight below which weights are left out."""
+_NEGLIGIBLE = 1e-6
+"""Share of the largest weight below which weights are dropped."""
 
 _ASIDE = 12
-"""Stages before and after a moment that misses margins in which vehicles may give way for it."""
+"""Stages before and after a moment that misses margins in which vehicles may move for it."""
 
-_STRAINED = 0.05
-"""Missed margins of a moment, squared, that are worth giving way for."""
+_WORTH = 0.05
+"""Missed margins of a moment, squared, for which vehicles move aside."""
 
-_ASKED = 0.1
-"""Share of these that is worth it where more is asked for than margins."""
+_WORTH_OF_EXTRA = 0.1
+"""Share of these for which they do where extra margins are required."""
 
-_LAZY = 0.0005
-"""Cost of a wish of size 1 to give way at a stage, next to a missed unit of margin."""
+_PREFERENCE_COST = 0.0005
+"""Cost of a variable of size 1 at a stage, over that of a missed unit of margin."""
 
 _ROUNDS = 4
-"""How often windows are chosen anew."""
+"""Largest number of choices of windows."""
 
 _TOO_SLOW = 0.7
-"""What a round may leave of missed margins if there is to be another one."""
+"""Share of the missed margins that a round may leave if another one is to follow."""
 
+_NO_BEND = 1e-9
+"""Square metres of bend that count as 0."""
 
 BEYOND_REPAIR = 1.0
-"""Units of missed margin at the worst moment that looking closer will not mend."""
+"""Units of missed margin at the worst moment that a finer relaxation does not repair."""
 
 
 @dataclass(frozen=True)
-class _Effort:
-    """How a motion is changed for the better: ``steps`` of the quasi-Newton method at most.
+class _Settings:
+    """Settings of one relaxation: at most ``steps`` of the quasi-Newton method.
 
-    ``bending`` is the cost of second differences (c, n, 3) of vehicles' paths, in metres, next to a
-    missed unit of margin, by ``measure``, which also gives half its slope. A step which lowers the
-    cost by less than a share ``settled`` is the last.
+    ``bending`` is the cost of second differences (c, n, 3) of the paths, in metres, over that of a
+    missed unit of margin; ``measure`` returns their size and half its derivative. A step that
+    lowers the cost by less than a share ``settled`` is the last.
     """
 
     steps: int
@@ -69,66 +72,66 @@ class _Effort:
     measure: Callable[[Floats], tuple[float, Floats]]
 
 
-def _square(bent: Floats) -> tuple[float, Floats]:
-    """Everybody's bends, squared."""
-    return float((bent**2).sum()), bent
+def _square(bends: Floats) -> tuple[float, Floats]:
+    """Return the sum of the squared bends of all vehicles, and half its derivative."""
+    return float((bends**2).sum()), bends
 
 
-def _sharpest(bent: Floats) -> tuple[float, Floats]:
-    """The bends at every stage, squared, of those above all who bend most: they set the pace."""
-    square = (bent**2).sum(axis=2, keepdims=True)
+def _sharpest(bends: Floats) -> tuple[float, Floats]:
+    """Return the bends of every stage, squared, and half their derivative.
+
+    Vehicles that bend most count most: they limit the speed.
+    """
+    square = (bends**2).sum(axis=2, keepdims=True)
     size = np.sqrt((square**2).sum(axis=1, keepdims=True)) + _NO_BEND
-    return float(size.sum()), square / size * bent
+    return float(size.sum()), square / size * bends
 
 
-_NO_BEND = 1e-9
-"""Square metres of bend that count as none."""
-
-RELAXING = _Effort(steps=30, bending=0.3, settled=3e-3, measure=_square)
-_STRAIGHTENING = _Effort(steps=100, bending=2.0, settled=1e-3, measure=_sharpest)
+RELAXING = _Settings(steps=30, bending=0.3, settled=3e-3, measure=_square)
+_STRAIGHTENING = _Settings(steps=100, bending=2.0, settled=1e-3, measure=_sharpest)
 
 
 @dataclass(frozen=True, eq=False)
 class Relaxed:
-    """Offsets (c, n, 3) of all vehicles at control points, and what is missed (s,) with them."""
+    """Offsets (c, n, 3) of all vehicles at control points, and the missed margins (s,)."""
 
     offsets: Floats
     missed: Floats
 
 
 def relax(band: "ElasticBand", offsets: Floats) -> Relaxed:
-    """Find offsets with which a team misses its margins, and what is asked beyond them, least.
+    """Return offsets with which a team misses its margins and extra margins least.
 
-    ``offsets`` (c, n, 3) are what to begin with.
+    ``offsets`` (c, n, 3) are the start.
     """
-    stages = band.sampled.argmax(axis=1)
-    missed = band.strain(offsets).missed
-    worth = np.where(band.more.asked, _ASKED * _STRAINED, _STRAINED)
+    stages = band.weights.argmax(axis=1)
+    missed = band.penalty(offsets).missed
+    worth = np.where(band.extra.present, _WORTH_OF_EXTRA * _WORTH, _WORTH)
     for done in range(_ROUNDS):
-        strained = np.unique(stages[missed > worth])
-        if not len(strained):
+        tight = np.unique(stages[missed > worth])
+        if not len(tight):
             break
         before = missed.sum()
-        for window in _windows(strained, len(offsets), _ASIDE * (1 + done)):
+        for window in _windows(tight, len(offsets), _ASIDE * (1 + done)):
             offsets = band.relaxed(offsets, window, RELAXING)
-        missed = band.strain(offsets).missed
+        missed = band.penalty(offsets).missed
         if missed.sum() > _TOO_SLOW * before:
             break
-    return Relaxed(offsets, band.strain(offsets, wishes=False).missed)
+    return Relaxed(offsets, band.penalty(offsets, preferences=False).missed)
 
 
 def straighten(band: "ElasticBand", offsets: Floats) -> Floats:
-    """Offsets (c, n, 3) with which all of the motion is straighter: arguments as for :func:`relax`.
+    """Return offsets (c, n, 3) with which all of the motion is straighter; see :func:`relax`.
 
-    Who need not give way any more cuts corners, and the fold gets quicker.
+    Vehicles that need not move aside any more cut corners, and the fold takes less time.
     """
     return band.relaxed(offsets, slice(0, len(offsets)), _STRAIGHTENING)
 
 
-def _windows(strained: npt.NDArray[np.intp], stages: int, aside: int) -> list[slice]:
-    """Runs of stages around those that are strained."""
+def _windows(tight: npt.NDArray[np.intp], stages: int, aside: int) -> list[slice]:
+    """Return runs of stages around tight ones."""
     wanted = np.zeros(stages + 1, dtype=bool)
-    for stage in strained:
+    for stage in tight:
         wanted[max(stage - aside, 0) : stage + aside] = True
     wanted[-1] = False
     edges = np.flatnonzero(np.diff(wanted, prepend=False))
@@ -137,60 +140,62 @@ def _windows(strained: npt.NDArray[np.intp], stages: int, aside: int) -> list[sl
 
 @dataclass(frozen=True, eq=False)
 class ElasticBand:
-    """A team's motion to give way in, looked at at s moments, some in each stage.
+    """A team's motion at s moments, several in each stage.
 
-    ``places`` (s, n, 3) are without offsets; ``sides`` and ``more`` are to be kept at these
-    moments. ``sampled`` (s, c) are the weights of control points, one per stage, at them; they
-    include all stages.
+    ``positions`` (s, n, 3) are without offsets; ``signs`` and ``extra`` are the constraints of the
+    moments. ``weights`` (s, c) are the weights of control points, one per stage, at the moments,
+    which include all stages.
     """
 
-    crew: TeamGeometry
-    places: Floats
-    sides: CrossingSigns
-    more: ExtraMargins
-    sampled: csr_array
+    team: TeamGeometry
+    positions: Floats
+    signs: CrossingSigns
+    extra: ExtraMargins
+    weights: csr_array
 
     @property
     def density(self) -> int:
         """Moments per stage."""
-        moments, stages = self.sampled.shape
+        moments, stages = self.weights.shape
         return int((moments - 1) // (stages - 1))
 
     def moved(self, offsets: Floats) -> Floats:
-        """Places (s, n, 3) with offsets."""
-        flat: Floats = self.sampled @ offsets.reshape(len(offsets), -1)
-        return self.places + flat.reshape(self.places.shape)
+        """Return positions (s, n, 3) with offsets."""
+        flat: Floats = self.weights @ offsets.reshape(len(offsets), -1)
+        return self.positions + flat.reshape(self.positions.shape)
 
-    def strain(
-        self, offsets: Floats, moments: slice = slice(None), *, wishes: bool = True
+    def penalty(
+        self, offsets: Floats, moments: slice = slice(None), *, preferences: bool = True
     ) -> Penalty:
-        """What the team misses with offsets, at some moments or all."""
-        places, sides, more = self.moved(offsets)[moments], self.sides[moments], self.more[moments]
-        return self.crew.strain(places, sides, more, wishes=wishes)
+        """Return the missed margins with offsets, at some moments or all."""
+        positions = self.moved(offsets)[moments]
+        signs, extra = self.signs[moments], self.extra[moments]
+        return self.team.penalty(positions, signs, extra, preferences=preferences)
 
-    def relaxed(self, offsets: Floats, window: slice, effort: _Effort) -> Floats:
-        """Offsets changed for the better within a window of stages."""
-        smooth = _smoothing(window.stop - window.start, effort.bending)
-        inside = self.sampled[:, window]
+    def relaxed(self, offsets: Floats, window: slice, settings: _Settings) -> Floats:
+        """Return offsets of lower cost, changed within a window of stages."""
+        smooth = _smoothing(window.stop - window.start, settings.bending)
+        inside = self.weights[:, window]
         moments = np.flatnonzero(np.diff(inside.indptr))
         weights = csr_array(inside[moments] @ smooth)
         back, smooth_back = csr_array(weights.T), csr_array(smooth.T)
         base = self.moved(offsets)[moments]
-        sides, more = self.sides[moments], self.more[moments]
-        calm = empty_margin_cache(len(moments), len(self.crew.lengths))
-        paths = (self.places[:: self.density] + offsets)[window].reshape(smooth.shape[0], -1)
+        signs, extra = self.signs[moments], self.extra[moments]
+        cache = empty_margin_cache(len(moments), len(self.team.lengths))
+        paths = (self.positions[:: self.density] + offsets)[window].reshape(smooth.shape[0], -1)
 
         def cost(flat: Floats) -> tuple[float, Floats]:
-            wishes = flat.reshape(weights.shape[1], -1)
-            places = base + (weights @ wishes).reshape(base.shape)
-            strain = self.crew.strain(places, sides, more, calm=calm)
-            slope = 2.0 * strain.slopes.reshape(len(base), -1)
-            bent = np.diff(paths + smooth @ wishes, 2, axis=0)
-            bends, straighten = effort.measure(bent.reshape(len(bent), -1, 3))
-            total = strain.missed.sum() + effort.bending * bends + _LAZY * (wishes**2).sum()
-            straighten = _unbent(straighten.reshape(bent.shape))
-            gradient = back @ slope + 2.0 * effort.bending * (smooth_back @ straighten)
-            return float(total), (gradient + 2.0 * _LAZY * wishes).ravel()
+            variables = flat.reshape(weights.shape[1], -1)
+            positions = base + (weights @ variables).reshape(base.shape)
+            penalty = self.team.penalty(positions, signs, extra, cache=cache)
+            slope = 2.0 * penalty.gradient.reshape(len(base), -1)
+            bends = np.diff(paths + smooth @ variables, 2, axis=0)
+            size, by_bends = settings.measure(bends.reshape(len(bends), -1, 3))
+            total = penalty.missed.sum() + settings.bending * size
+            total = total + _PREFERENCE_COST * (variables**2).sum()
+            by_paths = _second_differences_back(by_bends.reshape(bends.shape))
+            gradient = back @ slope + 2.0 * settings.bending * (smooth_back @ by_paths)
+            return float(total), (gradient + 2.0 * _PREFERENCE_COST * variables).ravel()
 
         begin = np.zeros(weights.shape[1] * base[0].size)
         found = minimize(
@@ -198,7 +203,7 @@ class ElasticBand:
             begin,
             jac=True,
             method="L-BFGS-B",
-            options={"maxiter": effort.steps, "maxcor": 12, "ftol": effort.settled},
+            options={"maxiter": settings.steps, "maxcor": 12, "ftol": settings.settled},
         )
         changed = offsets.copy()
         change = smooth @ found.x.reshape(weights.shape[1], -1)
@@ -206,25 +211,27 @@ class ElasticBand:
         return changed
 
 
-def _unbent(bent: Floats) -> Floats:
-    """The transpose of taking second differences."""
-    slope = np.zeros((len(bent) + 2, bent.shape[1]))
-    slope[:-2] += bent
-    slope[1:-1] -= 2.0 * bent
-    slope[2:] += bent
+def _second_differences_back(bends: Floats) -> Floats:
+    """Return the transpose of second differences, applied to bends."""
+    slope = np.zeros((len(bends) + 2, bends.shape[1]))
+    slope[:-2] += bends
+    slope[1:-1] -= 2.0 * bends
+    slope[2:] += bends
     return slope
 
 
 def _smoothing(stages: int, bending: float) -> csr_array:
-    """Weights (stages, stages) that make offsets of wishes: smooth, and next to none at both ends.
+    """Return weights (stages, stages) of smooth offsets for variables; almost 0 at both ends.
 
-    Wishes of one size make offsets that cost about the same, whether they are long or short: with
-    the cost's curvature LᵀL they are L⁻¹ of the wishes (as CHOMP's covariant gradient has it), so
-    that few steps even out what is bent over many stages.
+    Variables of one size give offsets of about the same cost, whether these are long or short: with
+    the cost's curvature LᵀL, offsets are L⁻¹ of the variables (as in CHOMP's covariant gradient),
+    so that few steps smooth a bend over many stages.
     """
-    ends = np.minimum(np.arange(stages), np.arange(stages)[::-1]) < _HELD
+    ends = np.minimum(np.arange(stages), np.arange(stages)[::-1]) < _FIXED
     second = np.diff(np.eye(stages), 2, axis=0)
-    curvature = bending * (second.T @ second + _LOOSE * np.eye(stages)) + np.diag(_HOLD * ends)
+    curvature = bending * (second.T @ second + _STIFFNESS * np.eye(stages))
+    curvature = curvature + np.diag(_FIXED_STIFFNESS * ends)
     smooth = solve_triangular(cholesky(curvature), np.eye(stages))
     smooth[ends] = 0.0
-    return csr_array(np.where(np.abs(smooth) > _NOTHING * np.abs(smooth).max(), smooth, 0.0))
+    largest = np.abs(smooth).max()
+    return csr_array(np.where(np.abs(smooth) > _NEGLIGIBLE * largest, smooth, 0.0))

@@ -1,9 +1,9 @@
-"""The trajectory of the paper, as printed: for comparison, and to be refused.
+"""The trajectory of the paper, as printed: for comparison; the certificate refuses it.
 
 Waypoints are the corners p_i and, between them, q_i half way along and (2 − (−1)^i)/2 · h_max
 below (section IV of the paper); quintics from rest to rest join them into γ. Vehicle i follows γ
-by (n − i) constant delays and stops at its own corner. The print does not say how the vehicles that
-wait come to the first corner: here they move up along the line, a place per delay.
+with (n − i) constant delays and stops at its own corner. The paper does not define how waiting
+vehicles reach the first corner: here they advance along the line, one place per delay.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SampledStates:
-    """Places, velocities and accelerations (k, n, 3) of the team at times (k,)."""
+    """Positions, velocities and accelerations (k, n, 3) of the team at times (k,)."""
 
     times: Floats
     position: Floats
@@ -25,14 +25,14 @@ class SampledStates:
 
 
 def edge_dips(count: int, deepest_sag: float) -> Floats:
-    """How far below the corners the path is half way along each of ``count`` edges: (count,) m."""
+    """Return the depth (count,) of the path below the corners half way along each edge; metres."""
     i = np.arange(1.0, count + 1.0)
     depth: Floats = 0.5 * (2.0 - (-1.0) ** i) * deepest_sag
     return depth
 
 
 def waypoints(corners: Floats, deepest_sag: float) -> Floats:
-    """The points p_1, q_1, p_2, …, p_n that γ joins: (2n − 1, 3) metres."""
+    """Return the points p_1, q_1, p_2, …, p_n of γ: (2n − 1, 3) metres."""
     between = 0.5 * (corners[:-1] + corners[1:])
     between[:, 2] -= edge_dips(len(between), deepest_sag)
     points = np.empty((2 * len(corners) - 1, 3))
@@ -49,19 +49,19 @@ def paper_motion(
     max_speed: float,
     max_acceleration: float,
 ) -> SampledStates:
-    """Fly the printed trajectory, every quintic as fast as the limits allow.
+    """Return the printed trajectory, with every quintic as fast as the limits allow.
 
     ``corners`` (n, 3), ``lengths`` (n − 1,) and ``deepest_sag`` in metres; ``delay`` in seconds,
-    by default the mean time for an edge. Between the times of the result every vehicle is on one
+    by default the mean time for an edge. Between two times of the result every vehicle is on one
     quintic.
     """
     count = len(corners)
     points = waypoints(corners, deepest_sag)
     distance = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    duration = _times(distance, max_speed, max_acceleration)
+    duration = _durations(distance, max_speed, max_acceleration)
     arrival = np.concatenate([[0.0], np.cumsum(duration)])
     place = 0.9 * float(lengths.min())
-    quickest = float(_times(np.array([place]), max_speed, max_acceleration)[0])
+    quickest = float(_durations(np.array([place]), max_speed, max_acceleration)[0])
     if delay is None:
         delay = float(arrival[-1]) / (count - 1)
     delay = max(delay, quickest)
@@ -69,37 +69,39 @@ def paper_motion(
     heading = heading * [1.0, 1.0, 0.0] / np.hypot(heading[0], heading[1])
 
     behind = np.arange(count - 1, -1, -1)
-    starts, ends, begins, takes = [], [], [], []
+    starts, ends, begins, durations = [], [], [], []
     for i in range(count):
-        queue = corners[0] - place * np.arange(behind[i], -1, -1)[:, None] * heading
-        way = np.concatenate([queue, points[1 : 2 * i + 1]])
+        waiting = corners[0] - place * np.arange(behind[i], -1, -1)[:, None] * heading
+        route = np.concatenate([waiting, points[1 : 2 * i + 1]])
         moments = np.concatenate(
             [delay * np.arange(behind[i] + 1), behind[i] * delay + arrival[1 : 2 * i + 1]]
         )
-        starts.append(way[:-1])
-        ends.append(way[1:])
+        starts.append(route[:-1])
+        ends.append(route[1:])
         begins.append(moments[:-1])
-        takes.append(np.diff(moments))
-    every = np.concatenate([np.concatenate([b, b + t]) for b, t in zip(begins, takes, strict=True)])
+        durations.append(np.diff(moments))
+    pairs = zip(begins, durations, strict=True)
+    every = np.concatenate([np.concatenate([begin, begin + time]) for begin, time in pairs])
     times = np.unique(np.concatenate([[0.0], every]).round(9))
     states = np.zeros((3, len(times), count, 3))
     for i in range(count):
-        states[:, :, i] = _on_legs(times, starts[i], ends[i], begins[i], takes[i])
+        states[:, :, i] = _on_legs(times, starts[i], ends[i], begins[i], durations[i])
     return SampledStates(times, states[0], states[1], states[2])
 
 
-def _times(distance: Floats, max_speed: float, max_acceleration: float) -> Floats:
+def _durations(distance: Floats, max_speed: float, max_acceleration: float) -> Floats:
+    """Return the shortest rest-to-rest durations; see :func:`swarm.geometry.motion.leg`."""
     by_speed = 1.875 * distance / max_speed
     by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * distance / max_acceleration)
     least: Floats = 1.001 * np.maximum(by_speed, by_acceleration)
     return least
 
 
-def _on_legs(times: Floats, start: Floats, end: Floats, begin: Floats, takes: Floats) -> Floats:
-    """Place, velocity and acceleration (3, k, 3) on rest-to-rest quintics, one after the other."""
+def _on_legs(times: Floats, start: Floats, end: Floats, begin: Floats, durations: Floats) -> Floats:
+    """Return position, velocity and acceleration (3, k, 3) on consecutive rest-to-rest quintics."""
     leg = np.clip(np.searchsorted(begin, times, side="right") - 1, 0, len(begin) - 1)
-    share = np.clip((times - begin[leg]) / takes[leg], 0.0, 1.0)[:, None]
-    step, time = end[leg] - start[leg], takes[leg][:, None]
+    share = np.clip((times - begin[leg]) / durations[leg], 0.0, 1.0)[:, None]
+    step, time = end[leg] - start[leg], durations[leg][:, None]
     return np.stack(
         [
             start[leg] + step * share**3 * (10.0 - 15.0 * share + 6.0 * share**2),

@@ -1,12 +1,12 @@
-"""The curve γ that all vehicles follow: run-in, edges in lanes, sloped level changes at corners.
+"""The curve γ that all vehicles follow: run-in, edges in lanes, level changes at corners.
 
-Along γ a vehicle's *progress* is measured in metres of arc length of a mean vehicle's path. Every
-edge is flown in a lane, a height above (over edges) or below (under edges) the corners; the level
-changes around each corner pass through the corner's own height, where one vehicle will come to
-rest. Vehicles share the plan view, but each may have lanes of its own: long segments want to hang
-from higher ones. In plan view corners are rounded for those who fly on, and sharp for the one that
-stops there; it comes down to its corner late, as on an arc around the corner before, so that its
-own segment stays as tight as it will be.
+Progress along γ is the arc length of a mean vehicle's path, in metres. Every edge has a lane, a
+height above (over edges) or below (under edges) the corners; the level changes around each corner
+pass through the corner's own height, where one vehicle will come to rest. Vehicles share the plan
+view, but each may have lanes of its own: long segments need higher ones. In plan view corners are
+rounded for vehicles that continue, and sharp for the vehicle that stops there. That vehicle
+descends to its corner late, as on an arc around the corner before, so that its own segment stays as
+tight as it will be.
 """
 
 from dataclasses import dataclass
@@ -21,12 +21,12 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """The line along which progress is measured, and the plan view of all vehicles' paths.
+    """The line that defines progress, and the plan view of all vehicles' paths.
 
     ``corners`` (n, 3) in metres ENU, in order along the cable; ``lanes`` (n − 1,) heights of the
-    line over each edge above (below) its corners; ``slope`` and ``rounding`` say how far from a
-    corner, in metres of plan view, levels change and turns begin; ``run_in`` is the length of the
-    straight line that leads to the first corner.
+    line over each edge above (below) its corners; ``slope`` and ``rounding`` are the distances from
+    a corner, in metres of plan view, at which level changes and turns begin; ``run_in`` is the
+    length of the straight line to the first corner.
     """
 
     corners: Floats
@@ -66,9 +66,9 @@ class Guide:
         return _quintics(x, values)
 
     def height(self, lanes: Floats, stop: int) -> PPoly:
-        """Height over station in some lanes; the last edge is the one before corner ``stop``.
+        """Return the height over station in given lanes, up to corner ``stop``.
 
-        On the run-in it is that of the first corner.
+        On the run-in it is the height of the first corner.
         """
         stations, spans = self.stations, np.diff(self.stations)
         lanes = np.concatenate([[0.0], lanes, [0.0]])
@@ -160,23 +160,23 @@ class FoldPath:
         return {}
 
     def _height(self, vehicle: int) -> PPoly:
-        """Height over station of a vehicle, up to where it stops."""
+        """Return the height over station of a vehicle, up to its own corner."""
         if vehicle not in self._heights:
             self._heights[vehicle] = self.guide.height(self.lanes[:, vehicle], vehicle)
         return self._heights[vehicle]
 
     def station(self, progress: Floats) -> Floats:
-        """Distance from the first corner along the edges in plan view, at progress (…,)."""
+        """Return the distance (…,) from the first corner along the edges, at progress (…,)."""
         station: Floats = self.guide.station_of_progress(progress)
         return station
 
     @property
     def start(self) -> float:
-        """The least progress there is: where the run-in begins (negative)."""
+        """The progress at which the run-in begins; negative."""
         return float(self.guide.station_of_progress.x[0])
 
     def at(self, vehicle: int, progress: Floats) -> tuple[Floats, Floats, Floats]:
-        """Place (…, 3) of one vehicle at progress (…,), and its two derivatives by progress."""
+        """Return the position (…, 3) of a vehicle at progress (…,), and two derivatives by it."""
         guide = self.guide
         station = guide.station_of_progress(progress)
         rate = guide.station_of_progress(progress, 1)[..., None]
@@ -203,19 +203,19 @@ _STEEP_END = 1.6
 
 
 def _late_descent(lane: float, span: float, slope: float) -> float:
-    """How far before its own corner a vehicle leaves its lane, in metres.
+    """Return the distance before its own corner at which a vehicle leaves its lane, in metres.
 
-    As late as an arc around the corner before allows, with the edge's span as its radius.
+    As short as an arc around the corner before allows, with the edge's span as its radius.
     """
     arc = span - np.sqrt(max(span**2 - lane**2, 0.0))
     return float(min(max(arc, 0.5 * lane), span - min(slope, 0.5 * span)))
 
 
-def last_lane(lane: float, span: float, slope: float, taut: float) -> float:
-    """The lane of a vehicle's last edge, or as much of it as its segment allows.
+def last_lane(lane: float, span: float, slope: float, longest: float) -> float:
+    """Return the lane of a vehicle's last edge, reduced as its segment requires.
 
-    That segment's chord, to the corner before, must not exceed ``taut`` metres on the way; ``span``
-    is the edge's length and ``slope`` the way on which levels change.
+    The chord of that segment, to the corner before, must not exceed ``longest`` metres; ``span`` is
+    the edge's length and ``slope`` the distance over which levels change.
     """
     for part in np.linspace(1.0, 0.1, 31):
         height = part * abs(lane)
@@ -226,13 +226,16 @@ def last_lane(lane: float, span: float, slope: float, taut: float) -> float:
         values.append([0.0, end, 0.0])
         path = _quintics(x, [[np.array([v]) for v in row] for row in values])
         station = np.linspace(0.0, span, 60)
-        if np.hypot(station, path(station)[:, 0]).max() <= taut:
+        if np.hypot(station, path(station)[:, 0]).max() <= longest:
             break
     return float(np.sign(lane) * height)
 
 
 def _quintics(x: list[float], values: list[list[Floats]]) -> PPoly:
-    """C² piecewise quintic through (value, slope, curvature) at increasing x; repeats dropped."""
+    """Return the C² piecewise quintic through (value, slope, curvature) at increasing x.
+
+    Repeated x are dropped.
+    """
     keep = [0, *(k for k in range(1, len(x)) if x[k] > x[k - 1] + 1e-9)]
     at = np.array([x[k] for k in keep])
     given = np.array([np.broadcast_arrays(*values[k]) for k in keep], dtype=np.float64)

@@ -1,8 +1,8 @@
-"""The whole team's motion: ways of all segments, chained, evened out, and eased.
+"""The motion of the whole team: lattice paths of all segments, joined, smoothed and relaxed.
 
-Each segment gets a way of its own through its possible states, clear of all that others may do; the
-ways are chained from the leader back along the cable, and their lattice is smoothed by a B-spline
-over a common *stage* variable. Where the team then misses margins, its vehicles give way beside γ.
+Every segment has a lattice path of its own, clear of what others may do. The paths are joined from
+the leader back along the cable, and smoothed by a B-spline over a common *stage* variable. Where
+the team then misses margins, its vehicles move aside from γ.
 """
 
 from dataclasses import dataclass, replace
@@ -25,26 +25,26 @@ from swarm.folding.penalty import ExtraMargins, TeamGeometry, no_extra_margins
 
 Floats = npt.NDArray[np.float64]
 
-_EVENED = 3.0
-"""Stages over which a vehicle's progress is evened out."""
+_SMOOTHED = 3.0
+"""Standard deviation in stages of the Gaussian that smooths a vehicle's progress."""
 
 _DENSITIES = (1, 4)
-"""Moments per stage at which the team is looked at, while it is eased."""
+"""Moments per stage at which the team is sampled while it is relaxed, one after the other."""
 
 _AROUND = 2
-"""Stages before and after strands cross in which vehicles that pass them keep the side."""
+"""Stages before and after a crossing in which vehicles that pass the strand keep their side."""
 
-_CROOKED = 2.5
-"""Units of missed margin at the worst moment that straightening will not mend."""
+_BEYOND_STRAIGHTENING = 2.5
+"""Units of missed margin at the worst moment that straightening does not repair."""
 
-_STUCK = 0.5
-"""Units of missed margin at the worst moment from which on the team counts as stuck."""
+_LOCAL_MINIMUM = 0.5
+"""Units of missed margin at the worst moment above which the team counts as in a local minimum."""
 
-_FINE = 0.3
-"""Units of missed margin at the worst moment that straightening may leave for mending."""
+_AFTER_STRAIGHTENING = 0.3
+"""Units of missed margin at the worst moment that straightening may leave to later repair."""
 
 _NEAR = 2.5
-"""Stages around a moment for which more is asked."""
+"""Stages around a moment to which an extra margin applies."""
 
 _REST = 4
 """Stages at the end in which the spline comes to rest."""
@@ -54,18 +54,17 @@ _REST = 4
 class Schedule:
     """Progress of n vehicles along γ over a common stage variable, and offsets from it; C².
 
-    ``progress`` (c, n) and ``offsets`` (c, n, 3) are control points, one per stage. ``sides`` says,
-    of as many moments per stage as are ever looked at, on which sides of each other strands pass
-    along γ; offsets do not change that. ``missed`` (m,) is how much margins are missed from moment
-    to moment, squared, in units of a margin; ``extra`` is what the stages (c,) should keep beyond
-    the margins.
+    ``progress`` (c, n) and ``offsets`` (c, n, 3) are control points, one per stage. ``signs`` are
+    those of the strands along γ at the finest sampling; offsets keep them. ``missed`` (m,) are the
+    missed margins from moment to moment, squared, in units of a margin; ``extra`` is required
+    beyond the margins at the stages (c,).
     """
 
     path: FoldPath
-    crew: TeamGeometry
+    team: TeamGeometry
     progress: Floats
     offsets: Floats
-    sides: CrossingSigns
+    signs: CrossingSigns
     missed: Floats
     extra: ExtraMargins
 
@@ -76,120 +75,118 @@ class Schedule:
 
     @property
     def worst(self) -> float:
-        """How much margins are missed at the worst moment, in units; 0 where none is."""
+        """The missed margin at the worst moment, in units; 0 where none is missed."""
         return float(np.sqrt(self.missed.max()))
 
     @property
     def cost(self) -> float:
-        """How much the whole motion misses its margins."""
+        """The missed margins of the whole motion, squared and summed."""
         return float(self.missed.sum())
 
     def at(self, stages: Floats) -> tuple[Floats, Floats, Floats]:
-        """Places (k, n, 3) of all vehicles at stages (k,), and their two derivatives by stage."""
+        """Return positions (k, n, 3) at stages (k,), and their two derivatives by stage."""
         progress, aside = _spline(self.progress), _spline(self.offsets)
         along, rate, bend = (progress(stages, nu=k) for k in range(3))
-        places, slopes, bends = (aside(stages, nu=k) for k in range(3))
+        positions, slopes, bends = (aside(stages, nu=k) for k in range(3))
         for i in range(along.shape[1]):
-            place, tangent, curved = self.path.at(i, along[:, i])
-            places[:, i] += place
+            position, tangent, curved = self.path.at(i, along[:, i])
+            positions[:, i] += position
             slopes[:, i] += tangent * rate[:, i, None]
             bends[:, i] += curved * rate[:, i, None] ** 2 + tangent * bend[:, i, None]
-        return places, slopes, bends
+        return positions, slopes, bends
 
 
 def make_schedule(layout: KnotLayout, guide: Guide, margins: Margins, step: float) -> Schedule:
-    """Plan the motion of all vehicles.
+    """Return the motion of all vehicles to the corners of a layout.
 
-    ``step`` is the lattice's step in metres of progress: what a vehicle flies in a stage at most.
+    ``step`` is the lattice's step in metres of progress: the largest progress in a stage.
     """
-    found = assign_lanes(layout, guide, margins, step)
-    ticks = _chained(found.ways, step)
-    margin = int(4 * _EVENED) + _REST
+    assignment = assign_lanes(layout, guide, margins, step)
+    ticks = _joined(assignment.paths, step)
+    margin = int(4 * _SMOOTHED) + _REST
     ticks = np.concatenate([ticks, np.repeat(ticks[-1:], margin, axis=0)])
-    progress = np.stack([_evened(lattice) for lattice in ticks.T], axis=1)
+    progress = np.stack([_smoothed(lattice) for lattice in ticks.T], axis=1)
     offsets = np.zeros((*progress.shape, 3))
-    crew = TeamGeometry(layout.lengths, margins)
-    more = no_extra_margins(len(progress))
-    along = _places(found.path, _sampled(len(progress), _DENSITIES[-1]) @ progress)
-    sides = crossing_signs(crew.hung(along), _AROUND * _DENSITIES[-1])
-    plan = Schedule(found.path, crew, progress, offsets, sides, np.zeros(1), more)
-    plan = improve(plan)
-    if plan.worst > _CROOKED:
-        return plan
-    plan = straighten_schedule(plan)
-    if plan.worst <= _STUCK:
-        return plan
-    offsets = basin_hopping(_looked_at(plan, _DENSITIES[-1]), plan.offsets)
-    if offsets is plan.offsets:
-        return plan
-    return straighten_schedule(improve(replace(plan, offsets=offsets)))
+    team = TeamGeometry(layout.lengths, margins)
+    extra = no_extra_margins(len(progress))
+    along = _positions(assignment.path, _weights(len(progress), _DENSITIES[-1]) @ progress)
+    signs = crossing_signs(team.outlines(along), _AROUND * _DENSITIES[-1])
+    schedule = Schedule(assignment.path, team, progress, offsets, signs, np.zeros(1), extra)
+    schedule = improve(schedule)
+    if schedule.worst > _BEYOND_STRAIGHTENING:
+        return schedule
+    schedule = straighten_schedule(schedule)
+    if schedule.worst <= _LOCAL_MINIMUM:
+        return schedule
+    offsets = basin_hopping(_elastic_band(schedule, _DENSITIES[-1]), schedule.offsets)
+    if offsets is schedule.offsets:
+        return schedule
+    return straighten_schedule(improve(replace(schedule, offsets=offsets)))
 
 
-def improve(plan: Schedule) -> Schedule:
-    """Let vehicles give way beside γ where the team misses margins."""
+def improve(schedule: Schedule) -> Schedule:
+    """Return the schedule with vehicles moved aside from γ where the team misses margins."""
     for density in _DENSITIES:
-        found = relax(_looked_at(plan, density), plan.offsets)
-        plan = replace(plan, offsets=found.offsets, missed=found.missed)
-        if plan.worst > BEYOND_REPAIR:
+        found = relax(_elastic_band(schedule, density), schedule.offsets)
+        schedule = replace(schedule, offsets=found.offsets, missed=found.missed)
+        if schedule.worst > BEYOND_REPAIR:
             break
-    return plan
+    return schedule
 
 
-def straighten_schedule(plan: Schedule) -> Schedule:
-    """Straighten the whole motion, looked at coarsely; then let vehicles give way again.
+def straighten_schedule(schedule: Schedule) -> Schedule:
+    """Return the schedule straightened at the coarse sampling, then improved again.
 
-    Where that misses more than before, and more than may be mended, all stays as it is.
+    Return it unchanged where that misses more than before, and more than may be repaired later.
     """
-    offsets = straighten(_looked_at(plan, _DENSITIES[0]), plan.offsets)
-    quicker = improve(replace(plan, offsets=offsets))
-    return quicker if quicker.worst <= max(plan.worst, _FINE) else plan
+    offsets = straighten(_elastic_band(schedule, _DENSITIES[0]), schedule.offsets)
+    straight = improve(replace(schedule, offsets=offsets))
+    return straight if straight.worst <= max(schedule.worst, _AFTER_STRAIGHTENING) else schedule
 
 
-def _looked_at(plan: Schedule, density: int) -> ElasticBand:
-    """The team and what it is to keep, at so many moments per stage."""
-    sampled = _sampled(len(plan.progress), density)
-    places = _places(plan.path, sampled @ plan.progress)
-    moments = np.arange(len(places))
-    sides = plan.sides[moments * (_DENSITIES[-1] // density)]
-    return ElasticBand(plan.crew, places, sides, plan.extra[moments // density], sampled)
+def _elastic_band(schedule: Schedule, density: int) -> ElasticBand:
+    """Return the team and its constraints at so many moments per stage."""
+    weights = _weights(len(schedule.progress), density)
+    positions = _positions(schedule.path, weights @ schedule.progress)
+    moments = np.arange(len(positions))
+    signs = schedule.signs[moments * (_DENSITIES[-1] // density)]
+    return ElasticBand(schedule.team, positions, signs, schedule.extra[moments // density], weights)
 
 
-def _places(path: FoldPath, progress: Floats) -> Floats:
-    """Places (m, n, 3) of all vehicles on γ at progress (m, n)."""
+def _positions(path: FoldPath, progress: Floats) -> Floats:
+    """Return positions (m, n, 3) of all vehicles on γ at progress (m, n)."""
     return np.stack([path.at(i, along)[0] for i, along in enumerate(progress.T)], axis=1)
 
 
-def require_extra(plan: Schedule, margin: str, stages: Floats, metres: Floats) -> Schedule:
-    """Require ``metres`` (k,) more of a margin around stages (k,).
+def require_extra(schedule: Schedule, margin: str, stages: Floats, metres: Floats) -> Schedule:
+    """Return the schedule with ``metres`` (k,) more of a margin required around stages (k,).
 
-    ``margin`` is the name of a field of :class:`ExtraMargins`.
-
-    The plan keeps that once it is improved.
+    ``margin`` is the name of a field of :class:`ExtraMargins`. :func:`improve` applies it.
     """
-    near = np.abs(np.arange(len(plan.progress))[:, None] - stages) <= _NEAR
-    asked = getattr(plan.extra, margin) + (near * metres).max(axis=1)
-    return replace(plan, extra=replace(plan.extra, **{margin: asked}))
+    near = np.abs(np.arange(len(schedule.progress))[:, None] - stages) <= _NEAR
+    required = getattr(schedule.extra, margin) + (near * metres).max(axis=1)
+    return replace(schedule, extra=replace(schedule.extra, **{margin: required}))
 
 
-def _chained(ways: tuple[LatticePath, ...], step: float) -> Floats:
-    """Join the ways of all segments, from the leader's back: progress (ticks, n) of all vehicles.
+def _joined(paths: tuple[LatticePath, ...], step: float) -> Floats:
+    """Return the progress (ticks, n) of all vehicles: the paths joined from the leader back.
 
-    In a tick a vehicle moves by one step or waits. Where a segment wants the vehicle ahead to wait
-    longer than it does, everybody ahead waits.
+    In a tick a vehicle moves by one step or waits. Where a path needs the vehicle ahead to wait
+    longer than it does, all vehicles ahead wait.
     """
-    ticks: Floats = ways[-1].table.ahead[:, None]
-    for way in reversed(ways):
-        ticks = append_follower(ticks, way, step)
+    ticks: Floats = paths[-1].costs.ahead[:, None]
+    for path in reversed(paths):
+        ticks = append_follower(ticks, path, step)
     return ticks
 
 
-def _evened(controls: Floats) -> Floats:
-    """Progress evened out over some stages, from the same begin to the same rest, monotone."""
-    margin = int(4 * _EVENED) + 1
+def _smoothed(controls: Floats) -> Floats:
+    """Return progress smoothed over several stages, with the same start and rest; monotone."""
+    margin = int(4 * _SMOOTHED) + 1
     before = controls[0] - (controls[1] - controls[0]) * np.arange(margin, 0, -1)
     after = np.full(margin, controls[-1])
     padded = np.concatenate([before, controls, after])
-    even: Floats = gaussian_filter1d(padded, _EVENED)[margin:-margin]
+    even: Floats = gaussian_filter1d(padded, _SMOOTHED)[margin:-margin]
     even = np.maximum.accumulate(even)
     even += (controls[0] - even[0]) * np.maximum(1.0 - np.arange(len(even)) / margin, 0.0)
     rest = min(int(np.argmax(controls >= controls[-1] - 1e-9)) + margin, len(even) - 1)
@@ -199,7 +196,7 @@ def _evened(controls: Floats) -> Floats:
 
 
 def _extended(controls: Floats) -> Floats:
-    """Control points with a straight run before and a rest after, for the spline's borders."""
+    """Return control points with a straight run before and a rest after, for the spline's ends."""
     first, second = controls[:1], controls[1:2]
     return np.concatenate(
         [3.0 * first - 2.0 * second, 2.0 * first - second, controls, controls[-1:], controls[-1:]]
@@ -207,32 +204,34 @@ def _extended(controls: Floats) -> Floats:
 
 
 def _knots(controls: int) -> Floats:
+    """Return the knots of a uniform quintic spline with one control point per stage."""
     return np.arange(controls + 10.0) - 5.0
 
 
 def _spline(controls: Floats) -> BSpline:
+    """Return the quintic spline of control points, one per stage."""
     return BSpline(_knots(len(controls)), _extended(controls), 5)
 
 
-def _sampled(controls: int, density: int) -> csr_array:
-    """Weights (density·(c − 1) + 1, c) of control points, at so many moments per stage."""
+def _weights(controls: int, density: int) -> csr_array:
+    """Return weights (density·(c − 1) + 1, c) of control points, at so many moments per stage."""
     stages = np.arange(density * (controls - 1) + 1) / density
     weights = BSpline.design_matrix(stages, _knots(controls), 5)
     return csr_array(weights @ csr_array(_extended(np.eye(controls))))
 
 
-def team_path(plan: Schedule, per_stage: int = 8) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the whole team's path over one parameter: parameter (k,), places and derivatives.
+def team_path(schedule: Schedule, per_stage: int = 8) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the team's path: the parameter (k,), positions and their two derivatives (k, n, 3).
 
-    Places and their two derivatives are (k, n, 3). Over the first two units of the parameter the
-    stage eases in from rest, after that the parameter runs one ahead of the stage.
+    Over the first two units of the parameter the stage starts from rest; after that the parameter
+    is the stage plus 1.
     """
-    parameter = np.arange(round((plan.last_stage + 1.0) * per_stage) + 1) / per_stage
+    parameter = np.arange(round((schedule.last_stage + 1.0) * per_stage) + 1) / per_stage
     share = np.minimum(parameter / 2.0, 1.0)
-    easing = share < 1.0
-    # Quintic from rest at 0 to rate 1 at stage 1, over two units of the parameter.
-    stage = np.where(easing, 2.0 * (share**3 - 0.5 * share**4), parameter - 1.0)
-    rate = np.where(easing, 3.0 * share**2 - 2.0 * share**3, 1.0)[:, None, None]
-    bend = np.where(easing, (6.0 * share - 6.0 * share**2) / 2.0, 0.0)[:, None, None]
-    places, slopes, bends = plan.at(stage)
-    return parameter, places, slopes * rate, bends * rate**2 + slopes * bend
+    starting = share < 1.0
+    # Quartic from rest at 0 to rate 1 at stage 1, over two units of the parameter.
+    stage = np.where(starting, 2.0 * (share**3 - 0.5 * share**4), parameter - 1.0)
+    rate = np.where(starting, 3.0 * share**2 - 2.0 * share**3, 1.0)[:, None, None]
+    bend = np.where(starting, (6.0 * share - 6.0 * share**2) / 2.0, 0.0)[:, None, None]
+    positions, slopes, bends = schedule.at(stage)
+    return parameter, positions, slopes * rate, bends * rate**2 + slopes * bend

@@ -1,140 +1,161 @@
-"""How much vehicles miss the distances that they should keep from strands and each other; compiled.
+"""Missed margins of vehicles: to strands of others, to each other, in jets, to their own strands.
 
-As in :mod:`swarm.folding.strand_clearance`, functions add to what every moment misses, and to its
-slopes.
+As in :mod:`swarm.folding.strand_clearance`, functions named ``penalize_…`` add to a penalty;
+compiled.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.folding.end_sensitivity import PIECES, add_to_ends, point_movement, sag_response
-from swarm.folding.margins import Margins
-from swarm.folding.strand_clearance import PREFERRED, height_at_span
+from swarm.folding.margins import Margins, Penalty
+from swarm.folding.outlines import Outlines, height_at_span
+from swarm.folding.strand_clearance import PREFERRED
 from swarm.geometry.distance import Box, boxes_closer
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
 
 _STEP = 1e-4
-"""Metres; step of the differences that stand for derivatives of the distance from a cone."""
+"""Metres; step of the differences for derivatives of the distance from a cone."""
 
 _VEHICLES_APART, _VEHICLE_WEIGHT = 0.06, 5.0
-"""Share beyond their distance that vehicles should keep, and weight of what they miss of it."""
+"""Share beyond their distance that vehicles prefer, and weight of what they miss of it."""
 
 _JETS, _FAR_BELOW, _WASH_WEIGHT = 2.2, 8.0, 0.5
-"""Half-widths of jets that vehicles keep out of, metres below which jets do not count, and weight
-of being on the axis of one.
-"""
+"""Half-widths of jets that vehicles avoid, metres below which jets do not count, and weight of a
+position on the axis of a jet."""
+
+_LEVEL_UPRIGHT = 0.7
+"""Vertical part of the direction from a strand to a vehicle, for the movement of the strand:
+45°."""
+
+_DISC_ERRORS = 1.5
+"""Tracking errors by which a rotor disc is larger and lower for the vehicle's own strands."""
+
+_DISC_WEIGHT = 10.0
+"""Weight of metres inside a rotor disc, over the disc's radius."""
+
+
+class _Meeting(NamedTuple):
+    """A vehicle and the segment of others that it may meet.
+
+    ``sign`` is 1 where the vehicle must pass over the strand, −1 under, 0 where free; ``ratio`` is
+    the strand's chord ratio, ``extra`` the metres required beyond the margin.
+    """
+
+    vehicle: int
+    segment: int
+    sign: int
+    ratio: float
+    extra: float
 
 
 @compiled
 def penalize_strands_at_vehicles(
-    places: Floats,
-    points: Floats,
-    middle: Floats,
-    reach: Floats,
-    ratio: Floats,
-    sides: npt.NDArray[np.int8],
-    more: Floats,
+    positions: Floats,
+    strands: Outlines,
+    signs: npt.NDArray[np.int8],
+    extra: Floats,
     margins: Margins,
-    missed: Floats,
-    slopes: Floats,
+    penalty: Penalty,
 ) -> None:
-    """Vehicles at places (s, n, 3) and strands that others hold; ``sides`` (s, n, n − 1)."""
-    most = margins.vehicle_cable * (1.0 + PREFERRED) + (2.0 * PREFERRED + 3.2) * margins.tracking
+    """Add the missed margins of vehicles (s, n, 3) to strands that others hold.
+
+    ``signs`` (s, n, n − 1) are as in :class:`swarm.folding.crossing_constraints.CrossingSigns`.
+    """
+    limit = margins.vehicle_cable * (1.0 + PREFERRED) + (2.0 * PREFERRED + 3.2) * margins.tracking
     centre = np.empty(3)
     size = np.array([margins.radius, margins.radius, 0.5 * margins.grip_offset])
-    for s in range(len(places)):
-        for vehicle in range(places.shape[1]):
-            centre[:] = places[s, vehicle]
+    for s in range(len(positions)):
+        for vehicle in range(positions.shape[1]):
+            centre[:] = positions[s, vehicle]
             centre[2] += 0.5 * margins.grip_offset
-            for segment in range(ratio.shape[1]):
+            for segment in range(strands.ratio.shape[1]):
                 if segment in (vehicle, vehicle - 1):
                     continue
-                box = Box(middle[s, segment], reach[s, segment])
-                if boxes_closer(Box(centre, size), box, most + more[s]):
-                    missed[s] += _body(
-                        places[s], vehicle, points[s, segment], segment, ratio[s, segment],
-                        sides[s, vehicle, segment], more[s], margins, slopes[s],
+                box = Box(strands.middle[s, segment], strands.reach[s, segment])
+                if boxes_closer(Box(centre, size), box, limit + extra[s]):
+                    meeting = _Meeting(
+                        vehicle, segment, signs[s, vehicle, segment], strands.ratio[s, segment],
+                        extra[s],
+                    )  # fmt: skip
+                    penalty.missed[s] += _penalize_meeting(
+                        positions[s], strands.points[s, segment], meeting, margins,
+                        penalty.gradient[s],
                     )  # fmt: skip
 
 
 @compiled
-def _body(
-    places: Floats,
-    vehicle: int,
-    strand: Floats,
-    segment: int,
-    ratio: float,
-    side: int,
-    more: float,
-    margins: Margins,
-    slopes: Floats,
+def _penalize_meeting(
+    positions: Floats, strand: Floats, meeting: _Meeting, margins: Margins, gradient: Floats
 ) -> float:
-    """Square of what one vehicle misses to one strand."""
+    """Return the square of what a vehicle misses to a strand, and add to the gradient (n, 3)."""
     unit = margins.vehicle_cable + 2.0 * margins.tracking
-    place, lifted = places[vehicle], sag_response(ratio)
-    apart, at, lowest = np.empty(3), 0.0, np.inf
+    position, response = positions[meeting.vehicle], sag_response(meeting.ratio)
+    apart, place, lowest = np.empty(3), 0.0, np.inf
     for k in range(PIECES):
-        here = k + _nearest(strand[k], strand[k + 1], place, 0.5 * margins.grip_offset)
-        _apart(strand, here, place, apart)
+        here = k + _nearest(strand[k], strand[k + 1], position, 0.5 * margins.grip_offset)
+        _write_offset(strand, here, position, apart)
         level = np.sqrt(apart[0] ** 2 + apart[1] ** 2)
-        error = 1.0 + point_movement(lifted, here / PIECES, 0.7)
+        error = 1.0 + point_movement(response, here / PIECES, _LEVEL_UPRIGHT)
         distance = rotor_cone_distance(level, apart[2], margins) - margins.tracking * error
         if distance < lowest:
-            lowest, at = distance, here
-    short = PREFERRED - (lowest - margins.vehicle_cable - more) / unit
+            lowest, place = distance, here
+    short = PREFERRED - (lowest - margins.vehicle_cable - meeting.extra) / unit
     if short <= 0.0:
         return 0.0
-    push = np.zeros(3)
-    beside = _beside(strand, place)
-    under = height_at_span(strand, beside) - place[2]
-    beyond = under if side > 0 else margins.grip_offset - under
-    if side != 0 and beyond > 0.0 and 0.0 < beside < 1.0:
-        # The vehicle is on the wrong side of the strand: over it (side 1) or under it (−1).
+    push, sign = np.zeros(3), meeting.sign
+    share = _nearest_span(strand, position)
+    under = height_at_span(strand, share) - position[2]
+    beyond = under if sign > 0 else margins.grip_offset - under
+    if sign != 0 and beyond > 0.0 and 0.0 < share < 1.0:
+        # The vehicle is on the wrong side of the strand: under it (sign 1) or over it (−1).
         short = PREFERRED + (margins.vehicle_cable + beyond) / unit
-        push[2] = -side * short / unit
+        push[2] = -sign * short / unit
     else:
-        _apart(strand, at, place, apart)
-        _away(apart, margins, push)
+        _write_offset(strand, place, position, apart)
+        _write_cone_derivative(apart, margins, push)
         push *= -short / unit
     for axis in range(3):
-        slopes[vehicle, axis] += push[axis]
+        gradient[meeting.vehicle, axis] += push[axis]
     push *= -1.0
-    add_to_ends(slopes, segment, at / PIECES, lifted, strand, push)
+    add_to_ends(gradient, meeting.segment, place / PIECES, response, strand, push)
     return short * short
 
 
 @compiled
-def _apart(strand: Floats, at: float, place: Floats, found: Floats) -> None:
-    """Write where a strand is, from a vehicle's place: index of the piece plus fraction of it."""
-    piece = min(int(at), len(strand) - 2)
-    share = at - piece
+def _write_offset(strand: Floats, place: float, position: Floats, found: Floats) -> None:
+    """Write the vector (3,) from a vehicle's position to a place on an outline."""
+    piece = min(int(place), len(strand) - 2)
+    share = place - piece
     for axis in range(3):
         on = strand[piece, axis] + share * (strand[piece + 1, axis] - strand[piece, axis])
-        found[axis] = on - place[axis]
+        found[axis] = on - position[axis]
 
 
 @compiled
-def _nearest(begin: Floats, end: Floats, place: Floats, higher: float) -> float:
-    """Share of a piece at which it is nearest to so much over a vehicle's place."""
+def _nearest(begin: Floats, end: Floats, position: Floats, higher: float) -> float:
+    """Return the share of an edge that is nearest to a point ``higher`` above a position."""
     x, y, z = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
-    along = x * (place[0] - begin[0]) + y * (place[1] - begin[1])
-    along += z * (place[2] + higher - begin[2])
+    along = x * (position[0] - begin[0]) + y * (position[1] - begin[1])
+    along += z * (position[2] + higher - begin[2])
     return float(min(max(along / max(x * x + y * y + z * z, 1e-18), 0.0), 1.0))
 
 
 @compiled
-def _beside(strand: Floats, place: Floats) -> float:
-    """Share of a strand's span at which it is nearest to a vehicle's place in plan view."""
+def _nearest_span(strand: Floats, position: Floats) -> float:
+    """Return the share of a strand's span that is nearest to a position in plan view."""
     x, y = strand[-1, 0] - strand[0, 0], strand[-1, 1] - strand[0, 1]
-    along = x * (place[0] - strand[0, 0]) + y * (place[1] - strand[0, 1])
+    along = x * (position[0] - strand[0, 0]) + y * (position[1] - strand[0, 1])
     return float(min(max(along / max(x * x + y * y, 1e-18), 0.0), 1.0))
 
 
 @compiled
-def _away(apart: Floats, margins: Margins, found: Floats) -> None:
-    """Write by how much the distance from a cone grows with the cone's place (3,)."""
+def _write_cone_derivative(apart: Floats, margins: Margins, found: Floats) -> None:
+    """Write the derivative (3,) of the distance from a cone by the position of the cone."""
     distance = rotor_cone_distance(np.sqrt(apart[0] ** 2 + apart[1] ** 2), apart[2], margins)
     for axis in range(3):
         apart[axis] -= _STEP
@@ -145,9 +166,9 @@ def _away(apart: Floats, margins: Margins, found: Floats) -> None:
 
 @compiled
 def rotor_cone_distance(level: float, above: float, margins: Margins) -> float:
-    """Distance from the cone over a vehicle's rotor disc, whose tip is the grip point.
+    """Return the distance of a point from the cone of a vehicle: rotor disc, and tip at the grip.
 
-    Of a point so far aside of, and above, the grip point.
+    The point is ``level`` metres aside of the grip point and ``above`` metres above it.
     """
     radius, height = margins.radius, margins.grip_offset
     if above <= height and level * height <= above * radius:
@@ -159,82 +180,85 @@ def rotor_cone_distance(level: float, above: float, margins: Margins) -> float:
 
 
 @compiled
-def penalize_vehicles(
-    places: Floats, more: Floats, margins: Margins, missed: Floats, slopes: Floats
-) -> None:
-    """Vehicles next to others, or in the wash of others right below."""
-    for s in range(len(places)):
-        beside = margins.vehicle + 2.0 * margins.tracking + more[s]
-        under = margins.downwash + 2.0 * margins.tracking + more[s]
-        for i in range(places.shape[1]):
-            for j in range(i + 1, places.shape[1]):
-                x, y = places[s, i, 0] - places[s, j, 0], places[s, i, 1] - places[s, j, 1]
-                rise = places[s, i, 2] - places[s, j, 2]
+def penalize_vehicles(positions: Floats, extra: Floats, margins: Margins, penalty: Penalty) -> None:
+    """Add the missed margins of vehicles (s, n, 3) beside each other, and right below others."""
+    for s in range(len(positions)):
+        beside = margins.vehicle + 2.0 * margins.tracking + extra[s]
+        under = margins.downwash + 2.0 * margins.tracking + extra[s]
+        gradient = penalty.gradient[s]
+        for i in range(positions.shape[1]):
+            for j in range(i + 1, positions.shape[1]):
+                x = positions[s, i, 0] - positions[s, j, 0]
+                y = positions[s, i, 1] - positions[s, j, 1]
+                rise = positions[s, i, 2] - positions[s, j, 2]
                 level = np.sqrt(x * x + y * y)
                 aside, above = level / beside, abs(rise) / under
                 short = _VEHICLE_WEIGHT * (1.0 + _VEHICLES_APART - max(aside, above))
                 if short <= 0.0:
                     continue
-                missed[s] += short * short
+                penalty.missed[s] += short * short
                 if aside >= above:
                     push = -short * _VEHICLE_WEIGHT / (max(level, 1e-6) * beside)
-                    slopes[s, i, 0] += push * x
-                    slopes[s, i, 1] += push * y
-                    slopes[s, j, 0] -= push * x
-                    slopes[s, j, 1] -= push * y
+                    gradient[i, 0] += push * x
+                    gradient[i, 1] += push * y
+                    gradient[j, 0] -= push * x
+                    gradient[j, 1] -= push * y
                 else:
                     push = -np.sign(rise) * short * _VEHICLE_WEIGHT / under
-                    slopes[s, i, 2] += push
-                    slopes[s, j, 2] -= push
+                    gradient[i, 2] += push
+                    gradient[j, 2] -= push
 
 
 @compiled
-def penalize_downwash(places: Floats, margins: Margins, missed: Floats, slopes: Floats) -> None:
-    """Vehicles in the jets of others above them, which would make them sink: only a wish.
+def penalize_downwash(positions: Floats, margins: Margins, penalty: Penalty) -> None:
+    """Add the cost of vehicles (s, n, 3) in the jets of others above, which make them sink.
 
-    A jet's half-width is 0.7 of the rotors' radius, and a tenth of the distance wider below.
+    This is a preference, not a margin. A jet's half-width is 0.7 of the rotors' radius, and grows
+    by a tenth of the distance below.
     """
-    for s in range(len(places)):
-        for i in range(places.shape[1]):
-            for j in range(places.shape[1]):
-                rise = places[s, i, 2] - places[s, j, 2]
+    for s in range(len(positions)):
+        gradient = penalty.gradient[s]
+        for i in range(positions.shape[1]):
+            for j in range(positions.shape[1]):
+                rise = positions[s, i, 2] - positions[s, j, 2]
                 if not 0.0 < rise < _FAR_BELOW:
                     continue
-                x, y = places[s, i, 0] - places[s, j, 0], places[s, i, 1] - places[s, j, 1]
+                x = positions[s, i, 0] - positions[s, j, 0]
+                y = positions[s, i, 1] - positions[s, j, 1]
                 level = np.sqrt(x * x + y * y)
                 size = _JETS * (0.7 * margins.radius + 0.1 * rise)
                 if level >= size:
                     continue
                 short = _WASH_WEIGHT * (1.0 - level / size)
-                missed[s] += short * short
+                penalty.missed[s] += short * short
                 push = -short * _WASH_WEIGHT / (max(level, 1e-3) * size)
-                slopes[s, i, 0] += push * x
-                slopes[s, i, 1] += push * y
-                slopes[s, j, 0] -= push * x
-                slopes[s, j, 1] -= push * y
+                gradient[i, 0] += push * x
+                gradient[i, 1] += push * y
+                gradient[j, 0] -= push * x
+                gradient[j, 1] -= push * y
 
 
 @compiled
-def rotor_disc_cost(place: Floats, strand: Floats, wider: float, margins: Margins) -> float:
-    """What it costs that a vehicle's own strand enters its rotor disc, ``wider`` by metres."""
-    lowest = margins.grip_offset - 1.5 * margins.tracking
-    # No strand is anywhere higher than its ends are.
-    if max(strand[0, 2], strand[-1, 2]) - place[2] <= lowest:
+def rotor_disc_cost(position: Floats, strand: Floats, wider: float, margins: Margins) -> float:
+    """Return the cost of a vehicle's own strand in its rotor disc, made ``wider`` by metres."""
+    lowest = margins.grip_offset - _DISC_ERRORS * margins.tracking
+    # No point of a strand is higher than its higher end.
+    if max(strand[0, 2], strand[-1, 2]) - position[2] <= lowest:
         return 0.0
-    radius = margins.radius + wider + 1.5 * margins.tracking
+    radius = margins.radius + wider + _DISC_ERRORS * margins.tracking
     inside, apart = 0.0, np.empty(3)
     for k in range(2 * PIECES + 1):
-        _apart(strand, 0.5 * k, place, apart)
+        _write_offset(strand, 0.5 * k, position, apart)
         if apart[2] > lowest:
             aside = radius - np.sqrt(apart[0] ** 2 + apart[1] ** 2)
             inside = max(inside, min(aside, apart[2] - lowest))
-    return 10.0 * inside / (margins.radius + margins.tracking)
+    return _DISC_WEIGHT * inside / (margins.radius + margins.tracking)
 
 
 @compiled
 def rotor_disc_costs(
-    places: Floats, strands: Floats, wider: Floats, margins: Margins, found: Floats
+    positions: Floats, strands: Floats, wider: Floats, margins: Margins, found: Floats
 ) -> None:
-    """Write what :func:`rotor_disc_cost` gives for places (k, 3), strands (k, p, 3), wider (k,)."""
-    for k in range(len(places)):
-        found[k] = rotor_disc_cost(places[k], strands[k], wider[k], margins)
+    """Write :func:`rotor_disc_cost` for positions (k, 3), strands (k, p, 3) and ``wider`` (k,)."""
+    for k in range(len(positions)):
+        found[k] = rotor_disc_cost(positions[k], strands[k], wider[k], margins)

@@ -90,7 +90,7 @@ def plan_crossings(corners: ArrayLike) -> PlanCrossings:
     if np.any(overlap):
         pairs = zip(first[overlap].tolist(), second[overlap].tolist(), strict=True)
         shown = ", ".join(f"{i} and {j}" for i, j in pairs)
-        raise Refused(f"segments lie along one another in plan view: {shown}")
+        raise Refused(f"segments overlap on one line in plan view: {shown}")
     inside = (at_first >= 0.0) & (at_first <= 1.0) & (at_second >= 0.0) & (at_second <= 1.0)
     inside &= ~parallel
     return PlanCrossings(
@@ -161,7 +161,7 @@ def cell_for_length(corners: ArrayLike, sags: ArrayLike, length: float) -> float
     narrowest = 1e-9 * widest
     if surplus(narrowest) >= 0.0:
         raise Refused(
-            f"a cable of {length:g} m is too short for these sags: they alone need "
+            f"a cable of {length:g} m is too short for these sags: the sags alone need "
             f"{surplus(narrowest) + length:.6g} m"
         )
     return float(brentq(surplus, narrowest, widest, xtol=1e-12 * widest, rtol=1e-14))
@@ -192,7 +192,7 @@ def minimum_sags(
     both = np.intersect1d(over, under)
     if not one_each and len(both):
         raise Refused(
-            "two sags cannot serve segments that pass over and under: "
+            "two sags are not enough for segments that pass over and under: "
             + ", ".join(map(str, both.tolist()))
         )
     below = np.isin(np.arange(count), under)
@@ -207,7 +207,7 @@ def minimum_sags(
             return sags
         sags = deeper
     raise Refused(
-        "these strands pass over each other in a circle that no sags can serve: segments "
+        "these strands pass over each other in a circle, for which no sags exist: segments "
         + ", ".join(map(str, _circle(over, under)))
     )
 
@@ -226,7 +226,7 @@ def _needed_sags(corners: Floats, crossings: Pairs, sags: Floats, clearance: flo
     span = np.hypot(step[:, 0], step[:, 1])
     inner = (fractions[:, 1] > 0.0) & (fractions[:, 1] < 1.0)
     if np.any(~inner & (drop > 0.0)):
-        raise Refused("a strand crosses over the corner of another, where no sag lowers it")
+        raise Refused("a strand crosses over the corner of another, where a sag does not lower it")
     lower = inner & (drop > 0.0)
     needed = np.zeros(len(crossings))
     needed[lower] = sag_for_drop(span[lower], drop[lower], fractions[lower, 1], step[lower, 2])

@@ -9,9 +9,10 @@ from swarm.errors import Refused
 from swarm.folding.lane_assignment import assignment_cost
 from swarm.folding.layout import KnotLayout, LayoutParameters, lay_out
 from swarm.folding.margins import Margins
+from swarm.folding.outlines import outline_strands
 from swarm.folding.path import Guide
 from swarm.folding.schedule import Schedule, make_schedule
-from swarm.folding.soft_constraints import outline_strands, strand_costs
+from swarm.folding.soft_constraints import strand_costs
 from swarm.knots.grid import OpenGrid
 from swarm.mission import Mission
 
@@ -204,7 +205,7 @@ def lay_out_apart(diagram: OpenGrid, parameters: LayoutParameters, margins: Marg
         layout = lay_out(diagram.corners, diagram.crossings, parameters)
         pairs = np.array(layout.crossings, dtype=np.intp).reshape(-1, 2)
         at_rest = outline_strands(layout.corners[:-1], layout.corners[1:], layout.lengths)
-        cost = strand_costs(at_rest[pairs[:, 0]], at_rest[pairs[:, 1]], margins)
+        cost = strand_costs(at_rest.take(pairs[:, 0]), at_rest.take(pairs[:, 1]), margins)
         if not len(pairs) or cost.max() < 0.02:
             break
         parameters = replace(parameters, gap=1.08 * parameters.gap)

@@ -1,4 +1,4 @@
-"""Teams whose strands are led through each other."""
+"""Basin hopping of teams whose strands are led through each other."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from tests.folding.test_optimizer import band, led_over
 
 
 @pytest.mark.parametrize(("knot", "rank"), [("8_20", 0), ("6_3", 2)])
-def test_openings_in_which_giving_way_alone_gets_stuck_fold(knot: str, rank: int) -> None:
+def test_openings_with_a_local_minimum_fold(knot: str, rank: int) -> None:
     """Without a hop these miss 0.75 and 1.3 units of their margins."""
     mission = mission_for_knot(knot, ())
     margins = planning_margins(mission)
@@ -37,7 +37,7 @@ def test_openings_in_which_giving_way_alone_gets_stuck_fold(knot: str, rank: int
     assert np.all(folding.schedule.offsets[[0, 1, -2, -1]] == 0.0)
 
 
-def test_who_is_not_stuck_stays() -> None:
+def test_a_team_without_a_local_minimum_does_not_move() -> None:
     team = band(led_over(1.5), csr_array(eye_array(81)))
     offsets = relax(team, np.zeros((81, 4, 3))).offsets
     assert np.all(basin_hopping(team, offsets) == offsets)

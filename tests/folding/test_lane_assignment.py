@@ -1,4 +1,4 @@
-"""Where vehicles begin: as the planner prefers, but never so near that loops meet on the floor."""
+"""Initial chords: the preferred ones, but long enough that loops do not meet on the floor."""
 
 import numpy as np
 from hypothesis import given
@@ -15,7 +15,7 @@ STEP = 0.6
 
 
 @given(st.lists(st.floats(2.5, 16.0), min_size=3, max_size=20), st.randoms(use_true_random=False))
-def test_segments_do_not_reach_each_other_over_the_one_between(lengths, random):
+def test_segments_do_not_reach_across_a_short_segment(lengths, random):
     lengths = np.array(lengths)
     stops = np.array([random.uniform(1.0, 5.0) for _ in lengths])
     chords = initial_chords(lengths, stops, MARGINS, STEP)
@@ -29,7 +29,7 @@ def test_segments_do_not_reach_each_other_over_the_one_between(lengths, random):
         assert between >= 0.18 + 0.2 or longest[k - 1 : k + 2].all()
 
 
-def test_segments_that_are_much_alike_begin_as_preferred():
+def test_segments_of_equal_length_begin_with_the_preferred_chord():
     lengths = np.full(8, 4.0)
     chords = initial_chords(lengths, np.full(7 + 1, 2.2), MARGINS, STEP)
     assert np.abs(chords - 0.79 * lengths).max() <= 0.5 * STEP

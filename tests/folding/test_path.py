@@ -1,4 +1,4 @@
-"""The curve γ: through its corners, in its lanes, smooth, and sharp where a vehicle stops."""
+"""The curve γ: through its corners, in its lanes, C², and sharp where a vehicle stops."""
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ def path(request: pytest.FixtureRequest) -> FoldPath:
     return FoldPath(guide, np.repeat(lanes[:, None], len(corners), axis=1))
 
 
-def test_every_vehicle_comes_to_its_own_corner(path: FoldPath) -> None:
+def test_every_vehicle_stops_at_its_own_corner(path: FoldPath) -> None:
     for vehicle, stop in enumerate(path.stops):
         place, _, _ = path.at(vehicle, np.array([stop]))
         np.testing.assert_allclose(place[0], path.corners[vehicle], atol=1e-6)
@@ -27,7 +27,7 @@ def test_every_vehicle_comes_to_its_own_corner(path: FoldPath) -> None:
     assert np.all(np.diff(path.stops) > 0.0)
 
 
-def test_edges_are_flown_in_their_lanes(path: FoldPath) -> None:
+def test_paths_follow_the_lanes_of_edges(path: FoldPath) -> None:
     progress = np.linspace(0.0, path.stops[-1], 4000)
     place, _, _ = path.at(len(path.stops) - 1, progress)
     station = path.station(progress)
@@ -51,7 +51,7 @@ def test_the_run_in_is_straight_and_level(path: FoldPath) -> None:
 
 
 def test_derivatives_by_progress(path: FoldPath) -> None:
-    """C²: what integrates to the places, and nearly arc length."""
+    """Derivatives integrate to positions, and progress is nearly the arc length."""
     progress, step = np.linspace(path.start, path.stops[-1], 100_001, retstep=True)
     for vehicle in (4, 8):
         inside = progress <= path.stops[vehicle]
@@ -68,7 +68,7 @@ def test_derivatives_by_progress(path: FoldPath) -> None:
         assert speed.max() < 4.0
 
 
-def test_who_stops_at_a_corner_comes_straight(path: FoldPath) -> None:
+def test_a_vehicle_that_stops_at_a_corner_arrives_straight(path: FoldPath) -> None:
     stop = path.stops[4]
     near = stop - np.linspace(0.3, 0.0, 20)
     own, _, _ = path.at(4, near)

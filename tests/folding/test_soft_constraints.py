@@ -7,14 +7,8 @@ from scipy.spatial.distance import cdist
 
 from swarm.folding.end_sensitivity import PIECES
 from swarm.folding.margins import Margins
-from swarm.folding.soft_constraints import (
-    Outlines,
-    margin_cost,
-    outline_strands,
-    strand_costs,
-    vehicle_cost,
-)
-from swarm.folding.strand_clearance import crossing_heights
+from swarm.folding.outlines import Outlines, crossing_heights, outline_strands
+from swarm.folding.soft_constraints import margin_cost, strand_costs, vehicle_cost
 from swarm.geometry.catenary import solve_catenaries
 
 Floats = npt.NDArray[np.float64]
@@ -29,7 +23,7 @@ def pairs(count: int, seed: int) -> tuple[Floats, Floats, Floats, Floats]:
     return a, b, c, d
 
 
-def test_strand_cost_grows_where_strands_are_closer() -> None:
+def test_strand_costs_grow_as_strands_come_closer() -> None:
     a, b, c, d = pairs(200, 3)
     one, other = outline_strands(a, b, 6.5), outline_strands(c, d, 6.8)
     cost = strand_costs(one, other, EXACT)
@@ -46,7 +40,7 @@ def test_strand_cost_grows_where_strands_are_closer() -> None:
     assert np.corrcoef(cost, expected)[0, 1] > 0.9
 
 
-def test_tracking_errors_ask_for_more() -> None:
+def test_tracking_errors_raise_the_cost() -> None:
     a, b, c, d = pairs(200, 4)
     one, other = outline_strands(a, b, 6.5), outline_strands(c, d, 6.8)
     plain, careful = strand_costs(one, other, EXACT), strand_costs(one, other, ERRING)
@@ -60,7 +54,7 @@ def steepness(batch: Outlines, k: int) -> float:
     return float(np.abs(step[:, 2] / np.hypot(step[:, 0], step[:, 1])).max())
 
 
-def test_heights_at_crossings_are_those_of_the_curves() -> None:
+def test_crossing_heights_are_those_of_the_curves() -> None:
     a, b, c, d = pairs(400, 5)
     one, other = outline_strands(a, b, 7.5), outline_strands(c, d, 7.5)
     found, back = np.empty((2, 400))
@@ -79,7 +73,7 @@ def test_heights_at_crossings_are_those_of_the_curves() -> None:
         assert gap == pytest.approx(found[k], abs=0.1 + 0.1 * steepest)
 
 
-def test_vehicles_are_apart_sideways_or_above() -> None:
+def test_vehicles_keep_a_horizontal_or_a_vertical_distance() -> None:
     there = np.array([[1.2, 0.0, 0.0], [0.0, 0.0, 1.8], [0.5, 0.0, 0.5]])
     cost = [vehicle_cost(np.zeros(3), place, EXACT) for place in there]
     assert cost[0] < 0.01

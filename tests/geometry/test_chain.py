@@ -195,7 +195,7 @@ def test_crossings_are_found_with_their_places() -> None:
 
 def test_segments_along_one_another_are_refused() -> None:
     corners = np.array([[0.0, 0], [4, 0], [4, 2], [5, 0], [1, 0]])
-    with pytest.raises(Refused, match="segments lie along one another in plan view: 0 and 3"):
+    with pytest.raises(Refused, match="segments overlap on one line in plan view: 0 and 3"):
         plan_crossings(corners)
     beside = np.array([[0.0, 0], [4, 0], [4, 2], [9, 0], [5, 0]])
     assert len(plan_crossings(beside).segments) == 0
@@ -295,7 +295,7 @@ def test_levels_of_sag_serve_a_pentagram() -> None:
 
 def test_two_sags_cannot_serve_levels() -> None:
     with pytest.raises(
-        Refused, match="two sags cannot serve segments that pass over and under: 0, 3"
+        Refused, match="two sags are not enough for segments that pass over and under: 0, 3"
     ):
         minimum_sags(PENTAGRAM, PENTAGRAM_CROSSINGS, 0.2, minimum_sag=0.5)
 
@@ -305,7 +305,7 @@ def test_a_circle_of_strands_is_refused_with_its_members() -> None:
     corners = np.column_stack([corners, np.full(7, 9.0)])
     assert plan_crossings(corners).segments.tolist() == [[0, 2], [0, 4], [2, 4]]
     minimum_sags(corners, [(0, 2), (0, 4), (2, 4)], 0.2, minimum_sag=0.5, one_each=True)
-    with pytest.raises(Refused, match="no sags can serve: segments 0, 2, 4"):
+    with pytest.raises(Refused, match="no sags exist: segments 0, 2, 4"):
         minimum_sags(corners, [(0, 2), (4, 0), (2, 4)], 0.2, minimum_sag=0.5, one_each=True)
 
 
@@ -322,7 +322,9 @@ def test_a_given_cable_gives_the_cell(length: float) -> None:
 
 def test_too_short_a_cable_is_refused() -> None:
     placed, sags, _ = paper_layout("carrick_mat")
-    with pytest.raises(Refused, match=r"10 m is too short for these sags: they alone need 63 m"):
+    with pytest.raises(
+        Refused, match=r"10 m is too short for these sags: the sags alone need 63 m"
+    ):
         cell_for_length(placed, sags, 10.0)
 
 

@@ -1,0 +1,130 @@
+"""Outlines of strands: polygons of a few edges, with which the planner computes distances."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.folding.end_sensitivity import PIECES
+from swarm.geometry.catenary_kernel import strand_polygon
+from swarm.geometry.distance import Box, bounding_boxes, point_distance
+from swarm.jit import compiled
+
+Floats = npt.NDArray[np.float64]
+Index = Any
+
+_PARALLEL = 1e-12
+"""Square metres of the plan-view parallelogram of two strands below which they are parallel."""
+
+_TOUCHING = 1e-3
+"""Metres below which the direction between two outlines is not meaningful."""
+
+
+class Outlines(NamedTuple):
+    """Strands as polygons (…, PIECES + 1, 3), their boxes (…, 3), and chord over length (…,).
+
+    A *place* on an outline is the index of an edge plus a fraction of that edge.
+    """
+
+    points: Floats
+    middle: Floats
+    reach: Floats
+    ratio: Floats
+
+    def take(self, which: Index) -> "Outlines":
+        """Return the outlines at an index or slice of the leading dimensions."""
+        return Outlines(*(field[which] for field in self))
+
+
+def outline_strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Outlines:
+    """Return the outlines of strands of given lengths between ends (…, 3).
+
+    Over-stretched strands are straight.
+    """
+    chord = np.linalg.norm(end - start, axis=-1)
+    length = np.broadcast_to(np.asarray(length, dtype=np.float64), chord.shape)
+    points = np.empty((*chord.shape, PIECES + 1, 3))
+    middle, reach = np.empty(start.shape), np.empty(start.shape)
+    corners = points.reshape(-1, PIECES + 1, 3)
+    _write_outlines(start.reshape(-1, 3), end.reshape(-1, 3), length.ravel(), corners)
+    bounding_boxes(corners, Box(middle.reshape(-1, 3), reach.reshape(-1, 3)))
+    return Outlines(points, middle, reach, chord / length)
+
+
+@compiled
+def _write_outlines(start: Floats, end: Floats, length: Floats, points: Floats) -> None:
+    """Write the outlines (q, k, 3) of strands; over-stretched strands are straight."""
+    for q in range(len(length)):
+        chord = point_distance(start[q], end[q])
+        strand_polygon(start[q], end[q], reachable_length(length[q], chord), points[q])
+
+
+@compiled
+def reachable_length(length: float, chord: float) -> float:
+    """Return the length, or 0.1 % more than the chord where the strand is over-stretched."""
+    return max(length, chord * 1.001 + 1e-9)
+
+
+@compiled
+def crossing_heights(one: Floats, other: Floats, found: Floats) -> None:
+    """Write :func:`crossing_height` of outlines (q, k, 3) and others, pair by pair."""
+    for q in range(len(one)):
+        found[q] = crossing_height(one[q], other[q])
+
+
+@compiled
+def crossing_height(one: Floats, other: Floats) -> float:
+    """Return the height of a strand over another where they cross in plan view, else 0."""
+    here, there = plan_crossing(one, other)
+    if not (0.0 < here < 1.0 and 0.0 < there < 1.0):
+        return 0.0
+    return height_at_span(one, here) - height_at_span(other, there)
+
+
+@compiled
+def plan_crossing(one: Floats, other: Floats) -> tuple[float, float]:
+    """Return the shares of two spans at which the lines along them cross in plan view.
+
+    A strand lies in a vertical plane, so both are straight in plan view. −1 where parallel.
+    """
+    u_x, u_y = one[-1, 0] - one[0, 0], one[-1, 1] - one[0, 1]
+    w_x, w_y = other[-1, 0] - other[0, 0], other[-1, 1] - other[0, 1]
+    apart_x, apart_y = other[0, 0] - one[0, 0], other[0, 1] - one[0, 1]
+    area = u_x * w_y - u_y * w_x
+    if abs(area) < _PARALLEL:
+        return -1.0, -1.0
+    return (apart_x * w_y - apart_y * w_x) / area, (apart_x * u_y - apart_y * u_x) / area
+
+
+@compiled
+def height_at_span(points: Floats, share: float) -> float:
+    """Return the height of an outline at a share of its span in plan view."""
+    place = share * (len(points) - 1)
+    piece = min(int(place), len(points) - 2)
+    return float(points[piece, 2] + (place - piece) * (points[piece + 1, 2] - points[piece, 2]))
+
+
+@compiled
+def point_at(points: Floats, place: float, found: Floats) -> None:
+    """Write the point (3,) of an outline at a place."""
+    piece = min(int(place), len(points) - 2)
+    share = place - piece
+    for axis in range(3):
+        found[axis] = (1.0 - share) * points[piece, axis] + share * points[piece + 1, axis]
+
+
+@compiled
+def direction_between(
+    one: Floats, here: float, other: Floats, there: float, distance: float, found: Floats
+) -> float:
+    """Write the unit vector (3,) from a place on the second outline to a place on the first.
+
+    Return the absolute value of its vertical part; 1 where the outlines touch.
+    """
+    piece, other_piece = min(int(here), len(one) - 2), min(int(there), len(other) - 2)
+    share, part = here - piece, there - other_piece
+    for axis in range(3):
+        apart = (1.0 - share) * one[piece, axis] + share * one[piece + 1, axis]
+        apart -= (1.0 - part) * other[other_piece, axis] + part * other[other_piece + 1, axis]
+        found[axis] = apart / max(distance, 1e-6)
+    return min(abs(found[2]), 1.0) if distance > _TOUCHING else 1.0
