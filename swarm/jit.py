@@ -1,4 +1,4 @@
-"""Compiled loops, for hot paths in which arrays are too small or too ragged for NumPy."""
+"""Compilation of loops for hot paths whose arrays are too small or too ragged for NumPy."""
 
 import functools
 import hashlib
@@ -22,33 +22,33 @@ Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
 KEPT: Final = 14.0
-"""Days for which machine code is kept that no process has asked for."""
+"""Days after its last use for which machine code is kept."""
 
 _DAY: Final = 86400.0
 
-_BEGAN: Final = time.time()
-"""Sources that were written later may differ from what this process has imported."""
+_STARTED: Final = time.time()
+"""Start of this process; files that were written later may differ from the imported ones."""
 
 _ROOT: Final = str(Path(__file__).parents[1])
 _PACKAGES: Final = ("swarm", "sitl")
 
 _IMPORTS: Final = re.compile(rb"\n[ \t]*(?:from|import) +([\w.]+)(?: +import +(\([^)]*\)|[^\n]*))?")
-"""An import: the module, and the names that are taken from it."""
+"""An import: the module, and the imported names."""
 
 
 def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """Compile a function of numbers and arrays when it is first called.
+    """Return a function of numbers and arrays that is compiled at its first call.
 
-    The machine code is kept in the user's cache, so that it is compiled once per machine; where
-    that cannot be written, once per process. It is compiled anew when the contents of its file
-    have changed, or of any file of these packages, or of its own, which that file imports directly
-    or through others: constants and functions of other modules become part of the machine code.
-    Division by 0 gives what NumPy gives.
+    The machine code is kept in the user's cache, so that it is compiled once per machine; where the
+    cache is not writable, once per process. It is compiled again when the contents change of its
+    file, or of a file of these packages or of its own package that this file imports directly or
+    through others: constants and functions of other modules become part of the machine code.
+    Division by 0 has the result of NumPy.
     """
     before = numba.config.CACHE_DIR
     try:
-        # Not beside the module: what pip did not install stays behind when it uninstalls, and
-        # Python takes the folders that are left for a package.
+        # Not beside the module: pip uninstall leaves files that it did not install, and Python
+        # treats the remaining folders as a package.
         numba.config.CACHE_DIR = str(_folder(function.__code__.co_filename))
         made = numba.njit(function, cache=True, error_model="numpy", nogil=True)
     except (RuntimeError, OSError):
@@ -65,13 +65,12 @@ def cache() -> Path:
 
 @functools.cache
 def key(file: str) -> str:
-    """Name what the machine code of a file's functions is made from, and what it is made for.
+    """Return a name for the sources of a file's machine code, its compiler and the processor.
 
-    That is the contents of the file and of those that it imports, the versions of what compiles
-    them, and the processor. Raises OSError where one of them cannot be read, or has changed since
-    this process began.
+    The sources are the contents of the file and of the files that it imports. Raises OSError where
+    a file cannot be read, or has changed since this process started.
     """
-    digest = hashlib.sha256(made_by().encode())
+    digest = hashlib.sha256(compiler().encode())
     for name, contents in sorted(_sources(file).items()):
         digest.update(f"{name}\n{contents}\n".encode())
     return digest.hexdigest()[:16]
@@ -79,7 +78,7 @@ def key(file: str) -> str:
 
 @functools.cache
 def _folder(file: str) -> Path:
-    """Where machine code of a file's functions is kept; says by its time that it is in use."""
+    """Return the folder of the machine code of a file; its modification time is its last use."""
     folder = cache() / key(file)
     if not folder.exists():
         prune(cache())
@@ -89,10 +88,10 @@ def _folder(file: str) -> Path:
 
 
 def prune(folder: Path) -> None:
-    """Remove what no process has asked for in ``KEPT`` days.
+    """Remove files and folders that were not used for ``KEPT`` days.
 
-    Other processes may do the same at the same time, or use what is newer: each touches what it
-    uses once a day, and a file that is gone is compiled anew.
+    Other processes may do the same at the same time, or use newer folders: each updates the time of
+    the folders it uses once a day, and compiles again if a file is missing.
     """
     with suppress(OSError):
         for path in folder.iterdir():
@@ -106,8 +105,8 @@ def prune(folder: Path) -> None:
 
 
 @functools.cache
-def made_by() -> str:
-    """Return the versions of what compiles, and the processor for which it does."""
+def compiler() -> str:
+    """Return the versions of the compilers, and the processor."""
     versions = (numba.__version__, llvmlite.__version__, np.__version__, sys.version)
     processor = (
         platform.machine(),
@@ -118,23 +117,23 @@ def made_by() -> str:
 
 
 def _sources(file: str) -> dict[str, str]:
-    """Digests of a file and of all that it imports, directly or not; without where it all lies."""
+    """Return digests of a file and of its direct and indirect imports, by paths from the root."""
     found: dict[str, str] = {}
-    open_ends = [file]
-    while open_ends:
-        name = open_ends.pop()
+    pending = [file]
+    while pending:
+        name = pending.pop()
         if name not in found:
             found[name], imported = _read(name)
-            open_ends += imported
+            pending += imported
     return {name.removeprefix(_ROOT): digest for name, digest in found.items()}
 
 
 @functools.cache
 def _read(file: str) -> tuple[str, tuple[str, ...]]:
-    """The digest of a file's contents, and the files from which it imports."""
+    """Return the digest of a file's contents, and the files that it imports."""
     with open(file, "rb") as source:
-        if _BEGAN < os.fstat(source.fileno()).st_mtime <= time.time():
-            raise OSError(f"{file} has changed since this process began")
+        if _STARTED < os.fstat(source.fileno()).st_mtime <= time.time():
+            raise OSError(f"{file} has changed since this process started")
         contents = source.read()
     folder = os.path.dirname(file)
     imported: set[str] = set()
@@ -145,7 +144,7 @@ def _read(file: str) -> tuple[str, tuple[str, ...]]:
 
 @functools.cache
 def _package(folder: str) -> tuple[str, str]:
-    """The folder that a package lies in and the package's name, which is "" for a script's."""
+    """Return the folder that contains a package, and the package's name; "" for a script."""
     if not os.path.isfile(os.path.join(folder, "__init__.py")):
         return folder, ""
     above, package = _package(os.path.dirname(folder))
@@ -153,7 +152,7 @@ def _package(folder: str) -> tuple[str, str]:
 
 
 def _files(folder: str, module: str, names: str) -> list[str]:
-    """Files that an import in a folder's file may read, but for what is installed beside us."""
+    """Return the files that an import in a folder's file may read, without installed packages."""
     root, package = _package(folder)
     first = module.partition(".")[0]
     if first in _PACKAGES:
@@ -169,7 +168,7 @@ def _files(folder: str, module: str, names: str) -> list[str]:
 
 @functools.cache
 def _file(root: str, module: str) -> str:
-    """The file of a module of that name; "" where it is no module."""
+    """Return the file of a module; "" where there is no such module."""
     path = os.path.join(root, *module.split("."))
     candidates = (f"{path}.py", os.path.join(path, "__init__.py"))
     return next((file for file in candidates if os.path.isfile(file)), "")

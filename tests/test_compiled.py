@@ -1,4 +1,4 @@
-"""Compiled functions are made anew when what they were made from has changed."""
+"""Compiled functions are compiled again when their sources have changed."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ PACKAGE = {
     ),
     "aside.py": "STEP = 1\n",
 }
-"""A small package of our name: its compiled functions read each other through modules."""
+"""A small package of the same name, whose compiled functions use each other through modules."""
 
 
 @pytest.fixture
@@ -53,11 +53,11 @@ def kept(folder: Path) -> set[Path]:
 CHANGES = (
     ("inner.py", "x + STEP", "x + STEP + 2", "46"),  # a function, reached through its module
     ("numbers.py", "TIMES = 2", "TIMES = 3", "69"),  # a constant, reached through its module
-    ("folder/__init__.py", "STEP = 1", "STEP = 5", "81"),  # one imported by what is imported
+    ("folder/__init__.py", "STEP = 1", "STEP = 5", "81"),  # imported by an imported module
 )
 
 
-def test_changes_in_other_files_are_noticed(package):
+def test_changes_in_other_files_are_detected(package):
     assert run(package) == "42"
     for name, before, after, result in CHANGES:
         file = package / "swarm" / name
@@ -65,7 +65,7 @@ def test_changes_in_other_files_are_noticed(package):
         assert run(package) == result
 
 
-def test_what_is_not_imported_makes_no_difference(package):
+def test_files_that_are_not_imported_do_not_matter(package):
     assert run(package) == "42"
     before = kept(package)
     assert before
@@ -74,12 +74,12 @@ def test_what_is_not_imported_makes_no_difference(package):
     assert kept(package) == before
 
 
-def test_a_script_is_compiled_anew_when_a_file_beside_it_has_changed(tmp_path):
+def test_a_script_is_compiled_again_when_a_file_beside_it_has_changed(tmp_path):
     (tmp_path / "constant.py").write_text("STEP = 1\n")
     script = tmp_path / "script.py"
     script.write_text(
         "from swarm.jit import compiled\nfrom constant import STEP\n\n"
-        "@compiled\ndef more(x):\n    return x + STEP\n\nprint(more(1))\n"
+        "@compiled\ndef add(x):\n    return x + STEP\n\nprint(add(1))\n"
     )
 
     def result() -> str:
@@ -97,7 +97,7 @@ def test_a_script_is_compiled_anew_when_a_file_beside_it_has_changed(tmp_path):
 def test_a_file_that_has_changed_since_it_was_imported_has_no_key(tmp_path):
     file = tmp_path / "later.py"
     file.write_text("from swarm.jit import compiled\n")
-    with pytest.raises(OSError, match="has changed since this process began"):
+    with pytest.raises(OSError, match="has changed since this process started"):
         jit.key(str(file))
 
 
@@ -113,16 +113,16 @@ def test_a_file_that_has_changed_since_it_was_imported_has_no_key(tmp_path):
 def test_the_versions_and_the_processor_are_part_of_the_key(monkeypatch, owner, name, value):
     before = jit.key(jit.__file__)
     monkeypatch.setattr(owner, name, value)
-    jit.made_by.cache_clear()
+    jit.compiler.cache_clear()
     jit.key.cache_clear()
     changed = jit.key(jit.__file__)
     monkeypatch.undo()
-    jit.made_by.cache_clear()
+    jit.compiler.cache_clear()
     jit.key.cache_clear()
     assert before == jit.key(jit.__file__) != changed
 
 
-def test_what_was_not_used_for_long_is_removed(tmp_path):
+def test_machine_code_that_was_not_used_for_long_is_removed(tmp_path):
     ages = {"new": 0.0, "used": jit.KEPT - 1, "old": jit.KEPT + 1}
     for name, days in ages.items():
         (tmp_path / name / "place").mkdir(parents=True)
@@ -138,7 +138,7 @@ def test_what_was_not_used_for_long_is_removed(tmp_path):
     jit.prune(tmp_path / "missing")
 
 
-def test_a_folder_that_is_used_is_marked_as_used(package):
+def test_use_updates_the_time_of_a_folder(package):
     assert run(package) == "42"
     folders = list((package / "cache" / "swarm").iterdir())
     assert len(folders) == 2  # one for each file with compiled functions
@@ -149,6 +149,6 @@ def test_a_folder_that_is_used_is_marked_as_used(package):
     assert all(time.time() - folder.stat().st_mtime < 86400 for folder in folders)
 
 
-def test_without_a_cache_it_is_compiled_all_the_same(package: Path) -> None:
+def test_functions_compile_without_a_cache(package: Path) -> None:
     (package / "cache").write_text("not a folder")
     assert run(package) == "42"
