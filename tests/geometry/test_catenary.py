@@ -34,7 +34,7 @@ SHAPES = [
 
 
 def quadrature_oracle(span: float, rise: float, length: float, guess: Catenaries):
-    """Solve equilibrium and closure by quadrature in 20 digits; sharing nothing but the guess.
+    """Solve equilibrium and closure by quadrature in 20 digits; only the first guess is shared.
 
     The tangent at arc length s is (1, (s − c)/a) normalised: constant horizontal tension, and a
     vertical one that grows by the weight of the cable. a and c follow from where the end is.
@@ -110,7 +110,7 @@ def test_large_batches_are_sampled_like_small_ones() -> None:
 
 
 @pytest.mark.parametrize("rise", [0.0, 1.2, -1.2])
-def test_ends_in_plumb_hang_as_a_hairpin(rise: float) -> None:
+def test_a_vertical_strand_is_a_hairpin(rise: float) -> None:
     strand = solve_catenaries([1.0, 2.0, 3.0], [1.0, 2.0, 3.0 + rise], 2.0)
     lowest = 3.0 - (2.0 - rise) / 2.0
     np.testing.assert_allclose(strand.lowest(), [1.0, 2.0, lowest], atol=1e-12)
@@ -125,7 +125,7 @@ def test_ends_in_plumb_hang_as_a_hairpin(rise: float) -> None:
     assert at_end == pytest.approx(5.0 * (2.0 + rise) / 2.0)
 
 
-def test_plumb_is_the_limit_of_short_spans() -> None:
+def test_a_vertical_strand_is_the_limit_of_short_spans() -> None:
     spans = 10.0 ** np.arange(-3.0, -60.0, -3.0)
     ends = np.stack([spans, 0 * spans, 0 * spans + 0.4], axis=-1)
     depths = solve_catenaries(np.zeros(3), ends, 2.0).lowest()[:, 2]
@@ -142,7 +142,7 @@ def test_a_taut_strand_is_its_chord() -> None:
     assert strand.tension(0.01)[0] > 1e9
 
 
-def test_over_stretched_strands_are_named() -> None:
+def test_over_stretched_strands_are_listed() -> None:
     start, end = np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
     end[..., 0] = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
     with pytest.raises(OverStretched) as caught:
@@ -183,7 +183,7 @@ def strands(draw: st.DrawFn) -> Catenaries:
 
 
 @given(strands())
-def test_it_joins_its_ends_with_its_length(strand: Catenaries) -> None:
+def test_a_strand_joins_its_ends_with_its_length(strand: Catenaries) -> None:
     points = strand.points(np.linspace(0.0, 1.0, 2001))
     np.testing.assert_allclose(points[0], strand.start, atol=1e-12)
     np.testing.assert_allclose(points[-1], strand.end, atol=1e-9)
@@ -213,7 +213,7 @@ def test_the_lowest_point_is_lowest(strand: Catenaries) -> None:
 
 
 @given(strands())
-def test_turned_round_it_is_the_same_strand(strand: Catenaries) -> None:
+def test_a_reversed_strand_is_the_same_strand(strand: Catenaries) -> None:
     back = solve_catenaries(strand.end, strand.start, strand.length, down=strand.down)
     fractions = np.linspace(0.0, 1.0, 9)
     scale = float(strand.length)
@@ -223,9 +223,7 @@ def test_turned_round_it_is_the_same_strand(strand: Catenaries) -> None:
 
 
 @given(strands(), st.floats(-3.0, 3.0), directions)
-def test_tilted_gravity_is_a_turned_world(
-    strand: Catenaries, angle: float, axis: np.ndarray
-) -> None:
+def test_tilted_gravity_is_a_rotation(strand: Catenaries, angle: float, axis: np.ndarray) -> None:
     axis = axis / np.linalg.norm(axis)
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
@@ -279,7 +277,7 @@ def test_length_and_sag_invert_each_other(span: float, relative: float, rise: fl
     st.floats(0.02, 0.98),
     st.floats(-10.0, 10.0),
 )
-def test_the_sag_for_a_drop_drops_just_that(
+def test_the_sag_for_a_drop_has_that_drop(
     span: float, relative: float, fraction: float, rise: float
 ) -> None:
     drop = relative * span
@@ -324,5 +322,5 @@ def test_half_angles_solve_their_equation(x: float) -> None:
 
 
 @given(strands())
-def test_it_begins_exactly_at_its_start(strand: Catenaries) -> None:
+def test_a_strand_begins_exactly_at_its_start(strand: Catenaries) -> None:
     np.testing.assert_array_equal(strand.points([0.0, 1.0])[0], strand.start)

@@ -1,4 +1,4 @@
-"""Strands one at a time, compiled, against the same in batches."""
+"""Compiled functions of one strand against the batches."""
 
 import math
 
@@ -31,9 +31,9 @@ def test_points_are_those_of_the_catenary(seed, slack):
 @given(
     st.tuples(*[st.floats(-10.0, 10.0)] * 3), st.one_of(st.floats(0.0, 20.0), st.floats(0.0, 1e-6))
 )
-def test_no_strand_comes_down_farther_than_its_dip(across, more):
+def test_no_strand_is_lower_than_the_bound(across, slack):
     start, end = np.zeros(3), np.array(across)
-    length = float(np.linalg.norm(end)) * (1.0 + 1e-9) + more + 0.01
+    length = float(np.linalg.norm(end)) * (1.0 + 1e-9) + slack + 0.01
     lowest = solve_catenaries(start, end, length).points(np.linspace(0.0, 1.0, 21))[:, 2].min()
     assert (
         lowest
@@ -49,9 +49,7 @@ def test_no_strand_comes_down_farther_than_its_dip(across, more):
     st.floats(-math.pi, math.pi),
     st.floats(-1.0, 1.0),
 )
-def test_no_chord_gets_steeper_than_the_steepest_or_shallower_than_the_shallowest(
-    rise, span, reach, ahead, upright
-):
+def test_no_chord_leaves_the_range_of_elevations(rise, span, reach, ahead, upright):
     level = reach * math.sqrt(1.0 - upright**2)
     moved = np.array([span + level * math.cos(ahead), level * math.sin(ahead)])
     after = rise + reach * upright
@@ -62,8 +60,8 @@ def test_no_chord_gets_steeper_than_the_steepest_or_shallower_than_the_shallowes
 
 @settings(max_examples=100, deadline=None)
 @given(st.floats(0.0, 1.3), st.floats(1.0, 10.0), st.floats(0.0, 0.2))
-def test_the_steepest_is_reached_by_turning_upward(elevation, chord, turned):
-    """An end that goes square to the chord it will be: by chord times the sine of the turn."""
+def test_the_largest_elevation_is_reached(elevation, chord, turned):
+    """An end moves at right angles to its final chord: by the chord times the sine of the turn."""
     rise, span = chord * math.sin(elevation), chord * math.cos(elevation)
     steep = catenary_kernel.max_elevation_sine(rise, span, chord * math.sin(turned))
     assert steep == pytest.approx(math.sin(elevation + turned), abs=1e-9)
@@ -71,7 +69,7 @@ def test_the_steepest_is_reached_by_turning_upward(elevation, chord, turned):
 
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.001, 12.0))
-def test_an_outline_is_near_its_strand_everywhere_however_narrow_the_loop(seed, slack):
+def test_a_polygon_is_close_to_its_strand_in_narrow_loops_too(seed, slack):
     start, end, length = drawn(seed, slack)
     outline = np.empty((7, 3))
     catenary_kernel.strand_polygon(start, end, length, outline)

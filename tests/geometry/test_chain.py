@@ -1,4 +1,4 @@
-"""The multi-catenary against the paper's tables, its own conditions, and brute force."""
+"""Chains of catenaries against the tables and conditions of the paper, and brute force."""
 
 import itertools
 from pathlib import Path
@@ -96,7 +96,7 @@ def test_the_carrick_table_fails_at_one_crossing() -> None:
     assert (crossings[gaps < 0.0] + 1).tolist() == [[10, 3]]
 
 
-def test_what_the_papers_tables_tie() -> None:
+def test_the_knots_of_the_papers_tables() -> None:
     """The figure-eight's cable is one; the Carrick mat's, with its one wrong crossing, is not."""
     found = {}
     for knot in PAPER:
@@ -182,7 +182,7 @@ def test_gaps_are_heights_of_sampled_curves() -> None:
         assert first[::8][a, 2] - second[::8][b, 2] == pytest.approx(gap, abs=0.02)
 
 
-def test_crossings_are_found_with_their_places() -> None:
+def test_crossings_are_found_with_their_fractions() -> None:
     corners = np.array([[0.0, 0], [4, 0], [4, 2], [1, 2], [1, -1]])
     found = plan_crossings(corners)
     assert found.segments.tolist() == [[0, 3]]
@@ -193,7 +193,7 @@ def test_crossings_are_found_with_their_places() -> None:
         crossing_fractions(placed, [(0, 3), (0, 2)])
 
 
-def test_segments_along_one_another_are_refused() -> None:
+def test_overlapping_segments_are_refused() -> None:
     corners = np.array([[0.0, 0], [4, 0], [4, 2], [5, 0], [1, 0]])
     with pytest.raises(Refused, match="segments overlap on one line in plan view: 0 and 3"):
         plan_crossings(corners)
@@ -230,7 +230,7 @@ def test_alpha_runs_through_every_corner_and_sag() -> None:
 
 @pytest.mark.parametrize("knot", PAPER)
 @pytest.mark.parametrize("one_each", [False, True])
-def test_least_sags_keep_the_clearance_and_not_more(knot: str, one_each: bool) -> None:
+def test_minimum_sags_keep_exactly_the_clearance(knot: str, one_each: bool) -> None:
     placed, given_sags, crossings = paper_layout(knot)
     over = given_sags == 1.5
     sags = minimum_sags(placed, crossings, 0.2, minimum_sag=0.5, one_each=one_each)
@@ -268,7 +268,7 @@ PENTAGRAM = np.array(
 PENTAGRAM_CROSSINGS = [(1, 3), (3, 0), (0, 2)]
 
 
-def test_levels_of_sag_serve_a_pentagram() -> None:
+def test_a_pentagram_has_several_levels_of_sag() -> None:
     found = {tuple(sorted(pair)) for pair in plan_crossings(PENTAGRAM).segments.tolist()}
     assert found == {tuple(sorted(pair)) for pair in PENTAGRAM_CROSSINGS}
     sags = minimum_sags(PENTAGRAM, PENTAGRAM_CROSSINGS, 0.2, minimum_sag=0.5, one_each=True)
@@ -293,7 +293,7 @@ def test_levels_of_sag_serve_a_pentagram() -> None:
     assert cable(sags) <= best.fun + 1e-4
 
 
-def test_two_sags_cannot_serve_levels() -> None:
+def test_two_sags_are_not_enough_for_several_levels() -> None:
     with pytest.raises(
         Refused, match="two sags are not enough for segments that pass over and under: 0, 3"
     ):

@@ -39,7 +39,7 @@ def test_segments_against_least_squares(first: np.ndarray, second: np.ndarray) -
 
 
 @given(segments, segments)
-def test_segments_do_not_mind_their_order(first: np.ndarray, second: np.ndarray) -> None:
+def test_the_order_of_segments_does_not_matter(first: np.ndarray, second: np.ndarray) -> None:
     there, back = segment_segment(first, second), segment_segment(second[::-1], first)
     assert float(there.distance) == pytest.approx(float(back.distance), abs=1e-12)
 
@@ -92,7 +92,7 @@ def test_polylines_against_all_pairs() -> None:
         assert np.linalg.norm(points[0] - points[1]) == pytest.approx(closest.distance[i, j])
 
 
-def test_chosen_strands_are_as_far_apart_as_their_polylines() -> None:
+def test_chosen_strands_have_the_distance_of_their_polylines() -> None:
     rng = np.random.default_rng(6)
     strands = walks(rng, 11, 4, 8, 3)
     pairs = np.array([[0, 1], [0, 3], [2, 3]])
@@ -103,7 +103,7 @@ def test_chosen_strands_are_as_far_apart_as_their_polylines() -> None:
     np.testing.assert_array_equal(chosen.second, copied.second)
 
 
-def test_what_is_not_a_number_is_not_taken_for_far() -> None:
+def test_a_nan_is_not_a_large_distance() -> None:
     lines = walks(np.random.default_rng(7), 2, 5, 3)
     lines[1, 2, 0] = np.nan
     assert np.isnan(polyline_polyline(lines[0], lines[1]).distance)
@@ -120,7 +120,7 @@ def test_pairs_of_strands_are_their_polylines() -> None:
         np.testing.assert_array_equal(closest.distance[..., k], expected.distance)
 
 
-def test_polylines_that_touch_have_no_distance() -> None:
+def test_touching_polylines_have_distance_0() -> None:
     first = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
     second = np.array([[1.5, 1, 0], [1.5, -1, 0], [0, -1, 0]])
     closest = polyline_polyline(first, second)

@@ -1,4 +1,4 @@
-"""Strands on the floor against quadrature, the weight they lift, and the free strand's limit."""
+"""Strands on the floor against quadrature, the weight off the floor, and the limit of free strands."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_loose_cable_hangs_straight_down() -> None:
     np.testing.assert_allclose([horizontal, at_start, at_end], [0.0, 1.0, 0.5])
 
 
-def test_strands_clear_of_the_floor_are_catenaries() -> None:
+def test_strands_above_the_floor_are_catenaries() -> None:
     free = solve_catenaries([0.0, 0.0, 3.0], [4.0, 0.0, 3.5], 5.0)
     strand = rest_on_floor(free.start, free.end, 5.0, 1.0)
     fractions = np.linspace(0.0, 1.0, 9)
@@ -76,7 +76,7 @@ def test_batches_mix_free_and_resting_strands() -> None:
         )
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_impossible_strands_are_refused() -> None:
     with pytest.raises(ValueError, match="below the floor"):
         rest_on_floor([0.0, 0.0, 0.5], [1.0, 0.0, 2.0], 3.0, 1.0)
     with pytest.raises(OverStretched):
@@ -108,7 +108,7 @@ def test_shape_is_above_the_floor_and_of_its_length(strand: FloorStrands) -> Non
 
 
 @given(strands(), st.floats(0.01, 1.0))
-def test_forces_carry_what_is_lifted(strand: FloorStrands, mass: float) -> None:
+def test_forces_carry_the_weight_off_the_floor(strand: FloorStrands, mass: float) -> None:
     at_start, at_end = strand.end_forces(mass, 10.0)
     lifted = float(strand.free.length - strand.lying)
     largest = np.linalg.norm(at_start) + np.linalg.norm(at_end)

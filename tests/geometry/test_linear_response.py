@@ -1,3 +1,5 @@
+"""Linear response and its remainder against finite displacements."""
+
 import numpy as np
 import pytest
 
@@ -38,8 +40,8 @@ def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends, shall
             np.clip(at - rng.uniform(0.0, 0.1, count), 0.0, 1.0),
             np.clip(at + rng.uniform(0.0, 0.1, count), 0.0, 1.0),
         )
-        answer = linear_response(before, at, np.full(count, ends), normal, piece, growth)
-        bound = answer.movement(size, growth)
+        response = linear_response(before, at, np.full(count, ends), normal, piece, growth)
+        bound = response.movement(size, growth)
 
         def moved(fraction, before=before, after=after, normal=normal):
             step = after.points_at(fraction) - before.points_at(fraction)
@@ -48,7 +50,9 @@ def test_no_finite_displacement_moves_a_point_farther_than_the_bound(ends, shall
         assert np.all(moved(at) <= bound + 1e-12)
         other = piece[0] + rng.uniform(size=count) * (piece[1] - piece[0])
         farthest = np.maximum(at - piece[0], piece[1] - at)
-        assert np.all(moved(other) <= bound + answer.movement_difference(farthest, growth) + 1e-12)
+        assert np.all(
+            moved(other) <= bound + response.movement_difference(farthest, growth) + 1e-12
+        )
         assert np.isfinite(bound).mean() > (0.8 if shallowest == 0.0 else 0.5)
         sharpest = max(sharpest, float(np.max(moved(at) / bound)))
     assert sharpest > 0.95

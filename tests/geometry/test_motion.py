@@ -1,4 +1,4 @@
-"""Motion: C², within limits, and through what it should go."""
+"""Motions: C², within limits, and through given states."""
 
 import numpy as np
 import numpy.typing as npt
@@ -63,7 +63,7 @@ def test_a_motion_rests_outside_its_time() -> None:
     assert not acceleration.any()
 
 
-def test_joined_motions_follow_each_other() -> None:
+def test_concatenated_motions_follow_each_other() -> None:
     a, b = np.zeros((2, 3)), np.ones((2, 3))
     motion = concatenate(leg(a, b, 1.0, 1.0), at_rest(b, 2.0), leg(b, a, 1.0, 1.0))
     assert np.all(np.diff(motion.times) > 0.0)
@@ -77,27 +77,29 @@ def test_joined_motions_follow_each_other() -> None:
 @given(
     distance=st.floats(0.0, 100.0),
     speed=st.floats(0.1, 10.0),
-    thrust=st.floats(0.1, 10.0),
+    limit=st.floats(0.1, 10.0),
     delay=st.floats(0.0, 5.0),
 )
-def test_legs_keep_limits(distance: float, speed: float, thrust: float, delay: float) -> None:
+def test_legs_keep_limits(distance: float, speed: float, limit: float, delay: float) -> None:
     start = np.zeros((2, 3))
     end = np.array([[distance, 0.0, 0.0], [0.0, 0.0, 0.5 * distance]])
-    motion = staggered_leg(start, end, np.array([0.0, delay]), speed, thrust)
+    motion = staggered_leg(start, end, np.array([0.0, delay]), speed, limit)
     times = np.linspace(0.0, motion.times[-1], 2001)
     position, velocity, acceleration = motion.at(times)
     assert np.linalg.norm(velocity, axis=2).max() <= speed * (1 + 1e-9)
-    assert np.linalg.norm(acceleration, axis=2).max() <= thrust * (1 + 1e-9)
+    assert np.linalg.norm(acceleration, axis=2).max() <= limit * (1 + 1e-9)
     np.testing.assert_allclose(position[0], start, atol=1e-9)
     np.testing.assert_allclose(position[-1], end, atol=1e-9)
     assert np.abs(velocity[times < delay - 1e-6, 1]).max(initial=0.0) < 1e-6
 
 
-def test_backwards_is_the_same_way_at_the_same_pace() -> None:
+def test_a_reversed_motion_has_the_same_path_and_speed() -> None:
     rng = np.random.default_rng(5)
     times = np.array([2.0, 2.7, 4.1, 4.4])
     motion = through_states(times, *rng.normal(size=(3, 4, 2, 3)))
     back = reverse(motion)
-    asked = np.linspace(2.01, 4.39, 97)
-    for sign, there, again in zip((1, -1, 1), motion.at(asked), back.at(6.4 - asked), strict=True):
+    times_inside = np.linspace(2.01, 4.39, 97)
+    for sign, there, again in zip(
+        (1, -1, 1), motion.at(times_inside), back.at(6.4 - times_inside), strict=True
+    ):
         np.testing.assert_allclose(sign * again, there, atol=1e-9)

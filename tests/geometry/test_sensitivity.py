@@ -1,3 +1,5 @@
+"""Sensitivity tables against finite displacements of an independent catenary."""
+
 import numpy as np
 import pytest
 
@@ -75,7 +77,7 @@ def test_the_bound_is_sharp_for_a_level_strand_pulled_at_both_ends():
 
 
 @pytest.mark.parametrize("piece", [1, 2, 3, 7, 15, 64, 100, 127, 118 * 16 + 15, 2**20 - 1])
-def test_a_point_is_looked_up_in_a_part_of_its_own_piece(piece):
+def test_the_finest_piece_of_a_point_is_in_its_own_piece(piece):
     level = piece.bit_length() - 1
     begin = piece / 2**level - 1.0
     end = begin + 0.5**level
@@ -83,6 +85,6 @@ def test_a_point_is_looked_up_in_a_part_of_its_own_piece(piece):
         finest = finest_piece(piece, fraction)
         assert 64 <= finest < 128
         assert finest / 64 - 1.0 <= fraction <= (finest + 1) / 64 - 1.0
-        # It is part of the piece, or holds it.
+        # It is a part of the piece, or contains it.
         assert finest / 64 - 1.0 < end
         assert (finest + 1) / 64 - 1.0 > begin
