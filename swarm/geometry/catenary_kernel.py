@@ -142,7 +142,7 @@ def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) ->
 
 @compiled
 def max_drop_below_ends(start: Floats, end: Floats, length: float, moved: float) -> float:
-    """Return an upper bound of how far a strand hangs below its lower end.
+    """Return an upper bound of how far a strand is below its lower end.
 
     Each end moves by up to ``moved`` metres. A strand that reaches d below is at least as long as
     two straight lines to that depth: length² ≥ span² + (2d + rise)².

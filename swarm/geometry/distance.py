@@ -202,9 +202,3 @@ def boxes_closer(one: Box, other: Box, limit: float) -> bool:
         if gap >= limit:
             return False
     return True
-
-
-@compiled
-def interval_gap(low: float, high: float, other_low: float, other_high: float) -> float:
-    """Return the gap between two intervals; 0 where they overlap."""
-    return max(low - other_high, other_low - high, 0.0)
