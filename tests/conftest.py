@@ -26,7 +26,7 @@ LONGEST = (
     "test_after_sigkill_in_mid_fold_the_team_is_found",
     "test_trials_in_processes_are_the_trials_flown_alone",
     "test_the_tour_plans_certifies_draws_and_rehearses",
-    "test_the_walk_through_runs_and_prints_what_it_says",
+    "test_the_walk_through_runs_and_prints_its_output",
     "test_a_killed_emulator_is_explained",
 )
 """Parts of the names of tests that take ten seconds and more, longest first."""

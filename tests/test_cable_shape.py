@@ -1,4 +1,4 @@
-"""Where a plan has the cable at any time: catenaries of the right length, floor included."""
+"""The shape of the cable in a plan at any time: catenaries of the right length, on the floor too."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def test_held_segments_keep_their_lengths_and_hang_between_their_grips():
     assert shape[..., 2].min() >= -1e-12
 
 
-def test_aloft_it_is_the_catenary():
+def test_the_cable_aloft_is_a_catenary():
     time = middle("fold")
     grips = PLAN.motion(time)[0]
     expected = solve_catenaries(grips[:-1], grips[1:], PLAN.layout.lengths).points(
@@ -44,7 +44,7 @@ def test_aloft_it_is_the_catenary():
     np.testing.assert_allclose(cable_shape(PLAN, time, 50), expected, atol=1e-12)
 
 
-def test_some_of_it_lies_on_the_floor_while_it_is_lifted():
+def test_part_of_the_cable_is_on_the_floor_during_the_lift():
     lift = PLAN.phase("lift")
     shape = cable_shape(PLAN, lift.start + 0.2 * (lift.end - lift.start), 200)
     lying = (shape[..., 2] < 1e-9).sum(axis=1)
@@ -52,20 +52,20 @@ def test_some_of_it_lies_on_the_floor_while_it_is_lifted():
     assert (lying < 190).all()
 
 
-def test_before_the_grab_it_lies_where_it_will_be_grabbed_whatever_vehicles_do():
+def test_before_the_grab_the_cable_lies_at_its_grip_points():
     before = cable_shape(PLAN, [0.0, middle("takeoff"), middle("grab")], 20)
     assert (before[..., 2] == 0.0).all()
     assert np.ptp(before, axis=0).max() == 0.0
 
 
-def test_nothing_is_said_of_cable_that_was_let_go_of():
+def test_released_cable_is_undefined():
     assert np.isnan(cable_shape(PLAN, PLAN.duration, 20)).all()
     assert np.isnan(cable_shape(PLAN, [middle("hold"), PLAN.duration], 5)).any(
         axis=(1, 2, 3)
     ).tolist() == [False, True]
 
 
-def test_what_was_put_down_lies_where_it_was_put_down():
+def test_cable_that_was_put_down_stays_there():
     mission = parse_mission(
         "{schema: 1, name: carry, finish: unfold, formation: {lengths: [4.0],"
         "places: [[[0, 0, 4], [3, 0, 4]]]}}", "m",
@@ -75,12 +75,12 @@ def test_what_was_put_down_lies_where_it_was_put_down():
     np.testing.assert_allclose(last, first, atol=1e-9)
 
 
-def test_without_cable_there_is_none():
+def test_a_plan_without_cable_has_no_segments():
     text = "{schema: 1, name: hover, formation: {places: [[[0, 0, 3], [3, 0, 3]]]}}"
     assert cable_shape(make_plan(parse_mission(text, "m")), [1.0, 2.0], 7).shape == (2, 0, 7, 3)
 
 
-def test_what_cannot_be_answered_is_refused():
+def test_invalid_times_and_points_are_refused():
     with pytest.raises(InputError, match=r"time: expected finite seconds.*\n?points: expected at"):
         cable_shape(PLAN, [1.0, np.nan], 1)
     short = replace(PLAN, layout=replace(PLAN.layout, lengths=0.5 * PLAN.layout.lengths))

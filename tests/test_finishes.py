@@ -1,4 +1,4 @@
-"""What follows the fold: the parts of each finish, what the certificate says, and their flights."""
+"""The phases after the fold: motion, certificate and flight of each finish."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def at(plan: Plan, name: str, end: bool = False) -> np.ndarray:
 @pytest.mark.parametrize(
     "finish", [pytest.param("hold", marks=pytest.mark.full), "unfold", "tighten"]
 )
-def test_every_finish_is_certified_and_says_where_the_model_ends(finish: str) -> None:
+def test_every_finish_is_certified_and_states_the_limits_of_the_model(finish: str) -> None:
     plan = finished(f"finish={finish}")
     assert tuple(phase.name for phase in plan.phases) == BEFORE + AFTER[finish]
     assessment = assess(plan)
@@ -59,7 +59,7 @@ def test_every_finish_is_certified_and_says_where_the_model_ends(finish: str) ->
     assert np.abs(acceleration).max() < 2e-2
 
 
-def test_unfolding_ends_with_the_cable_as_it_lay_and_everybody_on_the_pad() -> None:
+def test_unfolding_ends_with_the_cable_as_it_lay_and_every_vehicle_on_its_pad() -> None:
     plan = finished("finish=unfold")
     gripped = next(gate.time for gate in plan.gates if gate.condition == "gripped")
     released = next(gate.time for gate in plan.gates if gate.condition == "released")
@@ -155,14 +155,14 @@ def test_every_finish_is_flown_to_its_end(overrides: tuple[str, ...]) -> None:
         ("finish: drop", "m.yaml: finish: expected release, unfold, tighten or hold, got 'drop'"),
     ],
 )
-def test_what_does_not_go_together_is_refused(keys: str, message: str) -> None:
+def test_incompatible_keys_are_refused(keys: str, message: str) -> None:
     text = f"{{schema: 1, name: k, knot: {{name: 3_1, chirality: left}}, {keys}}}"
     with pytest.raises(InputError) as caught:
         parse_mission(text, "m.yaml")
     assert str(caught.value) == message
 
 
-def test_a_formation_of_different_heights_is_levelled_before_it_comes_down() -> None:
+def test_a_formation_of_different_heights_is_levelled_before_the_descent() -> None:
     """Only a team at one height keeps its cable's shape down to the floor."""
     text = """
 schema: 1

@@ -1,4 +1,4 @@
-"""Fleet files: what is taken, what is refused, and the ready-made ones."""
+"""Fleet files: valid, invalid and ready-made ones."""
 
 from pathlib import Path
 
@@ -62,7 +62,7 @@ def test_the_emulators_fleet_is_its_file():
         ),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(change, message):
+def test_errors_are_reported_with_their_place(change, message):
     parse_fleet(GOOD, "fleet.yaml")
     with pytest.raises(InputError) as caught:
         parse_fleet(GOOD.replace(*change), "fleet.yaml")

@@ -1,4 +1,4 @@
-"""Missions without a knot: formations with a piece of cable or none, planned, checked and flown."""
+"""Missions without a knot: formations with or without cable, planned, checked and flown."""
 
 from pathlib import Path
 
@@ -53,19 +53,19 @@ def test_first_steps_are_certified_and_flown_to_their_end(name: str) -> None:
 
 def test_every_formation_is_reached_at_rest() -> None:
     path = FIRST_STEPS / "pass_over.yaml"
-    asked = parse_mission(path.read_text(), str(path))
-    assert asked.formation is not None
-    plan = make_plan(asked)
+    described = parse_mission(path.read_text(), str(path))
+    assert described.formation is not None
+    plan = make_plan(described)
     fold = plan.phase("fold")
     times = np.arange(fold.start, fold.end, 0.02)
     place, velocity, _ = plan.motion.at(times)
     still = np.linalg.norm(velocity, axis=2).max(axis=1) < 1e-9
-    for wanted in asked.formation.places:
+    for wanted in described.formation.places:
         off = np.abs(place[still] - np.array(wanted)).max(axis=(1, 2))
         assert off.min() < 1e-9
 
 
-def test_a_strand_that_is_too_short_for_a_formation_is_named() -> None:
+def test_a_segment_that_is_too_short_for_a_formation_is_reported() -> None:
     with pytest.raises(Refused) as caught:
         make_plan(
             mission(f"formation: {{places: [{PAIR}, [[0, 0, 3], [9, 0, 3]]], lengths: [4.0]}}")
@@ -138,5 +138,5 @@ def test_three_vehicles_without_cable_are_certified_and_flown() -> None:
         ),
     ],
 )
-def test_formations_that_say_nothing_sensible(keys: str, message: str) -> None:
+def test_invalid_formations(keys: str, message: str) -> None:
     assert refusal(keys) == message

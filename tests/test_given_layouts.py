@@ -1,4 +1,4 @@
-"""Layouts that are not left to the planner: fitted to a cable, or given by corners and sags."""
+"""Layouts of the mission: fitted to a cable, or given by corners and sags."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_a_layout_is_rescaled_to_use_the_whole_cable(length: float) -> None:
     assert length - 1e-3 < used <= length
 
 
-def test_a_cable_that_is_too_short_says_what_it_would_mean() -> None:
+def test_a_cable_that_is_too_short_is_refused_with_the_resulting_distance() -> None:
     with pytest.raises(Refused) as caught:
         make_plan(mission_for_knot("overhand", ["cable.length=12.0"]))
     assert "cable.length 12 m, a cell of 0.129 m: vehicles would rest 0.18 m apart" in str(
@@ -39,7 +39,7 @@ def test_a_cable_that_is_too_short_says_what_it_would_mean() -> None:
     )
 
 
-def test_a_given_cable_asks_for_a_layout_that_can_be_scaled() -> None:
+def test_a_given_cable_requires_a_layout_that_can_be_scaled() -> None:
     words = "overhand: expected cable.length only with a layout that the planner chooses and scales"
     assert refusal("cable.length=50", "layout.cell=2.0").startswith(words)
     assert refusal("cable.length=50", "fold.method=paper").endswith("got fold.method: paper too")

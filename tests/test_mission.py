@@ -1,4 +1,4 @@
-"""Mission files: what is taken, and the exact words for what is not."""
+"""Mission files: valid ones, and the exact messages for invalid ones."""
 
 import math
 from contextlib import suppress
@@ -93,7 +93,9 @@ def test_a_knot_name_with_an_underscore_is_a_word() -> None:
         ),
     ],
 )
-def test_bad_values_are_named_with_place_and_expectation(override: str, message: str) -> None:
+def test_invalid_values_are_reported_with_place_and_expected_value(
+    override: str, message: str
+) -> None:
     assert problems(MINIMAL, override) == [message]
 
 

@@ -1,4 +1,4 @@
-"""Plans as files: the same plan comes back, and nothing else is taken for one."""
+"""Plan files: the same plan is read, and all other files are refused."""
 
 import io
 import json
@@ -53,7 +53,7 @@ def refusal(data):
 
 
 @pytest.mark.parametrize("make", [sideways, hover, trefoil_plan])
-def test_a_plan_comes_back_from_its_file_bit_by_bit(make):
+def test_a_plan_is_read_from_its_file_bit_by_bit(make):
     plan = replace(make(), notes=("said by the planner",))
     data = plan_file(plan)
     again = read_plan_file(data, "a.plan")
@@ -63,7 +63,7 @@ def test_a_plan_comes_back_from_its_file_bit_by_bit(make):
     assert plan_file(again) == data
 
 
-def test_whatever_is_cut_off_or_changed_is_refused():
+def test_truncated_and_changed_files_are_refused():
     data = written()
     for length in (0, 1, len(data) // 2, len(data) - 1):
         assert refusal(data[:length]).startswith(

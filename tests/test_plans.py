@@ -1,4 +1,4 @@
-"""Whole plans: phases, gates, motion, and what the limits say, checked from outside."""
+"""Whole plans: phases, gates, motion and limits, checked without the planner's code."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -98,7 +98,7 @@ def test_same_mission_same_plan(printed: Plan) -> None:
     np.testing.assert_array_equal(again.motion.coefficients, printed.motion.coefficients)
 
 
-def test_the_paper_stops_everybody_at_its_corner(printed: Plan) -> None:
+def test_the_paper_stops_every_vehicle_at_its_corner(printed: Plan) -> None:
     fold = printed.phase("fold")
     np.testing.assert_allclose(printed.motion.at(fold.end)[0], printed.layout.corners, atol=1e-9)
     deepest = printed.layout.sags.max()
@@ -106,7 +106,7 @@ def test_the_paper_stops_everybody_at_its_corner(printed: Plan) -> None:
     assert len(np.unique(printed.layout.sags.round(6))) <= 2 + len(printed.layout.sags) // 2
 
 
-def test_numbers_that_cannot_work_are_refused() -> None:
+def test_impossible_numbers_are_refused() -> None:
     mission = mission_for_knot("overhand", ["layout.cell=0.6"])
     with pytest.raises(Refused, match="keeps the clearances"):
         make_plan(mission)

@@ -1,4 +1,4 @@
-"""Paths flown as fast as limits allow: within the limits, C², and hardly slower than can be."""
+"""Timed paths: within the limits, C², and nearly optimal."""
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +33,7 @@ def winding(seed: int) -> tuple[Floats, Floats, Floats, Floats]:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize(("speed", "thrust"), [(2.0, 1.0), (0.5, 3.0), (5.0, 0.3)])
-def test_timed_keeps_limits_and_the_path(seed: int, speed: float, thrust: float) -> None:
+def test_a_timed_path_keeps_limits_and_the_path(seed: int, speed: float, thrust: float) -> None:
     path = winding(seed)
     motion = time_path(*path, max_speed=speed, max_acceleration=thrust)
     times = np.linspace(0.0, motion.times[-1], 20_000)
@@ -54,7 +54,7 @@ def test_timed_keeps_limits_and_the_path(seed: int, speed: float, thrust: float)
         assert max(off) < 0.15
 
 
-def test_slowed_stretches_time_only_where_needed() -> None:
+def test_time_is_stretched_only_where_necessary() -> None:
     motion = leg(np.zeros((1, 3)), np.ones((1, 3)), 1.0, 1.0)
     assert slow_to_limits(motion, 1.0, 1.0) is motion
     slower = slow_to_limits(motion, 0.25, 1.0)
@@ -64,7 +64,7 @@ def test_slowed_stretches_time_only_where_needed() -> None:
 
 
 @pytest.mark.parametrize(("speed", "thrust"), [(2.0, 1.0), (1.0, 2.0), (4.0, 0.6)])
-def test_a_straight_way_takes_little_longer_than_it_must(speed: float, thrust: float) -> None:
+def test_a_straight_path_takes_little_longer_than_the_minimum(speed: float, thrust: float) -> None:
     parameter = np.linspace(0.0, 60.0, 481)
     from_end = np.minimum(parameter, 60.0 - parameter)
     # Units of the parameter are half a metre long, but for the first and the last two.

@@ -1,4 +1,4 @@
-"""The walk-through in docs/ runs from top to bottom, and prints what it says that it prints."""
+"""The walk-through in docs/ runs from top to bottom, and prints the output that it shows."""
 
 import re
 import shutil
@@ -43,7 +43,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_the_walk_through_runs_and_prints_what_it_says(folder):
+def test_the_walk_through_runs_and_prints_its_output(folder):
     names, printed = {}, ""
     for kind, text in blocks():
         if kind == "text":
@@ -55,7 +55,7 @@ def test_the_walk_through_runs_and_prints_what_it_says(folder):
 
 
 def given(folder):
-    """What the lines at the top take for granted: a motion of three vehicles, and a curve."""
+    """The inputs of the lines at the top: a motion of three vehicles, and a curve."""
     places = [[[0, 0, 4], [3, 0, 4], [5.6, 0, 4]], [[0, 2, 4], [3, 2, 4], [5.6, 2, 4]]]
     mission = folder / "three.yaml"
     mission.write_text(

@@ -152,7 +152,7 @@ def faces(code: SignedGauss) -> tuple[tuple[int, ...], ...]:
 def realisations(passes: Sequence[tuple[int, bool]]) -> tuple[Diagram, ...]:
     """Return all diagrams on the sphere that a Gauss code without signs can mean.
 
-    A prime code has two, mirror images; a code made of k indecomposable parts has 2^k. The signs
+    A prime code has two, mirror images; a code of k indecomposable parts has 2^k. The signs
     follow from which pairs of crossings interlace (Cairns and Elton 1993, "The planarity problem
     for signed Gauss words"). The first diagram's first crossing is positive.
 

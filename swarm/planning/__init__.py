@@ -1,4 +1,4 @@
-"""The plan, and how it is made from a mission."""
+"""The plan, and its computation from a mission."""
 
 from swarm.folding.layout import KnotLayout
 from swarm.planning.candidates import Candidate, candidates, make_plan, repaired

@@ -140,7 +140,7 @@ def plan_file(plan: Plan) -> bytes:
 
 
 def read_plan_file(data: bytes, source: str) -> Plan:
-    """Return the plan of the bytes that :func:`plan_file` made; ``source`` names them in errors.
+    """Return the plan of bytes from :func:`plan_file`; ``source`` names them in errors.
 
     Raises :class:`InputError` for another kind of file, an incomplete file, another version of the
     format, and a file that was changed.

@@ -1,4 +1,4 @@
-"""Curves and diagrams to test with, and oracles that share no code with ours."""
+"""Curves and diagrams for tests, and oracles that share no code with swarm.knots."""
 
 import json
 from fractions import Fraction

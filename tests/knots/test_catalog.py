@@ -1,4 +1,4 @@
-"""Names and codes to the knot that is tied; the table against KnotInfo."""
+"""Names and codes → the knot to tie; the table against KnotInfo."""
 
 import itertools
 
@@ -39,7 +39,7 @@ def test_arc_index_determinant_and_symmetry_agree_with_knotinfo() -> None:
     assert {name for name, knot in knot_table().items() if not knot.chiral} == AMPHICHIRAL
 
 
-def test_the_convention_of_hands_holds_for_the_table() -> None:
+def test_the_convention_of_chirality_holds_for_the_table() -> None:
     for knot in knot_table().values():
         assert jones_polynomial(knot.diagram) == dict(knot.jones)
         hand = chirality_sign(dict(knot.jones))
@@ -55,7 +55,7 @@ def test_every_grid_of_the_table_is_its_knot_and_can_be_opened() -> None:
 
 
 @pytest.mark.parametrize("name", ["3_1", "4_1", "7_6", "8_19", "9_40", "10_165"])
-def test_the_table_is_what_the_script_makes(name: str) -> None:
+def test_the_table_is_the_output_of_the_script(name: str) -> None:
     stored = knot_table()[name]
     notation = {"3_1": "3", "4_1": "22", "7_6": "2212", "8_19": "3,3,2-"} | {
         "9_40": "9*",
@@ -97,7 +97,7 @@ def test_small_grids_are_found_without_the_catalogue(name: str) -> None:
     ],
 )
 @pytest.mark.parametrize("chirality", ["left", "right"])
-def test_the_overhand_in_all_its_guises(description: dict[str, object], chirality: str) -> None:
+def test_every_description_of_the_overhand(description: dict[str, object], chirality: str) -> None:
     choice = choose_knot(**description, chirality=chirality)  # type: ignore[arg-type]
     assert (choice.name, choice.chirality) == ("3_1", chirality)
     assert (choice.grid.size, choice.vehicles, choice.crossings) == (5, 9, 3)
@@ -113,7 +113,7 @@ def test_the_overhand_in_all_its_guises(description: dict[str, object], chiralit
 
 
 @pytest.mark.parametrize("step", [12, pytest.param(1, marks=pytest.mark.full)])
-def test_knotinfos_gauss_dt_and_pd_codes_are_named_alike(step: int) -> None:
+def test_knotinfos_gauss_dt_and_pd_codes_are_identified_alike(step: int) -> None:
     for name in table_names()[::step]:
         row = knotinfo()[name]
         codes = {"gauss": row["gauss_notation"]} | {
@@ -129,7 +129,7 @@ def test_codes_are_kept_as_they_were_written() -> None:
     assert choose_knot(gauss=OVERHAND, chirality="left").gauss == OVERHAND
 
 
-def test_what_fixes_the_hand_and_what_does_not() -> None:
+def test_chirality_of_descriptions() -> None:
     assert choose_knot(gauss="U1- O2- U3- O1- U2- O3-").chirality == "left"
     assert choose_knot(pd=[[1, 5, 2, 4], [3, 1, 4, 6], [5, 3, 6, 2]]).chirality == "right"
     assert choose_knot(name="m3_1").chirality == "left"
@@ -150,7 +150,7 @@ def test_what_fixes_the_hand_and_what_does_not() -> None:
         )
 
 
-def test_a_grid_of_the_other_hand_is_mirrored() -> None:
+def test_a_grid_of_the_opposite_chirality_is_mirrored() -> None:
     left = mirrored(knot_table()["5_2"].grid)
     choice = choose_knot(grid=left, chirality="right")
     assert choice.warnings == (
@@ -161,7 +161,7 @@ def test_a_grid_of_the_other_hand_is_mirrored() -> None:
     assert choose_knot(grid=left).grid == left
 
 
-def test_a_grid_that_was_given_is_kept() -> None:
+def test_a_given_grid_is_kept() -> None:
     larger = stabilised(knot_table()["4_1"].grid, 2, high=True, right=False, above=True)
     choice = choose_knot(grid=larger)
     assert (choice.name, choice.grid) == ("4_1", larger)
@@ -236,7 +236,7 @@ def test_names(name: str, table_name: str, chirality: str, size: int) -> None:
     assert len(choice.opening.corners) == choice.vehicles
 
 
-def test_an_unknot_is_said_to_be_one() -> None:
+def test_an_unknot_has_a_warning() -> None:
     for description in ({"name": "unknot"}, {"gauss": "1+ 1-"}, {"gauss": "1+ 2+ 2- 1-"}):
         choice = choose_knot(**description)  # type: ignore[arg-type]
         assert (choice.name, choice.grid.size) == ("0_1", 2)
@@ -258,7 +258,7 @@ def test_a_knot_outside_the_table_is_tied_from_its_own_code() -> None:
     )
 
 
-def test_more_grids_are_new_deterministic_and_the_same_knot() -> None:
+def test_other_grids_are_new_deterministic_and_the_same_knot() -> None:
     choice = choose_knot(name="7_4", chirality="left")
     for larger in (0, 1, 2):
         found = list(itertools.islice(other_grids(choice, larger=larger), 8))

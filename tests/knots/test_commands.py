@@ -1,4 +1,4 @@
-"""``swarm knots`` and ``swarm identify`` as a user and as a script meet them."""
+"""``swarm knots`` and ``swarm identify`` in the terminal and in scripts."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ from tests.knots.curves import hung, knotinfo, lifted
 
 
 def run(*arguments: str) -> Result:
-    """Run a command; errors meant for the user come out as they are."""
+    """Run a command; errors for the user are raised unchanged."""
     return CliRunner().invoke(cli, list(arguments), catch_exceptions=False, standalone_mode=False)
 
 
@@ -79,7 +79,7 @@ def test_the_table_of_all_knots_is_found_again_without_the_catalogue() -> None:
     assert len(found) == 249
 
 
-def test_options_that_do_not_go_together() -> None:
+def test_incompatible_options() -> None:
     assert CliRunner().invoke(knots, ["--plot", "x.png"]).exit_code == 2
     assert CliRunner().invoke(knots, ["3_1", "--table"]).exit_code == 2
     with pytest.raises(InputError, match='no knot is called "9_50" here'):
@@ -140,7 +140,7 @@ def test_columns_may_be_named_and_more(tmp_path: Path) -> None:
         ("0,0,0\n" + "7" * 200_000 + ",1,2\n", "line 2: expected 3 numbers, got 1 entries"),
     ],
 )
-def test_wrong_files(tmp_path: Path, text: str, message: str) -> None:
+def test_invalid_files(tmp_path: Path, text: str, message: str) -> None:
     file = write(tmp_path / "wrong.csv", text)
     with pytest.raises(InputError) as caught:
         run("identify", file)

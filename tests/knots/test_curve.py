@@ -1,4 +1,4 @@
-"""The code of a curve's plan view against exact arithmetic, and what is degenerate."""
+"""The code of a curve's plan view against exact arithmetic, and degenerate views."""
 
 import numpy as np
 import pytest
@@ -92,7 +92,7 @@ def test_degenerate_views_are_refused(points: list[list[float]]) -> None:
         curve_gauss(np.array(points, dtype=float))
 
 
-def test_plumb_segments_out_of_the_way_are_fine() -> None:
+def test_vertical_segments_away_from_strands_are_valid() -> None:
     plain = cross(1.0, 0.1)
     plumb = np.concatenate([plain[:3], [[2, 0, 0.25], [2, 0, 0.5]], plain[3:]])
     assert same_code(curve_gauss(plumb), curve_gauss(plain))
@@ -106,7 +106,7 @@ def test_plumb_segments_out_of_the_way_are_fine() -> None:
         (np.array([[0, 0, 0], [1, np.nan, 0]]), "point 2 of the curve is not finite"),
     ],
 )
-def test_wrong_arrays(points: Points, message: str) -> None:
+def test_invalid_arrays(points: Points, message: str) -> None:
     with pytest.raises(KnotError) as caught:
         curve_gauss(points)
     assert str(caught.value) == message

@@ -1,4 +1,4 @@
-"""Curves that are those of no knot, against exact arithmetic."""
+"""Curves without a knot, against exact arithmetic."""
 
 from fractions import Fraction
 
@@ -68,7 +68,7 @@ def test_curves_on_a_lattice_meet_where_they_do_exactly(points, closed, scale):
 
 
 @pytest.mark.parametrize("name", ["3_1", "8_18", "10_132"])
-def test_knots_have_no_flaw(name):
+def test_knots_have_no_defect(name):
     assert find_defect(hung(lookup_knot(name).opening), closed=False) is None
 
 
@@ -83,7 +83,7 @@ def test_knots_have_no_flaw(name):
         ),
     ],
 )
-def test_a_curve_without_a_knot_is_not_named(points, message):
+def test_a_curve_without_a_knot_is_refused(points, message):
     with pytest.raises(KnotError) as caught:
         identify_curve(np.array(points, dtype=float))
     assert str(caught.value) == message

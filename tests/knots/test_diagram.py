@@ -1,4 +1,4 @@
-"""Codes to diagrams and back; which codes a plane curve has."""
+"""Codes → diagrams and back; the codes of plane curves."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""Gauss codes as text, and when two of them are the same diagram."""
+"""Gauss codes as text, and equality of their diagrams."""
 
 import pytest
 from hypothesis import given, settings
@@ -51,7 +51,7 @@ def test_every_notation_of_the_overhand(text: str) -> None:
         ("U1+ O1-", "a crossing has the same sign at both of its passes"),
     ],
 )
-def test_wrong_codes_are_named(text: str, message: str) -> None:
+def test_invalid_codes_are_reported(text: str, message: str) -> None:
     with pytest.raises(KnotError) as caught:
         parse_gauss(text)
     assert str(caught.value) == message
@@ -70,7 +70,7 @@ def test_a_code_is_the_same_from_any_start_and_under_any_names(
     assert parse_gauss(code.signed_text()).signed() == code if code.passes else True
 
 
-def test_mirror_images_direction_and_ends_tell_codes_apart() -> None:
+def test_codes_differ_by_mirror_image_direction_and_ends() -> None:
     right = parse_gauss("U1+ O2+ U3+ O1+ U2+ O3+").signed()
     assert right is not None
     assert not same_code(right, right.mirrored())

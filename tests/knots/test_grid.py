@@ -1,4 +1,4 @@
-"""Grid diagrams: what is one, that no move changes the knot, and how they are opened."""
+"""Grid diagrams: validity, moves that preserve the knot, and openings."""
 
 import itertools
 
@@ -33,7 +33,7 @@ OVERHAND = Grid(((2, 4), (3, 5), (1, 4), (2, 5), (1, 3)))
 
 
 def polynomials(grid: Grid) -> tuple[dict[int, int], dict[int, int]]:
-    """Enough to notice nearly every wrong move, chirality included."""
+    """Invariants that detect nearly every wrong move, with chirality."""
     diagram = Diagram(grid.code)
     return jones_polynomial(diagram), alexander_polynomial(diagram)
 
@@ -60,7 +60,7 @@ def polynomials(grid: Grid) -> tuple[dict[int, int], dict[int, int]]:
         ("1-2", "a grid is a list of row pairs, one per column, got '1-2'"),
     ],
 )
-def test_what_is_no_grid(columns: object, message: str) -> None:
+def test_invalid_grids(columns: object, message: str) -> None:
     with pytest.raises(KnotError) as caught:
         grid_of_columns(columns)
     assert str(caught.value) == message
@@ -177,7 +177,7 @@ def test_openings(name: str) -> None:
 
 
 def test_every_corner_can_be_opened() -> None:
-    """A torus translation brings any corner to the border, where its edges are free (NOTES.md)."""
+    """A torus translation brings any corner to the border, where its edges are free."""
     moved_back = set()
     for opened in openings(OVERHAND):
         for right, up in itertools.product(range(5), repeat=2):

@@ -42,7 +42,7 @@ def chosen(sample: str) -> list[TableKnot]:
 
 
 def curve_of(knot: TableKnot, samples: int = 21) -> Points:
-    """The cable of a knot's best opening, right-handed, ends loose."""
+    """The cable of a knot's best opening, right-handed, ends free."""
     return hung(openings(knot.grid, limit=1)[0], samples=samples)
 
 
@@ -99,7 +99,7 @@ def symmetry(name: str) -> str:
 
 
 @pytest.mark.parametrize("sample", ["some", ALL])
-def test_curves_in_space_are_named_with_their_hand(sample: str) -> None:
+def test_curves_in_space_are_identified_with_chirality(sample: str) -> None:
     for seed, knot in enumerate(chosen(sample)):
         cable = curve_of(knot)
         bent = smooth(lifted(cable) @ rotation(seed), seed)
@@ -138,7 +138,7 @@ def test_snappy_names_the_tables_grids_alike(sample: str) -> None:
 
 
 @pytest.mark.parametrize("sample", ["some", ALL])
-def test_floer_homology_sees_the_same_hand_in_table_grid_and_curve(sample: str) -> None:
+def test_floer_homology_has_the_same_chirality_in_table_grid_and_curve(sample: str) -> None:
     floer = pytest.importorskip("knot_floer_homology")
 
     def tau(diagram: Diagram) -> int:
@@ -167,7 +167,7 @@ def test_floer_homology_sees_the_same_hand_in_table_grid_and_curve(sample: str) 
         ("10_40", "10_103"),
     ],
 )
-def test_knots_that_polynomials_confuse(one: str, two: str) -> None:
+def test_knots_that_polynomials_do_not_distinguish(one: str, two: str) -> None:
     candidates = [((name, hand),) for name in (one, two) for hand in (1, -1)]
     for name, hand in ((one, 1), (one, -1), (two, 1), (two, -1)):
         diagram = sum_diagram([(name, hand)])
@@ -177,7 +177,7 @@ def test_knots_that_polynomials_confuse(one: str, two: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["9_42", "10_48", "10_71", "10_91", "10_104"])
-def test_hands_that_polynomials_do_not_see(name: str) -> None:
+def test_chiralities_that_polynomials_do_not_distinguish(name: str) -> None:
     right = sum_diagram([(name, 1)])
     assert identify_diagram(right).chirality == "right"
     assert identify_diagram(right.mirrored()).chirality == "left"
@@ -193,7 +193,7 @@ def test_the_convention_for_the_trefoil() -> None:
     assert str(left) == "3_1, left-handed"
 
 
-def test_sums_are_taken_apart() -> None:
+def test_sums_are_split() -> None:
     diagram = sum_diagram([("3_1", 1), ("3_1", -1), ("8_20", 1), ("4_1", 0)])
     assert len(summands(diagram)) == 4
     known = identify_diagram(diagram)
@@ -215,7 +215,7 @@ def test_knots_outside_the_table_are_unknown() -> None:
 
 
 def test_an_eleven_crossing_knot_with_the_unknots_alexander_polynomial() -> None:
-    """Conway's knot 11n_34 is not called anything that it is not."""
+    """Conway's knot 11n_34 has no wrong name."""
     known = identify_diagram(diagram_of_pd(of_knotinfo("11n_34", "pd_notation")))
     assert known.invariants["alexander"] == {0: 1}
     assert (known.name, known.candidates) == ("unknown", ())
@@ -223,7 +223,7 @@ def test_an_eleven_crossing_knot_with_the_unknots_alexander_polynomial() -> None
 
 
 @pytest.mark.parametrize(("p", "q"), [(2, 11), (3, 7), (4, 5)])
-def test_larger_torus_knots_are_unknown_with_the_right_hand(p: int, q: int) -> None:
+def test_larger_torus_knots_are_unknown_with_the_right_chirality(p: int, q: int) -> None:
     for seed, grid in enumerate((torus_grid(p, q), mirrored(torus_grid(p, q)))):
         opened = openings(translated(grid, 2, 3), limit=1)[0]
         known = identify_curve(lifted(hung(opened)) @ rotation(seed), closed=True)
@@ -292,7 +292,7 @@ def test_a_curve_that_meets_itself_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["0_1", "3_1", "8_18", "10_45", "10_132"])
-def test_knots_in_grids_twice_as_large_as_need_be(name: str) -> None:
+def test_knots_in_grids_of_twice_the_minimal_size(name: str) -> None:
     walk = GridWalk(lookup_knot(name).grid, seed=3)
     for _ in range(12):
         walk.stabilise()
@@ -302,7 +302,7 @@ def test_knots_in_grids_twice_as_large_as_need_be(name: str) -> None:
     assert (known.name, known.crossings) == (name, lookup_knot(name).crossings)
 
 
-def test_long_random_walks_are_answered_in_the_same_way_twice() -> None:
+def test_identification_of_long_random_walks_is_deterministic() -> None:
     steps = np.random.default_rng(8).normal(size=(400, 3)).cumsum(axis=0)
     first, second = identify_curve(steps), identify_curve(steps)
     assert first == second
@@ -310,7 +310,7 @@ def test_long_random_walks_are_answered_in_the_same_way_twice() -> None:
 
 
 @pytest.mark.full
-def test_a_hopeless_tangle_is_unknown_before_long() -> None:
+def test_a_large_tangle_is_unknown_in_bounded_time() -> None:
     known = identify_curve(random_polygon(1, 60), closed=True)
     assert (known.name, known.chirality, known.candidates) == ("unknown", "none", ())
     assert known.crossings > 64
