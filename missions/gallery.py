@@ -16,7 +16,7 @@ from swarm.mission import parse_mission
 from swarm.planning import Plan
 from swarm.reports.plots import plot_plan, plot_schedule
 from swarm.view.replay import write_plan
-from swarm.view.screenshot import NoPicture, screenshot
+from swarm.view.screenshot import ScreenshotFailed, screenshot
 
 HERE = Path(__file__).parent
 
@@ -34,7 +34,7 @@ def draw(plan: Plan, folder: Path) -> list[Path]:
         try:
             screenshot([recording], picture, at=plan.phase("hold").start)
             drawn.append(picture)
-        except NoPicture as error:
+        except ScreenshotFailed as error:
             print(f"no picture of {name} held: {error}")
     return drawn
 

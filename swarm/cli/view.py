@@ -16,8 +16,8 @@ from swarm.view.screenshot import screenshot
 from swarm.view.viewers import (
     Process,
     ViewerFailed,
-    ended,
     ending,
+    exit_description,
     free_port,
     has_display,
     serve,
@@ -158,4 +158,4 @@ def _serve(sources: list[Path], folder: Path) -> None:
 def _wait(process: Process, folder: Path) -> None:
     """Wait until the viewer ends; raises :class:`ViewerFailed` if it failed."""
     if process.wait():
-        raise ViewerFailed(ended(process, folder))
+        raise ViewerFailed(exit_description(process, folder))

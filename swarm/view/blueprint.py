@@ -1,4 +1,4 @@
-"""How a recording opens: arrangements for flying, for studying a plan, and for comparing both."""
+"""Rerun blueprints: the layout of views for a flight, for a plan, and for their comparison."""
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ FLOWN_ONLY = ("- /plan/team/**", "- /plan/path", UNLABELLED)
 
 
 def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
-    """Return the arrangement for a flight; ``live`` follows the newest moment."""
+    """Return the blueprint of a flight; with ``live`` it follows the newest moment."""
     return _blueprint(
         rrb.Horizontal(
             rrb.Vertical(
@@ -28,7 +28,7 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
             ),
             rrb.Vertical(
                 _curves("error", "Tracking error (m)"),
-                _curves("margin", "Clearance beyond what is required (m)"),
+                _curves("margin", "Margin: clearance above the required one (m)"),
                 _curves("rate", "Mission clock rate", (-1.1, 1.1)),
                 rrb.Tabs(
                     _curves("battery", "Battery (%)", (0.0, 100.0)),
@@ -46,7 +46,7 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
 
 
 def plan_blueprint(plan: Plan) -> rrb.Blueprint:
-    """Return the arrangement for studying a plan over mission time."""
+    """Return the blueprint of a plan over mission time."""
     return _blueprint(
         rrb.Horizontal(
             rrb.Vertical(
@@ -68,7 +68,7 @@ def plan_blueprint(plan: Plan) -> rrb.Blueprint:
 
 
 def comparison_blueprint(plan: Plan) -> rrb.Blueprint:
-    """Return the arrangement that shows planned and flown side by side on the mission clock."""
+    """Return the blueprint with planned and flown motion side by side on the mission clock."""
     return _blueprint(
         rrb.Vertical(
             rrb.Horizontal(
@@ -88,10 +88,10 @@ def comparison_blueprint(plan: Plan) -> rrb.Blueprint:
 
 
 def _blueprint(
-    arrangement: rrb.Horizontal | rrb.Vertical, timeline: str, play_state: str = "playing"
+    views: rrb.Horizontal | rrb.Vertical, timeline: str, play_state: str = "playing"
 ) -> rrb.Blueprint:
     return rrb.Blueprint(
-        arrangement,
+        views,
         rrb.TimePanel(timeline=timeline, state="collapsed", play_state=play_state),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -100,7 +100,7 @@ def _blueprint(
     )
 
 
-def _scene(name: str, timeline: str, eye: rrb.EyeControls3D, *without: str) -> rrb.Spatial3DView:
+def _scene(name: str, timeline: str, eye: rrb.EyeControls3D, *excluded: str) -> rrb.Spatial3DView:
     trail = rrb.VisibleTimeRanges(
         timeline=timeline,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL),
@@ -108,7 +108,7 @@ def _scene(name: str, timeline: str, eye: rrb.EyeControls3D, *without: str) -> r
     )
     return rrb.Spatial3DView(
         origin="/",
-        contents=["+ /**", "- /plots/**", "- /states/**", "- /plan/phase", "- /log", *without],
+        contents=["+ /**", "- /plots/**", "- /states/**", "- /plan/phase", "- /log", *excluded],
         name=name,
         line_grid=rrb.LineGrid3D(visible=True, spacing=1.0, color=(255, 255, 255, 14)),
         background=rrb.Background(color=BACKGROUND),
@@ -130,7 +130,7 @@ def _states() -> rrb.Tabs:
 
 
 def _log() -> rrb.TextLogView:
-    # The words begin with the time: the viewer's own column is too narrow for it.
+    # The text begins with the time, for which the viewer's own column is too narrow.
     hidden = rrb.encodings.TimelineColumn("time", visible=False)
     columns = rrb.TextLogColumns(timeline_columns=[hidden], text_log_columns=["LogLevel", "Body"])
     return rrb.TextLogView(origin="log", name="Log", columns=columns)
@@ -148,7 +148,7 @@ def _curves(
 
 
 def _knot_eye(plan: Plan) -> rrb.EyeControls3D:
-    """Look at the knot from above its south-west."""
+    """Return a view of the knot from above, from the south-west."""
     low, high = plan.layout.corners.min(axis=0), plan.layout.corners.max(axis=0)
     low[2] = high[2] - float(plan.layout.sags.max(initial=0.0))
     extent = float(np.linalg.norm((high - low)[:2]))
@@ -156,7 +156,7 @@ def _knot_eye(plan: Plan) -> rrb.EyeControls3D:
 
 
 def _field_eye(plan: Plan, near: float = 0.2) -> rrb.EyeControls3D:
-    """Look at everything that is flown, across its longer side, in a view that is that wide."""
+    """Return a view of the whole flown area, across its longer side."""
     flown = plan.motion.at(plan.motion.times)[0].reshape(-1, 3)
     low, high = flown.min(axis=0), flown.max(axis=0)
     east, north, _ = high - low

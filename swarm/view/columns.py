@@ -1,4 +1,4 @@
-"""Whole motions in Rerun at once: what a plan moves, and what a flight moved, as columns."""
+"""Whole motions in Rerun, sent as columns: of a plan, and of a flight."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,25 +32,25 @@ STEP: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Course:
-    """What moves, at k moments: centres of the vehicles and grip points of the cable, (k, n, 3).
+class MotionSamples:
+    """Centres of the vehicles and grip points of the cable (k, n, 3) at k moments, metres.
 
-    ``tilt`` (k, n, 4) are the vehicles' rotations where they are known; ``timelines`` are the
-    same k moments on one or more clocks, in seconds.
+    ``rotations`` (k, n, 4) are the vehicles' quaternions xyzw, None where unknown; ``timelines``
+    are the same k moments on one or more clocks, in seconds.
     """
 
     timelines: dict[str, Floats]
     centres: Floats
     cable: Floats
-    tilt: Floats | None = None
+    rotations: Floats | None = None
 
 
-def planned_course(plan: Plan, step: float = STEP) -> Course:
+def planned_motion(plan: Plan, step: float = STEP) -> MotionSamples:
     """Return the plan's motion at every ``step`` of mission time."""
-    times = moments(plan, step)
+    times = mission_times(plan, step)
     position, _, acceleration = plan.motion.at(times)
     above = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
-    return Course(
+    return MotionSamples(
         {"mission_time": times},
         position + above,
         scene.planned_cable(plan, times),
@@ -58,56 +58,56 @@ def planned_course(plan: Plan, step: float = STEP) -> Course:
     )
 
 
-def moments(plan: Plan, step: float) -> Floats:
-    """Return mission times from the plan's beginning to its end, ``step`` seconds apart."""
+def mission_times(plan: Plan, step: float) -> Floats:
+    """Return mission times from the plan's start to its end, ``step`` seconds apart."""
     start, end = float(plan.motion.times[0]), plan.duration
     return np.linspace(start, end, max(2, round((end - start) / step) + 1))
 
 
-def send_course(stream: rr.RecordingStream, entity: str, plan: Plan, course: Course) -> None:
-    """Send vehicles, marks, trails and cable of a course below ``entity``."""
-    count, n = course.centres.shape[:2]
+def send_motion(stream: rr.RecordingStream, entity: str, plan: Plan, motion: MotionSamples) -> None:
+    """Send vehicles, marks, trails and cable of a motion below ``entity``."""
+    count, n = motion.centres.shape[:2]
     vehicles = plan.mission.vehicles
     log_style(stream, entity, vehicles.radius)
     stream.log(f"{entity}/vehicles", quadrotor(vehicles.radius, vehicles.grip_offset), static=True)
     poses = rr.InstancePoses3D.columns(
-        translations=_flat(course.centres),
-        quaternions=None if course.tilt is None else course.tilt.reshape(-1, 4),
+        translations=_flat(motion.centres),
+        quaternions=None if motion.rotations is None else motion.rotations.reshape(-1, 4),
     )
-    _send(stream, f"{entity}/vehicles", course, poses.partition([n] * count))
-    marks = rr.Points3D.columns(positions=_flat(course.centres))
-    _send(stream, f"{entity}/marks", course, marks.partition([n] * count))
+    _send(stream, f"{entity}/vehicles", motion, poses.partition([n] * count))
+    marks = rr.Points3D.columns(positions=_flat(motion.centres))
+    _send(stream, f"{entity}/marks", motion, marks.partition([n] * count))
     labels = rr.Points3D.from_fields(
         labels=[str(i + 1) for i in range(n)], colors=[GHOST_COLOUR] * n
     )
     stream.log(f"{entity}/marks", labels, static=True)
-    _send_trails(stream, entity, course)
-    _send_cable(stream, entity, plan, course)
+    _send_trails(stream, entity, motion)
+    _send_cable(stream, entity, plan, motion)
 
 
-def _send_trails(stream: rr.RecordingStream, entity: str, course: Course) -> None:
-    count, n = course.centres.shape[:2]
-    pairs = np.stack([course.centres[:-1], course.centres[1:]], axis=2)
+def _send_trails(stream: rr.RecordingStream, entity: str, motion: MotionSamples) -> None:
+    count, n = motion.centres.shape[:2]
+    pairs = np.stack([motion.centres[:-1], motion.centres[1:]], axis=2)
     strips = rr.LineStrips3D.columns(strips=pairs.reshape(-1, 2, 3))
-    later = {name: times[1:] for name, times in course.timelines.items()}
+    later = {name: times[1:] for name, times in motion.timelines.items()}
     _send(stream, f"{entity}/trails", later, strips.partition([n] * (count - 1)))
     style = rr.LineStrips3D.from_fields(colors=vehicle_colours(n), radii=[0.012])
     stream.log(f"{entity}/trails", style, static=True)
 
 
-def _send_cable(stream: rr.RecordingStream, entity: str, plan: Plan, course: Course) -> None:
+def _send_cable(stream: rr.RecordingStream, entity: str, plan: Plan, motion: MotionSamples) -> None:
     lengths = plan.layout.lengths
-    shapes = scene.strands(course.cable, lengths, scene.POINTS_PER_SEGMENT)
-    colours = scene.tautness_colours(scene.tautness(course.cable, lengths))
+    shapes = scene.strands(motion.cable, lengths, scene.POINTS_PER_SEGMENT)
+    colours = scene.tautness_colours(scene.tautness(motion.cable, lengths))
     strips = rr.LineStrips3D.columns(
         strips=shapes.reshape(-1, scene.POINTS_PER_SEGMENT, 3), colors=colours.reshape(-1, 3)
     )
-    _send(stream, f"{entity}/cable", course, strips.partition([len(lengths)] * len(shapes)))
+    _send(stream, f"{entity}/cable", motion, strips.partition([len(lengths)] * len(shapes)))
 
 
 def send_plan_curves(stream: rr.RecordingStream, plan: Plan) -> None:
-    """Send what a plan's curves show: speeds, tautness, and sampled distances of strands."""
-    times = moments(plan, STEP)
+    """Send the curves of a plan: speeds, tautness, and sampled distances of strands."""
+    times = mission_times(plan, STEP)
     clock = {"mission_time": times}
     n = plan.vehicles
     speed = np.linalg.norm(plan.motion.at(times)[1], axis=-1)
@@ -129,24 +129,24 @@ def send_plan_curves(stream: rr.RecordingStream, plan: Plan) -> None:
 
 
 def send_errors(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None:
-    """Send a trace's tracking errors and the ball within which they should stay."""
+    """Send the tracking errors of a trace and the tracking radius."""
     clocks = {"time": trace.time, "mission_time": trace.mission_time}
     error = np.linalg.norm(trace.position - trace.setpoint, axis=-1)
     names = [f"vehicle {i + 1}" for i in range(plan.vehicles)]
     _curves(stream, "error", names, clocks, error)
-    _limit(stream, "error/limit", plan.mission.vehicles.tracking, "tracking ball", clocks)
+    _limit(stream, "error/limit", plan.mission.vehicles.tracking, "tracking radius", clocks)
 
 
 def send_distances(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None:
-    """Send how close strands came, planned and as reported, over mission time; for verification."""
+    """Send the sampled distances of strands over mission time, planned and flown."""
     if plan.vehicles < 4:
         return
     names = ("planned", "flown")
     sampled, planned = planned_strand_distances(plan)
-    known = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
-    known &= np.isfinite(trace.position).all(axis=(1, 2))
-    between = float(np.median(np.diff(trace.time)))
-    where = np.flatnonzero(known)[:: max(1, round(SAMPLE_INTERVAL / between))]
+    aloft = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
+    aloft &= np.isfinite(trace.position).all(axis=(1, 2))
+    interval = float(np.median(np.diff(trace.time)))
+    where = np.flatnonzero(aloft)[:: max(1, round(SAMPLE_INTERVAL / interval))]
     flown = smallest_strand_distances(plan, trace.position[where])
     for name, times, values in zip(
         names, (sampled, trace.mission_time[where]), (planned, flown), strict=True
@@ -190,10 +190,10 @@ def _limit(
 def _send(
     stream: rr.RecordingStream,
     entity: str,
-    when: Course | dict[str, Floats],
+    when: MotionSamples | dict[str, Floats],
     columns: rr.ComponentColumnList,
 ) -> None:
-    clocks = when.timelines if isinstance(when, Course) else when
+    clocks = when.timelines if isinstance(when, MotionSamples) else when
     indexes = [rr.TimeColumn(name, duration=times) for name, times in clocks.items()]
     stream.send_columns(entity, indexes=indexes, columns=columns)
 

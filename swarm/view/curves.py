@@ -1,6 +1,6 @@
-"""Curves of a live recording: their points go to Rerun some at a time, as columns.
+"""Curves of a live recording, sent to Rerun in batches of points.
 
-Every call costs the same whatever it carries, and a curve may come a moment late.
+A call to Rerun costs the same for any number of points, and a curve may be a moment late.
 """
 
 from typing import Final
@@ -11,31 +11,31 @@ import rerun as rr
 
 Floats = npt.NDArray[np.float64]
 
-EVERY: Final = 0.4
-"""Seconds of a curve that are sent together."""
+BATCH_TIME: Final = 0.4
+"""Seconds of a curve in one batch."""
 
 
-class Curves:
-    """Points of curves that wait to be sent, each with its time and mission time."""
+class CurveBuffer:
+    """Points of curves that are not sent yet, each with its time and mission time."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._waiting: dict[str, list[tuple[float, float, Floats]]] = {}
-        self._since = -np.inf
+        self._last_sent = -np.inf
 
     def add(self, entity: str, time: float, mission_time: float, values: npt.ArrayLike) -> None:
-        """Take the next point of an entity's curves (n,)."""
+        """Add the next point of an entity's curves (n,)."""
         row = np.atleast_1d(np.asarray(values, dtype=np.float64))
         self._waiting.setdefault(entity, []).append((time, mission_time, row))
 
-    def pass_on(self, now: float) -> None:
-        """Send what waits, if it has waited for long enough."""
-        if not 0.0 <= now - self._since < EVERY:
-            self._since = now
+    def send_due(self, now: float) -> None:
+        """Send all points if the last batch is :data:`BATCH_TIME` old."""
+        if not 0.0 <= now - self._last_sent < BATCH_TIME:
+            self._last_sent = now
             self.send()
 
     def send(self) -> None:
-        """Send all that waits."""
+        """Send all points."""
         for entity, points in self._waiting.items():
             times, clock, values = zip(*points, strict=True)
             self._stream.send_columns(

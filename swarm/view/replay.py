@@ -1,4 +1,4 @@
-"""Recordings made after the fact: a plan to study, a flight beside its plan."""
+"""Rerun recordings of a plan, and of a flight beside its plan."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,11 +13,11 @@ from swarm.planning.cable_shape import planned_grip
 from swarm.reports import scene
 from swarm.view.blueprint import comparison_blueprint, plan_blueprint
 from swarm.view.columns import (
-    Course,
-    planned_course,
-    send_course,
+    MotionSamples,
+    planned_motion,
     send_distances,
     send_errors,
+    send_motion,
     send_phases,
     send_plan_curves,
 )
@@ -38,21 +38,21 @@ def write_plan(plan: Plan, path: Path) -> None:
 
 def send_planned(stream: rr.RecordingStream, plan: Plan) -> None:
     """Send the planned motion below ``plan/team`` and the phases, on the mission clock."""
-    send_course(stream, "plan/team", plan, planned_course(plan))
+    send_motion(stream, "plan/team", plan, planned_motion(plan))
     send_phases(stream, "plan/phase", plan)
 
 
 def write_flight(plan: Plan, trace: Trace, events: Iterable[Event], path: Path) -> None:
     """Write a flight and its plan as one Rerun recording, side by side on the mission clock.
 
-    It has what a trace knows: positions and setpoints. Batteries, modes and links are in the
-    recording that was made in flight.
+    It has the positions and setpoints of the trace. Batteries, modes and links are only in the
+    recording of the live flight.
     """
     stream = _recording(plan)
     stream.save(path, default_blueprint=comparison_blueprint(plan))
     log_plan(stream, plan)
     send_planned(stream, plan)
-    send_course(stream, "flight", plan, flown_course(plan, trace))
+    send_motion(stream, "flight", plan, flown_motion(plan, trace))
     send_errors(stream, plan, trace)
     send_distances(stream, plan, trace)
     for event in events:
@@ -60,12 +60,12 @@ def write_flight(plan: Plan, trace: Trace, events: Iterable[Event], path: Path) 
     stream.disconnect()
 
 
-def flown_course(plan: Plan, trace: Trace) -> Course:
-    """Return a trace as a course; its cable is held where the plan has it gripped."""
+def flown_motion(plan: Plan, trace: Trace) -> MotionSamples:
+    """Return the motion of a trace; the cable is gripped as planned."""
     above = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
     gripped = planned_grip(plan, trace.mission_time)[:, None, None]
     resting = scene.planned_cable(plan, trace.mission_time)
-    return Course(
+    return MotionSamples(
         {"time": trace.time, "mission_time": trace.mission_time},
         trace.position + above,
         np.where(gripped, trace.position, resting),

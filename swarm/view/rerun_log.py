@@ -1,8 +1,8 @@
-"""Showing and recording a flight in Rerun without ever delaying it.
+"""A flight shown and recorded in Rerun without a delay of the flight.
 
-Every sink, the file and the live viewer, is a process of its own. It is fed through a queue that
-drops its oldest snapshots when the process does not keep up, by a thread that is the only one to
-wait for it. A viewer that stalls, or that nobody opens, holds up nothing else.
+Each sink, the file and the live viewer, is a separate process. A queue feeds it that drops its
+oldest snapshots when the process is too slow; only the thread of this queue waits for the process.
+A viewer that stalls, or that is not opened, delays nothing else.
 """
 
 import os
@@ -26,15 +26,15 @@ from swarm.view.viewers import free_port, has_display, proxy_url, web_url
 Live = Literal["native", "web"]
 
 NEWEST_SNAPSHOTS: Final = 400
-"""Snapshots that wait for a slow sink, or for one that is still starting; then the oldest go."""
+"""Snapshots in the queue of a sink that is slow or still starting; beyond it the oldest drop."""
 
 NEWEST_EVENTS: Final = 10_000
-"""Events that wait; they are few, and none should be lost."""
+"""Events in the queue; they are few, and none should be lost."""
 
 
 @dataclass(frozen=True)
 class SinkOptions:
-    """Where a sink's process puts what it is fed: a file, or a server on loopback for viewers."""
+    """The output of a sink: a file, or a server on loopback for viewers."""
 
     path: str | None = None
     live: Live | None = None
@@ -43,28 +43,28 @@ class SinkOptions:
 
 
 class Viewer:
-    """A flight's recording and live view. Offering to it never blocks and never raises."""
+    """A flight's recording and live view; :meth:`offer` never blocks and never raises."""
 
     def __init__(self, feeds: list["Feed"], message: str | None) -> None:
         self._feeds = feeds
         self.message: Final = message
-        """One line for the user: where to look, or why there is nothing to look at."""
+        """One line for the user: the address of the live view, or the reason for its absence."""
 
     @property
     def dropped(self) -> int:
-        """Number of snapshots dropped so far because a sink did not keep up."""
+        """Number of dropped snapshots, because a sink was too slow."""
         return sum(feed.dropped for feed in self._feeds)
 
     def offer(self, item: Snapshot | Event) -> None:
-        """Hand over what happened; returns at once whatever the viewer does."""
+        """Queue a snapshot or event for all sinks; return at once."""
         for feed in self._feeds:
             feed.offer(item)
 
     def close(self, timeout: float = 10.0) -> bool:
-        """Write out what is still waiting and end the processes; an open window stays.
+        """Write the queued items and end the processes; an open window stays.
 
-        What has not been written after ``timeout`` seconds is given up. Returns whether
-        everything that was not dropped before has been written.
+        Items that are not written after ``timeout`` seconds are discarded. Returns whether all
+        queued items are written.
         """
         until = time.monotonic() + timeout
         for feed in self._feeds:
@@ -76,8 +76,8 @@ class Viewer:
 def start(plan: Plan, path: Path | None, live: Live | None) -> Viewer:
     """Start recording a flight to ``path`` (.rrd) and showing it ``live``; either may be None.
 
-    ``native`` opens a window, ``web`` serves a page on loopback. Without a display ``native``
-    shows nothing: :attr:`Viewer.message` says so, and the file is written all the same. Raises
+    ``native`` opens a window, ``web`` serves a page on loopback. Without a display there is no
+    window; :attr:`Viewer.message` reports that, and the file is written. Raises
     :class:`InputError` where the file cannot be written.
     """
     feeds: list[Feed] = []
@@ -87,7 +87,7 @@ def start(plan: Plan, path: Path | None, live: Live | None) -> Viewer:
         feeds.append(Feed(plan, SinkOptions(path=str(path))))
     if live == "native" and not has_display():
         later = f"; open {path} later with: swarm view {path}" if path else ""
-        message = f"no display here, so no window{later}"
+        message = f"no display, so no window{later}"
     elif live is not None:
         port = free_port()
         web_port = free_port() if live == "web" else None
@@ -116,8 +116,8 @@ class Feed:
         self._events: deque[Event] = deque(maxlen=NEWEST_EVENTS)
         self._waiting = threading.Event()
         self._finished = False
-        # In a session of its own: an interrupt from the keyboard ends the flight, and the record
-        # must still be completed after that.
+        # A new session: an interrupt from the keyboard ends the flight, and the recording must be
+        # completed after that.
         self._process = subprocess.Popen(
             [sys.executable, "-m", "swarm.view.rerun_sink"],
             stdin=subprocess.PIPE,
@@ -134,7 +134,7 @@ class Feed:
         self._thread.start()
 
     def offer(self, item: Snapshot | Event) -> None:
-        """Queue an item; the oldest snapshot makes room when the queue is full."""
+        """Queue an item; a full queue drops its oldest snapshot."""
         if isinstance(item, Event):
             self._events.append(item)
         else:
@@ -143,14 +143,14 @@ class Feed:
         self._waiting.set()
 
     def finish(self) -> None:
-        """Say that nothing more will come."""
+        """Mark the end of the queue."""
         self._finished = True
         self._waiting.set()
 
     def join(self, until: float) -> bool:
-        """Wait for the process until a moment of the monotonic clock, then end it by force.
+        """Wait for the process until a time of the monotonic clock, then kill it.
 
-        Returns whether it ended by itself with everything written.
+        Returns whether it ended by itself with all items written.
         """
         self._thread.join(max(0.0, until - time.monotonic()))
         try:
@@ -175,13 +175,13 @@ class Feed:
                 while self._events or self._snapshots:
                     self._send((self._events or self._snapshots).popleft())
         except OSError:
-            # The sink is gone (killed, or its disk is full); the flight goes on without it.
+            # The sink has ended (killed, or its disk is full); the flight continues without it.
             self._events.clear()
             self._snapshots.clear()
         finally:
             self._pipe.close()
 
     def _send(self, item: object) -> None:
-        rest = memoryview(pickle.dumps(item))
-        while rest:
-            rest = rest[self._pipe.write(rest) :]
+        unsent = memoryview(pickle.dumps(item))
+        while unsent:
+            unsent = unsent[self._pipe.write(unsent) :]

@@ -1,7 +1,7 @@
-"""Plans and flights as Rerun entities: one batch per quantity, whatever the number of vehicles.
+"""Plans and flights as Rerun entities, with one batch per quantity for all vehicles.
 
-Timelines: ``time`` is seconds since the record began, ``mission_time`` the mission clock. What a
-plan says of a moment lives under ``plan/``, what was flown under ``flight/``.
+Timelines: ``time`` is seconds since the start of the record, ``mission_time`` the mission clock.
+Planned entities are below ``plan/``, flown ones below ``flight/``.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from swarm.planning import Plan
 from swarm.planning.cable_shape import laid_grip_points
 from swarm.reports import scene
 from swarm.reports.formatting import clock, event_text, log_level
-from swarm.view.curves import Curves
+from swarm.view.curves import CurveBuffer
 
 Floats = npt.NDArray[np.float64]
 
@@ -24,17 +24,20 @@ PATH_COLOUR: Final = (120, 110, 185)
 GHOST_COLOUR: Final = (235, 235, 245)
 PLAN_COLOUR: Final = (105, 115, 135)
 CABLE_RADIUS: Final = 0.025
-"""Metres: thicker than cables are, so that it shows in a scene of fifty metres."""
+"""Metres; thicker than a real cable, to be visible in a scene of fifty metres."""
 
-OFTEN: Final = 0.2
-SELDOM: Final = 1.0
+FAST_PERIOD: Final = 0.2
+"""Seconds between updates of colours, trails and margins."""
+
+SLOW_PERIOD: Final = 1.0
+"""Seconds between updates of batteries, links and the tightest distance."""
 
 
 def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
-    """Log what does not move: floor frame, fence, pads, path, folded knot and its crossings."""
+    """Log the static entities: axes, fence, pads, path, folded knot and its crossings."""
 
-    def static(entity: str, *what: rr.AsComponents) -> None:
-        stream.log(entity, *what, static=True)
+    def static(entity: str, *components: rr.AsComponents) -> None:
+        stream.log(entity, *components, static=True)
 
     vehicles = plan.mission.vehicles
     static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
@@ -73,7 +76,7 @@ def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
 
 
 def _log_wind(static: Callable[..., None], plan: Plan) -> None:
-    """Log an arrow for the wind that the plan reckons with; it may blow from any side."""
+    """Log an arrow for the wind of the mission, which may come from any side."""
     wind = plan.mission.wind
     if wind.steady + wind.gust <= 0.0:
         return
@@ -92,7 +95,7 @@ def _log_wind(static: Callable[..., None], plan: Plan) -> None:
 
 
 def quadrotor(radius: float, grip_offset: float) -> rr.Mesh3D:
-    """Return a small quadrotor about its centre: arms, four rotors, and the dropper to its grip."""
+    """Return the mesh of a quadrotor around its centre: arms, four rotors, dropper to its grip."""
     angles = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
     rim = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(16)])
     fan = np.stack([np.zeros(16, int), 1 + np.arange(16), 1 + (np.arange(16) + 1) % 16], axis=1)
@@ -129,7 +132,7 @@ def quadrotor(radius: float, grip_offset: float) -> rr.Mesh3D:
 
 
 class Recorder:
-    """Logs a flight as it happens; a tick costs the same few calls for any number of vehicles."""
+    """Logs a live flight with the same few calls to Rerun for any number of vehicles."""
 
     def __init__(self, stream: rr.RecordingStream, plan: Plan) -> None:
         self._stream = stream
@@ -140,48 +143,48 @@ class Recorder:
         self._gripped = np.zeros(plan.vehicles, dtype=bool)
         self._trail = np.full((plan.vehicles, 3), np.nan)
         self._strips = scene.strands(self._held, plan.layout.lengths, scene.POINTS_PER_SEGMENT)
-        self._shown = False
-        self._look: object = None
-        self._words: dict[str, str] = {}
+        self._shape_logged = False
+        self._appearance: object = None
+        self._states: dict[str, str] = {}
         self._next: dict[float, float] = {}
         self._counts = np.zeros((2, plan.vehicles))
-        self._curves = Curves(stream)
+        self._curves = CurveBuffer(stream)
         log_plan(stream, plan)
         self._log_styles()
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Log the team at one moment, at its own time.
+        """Log a snapshot of the team at its time.
 
-        What moves is logged each time, colours of the cable, trails and slow figures less often.
+        Positions are logged every time; colours of the cable, trails and slow values less often.
         """
         self._stream.set_time("time", duration=snapshot.time)
         self._stream.set_time("mission_time", duration=snapshot.mission_time)
-        often = self._due(OFTEN, snapshot.time)
+        fast = self._due(FAST_PERIOD, snapshot.time)
         self._log_vehicles(snapshot)
-        self._log_cable(snapshot, colours=often)
+        self._log_cable(snapshot, colours=fast)
         self._draw("error", snapshot, scene.tracking_errors(snapshot))
-        if often:
+        if fast:
             self._log_trails(snapshot)
             self._draw("rate", snapshot, snapshot.rate)
             age = snapshot.link_age
             self._draw("link", snapshot, np.where(np.isfinite(age), age, np.nan))
             self._log_margins(snapshot)
-        if self._due(SELDOM, snapshot.time):
+        if self._due(SLOW_PERIOD, snapshot.time):
             self._log_tightest(snapshot)
             self._draw("battery", snapshot, 100.0 * snapshot.battery)
             self._log_links(snapshot)
             self._draw("error/limit", snapshot, self._limit)
             self._draw("link/limit", snapshot, scene.SILENT_AFTER)
-        self._curves.pass_on(snapshot.time)
-        self._say("states/phase", snapshot.phase)
-        self._say("states/gate", snapshot.waiting_for or "–")
+        self._curves.send_due(snapshot.time)
+        self._log_state("states/phase", snapshot.phase)
+        self._log_state("states/gate", snapshot.waiting_for or "–")
 
     def event(self, event: Event) -> None:
-        """Log something that happened."""
+        """Log an event."""
         log_event(self._stream, event)
 
     def finish(self) -> None:
-        """Log the ends of the curves."""
+        """Send the last points of the curves."""
         self._curves.send()
 
     def _draw(self, curve: str, snapshot: Snapshot, values: npt.ArrayLike) -> None:
@@ -203,7 +206,7 @@ class Recorder:
                 static=True,
             )
         limits = (
-            ("error/limit", f"tracking ball {self._limit:g} m"),
+            ("error/limit", f"tracking radius {self._limit:g} m"),
             ("link/limit", f"silent after {scene.SILENT_AFTER:g} s"),
         )
         for entity, name in limits:
@@ -218,8 +221,8 @@ class Recorder:
             widths=[2.0, 2.0],
         )
         log("plots/margin", margins, static=True)
-        nothing = rr.SeriesLines(names="nothing left", colors=(255, 80, 80), widths=2.0)
-        log("plots/margin/limit", nothing, static=True)
+        zero = rr.SeriesLines(names="no margin", colors=(255, 80, 80), widths=2.0)
+        log("plots/margin/limit", zero, static=True)
         log(
             "plots/rate",
             rr.SeriesLines(names="mission clock rate", colors=(120, 200, 255), widths=2.0),
@@ -230,7 +233,7 @@ class Recorder:
             colors=[(*colour, 255) for colour in scene.STATE_COLOURS.values()],
         )
         for i in range(n):
-            log(lane("vehicles", i, n), states, static=True)
+            log(state_entity("vehicles", i, n), states, static=True)
 
     def _due(self, period: float, now: float) -> bool:
         due = now >= self._next.get(period, -np.inf)
@@ -244,25 +247,25 @@ class Recorder:
         known = np.isfinite(snapshot.position).all(axis=-1)
         aimed = known & np.isfinite(snapshot.setpoint).all(axis=-1)
         centres = (snapshot.position + self._above)[known]
-        if known.any() and not self._shown:
-            # Not before: a shape without a place would be drawn at the origin.
-            self._shown = True
+        if known.any() and not self._shape_logged:
+            # A shape without a position would be drawn at the origin.
+            self._shape_logged = True
             size = self._plan.mission.vehicles
             log("flight/vehicles", quadrotor(size.radius, size.grip_offset))
         log("flight/vehicles", rr.InstancePoses3D(translations=centres))
         log("flight/marks", rr.Points3D.from_fields(positions=centres))
         ghosts = (snapshot.setpoint + self._above)[aimed]
         log("flight/setpoints", rr.Points3D.from_fields(positions=ghosts))
-        look = (states, snapshot.modes, known.tolist())
-        if look == self._look:
+        appearance = (states, snapshot.modes, known.tolist())
+        if appearance == self._appearance:
             return
-        self._look = look
+        self._appearance = appearance
         colours = np.array([scene.STATE_COLOURS[state] for state in states], np.uint8)
         labels = [str(i + 1) for i in np.flatnonzero(known)]
         log("flight/marks", rr.Points3D.from_fields(colors=colours[known], labels=labels))
         for i, (mode, state) in enumerate(zip(snapshot.modes, states, strict=True)):
-            self._say(lane("vehicles", i, len(states)), state)
-            self._say(lane("modes", i, len(states)), mode or "unknown")
+            self._log_state(state_entity("vehicles", i, len(states)), state)
+            self._log_state(state_entity("modes", i, len(states)), mode or "unknown")
 
     def _log_trails(self, snapshot: Snapshot) -> None:
         pair = np.stack([self._trail, snapshot.position], axis=1)
@@ -281,17 +284,19 @@ class Recorder:
         )
 
     def _log_margins(self, snapshot: Snapshot) -> None:
-        found, asked = snapshot.clearances, self._plan.mission.clearance
-        if found is not None:
-            left = np.array([found.cable - asked.cable, found.vehicle - asked.vehicle])
-            left[~np.isfinite(left)] = np.nan
-            self._draw("margin", snapshot, left)
+        clearances, required = snapshot.clearances, self._plan.mission.clearance
+        if clearances is not None:
+            margins = np.array(
+                [clearances.cable - required.cable, clearances.vehicle - required.vehicle]
+            )
+            margins[~np.isfinite(margins)] = np.nan
+            self._draw("margin", snapshot, margins)
             self._draw("margin/limit", snapshot, 0.0)
-        for wish, (is_open, _) in snapshot.available.items():
-            self._say(f"states/windows/{wish}", "open" if is_open else "closed")
+        for command, (possible, _) in snapshot.available.items():
+            self._log_state(f"states/windows/{command}", "open" if possible else "closed")
 
     def _log_links(self, snapshot: Snapshot) -> None:
-        """Log the latest round trips, and the share of packets lost since the last time."""
+        """Log the latest round trips, and the share of packets lost since the last update."""
         if not len(snapshot.received):
             return
         self._draw("round_trip", snapshot, 1e3 * snapshot.round_trip)
@@ -314,28 +319,28 @@ class Recorder:
         )
         self._stream.log("flight/tightest", line)
 
-    def _say(self, entity: str, word: str) -> None:
-        if self._words.get(entity) != word:
-            self._words[entity] = word
-            self._stream.log(entity, rr.StateChange(state=word))
+    def _log_state(self, entity: str, state: str) -> None:
+        if self._states.get(entity) != state:
+            self._states[entity] = state
+            self._stream.log(entity, rr.StateChange(state=state))
 
 
 def log_event(stream: rr.RecordingStream, event: Event) -> None:
-    """Log something that happened, at its own time."""
+    """Log an event at its time."""
     stream.set_time("time", duration=event.time)
-    words = f"{clock(event.time)}  {event_text(event)}"
-    stream.log("log", rr.TextLog(words, level=log_level(event)))
+    text = f"{clock(event.time)}  {event_text(event)}"
+    stream.log("log", rr.TextLog(text, level=log_level(event)))
 
 
 def log_style(stream: rr.RecordingStream, entity: str, radius: float) -> None:
-    """Log what never changes of a team below ``entity``: sizes of its marks and of its cable."""
+    """Log the sizes of a team's marks and cable below ``entity``."""
     marks = rr.Points3D.from_fields(radii=[0.35 * radius], show_labels=True)
     stream.log(f"{entity}/marks", marks, static=True)
     stream.log(f"{entity}/cable", rr.LineStrips3D.from_fields(radii=[CABLE_RADIUS]), static=True)
 
 
-def lane(kind: str, vehicle: int, count: int) -> str:
-    """Return the lane of a vehicle's states; numbers are padded so that lanes are in order."""
+def state_entity(kind: str, vehicle: int, count: int) -> str:
+    """Return the entity of a vehicle's states; padded numbers keep the entities in order."""
     return f"states/{kind}/{vehicle + 1:0{len(str(count))}d}"
 
 

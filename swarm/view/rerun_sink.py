@@ -1,7 +1,7 @@
-"""The process that turns a flight into one Rerun recording: ``python -m swarm.view.rerun_sink``.
+"""The process that writes a flight to one Rerun recording: ``python -m swarm.view.rerun_sink``.
 
-It reads pickles from its standard input (the plan and where to put it, then snapshots and events)
-until that ends, however it ends: then the recording is completed.
+It reads pickles from its standard input: the plan and the output, then snapshots and events. At the
+end of the input, also a broken one, it completes the recording.
 """
 
 import os
@@ -21,7 +21,7 @@ from swarm.view.rerun_scene import Recorder
 from swarm.view.viewers import open_window, proxy_url, serve
 
 FLUSH = 5.0
-"""Seconds that the last of a live recording may take to reach the server."""
+"""Seconds within which the end of a live recording reaches the server."""
 
 
 def main() -> None:
@@ -37,8 +37,8 @@ def main() -> None:
     if options.path is not None:
         stream.save(options.path, default_blueprint=flight_blueprint(plan, live=False))
     else:
-        # Viewers may come late: the server keeps what was logged before. It is no file, so nobody
-        # compares it with the plan, and the plan's motion is left out.
+        # Viewers may connect late: the server keeps earlier data. The plan's motion is left out,
+        # because a live view is not compared with the plan.
         server = serve(options.port, options.web_port)
         url = proxy_url(options.port)
         stream.connect_grpc(url, default_blueprint=flight_blueprint(plan, live=True))
@@ -59,7 +59,7 @@ def main() -> None:
     else:
         stream.flush(timeout_sec=FLUSH)
         server.terminate()
-    # Not through the interpreter's end, where the library waits for viewers that are gone.
+    # Without the interpreter's shutdown, in which the library waits for closed viewers.
     os._exit(0)
 
 

@@ -1,7 +1,7 @@
-"""Rerun's own program: viewers and servers as processes, on loopback only.
+"""Rerun's program: viewers and servers as processes, on loopback only.
 
-The library's own ways of starting them bind every interface of the machine; the program can be
-told not to.
+The library starts them on every interface of the machine; the program has an option for the
+address.
 """
 
 import importlib.util
@@ -25,10 +25,11 @@ DRIVER: Final = (
     "(Debian, Ubuntu: apt install mesa-vulkan-drivers)"
 )
 
-_PATIENCE: Final = 5.0
-"""Seconds that a process may take to end when it is asked to."""
+_EXIT_TIME: Final = 5.0
+"""Seconds within which a terminated process ends by itself."""
 
-_SAID: Final = "rerun.txt"
+_OUTPUT: Final = "rerun.txt"
+"""The file of the program's error output."""
 
 _WINDOW: Final = ("--port", "auto", "--hide-welcome-screen")
 
@@ -37,12 +38,12 @@ _COLOURS: Final = re.compile(r"\x1b\[[0-9;]*m")
 Process = subprocess.Popen[bytes]
 
 
-class ViewerFailed(SwarmError):  # noqa: N818 - it says what happened
-    """Rerun's program is missing, did not start or failed, and why."""
+class ViewerFailed(SwarmError):  # noqa: N818 - it describes the failure
+    """Rerun's program is missing, did not start or failed; the message has the reason."""
 
 
 def viewer_binary() -> Path:
-    """Return the path of the rerun program that the installed package brings along.
+    """Return the path of the rerun program in the installed package.
 
     Raises :class:`ViewerFailed` where there is none.
     """
@@ -57,7 +58,7 @@ def viewer_binary() -> Path:
 
 
 def free_port() -> int:
-    """Return a TCP port of the loopback interface that nobody uses now."""
+    """Return a free TCP port of the loopback interface."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         port: int = probe.getsockname()[1]
@@ -65,17 +66,17 @@ def free_port() -> int:
 
 
 def proxy_url(port: int) -> str:
-    """Return the address at which viewers and recordings meet on that port."""
+    """Return the address of a server for viewers and recordings on a port."""
     return f"rerun+http://{LOOPBACK}:{port}/proxy"
 
 
 def web_url(web_port: int, port: int) -> str:
-    """Return the address of the page that shows what the server on ``port`` is sent."""
+    """Return the address of the page that shows the data of the server on ``port``."""
     return f"http://{LOOPBACK}:{web_port}/?url=rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{port}%2Fproxy"
 
 
 def has_display() -> bool:
-    """Return whether a window can be opened here."""
+    """Return whether a window can be opened on this machine."""
     if sys.platform in {"darwin", "win32"}:
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -84,21 +85,21 @@ def has_display() -> bool:
 def run_viewer(
     arguments: Sequence[str], *, own_group: bool = False, folder: Path | None = None
 ) -> Process:
-    """Start the rerun program, quiet and bound to loopback.
+    """Start the rerun program without output, bound to loopback.
 
-    With ``own_group`` it outlives the process group that started it, as a window should. What it
-    says and leaves goes into ``folder``, where one is given. Raises :class:`ViewerFailed` where it
-    cannot be started.
+    With ``own_group`` it outlives the process group of its parent, as a window should. Its error
+    output and temporary files go into ``folder``, where one is given. Raises :class:`ViewerFailed`
+    where it cannot be started.
     """
     program = str(viewer_binary())
     environment = os.environ if folder is None else os.environ | {"TMPDIR": str(folder)}
     try:
-        with (folder / _SAID if folder else Path(os.devnull)).open("wb") as said:
+        with (folder / _OUTPUT if folder else Path(os.devnull)).open("wb") as output:
             process = subprocess.Popen(  # noqa: S603 - our own arguments to the installed program
                 [program, "--bind", LOOPBACK, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=said,
+                stderr=output,
                 start_new_session=own_group,
                 env=environment,
             )
@@ -110,33 +111,33 @@ def run_viewer(
 
 @contextmanager
 def ending(process: Process) -> Iterator[Process]:
-    """End a process with what is done meanwhile, however that ends."""
+    """End a process at the end of the block."""
     try:
         yield process
     finally:
         process.terminate()
         try:
-            process.wait(_PATIENCE)
+            process.wait(_EXIT_TIME)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
 
 
-def ended(process: Process, folder: Path) -> str:
-    """Return how the rerun program ended, and its last words, which are in ``folder``."""
+def exit_description(process: Process, folder: Path) -> str:
+    """Return how the rerun program ended, with the last line of its output in ``folder``."""
     code = process.wait()
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
-    said = _COLOURS.sub("", (folder / _SAID).read_text(errors="replace"))
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    output = _COLOURS.sub("", (folder / _OUTPUT).read_text(errors="replace"))
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     worst = [line for line in lines if "panicked at" in line or " ERROR " in line]
-    last = (worst or lines or ["it said nothing"])[-1]
+    last = (worst or lines or ["no output"])[-1]
     return f"the rerun program ended ({how}): {last}"
 
 
 def serve(port: int, web_port: int | None, *files: Path, folder: Path | None = None) -> Process:
-    """Start a server that keeps what is logged for viewers that come and go, and given files.
+    """Start a server that keeps logged data and files for viewers.
 
-    It remembers the newest 256 MiB; with ``web_port`` it also serves the viewer as a page.
+    It keeps the newest 256 MiB; with ``web_port`` it also serves the viewer as a page.
     """
     kind = ["--serve-grpc"]
     if web_port is not None:
@@ -147,10 +148,10 @@ def serve(port: int, web_port: int | None, *files: Path, folder: Path | None = N
 
 
 def open_window(*sources: str) -> Process:
-    """Open a viewer's window that stays when the flight is over."""
+    """Open a viewer's window that stays open after the flight."""
     return run_viewer([*_WINDOW, *sources], own_group=True)
 
 
 def window(*sources: str, folder: Path) -> Process:
-    """Open a viewer's window that belongs to this process; see :func:`run_viewer`."""
+    """Open a viewer's window as a child of this process; see :func:`run_viewer`."""
     return run_viewer([*_WINDOW, *sources], folder=folder)

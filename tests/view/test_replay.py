@@ -7,7 +7,7 @@ from rerun.chunk import RrdReader
 from swarm.flight.trace import Trace
 from swarm.reports.strand_distances import planned_strand_distances
 from swarm.view import replay
-from swarm.view.columns import moments, planned_course
+from swarm.view.columns import mission_times, planned_motion
 from tests.reports.synthetic import events, trefoil_plan
 
 PLAN = trefoil_plan()
@@ -25,7 +25,7 @@ def timelines(path: Path) -> dict[str, tuple[int, set[str]]]:
 
 
 def trace(step: float = 0.5) -> Trace:
-    times = moments(PLAN, step)
+    times = mission_times(PLAN, step)
     position = PLAN.motion.at(times)[0]
     position[3, 2] = np.nan
     phase = tuple(PLAN.phase_at(float(time)).name for time in times)
@@ -36,7 +36,7 @@ def test_a_plan_is_one_recording_over_mission_time(tmp_path: Path) -> None:
     path = tmp_path / "plan.rrd"
     replay.write_plan(PLAN, path)
     found = timelines(path)
-    moments_drawn = len(moments(PLAN, 0.1))
+    moments_drawn = len(mission_times(PLAN, 0.1))
     for entity in ("vehicles", "marks", "cable"):
         assert found[f"/plan/team/{entity}"] == (moments_drawn, {"mission_time"})
     assert found["/plan/team/trails"][0] == moments_drawn - 1
@@ -66,12 +66,12 @@ def test_planned_and_flown_distances_are_drawn_together(tmp_path: Path) -> None:
 
 
 def test_planned_vehicles_are_above_their_grips() -> None:
-    course = planned_course(PLAN, 1.0)
-    times = course.timelines["mission_time"]
-    above = course.centres - PLAN.motion.at(times)[0]
+    motion = planned_motion(PLAN, 1.0)
+    times = motion.timelines["mission_time"]
+    above = motion.centres - PLAN.motion.at(times)[0]
     np.testing.assert_allclose(above, np.broadcast_to([0, 0, 0.6], above.shape), atol=1e-12)
-    assert course.tilt is not None
-    np.testing.assert_allclose(course.tilt[0], [[0, 0, 0, 1]] * 9, atol=1e-9)
+    assert motion.rotations is not None
+    np.testing.assert_allclose(motion.rotations[0], [[0, 0, 0, 1]] * 9, atol=1e-9)
 
 
 def test_distances_of_strands_end_at_the_folded_knot_s() -> None:

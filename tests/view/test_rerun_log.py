@@ -117,7 +117,7 @@ def test_without_a_display_the_record_is_written_and_the_user_told(
     path = tmp_path / "flight.rrd"
     viewer = start(plan, path, "native")
     assert viewer.message == (
-        f"no display here, so no window; open {path} later with: swarm view {path}"
+        f"no display, so no window; open {path} later with: swarm view {path}"
     )
     viewer.offer(snapshot_at(plan, 1.0))
     assert viewer.close(timeout=60.0)

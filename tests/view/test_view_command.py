@@ -23,7 +23,7 @@ from swarm.planning.archive import plan_document, plan_motion
 from swarm.view import viewers
 from swarm.view.blueprint import comparison_blueprint, flight_blueprint, plan_blueprint
 from swarm.view.replay import write_plan
-from swarm.view.screenshot import NoPicture, chosen, screenshot
+from swarm.view.screenshot import ScreenshotFailed, find_view, screenshot
 from swarm.view.viewers import DRIVER
 from tests import command
 from tests.reports.synthetic import trefoil_plan
@@ -136,13 +136,13 @@ def program(folder: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("text", "end"),
     [
-        ("exit 3", "(exit code 3): it said nothing"),
+        ("exit 3", "(exit code 3): no output"),
         ("echo one >&2; echo two >&2; exit 1", "(exit code 1): two"),
         (
             "printf '\\033[1mbad\\033[0m ERROR disk\\nsee our page\\n' >&2; exit 1",
             "(exit code 1): bad ERROR disk",
         ),
-        ("kill -9 $$", "(signal 9): it said nothing"),
+        ("kill -9 $$", "(signal 9): no output"),
     ],
 )
 def test_a_viewer_that_fails_is_quoted(
@@ -239,7 +239,7 @@ def test_views_have_names_that_can_be_typed_and_listed(
     assert len(set(names)) == len(names) >= 5
     assert not [name for name in names if set(name) & set(",;\"'$")]
     views = {name: f"id of {name}" for name in names}
-    assert [chosen(views, name.lower()) for name in names] == list(views.values())
+    assert [find_view(views, name.lower()) for name in names] == list(views.values())
 
 
 def test_the_views_that_the_help_names_are_there() -> None:
@@ -251,8 +251,8 @@ def test_the_views_that_the_help_names_are_there() -> None:
 
 
 def test_a_view_that_is_not_there_is_refused_with_those_that_are() -> None:
-    with pytest.raises(NoPicture) as caught:
-        chosen({"Planned": "1", "Flown": "2"}, "Knot")
+    with pytest.raises(ScreenshotFailed) as caught:
+        find_view({"Planned": "1", "Flown": "2"}, "Knot")
     assert str(caught.value) == "--only: expected one of the views (Flown; Planned), got Knot"
 
 
@@ -275,10 +275,10 @@ def test_a_picture_of_a_plan(tmp_path: Path) -> None:
     write_plan(PLAN, tmp_path / "plan.rrd")
     try:
         screenshot([tmp_path / "plan.rrd"], tmp_path / "plan.png", at=60.0, size=(800, 600))
-    except NoPicture as error:
+    except ScreenshotFailed as error:
         pytest.skip(str(error))
     picture = Image.open(tmp_path / "plan.png").convert("RGB")
     assert picture.width == 800
     assert len(picture.getcolors(1 << 20) or []) > 100
-    with pytest.raises(NoPicture, match=r"expected one of the views \(.*Knot.*\), got Nix"):
+    with pytest.raises(ScreenshotFailed, match=r"expected one of the views \(.*Knot.*\), got Nix"):
         screenshot([tmp_path / "plan.rrd"], tmp_path / "plan.png", view="Nix")
