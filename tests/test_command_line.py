@@ -1,4 +1,4 @@
-"""The program as its users run it: exit codes, words, JSON and files."""
+"""The command line: exit codes, messages, JSON and files."""
 
 import csv
 import json
@@ -51,7 +51,7 @@ def swarm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value[:2]),
 )
-def test_bad_input_exits_with_2_and_says_where(arguments: list[str], words: str) -> None:
+def test_bad_input_exits_with_2_and_names_the_place(arguments: list[str], words: str) -> None:
     result = run(*arguments)
     assert result.returncode == 2
     assert result.stdout == ""
@@ -179,7 +179,7 @@ def test_the_papers_tables_are_reproduced_and_refused(name: str, total: float, k
     )
 
 
-def test_what_no_plan_would_do_is_refused_rather_than_ignored() -> None:
+def test_a_start_that_is_not_planned_is_refused() -> None:
     result = run("plan", "3_1", "--set", "start=serpentine")
     assert result.returncode == 1
     assert result.stderr.strip() == (
@@ -188,7 +188,7 @@ def test_what_no_plan_would_do_is_refused_rather_than_ignored() -> None:
     )
 
 
-def test_a_bug_is_told_where_its_traceback_cannot_be_kept(monkeypatch, tmp_path, capsys):
+def test_a_bug_is_reported_without_a_file_for_its_traceback(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
     assert _report_bug(ZeroDivisionError()) == 70
     assert capsys.readouterr().err == (

@@ -1,4 +1,4 @@
-"""The public names: loaded when used, documented, and saying what is wrong with their arguments."""
+"""The public API: imported at first use, documented, with errors that name wrong arguments."""
 
 import inspect
 import re
@@ -67,7 +67,7 @@ def test_every_public_name_is_there_and_listed():
         swarm.plam  # noqa: B018
 
 
-def test_type_checkers_are_told_the_same_names():
+def test_type_checkers_see_the_same_names():
     source = inspect.getsource(swarm)
     told = source[source.index("if TYPE_CHECKING:") : source.index("else:")]
     names = {
@@ -91,7 +91,7 @@ METHODS = [
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_functions_say_their_arguments_errors_and_source(name):
+def test_functions_document_arguments_errors_and_source(name):
     function = getattr(swarm, name)
     text = inspect.getdoc(function)
     for argument in inspect.signature(function).parameters:
@@ -106,7 +106,7 @@ def test_methods_are_documented(method):
     assert len(inspect.getdoc(method)) > 40
 
 
-def test_what_is_shown_of_objects_is_short_and_tells_the_figures():
+def test_reprs_are_short_and_have_the_figures():
     plan, certificate = held()
     flight = swarm.simulate(plan, certificate)
     assert repr(plan) == "<Plan 3_1: 0_1, 3 vehicles, 7.2 m of cable, 61 s>"
@@ -120,13 +120,13 @@ def test_what_is_shown_of_objects_is_short_and_tells_the_figures():
         assert shown._repr_html_().startswith("<div><strong>")
 
 
-def test_words_of_a_notebook_are_text_and_no_markup():
+def test_text_in_notebooks_is_escaped():
     mission = swarm.Mission.for_knot("3_1", name="<script>&")
     assert "<script>" not in mission._repr_html_()
     assert "&lt;script&gt;&amp;" in mission._repr_html_()
 
 
-def test_certificates_round_down_what_they_hold_for():
+def test_figures_of_certificates_are_rounded_down():
     found = swarm.certify(sideways())
     told = re.fullmatch(r"<Certificate: cleared for 0.1 m, e\* (.*) m, w\* (.*) m/s>", repr(found))
     for words, held_for, step in zip(
@@ -162,7 +162,7 @@ def test_a_plan_that_is_not_cleared_is_refused_with_every_reason():
     assert repr(found) == f"<Certificate: not cleared for 0.1 m, {len(errors)} errors>"
 
 
-def test_nothing_flies_on_the_certificate_of_another_plan():
+def test_a_plan_with_the_certificate_of_another_plan_is_refused():
     plan, certificate = held()
     other = swarm.Plan.of(sideways(height=6.0))
     for fly in (swarm.simulate, swarm.monte_carlo):
@@ -176,7 +176,7 @@ def test_nothing_flies_on_the_certificate_of_another_plan():
     assert [problem.place for problem in error.value.problems] == ["trials", "jobs"]
 
 
-def test_a_flight_says_what_it_implies_and_how_exact_it_was(tmp_path):
+def test_a_flight_has_its_implied_knot_and_tracking_error(tmp_path):
     plan, certificate = held()
     flight = swarm.simulate(plan, certificate, seed=3)
     again = swarm.simulate(plan, certificate, seed=3)
@@ -214,7 +214,7 @@ def test_trials_are_a_sequence_and_a_table(tmp_path, monkeypatch):
     trials.plot().savefig(tmp_path / "trials.png")
 
 
-def test_a_motion_from_elsewhere_is_certified_as_the_plan_it_came_from(tmp_path):
+def test_an_external_trajectory_is_certified_as_its_plan(tmp_path):
     plan, certificate = held()
     plan.to_csv(tmp_path / "mine.csv")
     motion = swarm.Motion.from_csv(tmp_path / "mine.csv")
@@ -230,7 +230,7 @@ def test_a_motion_from_elsewhere_is_certified_as_the_plan_it_came_from(tmp_path)
         swarm.simulate(foreign, found)
 
 
-def test_a_cable_keeps_what_the_mission_says_unless_it_says_more():
+def test_a_cable_overrides_the_cable_of_the_mission():
     mission = swarm.Mission.for_knot("3_1", cable={"diameter": 0.02, "mass_per_length": 0.05})
     thick = swarm.Cable([3.4], mass_per_length=0.06).section(mission.cable)
     assert (thick.diameter, thick.mass_per_length) == (0.02, 0.06)
@@ -242,7 +242,7 @@ def test_a_cable_keeps_what_the_mission_says_unless_it_says_more():
         swarm.Cable(lengths=[3.4], diameter=-1.0)
 
 
-def test_a_cable_belongs_to_a_motion_and_to_nothing_else(tmp_path):
+def test_a_cable_is_only_accepted_with_a_motion(tmp_path):
     plan, _ = held()
     plan.to_csv(tmp_path / "mine.csv")
     motion = swarm.Motion.from_csv(tmp_path / "mine.csv")
@@ -293,7 +293,7 @@ def test_curves_are_named_with_their_chirality():
             swarm.identify(wrong)
 
 
-def test_a_view_without_a_display_keeps_the_recording_and_says_so(tmp_path, monkeypatch):
+def test_a_view_without_a_display_writes_the_recording_and_warns(tmp_path, monkeypatch):
     monkeypatch.setattr("swarm.view.viewers.has_display", lambda: False)
     plan, _ = held()
     with pytest.warns(UserWarning, match="no display here"):

@@ -1,4 +1,4 @@
-"""What is said at the end of flights that carry no cable, tie no knot, or do not get that far."""
+"""The outcome of flights without cable, without a knot, or that end before the fold."""
 
 import io
 
@@ -22,7 +22,7 @@ def hover(tmp_path_factory):
     return said, Reader(page.read_text()).words
 
 
-def test_a_flight_without_a_cable_says_nothing_of_knots_and_has_no_empty_table(hover):
+def test_a_flight_without_cable_has_no_line_on_knots_and_no_empty_table(hover):
     said, words = hover
     assert said.returncode == 0
     after = said.stdout.split("phase finished\n")[1].splitlines()
@@ -35,7 +35,7 @@ def test_a_flight_without_a_cable_says_nothing_of_knots_and_has_no_empty_table(h
     assert "Smallest distances" not in words
 
 
-def test_a_flight_that_ends_before_the_fold_has_no_table_of_unknowns():
+def test_a_flight_that_ends_before_the_fold_has_no_table_of_distances():
     flight_plan = small_plan()
     positions = flight_plan.plan.motion.at(0.0)[0][None]
     trace = Trace(*[positions[:, 0, 0]] * 2, positions, positions, ("takeoff",))

@@ -42,7 +42,7 @@ def test_all_prime_knots_to_ten_crossings_are_in_the_table() -> None:
     assert {"3_1", "10_165", "granny", "torus(3,5)"} <= set(wanted)
 
 
-def test_rows_that_a_file_has_are_printed_and_not_planned_again(tmp_path: Path) -> None:
+def test_rows_in_a_file_are_printed_and_not_planned_again(tmp_path: Path) -> None:
     kept = tmp_path / "rows.jsonl"
     kept.write_text(json.dumps(ROW) + "\n" + '{"knot": "4_1", "cle')
     code, printed = run("--only", "^3_1$", "--to", str(kept), "--csv")
@@ -56,7 +56,7 @@ def test_rows_that_a_file_has_are_printed_and_not_planned_again(tmp_path: Path) 
     assert "1 knots, 0 refused; 3 s of processor time" in printed
 
 
-def test_a_refused_knot_says_why_and_the_exit_code_tells(tmp_path: Path) -> None:
+def test_a_refused_knot_has_a_reason_and_exit_code_1(tmp_path: Path) -> None:
     kept = tmp_path / "rows.jsonl"
     row = ROW | {"cleared": False, "cable_length": None, "message": "tried a cell of 2 m"}
     kept.write_text(json.dumps(row) + "\n")
@@ -88,11 +88,11 @@ def test_a_knot_that_cannot_be_planned_still_has_its_row(tmp_path: Path) -> None
         (["--csv"], "these options belong to --plan"),
     ],
 )
-def test_what_makes_no_sense_is_usage(arguments: list[str], message: str) -> None:
+def test_contradicting_options_are_a_usage_error(arguments: list[str], message: str) -> None:
     assert message in said(*arguments)
 
 
-def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path) -> None:
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     kept = tmp_path / "rows.jsonl"
     kept.write_text("hello\n" + json.dumps(ROW) + "\n")
     message = f"{kept}: line 1: expected a row that --plan wrote"

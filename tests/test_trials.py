@@ -1,5 +1,6 @@
 """Trials: what is drawn, that it is flown the same again, and what all of them are said to say."""
 
+import io
 import json
 import math
 import signal
@@ -9,12 +10,14 @@ from functools import cache
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused, SwarmError
 from swarm.flight.setup import Options
 from swarm.ground.fly import fly
 from swarm.mission.fleet import emulated_fleet
+from swarm.reports.trials_text import print_trials
 from swarm.simulation.monte_carlo import (
     CertifiedClearances,
     Spread,
@@ -267,3 +270,17 @@ def test_what_is_let_go_at_the_end_of_the_hold_has_not_been_lost():
     earlier = replace(plan, gates=early)
     flown, _ = fly_trial(CertifiedPlan(earlier, certify(earlier)), slow, 5, 0)
     assert (flown.outcome, flown.reason) == ("done", "")
+
+
+def test_the_terminal_shows_completion_distances_and_the_worst_trials():
+    trials = [trial(0), trial(1, failure="vehicle 2: link", outcome="failed", reason="lost")]
+    certified = certify_clearances(PLAN, trials, 1)
+    document = summary(PLAN, trials, seed=7, spread=CALM, certified=certified)
+    console = Console(file=io.StringIO(), width=200)
+    print_trials(document, console)
+    lines = console.file.getvalue().splitlines()
+    assert "2 trials of this plan, seed 7" in lines
+    assert "not completed: 1 × lost" in lines
+    assert any(line.startswith("cable to cable") for line in lines)
+    assert any(line.startswith("among the worst: trial 1 (cable") for line in lines)
+    assert lines[-1].endswith("--seed 7 --trial 1 --recording trial.rrd")

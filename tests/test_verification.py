@@ -1,4 +1,4 @@
-"""What a trace implies: the knot, the clearances, the tracking errors."""
+"""Verification of a trace: the implied knot, the smallest distances, the tracking errors."""
 
 from dataclasses import replace
 
@@ -109,7 +109,7 @@ def test_tracking_errors_per_phase_and_vehicle(plan):
     assert found["hold", 0].rms == pytest.approx(np.sqrt((0.3**2 + 0.1**2) / 9))
 
 
-def test_unknown_positions_are_left_out_and_nothing_is_made_up(plan):
+def test_unknown_positions_are_excluded(plan):
     def silent(time, place):
         place[time < 2.0, 3] = np.nan
         return place
@@ -141,7 +141,7 @@ def test_an_over_stretched_report_is_noted(plan):
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 6.0))
-def test_the_closest_strands_are_those_of_measuring_all_of_them(seed, spread):
+def test_the_closest_strands_equal_those_of_a_full_search(seed, spread):
     rng = np.random.default_rng(seed)
     instants, count, points = rng.integers([1, 3, 2], [40, 9, 12])
     steps = 0.2 * rng.normal(size=(instants, count, points, 3))

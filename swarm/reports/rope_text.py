@@ -49,7 +49,7 @@ def _verdict(run: "RopeRun") -> str:
 
 
 def _lines(document: Mapping[str, Any], plan: Plan) -> list[str]:
-    knot, stray = document["knot"], document["deviation"]
+    knot, deviation = document["knot"], document["deviation"]
     lines = [
         f"\n[bold]A rope of {document['links']} links moved by {document['trajectory']}[/], "
         f"{document['simulated']:.0f} s in {document['computing_time']:.0f} s"
@@ -74,14 +74,14 @@ def _lines(document: Mapping[str, Any], plan: Plan) -> list[str]:
             f"{document['smallest_distance']:.2f} m (quasi-static cable: {static:.2f} m)"
         )
     lines.append(
-        f"largest distance from the quasi-static cable: {stray['largest']:.2f} m, segment "
-        f"{stray['segment']} at {stray['time']:.0f} s; the budget's models of sway and a stop "
-        f"allow {stray['sway_and_stop']:.2f} m there"
+        f"largest distance from the quasi-static cable: {deviation['largest']:.2f} m, segment "
+        f"{deviation['segment']} at {deviation['time']:.0f} s; the budget's models of sway and a "
+        f"stop allow {deviation['allowed_swing']:.2f} m there"
     )
-    farther = stray["beyond_models"]
-    if farther["share"]:
+    beyond = deviation["beyond_models"]
+    if beyond["share"]:
         lines.append(
-            f"these models are exceeded by up to {farther['by']:.2f} m, at {farther['share']:.0%} "
+            f"it exceeds these models by up to {beyond['by']:.2f} m, at {beyond['share']:.0%} "
             "of moments and segments: strands swing on after a movement, which the budget leaves "
             "out"
         )
