@@ -69,15 +69,15 @@ def fly_in_process(
     )
     theirs.close()
     pipe = Connection(ours.detach())
-    asking = threading.Event()
+    confirming = threading.Event()
     try:
         with ExitStack() as context:
             context.enter_context(lowered_priority() if low_priority else nullcontext())
-            context.enter_context(_forwarded_signals(process, asking))
+            context.enter_context(_forwarded_signals(process, confirming))
             pipe.send(request)
             keys = _KeySender(pipe)
             poll = context.enter_context(terminal_keys(keys)) if read_keys else lambda: None
-            return _serve(pipe, callbacks or FlightCallbacks(), poll, asking)
+            return _serve(pipe, callbacks or FlightCallbacks(), poll, confirming)
     except (EOFError, BrokenPipeError, ConnectionResetError):
         reason = exit_reason(process.wait(5.0))
         raise VehicleError(f"the flight's process ended ({reason})") from None
@@ -94,7 +94,7 @@ def _serve(
     pipe: Connection,
     callbacks: FlightCallbacks,
     poll: Callable[[], None],
-    asking: threading.Event,
+    confirming: threading.Event,
 ) -> FlightResult:
     """Handle the messages of the flight process until it sends a result or an error."""
     inbox = _Inbox(pipe)
@@ -117,22 +117,22 @@ def _serve(
             case "event" if callbacks.on_event is not None:
                 callbacks.on_event(content)
             case "confirm":
-                pipe.send(("answer", _confirm(callbacks.confirm, content, asking)))
+                pipe.send(("answer", _confirm(callbacks.confirm, content, confirming)))
         poll()
 
 
 def _confirm(
-    confirm: Callable[[Audit], bool] | None, audit: Audit, asking: threading.Event
+    confirm: Callable[[Audit], bool] | None, audit: Audit, confirming: threading.Event
 ) -> bool:
     if confirm is None:
         return True
-    asking.set()
+    confirming.set()
     try:
         return confirm(audit)
     except KeyboardInterrupt:
         return False
     finally:
-        asking.clear()
+        confirming.clear()
 
 
 class _Inbox:
@@ -186,7 +186,7 @@ class _KeySender:
 
 @contextmanager
 def _forwarded_signals(
-    process: "subprocess.Popen[bytes]", asking: threading.Event
+    process: "subprocess.Popen[bytes]", confirming: threading.Event
 ) -> Iterator[None]:
     """Forward signals to the flight, if this is the main thread; they also cancel a question."""
     if threading.current_thread() is not threading.main_thread():
@@ -195,7 +195,7 @@ def _forwarded_signals(
 
     def catch(number: int, _frame: FrameType | None) -> None:
         process.send_signal(number)
-        if asking.is_set():
+        if confirming.is_set():
             raise KeyboardInterrupt
 
     before = {number: signal.signal(number, catch) for number in (signal.SIGINT, signal.SIGTERM)}

@@ -20,7 +20,7 @@ class TickTasks:
     """Passes requests to the conductor, and its events and snapshots to record and callbacks.
 
     ``inputs`` are polled for operator requests. ``interrupts`` are signals that have been caught
-    and not yet handled. ``events`` are all events so far.
+    and are to be handled. ``events`` are all events so far.
     """
 
     conductor: Conductor

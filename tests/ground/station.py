@@ -1,4 +1,4 @@
-"""A ground station in a process of its own, so that a test can kill it: python -m this, arguments.
+"""A ground station in a process of its own, so that a test can kill it: python -m MODULE ARGUMENTS.
 
 ``fly FOLDER PORT SPEED`` begins a flight; ``resume RECORD PORT SPEED THEN`` takes one up.
 """
@@ -26,27 +26,27 @@ FLIGHT_PLAN = small_plan()
 
 
 def fleet_on(port: int) -> Fleet:
-    """ArduPilot vehicles on a link, as a fleet file lists real ones."""
+    """Return a fleet of ArduPilot vehicles on one UDP link, not emulated."""
     fleet = emulated_fleet(3, ("ardupilot",))
     links = {"loopback": f"udpin://127.0.0.1:{port}"}
     return fleet.model_copy(update={"emulated": None, "links": links})
 
 
 def as_audited(conductor: Conductor, sysid: int) -> Outgoing:
-    """Have a vehicle stop half a second after its setpoints end, as the audit asks."""
+    """Return a PARAM_SET of GUID_TIMEOUT to 0.5 s, the value that the audit requires."""
     way = conductor.team.way_to(sysid)
     wanted = common.MAVLink_param_set_message(sysid, 1, b"GUID_TIMEOUT", 0.5, 9)
     return Outgoing(way.link, way.address, way.encoder.encode(wanted))
 
 
 def run(conductor: Conductor, folder: Path, speed: float) -> None:
-    """Fly until it is over, keeping a record and printing what happens."""
+    """Fly to the end, with a record, and print the events."""
     links = open_links(conductor.fleet.links)
     record = Record(folder, time.time())
     record.before(conductor.flight_plan, conductor.basis, conductor.fleet, {})
     if conductor.state.resumption.left_off is not None:
         record.frames(conductor.state.resumption.left_off.known)
-    teller = ClockTeller(conductor.plan)
+    clock = ClockTeller(conductor.plan)
 
     def each_tick(now: float) -> None:
         if conductor.stage == "ready" and conductor.audit is not None:
@@ -54,7 +54,7 @@ def run(conductor: Conductor, folder: Path, speed: float) -> None:
             conductor.start(go(conductor.flight_plan, conductor.audit))
         phase = conductor.phase.name if conductor.stage == "execute" else ""
         if conductor.stage in {"ready", "execute", "contingency"}:
-            record.packet(teller.tell(now, conductor.clock.time, phase), now)
+            record.packet(clock.tell(now, conductor.clock.time, phase), now)
         for event in conductor.events():
             record.event(event)
             print(f"{event.kind}: {event.message}", flush=True)

@@ -21,8 +21,8 @@ FLIGHT_PLAN = small_plan()
 pytestmark = pytest.mark.usefixtures("in_real_time")
 
 
-def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
-    shown, events, asked, nice = [], [], [], set()
+def test_a_slow_caller_does_not_delay_the_flight(tmp_path):
+    shown, events, audits, nice = [], [], [], set()
 
     def slow(snapshot):
         shown.append(snapshot)
@@ -37,14 +37,14 @@ def test_a_caller_that_is_slow_does_not_slow_the_flight(tmp_path):
     result = fly_in_process(
         flight,
         FlightCallbacks(
-            confirm=lambda audit: asked.append(audit) or True,
+            confirm=lambda audit: audits.append(audit) or True,
             on_snapshot=slow,
             on_event=events.append,
         ),
         low_priority=True,
     )
     assert result.outcome.word == "done", result.events[-5:]
-    assert [audit.systems for audit in asked] == [(1, 2, 3)]
+    assert [audit.systems for audit in audits] == [(1, 2, 3)]
     assert result.statistics.lateness[0] < 0.01
     assert nice == {helper_niceness()}
     assert 0 < len(shown) < len(result.trace.time)
@@ -114,7 +114,7 @@ fly_in_process(flight)
 """
 
 
-def test_it_does_not_outlive_its_caller(tmp_path):
+def test_the_process_ends_with_its_caller(tmp_path):
     caller = subprocess.Popen([sys.executable, "-c", CALLER, str(tmp_path / "record")])
     deadline = time.monotonic() + 60.0
     while not (pids := children(caller.pid)):

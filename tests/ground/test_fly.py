@@ -43,7 +43,7 @@ def flown(tmp_path_factory):
     return result, snapshots, events
 
 
-def test_a_flight_over_udp_ends_well(flown):
+def test_a_flight_over_udp_succeeds(flown):
     result, snapshots, events = flown
     assert result.outcome.word == "done", [event.message for event in events[-10:]]
     assert result.statistics.setpoints > 500
@@ -75,7 +75,7 @@ def test_its_record_is_complete(flown):
         assert trace["position"].shape == result.trace.position.shape
 
 
-def test_a_dead_emulator_is_explained_and_is_a_vehicle_error(tmp_path):
+def test_an_emulator_that_dies_is_a_vehicle_error(tmp_path):
     killers = []
 
     def kill_soon(pid):
@@ -109,7 +109,7 @@ sys.exit(result.outcome.exit_code)
 
 
 def started(folder: Path) -> subprocess.Popen:
-    """Fly in a process of its own; return once the folding has begun to be recorded."""
+    """Fly in another process; return it once the record shows the team airborne."""
     process = subprocess.Popen([sys.executable, "-c", SCRIPT, str(folder)])
     events = folder / "events.jsonl"
     deadline = time.monotonic() + 60.0
@@ -142,8 +142,8 @@ def test_after_sigkill_only_the_last_second_of_the_record_is_missing(tmp_path):
     assert verify_trace(plan, again.trace).knot in {"unknown", "0_1"}
 
 
-def test_a_disk_that_is_full_in_flight_costs_the_rest_of_the_record_and_not_the_flight(tmp_path):
-    # the limit on file sizes stands in for a disk that is full: writing fails from there on
+def test_a_disk_that_becomes_full_in_flight_damages_the_record_only(tmp_path):
+    # the limit of file sizes simulates a full disk: writing fails beyond it
     limited = (
         f"import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))\n{SCRIPT}"
     )
@@ -156,8 +156,10 @@ def test_a_disk_that_is_full_in_flight_costs_the_rest_of_the_record_and_not_the_
     assert (summary["outcome"], ended.returncode) == ("done", 0), summary["explanation"]
     assert summary["record"]["problem"] == "file too large"
     assert summary["record"]["dropped"] > 100
-    told = [line for line in (folder / "events.jsonl").read_text().splitlines() if "record" in line]
-    assert len([line for line in told if "cannot be written: file too large" in line]) == 1
+    reports = [
+        line for line in (folder / "events.jsonl").read_text().splitlines() if "record" in line
+    ]
+    assert len([line for line in reports if "cannot be written: file too large" in line]) == 1
     assert (folder / "flight.tlog").stat().st_size == 300_000
     plan = recorded_plan(folder)
     assert "takeoff" in recorded_flight(folder, plan).trace.phase
@@ -171,31 +173,31 @@ def test_ctrl_c_lands_the_team_and_exits_with_130(tmp_path):
     assert summary["explanation"] == "interrupted; all vehicles have landed"
 
 
-def test_links_that_cannot_be_opened_are_all_named():
+def test_all_links_that_cannot_be_opened_are_named():
     with pytest.raises(VehicleError) as caught:
         open_links({"a": "udpin://192.0.2.1:14550", "b": "tcp://127.0.0.1:1"})
     assert "link a (udpin://192.0.2.1:14550) cannot be opened" in str(caught.value)
     assert "link b (tcp://127.0.0.1:1) cannot be opened: connection refused" in str(caught.value)
 
 
-def test_vehicles_may_take_as_long_to_start_however_fast_flight_time_runs(tmp_path):
-    """At 20 times real time, 3 s of it are over in 0.15 s: no program starts within that."""
+def test_the_start_of_the_emulator_does_not_count_as_flight_time(tmp_path):
+    """At 20 times real time, 3 s last 0.15 s: no program starts within that time."""
     fleet = emulated_fleet(3)
     limits = fleet.limits.model_copy(update={"ready": 3.0})
     fleet = fleet.model_copy(update={"limits": limits})
-    asked = []
+    audits = []
     result = fly(
         FLIGHT_PLAN,
         fleet,
         tmp_path,
         FlyOptions(speed=20.0),
-        FlightCallbacks(confirm=lambda audit: bool(asked.append(audit))),
+        FlightCallbacks(confirm=lambda audit: bool(audits.append(audit))),
     )
     assert result.outcome.explanation == "not confirmed"
-    assert len(asked) == 1
+    assert len(audits) == 1
 
 
-def test_an_emulator_that_does_not_start_in_time_is_said_and_ended(tmp_path):
+def test_an_emulator_that_does_not_start_in_time_is_ended(tmp_path):
     world = emulated_world(FLIGHT_PLAN.plan, emulated_fleet(3), with_cable=False, seed=1)
     with pytest.raises(VehicleError, match="the emulator has not started in 0 s"):
         EmulatorProcess(world, tmp_path, 14999, 1.0, timeout=0.0)

@@ -16,7 +16,7 @@ from tests.network import small_plan
 
 
 @pytest.mark.usefixtures("in_real_time")
-def test_a_hop_says_for_each_vehicle_how_well_it_hovers_and_what_to_plan_with(tmp_path):
+def test_a_hop_reports_hover_errors_and_the_tracking_error_to_plan_with(tmp_path):
     console = Console(file=io.StringIO(), width=100)
     plan = small_plan()
     flight = hop(plan)

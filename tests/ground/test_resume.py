@@ -1,4 +1,4 @@
-"""A ground station that is killed in mid-fold, and the next one that takes the team up, over UDP."""
+"""A ground station is killed in the fold, and the next one resumes the flight, over UDP."""
 
 import json
 import signal
@@ -42,7 +42,7 @@ def free_port():
         return str(one.getsockname()[1])
 
 
-def test_after_sigkill_in_mid_fold_the_team_is_found_and_the_flight_goes_on(tmp_path):
+def test_after_sigkill_in_the_fold_the_team_is_found_and_the_flight_continues(tmp_path):
     port, record = free_port(), tmp_path / "record"
     world = emulated_world(
         FLIGHT_PLAN.plan, emulated_fleet(3, ("ardupilot",)), with_cable=True, seed=1
@@ -73,15 +73,15 @@ def test_after_sigkill_in_mid_fold_the_team_is_found_and_the_flight_goes_on(tmp_
     assert largest < 0.3
 
 
-def test_what_cannot_be_resumed_is_refused_in_words(tmp_path):
-    def said(*arguments):
+def test_records_that_cannot_be_resumed_are_refused(tmp_path):
+    def message(*arguments):
         done = run("fly", *arguments)
         return done.returncode, " ".join(done.stderr.split())
 
-    code, words = said("--resume", str(tmp_path))
+    code, words = message("--resume", str(tmp_path))
     assert code == 2
     assert "expected a flight record with plan.json and motion.npz in it" in words
-    code, words = said("overhand", "--resume", str(tmp_path))
+    code, words = message("overhand", "--resume", str(tmp_path))
     assert code == 2
     assert "MISSION: comes from the record with --resume" in words
 

@@ -17,7 +17,7 @@ SYSTEM_FAILURE_CASES: tuple[SystemFailureCase, ...] = (
         "reported once; the flight continues, the record keeps the data written before",
         (
             "tests/ground/test_fly.py::"
-            "test_a_disk_that_is_full_in_flight_costs_the_rest_of_the_record_and_not_the_flight",
+            "test_a_disk_that_becomes_full_in_flight_damages_the_record_only",
             "tests/ground/test_record.py::test_a_full_disk_damages_the_record_only",
         ),
     ),
@@ -25,7 +25,7 @@ SYSTEM_FAILURE_CASES: tuple[SystemFailureCase, ...] = (
         "viewer hangs",
         "no setpoint is late; the viewer loses the data that it does not read",
         (
-            "tests/ground/test_flight_process.py::test_a_caller_that_is_slow_does_not_slow_the_flight",
+            "tests/ground/test_flight_process.py::test_a_slow_caller_does_not_delay_the_flight",
             "tests/view/test_rerun_log.py::test_a_stalled_sink_holds_up_nobody",
             "tests/view/test_rerun_log.py::test_a_killed_sink_holds_up_nobody",
         ),
