@@ -16,7 +16,7 @@ from swarm.cli.planning import plan_mission
 from swarm.errors import InputError, Problem, VehicleError
 from swarm.files import write_text
 from swarm.flight.hop import hop
-from swarm.flight.parameters import Row
+from swarm.flight.parameters import ParameterResult
 from swarm.front.files import load_fleet, load_mission
 from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.commissioning.check import CheckOptions
@@ -169,8 +169,8 @@ def _plan_finding(flight_plan: CertifiedPlan) -> Finding:
 
 def _fix_question(
     console: Console, progress: ProgressLine, *, yes: bool
-) -> Callable[[Sequence[Row]], bool]:
-    def confirmed(rows: Sequence[Row]) -> bool:
+) -> Callable[[Sequence[ParameterResult]], bool]:
+    def confirmed(rows: Sequence[ParameterResult]) -> bool:
         with progress.hidden():
             console.print(parameter_table(rows))
             if yes:

@@ -1,4 +1,4 @@
-"""Whether a flight stayed within what it was certified for."""
+"""Tracking errors of a flight against the errors for which it was certified."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -15,7 +15,7 @@ _CERTIFIED_PHASES = frozenset({"lifting", "aloft"})
 
 @dataclass(frozen=True)
 class Adherence:
-    """The largest tracking error while the cable is aloft, beside what is certified.
+    """The largest tracking error while the cable is aloft, and the certified one.
 
     ``largest`` is in metres, by reported positions, of ``vehicle`` (from 1) at ``mission_time``;
     None where no positions are known. ``certified`` is :attr:`Basis.max_tracking_error`.
@@ -29,17 +29,17 @@ class Adherence:
 
     @property
     def within(self) -> bool:
-        """Whether no tracking error is known that the certificate does not cover."""
+        """Whether the certificate covers the largest known tracking error."""
         if self.largest is None:
             return True
         return self.certified is not None and self.largest <= self.certified
 
     @property
     def words(self) -> str:
-        """One sentence that says by how much the certificate was left; "" where it was not."""
+        """One sentence on the excess over the certified error; "" without an excess."""
         if self.within or self.largest is None:
             return ""
-        allowed = "nothing was certified"
+        allowed = "no error was certified"
         if self.certified is not None:
             allowed = f"it was certified for {self.planned:g} m"
             if self.certified > self.planned:
@@ -51,12 +51,12 @@ class Adherence:
 
 
 def adherence_object(kept: Adherence) -> dict[str, Any]:
-    """Return how a flight kept to its certificate as a JSON-ready object."""
+    """Return the adherence to the certificate as a JSON-ready object."""
     return {**asdict(kept), "within": kept.within, "words": kept.words}
 
 
 def adherence(plan: Plan, trace: Trace, basis: Basis) -> Adherence:
-    """Compare a flight's trace with what it was certified for."""
+    """Compare a flight's trace with the errors for which it was certified."""
     planned = plan.mission.vehicles.tracking
     error = np.linalg.norm(trace.position - trace.setpoint, axis=-1)
     aloft = np.array(

@@ -24,7 +24,7 @@ _CLEARANCES = ("cable", "vehicle", "vehicle_cable")
 
 
 def certificate_document(basis: Basis, found: Assessment) -> dict[str, Any]:
-    """Return on what a flight is flown, and what the checks found, as plain data for JSON."""
+    """Return the basis of a flight, with its findings, as plain data for JSON."""
     return {
         "schema": 1,
         **asdict(basis),
@@ -37,7 +37,7 @@ def certificate_document(basis: Basis, found: Assessment) -> dict[str, Any]:
 
 
 def read_certificate(document: Mapping[str, Any]) -> tuple[Basis, Assessment]:
-    """Return what :func:`certificate_document` wrote; raises :class:`InputError` otherwise."""
+    """Return the content of a :func:`certificate_document`; raises :class:`InputError`."""
     try:
         basis = Basis(**{field.name: document[field.name] for field in fields(Basis)})
         if not isinstance(basis.cable, bool) or basis.kind not in get_args(Kind):
@@ -57,7 +57,7 @@ def read_certificate(document: Mapping[str, Any]) -> tuple[Basis, Assessment]:
 
 
 def frames_document(known: KnownFrames) -> dict[str, Any]:
-    """Return frames as plain data for JSON: what a resumed flight's record cannot tell itself."""
+    """Return frames as plain data for JSON: a resumed flight's log does not determine them."""
     return {
         "schema": 1,
         "systems": list(known.systems),
@@ -68,7 +68,7 @@ def frames_document(known: KnownFrames) -> dict[str, Any]:
 
 
 def read_frames(document: Mapping[str, Any], plan: Plan) -> KnownFrames:
-    """Return what :func:`frames_document` wrote; raises :class:`InputError` otherwise."""
+    """Return the content of a :func:`frames_document`; raises :class:`InputError`."""
     n = plan.vehicles
     try:
         systems = tuple(int(system) for system in document["systems"])

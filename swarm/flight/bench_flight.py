@@ -1,4 +1,4 @@
-"""The same flight for vehicles that could not hold a cable: higher up, and less exact."""
+"""The same flight for vehicles that cannot hold a cable: raised, with larger errors allowed."""
 
 from dataclasses import replace
 
@@ -11,35 +11,35 @@ from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 
 RAISED = 1.0
-"""Metres. Vehicles that grab a cable stand on their legs as they do; simulated ones wander by up
-to half a metre, and an autopilot that is pressed on the ground takes itself for landed."""
+"""Metres. Vehicles stand on their legs when they grab the cable; simulated ones drift by up to half
+a metre, and an autopilot that is pressed on the ground detects a landing."""
 
 
 def is_bare(fleet: Fleet, *, no_cable: bool) -> bool:
-    """Whether vehicles fly that could not hold a cable, as simulated ones: only they can meet."""
+    """Return whether the vehicles cannot hold a cable, as simulated ones: only they can collide."""
     return no_cable and fleet.gripper == "none"
 
 
 def raised(
     flight_plan: CertifiedPlan, fleet: Fleet, *, no_cable: bool
 ) -> CertifiedPlan | CableFreeFlight:
-    """Return a plan for vehicles that could not hold a cable, flown RAISED higher.
+    """Return a plan for vehicles that cannot hold a cable, flown RAISED higher.
 
-    It is certified anew, without cable. It is the plan itself where it does not go down to the
-    floor between take-off and landing, or where there is no room above it.
+    It is certified again, without cable. It is the plan itself where it does not descend to the
+    floor between take-off and landing, or where the ceiling is too low.
     """
     plan = flight_plan.plan
     highest = float(plan.motion.at(plan.motion.times)[0][..., 2].max()) + RAISED
     grabs = any(phase.name == "grab" for phase in plan.phases)
-    room = highest + plan.mission.vehicles.grip_offset <= plan.mission.workspace.ceiling
-    if not (is_bare(fleet, no_cable=no_cable) and grabs and room):
+    fits = highest + plan.mission.vehicles.grip_offset <= plan.mission.workspace.ceiling
+    if not (is_bare(fleet, no_cable=no_cable) and grabs and fits):
         return flight_plan
     lifted = replace(plan, motion=_lifted(plan))
     return CableFreeFlight(lifted, certify(without_cable(lifted)), "raised")
 
 
 def _lifted(plan: Plan) -> Motion:
-    """Go up by RAISED more in the first piece, from rest to rest, and stay up."""
+    """Return the motion that climbs RAISED higher in the first piece, from rest to rest."""
     times, coefficients = plan.motion.times, plan.motion.coefficients.copy()
     powers = (times[1] - times[0]) ** np.arange(3, 6)
     coefficients[0, 3:, :, 2] += RAISED * (np.array([10.0, -15.0, 6.0]) / powers)[:, None]

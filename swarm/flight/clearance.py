@@ -1,4 +1,4 @@
-"""From a checked plan and an audited team to the only thing that may fly."""
+"""From a checked plan and an audited team to the cleared plan, the only one that may fly."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from swarm.planning import digest
 
 @dataclass(frozen=True)
 class Audit:
-    """What was found out about the team while it stood on the ground.
+    """The findings on the team while it stood on the ground.
 
     ``systems`` are the system ids in order along the cable. ``stream_loss`` is
     the certificate of lost setpoints for these vehicles, where their parameters are known.
@@ -30,9 +30,9 @@ class Audit:
 
 @dataclass(frozen=True)
 class ClearedPlan:
-    """A plan that was checked, together with an audit without errors.
+    """A checked plan with an audit without errors.
 
-    Raises :class:`Refused` where the plan was changed since, or the audit belongs to another one.
+    Raises :class:`Refused` where the plan was changed since, or the audit is of another plan.
     """
 
     flight_plan: FlightPlan

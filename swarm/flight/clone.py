@@ -1,4 +1,4 @@
-"""A copy of a whole flight in mid-air: objects that share memory share it in the copy too."""
+"""A copy of a whole flight in mid-air: objects that share memory share it in the copy, too."""
 
 import copy
 import copyreg
@@ -13,7 +13,7 @@ import numpy as np
 
 T = TypeVar("T")
 
-# A decoder's compiled layouts cannot be copied, but made anew.
+# A decoder's compiled layouts cannot be copied; they are created again.
 copyreg.pickle(struct.Struct, lambda one: (struct.Struct, (one.format,)))
 
 
@@ -37,7 +37,7 @@ def branch(root: T, shared: Iterable[object] = ()) -> T:
 
 
 def _owner(one: Any) -> Any:
-    """The array whose memory a view looks at; the array itself where it is its own."""
+    """Return the array that owns the memory of a view, or of an array itself."""
     if isinstance(one, memoryview):
         one = one.obj
     while isinstance(getattr(one, "base", None), np.ndarray):
@@ -46,7 +46,7 @@ def _owner(one: Any) -> Any:
 
 
 def _same_view(view: Any, owner: Any, copied: Any) -> Any:
-    """Return of ``copied`` what ``view`` is of ``owner``."""
+    """Return the view of ``copied`` that corresponds to ``view`` of ``owner``."""
     if isinstance(view, memoryview):
         return memoryview(copied).cast(view.format)  # type: ignore[call-overload]
     offset = view.__array_interface__["data"][0] - owner.__array_interface__["data"][0]
@@ -55,7 +55,7 @@ def _same_view(view: Any, owner: Any, copied: Any) -> Any:
 
 
 def _parts(root: object, seen: set[int]) -> Iterator[object]:
-    """Yield everything that a deep copy of an object copies, once."""
+    """Yield all objects that a deep copy of an object copies, once."""
     waiting = [root]
     while waiting:
         one = waiting.pop()

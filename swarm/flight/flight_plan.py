@@ -1,8 +1,8 @@
-"""What may be flown, each kind with a type of its own that says what was checked.
+"""The kinds of plans that may be flown, each with a type for the checks that it has passed.
 
-Only a :class:`CertifiedPlan` carries cable on real vehicles. The others exist beside it because
-they are useful without a certificate of their own: a hop and a raised flight carry nothing, a
-resumed flight was certified before it was interrupted, and a comparison stays in the emulator.
+Only a :class:`CertifiedPlan` carries cable on real vehicles. The others need no certificate of
+their own: a hop and a raised flight carry no cable, a resumed flight was certified before it was
+interrupted, and a comparison stays in the emulator.
 """
 
 from dataclasses import dataclass, replace
@@ -25,11 +25,11 @@ Kind = Literal["certified", "hop", "raised", "resumed", "comparison"]
 
 @dataclass(frozen=True)
 class Basis:
-    """On what a flight is flown: the words and figures that its record and its report state.
+    """The basis of a flight, as its record and its report state it.
 
     ``checked`` is one sentence, ``digest`` identifies the plan, ``cable`` says whether cable is
     carried, ``max_tracking_error`` is the largest tracking error in metres for which every
-    clearance is certified (None: nothing is).
+    clearance is certified (None: none is).
     """
 
     kind: Kind
@@ -40,16 +40,16 @@ class Basis:
 
     @property
     def words(self) -> str:
-        """One line for logs and reports: what was checked, and whether cable is carried."""
+        """One line for logs and reports: the checks, and whether cable is carried."""
         return f"{self.checked}; {'carrying cable' if self.cable else 'no cable is carried'}"
 
 
 @dataclass(frozen=True)
 class CableFreeFlight:
-    """A hop or a raised flight: nothing is attached, and only its vehicles are certified.
+    """A hop or a raised flight: no cable is attached, and only the vehicles are certified.
 
-    ``certificate`` belongs to the same motion :func:`without_cable`. Raises :class:`Refused` where
-    it does not, or holds errors.
+    ``certificate`` is of the same motion :func:`without_cable`. Raises :class:`Refused` where it is
+    of another, or has errors.
     """
 
     plan: Plan
@@ -60,26 +60,26 @@ class CableFreeFlight:
         self.check()
 
     def check(self) -> None:
-        """Compare plan and certificate once more."""
+        """Compare plan and certificate again."""
         require_same_plan(without_cable(self.plan), self.certificate)
         require_no_errors(self.certificate)
 
     @property
     def assessment(self) -> Assessment:
-        """What the checks found of the vehicles."""
+        """The findings on the vehicles."""
         return self.certificate.assessment
 
     @property
     def stream_loss(self) -> StreamLossCertificate | None:
-        """Nothing is known of cable and lost setpoints."""
+        """None: cable and lost setpoints are not certified."""
         return None
 
 
 @dataclass(frozen=True)
 class ResumedFlight:
-    """A flight whose ground station ended, taken up again: certified then, not checked again.
+    """A flight whose ground station ended: certified then, not checked again.
 
-    ``basis`` and ``assessment`` are what its record states. Raises :class:`Refused` where the plan
+    ``basis`` and ``assessment`` come from its record. Raises :class:`Refused` where the plan
     is not the recorded one.
     """
 
@@ -91,19 +91,19 @@ class ResumedFlight:
         self.check()
 
     def check(self) -> None:
-        """Compare the plan with the digest in the record once more."""
+        """Compare the plan with the digest in the record again."""
         if digest(self.plan) != self.basis.digest:
             raise Refused("the recorded plan is not the plan that was flown: its digest differs")
 
     @property
     def stream_loss(self) -> StreamLossCertificate | None:
-        """Worked out anew: a record does not keep it."""
+        """None: a record does not keep it, and it is computed again."""
         return None
 
 
 @dataclass(frozen=True)
 class ComparisonFlight:
-    """A plan that is flown in the emulator whatever its certificate says; never by vehicles."""
+    """A plan that is flown in the emulator alone, also with errors in its certificate."""
 
     plan: Plan
     certificate: Certificate
@@ -112,12 +112,12 @@ class ComparisonFlight:
         self.check()
 
     def check(self) -> None:
-        """Compare plan and certificate once more; errors in it are no obstacle."""
+        """Compare plan and certificate again; errors in it are allowed."""
         require_same_plan(self.plan, self.certificate)
 
     @property
     def assessment(self) -> Assessment:
-        """What the checks found, errors among it."""
+        """All findings, with errors."""
         return self.certificate.assessment
 
     @property
@@ -130,9 +130,9 @@ FlightPlan = CertifiedPlan | CableFreeFlight | ResumedFlight | ComparisonFlight
 
 
 def basis_of(flight_plan: FlightPlan, *, cable: bool) -> Basis:
-    """Return on what a flight is flown; ``cable`` says whether it carries cable.
+    """Return the basis of a flight; ``cable`` says whether it carries cable.
 
-    Raises :class:`Refused` where cable is to be carried and is not part of what was checked.
+    Raises :class:`Refused` where cable is carried that the checks do not cover.
     """
     if isinstance(flight_plan, ResumedFlight):
         return _resumed(flight_plan.basis, cable=cable)
@@ -170,7 +170,7 @@ _NOT_AGAIN = ", before it was interrupted; not checked again"
 def max_tracking_error(plan: Plan, found: Assessment) -> float:
     """Return the largest tracking error, metres, for which clearances are certified.
 
-    That is e* where it was worked out, and the mission's ``vehicles.tracking`` at least.
+    That is e* where it was computed, and the mission's ``vehicles.tracking`` at least.
     """
     tracking = plan.mission.vehicles.tracking
     return max(tracking, found.robustness.tracking or 0.0)

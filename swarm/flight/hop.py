@@ -1,8 +1,8 @@
-"""A test hop: all vehicles straight up from their pads, hovering, and down again, without a cable.
+"""A test hop: all vehicles go straight up from their pads, hover, and land, without a cable.
 
-How well vehicles hover decides the ball that a plan must leave to each (`vehicles.tracking`), so it
-is measured. The hop itself needs no exactness: errors slow and hold nothing, but all vehicles land
-where one is more than ERROR_LIMIT off, or two are nearer to each other than the mission allows.
+Its errors decide the tracking radius with which to plan (`vehicles.tracking`). They neither slow
+nor hold the clock, but all vehicles land where one error exceeds ERROR_LIMIT, or two vehicles are
+nearer to each other than the mission allows.
 """
 
 import math
@@ -28,13 +28,13 @@ SETTLE = 5.0
 """Seconds at the top before the measurement begins: take-off has its own errors."""
 HOVER = 30.0
 """Seconds of hovering that are measured. Errors of an estimator last for some 4 s (PX4 1.16, SIH),
-so that each vehicle shows seven or so that do not depend on each other."""
+so that each vehicle shows about seven independent ones."""
 ERROR_LIMIT = 1.5
-"""Metres of tracking error beyond which all land: a quarter of the height is left below then. The
+"""Metres of tracking error beyond which all land: a quarter of the height remains below then. The
 worst of nine PX4 1.16 in their own simulator was 1.3 m off once in a minute."""
 SPREAD = 4.0
-"""Times the RMS error that the ball for planning holds: one in a hundred flights of a minute with
-nine vehicles leaves it, where errors are normal, along one direction, and new every 3 s."""
+"""Tracking radius for planning per RMS error: one in a hundred flights of a minute with nine
+vehicles exceeds it, where errors are normal, along one direction, and independent every 3 s."""
 _SPEED = 0.5
 
 
@@ -86,7 +86,7 @@ def hop(flight_plan: FlightPlan) -> CableFreeFlight:
         phases=tuple(phases),
         gates=gates,
         path=up,
-        notes=("a hop: straight up and down, nothing attached",),
+        notes=("a hop: straight up and down, no cable attached",),
     )
     flown = without_cable(flown)
     return CableFreeFlight(flown, certify(flown), "hop")
@@ -109,9 +109,9 @@ class Spread:
 
 @dataclass(frozen=True)
 class Hover:
-    """How well a vehicle (counted from 1) hovered: level errors, upright ones, and both together.
+    """The hover errors of a vehicle (counted from 1): horizontal, vertical, and both together.
 
-    ``seconds`` is how long it was measured.
+    ``seconds`` is the duration of the measurement.
     """
 
     vehicle: int
@@ -122,14 +122,14 @@ class Hover:
 
     @property
     def tracking(self) -> float:
-        """Radius in metres of the ball to plan with: the largest error, or SPREAD times the RMS."""
+        """Tracking radius in metres to plan with: the largest error, or SPREAD times the RMS."""
         return max(self.both.largest, SPREAD * self.both.rms)
 
 
 def hovers(trace: Trace) -> tuple[Hover, ...]:
-    """Return how well each vehicle hovered in a hop; nothing of a vehicle without positions.
+    """Return the hover errors of each vehicle in a hop; vehicles without positions are left out.
 
-    Errors are of reported positions: what an estimator does not see is not in them.
+    Errors are of reported positions, without the errors of the estimator itself.
     """
     hovering = np.array([phase == "hold" for phase in trace.phase], dtype=bool)
     times = trace.time[hovering]
@@ -158,7 +158,7 @@ def _spread(sizes: Floats) -> Spread:
 def tracking_to_plan_with(measured: Sequence[Hover]) -> float | None:
     """Return the `vehicles.tracking` that the worst vehicle needs, metres, rounded up to 0.01.
 
-    None where a vehicle was not measured for all of HOVER: what it needs is not known then.
+    None where a vehicle was not measured for all of HOVER.
     """
     if not measured or min(one.seconds for one in measured) < 0.9 * HOVER:
         return None
@@ -166,9 +166,9 @@ def tracking_to_plan_with(measured: Sequence[Hover]) -> float | None:
 
 
 def hover_findings(trace: Trace, flight_plan: CertifiedPlan) -> list[Finding]:
-    """Return how well all vehicles hovered in a hop, against a plan's tracking ball and its e*.
+    """Return the hover errors of all vehicles against a plan's tracking radius and its e*.
 
-    First what to plan with, then each vehicle's errors.
+    First the tracking radius to plan with, then each vehicle's errors.
     """
     measured, vehicles = hovers(trace), flight_plan.plan.vehicles
     if not measured:
@@ -194,7 +194,7 @@ def hover_findings(trace: Trace, flight_plan: CertifiedPlan) -> list[Finding]:
 
 
 def _advice(measured: Sequence[Hover], tracking: float, most: float) -> Finding:
-    """Say which `vehicles.tracking` to plan with, and whether the plan has it."""
+    """Return the `vehicles.tracking` to plan with, and whether the plan has it."""
     needed = tracking_to_plan_with(measured)
     if needed is None:
         words = f"not all vehicles hovered for {HOVER:g} s: no vehicles.tracking to plan with"

@@ -1,12 +1,12 @@
-"""Two vehicles with one system id: told by where they speak from, what they are, and their clocks.
+"""Two vehicles with one system id: detected by addresses, autopilots and clocks.
 
-A vehicle may be heard on several links, and one address (a router) may forward many vehicles. What
-is an error:
+A vehicle may be received on several links, and one address (a router) may forward many vehicles.
+Errors are:
 
-- two autopilots, or two boot clocks, under one system id, on whatever link or address;
-- one system id from two addresses of one link, even where autopilot and clock agree: only the first
-  address is spoken to, and two vehicles that were switched on together look the same. A redundant
-  way to one vehicle needs a link of its own in the fleet file;
+- two autopilots, or two boot clocks, under one system id, on any links or addresses;
+- one system id from two addresses of one link, even where autopilot and clock agree: packets
+  go to the first address only, and two vehicles that were switched on together look the same. A
+  redundant path to one vehicle needs a link of its own in the fleet file;
 - an autopilot other than the fleet file lists;
 - a boot clock that goes back again and again: two vehicles behind one address.
 """
@@ -24,12 +24,13 @@ from swarm.mavlink.vehicle import Vehicle
 Address = Hashable
 
 CLOCKS_APART = 2.0
-"""Seconds between two clocks that are not one: more than packets are late."""
+"""Seconds between two clocks that are different: more than packets are late."""
 LASTING = 2.0
-"""Seconds for which clocks must be apart: after a restart one of two ways tells it first, and what
-has waited in a socket is old. Clocks of simulators drift by seconds, but on all ways alike."""
-SET_BACK = 3
-"""How often a clock may not go back before take-off: a vehicle may be restarted once or twice."""
+"""Seconds for which clocks must differ: after a restart one of two paths shows it first, and
+packets that waited in a socket are old. Clocks of simulators drift by seconds, but alike on all
+paths."""
+CLOCK_RESETS = 3
+"""Resets of a clock before take-off that are an error: a vehicle may be restarted once or twice."""
 _WORDS = {"px4": "PX4", "ardupilot": "ArduPilot"}
 _HEARTBEAT = int(common.MAVLINK_MSG_ID_HEARTBEAT)
 _TIMESYNC = int(common.MAVLINK_MSG_ID_TIMESYNC)
@@ -38,22 +39,22 @@ _POSITION = int(common.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 
 @dataclass
 class Place:
-    """A link and an address from which a system id is heard.
+    """A link and an address from which a system id is received.
 
-    ``spoken_to`` says whether it is taken for the vehicle. ``autopilots`` are the kinds that its
-    heartbeats name; ``differs`` has since when its clock is not the
-    vehicle's, by the message that tells, ``apart`` by how much and when that was last told.
+    ``trusted`` says whether packets from there count as the vehicle's. ``autopilots`` are the kinds
+    in its heartbeats; ``differs`` has since when its clock differs from the vehicle's, by message
+    number, ``apart`` by how much, and when that was last received.
     """
 
     link: str
     address: Address | None
-    spoken_to: bool
+    trusted: bool
     autopilots: set[str] = field(default_factory=set)
     differs: dict[int, float] = field(default_factory=dict)
     apart: dict[int, tuple[float, float]] = field(default_factory=dict)
 
     def compare(self, kind: int, ahead: float, now: float) -> None:
-        """Take by how many seconds its clock is ahead of the vehicle's, NaN where not known."""
+        """Add the seconds by which its clock is ahead of the vehicle's; NaN: not known."""
         if not abs(ahead) > CLOCKS_APART:
             self.differs.pop(kind, None)
             return
@@ -62,7 +63,7 @@ class Place:
 
     @property
     def apart_by(self) -> float:
-        """Seconds between its clock and the vehicle's, 0 where they may be one."""
+        """Seconds between its clock and the vehicle's; 0 where they may be the same."""
         lasting = [
             self.apart[kind][0]
             for kind, since in self.differs.items()
@@ -81,22 +82,22 @@ class Place:
 
 @dataclass
 class Identities:
-    """Where each system id of a fleet is heard from; ``listed``: autopilots by the fleet file."""
+    """The addresses of each system id of a fleet; ``listed``: autopilots in the fleet file."""
 
     listed: dict[int, Autopilot | None]
     _places: dict[int, dict[tuple[str, Address | None], Place]] = field(default_factory=dict)
 
     def heartbeat(self, system: int, link: str, address: Address | None, autopilot: int) -> None:
-        """Take the autopilot that a heartbeat names, from where the vehicle is spoken to."""
+        """Add the autopilot in a heartbeat from the vehicle's address."""
         known = AUTOPILOTS.get(autopilot)
         if known is not None:
-            self._place(system, link, address, spoken_to=True).autopilots.add(known.name)
+            self._place(system, link, address, trusted=True).autopilots.add(known.name)
 
     def elsewhere(
         self, vehicle: Vehicle, packet: Packet, link: str, address: Address | None, now: float
     ) -> None:
-        """Take a packet that came from where its system, the vehicle's, is not spoken to."""
-        place = self._place(packet.system, link, address, spoken_to=False)
+        """Add a packet of a vehicle's system id from another address."""
+        place = self._place(packet.system, link, address, trusted=False)
         message = packet.message
         if message is None:
             return
@@ -109,10 +110,10 @@ class Identities:
             known = now + vehicle.latest_clock_offset
             place.compare(_TIMESYNC, message.ts1 * 1e-9 - known, now)
 
-    def _place(self, system: int, link: str, address: Address | None, *, spoken_to: bool) -> Place:
+    def _place(self, system: int, link: str, address: Address | None, *, trusted: bool) -> Place:
         places = self._places.setdefault(system, {})
         if (link, address) not in places:
-            places[link, address] = Place(link, address, spoken_to)
+            places[link, address] = Place(link, address, trusted)
         return places[link, address]
 
     def findings(self, vehicles: Mapping[int, Vehicle]) -> Iterator[Finding]:
@@ -122,15 +123,17 @@ class Identities:
             if words:
                 yield Finding("error", "fleet", f"system {system} {words}")
         for system, vehicle in sorted(vehicles.items()):
-            if vehicle.reboots >= SET_BACK:
+            if vehicle.reboots >= CLOCK_RESETS:
                 words = f"system {system}: its clock went back {vehicle.reboots} times: two "
-                words += "vehicles have this system id behind one address, or it starts anew again "
-                yield Finding("error", "fleet", words + "and again")
+                words += (
+                    "vehicles have this system id behind one address, or it restarts repeatedly"
+                )
+                yield Finding("error", "fleet", words)
 
     def _conflict(self, vehicle: Vehicle, places: list[Place]) -> str:
-        """Return what is wrong with where a system id is heard from, or nothing."""
-        spoken_to = [place for place in places if place.spoken_to]
-        both = " and ".join(str(place) for place in [*spoken_to, *_others(places)])
+        """Return the error in the addresses of a system id; "" without one."""
+        trusted = [place for place in places if place.trusted]
+        both = " and ".join(str(place) for place in [*trusted, *_others(places)])
         remedy = "give each vehicle a system id of its own"
         kinds = set().union(*(place.autopilots for place in places))
         if len(kinds) > 1:
@@ -141,14 +144,14 @@ class Identities:
         listed = self.listed[vehicle.system]
         if listed is not None and kinds - {listed.name}:
             return f"is {both}, and {_WORDS[listed.name]} in the fleet file"
-        links = {place.link for place in spoken_to}
+        links = {place.link for place in trusted}
         if any(place.link in links for place in _others(places)):
             return (
-                f"is heard from two places: {both}: two vehicles have this system id, or one is "
-                "connected twice: a second way to it needs a link of its own in the fleet file"
+                f"is received from two addresses: {both}: two vehicles have this system id, or one "
+                "is connected twice: a second path to it needs a link of its own in the fleet file"
             )
         return ""
 
 
 def _others(places: list[Place]) -> list[Place]:
-    return [place for place in places if not place.spoken_to]
+    return [place for place in places if not place.trusted]

@@ -1,8 +1,8 @@
-"""What is compiled when it is first called is called before anybody flies.
+"""Compile every function that a flight may call, before the flight.
 
-A first call takes seconds on a new machine, and setpoints that stay away for half a second end a
-flight. So a copy of the flight goes through all of it on the ground, with vehicles that are where
-they should be, and is forgotten.
+A first call lasts seconds on a new machine, and half a second without setpoints ends a flight. A
+copy of the flight runs through its phases and contingencies on the ground, with vehicles at their
+setpoints, and is discarded.
 """
 
 from dataclasses import replace
@@ -28,21 +28,21 @@ if TYPE_CHECKING:
     from swarm.flight.conductor import Conductor
 
 _SECONDS = 3.0
-"""For which each phase is flown: what looks rarely looks, and often enough to judge."""
+"""Duration for which each phase is flown: detectors with long intervals run, often enough."""
 _LEAN = 0.3
-"""Radians by which one leans, now this way and now that: as much as where a gripper slips, for who
-slips is only looked for where somebody is pulled hard."""
+"""Radians by which one vehicle leans to alternating sides: patterns of a slip are computed only for
+large residuals."""
 _RESPONSES = (Response.LAND, Response.RELEASE, Response.RELEASE_FALLEN)
 
 
 def lasting(flight: "Conductor") -> tuple[object, ...]:
-    """Return what a flight never changes, and its copies share."""
+    """Return the constants of a flight, which its copies share."""
     return flight.state.setup, flight.stream_loss
 
 
 def warm_up(flight: "Conductor") -> None:
-    """Have everything compiled that this flight may call, as one that has not begun."""
-    _hear()
+    """Compile all that this flight may call; the flight itself does not change."""
+    _receive()
     for phase in flight.plan.phases:
         if phase.end > phase.start:
             _fly(branch(flight, lasting(flight)), phase)
@@ -51,8 +51,8 @@ def warm_up(flight: "Conductor") -> None:
         _fly(branch(flight, lasting(flight)), aloft[0], response)
 
 
-def _hear() -> None:
-    """Hear a vehicle that is none, packet by packet and all at once."""
+def _receive() -> None:
+    """Receive packets of a fictitious vehicle, one by one and all at once."""
     said, vehicle = common.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3), Vehicle(1)
     data, known = Encoder(1, 1).encode(said), vehicle.telemetry
     for packet in Decoder().feed(data):

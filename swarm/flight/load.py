@@ -1,8 +1,7 @@
-"""What the cable pulls on every vehicle, so that the setpoints can carry it.
+"""The cable's pull on every vehicle, as feed-forward in the acceleration setpoints.
 
-An autopilot holds its place against a steady pull only as well as its integrator does: with the
-usual gains a newton on a vehicle of 1.5 kg moves it by some tenths of a metre for seconds. The pull
-is known in the cable model, so it goes into the acceleration setpoint as feed-forward.
+An autopilot resists a steady pull by its integrator alone: with the usual gains a newton on a
+vehicle of 1.5 kg moves it by some tenths of a metre for seconds. The cable model gives the pull.
 """
 
 import numpy as np
@@ -17,7 +16,7 @@ from swarm.planning import Plan
 Floats = npt.NDArray[np.float64]
 
 STEP = 0.5
-"""Seconds of mission time between the moments at which a plan's pull is worked out."""
+"""Seconds of mission time between the moments at which a plan's pull is computed."""
 
 TAUT = 0.99
 """Chords nearer to taut count as this share: a pull without bound is no use as feed-forward."""
@@ -27,8 +26,8 @@ def cable_pull(grip_points: Floats, lengths: Floats, mass_per_length: float) -> 
     """Return the force (…, n, 3) in newtons, ENU, of a held cable on its n vehicles.
 
     ``grip_points`` (…, n, 3) in metres above the floor at z = 0, ``lengths`` (n − 1,) of the
-    segments between them. Parts that reach the floor lie on it and pull with what is lifted.
-    Without segments nothing pulls.
+    segments between them. Parts that reach the floor lie on it, and only the lifted part pulls.
+    Without segments the pull is 0.
     """
     if not len(lengths):
         return np.zeros_like(grip_points)
@@ -63,7 +62,7 @@ def end_forces(
 
 
 class PlannedPull:
-    """The cable's pull along a plan, worked out once while everybody holds it."""
+    """The cable's pull along a plan while all vehicles hold it, computed once."""
 
     def __init__(self, plan: Plan) -> None:
         at = {gate.condition: gate.time for gate in reversed(plan.gates)}
@@ -73,20 +72,20 @@ class PlannedPull:
         grips = plan.motion.at(times)[0]
         self._pull = cable_pull(grips, plan.layout.lengths, plan.mission.cable.mass_per_length)
         self._change = np.diff(self._pull, axis=0)
-        self._nothing = np.zeros_like(self._pull[0])
+        self._zero = np.zeros_like(self._pull[0])
 
     def at(self, time: float) -> Floats:
-        """Return the pull (n, 3) in newtons, ENU, at a mission time, everybody holding on."""
+        """Return the pull (n, 3) in newtons, ENU, at a mission time."""
         before, change, share = self.around(time)
         pull: Floats = before + change * share
         return pull
 
     def around(self, time: float) -> tuple[Floats, Floats, float]:
-        """Return the pull at the moment before, its change to the next, and the share of that."""
+        """Return the pull at the sample before, its change to the next, and the share of that."""
         place = min(max((time - self._start) / STEP, 0.0), len(self._pull) - 1.001)
         before = int(place)
         return self._pull[before], self._change[before], place - before
 
-    def nothing(self) -> tuple[Floats, Floats, float]:
-        """Return as `around` that nothing is held."""
-        return self._nothing, self._nothing, 0.0
+    def none(self) -> tuple[Floats, Floats, float]:
+        """Return a pull of 0, as `around`."""
+        return self._zero, self._zero, 0.0

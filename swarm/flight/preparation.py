@@ -1,4 +1,4 @@
-"""On the ground: hear everybody, ask for what the flight needs, wait until all are ready."""
+"""On the ground: receive all vehicles, request their streams, wait until all are ready."""
 
 import math
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ from swarm.errors import Refused
 from swarm.flight.clearance import Audit
 from swarm.flight.readiness import (
     assigned,
+    decided_in_offboard,
     levelled,
     named,
     placement,
     readiness,
     rough_frames,
-    told_later,
 )
 from swarm.flight.result import Outcome
 from swarm.flight.router import Team
@@ -28,19 +28,19 @@ from swarm.mission.fleet import Fleet
 
 Floats = npt.NDArray[np.float64]
 
-_ASK_AGAIN = 1.0
-SPARE_PATIENCE = 5.0
-"""Seconds to wait for vehicles beyond those that the plan needs."""
+_REQUEST_INTERVAL = 1.0
+SPARE_TIMEOUT = 5.0
+"""Seconds to wait for vehicles beyond the number that the plan needs."""
 
 GATHERING = 1.5
-"""Seconds after the first system id that is two vehicles in which others show, too."""
+"""Seconds after the first duplicate system id in which others are collected."""
 STANDING_TIME = 1.0
 """Seconds over which the positions of standing vehicles are averaged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A team that is ready: who flies in order along the cable, frames, yaw (n,), the audit."""
+    """A team that is ready: vehicles in order along the cable, frames, yaw (n,), the audit."""
 
     flyers: list[Vehicle]
     frames: Frames
@@ -50,10 +50,10 @@ class Prepared:
 
 @dataclass
 class Preparation:
-    """Prepares the fleet's vehicles and finds out who stands on which pad.
+    """Prepares the fleet's vehicles and assigns them to pads.
 
-    ``standing`` (n, 3) is where the plan has the vehicles' centres before take-off, mission ENU;
-    ``speed`` is how many seconds of flight time pass in one of real time, in which vehicles start.
+    ``standing`` (n, 3) are the planned places of the centres before take-off, mission ENU;
+    ``speed`` is the flight time in seconds per second of real time, in which vehicles start.
     """
 
     team: Team
@@ -68,7 +68,7 @@ class Preparation:
     _samples: list[tuple[float, Floats]] = field(default_factory=list)
 
     def tick(self, now: float) -> Prepared | Outcome | None:
-        """Go on preparing: None until the team is ready, or cannot be."""
+        """Continue; return None until the team is ready, or cannot be."""
         if self._began is None:
             self._began = now
         late = now - self._began > self._starting(self.fleet.limits.ready)
@@ -80,7 +80,7 @@ class Preparation:
         self._conflict_at = None
         if self._heard_at is None:
             return self._listen(now, late=late)
-        self._ask(now)
+        self._request(now)
         findings = readiness(self._heard, self.fleet, now)
         if findings:
             self._samples.clear()
@@ -93,40 +93,40 @@ class Preparation:
         return self._finish()
 
     def _starting(self, seconds: float) -> float:
-        """Return flight time in which so many seconds have passed for programs that start, too."""
+        """Return the flight time in which so many seconds of real time have passed."""
         return seconds * max(1.0, self.speed)
 
     @property
-    def everybody_heard(self) -> bool:
-        """Whether every vehicle that will fly has been heard."""
+    def all_received(self) -> bool:
+        """Whether every vehicle that will fly has been received."""
         return self._heard_at is not None
 
     def _listen(self, now: float, *, late: bool) -> Outcome | None:
-        """Wait for all vehicles of the fleet; for spares only a while."""
-        everybody = list(self.team.vehicles.values())
-        heard = [v for v in everybody if v.autopilot is not None and v.heartbeat_at > -math.inf]
+        """Wait for all vehicles of the fleet; for spares only SPARE_TIMEOUT."""
+        vehicles = list(self.team.vehicles.values())
+        heard = [v for v in vehicles if v.autopilot is not None and v.heartbeat_at > -math.inf]
         if len(heard) >= len(self.standing) and self._enough_at is None:
             self._enough_at = now
-        patience = self._starting(SPARE_PATIENCE)
-        patient = self._enough_at is not None and now - self._enough_at > patience
-        if len(heard) == len(everybody) or patient:
+        timeout = self._starting(SPARE_TIMEOUT)
+        timed_out = self._enough_at is not None and now - self._enough_at > timeout
+        if len(heard) == len(vehicles) or timed_out:
             self._heard, self._heard_at = heard, now
             for vehicle in heard:
                 request_streams(vehicle, self.fleet)
         elif late:
-            names = ", ".join(f"system {v.system}" for v in everybody if v not in heard)
-            return Outcome("failed", f"not heard: {names}")
+            names = ", ".join(f"system {v.system}" for v in vehicles if v not in heard)
+            return Outcome("failed", f"not received: {names}")
         return None
 
-    def _ask(self, now: float) -> None:
-        """Ask for what is still missing: origins, and the mode in which readiness is judged."""
+    def _request(self, now: float) -> None:
+        """Request missing origins, and the mode in which readiness is decided."""
         for vehicle in self._heard:
-            ask_for_origin(vehicle, self.fleet, now)
+            request_origin(vehicle, self.fleet, now)
             early = vehicle.autopilot is not None and vehicle.autopilot.ready_in_offboard_only
             if early and not vehicle.in_mode("offboard"):
                 vehicle.set_mode("offboard")
             if not early:
-                out_of_offboard(vehicle)
+                leave_offboard(vehicle)
 
     def _finish(self) -> Prepared | Outcome:
         measured = np.mean([row for _, row in self._samples], axis=0)
@@ -143,10 +143,10 @@ class Preparation:
 def prepared_team(
     heard: Sequence[Vehicle], fleet: Fleet, standing: Floats, measured: Floats
 ) -> Prepared:
-    """Return who stands on which pad, and what that tells of the vehicles' frames.
+    """Return the vehicles on their pads, with their frames.
 
-    ``measured`` (m, 3) is where each of the ``heard`` says that it is, NED metres in its own frame;
-    ``standing`` (n, 3) where the plan has the vehicles' centres, mission ENU; m ≥ n, the rest are
+    ``measured`` (m, 3) are the reported positions of the received vehicles, NED metres in their own
+    frames; ``standing`` (n, 3) the planned places of the centres, mission ENU; m ≥ n, the rest are
     spares. Raises :class:`Refused` where the mission cannot be placed on the earth.
     """
     number = {vehicle.system: k for k, vehicle in enumerate(heard)}
@@ -173,10 +173,10 @@ def prepared_team(
         if vehicle not in flyers
     )
     findings.extend(
-        Finding("info", "ready", f"{named(vehicle, number)}: whether it would arm is told in "
-                "offboard mode only; on the ground it misses a global position")
+        Finding("info", "ready", f"{named(vehicle, number)}: it decides whether to arm in "
+                "offboard mode only; on the ground it lacks a global position")
         for number, vehicle in enumerate(flyers, 1)
-        if told_later(vehicle, fleet)
+        if decided_in_offboard(vehicle, fleet)
     )  # fmt: skip
     return Prepared(
         flyers,
@@ -186,28 +186,28 @@ def prepared_team(
     )
 
 
-def ask_for_origin(vehicle: Vehicle, fleet: Fleet, now: float) -> None:
-    """Ask, once a second, for a vehicle's origin where it matters and is not known yet.
+def request_origin(vehicle: Vehicle, fleet: Fleet, now: float) -> None:
+    """Request, once a second, a vehicle's origin where it is required and not known.
 
-    ArduPilot takes the question and says nothing until its estimator has one.
+    ArduPilot accepts the request and sends no origin until its estimator has one.
     """
     if vehicle.origin is None and fleet.frame == "gps" and now >= vehicle.next_origin_request:
-        vehicle.next_origin_request = now + _ASK_AGAIN
+        vehicle.next_origin_request = now + _REQUEST_INTERVAL
         vehicle.request_message(common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
 
-def out_of_offboard(vehicle: Vehicle) -> None:
-    """Ask a vehicle on the ground that is not ready out of offboard mode.
+def leave_offboard(vehicle: Vehicle) -> None:
+    """Command Hold to a vehicle on the ground that is not ready and in offboard mode.
 
-    PX4 goes back to offboard mode when it has landed and disarmed, and can never be armed there
-    without a stream.
+    PX4 returns to offboard mode when it has landed and disarmed, and does not arm there without a
+    stream.
     """
     if vehicle.ready is False and not vehicle.armed and vehicle.in_mode("offboard"):
         vehicle.set_mode("hold")
 
 
 def request_streams(vehicle: Vehicle, fleet: Fleet) -> None:
-    """Ask a vehicle for the messages that a flight reads, at the fleet's rates."""
+    """Request the messages that a flight reads, at the fleet's rates."""
     rates = fleet.rates
     wanted = {
         common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rates.position,

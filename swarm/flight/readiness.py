@@ -1,7 +1,7 @@
-"""Before anything is armed: is everybody there, healthy, and standing where the plan begins?
+"""Checks before arming: all vehicles present, healthy, and on their pads.
 
-Where vehicles stand also ties their frames to the mission's: heights are levelled on the pads,
-since barometers and satellites put the origins' heights metres apart.
+The vehicles' places on the pads also determine their frames: heights are levelled on the pads,
+since barometers and GPS put the origins' heights metres apart.
 """
 
 import math
@@ -27,20 +27,20 @@ from swarm.mission.fleet import Fleet
 Floats = npt.NDArray[np.float64]
 
 FRESH = 1.0
-"""Seconds after which a position is too old to judge by."""
+"""Seconds after which a position is too old."""
 STEEPEST_LEVELLING = 30.0
-"""Metres that a vehicle's height may be off before its height is not believed at all."""
+"""Largest correction of a vehicle's height in metres."""
 
 
 def named(vehicle: Vehicle, number: int) -> str:
-    """Return what a vehicle is called in messages: its place along the cable, and system id."""
+    """Return the name of a vehicle in messages: its place along the cable, and system id."""
     if number == vehicle.system:
         return f"vehicle {number}"
     return f"vehicle {number} (system {vehicle.system})"
 
 
 def readiness(vehicles: Sequence[Vehicle], fleet: Fleet, now: float) -> list[Finding]:
-    """Return what keeps the vehicles, in order along the cable, from being armed."""
+    """Return the errors that prevent arming, of vehicles in order along the cable."""
     findings: list[Finding] = []
     for number, vehicle in enumerate(vehicles, 1):
         name = named(vehicle, number)
@@ -58,9 +58,9 @@ def _problems(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, str
         return [("autopilot", "neither PX4 nor ArduPilot")]
     problems = []
     if vehicle.armed:
-        problems.append(("disarmed", "is armed already"))
+        problems.append(("disarmed", "is already armed"))
     if vehicle.landed_state and not vehicle.on_ground:
-        problems.append(("on ground", "says that it is not on the ground"))
+        problems.append(("on ground", "reports that it is not on the ground"))
     if now - vehicle.position_at > FRESH:
         problems.append(("position", "no fresh local position"))
     if not math.isfinite(vehicle.attitude[2]):
@@ -69,21 +69,20 @@ def _problems(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, str
         problems.append(("origin", "its estimator's origin is unknown"))
     if vehicle.autopilot.ready_in_offboard_only and not vehicle.in_mode("offboard"):
         problems.append(("mode", f"is in {vehicle.mode}, not guided"))
-    if vehicle.ready is False and not told_later(vehicle, fleet):
+    if vehicle.ready is False and not decided_in_offboard(vehicle, fleet):
         said = vehicle.recent_warnings(now, within=30.0)
         problems.append(("ready", "not ready to arm" + (f" ({said})" if said else "")))
     elif vehicle.ready is None:
-        problems.append(("ready", "has not said whether it is ready to arm"))
+        problems.append(("ready", "has not reported whether it is ready to arm"))
     return problems
 
 
-def told_later(vehicle: Vehicle, fleet: Fleet) -> bool:
-    """Whether a vehicle that says that it is not ready may well be.
+def decided_in_offboard(vehicle: Vehicle, fleet: Fleet) -> bool:
+    """Return whether a vehicle's readiness is decided in offboard mode only.
 
-    PX4 judges by the mode that it is in (Commander: ``canArm(nav_state)``). On the ground that is
-    Hold, which wants a global position; indoors there is none, and only offboard mode, with
-    setpoints coming in, can be armed in. Whether it can shows when it is asked to, before anybody
-    takes off.
+    PX4 judges by its present mode (Commander: ``canArm(nav_state)``). On the ground that is Hold,
+    which requires a global position; indoors there is none, and PX4 arms only in offboard mode with
+    a stream of setpoints. The arm command before take-off shows the result.
     """
     early = vehicle.autopilot is not None and vehicle.autopilot.ready_in_offboard_only
     return fleet.frame == "shared" and vehicle.ready is False and not early
@@ -92,9 +91,9 @@ def told_later(vehicle: Vehicle, fleet: Fleet) -> bool:
 def rough_frames(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> Frames:
     """Return the vehicles' frames before heights are levelled.
 
-    ``pads`` (n, 3) is where those vehicles that have their pad from the fleet file should stand
-    (NaN for the others); it places the mission on the earth where the fleet file does not. Raises
-    :class:`Refused` where an origin that is needed is not known.
+    ``pads`` (n, 3) are the pads of vehicles that have theirs from the fleet file (NaN for the
+    others); they place the mission on the earth where the fleet file does not. Raises
+    :class:`Refused` where a required origin is not known.
     """
     place = fleet.origin
     turned = -math.radians(place.heading) if place else 0.0
@@ -114,10 +113,10 @@ def rough_frames(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> Fra
 
 
 def levelled(frames: Frames, fleet: Fleet, standing: Floats, measured: Floats) -> Frames:
-    """Return the frames of vehicles that stand on their pads, with what standing there tells.
+    """Return the frames of vehicles that stand on their pads, corrected by their places there.
 
-    ``standing`` (n, 3) is where the plan has the vehicles' centres, mission ENU; ``measured``
-    (n, 3) where each says that it is, in its own NED. Heights are levelled to ``standing``, except
+    ``standing`` (n, 3) are the planned places of the centres, mission ENU; ``measured`` (n, 3) the
+    reported ones, each in its own NED. Heights are levelled to ``standing``, except
     in a shared frame; in the frame ``pads`` the horizontal position is, too.
     """
     if fleet.frame == "shared":
@@ -129,10 +128,10 @@ def levelled(frames: Frames, fleet: Fleet, standing: Floats, measured: Floats) -
 
 
 def assigned(positions: Floats, pads: Floats, taken: Mapping[int, int]) -> list[int]:
-    """Return which vehicle stands on each of the n pads: indices into ``positions`` (m, 3).
+    """Return the vehicle on each of the n pads: indices into ``positions`` (m, 3).
 
-    ``taken`` are pads that the fleet file gives to vehicles; the others go to whoever is nearest,
-    so that the sum of squared level distances is smallest. Vehicles beyond n are spares.
+    ``taken`` are pads that the fleet file assigns; the others are assigned with the smallest sum of
+    squared horizontal distances. The remaining vehicles are spares.
     """
     free_pads = [pad for pad in range(len(pads)) if pad not in taken]
     others = [k for k in range(len(positions)) if k not in taken.values()]
@@ -144,7 +143,7 @@ def assigned(positions: Floats, pads: Floats, taken: Mapping[int, int]) -> list[
 
 
 def _fitted(vehicles: Sequence[Vehicle], pads: Floats) -> tuple[Origin, float]:
-    """Place the mission so that pads lie where their vehicles stand, best in least squares.
+    """Place the mission so that pads fit their vehicles' places, by least squares.
 
     Rotation and translation in the plane from matched points: Umeyama 1991, without scale.
     """
@@ -169,7 +168,7 @@ def _fitted(vehicles: Sequence[Vehicle], pads: Floats) -> tuple[Origin, float]:
 def placement(
     vehicles: Sequence[Vehicle], fleet: Fleet, frames: Frames, standing: Floats, measured: Floats
 ) -> list[Finding]:
-    """Return where vehicles stand against their pads; standing too far off is an error."""
+    """Return the distances of vehicles from their pads; too large ones are errors."""
     off = np.linalg.norm(frames.points_to_mission(measured) - standing, axis=1)
     findings = []
     limit = fleet.limits.placement

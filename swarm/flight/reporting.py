@@ -75,7 +75,7 @@ def _rejected(flight: FlightState) -> dict[str, int]:
 
 def _waiting_for(flight: FlightState) -> str | None:
     if flight.stage is Stage.PREPARE:
-        return "readiness" if flight.preparation.everybody_heard else "heartbeats"
+        return "readiness" if flight.preparation.all_received else "heartbeats"
     if flight.stage is Stage.READY:
         return "go"
     gate = flight.gate

@@ -1,4 +1,4 @@
-"""What a flight, real or rehearsed, comes back with."""
+"""The result of a flight, real or simulated."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ _ERRORS: Mapping[Word, type[SwarmError]] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a flight ended: a word, and why."""
+    """How a flight ended: a word, and an explanation."""
 
     word: Word
     explanation: str
@@ -33,20 +33,19 @@ class Outcome:
         return 0 if self.word == "done" else _ERRORS[self.word].exit_code
 
     def error(self) -> SwarmError | None:
-        """Return the outcome as an error; None where all went well."""
+        """Return the outcome as an error; None after a complete flight."""
         return None if self.word == "done" else _ERRORS[self.word](self.explanation)
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a flight cost and how well it was timed.
+    """Counts and times of a flight.
 
     Times in seconds: ``lateness`` of setpoints as (median, 99 %), ``command_latency`` until the
-    acknowledgement as (median, largest), ``cpu`` as a share of one core (None in a rehearsal),
+    acknowledgement as (median, largest), ``cpu`` as a share of one core (None in a simulation),
     ``duration`` in flight time, ``round_trip`` per system id. ``lost`` and ``received`` count
-    packets per system id. ``rejected`` counts packets that were not heard: by what is wrong with
-    their signatures, and "stranger" for everything else; ``unsent`` what did not fit a link, by
-    the link's name.
+    packets per system id. ``rejected`` counts rejected packets: by the error of their signatures,
+    and "stranger" for all others; ``unsent`` packets that did not fit a link, by the link's name.
     """
 
     duration: float
@@ -63,9 +62,9 @@ class Statistics:
 
 @dataclass(frozen=True)
 class FlightResult:
-    """A flight: outcome, what was measured, what happened, and where its record is.
+    """A flight: outcome, trace, events, statistics, and the folder of its record.
 
-    ``basis`` is what it was certified for, ``adherence`` how it kept to that.
+    ``basis`` is the basis on which it was flown, ``adherence`` its errors against that.
     """
 
     outcome: Outcome
@@ -77,10 +76,10 @@ class FlightResult:
     record: Path | None = None
 
     def error(self) -> SwarmError | None:
-        """Return what went wrong; None where all went well.
+        """Return the error with which the flight ended; None after a complete flight.
 
-        A flight that carried cable outside its certificate is a failure of its vehicles, however
-        it ended.
+        A flight that carried cable outside its certificate is a failure of its vehicles, also
+        where it was complete.
         """
         error = self.outcome.error()
         if error is None and self.basis.cable and not self.adherence.within:
@@ -89,6 +88,6 @@ class FlightResult:
 
     @property
     def exit_code(self) -> int:
-        """The command line's exit code, as far as the flight itself decides it."""
+        """The command line's exit code by the flight itself."""
         error = self.error()
         return error.exit_code if error is not None else 0

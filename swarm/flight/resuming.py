@@ -1,4 +1,4 @@
-"""What the record of an interrupted flight tells: where it broke off.
+"""Where an interrupted flight broke off, from its record.
 
 The vehicles hold where they stopped, until the fleet's T has passed since they last received a
 ground station; then they land by themselves, together.
@@ -25,7 +25,7 @@ class LeftOff:
     """Where a flight broke off.
 
     ``systems`` in order along the cable, with their ``frames`` and ``yaw`` (n,) in radians;
-    ``mission_time`` is the last that the record tells, ``gripped`` whether the cable was held.
+    ``mission_time`` is the last recorded one, ``gripped`` says whether the cable was held.
     """
 
     systems: tuple[int, ...]
@@ -37,15 +37,15 @@ class LeftOff:
 
     @property
     def known(self) -> KnownFrames:
-        """The frames, as a record keeps them."""
+        """The frames, for the record."""
         return KnownFrames(self.systems, self.frames, self.yaw)
 
 
 def left_off(tlog: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = None) -> LeftOff:
-    """Return where a flight broke off, from its .tlog; ``known`` are frames that it cannot tell.
+    """Return where a flight broke off, from its .tlog; ``known`` are frames from its record.
 
-    Raises :class:`InputError` where the record does not tell, or the flight was over or had not
-    left the ground.
+    Raises :class:`InputError` where the log does not determine it, or the flight had ended or had
+    not left the ground.
     """
     told = replay(tlog, plan, fleet, known)
     time, phase = float(told.trace.mission_time[-1]), told.trace.phase[-1]

@@ -1,7 +1,6 @@
-"""The team on its links, sans-IO: whose packet is it, and where do packets for a vehicle go.
+"""Assigns received packets to vehicles, and vehicles to links. Sans-IO.
 
-Only vehicles that the fleet file lists are heard and spoken to, each at the address where it was
-first heard.
+Only vehicles of the fleet file count, each at the address from which it was first received.
 """
 
 import math
@@ -40,13 +39,13 @@ Address = Hashable
 HEARTBEAT_INTERVAL = 1.0
 TIMESYNC_INTERVAL = 2.0
 _CLOCKS_AT_ONCE = 10
-"""Vehicles whose clocks are asked for in one tick, if there is time for more: a hundred at once
-would take longer than setpoints may be late."""
+"""Clock requests in one tick, if there is time for more: a hundred at once would delay setpoints
+too much."""
 _ROUNDING = 1e-6
 """Seconds: an interval of one tick must not become one of two now and then."""
 _ROUTES_PER_VEHICLE = 4
 _MOST_UNKNOWN = 300
-"""Datagrams that are read between two heartbeats from an address from which no vehicle speaks."""
+"""Datagrams that are read between two heartbeats from an address without a vehicle."""
 _HEARTBEAT = int(common.MAVLINK_MSG_ID_HEARTBEAT)
 _OWN_HEARTBEAT = common.MAVLink_heartbeat_message(
     common.MAV_TYPE_GCS, common.MAV_AUTOPILOT_INVALID, 0, 0, common.MAV_STATE_ACTIVE, 3
@@ -54,7 +53,7 @@ _OWN_HEARTBEAT = common.MAVLink_heartbeat_message(
 
 
 class Outgoing(NamedTuple):
-    """Bytes to send: on which link, to whom (None: the link's only other end)."""
+    """Bytes to send: link, address (None: the link's only other end), data."""
 
     link: str
     address: Address | None
@@ -66,9 +65,9 @@ _outgoing: Callable[[tuple[Any, ...]], Outgoing] = partial(tuple.__new__, Outgoi
 
 @dataclass
 class Route:
-    """One remote address on one link, with its own sequence numbers, and who speaks from there.
+    """One remote address on one link, with its own sequence numbers and its vehicles.
 
-    ``alone`` is the vehicle that does so in whole packets, and nobody else.
+    ``alone`` is the only vehicle there, where datagrams hold whole packets.
     """
 
     link: str
@@ -84,7 +83,7 @@ class Team:
     """Vehicles and the routes to them."""
 
     def __init__(self, fleet: Fleet, report: Callable[[str, str, int | None], None]) -> None:
-        """``report`` is called with kind, words and system id of what is noticed on the links."""
+        """``report`` is called with kind, message and system id of events on the links."""
         named: dict[str, Autopilot] = {kind.name: kind for kind in AUTOPILOTS.values()}
         self.telemetry = TelemetryTable(len(fleet.vehicles))
         self.vehicles: Mapping[int, Vehicle] = {
@@ -120,13 +119,13 @@ class Team:
                 self._route(name, None)
 
     def report_to(self, report: Callable[[str, str, int | None], None]) -> None:
-        """Call another function with kind, words and system id of what the links show."""
+        """Call another function with the events on the links."""
         self._report = report
 
     def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
-        """Take bytes that arrived on a link; return whether they were read at all.
+        """Take bytes that arrived on a link; return whether they were read.
 
-        An address from which no vehicle speaks is read a bounded number of times a second.
+        An address without a vehicle is read a bounded number of times a second.
         """
         route = self._routes.get((link, address)) or self._route(link, address)
         if route is None:
@@ -161,10 +160,10 @@ class Team:
                 self.receive(link, address, data, now)
 
     def _take(self, link: str, arrived: Sequence[tuple[Address | None, bytes]], now: float) -> bool:
-        """Take what is said most often all at once, and then the other packets.
+        """Read the most frequent messages all at once, and then the other packets.
 
-        False, and nothing is taken, where there is anything but plain packets from where their
-        vehicles speak.
+        False, and none is read, where there are other than plain packets from vehicles' own
+        addresses.
         """
         speakers: list[Vehicle] = []
         origins: list[int] = []
@@ -194,11 +193,11 @@ class Team:
         return left >= 0
 
     def trusts(self, link: str, address: Address | None, packet: bytes) -> bool:
-        """Whether a packet is from where its vehicle speaks, and signed if it must be."""
+        """Return whether a packet is from its vehicle's address, and signed if it must be."""
         system = packet[5] if packet[0] == 0xFD else packet[3]
         way = self._ways.get(system, {}).get(link)
-        at_home = way is not None and way.address == address
-        return at_home and (self.signing is None or self.signing.is_genuine(packet))
+        from_vehicle = way is not None and way.address == address
+        return from_vehicle and (self.signing is None or self.signing.is_genuine(packet))
 
     def sealed(self, link: str, packet: bytes) -> bytes:
         """Return a packet as it goes out on a link: signed where there is a key."""
@@ -223,7 +222,7 @@ class Team:
             self._identities.heartbeat(system, route.link, route.address, message.autopilot)
 
     def _sender(self, route: Route, packet: Packet, now: float) -> Vehicle | None:
-        """Return the vehicle whose message this is, if it may speak from there."""
+        """Return the vehicle of a message, if this is its address."""
         sysid = packet.system
         vehicle = self.vehicles.get(sysid)
         if vehicle is None:
@@ -272,7 +271,7 @@ class Team:
 
     @property
     def strangers(self) -> list[int]:
-        """System ids of vehicles that were heard and are not in the fleet file."""
+        """System ids of vehicles that were received and are not in the fleet file."""
         return sorted(self._strangers - self._stations)
 
     @property
@@ -285,26 +284,26 @@ class Team:
         return list(self._identities.findings(self.vehicles))
 
     def findings(self) -> list[Finding]:
-        """Return who is on the links and should not be, for the go/no-go before a flight."""
+        """Return the unexpected systems on the links, for the decision before a flight."""
         return [
             *(
-                Finding("error", "fleet", f"system {s} is heard and not in the fleet file")
+                Finding("error", "fleet", f"system {s} is received and not in the fleet file")
                 for s in self.strangers
             ),
             *self.conflicts(),
             *(
-                Finding("warning", "fleet", f"another ground station (system {s}) is heard: its "
+                Finding("warning", "fleet", f"another ground station (system {s}) is received: its "
                         "heartbeats defeat the vehicles' link-loss failsafe")
                 for s in self.stations
             ),
         ]  # fmt: skip
 
-    def ask_clocks_every(self, seconds: float) -> None:
+    def set_timesync_interval(self, seconds: float) -> None:
         """Send clock requests at another interval, from the next tick on."""
         self._timesync_interval, self._next_timesync = seconds, 0.0
 
     def way_to(self, sysid: int) -> Route | None:
-        """Return the route to a vehicle: its preferred link on which it was heard."""
+        """Return the route to a vehicle: its preferred link on which it was received."""
         return self._best[sysid]
 
     def tick(self, now: float) -> list[Outgoing]:
@@ -332,7 +331,7 @@ class Team:
                 yield Outgoing(route.link, route.address, data)
 
     def _clock_requests(self, now: float, passed: float) -> Iterable[Outgoing]:
-        """Ask for clocks, some vehicles after the other; ``passed`` seconds since the last tick."""
+        """Yield clock requests to a few vehicles; ``passed`` seconds since the last tick."""
         if now > self._next_timesync - _ROUNDING and not self._clocks_to_ask:
             self._next_timesync = now + self._timesync_interval
             self._clocks_to_ask = list(self.vehicles)

@@ -1,4 +1,4 @@
-"""What the flight looks like at one moment: the only thing that views and records are shown."""
+"""The flight at one moment, for displays and records."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,16 +13,16 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The team at one moment, as the ground station knows it.
+    """The team at one moment, by its reports.
 
     ``time`` is seconds since the flight's record began, ``mission_time`` and ``rate`` the mission
     clock. ``position``, ``velocity`` and ``setpoint`` (n, 3) are of grip points in mission ENU,
     NaN where unknown; ``battery`` (n,) is a share 0…1, ``link_age`` (n,) seconds since a vehicle
-    was last heard. ``modes`` and ``states`` are words per vehicle. ``clearances`` are what the live
-    monitor sees (None while the cable is on the floor); ``available`` says of each wish that the
-    operator may have whether its window is open, and what it would do now. ``round_trip`` (n,) is
-    the latest in seconds, ``received`` and ``lost`` (n,) count packets since the record began;
-    empty where nobody counts.
+    was last received. ``modes`` and ``states`` are words per vehicle. ``clearances`` come from the
+    live monitor (None while the cable is on the floor); ``available`` has, for each operator
+    command, whether it is possible now, and its effect. ``round_trip`` (n,) is the latest in
+    seconds, ``received`` and ``lost`` (n,) count packets since the record began; empty where they
+    are not counted.
     """
 
     time: float
@@ -48,7 +48,7 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened: seconds since the record began, kind, words, and the vehicle."""
+    """An event: seconds since the record began, kind, message, and the vehicle (from 1)."""
 
     time: float
     kind: str

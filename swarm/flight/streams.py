@@ -74,7 +74,7 @@ def setpoints(flight: FlightState) -> list[Outgoing]:
         # a setpoint stands until the next one comes: aim at the middle of its time
         lead = 0.5 / setup.fleet.rates.setpoint
         held = setup.carries_cable and all(vehicle.gripped for vehicle in roster.vehicles)
-        pull = setup.pull.around(flight.clock.time) if held else setup.pull.nothing()
+        pull = setup.pull.around(flight.clock.time) if held else setup.pull.none()
         states = np.empty((len(roster.systems), 3, 3))
         setpoints_ned(
             (state.position, state.velocity, state.acceleration), lead, setup.lift,

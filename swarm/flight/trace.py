@@ -1,4 +1,4 @@
-"""What a flight leaves behind for judging it: measured and asked positions over time."""
+"""The flown positions and setpoints over time."""
 
 from dataclasses import dataclass
 
@@ -10,14 +10,13 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """What a flight's record says of n vehicles at k instants, in the mission's frame.
+    """Positions and setpoints of n vehicles at k instants, in the mission's frame.
 
     ``time`` (k,) is the ground station's clock in seconds, increasing; ``mission_time`` (k,) the
-    mission clock at that instant (it waits at gates and may run back). ``position`` and
-    ``setpoint`` (k, n, 3) are grip points in ENU metres: position as the vehicle reported it,
-    interpolated to ``time``, setpoint as it was sent; NaN where nothing is known (yet).
-    ``phase`` (k,) are the names of the plan's phases, empty where the flight was in none of them
-    (before the start, or landing out of turn).
+    mission clock at that instant (it waits at gates and may run backwards). ``position`` and
+    ``setpoint`` (k, n, 3) are grip points in ENU metres: the reported position,
+    interpolated to ``time``, and the sent setpoint; NaN where not known. ``phase`` (k,) are the
+    names of the plan's phases, empty outside the plan (before the start, or in a contingency).
     """
 
     time: Floats

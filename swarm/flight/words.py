@@ -1,4 +1,4 @@
-"""What many vehicles have in common, said once."""
+"""One message for many vehicles."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -9,7 +9,7 @@ _SYSTEM = re.compile(r"system (\d+): ")
 
 
 def numbers(listed: Sequence[int]) -> str:
-    """Return numbers in words, runs as ranges: ``1–3, 7``."""
+    """Return numbers as text, runs as ranges: ``1–3, 7``."""
     runs: list[list[int]] = []
     for number in listed:
         if runs and number == runs[-1][-1] + 1:
@@ -20,7 +20,7 @@ def numbers(listed: Sequence[int]) -> str:
 
 
 def in_common(findings: Iterable[Finding]) -> list[tuple[str, str, str]]:
-    """Return severity, check and words; what was found of many systems is one line."""
+    """Return severity, check and message; equal findings on many systems are one line."""
     merged: dict[tuple[str, str, str], list[int]] = {}
     for finding in findings:
         named = _SYSTEM.match(finding.message)
@@ -35,7 +35,7 @@ def in_common(findings: Iterable[Finding]) -> list[tuple[str, str, str]]:
 
 
 def of_systems(systems: Sequence[int]) -> str:
-    """Return whom words are about: ``systems 1–3, 7: ``, or nothing."""
+    """Return the prefix of a message: ``systems 1–3, 7: ``; "" without systems."""
     if not systems:
         return ""
     return f"system{'s' if len(systems) > 1 else ''} {numbers(systems)}: "

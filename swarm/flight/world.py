@@ -1,4 +1,4 @@
-"""What the emulator must be told so that it can stand in for the team: its neutral world file."""
+"""The emulator's world file for a plan and a fleet."""
 
 from typing import Any
 
@@ -12,9 +12,9 @@ Floats = npt.NDArray[np.float64]
 
 
 def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> dict[str, Any]:
-    """Return the world for a plan: vehicles on their pads, the cable as the plan expects it to lie.
+    """Return the world for a plan: vehicles on their pads, the cable as the plan expects it.
 
-    ENU metres and SI units; nothing of knots or grids is in it. Vehicles are in the fleet's order,
+    ENU metres and SI units, without knots or grids. Vehicles are in the fleet's order,
     the first n of them on the plan's pads.
     """
     mission, origin = plan.mission, fleet.origin
@@ -66,14 +66,14 @@ def _gripper(plan: Plan, fleet: Fleet, with_cable: bool) -> str:
 
 
 def _heading(system: int, fleet: Fleet, seed: int) -> float:
-    """Return where a vehicle looks on its pad, radians from north: anywhere, or north if ideal."""
+    """Return a vehicle's heading on its pad, radians from north: random, or 0 without biases."""
     if fleet.emulated is not None and fleet.emulated.biases == "none":
         return 0.0
     return float(np.random.default_rng([seed, system]).uniform(-np.pi, np.pi))
 
 
 def bare_world(fleet: Fleet) -> dict[str, Any]:
-    """Return a world with the fleet's vehicles alone, three metres apart, for ground checks."""
+    """Return a world with the fleet's vehicles only, three metres apart, for ground checks."""
     world: dict[str, Any] = {
         "schema": 1,
         "seed": fleet.emulated.seed if fleet.emulated else 1,
@@ -98,9 +98,9 @@ def _origin(place: Place) -> dict[str, float]:
 
 
 def _laid(grips: Floats, lengths: Floats) -> Floats:
-    """Return the cable on the floor: through the grasp points (n, 3), in a bow where it has slack.
+    """Return the cable on the floor: through the grip points (n, 3), bent where it has slack.
 
-    Each segment of the cable (n − 1,) keeps its length: its middle lies aside.
+    Each segment (n − 1,) keeps its length: its middle is displaced to the side.
     """
     chords = np.diff(grips, axis=0)
     distance = np.linalg.norm(chords, axis=1)

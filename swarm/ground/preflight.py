@@ -13,7 +13,7 @@ from pathlib import Path
 from swarm.errors import SwarmError
 from swarm.flight.clearance import Audit
 from swarm.flight.conductor import Conductor
-from swarm.flight.parameters import demands_of_plan, stream_loss_findings, stream_loss_model
+from swarm.flight.parameters import plan_requirements, stream_loss_findings, stream_loss_model
 from swarm.ground.commissioning.audit import Auditor, save_parameters
 from swarm.ground.relay import Relay
 
@@ -64,7 +64,7 @@ class Preflight:
         flyers = self.conductor.flyers
         names = {v.system: v.autopilot.name for v in flyers if v.autopilot is not None}
         plan, fleet = self.conductor.plan, self.conductor.fleet
-        audits = Auditor(relay, names, demands_of_plan(plan, fleet)).audit()
+        audits = Auditor(relay, names, plan_requirements(plan, fleet)).audit()
         with suppress(OSError):
             save_parameters(self.folder, audits)
         values = {vehicle.system: vehicle.parameters for vehicle in audits}

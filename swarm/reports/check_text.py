@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from swarm.flight.parameters import Row
+from swarm.flight.parameters import ParameterResult
 from swarm.flight.words import in_common, numbers, of_systems
 from swarm.ground.commissioning.check import CheckReport
 from swarm.ground.commissioning.logs import LogDownload
@@ -38,7 +38,7 @@ def print_check(report: CheckReport, console: Console) -> None:
         console.print(Text("NO-GO: do not arm", "bold red"))
 
 
-def parameter_table(rows: Iterable[Row]) -> Table:
+def parameter_table(rows: Iterable[ParameterResult]) -> Table:
     """Return a table of parameters; vehicles with the same value share a line."""
     table = _table("systems", "parameter", "value", "expected", "reason")
     for (name, value, words, why, severity), systems in _merged(rows).items():
@@ -66,7 +66,9 @@ def _table(*headings: str) -> Table:
     return table
 
 
-def _merged(rows: Iterable[Row]) -> dict[tuple[str, float | None, str, str, str], list[int]]:
+def _merged(
+    rows: Iterable[ParameterResult],
+) -> dict[tuple[str, float | None, str, str, str], list[int]]:
     merged: dict[tuple[str, float | None, str, str, str], list[int]] = {}
     for row in rows:
         key = (row.name, row.value, row.words, row.why, row.severity)

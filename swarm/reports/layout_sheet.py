@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from swarm.flight.parameters import demands_of_plan, rules
+from swarm.flight.parameters import plan_requirements, rules
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
@@ -137,7 +137,7 @@ def _lay_line(grips: Floats) -> LayLine:
 
 def _parameters(plan: Plan, fleet: Fleet) -> list[tuple[str, list[tuple[str, str, str]]]]:
     """Return each autopilot's name with the parameters that it needs: name, value, reason."""
-    demands = demands_of_plan(plan, fleet)
+    demands = plan_requirements(plan, fleet)
     listed = {vehicle.autopilot for vehicle in fleet.vehicles}
     return [
         (name, [(rule.name, rule.words, rule.why) for rule in rules(autopilot, demands)])

@@ -230,7 +230,7 @@ def test_vehicles_that_are_never_heard_are_named():
     flight = Network(PLAN, fleet, downlink=lambda _now, system, _data: system == 1)
     outcome = flight.run()
     assert outcome.exit_code == 3
-    assert outcome.explanation == "not heard: system 2, system 3"
+    assert outcome.explanation == "not received: system 2, system 3"
 
 
 @pytest.mark.parametrize("autopilots", AUTOPILOTS[:2], ids="-".join)

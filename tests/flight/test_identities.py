@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 
 from sitl import Emulator
 from sitl.world import default_world
-from swarm.flight.listening import Listening
+from swarm.flight.fleet_listener import FleetListener
 from swarm.mission.fleet import Fleet, emulated_fleet
 from tests.command import run
 from tests.network import Network, small_plan
@@ -44,20 +44,20 @@ def both_links(system: int) -> list[tuple[str, object]]:
 
 def heard(fleet: Fleet, *speaking: tuple[Emulator, Places], seconds: float = 6.0) -> list[str]:
     """What is said against vehicles after so long; each speaks from all of its places."""
-    listening = Listening(fleet)
+    listener = FleetListener(fleet)
     for tick in range(int(20 * seconds)):
         now = 0.05 * tick
         for emulator, places in speaking:
             for system, data in emulator.step(now):
                 for link, address in places(system):
-                    listening.receive(link, address, data, now)
-        for one in listening.tick(now):
+                    listener.receive(link, address, data, now)
+        for one in listener.tick(now):
             for emulator, places in speaking:
                 for system in (1, 2):
                     if (one.link, one.address) in places(system):
                         emulator.receive(system, one.data, now)
-    assert not listening.missing
-    return [finding.message for finding in listening.team.conflicts()]
+    assert not listener.missing
+    return [finding.message for finding in listener.team.conflicts()]
 
 
 def test_two_autopilots_are_told_with_both_addresses():
@@ -85,7 +85,7 @@ def test_two_ways_on_one_link_are_told_although_nothing_tells_the_vehicles_apart
     said = heard(fleet_of(), (emulated("px4"), places))
     assert len(said) == 2
     assert said[0].startswith(
-        "system 1 is heard from two places: PX4 at 10.0.0.9:1001 on link radio and PX4 at "
+        "system 1 is received from two addresses: PX4 at 10.0.0.9:1001 on link radio and PX4 at "
         "10.0.0.9:2001 on link radio: two vehicles have this system id, or one is connected twice"
     )
 
@@ -146,20 +146,20 @@ def test_clocks_that_drift_as_simulators_do_are_one_clock_on_both_ways():
 
 def test_a_second_vehicle_that_is_never_asked_is_told_by_its_clock_requests():
     """An ArduCopter sends heartbeats and TIMESYNC only, until it is asked for more."""
-    listening, vehicle = Listening(fleet_of(("radio",))), emulated("ardupilot")
+    listener, vehicle = FleetListener(fleet_of(("radio",))), emulated("ardupilot")
     silent = common.MAVLink(None, srcSystem=1, srcComponent=1)
     beat = common.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3).pack(silent)
     for tick in range(160):
         now = 0.05 * tick
         for system, data in vehicle.step(now):
-            listening.receive("radio", ("10.0.0.9", system), data, now)
+            listener.receive("radio", ("10.0.0.9", system), data, now)
         if tick % 20 == 0:
             clock = common.MAVLink_timesync_message(0, int((now + 7.0) * 1e9)).pack(silent)
-            listening.receive("spare", ("10.0.0.9", 99), beat + clock, now)
-        for one in listening.tick(now):
+            listener.receive("spare", ("10.0.0.9", 99), beat + clock, now)
+        for one in listener.tick(now):
             if one.address:
                 vehicle.receive(one.address[1], one.data, now)
-    (said,) = listening.team.conflicts()
+    (said,) = listener.team.conflicts()
     assert said.message.startswith(
         "system 1 is two vehicles: ArduPilot at 10.0.0.9:1 on link radio"
     )

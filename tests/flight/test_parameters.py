@@ -8,9 +8,9 @@ from swarm.certification.stream_loss import StreamLossModel
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.parameters import (
-    demands_of,
-    demands_of_plan,
-    judge,
+    evaluate,
+    fleet_requirements,
+    plan_requirements,
     rules,
     stream_loss_findings,
     stream_loss_model,
@@ -22,7 +22,7 @@ from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
 
 FLEET = emulated_fleet(3)
-ASKED = demands_of(Vehicles(), FLEET)
+ASKED = fleet_requirements(Vehicles(), FLEET)
 PX4 = rules("px4", ASKED)
 ARDUPILOT = rules("ardupilot", ASKED)
 
@@ -54,7 +54,7 @@ def settled(table):
 
 @pytest.mark.parametrize("table", [PX4, ARDUPILOT], ids=["px4", "ardupilot"])
 def test_what_the_table_sets_satisfies_the_table(table):
-    wrong, good = judge(1, settled(table), table)
+    wrong, good = evaluate(1, settled(table), table)
     assert wrong == []
     assert len(good) == len(table)
 
@@ -62,59 +62,61 @@ def test_what_the_table_sets_satisfies_the_table(table):
 @pytest.mark.parametrize(("autopilot", "name", "value"), RETURNS)
 def test_returning_to_launch_is_an_error_in_every_failsafe(autopilot, name, value):
     table = rules(autopilot, ASKED)
-    (row,), _ = judge(7, {**settled(table), name: value}, table)
+    (row,), _ = evaluate(7, {**settled(table), name: value}, table)
     assert (row.name, row.severity, row.system) == (name, "error", 7)
     assert row.message.startswith(f"system 7: {name} is {value}, should be ")
 
 
 def test_a_stream_that_may_be_lost_for_long_is_an_error():
-    assert judge(1, {**settled(PX4), "COM_OF_LOSS_T": 1.0}, PX4)[0][0].severity == "error"
-    assert judge(1, {**settled(ARDUPILOT), "GUID_TIMEOUT": 3.0}, ARDUPILOT)[0][0].should == 0.5
+    assert evaluate(1, {**settled(PX4), "COM_OF_LOSS_T": 1.0}, PX4)[0][0].severity == "error"
+    assert evaluate(1, {**settled(ARDUPILOT), "GUID_TIMEOUT": 3.0}, ARDUPILOT)[0][0].should == 0.5
 
 
 def test_a_fence_that_is_off_is_not_judged():
     values = {**settled(ARDUPILOT), "FENCE_ENABLE": 0.0, "FENCE_ACTION": 1.0}
-    assert judge(1, values, ARDUPILOT)[0] == []
+    assert evaluate(1, values, ARDUPILOT)[0] == []
 
 
 def test_a_parameter_that_is_not_there_is_a_warning():
     values = settled(PX4)
     del values["COM_WIND_MAX_ACT"]
-    (row,), _ = judge(1, values, PX4)
+    (row,), _ = evaluate(1, values, PX4)
     assert row.severity == "warning"
-    assert "COM_WIND_MAX_ACT is not there" in row.message
+    assert "COM_WIND_MAX_ACT is missing" in row.message
 
 
 def test_limits_follow_the_mission():
-    fast = rules("px4", demands_of(Vehicles(max_speed=15.0), FLEET))
-    names = {row.name for row in judge(1, settled(PX4), fast)[0]}
+    fast = rules("px4", fleet_requirements(Vehicles(max_speed=15.0), FLEET))
+    names = {row.name for row in evaluate(1, settled(PX4), fast)[0]}
     assert "MPC_XY_VEL_MAX" in names
 
 
 def test_everybody_lands_after_the_teams_own_time():
     values = {**settled(PX4), "COM_DL_LOSS_T": 10.0}
-    (row,), _ = judge(1, values, PX4)
+    (row,), _ = evaluate(1, values, PX4)
     assert (row.should, row.severity) == (FLEET.limits.hold, "error")
-    (row,), _ = judge(1, {**settled(ARDUPILOT), "FS_GCS_TIMEOUT": 5.0}, ARDUPILOT)
+    (row,), _ = evaluate(1, {**settled(ARDUPILOT), "FS_GCS_TIMEOUT": 5.0}, ARDUPILOT)
     assert row.should == FLEET.limits.hold
 
 
 def test_without_global_position_there_is_no_hold_to_ask_for():
-    indoors = rules("px4", demands_of(Vehicles(), FLEET.model_copy(update={"frame": "shared"})))
-    assert judge(1, {**settled(indoors), "COM_OBL_RC_ACT": 4}, indoors)[0] == []
-    assert judge(1, {**settled(PX4), "COM_OBL_RC_ACT": 4}, PX4)[0][0].severity == "error"
+    indoors = rules(
+        "px4", fleet_requirements(Vehicles(), FLEET.model_copy(update={"frame": "shared"}))
+    )
+    assert evaluate(1, {**settled(indoors), "COM_OBL_RC_ACT": 4}, indoors)[0] == []
+    assert evaluate(1, {**settled(PX4), "COM_OBL_RC_ACT": 4}, PX4)[0][0].severity == "error"
 
 
 def test_bits_are_set_and_cleared_and_the_others_left():
-    (row,), _ = judge(1, {**settled(ARDUPILOT), "FS_OPTIONS": 48.0}, ARDUPILOT)
+    (row,), _ = evaluate(1, {**settled(ARDUPILOT), "FS_OPTIONS": 48.0}, ARDUPILOT)
     assert row.should == 20.0
-    (row,), _ = judge(1, {**settled(PX4), "COM_RCL_EXCEPT": 3.0}, PX4)
+    (row,), _ = evaluate(1, {**settled(PX4), "COM_RCL_EXCEPT": 3.0}, PX4)
     assert row.should == 7.0
 
 
 def test_a_plan_is_asked_for_what_it_flies():
     plan = small_plan().plan
-    asked = demands_of_plan(plan, FLEET)
+    asked = plan_requirements(plan, FLEET)
     assert 0.0 < asked.down <= asked.speed <= plan.mission.vehicles.max_speed
     assert asked.acceleration <= plan.mission.vehicles.max_acceleration + 0.1
 
@@ -130,11 +132,11 @@ def test_a_plan_is_asked_for_what_it_flies():
 def test_a_team_that_flies_high_comes_down_at_one_speed_all_the_way(
     autopilot, name, falls_short, good
 ):
-    table = rules(autopilot, demands_of_plan(small_plan(height=12.0).plan, FLEET))
-    (row,), _ = judge(1, {**settled(table), name: falls_short}, table)
+    table = rules(autopilot, plan_requirements(small_plan(height=12.0).plan, FLEET))
+    (row,), _ = evaluate(1, {**settled(table), name: falls_short}, table)
     assert (row.name, row.should, row.severity) == (name, good, "warning")
-    low = rules(autopilot, demands_of_plan(small_plan(height=3.0).plan, FLEET))
-    assert judge(1, {**settled(low), name: falls_short}, low)[0] == []
+    low = rules(autopilot, plan_requirements(small_plan(height=3.0).plan, FLEET))
+    assert evaluate(1, {**settled(low), name: falls_short}, low)[0] == []
 
 
 @pytest.mark.parametrize(
@@ -142,7 +144,7 @@ def test_a_team_that_flies_high_comes_down_at_one_speed_all_the_way(
 )
 def test_a_disarm_timer_is_long_or_off(table, name):
     for value, wrong in ((0.0, False), (-1.0, False), (10.0, False), (5.0, True)):
-        found, _ = judge(1, {**settled(table), name: value}, table)
+        found, _ = evaluate(1, {**settled(table), name: value}, table)
         assert [row.name for row in found] == ([name] if wrong else [])
 
 
@@ -170,7 +172,7 @@ def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
     holds = ("ardupilot", {"GUID_TIMEOUT": 0.5})
     _, findings = stream_loss_findings(plan, stream_loss_model([lands, holds, lands], FLEET.limits))
     (error,) = [finding for finding in findings if finding.severity == "error"]
-    assert "vehicle 1, vehicle 3 would land at once and the others hold" in error.message
+    assert "vehicle 1, vehicle 3 would land at once and the others would hold" in error.message
     _, findings = stream_loss_findings(plan, stream_loss_model([lands, lands, lands], FLEET.limits))
     assert not [finding for finding in findings if finding.severity == "error"]
 
@@ -189,7 +191,7 @@ def test_the_flight_keeps_the_pace_that_the_audited_vehicles_allow():
 
 def test_the_common_pace_of_landing_is_one_that_both_autopilots_document():
     """MPC_LAND_SPEED has 0.6 m/s as its least, LAND_SPEED 30 to 200 cm/s."""
-    demands = demands_of(Vehicles(), FLEET)
+    demands = fleet_requirements(Vehicles(), FLEET)
     wanted = {r.name: r.should for kind in ("px4", "ardupilot") for r in rules(kind, demands)}
     assert wanted["MPC_LAND_SPEED"] >= 0.6
     assert 30 <= wanted["LAND_SPEED"] <= 200

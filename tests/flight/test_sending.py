@@ -38,7 +38,7 @@ def listened(count, interval=None, seconds=8.0, rate=50.0):
         beat = common.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
         team.receive("a", k, beat.pack(common.MAVLink(None, k + 1, 1)), 0.0)
     if interval is not None:
-        team.ask_clocks_every(interval)
+        team.set_timesync_interval(interval)
     asked = []
     for tick in range(1, int(seconds * rate) + 1):
         sent = team.tick(tick / rate)

@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, VehicleError
-from swarm.flight.listening import LinkQuality, radio_finding, radio_findings
+from swarm.flight.fleet_listener import LinkQuality, radio_finding, radio_findings
 from swarm.ground.commissioning.check import CheckOptions, check
 from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.sockets import Links
@@ -31,7 +31,7 @@ def test_parameters_are_checked_set_and_restored(tmp_path):
     assert all(item.go for item in report.checklist())
     messages = [f.message for f in report.findings]
     assert "system 1: entered Hold and returned" in messages
-    assert sum("m up of the first one's" in message for message in messages) == 3
+    assert sum("m up of the first vehicle's" in message for message in messages) == 3
     assert {vehicle.firmware for vehicle in report.vehicles} == {"PX4 1.16.0", "ArduPilot 4.6.2"}
     assert "system 1: COM_OBL_RC_ACT 0 → 5" in report.parameters_set
     assert "system 2: GUID_TIMEOUT 3 → 0.5" in report.parameters_set

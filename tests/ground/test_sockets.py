@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError
-from swarm.flight.listening import Listening
+from swarm.flight.fleet_listener import FleetListener
 from swarm.flight.router import Outgoing
 from swarm.ground.sockets import open_links
 from swarm.mavlink.packets import Decoder, Encoder
@@ -53,14 +53,14 @@ def test_a_serial_port_sends_and_receives(serial_pair):
 def test_a_vehicle_is_discovered_on_a_serial_port(serial_pair):
     far, near, links = serial_pair
     text = f'schema: 1\nname: one\nlinks: {{usb: "serial://{os.ttyname(near)}:57600"}}\n'
-    listening = Listening(parse_fleet(text + "vehicles: [{sysid: 4, links: [usb]}]\n", "one"))
+    listener = FleetListener(parse_fleet(text + "vehicles: [{sysid: 4, links: [usb]}]\n", "one"))
     packet = Encoder(4, 1).encode(HEARTBEAT)
     for part in (packet[:7], packet[7:]):
         os.write(far, part)
         for link, address, data in links.wait(0.5):
-            listening.receive(link, address, data, 1.0)
-    assert listening.missing == []
-    links.send(listening.tick(1.0))
+            listener.receive(link, address, data, 1.0)
+    assert listener.missing == []
+    links.send(listener.tick(1.0))
     decoder, numbers = Decoder(stream=True), set()
     while not numbers >= {0, 76, 111}:
         assert select.select([far], [], [], 5.0)[0]

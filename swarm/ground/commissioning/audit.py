@@ -14,7 +14,7 @@ from pathlib import Path
 
 from swarm.certification.findings import Finding
 from swarm.errors import VehicleError
-from swarm.flight.parameters import Demands, Row, judge, rules
+from swarm.flight.parameters import ParameterResult, Requirements, evaluate, rules
 from swarm.ground.commissioning.mavsdk_client import VehicleReport, vehicle_reports
 from swarm.ground.relay import Relay
 from swarm.mavlink.frames import AutopilotName
@@ -47,8 +47,8 @@ class VehicleAudit:
     satellites: int
     problems: tuple[str, ...]
     parameters: Mapping[str, float]
-    deviations: tuple[Row, ...]
-    correct: tuple[Row, ...]
+    deviations: tuple[ParameterResult, ...]
+    correct: tuple[ParameterResult, ...]
 
     def findings(self, required_battery: float = 0.0) -> Iterator[Finding]:
         """Yield the findings; ``required_battery`` is the percentage that the flight uses."""
@@ -88,7 +88,7 @@ class Auditor:
 
     relay: Relay
     names: Mapping[int, AutopilotName]
-    demands: Demands
+    demands: Requirements
     progress: ProgressCallback = lambda *_: None
     _reports: dict[int, VehicleReport] = field(default_factory=dict)
 
@@ -108,7 +108,7 @@ class Auditor:
         self._fetch_reports()
         return [self._vehicle_audit(system) for system in vehicles]
 
-    def fix(self, rows: Sequence[Row]) -> list[str]:
+    def fix(self, rows: Sequence[ParameterResult]) -> list[str]:
         """Set the parameters of deviating rows; return a line for each change."""
         values: dict[int, dict[str, float]] = {}
         for row in rows:
@@ -176,7 +176,7 @@ class Auditor:
     def _vehicle_audit(self, system: int) -> VehicleAudit:
         report, name = self._reports[system], self.names[system]
         values = dict(self.relay.team.vehicles[system].parameters.values)
-        deviations, correct = judge(system, values, rules(name, self.demands))
+        deviations, correct = evaluate(system, values, rules(name, self.demands))
         number = report.firmware
         return VehicleAudit(
             system=system,

@@ -11,13 +11,13 @@ import numpy as np
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import InputError, Problem, Refused, VehicleError
-from swarm.flight.listening import LinkQuality, Listening, radio_findings
+from swarm.flight.fleet_listener import FleetListener, LinkQuality, radio_findings
 from swarm.flight.parameters import (
     STREAM_LOSS_TIME,
-    Demands,
-    Row,
-    demands_of,
-    demands_of_plan,
+    ParameterResult,
+    Requirements,
+    fleet_requirements,
+    plan_requirements,
     stream_loss_findings,
     stream_loss_model,
 )
@@ -128,7 +128,7 @@ class CheckOptions:
     """
 
     soak: float = 0.0
-    confirm_fix: Callable[[Sequence[Row]], bool] | None = None
+    confirm_fix: Callable[[Sequence[ParameterResult]], bool] | None = None
     restore: Path | None = None
     progress: ProgressCallback = lambda *_: None
 
@@ -173,7 +173,7 @@ class _Check:
         self._wait_for_vehicles()
         names = {
             vehicle.system: vehicle.autopilot.name
-            for vehicle in self.listening.heard
+            for vehicle in self.listener.received
             if vehicle.autopilot is not None
         }
         auditor = Auditor(self.survey.relay, names, self._demands(), self.options.progress)
@@ -195,17 +195,21 @@ class _Check:
         return self._report(audits, links, changed, [*placement, *hold], order)
 
     @property
-    def listening(self) -> Listening:
+    def listener(self) -> FleetListener:
         """The fleet as it is received."""
-        return self.survey.listening
+        return self.survey.listener
 
-    def _demands(self) -> Demands:
-        fleet = self.listening.fleet
-        return demands_of_plan(self.plan, fleet) if self.plan else demands_of(Vehicles(), fleet)
+    def _demands(self) -> Requirements:
+        fleet = self.listener.fleet
+        return (
+            plan_requirements(self.plan, fleet)
+            if self.plan
+            else fleet_requirements(Vehicles(), fleet)
+        )
 
     def _wait_for_vehicles(self) -> None:
         """Wait until all vehicles are received, at the requested rates."""
-        fleet = self.listening.fleet
+        fleet = self.listener.fleet
         self.options.progress(f"listening to {fleet.name}", 0.0)
         missing = self.survey.wait_for_vehicles(self._report_received)
         if missing:
@@ -216,11 +220,11 @@ class _Check:
 
     def _report_received(self) -> None:
         """Report the number of received vehicles; refuse if two of them share a system id."""
-        if self.listening.team.conflicts():
+        if self.listener.team.conflicts():
             self.survey.wait(GATHERING)
-            if conflicts := self.listening.team.conflicts():
+            if conflicts := self.listener.team.conflicts():
                 raise Refused("\n".join(finding.message for finding in conflicts))
-        number, total = len(self.listening.heard), len(self.listening.fleet.vehicles)
+        number, total = len(self.listener.received), len(self.listener.fleet.vehicles)
         self.options.progress(f"received {number} of {total} vehicles", number / total)
 
     def _placement(self) -> tuple[list[Finding], tuple[int, ...]]:
@@ -229,38 +233,38 @@ class _Check:
         ``limits.ready`` counts from the start of each autopilot: one that has run for longer does
         not become ready by waiting.
         """
-        listening = self.listening
+        listener = self.listener
         self.options.progress("waiting until all are ready to arm", 0.0)
-        ready = listening.fleet.limits.ready
-        self.survey.wait_until(lambda: not listening.not_ready(), _READY_TIMEOUT)
-        youngest = min((vehicle.boot_ms / 1000.0 for vehicle in listening.heard), default=ready)
-        self.survey.wait_until(lambda: not listening.not_ready(), ready - youngest)
-        findings = [replace(finding, check="ready") for finding in listening.not_ready()]
+        ready = listener.fleet.limits.ready
+        self.survey.wait_until(lambda: not listener.not_ready(), _READY_TIMEOUT)
+        youngest = min((vehicle.boot_ms / 1000.0 for vehicle in listener.received), default=ready)
+        self.survey.wait_until(lambda: not listener.not_ready(), ready - youngest)
+        findings = [replace(finding, check="ready") for finding in listener.not_ready()]
         if not findings:
-            text = f"{len(listening.heard)} vehicles are ready"
+            text = f"{len(listener.received)} vehicles are ready"
             findings.append(Finding("info", "ready", text))
         if self.plan is None:
             return findings, ()
         lift = np.array([0.0, 0.0, self.plan.mission.vehicles.grip_offset])
-        placed = listening.stand(self.plan.motion.at(0.0)[0] + lift)
+        placed = listener.placement(self.plan.motion.at(0.0)[0] + lift)
         if isinstance(placed, Prepared):
             return [*findings, *placed.audit.findings], placed.audit.systems
         return [*findings, placed], ()
 
     def _test_hold(self) -> list[Finding]:
         """Test Hold mode on all vehicles, on ArduPilot Brake; return the findings."""
-        listening = self.listening
+        listener = self.listener
         self.options.progress("testing Hold", 0.0)
-        listening.try_hold()
-        self.survey.wait_until(lambda: listening.holds is not None, _HOLD_TIMEOUT)
+        listener.try_hold()
+        self.survey.wait_until(lambda: listener.hold_results is not None, _HOLD_TIMEOUT)
         findings = []
-        for vehicle in listening.heard:
-            problem = (listening.holds or {}).get(vehicle.system, "no acknowledgement")
+        for vehicle in listener.received:
+            problem = (listener.hold_results or {}).get(vehicle.system, "no acknowledgement")
             text = f"system {vehicle.system}: " + (problem or "entered Hold and returned")
             severity: Severity = "info"
             if problem:
                 text += "; a failsafe with Hold would land or descend instead"
-                severity = "warning" if listening.fleet.frame == "shared" else "error"
+                severity = "warning" if listener.fleet.frame == "shared" else "error"
             findings.append(Finding(severity, "hold", text))
         return findings
 
@@ -268,9 +272,9 @@ class _Check:
         if self.options.soak <= 0.0:
             return ()
         self.options.progress(f"measuring the links for {self.options.soak:g} s", 0.0)
-        self.listening.begin_soak()
+        self.listener.begin_link_measurement()
         self.survey.wait(self.options.soak)
-        return self.listening.soak()
+        return self.listener.link_quality()
 
     def _report(
         self,
@@ -280,23 +284,23 @@ class _Check:
         observed: Sequence[Finding],
         order: tuple[int, ...],
     ) -> CheckReport:
-        fleet, plan = self.listening.fleet, self.plan
+        fleet, plan = self.listener.fleet, self.plan
         battery = 100.0 * plan.duration / plan.mission.vehicles.endurance if plan else 0.0
         findings = [
             Finding(
-                "info", "fleet", f"{len(self.listening.heard)} vehicles of {fleet.name} received"
+                "info", "fleet", f"{len(self.listener.received)} vehicles of {fleet.name} received"
             ),
-            *self.listening.team.findings(),
+            *self.listener.team.findings(),
             *observed,
         ]
         for audit in audits:
             findings.extend(audit.findings(battery))
         if plan is not None and order:
             values = {audit.system: audit.parameters for audit in audits}
-            names = {v.system: v.autopilot.name for v in self.listening.heard if v.autopilot}
+            names = {v.system: v.autopilot.name for v in self.listener.received if v.autopilot}
             flown = [(names[system], values[system]) for system in order if system in values]
             findings.extend(stream_loss_findings(plan, stream_loss_model(flown, fleet.limits))[1])
-        findings.extend(self.listening.frames_and_clocks())
+        findings.extend(self.listener.frames_and_clocks())
         for link in links:
             findings.extend(link.findings(STREAM_LOSS_TIME, fleet.rates.position))
         findings.extend(radio_findings(fleet, plan.vehicles if plan else len(fleet.vehicles)))

@@ -59,7 +59,7 @@ class _Download:
     def run(self) -> tuple[LogDownload, ...]:
         missing = self.survey.wait_for_vehicles()
         self._refuse_armed()
-        vehicles = {vehicle.system: vehicle for vehicle in self.survey.listening.heard}
+        vehicles = {vehicle.system: vehicle for vehicle in self.survey.listener.received}
         logs = [LogDownload(system, None, problem="not received") for system in missing]
         relay = self.survey.relay
         if vehicles:
@@ -80,7 +80,7 @@ class _Download:
         return tuple(sorted(logs, key=lambda log: log.system))
 
     def _any_armed(self) -> bool:
-        self.armed |= {v.system for v in self.survey.listening.heard if v.armed}
+        self.armed |= {v.system for v in self.survey.listener.received if v.armed}
         return bool(self.armed)
 
     def _refuse_armed(self) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from swarm.errors import InputError, Problem, SwarmError, VehicleError
-from swarm.flight.listening import Listening
+from swarm.flight.fleet_listener import FleetListener
 from swarm.flight.world import bare_world, emulated_world
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.loop import Loop
@@ -31,7 +31,7 @@ _POLL = 0.1
 class Survey:
     """A fleet on open links; ``relay`` has a loopback endpoint for each vehicle."""
 
-    listening: Listening
+    listener: FleetListener
     relay: Relay
     links: Links
     _pause: threading.Event = field(default_factory=threading.Event)
@@ -50,11 +50,11 @@ class Survey:
             except (SwarmError, OSError) as error:
                 errors.append(error)
             finally:
-                self.listening.over = True
+                self.listener.over = True
 
         thread = threading.Thread(target=run_work, name="survey", daemon=True)
         thread.start()
-        Loop(self.listening, self.links, None, 1.0, lambda _: None, self.relay).run()
+        Loop(self.listener, self.links, None, 1.0, lambda _: None, self.relay).run()
         thread.join()
         if errors:
             raise errors[0]
@@ -85,10 +85,10 @@ class Survey:
 
         def complete() -> bool:
             progress()
-            return not self.listening.missing
+            return not self.listener.missing
 
-        self.wait_until(complete, self.listening.fleet.limits.ready)
-        return self.listening.missing
+        self.wait_until(complete, self.listener.fleet.limits.ready)
+        return self.listener.missing
 
 
 @contextmanager
@@ -101,11 +101,11 @@ def open_survey(fleet: Fleet, folder: Path, plan: Plan | None = None) -> Iterato
     with ExitStack() as resources:
         links = open_links(fleet.links)
         resources.callback(links.close)
-        listening = Listening(fleet)
-        relay = Relay(listening.team)
+        listener = FleetListener(fleet)
+        relay = Relay(listener.team)
         resources.callback(relay.close)
         try:
-            listening.team.signing = resources.enter_context(signing_with(fleet.signing_key))
+            listener.team.signing = resources.enter_context(signing_with(fleet.signing_key))
             folder.mkdir(parents=True, exist_ok=True)
             if fleet.emulated is not None:
                 port = links.port(next(iter(fleet.links)))
@@ -117,6 +117,6 @@ def open_survey(fleet: Fleet, folder: Path, plan: Plan | None = None) -> Iterato
                 )
                 emulator = EmulatorProcess(world, folder, port, 1.0, fleet.signing_key)
                 resources.callback(emulator.stop)
-            yield Survey(listening, relay, links)
+            yield Survey(listener, relay, links)
         except OSError as error:
             raise InputError([Problem(str(folder), str(error.strerror or error))]) from None

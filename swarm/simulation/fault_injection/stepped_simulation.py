@@ -12,7 +12,7 @@ from swarm.flight.clearance import go
 from swarm.flight.clone import branch
 from swarm.flight.conductor import Conductor
 from swarm.flight.jit_warm_up import lasting
-from swarm.flight.parameters import demands_of_plan, rules
+from swarm.flight.parameters import plan_requirements, rules
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import Fleet, emulated_fleet
@@ -41,7 +41,7 @@ def failure_test_fleet(vehicles: int, personality: TeamAutopilots, seed: int = 1
 
 def set_audited_parameters(emulator: Emulator, flight_plan: CertifiedPlan, fleet: Fleet) -> None:
     """Set the parameters of emulated vehicles to the values that the audit requires."""
-    demands = demands_of_plan(flight_plan.plan, fleet)
+    demands = plan_requirements(flight_plan.plan, fleet)
     for vehicle in emulator.vehicles:
         values = vehicle.parameters.values
         for rule in rules(vehicle.spec.autopilot, demands):

@@ -1,4 +1,4 @@
-"""Listening to a fleet without flying: who is there, where they stand, how good the links are."""
+"""A fleet received on the ground, without flying: vehicles, places, origins, clocks, links."""
 
 import math
 from collections.abc import Mapping
@@ -12,9 +12,9 @@ from swarm.certification.findings import Finding, Severity
 from swarm.errors import Refused
 from swarm.flight.preparation import (
     Prepared,
-    ask_for_origin,
-    out_of_offboard,
+    leave_offboard,
     prepared_team,
+    request_origin,
     request_streams,
 )
 from swarm.flight.readiness import readiness
@@ -32,20 +32,20 @@ SIGNATURE_BYTES = 13
 SETPOINT_BYTES = 65
 POSITION_BYTES = 40
 RADIO_SHARE = 0.5
-"""Share of a slow link that setpoints may take; the rest is for positions, commands and repeats."""
+"""Share of a slow link for setpoints; the rest is for positions, commands and repetitions."""
 FEWEST_SATELLITES = 8
 POOREST_ACCURACY = 1.5
-"""Metres of level uncertainty that an estimator's satellites may leave."""
+"""Largest horizontal GPS accuracy in metres without a warning."""
 
 
 @dataclass(frozen=True)
 class LinkQuality:
-    """What a vehicle's link did while it was listened to and asked at the rate of setpoints.
+    """The quality of a vehicle's link, with requests at the rate of setpoints.
 
     ``rate`` packets per second and ``longest_gap`` seconds without any, from the vehicle; ``loss``
-    a share by sequence numbers; ``round_trip`` the shortest in seconds (NaN: never answered);
-    ``unanswered`` the longest time in seconds without an answer to what was sent ten times a
-    second: what a stream of setpoints would have gone through.
+    a share by sequence numbers; ``round_trip`` the shortest in seconds (NaN: no answer);
+    ``unanswered`` the longest time in seconds without an answer to requests ten times a second: the
+    gap in a stream of setpoints.
     """
 
     system: int
@@ -56,9 +56,10 @@ class LinkQuality:
     unanswered: float = 0.0
 
     def findings(self, stream_loss: float, position_rate: float = 0.0) -> list[Finding]:
-        """Return what is to be said of it.
+        """Return the findings on the link.
 
-        ``stream_loss`` is what ends a flight, in seconds, ``position_rate`` in Hz what it needs.
+        ``stream_loss`` is the gap in seconds that ends a stream, ``position_rate`` the required
+        rate of positions in Hz.
         """
         name = f"system {self.system}"
         findings = [
@@ -72,7 +73,7 @@ class LinkQuality:
         ]
         for gap, words in (
             (self.longest_gap, "gaps of"),
-            (self.unanswered, "what is sent stays unanswered for"),
+            (self.unanswered, "requests stay unanswered for"),
         ):
             if gap > stream_loss:
                 text = f"{name}: {words} {gap:.2f} s, longer than the {stream_loss:g} s after "
@@ -86,7 +87,7 @@ class LinkQuality:
 
 
 @dataclass
-class _Soak:
+class _Measurement:
     since: float
     counts: Mapping[int, tuple[int, int]]
     gap: dict[int, float] = field(default_factory=dict)
@@ -94,15 +95,15 @@ class _Soak:
 
 
 @dataclass
-class Listening:
-    """A fleet that is heard and spoken to, and never armed. Sans-IO, like the conductor."""
+class FleetListener:
+    """Receives a fleet and sends requests, without arming. Sans-IO, like the conductor."""
 
     fleet: Fleet
     over: bool = False
     now: float = 0.0
     _events: list[Event] = field(default_factory=list)
     _asked: set[int] = field(default_factory=set)
-    _soak: _Soak | None = None
+    _measurement: _Measurement | None = None
     _tried: dict[int, str | None] = field(default_factory=dict)
     _modes: dict[int, int] = field(default_factory=dict)
 
@@ -114,7 +115,7 @@ class Listening:
         return self.team.receive(link, address, data, now)
 
     def tick(self, now: float) -> list[Outgoing]:
-        """Let time pass; return what to send."""
+        """Let time pass; return the packets to send."""
         self.now = now
         for system, vehicle in self.team.vehicles.items():
             for event in vehicle.take_events():
@@ -123,35 +124,35 @@ class Listening:
                 self._asked.add(system)
                 request_streams(vehicle, self.fleet)
                 vehicle.request_interval(common.MAVLINK_MSG_ID_GPS_RAW_INT, 1.0)
-            ask_for_origin(vehicle, self.fleet, now)
+            request_origin(vehicle, self.fleet, now)
             if not self._tried:
-                out_of_offboard(vehicle)
-            if self._soak is not None:
-                self._measure(self._soak, system, vehicle)
+                leave_offboard(vehicle)
+            if self._measurement is not None:
+                self._measure(self._measurement, system, vehicle)
         return self.team.tick(now)
 
-    # Who is there, and where
+    # Vehicles and their places
 
     @property
     def missing(self) -> list[int]:
-        """System ids that have not been heard."""
+        """System ids without a heartbeat."""
         return [s for s, v in self.team.vehicles.items() if v.heartbeat_at == -math.inf]
 
     @property
-    def heard(self) -> list[Vehicle]:
-        """The vehicles that have been heard."""
+    def received(self) -> list[Vehicle]:
+        """The vehicles with a heartbeat."""
         return [v for v in self.team.vehicles.values() if v.heartbeat_at > -math.inf]
 
     def not_ready(self) -> list[Finding]:
-        """Return what keeps vehicles from being armed; ArduPilot is judged in its own mode."""
-        found = readiness(self.heard, self.fleet, self.now)
+        """Return the errors that prevent arming; ArduPilot's mode does not count."""
+        found = readiness(self.received, self.fleet, self.now)
         return [f for f in found if "not guided" not in f.message]
 
-    def stand(self, standing: Floats) -> Prepared | Finding:
-        """Return who stands on which pad (n, 3) of a plan, or why nobody can tell."""
-        heard = self.heard
+    def placement(self, standing: Floats) -> Prepared | Finding:
+        """Return the vehicles on the pads (n, 3) of a plan, or why they cannot be assigned."""
+        heard = self.received
         if len(heard) < len(standing):
-            words = f"the plan needs {len(standing)} vehicles, {len(heard)} are heard"
+            words = f"the plan needs {len(standing)} vehicles, {len(heard)} are received"
             return Finding("error", "fleet", words)
         lost = [v.system for v in heard if not math.isfinite(v.position[0])]
         if lost:
@@ -164,22 +165,22 @@ class Listening:
             return Finding("error", "placement", str(error))
 
     def frames_and_clocks(self) -> list[Finding]:
-        """Return each vehicle's position quality, origin and clock, in words."""
+        """Return findings on each vehicle's position, origin and clock."""
         findings: list[Finding] = []
-        first = next((v.origin for v in self.heard if v.origin is not None), None)
-        for vehicle in self.heard:
+        first = next((v.origin for v in self.received if v.origin is not None), None)
+        for vehicle in self.received:
             name = f"system {vehicle.system}"
             if self.fleet.frame != "shared":
                 findings.append(_position_quality(name, vehicle))
             if first is not None and vehicle.origin is not None:
                 east, north, up = to_mission(first, 0.0, vehicle.origin).tolist()
                 words = f"{name}: origin {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up"
-                findings.append(Finding("info", "origin", f"{words} of the first one's"))
+                findings.append(Finding("info", "origin", f"{words} of the first vehicle's"))
             elif self.fleet.frame == "gps":
                 words = f"{name}: its estimator's origin is unknown"
                 findings.append(Finding("error", "origin", words))
             if math.isfinite(vehicle.clock_offset):
-                words = f"{name}: clock {vehicle.clock_offset:+.3f} s from ours, "
+                words = f"{name}: clock {vehicle.clock_offset:+.3f} s from the ground station, "
                 words += f"{500.0 * vehicle.round_trip:.1f} ms away"
                 findings.append(Finding("info", "clock", words))
             else:
@@ -187,23 +188,23 @@ class Listening:
                 findings.append(Finding("warning", "clock", words))
         return findings
 
-    # Is there a Hold?
+    # Hold
 
     def try_hold(self) -> None:
-        """Ask everybody into Hold on the ground; :attr:`holds` tells what came of it."""
-        for vehicle in self.heard:
+        """Command Hold to all vehicles on the ground; :attr:`hold_results` has the results."""
+        for vehicle in self.received:
             self._tried[vehicle.system] = None
             self._modes[vehicle.system] = vehicle.custom_mode
             if vehicle.armed:
-                self._tried[vehicle.system] = "is armed, so nothing was tried"
+                self._tried[vehicle.system] = "is armed, so Hold was not tried"
             elif vehicle.autopilot is None:
                 self._tried[vehicle.system] = "its autopilot is not known"
             else:
                 vehicle.set_mode("hold")
 
     @property
-    def holds(self) -> Mapping[int, str] | None:
-        """What came of trying Hold by system id, "" where it works; None while it is tried."""
+    def hold_results(self) -> Mapping[int, str] | None:
+        """The error of Hold by system id, "" where it works; None before all have answered."""
         done = {system: words for system, words in self._tried.items() if words is not None}
         return done if len(done) == len(self._tried) else None
 
@@ -215,34 +216,37 @@ class Listening:
 
     # The links
 
-    def begin_soak(self) -> None:
-        """Measure the links from now on, asking at the rate at which setpoints would be sent."""
+    def begin_link_measurement(self) -> None:
+        """Measure the links from now on, with requests at the rate of setpoints."""
         counts = {s: (v.packets, v.lost_packets) for s, v in self.team.vehicles.items()}
-        self.team.ask_clocks_every(min(0.1, 1.0 / self.fleet.rates.setpoint))
-        self._soak = _Soak(self.now, counts)
+        self.team.set_timesync_interval(min(0.1, 1.0 / self.fleet.rates.setpoint))
+        self._measurement = _Measurement(self.now, counts)
 
-    def _measure(self, soak: _Soak, system: int, vehicle: Vehicle) -> None:
-        for gaps, last in ((soak.gap, vehicle.received_at), (soak.unanswered, vehicle.timesync_at)):
-            gaps[system] = max(gaps.get(system, 0.0), self.now - max(last, soak.since))
+    def _measure(self, measurement: _Measurement, system: int, vehicle: Vehicle) -> None:
+        for gaps, last in (
+            (measurement.gap, vehicle.received_at),
+            (measurement.unanswered, vehicle.timesync_at),
+        ):
+            gaps[system] = max(gaps.get(system, 0.0), self.now - max(last, measurement.since))
 
-    def soak(self) -> list[LinkQuality]:
-        """Return what the links did since :meth:`begin_soak`."""
-        soak = self._soak
-        if soak is None:
+    def link_quality(self) -> list[LinkQuality]:
+        """Return the quality of the links since :meth:`begin_link_measurement`."""
+        measurement = self._measurement
+        if measurement is None:
             return []
-        duration = max(self.now - soak.since, 1e-3)
+        duration = max(self.now - measurement.since, 1e-3)
         found = []
         for system, vehicle in self.team.vehicles.items():
-            packets = vehicle.packets - soak.counts[system][0]
-            lost = max(vehicle.lost_packets - soak.counts[system][1], 0)
+            packets = vehicle.packets - measurement.counts[system][0]
+            lost = max(vehicle.lost_packets - measurement.counts[system][1], 0)
             found.append(
                 LinkQuality(
                     system,
                     packets / duration,
-                    soak.gap.get(system, 0.0),
+                    measurement.gap.get(system, 0.0),
                     lost / max(packets + lost, 1),
                     vehicle.round_trip,
-                    soak.unanswered.get(system, 0.0),
+                    measurement.unanswered.get(system, 0.0),
                 )
             )
         return found
@@ -258,7 +262,7 @@ class Listening:
 
 def _position_quality(name: str, vehicle: Vehicle) -> Finding:
     if vehicle.fix_type < 0:
-        return Finding("warning", "position", f"{name}: says nothing of its satellites")
+        return Finding("warning", "position", f"{name}: reports no satellites")
     accuracy = vehicle.horizontal_accuracy
     words = f"{name}: {vehicle.satellites} satellites"
     words += f", level to {accuracy:.2f} m" if math.isfinite(accuracy) else ""
@@ -270,7 +274,7 @@ def _position_quality(name: str, vehicle: Vehicle) -> Finding:
 
 
 def radio_findings(fleet: Fleet, flyers: int) -> list[Finding]:
-    """Say what fits each link whose capacity is known: serial ports, and what the file says."""
+    """Return whether setpoints fit each link of known capacity: serial, or in the fleet file."""
     findings = []
     for name, bits in fleet.capacities.items():
         on_link = sum(listed.links[0] == name for listed in fleet.vehicles)
@@ -288,9 +292,9 @@ def radio_findings(fleet: Fleet, flyers: int) -> list[Finding]:
 def radio_finding(
     vehicles: int, rate: float, bits_per_second: float, signed: bool, positions: float = 0.0
 ) -> Finding:
-    """Say whether setpoints for so many vehicles at a rate in Hz fit one radio.
+    """Return whether setpoints for so many vehicles at a rate in Hz fit one radio.
 
-    ``positions`` in Hz come back from each. Half of the radio is left for everything else.
+    ``positions`` in Hz come back from each. Half of the radio is left for all other packets.
     """
     signature = SIGNATURE_BYTES if signed else 0
     setpoint, back = 8.0 * (SETPOINT_BYTES + signature), 8.0 * (POSITION_BYTES + signature)
