@@ -1,4 +1,4 @@
-"""Trials: what is drawn, that it is flown the same again, and what all of them are said to say."""
+"""Trials: drawn conditions, reproducibility and statistics."""
 
 import io
 import json
@@ -56,7 +56,7 @@ def trial(number: int = 0, **changed) -> Trial:
     return replace(usual, **changed)
 
 
-def test_a_trial_is_decided_by_seed_and_number():
+def test_seed_and_number_determine_a_trial():
     spread = Spread(failing=0.5)
     one, again = (draw(PLAN, FLEET, spread, 3, 7) for _ in range(2))
     assert one == again
@@ -64,7 +64,7 @@ def test_a_trial_is_decided_by_seed_and_number():
     assert one != draw(PLAN, FLEET, spread, 4, 7)
 
 
-def test_what_is_drawn_stays_within_what_is_stated():
+def test_drawn_conditions_are_within_the_spread():
     spread = Spread(failing=0.5)
     drawn = [draw(PLAN, FLEET, spread, 1, k) for k in range(200)]
     assert 0.4 < max(one.wind for one in drawn) <= spread.wind
@@ -84,12 +84,12 @@ def test_what_is_drawn_stays_within_what_is_stated():
     assert (calm.wind, calm.failure, calm.faults) == (0.0, "", ())
 
 
-def test_the_missions_own_wind_is_drawn_from_when_it_is_stronger():
+def test_a_stronger_wind_of_the_mission_widens_the_spread():
     windy = small_plan("wind.steady=3.0", vehicles=3).plan
     assert max(draw(windy, emulated_fleet(3), Spread(), 1, k).wind for k in range(50)) > 2.0
 
 
-def test_a_trial_flies_the_plan_and_measures_where_vehicles_really_are():
+def test_a_trial_measures_the_true_positions():
     one = flown(0)
     assert (one.outcome, one.reason, one.completed) == ("done", "", True)
     assert one.tracking_error is not None
@@ -114,7 +114,7 @@ def test_trials_in_processes_are_the_trials_flown_alone():
         assert np.array_equal(getattr(alone, name), getattr(shared, name))
 
 
-def test_an_interrupt_while_processes_start_is_all_that_is_said(recwarn):
+def test_an_interrupt_while_processes_start_gives_no_warning(recwarn):
     with pytest.raises(KeyboardInterrupt), workers_starting(2):
         raise KeyboardInterrupt
     assert not recwarn.list
@@ -133,12 +133,12 @@ def test_trials_on_a_cluster_are_the_trials_flown_alone(monkeypatch):
         assert {t.number: t for t in on_cluster} == {1: flown(1)}
 
 
-def test_a_scheduler_that_is_not_there_is_said():
+def test_a_scheduler_that_does_not_answer_is_an_error():
     with pytest.raises(SwarmError, match="no Dask scheduler at tcq://nowhere:1"):
         next(fly_trials(FLIGHT_PLAN, CALM, seed=1, trials=[0], scheduler="tcq://nowhere:1"))
 
 
-def test_a_lost_vehicle_is_told_as_such():
+def test_a_lost_vehicle_is_reported():
     spread = CALM.model_copy(update={"failing": 1.0, "failures": ("motor_loss",)})
     seed = next(
         s for s in range(99) if 25 < (draw(PLAN, FLEET, spread, s, 0).failure_time or 0) < 60
@@ -151,35 +151,35 @@ def test_a_lost_vehicle_is_told_as_such():
 
 
 def test_shares_have_exact_intervals():
-    told = summary(PLAN, [trial(k) for k in range(20)], seed=1, spread=CALM)
-    completed = told["without_failure"]["completed"]
+    document = summary(PLAN, [trial(k) for k in range(20)], seed=1, spread=CALM)
+    completed = document["without_failure"]["completed"]
     assert completed["count"] == 20
     assert completed["interval"] == pytest.approx([0.025 ** (1 / 20), 1.0])
 
 
-def test_quantiles_have_intervals_that_need_no_distribution():
+def test_quantiles_have_distribution_free_intervals():
     trials = [trial(k, cable=0.01 * k) for k in range(100)]
-    told = summary(PLAN, trials, seed=1, spread=CALM)["without_failure"]["clearance"]["cable"]
-    assert (told["smallest"], told["required"]) == (0.0, PLAN.mission.clearance.cable)
-    low, high = told["quantiles"]["0.5"]["interval"]
+    document = summary(PLAN, trials, seed=1, spread=CALM)["without_failure"]["clearance"]["cable"]
+    assert (document["smallest"], document["required"]) == (0.0, PLAN.mission.clearance.cable)
+    low, high = document["quantiles"]["0.5"]["interval"]
     # by hand: P(39 < Binomial(100, ½) < 61) is at least 95 %
     assert (low, high) == pytest.approx((0.39, 0.60))
-    assert told["quantiles"]["0.05"]["interval"][0] == pytest.approx(0.0)
+    assert document["quantiles"]["0.05"]["interval"][0] == pytest.approx(0.0)
 
 
-def test_failing_vehicles_are_told_apart_from_the_others():
+def test_trials_with_a_failure_are_counted_separately():
     trials = [
         trial(0),
         trial(1, failure="vehicle 2: link", outcome="failed", reason="lost", cable=None),
     ]
-    told = summary(PLAN, trials, seed=1, spread=CALM)
-    assert told["without_failure"]["trials"] == told["with_failure"]["trials"] == 1
-    assert told["reasons"] == {"lost": 1}
-    assert told["worst"][0]["trial"] == 1
-    json.dumps(told, allow_nan=False)
+    document = summary(PLAN, trials, seed=1, spread=CALM)
+    assert document["without_failure"]["trials"] == document["with_failure"]["trials"] == 1
+    assert document["reasons"] == {"lost": 1}
+    assert document["worst"][0]["trial"] == 1
+    json.dumps(document, allow_nan=False)
 
 
-def test_harm_comes_first_among_the_worst():
+def test_trials_with_contacts_are_the_worst():
     trials = [
         trial(0, cable=0.2),
         trial(1, rotor_strikes=1),
@@ -202,7 +202,7 @@ def test_a_trial_below_its_certificate_is_found():
     assert below_certificate([fine, low, wild], certified) == [1]
 
 
-def test_a_scenario_says_what_is_drawn_and_what_happens():
+def test_a_scenario_has_a_spread_and_faults():
     spread, faults = read_scenario(
         "schema: 1\nspread: {wind: 2.0, failures: [reboot]}\n"
         "faults: [{at: 5, kind: wind, steady: [1, 0, 0]}]", "storm.yaml",
@@ -214,7 +214,7 @@ def test_a_scenario_says_what_is_drawn_and_what_happens():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[]", "storm.yaml: expected keys: schema, faults, spread"),
         ("{schema: 1, spread: {wnd: 1}}", "storm.yaml: spread: wnd: unknown key, got 1"),
@@ -222,10 +222,10 @@ def test_a_scenario_says_what_is_drawn_and_what_happens():
         ("{schema: 1, spread: {failures: [hail]}}", "storm.yaml: spread: failures.0"),
     ],
 )
-def test_a_bad_scenario_is_refused_at_its_place(text, said):
+def test_errors_of_a_scenario_name_their_place(text, message):
     with pytest.raises(InputError) as caught:
         read_scenario(text, "storm.yaml")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_only_the_emulator_flies_a_refused_plan(tmp_path):
@@ -259,7 +259,7 @@ def test_results_are_one_row_per_trial(tmp_path):
         write_results(tmp_path / "none" / "a.parquet", [(PLAN, [trial()])], 1, CALM)
 
 
-def test_what_is_let_go_at_the_end_of_the_hold_has_not_been_lost():
+def test_a_release_at_the_end_of_the_hold_is_not_a_lost_grip():
     """The gate of the release may lie a rounding before the end of the hold."""
     plan = FLIGHT_PLAN.plan
     early = tuple(

@@ -1,8 +1,8 @@
-"""How much faster than real time a whole dry run is: ground station and emulator in one process.
+"""Speed of a whole simulated flight: ground station and emulator in one process.
 
 Plans a mission, flies it in virtual time and prints flight time over CPU time of one core, without
-the planning. The same flight is flown several times: beside the whole flights stands the sum of
-every tick's shortest time, which is what a machine without other work would take.
+the planning. The same flight is flown several times; the sum of the shortest time of every tick is
+the time on a machine without other load.
 Run: ``python tests/bench/simulation.py [mission] [--profile]``.
 """
 
@@ -43,8 +43,8 @@ def main() -> None:
             f"{path.stem}: {result.outcome.word}, {flown:.0f} s flown in {used:.2f} s, "
             f"{flown / used:.0f} × real time on one core"
         )
-    quiet = float(np.min(flights, axis=0).sum())
-    print(f"each tick at its quickest: {quiet:.2f} s, {flown / quiet:.0f} × real time")
+    shortest = float(np.min(flights, axis=0).sum())
+    print(f"shortest time of each tick: {shortest:.2f} s, {flown / shortest:.0f} × real time")
 
 
 if __name__ == "__main__":

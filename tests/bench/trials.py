@@ -1,7 +1,7 @@
-"""What a trial costs: processor time per trial of the overhand, and where memory goes with many.
+"""Processor time and memory per trial of the overhand.
 
-The machine's own speed is printed beside it (a loop of ten million additions), since a busy machine
-is a slow one, and a Python built without --enable-optimizations takes a third longer. Run: ``python -m tests.bench.trials [trials]``.
+The time of ten million additions is printed as well, because a busy machine is slow, and a Python
+built without --enable-optimizations takes a third longer. Run: ``python -m tests.bench.trials [trials]``.
 """
 
 import resource
@@ -18,7 +18,7 @@ BUDGET = 2.4
 
 
 def speed() -> float:
-    """Seconds of processor time for ten million additions."""
+    """Return the processor time of ten million additions, seconds."""
     began, total = time.process_time(), 0
     for number in range(10_000_000):
         total += number
@@ -26,7 +26,7 @@ def speed() -> float:
 
 
 def main() -> None:
-    """Fly trials one after the other and print what each cost."""
+    """Fly trials one after the other and print the time and memory of each."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 5
     path = Path(__file__).parents[2] / "missions" / "overhand.yaml"
     flight_plan = planner.plan(

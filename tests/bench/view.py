@@ -1,4 +1,4 @@
-"""What recording costs per 20 Hz tick, and what offering a snapshot costs the flight.
+"""Time of recording per tick at 20 Hz, and of queueing a snapshot in the flight.
 
 Run: python -m tests.bench.view
 """

@@ -1,6 +1,6 @@
-"""A made-up flight of nine vehicles into a trefoil on a 5×5 grid, for pictures and their tests.
+"""A synthetic flight of nine vehicles into a trefoil on a 5×5 grid, for tests of pictures.
 
-Nothing here is certified: the team moves straight from place to place.
+It is not certified: the team moves on straight lines.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ PHASES: tuple[tuple[PhaseName, float, CableState, bool], ...] = (
 
 
 def trefoil_plan(fence: tuple[tuple[float, float], ...] | None = None) -> Plan:
-    """Return a plan with every phase, on which nothing has been checked."""
+    """Return an unchecked plan with every phase."""
     mission = mission_for_knot("overhand", ["vehicles.tracking=0.1"])
     if fence is not None:
         workspace = mission.workspace.model_copy(update={"fence": fence})
@@ -66,7 +66,7 @@ def trefoil_plan(fence: tuple[tuple[float, float], ...] | None = None) -> Plan:
 
 
 def fly(plan: Plan, rate: float = 20.0, duration: float | None = None) -> list[Snapshot]:
-    """Return what a ground station would show of a good flight of that plan."""
+    """Return the snapshots of a flight of that plan without failures."""
     return [snapshot_at(plan, time) for time in np.arange(0.0, duration or plan.duration, 1 / rate)]
 
 
@@ -99,7 +99,7 @@ def snapshot_at(plan: Plan, time: float) -> Snapshot:
         round_trip=0.02 + 0.01 * np.abs(np.sin(0.3 * time + each)),
         received=np.floor(40.0 * time + each),
         lost=np.floor(0.4 * time * (each % 3)),
-        available={"hold": (armed, "everybody stops"), "rewind": (time > 40.0, "goes back")},
+        available={"hold": (armed, "all vehicles stop"), "rewind": (time > 40.0, "goes back")},
     )
 
 

@@ -22,7 +22,7 @@ def drawn(figure: Figure) -> np.ndarray:
 
 
 def ink_at(figure: Figure, axes: plots.Axes, x: float, y: float) -> bool:
-    """Tell whether anything dark or coloured is drawn at a place in data coordinates."""
+    """Return whether a dark or coloured pixel is at a place in data coordinates."""
     image = drawn(figure)
     column, row = axes.transData.transform((x, y))
     pixel = image[image.shape[0] - 1 - round(row), round(column)].astype(int)
@@ -91,7 +91,7 @@ def test_schedule_picture_is_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("vehicles", [1, 2, 3])
-def test_a_line_and_a_point_are_drawn_too(vehicles: int) -> None:
+def test_a_line_and_a_point_are_drawn(vehicles: int) -> None:
     layout = replace(
         PLAN.layout,
         corners=np.array([[3.0 * k, 2.0, 5.0] for k in range(vehicles)]),
@@ -108,7 +108,7 @@ def test_a_line_and_a_point_are_drawn_too(vehicles: int) -> None:
     assert ink_at(figure, figure.axes[0], 0.0, 2.0)
 
 
-def test_the_front_shows_every_plan_and_what_it_stands() -> None:
+def test_the_pareto_figure_shows_every_plan_with_its_tracking_error() -> None:
     tracking = np.array([0.01, 0.12, 0.2])
     points = [
         {"variant": variant, "cable_length": cable, "fold_time": fold, "max_tracking_error": error,
@@ -126,6 +126,6 @@ def test_the_front_shows_every_plan_and_what_it_stands() -> None:
     assert axes.lines[0].get_markersize() < axes.lines[2].get_markersize()
 
 
-def test_a_picture_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+def test_a_picture_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         plots.plot_plan(PLAN, tmp_path / "none" / "plan.png")

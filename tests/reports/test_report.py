@@ -34,7 +34,7 @@ VOID = {"meta", "img"}
 
 
 class Reader(HTMLParser):
-    """Collects words and addresses, and checks that every element is closed."""
+    """Collects text and addresses, and asserts that every element is closed."""
 
     def __init__(self, source: str) -> None:
         super().__init__()
@@ -61,11 +61,11 @@ class Reader(HTMLParser):
 
 def trace() -> Trace:
     times = np.linspace(0.0, PLAN.duration, 300)
-    asked = PLAN.motion.at(times)[0]
-    position = asked + 0.02
+    setpoint = PLAN.motion.at(times)[0]
+    position = setpoint + 0.02
     position[:5, 2] = np.nan
     phase = tuple(PLAN.phase_at(float(time)).name for time in times)
-    return Trace(times + 3.0, times, position, asked, phase)
+    return Trace(times + 3.0, times, position, setpoint, phase)
 
 
 def outcome(**changed: Any) -> dict[str, Any]:
@@ -96,7 +96,7 @@ def outcome(**changed: Any) -> dict[str, Any]:
     }
 
 
-def test_plan_report_says_what_the_checks_say() -> None:
+def test_the_plan_report_has_verdict_and_findings() -> None:
     remark = Finding("info", "scope", "from <contract> to hold")
     refused = assessment(remark, Finding("error", "taut", "segment 2 is over-stretched", 51.3))
     read = Reader(plan_report(PLAN, refused))
@@ -108,7 +108,7 @@ def test_plan_report_says_what_the_checks_say() -> None:
     assert cleared in Reader(cleared_plan_report()).words
 
 
-def test_reports_need_nothing_but_themselves() -> None:
+def test_reports_load_no_other_file() -> None:
     for source in (cleared_plan_report(), made_flight_report()):
         read = Reader(source)
         assert read.addresses
@@ -129,7 +129,7 @@ def made_flight_report(**changed: Any) -> str:
     return flight_report(PLAN, assessment(), outcome(**changed), trace(), happened)
 
 
-def test_flight_report_says_what_was_flown() -> None:
+def test_the_flight_report_has_the_outcome() -> None:
     read = Reader(made_flight_report())
     assert "Done: all vehicles have landed." in read.words
     assert "positions imply 3_1, right-handed." in read.words
@@ -160,16 +160,16 @@ def test_a_failed_flight_is_not_green() -> None:
     assert "positions imply 0_1, not the planned knot." in Reader(source).words
 
 
-def test_a_flight_that_ended_before_anything_was_heard_has_its_page() -> None:
+def test_a_flight_without_any_packet_has_a_report() -> None:
     none = np.empty((0, PLAN.vehicles, 3))
-    nothing = Trace(np.empty(0), np.empty(0), none, none, ())
+    empty = Trace(np.empty(0), np.empty(0), none, none, ())
     ended = outcome(outcome="failed", explanation="vehicle 4: no answer")
-    read = Reader(flight_report(PLAN, assessment(), ended, nothing, []))
+    read = Reader(flight_report(PLAN, assessment(), ended, empty, []))
     assert "Failed: vehicle 4: no answer." in read.words
     assert read.images == 3
 
 
-def test_whatever_a_mission_is_called_stays_text() -> None:
+def test_markup_in_a_mission_name_is_escaped() -> None:
     name = '<img src=x onerror="alert(1)">'
     plan = replace(PLAN, mission=PLAN.mission.model_copy(update={"name": name}))
     source = plan_report(plan, assessment())
@@ -192,7 +192,7 @@ def made_trials_report(below: tuple[int, ...] = ()) -> str:
     kept: dict[str, Any] = {"count": 2, "smallest": 0.41, "largest": 0.6, "required": 0.15}
     kept["quantiles"] = {"0.05": quantile, "0.5": quantile, "0.95": quantile}
     worst = {"trial": 7, "cable": None, "outcome": "failed", "reason": "lost", "failure": "<b>"}
-    told = {
+    document = {
         "method": "certified", "trials": 3, "seed": 4, "confidence": 0.95,
         "spread": {"wind": 0.5, "failures": ["link", "reboot"]},
         "without_failure": {
@@ -203,11 +203,11 @@ def made_trials_report(below: tuple[int, ...] = ()) -> str:
         "reasons": {"lost": 1}, "worst": [worst],
         "certificate": {"compared": 3, "below": list(below)},
     }  # fmt: skip
-    return trials_report(PLAN, assessment(), [told, {**told, "method": "paper"}], [drawn()])
+    return trials_report(PLAN, assessment(), [document, {**document, "method": "paper"}], [drawn()])
 
 
 def made_rope_report(*void: str) -> str:
-    told = {
+    document = {
         "trajectory": "this plan", "computing_time": 20.0, "simulated": 130.0, "links": 400,
         "knot": {"type": "3_1", "chirality": "right", "as_planned": True}, "invalid": list(void),
         "smallest_distance": None, "penetration": {"radii": 0.2, "limit": 1.5},
@@ -218,20 +218,20 @@ def made_rope_report(*void: str) -> str:
             "beyond_models": {"share": 0.1, "by": 0.12},
         },
     }  # fmt: skip
-    return rope_report(PLAN, assessment(), [told], drawn())
+    return rope_report(PLAN, assessment(), [document], drawn())
 
 
-def test_trials_report_says_what_trials_said() -> None:
+def test_the_trials_report_has_the_statistics() -> None:
     read = Reader(made_trials_report())
     assert "2 of 2 trials without a failure were completed as planned" in read.words
     assert "verdict good" in made_trials_report()
     assert "verdict bad" in made_trials_report(below=(7,))
-    assert "<b>" in read.words  # what was drawn is text and not markup
+    assert "<b>" in read.words  # drawn values are text and not markup
     for words in ("The paper's trajectory", "0.41 m", "link, reboot", "16.0% to 100.0%"):
         assert words in read.words
 
 
-def test_the_report_of_a_void_rope_is_not_green() -> None:
+def test_the_report_of_an_invalid_rope_is_not_green() -> None:
     assert "The rope ends in 3_1, right-handed." in Reader(made_rope_report()).words
     void = made_rope_report("a link was stretched by 43.5%, more than 1%")
     assert "verdict bad" in void
@@ -244,14 +244,14 @@ def test_a_template_without_one_of_its_values_is_refused() -> None:
 
 
 def made_failures_report() -> str:
-    told: dict[str, Any] = {
+    document: dict[str, Any] = {
         "case": "gripper slips", "group": "one vehicle", "autopilots": "px4", "times": [60.0],
         "detected_after": 0.95, "response": "grip slip, landing together", "strand_distance": None,
         "vehicle_distance": 3.1, "chord_ratio": None, "rotor_strikes": 0, "vehicles_lost": 0, "end": "landed",
         "passed": True, "problems": [], "explanation": "one long strand from then on",
     }  # fmt: skip
-    failed = {**told, "autopilots": "mixed", "passed": False, "problems": ["at 60.0 s: <late>"]}
-    return failures_report(PLAN, [told, failed], SYSTEM_FAILURE_CASES)
+    failed = {**document, "autopilots": "mixed", "passed": False, "problems": ["at 60.0 s: <late>"]}
+    return failures_report(PLAN, [document, failed], SYSTEM_FAILURE_CASES)
 
 
 def test_the_page_of_failure_tests_shows_every_case_and_the_tests_of_system_cases() -> None:
@@ -259,7 +259,7 @@ def test_the_page_of_failure_tests_shows_every_case_and_the_tests_of_system_case
     assert "1 of 2 failure tests failed (2 flights)." in source
     assert "at 60.0 s: &lt;late&gt;" in source
     assert source.count("gripper slips") == 1
-    assert "test_a_stalled_sink_holds_up_nobody" in source
+    assert "test_a_stalled_sink_delays_neither_flight_nor_other_sinks" in source
 
 
 LOOK = """<!doctype html><title>-</title><iframe style="width:%dpx; height:900px; border:0"
@@ -277,7 +277,9 @@ srcdoc="%s"></iframe><script>addEventListener("load", () => {
 
 @pytest.mark.skipif(BROWSER is None, reason="needs a Chromium to look with")
 @pytest.mark.parametrize("width", [360, pytest.param(1000, marks=pytest.mark.full)])
-def test_a_browser_shows_it_without_sideways_scrolling(width: int, tmp_path: Path) -> None:
+def test_a_browser_shows_every_report_without_sideways_scrolling(
+    width: int, tmp_path: Path
+) -> None:
     for name, source in (
         ("plan", cleared_plan_report()),
         ("flight", made_flight_report()),

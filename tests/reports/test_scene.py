@@ -20,7 +20,7 @@ def arc_lengths(strips: np.ndarray) -> np.ndarray:
     return total
 
 
-def test_strands_have_the_cable_s_length_and_end_at_the_grips() -> None:
+def test_strands_have_the_length_of_the_cable_and_end_at_the_grips() -> None:
     corners, lengths = PLAN.layout.corners, PLAN.layout.lengths
     strips = scene.strands(corners, lengths, 400)
     assert arc_lengths(strips) == pytest.approx(lengths, rel=1e-4)
@@ -34,7 +34,7 @@ def test_cable_lies_on_the_floor_and_never_below() -> None:
     assert strips[..., 2].min() == 0.0
 
 
-def test_bad_data_is_drawn_as_well_as_it_can_be() -> None:
+def test_bad_data_is_drawn() -> None:
     grips = np.array([[0, 0, 3], [5, 0, 3], [np.nan, 0, 3], [7, 0, 3], [7, 0, 3.0]])
     strips = scene.strands(grips, np.array([2.0, 2.0, 2.0, 1.0]), 5)
     np.testing.assert_allclose(strips[0, :, 0], np.linspace(0, 5, 5), atol=1e-3)
@@ -43,7 +43,7 @@ def test_bad_data_is_drawn_as_well_as_it_can_be() -> None:
     np.testing.assert_allclose(strips[3, 2], [7, 0, 2.5], atol=1e-6)
 
 
-def test_closest_strands_are_found_among_those_that_are_no_neighbours() -> None:
+def test_closest_strands_are_not_neighbours() -> None:
     shapes = scene.strands(PLAN.layout.corners, PLAN.layout.lengths, 40)
     found = scene.closest_strands(shapes)
     assert found is not None
@@ -59,7 +59,7 @@ def test_closest_strands_are_found_among_those_that_are_no_neighbours() -> None:
     assert scene.closest_strands(shapes) is None
 
 
-def test_colours_say_how_taut_a_segment_is() -> None:
+def test_colours_show_the_tautness_of_segments() -> None:
     slack, near, taut, beyond, unknown = scene.tautness_colours(
         np.array([0.3, 0.9, 0.985, 1.2, np.nan])
     ).tolist()
@@ -78,7 +78,7 @@ def test_crossings_are_where_the_strands_cross_in_plan_view() -> None:
         assert crossing.distance > 0
 
 
-def test_state_of_a_vehicle_is_the_worst_it_is_in() -> None:
+def test_the_worst_state_of_a_vehicle_is_shown() -> None:
     good = snapshot_at(PLAN, 50.0)
     assert scene.vehicle_states(good, 0.1) == ["holding"] * 9
     far = good.position + np.array([0.0, 0.0, 0.5])
@@ -89,7 +89,7 @@ def test_state_of_a_vehicle_is_the_worst_it_is_in() -> None:
     assert scene.vehicle_states(snapshot_at(PLAN, 0.0), 0.1) == ["idle"] * 9
 
 
-def test_cable_goes_with_those_who_hold_it_and_lies_where_it_was_let_go() -> None:
+def test_cable_moves_with_its_grips_and_lies_where_it_was_released() -> None:
     held, gripped = laid_grip_points(PLAN), np.zeros(9, dtype=bool)
     assert (held[:, 2] == 0).all()
     before = held.copy()

@@ -23,7 +23,7 @@ def run(label: str, cable: list[float], failing: list[bool]) -> trial_plots.Tria
     )
 
 
-def test_distributions_of_both_trajectories_are_drawn_without_failing_trials() -> None:
+def test_distributions_of_both_trajectories_have_no_trials_with_a_failure() -> None:
     ours = run("this plan", [0.6, 0.7, np.nan, 0.1], [False, False, False, True])
     paper = run("the paper's trajectory", [0.01, 0.02, 0.03, 0.04], [False] * 4)
     required = {"cable": 0.15, "vehicle": 1.0, "vehicle_cable": 0.3}

@@ -74,7 +74,7 @@ def test_planned_vehicles_are_above_their_grips() -> None:
     np.testing.assert_allclose(motion.rotations[0], [[0, 0, 0, 1]] * 9, atol=1e-9)
 
 
-def test_distances_of_strands_end_at_the_folded_knot_s() -> None:
+def test_the_last_strand_distance_is_that_of_the_folded_knot() -> None:
     times, distance = planned_strand_distances(PLAN)
     assert times[0] == PLAN.phase("fold").start
     assert times[-1] == PLAN.phase("hold").end

@@ -60,7 +60,7 @@ def test_records_a_flight(plan: Plan, tmp_path: Path) -> None:
     assert {"/pads", "/plan/knot", "/plan/path", "/plan/crossings"} <= set(found)
 
 
-def test_the_wind_that_is_reckoned_with_is_drawn(plan: Plan, tmp_path: Path) -> None:
+def test_the_wind_of_the_mission_is_drawn(plan: Plan, tmp_path: Path) -> None:
     wind = plan.mission.wind.model_copy(update={"steady": 1.0, "gust": 0.5})
     windy = replace(plan, mission=plan.mission.model_copy(update={"wind": wind}))
     stream = rr.RecordingStream("swarm")
@@ -71,7 +71,7 @@ def test_the_wind_that_is_reckoned_with_is_drawn(plan: Plan, tmp_path: Path) -> 
 
 
 @posix
-def test_a_stalled_sink_holds_up_nobody(plan: Plan, tmp_path: Path) -> None:
+def test_a_stalled_sink_delays_neither_flight_nor_other_sinks(plan: Plan, tmp_path: Path) -> None:
     viewer = start(plan, tmp_path / "flight.rrd", None)
     os.kill(sink_pid(viewer), signal.SIGSTOP)
     moment = snapshot_at(plan, 40.0)
@@ -83,7 +83,7 @@ def test_a_stalled_sink_holds_up_nobody(plan: Plan, tmp_path: Path) -> None:
 
 
 @posix
-def test_a_killed_sink_holds_up_nobody(plan: Plan, tmp_path: Path) -> None:
+def test_a_killed_sink_delays_neither_flight_nor_other_sinks(plan: Plan, tmp_path: Path) -> None:
     viewer = start(plan, tmp_path / "flight.rrd", None)
     os.kill(sink_pid(viewer), signal.SIGKILL)
     moment = snapshot_at(plan, 40.0)
@@ -93,7 +93,7 @@ def test_a_killed_sink_holds_up_nobody(plan: Plan, tmp_path: Path) -> None:
 
 
 @posix
-def test_what_draws_runs_behind_the_flight_and_is_not_interrupted_with_it(
+def test_sinks_have_a_low_priority_and_ignore_the_interrupt_of_the_flight(
     plan: Plan, tmp_path: Path
 ) -> None:
     """An interrupt of the keyboard goes to the flight's group of processes."""
@@ -107,7 +107,7 @@ def test_what_draws_runs_behind_the_flight_and_is_not_interrupted_with_it(
         viewer.close(timeout=5.0)
 
 
-def test_without_a_display_the_record_is_written_and_the_user_told(
+def test_without_a_display_the_recording_is_written_and_a_message_explains_it(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if sys.platform in {"darwin", "win32"}:
@@ -124,13 +124,13 @@ def test_without_a_display_the_record_is_written_and_the_user_told(
     assert rows(path)["/plots/error"] == 2
 
 
-def test_nothing_to_show_and_nothing_to_record(plan: Plan) -> None:
+def test_a_viewer_without_sinks(plan: Plan) -> None:
     viewer = start(plan, None, None)
     viewer.offer(snapshot_at(plan, 1.0))
     assert viewer.close()
 
 
-def test_a_file_that_cannot_be_written_is_said_at_once(plan: Plan, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_an_error_at_the_start(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "missing" / "flight.rrd"
     with pytest.raises(InputError, match="no such file or directory"):
         start(plan, path, None)

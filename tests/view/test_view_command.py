@@ -40,7 +40,7 @@ def test_a_record_is_opened_by_its_recording(tmp_path: Path) -> None:
     assert find_recording(Path("missions/overhand.yaml")) is None
 
 
-def test_what_is_no_record_is_said(tmp_path: Path) -> None:
+def test_a_folder_without_a_record_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"expected a flight record with an \.rrd file in it"):
         find_recording(tmp_path)
     with pytest.raises(InputError, match="no such file"):
@@ -53,7 +53,7 @@ def test_what_is_no_record_is_said(tmp_path: Path) -> None:
         recorded_plan(tmp_path)
 
 
-def test_a_record_s_plan_comes_back(tmp_path: Path) -> None:
+def test_the_plan_of_a_record_is_read(tmp_path: Path) -> None:
     (tmp_path / "plan.json").write_text(json.dumps(plan_document(PLAN)))
     (tmp_path / "motion.npz").write_bytes(plan_motion(PLAN))
     plan = recorded_plan(tmp_path)
@@ -61,7 +61,7 @@ def test_a_record_s_plan_comes_back(tmp_path: Path) -> None:
     assert plan.layout.crossings == PLAN.layout.crossings
 
 
-def test_without_a_display_the_ways_out_are_named(
+def test_without_a_display_the_alternatives_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.platform", "linux")
@@ -73,7 +73,7 @@ def test_without_a_display_the_ways_out_are_named(
     assert answer.output == ("no display: use --web, or --screenshot for a picture\n")
 
 
-def test_a_mission_that_is_none_is_an_input_error(tmp_path: Path) -> None:
+def test_an_invalid_mission_is_an_input_error(tmp_path: Path) -> None:
     answer = CliRunner().invoke(view, [str(tmp_path / "no.yaml")])
     assert isinstance(answer.exception, SwarmError)
 
@@ -85,7 +85,9 @@ def test_a_mission_that_is_none_is_an_input_error(tmp_path: Path) -> None:
         (b"\x89PNG\r\n", "expected a Rerun recording, got another kind of file"),
     ],
 )
-def test_what_is_no_recording_is_said(tmp_path: Path, contents: bytes, message: str) -> None:
+def test_a_file_that_is_no_recording_is_an_error(
+    tmp_path: Path, contents: bytes, message: str
+) -> None:
     file = tmp_path / "flight.rrd"
     file.write_bytes(contents)
     for how in (["--web"], ["--screenshot", str(tmp_path / "shot.png")]):
@@ -109,7 +111,7 @@ def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_without_a_driver_there_is_a_reason_and_nothing_is_left(
+def test_without_a_driver_the_reason_is_reported_and_no_file_remains(
     recording: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
@@ -145,7 +147,7 @@ def program(folder: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
         ("kill -9 $$", "(signal 9): no output"),
     ],
 )
-def test_a_viewer_that_fails_is_quoted(
+def test_the_output_of_a_failed_viewer_is_reported(
     recording: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch, how: str, text: str, end: str
 ) -> None:
     program(recording.parent, text, monkeypatch)
@@ -232,7 +234,7 @@ def shown_names(blueprint: rrb.Blueprint) -> list[str]:
 @pytest.mark.parametrize(
     "arrange", [partial(flight_blueprint, live=False), plan_blueprint, comparison_blueprint]
 )
-def test_views_have_names_that_can_be_typed_and_listed(
+def test_views_are_found_by_name_and_listed(
     arrange: Callable[[Plan], rrb.Blueprint],
 ) -> None:
     names = shown_names(arrange(PLAN))
@@ -242,7 +244,7 @@ def test_views_have_names_that_can_be_typed_and_listed(
     assert [find_view(views, name.lower()) for name in names] == list(views.values())
 
 
-def test_the_views_that_the_help_names_are_there() -> None:
+def test_the_views_named_in_the_help_exist() -> None:
     told = " ".join(command.run("view", "--help").stdout.split())
     assert "Knot or Field (of a flight or a plan), Planned or Flown (with --compare)" in told
     for arrange in (partial(flight_blueprint, live=False), plan_blueprint):
@@ -250,7 +252,7 @@ def test_the_views_that_the_help_names_are_there() -> None:
     assert {"Planned", "Flown"} <= set(shown_names(comparison_blueprint(PLAN)))
 
 
-def test_a_view_that_is_not_there_is_refused_with_those_that_are() -> None:
+def test_an_unknown_view_is_refused_with_the_names_of_all_views() -> None:
     with pytest.raises(ScreenshotFailed) as caught:
         find_view({"Planned": "1", "Flown": "2"}, "Knot")
     assert str(caught.value) == "--only: expected one of the views (Flown; Planned), got Knot"
@@ -264,7 +266,7 @@ def test_a_view_that_is_not_there_is_refused_with_those_that_are() -> None:
         (["--at", "-1", "--screenshot", "x.png"], "--at: expected seconds from 0 on, got -1"),
     ],
 )
-def test_options_that_mean_nothing_are_refused(options: list[str], message: str) -> None:
+def test_options_without_effect_are_refused(options: list[str], message: str) -> None:
     said = command.run("view", "plan.rrd", *options)
     assert said.returncode == 2
     assert said.stderr.endswith(f"Error: {message}\n")
