@@ -1,8 +1,11 @@
 """Layouts of the mission: fitted to a cable, or given by corners and sags."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from swarm import planner
 from swarm.errors import InputError, Refused
 from swarm.knots.catalog import lookup_knot
 from swarm.knots.grid import openings
@@ -56,3 +59,13 @@ def star(*keys: str) -> Mission:
 def test_segments_that_cross_and_sag_alike_are_refused() -> None:
     with pytest.raises(Refused, match="segments 1 and 3 cross and both sag 2 m"):
         make_plan(star("layout.sags=[2, 1, 2, 3]"))
+
+
+def test_a_given_layout_that_exceeds_the_endurance_is_refused_with_that_error() -> None:
+    path = Path(__file__).parents[1] / "missions" / "experimental" / "overhand_five.yaml"
+    mission = parse_mission(path.read_text(), str(path), ["vehicles.endurance=100"])
+    result = planner.plan(mission, robustness=False)
+    assert not result.certificate.cleared
+    errors = [found.check for found in result.certificate.findings if found.severity == "error"]
+    assert "endurance" in errors
+    assert sum("of 100 s in the air" in note for note in result.plan.notes) >= 1
