@@ -25,7 +25,7 @@ _AUTOPILOTS: Final[dict[AutopilotName, str]] = {"px4": "PX4", "ardupilot": "Ardu
 _CHECKLIST: Final = (
     "cable cut, marked, free of twists and snags, marks on their points",
     "every vehicle on its pad, label and pad agree, grippers open",
-    "batteries full, propellers on and tight, nothing loose",
+    "batteries full, propellers on and tight, no loose parts",
     "no person inside the fence, one person at the kill switch",
     "swarm check reports GO",
 )

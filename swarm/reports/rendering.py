@@ -1,4 +1,4 @@
-"""HTML pages from the Jinja2 templates of this package; a page loads nothing from the network."""
+"""HTML pages from the Jinja2 templates of this package; a page needs no network."""
 
 import base64
 import io

@@ -82,7 +82,7 @@ def simulate_flight(
     """Fly a plan against the emulator in virtual time and return the result.
 
     ``fleet`` is an emulated fleet, by default of PX4 vehicles. ``world`` is the emulator's world,
-    by default the one that the plan expects, drawn from ``seed``; ``faults`` are injected into it.
+    by default the world that the plan expects, drawn from ``seed``. ``faults`` are injected.
     Raises :class:`swarm.errors.Refused` where the fleet does not fit the plan.
     """
     plan = flight_plan.plan

@@ -2,7 +2,7 @@
 
 Each sink, the file and the live viewer, is a separate process. A queue feeds it that drops its
 oldest snapshots when the process is too slow; only the thread of this queue waits for the process.
-A viewer that stalls, or that is not opened, delays nothing else.
+A viewer that stalls, or that is not opened, delays neither the flight nor other sinks.
 """
 
 import os
