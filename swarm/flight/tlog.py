@@ -1,7 +1,7 @@
-"""What a flight's .tlog tells by itself: positions, setpoints, the mission clock, commands, losses.
+"""Read a flight's .tlog: positions, setpoints, the mission clock, commands, losses.
 
-A .tlog is packets with their times before them (eight bytes, microseconds since 1970, big-endian).
-One that was cut off, or has a hole where a disk was full, is read as far as it goes.
+A .tlog is a sequence of packets, each after its time (eight bytes, microseconds since 1970,
+big-endian). A log that is cut off, or has a gap where a disk was full, is read as far as possible.
 """
 
 import math
@@ -28,7 +28,7 @@ from swarm.planning import Plan
 Floats = npt.NDArray[np.float64]
 
 CLOCK_COMPONENT = int(common.MAV_COMP_ID_USER1)
-"""The component that tells the mission clock, in the record alone."""
+"""The component of the mission clock's packets, which are in the record only."""
 STEP = 0.1
 _FRESH = 1.0
 _STAMP = 8
@@ -48,7 +48,7 @@ _COMMANDS = {
 
 @dataclass(frozen=True)
 class CommandLatency:
-    """How a command fared: sent so often, answered so often, seconds to the first answer."""
+    """A command's counts of packets and answers, and the seconds to the first answer."""
 
     name: str
     sent: int
@@ -60,7 +60,7 @@ class CommandLatency:
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """What a .tlog tells. ``systems`` are in order along the cable; losses by system id.
+    """The content of a .tlog. ``systems`` are in order along the cable; losses by system id.
 
     ``frames`` and ``yaw`` (n,) in radians are those of the vehicles on their pads.
     """
@@ -76,14 +76,14 @@ class Replayed:
     notes: tuple[str, ...] = ()
 
 
-class ClockTeller:
-    """Packets that tell the mission clock and phase, to be kept in a record."""
+class ClockEncoder:
+    """Encodes the mission clock and phase as packets for a record."""
 
     def __init__(self, plan: Plan) -> None:
         self._encoder = Encoder(GROUND_SYSTEM, CLOCK_COMPONENT)
         self._phases = {phase.name: number for number, phase in enumerate(plan.phases)}
 
-    def tell(self, now: float, mission_time: float, phase: str) -> bytes:
+    def encode(self, now: float, mission_time: float, phase: str) -> bytes:
         """Return the packets for a moment; ``phase`` is "" outside the plan."""
         number = next((k for name, k in self._phases.items() if name == phase), -1)
         boot = int(now * 1000.0) & 0xFFFFFFFF
@@ -94,7 +94,7 @@ class ClockTeller:
 
 
 def packets(data: bytes) -> Iterator[tuple[float, bytes | None]]:
-    """Yield seconds since 1970 and the packet; None in place of bytes that are none."""
+    """Yield seconds since 1970 and the packet; None for bytes that are no packet."""
     start, last, end = 0, 0, len(data)
     while start + _STAMP + 3 <= end:
         stamp = int.from_bytes(data[start : start + _STAMP], "big")
@@ -126,15 +126,15 @@ def _next(data: bytes, start: int, last: int) -> int:
 
 
 @dataclass
-class _Heard:
-    """What is collected while reading."""
+class _Content:
+    """The values that are collected while reading."""
 
     fleet: Fleet
     vehicles: dict[int, Vehicle]
     times: dict[int, list[float]] = field(default_factory=dict)
     places: dict[int, list[tuple[float, float, float]]] = field(default_factory=dict)
-    asked_at: dict[int, list[float]] = field(default_factory=dict)
-    asked: dict[int, list[tuple[float, float, float]]] = field(default_factory=dict)
+    setpoint_times: dict[int, list[float]] = field(default_factory=dict)
+    setpoints: dict[int, list[tuple[float, float, float]]] = field(default_factory=dict)
     clock: list[tuple[float, float]] = field(default_factory=list)
     phase: list[tuple[float, float]] = field(default_factory=list)
     sent: dict[tuple[int, int], float] = field(default_factory=dict)
@@ -146,7 +146,7 @@ class _Heard:
         message = packet.message
         if packet.system == GROUND_SYSTEM:
             if message is not None:
-                self._ours(now, packet)
+                self._read_own(now, packet)
             return
         vehicle = self.vehicles.get(packet.system)
         if vehicle is None:
@@ -159,12 +159,12 @@ class _Heard:
         elif packet.number == _ANSWER and message is not None:
             self._answered(now, packet.system, message.command)
 
-    def _ours(self, now: float, packet: Packet) -> None:
+    def _read_own(self, now: float, packet: Packet) -> None:
         m = packet.message
-        assert m is not None  # noqa: S101 - the caller looked
+        assert m is not None  # noqa: S101 - checked by the caller
         if packet.number == _SETPOINT:
-            self.asked_at.setdefault(m.target_system, []).append(now)
-            self.asked.setdefault(m.target_system, []).append((m.x, m.y, m.z))
+            self.setpoint_times.setdefault(m.target_system, []).append(now)
+            self.setpoints.setdefault(m.target_system, []).append((m.x, m.y, m.z))
         elif packet.number == _VALUE and packet.component == CLOCK_COMPONENT:
             name = m.name.rstrip(b"\0") if isinstance(m.name, bytes) else m.name
             (self.clock if name == b"mission" else self.phase).append((now, m.value))
@@ -195,13 +195,13 @@ class KnownFrames:
 
 
 def replay(data: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = None) -> Replayed:
-    """Recompute what was flown from the bytes of a .tlog, the plan and the fleet.
+    """Return the flight in the bytes of a .tlog, for its plan and fleet.
 
-    Frames and places along the cable are found from where vehicles stood before they were armed,
-    as before the flight. Where they flew already (a resumed flight), the log cannot tell them and
-    they must be ``known``. Raises :class:`InputError` where the log does not tell them.
+    Frames and places along the cable follow from the vehicles' positions before they were armed, as
+    before the flight. The log of a resumed flight does not have them: they must be ``known``.
+    Raises :class:`InputError` where they cannot be determined.
     """
-    heard = _Heard(fleet, _vehicles(fleet))
+    content = _Content(fleet, _vehicles(fleet))
     decoder = Decoder(unpacked=_WANTED, include_unknown=True)
     first = last = math.nan
     holes = 0
@@ -212,19 +212,19 @@ def replay(data: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = No
         first = now if math.isnan(first) else first
         last = now
         for one in decoder.feed(packet):
-            heard.take(now - first, one)
-    if math.isnan(first) or not heard.clock:
-        raise InputError("the record's flight.tlog tells of no flight")
-    known = known or _frames(heard, plan)
+            content.take(now - first, one)
+    if math.isnan(first) or not content.clock:
+        raise InputError("the record's flight.tlog contains no flight")
+    known = known or _frames(content, plan)
     notes = [f"the .tlog has {holes} damaged places"] if holes else []
     return Replayed(
-        trace=_trace(heard, plan, known.frames, list(known.systems), last - first),
+        trace=_trace(content, plan, known.frames, list(known.systems), last - first),
         systems=known.systems,
         frames=known.frames,
         yaw=known.yaw,
-        commands=tuple(_commands(heard)),
-        received={v.system: v.packets for v in heard.vehicles.values()},
-        lost={v.system: v.lost_packets for v in heard.vehicles.values()},
+        commands=tuple(_commands(content)),
+        received={v.system: v.packets for v in content.vehicles.values()},
+        lost={v.system: v.lost_packets for v in content.vehicles.values()},
         damaged=holes + decoder.damaged,
         notes=tuple(notes),
     )
@@ -238,43 +238,45 @@ def _vehicles(fleet: Fleet) -> dict[int, Vehicle]:
     }
 
 
-def _frames(heard: _Heard, plan: Plan) -> KnownFrames:
-    """Tie frames to the mission by where vehicles stood when all were ready."""
-    flown = [system for system in heard.vehicles if system in heard.places]
-    streamed = [system for system in flown if system in heard.asked]
+def _frames(content: _Content, plan: Plan) -> KnownFrames:
+    """Return the frames, from the vehicles' positions when all were ready."""
+    flown = [system for system in content.vehicles if system in content.places]
+    streamed = [system for system in flown if system in content.setpoints]
     flown = streamed if len(streamed) >= plan.vehicles else flown
     if len(flown) < plan.vehicles:
-        raise InputError(f"the .tlog tells of {len(flown)} vehicles, the plan of {plan.vehicles}")
-    ready = heard.clock[0][0]
+        raise InputError(f"the .tlog has {len(flown)} vehicles, the plan of {plan.vehicles}")
+    ready = content.clock[0][0]
     measured = []
     for system in flown:
-        times, places = np.array(heard.times[system]), np.array(heard.places[system])
+        times, places = np.array(content.times[system]), np.array(content.places[system])
         before = (times <= ready) & (times > ready - STANDING_TIME)
         measured.append(places[before].mean(axis=0) if before.any() else places[0])
     lift = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
     standing = plan.motion.at(0.0)[0] + lift
     try:
         prepared = prepared_team(
-            [heard.standing[s] for s in flown], heard.fleet, standing, np.array(measured)
+            [content.standing[s] for s in flown], content.fleet, standing, np.array(measured)
         )
     except Refused as error:
-        raise InputError(f"the .tlog does not tell where the vehicles were: {error}") from None
+        raise InputError(f"the .tlog does not determine the vehicles' places: {error}") from None
     return KnownFrames(
         tuple(vehicle.system for vehicle in prepared.flyers), prepared.frames, prepared.yaw
     )
 
 
-def _trace(heard: _Heard, plan: Plan, frames: Frames, systems: list[int], duration: float) -> Trace:
-    clock, phase = np.array(heard.clock), np.array(heard.phase)
+def _trace(
+    content: _Content, plan: Plan, frames: Frames, systems: list[int], duration: float
+) -> Trace:
+    clock, phase = np.array(content.clock), np.array(content.phase)
     time = np.arange(clock[0, 0], max(duration, clock[0, 0] + STEP), STEP)
     lift = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
     position = np.full((len(time), len(systems), 3), np.nan)
     setpoint = np.full_like(position, np.nan)
     # a setpoint stands until the next one comes: it was aimed at the middle of its time
-    lead = 0.5 / heard.fleet.rates.setpoint
+    lead = 0.5 / content.fleet.rates.setpoint
     for k, system in enumerate(systems):
-        position[:, k] = _sampled(heard.times, heard.places, system, time, 0.0)
-        setpoint[:, k] = _sampled(heard.asked_at, heard.asked, system, time, lead)
+        position[:, k] = _sampled(content.times, content.places, system, time, 0.0)
+        setpoint[:, k] = _sampled(content.setpoint_times, content.setpoints, system, time, lead)
     for places in (position, setpoint):
         for moment in places:
             moment[:] = frames.points_to_mission(moment) - lift
@@ -296,7 +298,7 @@ def _sampled(
     at: Floats,
     lead: float,
 ) -> Floats:
-    """Return points (k, 3) at moments, between those known; NaN where none is near."""
+    """Return points (k, 3) at moments, interpolated; NaN where no known one is near."""
     if system not in times:
         return np.full((len(at), 3), np.nan)
     known, points = np.array(times[system]) + lead, np.array(places[system])
@@ -307,9 +309,9 @@ def _sampled(
     return found
 
 
-def _commands(heard: _Heard) -> Iterator[CommandLatency]:
-    for command, count in heard.counts.items():
-        latencies = np.array(heard.latencies.get(command, [math.nan]))
+def _commands(content: _Content) -> Iterator[CommandLatency]:
+    for command, count in content.counts.items():
+        latencies = np.array(content.latencies.get(command, [math.nan]))
         yield CommandLatency(
             _COMMANDS.get(command, f"command {command}"),
             count["sent"],

@@ -7,7 +7,7 @@ from swarm.errors import Refused
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.flight.tlog import ClockTeller
+from swarm.flight.tlog import ClockEncoder
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.preflight import Preflight
 from swarm.ground.record import Record
@@ -35,7 +35,7 @@ class TickTasks:
     _disk_reported: bool = False
 
     def __post_init__(self) -> None:
-        self._clock = ClockTeller(self.conductor.plan)
+        self._clock = ClockEncoder(self.conductor.plan)
 
     def run(self, now: float) -> None:
         """Do the work after the tick at ``now``."""
@@ -64,7 +64,7 @@ class TickTasks:
             conductor.report("record", text)
         phase = conductor.phase.name if conductor.stage == "execute" else ""
         if conductor.stage in {"ready", "execute", "contingency"}:
-            record.packet(self._clock.tell(now, conductor.clock.time, phase), now)
+            record.packet(self._clock.encode(now, conductor.clock.time, phase), now)
         if conductor.stage in {"listen", "prepare"} and self.emulator is not None:
             ended = self.emulator.ended()
             if ended is not None:

@@ -17,7 +17,7 @@ from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
 from swarm.flight.setup import Options
-from swarm.flight.tlog import ClockTeller, replay
+from swarm.flight.tlog import ClockEncoder, replay
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import set_audited_parameters
 from tests.network import Network, small_plan
@@ -33,7 +33,7 @@ class Recorded(Network):
         super().__post_init__()
         set_audited_parameters(self.emulator, self.flight_plan, self.fleet)
         self.tlog = bytearray()
-        self.teller = ClockTeller(self.flight_plan.plan)
+        self.clock_encoder = ClockEncoder(self.flight_plan.plan)
         self.downlink = lambda now, _system, data: self._keep(now, data)
 
     def _keep(self, now, data):
@@ -51,7 +51,7 @@ class Recorded(Network):
         conductor = self.conductor
         if conductor.stage in {"ready", "execute", "contingency"}:
             phase = conductor.phase.name if conductor.stage == "execute" else ""
-            self._keep(self.now, self.teller.tell(self.now, conductor.clock.time, phase))
+            self._keep(self.now, self.clock_encoder.encode(self.now, conductor.clock.time, phase))
 
 
 def broken_off(autopilots, after, silent_for, *, no_cable=False):
@@ -217,5 +217,5 @@ def test_a_team_that_was_leaving_or_standing_is_not_taken_up():
     flight.until_time(1.0)
     with pytest.raises(InputError, match="nothing to resume"):
         left_off(bytes(flight.tlog), PLAN.plan, flight.fleet)
-    with pytest.raises(InputError, match="tells of no flight"):
+    with pytest.raises(InputError, match="contains no flight"):
         left_off(b"", PLAN.plan, flight.fleet)

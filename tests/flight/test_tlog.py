@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from swarm.errors import InputError
-from swarm.flight.tlog import ClockTeller, packets, replay
+from swarm.flight.tlog import ClockEncoder, packets, replay
 from swarm.mavlink.packets import split_packets
 from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
@@ -22,13 +22,15 @@ def logged(flight_plan, fleet, most=400.0, **options):
         return True
 
     flight = Network(flight_plan, fleet, uplink=keep, downlink=keep, **options)
-    teller = ClockTeller(flight_plan.plan)
+    clock_encoder = ClockEncoder(flight_plan.plan)
     conductor = flight.conductor
 
     def tick():
         if conductor.stage in {"ready", "execute", "contingency"}:
             phase = conductor.phase.name if conductor.stage == "execute" else ""
-            entries.append((flight.now, teller.tell(flight.now, conductor.clock.time, phase)))
+            entries.append(
+                (flight.now, clock_encoder.encode(flight.now, conductor.clock.time, phase))
+            )
         return False
 
     flight.run(tick, most=most)
@@ -114,7 +116,7 @@ def test_a_hole_in_the_log_costs_what_was_in_it(flown):
 
 @pytest.mark.parametrize("data", [b"", b"nonsense" * 100, bytes(10_000)])
 def test_what_is_no_log_of_a_flight_is_refused(data):
-    with pytest.raises(InputError, match=r"flight\.tlog tells of no flight"):
+    with pytest.raises(InputError, match=r"flight\.tlog contains no flight"):
         replay(data, PLAN.plan, emulated_fleet(3))
 
 
@@ -135,9 +137,9 @@ def test_losses_show():
         receive(link, address, data, now)
 
     flight.conductor.receive = kept
-    teller = ClockTeller(PLAN.plan)
+    clock_encoder = ClockEncoder(PLAN.plan)
     flight.until_phase("takeoff", 2.0)
-    entries.append((flight.now, teller.tell(flight.now, 0.0, "takeoff")))
+    entries.append((flight.now, clock_encoder.encode(flight.now, 0.0, "takeoff")))
     again = replay(as_tlog(entries), PLAN.plan, fleet)
     assert again.lost[2] > 5
     assert again.lost[1] == again.lost[3] == 0

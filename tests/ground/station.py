@@ -14,7 +14,7 @@ from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
 from swarm.flight.router import Outgoing
-from swarm.flight.tlog import ClockTeller
+from swarm.flight.tlog import ClockEncoder
 from swarm.ground.loop import Loop
 from swarm.ground.record import Record
 from swarm.ground.record_reader import recorded_certificate, recorded_plan
@@ -46,7 +46,7 @@ def run(conductor: Conductor, folder: Path, speed: float) -> None:
     record.before(conductor.flight_plan, conductor.basis, conductor.fleet, {})
     if conductor.state.resumption.left_off is not None:
         record.frames(conductor.state.resumption.left_off.known)
-    clock = ClockTeller(conductor.plan)
+    clock = ClockEncoder(conductor.plan)
 
     def each_tick(now: float) -> None:
         if conductor.stage == "ready" and conductor.audit is not None:
@@ -54,7 +54,7 @@ def run(conductor: Conductor, folder: Path, speed: float) -> None:
             conductor.start(go(conductor.flight_plan, conductor.audit))
         phase = conductor.phase.name if conductor.stage == "execute" else ""
         if conductor.stage in {"ready", "execute", "contingency"}:
-            record.packet(clock.tell(now, conductor.clock.time, phase), now)
+            record.packet(clock.encode(now, conductor.clock.time, phase), now)
         for event in conductor.events():
             record.event(event)
             print(f"{event.kind}: {event.message}", flush=True)
