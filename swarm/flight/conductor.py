@@ -8,13 +8,12 @@ observes, detects, decides and acts; the state is in :mod:`swarm.flight.state`, 
 
 from collections.abc import Callable, Mapping, Sequence
 
-from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
-from swarm.flight.clearance import Audit, ClearedPlan
-from swarm.flight.clock import MissionClock
+from swarm.flight.clearance import ClearedPlan
 from swarm.flight.detect import IN_FLIGHT
 from swarm.flight.ending import conclude, finish
-from swarm.flight.flight_plan import Basis, FlightPlan
+from swarm.flight.flight_plan import FlightPlan
+from swarm.flight.flight_view import FlightView
 from swarm.flight.modes import contingency, execute
 from swarm.flight.modes.prepare import prepare, wait_for_clearance
 from swarm.flight.modes.resume import find_team
@@ -24,9 +23,9 @@ from swarm.flight.operator import Request, request
 from swarm.flight.pace import LONGEST_TICK
 from swarm.flight.reporting import record_sample, snapshot_of, statistics_of
 from swarm.flight.responding import respond
-from swarm.flight.result import Outcome, Statistics
+from swarm.flight.result import Statistics
 from swarm.flight.resuming import LeftOff, Then
-from swarm.flight.router import Address, Outgoing, Team
+from swarm.flight.router import Address, Outgoing
 from swarm.flight.setup import Options, setup_of
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.stages import Stage, Trigger
@@ -34,12 +33,10 @@ from swarm.flight.starting import initial_state
 from swarm.flight.state import FlightState, Resumption, Timing
 from swarm.flight.streams import setpoints
 from swarm.flight.trace import Trace
-from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
-from swarm.planning import Phase, Plan
 
 
-class Conductor:
+class Conductor(FlightView):
     """Flies a checked plan with a fleet.
 
     ``now`` is seconds since the flight's record began, in every call. ``state`` is for reading;
@@ -61,7 +58,7 @@ class Conductor:
         for after all vehicles have been found.
         """
         setup = setup_of(flight_plan, fleet, options)
-        self.state: FlightState = initial_state(setup, Resumption(left, then))
+        self.state = initial_state(setup, Resumption(left, then))
 
     def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
         """Take bytes that arrived on a link from an address; return whether they were read."""
@@ -166,86 +163,6 @@ class Conductor:
     def trace(self) -> Trace:
         """Return the flown positions so far."""
         return self.state.recorder.trace(self.plan.vehicles)
-
-    @property
-    def flight_plan(self) -> FlightPlan:
-        """The plan, with what was checked of it."""
-        return self.state.setup.flight_plan
-
-    @property
-    def plan(self) -> Plan:
-        """The plan."""
-        return self.state.setup.plan
-
-    @property
-    def fleet(self) -> Fleet:
-        """The fleet."""
-        return self.state.setup.fleet
-
-    @property
-    def basis(self) -> Basis:
-        """The basis on which the plan is flown."""
-        return self.state.setup.basis
-
-    @property
-    def stream_loss(self) -> StreamLossCertificate:
-        """The largest rates of the clock for lost setpoints."""
-        return self.state.stream_loss
-
-    @property
-    def team(self) -> Team:
-        """The vehicles and the links to them."""
-        return self.state.team
-
-    @property
-    def waiting(self) -> bool:
-        """Whether the clock waits at a gate."""
-        return self.state.progress.waiting
-
-    @property
-    def stage(self) -> Stage:
-        """The stage of the flight."""
-        return self.state.stage
-
-    @property
-    def now(self) -> float:
-        """The time of the last tick."""
-        return self.state.now
-
-    @property
-    def clock(self) -> MissionClock:
-        """The mission clock."""
-        return self.state.clock
-
-    @property
-    def phase(self) -> Phase:
-        """The plan's phase at this moment."""
-        return self.state.phase
-
-    @property
-    def flyers(self) -> Sequence[Vehicle]:
-        """The vehicles that fly, in order along the cable."""
-        return self.state.roster.vehicles
-
-    @property
-    def audit(self) -> Audit | None:
-        """The audit of the team on the ground; None before all are ready."""
-        return self.state.placement.audit
-
-    @property
-    def holding(self) -> str | None:
-        """Why the clock is held; None while it is not."""
-        return self.state.holds.message
-
-    @property
-    def finished(self) -> Outcome | None:
-        """The outcome of the flight; None while it goes on."""
-        return self.state.ending.outcome
-
-    @property
-    def over(self) -> bool:
-        """Whether the flight has ended."""
-        return self.state.stage is Stage.FINISHED
 
 
 def _leave(flight: FlightState) -> None:

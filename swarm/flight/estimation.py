@@ -74,18 +74,21 @@ class Measured(NamedTuple):
 
 @compiled
 def measure(
-    table: Floats, rows: Indices, inverse: tuple[Floats, Floats], lift: Floats, setpoint: Floats,
-    setpoint_velocity: Floats, streaming: Flags, times: tuple[float, float, float, float],
-    places: Floats, numbers: Floats,
+    table: Floats, rows: Indices, inverse: tuple[Floats, Floats], lift: Floats,
+    commanded: tuple[Floats, Floats, Flags], times: tuple[float, float, float, float],
+    measured: Measured,
 ) -> None:  # fmt: skip
     """Extrapolate the reports of vehicles ``rows`` (n,) of a telemetry ``table`` to this moment.
 
     ``inverse`` are the maps from their NED frames, ``lift`` (3,) leads from grip points to centres.
-    Setpoints are the last tick's; the error is NaN for a silent vehicle, or one without setpoints.
-    ``times`` in seconds: now, the longest extrapolation, the age from which a vehicle is silent,
-    and the time since the last tick. ``places`` and ``numbers`` are filled in as in `Measured`.
+    ``commanded`` are the last tick's setpoints, their velocities, and which vehicles get them; the
+    error is NaN for a silent vehicle, or one without setpoints. ``times`` in seconds: now, the
+    longest extrapolation, the age from which a vehicle is silent, and the time since the last tick.
+    ``measured`` is filled in.
     """
     now, longest, silence, elapsed = times
+    setpoint, setpoint_velocity, streaming = commanded
+    places, numbers = measured.places, measured.numbers
     turn, offset = inverse
     for i in range(len(rows)):
         row = table[rows[i]]

@@ -28,10 +28,11 @@ def observe(flight: FlightState) -> None:
         n = len(roster.rows)
         measured = Measured(np.empty((3, n, 3)), np.empty((2, n)))
         silence = flight.setup.fleet.limits.silence
+        commanded = streams.setpoint, streams.velocity, streams.active
+        times = timing.now, EXTRAPOLATION, silence, timing.elapsed
         estimation.measure(
             flight.team.telemetry.values, roster.rows, flight.placement.frames.inverse,
-            flight.setup.lift, streams.setpoint, streams.velocity, streams.active,
-            (timing.now, EXTRAPOLATION, silence, timing.elapsed), measured.places, measured.numbers,
+            flight.setup.lift, commanded, times, measured,
         )  # fmt: skip
     flight.observation = observation_of(
         timing.now, roster.names, roster.vehicles, roster.rows, measured

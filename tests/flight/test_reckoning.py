@@ -35,7 +35,7 @@ def test_reports_are_carried_on_to_this_moment_for_a_bounded_time():
     said[rows, VELOCITY : VELOCITY + 3] = np.linalg.solve(turn, velocity[..., None])[..., 0]
     found = Measured.of(4)
     estimation.measure(
-        said, rows, (turn, offset), LIFT, setpoint, told, streaming, (now, 0.5, 2.0, 0.05), *found
+        said, rows, (turn, offset), LIFT, (setpoint, told, streaming), (now, 0.5, 2.0, 0.05), found
     )
     carried = np.array([0.0, 0.3, 0.5, 0.5])[:, None]
     assert found.reported == pytest.approx(reported, abs=1e-9)
