@@ -84,8 +84,14 @@ def _plain(array: Floats) -> Floats:
 @compiled
 def _write_closest(first: Floats, second: Floats, found: Floats) -> None:
     """Write distances and places (3, q) of polylines (q, m, 3) and (q, k, 3)."""
+    straight = first.shape[1] == second.shape[1] == 2
     for q in range(len(first)):
-        found[0, q], found[1, q], found[2, q] = polyline_distance(first[q], second[q], np.inf)
+        if straight:
+            square, s, t = segment_distance(first[q], 0, second[q], 0)
+            found[0, q] = np.sqrt(square)
+            found[1, q], found[2, q] = (s, t) if square >= 0.0 else (0.0, 0.0)
+        else:
+            found[0, q], found[1, q], found[2, q] = polyline_distance(first[q], second[q], np.inf)
 
 
 @compiled
