@@ -112,10 +112,16 @@ class Conductor(FlightView):
     def _detect(self) -> None:
         """Run the detectors in their order, and respond to each one's failures at once."""
         flight = self.state
+        if flight.stage not in IN_FLIGHT:
+            return
+        expected = flight.expected
         for stages, detector in flight.detectors.each_tick():
             if flight.stage in stages:
-                for finding in detector.detect(flight.observation, flight.expected):
+                findings = detector.detect(flight.observation, expected)
+                for finding in findings:
                     respond(flight, finding)
+                if findings:
+                    expected = flight.expected
 
     # What the shell calls
 
