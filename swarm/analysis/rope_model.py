@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.air import AIR_DENSITY, DRAG_COEFFICIENT
 from swarm.geometry.catenary import STANDARD_GRAVITY
+from swarm.geometry.lumped_mass import AIR_DENSITY, NORMAL_DRAG
 from swarm.mission import Cable
 
 Floats = npt.NDArray[np.float64]
@@ -113,7 +113,7 @@ class Rope:
         arc = np.append(0.0, np.cumsum(links))
         middles = 0.5 * (arc[1:] + arc[:-1])
         self._away = np.abs(middles[:, None] - arc[held]).min(axis=1) > BESIDE_GRIP
-        self._load = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * cable.diameter
+        self._load = 0.5 * AIR_DENSITY * NORMAL_DRAG * cable.diameter
         self._wind = conditions.wind
         self._held_velocity = np.zeros((len(held), 3))
 

@@ -12,17 +12,12 @@ import numpy.typing as npt
 from scipy.linalg import expm
 
 from swarm.geometry.catenary import STANDARD_GRAVITY
+from swarm.geometry.lumped_mass import AIR_DENSITY, NORMAL_DRAG
 from swarm.mission import Mission
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
 Place = tuple[float, float, float]
-
-AIR_DENSITY = 1.225
-"""kg/m³ at sea level, 15 °C (ISO 2533)."""
-
-DRAG_COEFFICIENT = 1.1
-"""Of a cylinder across the flow, at the Reynolds numbers of a cable (Hoerner 1965, p. 3-9)."""
 
 _JET_DECAY = 6.2
 """A round turbulent jet's axial speed is 6.2 of its diameter over the distance (Pope 2000, 5.1)."""
@@ -49,7 +44,7 @@ def wind_down(plan: Plan, speed: float, heading: float) -> Place:
     strands across the wind, ½ρ·c·d·v² per metre, and so an upper bound for the others.
     """
     cable = plan.mission.cable
-    drag = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * cable.diameter * speed * speed
+    drag = 0.5 * AIR_DENSITY * NORMAL_DRAG * cable.diameter * speed * speed
     weight = cable.mass_per_length * STANDARD_GRAVITY
     size = math.hypot(drag, weight)
     return (drag / size * math.cos(heading), drag / size * math.sin(heading), -weight / size)

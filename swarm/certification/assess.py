@@ -27,6 +27,7 @@ from swarm.certification.operational_findings import (
 from swarm.certification.robustness import robustness_of
 from swarm.certification.strands import MOST_EXEMPT
 from swarm.certification.stream_loss import certify_stream_loss
+from swarm.certification.swing_findings import planned_swing, swing_findings
 from swarm.planning import Plan
 from swarm.planning.phase_order import finish_of
 
@@ -70,6 +71,7 @@ def assess(
         *limit_findings(plan),
         *load_findings(plan),
         *downwash_findings(plan),
+        *swing_findings(plan, planned_swing(plan)),
     ]
     knot = tied_knot(plan)
     contingencies, found = contingencies_of(plan)

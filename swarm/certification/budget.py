@@ -13,8 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.air import (
-    AIR_DENSITY,
-    DRAG_COEFFICIENT,
     jet_speed,
     jet_width,
     wind_down,
@@ -23,6 +21,7 @@ from swarm.certification.clearances import STILL_AIR, Moment, Place
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.linear_response import linear_response
+from swarm.geometry.lumped_mass import AIR_DENSITY, NORMAL_DRAG
 from swarm.geometry.sensitivity import BOTH_ENDS
 from swarm.planning import Plan
 
@@ -252,7 +251,7 @@ def _wash(plan: Plan, place: Floats, strand: _Strand) -> float:
     speed[strand.segment : strand.segment + 2] = 0.0
     if not speed.any():
         return 0.0
-    drag = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * mission.cable.diameter * speed**2
+    drag = 0.5 * AIR_DENSITY * NORMAL_DRAG * mission.cable.diameter * speed**2
     load = float(np.max(drag * 2.0 * jet_width(mission, np.maximum(below, 0.0))))
     horizontal = float(drawn.tension(mission.cable.mass_per_length)[0])
     share = strand.fraction * (1.0 - strand.fraction)

@@ -62,6 +62,10 @@ class OverStretched(SwarmError):  # noqa: N818 - names the state of the cable
             shown.append(f"and {len(segments) - 10} more")
         super().__init__("over-stretched cable: " + "; ".join(shown))
 
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        """Keep the arguments when the error crosses processes."""
+        return type(self), (self.segments, self.chords, self.lengths)
+
 
 @dataclass(frozen=True, eq=False)
 class Catenaries:

@@ -7,6 +7,7 @@ chain are one tridiagonal system, solved exactly instead of link by link. Strand
 other, the floor or the vehicles, and do not act on the vehicles.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +18,21 @@ from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
+
+AIR_DENSITY = 1.225
+"""kg/m³ at sea level, 15 °C (ISO 2533)."""
+
+NORMAL_DRAG = 1.1
+"""Drag coefficient of a cylinder across the flow, at the Reynolds numbers of a cable (Hoerner 1965,
+p. 3-9)."""
+
+TANGENTIAL_DRAG = 0.02
+"""Friction coefficient of a cable along the flow: assumed, of the order of rough surfaces'. Its
+effect on strays is a few millimetres."""
+
+LINKS, STEP = 24, 0.01
+"""Links of a strand and seconds: half the step changes the stray of the default missions' strands
+by less than a centimetre."""
 
 _ITERATIONS = 8
 """Newton steps for the link lengths; two or three are enough at the accelerations of a fold."""
@@ -39,6 +55,12 @@ class SwingModel:
     normal_drag: float
     tangential_drag: float = 0.0
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def cable_model(mass_per_length: float, diameter: float) -> SwingModel:
+    """Return the model of a cable of kg/m and a diameter in metres, in still air."""
+    pressure = 0.5 * AIR_DENSITY * diameter / mass_per_length
+    return SwingModel(LINKS, STEP, pressure * NORMAL_DRAG, pressure * math.pi * TANGENTIAL_DRAG)
 
 
 def swing(ends: Floats, lengths: Floats, model: SwingModel, every: int = 1) -> Floats:
@@ -67,12 +89,14 @@ def stray(joints: Floats, ends: Floats, lengths: Floats) -> Floats:
     """Return the largest distance of strands from their catenaries, in metres.
 
     ``joints`` (k, n − 1, links + 1, 3) of the strands, ``ends`` (k, n, 3) of the grip points at the
-    same times; compared at equal arc length. Returns (k, n − 1).
+    same times; compared at equal arc length. Returns (k, n − 1), infinite for strands that are
+    shorter than their chord at the time or were so before.
     """
     fractions = np.linspace(0.0, 1.0, joints.shape[2])
-    still = solve_catenaries(ends[:, :-1], ends[:, 1:], lengths).points(fractions)
-    distance: Floats = np.linalg.norm(joints - still, axis=-1).max(axis=-1)
-    return distance
+    chords = np.linalg.norm(np.diff(ends, axis=1), axis=2)
+    still = solve_catenaries(ends[:, :-1], ends[:, 1:], np.maximum(lengths, chords))
+    distance: Floats = np.linalg.norm(joints - still.points(fractions), axis=-1).max(axis=-1)
+    return np.where((chords > lengths) | np.isnan(distance), np.inf, distance)
 
 
 class Drag(NamedTuple):

@@ -201,11 +201,19 @@ class Fold(Section):
     delay: Number | None = number(
         None, "s", "Delay between neighbouring vehicles (method: paper).", above=0
     )
+    swing: Number | None = _length(
+        None,
+        "Largest distance of the swinging cable from its catenary in the planned fold, which is "
+        "shaped and slowed for it. Not limited without this key.",
+        above=0,
+    )
 
     @model_validator(mode="after")
-    def _delay_of_the_paper(self) -> Self:
+    def _keys_of_the_method(self) -> Self:
         if self.delay is not None and self.method != "paper":
             raise ValueError(f"expected delay only with method: paper, got {self.method}")
+        if self.swing is not None and self.method == "paper":
+            raise ValueError("expected swing only with method: certified, got paper")
         return self
 
 

@@ -11,6 +11,7 @@ from swarm.folding.margins import Margins
 from swarm.folding.paper import edge_dips, paper_motion
 from swarm.folding.schedule import team_path
 from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.lumped_mass import cable_model
 from swarm.geometry.motion import Motion, through_states
 from swarm.knots.grid import OpenGrid
 from swarm.mission import Mission
@@ -18,13 +19,14 @@ from swarm.planning.foldings import Folding, layout_sizes
 from swarm.planning.phase_motion import usable_acceleration
 from swarm.planning.phase_sequence import flight_around_fold
 from swarm.planning.plan import KnotSummary, Plan
+from swarm.planning.shaping import limit_swing
 from swarm.planning.timing import time_path
 
 Floats = npt.NDArray[np.float64]
 
 
 def plan_of_folding(mission: Mission, knot: KnotSummary, folding: Folding) -> Plan:
-    """Return the plan that flies a folding as fast as the limits allow."""
+    """Return the plan that flies a folding as fast as the limits and ``fold.swing`` allow."""
     layout, path = folding.layout, folding.schedule.path
     parameter, places, slopes, bends = team_path(folding.schedule)
     fold = time_path(
@@ -35,6 +37,9 @@ def plan_of_folding(mission: Mission, knot: KnotSummary, folding: Folding) -> Pl
         max_speed=mission.vehicles.max_speed,
         max_acceleration=usable_acceleration(mission),
     )
+    if mission.fold.swing is not None:
+        model = cable_model(mission.cable.mass_per_length, mission.cable.diameter)
+        fold = limit_swing(fold, layout.lengths, layout.sags, model, mission.fold.swing)
     line = path.at(len(layout.corners) - 1, np.linspace(0.0, path.stops[-1], 400))[0]
     return _assembled(mission, knot, layout, fold, line)
 

@@ -167,7 +167,7 @@ def limit_swing(
         paced = PacedMotion(motion, at, smooth)
         shaped = shape(paced, shaper)
         times, strays = largest_stray(shaped, lengths, model)
-        worst = np.nan_to_num(strays.max(axis=1), nan=math.inf)
+        worst = strays.max(axis=1)
         if worst.max() < least:
             best, least = shaped, float(worst.max())
         if least <= limit:

@@ -117,7 +117,9 @@ def test_a_strand_longer_than_its_chord_only() -> None:
     with pytest.raises(OverStretched, match="its ends are 2 m apart"):
         swing(ends, np.array([1.9]), STILL)
     ends[5:, 1, 0] = 3.0
-    assert np.isnan(swing(ends, np.array([2.5]), STILL)[-1]).any()
+    joints = swing(ends, np.array([2.5]), STILL)
+    assert np.isnan(joints[-1]).any()
+    assert np.isinf(stray(joints, ends, np.array([2.5]))[-1])
 
 
 def test_results_do_not_depend_on_samples_kept_or_on_other_strands() -> None:
