@@ -1,9 +1,9 @@
 """The spans of mission time in which vehicles hold the cable, by the state of the cable.
 
 The grip, the release and the spans with cable on the floor follow from the one legal order of
-phases; what a phase states is only compared with it. In a plan with another order, the cable counts
-as hanging all the time. Whether cable really lies, is drawn out in a line or descends without
-change is certified from the motion itself (:mod:`.floor_limits`).
+phases; the statements of a phase are only compared with it. In a plan with another order, the cable
+counts as hanging all the time. Whether cable really lies, is drawn out in a line or descends
+without change is certified from the motion itself (:mod:`.floor_limits`).
 """
 
 from dataclasses import dataclass

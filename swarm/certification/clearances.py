@@ -59,7 +59,7 @@ class Moment:
 
     ``distance`` is the certified lower bound over the whole plan, within the tracking radius, and
     ``required`` the required distance, both in metres. It was found at ``time`` near ``where``. The
-    distance is −∞ where nothing could be shown.
+    distance is −∞ where no bound was found.
     """
 
     check: str
@@ -166,7 +166,7 @@ def _violations(family: Family) -> list[Moment]:
 def certified(plan: Plan, *, tracking: float, down: Place = STILL_AIR) -> bool:
     """Return whether every clearance holds with a tracking radius and effective gravity.
 
-    Much faster than :func:`tightest_moments`, since it measures nothing.
+    Much faster than :func:`tightest_moments`, which measures margins.
     """
     return not cable_spans(plan).problems and all(
         holds(family.evaluate, family.roots()) for family in families(plan, tracking, down)

@@ -39,7 +39,7 @@ computing. Margins that are not shown by then count as not shown."""
 class Minima:
     """Per pair (q,): a lower bound of its margin, the margin found, its time and place (q, 3).
 
-    The bound is −∞ where nothing was shown. ``boxes`` is the number of evaluated boxes.
+    The bound is −∞ where none was found. ``boxes`` is the number of evaluated boxes.
     """
 
     low: Floats

@@ -1,7 +1,7 @@
-"""How long certificates take, and how close they come to the worst that a search finds.
+"""Computing time of certificates, and their sharpness against a random search.
 
-Run it: ``python tests/bench/certificate.py [MISSION …]`` (default: the overhand). Times are of one
-core's processor time; sharpness is the certified distance of the tightest strands against the
+Usage: ``python tests/bench/certificate.py [MISSION …]`` (default: the overhand). Times are processor
+time of one core; sharpness is the certified distance of the tightest strands against the
 smallest that random tracking errors, improved step by step, reach.
 """
 
@@ -24,7 +24,7 @@ FRACTIONS = np.linspace(0.0, 1.0, 101)
 
 
 def main() -> None:
-    """Measure every mission given."""
+    """Measure the given missions."""
     for name in sys.argv[1:] or ["overhand"]:
         path = Path(name)
         mission = parse_mission(path.read_text(), name) if path.exists() else mission_for_knot(name)
@@ -40,7 +40,7 @@ def measure(plan: Plan) -> None:
     assess(plan)  # tables are computed once per process
     started = time.process_time()
     assessment = assess(plan)
-    print(f"  everything {time.process_time() - started:7.2f} s   cleared: {assessment.cleared}")
+    print(f"  all checks {time.process_time() - started:7.2f} s   cleared: {assessment.cleared}")
     for family in families(plan, plan.mission.vehicles.tracking, (0.0, 0.0, -1.0)):
         started = time.process_time()
         count = len(family.names)
@@ -53,11 +53,11 @@ def measure(plan: Plan) -> None:
     for moment in tightest_moments(plan, checks=("cable clearance",))[:3]:
         worst = searched(plan, moment)
         print(f"  {moment.between[0]} and {moment.between[1]}: certified {moment.distance:.3f} m, "
-              f"worst found {worst:.3f} m")  # fmt: skip
+              f"smallest found {worst:.3f} m")  # fmt: skip
 
 
 def searched(plan: Plan, moment: Moment) -> float:
-    """The smallest distance that a random search finds about a moment."""
+    """Return the smallest distance that a random search finds near a moment."""
     rng = np.random.default_rng(1)
     radius = plan.mission.vehicles.tracking
     i, j = (int(name.split()[1]) - 1 for name in moment.between)

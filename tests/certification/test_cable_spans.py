@@ -1,4 +1,4 @@
-"""The certificate covers all held cable, whatever the phases are called; floor, fence and wind."""
+"""The certificate covers all held cable, independent of phase names; floor, fence and wind."""
 
 import json
 from dataclasses import replace

@@ -155,7 +155,7 @@ def crossing_plan(gap, *overrides):
 
 
 def passing(plan, **options):
-    """The pair of the still strand and the one that moves over it."""
+    """The pair of the still strand and the moving one above it."""
     return tightest(plan, "cable clearance", **options)[("segment 1", "segment 4")]
 
 
