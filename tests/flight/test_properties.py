@@ -142,10 +142,10 @@ class Watched(SteppedSimulation):
 @cache
 def moment(team, phase):
     """A flight shortly after a phase of its plan has begun."""
-    flight = Watched.of(PLAN, failure_test_fleet(3, team, 1), 1)
+    flight = Watched.create(PLAN, failure_test_fleet(3, team, 1), 1)
     flight.begin()
     start = PLAN.plan.phase(phase).start
-    while flight.conductor.clock.time < start + 0.3 or not flight.quiet:
+    while flight.conductor.clock.time < start + 0.3 or not flight.can_be_copied:
         SteppedSimulation.step(flight)
     flight.begin()
     return flight
