@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from swarm.geometry.lumped_mass import solve_tridiagonal
 from swarm.jit import compiled
 
 Array = NDArray[np.float64]
@@ -149,7 +150,7 @@ def _restore_links(
                 lower[j] = -inverse[j] * _dot(now, j, along, j - 1)
             if j < links - 1 and active[j + 1]:
                 upper[j] = -inverse[j + 1] * _dot(now, j, along, j + 1)
-        _solve_tridiagonal(lower, diagonal, upper, error)
+        solve_tridiagonal(lower, diagonal, upper, error)
         for j in range(links):
             change = max(error[j], -total[j])  # a link pulls and never pushes
             total[j] += change
@@ -207,16 +208,3 @@ def _touch_floor(chain: Chain, spec: ChainSpec, after: Array, step: float) -> No
 def _dot(a: Array, i: int, b: Array, j: int) -> float:
     """Return the product of row i of ``a`` and row j of ``b``."""
     return float(a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2])
-
-
-@compiled
-def _solve_tridiagonal(lower: Array, diagonal: Array, upper: Array, right: Array) -> None:
-    """Solve a tridiagonal system in place (Thomas); ``right`` becomes the solution."""
-    n = len(right)
-    for j in range(1, n):
-        factor = lower[j] / diagonal[j - 1]
-        diagonal[j] -= factor * upper[j - 1]
-        right[j] -= factor * right[j - 1]
-    right[n - 1] /= diagonal[n - 1]
-    for j in range(n - 2, -1, -1):
-        right[j] = (right[j] - upper[j] * right[j + 1]) / diagonal[j]

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.cable.chain_dynamics import Chain, ChainSpec, advance
-from sitl.cable.rope import REACH, SPACING, Rope
+from sitl.cable.grips import REACH, SPACING, nearest_free, slid
+from sitl.cable.rope import Rope
 from sitl.physics.dynamics import STEP
 from sitl.physics.geodesy import GRAVITY
 from sitl.physics.motion import AIR_DENSITY
@@ -121,20 +122,12 @@ class SwingingRope:
 
     def slide(self, vehicle: int, distance: float) -> None:
         """Move a grip along the cable, at most to its neighbours, a break or the cable's ends."""
-        at = [holder for _, holder in self.grips].index(vehicle)
-        bounds = [0.0, *self.breaks, *(arc for arc, _ in self.grips), self.length]
-        arc = self.grips[at][0]
-        low = max((b + SPACING for b in bounds if b < arc), default=0.0)
-        high = min((b - SPACING for b in bounds if b > arc), default=self.length)
-        self.grips[at] = (min(max(arc + distance, min(low, arc)), max(high, arc)), vehicle)
+        self.grips = slid(self.grips, vehicle, distance, [0.0, *self.breaks, self.length])
         self._rebuild()
 
     def nearest_free(self, arc: float) -> float:
         """Return the arc length nearest to ``arc`` that is at least SPACING from all grips."""
-        held = np.array([grip for grip, _ in self.grips])
-        free = np.abs(self.arc[:, None] - held[None, :]) >= SPACING - 1e-9
-        open_to = self.arc[free.all(axis=1)]
-        return float(open_to[np.argmin(np.abs(open_to - arc))])
+        return nearest_free(self.grips, self.arc, arc)
 
     def position_at(self, arc: float) -> Array:
         """Return the position (3,) of the cable at an arc length."""

@@ -167,7 +167,7 @@ def _restore_links(now: Floats, after: Floats, link: float, system: Floats) -> N
             upper[j] = -2.0 * _dot(after, j, now, j + 1) if j < links - 1 else 0.0
         if worst <= _TOLERANCE * link * link:
             return
-        _solve_tridiagonal(lower, diagonal, upper, error)
+        solve_tridiagonal(lower, diagonal, upper, error)
         for i in range(1, links):
             for x in range(3):
                 after[i, x] -= error[i - 1] * (now[i, x] - now[i - 1, x])
@@ -185,7 +185,7 @@ def _dot(a: Floats, i: int, b: Floats, j: int) -> float:
 
 
 @compiled
-def _solve_tridiagonal(lower: Floats, diagonal: Floats, upper: Floats, right: Floats) -> None:
+def solve_tridiagonal(lower: Floats, diagonal: Floats, upper: Floats, right: Floats) -> None:
     """Solve a tridiagonal system in place (Thomas); ``right`` becomes the solution."""
     n = len(right)
     for j in range(1, n):
