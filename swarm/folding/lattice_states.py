@@ -93,11 +93,9 @@ class VehicleLattice(NamedTuple):
         )
 
 
-class _Segment(NamedTuple):
-    """A segment in one state: positions (3,) of its vehicles, chord and length in metres."""
+class _Extent(NamedTuple):
+    """Chord and length of a segment in one state, metres."""
 
-    rear: Floats
-    front: Floats
     chord: float
     length: float
 
@@ -127,24 +125,26 @@ def fill_costs(
                 cost[a, b] = BLOCKED
                 continue
             edges = behind.edge[b], ahead.edge_before[a], ahead.busy[a]
-            segment = _Segment(rear, front, chord, length)
-            total = _own_cost(segment, margins, points)
-            total += _surface_cost(segment, edges, surfaces, margins)
+            extent = _Extent(chord, length)
+            total = _own_cost(rear, front, extent, margins, points)
+            total += _surface_cost(rear, front, extent, edges, surfaces, margins)
             total += _corner_cost(rear, front, edges, surfaces.corners, margins)
             cost[a, b] = min(total, 0.1 * BLOCKED)
 
 
 @compiled
-def _own_cost(segment: _Segment, margins: Margins, points: Floats) -> float:
+def _own_cost(
+    rear: Floats, front: Floats, extent: _Extent, margins: Margins, points: Floats
+) -> float:
     """Return the cost of the segment alone: chord, distance of its vehicles, their rotor discs."""
-    rear, front, length = segment.rear, segment.front, segment.length
-    ratio = segment.chord / length
+    chord, length = extent.chord, extent.length
+    ratio = chord / length
     over = (ratio + 2.0 * margins.tracking / length) / margins.max_chord_ratio
     cost = 3e-2 * (ratio - margins.chord_ratio) ** 2
     cost += 0.5 * max(over - 0.98, 0.0) + 200.0 * max(over - 0.995, 0.0)
     cost += vehicle_cost(rear, front, margins)
     if abs(rear[2] - front[2]) > margins.grip_offset - 1.5 * margins.tracking:
-        strand_polygon(rear, front, reachable_length(length, segment.chord), points)
+        strand_polygon(rear, front, reachable_length(length, chord), points)
         cost += rotor_disc_cost(rear, points, 0.0, margins)
         cost += rotor_disc_cost(front, points, 0.0, margins)
     return cost
@@ -152,10 +152,15 @@ def _own_cost(segment: _Segment, margins: Margins, points: Floats) -> float:
 
 @compiled
 def _surface_cost(
-    segment: _Segment, edges: tuple[int, int, int], surfaces: Surfaces, margins: Margins
+    rear: Floats,
+    front: Floats,
+    extent: _Extent,
+    edges: tuple[int, int, int],
+    surfaces: Surfaces,
+    margins: Margins,
 ) -> float:
     """Return the cost of distances from the surfaces of edges below the margin."""
-    rear, front, length = segment.rear, segment.front, segment.length
+    chord, length = extent.chord, extent.length
     behind, ahead, busy = edges
     corners, cost, solved = surfaces.corners, 0.0, False
     angle = turn = parameter = response = 0.0
@@ -185,11 +190,11 @@ def _surface_cost(
         if side == 0:
             continue
         if not solved:
-            enough = reachable_length(length, segment.chord)
+            enough = reachable_length(length, chord)
             strand = solve_catenary(rear, front, enough, _SMALLEST_HALF_ANGLE)
             parameter = strand.parameter
             angle, turn = math.asinh(strand.slope), strand.span / parameter
-            response, solved = sag_response(segment.chord / length), True
+            response, solved = sag_response(chord / length), True
         half_turn = 0.5 * turn * share
         up = 2.0 * parameter * math.sinh(half_turn) * math.sinh(angle + half_turn)
         slope = math.sinh(angle + 2.0 * half_turn)

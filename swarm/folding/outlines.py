@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from swarm.folding.end_sensitivity import PIECES
 from swarm.geometry.catenary_kernel import strand_polygon
-from swarm.geometry.distance import Box, bounding_boxes, point_distance
+from swarm.geometry.distance import bounding_boxes, point_distance
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -21,14 +21,13 @@ _TOUCHING = 1e-3
 
 
 class Outlines(NamedTuple):
-    """Strands as polygons (…, PIECES + 1, 3), their boxes (…, 3), and chord over length (…,).
+    """Strands as polygons (…, PIECES + 1, 3), their boxes (…, 2, 3), and chord over length (…,).
 
     A *place* on an outline is the index of an edge plus a fraction of that edge.
     """
 
     points: Floats
-    middle: Floats
-    reach: Floats
+    boxes: Floats
     ratio: Floats
 
     def take(self, which: Index) -> "Outlines":
@@ -44,11 +43,11 @@ def outline_strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Outlin
     chord = np.linalg.norm(end - start, axis=-1)
     length = np.broadcast_to(np.asarray(length, dtype=np.float64), chord.shape)
     points = np.empty((*chord.shape, PIECES + 1, 3))
-    middle, reach = np.empty(start.shape), np.empty(start.shape)
+    boxes = np.empty((*chord.shape, 2, 3))
     corners = points.reshape(-1, PIECES + 1, 3)
     _write_outlines(start.reshape(-1, 3), end.reshape(-1, 3), length.ravel(), corners)
-    bounding_boxes(corners, Box(middle.reshape(-1, 3), reach.reshape(-1, 3)))
-    return Outlines(points, middle, reach, chord / length)
+    bounding_boxes(corners, boxes.reshape(-1, 2, 3))
+    return Outlines(points, boxes, chord / length)
 
 
 @compiled

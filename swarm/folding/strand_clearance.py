@@ -19,7 +19,7 @@ from swarm.folding.end_sensitivity import (
 )
 from swarm.folding.margins import Margins, Penalty
 from swarm.folding.outlines import Outlines, crossing_height, direction_between, plan_crossing
-from swarm.geometry.distance import Box, boxes_closer, polyline_distance
+from swarm.geometry.distance import boxes_closer, polyline_distance
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -57,7 +57,6 @@ def penalize_strands(
     ``extra`` (s,) is required beyond the margin, in metres.
     """
     points, ratio = strands.points, strands.ratio
-    middle, reach = strands.middle, strands.reach
     count = ratio.shape[1]
     wanted = margins.cable + PREFERRED * (margins.cable + 2.0 * margins.tracking)
     response, error = np.empty(count), np.empty(count)
@@ -65,17 +64,15 @@ def penalize_strands(
         for i in range(count):
             response[i] = sag_response(ratio[s, i])
             error[i] = margins.tracking * max_point_movement(response[i])
-        number = -1
+        boxes, number = strands.boxes[s], -1
+        team, gradient = points[s], penalty.gradient[s]
         for i in range(count):
             for j in range(i + 2, count):
                 number += 1
                 limit = wanted + extra[s] + error[i] + error[j]
-                box = Box(middle[s, i], reach[s, i])
-                if boxes_closer(box, Box(middle[s, j], reach[s, j]), limit):
+                if boxes_closer(boxes, i, boxes, j, limit):
                     pair = _Pair(i, j, signs[s, number], extra[s], limit)
-                    penalty.missed[s] += _penalize_pair(
-                        points[s], response, pair, margins, penalty.gradient[s]
-                    )
+                    penalty.missed[s] += _penalize_pair(team, response, pair, margins, gradient)
 
 
 @compiled

@@ -13,7 +13,7 @@ from swarm.folding.end_sensitivity import PIECES, add_to_ends, point_movement, s
 from swarm.folding.margins import Margins, Penalty
 from swarm.folding.outlines import Outlines, height_at_span
 from swarm.folding.strand_clearance import PREFERRED
-from swarm.geometry.distance import Box, boxes_closer
+from swarm.geometry.distance import boxes_closer
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -67,25 +67,23 @@ def penalize_strands_at_vehicles(
     ``signs`` (s, n, n − 1) are as in :class:`swarm.folding.crossing_constraints.CrossingSigns`.
     """
     limit = margins.vehicle_cable * (1.0 + PREFERRED) + (2.0 * PREFERRED + 3.2) * margins.tracking
-    centre = np.empty(3)
-    size = np.array([margins.radius, margins.radius, 0.5 * margins.grip_offset])
+    body = np.empty((1, 2, 3))
+    body[0, 1, :2], body[0, 1, 2] = margins.radius, 0.5 * margins.grip_offset
     for s in range(len(positions)):
+        points, boxes, ratio = strands.points[s], strands.boxes[s], strands.ratio[s]
+        team, gradient = positions[s], penalty.gradient[s]
         for vehicle in range(positions.shape[1]):
-            centre[:] = positions[s, vehicle]
-            centre[2] += 0.5 * margins.grip_offset
-            for segment in range(strands.ratio.shape[1]):
+            body[0, 0] = positions[s, vehicle]
+            body[0, 0, 2] += 0.5 * margins.grip_offset
+            for segment in range(len(ratio)):
                 if segment in (vehicle, vehicle - 1):
                     continue
-                box = Box(strands.middle[s, segment], strands.reach[s, segment])
-                if boxes_closer(Box(centre, size), box, limit + extra[s]):
-                    meeting = _Meeting(
-                        vehicle, segment, signs[s, vehicle, segment], strands.ratio[s, segment],
-                        extra[s],
-                    )  # fmt: skip
+                if boxes_closer(body, 0, boxes, segment, limit + extra[s]):
+                    sign = signs[s, vehicle, segment]
+                    meeting = _Meeting(vehicle, segment, sign, ratio[segment], extra[s])
                     penalty.missed[s] += _penalize_meeting(
-                        positions[s], strands.points[s, segment], meeting, margins,
-                        penalty.gradient[s],
-                    )  # fmt: skip
+                        team, points[segment], meeting, margins, gradient
+                    )
 
 
 @compiled

@@ -6,7 +6,6 @@ functions take single segments, polylines and boxes.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,13 +26,6 @@ class Closest:
     distance: Floats
     first: Floats
     second: Floats
-
-
-class Box(NamedTuple):
-    """An upright box: its middle (3,) and its half sizes (3,), metres."""
-
-    middle: Floats
-    reach: Floats
 
 
 def segment_segment(first: ArrayLike, second: ArrayLike) -> Closest:
@@ -190,21 +182,24 @@ def point_distance(one: Floats, other: Floats) -> float:
 
 
 @compiled
-def bounding_boxes(points: Floats, boxes: Box) -> None:
-    """Write the middles and reaches (q, 3) of the boxes around polylines (q, k, 3)."""
+def bounding_boxes(points: Floats, boxes: Floats) -> None:
+    """Write the upright boxes (q, 2, 3) around polylines (q, k, 3): middles and half sizes."""
     for q in range(len(points)):
         for axis in range(3):
             low = high = points[q, 0, axis]
             for k in range(1, points.shape[1]):
                 low, high = min(low, points[q, k, axis]), max(high, points[q, k, axis])
-            boxes.middle[q, axis], boxes.reach[q, axis] = 0.5 * (low + high), 0.5 * (high - low)
+            boxes[q, 0, axis], boxes[q, 1, axis] = 0.5 * (low + high), 0.5 * (high - low)
 
 
 @compiled
-def boxes_closer(one: Box, other: Box, limit: float) -> bool:
-    """Return whether the gap between two boxes is smaller than ``limit`` along every axis."""
+def boxes_closer(one: Floats, i: int, other: Floats, j: int, limit: float) -> bool:
+    """Return whether the gap of box ``i`` and box ``j`` is below ``limit`` along every axis.
+
+    ``one`` and ``other`` are (q, 2, 3), as from :func:`bounding_boxes`.
+    """
     for axis in range(3):
-        gap = abs(one.middle[axis] - other.middle[axis]) - one.reach[axis] - other.reach[axis]
+        gap = abs(one[i, 0, axis] - other[j, 0, axis]) - one[i, 1, axis] - other[j, 1, axis]
         if gap >= limit:
             return False
     return True
