@@ -14,7 +14,7 @@ from swarm.folding.end_sensitivity import PIECES, interpolate, point_movement, s
 from swarm.folding.margins import Margins
 from swarm.folding.outlines import reachable_length
 from swarm.folding.soft_constraints import margin_cost, vehicle_cost
-from swarm.folding.vehicle_clearance import rotor_disc_cost
+from swarm.folding.vehicle_clearance import DISC_ERRORS, rotor_disc_cost
 from swarm.geometry.catenary_kernel import solve_catenary, strand_polygon
 from swarm.geometry.catenary_shape import drop_at
 from swarm.geometry.distance import point_distance
@@ -30,6 +30,16 @@ BLOCKED = 1e4
 _TOUCH = 0.125
 """Share of a segment's length around a corner within which adjacent edges do not count as
 crossed."""
+
+_CHORD_COST = 3e-2
+"""Cost of the squared difference of the chord ratio from the preferred one."""
+
+_TAUT_FROM, _TAUT_COST = 0.98, 0.5
+_STRAIGHT_FROM, _STRAIGHT_COST = 0.995, 200.0
+"""Shares of the largest chord, tracking errors included, from which a chord costs, and how much."""
+
+_ROUNDING = 1e-6
+"""Metres by which a chord may exceed the largest one: rounding."""
 
 _CLOSEST_PROGRESS = 0.4
 """Smallest difference of progress of the two vehicles, over their distance."""
@@ -118,7 +128,7 @@ def fill_costs(
             station = ahead.station[a] - behind.station[b]
             progress = ahead.progress[a] - behind.progress[b]
             if (
-                chord + 2.0 * margins.tracking > margins.max_chord_ratio * length + 1e-6
+                chord + 2.0 * margins.tracking > margins.max_chord_ratio * length + _ROUNDING
                 or progress <= _CLOSEST_PROGRESS * margins.vehicle
                 or not 0.0 < station < _LONGEST_STATION * length
             ):
@@ -140,10 +150,11 @@ def _own_cost(
     chord, length = extent.chord, extent.length
     ratio = chord / length
     over = (ratio + 2.0 * margins.tracking / length) / margins.max_chord_ratio
-    cost = 3e-2 * (ratio - margins.chord_ratio) ** 2
-    cost += 0.5 * max(over - 0.98, 0.0) + 200.0 * max(over - 0.995, 0.0)
+    cost = _CHORD_COST * (ratio - margins.chord_ratio) ** 2
+    taut = _TAUT_COST * max(over - _TAUT_FROM, 0.0)
+    cost += taut + _STRAIGHT_COST * max(over - _STRAIGHT_FROM, 0.0)
     cost += vehicle_cost(rear, front, margins)
-    if abs(rear[2] - front[2]) > margins.grip_offset - 1.5 * margins.tracking:
+    if abs(rear[2] - front[2]) > margins.grip_offset - DISC_ERRORS * margins.tracking:
         strand_polygon(rear, front, reachable_length(length, chord), points)
         cost += rotor_disc_cost(rear, points, 0.0, margins)
         cost += rotor_disc_cost(front, points, 0.0, margins)

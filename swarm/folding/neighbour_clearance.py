@@ -185,7 +185,7 @@ def _level_distance(points: Floats, place: float, at: Floats) -> float:
 def _penalize_free_part(
     team: _Team, junction: _Junction, own: int, limit: float, margins: Margins, moment: Penalty
 ) -> float:
-    """Add what the free part of strand ``own``, up to place ``limit``, misses to its neighbour.
+    """Add the missed margin of the free part of strand ``own``, which ends at place ``limit``.
 
     ``moment`` is the penalty of one moment. Return the metres that remain of the preferred margin.
     """

@@ -18,6 +18,13 @@ from swarm.jit import compiled
 Floats = npt.NDArray[np.float64]
 Numbers = TypeVar("Numbers", float, Floats)
 
+_MISS, _MISS_SQUARED, _SLIGHT = 5.0, 10.0, 5e-3
+"""Cost of a missed unit of margin, of its square, and of the square of the part of one further unit
+that is not there: misses cost a thousand times as much as small margins."""
+
+_VEHICLE_UNIT, _VEHICLE_SPARE = 2.0, 0.2
+"""Units of margin per required distance of two vehicles beyond it, and units at that distance."""
+
 
 def strand_costs(one: Outlines, other: Outlines, margins: Margins) -> Floats:
     """Return the cost (b,) of the distance of strands, pair by pair; they share no vehicle."""
@@ -31,7 +38,7 @@ def margin_cost(margin: Numbers) -> Numbers:
     """Return the cost of margins in units of the required one: steep below 0, slight below 1."""
     short = np.maximum(-margin, 0.0)
     slight = np.maximum(1.0 - margin, 0.0)
-    cost: Numbers = 5.0 * short + 10.0 * short**2 + 5e-3 * slight**2
+    cost: Numbers = _MISS * short + _MISS_SQUARED * short**2 + _SLIGHT * slight**2
     return cost
 
 
@@ -41,4 +48,4 @@ def vehicle_cost(one: Floats, other: Floats, margins: Margins) -> float:
     error = 2.0 * margins.tracking
     level = np.hypot(one[0] - other[0], one[1] - other[1]) / (margins.vehicle + error)
     above = abs(one[2] - other[2]) / (margins.downwash + error)
-    return float(margin_cost(2.0 * (max(level, above) - 1.0) + 0.2))
+    return float(margin_cost(_VEHICLE_UNIT * (max(level, above) - 1.0) + _VEHICLE_SPARE))

@@ -79,7 +79,7 @@ def penalize_strands(
 def _penalize_pair(
     points: Floats, response: Floats, pair: _Pair, margins: Margins, gradient: Floats
 ) -> float:
-    """Return the square of the missed margin of two strands, and add to the gradient (n, 3)."""
+    """Return the square of the missed margin of two strands; add to the gradient (n, 3)."""
     i, j = pair.first, pair.second
     one, other = points[i], points[j]
     unit = margins.cable + 2.0 * margins.tracking

@@ -22,17 +22,16 @@ _STEP = 1e-4
 """Metres; step of the differences for derivatives of the distance from a cone."""
 
 _VEHICLES_APART, _VEHICLE_WEIGHT = 0.06, 5.0
-"""Share beyond their distance that vehicles prefer, and weight of what they miss of it."""
+"""Share beyond their distance that vehicles prefer, and weight of a missed share."""
 
 _JETS, _FAR_BELOW, _WASH_WEIGHT = 2.2, 8.0, 0.5
 """Half-widths of jets that vehicles avoid, metres below which jets do not count, and weight of a
 position on the axis of a jet."""
 
 _LEVEL_UPRIGHT = 0.7
-"""Vertical part of the direction from a strand to a vehicle, for the movement of the strand:
-45°."""
+"""Vertical part of the direction, 45° upward, in which the movement of a strand counts."""
 
-_DISC_ERRORS = 1.5
+DISC_ERRORS = 1.5
 """Tracking errors by which a rotor disc is larger and lower for the vehicle's own strands."""
 
 _DISC_WEIGHT = 10.0
@@ -90,7 +89,7 @@ def penalize_strands_at_vehicles(
 def _penalize_meeting(
     positions: Floats, strand: Floats, meeting: _Meeting, margins: Margins, gradient: Floats
 ) -> float:
-    """Return the square of what a vehicle misses to a strand, and add to the gradient (n, 3)."""
+    """Return the square of a vehicle's missed margin to a strand; add to the gradient (n, 3)."""
     unit = margins.vehicle_cable + 2.0 * margins.tracking
     position, response = positions[meeting.vehicle], sag_response(meeting.ratio)
     apart, place, lowest = np.empty(3), 0.0, np.inf
@@ -239,11 +238,11 @@ def penalize_downwash(positions: Floats, margins: Margins, penalty: Penalty) -> 
 @compiled
 def rotor_disc_cost(position: Floats, strand: Floats, wider: float, margins: Margins) -> float:
     """Return the cost of a vehicle's own strand in its rotor disc, made ``wider`` by metres."""
-    lowest = margins.grip_offset - _DISC_ERRORS * margins.tracking
+    lowest = margins.grip_offset - DISC_ERRORS * margins.tracking
     # No point of a strand is higher than its higher end.
     if max(strand[0, 2], strand[-1, 2]) - position[2] <= lowest:
         return 0.0
-    radius = margins.radius + wider + _DISC_ERRORS * margins.tracking
+    radius = margins.radius + wider + DISC_ERRORS * margins.tracking
     inside, apart = 0.0, np.empty(3)
     for k in range(2 * PIECES + 1):
         _write_offset(strand, 0.5 * k, position, apart)

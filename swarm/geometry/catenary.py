@@ -267,7 +267,7 @@ def sag_for_drop(
 ) -> Floats:
     """Return the sag (…,) of the strand that is ``drop`` below its chord at a fraction of its span.
 
-    ``fraction`` lies strictly between 0 and 1; ``drop`` is positive; metres. A longer cable hangs
+    ``fraction`` lies strictly between 0 and 1; ``drop`` is positive; metres. A longer cable is
     lower everywhere, so the strand is unique.
     """
     span, drop, fraction, rise = np.broadcast_arrays(

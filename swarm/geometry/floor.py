@@ -1,9 +1,9 @@
 """Strands that partly lie on the floor, in batches.
 
-Where a strand would hang below the floor, it comes down as part of a catenary that meets the floor
-tangentially, lies straight, and rises again as part of a catenary with the same horizontal tension
-(no friction, quasi-static). With surplus cable the horizontal tension vanishes: both ends hang
-straight down and the surplus lies loose on the floor.
+Where its catenary would pass below the floor, a strand comes down as part of a catenary that meets
+the floor tangentially, lies straight, and rises again as part of a catenary with the same
+horizontal tension (no friction, quasi-static). With surplus cable the horizontal tension vanishes:
+both ends hang straight down and the surplus lies loose on the floor.
 
 :func:`swarm.geometry.catenary_kernel.solve_on_floor` solves the same equation for one strand. Both
 remain: pulls of neighbouring segments cancel to the last bit, and setpoints carry the remainder.
