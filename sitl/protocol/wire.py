@@ -30,7 +30,7 @@ _crc: Callable[..., int] = crc16.mcrf4xx
 
 
 @dataclass(frozen=True)
-class Layout:
+class MessageLayout:
     """Wire format of one message: number, packed structure, CRC seed, fields.
 
     ``blank`` are the values of an empty message in wire order; ``places`` are the index of each
@@ -44,7 +44,7 @@ class Layout:
     places: dict[str, tuple[int, int]]
 
 
-def _layouts() -> dict[str, Layout]:
+def _layouts() -> dict[str, MessageLayout]:
     found = {}
     for number, message in dialect.mavlink_map.items():
         kinds = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
@@ -56,7 +56,7 @@ def _layouts() -> dict[str, Layout]:
             places[name] = (len(blank), 0 if text else length)
             blank += [b""] if text else [0] * max(length, 1)
         seed = bytes([message.crc_extra])
-        found[message.msgname] = Layout(number, message.unpacker, seed, blank, places)
+        found[message.msgname] = MessageLayout(number, message.unpacker, seed, blank, places)
     found["EKF_STATUS_REPORT"] = _ekf_status_report()
     found |= {name: _newer_layout(*described) for name, described in _NEWER_MESSAGES.items()}
     return found
@@ -76,21 +76,21 @@ _NEWER_MESSAGES: dict[str, tuple[int, int, str, str]] = {
 wire order."""
 
 
-def _newer_layout(number: int, seed: int, packed: str, names: str) -> Layout:
+def _newer_layout(number: int, seed: int, packed: str, names: str) -> MessageLayout:
     places = {name: (place, 0) for place, name in enumerate(names.split())}
     blank: list[Any] = [b"" if name == "uri" else 0 for name in places]
-    return Layout(number, struct.Struct(packed), bytes([seed]), blank, places)
+    return MessageLayout(number, struct.Struct(packed), bytes([seed]), blank, places)
 
 
-def _ekf_status_report() -> Layout:
+def _ekf_status_report() -> MessageLayout:
     """Return the layout of ArduPilot's message about its estimator (ardupilotmega.xml)."""
     variances = ("velocity", "pos_horiz", "pos_vert", "compass", "terrain_alt")
     names = (*(f"{name}_variance" for name in variances), "flags", "airspeed_variance")
     places = {name: (place, 0) for place, name in enumerate(names)}
-    return Layout(193, struct.Struct("<5fHf"), bytes([71]), [0] * len(names), places)
+    return MessageLayout(193, struct.Struct("<5fHf"), bytes([71]), [0] * len(names), places)
 
 
-LAYOUTS: dict[str, Layout] = _layouts()
+LAYOUTS: dict[str, MessageLayout] = _layouts()
 NUMBERS: dict[str, int] = {name: layout.number for name, layout in LAYOUTS.items()}
 _BY_NUMBER = {number: LAYOUTS[message.msgname] for number, message in dialect.mavlink_map.items()}
 

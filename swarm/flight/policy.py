@@ -47,7 +47,7 @@ class Windows(StrEnum):
         return cls.RELEASE if releasable else cls.NEITHER
 
 
-class Row(NamedTuple):
+class Responses(NamedTuple):
     """One failure's responses while the plan is executed, and while the team has left it.
 
     ``irreversible``: the flight has failed, however well it lands. ``ends_stream``: the vehicle
@@ -63,33 +63,33 @@ class Row(NamedTuple):
 _R = Response
 _K = FailureKind
 
-TABLE: Mapping[FailureKind, Row] = {
-    _K.SILENT: Row(_R.HOLD, _R.REPORT, irreversible=False),
-    _K.LOST: Row(_R.HOLD, _R.REPORT),
-    _K.ALL_LOST: Row(_R.HOLD, _R.REPORT),
-    _K.LEFT_OFFBOARD: Row(_R.HOLD, _R.REPORT, ends_stream=True),
-    _K.PILOT: Row(_R.HOLD, _R.REPORT, ends_stream=True),
-    _K.LANDING_ALONE: Row(_R.LAND_HERE, _R.REPORT, ends_stream=True),
-    _K.RETURNING: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
-    _K.FALLING: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
-    _K.FALLEN_SILENT: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
-    _K.DISARMED: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
-    _K.REBOOTED: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
-    _K.FALSE_LANDING: Row(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
-    _K.POSITION_JUMP: Row(_R.LAND_HERE, _R.REPORT),
-    _K.ORIGIN_MOVED: Row(_R.LAND_HERE, _R.REPORT),
-    _K.FIX_LOST: Row(_R.RELEASE_HERE, _R.RELEASE_HERE),
-    _K.POSITION_LOST: Row(_R.RELEASE_HERE, _R.RELEASE_HERE),
-    _K.HEIGHT_DRIFT: Row(_R.LAND_HERE, _R.REPORT),
-    _K.BATTERY_LOW: Row(_R.LAND, _R.REPORT),
-    _K.BATTERY_CRITICAL: Row(_R.LAND_HERE, _R.REPORT),
-    _K.STANDSTILL: Row(_R.HOLD, _R.REPORT, irreversible=False),
-    _K.TRACKING_ERROR: Row(_R.LAND_HERE, _R.REPORT),
-    _K.SNAGGED: Row(_R.RELEASE, _R.REPORT),
-    _K.GRIP_SLIP: Row(_R.LAND_HERE, _R.REPORT),
-    _K.COMMAND_FAILED: Row(_R.LAND_HERE, _R.REPORT),
-    _K.GATE_TIMEOUT: Row(_R.LAND, _R.REPORT),
-    _K.HOLD_TIMEOUT: Row(_R.LAND, _R.REPORT, irreversible=False),
+TABLE: Mapping[FailureKind, Responses] = {
+    _K.SILENT: Responses(_R.HOLD, _R.REPORT, irreversible=False),
+    _K.LOST: Responses(_R.HOLD, _R.REPORT),
+    _K.ALL_LOST: Responses(_R.HOLD, _R.REPORT),
+    _K.LEFT_OFFBOARD: Responses(_R.HOLD, _R.REPORT, ends_stream=True),
+    _K.PILOT: Responses(_R.HOLD, _R.REPORT, ends_stream=True),
+    _K.LANDING_ALONE: Responses(_R.LAND_HERE, _R.REPORT, ends_stream=True),
+    _K.RETURNING: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
+    _K.FALLING: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
+    _K.FALLEN_SILENT: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
+    _K.DISARMED: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
+    _K.REBOOTED: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
+    _K.FALSE_LANDING: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
+    _K.POSITION_JUMP: Responses(_R.LAND_HERE, _R.REPORT),
+    _K.ORIGIN_MOVED: Responses(_R.LAND_HERE, _R.REPORT),
+    _K.FIX_LOST: Responses(_R.RELEASE_HERE, _R.RELEASE_HERE),
+    _K.POSITION_LOST: Responses(_R.RELEASE_HERE, _R.RELEASE_HERE),
+    _K.HEIGHT_DRIFT: Responses(_R.LAND_HERE, _R.REPORT),
+    _K.BATTERY_LOW: Responses(_R.LAND, _R.REPORT),
+    _K.BATTERY_CRITICAL: Responses(_R.LAND_HERE, _R.REPORT),
+    _K.STANDSTILL: Responses(_R.HOLD, _R.REPORT, irreversible=False),
+    _K.TRACKING_ERROR: Responses(_R.LAND_HERE, _R.REPORT),
+    _K.SNAGGED: Responses(_R.RELEASE, _R.REPORT),
+    _K.GRIP_SLIP: Responses(_R.LAND_HERE, _R.REPORT),
+    _K.COMMAND_FAILED: Responses(_R.LAND_HERE, _R.REPORT),
+    _K.GATE_TIMEOUT: Responses(_R.LAND, _R.REPORT),
+    _K.HOLD_TIMEOUT: Responses(_R.LAND, _R.REPORT, irreversible=False),
 }
 """Failure → responses. Before the flight nothing is armed: a vehicle that is not ready is no
 failure but keeps the team on the ground (:mod:`swarm.flight.readiness`)."""

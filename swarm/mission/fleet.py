@@ -23,7 +23,7 @@ _URL = re.compile(
 )
 
 
-class Vehicle(Section):
+class FleetVehicle(Section, title="Vehicle"):
     """One vehicle of the fleet."""
 
     sysid: SystemId = Field(description="MAVLink system id, 1 to 250.")
@@ -140,7 +140,7 @@ class Fleet(Section):
         description="Links by name: udpin://host:port, udpout://host:port, tcp://host:port or "
         "serial://device:baud.",
     )
-    vehicles: tuple[Vehicle, ...] = Field(min_length=1, description="The vehicles.")
+    vehicles: tuple[FleetVehicle, ...] = Field(min_length=1, description="The vehicles.")
     capacity: dict[Name, Annotated[float, Field(gt=0.0)]] = Field(
         {},
         description="Capacity of links in kbit/s, for links with a slower radio behind them (the "

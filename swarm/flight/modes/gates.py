@@ -28,7 +28,7 @@ SETTLED_SPEED = 0.3
 DISARM_AFTER = 5.0
 
 
-class Row(NamedTuple):
+class GateHandlers(NamedTuple):
     """The action that begins at a gate, and the condition that passes it."""
 
     begin: Callable[[FlightState], None]
@@ -178,11 +178,11 @@ def _landed(flight: FlightState) -> bool:
     return not any(vehicle.armed for vehicle in flight.roster.vehicles)
 
 
-GATES: Mapping[Condition, Row] = {
-    "armed": Row(_no_action, _armed),
-    "airborne": Row(_no_action, _airborne),
-    "gripped": Row(_no_action, _gripped),
-    "settled": Row(not_settled, _settled),
-    "released": Row(_release, _released),
-    "landed": Row(_land, _landed),
+GATES: Mapping[Condition, GateHandlers] = {
+    "armed": GateHandlers(_no_action, _armed),
+    "airborne": GateHandlers(_no_action, _airborne),
+    "gripped": GateHandlers(_no_action, _gripped),
+    "settled": GateHandlers(not_settled, _settled),
+    "released": GateHandlers(_release, _released),
+    "landed": GateHandlers(_land, _landed),
 }
