@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.jit import compiled
-from swarm.mavlink.telemetry_table import ATTITUDE, POSITION, POSITION_AT, VELOCITY
+from swarm.mavlink.telemetry_table import ATTITUDE, BOOT_TIME, POSITION, POSITION_AT, VELOCITY
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -20,15 +20,15 @@ Indices = npt.NDArray[np.int64]
 
 
 _REPORTED, _VELOCITY, _POSITION = range(3)
-_AT, _ERROR = range(2)
+_AT, _ERROR, _BOOT = range(3)
 
 
 class Measured(NamedTuple):
     """The latest reports of n vehicles, and their estimated places now.
 
     ``places`` (3, n, 3) are the reported positions of their centres, the reported velocities, and
-    the grip points now, mission ENU; ``numbers`` (2, n) are the times of the reports, and the
-    tracking errors.
+    the grip points now, mission ENU; ``numbers`` (3, n) are the times at which the reports were
+    read, the tracking errors, and the times of the reports since each vehicle's boot.
     """
 
     places: Floats
@@ -37,7 +37,7 @@ class Measured(NamedTuple):
     @classmethod
     def of(cls, n: int) -> "Measured":
         """Return the measurements of n vehicles that have not reported yet."""
-        numbers = np.full((2, n), np.nan)
+        numbers = np.full((3, n), np.nan)
         numbers[_AT] = -np.inf
         return cls(np.full((3, n, 3), np.nan), numbers)
 
@@ -61,8 +61,14 @@ class Measured(NamedTuple):
 
     @property
     def at(self) -> Floats:
-        """Times of the reports (n,), seconds."""
+        """Times at which the reports were read (n,), seconds."""
         part: Floats = self.numbers[_AT]
+        return part
+
+    @property
+    def boot(self) -> Floats:
+        """Times of the reports since the boot of each vehicle (n,), seconds; NaN: not known."""
+        part: Floats = self.numbers[_BOOT]
         return part
 
     @property
@@ -106,6 +112,7 @@ def measure(
             places[_REPORTED, i, k], places[_VELOCITY, i, k] = place, speed
             places[_POSITION, i, k] = here
         numbers[_AT, i] = row[POSITION_AT]
+        numbers[_BOOT, i] = 0.001 * row[BOOT_TIME] if row[BOOT_TIME] >= 0.0 else math.nan
         numbers[_ERROR, i] = math.sqrt(square) if streaming[i] and age <= silence else math.nan
 
 
@@ -172,11 +179,12 @@ def new_reports(
 ) -> tuple[bool, bool]:  # fmt: skip
     """Return whether any vehicle has reported since ``last``, and whether all move as commanded.
 
-    ``step`` (n,) becomes the seconds between the reports, 0 without a new one. A vehicle moves as
-    commanded where it does not sink faster than ``commanded`` (n, 3), jump, turn over, or stay
-    without a report for too long. ``limits``: the longest step in seconds, the descent without
-    setpoints, the sinking beyond the commanded one, both in m/s, the largest jump along an axis in
-    metres, and the largest roll or pitch.
+    ``step`` (n,) becomes the seconds between the reports, 0 without a new one: by the vehicle's own
+    clock where it is known, since a ground station that was stalled reads old reports late. A
+    vehicle moves as commanded where it does not sink faster than ``commanded`` (n, 3), jump, turn
+    over, or stay without a report for too long. ``limits``: the longest step in seconds, the
+    descent without setpoints, the sinking beyond the commanded one, both in m/s, the largest jump
+    along an axis in metres, and the largest roll or pitch.
     """
     longest, descent, sinking, jump, tilt = limits
     places, at = now.places, now.numbers[_AT]
@@ -184,7 +192,10 @@ def new_reports(
     reported, calm = False, True
     for i in range(len(rows)):
         row = table[rows[i]]
-        step[i] = at[i] - last_at[i] if at[i] > last_at[i] else 0.0
+        step[i] = 0.0
+        if at[i] > last_at[i]:
+            by_boot = now.numbers[_BOOT, i] - last.numbers[_BOOT, i]
+            step[i] = by_boot if by_boot > 0.0 else at[i] - last_at[i]
         reported = reported or step[i] > 0.0
         down = min(commanded[i, 2], 0.0) if streaming[i] else -descent
         calm = calm and step[i] <= longest and not down - places[_VELOCITY, i, 2] > sinking
@@ -201,6 +212,7 @@ def keep_reports(now: Measured, last: Measured, step: Floats) -> None:
     """Copy the reports that came after ``step`` (n,) seconds into ``last``."""
     for i in range(len(step)):
         last.numbers[_AT, i] = now.numbers[_AT, i]
+        last.numbers[_BOOT, i] = now.numbers[_BOOT, i]
         if step[i] > 0.0:
             for k in range(3):
                 last.places[_REPORTED, i, k] = now.places[_REPORTED, i, k]

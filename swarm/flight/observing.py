@@ -26,7 +26,7 @@ def observe(flight: FlightState) -> None:
     measured = flight.observation.measured
     if flight.placement.frames is not None:
         n = len(roster.rows)
-        measured = Measured(np.empty((3, n, 3)), np.empty((2, n)))
+        measured = Measured(np.empty((3, n, 3)), np.empty((3, n)))
         silence = flight.setup.fleet.limits.silence
         commanded = streams.setpoint, streams.velocity, streams.active
         times = timing.now, EXTRAPOLATION, silence, timing.elapsed

@@ -29,12 +29,13 @@ PLACES = np.array([[0.0, 0.0, 5.0], [3.0, 0.0, 5.0], [6.0, 0.0, 5.0]])
 LIMITS = emulated_fleet(3).limits
 
 
-def seen(now=10.0, at=None, position=PLACES, velocity=None, **fields) -> Observation:
+def seen(now=10.0, at=None, position=PLACES, velocity=None, boot=None, **fields) -> Observation:
     """Three vehicles that hover in good health at 5 m, 3 m apart."""
     places = np.zeros((3, 3, 3))
     places[0] = places[2] = position
     places[1] = 0.0 if velocity is None else velocity
-    numbers = np.array([np.full(3, now if at is None else at), np.zeros(3)])
+    reported_at = np.full(3, now if at is None else at)
+    numbers = np.array([reported_at, np.zeros(3), reported_at if boot is None else boot])
     table = np.zeros((3, WIDTH))
     table[:, 0] = now
     values = {
@@ -97,6 +98,23 @@ def test_a_jump_is_measured_and_its_report_does_not_count_twice():
     assert failure.jump == pytest.approx([0.0, 2.0, 0.0])
     # the frame follows the jump: the next report is where the one before was
     assert motion.detect(seen(10.2), expected()) == []
+
+
+def test_a_ground_station_that_was_stalled_sees_no_jump():
+    # at 2 m/s: it reads nothing for 1.2 s, then a report of 0.3 s after the last one, then a new one
+    motion = MotionDetector(3, Latch())
+    velocity = np.tile([2.0, 0.0, 0.0], (3, 1))
+    moving = expected(velocity=velocity)
+
+    def report(now, since):
+        place = PLACES + since * velocity
+        return seen(now, position=place, velocity=velocity, boot=np.full(3, 70.0 + since))
+
+    for now, since in ((10.0, 0.0), (11.2, 0.3), (11.22, 1.2), (11.3, 1.3)):
+        assert motion.detect(report(now, since), moving) == []
+    jumped = report(11.4, 1.4)
+    jumped.measured.reported[1] += [0.0, 2.0, 0.0]
+    assert kinds(motion.detect(jumped, moving)) == [FailureKind.POSITION_JUMP]
 
 
 def test_the_neighbour_that_a_silent_vehicle_pulls_down_has_not_fallen():

@@ -71,6 +71,9 @@ LIMITS = 0.5, 1.0, 0.4, 0.25, 1.0
         ({"at": [5.0, 5.0], "last_at": [5.0, 5.0]}, False, True),
         ({"last_at": [4.9, -np.inf]}, True, False),
         ({"last_at": [4.9, 4.4]}, True, False),
+        ({"last_at": [4.9, 4.4], "boot": [90.0, 80.0], "last_boot": [89.9, 79.8]}, True, True),
+        ({"boot": [90.0, 80.0], "last_boot": [89.9, 79.2]}, True, False),
+        ({"boot": [90.0, 80.0], "last_boot": [89.9, 85.0]}, True, True),
         ({"velocity": [[0.0, 0.0, -0.5], [0.0, 0.0, 0.0]]}, True, False),
         ({"told": [[0.0, 0.0, -0.4], [0.0, 0.0, 0.0]],
           "velocity": [[0.0, 0.0, -0.5], [0.0, 0.0, 0.0]]}, True, True),
@@ -84,7 +87,8 @@ LIMITS = 0.5, 1.0, 0.4, 0.25, 1.0
     ],
 )  # fmt: skip
 def test_who_sinks_jumps_or_turns_over_does_not_move_as_told(change, told, calm):
-    have = {"at": [5.0, 5.0], "last_at": [4.9, 4.9], "streaming": [True, True]} | change
+    have = {"at": [5.0, 5.0], "last_at": [4.9, 4.9], "streaming": [True, True],
+            "boot": [np.nan, np.nan], "last_boot": [np.nan, np.nan]} | change  # fmt: skip
 
     def of(name):
         return np.array(have.get(name, np.zeros((2, 3))))
@@ -93,8 +97,8 @@ def test_who_sinks_jumps_or_turns_over_does_not_move_as_told(change, told, calm)
     said[:, RECEIVED_AT], said[:, ATTITUDE : ATTITUDE + 3] = [5.0, 4.8], of("angles")
     places = np.array([of("reported"), of("velocity"), np.zeros((2, 3))])
     before = np.array([of("last"), of("before"), np.zeros((2, 3))])
-    now = Measured(places, np.array([of("at"), np.zeros(2)]))
-    last = Measured(before, np.array([of("last_at"), np.zeros(2)]))
+    now = Measured(places, np.array([of("at"), np.zeros(2), of("boot")]))
+    last = Measured(before, np.array([of("last_at"), np.zeros(2), of("last_boot")]))
     found = estimation.new_reports(
         said, np.arange(2), now, last, of("told"), of("streaming"), LIMITS, step
     )
@@ -120,3 +124,14 @@ def test_only_new_reports_are_noted():
     assert last.reported.tolist() == [[1.0] * 3, [0.0] * 3]
     assert last.velocity.tolist() == [[1.0] * 3, [0.0] * 3]
     assert last.at.tolist() == [5.0, 5.0]
+
+
+def test_the_time_between_reports_is_that_of_the_vehicle_s_clock():
+    before, at = Measured.of(3), Measured.of(3)
+    before.numbers[0], at.numbers[0] = [1.0, 1.0, 1.0], [2.2, 2.2, 1.0]
+    before.numbers[2], at.numbers[2] = [50.0, np.nan, 50.0], [50.3, 70.0, 50.0]
+    said, step = np.full((3, WIDTH), np.nan), np.ones(3)
+    estimation.new_reports(
+        said, np.arange(3), at, before, np.zeros((3, 3)), np.ones(3, bool), LIMITS, step
+    )
+    assert step == pytest.approx([0.3, 1.2, 0.0])

@@ -62,7 +62,7 @@ class MotionDetector:
 
     def _examine(self, seen: Observation, expected: Expected, k: int) -> list[Finding]:
         last = self._last
-        step = float(seen.measured.at[k] - last.at[k])
+        step = float(self._step[k])
         before, up = last.velocity[k], float(seen.velocity[k, 2])
         commanded = min(0.0, float(expected.velocity[k, 2])) if expected.streaming[k] else -SINKING
         if not mode_valid(seen, k):
