@@ -207,6 +207,9 @@ def test_trials_are_a_sequence_and_a_table(tmp_path, monkeypatch):
     import pyarrow.parquet as pq
 
     assert pq.read_table(tmp_path / "trials.parquet").equals(table)
+    frame = trials.to_pandas()
+    assert list(frame.columns) == trials.to_arrow().column_names
+    assert len(frame) == len(trials)
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(swarm.SwarmError, match="needs pandas: pip install pandas"):
         trials.to_pandas()
