@@ -14,6 +14,7 @@ from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.flight.setup import Options
 from swarm.front.files import load_mission
+from swarm.mission.fleet import emulated_fleet
 from swarm.reports.flight_json import outcome_object
 from swarm.reports.flight_text import print_outcome
 from swarm.reports.plan_summary import print_plan_summary
@@ -29,6 +30,11 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @SET
 @JSON
 @click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
+@click.option(
+    "--cable",
+    type=click.Choice(["static", "swinging"]),
+    help="Emulated cable: catenaries without inertia, or a chain of masses.  [default: static]",
+)
 @click.option("--no-cable", is_flag=True, help="Fly without cable; simulate the grips.")
 @click.option("--report", type=FILE, help="Write a report (one HTML file).")
 @click.option("--plot", type=FILE, help="Plot distances, tracking errors and mission clock (PNG).")
@@ -148,9 +154,11 @@ def _fly(
     flight_plan = planned.certified()
     callbacks = Callbacks(on_snapshot=screen.show, on_event=screen.event)
     if options["trial"] is None:
+        count, seed = flight_plan.plan.vehicles, options["seed"]
         return simulate_flight(
             flight_plan,
-            seed=options["seed"],
+            fleet=emulated_fleet(count, seed=seed, cable=options["cable"] or "static"),
+            seed=seed,
             options=Options(no_cable=options["no_cable"]),
             callbacks=callbacks,
         )
@@ -223,5 +231,7 @@ _EXCLUDES = (
     ("failures", "trials"), ("failures", "trial"), ("failures", "rope"), ("failures", "plot"),
     ("failures", "no_cable"), ("recording", "failures"),
     ("recording", "trials"), ("recording", "rope"), ("compare", "flown"),
+    ("cable", "no_cable"), ("cable", "trials"), ("cable", "trial"), ("cable", "failures"),
+    ("cable", "rope"),
 )  # fmt: skip
 """Pairs of options that exclude each other."""

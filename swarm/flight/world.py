@@ -52,6 +52,7 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
             "mass_per_length": mission.cable.mass_per_length,
             "diameter": mission.cable.diameter,
             "breaking_load": mission.cable.breaking_load,
+            "model": fleet.emulated.cable if fleet.emulated else "static",
             "points": points.tolist(),
         }
         if mission.grab == "attached":

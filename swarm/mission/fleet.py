@@ -117,6 +117,9 @@ class Limits(Section):
     )
 
 
+CableModel = Literal["static", "swinging"]
+
+
 class Emulated(Section):
     """Settings of the built-in emulator."""
 
@@ -127,6 +130,11 @@ class Emulated(Section):
     )
     seed: Annotated[int, Field(strict=True, ge=0)] = Field(
         1, description="Seed of the random numbers."
+    )
+    cable: CableModel = Field(
+        "static",
+        description="Model of the cable: static: catenaries without inertia; swinging: a chain of "
+        "masses with drag.",
     )
 
 
@@ -245,6 +253,7 @@ def emulated_fleet(
     *,
     seed: int = 1,
     biases: Literal["default", "none"] = "default",
+    cable: CableModel = "static",
 ) -> Fleet:
     """Return a fleet for the built-in emulator; the autopilots are assigned in turn."""
     document = {
@@ -261,7 +270,7 @@ def emulated_fleet(
             for number in range(vehicles)
         ],
         "origin": {"latitude": 47.397742, "longitude": 8.545594, "altitude": 488.0},
-        "emulated": {"seed": seed, "biases": biases},
+        "emulated": {"seed": seed, "biases": biases, "cable": cable},
     }
     return validate(Fleet, document, "emulator")
 

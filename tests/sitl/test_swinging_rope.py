@@ -9,10 +9,15 @@ from hypothesis import strategies as st
 
 from sitl.cable.rope import Rope
 from sitl.cable.swinging import SwingingRope
+from sitl.emulator import Emulator
 from sitl.physics.dynamics import STEP
 from sitl.physics.geodesy import GRAVITY
 from sitl.world import CableSpec
+from swarm.flight.conductor import Conductor
 from swarm.geometry.lumped_mass import SwingModel, swing
+from swarm.mission.fleet import emulated_fleet
+from swarm.simulation.loop import Callbacks, simulate_flight
+from tests.network import small_plan
 
 STILL_AIR = np.zeros(3)
 
@@ -132,3 +137,21 @@ def test_wash_presses_down_all_but_the_holders_own_spans() -> None:
         after = made.forces(grips, np.zeros_like(grips))
     assert after[2, 2] < 1.1 * before[2, 2]
     assert after[0] == pytest.approx(before[0], abs=0.02)
+
+
+def test_a_team_ties_a_knot_in_it() -> None:
+    plan = small_plan()
+    fleet = emulated_fleet(plan.plan.vehicles, cable="swinging")
+    largest = 0.0
+
+    def look(conductor: Conductor, emulator: Emulator, now: float) -> None:
+        nonlocal largest
+        del now
+        assert isinstance(emulator.rope, SwingingRope)
+        if conductor.phase.name == "fold":
+            largest = max(largest, float(emulator.truth().tension.max()))
+
+    result = simulate_flight(plan, fleet=fleet, callbacks=Callbacks(on_step=look))
+    assert result.outcome.word == "done"
+    assert result.adherence.within
+    assert 0.1 < largest < 3.0, "newtons: the weight of a segment or two"
