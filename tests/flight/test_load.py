@@ -1,4 +1,4 @@
-"""The cable's pull that setpoints carry: what hangs is held, and sideways pulls cancel."""
+"""The pull of the cable that setpoints feed forward: supported weight, and lateral pulls that cancel."""
 
 import numpy as np
 import pytest

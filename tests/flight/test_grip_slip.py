@@ -1,4 +1,4 @@
-"""Who has lost the cable, told from leaning alone, against the emulator's cable and vehicles."""
+"""Detection of a grip slip from leans alone, with the emulator's cable and vehicles."""
 
 import numpy as np
 import pytest

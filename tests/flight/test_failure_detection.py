@@ -1,4 +1,4 @@
-"""What is noticed in flight, however the reports come."""
+"""Detection of failures in whole flights, at any order and timing of the reports."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What PX4 and ArduPilot do that a flight must live with: slow boots, odd modes, few heartbeats."""
+"""PX4 and ArduPilot behaviour that a flight must tolerate: slow boots, odd modes, few heartbeats."""
 
 from collections import Counter
 

@@ -1,4 +1,4 @@
-"""What the live monitor sees, and which ways out of a plan are open."""
+"""Clearances of the live monitor, and the contingencies that are open."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What goes out at a tick, and in which order."""
+"""The packets of a tick, and their order."""
 
 from collections import Counter
 

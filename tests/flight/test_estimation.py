@@ -1,4 +1,4 @@
-"""What is reckoned every tick by compiled loops, against the same with arrays."""
+"""Compiled computations of a tick, compared with the same on arrays."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Letting go where not everybody stands where the plan has them."""
+"""Release and separation of a team whose vehicles are not at their planned positions."""
 
 from types import SimpleNamespace
 

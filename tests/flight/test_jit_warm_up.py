@@ -1,4 +1,4 @@
-"""Nothing is compiled while vehicles fly: that would hold setpoints back for seconds."""
+"""No function is compiled while vehicles fly: that would delay setpoints by seconds."""
 
 import subprocess
 import sys
