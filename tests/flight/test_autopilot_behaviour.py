@@ -54,7 +54,7 @@ def test_ardupilots_that_boot_are_waited_for_and_not_pestered():
         assert busiest <= 2 * len(flight.conductor.flyers)
 
 
-def test_a_px4_that_leaves_offboard_is_noticed_between_its_heartbeats():
+def test_a_px4_that_leaves_offboard_is_detected_between_its_heartbeats():
     flight = network(("px4",))
     flight.until_phase("fold", 2.0)
     victim, since = flight.emulator.vehicles[1], flight.now
@@ -66,7 +66,7 @@ def test_a_px4_that_leaves_offboard_is_noticed_between_its_heartbeats():
     assert FailureKind.LEFT_OFFBOARD in {cause.failure for cause in causes}
 
 
-def test_an_older_px4_that_does_not_tell_its_mode_flies_by_its_heartbeats():
+def test_an_older_px4_without_mode_messages_flies_by_its_heartbeats():
     """CURRENT_MODE came with 1.15."""
 
     def older(_now, _system, data):

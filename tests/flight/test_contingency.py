@@ -37,7 +37,7 @@ def under_the_strand():
     return 0.5 * (place[0] + place[1]) - place[1] - [0.0, 0.0, 4.0]
 
 
-def test_nobody_lets_go_where_cable_would_fall_on_one_that_does_not_follow():
+def test_no_release_while_cable_would_fall_on_a_vehicle_that_does_not_follow():
     below = under_the_strand()
     assert may_release(np.zeros(3))
     assert may_release(np.array([0.0, 0.0, 0.3]))

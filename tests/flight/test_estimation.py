@@ -86,7 +86,7 @@ LIMITS = 0.5, 1.0, 0.4, 0.25, 1.0
         ({"angles": [[0.0, 0.0, 3.0], [0.0, -1.1, 0.0]]}, True, False),
     ],
 )  # fmt: skip
-def test_who_sinks_jumps_or_turns_over_does_not_move_as_told(change, told, calm):
+def test_sinking_jumping_and_turning_over_is_not_motion_as_commanded(change, told, calm):
     have = {"at": [5.0, 5.0], "last_at": [4.9, 4.9], "streaming": [True, True],
             "boot": [np.nan, np.nan], "last_boot": [np.nan, np.nan]} | change  # fmt: skip
 

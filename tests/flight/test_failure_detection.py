@@ -13,7 +13,7 @@ TOO_NEAR = uncleared("clearance.vehicle=3.5")
 
 
 @pytest.mark.parametrize("early", [0.0, 0.013], ids=["in step", "between ticks"])
-def test_a_position_that_jumps_is_noticed_whenever_its_report_comes(early):
+def test_a_position_jump_is_detected_at_any_time_of_its_report(early):
     flight = Network(PLAN, early=early)
     flight.until_phase("fold", 1.0)
     flight.emulator.inject(Fault(at=0.0, kind="gps_jump", vehicle=2, offset=(2.0, 0.0, 0.0)))
@@ -21,7 +21,7 @@ def test_a_position_that_jumps_is_noticed_whenever_its_report_comes(early):
     assert any("vehicle 2's position jumped by 2.0 m" in words for words in flight.words())
 
 
-def test_a_clock_that_stands_for_want_of_clearance_is_told_and_ends_in_landing():
+def test_a_clock_at_standstill_for_lack_of_clearance_is_reported_and_ends_in_landing():
     fleet = emulated_fleet(3)
     fleet = fleet.model_copy(update={"limits": fleet.limits.model_copy(update={"hold": 4.0})})
     result = simulate_flight(TOO_NEAR, fleet=fleet)

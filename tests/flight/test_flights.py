@@ -76,7 +76,7 @@ def test_ardupilot_gets_no_setpoint_until_it_flies():
     assert flight.emulator.truth().position[:, 2].max() > 0.5
 
 
-def test_arming_is_never_forced_and_nobody_is_sent_home():
+def test_arming_is_never_forced_and_no_vehicle_returns_to_launch():
     flight = network(("px4", "ardupilot"))
     flight.run()
     for _, _, _, message in sent_to(flight):
@@ -100,7 +100,7 @@ def test_hold_stops_along_the_path_and_resume_goes_on():
     assert flight.conductor.clock.time > stood + 1.0
 
 
-def test_a_hold_that_nobody_ends_becomes_a_landing():
+def test_a_hold_without_a_command_becomes_a_landing():
     flight = Network(PLAN, patient_for(5.0), no_cable=True)
     flight.until_phase("fold", 2.0)
     flight.conductor.request("hold")
@@ -132,7 +132,7 @@ def test_nothing_runs_back_through_a_grip():
 
 
 @pytest.mark.parametrize("autopilots", AUTOPILOTS, ids="-".join)
-def test_landing_brings_everybody_straight_down_together(autopilots):
+def test_landing_brings_all_vehicles_straight_down_together(autopilots):
     flight = network(autopilots)
     flight.until_phase("fold", 3.0)
     flight.conductor.request("land")
@@ -210,7 +210,7 @@ def test_a_short_silence_is_only_a_hold():
     assert "vehicle 2 is received again" in flight.words("link")
 
 
-def test_a_team_that_is_not_heard_any_more_holds_and_is_landed_blind():
+def test_a_team_whose_packets_stop_holds_and_is_landed_blind():
     flight = Network(PLAN, patient_for(8.0), no_cable=True)
     flight.until_phase("fold", 1.0)
     since = flight.now
@@ -223,7 +223,7 @@ def test_a_team_that_is_not_heard_any_more_holds_and_is_landed_blind():
     assert not flight.emulator.truth().armed.any()
 
 
-def test_vehicles_that_are_never_heard_are_named():
+def test_vehicles_that_are_never_received_are_named():
     fleet = emulated_fleet(3)
     limits = fleet.limits.model_copy(update={"ready": 8.0})
     fleet = fleet.model_copy(update={"limits": limits})
@@ -298,7 +298,7 @@ def test_a_lossy_jittery_link_is_flown_through():
     assert outcome.word == "done", flight.words("failure")
 
 
-def test_a_lost_acknowledgement_of_the_release_is_asked_for_again():
+def test_a_release_without_acknowledgement_is_sent_again():
     dropped = []
 
     def downlink(_now, system, data):
@@ -318,7 +318,7 @@ def test_a_lost_acknowledgement_of_the_release_is_asked_for_again():
     assert len(dropped) >= 2
 
 
-def test_nobody_who_is_not_in_the_fleet_is_commanded():
+def test_no_vehicle_outside_the_fleet_is_commanded():
     flight = network()
     stranger = common.MAVLink(None, srcSystem=77, srcComponent=1)
     heartbeat = common.MAVLink_heartbeat_message(2, 12, 81, 0, 3, 3)
@@ -335,7 +335,7 @@ def test_nobody_who_is_not_in_the_fleet_is_commanded():
     assert "another ground station (system 250)" in noticed
 
 
-def test_a_vehicle_is_heard_only_from_where_it_was_first_heard():
+def test_a_vehicle_is_received_only_from_its_first_address():
     flight = network()
     flight.until_time(2.0)
     liar = common.MAVLink(None, srcSystem=1, srcComponent=1)

@@ -38,7 +38,7 @@ def flown_on(flight, seconds, *faults):
 
 
 @pytest.mark.parametrize("slipped", [0, 2])
-def test_a_gripper_that_loses_the_cable_is_noticed_and_named(folding, slipped):
+def test_a_gripper_that_loses_the_cable_is_detected_and_named(folding, slipped):
     system = folding.conductor.flyers[slipped].system
     ((after, vehicle),) = flown_on(folding, 2.5, {"kind": "gripper_slip", "vehicle": system})
     assert vehicle == slipped + 1

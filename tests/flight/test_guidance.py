@@ -63,7 +63,7 @@ def test_the_sampler_is_the_motion(time):
 
 @given(st.floats(0.1, 6.0), st.floats(-1.0, 1.0))
 @settings(max_examples=40, deadline=None)
-def test_whoever_joins_begins_where_it_is_and_ends_in_the_plan(start, off):
+def test_a_rejoining_vehicle_begins_at_its_position_and_ends_in_the_plan(start, off):
     guidance = Guidance(MOTION)
     clock = MissionClock(steepest=0.5, time=start, rate=0.5, target=0.5)
     here = MOTION.at(start)[0][1] + off

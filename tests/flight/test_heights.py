@@ -17,7 +17,7 @@ def flown_to_the_line(**options) -> Network:
     return flight
 
 
-def test_heights_that_agree_are_told_and_the_fold_begins():
+def test_heights_that_agree_are_reported_and_the_fold_begins():
     flight = flown_to_the_line()
     flight.until_phase("fold", 0.5)
     (words,) = flight.words("heights")

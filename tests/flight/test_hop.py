@@ -123,7 +123,7 @@ def test_a_low_ceiling_and_near_pads_are_refused_before_anything_is_armed() -> N
 
 
 @given(arrays(np.float64, (60, 2, 3), elements=st.floats(-2.0, 2.0)))
-def test_level_and_upright_errors_are_told_apart(error: np.ndarray) -> None:
+def test_horizontal_and_vertical_errors_are_separate(error: np.ndarray) -> None:
     setpoint = np.ones((60, 2, 3))
     time = np.linspace(0.0, HOVER, 60)
     trace = Trace(time, time, setpoint + error, setpoint, ("hold",) * 60)

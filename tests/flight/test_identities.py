@@ -60,7 +60,7 @@ def heard(fleet: Fleet, *speaking: tuple[Emulator, Places], seconds: float = 6.0
     return [finding.message for finding in listener.team.conflicts()]
 
 
-def test_two_autopilots_are_told_with_both_addresses():
+def test_two_autopilots_are_reported_with_both_addresses():
     said = heard(fleet_of(), (emulated("px4"), at_home(1)), (emulated("ardupilot"), at_home(2)))
     assert said == [
         f"system {k} is two vehicles: PX4 at 10.0.0.9:100{k} on link radio and ArduPilot at "
@@ -69,7 +69,7 @@ def test_two_autopilots_are_told_with_both_addresses():
     ]
 
 
-def test_two_clocks_are_told():
+def test_two_clocks_are_reported():
     said = heard(fleet_of(), (emulated("px4"), at_home(1)), (emulated("px4", 3), at_home(2)))
     assert [words.split(" s apart")[0].rsplit(" ", 1)[0] for words in said] == [
         f"system {k} is two vehicles: PX4 at 10.0.0.9:100{k} on link radio and PX4 at "
@@ -78,7 +78,7 @@ def test_two_clocks_are_told():
     ]
 
 
-def test_two_ways_on_one_link_are_told_although_nothing_tells_the_vehicles_apart():
+def test_two_addresses_on_one_link_are_reported_for_identical_vehicles():
     def places(system: int) -> list[tuple[str, object]]:
         return [*at_home(1)(system), *at_home(2)(system)]
 
@@ -96,7 +96,7 @@ def test_a_vehicle_on_two_links_is_one_vehicle_whether_both_are_listed_or_not(li
 
 
 @pytest.mark.parametrize("links", [("radio", "spare"), ("radio",)])
-def test_another_vehicle_on_another_link_is_told(links):
+def test_another_vehicle_on_another_link_is_reported(links):
     other: Places = lambda system: [("spare", ("10.0.0.9", 50 + system))]  # noqa: E731
     both = (emulated("px4"), at_home(1)), (emulated("ardupilot"), other)
     said = heard(fleet_of(links), *both)
@@ -117,14 +117,14 @@ def test_a_router_that_forwards_many_vehicles_is_fine():
         ("ardupilot", "ArduPilot and PX4 at 10.0.0.9:14550 on link radio"),
     ],
 )
-def test_two_vehicles_behind_one_router_are_told(other, words):
+def test_two_vehicles_behind_one_router_are_reported(other, words):
     router: Places = lambda _: [("radio", ("10.0.0.9", 14550))]  # noqa: E731
     said = heard(fleet_of(), (emulated("px4"), router), (emulated(other, 3), router))
     assert {one.split(" ")[1].rstrip(":") for one in said} == {"1", "2"}
     assert words in said[0]
 
 
-def test_an_autopilot_other_than_the_listed_one_is_told():
+def test_an_autopilot_other_than_the_listed_one_is_reported():
     said = heard(fleet_of(autopilot="px4"), (emulated("ardupilot"), at_home(1)))
     assert said[0] == (
         "system 1 is ArduPilot at 10.0.0.9:1001 on link radio, and PX4 in the fleet file"
@@ -144,7 +144,7 @@ def test_clocks_that_drift_as_simulators_do_are_one_clock_on_both_ways():
     assert heard(fleet_of(), (emulator, both_links), seconds=30.0) == []
 
 
-def test_a_second_vehicle_that_is_never_asked_is_told_by_its_clock_requests():
+def test_a_second_vehicle_without_requests_is_reported_by_its_clock_requests():
     """An ArduCopter sends heartbeats and TIMESYNC only, until it is asked for more."""
     listener, vehicle = FleetListener(fleet_of(("radio",))), emulated("ardupilot")
     silent = common.MAVLink(None, srcSystem=1, srcComponent=1)

@@ -21,7 +21,7 @@ def test_a_team_flies_where_there_is_no_global_position(autopilots):
     assert all("in offboard mode only" in words for words in told)
 
 
-def test_outdoors_who_is_not_ready_is_waited_for_and_refused():
+def test_outdoors_a_vehicle_that_is_not_ready_is_waited_for_and_refused():
     fleet = emulated_fleet(3, ("px4",))
     fleet = fleet.model_copy(update={"limits": fleet.limits.model_copy(update={"ready": 5.0})})
     flight = Network(small_plan(), fleet)
@@ -32,7 +32,7 @@ def test_outdoors_who_is_not_ready_is_waited_for_and_refused():
     assert "vehicle 2: not ready to arm" in outcome.explanation
 
 
-def test_in_a_mixed_team_nobody_sits_armed_on_the_ground_longer_than_its_timer_allows():
+def test_in_a_mixed_team_no_vehicle_stays_armed_on_the_ground_beyond_its_timer():
     flight = Network(small_plan(vehicles=4), emulated_fleet(4, ("px4", "ardupilot")))
     flight.until_phase("takeoff", 2.0)
     at = {kind: {e.vehicle: e.time for e in flight.events if e.kind == kind}

@@ -91,7 +91,7 @@ def test_limits_follow_the_mission():
     assert "MPC_XY_VEL_MAX" in names
 
 
-def test_everybody_lands_after_the_teams_own_time():
+def test_all_vehicles_land_after_the_teams_own_time():
     values = {**settled(PX4), "COM_DL_LOSS_T": 10.0}
     (row,), _ = evaluate(1, values, PX4)
     assert (row.should, row.severity) == (FLEET.limits.hold, "error")
@@ -99,7 +99,7 @@ def test_everybody_lands_after_the_teams_own_time():
     assert row.should == FLEET.limits.hold
 
 
-def test_without_global_position_there_is_no_hold_to_ask_for():
+def test_without_global_position_no_hold_is_required():
     indoors = rules(
         "px4", fleet_requirements(Vehicles(), FLEET.model_copy(update={"frame": "shared"}))
     )
@@ -114,7 +114,7 @@ def test_bits_are_set_and_cleared_and_the_others_left():
     assert row.should == 7.0
 
 
-def test_a_plan_is_asked_for_what_it_flies():
+def test_requirements_follow_from_the_plan():
     plan = small_plan().plan
     asked = plan_requirements(plan, FLEET)
     assert 0.0 < asked.down <= asked.speed <= plan.mission.vehicles.max_speed
@@ -149,7 +149,7 @@ def test_a_disarm_timer_is_long_or_off(table, name):
 
 
 @pytest.mark.parametrize("table", [PX4, ARDUPILOT], ids=["px4", "ardupilot"])
-def test_emulated_vehicles_have_every_parameter_that_is_asked_for(table):
+def test_emulated_vehicles_have_every_required_parameter(table):
     emulated = PX4_PARAMETERS if table is PX4 else ARDUPILOT_PARAMETERS
     assert {rule.name for rule in table} <= emulated.keys()
 

@@ -75,7 +75,7 @@ def test_heights_are_levelled_and_places_are_not():
 
 
 @given(st.permutations(range(4)))
-def test_everybody_gets_the_pad_on_which_it_stands(order):
+def test_each_vehicle_gets_the_pad_on_which_it_stands(order):
     positions = PADS[list(order)] + 0.2
     assert [order[k] for k in assigned(positions, PADS, {})] == [0, 1, 2, 3]
 

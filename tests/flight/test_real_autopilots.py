@@ -107,7 +107,7 @@ def test_real_arducopter_lists_the_check_and_is_ready_before_it_is_armed(name, s
         (ARDUCOPTER_ENDS, 4, ["mode land", "mode guided", "on the ground", "armed", "in the air"]),
     ],
 )  # fmt: skip
-def test_a_real_flight_is_heard_in_its_order(name, system, kinds):
+def test_a_real_flight_is_received_in_its_order(name, system, kinds):
     flown = ("mode", "landed", "airborne", "armed", "disarmed", "origin", "rebooted")
     assert [words for _, kind, words in told(name, system).events if kind in flown] == kinds
 

@@ -47,7 +47,7 @@ def listened(count, interval=None, seconds=8.0, rate=50.0):
 
 
 @pytest.mark.parametrize("count", [1, 9, 100, 250])
-def test_clocks_are_asked_for_in_turn_never_many_in_one_tick(count):
+def test_clock_requests_are_spread_over_ticks(count):
     asked = listened(count)
     assert max(len(one) for one in asked) <= 10
     times = Counter(vehicle for one in asked for vehicle in one)
@@ -56,7 +56,7 @@ def test_clocks_are_asked_for_in_turn_never_many_in_one_tick(count):
 
 
 @pytest.mark.parametrize("interval", [0.02, 0.1])
-def test_clocks_are_asked_for_as_often_as_a_soak_wants(interval):
+def test_clock_requests_follow_the_interval_of_a_soak(interval):
     asked = listened(100, interval, seconds=4.0)
     times = np.array(list(Counter(vehicle for one in asked for vehicle in one).values()))
     assert len(times) == 100

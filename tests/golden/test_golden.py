@@ -86,7 +86,7 @@ def test_another_cpu_may_change_a_little_and_a_renewal_shows_all_of_it(kind, kep
         assert kind.disagreements(kept, kept.replace(old, far))
 
 
-def test_a_renewal_tells_setpoints_apart_in_metres():
+def test_a_renewal_states_differences_of_setpoints_in_metres():
     moved = re.sub(r"25\.686   15\.960", "25.689   15.964", FLIGHT)
     assert flights.differences(FLIGHT, moved) == ["setpoints: largest difference 0.005 m, at 27 s"]
 
