@@ -1,4 +1,4 @@
-"""Draw the gallery: for every mission a figure of the plan and a picture of the folded knot.
+"""Draw the gallery: for every mission figures, a moving picture, and the folded knot.
 
     python missions/gallery.py [FOLDER] [MISSION.yaml …]
 
@@ -14,6 +14,7 @@ from swarm import planner
 from swarm.errors import Refused
 from swarm.mission import parse_mission
 from swarm.planning import Plan
+from swarm.reports.animation import animate_plan
 from swarm.reports.plots import plot_plan, plot_schedule
 from swarm.view.replay import write_plan
 from swarm.view.screenshot import ScreenshotFailed, screenshot
@@ -27,6 +28,9 @@ def draw(plan: Plan, folder: Path) -> list[Path]:
     drawn = [folder / f"{name}-plan.png", folder / f"{name}-schedule.png"]
     plot_plan(plan, drawn[0])
     plot_schedule(plan, drawn[1])
+    if any(phase.name == "fold" for phase in plan.phases):
+        drawn.append(folder / f"{name}.gif")
+        animate_plan(plan, drawn[-1])
     with tempfile.TemporaryDirectory() as scratch:
         recording = Path(scratch) / "plan.rrd"
         write_plan(plan, recording)
