@@ -113,8 +113,8 @@ def test_the_papers_own_trajectory_is_shown_and_refused_because_strands_meet(
 @pytest.mark.usefixtures("in_real_time")
 def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> None:
     result = swarm("fly", OVERHAND, "--speed", "2", "--record", "flight", "--json", cwd=tmp_path)
-    flown = json.loads(result.stdout)
     assert result.returncode == 0, result.stderr
+    flown = json.loads(result.stdout)
     assert flown["adherence"]["within"] is True
     assert flown["outcome"] == "done"
     assert flown["knot"]["as_planned"] is True
