@@ -37,18 +37,19 @@ class ChainSpec(NamedTuple):
 class Chain(NamedTuple):
     """State of a chain of n nodes.
 
-    ``place`` and ``velocity`` (n, 3), ``rest`` (n − 1,) unstretched lengths of the links,
-    ``intact`` (n − 1,) whether a link is unbroken, ``held`` (n,) whether a node is moved from
-    outside, ``air`` (n, 3) velocity of the air, ``tension`` (n − 1,) mean tension of the links in
-    the last steps, N.
+    ``place`` and ``velocity`` (n, 3), ``mass`` (n,) in kg, ``mobility`` (n,) its inverse, 0 for
+    nodes that are moved from outside, ``air`` (n, 3) velocity of the air; ``rest`` (n − 1,)
+    unstretched lengths of the links, ``intact`` (n − 1,) whether a link is unbroken, ``tension``
+    (n − 1,) mean tension of the links in the last steps, N.
     """
 
     place: Array
     velocity: Array
+    mass: Array
+    mobility: Array
+    air: Array
     rest: Array
     intact: Flags
-    held: Flags
-    air: Array
     tension: Array
 
 
@@ -59,18 +60,11 @@ def advance(chain: Chain, spec: ChainSpec, target: Array, interval: float, steps
     Held nodes move in a straight line to ``target`` (n, 3).
     """
     nodes, step = len(chain.place), interval / steps
-    mass, inverse = np.zeros(nodes), np.zeros(nodes)
-    for j in range(nodes - 1):
-        half = 0.5 * spec.mass_per_length * chain.rest[j]
-        mass[j] += half
-        mass[j + 1] += half
-    for i in range(nodes):
-        inverse[i] = 0.0 if chain.held[i] else 1.0 / mass[i]
     chain.tension[:] = 0.0
     after, system = np.empty((nodes, 3)), np.empty((5, nodes - 1))
     for k in range(steps):
         _move_freely(chain, spec, target, step, 1.0 / (steps - k), after)
-        _restore_links(chain, spec, inverse, after, system, step)
+        _restore_links(chain, spec, after, system, step)
         for j in range(nodes - 1):
             chain.tension[j] += system[4, j] / (step * step * steps)
         _touch_floor(chain, spec, after, step)
@@ -88,7 +82,7 @@ def _move_freely(
     last = len(after) - 1
     tangent, relative = np.empty(3), np.empty(3)
     for i in range(last + 1):
-        if chain.held[i]:
+        if chain.mobility[i] == 0.0:
             for x in range(3):
                 after[i, x] = chain.place[i, x] + share * (target[i, x] - chain.place[i, x])
             continue
@@ -117,15 +111,13 @@ def _move_freely(
 
 
 @compiled
-def _restore_links(
-    chain: Chain, spec: ChainSpec, inverse: Array, after: Array, system: Array, step: float
-) -> None:
+def _restore_links(chain: Chain, spec: ChainSpec, after: Array, system: Array, step: float) -> None:
     """Move free nodes until links have the length that their tension gives them.
 
     The last row of ``system`` (5, n − 1) returns the multipliers: tension times step squared.
     """
     lower, diagonal, upper, error, total = system
-    links = len(error)
+    links, inverse = len(error), chain.mobility
     active = np.empty(links, dtype=np.bool_)
     now, along = np.empty((links, 3)), np.empty((links, 3))
     length = np.empty(links)
@@ -194,7 +186,7 @@ def _directions_agree(after: Array, along: Array) -> bool:
 def _touch_floor(chain: Chain, spec: ChainSpec, after: Array, step: float) -> None:
     """Keep free nodes above the floor; friction slows nodes that lie on it."""
     for i in range(len(after)):
-        if chain.held[i] or after[i, 2] > spec.floor:
+        if chain.mobility[i] == 0.0 or after[i, 2] > spec.floor:
             continue
         after[i, 2] = spec.floor
         east, north = after[i, 0] - chain.place[i, 0], after[i, 1] - chain.place[i, 1]

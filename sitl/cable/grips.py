@@ -35,3 +35,31 @@ def nearest_free(grips: Sequence[Grip], samples: Array, arc: float) -> float:
     free = np.abs(samples[:, None] - held[None, :]) >= SPACING - 1e-9
     open_to = samples[free.all(axis=1)]
     return float(open_to[np.argmin(np.abs(open_to - arc))])
+
+
+def caught(grips: Sequence[Grip], samples: Array, shape: Array, point: Array) -> float | None:
+    """Return the arc length at which a gripper at ``point`` (3,) catches the cable, None if none.
+
+    ``shape`` (m, 3) are the positions of ``samples`` (m,). Cable beside another grip is not caught.
+    """
+    gaps = np.linalg.norm(shape - point, axis=1)
+    taken = [arc for arc, _ in grips]
+    for arc in taken:
+        gaps[np.abs(samples - arc) < 0.5 * SPACING] = np.inf
+    nearest = int(np.argmin(gaps))
+    if gaps[nearest] > REACH + SPACING:
+        return None
+    best, best_arc = np.inf, 0.0
+    for first in (nearest - 1, nearest):
+        if 0 <= first < len(samples) - 1:
+            start, end = shape[first], shape[first + 1]
+            step = end - start
+            share = float(np.dot(point - start, step) / max(np.dot(step, step), 1e-12))
+            share = min(1.0, max(0.0, share))
+            gap = float(np.linalg.norm(start + share * step - point))
+            if gap < best:
+                best = gap
+                best_arc = float(samples[first] + share * (samples[first + 1] - samples[first]))
+    if best > REACH or any(abs(best_arc - arc) < 1e-3 for arc in taken):
+        return None
+    return best_arc

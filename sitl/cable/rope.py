@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.cable import broad_phase, span_statics
-from sitl.cable.grips import REACH, SPACING, nearest_free, slid
+from sitl.cable.grips import SPACING, caught, nearest_free, slid
 from sitl.cable.spans import NO_SPANS, SolvedSpans, Spans
 from sitl.physics.geodesy import GRAVITY
 from sitl.physics.motion import AIR_DENSITY
@@ -22,7 +22,7 @@ from sitl.world import CableSpec
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_CYLINDER_DRAG = 1.1
+CYLINDER_DRAG = 1.1
 """Drag coefficient of a cylinder in crossflow."""
 _DAMPING_RATIO, _END_MASS, _LARGEST_STIFFNESS = 0.1, 1.5, 1500.0
 """Damping ratio, mass at an end in kg and largest stiffness in N/m of an overstretched span."""
@@ -73,7 +73,7 @@ class Rope:
 
     def set_wind(self, wind: Array) -> None:
         """Set the steady wind (m/s, ENU): it tilts the weight of the cable."""
-        drag = 0.5 * AIR_DENSITY * _CYLINDER_DRAG * self.spec.diameter
+        drag = 0.5 * AIR_DENSITY * CYLINDER_DRAG * self.spec.diameter
         load = np.array([0.0, 0.0, -GRAVITY * self.spec.mass_per_length])
         load = load + drag * np.linalg.norm(wind) * np.asarray(wind)
         self.weight = float(np.linalg.norm(load))
@@ -102,37 +102,17 @@ class Rope:
             vehicles = own < wash.shape[1]
             wash[rows[vehicles], own[vehicles]] = 0.0
         fastest = wash.max(axis=1)
-        drag = 0.5 * AIR_DENSITY * _CYLINDER_DRAG * self.spec.diameter * fastest**2
+        drag = 0.5 * AIR_DENSITY * CYLINDER_DRAG * self.spec.diameter * fastest**2
         count = np.bincount(span_of, minlength=spans.count)
         total = np.bincount(span_of, weights=drag, minlength=spans.count)
         spans.set_load(self.weight + total / np.maximum(count, 1))
 
     def grab(self, vehicle: int, grip_point: Array) -> float | None:
         """Close a gripper; return the arc length that it holds, None if no cable is in reach."""
-        gaps = np.linalg.norm(self.shape - grip_point, axis=1)
-        taken = [arc for arc, _ in self.grips]
-        for arc in taken:
-            gaps[np.abs(self.arc - arc) < 0.5 * SPACING] = np.inf
-        nearest = int(np.argmin(gaps))
-        if gaps[nearest] > REACH + SPACING:
-            return None
-        best, best_arc = np.inf, 0.0
-        for first in (nearest - 1, nearest):
-            if 0 <= first < len(self.arc) - 1:
-                start, end = self.shape[first], self.shape[first + 1]
-                step = end - start
-                share = float(np.dot(grip_point - start, step) / max(np.dot(step, step), 1e-12))
-                share = min(1.0, max(0.0, share))
-                gap = float(np.linalg.norm(start + share * step - grip_point))
-                if gap < best:
-                    best = gap
-                    best_arc = float(
-                        self.arc[first] + share * (self.arc[first + 1] - self.arc[first])
-                    )
-        if best > REACH or any(abs(best_arc - arc) < 1e-3 for arc in taken):
-            return None
-        self.attach(vehicle, best_arc)
-        return best_arc
+        arc = caught(self.grips, self.arc, self.shape, grip_point)
+        if arc is not None:
+            self.attach(vehicle, arc)
+        return arc
 
     def attach(self, vehicle: int, arc: float) -> None:
         """Attach the cable to a holder at an arc length."""

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.cable.chain_dynamics import Chain, ChainSpec, advance
-from sitl.cable.grips import REACH, SPACING, nearest_free, slid
-from sitl.cable.rope import Rope
+from sitl.cable.grips import SPACING, caught, nearest_free, slid
+from sitl.cable.rope import CYLINDER_DRAG, Rope
 from sitl.physics.dynamics import STEP
 from sitl.physics.geodesy import GRAVITY
 from sitl.physics.motion import AIR_DENSITY
@@ -24,9 +24,10 @@ LINK = 0.25
 """Length of a link in metres: a strand of four metres has sixteen masses."""
 _STEPS = 4
 """Steps of the chain in one of the vehicles: 5 ms."""
-_NORMAL_DRAG, _TANGENTIAL_DRAG = 1.1, 0.02
-"""Drag coefficients of a cylinder across and along the flow (Hoerner 1965, 3-11)."""
+_TANGENTIAL_DRAG = 0.02
+"""Friction coefficient of the cable's surface along the flow: assumed."""
 _FRICTION = 0.3
+"""Friction coefficient of the cable on the floor: assumed."""
 _CLOSING_TIME = 0.2
 """Seconds in which a closed gripper draws the caught cable to its grip point."""
 
@@ -61,17 +62,14 @@ class SwingingRope:
         self.breaks: list[float] = []
         self._spec = _chain_spec(spec, floor)
         self._offsets: dict[int, Array] = {}
-        self._nodes = along
         points[:, 2] = np.maximum(points[:, 2], self._spec.floor)
-        self._place, self._velocity = points, np.zeros_like(points)
-        self.set_wind(wind)
-        self._rebuild()
+        self._wind = np.asarray(wind, dtype=float)
+        self._place_nodes(self._node_arcs(), along, points, np.zeros_like(points))
 
     def set_wind(self, wind: Array) -> None:
         """Set the steady wind (m/s, ENU) along the whole cable."""
         self._wind = np.asarray(wind, dtype=float)
-        if hasattr(self, "_chain"):
-            self._chain.air[:] = self._wind
+        self._chain.air[:] = self._wind
 
     def set_wash(self, speed: Array, stride: int = 1) -> None:
         """Set the downwash of each vehicle at every ``stride``-th sample (k, n), m/s.
@@ -91,19 +89,11 @@ class SwingingRope:
 
     def grab(self, vehicle: int, grip_point: Array) -> float | None:
         """Close a gripper; return the arc length that it holds, None if no cable is in reach."""
-        start, step = self.shape[:-1], np.diff(self.shape, axis=0)
-        square = np.maximum((step**2).sum(axis=1), 1e-12)
-        share = np.clip(((grip_point - start) * step).sum(axis=1) / square, 0.0, 1.0)
-        gaps = np.linalg.norm(start + share[:, None] * step - grip_point, axis=1)
-        arcs = self.arc[:-1] + share * np.diff(self.arc)
-        for taken, _ in self.grips:
-            gaps[np.abs(arcs - taken) < 0.5 * SPACING] = np.inf
-        nearest = int(np.argmin(gaps))
-        if gaps[nearest] > REACH:
-            return None
-        self.attach(vehicle, float(arcs[nearest]))
-        self._offsets[vehicle] = self.position_at(float(arcs[nearest])) - grip_point
-        return float(arcs[nearest])
+        arc = caught(self.grips, self.arc, self.shape, grip_point)
+        if arc is not None:
+            self.attach(vehicle, arc)
+            self._offsets[vehicle] = self.position_at(arc) - grip_point
+        return arc
 
     def attach(self, vehicle: int, arc: float) -> None:
         """Attach the cable to a holder at an arc length."""
@@ -147,7 +137,8 @@ class SwingingRope:
             target[node] = grips[holder] + self._drawn_in(holder)
         advance(chain, self._spec, target, STEP, _STEPS)
         force = np.zeros_like(grips)
-        pull = _pulls(chain) - GRAVITY * _masses(chain, self._spec) * np.array([0.0, 0.0, 1.0])
+        pull = _pulls(chain)
+        pull[:, 2] -= GRAVITY * chain.mass
         for node, (_, holder) in zip(held, self.grips, strict=True):
             force[holder] += pull[node]
         self._break_overloaded()
@@ -195,32 +186,43 @@ class SwingingRope:
         return SpanState(np.array(tension), np.array(chord), np.array(length))
 
     def _at(self, arc: Array) -> Array:
-        return np.column_stack([np.interp(arc, self._nodes, self._place[:, x]) for x in range(3)])
+        return _interpolate(arc, self._nodes, self._chain.place)
 
     def _rebuild(self) -> None:
-        """Put a node at every grip and interpolate the state at the others, LINK apart."""
+        """Take the present state to new nodes, after a grip or a release."""
+        self._place_nodes(self._node_arcs(), self._nodes, self._chain.place, self._chain.velocity)
+
+    def _node_arcs(self) -> Array:
+        """Return arc lengths of nodes: one at every grip, the others about LINK apart."""
         count = max(2, int(np.ceil(self.length / LINK)) + 1)
         arcs = np.linspace(0.0, self.length, count)
+        if not self.grips:
+            return arcs
         held = np.array([arc for arc, _ in self.grips])
-        if len(held):
-            near = np.abs(arcs[:, None] - held).min(axis=1)
-            ends = (arcs == 0.0) | (arcs == self.length)
-            arcs = np.union1d(arcs[(near > 0.5 * LINK) | (ends & (near > 0.02))], held)
-        place = self._at(arcs)
-        velocity = np.column_stack(
-            [np.interp(arcs, self._nodes, self._velocity[:, x]) for x in range(3)]
-        )
-        self._held = np.searchsorted(arcs, held)
+        near = np.abs(arcs[:, None] - held).min(axis=1)
+        ends = (arcs == 0.0) | (arcs == self.length)
+        return np.union1d(arcs[(near > 0.5 * LINK) | (ends & (near > 0.02))], held)
+
+    def _place_nodes(self, arcs: Array, known: Array, place: Array, velocity: Array) -> None:
+        """Put nodes at ``arcs`` (k,), their state interpolated from (m, 3) at ``known`` (m,)."""
+        self._held = np.searchsorted(arcs, np.array([arc for arc, _ in self.grips]))
         is_held = np.zeros(len(arcs), dtype=bool)
         is_held[self._held] = True
         intact = np.ones(len(arcs) - 1, dtype=bool)
         intact[np.searchsorted(arcs, np.array(self.breaks)) - 1] = False
+        rest = np.diff(arcs)
+        mass = 0.5 * self.spec.mass_per_length * (np.append(rest, 0.0) + np.append(0.0, rest))
         self._nodes = arcs
         self._chain = Chain(
-            place, velocity, np.diff(arcs), intact, is_held, np.tile(self._wind, (len(arcs), 1)),
-            np.zeros(len(arcs) - 1),
-        )  # fmt: skip
-        self._place, self._velocity = self._chain.place, self._chain.velocity
+            place=_interpolate(arcs, known, place),
+            velocity=_interpolate(arcs, known, velocity),
+            mass=mass,
+            mobility=np.where(is_held, 0.0, 1.0 / mass),
+            air=np.tile(self._wind, (len(arcs), 1)),
+            rest=rest,
+            intact=intact,
+            tension=np.zeros(len(rest)),
+        )
         self.shape = self._at(self.arc)
 
 
@@ -237,7 +239,7 @@ def _chain_spec(spec: CableSpec, floor: float) -> ChainSpec:
     return ChainSpec(
         mass_per_length=spec.mass_per_length,
         stiffness=spec.stiffness,
-        normal_drag=drag * _NORMAL_DRAG,
+        normal_drag=drag * CYLINDER_DRAG,
         tangential_drag=drag * np.pi * _TANGENTIAL_DRAG,
         floor=floor + 0.5 * spec.diameter,
         friction=_FRICTION,
@@ -245,12 +247,9 @@ def _chain_spec(spec: CableSpec, floor: float) -> ChainSpec:
     )
 
 
-def _masses(chain: Chain, spec: ChainSpec) -> Array:
-    """Return the masses of the nodes (n, 1), kg."""
-    mass = np.zeros((len(chain.place), 1))
-    mass[:-1, 0] += 0.5 * spec.mass_per_length * chain.rest
-    mass[1:, 0] += 0.5 * spec.mass_per_length * chain.rest
-    return mass
+def _interpolate(arcs: Array, known: Array, values: Array) -> Array:
+    """Return vectors (k, 3) at arc lengths (k,), between ``values`` (m, 3) at ``known`` (m,)."""
+    return np.column_stack([np.interp(arcs, known, values[:, x]) for x in range(3)])
 
 
 def _pulls(chain: Chain) -> Array:
