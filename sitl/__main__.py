@@ -1,11 +1,14 @@
 """Command line of the emulator: ``python -m sitl``."""
 
-import argparse
 import json
 import os
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal, get_args
+
+import click
 
 from sitl import server
 from sitl.emulator import Emulator
@@ -13,71 +16,144 @@ from sitl.faults.scenario import load_scenario
 from sitl.warm import warm_up
 from sitl.world import WorldError, default_world, load_key, load_world, schema
 
+Autopilot = Literal["px4", "ardupilot"]
+FILE = click.Path(dir_okay=False, path_type=Path)
 
-def argument_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line; the reference pages are generated from it."""
-    parser = argparse.ArgumentParser(
-        prog="swarm sitl",
-        description="Run emulated vehicles (PX4-like or ArduPilot-like), attached to one cable if "
-        "the world has one. Without --target they use the ports of the real simulators.",
-    )
-    world = parser.add_mutually_exclusive_group()
-    world.add_argument("--world", type=Path, metavar="FILE", help="world file (YAML or JSON)")
-    world.add_argument("-n", "--count", type=int, default=1, help="number of vehicles, no cable")
-    parser.add_argument(
-        "--autopilot",
-        default="px4",
-        help="px4, ardupilot, or both separated by a comma, in turn (with -n)",
-    )
-    parser.add_argument("--scenario", type=Path, metavar="FILE", help="faults to inject (YAML)")
-    parser.add_argument("--speed", type=float, default=1.0, help="factor of real time")
-    parser.add_argument("--seed", type=int, help="seed, instead of the world's")
-    parser.add_argument("--host", default="127.0.0.1", help="address to bind (loopback)")
-    parser.add_argument("--target", metavar="HOST:PORT", help="UDP address for all vehicles")
-    parser.add_argument("--port-step", type=int, help="PX4: vehicle i sends to UDP 14540 + i·STEP")
-    parser.add_argument(
-        "--signing-key",
-        type=Path,
-        metavar="FILE",
-        help="sign frames with this key, drop all others",
-    )
-    parser.add_argument("--truth", type=Path, metavar="FILE", help="write ground truth, JSON lines")
-    parser.add_argument("--json", action="store_true", help="print connections as one JSON line")
-    parser.add_argument(
-        "--follow-parent",
-        nargs="?",
-        type=int,
-        const=0,
-        metavar="PID",
-        help="end when the parent process ends",
-    )
-    parser.add_argument("--schema", action="store_true", help="print the schema of world files")
-    return parser
+
+def _kinds(_context: click.Context, _parameter: click.Parameter, value: str) -> list[Autopilot]:
+    """Return the autopilots of a list separated by commas."""
+    known = {kind: kind for kind in get_args(Autopilot)}
+    try:
+        return [known[kind] for kind in value.split(",")]
+    except KeyError:
+        raise click.BadParameter(f"expected px4 or ardupilot, got {value}") from None
+
+
+def _finite_speed(_context: click.Context, _parameter: click.Parameter, value: float) -> float:
+    """Return the speed; a range of Click would take NaN."""
+    if not 0.01 <= value <= 1000.0:
+        raise click.BadParameter(f"expected 0.01 to 1000, got {value}")
+    return value
+
+
+def _address(
+    _context: click.Context, _parameter: click.Parameter, value: str | None
+) -> tuple[str, int] | None:
+    """Return the host and the port of HOST:PORT."""
+    if value is None:
+        return None
+    host, _, port = value.rpartition(":")
+    if not port.isdigit() or not 0 < int(port) < 65536:
+        raise click.BadParameter(f"expected HOST:PORT, got {value}")
+    return host or "127.0.0.1", int(port)
+
+
+@click.command(
+    "sitl", context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+)
+@click.option("--world", type=FILE, help="World file (YAML or JSON).")
+@click.option(
+    "-n", "--count", type=click.IntRange(1, 250), help="Number of vehicles, no cable [1]."
+)
+@click.option(
+    "--autopilot",
+    "kinds",
+    default="px4",
+    show_default=True,
+    metavar="KIND[,KIND]",
+    callback=_kinds,
+    help="px4, ardupilot, or both separated by a comma, in turn; without --world.",
+)
+@click.option("--scenario", type=FILE, help="Faults to inject (YAML).")
+@click.option(
+    "--speed",
+    type=float,
+    callback=_finite_speed,
+    default=1.0,
+    show_default=True,
+    help="Multiple of real time.",
+)
+@click.option("--seed", type=int, help="Seed of all random values, instead of the world's.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to bind.")
+@click.option(
+    "--target", metavar="HOST:PORT", callback=_address, help="UDP address for all vehicles."
+)
+@click.option("--port-step", type=int, help="PX4: vehicle i sends to UDP 14540 + i·STEP.")
+@click.option("--signing-key", type=FILE, help="Sign frames with this key, drop all others.")
+@click.option("--truth", type=FILE, help="Write the ground truth (JSON lines).")
+@click.option("--json", "as_json", is_flag=True, help="Print the connections as one JSON line.")
+@click.option(
+    "--follow-parent",
+    is_flag=False,
+    flag_value=0,
+    type=int,
+    metavar="PID",
+    help="End when the parent process ends.",
+)
+@click.option("--schema", "print_schema", is_flag=True, help="Print the schema of world files.")
+@click.pass_context
+def command(
+    context: click.Context,
+    /,
+    world: Path | None,
+    count: int | None,
+    print_schema: bool,
+    **options: Any,
+) -> None:
+    """Run emulated vehicles (PX4-like or ArduPilot-like), for any MAVLink client.
+
+    They are attached to one cable if the world has one. Without --target they use the ports of
+    the real simulators.
+
+    Exit code 2 for a wrong option or file, 3 if the sockets cannot be opened.
+
+    Example: swarm sitl -n 3 --autopilot ardupilot
+    """
+    if print_schema:
+        click.echo(json.dumps(schema(), indent=2))
+    elif world is not None and count is not None:
+        raise click.UsageError("--world and --count do not go together")
+    else:
+        context.exit(_run(world, count or 1, Options(**options)))
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of the command beside the vehicles."""
+
+    kinds: list[Autopilot]
+    scenario: Path | None
+    speed: float
+    seed: int | None
+    host: str
+    target: tuple[str, int] | None
+    port_step: int | None
+    signing_key: Path | None
+    truth: Path | None
+    as_json: bool
+    follow_parent: int | None
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the emulator; return the exit code (0 success, 2 usage or file error, 3 sockets)."""
-    parent = os.getppid()
-    parser = argument_parser()
-    given = parser.parse_args(arguments)
-    if given.schema:
-        sys.stdout.write(json.dumps(schema(), indent=2) + "\n")
-        return 0
-    kinds = given.autopilot.split(",")
-    if any(kind not in {"px4", "ardupilot"} for kind in kinds):
-        parser.error(f"--autopilot: expected px4 or ardupilot, got {given.autopilot}")
-    if not 1 <= given.count <= 250:
-        parser.error(f"-n: expected 1 to 250, got {given.count}")
-    if not 0.01 <= given.speed <= 1000.0:
-        parser.error(f"--speed: expected 0.01 to 1000, got {given.speed}")
-    target = None
-    if given.target:
-        host, _, port = given.target.rpartition(":")
-        if not port.isdigit() or not 0 < int(port) < 65536:
-            parser.error(f"--target: expected HOST:PORT, got {given.target}")
-        target = (host or "127.0.0.1", int(port))
+    """Run the emulator; return the exit code.
+
+    0 success, 2 usage or file error, 3 sockets, 130 interrupt.
+    """
     try:
-        world = load_world(given.world) if given.world else default_world(given.count, kinds)
+        code = command.main(arguments, prog_name="swarm sitl", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        return 2
+    except click.Abort:
+        return 130
+    return code if isinstance(code, int) else 0
+
+
+def _run(world_file: Path | None, count: int, given: Options) -> int:
+    """Serve the vehicles until they end; return the exit code."""
+    parent = os.getppid()
+    try:
+        world = load_world(world_file) if world_file else default_world(count, given.kinds)
         if given.seed is not None:
             world = world.model_copy(update={"seed": given.seed})
         faults = load_scenario(given.scenario) if given.scenario else []
@@ -85,25 +161,25 @@ def main(arguments: list[str] | None = None) -> int:
         if given.signing_key:
             emulator.sign_with(load_key(given.signing_key), time.time())
     except WorldError as error:
-        sys.stderr.write(f"{error}\n")
+        click.echo(f"{error}", err=True)
         return 2
     warm_up()
     try:
-        if target is not None:
-            running = server.to_target(emulator, target, given.host, given.speed)
+        if given.target is not None:
+            running = server.to_target(emulator, given.target, given.host, given.speed)
         else:
             running = server.to_default_ports(emulator, given.host, given.speed, given.port_step)
         return server.serve(
             running,
             given.truth,
-            as_json=given.json,
+            as_json=given.as_json,
             follow_parent=given.follow_parent is not None,
             # with its PID, a parent that ended before this process started is detected too
             parent=given.follow_parent or parent,
         )
     except OSError as error:
-        sys.stderr.write(
-            f"swarm sitl: cannot open sockets on {given.host}: {error.strerror or error}\n"
+        click.echo(
+            f"swarm sitl: cannot open sockets on {given.host}: {error.strerror or error}", err=True
         )
         return 3
 

@@ -105,10 +105,10 @@ def matching_knots(pattern: str | None) -> list[str]:
         expression = re.compile(pattern or "")
     except re.error as error:
         message = f"expected a regular expression, got {pattern!r}: {error}"
-        raise InputError([Problem("--only", message)]) from None
+        raise InputError([Problem("--filter", message)]) from None
     names = [name for name in knots_to_plan() if expression.search(name)]
     if not names:
-        raise InputError([Problem("--only", f"no knot of the table matches {pattern!r}")])
+        raise InputError([Problem("--filter", f"no knot of the table matches {pattern!r}")])
     return names
 
 

@@ -5,7 +5,6 @@
 `tests/test_docs.py` compares the stored pages with what is generated here.
 """
 
-import argparse
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 
 import click
 
-from sitl.__main__ import argument_parser
+from sitl.__main__ import command as emulator
 from sitl.faults.scenario import KINDS
 from swarm.cli.main import COMMANDS, cli
 from swarm.flight import policy
@@ -27,7 +26,7 @@ _GENERATED = (
 _TITLES = {
     "mission": ("Mission files", "`swarm plan`, `swarm fly`, `swarm dry-run` and others"),
     "fleet": ("Fleet files", "`swarm check --fleet` and `swarm fly --fleet`"),
-    "scenario": ("Scenario files", "`swarm dry-run --scenario` and `swarm sitl --scenario`"),
+    "scenario": ("Scenario files", "`swarm trials --scenario` and `swarm sitl --scenario`"),
     "world": ("World files", "`swarm sitl --world`"),
 }
 """Kind of file → title of its page, and what reads it."""
@@ -67,9 +66,9 @@ def _commands() -> str:
     ]
     found += ["", (cli.help or "").split("\n\n")[-1].strip(), ""]
     for name in COMMANDS:
-        command = cli.get_command(group, name)
+        command = emulator if name == "sitl" else cli.get_command(group, name)
         assert command is not None
-        found += _emulator() if name == "sitl" else _command(name, command)
+        found += _command(name, command)
     return "\n".join(found)
 
 
@@ -121,24 +120,6 @@ def _range(least: float | None, most: float | None) -> str:
     if least is None or most is None:
         return f"At least {least:g}." if most is None else f"At most {most:g}."
     return f"From {least:g} to {most:g}."
-
-
-def _emulator() -> Iterator[str]:
-    """The emulator is a program of its own, which reads its arguments with argparse."""
-    parser = argument_parser()
-    yield "## swarm sitl\n"
-    yield "```\nswarm sitl [OPTIONS]\n```\n"
-    yield f"{parser.description}\n"
-    rows = []
-    for action in parser._actions:
-        if isinstance(action, argparse._HelpAction):
-            continue
-        names = ", ".join(action.option_strings)
-        value = "" if action.nargs == 0 else f" {action.metavar or action.dest.upper()}"
-        default = action.default
-        ends = "" if default is None or default is False else f" (default {default})"
-        rows.append((f"`{names}{value}`", f"{action.help}{ends}"))
-    yield from _table(("option", "meaning"), rows)
 
 
 def _schema(kind: str) -> str:

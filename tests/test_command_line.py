@@ -62,7 +62,7 @@ def test_bad_input_exits_with_2_and_names_the_place(arguments: list[str], words:
 def test_the_installed_program_lists_its_commands_and_ends_with_its_codes() -> None:
     listed = swarm("--help")
     assert (listed.returncode, listed.stderr) == (0, "")
-    named = listed.stdout[listed.stdout.index("Commands:") :]
+    named = listed.stdout[listed.stdout.index("Plan and simulate:") :]
     assert re.findall(r"^  ([a-z-]+)  ", named, re.MULTILINE) == list(COMMANDS)
     bad = swarm("plan", "nosuch.yaml")
     assert (bad.returncode, bad.stdout) == (2, "")

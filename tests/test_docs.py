@@ -12,7 +12,7 @@ import pytest
 from ruamel.yaml import YAML
 
 import swarm
-from sitl.__main__ import argument_parser
+from sitl.__main__ import command as emulator
 from swarm.cli.main import COMMANDS, cli
 from tests import docs_reference
 
@@ -78,9 +78,7 @@ def shown(page: Path) -> Iterator[list[str]]:
 
 
 def options_of(command: str) -> set[str]:
-    if command == "sitl":
-        return {name for one in argument_parser()._actions for name in one.option_strings}
-    found = cli.get_command(click.Context(cli), command)
+    found = emulator if command == "sitl" else cli.get_command(click.Context(cli), command)
     assert found is not None
     return {"--help", *(name for one in found.params for name in one.opts)}
 

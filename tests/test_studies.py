@@ -45,14 +45,14 @@ def test_all_prime_knots_to_ten_crossings_are_in_the_table() -> None:
 def test_rows_in_a_file_are_printed_and_not_planned_again(tmp_path: Path) -> None:
     kept = tmp_path / "rows.jsonl"
     kept.write_text(json.dumps(ROW) + "\n" + '{"knot": "4_1", "cle')
-    code, printed = run("--only", "^3_1$", "--to", str(kept), "--csv")
+    code, printed = run("--filter", "^3_1$", "--output", str(kept), "--csv")
     assert code == 0
     header, row = printed.strip().splitlines()[-2:]
     assert header == ",".join(COLUMNS)
     assert row.startswith("3_1,3,9,True,2.5,50.0,99.0,0.25,")
-    code, printed = run("--only", "^3_1$", "--to", str(kept), "--json")
+    code, printed = run("--filter", "^3_1$", "--output", str(kept), "--json")
     assert json.loads(printed[printed.index("[") :]) == [ROW]
-    code, printed = run("--only", "^3_1$", "--to", str(kept))
+    code, printed = run("--filter", "^3_1$", "--output", str(kept))
     assert "1 knots, 0 refused; 3 s of processor time" in printed
 
 
@@ -60,14 +60,14 @@ def test_a_refused_knot_has_a_reason_and_exit_code_1(tmp_path: Path) -> None:
     kept = tmp_path / "rows.jsonl"
     row = ROW | {"cleared": False, "cable_length": None, "message": "tried a cell of 2 m"}
     kept.write_text(json.dumps(row) + "\n")
-    code, printed = run("--only", "^3_1$", "--to", str(kept))
+    code, printed = run("--filter", "^3_1$", "--output", str(kept))
     assert code == 1
     assert "3_1: tried a cell of 2 m" in printed
 
 
 def test_a_knot_that_cannot_be_planned_still_has_its_row(tmp_path: Path) -> None:
     kept = tmp_path / "rows.jsonl"
-    code, _ = run("--only", "^3_1$", "--to", str(kept), "--set", "layout.cell=0.5")
+    code, _ = run("--filter", "^3_1$", "--output", str(kept), "--set", "layout.cell=0.5")
     assert code == 1
     row = json.loads(kept.read_text())
     assert (row["knot"], row["vehicles"], row["cleared"], row["cable_length"]) == (
@@ -82,9 +82,9 @@ def test_a_knot_that_cannot_be_planned_still_has_its_row(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--plan", "--only", "zzz"], "--only: no knot of the table matches 'zzz'"),
-        (["--plan", "--only", "("], "--only: expected a regular expression, got '('"),
-        (["--plan", "3_1"], "--plan is of many knots: use --only instead of a NAME"),
+        (["--plan", "--filter", "zzz"], "--filter: no knot of the table matches 'zzz'"),
+        (["--plan", "--filter", "("], "--filter: expected a regular expression, got '('"),
+        (["--plan", "3_1"], "--plan is of many knots: use --filter instead of a NAME"),
         (["--csv"], "these options belong to --plan"),
     ],
 )
@@ -96,7 +96,7 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     kept = tmp_path / "rows.jsonl"
     kept.write_text("hello\n" + json.dumps(ROW) + "\n")
     message = f"{kept}: line 1: expected a row that --plan wrote"
-    assert message in said("--plan", "--to", str(kept))
+    assert message in said("--plan", "--output", str(kept))
 
 
 def test_a_point_is_dominated_by_one_no_worse_in_any_figure() -> None:

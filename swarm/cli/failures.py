@@ -1,18 +1,24 @@
-"""``swarm dry-run --failures``: failure tests, one injected fault per simulated flight."""
+"""``swarm failures``: failure tests, one injected fault per flight; the table of responses."""
 
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
+from click.core import ParameterSource
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from swarm import planner
-from swarm.cli.inputs import print_json
+from swarm.cli.inputs import JOBS, JSON, SET, missions, print_json
+from swarm.cli.planning import plan_mission
+from swarm.cli.responses import print_responses
 from swarm.files import write_text
+from swarm.front.files import load_mission
 from swarm.reports.failures_report import failures_report
 from swarm.reports.failures_text import print_failures
+from swarm.reports.plan_summary import print_plan_summary
 from swarm.simulation.fault_injection import (
     SYSTEM_FAILURE_CASES,
     TEAM_AUTOPILOTS,
@@ -28,21 +34,101 @@ from swarm.simulation.fault_injection.results_file import (
     results_header,
 )
 
-TIMES = 2
-"""Random times of each fault, with each autopilot, by default."""
+FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @dataclass(frozen=True)
 class FailureOptions:
-    """The options of ``--failures``."""
+    """The options of the failure tests."""
 
-    times: int | None
+    repeat: int
     team: tuple[TeamAutopilots, ...]
-    row: tuple[str, ...]
+    filter: tuple[str, ...]
     seed: int
     jobs: int | None
+    output: Path | None
     report: Path | None
-    results: Path | None
+
+
+@click.command()
+@click.argument("mission", metavar="[MISSION]", required=False, shell_complete=missions)
+@SET
+@JSON
+@click.option(
+    "--table",
+    is_flag=True,
+    help="Without MISSION, print every cell: each failure, on the plan and outside it, under all "
+    "open windows.",
+)
+@click.option(
+    "--diagram", is_flag=True, help="Without MISSION, print the stages of a flight in Mermaid."
+)
+@click.option(
+    "--repeat",
+    type=click.IntRange(1, 1000),
+    default=2,
+    show_default=True,
+    help="Random times per fault.",
+)
+@click.option(
+    "--team",
+    multiple=True,
+    type=click.Choice(["px4", "ardupilot", "mixed"]),
+    help="Autopilots of the team; can be repeated.  [default: each]",
+)
+@click.option("--filter", multiple=True, metavar="TEXT", help="Only cases whose name has TEXT.")
+@click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
+@JOBS
+@click.option(
+    "-o",
+    "--output",
+    type=FILE,
+    help="Append each result (JSON lines); results that the file holds are not flown again.",
+)
+@click.option("--report", type=FILE, help="Write a report (one HTML file).")
+@click.pass_context
+def failures(
+    context: click.Context,
+    /,
+    mission: str | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+    table: bool,
+    diagram: bool,
+    **options: Any,
+) -> None:
+    """Run failure tests on MISSION, or print the team's response to every failure.
+
+    With MISSION (a file or the name of a knot), every known fault is injected, one per simulated
+    flight, with PX4, ArduPilot and mixed teams. Exit code 0 if the team responds to each as the
+    table says; otherwise 1.
+
+    Without MISSION, the table of responses is printed.
+
+    Example: swarm failures missions/overhand.yaml --filter link --report failures.html
+    """
+    if mission is None:
+        _refuse_without_mission(context)
+        print_responses(whole=table, diagram=diagram)
+        return
+    if table or diagram:
+        raise click.UsageError("--table and --diagram are of the responses: leave MISSION out")
+    planned = plan_mission(load_mission(mission, overrides))
+    print_plan_summary(planned.plan, planned.assessment, Console(quiet=as_json))
+    run_failures(context, planned, FailureOptions(**options), as_json=as_json)
+
+
+def _refuse_without_mission(context: click.Context) -> None:
+    """Raise a usage error for options of the failure tests, which need a mission."""
+    names = [
+        max(option.opts, key=len)
+        for option in context.command.params
+        if option.name not in ("mission", "table", "diagram")
+        and option.name is not None
+        and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
+    ]
+    if names:
+        raise click.UsageError(f"{', '.join(names)}: expected a MISSION to fly failure tests on")
 
 
 def run_failures(
@@ -59,12 +145,12 @@ def run_failures(
     if as_json:
         print_json({"failures": tests})
     else:
-        print_failures(tests, Console(), system_cases=not options.row)
+        print_failures(tests, Console(), system_cases=not options.filter)
     context.exit(0 if all(test["passed"] for test in tests) else 1)
 
 
 def _run(planned: planner.PlanningResult, options: FailureOptions) -> tuple[FailureTest, ...]:
-    cases = cases_of(planned.plan, options.row)
+    cases = cases_of(planned.plan, options.filter)
     teams = [team for team in TEAM_AUTOPILOTS if not options.team or team in options.team]
     header = results_header(planned.plan, options.seed)
     console = Console(stderr=True)
@@ -75,9 +161,9 @@ def _run(planned: planner.PlanningResult, options: FailureOptions) -> tuple[Fail
         task = bar.add_task("failure tests", total=None)
         return run_failure_tests(
             planned.certified(),
-            FailureTestSettings(cases, teams, options.times or TIMES, options.seed),
+            FailureTestSettings(cases, teams, options.repeat, options.seed),
             jobs=options.jobs,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
-            earlier_results=open_results(options.results, header) if options.results else (),
-            on_result=partial(append_results, options.results) if options.results else None,
+            earlier_results=open_results(options.output, header) if options.output else (),
+            on_result=partial(append_results, options.output) if options.output else None,
         )

@@ -7,18 +7,36 @@ from dataclasses import dataclass
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from swarm.errors import InputError
 
-MISSION = click.argument("mission", metavar="MISSION")
+
+def missions(
+    _context: click.Context, _parameter: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Return completions of a mission: files, and the names of knots."""
+    from swarm.knots.catalog import table_names  # noqa: PLC0415 - slow to import
+
+    names = [name for name in table_names() if name.startswith(incomplete)]
+    return [CompletionItem(incomplete, type="file"), *map(CompletionItem, names)]
+
+
+MISSION = click.argument("mission", metavar="MISSION", shell_complete=missions)
 SET = click.option(
     "--set",
     "overrides",
     multiple=True,
     metavar="KEY.PATH=VALUE",
     help="Override a key of the mission file; can be repeated.",
+)
+JOBS = click.option(
+    "--jobs", type=click.IntRange(1, 1024), help="Parallel processes [one per core]."
+)
+SCHEDULER = click.option(
+    "--scheduler", metavar="tcp://HOST:PORT", help="Run on this Dask cluster instead."
 )
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object for scripts.")
 

@@ -38,13 +38,13 @@ from swarm.reports.knots_text import (
     help="Check the table: search every grid diagram again, and identify it.",
 )
 @click.option("--plan", "planning", is_flag=True, help="Plan and certify every knot; see below.")
-@click.option("--only", metavar="REGEX", help="With --plan: only knots whose names match.")
+@click.option("--filter", metavar="REGEX", help="With --plan: only knots whose names match.")
 @click.option(
     "--jobs", type=click.IntRange(1, 64), default=1, help="With --plan: parallel processes."
 )
 @click.option(
-    "--to",
-    "target",
+    "-o",
+    "--output",
     type=click.Path(dir_okay=False, path_type=Path),
     help="With --plan: append rows to this file (JSON lines); its knots are not planned again.",
 )
@@ -76,7 +76,7 @@ def knots(
     """
     if planning:
         if name or plot or whole_table:
-            raise click.UsageError("--plan is of many knots: use --only instead of a NAME")
+            raise click.UsageError("--plan is of many knots: use --filter instead of a NAME")
         context.exit(print_planned(PlanOptions(**plan_options), as_json=as_json))
     if PlanOptions(**plan_options) != PlanOptions():
         raise click.UsageError("these options belong to --plan")

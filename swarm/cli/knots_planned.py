@@ -18,21 +18,21 @@ from swarm.studies import append_row, matching_knots, plan_rows, read_rows, rows
 class PlanOptions:
     """The options of ``--plan``."""
 
-    only: str | None = None
+    filter: str | None = None
     jobs: int = 1
-    target: Path | None = None
+    output: Path | None = None
     as_csv: bool = False
     no_robustness: bool = False
     overrides: tuple[str, ...] = ()
 
 
 def print_planned(options: PlanOptions, *, as_json: bool) -> int:
-    """Plan the knots that the target file does not have, print all rows, return the exit code.
+    """Plan the knots that the output file does not have, print all rows, return the exit code.
 
     After an interrupt, the completed rows are in the file and are printed.
     """
-    names = matching_knots(options.only)
-    rows = read_rows(options.target) if options.target else {}
+    names = matching_knots(options.filter)
+    rows = read_rows(options.output) if options.output else {}
     remaining = [name for name in names if name not in rows]
     interrupted = False
     planned = plan_rows(
@@ -48,8 +48,8 @@ def print_planned(options: PlanOptions, *, as_json: bool) -> int:
                 transient=True,
             ):
                 rows[row["knot"]] = row
-                if options.target:
-                    append_row(options.target, row)
+                if options.output:
+                    append_row(options.output, row)
     except KeyboardInterrupt:
         interrupted = True
     found = [rows[name] for name in names if name in rows]

@@ -1,6 +1,7 @@
 """The ``swarm`` command."""
 
 import os
+import shlex
 import signal
 import sys
 import tempfile
@@ -12,7 +13,9 @@ from importlib import import_module
 from types import FrameType
 
 import click
+from click.shell_completion import CompletionItem
 
+from swarm.cli.old_spelling import current_spelling
 from swarm.errors import InputError, Interrupted, SwarmError, reason
 from swarm.version import __version__
 
@@ -20,22 +23,40 @@ from swarm.version import __version__
 # the flight loop. NumPy reads this when it is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-COMMANDS = {
-    "fly": ("fly", "Plan, check and fly a mission."),
-    "dry-run": ("dry_run", "Simulate flights of a mission in virtual time."),
-    "check": ("check", "Check a fleet on the ground, before arming."),
-    "plan": ("plan", "Plan a mission, check the plan, and show or export it."),
-    "certify": ("certify", "Certify an external trajectory."),
-    "verify": ("verify", "Verify a flight record."),
-    "view": ("view", "Open a flight record, a plan or a recording in the Rerun viewer."),
-    "failures": ("responses", "Print the team's response to every failure."),
-    "knots": ("knots", "List the knots, or show one."),
-    "identify": ("knots", "Identify the knot of a curve in space."),
-    "init": ("files", "Write a commented mission file for a knot."),
-    "schema": ("files", "Print the JSON schema of mission, fleet, world or scenario files."),
-    "sitl": ("sitl", "Run the emulator of vehicles, for any MAVLink client."),
+SECTIONS = {
+    "Plan and simulate": {
+        "plan": ("plan", "Plan a mission, check the plan, and show or export it."),
+        "dry-run": ("dry_run", "Simulate one flight of a mission in virtual time."),
+        "trials": ("trials", "Simulate many flights, each under other conditions."),
+        "failures": ("failures", "Run failure tests, or print the response to every failure."),
+        "rope": ("rope", "Simulate a rope with contact, and identify its knot."),
+    },
+    "Fly": {
+        "check": ("check", "Check a fleet on the ground, before arming."),
+        "fly": ("fly", "Plan, check and fly a mission."),
+        "verify": ("verify", "Verify a flight record."),
+        "view": ("view", "Open a flight record, a plan or a recording in the Rerun viewer."),
+        "sitl": ("sitl", "Run the emulator of vehicles, for any MAVLink client."),
+    },
+    "Knots and files": {
+        "init": ("files", "Write a commented mission file for a knot."),
+        "schema": ("files", "Print the JSON schema of mission, fleet, world or scenario files."),
+        "knots": ("knots", "List the knots, or show one."),
+        "identify": ("knots", "Identify the knot of a curve in space."),
+        "certify": ("certify", "Certify an external trajectory."),
+        "completion": ("completion", "Print the script that completes commands in a shell."),
+    },
 }
+"""Section of ``swarm --help`` → command → module of swarm.cli that defines it, and its line."""
+
+COMMANDS = {name: entry for section in SECTIONS.values() for name, entry in section.items()}
 """Command → module of swarm.cli that defines it, and its line in ``swarm --help``."""
+
+_EXAMPLES = {
+    "Plan and simulate": "swarm plan missions/overhand.yaml --report plan.html",
+    "Fly": "swarm fly missions/overhand.yaml --fleet fleet.yaml",
+    "Knots and files": "swarm init figure-eight --output mission.yaml",
+}
 
 
 class Commands(click.Group):
@@ -55,8 +76,29 @@ class Commands(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """Write the list of commands."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+        widest = max(map(len, COMMANDS))
+        for title, commands in SECTIONS.items():
+            with formatter.section(title):
+                rows = [(name.ljust(widest), text) for name, (_, text) in commands.items()]
+                formatter.write_dl(rows)
+                formatter.write_paragraph()
+                formatter.write_text(f"Example: {_EXAMPLES[title]}")
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse arguments; old spellings work, with a note on stderr."""
+        current = current_spelling(args)
+        if current != args:
+            click.echo(f"note: the new spelling is: swarm {shlex.join(current)}", err=True)
+        return super().parse_args(ctx, current)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Return the commands that begin so; no module of a command is imported for it."""
+        found = [
+            CompletionItem(name, help=text)
+            for name, (_, text) in COMMANDS.items()
+            if name.startswith(incomplete)
+        ]
+        return found or click.Command.shell_complete(self, ctx, incomplete)
 
 
 @click.command(
@@ -78,7 +120,7 @@ def main() -> None:
     """Run the command line and exit with its code."""
     try:
         with termination_as_interrupt():
-            code = cli(standalone_mode=False)
+            code = cli(prog_name="swarm", standalone_mode=False)
     except click.ClickException as error:
         error.show()
         code = InputError.exit_code

@@ -1,4 +1,4 @@
-"""``swarm failures``: print the policy of the flight."""
+"""The team's response to every failure, printed by ``swarm failures`` without a mission."""
 
 import click
 from rich.console import Console
@@ -8,16 +8,8 @@ from swarm.flight import policy
 from swarm.flight.stages import Stage, mermaid
 
 
-@click.command()
-@click.option(
-    "--table",
-    "whole",
-    is_flag=True,
-    help="Print every cell: each failure, on the plan and outside it, under all open windows.",
-)
-@click.option("--diagram", is_flag=True, help="Print the stages of a flight in Mermaid instead.")
-def failures(whole: bool, diagram: bool) -> None:
-    """Print the team's response to every failure that is detected in flight."""
+def print_responses(*, whole: bool, diagram: bool) -> None:
+    """Print the table of responses, ``whole`` or on the plan only, or the diagram of stages."""
     if diagram:
         click.echo(mermaid())
         return

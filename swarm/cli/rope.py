@@ -1,28 +1,38 @@
-"""``swarm dry-run --rope``: simulate a rope with contact, and identify its knot."""
+"""``swarm rope``: simulate a rope with contact, and identify its knot."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 from rich.console import Console
 
 from swarm import planner
-from swarm.cli.inputs import print_json, progress_bar
-from swarm.cli.planning import plan_paper_trajectory
+from swarm.cli.inputs import (
+    JSON,
+    MISSION,
+    SET,
+    print_json,
+    progress_bar,
+    refuse_option_conflicts,
+)
+from swarm.cli.planning import plan_mission, plan_paper_trajectory
 from swarm.errors import SwarmError
 from swarm.files import write_text
+from swarm.front.files import load_mission
 from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.reports.plots import save
 from swarm.reports.rope_plots import rope_figure
 from swarm.reports.rope_report import rope_report
 from swarm.reports.rope_text import print_rope, rope_curves
 
+FILE = click.Path(dir_okay=False, path_type=Path)
 PAPER = "the paper's trajectory"
 
 
 @dataclass(frozen=True)
 class RopeOptions:
-    """The options of ``--rope``."""
+    """The options of the command."""
 
     links: int | None
     no_contact: bool
@@ -32,32 +42,71 @@ class RopeOptions:
     compare: bool
 
 
+@click.command()
+@MISSION
+@SET
+@JSON
+@click.option(
+    "--links",
+    type=click.IntRange(20, 5000),
+    help="Number of links of the rope.  [default: one link for each diameter of the cable]",
+)
+@click.option("--no-contact", is_flag=True, help="No contact; strands pass through each other.")
+@click.option(
+    "--flown",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="RECORD",
+    help="Use the reported motion of this flight record instead of the plan.",
+)
+@click.option("--compare", is_flag=True, help="Also move the rope on the paper's trajectory.")
+@click.option("--plot", type=FILE, help="Plot the rope's distances and its knot (PNG).")
+@click.option("--report", type=FILE, help="Write a report (one HTML file).")
+@click.pass_context
+def rope(
+    context: click.Context,
+    /,
+    mission: str,
+    overrides: tuple[str, ...],
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Simulate a rope of hundreds of links with contact, moved along the plan of MISSION.
+
+    MISSION is a file or the name of a knot. The rope (MuJoCo) moves along the planned motion of
+    the grip points; then its knot is identified. No vehicle flies, so a refused plan is moved too.
+
+    Exit code 0 if the rope has the planned knot and the simulation is valid; otherwise 1.
+
+    Example: swarm rope missions/overhand.yaml --plot rope.png
+    """
+    refuse_option_conflicts(options, {}, [("compare", "flown")])
+    planned = plan_mission(load_mission(mission, overrides))
+    run_rope(context, planned, RopeOptions(**options), as_json=as_json)
+
+
 def run_rope(
     context: click.Context, planned: planner.PlanningResult, options: RopeOptions, *, as_json: bool
 ) -> None:
-    """Simulate the rope, print or write the result, and exit with its code.
-
-    The plan may have errors: no vehicle flies.
-    """
+    """Simulate the rope, print or write the result, and exit with its code."""
     try:
-        from swarm.simulation import rope  # noqa: PLC0415 - an optional extra
+        from swarm.simulation import rope as simulation  # noqa: PLC0415 - an optional extra
     except ImportError:
         raise SwarmError("a rope needs MuJoCo: pip install 'swarm-ground-station[rope]'") from None
     if options.flown:
         plan = recorded_plan(options.flown)
         trace = recorded_flight(options.flown, plan).trace
-        trajectories = [rope.flown_trajectory(plan, trace, str(options.flown))]
+        trajectories = [simulation.flown_trajectory(plan, trace, str(options.flown))]
     else:
         plan = planned.plan
-        trajectories = [rope.planned_trajectory("this plan", plan)]
+        trajectories = [simulation.planned_trajectory("this plan", plan)]
     if options.compare:
         paper = plan_paper_trajectory(plan.mission).plan
-        trajectories.append(rope.planned_trajectory(PAPER, paper))
+        trajectories.append(simulation.planned_trajectory(PAPER, paper))
     results = []
     for trajectory in trajectories:
         with progress_bar(Console(stderr=True)) as progress:
             results.append(
-                rope.simulate_rope(
+                simulation.simulate_rope(
                     trajectory,
                     links=options.links,
                     contact=not options.no_contact,

@@ -1,6 +1,7 @@
-"""``swarm dry-run --trials``: many simulated flights under varied conditions."""
+"""``swarm trials``: many simulated flights under varied conditions."""
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,29 +11,92 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from swarm import planner
-from swarm.cli.inputs import print_json
-from swarm.cli.planning import plan_paper_trajectory
+from swarm.cli.inputs import (
+    JOBS,
+    JSON,
+    MISSION,
+    SCHEDULER,
+    SET,
+    print_json,
+    refuse_option_conflicts,
+)
+from swarm.cli.planning import plan_mission, plan_paper_trajectory
 from swarm.errors import Interrupted
 from swarm.files import write_text
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
+from swarm.front.files import load_mission
 from swarm.front.trials import Trials, TrialSeries, fly_series, load_scenario
+from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.trials_text import print_trials
+from swarm.simulation.monte_carlo import workers_starting
 from swarm.simulation.monte_carlo.results import write_results
+
+FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @dataclass(frozen=True)
 class TrialOptions:
-    """The options of ``--trials``."""
+    """The options of the command."""
 
-    trials: int
+    count: int
     scenario: Path | None
     seed: int
     jobs: int | None
     scheduler: str | None
-    results: Path | None
+    output: Path | None
     plot: Path | None
     report: Path | None
     compare: bool
+
+
+@click.command()
+@MISSION
+@SET
+@JSON
+@click.option(
+    "-n",
+    "--count",
+    type=click.IntRange(1, 100_000),
+    default=100,
+    show_default=True,
+    help="Number of trials, each under other conditions.",
+)
+@click.option("--scenario", type=FILE, help="Distributions of the conditions, and faults (YAML).")
+@click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
+@click.option("--compare", is_flag=True, help="Also fly the paper's trajectory.")
+@JOBS
+@SCHEDULER
+@click.option("-o", "--output", type=FILE, help="Write one row per trial (Parquet).")
+@click.option("--plot", type=FILE, help="Plot the distributions of the distances (PNG).")
+@click.option("--report", type=FILE, help="Write a report (one HTML file).")
+@click.pass_context
+def trials(
+    context: click.Context,
+    /,
+    mission: str,
+    overrides: tuple[str, ...],
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Simulate many flights of MISSION (a file or the name of a knot), each under other conditions.
+
+    Each trial has its own wind, delays, packet loss, tracking, grip and length errors, and
+    sometimes a failing vehicle; the same seed gives the same trials. swarm dry-run --trial NUMBER
+    repeats one of them.
+
+    Exit code 0 if all trials without a failing vehicle are completed and keep the certificate;
+    otherwise 1.
+
+    Example: swarm trials missions/overhand.yaml --count 200 --report trials.html
+    """
+    refuse_option_conflicts(options, {}, [("jobs", "scheduler")])
+    given = TrialOptions(**options)
+    loaded = load_mission(mission, overrides)
+    # the processes that fly the trials start while the plan is computed
+    with workers_starting(given.jobs) if given.scheduler is None else nullcontext():
+        planned = plan_mission(loaded)
+    print_plan_summary(planned.plan, planned.assessment, Console(quiet=as_json))
+    run_trials(context, planned, given, as_json=as_json)
 
 
 def run_trials(
@@ -49,15 +113,15 @@ def run_trials(
     for flight_plan in flights:
         # the paper has no mission clock: with ours its trajectory would stop, not come close
         open_loop = bool(runs)
-        series = TrialSeries(options.trials, options.seed, spread, faults, open_loop=open_loop)
-        trials, interrupted = _fly(flight_plan, series, options)
-        runs.append(trials)
+        series = TrialSeries(options.count, options.seed, spread, faults, open_loop=open_loop)
+        flown, interrupted = _fly(flight_plan, series, options)
+        runs.append(flown)
         if interrupted:
             break
-    summaries = [trials.summary() for trials in runs]
-    if options.results:
-        flown = [(trials.plan, trials.trials) for trials in runs]
-        write_results(options.results, flown, options.seed, spread)
+    summaries = [run.summary() for run in runs]
+    if options.output:
+        tables = [(run.plan, run.trials) for run in runs]
+        write_results(options.output, tables, options.seed, spread)
     if options.plot or options.report:
         _write_figures(planned, runs, summaries, options)
     if as_json:
@@ -88,12 +152,12 @@ def _fly(
     ) as bar:  # fmt: skip
         method = flight_plan.plan.mission.fold.method
         task = bar.add_task(f"trials ({method})", total=series.trials)
-        trials, interrupted = fly_series(
+        flown, interrupted = fly_series(
             flight_plan, series, options.jobs, options.scheduler, lambda: bar.advance(task)
         )
-    if not len(trials):
+    if not len(flown):
         raise Interrupted("stopped before the first trial was completed")
-    return trials, interrupted
+    return flown, interrupted
 
 
 def _write_figures(

@@ -16,7 +16,7 @@ def failures_report(
 ) -> str:
     """Return the page of a plan's failure tests.
 
-    ``tests`` are the JSON objects that ``swarm dry-run --failures --json`` prints. The tests of
+    ``tests`` are the JSON objects that ``swarm failures --json`` prints. The tests of
     ``system_cases`` run elsewhere, over real sockets, files and processes.
     """
     most_lost = max((test["vehicles_lost"] for test in tests), default=0)

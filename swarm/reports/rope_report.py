@@ -17,7 +17,7 @@ def rope_report(
 ) -> str:
     """Return the page of a simulated rope.
 
-    ``runs`` are the JSON objects that ``swarm dry-run --rope --json`` prints, the one of this plan
+    ``runs`` are the JSON objects that ``swarm rope --json`` prints, the one of this plan
     first.
     """
     return render(

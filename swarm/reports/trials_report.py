@@ -21,7 +21,7 @@ def trials_report(
 ) -> str:
     """Return the page of many trials: distributions, pictures, worst trials, and the plan.
 
-    ``summaries`` are the JSON objects that ``swarm dry-run --trials --json`` prints, the one of
+    ``summaries`` are the JSON objects that ``swarm trials --json`` prints, the one of
     this plan first; ``figures`` are drawn from them.
     """
     summary = summaries[0]

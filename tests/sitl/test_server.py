@@ -112,10 +112,10 @@ def test_invalid_files_and_usage_give_exit_code_2(
     for arguments, error in (
         (["--world", str(bad)], f"{bad}: winds: expected a known key, got an unknown one"),
         (["--scenario", str(bad)], f"{bad}: winds: expected a known key, got an unknown one"),
-        (["-n", "0"], "-n: expected 1 to 250, got 0"),
-        (["--target", "nowhere"], "--target: expected HOST:PORT, got nowhere"),
-        (["--speed", "nan"], "--speed: expected 0.01 to 1000, got nan"),
-        (["--autopilot", "betaflight"], "--autopilot: expected px4 or ardupilot, got betaflight"),
+        (["-n", "0"], "'-n' / '--count': 0 is not in the range 1<=x<=250."),
+        (["--target", "nowhere"], "'--target': expected HOST:PORT, got nowhere"),
+        (["--speed", "nan"], "'--speed': expected 0.01 to 1000, got nan"),
+        (["--autopilot", "betaflight"], "'--autopilot': expected px4 or ardupilot, got betaflight"),
     ):
         try:
             code = main(arguments)

@@ -377,7 +377,7 @@ def cases_of(plan: Plan, names: Sequence[str] = ()) -> list[FailureCase]:
     ]
     if not cases:
         known = ", ".join(case.name for case in FAILURE_CASES)
-        raise InputError([Problem("--row", f"expected a part of one of: {known}")])
+        raise InputError([Problem("--filter", f"expected a part of one of: {known}")])
     cases = [case for case in cases if case.part in _parts(plan)]
     if not cases:
         raise Refused("this mission folds no cable in the air: it has no failure cases")
