@@ -17,6 +17,7 @@ import numpy as np
 from sitl.autopilots import services, streams
 from sitl.autopilots.ardupilot.autopilot import ArduPilot
 from sitl.autopilots.px4.autopilot import Px4
+from sitl.cable.grips import FreeMotion
 from sitl.cable.swinging import AnyRope, make_rope
 from sitl.faults.injector import Injector
 from sitl.faults.scenario import Fault
@@ -278,7 +279,7 @@ class Emulator:
         self._deliver_delayed(now)
         rope = self.rope
         if rope is not None and self._steps % rope.force_interval == 0:
-            force = rope.forces(*self._holders())
+            force = rope.forces(*self._holders(), self._free_motion())
             b.set_external_force(force[: b.count])
             if self.injector.anchors:
                 self.injector.drag(force[b.count :], rope.force_interval * STEP)
@@ -314,6 +315,17 @@ class Emulator:
             return grips, b.velocity
         pinned = np.array([anchor.position for anchor in anchors])
         return np.vstack([grips, pinned]), np.vstack([b.velocity, np.zeros_like(pinned)])
+
+    def _free_motion(self) -> FreeMotion:
+        """Return the motion of all holders without cable; snags resist it by friction alone."""
+        free = FreeMotion(*self.bodies.free_motion())
+        anchors = len(self.injector.anchors)
+        if not anchors:
+            return free
+        return FreeMotion(
+            np.vstack([free.acceleration, np.zeros((anchors, 3))]),
+            np.append(free.mobility, np.zeros(anchors)),
+        )
 
     def _wake(self) -> None:
         """Make every autopilot check again after an event that may concern it."""

@@ -3,7 +3,8 @@
 Each step moves the masses freely and then restores the lengths of all links at once: with the
 compliance of the links, the Lagrange multipliers of a chain solve one tridiagonal system (extended
 position-based dynamics, Macklin et al. 2016; SHAKE's directions, Ryckaert et al. 1977). A taut
-chain stretches as its stiffness says, at any step.
+chain stretches as its stiffness says, at any step. The masses of the holders are part of the same
+system: a force that would act on them one step later feeds energy into a taut chain.
 """
 
 from typing import NamedTuple
@@ -18,7 +19,12 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _ITERATIONS = 4
-"""Newton steps per time step; where all links pull, two leave them within micrometres."""
+"""Largest number of Newton steps per time step: slack links may join after the first."""
+_PARTS = 16
+"""Parts into which a step of the chain may be cut."""
+_TOLERANCE = 1e-6
+"""Error of a link's length in metres at which the iteration ends: on a link of 0.25 m of the
+default stiffness, 6 mN."""
 
 
 class ChainSpec(NamedTuple):
@@ -37,54 +43,117 @@ class ChainSpec(NamedTuple):
 class Chain(NamedTuple):
     """State of a chain of n nodes.
 
-    ``place`` and ``velocity`` (n, 3), ``mass`` (n,) in kg, ``mobility`` (n,) its inverse, 0 for
-    nodes that are moved from outside, ``air`` (n, 3) velocity of the air; ``rest`` (n − 1,)
-    unstretched lengths of the links, ``intact`` (n − 1,) whether a link is unbroken, ``tension``
-    (n − 1,) mean tension of the links in the last steps, N.
+    ``place`` and ``velocity`` (n, 3), ``mass`` (n,) of the cable at the nodes in kg, ``held`` (n,)
+    whether a holder carries the node; ``mobility`` (n,) the inverse of the mass that resists the
+    links: the node's own, its holder's, or 0 for a holder that nothing moves; ``air`` (n, 3)
+    velocity of the air; ``rest`` (n − 1,) unstretched lengths of the links, ``intact`` (n − 1,)
+    whether a link is unbroken. Means over the last interval, N: ``tension`` (n − 1,) of the links,
+    ``pull`` (n, 3) of the links on the nodes.
     """
 
     place: Array
     velocity: Array
     mass: Array
+    held: Flags
     mobility: Array
     air: Array
     rest: Array
     intact: Flags
     tension: Array
+    pull: Array
+
+
+class Guidance(NamedTuple):
+    """Motion of the held nodes but for the forces of the links, (n, 3) each; other rows are unused.
+
+    ``acceleration`` in m/s² of the holders, whose velocity is that of their node; ``drift`` in
+    metres over the interval, beside their own motion: a grip point turns about its vehicle.
+    """
+
+    acceleration: Array
+    drift: Array
 
 
 @compiled
-def advance(chain: Chain, spec: ChainSpec, target: Array, interval: float, steps: int) -> None:
+def advance(chain: Chain, spec: ChainSpec, guidance: Guidance, interval: float, steps: int) -> None:
     """Advance a chain by ``interval`` seconds in ``steps`` steps, in place.
 
-    Held nodes move in a straight line to ``target`` (n, 3).
+    Steps that are too long for the chain's directions are cut: in the recoil of a broken or
+    released end, and where a jerk draws it taut.
     """
-    nodes, step = len(chain.place), interval / steps
+    nodes = len(chain.place)
     chain.tension[:] = 0.0
+    chain.pull[:] = 0.0
     after, system = np.empty((nodes, 3)), np.empty((5, nodes - 1))
-    for k in range(steps):
-        _move_freely(chain, spec, target, step, 1.0 / (steps - k), after)
-        _restore_links(chain, spec, after, system, step)
-        for j in range(nodes - 1):
-            chain.tension[j] += system[4, j] / (step * step * steps)
+    impulse = np.empty((nodes - 1, 3))
+    done, parts, size = 0, steps * _PARTS, _PARTS
+    while done < parts:
+        share = size / parts
+        step = share * interval
+        _move_freely(chain, spec, guidance, step, share, after)
+        far = _turns_far(chain, after)
+        if not (far and size > 1):
+            _restore_links(chain, spec, after, system, impulse, -step if far else step)
+            far = _too_tight(chain, system[4])
+        if far and size > 1:
+            size //= 2
+            continue
+        _add_means(chain, system[4], impulse, 1.0 / (step * interval))
         _touch_floor(chain, spec, after, step)
         for i in range(nodes):
+            drift = share if chain.held[i] else 0.0
             for x in range(3):
-                chain.velocity[i, x] = (after[i, x] - chain.place[i, x]) / step
+                moved = after[i, x] - chain.place[i, x] - drift * guidance.drift[i, x]
+                chain.velocity[i, x] = moved / step
                 chain.place[i, x] = after[i, x]
+        done += size
+        if size < _PARTS and done % (2 * size) == 0:
+            size *= 2
+
+
+@compiled
+def _too_tight(chain: Chain, multiplier: Array) -> bool:
+    """Return whether nodes between taut links oscillate too fast for the step.
+
+    Their frequency is at most 2·√(T / (m·l)). Verlet's method with the directions before the step
+    is stable up to 2 / step; ``multiplier`` (n − 1,) is T times the step squared.
+    """
+    for j in range(len(multiplier)):
+        lightest = 0.0
+        for i in range(j, j + 2):
+            if not chain.held[i]:
+                lightest = max(lightest, chain.mobility[i])
+        if multiplier[j] * lightest > 0.5 * chain.rest[j]:
+            return True
+    return False
+
+
+@compiled
+def _add_means(chain: Chain, multiplier: Array, impulse: Array, scale: float) -> None:
+    """Add a step's tensions and forces on the nodes to the means of the interval."""
+    for j in range(len(multiplier)):
+        chain.tension[j] += scale * multiplier[j]
+        for x in range(3):
+            chain.pull[j, x] += scale * impulse[j, x]
+            chain.pull[j + 1, x] -= scale * impulse[j, x]
 
 
 @compiled
 def _move_freely(
-    chain: Chain, spec: ChainSpec, target: Array, step: float, share: float, after: Array
+    chain: Chain, spec: ChainSpec, guidance: Guidance, step: float, share: float, after: Array
 ) -> None:
-    """Write the positions after a step without forces in the links; held nodes as given."""
+    """Write the positions after a step without forces in the links.
+
+    ``share`` of the drift belongs to this step.
+    """
     last = len(after) - 1
     tangent, relative = np.empty(3), np.empty(3)
     for i in range(last + 1):
-        if chain.mobility[i] == 0.0:
+        if chain.held[i]:
             for x in range(3):
-                after[i, x] = chain.place[i, x] + share * (target[i, x] - chain.place[i, x])
+                push = guidance.acceleration[i, x]
+                after[i, x] = chain.place[i, x] + share * guidance.drift[i, x]
+                after[i, x] += step * (chain.velocity[i, x] + step * push)
             continue
         before, behind = max(i - 1, 0), min(i + 1, last)
         size = along = 0.0
@@ -111,25 +180,29 @@ def _move_freely(
 
 
 @compiled
-def _restore_links(chain: Chain, spec: ChainSpec, after: Array, system: Array, step: float) -> None:
-    """Move free nodes until links have the length that their tension gives them.
+def _restore_links(
+    chain: Chain, spec: ChainSpec, after: Array, system: Array, impulse: Array, step: float
+) -> None:
+    """Move nodes until links have the length that their tension gives them.
 
-    The last row of ``system`` (5, n − 1) returns the multipliers: tension times step squared.
+    A negative ``step`` takes the new directions instead of those before the step. The last row of
+    ``system`` (5, n − 1) returns the multipliers, tension times step squared, and ``impulse``
+    (n − 1, 3) their vectors.
     """
     lower, diagonal, upper, error, total = system
     links, inverse = len(error), chain.mobility
     active = np.empty(links, dtype=np.bool_)
-    now, along = np.empty((links, 3)), np.empty((links, 3))
-    length = np.empty(links)
+    now, along, length = np.empty((links, 3)), np.empty((links, 3)), np.empty(links)
     _directions(chain.place, along, length)
-    smooth = _directions_agree(after, along)
     total[:] = 0.0
+    impulse[:] = 0.0
     for _ in range(_ITERATIONS):
         _directions(after, now, length)
-        if not smooth:
+        if step < 0.0:
             along[:] = now
         for j in range(links):
             active[j] = chain.intact[j] and (length[j] > chain.rest[j] or total[j] > 0.0)
+        worst = 0.0
         for j in range(links):
             lower[j] = upper[j] = error[j] = 0.0
             diagonal[j] = 1.0
@@ -137,18 +210,23 @@ def _restore_links(chain: Chain, spec: ChainSpec, after: Array, system: Array, s
                 continue
             compliance = chain.rest[j] / (spec.stiffness * step * step)
             error[j] = length[j] - chain.rest[j] - compliance * total[j]
+            worst = max(worst, abs(error[j]))
             diagonal[j] = (inverse[j] + inverse[j + 1]) * _dot(now, j, along, j) + compliance
             if j > 0 and active[j - 1]:
                 lower[j] = -inverse[j] * _dot(now, j, along, j - 1)
             if j < links - 1 and active[j + 1]:
                 upper[j] = -inverse[j + 1] * _dot(now, j, along, j + 1)
+        if worst < _TOLERANCE:
+            return
         solve_tridiagonal(lower, diagonal, upper, error)
         for j in range(links):
             change = max(error[j], -total[j])  # a link pulls and never pushes
             total[j] += change
             for x in range(3):
-                after[j, x] += inverse[j] * change * along[j, x]
-                after[j + 1, x] -= inverse[j + 1] * change * along[j, x]
+                push = change * along[j, x]
+                after[j, x] += inverse[j] * push
+                after[j + 1, x] -= inverse[j + 1] * push
+                impulse[j, x] += push
 
 
 @compiled
@@ -165,28 +243,30 @@ def _directions(place: Array, along: Array, length: Array) -> None:
 
 
 @compiled
-def _directions_agree(after: Array, along: Array) -> bool:
-    """Return whether no link turns by more than about 45° in the step.
+def _turns_far(chain: Chain, after: Array) -> bool:
+    """Return whether a link turns by more than about 45° in the step.
 
-    Then the directions before the step are used, as in SHAKE, which keeps the energy of an
+    Otherwise the directions before the step are used, as in SHAKE, which keeps the energy of an
     oscillation; a recoiling end that turns faster is restored along its new directions.
     """
-    for j in range(len(along)):
-        dot = square = 0.0
+    for j in range(len(after) - 1):
+        dot = square = before = 0.0
         for x in range(3):
             link = after[j + 1, x] - after[j, x]
-            dot += link * along[j, x]
+            was = chain.place[j + 1, x] - chain.place[j, x]
+            dot += link * was
             square += link * link
-        if dot * abs(dot) < 0.5 * square:
-            return False
-    return True
+            before += was * was
+        if dot * abs(dot) < 0.5 * square * before:
+            return True
+    return False
 
 
 @compiled
 def _touch_floor(chain: Chain, spec: ChainSpec, after: Array, step: float) -> None:
     """Keep free nodes above the floor; friction slows nodes that lie on it."""
     for i in range(len(after)):
-        if chain.mobility[i] == 0.0 or after[i, 2] > spec.floor:
+        if chain.held[i] or after[i, 2] > spec.floor:
             continue
         after[i, 2] = spec.floor
         east, north = after[i, 0] - chain.place[i, 0], after[i, 1] - chain.place[i, 1]

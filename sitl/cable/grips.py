@@ -1,6 +1,7 @@
 """Grips on a cable: (arc length, holder) in order along it."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,16 @@ REACH = 0.15
 """Distance in metres within which a gripper catches the cable."""
 SPACING = 0.1
 """Distance in metres of samples along the cable, and the smallest one of two grips."""
+
+
+class FreeMotion(NamedTuple):
+    """Motion of n holders without the cable: ``acceleration`` (n, 3), m/s², ENU.
+
+    ``mobility`` (n,) is the inverse of their masses, 0 for those that no cable moves.
+    """
+
+    acceleration: Array
+    mobility: Array
 
 
 def slid(grips: Sequence[Grip], holder: int, distance: float, marks: Sequence[float]) -> list[Grip]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.cable import broad_phase, span_statics
-from sitl.cable.grips import SPACING, caught, nearest_free, slid
+from sitl.cable.grips import SPACING, FreeMotion, caught, nearest_free, slid
 from sitl.cable.spans import NO_SPANS, SolvedSpans, Spans
 from sitl.physics.geodesy import GRAVITY
 from sitl.physics.motion import AIR_DENSITY
@@ -184,11 +184,13 @@ class Rope:
             inside = inside[::-1]
         return End(vehicle, high - low, inside, np.abs(self.arc[inside] - arc))
 
-    def forces(self, grips: Array, velocity: Array) -> Array:
+    def forces(self, grips: Array, velocity: Array, free: FreeMotion | None = None) -> Array:
         """Return the forces of the cable on all holders, newtons, ENU (n, 3); break an overload.
 
-        ``grips`` and ``velocity`` (n, 3) are the grip points and velocities of all holders.
+        ``grips`` and ``velocity`` (n, 3) are the grip points and velocities of all holders; their
+        ``free`` motion is not needed here.
         """
+        del free
         self.force_interval = 5
         spans = self._spans
         if spans.count:

@@ -1,7 +1,9 @@
 """The cable with inertia: one chain of masses, held at some arc lengths, that swings and falls.
 
-It has the interface of :class:`sitl.cable.rope.Rope`, whose cable follows statics. Held nodes move
-with their grip points; the chain's tension there pulls on the vehicles, one step later.
+It has the interface of :class:`sitl.cable.rope.Rope`, whose cable follows statics. Held nodes have
+the masses of their vehicles: chain and vehicles are advanced together over a step, and the mean
+force of that step then acts on the vehicles in theirs, so that the momentum that one loses is what
+the other gains. Grip points that turn about their vehicles drift along.
 """
 
 import itertools
@@ -10,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.cable.chain_dynamics import Chain, ChainSpec, advance
-from sitl.cable.grips import SPACING, caught, nearest_free, slid
+from sitl.cable.chain_dynamics import Chain, ChainSpec, Guidance, advance
+from sitl.cable.grips import SPACING, FreeMotion, caught, nearest_free, slid
 from sitl.cable.rope import CYLINDER_DRAG, Rope
 from sitl.physics.dynamics import STEP
 from sitl.physics.geodesy import GRAVITY
@@ -62,6 +64,7 @@ class SwingingRope:
         self.breaks: list[float] = []
         self._spec = _chain_spec(spec, floor)
         self._offsets: dict[int, Array] = {}
+        self._grips = np.zeros((0, 3))
         points[:, 2] = np.maximum(points[:, 2], self._spec.floor)
         self._wind = np.asarray(wind, dtype=float)
         self._place_nodes(self._node_arcs(), along, points, np.zeros_like(points))
@@ -124,25 +127,44 @@ class SwingingRope:
         position: Array = self._at(np.array([arc]))[0]
         return position
 
-    def forces(self, grips: Array, velocity: Array) -> Array:
-        """Advance the chain by `STEP`; return its forces on all holders, newtons, ENU (n, 3).
+    def forces(self, grips: Array, velocity: Array, free: FreeMotion | None = None) -> Array:
+        """Advance the chain by `STEP`; return its mean forces on all holders, N, ENU (n, 3).
 
-        ``grips`` (n, 3) are the grip points of all holders; ``velocity`` is not needed here. A link
-        beyond the breaking load breaks.
+        ``grips`` and ``velocity`` (n, 3) are the grip points and velocities of all holders at the
+        beginning of the step, ``free`` their motion without the cable in it; without that, they
+        are moved to ``grips`` by the end of the step, whatever the cable does. A link beyond the
+        breaking load breaks.
         """
-        del velocity
-        chain, held = self._chain, self._held
-        target = chain.place.copy()
-        for node, (_, holder) in zip(held, self.grips, strict=True):
-            target[node] = grips[holder] + self._drawn_in(holder)
-        advance(chain, self._spec, target, STEP, _STEPS)
+        chain = self._chain
+        nodes, holders = self._held, [holder for _, holder in self.grips]
+        drift, push = np.zeros_like(chain.place), np.zeros_like(chain.place)
+        if holders:
+            drift[nodes] = grips[holders] + self._drawn_in() - chain.place[nodes]
+            chain.mobility[nodes], chain.velocity[nodes] = 0.0, 0.0
+        if holders and free is not None:
+            mobility = free.mobility[holders]
+            mobile = (mobility > 0.0)[:, None]
+            push[nodes] = free.acceleration[holders]
+            push[nodes, 2] -= GRAVITY * chain.mass[nodes] * mobility
+            chain.mobility[nodes] = mobility
+            chain.velocity[nodes] = np.where(mobile, velocity[holders], 0.0)
+            drift[nodes] += np.where(mobile, self._turned(grips, velocity)[holders], 0.0)
+            push[nodes] = np.where(mobile, push[nodes], 0.0)
+        self._grips = grips.copy()
+        advance(chain, self._spec, Guidance(push, drift), STEP, _STEPS)
         force = np.zeros_like(grips)
-        pull = _pulls(chain)
-        pull[:, 2] -= GRAVITY * chain.mass
-        for node, (_, holder) in zip(held, self.grips, strict=True):
-            force[holder] += pull[node]
+        if holders:
+            force[holders] = chain.pull[nodes]
+            force[holders, 2] -= GRAVITY * chain.mass[nodes]
         self._break_overloaded()
         return force
+
+    def _turned(self, grips: Array, velocity: Array) -> Array:
+        """Return how far grip points moved about their vehicles in the last step (n, 3)."""
+        if len(self._grips) != len(grips):
+            return np.zeros_like(grips)
+        turned: Array = grips - self._grips - STEP * velocity
+        return turned
 
     def _break_overloaded(self) -> None:
         """Break the link of largest tension in each span, if it exceeds the breaking load."""
@@ -153,12 +175,13 @@ class SwingingRope:
                 self.breaks = sorted([*self.breaks, float(self._nodes[worst : worst + 2].mean())])
                 self._chain.intact[worst] = False
 
-    def _drawn_in(self, holder: int) -> Array | float:
-        """Return the rest of a caught cable's distance from its grip point, and reduce it."""
-        if holder not in self._offsets:
-            return 0.0
-        self._offsets[holder] = self._offsets[holder] * float(np.exp(-STEP / _CLOSING_TIME))
-        rest: Array = self._offsets[holder]
+    def _drawn_in(self) -> Array:
+        """Return the caught cable's remaining distances from all grip points; reduce them."""
+        rest = np.zeros((len(self.grips), 3))
+        for row, (_, holder) in enumerate(self.grips):
+            if holder in self._offsets:
+                self._offsets[holder] = self._offsets[holder] * float(np.exp(-STEP / _CLOSING_TIME))
+                rest[row] = self._offsets[holder]
         return rest
 
     def within_reach(self, centre: Array, radius: Array) -> bool:
@@ -217,11 +240,13 @@ class SwingingRope:
             place=_interpolate(arcs, known, place),
             velocity=_interpolate(arcs, known, velocity),
             mass=mass,
+            held=is_held,
             mobility=np.where(is_held, 0.0, 1.0 / mass),
             air=np.tile(self._wind, (len(arcs), 1)),
             rest=rest,
             intact=intact,
             tension=np.zeros(len(rest)),
+            pull=np.zeros((len(arcs), 3)),
         )
         self.shape = self._at(self.arc)
 
@@ -250,14 +275,3 @@ def _chain_spec(spec: CableSpec, floor: float) -> ChainSpec:
 def _interpolate(arcs: Array, known: Array, values: Array) -> Array:
     """Return vectors (k, 3) at arc lengths (k,), between ``values`` (m, 3) at ``known`` (m,)."""
     return np.column_stack([np.interp(arcs, known, values[:, x]) for x in range(3)])
-
-
-def _pulls(chain: Chain) -> Array:
-    """Return the forces of the links on the nodes (n, 3), newtons."""
-    step = np.diff(chain.place, axis=0)
-    along = step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
-    pull = chain.tension[:, None] * along
-    total = np.zeros_like(chain.place)
-    total[:-1] += pull
-    total[1:] -= pull
-    return total

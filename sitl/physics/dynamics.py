@@ -281,6 +281,12 @@ class Bodies:
         motion.grip_points(self.state, self.grip_offset, points)
         return points
 
+    def free_motion(self) -> tuple[Array, Array]:
+        """Return accelerations without cable (n, 3), and mobilities (n,): `motion.free_motion`."""
+        acceleration, mobility = np.empty((self.count, 3)), np.empty(self.count)
+        motion.free_motion(self.state, self._constants, acceleration, mobility)
+        return acceleration, mobility
+
     def set_external_force(self, force: Array) -> None:
         """Set the external force on every vehicle (newtons, (n, 3)) until the next call."""
         self._external[:] = force * self._per_mass

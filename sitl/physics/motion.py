@@ -140,6 +140,21 @@ def grip_points(state: Array, offset: Array, points: Array) -> None:
 
 
 @compiled
+def free_motion(state: Array, constants: Array, acceleration: Array, mobility: Array) -> None:
+    """Write the accelerations (n, 3) that the vehicles would have without cable, m/s².
+
+    ``mobility`` (n,) becomes 1 / mass, and 0 for vehicles that stand on the floor.
+    """
+    for i in range(len(state)):
+        body, own = state[i], constants[i]
+        stands = body[2, POSITION] <= own[STANDING_HEIGHT]
+        mobility[i] = 0.0 if stands else 1.0 / own[MASS]
+        for k in range(3):
+            s = body[k]
+            acceleration[i, k] = s[AIR] - own[DRAG] * s[VELOCITY] + s[THRUST]
+
+
+@compiled
 def step_disturbances(
     state: Array, disturbances: Array, constants: Array, gust: Array, random: Array, apart: Array,
     factors: tuple[float, float, float, float, float, float],

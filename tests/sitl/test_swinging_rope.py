@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sitl.cable.grips import FreeMotion
 from sitl.cable.rope import Rope
 from sitl.cable.swinging import SwingingRope
 from sitl.emulator import Emulator
@@ -155,3 +156,38 @@ def test_a_team_ties_a_knot_in_it() -> None:
     assert result.outcome.word == "done"
     assert result.adherence.within
     assert 0.1 < largest < 3.0, "newtons: the weight of a segment or two"
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    st.floats(0.0, 2.0 * math.pi), st.floats(2.0, 10.0), st.sampled_from([(1.0, 1.0), (0.4, 3.0)])
+)
+def test_a_jerk_passes_on_momentum_and_makes_no_energy(
+    heading: float, speed: float, share: tuple[float, float]
+) -> None:
+    # three bodies on six metres of cable, the middle one thrown until the cable is taut, and on
+    made = rope(6.0, [0.0, 3.0, 6.0], diameter=1e-4, breaking_load=1e6)
+    grips = np.array([[0.0, 0.0, 0.0], [2.5, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    settle(made, grips, 20.0)
+    body = 1.5 * np.array([1.0, *share])
+    velocity = np.zeros((3, 3))
+    velocity[1] = [0.3 * speed, speed * math.cos(heading), speed * math.sin(heading)]
+    free = FreeMotion(np.zeros((3, 3)), 1.0 / body)
+    inner = ~made._chain.held
+
+    def momentum() -> np.ndarray:
+        cable = made._chain.mass[inner, None] * made._chain.velocity[inner]
+        return (body[:, None] * velocity).sum(axis=0) + cable.sum(axis=0)
+
+    thrown, energy = momentum(), 0.5 * (body[:, None] * velocity**2).sum()
+    weight = made.spec.mass_per_length * GRAVITY * 6.0
+    most = 0.0
+    for step in range(1, 101):
+        force = made.forces(grips, velocity, free)
+        velocity = velocity + STEP * force / body[:, None]
+        grips = grips + STEP * velocity
+        most = max(most, float(made.solved.tension.max()))
+        fallen = weight * step * STEP * np.array([0.0, 0.0, -1.0])
+        assert momentum() == pytest.approx(thrown + fallen, abs=0.02 * body[1] * speed)
+        assert 0.5 * (body[:, None] * velocity**2).sum() < 1.02 * energy + weight * 2.0
+    assert most > 5.0 * speed, "it was taut, N"
