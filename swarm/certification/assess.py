@@ -27,7 +27,8 @@ from swarm.certification.operational_findings import (
 from swarm.certification.robustness import robustness_of
 from swarm.certification.strands import MOST_EXEMPT
 from swarm.certification.stream_loss import certify_stream_loss
-from swarm.certification.swing_findings import planned_swing, swing_findings
+from swarm.certification.swing_findings import swing_findings
+from swarm.certification.swing_tube import swing_tube
 from swarm.planning import Plan
 from swarm.planning.phase_order import finish_of
 
@@ -63,6 +64,7 @@ def assess(
     computed too (:func:`with_robustness`).
     """
     moments = moments or tightest_moments(plan, progress=progress)
+    tube = swing_tube(plan)
     findings = [
         *(Finding("error", "phases", *problem) for problem in cable_spans(plan).problems),
         *clearance_findings(plan, moments),
@@ -71,7 +73,7 @@ def assess(
         *limit_findings(plan),
         *load_findings(plan),
         *downwash_findings(plan),
-        *swing_findings(plan, planned_swing(plan)),
+        *swing_findings(plan, tube),
     ]
     knot = tied_knot(plan)
     contingencies, found = contingencies_of(plan)
@@ -94,6 +96,7 @@ def assess(
         budget=budget,
         contingencies=contingencies,
         stream_loss=stream_loss,
+        tube=tube,
     )
     findings += tightest_findings(assessment.tightest)
     findings += budget_findings(budget)

@@ -7,6 +7,7 @@ from swarm.certification.budget import Budget
 from swarm.certification.clearances import CLEARANCES, Moment
 from swarm.certification.findings import Finding
 from swarm.certification.stream_loss import StreamLossCertificate
+from swarm.certification.swing_tube import SwingTube
 
 TIGHTEST = 5
 """Number of tightest moments in every report."""
@@ -63,6 +64,7 @@ class Assessment:
     ``moments`` are the tightest of each kind of clearance. ``budget`` lists what reduces the
     distances of the tightest strands. ``contingencies`` is None where the cable is never aloft.
     ``stream_loss`` limits the clock's rate, so that clearances hold after a loss of setpoints.
+    ``tube`` bounds the swing of the cable; None without a fold.
     """
 
     findings: tuple[Finding, ...]
@@ -77,6 +79,7 @@ class Assessment:
     budget: tuple[Budget, ...] = ()
     contingencies: Contingencies | None = None
     stream_loss: StreamLossCertificate | None = None
+    tube: SwingTube | None = None
 
     @property
     def tightest(self) -> tuple[Moment, ...]:

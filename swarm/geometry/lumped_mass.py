@@ -73,15 +73,36 @@ def swing(ends: Floats, lengths: Floats, model: SwingModel, every: int = 1) -> F
     Raises :class:`swarm.geometry.catenary.OverStretched` where the first chord is longer than its
     strand; later, a strand that is pulled taut ends as NaN.
     """
-    strands = len(lengths)
-    samples = (len(ends) + every - 1) // every
+    return swing_on(at_rest(ends[0], lengths, model), ends, lengths, model, every)[:, 1]
+
+
+def at_rest(ends: Floats, lengths: Floats, model: SwingModel) -> Floats:
+    """Return the state (2, n − 1, links + 1, 3) of strands that hang still between ends (n, 3).
+
+    A state holds the joints one step ago, and now. Raises
+    :class:`swarm.geometry.catenary.OverStretched` where a chord is longer than its strand.
+    """
     fractions = np.linspace(0.0, 1.0, model.links + 1)
-    found = np.empty((samples, strands, model.links + 1, 3))
-    found[0] = solve_catenaries(ends[0, :-1], ends[0, 1:], lengths).points(fractions)
+    joints = solve_catenaries(ends[:-1], ends[1:], lengths).points(fractions)
+    return np.stack([joints, joints])
+
+
+def swing_on(
+    state: Floats, ends: Floats, lengths: Floats, model: SwingModel, every: int = 1
+) -> Floats:
+    """Return the states of strands that continue from a state, as :func:`swing` from rest.
+
+    ``ends`` (k, n, 3) begin at the state's time. Returns (ceil(k / every), 2, n − 1, links + 1, 3),
+    the given state first.
+    """
+    samples = (len(ends) + every - 1) // every
+    found = np.empty((samples, *state.shape))
+    found[0] = state
     drag = Drag(model.normal_drag, model.tangential_drag, *model.wind)
-    for strand in range(strands):
+    for strand in range(len(lengths)):
         moved = np.ascontiguousarray(ends[:, strand : strand + 2])
-        _swing_strand(moved, lengths[strand] / model.links, drag, model.step, every, found, strand)
+        steps = _Steps(lengths[strand] / model.links, model.step, every)
+        _swing_strand(moved, steps, drag, found[:, :, strand])
     return found
 
 
@@ -109,21 +130,28 @@ class Drag(NamedTuple):
     up: float
 
 
+class _Steps(NamedTuple):
+    """Length of a link in metres, step in seconds, and the number of steps between samples."""
+
+    link: float
+    step: float
+    every: int
+
+
 @compiled
-def _swing_strand(
-    ends: Floats, link: float, drag: Drag, step: float, every: int, found: Floats, strand: int
-) -> None:
-    """Write the joints (links + 1, 3) of one strand to ``found[:, strand]``, from its first."""
-    now = found[0, strand].copy()
-    before, after = now.copy(), now.copy()
+def _swing_strand(ends: Floats, steps: _Steps, drag: Drag, found: Floats) -> None:
+    """Write the states (2, links + 1, 3) of one strand to ``found``, from its first."""
+    before, now = found[0, 0].copy(), found[0, 1].copy()
+    after = now.copy()
     system = np.empty((4, len(now) - 1))
     for k in range(1, len(ends)):
-        _step_freely(before, now, after, drag, step)
+        _step_freely(before, now, after, drag, steps.step)
         after[0], after[-1] = ends[k, 0], ends[k, 1]
-        _restore_links(now, after, link, system)
+        _restore_links(now, after, steps.link, system)
         before, now, after = now, after, before
-        if k % every == 0:
-            found[k // every, strand] = now
+        if k % steps.every == 0:
+            found[k // steps.every, 0] = before
+            found[k // steps.every, 1] = now
 
 
 @compiled

@@ -1,0 +1,181 @@
+"""The tube of the swinging cable: it contains other simulations, and every stop."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sitl.cable.swinging import SwingingRope
+from sitl.physics.dynamics import STEP as TICK
+from sitl.world import CableSpec
+from swarm.certification.swing_findings import swing_findings
+from swarm.certification.swing_tube import BIN, STEP, STOPPING, SwingTube, stop_ramp, swing_tube
+from swarm.flight.clock import MissionClock
+from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.lumped_mass import cable_model, stray, swing
+from swarm.mission import mission_for_knot
+from swarm.planner import plan as make_plan
+from swarm.planning import Plan
+
+
+def with_limit(plan: Plan, limit: float | None) -> Plan:
+    fold = plan.mission.fold.model_copy(update={"swing": limit})
+    return replace(plan, mission=plan.mission.model_copy(update={"fold": fold}))
+
+
+@pytest.fixture(scope="module")
+def shaped() -> Plan:
+    result = make_plan(mission_for_knot("3_1", ["fold.swing=0.06"]), robustness=False)
+    assert result.certificate.cleared
+    return result.plan
+
+
+@pytest.fixture(scope="module")
+def tube(shaped: Plan) -> SwingTube:
+    found = swing_tube(shaped)
+    assert found is not None
+    return found
+
+
+def flown(plan: Plan, stop: float | None, step: float) -> np.ndarray:
+    """Mission times (k,) in steps from the fold on, with a stop of the mission clock."""
+    first, last = plan.phase("fold").start, plan.phase("hold").end
+    if stop is None:
+        return np.arange(first, last, step)
+    vehicles = plan.mission.vehicles
+    clock = MissionClock(vehicles.braking_acceleration / vehicles.max_speed, time=stop)
+    clock.set_running()
+    clock.target = 0.0
+    times = list(np.arange(first, stop, step))
+    for _ in range(round(6.0 / step)):
+        clock.advance(step, first, last)
+        times.append(clock.time)
+    return np.array(times)
+
+
+@settings(max_examples=12, deadline=None)
+@given(share=st.floats(0.05, 0.98))
+def test_it_contains_finer_simulations_of_every_stop(
+    shaped: Plan, tube: SwingTube, share: float
+) -> None:
+    cable, lengths, fold = shaped.mission.cable, shaped.layout.lengths, shaped.phase("fold")
+    model = replace(cable_model(cable.mass_per_length, cable.diameter), links=40, step=0.006)
+    times = flown(shaped, fold.start + share * (fold.end - fold.start), model.step)
+    ends = shaped.motion.at(times)[0]
+    strays = stray(swing(ends, lengths, model, 4), ends[::4], lengths)
+    allowed = np.array([tube.strands(float(time)) for time in times[::4]])
+    assert (strays <= allowed).all(), (strays - allowed).max()
+
+
+def test_it_contains_the_emulators_cable(shaped: Plan, tube: SwingTube) -> None:
+    # another code with its own links, steps and drag, its grips exactly on the plan
+    times, lengths = flown(shaped, None, TICK), shaped.layout.lengths
+    grips = shaped.motion.at(times)[0]
+    arcs = np.concatenate([[0.0], np.cumsum(lengths)])
+    shape = _hanging(grips[0], lengths)
+    cable = shaped.mission.cable
+    spec = CableSpec(
+        points=[tuple(point) for point in shape.tolist()],
+        mass_per_length=cable.mass_per_length, diameter=cable.diameter,
+    )  # fmt: skip
+    rope = SwingingRope(spec, -100.0, np.zeros(3))
+    for vehicle, arc in enumerate(arcs * rope.length / arcs[-1]):
+        rope.attach(vehicle, float(arc))
+    still = np.zeros_like(grips[0])
+    for _ in range(round(8.0 / TICK)):
+        rope.forces(grips[0], still)
+    fractions = np.linspace(0.0, 1.0, 17)
+    worst = -np.inf
+    for k, place in enumerate(grips):
+        rope.forces(place, still)
+        if k % 10:
+            continue
+        joints = np.array(
+            [
+                [rope.position_at(float(arcs[i] + f * lengths[i])) for f in fractions]
+                for i in range(len(lengths))
+            ]
+        )
+        strays = stray(joints[None], place[None], lengths)[0]
+        worst = max(worst, float((strays - tube.strands(float(times[k]))).max()))
+    assert worst <= 0.0
+
+
+def _hanging(grips: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    drawn = solve_catenaries(grips[:-1], grips[1:], lengths).points(np.linspace(0.0, 1.0, 40))
+    return drawn.reshape(-1, 3)[np.r_[0, np.arange(len(drawn) * 40)[1:]]]
+
+
+def test_stops_are_those_of_the_mission_clock(shaped: Plan) -> None:
+    fold, reached = shaped.phase("fold"), stop_ramp(shaped)
+    times = flown(shaped, fold.start + 10.0, STEP)[-round(6.0 / STEP) :]
+    expected = times[: len(reached) - 1] - (fold.start + 10.0)
+    assert reached[1:] == pytest.approx(expected, abs=1e-3)
+    assert len(reached) == round(STOPPING / STEP) + 1
+
+
+@settings(max_examples=40)
+@given(
+    segment=st.integers(0, 7), time=st.floats(30.0, 90.0), half=st.floats(0.0, 9.0),
+    depth=st.integers(0, 6), where=st.floats(0.0, 0.999),
+)  # fmt: skip
+def test_bounds_over_an_interval_are_those_of_its_moments(
+    tube: SwingTube, segment: int, time: float, half: float, depth: int, where: float
+) -> None:
+    number = np.array([2**depth + int(where * 2**depth)])
+    found = tube.over(np.array([segment]), np.array([time]), np.array([half]), number)
+    inside = np.arange(time - half, time + half + 0.5 * BIN, 0.5 * BIN).clip(max=time + half)
+    values = [
+        tube.over(np.array([segment]), np.array([t]), np.zeros(1), number).now[0] for t in inside
+    ]
+    assert found.most[0] == max(values)
+    assert found.least[0] <= found.now[0] <= found.most[0]
+    whole = tube.over(np.array([segment]), np.array([time]), np.zeros(1), np.array([1]))
+    assert found.now[0] <= whole.now[0] == tube.strands(time)[segment]
+
+
+def test_a_shaped_fold_keeps_its_limit(shaped: Plan, tube: SwingTube) -> None:
+    assert 0.02 < tube.planned.max() <= 0.06
+    assert tube.stopped.max() > tube.planned.max()
+    assert tube.start == pytest.approx(shaped.phase("fold").start)
+    assert tube.times[-1] == pytest.approx(shaped.phase("hold").end, abs=BIN)
+
+
+def test_an_unshaped_fold_swings_four_times_as_far(overhand: Plan) -> None:
+    found = swing_tube(overhand)
+    assert found is not None
+    assert found.planned.max() > 0.2
+
+
+@pytest.mark.parametrize(
+    ("limit", "severity"), [(0.06, "info"), (0.005, "error"), (None, "warning")]
+)
+def test_the_finding_is_an_error_beyond_the_limit(
+    shaped: Plan, tube: SwingTube, limit: float | None, severity: str
+) -> None:
+    if limit is None:
+        tube = replace(tube, planned=tube.planned + 0.1)
+    (found,) = swing_findings(with_limit(shaped, limit), tube)
+    assert found.severity == severity
+    assert ("fold.swing allows 0.005 m" in found.message) is (severity == "error")
+    assert f"with the errors of the model at most {tube.largest:.2f} m" in found.message
+
+
+def test_the_finding_names_segment_and_time(shaped: Plan, tube: SwingTube) -> None:
+    planned = np.zeros_like(tube.planned)
+    planned[7, 1] = 0.2
+    (finding,) = swing_findings(with_limit(shaped, None), replace(tube, planned=planned))
+    assert finding.at_time == tube.times[7]
+    assert (
+        "0.20 m away from its catenary (segment 2) in the planned motion, in 1% of"
+        in finding.message
+    )
+    assert swing_findings(shaped, None) == []
+
+
+def test_a_plan_with_a_chord_longer_than_its_cable_has_no_tube(shaped: Plan) -> None:
+    lengths = shaped.layout.lengths.copy()
+    lengths[3] *= 0.5
+    assert swing_tube(replace(shaped, layout=replace(shaped.layout, lengths=lengths))) is None
