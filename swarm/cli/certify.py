@@ -12,7 +12,7 @@ from swarm.front.certificates import Cable, Motion
 from swarm.front.certificates import certify as certify_motion
 from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.mission.validation import LARGEST_FILE
-from swarm.reports.plan_summary import print_findings
+from swarm.reports.findings_text import print_findings
 
 
 @click.command()
@@ -71,7 +71,7 @@ def certify(
     if as_json:
         print_json(assessment_object(assessment))
     else:
-        print_findings(assessment.findings, assessment.cleared, Console())
+        print_findings(assessment.findings, Console())
     context.exit(0 if assessment.cleared else 1)
 
 

@@ -7,8 +7,8 @@ import click
 from rich.console import Console
 
 from swarm import planner
-from swarm.cli.inputs import JSON, MISSION, SET, print_json, refuse_option_conflicts
-from swarm.cli.planning import plan_mission
+from swarm.cli.inputs import JSON, MISSION, SET, VERBOSE, print_json, refuse_option_conflicts
+from swarm.cli.planning import plan_mission, require_cleared
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.flight.setup import Options
@@ -16,7 +16,6 @@ from swarm.front.files import load_mission
 from swarm.mission.fleet import emulated_fleet
 from swarm.reports.flight_json import outcome_object
 from swarm.reports.flight_text import print_outcome
-from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.terminal import FlightScreen
 from swarm.simulation.loop import Callbacks, simulate_flight
 from swarm.verification import verify_trace
@@ -28,6 +27,7 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @MISSION
 @SET
 @JSON
+@VERBOSE
 @click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
 @click.option(
     "--cable",
@@ -53,6 +53,7 @@ def dry_run(
     mission: str,
     overrides: tuple[str, ...],
     as_json: bool,
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Simulate a flight of MISSION (a file or the name of a knot) in virtual time.
@@ -67,9 +68,8 @@ def dry_run(
     """
     refuse_option_conflicts(options, _REQUIRES, _EXCLUDES)
     planned = plan_mission(load_mission(mission, overrides))
-    console = Console(quiet=as_json)
-    print_plan_summary(planned.plan, planned.assessment, console)
-    with FlightScreen(planned.plan, console) as screen:
+    require_cleared(context, planned, verbose=verbose, as_json=as_json)
+    with FlightScreen(planned.plan, Console(quiet=as_json)) as screen:
         result = _fly(planned, screen, options)
     _end(context, planned, result, options, as_json=as_json)
 

@@ -11,14 +11,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from swarm import planner
-from swarm.cli.inputs import JOBS, JSON, SET, missions, print_json
-from swarm.cli.planning import plan_mission
+from swarm.cli.inputs import JOBS, JSON, SET, VERBOSE, missions, print_json
+from swarm.cli.planning import plan_mission, require_cleared
 from swarm.cli.responses import print_responses
 from swarm.files import write_text
 from swarm.front.files import load_mission
 from swarm.reports.failures_report import failures_report
 from swarm.reports.failures_text import print_failures
-from swarm.reports.plan_summary import print_plan_summary
 from swarm.simulation.fault_injection import (
     SYSTEM_FAILURE_CASES,
     TEAM_AUTOPILOTS,
@@ -54,6 +53,7 @@ class FailureOptions:
 @click.argument("mission", metavar="[MISSION]", required=False, shell_complete=missions)
 @SET
 @JSON
+@VERBOSE
 @click.option(
     "--table",
     is_flag=True,
@@ -93,6 +93,7 @@ def failures(
     mission: str | None,
     overrides: tuple[str, ...],
     as_json: bool,
+    verbose: bool,
     table: bool,
     diagram: bool,
     **options: Any,
@@ -114,7 +115,7 @@ def failures(
     if table or diagram:
         raise click.UsageError("--table and --diagram are of the responses: leave MISSION out")
     planned = plan_mission(load_mission(mission, overrides))
-    print_plan_summary(planned.plan, planned.assessment, Console(quiet=as_json))
+    require_cleared(context, planned, verbose=verbose, as_json=as_json)
     run_failures(context, planned, FailureOptions(**options), as_json=as_json)
 
 

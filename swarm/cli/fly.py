@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +11,10 @@ from typing import Any, get_args
 import click
 from rich.console import Console
 
+from swarm.certification.findings import Finding
 from swarm.cli.flight_session import Displays, Viewer, displays, end_flight
-from swarm.cli.inputs import JSON, SET
-from swarm.cli.planning import plan_mission
+from swarm.cli.inputs import JSON, SET, VERBOSE
+from swarm.cli.planning import plan_mission, require_cleared
 from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
 from swarm.flight.bench_flight import RAISED, raised
@@ -27,7 +28,7 @@ from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlyOptions
 from swarm.ground.record_folder import control_socket, new_record_folder
 from swarm.mission.fleet import emulated_fleet
-from swarm.reports.plan_summary import findings_table, print_plan_summary
+from swarm.reports.findings_text import findings_table
 
 COUNTDOWN = 3
 _FLIGHTS = Path("flights")
@@ -44,6 +45,7 @@ class Options:
     mission: str | None
     overrides: tuple[str, ...]
     as_json: bool
+    verbose: bool
     fleet: Path | None
     speed: float
     no_cable: bool
@@ -72,6 +74,7 @@ class Options:
 @click.argument("mission", metavar="[MISSION]", required=False)
 @SET
 @JSON
+@VERBOSE
 @click.option(
     "--fleet",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -135,7 +138,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
     fleet = load_fleet(given.fleet) if given.fleet else None
     console = Console(quiet=given.as_json)
     planned = plan_mission(mission)
-    print_plan_summary(planned.plan, planned.assessment, console)
+    require_cleared(context, planned, verbose=given.verbose, as_json=given.as_json)
     team = fleet or emulated_fleet(planned.plan.vehicles)
     flight_plan = raised(planned.certified(), team, no_cable=given.no_cable)
     if flight_plan.plan is not planned.plan:
@@ -154,11 +157,15 @@ def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResul
     """Fly with terminal and viewer, after the operator's confirmation for real vehicles."""
     unattended = flight.fleet.emulated is not None or given.yes
     plan = flight.flight_plan.plan
+    plan_findings = flight.flight_plan.assessment.findings
+    warnings = [finding for finding in plan_findings if finding.severity == "warning"]
     with displays(plan, flight.folder, given.view, console) as shown, ExitStack() as screen:
         return fly_in_process(
             flight,
             FlightCallbacks(
-                confirm=_confirmation(shown, screen, console, unattended=unattended),
+                confirm=_confirmation(
+                    shown, screen, console, unattended=unattended, warnings=warnings
+                ),
                 on_snapshot=shown.on_snapshot,
                 on_event=shown.on_event,
             ),
@@ -168,18 +175,24 @@ def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResul
 
 
 def _confirmation(
-    shown: Displays, screen: ExitStack, console: Console, *, unattended: bool
+    shown: Displays,
+    screen: ExitStack,
+    console: Console,
+    *,
+    unattended: bool,
+    warnings: Sequence[Finding],
 ) -> Callable[[Audit], bool]:
     """Return the confirmation before arming: a question unless ``unattended``, and a countdown.
 
-    The screen starts after the question, or now.
+    Before the question the ``warnings`` of the plan and the findings of the audit are printed. The
+    screen starts after the question, or now.
     """
     if unattended:
         screen.enter_context(shown.screen)
 
     def confirm(audit: Audit) -> bool:
         if not unattended:
-            console.print(findings_table(audit.findings))
+            console.print(findings_table([*warnings, *audit.findings]))
             if not click.confirm("Arm and fly?", err=True):
                 return False
             screen.enter_context(shown.screen)

@@ -40,6 +40,10 @@ SCHEDULER = click.option(
 )
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object for scripts.")
 
+VERBOSE = click.option(
+    "--verbose", is_flag=True, help="Print all checks of the plan, tightest moments and budget too."
+)
+
 
 @dataclass(frozen=True)
 class ProgressLine:

@@ -7,7 +7,7 @@ import click
 from rich.console import Console
 
 from swarm import exports, planner, studies
-from swarm.cli.inputs import JSON, MISSION, SET, print_json, progress_bar
+from swarm.cli.inputs import JSON, MISSION, SET, VERBOSE, print_json, progress_bar
 from swarm.cli.planning import plan_mission
 from swarm.errors import Refused
 from swarm.files import write_text
@@ -24,6 +24,7 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @MISSION
 @SET
 @JSON
+@VERBOSE
 @click.option(
     "--export", type=FILE, help="Write the motion of every grip point (CSV; ENU, SI, every 0.05 s)."
 )
@@ -50,10 +51,13 @@ def plan(
     mission: str,
     overrides: tuple[str, ...],
     as_json: bool,
+    verbose: bool,
     front: bool,
     **files: Path | None,
 ) -> None:
     """Plan MISSION (a file or the name of a knot), check the plan, and print it.
+
+    The first line is the verdict; warnings and errors are the last lines.
 
     Exit code 0 if the plan is cleared for flight, 1 if it is refused.
 
@@ -74,7 +78,7 @@ def plan(
     if as_json:
         print_json(exports.plan_object(planned.plan, planned.assessment))
     else:
-        print_plan_summary(planned.plan, planned.assessment, Console())
+        print_plan_summary(planned.plan, planned.assessment, Console(), verbose=verbose)
     context.exit(0 if planned.assessment.cleared else 1)
 
 

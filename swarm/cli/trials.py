@@ -17,16 +17,16 @@ from swarm.cli.inputs import (
     MISSION,
     SCHEDULER,
     SET,
+    VERBOSE,
     print_json,
     refuse_option_conflicts,
 )
-from swarm.cli.planning import plan_mission, plan_paper_trajectory
+from swarm.cli.planning import plan_mission, plan_paper_trajectory, require_cleared
 from swarm.errors import Interrupted
 from swarm.files import write_text
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.front.files import load_mission
 from swarm.front.trials import Trials, TrialSeries, fly_series, load_scenario
-from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.trials_text import print_trials
 from swarm.simulation.monte_carlo import workers_starting
 from swarm.simulation.monte_carlo.results import write_results
@@ -53,6 +53,7 @@ class TrialOptions:
 @MISSION
 @SET
 @JSON
+@VERBOSE
 @click.option(
     "-n",
     "--count",
@@ -76,6 +77,7 @@ def trials(
     mission: str,
     overrides: tuple[str, ...],
     as_json: bool,
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Simulate many flights of MISSION (a file or the name of a knot), each under other conditions.
@@ -95,7 +97,7 @@ def trials(
     # the processes that fly the trials start while the plan is computed
     with workers_starting(given.jobs) if given.scheduler is None else nullcontext():
         planned = plan_mission(loaded)
-    print_plan_summary(planned.plan, planned.assessment, Console(quiet=as_json))
+    require_cleared(context, planned, verbose=verbose, as_json=as_json)
     run_trials(context, planned, given, as_json=as_json)
 
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from itertools import groupby
 
 from swarm.planning import Plan
-from swarm.reports.failures_text import FailureTestDocument, verdict
 from swarm.reports.rendering import render
+from swarm.reports.verdicts import FailureTestDocument, failures_verdict
 from swarm.simulation.fault_injection import SystemFailureCase
 
 
@@ -23,8 +23,7 @@ def failures_report(
     return render(
         "failures.html.j2",
         mission=plan.mission,
-        passed=all(test["passed"] for test in tests),
-        verdict=verdict(tests),
+        verdict=failures_verdict(tests),
         figures=[
             ("failure tests", len(tests)),
             ("flights", sum(len(test["times"]) for test in tests)),

@@ -1,25 +1,24 @@
 """The failure tests of a plan on the terminal."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import groupby
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from swarm.reports.findings_text import print_verdict
 from swarm.reports.formatting import number
+from swarm.reports.verdicts import FailureTestDocument, failures_verdict
 from swarm.simulation.fault_injection import SYSTEM_FAILURE_CASES
-
-FailureTestDocument = Mapping[str, Any]
-"""The JSON object of a failure test."""
 
 
 def print_failures(
     tests: Sequence[FailureTestDocument], console: Console, *, system_cases: bool
 ) -> None:
-    """Print failure tests and verdict; with ``system_cases`` also the cases tested elsewhere."""
+    """Print verdict and failure tests; with ``system_cases`` also the cases tested elsewhere."""
+    print_verdict(failures_verdict(tests), console)
+    console.print()
     console.print(failures_table(tests))
-    console.print(verdict(tests), highlight=False)
     if system_cases:
         console.print("\nTested over real sockets, files and processes:")
         for case in SYSTEM_FAILURE_CASES:
@@ -71,12 +70,3 @@ def _response_and_end(tests: Sequence[FailureTestDocument]) -> str:
     response = max(dict.fromkeys(first), key=first.count)
     ends = " or ".join(dict.fromkeys(end for test in tests for end in test["end"].split(" or ")))
     return ends if response == "none" else f"{response} → {ends}"
-
-
-def verdict(tests: Sequence[FailureTestDocument]) -> str:
-    """Return a sentence with the number of tests that passed or failed."""
-    failed = sum(not test["passed"] for test in tests)
-    flights = sum(len(test["times"]) for test in tests)
-    if not failed:
-        return f"All {len(tests)} failure tests passed ({flights} flights)."
-    return f"{failed} of {len(tests)} failure tests failed ({flights} flights)."

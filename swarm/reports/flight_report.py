@@ -23,9 +23,9 @@ from swarm.reports.formatting import (
 )
 from swarm.reports.rendering import Picture, picture, render
 from swarm.reports.strand_distances import SAMPLE_INTERVAL, smallest_strand_distances
+from swarm.reports.verdicts import flight_verdict, largest_fold_error
 from swarm.reports.wording import (
     CLEARANCES,
-    implied_in_words,
     knot_in_words,
     plan_figures,
     sorted_findings,
@@ -43,15 +43,13 @@ def flight_report(
 
     ``outcome`` is the JSON object that ``swarm fly --json`` prints.
     """
-    completed = outcome["outcome"] == "done" and outcome["knot"]["as_planned"]
     shown_events = merge_events(event for event in events if event.kind not in ROUTINE_KINDS)
     return render(
         "flight.html.j2",
         mission=plan.mission,
         knot=knot_in_words(plan.knot.type, plan.knot.chirality),
         outcome=outcome,
-        as_planned=completed and outcome["adherence"]["within"],
-        implied=implied_in_words(plan, outcome["knot"]),
+        verdict=flight_verdict(plan, outcome),
         figures=_figures(plan, outcome),
         clearances=_clearances(outcome["clearance"]),
         pictures=_pictures(plan, trace),
@@ -68,12 +66,11 @@ def flight_report(
 
 
 def _figures(plan: Plan, outcome: Mapping[str, Any]) -> list[tuple[str, object]]:
-    in_fold = (error["max"] for error in outcome["tracking_error"] if error["phase"] == "fold")
     chord = outcome["max_chord_ratio"]
     return [
         ("vehicles", plan.vehicles),
         ("duration of the flight", seconds(outcome["duration"])),
-        ("largest tracking error in the fold", metres(max(in_fold, default=np.nan))),
+        ("largest tracking error in the fold", metres(largest_fold_error(outcome) or np.nan)),
         ("chord of the tautest segment", "–" if chord is None else f"{chord:.1%}"),
         ("setpoints sent", outcome["setpoints"]),
         ("ms late (median, 99 %)", _lateness(outcome["setpoint_lateness"])),

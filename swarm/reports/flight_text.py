@@ -9,6 +9,10 @@ from swarm.certification.assessment import Assessment, Tightest
 from swarm.flight.adherence import Adherence
 from swarm.flight.result import FlightResult
 from swarm.planning import Plan
+from swarm.reports.findings_text import print_verdict
+from swarm.reports.flight_json import outcome_object
+from swarm.reports.formatting import together
+from swarm.reports.verdicts import flight_verdict
 from swarm.reports.wording import CLEARANCES
 from swarm.verification import TrackingStatistics, Verification
 
@@ -20,15 +24,13 @@ def print_outcome(
     assessment: Assessment,
     console: Console,
 ) -> None:
-    """Print knot, flown beside certified distances, tracking error and timing.
-
-    A violation of the certificate comes first.
-    """
-    print_adherence(result.adherence, console)
+    """Print the verdict, flown beside certified distances, tracking error and timing."""
+    outcome = outcome_object(result, verification, assessment)
+    print_verdict(flight_verdict(plan, outcome), console)
     if not result.basis.cable and len(plan.layout.lengths):
-        words = "Flown without cable: the knot below is the one that these positions would tie."
+        words = "Flown without cable: the knot above is the one that these positions would tie."
         console.print(words, highlight=False, soft_wrap=True)
-    print_verification(plan, verification, assessment, console)
+    _print_measurements(plan, verification, assessment, console)
     statistics = result.statistics
     line = f"{statistics.duration:.0f} s of flight, {statistics.setpoints} setpoints"
     if statistics.lateness:
@@ -48,6 +50,12 @@ def print_verification(
     """
     if len(plan.layout.lengths):
         console.print(_knot_line(plan, verification), highlight=False, soft_wrap=True)
+    _print_measurements(plan, verification, assessment, console)
+
+
+def _print_measurements(
+    plan: Plan, verification: Verification, assessment: Assessment, console: Console
+) -> None:
     table = _clearance_table(verification, assessment)
     if table.row_count:
         console.print(table)
@@ -91,7 +99,7 @@ def _clearance_table(verification: Verification, assessment: Assessment) -> Tabl
             f"[{'green' if enough else 'red'}]{flown.distance:.2f} m[/]",
             f"{certified.distance:.2f} m" if isfinite(certified.distance) else "–",
             f"{certified.required:.2f} m",
-            " and ".join(flown.between),
+            together(flown.between),
         )
     return table
 

@@ -61,6 +61,12 @@ def merge_events(events: Iterable[Event]) -> list[tuple[Event, list[int]]]:
     return merged
 
 
+def together(names: Sequence[str]) -> str:
+    """Return two numbered things in words: ``segments 3 and 5``, or ``vehicle 9 and segment 2``."""
+    (one, first), (other, second) = (name.rsplit(" ", 1) for name in names)
+    return f"{one}s {first} and {second}" if one == other else " and ".join(names)
+
+
 def metres(value: float) -> str:
     """Return a length in metres with two decimals; a dash where it is unknown."""
     return f"{value:.2f} m" if math.isfinite(value) else "–"

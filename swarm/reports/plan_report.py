@@ -8,9 +8,9 @@ from swarm.planning import Plan
 from swarm.reports import plots, scene
 from swarm.reports.rendering import Picture, picture, render
 from swarm.reports.strand_distances import planned_strand_distances
+from swarm.reports.verdicts import plan_verdict
 from swarm.reports.wording import (
     CLEARANCES,
-    certified_in_words,
     knot_in_words,
     plan_figures,
     sorted_findings,
@@ -25,9 +25,7 @@ def plan_report(plan: Plan, assessment: Assessment) -> str:
         mission=plan.mission,
         knot=knot_in_words(plan.knot.type, plan.knot.chirality),
         gauss_code=plan.knot.gauss,
-        cleared=assessment.cleared,
-        certified=certified_in_words(plan),
-        errors=sum(finding.severity == "error" for finding in assessment.findings),
+        verdict=plan_verdict(plan, assessment),
         figures=plan_figures(plan, assessment),
         findings=sorted_findings(assessment),
         clearances=list(zip(CLEARANCES.values(), tightest, strict=True)),

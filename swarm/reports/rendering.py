@@ -59,7 +59,6 @@ def _environment() -> Environment:
         "metres": metres,
         "number": number,
         "seconds": seconds,
-        "upper_first": lambda text: text[:1].upper() + text[1:],
     }
     environment.tests["finite"] = math.isfinite
     environment.globals["version"] = __version__

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from swarm.certification.assessment import Assessment
 from swarm.planning import Plan
 from swarm.reports.rendering import picture, render
+from swarm.reports.verdicts import trials_verdict
 from swarm.reports.wording import CLEARANCES, plan_figures, sorted_findings
 
 TRIAL_DISTANCES: Final = {**CLEARANCES, "emulated_cable": "cable to cable, emulated"}
@@ -25,14 +26,11 @@ def trials_report(
     this plan first; ``figures`` are drawn from them.
     """
     summary = summaries[0]
-    intact = summary["without_failure"]
     return render(
         "trials.html.j2",
         mission=plan.mission,
         summary=summary,
-        completed=intact["completed"],
-        intact_trials=intact["trials"],
-        below_certificate=summary["certificate"]["below"],
+        verdict=trials_verdict(summary),
         figures=_figures(summary),
         pictures=[picture(figure, "Smallest distances of all trials") for figure in figures],
         trajectories=[_trajectory(one) for one in summaries],

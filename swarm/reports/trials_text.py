@@ -6,16 +6,19 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from swarm.reports.findings_text import print_verdict
 from swarm.reports.trial_plots import NAMES
+from swarm.reports.verdicts import trials_verdict
 
 
 def print_trials(summary: Mapping[str, Any], console: Console) -> None:
-    """Print completion, distances with intervals, contacts, causes and the worst trials.
+    """Print the verdict, completion, distances with intervals, contacts, causes, the worst trials.
 
     ``summary`` is the JSON object of :func:`swarm.simulation.monte_carlo.summary`.
     """
     sound, failing = summary["without_failure"], summary["with_failure"]
     name = "the paper's trajectory" if summary["method"] == "paper" else "this plan"
+    print_verdict(trials_verdict(summary), console)
     lines = [
         f"\n[bold]{summary['trials']} trials of {name}[/], seed {summary['seed']}",
         f"completed, no vehicle failing: {_share(sound['completed'], sound['trials'])}",
@@ -45,7 +48,7 @@ def _distances(clearance: Mapping[str, Any]) -> Table:
 
 
 def _details(summary: Mapping[str, Any]) -> list[str]:
-    sound, certificate = summary["without_failure"], summary["certificate"]
+    sound = summary["without_failure"]
     lines = []
     error = sound["tracking_error"]
     if error["count"]:
@@ -59,11 +62,6 @@ def _details(summary: Mapping[str, Any]) -> list[str]:
         f"{summary['trials_with_collisions']}; vehicles lost: {summary['vehicles_lost']}"
     )
     lines += [f"not completed: {count} × {cause}" for cause, count in summary["reasons"].items()]
-    below = len(certificate["below"])
-    lines.append(
-        f"[{'red' if below else 'green'}]{below} of {certificate['compared']} trials had a "
-        "smaller distance than certified for their tracking error[/]"
-    )
     return lines
 
 

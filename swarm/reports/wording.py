@@ -40,11 +40,6 @@ def implied_in_words(plan: Plan, knot: Mapping[str, Any]) -> str:
     return f"In the cable model, the reported positions imply {implied}{unplanned}."
 
 
-def certified_in_words(plan: Plan) -> str:
-    """Return the certified property of a cleared plan."""
-    return CERTIFIED if len(plan.layout.lengths) else "distances between vehicles are certified"
-
-
 def plan_figures(plan: Plan, assessment: Assessment) -> list[tuple[str, object]]:
     """Return the key figures of a plan with their names."""
     fold = plan.phase("fold")

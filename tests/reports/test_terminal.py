@@ -45,37 +45,67 @@ def test_summary_of_a_cleared_plan() -> None:
     console = plain()
     print_plan_summary(PLAN, assessment(), console)
     lines = [line.rstrip() for line in printed(console).splitlines()]
-    assert lines[0] == "overhand: knot 3_1, right-handed"
-    assert "  Layout          5×5 grid, cell 1.20 m" in lines
-    assert "  Cable           33.97 m in 8 segments of 3.00 m to 5.54 m" in lines
-    assert "  Tracking error  certified for 0.10 m, valid up to 0.14 m" in lines
-    assert "  cable to cable         0.21 m    0.15 m  51.3 s  segment 3 and segment 5" in lines
-    assert "  vehicle to cable            –    0.30 m       –  –" in lines
-    assert lines[-1] == "Cleared: certified in the quasi-static cable model."
+    assert lines == [
+        "Cleared: 3_1, right-handed, certified for tracking errors up to 0.10 m in the quasi-static "
+        "cable model. Not certified: swing, gusts, rotor wash, friction, segment lengths, and the "
+        "knot once it is released or on the floor.",
+        "",
+        "  knot                3_1, right-handed",
+        "  vehicles            9, 5×5 grid, cell 1.20 m",
+        "  cable               33.97 m in 8 segments of 3.00 m to 5.54 m",
+        "  duration            89.0 s, of which the fold 36.0 s",
+        "  tracking error      certified for 0.10 m, holds up to 0.14 m (e*)",
+        "  cable to cable      0.21 m, 0.15 m required: segments 3 and 5 at 51.3 s",
+        "  vehicle to vehicle  1.20 m, 1.00 m required: vehicles 5 and 7 at 44.0 s",
+        "",
+        "All checks, tightest moments and budget: swarm plan with --verbose or --report",
+    ]
 
 
-def test_errors_are_printed_first_and_refuse() -> None:
+def test_refused_plan_has_the_verdict_first_and_the_errors_last() -> None:
     console = plain()
     remark = Finding("info", "budget", "nothing to add")
+    warning = Finding("warning", "swing", "swings by [0.2] m")
     error = Finding("error", "certificate", "segments [3] and [5] touch", 51.3, (0.0, 0.0, 4.0))
-    print_plan_summary(PLAN, assessment(remark, error), console)
-    text = printed(console)
-    assert text.index("segments [3] and [5] touch") < text.index("nothing to add")
-    assert "51.3 s" in text
-    assert text.rstrip().endswith("Refused: 1 error.")
+    print_plan_summary(PLAN, assessment(error, remark, warning), console, verbose=True)
+    lines = [line.rstrip() for line in printed(console).splitlines()]
+    assert lines[0] == "Refused: 1 error (certificate)."
+    assert lines[-1] == "  error    certificate  segments [3] and [5] touch  51.3 s"
+    assert lines[-2] == "  warning  swing        swings by [0.2] m"
+    assert [line for line in lines if "nothing to add" in line] == [
+        "  info     budget  nothing to add"
+    ]
+    assert "  Gauss code          1- 2+ 3- 1+ 2- 3+" in lines
 
 
-def test_another_knot_of_the_planned_cable_is_in_the_first_line() -> None:
+def test_many_errors_of_one_check_are_shortened_unless_verbose() -> None:
+    errors = [Finding("error", "taut", f"segment {k} is taut", 1.0 * k) for k in range(1, 26)]
+    for verbose, count in ((False, 4), (True, 25)):
+        console = plain()
+        print_plan_summary(PLAN, assessment(*errors), console, verbose=verbose)
+        lines = printed(console).splitlines()
+        assert lines[0] == "Refused: 25 errors (taut)."
+        assert sum(line.startswith("  error ") for line in lines) == count
+        assert ("and 22 more errors of this check (--verbose)" in printed(console)) != verbose
+
+
+def test_another_knot_of_the_planned_cable_is_in_the_figures() -> None:
     console = plain()
     print_plan_summary(PLAN, replace(assessment(), knot="0_1", chirality="none"), console)
-    assert printed(console).splitlines()[0] == (
-        "overhand: knot 3_1, right-handed; the planned cable is 0_1, none"
+    assert printed(console).splitlines()[2].rstrip() == (
+        "  knot                3_1, right-handed; the planned cable is 0_1"
     )
 
 
 def test_no_line_is_wider_than_the_terminal() -> None:
     for width in (60, 80, 120):
-        console = plain(width)
+        console = Console(
+            file=io.StringIO(),
+            width=width,
+            force_terminal=True,
+            color_system=None,
+            legacy_windows=False,
+        )
         long = Finding("warning", "limits", "a long sentence about something " * 6)
         print_plan_summary(PLAN, assessment(long), console)
         assert max(map(len, printed(console).splitlines())) <= width

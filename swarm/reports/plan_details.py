@@ -1,0 +1,98 @@
+"""All checks of a plan on the terminal: tightest moments, clearance budget and every finding."""
+
+from typing import Final
+
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from swarm.certification.assessment import Assessment
+from swarm.certification.budget import Budget
+from swarm.certification.clearances import Moment
+from swarm.planning import Plan
+from swarm.reports.findings_text import findings_table
+from swarm.reports.formatting import metres, seconds
+
+_IN_TABLES: Final = frozenset({"tightest", "budget"})
+"""Checks whose findings are shown as tables."""
+
+
+def print_details(plan: Plan, assessment: Assessment, console: Console) -> None:
+    """Print tightest moments, clearance budget and remarks: what the summary leaves out."""
+    tables = [_more_figures(plan, assessment)]
+    if assessment.tightest:
+        tables.append(_tightest_moments(assessment.tightest))
+    if assessment.budget:
+        tables.append(_budget(assessment.budget))
+    remarks = [
+        finding
+        for finding in assessment.findings
+        if finding.severity == "info" and not (assessment.moments and finding.check in _IN_TABLES)
+    ]
+    if remarks:
+        tables.append(findings_table(remarks))
+    for number, table in enumerate(tables):
+        console.print(Padding(table, (min(number, 1), 0, 0, 2), expand=False))
+
+
+def _more_figures(plan: Plan, assessment: Assessment) -> Table:
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", no_wrap=True, min_width=len("vehicle to vehicle"))
+    table.add_column()
+    if plan.knot.type:
+        table.add_row("Gauss code", plan.knot.gauss)
+    if len(plan.layout.sags):
+        table.add_row(
+            "sags", f"{metres(plan.layout.sags.min())} to {metres(plan.layout.sags.max())}"
+        )
+    stops = assessment.contingencies
+    if stops is not None:
+        table.add_row("longest stop", f"{seconds(stops.stop_time)}, {metres(stops.stop_distance)}")
+    return table
+
+
+def _tightest_moments(moments: tuple[Moment, ...]) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("Tightest")
+    for name in ("certified", "required", "margin", "at"):
+        table.add_column(name, justify="right")
+    table.add_column("between")
+    for moment in moments:
+        table.add_row(
+            moment.check,
+            metres(max(moment.distance, 0.0)),
+            metres(moment.required),
+            Text(f"{moment.margin:+.2f} m", "bold red" if moment.margin < 0.0 else "green"),
+            seconds(moment.time),
+            " and ".join(moment.between),
+        )
+    return table
+
+
+_BUDGET: Final = (
+    ("available", "available"),
+    ("tracking", "tracking"),
+    ("sag", "amplification"),
+    ("length", "length"),
+    ("grip", "grip"),
+    ("sway", "sway"),
+    ("stop", "stop"),
+    ("wind", "wind"),
+    ("wash", "wash"),
+    ("required", "required"),
+    ("remaining", "remaining"),
+)
+
+
+def _budget(rows: tuple[Budget, ...]) -> Table:
+    """Return the clearance budget of pairs of strands, in centimetres."""
+    table = Table(box=None, padding=(0, 1, 0, 0), header_style="dim")
+    table.add_column("Budget, cm")
+    for name, _ in _BUDGET:
+        table.add_column(name, justify="right")
+    for row in rows:
+        pair = " and ".join(name.removeprefix("segment ") for name in row.between)
+        values = [f"{100.0 * getattr(row, field):.0f}" for _, field in _BUDGET]
+        table.add_row(f"segments {pair} at {seconds(row.time)}", *values)
+    return table

@@ -1,0 +1,160 @@
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from swarm.certification.findings import Finding
+from swarm.reports.verdicts import (
+    failures_verdict,
+    findings_verdict,
+    flight_verdict,
+    plan_verdict,
+    trials_verdict,
+)
+from tests.reports.synthetic import trefoil_plan
+from tests.reports.test_report import outcome, share
+from tests.reports.test_terminal import assessment
+
+PLAN = trefoil_plan()
+WARNING = Finding("warning", "swing", "swings")
+
+
+def test_a_plan_with_warnings_is_not_green() -> None:
+    found = plan_verdict(PLAN, assessment(WARNING, WARNING))
+    assert found.level == "warn"
+    assert found.words.startswith("Cleared with 2 warnings: 3_1, right-handed, certified for")
+    assert plan_verdict(PLAN, assessment(WARNING)).words.startswith("Cleared with 1 warning: ")
+
+
+def test_a_plan_for_exact_positions_states_that() -> None:
+    vehicles = PLAN.mission.vehicles.model_copy(update={"tracking": 0.0})
+    exact = replace(PLAN, mission=PLAN.mission.model_copy(update={"vehicles": vehicles}))
+    words = plan_verdict(exact, assessment()).words
+    assert words.startswith("Cleared: 3_1, right-handed, certified for exact positions in the")
+
+
+def test_a_refused_plan_counts_its_errors_by_check() -> None:
+    taut = [Finding("error", "taut", f"segment {k}") for k in range(3)]
+    found = plan_verdict(PLAN, assessment(*taut, WARNING, Finding("error", "payload", "heavy")))
+    assert (found.level, found.words) == ("bad", "Refused: 4 errors (3 taut, payload).")
+
+
+def test_findings_without_a_plan() -> None:
+    assert findings_verdict([]).words == "Cleared: certified in the quasi-static cable model."
+    found = findings_verdict([WARNING, Finding("error", "taut", "segment 2")])
+    assert (found.level, found.words) == ("bad", "Refused: 1 error (taut).")
+
+
+IMPLIED = "In the cable model, the reported positions imply 3_1, right-handed."
+
+
+def errors(largest: float) -> list[dict[str, Any]]:
+    return [{"phase": "fold", "vehicle": 1, "rms": 0.03, "p999": largest, "max": largest}]
+
+
+def near(distance: float) -> dict[str, Any]:
+    pair = {"time": 51.0, "between": ["segment 3", "segment 5"], "required": 0.15}
+    both = {"flown": {**pair, "distance": distance}, "certified": {**pair, "distance": 0.3}}
+    return {"cable": both}
+
+
+@pytest.mark.parametrize(
+    ("changed", "level", "words"),
+    [
+        ({}, "good", f"Done: all vehicles have landed. {IMPLIED}"),
+        (
+            {"clearance": near(0.1)},
+            "bad",
+            f"Done: all vehicles have landed. {IMPLIED} Cable to cable came to 0.10 m, 0.15 m are "
+            "required.",
+        ),
+        (
+            {"tracking_error": errors(0.11)},
+            "warn",
+            f"Done: all vehicles have landed. {IMPLIED} The tracking error in the fold reached "
+            "0.110 m, more than 0.1 m.",
+        ),
+        (
+            {"outcome": "failed", "explanation": "vehicle 4: no answer"},
+            "bad",
+            f"Failed: vehicle 4: no answer. {IMPLIED}",
+        ),
+        (
+            {"adherence": {"within": False, "words": "flown outside its certificate: far off"}},
+            "bad",
+            f"Flown outside its certificate: far off. Done: all vehicles have landed. {IMPLIED}",
+        ),
+    ],
+)
+def test_a_flight_has_the_level_of_its_worst_row(
+    changed: dict[str, Any], level: str, words: str
+) -> None:
+    found = flight_verdict(PLAN, outcome(**{"tracking_error": errors(0.05), **changed}))
+    assert (found.level, found.words) == (level, words)
+
+
+def trials(below: tuple[int, ...] = (), **changed: Any) -> dict[str, Any]:
+    kept = {"count": 2, "smallest": changed.pop("smallest", 0.4), "required": 0.15}
+    return {
+        "without_failure": {
+            "trials": 2, "completed": share(2, 0.1, 1.0), "clearance": {"vehicle_cable": kept},
+        },
+        "trials_with_rotor_strikes": 0, "trials_with_collisions": 0, "vehicles_lost": 0,
+        "certificate": {"compared": 3, "below": list(below)},
+        **changed,
+    }  # fmt: skip
+
+
+SOUND = (
+    "2 of 2 trials without a failure were completed as planned; {} of 3 came closer than "
+    "certified for their tracking error."
+)
+
+
+@pytest.mark.parametrize(
+    ("summary", "level", "words"),
+    [
+        (trials(), "good", SOUND.format(0)),
+        (trials(below=(7,)), "bad", SOUND.format(1)),
+        (
+            trials(smallest=0.1, trials_with_rotor_strikes=1, vehicles_lost=2),
+            "warn",
+            SOUND.format(0) + " Worst: vehicle to cable came to 0.10 m, 0.15 m are required; 1 "
+            "trial with rotor strikes; 2 vehicles lost.",
+        ),
+    ],
+)
+def test_trials_have_the_level_of_their_worst_row(
+    summary: dict[str, Any], level: str, words: str
+) -> None:
+    found = trials_verdict(summary)
+    assert (found.level, found.words) == (level, words)
+
+
+def failure_test(**changed: Any) -> dict[str, Any]:
+    return {
+        "case": "motor stops", "autopilots": "px4", "times": [60.0, 61.0], "rotor_strikes": 0,
+        "vehicles_lost": 0, "passed": True, **changed,
+    }  # fmt: skip
+
+
+def test_passed_failure_tests_with_a_rotor_strike_are_not_green() -> None:
+    assert failures_verdict([failure_test()]).level == "good"
+    found = failures_verdict(
+        [failure_test(), failure_test(rotor_strikes=1, vehicles_lost=1, autopilots="mixed")]
+    )
+    assert (found.level, found.words) == (
+        "warn",
+        "All 2 failure tests passed (4 flights). 1 rotor strike on cable, most in: motor stops "
+        "(mixed). At most 1 vehicle lost in one flight.",
+    )
+
+
+def test_failed_failure_tests_are_named() -> None:
+    tests = [failure_test(case=f"case {k}", passed=False) for k in range(5)]
+    found = failures_verdict(tests)
+    assert (found.level, found.words) == (
+        "bad",
+        "5 of 5 failure tests failed (10 flights): case 0 (px4), case 1 (px4), case 2 (px4) and 2 "
+        "more.",
+    )
