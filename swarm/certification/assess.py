@@ -13,7 +13,12 @@ from swarm.certification.clearance_findings import (
     tightest_findings,
     wind_findings,
 )
-from swarm.certification.clearances import Moment, exempt_length, tightest_moments
+from swarm.certification.clearances import (
+    Moment,
+    certified_tube,
+    exempt_length,
+    tightest_moments,
+)
 from swarm.certification.findings import Finding
 from swarm.certification.knot_findings import tied_knot
 from swarm.certification.operational_findings import (
@@ -146,10 +151,16 @@ def _scope(plan: Plan) -> Finding:
         )
         if spans.low:
             exempt += ", and all of both while cable lies on the floor in a line"
+    model = "in the quasi-static cable model"
+    if certified_tube(plan) is not None:
+        model = (
+            "in the swinging-cable model for the planned motion and a stop of all vehicles at any "
+            f"moment of the fold, {model}"
+        )
     return Finding(
         "info",
         "scope",
-        f"certified in the quasi-static cable model, {errors}, from the grip at "
+        f"certified {model} {errors}, from the grip at "
         f"{spans.gripped:.1f} s {_MODEL_END[finish_of([phase.name for phase in plan.phases])]}; "
         f"all vehicles hold the cable until {spans.released:.1f} s{exempt}",
     )

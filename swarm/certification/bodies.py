@@ -96,9 +96,10 @@ class VehicleStrands:
         moved = strand.movement(along, normal)
         shift = np.where(own, 0.0, tracking) + 0.5 * self.diameter + self.required[boxes.group]
         low = reach - self.body.support(normal, tip) - strand.bow - moved.piece - shift
+        low -= strand.swing.most
         distance = np.linalg.norm(at_strand - at_body, axis=-1)
-        high = distance + strand.bow - moved.tracking - shift
-        in_time = moved.point - moved.tracking
+        high = distance + strand.bow - moved.tracking - shift - strand.swing.least
+        in_time = moved.point - moved.tracking + strand.swing.in_time
         size = high - low - in_time
         # Surfaces are never nearer than touching, also where an over-stretched strand is bounded
         # poorly.

@@ -2,7 +2,8 @@
 
 Each kind of clearance is a family of pairs with an evaluator that bounds the margin of a pair on an
 interval of time (:func:`swarm.certification.minima.smallest`). "Certified" means: in the
-quasi-static cable model, every segment the catenary of its length between its two grip points.
+quasi-static cable model, every segment the catenary of its length between its two grip points; and
+where the mission limits the swing, in the tube around it, too (:mod:`.swing_tube`).
 """
 
 import math
@@ -31,6 +32,7 @@ from swarm.certification.minima import (
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.strand_pieces import HeldCable
 from swarm.certification.strands import StrandPairs, all_pairs
+from swarm.certification.swing_tube import SwingTube, swing_tube
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
@@ -199,7 +201,7 @@ def _moment(family: Family, pair: int, minima: Minima, entry: int) -> Moment:
 def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
     """Return all non-empty families of a plan, with their spans and required distances."""
     motion, spans = BoundedMotion(plan.motion), cable_spans(plan)
-    cable = HeldCable(motion, plan.layout.lengths, tracking, down)
+    cable = HeldCable(motion, plan.layout.lengths, tracking, down, certified_tube(plan))
     every = (
         *_strands(plan, cable, spans),
         *_on_the_floor(plan, cable, spans),
@@ -208,6 +210,14 @@ def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
         *_fences(plan, cable, spans),
     )
     return tuple(family for family in every if family.spans and family.names)
+
+
+def certified_tube(plan: Plan) -> SwingTube | None:
+    """Return the tube in which the clearances of a plan hold; None where it is quasi-static.
+
+    Without ``fold.swing`` the planned motion is not shaped, and the cable would swing too far.
+    """
+    return None if plan.mission.fold.swing is None else swing_tube(plan)
 
 
 def _always(plan: Plan) -> Spans:
@@ -362,6 +372,8 @@ def _fences(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ..
     vehicles, diameter = np.arange(plan.vehicles), plan.mission.cable.diameter
     motion, tracking = cable.motion, cable.tracking
     reach = np.full(len(vehicles) - 1, 0.5 * diameter)
+    if cable.tube is not None:
+        reach += cable.tube.radius[:, :, 1].max(axis=0)
     upright = InsideFence(motion, tracking, fence, vehicles[:-1], vehicles[1:], reach)
     if math.hypot(*cable.down[:2]) > 0.0:
         leaning = InsideFenceInWind(cable, fence, diameter)

@@ -99,9 +99,9 @@ class InsideFenceInWind:
         wall = np.einsum("ki,bi->bk", side, normal).max(axis=1)
         moved = strand.movement(closest.first, normal)
         half = 0.5 * self.diameter
-        low = reach - wall - strand.bow - moved.piece - half
-        high = closest.distance + strand.bow - moved.tracking - half
-        return low, high, moved.point - moved.tracking
+        low = reach - wall - strand.bow - moved.piece - half - strand.swing.most
+        high = closest.distance + strand.bow - moved.tracking - half - strand.swing.least
+        return low, high, moved.point - moved.tracking + strand.swing.in_time
 
 
 def _sides(fence: Floats) -> Floats:

@@ -68,7 +68,8 @@ class AboveFloor:
         along = (level_slope - strands.slope) * strands.parameter / strands.length
         along = np.clip(along, 0.0, 1.0)
         up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(boxes), 3))
-        return strand.movement(along, up).piece, strands.points_at(along)
+        moved = strand.movement(along, up).piece + strand.swing.most
+        return moved, strands.points_at(along)
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,12 +85,13 @@ class BoundedMotion:
 
 @dataclass(frozen=True, eq=False)
 class TeamStates:
-    """States of the team at m instants, with bounds within the half widths (m,) around them.
+    """States of the team at m instants ``time``, with bounds within half widths (m,) around them.
 
     ``position`` and ``velocity`` (m, n, 3); ``deviation`` (m, n) bounds the distance from uniform
     motion, metres.
     """
 
+    time: Floats
     half: Floats
     position: Floats
     velocity: Floats
@@ -101,7 +102,7 @@ class TeamStates:
         """Return the states at times (m,) with half widths (m,)."""
         position, velocity, _ = motion.at(time)
         bound = motion.acceleration_bound(time - half, time + half)
-        return TeamStates(half, position, velocity, 0.5 * bound * (half * half)[:, None])
+        return TeamStates(time, half, position, velocity, 0.5 * bound * (half * half)[:, None])
 
     def drift(self, instant: Ints, vehicle: Ints, frame: Floats) -> Floats:
         """Bound the movement (b,) of grip points in a frame with velocity ``frame`` (b, 3)."""

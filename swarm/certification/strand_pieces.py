@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.motion_bounds import BoundedMotion, TeamStates
+from swarm.certification.swing_tube import Radii, SwingTube
 from swarm.geometry.catenary import Catenaries, solve_catenaries
 from swarm.geometry.catenary_kernel import Catenary, max_elevation_sine
 from swarm.geometry.linear_response import (
@@ -41,13 +42,15 @@ class HeldCable:
     """A cable held by a moving team: n grip points and n − 1 segments.
 
     ``lengths`` (n − 1,) of the segments, metres; ``tracking`` the tracking radius around every
-    setpoint, metres; ``down`` the unit vector of the effective gravity.
+    setpoint, metres; ``down`` the unit vector of the effective gravity; ``tube`` bounds how far the
+    cable swings from its catenaries (None: it is quasi-static).
     """
 
     motion: BoundedMotion
     lengths: Floats
     tracking: float
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    tube: SwingTube | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +165,7 @@ class Pieces:
     """A piece of a strand for each box (b,).
 
     ``ends`` (b, 2, 3) of its chord at the middle instant; ``bow`` (b,) the largest distance of the
-    piece from its chord.
+    piece from its chord; ``swing`` the radii of the tube around it.
     """
 
     strands: Catenaries
@@ -170,6 +173,7 @@ class Pieces:
     bow: Floats
     shapes: _Shapes
     end_motion: _EndMotion
+    swing: Radii
 
     def movement(self, along: Floats, normal: Floats) -> Movement:
         """Return bounds of the movement along unit vectors ``normal`` (b, 3).
@@ -241,6 +245,10 @@ def pieces(
     ends = np.stack([strands.points_at(begin), strands.points_at(end)], axis=1)
     across = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
     arc = strands.length * (end - begin)
+    number = _heap_number(selection.middle, selection.half)
+    swing = Radii.none(len(segment))
+    if cable.tube is not None:
+        swing = cable.tube.over(segment, team.time[instant], team.half[instant], number)
     return Pieces(
         strands=strands,
         ends=ends,
@@ -254,9 +262,10 @@ def pieces(
             ratio=np.hypot(strands.span, strands.rise) / strands.length,
             begin=begin,
             end=end,
-            number=_heap_number(selection.middle, selection.half),
+            number=number,
         ),
         end_motion=_end_motion(team, selection, displacement, cable.tracking),
+        swing=swing,
     )
 
 

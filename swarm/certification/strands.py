@@ -2,8 +2,8 @@
 
 For a box (two strands, an interval of time, a piece of each) both pieces at the middle instant lie
 near their chords. A unit vector n that separates the chords also separates the displaced pieces,
-less their movement along n: the bow of each piece over its chord, and the movement of its grip
-points (:mod:`.strand_pieces`).
+less their movement along n: the bow of each piece over its chord, the movement of its grip points
+(:mod:`.strand_pieces`), and the radius of the tube in which it swings (:mod:`.swing_tube`).
 """
 
 from dataclasses import dataclass
@@ -116,14 +116,17 @@ def _distance(a: Pieces, b: Pieces, required: float) -> Enclosure:
     moved_a = a.movement(closest.first, normal)
     moved_b = b.movement(closest.second, normal)
     bows = a.bow + b.bow
+    moved = moved_a.piece + moved_b.piece + a.swing.most + b.swing.most
+    in_ball = moved_a.tracking + moved_b.tracking + a.swing.least + b.swing.least
+    in_time = moved_a.point - moved_a.tracking + moved_b.point - moved_b.tracking
     return Enclosure(
-        low=reach_a - reach_b - bows - moved_a.piece - moved_b.piece - required,
-        high=closest.distance + bows - moved_a.tracking - moved_b.tracking - required,
+        low=reach_a - reach_b - bows - moved - required,
+        high=closest.distance + bows - in_ball - required,
         doubts=np.stack(
             [
-                moved_a.point - moved_a.tracking + moved_b.point - moved_b.tracking,
-                2.0 * a.bow + moved_a.piece - moved_a.point,
-                2.0 * b.bow + moved_b.piece - moved_b.point,
+                in_time + a.swing.in_time + b.swing.in_time,
+                2.0 * a.bow + moved_a.piece - moved_a.point + a.swing.in_piece,
+                2.0 * b.bow + moved_b.piece - moved_b.point + b.swing.in_piece,
             ],
             axis=1,
         ),

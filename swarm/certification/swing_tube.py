@@ -115,6 +115,16 @@ class Radii:
     now: Floats
     least: Floats
 
+    @property
+    def in_time(self) -> Floats:
+        """The part of the uncertainty that the interval causes."""
+        return self.most - self.now
+
+    @property
+    def in_piece(self) -> Floats:
+        """The part of the uncertainty that the size of the piece causes."""
+        return self.now - self.least
+
     @staticmethod
     def none(count: int) -> "Radii":
         """Return the radii of strands without swing."""

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from sitl.cable.swinging import SwingingRope
 from sitl.physics.dynamics import STEP as TICK
 from sitl.world import CableSpec
+from swarm.certification.clearances import tightest_moments
 from swarm.certification.swing_findings import swing_findings
 from swarm.certification.swing_tube import BIN, STEP, STOPPING, SwingTube, stop_ramp, swing_tube
 from swarm.flight.clock import MissionClock
 from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.lumped_mass import cable_model, stray, swing
 from swarm.mission import mission_for_knot
 from swarm.planner import plan as make_plan
@@ -179,3 +181,38 @@ def test_a_plan_with_a_chord_longer_than_its_cable_has_no_tube(shaped: Plan) -> 
     lengths = shaped.layout.lengths.copy()
     lengths[3] *= 0.5
     assert swing_tube(replace(shaped, layout=replace(shaped.layout, lengths=lengths))) is None
+
+
+@settings(max_examples=4, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.1, 0.95))
+def test_swinging_strands_with_tracking_errors_keep_the_certified_distance(
+    shaped: Plan, seed: int, share: float
+) -> None:
+    # every vehicle is as far from its setpoint as allowed, and the team stops
+    lengths, cable = shaped.layout.lengths, shaped.mission.cable
+    moments = tightest_moments(shaped, checks=("cable clearance",))
+    certified = min(moment.distance for moment in moments)
+    fold = shaped.phase("fold")
+    model = replace(cable_model(cable.mass_per_length, cable.diameter), step=0.01)
+    times = flown(shaped, fold.start + share * (fold.end - fold.start), model.step)
+    errors = np.random.default_rng(seed).normal(size=(shaped.vehicles, 3))
+    errors *= shaped.mission.vehicles.tracking / np.linalg.norm(errors, axis=1, keepdims=True)
+    joints = swing(shaped.motion.at(times)[0] + errors, lengths, model, 20)
+    least = min(
+        polyline_polyline(strands[i], strands[j]).distance
+        for strands in joints
+        for i in range(len(lengths))
+        for j in range(i + 2, len(lengths))
+    )
+    assert least - cable.diameter >= certified
+
+
+def test_without_a_limit_of_the_swing_clearances_are_quasi_static(shaped: Plan) -> None:
+    checks = ("cable clearance", "vehicle-cable clearance", "floor")
+    swinging, still = (
+        {(moment.check, moment.between): moment.distance for moment in tightest_moments(plan, checks=checks)}
+        for plan in (shaped, with_limit(shaped, None))
+    )  # fmt: skip
+    both = swinging.keys() & still.keys()
+    assert len(both) >= 6
+    assert all(swinging[name] < still[name] - 0.005 for name in both)
