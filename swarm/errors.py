@@ -13,8 +13,9 @@ user is a bug.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import ClassVar
 
 
@@ -41,6 +42,25 @@ def reason(error: BaseException) -> str:
             return words[:1].lower() + words[1:]
     text = str(error).strip()
     return text or f"failed without a message ({type(error).__name__})"
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return ``: did you mean …?`` with the known name nearest to a name; empty without one.
+
+    A name is near if few letters differ, or if one of both begins with the other.
+    """
+    names = list(known)
+    lower = {each.lower(): each for each in names}
+    wanted = name.strip().lower().replace("-", "_")
+    # 0.7: "overhnad" is near "overhand" (0.88), "8_81" is not near "10_81" (0.67)
+    found = get_close_matches(wanted, lower, n=1, cutoff=0.7) or [
+        each
+        for each in lower
+        if len(wanted) >= 3
+        and len(each) >= 3
+        and (each.startswith(wanted) or wanted.startswith(each))
+    ]
+    return f": did you mean {lower[found[0]]}?" if found else ""
 
 
 class SwarmError(Exception):

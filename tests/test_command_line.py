@@ -44,6 +44,7 @@ def swarm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]
         (["fly", "3_1", "--fleet", "nosuch.yaml"], "nosuch.yaml: no such file or directory"),
         (["plan", "3_1", "--colour"], "--colour"),
         (["nonsense"], "No such command 'nonsense'."),
+        (["plam", "3_1"], "No such command 'plam': did you mean plan?"),
         (
             ["verify", "nosuch"],
             "nosuch: expected a flight record with plan.json and motion.npz in it",

@@ -47,18 +47,21 @@ def test_the_emulators_fleet_is_its_file():
         (("sysid: 2", "sysid: 1"), "fleet.yaml: sysid 1 given more than once"),
         (("[b, a]", "[c]"), "fleet.yaml: links c not among the links"),
         (("px4}", "px4, pad: 1}"), "fleet.yaml: pad 1 given more than once"),
-        (("sysid: 2", "sysid: 251"), "fleet.yaml: vehicles.1.sysid: expected less than or equal"),
+        (("sysid: 2", "sysid: 251"), ": vehicles.1.sysid: expected a number <= 250, got 251"),
         (
             ("udpout://10.0.0.2:14550", "udp:14550"),
-            "fleet.yaml: links: expected udpin://host:port, udpout://host:port, tcp://host:port or "
+            "links: expected udpin://host:port, udpout://host:port, tcp://host:port or "
             "serial://device:baud, got b = 'udp:14550'",
         ),
         (("udpout://10.0.0.2:14550", "udpin://h:99999"), "got b = 'udpin://h:99999'"),
-        (("name: two", "name: two\ngrippers: 3"), "fleet.yaml: grippers: unknown key, got 3"),
-        (("schema: 1", "schema: 2"), "fleet.yaml: schema: expected 1, got 2"),
+        (
+            ("name: two", "name: two\ngrippers: 3"),
+            "fleet.yaml:4: grippers: unknown key, got 3: did you mean gripper?",
+        ),
+        (("schema: 1", "schema: 2"), "fleet.yaml:2: schema: expected 1, got 2"),
         (
             ("name: two", "name: two\nrates: {setpoint: 1}"),
-            "fleet.yaml: rates.setpoint: expected a number >= 4 and <= 100 in Hz, got 1",
+            "fleet.yaml:4: rates.setpoint: expected a number >= 4 in Hz, got 1",
         ),
     ],
 )

@@ -99,30 +99,33 @@ def test_three_vehicles_without_cable_are_certified_and_flown() -> None:
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ("finish: hold", "m.yaml: expected exactly one of knot and formation, got none"),
+        (
+            "finish: hold",
+            "m.yaml: expected exactly one of knot and formation, got none; for example: knot: {name: overhand}",
+        ),
         (
             f"knot: {{name: 4_1}}, formation: {{places: [{PAIR}]}}",
-            "m.yaml: expected exactly one of knot and formation, got both",
+            "m.yaml: expected exactly one of knot and formation, got both; for example: knot: {name: overhand}",
         ),
         (
             "formation: {places: []}",
-            "m.yaml: formation: expected at least one formation of at least one vehicle, got none",
+            "m.yaml:1: formation: expected at least one formation of at least one vehicle, got none",
         ),
         (
             f"formation: {{places: [{PAIR}, [[0, 0, 3]]]}}",
-            "m.yaml: formation: expected 2 places in every formation, got 1 in the 2.",
+            "m.yaml:1: formation: expected 2 places in every formation, got 1 in the 2.",
         ),
         (
             "formation: {places: [[[0, 0, 0]]]}",
-            "m.yaml: formation: expected every place above the floor (z > 0)",
+            "m.yaml:1: formation: expected every place above the floor (z > 0)",
         ),
         (
             f"formation: {{places: [{PAIR}], lengths: [4, 4]}}",
-            "m.yaml: formation: expected 1 lengths for 2 vehicles (or none), got 2",
+            "m.yaml:1: formation: expected 1 lengths for 2 vehicles (or none), got 2",
         ),
         (
             f"formation: {{places: [{PAIR}], lengths: [-4]}}",
-            "m.yaml: formation: expected every length > 0 in metres",
+            "m.yaml:1: formation: expected every length > 0 in metres",
         ),
         (
             f"formation: {{places: [{PAIR}]}}, layout: {{cell: 2}}, fold: {{method: paper}}",

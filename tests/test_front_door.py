@@ -260,7 +260,7 @@ def test_a_cable_is_only_accepted_with_a_motion(tmp_path):
 def test_missions_are_read_with_every_problem_at_its_key(tmp_path):
     path = tmp_path / "a.yaml"
     path.write_text("schema: 1\nname: a\nknot: {name: 3_99}\n")
-    with pytest.raises(swarm.InputError, match=r"a\.yaml: knot\.name: "):
+    with pytest.raises(swarm.InputError, match=r"a\.yaml:3: knot\.name: "):
         swarm.load(path)
     path.write_text("schema: 1\nname: a\nknot: {name: 3_1, chirality: left}\n")
     assert swarm.load(path, "vehicles.tracking=0.07").vehicles.tracking == 0.07

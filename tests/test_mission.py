@@ -2,12 +2,15 @@
 
 import math
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.errors import InputError
+from swarm.front.files import load
+from swarm.knots.catalog import choose_knot
 from swarm.mission import Mission, mission_for_knot, mission_schema, parse_mission
 from swarm.mission.validation import parse_yaml
 
@@ -48,22 +51,83 @@ def test_a_knot_name_with_an_underscore_is_a_word() -> None:
         ("cable.foo=1", "m.yaml: cable.foo: unknown key, got 1"),
         (
             "layout.cell=wide",
-            "m.yaml: layout.cell: expected auto or a length > 0 in metres, got 'wide'",
+            "m.yaml: layout.cell: expected auto or a length > 0 and <= 200 in metres, got 'wide'",
         ),
         ("layout.cell=0", "m.yaml: layout.cell: expected auto or a length > 0 in metres, got 0"),
         (
             "vehicles.tracking=.nan",
-            "m.yaml: vehicles.tracking: expected a length >= 0 in metres, got nan",
+            "m.yaml: vehicles.tracking: expected a length >= 0 and <= 5 in metres, got nan",
         ),
-        ("vehicles.mass=.inf", "m.yaml: vehicles.mass: expected a number > 0 in kg, got inf"),
+        (
+            "vehicles.mass=.inf",
+            "m.yaml: vehicles.mass: expected a number > 0 and <= 500 in kg, got inf",
+        ),
         (
             "vehicles.max_speed=true",
-            "m.yaml: vehicles.max_speed: expected a number > 0 in m/s, got True",
+            "m.yaml: vehicles.max_speed: expected a number > 0 and <= 100 in m/s, got True",
         ),
         ("fold.method=magic", "m.yaml: fold.method: expected certified or paper, got 'magic'"),
         ("clearance=3", "m.yaml: clearance: expected a mapping of keys, got 3"),
         ("schema=2", "m.yaml: schema: expected 1, got 2"),
         ("name=", "m.yaml: name: expected text, got None"),
+        (
+            "vehicles.radius=250",
+            "m.yaml: vehicles.radius: expected a length <= 5 in metres, got 250: did you mean 0.25?",
+        ),
+        (
+            "vehicles.tracking=10",
+            "m.yaml: vehicles.tracking: expected a length <= 5 in metres, got 10: did you mean 0.1?",
+        ),
+        (
+            "layout.cell=1500",
+            "m.yaml: layout.cell: expected auto or a length <= 200 in metres, got 1500: "
+            "did you mean 1.5?",
+        ),
+        (
+            "cable.mass_per_length=12",
+            "m.yaml: cable.mass_per_length: expected a number <= 5 in kg/m, got 12: "
+            "did you mean 0.012?",
+        ),
+        (
+            "vehicles.endurance=10",
+            "m.yaml: vehicles.endurance: expected a number >= 60 in s, got 10: did you mean 600?",
+        ),
+        ("hold_time=2", "m.yaml: hold_time: expected a number >= 4 in s, got 2"),
+        (
+            "vehicles.payload=15",
+            "m.yaml: vehicles: expected payload of at most 5 times mass (1.5 kg), got 15: did you "
+            "mean 0.015? For a larger vehicle give both, for example: vehicles: {mass: 15, "
+            "payload: 15}",
+        ),
+        (
+            "workspace.fence=[[0,0],[1e6,1],[2,2]]",
+            "m.yaml: workspace.fence.1.0: expected a number <= 10000, got 1000000.0",
+        ),
+        ("cable.mass=1", "m.yaml: cable.mass: unknown key, got 1: did you mean mass_per_length?"),
+        ("radius=0.2", "m.yaml: radius: unknown key, got 0.2: did you mean vehicles.radius?"),
+        (
+            "fold.method=certifed",
+            "m.yaml: fold.method: expected certified or paper, got 'certifed': did you mean certified?",
+        ),
+        (
+            "knot={dt: abc}",
+            "m.yaml: knot.dt: expected a DT code such as \"4 6 2\", got 'abc'",
+        ),
+        (
+            "knot={pd: 1 2 3}",
+            'm.yaml: knot.pd: expected a PD code such as "X[1,5,2,4] X[3,1,4,6] X[5,3,6,2]", '
+            "got '1 2 3'",
+        ),
+        (
+            "grab=attached",
+            "m.yaml: expected vehicles.breakaway in newtons with grab: attached; for example: "
+            "vehicles: {breakaway: 5}",
+        ),
+        (
+            "knot=",
+            "m.yaml: expected exactly one of knot and formation, got none; for example: "
+            "knot: {name: overhand}",
+        ),
         (
             "workspace.fence=[[0,0],[1,a],[2,2]]",
             "m.yaml: workspace.fence.1.1: expected a valid number, got 'a'",
@@ -74,7 +138,7 @@ def test_a_knot_name_with_an_underscore_is_a_word() -> None:
         ),
         (
             "knot.gauss=1+ 1-",
-            "m.yaml: knot: expected exactly one of name, gauss, dt, pd or grid, got name and gauss",
+            "m.yaml:1: knot: expected exactly one of name, gauss, dt, pd or grid, got name and gauss",
         ),
         (
             "vehicles.braking_acceleration=2",
@@ -103,11 +167,87 @@ def test_invalid_values_are_reported_with_place_and_expected_value(
 def test_every_problem_is_reported_at_once() -> None:
     found = problems("{schema: 1, cable: {length: 0, mass: 1}, knot: {}}")
     assert found == [
-        "m.yaml: name: expected this key (Name of the mission and of its flight records.), got nothing",
-        "m.yaml: knot: expected exactly one of name, gauss, dt, pd or grid, got none",
-        "m.yaml: cable.length: expected a length > 0 in metres, got 0",
-        "m.yaml: cable.mass: unknown key, got 1",
+        "m.yaml: name: expected this key (Name of the mission and of its flight records.), got nothing"
+        "; for example: name: overhand",
+        "m.yaml:1: knot: expected exactly one of name, gauss, dt, pd or grid, got none",
+        "m.yaml:1: cable.length: expected a length > 0 in metres, got 0",
+        "m.yaml:1: cable.mass: unknown key, got 1: did you mean mass_per_length?",
     ]
+
+
+def test_problems_name_the_line_in_the_order_of_the_file() -> None:
+    text = """schema: 1
+name: wrong
+workspace:
+  fence:
+    - [0, 0]
+    - [1, b]
+    - [2, 2]
+cabel: {length: 3}
+vehicles:
+  mass: 0
+  tracking: 100
+knot: {name: 3_1}
+"""
+    assert problems(text, "vehicles.mass=-1") == [
+        "m.yaml: vehicles.mass: expected a number > 0 in kg, got -1",
+        "m.yaml:6: workspace.fence.1.1: expected a valid number, got 'b'",
+        "m.yaml:8: cabel: unknown key, got {'length': 3}: did you mean cable?",
+        "m.yaml:11: vehicles.tracking: expected a length <= 5 in metres, got 100: did you mean 0.1?",
+    ]
+
+
+def test_an_unknown_knot_is_reported_together_with_wrong_keys(tmp_path: Path) -> None:
+    file = tmp_path / "m.yaml"
+    file.write_text("schema: 1\nname: x\nknot:\n  name: overhnad\ncable: {length: 0}\n")
+    with pytest.raises(InputError) as caught:
+        load(file)
+    assert [str(problem) for problem in caught.value.problems] == [
+        f"{file}:5: cable.length: expected a length > 0 in metres, got 0",
+        f'{file}:4: knot.name: no knot is called "overhnad" here: did you mean overhand? '
+        "`swarm knots` lists the names",
+    ]
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        "dt: 4 6 2",
+        "dt: 4, 6, 2",
+        "dt: [4, 6, 2]",
+        "dt: {4, 6, 2}",
+        "dt: 'DT: [(4, 6, 2)]'",
+        "pd: 'PD[X[1,5,2,4],X[3,1,4,6],X[5,3,6,2]]'",
+        "pd: X(1,5,2,4) X(3,1,4,6) X(5,3,6,2)",
+        "pd: 1 5 2 4; 3 1 4 6; 5 3 6 2",
+        "pd: [[1,5,2,4],[3,1,4,6],[5,3,6,2]]",
+        "gauss: 1- 2+ 3- 1+ 2- 3+",
+        "gauss: O1+U2+O3+U1+O2+U3+",
+        "gauss: [-1, 2, -3, 1, -2, 3]",
+        "gauss: {-1, 2, -3, 1, -2, 3}",
+        "gauss: -1, 2, -3, 1, -2, 3",
+        "grid: '[1,3] [2,4] [3,5] [1,4] [2,5]'",
+        "grid: [[1,3],[2,4],[3,5],[1,4],[2,5]]",
+    ],
+)
+def test_codes_are_read_as_people_write_them(written: str) -> None:
+    text = f"schema: 1\nname: x\nknot:\n  {written}\n  chirality: either\n"
+    described = parse_mission(text, "m.yaml").knot.model_dump()
+    assert choose_knot(**described).name == "3_1"
+
+
+@pytest.mark.parametrize(
+    ("payload", "mass"),
+    [(0.015, 0.027), (0.4, 1.5), (50.0, 40.0)],
+    ids=["15 g", "default", "50 kg"],
+)
+def test_vehicles_from_fifteen_grams_to_fifty_kilograms_are_plausible(
+    payload: float, mass: float
+) -> None:
+    mission = parse_mission(
+        MINIMAL, "m.yaml", [f"vehicles.payload={payload}", f"vehicles.mass={mass}"]
+    )
+    assert mission.vehicles.payload == payload
 
 
 @pytest.mark.parametrize(
@@ -141,7 +281,7 @@ def test_no_number_reaches_a_mission_unless_finite_and_in_range(value: float) ->
     try:
         mission = parse_mission(MINIMAL, "m.yaml", [f"cable.length={value!r}"])
     except InputError:
-        assert not (math.isfinite(value) and value > 0)
+        assert not (math.isfinite(value) and 0 < value <= 5000)
     else:
         assert mission.cable.length == value
 

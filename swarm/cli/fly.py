@@ -28,6 +28,7 @@ from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlyOptions
 from swarm.ground.record_folder import control_socket, new_record_folder
 from swarm.mission.fleet import emulated_fleet
+from swarm.planning.estimates import require_fleet
 from swarm.reports.findings_text import findings_table
 
 COUNTDOWN = 3
@@ -137,6 +138,8 @@ def fly(context: click.Context, /, **options: Any) -> None:
     mission = load_mission(given.mission, given.overrides)
     fleet = load_fleet(given.fleet) if given.fleet else None
     console = Console(quiet=given.as_json)
+    if fleet is not None:
+        require_fleet(mission, fleet)
     planned = plan_mission(mission)
     require_cleared(context, planned, verbose=given.verbose, as_json=given.as_json)
     team = fleet or emulated_fleet(planned.plan.vehicles)

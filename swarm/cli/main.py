@@ -16,7 +16,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from swarm.cli.old_spelling import current_spelling
-from swarm.errors import InputError, Interrupted, SwarmError, reason
+from swarm.errors import InputError, Interrupted, SwarmError, nearest, reason
 from swarm.version import __version__
 
 # The vectors are too short for several threads, which spin while they wait and take the cores from
@@ -83,6 +83,14 @@ class Commands(click.Group):
                 formatter.write_dl(rows)
                 formatter.write_paragraph()
                 formatter.write_text(f"Example: {_EXAMPLES[title]}")
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command of the arguments; an unknown one is refused with the nearest."""
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            ctx.fail(f"No such command {args[0]!r}{nearest(args[0], COMMANDS) or '.'}")
+        return super().resolve_command(ctx, args)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse arguments; old spellings work, with a note on stderr."""

@@ -1,7 +1,8 @@
 """Mission and fleet files that a user names; every failure is an :class:`InputError`."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from swarm.errors import InputError, Problem
@@ -9,7 +10,15 @@ from swarm.files import read_text
 from swarm.knots.catalog import choose_knot
 from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.mission.fleet import Fleet, parse_fleet
-from swarm.mission.validation import LARGEST_FILE
+from swarm.mission.sections import Knot
+from swarm.mission.validation import (
+    LARGEST_FILE,
+    apply_overrides,
+    parse_yaml,
+    place_of,
+    validate,
+)
+from swarm.mission.yaml_lines import key_lines
 
 
 def load(path: str | os.PathLike[str], *overrides: str) -> Mission:
@@ -23,10 +32,7 @@ def load(path: str | os.PathLike[str], *overrides: str) -> Mission:
 
     Source: :func:`swarm.mission.parse_mission`; `swarm schema mission` prints the format.
     """
-    name = os.fspath(path)
-    mission = parse_mission(read_text(path, LARGEST_FILE), name, overrides)
-    _require_known_knot(mission, name)
-    return mission
+    return _mission(read_text(path, LARGEST_FILE), os.fspath(path), overrides)
 
 
 def load_mission(name: str, overrides: Sequence[str] = ()) -> Mission:
@@ -39,7 +45,8 @@ def load_mission(name: str, overrides: Sequence[str] = ()) -> Mission:
     if path.is_file() or path.suffix in {".yaml", ".yml"} or "/" in name:
         return load(name, *overrides)
     mission = mission_for_knot(name, tuple(overrides))
-    _require_known_knot(mission, name)
+    if problems := _knot_problems(mission.knot, name):
+        raise InputError(problems)
     return mission
 
 
@@ -57,14 +64,35 @@ def load_fleet(path: str | os.PathLike[str]) -> Fleet:
     return fleet.model_copy(update={"signing_key": str(Path(path).parent / fleet.signing_key)})
 
 
-def _require_known_knot(mission: Mission, source: str) -> None:
-    """Raise :class:`InputError` with the key of a knot that does not exist."""
-    if mission.knot is None:
-        return
-    described = mission.knot.model_dump()
+def _mission(text: str, source: str, overrides: Sequence[str]) -> Mission:
+    """Return the mission of a file's text; a knot that does not exist is one of the problems."""
+    wrong: tuple[Problem, ...] = ()
+    mission, knot = None, None
+    try:
+        mission = parse_mission(text, source, overrides)
+        knot = mission.knot
+    except InputError as error:
+        wrong = error.problems
+        with suppress(InputError):
+            document = apply_overrides(parse_yaml(text, source), overrides)
+            knot = validate(Knot, document.get("knot"), source)
+    wrong += tuple(_knot_problems(knot, source, key_lines(text, overrides)))
+    if mission is None or wrong:
+        raise InputError(wrong)
+    return mission
+
+
+def _knot_problems(
+    knot: Knot | None, source: str, lines: Mapping[tuple[str, ...], int] | None = None
+) -> list[Problem]:
+    """Return the problems of a knot that does not exist, at its key."""
+    if knot is None:
+        return []
+    described = knot.model_dump()
     try:
         choose_knot(**described)
     except InputError as error:
         key = next(key for key, value in described.items() if value is not None)
-        problems = [Problem(f"{source}: knot.{key}", str(one)) for one in error.problems]
-        raise InputError(problems) from None
+        place = place_of(source, ("knot", key), lines or {})
+        return [Problem(place, str(one)) for one in error.problems]
+    return []

@@ -4,6 +4,7 @@ import math
 import re
 from dataclasses import dataclass
 
+from swarm.errors import nearest
 from swarm.knots.connected_sums import Factor, name_of_sum
 from swarm.knots.gauss import KnotError
 from swarm.knots.grid import Grid
@@ -12,11 +13,12 @@ from swarm.knots.table import knot_table
 COMMON_NAMES = {
     "unknot": "0_1",
     "overhand": "3_1",
-    "overhand knot": "3_1",
     "trefoil": "3_1",
     "figure-eight": "4_1",
-    "figure eight": "4_1",
+    "figure-8": "4_1",
     "figure-of-eight": "4_1",
+    "figure-of-8": "4_1",
+    "savoy": "4_1",
     "flemish": "4_1",
     "cinquefoil": "5_1",
     "solomon's seal": "5_1",
@@ -34,7 +36,7 @@ COMMON_NAMES = {
     "square": "3_1#m3_1",
     "reef": "3_1#m3_1",
 }
-"""Common names, in lower case and without the word knot."""
+"""Common names, in lower case and without the word knot; spaces, hyphens, underscores are alike."""
 
 
 def describe_knot(name: str, chirality: str) -> str:
@@ -71,7 +73,7 @@ def parse_name(text: str) -> ParsedName:
     side = re.match(r"(left|right)(?:[- ]hand(?:ed)?)? (.*)", plain)
     if side:
         hand, plain = side[1], side[2]
-    plain = COMMON_NAMES.get(plain, COMMON_NAMES.get(plain.replace("-", " "), plain))
+    plain = _common(plain)
     torus = _TORUS.fullmatch(plain)
     if torus:
         return _torus(torus, hand, text)
@@ -88,9 +90,22 @@ def parse_name(text: str) -> ParsedName:
     return ParsedName(tuple(factors), (0, 0), hand or written, text)
 
 
+def _common(name: str) -> str:
+    """Return the table's name of a common name, however its words are joined; others unchanged."""
+    return _SPELLINGS.get(_joined(name), name)
+
+
+def _joined(name: str) -> str:
+    return re.sub(r"[ _'-]|knot$", "", name)
+
+
+_SPELLINGS = {_joined(name): knot for name, knot in COMMON_NAMES.items()}
+"""Common name without spaces, hyphens and underscores → name of the table."""
+
+
 def _factor(part: str, text: str) -> tuple[list[Factor], bool]:
     """Return the prime factors of one summand, and whether it is written as a mirror image."""
-    part = COMMON_NAMES.get(part, part)
+    part = _common(part)
     mirror = part.startswith("m") and (part[1:] in COMMON_NAMES or _TABLE.fullmatch(part[1:]))
     if mirror:
         part = COMMON_NAMES.get(part[1:], part[1:])
@@ -99,7 +114,8 @@ def _factor(part: str, text: str) -> tuple[list[Factor], bool]:
     match = _TABLE.fullmatch(part)
     name = f"{match[2]}_{int(match[3])}" if match else ""
     if name not in knot_table():
-        raise KnotError(f'no knot is called "{text}" here; `swarm knots` lists the names')
+        hint = nearest(part, COMMON_NAMES) or ";"  # a number without a knot is near to nothing
+        raise KnotError(f'no knot is called "{text}" here{hint} `swarm knots` lists the names')
     hand = (-1 if mirror else 1) if knot_table()[name].chiral else 0
     return [(name, hand)], bool(mirror)
 

@@ -87,12 +87,14 @@ class Limits(Section):
         "Time without messages from a vehicle after which the team holds; with a longer time "
         "the team flies slower where a stopped vehicle would obstruct others.",
         above=0.1,
+        most=10.0,
     )
     lost: float = number(
         5.0,
         "s",
         "Time without messages from a vehicle after which it is lost and the others land.",
         above=0.2,
+        most=60.0,
     )
     hold: float = number(
         60.0, "s", "Hold timeout T, after which the team lands together; autopilots must use the "
@@ -106,7 +108,11 @@ class Limits(Section):
         most=5.0,
     )
     ready: float = number(
-        90.0, "s", "Largest time to wait until all vehicles are ready to arm.", above=1.0
+        90.0,
+        "s",
+        "Largest time to wait until all vehicles are ready to arm.",
+        above=1.0,
+        most=3600.0,
     )
     descent: float = number(
         0.6,
@@ -141,14 +147,19 @@ class Emulated(Section):
 class Fleet(Section):
     """A fleet: the validated content of a fleet file."""
 
-    schema_version: Literal[1] = Field(alias="schema", description="Version of this format.")
-    name: Name = Field(description="Name of the fleet.")
+    schema_version: Literal[1] = Field(
+        alias="schema", description="Version of this format.", examples=[1]
+    )
+    name: Name = Field(description="Name of the fleet.", examples=["my-fleet"])
     links: dict[Name, str] = Field(
         min_length=1,
+        examples=["{radio: udpin://0.0.0.0:14550}"],
         description="Links by name: udpin://host:port, udpout://host:port, tcp://host:port or "
         "serial://device:baud.",
     )
-    vehicles: tuple[FleetVehicle, ...] = Field(min_length=1, description="The vehicles.")
+    vehicles: tuple[FleetVehicle, ...] = Field(
+        min_length=1, description="The vehicles.", examples=["[{sysid: 1, links: [radio]}]"]
+    )
     capacity: dict[Name, Annotated[float, Field(gt=0.0)]] = Field(
         {},
         description="Capacity of links in kbit/s, for links with a slower radio behind them (the "
@@ -244,7 +255,9 @@ def parse_fleet(text: str, source: str, overrides: Iterable[str] = ()) -> Fleet:
     ``source`` names the file in errors, ``overrides`` are ``key.path=value`` strings. Raises
     :class:`swarm.errors.InputError` with every problem at once.
     """
-    return validate(Fleet, apply_overrides(parse_yaml(text, source), overrides), source)
+    overrides = tuple(overrides)
+    document = apply_overrides(parse_yaml(text, source), overrides)
+    return validate(Fleet, document, source, text, overrides)
 
 
 def emulated_fleet(

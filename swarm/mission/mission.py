@@ -29,8 +29,12 @@ from swarm.notebook import table
 class Mission(Section):
     """A mission: the validated content of a mission file."""
 
-    schema_version: Literal[1] = Field(alias="schema", description="Version of this format.")
-    name: Text = Field(description="Name of the mission and of its flight records.")
+    schema_version: Literal[1] = Field(
+        alias="schema", description="Version of this format.", examples=[1]
+    )
+    name: Text = Field(
+        description="Name of the mission and of its flight records.", examples=["overhand"]
+    )
     knot: Knot | None = Field(None, description="The knot to tie.")
     formation: Formation | None = Field(
         None, description="Formations to fly, with or without cable, instead of a knot."
@@ -52,7 +56,7 @@ class Mission(Section):
     )
     hold_time: Number = number(
         4.0, "s", "Duration of the hold before the finish; the strands swing as long.",
-        least=4.0,
+        least=4.0, most=3600.0,
     )  # fmt: skip
     finish: Literal["release", "unfold", "tighten", "hold"] = Field(
         "release",
@@ -125,7 +129,10 @@ class Mission(Section):
     def _one_thing(self) -> Self:
         if (self.knot is None) == (self.formation is None):
             got = "none" if self.knot is None else "both"
-            raise ValueError(f"expected exactly one of knot and formation, got {got}")
+            raise ValueError(
+                f"expected exactly one of knot and formation, got {got}; for example: "
+                "knot: {name: overhand}"
+            )
         if self.formation is not None:
             self._check_formation(self.formation)
         return self
@@ -168,7 +175,10 @@ class Mission(Section):
     def _tied_on(self) -> Self:
         if self.grab == "attached":
             if self.vehicles.breakaway is None:
-                raise ValueError("expected vehicles.breakaway in newtons with grab: attached")
+                raise ValueError(
+                    "expected vehicles.breakaway in newtons with grab: attached; for example: "
+                    "vehicles: {breakaway: 5}"
+                )
             if self.finish in {"release", "tighten"}:
                 raise ValueError(
                     "expected finish: hold or unfold with grab: attached, because a tied-on cable "
@@ -202,7 +212,9 @@ def parse_mission(text: str, source: str, overrides: Iterable[str] = ()) -> Miss
     the document before it is validated. Raises :class:`swarm.errors.InputError` with every
     problem at once.
     """
-    return validate(Mission, apply_overrides(parse_yaml(text, source), overrides), source)
+    overrides = tuple(overrides)
+    document = apply_overrides(parse_yaml(text, source), overrides)
+    return validate(Mission, document, source, text, overrides)
 
 
 def mission_for_knot(knot: str, overrides: Iterable[str] = ()) -> Mission:

@@ -2,21 +2,45 @@
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import BeforeValidator, Field, StringConstraints, model_validator
 
 from swarm.mission.validation import Section, number
+from swarm.mission.written_codes import dt_entries, gauss_text, grid_columns, pd_rows
 
 Auto = Literal["auto"]
 Number = Annotated[float, Field(strict=True)]
-Positive = Annotated[float, Field(strict=True, gt=0)]
-NotNegative = Annotated[float, Field(strict=True, ge=0)]
+_LARGEST_SIZE = 200.0
+"""Largest size of a knot's layout, in metres: the overhand has cells of 1.5 m."""
+
+_FARTHEST = 10_000.0
+"""Largest coordinate in metres: farther away than an operator sees a vehicle."""
+
+Positive = Annotated[float, Field(strict=True, gt=0, le=_LARGEST_SIZE)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, le=_LARGEST_SIZE)]
+Coordinate = Annotated[float, Field(strict=True, ge=-_FARTHEST, le=_FARTHEST)]
 Text = Annotated[str, StringConstraints(min_length=1, max_length=20_000)]
-Point2 = tuple[Number, Number]
-Point3 = tuple[Number, Number, Number]
+Point2 = tuple[Coordinate, Coordinate]
+Point3 = tuple[Coordinate, Coordinate, Coordinate]
+DtCode = Annotated[
+    tuple[int, ...], BeforeValidator(dt_entries, json_schema_input_type=str | tuple[int, ...])
+]
+Fours = tuple[tuple[int, int, int, int], ...]
+PdCode = Annotated[Fours, BeforeValidator(pd_rows, json_schema_input_type=str | Fours)]
+Pairs = tuple[tuple[int, int], ...]
+GridCode = Annotated[Pairs, BeforeValidator(grid_columns, json_schema_input_type=str | Pairs)]
+GaussCode = Annotated[
+    Text,
+    BeforeValidator(gauss_text, json_schema_input_type=Text | tuple[int | str, ...]),
+]
 
 
 def _length(default: Any, sentence: str, **bounds: Any) -> Any:
     return number(default, "metres", sentence, kind="a length", **(bounds or {"above": 0}))
+
+
+def _code(sentence: str, expected: str) -> Any:
+    """Declare a key that takes a code of a knot, as a list or as people write it."""
+    return Field(None, description=sentence, json_schema_extra={"expected": expected})
 
 
 class Knot(Section):
@@ -26,15 +50,17 @@ class Knot(Section):
         None,
         description="Name of the knot: overhand, figure-eight, 8_18, torus(2,5), 3_1#m3_1.",
     )
-    gauss: Text | None = Field(
-        None, description='Gauss code, such as "1- 2+ 3- 1+ 2- 3+": + passes over, - passes under.'
+    gauss: GaussCode | None = _code(
+        "Gauss code: + passes over, - passes under.", 'a Gauss code such as "1- 2+ 3- 1+ 2- 3+"'
     )
-    dt: tuple[int, ...] | None = Field(None, description="Dowker-Thistlethwaite code.")
-    pd: tuple[tuple[int, int, int, int], ...] | None = Field(
-        None, description="Planar diagram code: the four edges of each crossing."
+    dt: DtCode | None = _code("Dowker-Thistlethwaite code.", 'a DT code such as "4 6 2"')
+    pd: PdCode | None = _code(
+        "Planar diagram code: the four edges of each crossing.",
+        'a PD code such as "X[1,5,2,4] X[3,1,4,6] X[5,3,6,2]"',
     )
-    grid: tuple[tuple[int, int], ...] | None = Field(
-        None, description="Grid diagram: the two rows of each column; columns pass over."
+    grid: GridCode | None = _code(
+        "Grid diagram: the two rows of each column; columns pass over.",
+        'a grid diagram such as "[1,3] [2,4] [3,5] [1,4] [2,5]"',
     )
     chirality: Literal["left", "right", "either"] | None = Field(
         None,
@@ -56,67 +82,122 @@ class Knot(Section):
 class Cable(Section):
     """The cable."""
 
-    mass_per_length: Number = number(0.012, "kg/m", "Mass per length of the cable.", above=0)
-    diameter: Number = _length(0.006, "Diameter of the cable.")
+    mass_per_length: Number = number(
+        0.012, "kg/m", "Mass per length of the cable.", above=0, most=5.0
+    )
+    diameter: Number = _length(0.006, "Diameter of the cable.", above=0, most=0.1)
     length_tolerance: Number = _length(
-        0.01, "Largest error of the length of each segment.", least=0
+        0.01, "Largest error of the length of each segment.", least=0, most=1.0
     )
     length: Number | None = _length(
-        None, "Total length of the available cable; the layout is scaled to use it."
+        None,
+        "Total length of the available cable; the layout is scaled to use it.",
+        above=0,
+        most=5_000.0,
     )
-    breaking_load: Number = number(200.0, "newtons", "Tension at which the cable breaks.", above=0)
+    breaking_load: Number = number(
+        200.0, "newtons", "Tension at which the cable breaks.", above=0, most=1e6
+    )
+
+
+_LARGEST_PAYLOAD = 5.0
+"""Largest payload in masses of the vehicle: of the multirotors on sale, heavy-lift vehicles carry
+most, about twice their own mass."""
 
 
 class Vehicles(Section):
     """Properties and limits of every vehicle of the team."""
 
-    radius: Number = _length(0.25, "Distance from the vehicle's axis to the tips of its rotors.")
+    radius: Number = _length(
+        0.25, "Distance from the vehicle's axis to the tips of its rotors.", above=0, most=5.0
+    )
     grip_offset: Number = _length(
-        0.6, "Height of the vehicle's centre above its grip point.", least=0
+        0.6, "Height of the vehicle's centre above its grip point.", least=0, most=20.0
     )
-    max_speed: Number = number(2.0, "m/s", "Largest planned speed.", above=0)
-    max_acceleration: Number = number(2.0, "m/s²", "Largest planned acceleration.", above=0)
+    max_speed: Number = number(2.0, "m/s", "Largest planned speed.", above=0, most=100.0)
+    max_acceleration: Number = number(
+        2.0, "m/s²", "Largest planned acceleration.", above=0, most=100.0
+    )
     braking_acceleration: Number = number(
-        1.0, "m/s²", "Part of the acceleration reserved for braking along the path.", above=0
+        1.0,
+        "m/s²",
+        "Part of the acceleration reserved for braking along the path.",
+        above=0,
+        most=100.0,
     )
-    payload: Number = number(0.4, "kg", "Largest mass that a vehicle can carry.", above=0)
-    mass: Number = number(1.5, "kg", "Mass of a vehicle.", above=0)
+    payload: Number = number(
+        0.4, "kg", "Largest mass that a vehicle can carry.", above=0, most=200.0
+    )
+    mass: Number = number(1.5, "kg", "Mass of a vehicle.", above=0, most=500.0)
     tracking: Number = _length(
-        0.1, "Largest tracking error: distance of a grip point from its setpoint.", least=0
+        0.1,
+        "Largest tracking error: distance of a grip point from its setpoint.",
+        least=0,
+        most=5.0,
     )
-    endurance: Number = number(600.0, "s", "Flight time on one battery, with payload.", above=0)
+    endurance: Number = number(
+        600.0, "s", "Flight time on one battery, with payload.", least=60.0, most=86_400.0
+    )
     breakaway: Number | None = number(
-        None, "newtons", "Tension at which a tied-on cable releases (grab: attached).", above=0
+        None,
+        "newtons",
+        "Tension at which a tied-on cable releases (grab: attached).",
+        above=0,
+        most=1e5,
     )
 
     @model_validator(mode="after")
-    def _reserve(self) -> Self:
+    def _consistent(self) -> Self:
+        problems = []
         if self.braking_acceleration >= self.max_acceleration:
-            raise ValueError(
+            problems.append(
                 "expected braking_acceleration below max_acceleration "
                 f"({self.max_acceleration:g} m/s²), got {self.braking_acceleration:g}"
             )
+        if self.payload > _LARGEST_PAYLOAD * self.mass:
+            problems.append(
+                f"expected payload of at most {_LARGEST_PAYLOAD:g} times mass ({self.mass:g} kg), "
+                f"got {self.payload:g}: did you mean {1e-3 * self.payload:g}? For a larger vehicle "
+                f"give both, for example: vehicles: {{mass: {self.payload:g}, "
+                f"payload: {self.payload:g}}}"
+            )
+        if problems:
+            raise ValueError("; ".join(problems))
         return self
 
 
 class Layout(Section):
     """Size and height of the knot in space: numbers, or ``auto`` for the planner's choice."""
 
-    cell: Positive | Auto = _length("auto", "Width of a cell of the grid.", above=0, auto=True)
+    cell: Positive | Auto = _length(
+        "auto", "Width of a cell of the grid.", above=0, most=_LARGEST_SIZE, auto=True
+    )
     sag_over: Positive | Auto = _length(
-        "auto", "Sag of the segments that pass over.", above=0, auto=True
+        "auto", "Sag of the segments that pass over.", above=0, most=_LARGEST_SIZE, auto=True
     )
     sag_under: Positive | Auto = _length(
-        "auto", "Sag of the segments that pass under.", above=0, auto=True
+        "auto", "Sag of the segments that pass under.", above=0, most=_LARGEST_SIZE, auto=True
     )
     lane_over: NotNegative | Auto = _length(
-        "auto", "Height of the over lanes above the knot's plane.", least=0, auto=True
+        "auto",
+        "Height of the over lanes above the knot's plane.",
+        least=0,
+        most=_LARGEST_SIZE,
+        auto=True,
     )
     lane_under: NotNegative | Auto = _length(
-        "auto", "Depth of the under lanes below the knot's plane.", least=0, auto=True
+        "auto",
+        "Depth of the under lanes below the knot's plane.",
+        least=0,
+        most=_LARGEST_SIZE,
+        auto=True,
     )
     height: Positive | Auto = _length(
-        "auto", "Height of the knot's plane above the floor.", above=0, auto=True
+        "auto",
+        "Height of the knot's plane above the floor.",
+        above=0,
+        most=_LARGEST_SIZE,
+        auto=True,
     )
     corners: tuple[Point2, ...] | None = Field(
         None, description="Corners x, y in metres in order along the cable, instead of the grid's."
@@ -150,36 +231,59 @@ class Layout(Section):
 class Clearance(Section):
     """Clearances to keep for every tracking error up to `vehicles.tracking`."""
 
-    cable: Number = _length(0.15, "Distance between strands, surface to surface.")
+    cable: Number = _length(
+        0.15, "Distance between strands, surface to surface.", above=0, most=10.0
+    )
     vehicle: Number = _length(
         1.0,
         "Horizontal distance between vehicles, centre to centre; `vehicle` or `downwash` is kept.",
+        above=0,
+        most=50.0,
     )
     downwash: Number = _length(
         1.5,
         "Vertical distance between vehicles, centre to centre; `vehicle` or `downwash` is kept.",
+        above=0,
+        most=100.0,
     )
     vehicle_cable: Number = _length(
-        0.3, "Distance between a vehicle and the segments that it does not hold."
+        0.3,
+        "Distance between a vehicle and the segments that it does not hold.",
+        above=0,
+        most=50.0,
     )
-    floor: Number = _length(0.5, "Distance between the cable aloft and the floor.", least=0)
+    floor: Number = _length(
+        0.5, "Distance between the cable aloft and the floor.", least=0, most=100.0
+    )
 
 
 class Wind(Section):
     """The wind that the flight must withstand."""
 
     steady: Number = number(
-        0.0, "m/s", "Speed of the steady wind, from any direction.", least=0, kind="a speed"
+        0.0,
+        "m/s",
+        "Speed of the steady wind, from any direction.",
+        least=0,
+        most=40.0,
+        kind="a speed",
     )
     gust: Number = number(
-        0.0, "m/s", "Speed of gusts in addition to the steady wind.", least=0, kind="a speed"
+        0.0,
+        "m/s",
+        "Speed of gusts in addition to the steady wind.",
+        least=0,
+        most=60.0,
+        kind="a speed",
     )
 
 
 class Workspace(Section):
     """The space in which the team may fly."""
 
-    ceiling: Number = _length(30.0, "Largest height of a vehicle above the floor.")
+    ceiling: Number = _length(
+        30.0, "Largest height of a vehicle above the floor.", above=0, most=5_000.0
+    )
     fence: tuple[Point2, ...] | None = Field(
         None, description="Corners x, y of the geofence in metres (x east, y north)."
     )
@@ -199,13 +303,14 @@ class Fold(Section):
         description="certified: this planner; paper: the published trajectory, for comparison.",
     )
     delay: Number | None = number(
-        None, "s", "Delay between neighbouring vehicles (method: paper).", above=0
+        None, "s", "Delay between neighbouring vehicles (method: paper).", above=0, most=600.0
     )
     swing: Number | None = _length(
         None,
         "Largest distance of the swinging cable from its catenary in the planned fold, which is "
         "shaped and slowed for it. Not limited without this key.",
         above=0,
+        most=10.0,
     )
 
     @model_validator(mode="after")

@@ -1,10 +1,13 @@
 """Validation of YAML files that people write: models, or every error with its place.
 
 Mission and fleet files share these rules: YAML 1.2, bounded size, no duplicate keys, unknown keys
-refused, NaN and infinities refused. Errors read ``file: key.path: expected …, got …``.
+refused, NaN and infinities refused. Errors read ``file:line: key.path: expected …, got …``; what a
+``--set`` override gives has no line.
 """
 
-from collections.abc import Iterable, Mapping
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -14,7 +17,9 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.resolver import VersionedResolver
 
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, nearest
+from swarm.mission.units import other_unit
+from swarm.mission.yaml_lines import key_lines, line_of
 
 LARGEST_FILE = 1_000_000
 """Largest number of characters of a mission or fleet file."""
@@ -58,13 +63,18 @@ def number(
         words += f" in {unit}"
     if auto:
         words = f"auto or {words}"
+    extra: dict[str, Any] = {"unit": unit, "expected": words}
+    if least is not None:
+        extra["minimum"] = least
+    if most is not None:
+        extra["maximum"] = most
     return Field(
         default,
         gt=None if auto else above,
         ge=None if auto else least,
         le=None if auto else most,
         description=sentence,
-        json_schema_extra={"unit": unit, "expected": words},
+        json_schema_extra=extra,
     )
 
 
@@ -143,33 +153,94 @@ def _replaced(document: Any, keys: list[str], value: Any) -> Any:
     return {**document, head: _replaced(document.get(head), rest, value)}
 
 
-def validate(model: type[Model], document: Any, source: str) -> Model:
+def validate(
+    model: type[Model], document: Any, source: str, text: str = "", overrides: Iterable[str] = ()
+) -> Model:
     """Return the model of a parsed document.
 
-    Raises :class:`InputError` with every problem, each at ``source: key.path``.
+    ``text`` is the file's text and ``overrides`` are those that were applied to the document; the
+    lines in messages are found by them. Raises :class:`InputError` with every problem, each at
+    ``source:line: key.path``.
     """
     if not isinstance(document, Mapping):
         raise InputError([Problem(source, f"expected a mapping of keys, got {_shown(document)}")])
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        problems = [_problem(model, dict(item), source) for item in error.errors()]
+        lines = key_lines(text, overrides)
+        items = sorted(error.errors(), key=lambda item: line_of(_named(item["loc"]), lines) or 0)
+        problems = [_problem(model, dict(item), source, lines) for item in items]
         raise InputError(list(dict.fromkeys(problems))) from None
 
 
-def _problem(model: type[BaseModel], item: dict[str, Any], source: str) -> Problem:
+def _named(location: tuple[int | str, ...]) -> list[str]:
+    return [str(part) for part in location]
+
+
+def place_of(source: str, keys: Sequence[str], lines: Mapping[tuple[str, ...], int]) -> str:
+    """Return the place of a key path for messages: ``source:line: key.path``."""
+    line = line_of(keys, lines)
+    where = source if line is None else f"{source}:{line}"
+    return ": ".join(part for part in (where, ".".join(keys)) if part)
+
+
+def _problem(
+    model: type[BaseModel], item: dict[str, Any], source: str, lines: Mapping[tuple[str, ...], int]
+) -> Problem:
     keys, field = _named_field(model, item["loc"])
-    place = ": ".join(part for part in (source, ".".join(keys)) if part)
+    place = place_of(source, keys, lines)
+    got = f"got {_shown(item['input'])}"
     match item["type"]:
         case "extra_forbidden":
-            return Problem(place, f"unknown key, got {_shown(item['input'])}")
-        case "missing":
-            purpose = f" ({field.description})" if field and field.description else ""
-            return Problem(place, f"expected this key{purpose}, got nothing")
+            return Problem(place, f"unknown key, {got}{_nearest_key(model, keys)}")
+        case "missing" if field and not isinstance(item["loc"][-1], int):
+            purpose = f" ({field.description})" if field.description else ""
+            example = f"; for example: {keys[-1]}: {field.examples[0]}" if field.examples else ""
+            return Problem(place, f"expected this key{purpose}, got nothing{example}")
         case "value_error":
             return Problem(place, str(item["ctx"]["error"]))
+        case "literal_error" if isinstance(item["input"], str):
+            choices = re.findall(r"'([^']*)'", item["ctx"]["expected"])
+            hint = nearest(item["input"], choices)
+            return Problem(place, f"expected {_expected(field, item)}, {got}{hint}")
         case _:
-            return Problem(place, f"expected {_expected(field, item)}, got {_shown(item['input'])}")
+            hint = _other_unit(field, item["input"])
+            return Problem(place, f"expected {_expected(field, item)}, {got}{hint}")
+
+
+def _nearest_key(model: type[BaseModel], keys: list[str]) -> str:
+    """Return a hint: the nearest key of this section, or the section that has the key."""
+    section: Any = model
+    for key in keys[:-1]:
+        field = section.model_fields.get(key)
+        section = _section_of(field.annotation) if field else None
+        if section is None:
+            return ""
+    names = [field.alias or key for key, field in section.model_fields.items()]
+    hint = nearest(keys[-1], names)
+    if hint:
+        return hint
+    homes = [
+        f"{name}.{keys[-1]}"
+        for name, field in model.model_fields.items()
+        if (inner := _section_of(field.annotation)) is not None and keys[-1] in inner.model_fields
+    ]
+    return f": did you mean {' or '.join(homes)}?" if homes else ""
+
+
+def _other_unit(field: FieldInfo | None, value: Any) -> str:
+    """Return a hint for a number beyond its range that would be in range in another unit."""
+    extra = field.json_schema_extra if field else None
+    if field is None or not isinstance(extra, dict) or not _is_finite_number(value):
+        return ""
+    least, most = extra.get("minimum", 0.0), extra.get("maximum", math.inf)
+    if not isinstance(least, int | float) or not isinstance(most, int | float):
+        return ""
+    return other_unit(value, str(extra.get("unit")), (least, most), field.default)
+
+
+def _is_finite_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _named_field(
@@ -205,7 +276,7 @@ def _section_of(annotation: Any) -> Any:
 def _expected(field: FieldInfo | None, item: dict[str, Any]) -> str:
     extra = field.json_schema_extra if field else None
     if isinstance(extra, dict) and "expected" in extra:
-        return str(extra["expected"])
+        return _violated(str(extra["expected"]), item["input"], extra.get("maximum"))
     match item["type"]:
         case "literal_error":
             return str(item["ctx"]["expected"]).replace("'", "")
@@ -213,8 +284,22 @@ def _expected(field: FieldInfo | None, item: dict[str, Any]) -> str:
             return "a mapping of keys"
         case "string_type":
             return "text"
+        case "less_than_equal" | "greater_than_equal" | "greater_than":
+            return f"a number {_SIGNS[item['type']]} {next(iter(item['ctx'].values())):g}"
         case _:
             return str(item["msg"]).removeprefix("Input should be ")
+
+
+_SIGNS = {"less_than_equal": "<=", "greater_than_equal": ">=", "greater_than": ">"}
+
+
+def _violated(expected: str, value: Any, most: Any) -> str:
+    """Return what was expected without the bound that a number keeps."""
+    if most is None or not _is_finite_number(value):
+        return expected
+    if value > most:
+        return re.sub(r">=? \S+ and (?=<= )", "", expected)
+    return re.sub(r" and <= \S+", "", expected)
 
 
 def _shown(value: Any) -> str:

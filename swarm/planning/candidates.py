@@ -6,6 +6,8 @@ A candidate is not certified. `swarm.planner` certifies candidates one after the
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+import numpy.typing as npt
 from scipy.spatial.distance import pdist
 
 from swarm.errors import Refused
@@ -17,6 +19,7 @@ from swarm.knots.catalog import KnotChoice, choose_knot
 from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
 from swarm.planning.assembly import paper_plan, plan_of_folding
+from swarm.planning.estimates import refuse_overload
 from swarm.planning.foldings import (
     Folding,
     distinct_openings,
@@ -91,6 +94,7 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
         yield _without_folding(paper_plan(mission, knot, opened[0], margins))
         return
     if mission.layout.corners is not None:
+        refuse_overload(mission, [np.asarray(mission.layout.corners, dtype=np.float64)])
         foldings = foldings_of_given_layout(mission.layout, margins, progress)
         notes = tuple(note for _, note in foldings)
         for folding in sorted((one for one, _ in foldings), key=lambda one: one.schedule.worst):
@@ -98,6 +102,7 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
             notes = ()
         return
     _refuse_crowding(mission, knot, opened, margins)
+    refuse_overload(mission, _smallest_layouts(mission, opened, margins))
     yield from _folded_grids(mission, knot, opened, margins, progress)
 
 
@@ -210,6 +215,18 @@ def _refuse_crowding(
             f"would rest {distance:.2f} m apart, and clearance.vehicle with two tracking "
             f"errors requires {required:.2f} m"
         )
+
+
+def _smallest_layouts(
+    mission: Mission, opened: list[OpenGrid], margins: Margins
+) -> list[npt.NDArray[np.float64]]:
+    """Return the corners (n, 2) of every opening in metres, in the smallest cells to try."""
+    smallest = next(layout_sizes(mission, margins))
+    shapes = [fit_to_cable(diagram, smallest, margins) for diagram in opened]
+    return [
+        shape.cell * np.asarray(diagram.corners, dtype=np.float64)
+        for diagram, shape in zip(opened, shapes, strict=True)
+    ]
 
 
 def _knot(mission: Mission) -> tuple[KnotChoice, KnotSummary]:

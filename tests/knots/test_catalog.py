@@ -20,6 +20,23 @@ from tests.knots.curves import knotinfo, of_knotinfo
 OVERHAND = "1- 2+ 3- 1+ 2- 3+"
 
 
+@pytest.mark.parametrize(
+    ("name", "knot"),
+    [
+        ("figure8", "4_1"),
+        ("figure-8", "4_1"),
+        ("figure_eight", "4_1"),
+        ("Figure of eight knot", "4_1"),
+        ("overhand knot", "3_1"),
+        ("overhand-knot", "3_1"),
+        ("carrickmat", "8_18"),
+        ("true lovers' knot", "8_19"),
+    ],
+)
+def test_common_names_are_known_however_their_words_are_joined(name, knot):
+    assert lookup_knot(name).name == knot
+
+
 def test_the_table_is_all_of_knotinfos_to_ten_crossings() -> None:
     assert list(table_names()) == [
         name for name, row in knotinfo().items() if int(row["crossing_number"]) <= 10
