@@ -62,10 +62,10 @@ def test_segments_that_cross_and_sag_alike_are_refused() -> None:
 
 
 def test_a_given_layout_that_exceeds_the_endurance_is_refused_with_that_error() -> None:
-    path = Path(__file__).parents[1] / "missions" / "experimental" / "overhand_five.yaml"
-    mission = parse_mission(path.read_text(), str(path), ["vehicles.endurance=100"])
+    path = Path(__file__).parents[1] / "missions" / "overhand_five.yaml"
+    mission = parse_mission(path.read_text(), str(path), ["vehicles.endurance=50"])
     result = planner.plan(mission, robustness=False)
     assert not result.certificate.cleared
     errors = [found.check for found in result.certificate.findings if found.severity == "error"]
     assert "endurance" in errors
-    assert sum("of 100 s in the air" in note for note in result.plan.notes) >= 1
+    assert result.plan.duration > 50.0

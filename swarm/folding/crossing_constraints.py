@@ -67,3 +67,10 @@ def _extended(signs: Signs, around: int) -> Signs:
     nearest = nonzero[np.where(earlier, before, after)]
     extended: Signs = signs[nearest] * (np.abs(nearest - moments) <= around)
     return extended
+
+
+def free_signs(moments: int, count: int) -> CrossingSigns:
+    """Return the signs of ``count`` strands that may pass on any side of each other."""
+    pairs = len(segment_pairs(count)[0])
+    strands = np.zeros((moments, pairs), dtype=np.int8)
+    return CrossingSigns(strands, np.zeros((moments, count + 1, count), dtype=np.int8))

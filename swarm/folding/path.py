@@ -11,12 +11,25 @@ tight as it will be.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline, PPoly
 
 Floats = npt.NDArray[np.float64]
+
+
+class TeamPaths(Protocol):
+    """A path for every vehicle of a team, as a function of its progress."""
+
+    def at(self, vehicle: int, progress: Floats, /) -> tuple[Floats, Floats, Floats]:
+        """Return the position (…, 3) of a vehicle at progress (…,), and two derivatives by it."""
+        ...
+
+    def line(self, count: int, /) -> Floats:
+        """Return the path (count, 3) of the last vehicle, for pictures."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +187,10 @@ class FoldPath:
     def start(self) -> float:
         """The progress at which the run-in begins; negative."""
         return float(self.guide.station_of_progress.x[0])
+
+    def line(self, count: int) -> Floats:
+        """Return the path (count, 3) of the last vehicle, for pictures."""
+        return self.at(len(self.corners) - 1, np.linspace(0.0, self.stops[-1], count))[0]
 
     def at(self, vehicle: int, progress: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the position (…, 3) of a vehicle at progress (…,), and two derivatives by it."""

@@ -20,7 +20,7 @@ from swarm.folding.lattice import LatticePath, append_follower
 from swarm.folding.layout import KnotLayout
 from swarm.folding.margins import Margins
 from swarm.folding.optimizer import BEYOND_REPAIR, ElasticBand, relax, straighten
-from swarm.folding.path import FoldPath, Guide
+from swarm.folding.path import Guide, TeamPaths
 from swarm.folding.penalty import ExtraMargins, TeamGeometry, no_extra_margins
 
 Floats = npt.NDArray[np.float64]
@@ -46,13 +46,13 @@ _AFTER_STRAIGHTENING = 0.3
 _NEAR = 2.5
 """Stages around a moment to which an extra margin applies."""
 
-_REST = 4
+REST = 4
 """Stages at the end in which the spline comes to rest."""
 
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """Progress of n vehicles along γ over a common stage variable, and offsets from it; C².
+    """Progress of n vehicles along their paths over a common stage variable, and offsets; C².
 
     ``progress`` (c, n) and ``offsets`` (c, n, 3) are control points, one per stage. ``signs`` are
     those of the strands along γ at the finest sampling; offsets keep them. ``missed`` (m,) are the
@@ -60,7 +60,7 @@ class Schedule:
     beyond the margins at the stages (c,).
     """
 
-    path: FoldPath
+    path: TeamPaths
     team: TeamGeometry
     progress: Floats
     offsets: Floats
@@ -85,7 +85,7 @@ class Schedule:
 
     def at(self, stages: Floats) -> tuple[Floats, Floats, Floats]:
         """Return positions (k, n, 3) at stages (k,), and their two derivatives by stage."""
-        progress, aside = _spline(self.progress), _spline(self.offsets)
+        progress, aside = stage_spline(self.progress), stage_spline(self.offsets)
         along, rate, bend = (progress(stages, nu=k) for k in range(3))
         positions, slopes, bends = (aside(stages, nu=k) for k in range(3))
         for i in range(along.shape[1]):
@@ -103,16 +103,22 @@ def make_schedule(layout: KnotLayout, guide: Guide, margins: Margins, step: floa
     """
     assignment = assign_lanes(layout, guide, margins, step)
     ticks = _joined(assignment.paths, step)
-    margin = int(4 * _SMOOTHED) + _REST
+    margin = int(4 * _SMOOTHED) + REST
     ticks = np.concatenate([ticks, np.repeat(ticks[-1:], margin, axis=0)])
     progress = np.stack([_smoothed(lattice) for lattice in ticks.T], axis=1)
+    return relaxed_schedule(assignment.path, TeamGeometry(layout.lengths, margins), progress)
+
+
+def relaxed_schedule(path: TeamPaths, team: TeamGeometry, progress: Floats) -> Schedule:
+    """Return the motion of a team with progress (c, n) along its paths, relaxed and straightened.
+
+    Strands keep the sides of each other that they have along the paths.
+    """
     offsets = np.zeros((*progress.shape, 3))
-    team = TeamGeometry(layout.lengths, margins)
     extra = no_extra_margins(len(progress))
-    along = _positions(assignment.path, _weights(len(progress), _DENSITIES[-1]) @ progress)
+    along = _positions(path, _weights(len(progress), _DENSITIES[-1]) @ progress)
     signs = crossing_signs(team.outlines(along), _AROUND * _DENSITIES[-1])
-    schedule = Schedule(assignment.path, team, progress, offsets, signs, np.zeros(1), extra)
-    schedule = improve(schedule)
+    schedule = improve(Schedule(path, team, progress, offsets, signs, np.zeros(1), extra))
     if schedule.worst > _BEYOND_STRAIGHTENING:
         return schedule
     schedule = straighten_schedule(schedule)
@@ -153,7 +159,7 @@ def _elastic_band(schedule: Schedule, density: int) -> ElasticBand:
     return ElasticBand(schedule.team, positions, signs, schedule.extra[moments // density], weights)
 
 
-def _positions(path: FoldPath, progress: Floats) -> Floats:
+def _positions(path: TeamPaths, progress: Floats) -> Floats:
     """Return positions (m, n, 3) of all vehicles on γ at progress (m, n)."""
     return np.stack([path.at(i, along)[0] for i, along in enumerate(progress.T)], axis=1)
 
@@ -208,7 +214,7 @@ def _knots(controls: int) -> Floats:
     return np.arange(controls + 10.0) - 5.0
 
 
-def _spline(controls: Floats) -> BSpline:
+def stage_spline(controls: Floats) -> BSpline:
     """Return the quintic spline of control points, one per stage."""
     return BSpline(_knots(len(controls)), _extended(controls), 5)
 

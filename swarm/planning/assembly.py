@@ -40,8 +40,7 @@ def plan_of_folding(mission: Mission, knot: KnotSummary, folding: Folding) -> Pl
     if mission.fold.swing is not None:
         model = cable_model(mission.cable.mass_per_length, mission.cable.diameter)
         fold = limit_swing(fold, layout.lengths, layout.sags, model, mission.fold.swing)
-    line = path.at(len(layout.corners) - 1, np.linspace(0.0, path.stops[-1], 400))[0]
-    return _assembled(mission, knot, layout, fold, line)
+    return _assembled(mission, knot, layout, fold, path.line(400))
 
 
 def paper_plan(mission: Mission, knot: KnotSummary, diagram: OpenGrid, margins: Margins) -> Plan:

@@ -21,6 +21,7 @@ from swarm.mission import Mission
 from swarm.planning.assembly import paper_plan, plan_of_folding
 from swarm.planning.estimates import refuse_overload
 from swarm.planning.foldings import (
+    GOOD,
     Folding,
     distinct_openings,
     fit_to_cable,
@@ -35,10 +36,6 @@ from swarm.planning.plan import KnotSummary, Plan
 from swarm.planning.repair import REPAIRABLE, Shortfall, with_larger_margins
 
 Progress = Callable[[str, float], None]
-
-_GOOD = 0.6
-"""Missed margin at the worst moment below which a folding is likely to be certified; the others are
-deferred. In units of a margin."""
 
 _DEFERRED = 2
 """Number of deferred foldings that become candidates, best first, after all good ones."""
@@ -153,7 +150,7 @@ def _folded_grids(
         notes += (
             f"tried a cell of {folding.layout.cell:.2f} m: misses its margins by {worst:.2g}",
         )
-        if worst < _GOOD:
+        if worst < GOOD:
             yield Candidate(plan_of_folding(mission, knot, folding), folding, notes=notes)
             notes = ()
         else:

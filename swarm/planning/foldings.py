@@ -21,6 +21,10 @@ Progress = Callable[[str, float], None]
 SAMPLING_ERROR = 0.015
 """Largest excess of sampled distances between polygons over the exact ones, metres."""
 
+GOOD = 0.6
+"""Missed margin at the worst moment below which a folding is likely to be certified; the others are
+deferred. In units of a margin."""
+
 _COMPARED, _MOST_COMPARED = 12, 96
 """Number of openings of the grid diagram that are compared at first, and at most."""
 

@@ -9,7 +9,8 @@ from swarm.folding.layout import lay_out_corners
 from swarm.folding.margins import Margins
 from swarm.folding.schedule import make_schedule
 from swarm.mission import Layout
-from swarm.planning.foldings import Folding, make_guide
+from swarm.planning.foldings import GOOD, Folding, make_guide
+from swarm.planning.searched_foldings import searched_folding
 
 Progress = Callable[[str, float], None]
 
@@ -26,7 +27,8 @@ def foldings_of_given_layout(
     """Return foldings of the mission's corners and sags, each with a note for the plan.
 
     Lanes are ordered as the sags: the segment with the smallest sag is flown highest. The distances
-    between lanes, level changes and turns differ between the foldings.
+    between lanes, level changes and turns differ between the foldings. Where all of them miss their
+    margins by much, another motion is searched.
     """
     layout = lay_out_corners(section.corners or (), section.sags or (), 0.0)
     edges = np.diff(layout.corners[:, :2], axis=0)
@@ -49,4 +51,10 @@ def foldings_of_given_layout(
             f"{folding.schedule.worst:.2g}"
         )
         found.append((folding, note))
+    if min(folding.schedule.worst for folding, _ in found) >= GOOD:
+        searched = searched_folding(replace(layout, corners=corners), margins, progress)
+        if searched is not None:
+            worst = searched.schedule.worst
+            note = f"searched a motion that untangles the knot: misses its margins by {worst:.2g}"
+            found.append((searched, note))
     return found
