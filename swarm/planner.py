@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from threadpoolctl import threadpool_limits
 
-from swarm.certification.assessment import Assessment
+from swarm.certification.assessment import Assessment, Robustness
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
@@ -13,6 +13,7 @@ from swarm.certification.certificate import (
     certify,
     certify_robustness,
     measure_clearances,
+    with_recorded_robustness,
 )
 from swarm.certification.clearances import Moment, violations
 from swarm.mission import Mission
@@ -60,6 +61,23 @@ def plan(
             certificate = certify_robustness(result.plan, result.certificate, progress)
             result = replace(result, certificate=certificate)
     return result
+
+
+def certify_again(
+    plan: Plan, recorded: Robustness, progress: Progress | None = None, *, confirm: bool = True
+) -> PlanningResult:
+    """Certify a plan that was planned before, with its recorded e* and w*.
+
+    All checks are computed again from the plan. With ``confirm`` this includes e* and w*, which are
+    None in the result where they do not hold; otherwise they are taken as recorded.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):
+        certificate = certify(plan, progress=progress)
+        if certificate.cleared:
+            if progress:
+                progress("recorded e* and w*", 0.0)
+            certificate = with_recorded_robustness(plan, certificate, recorded, confirm=confirm)
+    return PlanningResult(plan, certificate)
 
 
 def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningResult:

@@ -13,6 +13,9 @@ from tests import machine_code
 # share the cores anyway.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
+# A test plans for itself: no plan of the user, or of another test, is read.
+os.environ["SWARM_PLANS"] = ""
+
 # How long an example takes says nothing of what it tests: machines are shared, and the first one
 # may compile.
 hypothesis.settings.register_profile("patient", deadline=None)

@@ -17,6 +17,7 @@ from sitl.faults.scenario import KINDS
 from swarm.cli.main import COMMANDS, cli
 from swarm.flight import policy
 from swarm.flight.stages import mermaid
+from swarm.planning.archive import FORMAT, SCHEMA
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "reference"
@@ -46,8 +47,86 @@ same diagram.
 
 def pages() -> dict[str, str]:
     """Return the text of every generated page by its file name in docs/reference."""
-    texts = {"commands.md": _commands(), "failures.md": _failures()}
+    texts = {"commands.md": _commands(), "failures.md": _failures(), "plan.md": _plan_files()}
     return texts | {f"{kind}.md": _schema(kind) for kind in _TITLES}
+
+
+PLAN_FILE: Mapping[str, Mapping[str, str]] = {
+    "manifest.json": {
+        "format": f"`{FORMAT}`",
+        "schema": f"`{SCHEMA}`: the version of the format; every other one is refused",
+        "swarm": "version of the program that wrote the file",
+        "digest": "SHA-256 of the plan, as the certificate and flight records name it",
+        "sha256": "SHA-256 of each of the other members, by name",
+    },
+    "plan.json": {
+        "schema": "`1`",
+        "mission": "the whole mission with all defaults, as in [mission files](mission.md)",
+        "knot": "type (KnotInfo's name), chirality, crossing code, columns of the grid diagram",
+        "layout": "`corners` (n, 2), `sags`, `lengths` and `lanes` (n − 1), metres; `crossings`: pairs "
+        "of segments, the upper one first; `cell`, metres",
+        "phases": "name, start and end in seconds of mission time, state of the cable",
+        "gates": "time, condition and timeout in seconds; `inner`: without the two end vehicles",
+        "path": "points (k, 3) of the path of the fold, metres, for pictures",
+        "notes": "attempts of the planner, for readers",
+    },
+    "motion.npz": {
+        "times": "(p + 1) float64: the times between p pieces, seconds",
+        "coefficients": "(p, 6, n, 3) float64: quintic polynomials of the n grip points, ENU metres; "
+        "the coefficient of each power of the time since the start of the piece, from 0 to 5",
+    },
+    "certificate.json": {
+        "schema": "`1`",
+        "kind": "`certified`; flight records have other kinds too",
+        "checked": "one sentence: what is certified",
+        "digest": "the digest of the plan",
+        "cable": "whether the plan carries cable",
+        "max_tracking_error": "largest tracking error for which clearances are certified, metres",
+        "cleared": "`true`: no finding is an error",
+        "knot": "type, chirality and crossing code of the folded cable",
+        "clearance": "for `cable`, `vehicle` and `vehicle_cable`: certified and required distance in "
+        "metres, time in seconds, the two objects",
+        "robustness": "`tracking`: e\\* in metres; `wind`: w\\* in m/s; null where unknown",
+        "findings": "severity, check, message, time and position of every finding",
+    },
+}
+"""Member of a plan file → its keys, with their meanings."""
+
+_PLAN_FILES = """\
+`swarm plan MISSION --save overhand.plan` writes a cleared plan with its certificate as one file. `plan`,
+`dry-run`, `trials`, `failures`, `rope`, `check`, `fly` and `view` take it as MISSION, and do not plan
+again: what was reviewed is what flies. `swarm verify RECORD --plan overhand.plan` refuses the record of
+another plan. From Python: `plan.save(path, certificate)` and `swarm.load_plan(path)`.
+
+A plan file is a ZIP archive with the members below, in the formats that a flight record has too.
+JSON writes each float with the digits that give the same float again, and NumPy's arrays keep every
+bit; a plan that is read and written again gives the same bytes. Nothing in a file is executed.
+
+## What is checked when a file is read
+
+1. Format and version. A file of another version of the format is refused.
+2. SHA-256 of every member, and the digest of the plan. They protect from accidental changes: a
+   damaged copy, an edited number. **They do not protect from a person who edits the file on purpose and
+   computes them anew.** To know that a file is the one that was reviewed, compare its digest with the
+   one that `--save` printed then; `sha256sum` of the file is as good.
+3. The certificate must name the digest of this plan.
+4. **The certificate is computed again from the plan in the file**, with all checks, and only this
+   computed certificate lets the plan fly. e\\* and w\\* are not searched again: each is shown to hold.
+   The file is refused where the plan is not cleared, or where its certificate states another knot, other
+   checks, a distance that differs by more than 4 mm (the resolution of the search), or an e\\* or w\\* for
+   which the plan is not certified.
+
+So an edited certificate is refused, and an edited plan flies only if all checks clear it. Every message
+names the member and the key, and the exit code is 2.
+"""
+
+
+def _plan_files() -> str:
+    found = [_GENERATED, "# Plan files\n", _PLAN_FILES]
+    for member, keys in PLAN_FILE.items():
+        found += [f"## {member}\n"]
+        found += _table(("key", "content"), ((f"`{key}`", text) for key, text in keys.items()))
+    return "\n".join(found)
 
 
 def _failures() -> str:

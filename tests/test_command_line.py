@@ -113,7 +113,11 @@ def test_the_papers_own_trajectory_is_shown_and_refused_because_strands_meet(
 
 @pytest.mark.usefixtures("in_real_time")
 def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> None:
-    result = swarm("fly", OVERHAND, "--speed", "2", "--record", "flight", "--json", cwd=tmp_path)
+    reviewed = run("plan", OVERHAND, "--save", str(tmp_path / "overhand.plan"), "--json")
+    assert reviewed.returncode == 0
+    result = swarm(
+        "fly", "overhand.plan", "--speed", "2", "--record", "flight", "--json", cwd=tmp_path
+    )
     assert result.returncode == 0, result.stderr
     flown = json.loads(result.stdout)
     assert flown["adherence"]["within"] is True
@@ -127,10 +131,18 @@ def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> No
     wanted = {"mission.json", "plan.json", "flight.tlog", "events.jsonl", "flight.rrd"}
     assert wanted | {"summary.json", "report.html"} <= kept
 
-    verified = run("verify", str(tmp_path / "flight"), "--json")
+    verified = run(
+        "verify", str(tmp_path / "flight"), "--plan", str(tmp_path / "overhand.plan"), "--json"
+    )
     assert verified.returncode == 0, verified.stderr
     assert json.loads(verified.stdout)["knot"] == flown["knot"]
     assert verify(tmp_path / "flight").passed
+
+    other = str(tmp_path / "other.plan")
+    assert run("plan", HOVER, "--save", other, "--json").returncode == 0
+    refused = run("verify", str(tmp_path / "flight"), "--plan", other)
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert f"another plan than {other}: expected digest" in refused.stderr
 
 
 @pytest.mark.usefixtures("in_real_time")

@@ -56,7 +56,7 @@ def refusal(data):
 def test_a_plan_is_read_from_its_file_bit_by_bit(make):
     plan = replace(make(), notes=("said by the planner",))
     data = plan_file(plan)
-    again = read_plan_file(data, "a.plan")
+    again = read_plan_file(data, "a.plan").plan
     assert digest(again) == digest(plan)
     assert again.notes == plan.notes
     assert again.path.tobytes() == plan.path.tobytes()
@@ -73,7 +73,7 @@ def test_truncated_and_changed_files_are_refused():
         changed = bytearray(data)
         changed[position] ^= 0x10
         try:
-            same = read_plan_file(bytes(changed), "a.plan")
+            same = read_plan_file(bytes(changed), "a.plan").plan
         except InputError:
             continue
         assert digest(same) == digest(sideways())  # a bit of ZIP's own bookkeeping
@@ -86,7 +86,15 @@ def test_truncated_and_changed_files_are_refused():
         (packed({"motion.npz": b""}), "got an archive without"),
         (packed({**members(), "manifest.json": b"[]"}), "a.plan: manifest.json: cannot be read"),
         (with_manifest(format="plan"), "a.plan: format: expected swarm plan, got plan"),
-        (with_manifest(schema=2), "a.plan: schema: expected 1, got 2"),
+        (
+            with_manifest(schema=3, swarm="9.9"),
+            "a.plan: schema: expected 2, got 3: made by swarm 9.9, whose plan files differ",
+        ),
+        (
+            packed({"manifest.json": b'{"format": "swarm plan", "schema": 1}'}),
+            "a.plan: schema: expected 2, got 1: made by another version of swarm, whose plan files",
+        ),
+        (with_manifest(sha256=[]), "a.plan: manifest.json: cannot be read"),
         (with_manifest(digest="0" * 64), "a.plan: digest: expected 000"),
         (packed({**members(), "plan.json": b"{}"}), "a.plan: SHA-256 of plan.json: expected"),
         (

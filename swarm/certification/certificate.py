@@ -11,9 +11,10 @@ from dataclasses import InitVar, dataclass, replace
 import numpy as np
 
 from swarm.certification.assess import assess, with_robustness
-from swarm.certification.assessment import Assessment
+from swarm.certification.assessment import Assessment, Robustness
 from swarm.certification.clearances import Moment, tightest_moments
 from swarm.certification.findings import Finding
+from swarm.certification.robustness import confirmed
 from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.notebook import table
@@ -156,6 +157,22 @@ def certify_robustness(
     """
     require_same_plan(plan, certificate)
     found = with_robustness(plan, certificate.assessment, progress)
+    return replace(certificate, assessment=found, key=_CONSTRUCTION_KEY)
+
+
+def with_recorded_robustness(
+    plan: Plan, certificate: Certificate, recorded: Robustness, *, confirm: bool
+) -> Certificate:
+    """Return the certificate with e* and w* that were computed before.
+
+    With ``confirm``, each is shown again to hold, and left out (None) where it does not. Without
+    it, they are taken as they are: only from files that nobody else can write.
+
+    Raises :class:`Refused` where the certificate belongs to another plan.
+    """
+    require_same_plan(plan, certificate)
+    robustness = confirmed(plan, recorded) if confirm else recorded
+    found = replace(certificate.assessment, robustness=robustness)
     return replace(certificate, assessment=found, key=_CONSTRUCTION_KEY)
 
 

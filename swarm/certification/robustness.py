@@ -9,7 +9,14 @@ import numpy as np
 from swarm.certification.air import wind_down
 from swarm.certification.assessment import Robustness
 from swarm.certification.branch_and_bound import Boxes
-from swarm.certification.clearances import ROOT, STILL_AIR, Family, Moment, families
+from swarm.certification.clearances import (
+    ROOT,
+    STILL_AIR,
+    Family,
+    Moment,
+    certified,
+    families,
+)
 from swarm.certification.minima import failing, holds, whole_strands
 from swarm.planning import Plan
 
@@ -70,6 +77,18 @@ def largest_wind(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
     moments = tuple(moments)
     search = _Search(lambda speed: _windy(plan, speed), _tight_times(moments))
     return _largest(search, 0.0, _all_hold(moments), MOST_WIND, WIND_STEP)
+
+
+def confirmed(plan: Plan, recorded: Robustness) -> Robustness:
+    """Return the recorded e* and w* for which the certificate holds; None in place of the others.
+
+    One search each, without looking for larger values: about half of the time to compute them.
+    """
+    tracking, wind = recorded.tracking, recorded.wind
+    return Robustness(
+        tracking if tracking is not None and certified(plan, tracking=tracking) else None,
+        wind if wind is not None and failure_in_wind(plan, wind) is None else None,
+    )
 
 
 def failure_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], float] | None:

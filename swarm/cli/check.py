@@ -11,13 +11,13 @@ from rich.console import Console
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
-from swarm.cli.inputs import JSON, SET, ProgressLine, print_json, progress_bar
-from swarm.cli.planning import plan_mission
+from swarm.cli.inputs import JSON, REPLAN, SET, ProgressLine, print_json, progress_bar
+from swarm.cli.planning import load_source
 from swarm.errors import InputError, Problem, VehicleError
 from swarm.files import write_text
 from swarm.flight.hop import hop
 from swarm.flight.parameters import ParameterResult
-from swarm.front.files import load_fleet, load_mission
+from swarm.front.files import load_fleet
 from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.commissioning.check import CheckOptions
 from swarm.ground.commissioning.check import check as check_fleet
@@ -41,6 +41,7 @@ class Options:
 
     mission: str | None
     overrides: tuple[str, ...]
+    replan: bool
     as_json: bool
     fleet_file: Path | None
     fix: bool
@@ -55,14 +56,21 @@ class Options:
 
     def require_mission(self) -> None:
         """Raise :class:`InputError` for options that need a mission, without one."""
-        if self.mission is None and (self.with_hop or self.sheet or self.overrides):
-            name = "--hop" if self.with_hop else "--sheet" if self.sheet else "--set"
+        given = {
+            "--hop": self.with_hop,
+            "--sheet": self.sheet,
+            "--set": self.overrides,
+            "--replan": self.replan,
+        }
+        if self.mission is None and any(given.values()):
+            name = next(name for name, value in given.items() if value)
             raise InputError([Problem(name, "expected a MISSION")])
 
 
 @click.command()
 @click.argument("mission", required=False)
 @SET
+@REPLAN
 @JSON
 @click.option(
     "--fleet",
@@ -116,7 +124,9 @@ class Options:
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation; errors still refuse.")
 @click.pass_context
 def check(context: click.Context, /, **options: Any) -> None:
-    """Check a fleet on the ground, and against MISSION (a file or the name of a knot) if given.
+    """Check a fleet on the ground, and against MISSION if given.
+
+    MISSION is a mission or plan file, or the name of a knot.
 
     Checks links, firmware, health, batteries, positions, parameters, origins, clocks and the Hold
     mode. Parameters are saved first. Only --hop arms vehicles. Exit code 0 for go, 1 for no-go, 3
@@ -131,7 +141,9 @@ def check(context: click.Context, /, **options: Any) -> None:
     fleet = load_fleet(given.fleet_file) if given.fleet_file else None
     flight_plan = None
     if given.mission is not None:
-        flight_plan = plan_mission(load_mission(given.mission, given.overrides)).certified()
+        flight_plan = (
+            load_source(given.mission, given.overrides, replan=given.replan).planned().certified()
+        )
     if fleet is None:
         fleet = emulated_fleet(flight_plan.plan.vehicles if flight_plan else EMULATED_VEHICLES)
     console = Console(quiet=given.as_json)

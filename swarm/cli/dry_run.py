@@ -7,12 +7,19 @@ import click
 from rich.console import Console
 
 from swarm import planner
-from swarm.cli.inputs import JSON, MISSION, SET, VERBOSE, print_json, refuse_option_conflicts
-from swarm.cli.planning import plan_mission, require_cleared
+from swarm.cli.inputs import (
+    JSON,
+    MISSION,
+    REPLAN,
+    SET,
+    VERBOSE,
+    print_json,
+    refuse_option_conflicts,
+)
+from swarm.cli.planning import load_source, require_cleared
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.flight.setup import Options
-from swarm.front.files import load_mission
 from swarm.mission.fleet import emulated_fleet
 from swarm.reports.flight_json import outcome_object
 from swarm.reports.flight_text import print_outcome
@@ -26,6 +33,7 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @click.command("dry-run")
 @MISSION
 @SET
+@REPLAN
 @JSON
 @VERBOSE
 @click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
@@ -52,11 +60,12 @@ def dry_run(
     /,
     mission: str,
     overrides: tuple[str, ...],
+    replan: bool,
     as_json: bool,
     verbose: bool,
     **options: Any,
 ) -> None:
-    """Simulate a flight of MISSION (a file or the name of a knot) in virtual time.
+    """Simulate a flight of MISSION (a mission or plan file, or the name of a knot) in virtual time.
 
     The flight software flies the built-in emulator; the same seed gives the same flight. swarm
     trials flies many, each under other conditions; --trial repeats one of them.
@@ -67,7 +76,7 @@ def dry_run(
     Example: swarm dry-run missions/overhand.yaml --report flight.html
     """
     refuse_option_conflicts(options, _REQUIRES, _EXCLUDES)
-    planned = plan_mission(load_mission(mission, overrides))
+    planned = load_source(mission, overrides, replan=replan).planned()
     require_cleared(context, planned, verbose=verbose, as_json=as_json)
     with FlightScreen(planned.plan, Console(quiet=as_json)) as screen:
         result = _fly(planned, screen, options)

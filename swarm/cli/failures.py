@@ -11,11 +11,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from swarm import planner
-from swarm.cli.inputs import JOBS, JSON, SET, VERBOSE, missions, print_json
-from swarm.cli.planning import plan_mission, require_cleared
+from swarm.cli.inputs import JOBS, JSON, REPLAN, SET, VERBOSE, missions, print_json
+from swarm.cli.planning import load_source, require_cleared
 from swarm.cli.responses import print_responses
 from swarm.files import write_text
-from swarm.front.files import load_mission
 from swarm.reports.failures_report import failures_report
 from swarm.reports.failures_text import print_failures
 from swarm.simulation.fault_injection import (
@@ -52,6 +51,7 @@ class FailureOptions:
 @click.command()
 @click.argument("mission", metavar="[MISSION]", required=False, shell_complete=missions)
 @SET
+@REPLAN
 @JSON
 @VERBOSE
 @click.option(
@@ -92,6 +92,7 @@ def failures(
     /,
     mission: str | None,
     overrides: tuple[str, ...],
+    replan: bool,
     as_json: bool,
     verbose: bool,
     table: bool,
@@ -100,9 +101,9 @@ def failures(
 ) -> None:
     """Run failure tests on MISSION, or print the team's response to every failure.
 
-    With MISSION (a file or the name of a knot), every known fault is injected, one per simulated
-    flight, with PX4, ArduPilot and mixed teams. Exit code 0 if the team responds to each as the
-    table says; otherwise 1.
+    With MISSION (a mission or plan file, or the name of a knot), every known fault is injected,
+    one per simulated flight, with PX4, ArduPilot and mixed teams. Exit code 0 if the team responds
+    to each as the table says; otherwise 1.
 
     Without MISSION, the table of responses is printed.
 
@@ -114,7 +115,7 @@ def failures(
         return
     if table or diagram:
         raise click.UsageError("--table and --diagram are of the responses: leave MISSION out")
-    planned = plan_mission(load_mission(mission, overrides))
+    planned = load_source(mission, overrides, replan=replan).planned()
     require_cleared(context, planned, verbose=verbose, as_json=as_json)
     run_failures(context, planned, FailureOptions(**options), as_json=as_json)
 

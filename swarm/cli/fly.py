@@ -13,8 +13,8 @@ from rich.console import Console
 
 from swarm.certification.findings import Finding
 from swarm.cli.flight_session import Displays, Viewer, displays, end_flight
-from swarm.cli.inputs import JSON, SET, VERBOSE
-from swarm.cli.planning import plan_mission, require_cleared
+from swarm.cli.inputs import JSON, REPLAN, SET, VERBOSE
+from swarm.cli.planning import load_source, require_cleared
 from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
 from swarm.flight.bench_flight import RAISED, raised
@@ -22,11 +22,12 @@ from swarm.flight.clearance import Audit
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import Then
 from swarm.flight.setup import LOOSE_ERROR
-from swarm.front.files import load_fleet, load_mission
+from swarm.front.files import load_fleet
 from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlyOptions
 from swarm.ground.record_folder import control_socket, new_record_folder
+from swarm.mission import Mission
 from swarm.mission.fleet import emulated_fleet
 from swarm.planning.estimates import require_fleet
 from swarm.reports.findings_text import findings_table
@@ -45,6 +46,7 @@ class Options:
 
     mission: str | None
     overrides: tuple[str, ...]
+    replan: bool
     as_json: bool
     verbose: bool
     fleet: Path | None
@@ -61,6 +63,7 @@ class Options:
         given = {
             "MISSION": self.mission,
             "--set": self.overrides,
+            "--replan": self.replan,
             "--fleet": self.fleet,
             "--no-cable": self.no_cable,
             "--speed": self.speed != 1.0,
@@ -74,6 +77,7 @@ class Options:
 @click.command()
 @click.argument("mission", metavar="[MISSION]", required=False)
 @SET
+@REPLAN
 @JSON
 @VERBOSE
 @click.option(
@@ -117,7 +121,10 @@ class Options:
 )
 @click.pass_context
 def fly(context: click.Context, /, **options: Any) -> None:
-    """Plan MISSION (a file or the name of a knot), check the plan, and fly it.
+    """Plan MISSION (a mission or plan file, or the name of a knot), check the plan, and fly it.
+
+    A plan file that `swarm plan --save` wrote is not planned again: the plan that was reviewed is
+    certified again and flown.
 
     Without --fleet, the built-in emulator flies in a process of its own. Ctrl-C holds and then
     lands the team. After a failure of the ground station in flight, --resume takes over the
@@ -135,18 +142,18 @@ def fly(context: click.Context, /, **options: Any) -> None:
         return
     if given.mission is None:
         raise click.UsageError("Missing argument 'MISSION'.")
-    mission = load_mission(given.mission, given.overrides)
+    source = load_source(given.mission, given.overrides, replan=given.replan)
     fleet = load_fleet(given.fleet) if given.fleet else None
     console = Console(quiet=given.as_json)
-    if fleet is not None:
-        require_fleet(mission, fleet)
-    planned = plan_mission(mission)
+    if fleet is not None and isinstance(source.given, Mission):
+        require_fleet(source.given, fleet)
+    planned = source.planned()
     require_cleared(context, planned, verbose=given.verbose, as_json=given.as_json)
     team = fleet or emulated_fleet(planned.plan.vehicles)
     flight_plan = raised(planned.certified(), team, no_cable=given.no_cable)
     if flight_plan.plan is not planned.plan:
         console.print(_RAISED_FLIGHT, style="dim", highlight=False, soft_wrap=True)
-    folder = given.record or new_record_folder(_FLIGHTS, mission.name)
+    folder = given.record or new_record_folder(_FLIGHTS, planned.plan.mission.name)
     control = control_socket(folder)
     flight = FlightRequest(
         flight_plan, team, folder,
@@ -172,7 +179,7 @@ def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResul
                 on_snapshot=shown.on_snapshot,
                 on_event=shown.on_event,
             ),
-            read_keys=sys.stdin.isatty(),
+            read_keys=unattended and sys.stdin.isatty(),
             low_priority=True,
         )
 

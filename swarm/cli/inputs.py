@@ -32,6 +32,9 @@ SET = click.option(
     metavar="KEY.PATH=VALUE",
     help="Override a key of the mission file; can be repeated.",
 )
+REPLAN = click.option(
+    "--replan", is_flag=True, help="Plan again, also where the mission was planned before."
+)
 JOBS = click.option(
     "--jobs", type=click.IntRange(1, 1024), help="Parallel processes [one per core]."
 )

@@ -7,11 +7,11 @@ import click
 from rich.console import Console
 
 from swarm import exports, planner, studies
-from swarm.cli.inputs import JSON, MISSION, SET, VERBOSE, print_json, progress_bar
-from swarm.cli.planning import plan_mission
+from swarm.cli.inputs import JSON, MISSION, REPLAN, SET, VERBOSE, print_json, progress_bar
+from swarm.cli.planning import load_source
 from swarm.errors import Refused
-from swarm.files import write_text
-from swarm.front.files import load_mission
+from swarm.files import write_bytes, write_text
+from swarm.front.plan_files import certified_plan_file
 from swarm.mission import Mission
 from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.plan_summary import print_plan_summary
@@ -23,8 +23,14 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @click.command()
 @MISSION
 @SET
+@REPLAN
 @JSON
 @VERBOSE
+@click.option(
+    "--save",
+    type=FILE,
+    help="Write the cleared plan with its certificate (FILE.plan), to be reviewed and flown.",
+)
 @click.option(
     "--export", type=FILE, help="Write the motion of every grip point (CSV; ENU, SI, every 0.05 s)."
 )
@@ -50,46 +56,57 @@ def plan(
     /,
     mission: str,
     overrides: tuple[str, ...],
+    replan: bool,
     as_json: bool,
     verbose: bool,
     front: bool,
     **files: Path | None,
 ) -> None:
-    """Plan MISSION (a file or the name of a knot), check the plan, and print it.
+    """Plan MISSION (a mission or plan file, or the name of a knot), check the plan, and print it.
 
     The first line is the verdict; warnings and errors are the last lines.
 
     Exit code 0 if the plan is cleared for flight, 1 if it is refused.
 
-    Example: swarm plan missions/overhand.yaml --plot plan.png --export motion.csv
+    A mission that was planned before with this version is not planned again: the plan is read
+    from the user's cache and certified again. --save writes a plan file, which other commands take
+    as MISSION; its certificate is computed again each time it is read.
+
+    Example: swarm plan missions/overhand.yaml --save overhand.plan --plot plan.png
     """
-    loaded = load_mission(mission, overrides)
+    source = load_source(mission, overrides, replan=replan)
     if front:
-        if files["export"] or files["report"] or files["sheet"]:
+        others = (files[name] for name in ("save", "export", "report", "sheet"))
+        if any(others) or replan or not isinstance(source.given, Mission):
             raise click.UsageError("--front can be combined with --plot, --set and --json only")
-        context.exit(_front(loaded, as_json, files["plot"]))
+        context.exit(_front(source.given, as_json, files["plot"]))
     try:
-        planned = plan_mission(loaded)
+        planned = source.planned()
     except Refused as refusal:
-        if as_json:
-            print_json(exports.refusal_object(loaded, refusal))
+        if as_json and isinstance(source.given, Mission):
+            print_json(exports.refusal_object(source.given, refusal))
         raise
     _write_files(planned, **files)
     if as_json:
         print_json(exports.plan_object(planned.plan, planned.assessment))
     else:
         print_plan_summary(planned.plan, planned.assessment, Console(), verbose=verbose)
+    if files["save"]:
+        _say_saved(files["save"], planned)
     context.exit(0 if planned.assessment.cleared else 1)
 
 
 def _write_files(
     planned: planner.PlanningResult,
     *,
+    save: Path | None,
     export: Path | None,
     plot: Path | None,
     report: Path | None,
     sheet: Path | None,
 ) -> None:
+    if save and planned.assessment.cleared:
+        write_bytes(save, certified_plan_file(planned.certified()))
     if export:
         write_text(export, "\n".join(exports.motion_rows(planned.plan)) + "\n")
     if plot:
@@ -102,6 +119,15 @@ def _write_files(
         write_text(report, plan_report(planned.plan, planned.assessment))
     if sheet:
         write_text(sheet, layout_sheet(planned.plan))
+
+
+def _say_saved(path: Path, planned: planner.PlanningResult) -> None:
+    """Print the digest by which a saved plan is recognised, or that a refused plan is not saved."""
+    if planned.assessment.cleared:
+        words = f"{path}: saved; digest {planned.certificate.digest}"
+    else:
+        words = f"{path}: not written: the plan is refused"
+    click.echo(words, err=True)
 
 
 def _front(mission: Mission, as_json: bool, plot: Path | None) -> int:

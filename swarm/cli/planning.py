@@ -1,21 +1,67 @@
 """Planning with a progress line, shared by the commands that need a plan."""
 
+from dataclasses import dataclass
+
 import click
 from rich.console import Console
 
 from swarm import planner
 from swarm.cli.inputs import progress_bar
-from swarm.errors import Refused
+from swarm.errors import InputError, Problem, Refused
+from swarm.front import plan_cache
+from swarm.front.files import load_mission
+from swarm.front.plan_files import is_plan_file, load_certified
 from swarm.mission import Mission
 from swarm.reports.findings_text import print_verdict
 from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.verdicts import plan_verdict
 
 
-def plan_mission(mission: Mission) -> planner.PlanningResult:
-    """Return the plan of a mission and its certificate, cleared or not."""
-    with progress_bar(Console(stderr=True)) as progress:
-        return planner.plan(mission, progress)
+@dataclass(frozen=True)
+class Source:
+    """What a command was given: a mission to plan, or the name of a plan file."""
+
+    given: Mission | str
+    replan: bool
+
+    def planned(self) -> planner.PlanningResult:
+        """Return the plan and its certificate, with a progress line."""
+        if isinstance(self.given, Mission):
+            return plan_mission(self.given, replan=self.replan)
+        with progress_bar(Console(stderr=True), "certificate") as progress:
+            return load_certified(self.given, progress)
+
+
+def load_source(name: str, overrides: tuple[str, ...], *, replan: bool = False) -> Source:
+    """Return the mission of a file or of a knot, or a plan file.
+
+    Raises :class:`InputError` for a wrong mission, and for options that a plan file does not take.
+    """
+    if not is_plan_file(name):
+        return Source(load_mission(name, overrides), replan)
+    given = [option for option, value in (("--set", overrides), ("--replan", replan)) if value]
+    if given:
+        message = f"{name} is a plan file, which is not planned again"
+        raise InputError([Problem(option, message) for option in given])
+    return Source(name, replan)
+
+
+def plan_mission(mission: Mission, *, replan: bool = False) -> planner.PlanningResult:
+    """Return the plan of a mission and its certificate, cleared or not.
+
+    A mission that was planned before is not planned again, unless with ``replan``.
+    """
+    console = Console(stderr=True)
+    with progress_bar(console) as progress:
+        before = None if replan else plan_cache.find(mission, progress)
+        if before is None:
+            planned = planner.plan(mission, progress)
+            plan_cache.store(mission, planned)
+            return planned
+    planned, computed = before
+    words = f"Planned before ({computed.astimezone():%Y-%m-%d %H:%M}); --replan plans again"
+    console.print(words, style="dim", highlight=False, soft_wrap=True)
+    return planned
 
 
 def require_cleared(

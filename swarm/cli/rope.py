@@ -11,15 +11,15 @@ from swarm import planner
 from swarm.cli.inputs import (
     JSON,
     MISSION,
+    REPLAN,
     SET,
     print_json,
     progress_bar,
     refuse_option_conflicts,
 )
-from swarm.cli.planning import plan_mission, plan_paper_trajectory
+from swarm.cli.planning import load_source, plan_paper_trajectory
 from swarm.errors import SwarmError
 from swarm.files import write_text
-from swarm.front.files import load_mission
 from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.reports.plots import save
 from swarm.reports.rope_plots import rope_figure
@@ -45,6 +45,7 @@ class RopeOptions:
 @click.command()
 @MISSION
 @SET
+@REPLAN
 @JSON
 @click.option(
     "--links",
@@ -67,20 +68,22 @@ def rope(
     /,
     mission: str,
     overrides: tuple[str, ...],
+    replan: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Simulate a rope of hundreds of links with contact, moved along the plan of MISSION.
 
-    MISSION is a file or the name of a knot. The rope (MuJoCo) moves along the planned motion of
-    the grip points; then its knot is identified. No vehicle flies, so a refused plan is moved too.
+    MISSION is a mission or plan file, or the name of a knot. The rope (MuJoCo) moves along the
+    planned motion of the grip points; then its knot is identified. No vehicle flies, so a refused
+    plan is moved too.
 
     Exit code 0 if the rope has the planned knot and the simulation is valid; otherwise 1.
 
     Example: swarm rope missions/overhand.yaml --plot rope.png
     """
     refuse_option_conflicts(options, {}, [("compare", "flown")])
-    planned = plan_mission(load_mission(mission, overrides))
+    planned = load_source(mission, overrides, replan=replan).planned()
     run_rope(context, planned, RopeOptions(**options), as_json=as_json)
 
 

@@ -15,17 +15,17 @@ from swarm.cli.inputs import (
     JOBS,
     JSON,
     MISSION,
+    REPLAN,
     SCHEDULER,
     SET,
     VERBOSE,
     print_json,
     refuse_option_conflicts,
 )
-from swarm.cli.planning import plan_mission, plan_paper_trajectory, require_cleared
+from swarm.cli.planning import load_source, plan_paper_trajectory, require_cleared
 from swarm.errors import Interrupted
 from swarm.files import write_text
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
-from swarm.front.files import load_mission
 from swarm.front.trials import Trials, TrialSeries, fly_series, load_scenario
 from swarm.reports.trials_text import print_trials
 from swarm.simulation.monte_carlo import workers_starting
@@ -52,6 +52,7 @@ class TrialOptions:
 @click.command()
 @MISSION
 @SET
+@REPLAN
 @JSON
 @VERBOSE
 @click.option(
@@ -76,11 +77,14 @@ def trials(
     /,
     mission: str,
     overrides: tuple[str, ...],
+    replan: bool,
     as_json: bool,
     verbose: bool,
     **options: Any,
 ) -> None:
-    """Simulate many flights of MISSION (a file or the name of a knot), each under other conditions.
+    """Simulate many flights of MISSION, each under other conditions.
+
+    MISSION is a mission or plan file, or the name of a knot.
 
     Each trial has its own wind, delays, packet loss, tracking, grip and length errors, and
     sometimes a failing vehicle; the same seed gives the same trials. swarm dry-run --trial NUMBER
@@ -93,10 +97,10 @@ def trials(
     """
     refuse_option_conflicts(options, {}, [("jobs", "scheduler")])
     given = TrialOptions(**options)
-    loaded = load_mission(mission, overrides)
+    source = load_source(mission, overrides, replan=replan)
     # the processes that fly the trials start while the plan is computed
     with workers_starting(given.jobs) if given.scheduler is None else nullcontext():
-        planned = plan_mission(loaded)
+        planned = source.planned()
     require_cleared(context, planned, verbose=verbose, as_json=as_json)
     run_trials(context, planned, given, as_json=as_json)
 

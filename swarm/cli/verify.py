@@ -7,8 +7,12 @@ import click
 from rich.console import Console
 
 from swarm.cli.inputs import JSON, print_json
+from swarm.errors import Refused
+from swarm.front.plans import load_plan
 from swarm.ground.observations import parse_observation
+from swarm.ground.record_reader import recorded_plan
 from swarm.ground.record_verification import verify_record
+from swarm.planning import digest
 from swarm.reports.flight_json import record_object
 from swarm.reports.record_text import print_record
 
@@ -16,6 +20,13 @@ from swarm.reports.record_text import print_record
 @click.command()
 @click.argument("record", type=click.Path(path_type=Path))
 @JSON
+@click.option(
+    "--plan",
+    "reviewed",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE.plan",
+    help="Refuse the record of another plan than this one.",
+)
 @click.option(
     "--observed",
     metavar="SENTENCE",
@@ -28,7 +39,12 @@ from swarm.reports.record_text import print_record
 )
 @click.pass_context
 def verify(
-    context: click.Context, record: Path, as_json: bool, observed: str | None, plot: Path | None
+    context: click.Context,
+    record: Path,
+    as_json: bool,
+    reviewed: Path | None,
+    observed: str | None,
+    plot: Path | None,
 ) -> None:
     """Verify a flight RECORD (a folder): implied knot, smallest distances, tracking errors.
 
@@ -39,6 +55,8 @@ def verify(
     Example: swarm verify flights/2025-06-01T10-00-00-overhand --plot flight.png
     """
     observation = parse_observation(observed, datetime.now(UTC)) if observed else None
+    if reviewed is not None:
+        _require_reviewed(record, reviewed)
     verified = verify_record(record)
     if observation is not None:
         verified = verified.observed(observation)
@@ -51,3 +69,12 @@ def verify(
     else:
         print_record(verified, Console())
     context.exit(0 if verified.passed else 1)
+
+
+def _require_reviewed(record: Path, reviewed: Path) -> None:
+    """Raise :class:`Refused` for the record of another plan than the one of a plan file."""
+    expected, flown = digest(load_plan(reviewed)), digest(recorded_plan(record))
+    if expected != flown:
+        raise Refused(
+            f"{record}: another plan than {reviewed}: expected digest {expected}, got {flown}"
+        )

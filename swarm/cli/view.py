@@ -6,10 +6,9 @@ from pathlib import Path
 
 import click
 
-from swarm.cli.inputs import SET
-from swarm.cli.planning import plan_mission
+from swarm.cli.inputs import REPLAN, SET
+from swarm.cli.planning import load_source
 from swarm.errors import InputError, Interrupted, Problem, reason
-from swarm.front.files import load_mission
 from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.view.replay import write_flight, write_plan
 from swarm.view.screenshot import screenshot
@@ -30,8 +29,9 @@ _RECORDING = b"RRF"
 
 
 @click.command()
-@click.argument("source", metavar="RECORD|FILE.rrd|MISSION")
+@click.argument("source", metavar="RECORD|FILE.rrd|FILE.plan|MISSION")
 @SET
+@REPLAN
 @click.option("--web", is_flag=True, help="Serve the viewer as a web page, on this machine only.")
 @click.option(
     "--screenshot",
@@ -59,6 +59,7 @@ _RECORDING = b"RRF"
 def view(
     source: str,
     overrides: tuple[str, ...],
+    replan: bool,
     web: bool,
     picture: Path | None,
     at: float | None,
@@ -68,8 +69,8 @@ def view(
 ) -> None:
     """Open a flight RECORD (a folder), a recording, or the plan of a MISSION in Rerun.
 
-    A mission (a file or the name of a knot) is planned first. The command ends when the window is
-    closed; with --web, at an interrupt.
+    A mission (a file or the name of a knot) is planned first; a plan file is certified again. The
+    command ends when the window is closed; with --web, at an interrupt.
 
     Example: swarm view flights/2025-06-01T10-00-00-overhand --compare
     """
@@ -82,7 +83,7 @@ def view(
         recording = find_recording(Path(source))
         if recording is None:
             recording = output or folder / "plan.rrd"
-            write_plan(plan_mission(load_mission(source, overrides)).plan, recording)
+            write_plan(load_source(source, overrides, replan=replan).planned().plan, recording)
         else:
             _require_recording(recording)
         sources = [recording]

@@ -36,8 +36,14 @@ def certificate_document(basis: Basis, found: Assessment) -> dict[str, Any]:
     }
 
 
-def read_certificate(document: Mapping[str, Any]) -> tuple[Basis, Assessment]:
-    """Return the content of a :func:`certificate_document`; raises :class:`InputError`."""
+def read_certificate(
+    document: Mapping[str, Any], source: str = "the record's certificate"
+) -> tuple[Basis, Assessment]:
+    """Return the content of a :func:`certificate_document`; ``source`` names it in errors.
+
+    It is what a file states. Only :mod:`swarm.certification.certificate` makes certificates.
+    Raises :class:`InputError`.
+    """
     try:
         basis = Basis(**{field.name: document[field.name] for field in fields(Basis)})
         if not isinstance(basis.cable, bool) or basis.kind not in get_args(Kind):
@@ -53,7 +59,7 @@ def read_certificate(document: Mapping[str, Any]) -> tuple[Basis, Assessment]:
             robustness=Robustness(**document["robustness"]),
         )
     except READ_ERRORS as error:
-        raise InputError(f"the record's certificate cannot be read: {error}") from None
+        raise InputError(f"{source} cannot be read: {error}") from None
 
 
 def frames_document(known: KnownFrames) -> dict[str, Any]:

@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm import planner, planning
-from swarm.certification.certificate import Certificate, require_no_errors
+from swarm.certification.certificate import Certificate, CertifiedPlan, require_no_errors
 from swarm.errors import Refused
 from swarm.exports import MOTION_STEP, motion_rows
 from swarm.files import read_bytes, write_bytes
+from swarm.front.plan_files import LARGEST_PLAN, certified_plan_file
 from swarm.front.recordings import Recording
 from swarm.mission import Mission
 from swarm.notebook import table
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
 Picture = Literal["knot", "schedule"]
-
-LARGEST_PLAN = 512 * 1024 * 1024
-"""Bytes of a plan file; an hour of a hundred vehicles takes less."""
 
 
 class NotCleared(Refused):
@@ -73,15 +71,20 @@ class Plan(planning.Plan):
         """
         return cable_shape(self, time, points)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], certificate: Certificate | None = None) -> None:
         """Write the plan as one file for :func:`swarm.load_plan`; an existing file is replaced.
 
         A ZIP archive of JSON and NumPy arrays with the plan's digest; equal plans give equal files.
-        Raises :class:`swarm.InputError` where the file cannot be written.
+        With its ``certificate``, `swarm fly` and the other commands take the file as a mission.
+        Raises :class:`swarm.InputError` where the file cannot be written, and
+        :class:`swarm.Refused` where the certificate belongs to another plan or has errors.
 
-        Source: :mod:`swarm.planning.archive`.
+        Source: :mod:`swarm.planning.archive`, :mod:`swarm.front.plan_files`.
         """
-        write_bytes(path, plan_file(self))
+        if certificate is None:
+            write_bytes(path, plan_file(self))
+        else:
+            write_bytes(path, certified_plan_file(CertifiedPlan(self, certificate)))
 
     def to_csv(self, path: str | os.PathLike[str], step: float = MOTION_STEP) -> None:
         """Write the motion of every grip point as CSV, a row per vehicle every ``step`` seconds.
@@ -157,4 +160,4 @@ def load_plan(path: str | os.PathLike[str]) -> Plan:
     Source: :mod:`swarm.planning.archive`.
     """
     name = os.fspath(path)
-    return Plan.of(read_plan_file(read_bytes(path, LARGEST_PLAN), name))
+    return Plan.of(read_plan_file(read_bytes(path, LARGEST_PLAN), name).plan)

@@ -1,6 +1,7 @@
 """Plans as data: JSON and NumPy arrays, and plan files made of both.
 
-Reading executes no code: files hold numbers and text only.
+Reading executes no code: files hold numbers and text only. The digests in a plan file protect from
+accidental changes alone, because who can change a file can change its digests too.
 """
 
 import hashlib
@@ -8,8 +9,8 @@ import io
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from swarm.geometry.motion import Motion
 from swarm.mission import Mission
 from swarm.planning.digest import digest
 from swarm.planning.plan import Gate, KnotSummary, Phase, Plan
+from swarm.version import __version__
 
 READ_ERRORS: Final = (
     KeyError, TypeError, ValueError, AttributeError, OSError, EOFError, zipfile.BadZipFile,
@@ -28,10 +30,11 @@ READ_ERRORS: Final = (
 """Exceptions that the libraries raise for damaged JSON and .npz files."""
 
 FORMAT: Final = "swarm plan"
-SCHEMA: Final = 1
-"""Name and version of the format of plan files, as in their manifest."""
+SCHEMA: Final = 2
+"""Name and version of the format of plan files, as in their manifest. 1 had no certificate."""
 
 _MANIFEST, _DOCUMENT, _MOTION = "manifest.json", "plan.json", "motion.npz"
+_CERTIFICATE = "certificate.json"
 _LARGEST_MEMBER = 256 * 1024 * 1024
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """Modification time of every member of a plan file, so that equal plans give equal files."""
@@ -75,7 +78,7 @@ def read_plan(
     """
     try:
         layout = document["layout"]
-        return Plan(
+        plan = Plan(
             mission=Mission.model_validate(document["mission"]),
             knot=KnotSummary(
                 **{
@@ -97,8 +100,25 @@ def read_plan(
             path=np.array(document["path"], dtype=np.float64),
             notes=tuple(document["notes"]),
         )
+        _require_shapes(plan)
     except READ_ERRORS as error:
         raise InputError(f"{source} cannot be read: {error}") from None
+    return plan
+
+
+def _require_shapes(plan: Plan) -> None:
+    """Raise ValueError where the arrays of a plan do not belong to one team and one cable."""
+    layout, vehicles, segments = plan.layout, plan.vehicles, len(plan.layout.lengths)
+    if segments not in {0, vehicles - 1}:
+        raise ValueError(f"{segments} segments between {vehicles} vehicles")
+    for name in ("sags", "lengths", "lanes"):
+        if (
+            getattr(layout, name).shape != (segments,)
+            or not np.isfinite(getattr(layout, name)).all()
+        ):
+            raise ValueError(f"layout.{name}: expected {segments} finite numbers")
+    if not all(0 <= segment < segments for pair in layout.crossings for segment in pair):
+        raise ValueError("layout.crossings: a segment that does not exist")
 
 
 def _read_motion(data: bytes) -> Motion:
@@ -109,67 +129,106 @@ def _read_motion(data: bytes) -> Motion:
         times = np.asarray(arrays["times"], dtype=np.float64)
         coefficients = np.asarray(arrays["coefficients"], dtype=np.float64)
     pieces = len(times) - 1
-    if times.ndim != 1 or coefficients.ndim != 4 or coefficients.shape[:2] != (pieces, 6):
+    shape = coefficients.shape
+    if times.ndim != 1 or len(shape) != 4 or shape[:2] != (pieces, 6) or shape[3] != 3:
         raise ValueError("the motion has a wrong shape")
     if not (np.isfinite(times).all() and np.isfinite(coefficients).all()):
         raise ValueError("the motion has numbers that are not finite")
+    if pieces < 1 or not (np.diff(times) > 0.0).all():
+        raise ValueError("the times of the motion do not increase")
     return Motion(times, coefficients)
 
 
-def plan_file(plan: Plan) -> bytes:
-    """Return a plan as one file: a ZIP archive of a manifest, a JSON document and the motion.
+@dataclass(frozen=True, eq=False)
+class PlanFile:
+    """The content of a plan file: the plan, and the document of its certificate.
 
-    The manifest holds the format's name and version, the plan's digest, and the SHA-256 of the
-    other members. Equal plans give equal bytes.
+    The document is what the file states, not yet compared with the plan; None in a file without.
     """
-    members = {
-        _DOCUMENT: json.dumps(plan_document(plan), indent=1, allow_nan=False).encode(),
-        _MOTION: plan_motion(plan),
-    }
+
+    plan: Plan
+    certificate: Mapping[str, Any] | None
+
+
+def plan_file(plan: Plan, certificate: Mapping[str, Any] | None = None) -> bytes:
+    """Return a plan as one file: a ZIP archive of JSON documents and the motion.
+
+    ``certificate`` is the document of its certificate, as a flight record has it. The manifest
+    holds the format's name and version, the version of the program, the plan's digest, and the
+    SHA-256 of the other members. Floats are kept to the last bit; equal plans give equal bytes.
+    """
+    members = {_DOCUMENT: _json(plan_document(plan)), _MOTION: plan_motion(plan)}
+    if certificate is not None:
+        members[_CERTIFICATE] = _json(certificate)
     manifest = {
         "format": FORMAT,
         "schema": SCHEMA,
+        "swarm": __version__,
         "digest": digest(plan),
         "sha256": {name: _sha256(data) for name, data in members.items()},
     }
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in {_MANIFEST: json.dumps(manifest, indent=1).encode(), **members}.items():
+        for name, data in {_MANIFEST: _json(manifest), **members}.items():
             archive.writestr(zipfile.ZipInfo(name, _EPOCH), data, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
 
 
-def read_plan_file(data: bytes, source: str) -> Plan:
-    """Return the plan of bytes from :func:`plan_file`; ``source`` names them in errors.
+def read_plan_file(data: bytes, source: str) -> PlanFile:
+    """Return the content of bytes from :func:`plan_file`; ``source`` names them in errors.
 
     Raises :class:`InputError` for another kind of file, an incomplete file, another version of the
     format, and a file that was changed.
     """
-    members = _members(data, source)
+    manifest = _read_manifest(_members(data, source, [_MANIFEST])[_MANIFEST], source)
+    sums = manifest["sha256"]
+    names = [_DOCUMENT, _MOTION, *([_CERTIFICATE] if _CERTIFICATE in sums else [])]
+    members = _members(data, source, names)
+    for name in names:
+        _require(f"{source}: SHA-256 of {name}", sums.get(name), _sha256(members[name]))
+    document = _document(members[_DOCUMENT], f"{source}: {_DOCUMENT}")
+    plan = read_plan(document, members[_MOTION], f"{source}: the plan")
+    _require(f"{source}: digest", manifest["digest"], digest(plan))
+    if _CERTIFICATE not in members:
+        return PlanFile(plan, None)
+    return PlanFile(plan, _document(members[_CERTIFICATE], f"{source}: {_CERTIFICATE}"))
+
+
+def _read_manifest(data: bytes, source: str) -> Mapping[str, Any]:
+    """Return a manifest of this version of the format."""
     try:
-        manifest = json.loads(members[_MANIFEST])
+        manifest = json.loads(data)
         kind, schema = manifest["format"], manifest["schema"]
-        recorded, sums = manifest["digest"], dict(manifest["sha256"])
+        dict(manifest.get("sha256", {}))
     except READ_ERRORS:
         raise InputError([Problem(f"{source}: {_MANIFEST}", "cannot be read")]) from None
     _require(f"{source}: format", FORMAT, kind)
-    _require(f"{source}: schema", SCHEMA, schema)
-    for name in (_DOCUMENT, _MOTION):
-        _require(f"{source}: SHA-256 of {name}", sums.get(name), _sha256(members[name]))
+    if schema != SCHEMA or isinstance(schema, bool):
+        maker = f"swarm {manifest['swarm']}" if "swarm" in manifest else "another version of swarm"
+        message = f"expected {SCHEMA}, got {schema}: made by {maker}, whose plan files differ"
+        raise InputError([Problem(f"{source}: schema", message)])
+    if not isinstance(manifest.get("sha256"), dict) or "digest" not in manifest:
+        raise InputError([Problem(f"{source}: {_MANIFEST}", "cannot be read")])
+    found: Mapping[str, Any] = manifest
+    return found
+
+
+def _document(data: bytes, place: str) -> Any:
     try:
-        document = json.loads(members[_DOCUMENT])
-    except READ_ERRORS as error:
-        raise InputError([Problem(f"{source}: {_DOCUMENT}", f"not JSON: {error}")]) from None
-    plan = read_plan(document, members[_MOTION], f"{source}: the plan")
-    _require(f"{source}: digest", recorded, digest(plan))
-    return plan
+        return json.loads(data)
+    except (*READ_ERRORS, RecursionError) as error:
+        raise InputError([Problem(place, f"not JSON: {error}")]) from None
 
 
-def _members(data: bytes, source: str) -> dict[str, bytes]:
+def _json(document: Mapping[str, Any]) -> bytes:
+    return json.dumps(document, indent=1, allow_nan=False).encode()
+
+
+def _members(data: bytes, source: str, names: Sequence[str]) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             found = {}
-            for name in (_MANIFEST, _DOCUMENT, _MOTION):
+            for name in names:
                 with archive.open(name) as member:
                     found[name] = member.read(_LARGEST_MEMBER + 1)
     except KeyError as error:

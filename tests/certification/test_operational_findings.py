@@ -8,12 +8,18 @@ import pytest
 
 from swarm.certification.air import deepest_sinking, induced_speed, jet_speed, wind_down
 from swarm.certification.assess import assess
+from swarm.certification.assessment import Robustness
 from swarm.certification.budget import budgets, table
 from swarm.certification.clearances import certified, tightest_moments
 from swarm.certification.contingency_windows import contingency_windows, longest_stop
 from swarm.certification.loads import failed_vehicle_load, loads, stuck_gripper_load
 from swarm.certification.operational_findings import contingencies_of, downwash_findings
-from swarm.certification.robustness import failure_in_wind, largest_tracking, largest_wind
+from swarm.certification.robustness import (
+    confirmed,
+    failure_in_wind,
+    largest_tracking,
+    largest_wind,
+)
 from swarm.planning import Gate, Phase
 from tests.certification.synthetic import moving, plan_of
 
@@ -161,6 +167,14 @@ def test_a_wind_across_the_vehicles_blows_strands_together():
     plan = still(side, [5.0, 50.0, 60.0, 55.0, 3.2], "vehicles.tracking=0.02")
     assert failure_in_wind(plan, 0.0) is None
     assert failure_in_wind(plan, 8.0) is not None
+
+
+def test_recorded_robustness_is_confirmed_only_where_it_holds():
+    side = [[0, 0, 60], [3, 0, 60], [40, -20, 60], [40, 30, 60], [3, 1.2, 59.4], [0, 1.2, 59.4]]
+    plan = still(side, [5.0, 50.0, 60.0, 55.0, 3.2], "vehicles.tracking=0.02")
+    assert confirmed(plan, Robustness(0.02, 0.0)) == Robustness(0.02, 0.0)
+    assert confirmed(plan, Robustness(0.9, 8.0)) == Robustness(None, None)
+    assert confirmed(plan, Robustness(None, None)) == Robustness(None, None)
 
 
 def test_strands_without_margin_tolerate_no_wind():
