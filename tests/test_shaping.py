@@ -12,7 +12,6 @@ from swarm.geometry.motion import Motion, leg
 from swarm.planning.shaping import (
     PacedMotion,
     largest_stray,
-    limit_swing,
     shape,
     shaper_for,
     zero_vibration,
@@ -76,21 +75,10 @@ def test_a_shaped_motion_is_the_weighted_sum_of_delayed_ones() -> None:
     assert shape(paced(motion), shaper).at(time)[0] == pytest.approx(expected, abs=2e-4)
 
 
-def test_shaping_and_slowing_keep_the_cable_within_the_limit() -> None:
+def test_shaping_halves_the_swing() -> None:
     motion, lengths = carry()
     sags = np.array([1.4])
     before = largest_stray(motion, lengths, AIR)[1].max()
     assert before > 0.25, "carried as it is, the strand swings"
     shaped = shape(paced(motion), shaper_for(sags))
     assert largest_stray(shaped, lengths, AIR)[1].max() < 0.5 * before
-    for limit in (0.12, 0.05):
-        slow = limit_swing(motion, lengths, sags, AIR, limit)
-        assert largest_stray(slow, lengths, AIR)[1].max() <= limit
-        assert slow.at(math.inf)[0] == pytest.approx(motion.at(math.inf)[0])
-    assert slow.times[-1] > shaped.times[-1]
-
-
-def test_a_limit_that_no_rate_reaches_gives_the_motion_with_the_least_swing() -> None:
-    motion, lengths = carry()
-    slow = limit_swing(motion, lengths, np.array([1.4]), AIR, 1e-6)
-    assert largest_stray(slow, lengths, AIR)[1].max() < 0.05

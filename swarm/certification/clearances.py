@@ -215,9 +215,9 @@ def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
 def certified_tube(plan: Plan) -> SwingTube | None:
     """Return the tube in which the clearances of a plan hold; None where it is quasi-static.
 
-    Without ``fold.swing`` the planned motion is not shaped, and the cable would swing too far.
+    With ``fold.swing: auto`` the swing is not certified, since no limit was asked for.
     """
-    return None if plan.mission.fold.swing is None else swing_tube(plan)
+    return None if plan.mission.fold.swing == "auto" else swing_tube(plan)
 
 
 def _always(plan: Plan) -> Spans:

@@ -19,8 +19,8 @@ from swarm.certification.findings import Finding
 from swarm.certification.monitor import Monitor
 from swarm.certification.stream_loss_bound import Overrun, StreamLossBound
 from swarm.geometry.catenary import MAX_CHORD_RATIO
-from swarm.mission import Mission
 from swarm.planning import CableState, Plan, digest
+from swarm.planning.clock_limits import ClockLimits, clock_limits
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -30,6 +30,8 @@ STEP = 0.5
 """Seconds of mission time between samples; the certificate covers the times between."""
 RATES = (1.0, 0.85, 0.72, 0.61, 0.52, 0.45, 0.38, 0.34, 0.3)
 """Clock rates that are tried, fastest first: each is about 85 % of the one before."""
+_FINE_RATES = tuple(float(rate) for rate in np.linspace(1.0, 0.3, 8))
+"""Clock rates that are tried for plans' own timing."""
 BRAKING_TIME = 0.3
 """Seconds for which a vehicle that is commanded to stop continues at its speed: both autopilots
 brake with about 3 m/s², which takes less at speeds up to 2 m/s."""
@@ -56,12 +58,12 @@ class StreamLossModel:
     silence: float = 0.7
     descent: tuple[float, ...] = (0.0,)
 
-    def overrun(self, mission: Mission, n: int) -> Overrun:
-        """Return how far n vehicles move on."""
-        coast_time = np.broadcast_to(np.array(self.timeout) + BRAKING_TIME, n)
-        descent = np.broadcast_to(np.array(self.descent), n)
-        deceleration = _clock_deceleration(mission)
-        return Overrun(coast_time, BRAKING_TIME, self.silence, deceleration, descent)
+    def overrun(self, plan: Plan) -> Overrun:
+        """Return how far the vehicles of a plan move on."""
+        coast_time = np.broadcast_to(np.array(self.timeout) + BRAKING_TIME, plan.vehicles)
+        descent = np.broadcast_to(np.array(self.descent), plan.vehicles)
+        limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
+        return Overrun(coast_time, BRAKING_TIME, self.silence, limits, descent)
 
 
 @dataclass(frozen=True)
@@ -156,35 +158,20 @@ def certify_stream_loss(
             none, none, WorstLoss(np.inf, 0.0, 0), none, model, digest(plan)
         )
     times = np.append(np.arange(fold[0].start, fold[-1].end, STEP), fold[-1].end)
-    monitor = Monitor(plan)
-    overrun = model.overrun(plan.mission, plan.vehicles)
-    rates = np.full(len(times), np.nan)
-    margins, vehicles = np.full(len(times), -np.inf), np.zeros(len(times), dtype=np.intp)
-    for rate in RATES:
-        open_ = np.flatnonzero(np.isnan(rates))
-        if not len(open_):
-            break
-        margin, vehicle = _margins(plan, monitor, times[open_], rate, overrun)
-        better = margin > margins[open_]
-        margins[open_[better]], vehicles[open_[better]] = margin[better], vehicle[better]
-        rates[open_[margin >= 0.0]] = rate
+    overrun = model.overrun(plan)
+    rates, margins, vehicles = _sampled_rates(plan, overrun, times, RATES, 0.0)
     lost = np.isnan(rates)
     rates[lost] = RATES[-1]
     unshown = _lower(StreamLossBound(plan, overrun, fold[-1].end), times, rates, lost)
     tightest = int(np.argmin(margins))
     return StreamLossCertificate(
         times,
-        _reachable(plan.mission, times, rates),
+        _reachable(overrun.limits, times, rates),
         WorstLoss(float(margins[tightest]), float(times[tightest]), int(vehicles[tightest])),
         times[lost | unshown],
         model,
         digest(plan),
     )
-
-
-def _clock_deceleration(mission: Mission) -> float:
-    """Largest change of the clock's rate per second: b / v brakes no vehicle by more than b."""
-    return mission.vehicles.braking_acceleration / mission.vehicles.max_speed
 
 
 def _lower(bound: StreamLossBound, times: Floats, rates: Floats, lost: Flags) -> Flags:
@@ -206,15 +193,49 @@ def _lower(bound: StreamLossBound, times: Floats, rates: Floats, lost: Flags) ->
     return unshown
 
 
-def _reachable(mission: Mission, times: Floats, rates: Floats) -> Floats:
-    """Lower rates ahead of limits, so that braking along the path reaches each limit in time.
+def sampled_rates(plan: Plan, step: float, margin: float) -> tuple[Floats, Floats]:
+    """Return mission times (k,) of the fold, and the largest rates (k,) with a margin in metres.
 
-    The clock's rate changes by at most b / v per second; along mission time r dr/dτ = b / v.
+    By samples ``step`` seconds apart alone, for vehicles with the default behaviour: certificates
+    need :func:`certify_stream_loss`.
     """
-    deceleration = _clock_deceleration(mission)
+    fold = plan.phase("fold")
+    times = np.append(np.arange(fold.start, fold.end, step), fold.end)
+    overrun = StreamLossModel().overrun(plan)
+    rates = _sampled_rates(plan, overrun, times, _FINE_RATES, margin)[0]
+    return times, np.nan_to_num(rates, nan=_FINE_RATES[-1])
+
+
+def _sampled_rates(
+    plan: Plan, overrun: Overrun, times: Floats, tried: Sequence[float], least: float
+) -> tuple[Floats, Floats, Ints]:
+    """Return the fastest of the rates with at least a margin, NaN for none, at times (k,).
+
+    Also the margins (k,) at these rates, and the vehicles (k,) without setpoints that have them.
+    """
+    monitor = Monitor(plan)
+    rates = np.full(len(times), np.nan)
+    margins, vehicles = np.full(len(times), -np.inf), np.zeros(len(times), dtype=np.intp)
+    for rate in tried:
+        open_ = np.flatnonzero(np.isnan(rates))
+        if not len(open_):
+            break
+        margin, vehicle = _margins(plan, monitor, times[open_], rate, overrun)
+        better = margin > margins[open_]
+        margins[open_[better]], vehicles[open_[better]] = margin[better], vehicle[better]
+        rates[open_[margin >= least]] = rate
+    return rates, margins, vehicles
+
+
+def _reachable(limits: ClockLimits, times: Floats, rates: Floats) -> Floats:
+    """Lower rates ahead of limits, so that ordinary braking reaches each limit in time.
+
+    The clock's rate r changes by at most d per second; along mission time r dr/dτ = d.
+    """
     limited = rates.copy()
     for k in range(len(times) - 2, -1, -1):
-        gain = 2.0 * deceleration * (times[k + 1] - times[k])
+        slope = min(limits.at(time, urgent=False) for time in (times[k], times[k + 1]))
+        gain = 2.0 * slope * (times[k + 1] - times[k])
         limited[k] = min(limited[k], float(np.sqrt(limited[k + 1] ** 2 + gain)))
     return limited
 
@@ -272,7 +293,7 @@ def _positions_after(
     moved = overrun.coast_time[:, None] * velocity
     found = [(0, position, position + share * moved) for share in (0.0, *_SHARES)]
     # The team continues until the silence is detected; then the clock's rate falls to zero.
-    advance = float(overrun.advance(np.array(rate)))
+    advance = overrun.advance(times, np.array(rate))
     end = next(phase.end for phase in plan.phases if phase.name == "fold")
     for share in _SHARES:
         team = plan.motion.at(np.minimum(times + share * advance, end))[0]

@@ -34,6 +34,7 @@ from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.sensitivity import sensitivity_tables
 from swarm.jit import compiled
 from swarm.planning import Plan
+from swarm.planning.clock_limits import ClockLimits
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -47,32 +48,59 @@ _ROUNDS = 40
 millisecond wide."""
 
 
+_RATES = np.linspace(0.0, 1.0, 101)
+"""Clock rates at which advances are bounded: between two of them an advance grows by 2 cs."""
+_SAMPLES = 20
+"""Parts of an interval of half a second, whose ends are sampled for the largest advance."""
+
+
 @dataclass(frozen=True, eq=False)
 class Overrun:
     """How far vehicles move on after a stream loss.
 
     At a clock of rate 1, each vehicle without setpoints coasts for up to ``coast_time`` (n,)
-    seconds, of which ``braking_time`` is braking. At rate r the others advance by
-    ``silence`` · r + r² / (2 · ``clock_deceleration``) mission seconds. A vehicle that lands alone
-    descends by up to ``descent`` (n,) metres before the others do.
+    seconds, of which ``braking_time`` is braking. The others advance for ``silence`` seconds until
+    the clock slows, as fast as ``limits`` allow. A vehicle that lands alone descends by up to
+    ``descent`` (n,) metres before the others do.
     """
 
     coast_time: Floats
     braking_time: float
     silence: float
-    clock_deceleration: float
+    limits: ClockLimits
     descent: Floats
 
-    def advance(self, rate: Floats) -> Floats:
+    def advance(self, times: Floats, rates: Floats) -> Floats:
         """Return the mission seconds by which the team advances until it stands."""
-        advance: Floats = self.silence * rate + 0.5 * rate * rate / self.clock_deceleration
-        return advance
+        return self.limits.advance(times, rates, self.silence)
 
-    def largest_advance(self, vehicle: Ints, coast: Floats) -> Floats:
-        """Return the largest advance of the team when a vehicle has coasted for ``coast``."""
+    def largest_advances(self, start: Floats, end: Floats) -> Floats:
+        """Return bounds (k, r) of the advance after losses within intervals (k,), at _RATES.
+
+        Where a stop ends never comes earlier for a later loss: between two samples the advance is
+        at most that of the later one and their distance.
+        """
+        share = np.linspace(0.0, 1.0, _SAMPLES + 1)
+        times = start[:, None] + share * (end - start)[:, None]
+        found = self.advance(times[:, :, None], _RATES).max(axis=1)
+        largest: Floats = found + ((end - start) / _SAMPLES)[:, None]
+        return largest
+
+    def largest_advance(self, vehicle: Ints, coast: Floats, advances: Floats) -> Floats:
+        """Return the largest advance of the team when a vehicle has coasted for ``coast``.
+
+        ``advances`` (m, r) are the bounds for each of the m states at _RATES.
+        """
         rate = coast / self.coast_time[vehicle]
         stopped = rate * (self.coast_time[vehicle] + self.braking_time)
-        return np.maximum(self.advance(rate), stopped)
+        return np.maximum(at_rate(advances, rate), stopped)
+
+
+def at_rate(advances: Floats, rate: Floats) -> Floats:
+    """Return the bounds (m,) of advances (m, r) at the next of _RATES: advances grow with it."""
+    column = np.minimum(np.ceil(rate * (len(_RATES) - 1) - 1e-9), len(_RATES) - 1)
+    found: Floats = advances[np.arange(len(rate)), column.astype(np.intp)]
+    return found
 
 
 class _Cases(NamedTuple):
@@ -127,6 +155,7 @@ class StreamLossBound:
         False where this is not shown.
         """
         count, rounds = len(start), 0
+        advances = self._overrun.largest_advances(start, end)
         shown = np.ones(count, dtype=np.bool_)
 
         def relevant(boxes: Boxes) -> Flags:
@@ -135,52 +164,55 @@ class StreamLossBound:
             interval = boxes.group % count
             if rounds > _ROUNDS:
                 shown[interval] = False
-            where = shown[interval] & self._possible(boxes, count)
+            where = shown[interval] & self._possible(boxes, advances)
             open_ = np.bincount(interval[where], minlength=count)
             shown[open_ > _MOST_BOXES] = False
             where &= shown[interval]
             return where
 
         def undecided(boxes: Boxes, found: Enclosure) -> Flags:
-            failed = self._reached(boxes, count) & (found.high < -TOLERANCE)
+            failed = self._reached(boxes, advances) & (found.high < -TOLERANCE)
             shown[boxes.group[failed] % count] = False
             return found.low < -TOLERANCE
 
         search(
-            lambda boxes: self._margins(boxes, rate), self._roots(start, end, rate), undecided,
+            lambda boxes: self._margins(boxes, rate),
+            self._roots(start, end, rate, advances), undecided,
             relevant=relevant, cut=1.0,
         )  # fmt: skip
         return shown
 
-    def _roots(self, start: Floats, end: Floats, rate: Floats) -> Boxes:
+    def _roots(self, start: Floats, end: Floats, rate: Floats, advances: Floats) -> Boxes:
         """One box for each case and interval."""
         n, k = len(self._overrun.coast_time), len(start)
         group = np.arange((n + 1) * k)
         case, interval = np.divmod(group, k)
         coast_time = np.append(self._overrun.coast_time.max(), self._overrun.coast_time)
         coast = coast_time[case] * rate[interval]
-        advance = np.where(case > 0, self._overrun.advance(rate)[interval], 0.0)
+        advance = at_rate(advances[interval], rate[interval])
         stopped = coast + self._overrun.braking_time * rate[interval]
         advance = np.where(case > 0, np.maximum(advance, stopped), 0.0)
         middle = np.column_stack([0.5 * (start + end)[interval], 0.5 * coast, 0.5 * advance])
         half = np.column_stack([0.5 * (end - start)[interval], 0.5 * coast, 0.5 * advance])
         return Boxes(group, middle, half, np.full(len(group), -np.inf))
 
-    def _possible(self, boxes: Boxes, intervals: int) -> Flags:
+    def _possible(self, boxes: Boxes, advances: Floats) -> Flags:
         """Boxes with possible states: the team neither goes back nor advances too far."""
-        case = boxes.group // intervals
+        case, interval = np.divmod(boxes.group, len(advances))
         (_, coast, advance), (_, coast_half, advance_half) = boxes.middle.T, boxes.half.T
-        longest = self._overrun.largest_advance(np.maximum(case - 1, 0), coast + coast_half)
+        longest = self._overrun.largest_advance(
+            np.maximum(case - 1, 0), coast + coast_half, advances[interval]
+        )
         behind = advance + advance_half < coast - coast_half
         beyond = advance - advance_half > longest
         possible: Flags = ~((case > 0) & (behind | beyond))
         return possible
 
-    def _reached(self, boxes: Boxes, intervals: int) -> Flags:
+    def _reached(self, boxes: Boxes, advances: Floats) -> Flags:
         """Boxes whose middle is a possible state."""
-        case = boxes.group // intervals
+        case, interval = np.divmod(boxes.group, len(advances))
         coast, advance = boxes.middle[:, 1], boxes.middle[:, 2]
-        longest = self._overrun.largest_advance(np.maximum(case - 1, 0), coast)
+        longest = self._overrun.largest_advance(np.maximum(case - 1, 0), coast, advances[interval])
         reached: Flags = (case == 0) | ((advance >= coast) & (advance <= longest))
         return reached
 

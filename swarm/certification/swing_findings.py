@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.clearances import segment_name
-from swarm.certification.findings import Finding
+from swarm.certification.findings import Finding, Severity
 from swarm.certification.swing_tube import SwingTube
 from swarm.planning import Plan
 
@@ -31,6 +31,7 @@ def swing_findings(plan: Plan, tube: SwingTube | None) -> list[Finding]:
         f"than {max(tracking, 0.1):g} m, and {tube.stopped.max():.2f} m after a stop begun at any "
         f"moment; with the errors of the model at most {tube.largest:.2f} m"
     )
-    if limit is not None and largest > limit:
+    if limit != "auto" and largest > limit:
         return [Finding("error", "swing", f"{message}; fold.swing allows {limit:g} m", time)]
-    return [Finding("info" if limit is not None else "warning", "swing", message, time)]
+    severity: Severity = "info" if largest <= max(tracking, 0.1) else "warning"
+    return [Finding(severity, "swing", message, time)]

@@ -16,6 +16,7 @@ from swarm.certification.cable_spans import cable_spans
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.lumped_mass import at_rest, cable_model, swing_on
 from swarm.planning import Plan, digest
+from swarm.planning.clock_limits import BANDWIDTH, ORDINARY
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -30,9 +31,9 @@ EVERY = 5
 BIN = 0.5
 """Seconds of mission time over which the tube is constant, and between the moments of stops."""
 
-STOPPING = 4.0
-"""Seconds of a simulated stop: the clock stands after 2 s, and strays are largest within two
-periods of 1 to 2 s."""
+STOPPING = 6.0
+"""Seconds of a simulated stop: the clock stands after 4 s, and strays are largest in the two
+seconds after."""
 
 BETWEEN_SAMPLES = 0.05
 """Share by which a stray can be larger between compared moments: ω²h²/8 for h = 0.1 s and a period
@@ -48,10 +49,6 @@ missions with fold.swing, 6 mm in the overhand without."""
 
 _LEAVES = 8
 """Equal parts of a strand with a radius of their own; dyadic pieces of them have heap numbers."""
-
-_BANDWIDTH = 2.0
-"""Of the mission clock, per second; compared with :class:`swarm.flight.clock.MissionClock` by a
-test."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,15 +173,15 @@ def _tube_of(named: _Named) -> SwingTube | None:
 def stop_ramp(plan: Plan) -> Floats:
     """Return the mission time (k,) since the beginning of a stop, every STEP seconds.
 
-    The clock's rate approaches 0 with its bandwidth, by at most the braking reserve over the
-    largest speed, from the full rate.
+    An ordinary stop: the clock's rate approaches 0 with its bandwidth, by at most ORDINARY and the
+    braking reserve over the largest speed, from the full rate.
     """
     vehicles = plan.mission.vehicles
-    steepest = vehicles.braking_acceleration / vehicles.max_speed
+    steepest = min(ORDINARY, vehicles.braking_acceleration / vehicles.max_speed)
     rate, slope, reached = 1.0, 0.0, [0.0]
     for _ in range(round(STOPPING / STEP)):
-        wanted = max(-steepest, -_BANDWIDTH * rate)
-        after = slope + min(1.0, 4.0 * _BANDWIDTH * STEP) * (wanted - slope)
+        wanted = max(-steepest, -BANDWIDTH * rate)
+        after = slope + min(1.0, 4.0 * BANDWIDTH * STEP) * (wanted - slope)
         change = 0.5 * (slope + after) * STEP
         reached.append(reached[-1] + (rate + 0.5 * change) * STEP)
         rate, slope = rate + change, after

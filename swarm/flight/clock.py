@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-_BANDWIDTH = 2.0
-"""The speed at which the rate approaches its target, per second."""
+from swarm.planning.clock_limits import BANDWIDTH, URGENT_BANDWIDTH, ClockLimits
+
 _CLOSE = 1e-3
 
 
@@ -11,15 +11,21 @@ _CLOSE = 1e-3
 class MissionClock:
     """Mission time and its rate.
 
-    The rate's slope is continuous and never beyond ``steepest`` (1/s): setpoints then accelerate by
-    at most ``steepest`` × planned speed for a change of rate, which is what plans keep in reserve.
+    The rate's slope is continuous and within ``limits``: setpoints then accelerate for a change of
+    rate by no more than plans keep in reserve, and less where nothing is ``urgent``.
     """
 
-    steepest: float
+    limits: ClockLimits
     time: float = 0.0
     rate: float = 0.0
     slope: float = 0.0
     target: float = 0.0
+    urgent: bool = False
+
+    @property
+    def steepest(self) -> float:
+        """The largest slope of the rate now, 1/s."""
+        return self.limits.at(self.time, urgent=self.urgent)
 
     def set_running(self) -> None:
         """Run at full rate from now on; only for moments at which the plan is at rest."""
@@ -41,9 +47,11 @@ class MissionClock:
         The slope follows its own target at four times the bandwidth, the critically damped case:
         the rate does not overshoot.
         """
-        wanted = _BANDWIDTH * (self.target - self.rate)
-        wanted = max(-self.steepest, min(self.steepest, wanted))
-        share = min(1.0, 4.0 * _BANDWIDTH * duration)
+        steepest = self.steepest
+        bandwidth = URGENT_BANDWIDTH if self.urgent else BANDWIDTH
+        wanted = bandwidth * (self.target - self.rate)
+        wanted = max(-steepest, min(steepest, wanted))
+        share = min(1.0, 4.0 * bandwidth * duration)
         slope = self.slope + share * (wanted - self.slope)
         change = 0.5 * (self.slope + slope) * duration
         self.time += (self.rate + 0.5 * change) * duration

@@ -43,6 +43,7 @@ def steer_clock(flight: FlightState) -> None:
     worst = flight.observation.largest_error / flight.allowed_error
     if worst > 1.0:
         error_too_large(flight)
+    clock.urgent = worst > 1.0 or any(cause != OPERATOR for cause in flight.holds.causes)
     if flight.holds.causes or options.open_loop:
         clock.target = 0.0 if flight.holds.causes else 1.0
         return
@@ -51,6 +52,7 @@ def steer_clock(flight: FlightState) -> None:
         pace = 1.0  # the errors that are measured here must not decide for how long
     if flight.monitored.sample is not None:
         pace = min(pace, flight.monitored.sample.pace)
+        clock.urgent |= flight.monitored.sample.pace == 0.0
     pace = min(pace, flight.stream_loss.rate_limit(clock.time))
     if flight.progress.rewinding:
         pace = -pace

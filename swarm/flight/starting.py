@@ -19,13 +19,14 @@ from swarm.flight.router import Team
 from swarm.flight.setup import Setup
 from swarm.flight.stages import Stage
 from swarm.flight.state import FlightState, Mode, Placement, Resumption, Roster, Streams
+from swarm.planning.clock_limits import clock_limits
 
 
 def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
     """Return the state of a flight that has not begun, or that is to be resumed in the air."""
     plan, fleet, recorder = setup.plan, setup.fleet, Recorder()
     n, left = plan.vehicles, resumption.left_off
-    guidance, vehicles = Guidance(plan.motion), plan.mission.vehicles
+    guidance, braking = Guidance(plan.motion), plan.mission.vehicles.braking_acceleration
     starts = guidance.planned(0.0).position
     standing = starts + setup.lift
     team = Team(fleet, lambda *_: None)
@@ -40,7 +41,7 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
         setup=setup,
         team=team,
         preparation=Preparation(team, fleet, standing, setup.options.speed),
-        clock=MissionClock(steepest=vehicles.braking_acceleration / vehicles.max_speed),
+        clock=MissionClock(clock_limits(plan.motion, braking)),
         guidance=guidance,
         detectors=Detectors.of(setup),
         recorder=recorder,

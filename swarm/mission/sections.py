@@ -305,19 +305,21 @@ class Fold(Section):
     delay: Number | None = number(
         None, "s", "Delay between neighbouring vehicles (method: paper).", above=0, most=600.0
     )
-    swing: Number | None = _length(
-        None,
+    swing: Positive | Auto = _length(
+        "auto",
         "Largest distance of the swinging cable from its catenary in the planned fold, which is "
-        "shaped and slowed for it. Not limited without this key.",
+        "shaped and slowed for it. auto: 1 % of the longest segment, at least 0.06 m, where "
+        "slowing reaches that.",
         above=0,
         most=10.0,
+        auto=True,
     )
 
     @model_validator(mode="after")
     def _keys_of_the_method(self) -> Self:
         if self.delay is not None and self.method != "paper":
             raise ValueError(f"expected delay only with method: paper, got {self.method}")
-        if self.swing is not None and self.method == "paper":
+        if self.swing != "auto" and self.method == "paper":
             raise ValueError("expected swing only with method: certified, got paper")
         return self
 

@@ -11,7 +11,6 @@ from swarm.folding.margins import Margins
 from swarm.folding.paper import edge_dips, paper_motion
 from swarm.folding.schedule import team_path
 from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.lumped_mass import cable_model
 from swarm.geometry.motion import Motion, through_states
 from swarm.knots.grid import OpenGrid
 from swarm.mission import Mission
@@ -19,14 +18,19 @@ from swarm.planning.foldings import Folding, layout_sizes
 from swarm.planning.phase_motion import usable_acceleration
 from swarm.planning.phase_sequence import flight_around_fold
 from swarm.planning.plan import KnotSummary, Plan
-from swarm.planning.shaping import limit_swing
 from swarm.planning.timing import time_path
 
 Floats = npt.NDArray[np.float64]
 
+_SAME = 1e-6
+"""Seconds within which a breakpoint is the beginning or end of a phase: rounding of sums."""
+
 
 def plan_of_folding(mission: Mission, knot: KnotSummary, folding: Folding) -> Plan:
-    """Return the plan that flies a folding as fast as the limits and ``fold.swing`` allow."""
+    """Return the plan that flies a folding as fast as the limits on speed and acceleration allow.
+
+    Neither the swing of the cable nor lost setpoints slow it yet.
+    """
     layout, path = folding.layout, folding.schedule.path
     parameter, places, slopes, bends = team_path(folding.schedule)
     fold = time_path(
@@ -37,9 +41,6 @@ def plan_of_folding(mission: Mission, knot: KnotSummary, folding: Folding) -> Pl
         max_speed=mission.vehicles.max_speed,
         max_acceleration=usable_acceleration(mission),
     )
-    if mission.fold.swing is not None:
-        model = cable_model(mission.cable.mass_per_length, mission.cable.diameter)
-        fold = limit_swing(fold, layout.lengths, layout.sags, model, mission.fold.swing)
     return _assembled(mission, knot, layout, fold, path.line(400))
 
 
@@ -91,6 +92,33 @@ def _assembled(
         phases=flight.phases,
         gates=flight.gates,
         path=line + up,
+    )
+
+
+def fold_of(plan: Plan) -> Motion:
+    """Return the motion of a plan's fold alone, from time 0."""
+    phase, times = plan.phase("fold"), plan.motion.times
+    first, last = np.searchsorted(times, [phase.start - _SAME, phase.end - _SAME])
+    return Motion(times[first : last + 1] - times[first], plan.motion.coefficients[first:last])
+
+
+def with_fold(plan: Plan, fold: Motion) -> Plan:
+    """Return the plan with another fold between the same two formations.
+
+    The flight around it is planned again, higher where the fold's cable would come too low.
+    """
+    rise = max(0.0, _height(plan.mission, fold, plan.layout.lengths))
+    if plan.mission.layout.height != "auto":
+        rise = 0.0
+    flight = flight_around_fold(plan.mission, plan.layout.lengths, _raised(fold, rise))
+    up = np.array([0.0, 0.0, rise])
+    return replace(
+        plan,
+        layout=replace(plan.layout, corners=plan.layout.corners + up),
+        motion=flight.motion,
+        phases=flight.phases,
+        gates=flight.gates,
+        path=plan.path + up,
     )
 
 

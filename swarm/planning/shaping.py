@@ -10,11 +10,11 @@ a whole; there the motion is slowed until the simulated swing keeps the limit.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.geometry.lumped_mass import SwingModel, stray, swing
@@ -33,23 +33,6 @@ fold."""
 _SAMPLE = 0.2
 """Duration of the pieces of a shaped motion, seconds: as those of timed paths."""
 
-_GRID = 0.05
-"""Seconds between the samples of the rate at which a motion is flown."""
-
-_AROUND, _SMOOTHING = 61, 20.0
-"""Samples of the rate around one that slow with it, and standard deviation of their smoothing: a
-rate that changes within a period would excite swing itself."""
-
-_EXPONENT = 0.7
-"""Power of limit over stray by which the rate is reduced in one round."""
-
-_TARGET = 0.97
-"""Share of the limit that rounds aim at."""
-
-_SLOWEST = 0.3
-"""Smallest rate: where it is not enough, slowing is not the remedy."""
-
-_ROUNDS = 12
 _SETTLING = 4.0
 """Seconds after the motion in which swing counts, too."""
 
@@ -97,7 +80,7 @@ class PacedMotion:
     at: Floats
     rate: Floats
 
-    @property
+    @cached_property
     def time(self) -> Floats:
         """The times (k,), from 0, at which the motion has reached ``at``."""
         pace = 1.0 / self.rate
@@ -105,13 +88,19 @@ class PacedMotion:
         time: Floats = np.concatenate([[0.0], np.cumsum(steps)])
         return time
 
+    @cached_property
+    def slope(self) -> Floats:
+        """Derivative (k,) of the rate by the motion's own time, 1/s."""
+        slope: Floats = np.gradient(self.rate, self.at)
+        return slope
+
     def states(self, time: Floats) -> tuple[Floats, Floats, Floats]:
         """Return position, velocity and acceleration (m, n, 3) at times (m,); at rest outside."""
         reached = self.time
         inside = ((time >= 0.0) & (time <= reached[-1]))[:, None, None]
         at = np.interp(time, reached, self.at)
         rate = np.interp(at, self.at, self.rate)[:, None, None]
-        slope = np.interp(at, self.at, np.gradient(self.rate, self.at))[:, None, None]
+        slope = np.interp(at, self.at, self.slope)[:, None, None]
         place, velocity, acceleration = self.motion.at(at)
         change = acceleration * rate**2 + velocity * rate * slope
         return place, inside * velocity * rate, inside * change
@@ -145,44 +134,3 @@ def largest_stray(motion: Motion, lengths: Floats, model: SwingModel) -> tuple[F
     times = np.arange(motion.times[0], motion.times[-1] + _SETTLING, model.step)
     ends = motion.at(times)[0]
     return times[::every], stray(swing(ends, lengths, model, every), ends[::every], lengths)
-
-
-def limit_swing(
-    motion: Motion, lengths: Floats, sags: Floats, model: SwingModel, limit: float
-) -> Motion:
-    """Return a motion along nearly the same paths whose cable swings no farther than a limit.
-
-    ``motion`` begins and ends at rest; ``lengths`` and ``sags`` (n − 1,) of the strands, metres, at
-    its end; ``limit`` in metres is for the distance from the catenary, at equal arc length. Where
-    twelve rounds do not reach the limit, the motion with the least swing is returned.
-    """
-    shaper = shaper_for(sags)
-    start, end = motion.times[0], motion.times[-1]
-    at = np.linspace(start, end, math.ceil((end - start) / _GRID) + 1)
-    rate, best, least = np.ones(len(at)), motion, math.inf
-    for _ in range(_ROUNDS):
-        smooth = gaussian_filter1d(
-            minimum_filter1d(rate, _AROUND, mode="nearest"), _SMOOTHING, mode="nearest"
-        )
-        paced = PacedMotion(motion, at, smooth)
-        shaped = shape(paced, shaper)
-        times, strays = largest_stray(shaped, lengths, model)
-        worst = strays.max(axis=1)
-        if worst.max() < least:
-            best, least = shaped, float(worst.max())
-        if least <= limit:
-            break
-        reduction = _reduction(paced.time, times, worst / (_TARGET * limit), shaper)
-        rate = np.maximum(rate * reduction, _SLOWEST)
-    return best
-
-
-def _reduction(reached: Floats, times: Floats, excess: Floats, shaper: Shaper) -> Floats:
-    """Return the factors (k,) of the rate at times ``reached`` (k,), by the swing that follows.
-
-    ``excess`` (m,) at ``times`` (m,) is stray over limit.
-    """
-    factors = np.minimum(1.0, np.maximum(excess, 1e-9) ** -_EXPONENT)
-    first = np.searchsorted(times, reached)
-    last = np.searchsorted(times, reached + shaper.delays[-1] + 0.5)
-    return np.array([factors[a:b].min(initial=1.0) for a, b in zip(first, last, strict=True)])

@@ -11,6 +11,8 @@ from swarm.certification.stream_loss import (
     certify_stream_loss,
 )
 from swarm.certification.stream_loss_bound import TOLERANCE
+from swarm.flight.clock import MissionClock
+from swarm.planning.clock_limits import ORDINARY, clock_limits
 from tests.certification.synthetic import moving, plan_of
 from tests.network import small_plan
 
@@ -53,11 +55,9 @@ def test_a_chord_allows_exactly_the_lead_of_the_geometry():
     middle = int(np.argmin(np.abs(found.times - 4.0)))
     speed = np.linalg.norm(plan.motion.at(4.0)[1][0])
     rate = found.rates[middle]
-    mission = plan.mission.vehicles
-    deceleration = mission.braking_acceleration / mission.max_speed
 
     def lead(r):
-        later = plan.motion.at(4.0 + r * model.silence + 0.5 * r**2 / deceleration)[0][0, 1]
+        later = plan.motion.at(4.0 + stopping(plan, model, 4.0, r, 9.0))[0][0, 1]
         return later - plan.motion.at(4.0)[0][0, 1] - 0.8 * r * speed
 
     allowed = np.sqrt((0.985 * LENGTH) ** 2 - 9.0)
@@ -77,10 +77,8 @@ def test_a_longer_timeout_never_allows_a_faster_clock():
 def test_the_clock_reaches_every_limit_by_braking_along_the_path():
     plan = sideways(1.2)
     found = certify_stream_loss(plan)
-    mission = plan.mission.vehicles
-    deceleration = mission.braking_acceleration / mission.max_speed
     squares = found.rates**2
-    assert np.all(squares[:-1] - squares[1:] <= 2.0 * deceleration * np.diff(found.times) + 1e-9)
+    assert np.all(squares[:-1] - squares[1:] <= 2.0 * ORDINARY * np.diff(found.times) + 1e-9)
 
 
 def test_the_rate_is_not_limited_outside_the_fold():
@@ -99,17 +97,27 @@ def test_a_plan_without_margin_at_the_slowest_rate_gets_a_warning():
     assert taut.worst.margin <= 0.985 * LENGTH - 3.59 + 1e-9
 
 
+def stopping(plan, model, time, rate, elapsed):
+    """Mission seconds that pass in ``elapsed`` seconds of the clock's real law, in ticks of 20 ms.
+
+    The clock of the flight: it runs until the silence is detected, and then stops urgently.
+    """
+    limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
+    clock = MissionClock(limits, time, rate, target=rate)
+    for tick in range(round(elapsed / 0.02)):
+        if tick * 0.02 >= model.silence:
+            clock.target, clock.urgent = 0.0, True
+        clock.advance(0.02, -1e9, 1e9)
+    return clock.time - time
+
+
 def after_loss(plan, model, vehicle, time, rate, elapsed):
     """Positions (n, 3) ``elapsed`` seconds after a loss, and the largest distance from the plan.
 
-    Integrates clock and velocities, without code of the certificate.
+    Integrates the flight's clock and velocities, without code of the certificate.
     """
-    vehicles = plan.mission.vehicles
-    deceleration = vehicles.braking_acceleration / vehicles.max_speed
     end = next(phase.end for phase in plan.phases if phase.name == "fold")
-    before = min(elapsed, model.silence)
-    braking = min(max(elapsed - model.silence, 0.0), rate / deceleration)
-    advance = rate * (before + braking) - 0.5 * deceleration * braking**2
+    advance = stopping(plan, model, time, rate, elapsed)
     reached = plan.motion.at(min(time + advance, end))[0].copy()
     position, velocity, _ = plan.motion.at(time)
     timeout = np.broadcast_to(model.timeout, len(position))

@@ -20,9 +20,10 @@ from swarm.geometry.lumped_mass import cable_model, stray, swing
 from swarm.mission import mission_for_knot
 from swarm.planner import plan as make_plan
 from swarm.planning import Plan
+from swarm.planning.clock_limits import clock_limits
 
 
-def with_limit(plan: Plan, limit: float | None) -> Plan:
+def with_limit(plan: Plan, limit: float | str) -> Plan:
     fold = plan.mission.fold.model_copy(update={"swing": limit})
     return replace(plan, mission=plan.mission.model_copy(update={"fold": fold}))
 
@@ -46,8 +47,8 @@ def flown(plan: Plan, stop: float | None, step: float) -> np.ndarray:
     first, last = plan.phase("fold").start, plan.phase("hold").end
     if stop is None:
         return np.arange(first, last, step)
-    vehicles = plan.mission.vehicles
-    clock = MissionClock(vehicles.braking_acceleration / vehicles.max_speed, time=stop)
+    limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
+    clock = MissionClock(limits, time=stop)
     clock.set_running()
     clock.target = 0.0
     times = list(np.arange(first, stop, step))
@@ -168,7 +169,7 @@ def test_the_finding_is_an_error_beyond_the_limit(
 def test_the_finding_names_segment_and_time(shaped: Plan, tube: SwingTube) -> None:
     planned = np.zeros_like(tube.planned)
     planned[7, 1] = 0.2
-    (finding,) = swing_findings(with_limit(shaped, None), replace(tube, planned=planned))
+    (finding,) = swing_findings(with_limit(shaped, "auto"), replace(tube, planned=planned))
     assert finding.at_time == tube.times[7]
     assert (
         "0.20 m away from its catenary (segment 2) in the planned motion, in 1% of"

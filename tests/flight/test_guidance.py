@@ -8,19 +8,23 @@ from hypothesis import strategies as st
 from swarm.flight.clock import MissionClock
 from swarm.flight.guidance import Guidance, Sampler
 from swarm.geometry.motion import concatenate, leg, through_states
+from swarm.planning.clock_limits import ORDINARY, ClockLimits, clock_limits
 
 LINE = np.array([[0.0, 0.0, 4.0], [3.0, 0.0, 4.0], [6.0, 0.0, 5.0]])
 THERE = LINE + np.array([0.0, 4.0, 1.0])
 MOTION = concatenate(leg(LINE, THERE, 1.0, 0.7), leg(THERE, LINE, 1.5, 0.7))
+LIMITS = ClockLimits(0.0, np.array([0.5]))
 
 
 @given(
     st.lists(st.tuples(st.floats(-1, 1), st.integers(1, 60)), min_size=1, max_size=8),
     st.sampled_from([0.01, 0.02, 0.05, 0.1]),
+    st.booleans(),
 )
 @settings(max_examples=100)
-def test_the_rate_is_c1_bounded_and_does_not_overshoot(wishes, step):
-    clock = MissionClock(steepest=0.5)
+def test_the_rate_is_c1_bounded_and_does_not_overshoot(wishes, step, urgent):
+    clock = MissionClock(LIMITS, urgent=urgent)
+    steepest, follows = (0.5, 32.0) if urgent else (ORDINARY, 8.0)
     low = high = 0.0
     for target, count in wishes:
         low, high = min(low, target), max(high, target)
@@ -28,14 +32,40 @@ def test_the_rate_is_c1_bounded_and_does_not_overshoot(wishes, step):
             clock.target = target
             rate, slope = clock.rate, clock.slope
             clock.advance(step, -1e9, 1e9)
-            assert abs(clock.slope) <= 0.5 + 1e-9
-            assert abs(clock.slope - slope) <= 8.0 * step * 1.0 + 1e-9
-            assert abs(clock.rate - rate) <= 0.5 * step + 2e-3
+            assert abs(clock.slope) <= steepest + 1e-9
+            assert abs(clock.slope - slope) <= min(1.0, follows * step) * 2.0 * steepest + 1e-3
+            assert abs(clock.rate - rate) <= steepest * step + 2e-3
             assert low - 0.02 <= clock.rate <= high + 0.02
 
 
+@given(st.floats(0.5, 16.0), st.floats(0.05, 1.0), st.sampled_from([0.02, 0.05]))
+@settings(max_examples=60, deadline=None)
+def test_an_urgent_stop_keeps_the_reserve_and_ends_where_it_is_stated(start, rate, step):
+    """Whatever the tick: no vehicle brakes by more than 1 m/s², none flies on for longer."""
+    limits = clock_limits(MOTION, 1.0)
+    clock = MissionClock(limits, start, rate, target=0.0, urgent=True)
+    times = np.array([start])
+    farthest = start + float(limits.advance(times, np.array([rate]), 0.0)[0])
+    for _ in range(round(4.0 / step)):
+        clock.advance(step, -1e9, 1e9)
+        fastest = np.linalg.norm(MOTION.at(clock.time)[1], axis=1).max()
+        assert abs(clock.slope) * fastest <= 1.0 + 0.05
+    assert clock.stopped
+    assert clock.time <= farthest + 0.5 * step
+
+
+def test_a_stop_leads_farther_where_the_team_is_fast():
+    limits = clock_limits(MOTION, 0.5)
+    speed = np.linalg.norm(MOTION.at(np.linspace(0.0, 20.0, 400))[1], axis=2).max(axis=1)
+    fastest = 0.05 * int(np.argmax(speed))
+    slow, fast = limits.advance(np.array([0.1, fastest]), np.ones(2), 0.0)
+    assert slow < fast
+    assert limits.at(fastest, urgent=True) < limits.at(0.1, urgent=True)
+    assert limits.at(fastest, urgent=False) <= ORDINARY
+
+
 def test_it_comes_to_rest_and_stays():
-    clock = MissionClock(steepest=0.5)
+    clock = MissionClock(LIMITS)
     clock.set_running()
     for _ in range(200):
         clock.target = 0.0
@@ -47,7 +77,7 @@ def test_it_comes_to_rest_and_stays():
 
 
 def test_bounds_of_mission_time_stop_it():
-    clock = MissionClock(steepest=0.5, time=9.99)
+    clock = MissionClock(LIMITS, time=9.99)
     clock.set_running()
     clock.advance(0.05, 0.0, 10.0)
     assert (clock.time, clock.stopped) == (10.0, True)
@@ -65,7 +95,7 @@ def test_the_sampler_is_the_motion(time):
 @settings(max_examples=40, deadline=None)
 def test_a_rejoining_vehicle_begins_at_its_position_and_ends_in_the_plan(start, off):
     guidance = Guidance(MOTION)
-    clock = MissionClock(steepest=0.5, time=start, rate=0.5, target=0.5)
+    clock = MissionClock(LIMITS, time=start, rate=0.5, target=0.5)
     here = MOTION.at(start)[0][1] + off
     guidance.join(1, here, start, now=100.0)
     assert guidance.state(clock, 100.0).position[1] == pytest.approx(here)
@@ -83,8 +113,8 @@ def test_a_rejoining_vehicle_begins_at_its_position_and_ends_in_the_plan(start, 
 
 def test_backwards_is_forwards_with_other_signs():
     guidance = Guidance(MOTION)
-    forth = guidance.state(MissionClock(0.5, time=2.0, rate=0.7, slope=0.1), 0.0)
-    back = guidance.state(MissionClock(0.5, time=2.0, rate=-0.7, slope=-0.1), 0.0)
+    forth = guidance.state(MissionClock(LIMITS, time=2.0, rate=0.7, slope=0.1), 0.0)
+    back = guidance.state(MissionClock(LIMITS, time=2.0, rate=-0.7, slope=-0.1), 0.0)
     assert back.position == pytest.approx(forth.position)
     assert back.velocity == pytest.approx(-forth.velocity)
     curve = MOTION.at(2.0)[2]
@@ -94,7 +124,7 @@ def test_backwards_is_forwards_with_other_signs():
 def test_going_down_together_keeps_levels_until_the_floor():
     guidance = Guidance(MOTION)
     guidance.descend(LINE, 0.5, now=10.0)
-    clock = MissionClock(0.5)
+    clock = MissionClock(LIMITS)
     last = guidance.state(clock, 10.0)
     assert last.position == pytest.approx(LINE)
     for now in np.arange(10.02, 30.0, 0.02):
@@ -117,6 +147,6 @@ def test_a_detour_runs_in_real_time():
     )
     guidance.follow(way, now=50.0)
     assert guidance.duration == 4.0
-    assert guidance.state(MissionClock(0.5, time=1.0), 52.0).position == pytest.approx(
+    assert guidance.state(MissionClock(LIMITS, time=1.0), 52.0).position == pytest.approx(
         0.5 * (LINE + THERE)
     )

@@ -167,6 +167,7 @@ def _moment(flight: FlightState, response: Response) -> float | None:
 def _approach(flight: FlightState) -> None:
     """Bring the clock to rest, at the chosen moment; there, release or descend."""
     clock, target = flight.clock, _contingency(flight).target
+    clock.urgent = True
     if target is None:
         clock.target = 0.0
     else:

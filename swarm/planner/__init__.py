@@ -17,12 +17,16 @@ from swarm.certification.certificate import (
 )
 from swarm.certification.clearances import Moment, violations
 from swarm.mission import Mission
+from swarm.planner.pacing import PacedPlan, paced_plan, slower
 from swarm.planning import Plan, Shortfall, candidates, repaired
 
 Progress = Callable[[str, float], None]
 
 _ATTEMPTS = 16
 """Largest number of plans that are checked before the first of them is returned as it is."""
+
+_RETIMED = 4
+"""Largest number of times that a plan is timed again for the rates of its certificate."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,9 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     attempts = 0
     while candidate is not None and attempts < _ATTEMPTS:
         notes += candidate.notes
-        current = replace(candidate.plan, notes=notes)
+        paced = paced_plan(replace(candidate.plan, notes=notes))
+        current = paced.plan
+        candidate = replace(candidate, plan=current)
         if current.duration > mission.vehicles.endurance:
             notes += (_exceeds_endurance(current),)
             too_long.append(current)
@@ -105,14 +111,35 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
         failures, measured = _failures(current, failed_checks, progress)
         first = first or (current, measured)
         if not failures:
-            certificate = certify(current, measured=measured, progress=progress)
-            if certificate.cleared:
-                return PlanningResult(current, certificate)
+            found = _certified(paced, measured, progress)
+            if found.certificate.cleared:
+                return found
         failed_checks = frozenset(moment.check for moment in failures)
         missing = [Shortfall(moment.check, moment.time, -moment.margin) for moment in failures]
         candidate = repaired(candidate, missing) or next(proposals, None)
     rejected, measured = first or (min(too_long, key=lambda long: long.duration), None)
     return PlanningResult(rejected, certify(rejected, measured=measured, progress=progress))
+
+
+def _certified(
+    paced: PacedPlan, measured: MeasuredClearances | None, progress: Progress | None
+) -> PlanningResult:
+    """Certify a plan; time it again while its certificate has rates of the clock below 1.
+
+    Where that leads to a plan that is not cleared, the one before it is returned.
+    """
+    result = PlanningResult(paced.plan, certify(paced.plan, measured=measured, progress=progress))
+    for _ in range(_RETIMED):
+        loss = result.assessment.stream_loss
+        again = slower(paced, loss) if loss is not None else None
+        if again is None:
+            break
+        paced = again
+        certificate = certify(paced.plan, progress=progress)
+        if not certificate.cleared:
+            break
+        result = PlanningResult(paced.plan, certificate)
+    return result
 
 
 def _exceeds_endurance(plan: Plan) -> str:

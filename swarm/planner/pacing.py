@@ -1,0 +1,183 @@
+"""The timing of a fold: slowed where lost setpoints require it, shaped and slowed for the swing.
+
+A time-optimal fold is flown at a varying rate and shaped. Its rate is lowered where clearances and
+chords would fail after a loss of setpoints at full rate, and where the cable swings too far, until
+neither is so: then the mission clock runs at rate 1 in an undisturbed flight.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d, minimum_filter1d
+
+from swarm.certification.stream_loss import StreamLossCertificate, sampled_rates
+from swarm.geometry.lumped_mass import SwingModel, cable_model
+from swarm.geometry.motion import Motion
+from swarm.planning import Plan, fold_of, usable_acceleration, with_fold
+from swarm.planning.plan import Phase
+from swarm.planning.shaping import PacedMotion, Shaper, largest_stray, shape, shaper_for
+from swarm.planning.timing import slow_to_limits
+
+Floats = npt.NDArray[np.float64]
+
+_GRID = 0.05
+"""Seconds between the samples of the rate at which a fold is flown."""
+
+_LOSS_AROUND, _LOSS_SMOOTHING = 21, 8.0
+"""Samples around one that slow with it for lost setpoints, and standard deviation of their
+smoothing: half a second, and 0.4 s; the shaper smooths further."""
+
+_SWING_AROUND, _SWING_SMOOTHING = 61, 20.0
+"""The same for the swing: a rate that changes within a period would excite swing itself."""
+
+_LOSS_STEP, _LOSS_MARGIN = 0.25, 0.02
+"""Seconds between sampled losses, and metres of margin that the certificate needs between them."""
+
+_LOSS_EXPONENT, _SWING_EXPONENT = 1.0, 0.7
+"""Powers of the allowed rate, and of limit over stray, by which a rate is reduced in one round: its
+neighbours are reduced too."""
+
+_LOSS_ROUNDS, _SWING_ROUNDS = 12, 10
+
+_SLOWEST_LOSS, _SLOWEST_SWING = 0.2, 0.3
+"""Smallest rates: where they are not enough, slowing is not the remedy."""
+
+_AUTO_SHARE, _AUTO_LEAST = 0.01, 0.06
+"""``fold.swing: auto`` as a share of the longest segment, and at least, in metres: what shaping and
+moderate slowing reach in the default missions (0.06 m overhand, 0.11 m Carrick mat)."""
+
+_TARGET = 0.96
+"""Share of the limit of the swing that rounds aim at."""
+
+_STEP = 0.02
+"""Seconds of the swing's integration: at half of it, strays of the default missions are equal to
+half a millimetre."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pacing:
+    """How a fold is timed: ``base``, from time 0, at rates (k,) at its own times ``at`` (k,).
+
+    ``loss`` are the rates for lost setpoints, ``swing`` those for the swing; their product counts.
+    """
+
+    base: Motion
+    shaper: Shaper
+    at: Floats
+    loss: Floats
+    swing: Floats
+
+    def paced(self) -> PacedMotion:
+        """Return the base at the product of both rates, smoothed."""
+        loss = _smooth(self.loss, _LOSS_AROUND, _LOSS_SMOOTHING)
+        swing = _smooth(self.swing, _SWING_AROUND, _SWING_SMOOTHING)
+        return PacedMotion(self.base, self.at, loss * swing)
+
+    def slowed_for_loss(self, times: Floats, rates: Floats) -> "Pacing":
+        """Return the pacing that is slower where ``rates`` (m,) at times (m,) are below 1."""
+        least = minimum_filter1d(rates, 3, mode="nearest")
+        factors = self._least_during(times, least, 0.0) ** _LOSS_EXPONENT
+        return replace(self, loss=np.maximum(self.loss * factors, _SLOWEST_LOSS))
+
+    def slowed_for_swing(self, times: Floats, excess: Floats) -> "Pacing":
+        """Return the pacing that is slower before stray over limit, ``excess`` (m,), is above 1."""
+        wanted = np.minimum(1.0, np.maximum(excess, 1e-9) ** -_SWING_EXPONENT)
+        factors = self._least_during(times, wanted, 0.5)
+        return replace(self, swing=np.maximum(self.swing * factors, _SLOWEST_SWING))
+
+    def _least_during(self, times: Floats, values: Floats, after: float) -> Floats:
+        """Return for each sample the least value while its shares are flown, and shortly after."""
+        reached = self.paced().time
+        first = np.searchsorted(times, reached)
+        last = np.searchsorted(times, reached + self.shaper.delays[-1] + after) + 1
+        return np.array([values[a:b].min(initial=1.0) for a, b in zip(first, last, strict=True)])
+
+
+@dataclass(frozen=True, eq=False)
+class PacedPlan:
+    """A plan whose fold is timed, and how; None where it keeps its own timing."""
+
+    plan: Plan
+    pacing: Pacing | None = None
+
+
+def paced_plan(plan: Plan) -> PacedPlan:
+    """Return the plan with its fold timed for lost setpoints, and for ``fold.swing``.
+
+    Formations, the paper's trajectory and flights without cable keep their timing.
+    """
+    mission = plan.mission
+    if mission.formation is not None or mission.fold.method == "paper":
+        return PacedPlan(plan)
+    fold = fold_of(plan)
+    count = int(np.ceil(fold.times[-1] / _GRID)) + 1
+    at = np.linspace(0.0, fold.times[-1], count)
+    shaper = shaper_for(plan.layout.sags)
+    return _limited(plan, Pacing(fold, shaper, at, np.ones(count), np.ones(count)))
+
+
+def slower(paced: PacedPlan, loss: StreamLossCertificate) -> PacedPlan | None:
+    """Return the plan timed for the rates of its certificate; None where they are 1 already."""
+    if paced.pacing is None or not len(loss.times) or loss.rates.min() >= 1.0:
+        return None
+    times = loss.times - paced.plan.phase("fold").start
+    return _limited(paced.plan, paced.pacing.slowed_for_loss(times, loss.rates))
+
+
+def _limited(plan: Plan, pacing: Pacing) -> PacedPlan:
+    """Return the plan timed so that neither lost setpoints nor the swing ask for a lower rate.
+
+    Where no round reaches the limit of the swing, the one with the least swing counts.
+    """
+    limit = swing_limit(plan)
+    pacing = _limited_for_loss(plan, pacing)
+    best, least = pacing, np.inf
+    for _ in range(_SWING_ROUNDS):
+        times, stray = largest_stray(_fold(plan, pacing), plan.layout.lengths, _model(plan))
+        worst = stray.max(axis=1)
+        if worst.max() < least:
+            best, least = pacing, float(worst.max())
+        if least <= limit:
+            break
+        pacing = pacing.slowed_for_swing(times, worst / (_TARGET * limit))
+    best = _limited_for_loss(plan, best)
+    return PacedPlan(with_fold(plan, _fold(plan, best)), best)
+
+
+def swing_limit(plan: Plan) -> float:
+    """Return the limit of the swing of a plan's cable, metres: as chosen, or by its segments."""
+    chosen = plan.mission.fold.swing
+    longest = float(plan.layout.lengths.max())
+    return max(_AUTO_SHARE * longest, _AUTO_LEAST) if chosen == "auto" else chosen
+
+
+def _limited_for_loss(plan: Plan, pacing: Pacing) -> Pacing:
+    for _ in range(_LOSS_ROUNDS):
+        fold = _fold(plan, pacing)
+        end = float(fold.times[-1])
+        alone = replace(
+            plan, motion=fold, phases=(Phase("fold", 0.0, end, "aloft", reversible=True),), gates=()
+        )
+        times, rates = sampled_rates(alone, _LOSS_STEP, _LOSS_MARGIN)
+        if rates.min() >= 1.0:
+            break
+        pacing = pacing.slowed_for_loss(times, rates)
+    return pacing
+
+
+def _fold(plan: Plan, pacing: Pacing) -> Motion:
+    shaped = shape(pacing.paced(), pacing.shaper)
+    limits = plan.mission.vehicles.max_speed, usable_acceleration(plan.mission)
+    return slow_to_limits(shaped, *limits)
+
+
+def _model(plan: Plan) -> SwingModel:
+    cable = plan.mission.cable
+    return replace(cable_model(cable.mass_per_length, cable.diameter), step=_STEP)
+
+
+def _smooth(rate: Floats, around: int, deviation: float) -> Floats:
+    least = minimum_filter1d(rate, around, mode="nearest")
+    found: Floats = gaussian_filter1d(least, deviation, mode="nearest")
+    return found

@@ -1,0 +1,86 @@
+"""How fast the rate of the mission clock may change along a plan, and how far a stop leads.
+
+A change of the rate by ṙ per second accelerates a vehicle of planned speed v by ṙ·v along its path.
+Braking keeps that within the plan's reserve b for the fastest vehicle of the moment. An ordinary
+change is slower: three seconds from full rate to rest, longer than the periods of the strands,
+which then swing little.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
+
+from swarm.geometry.motion import Motion
+
+Floats = npt.NDArray[np.float64]
+
+BANDWIDTH, URGENT_BANDWIDTH = 2.0, 8.0
+"""The speed at which the clock's rate approaches its target, ordinarily and urgently, per second:
+rates that follow measured errors are smooth, urgent stops begin at once."""
+
+ORDINARY = 1.0 / 3.0
+"""Largest slope of the rate, 1/s, where nothing is urgent: after such stops the strands of the
+shaped overhand swing by 0.07 m, after stops with the braking reserve by 0.16 m."""
+
+URGENT = 1.0
+"""Largest slope of the rate in an urgent stop, 1/s: the vehicles then stop about as late as one
+that has lost its setpoints (0.8 s); faster stops of slow teams would gain nothing."""
+
+_STEP = 0.05
+"""Seconds of mission time between the samples: at 1 m/s² speeds change by 5 cm/s meanwhile."""
+
+_AROUND = 5
+"""Samples before and after a moment whose speeds count for it: the slope follows within 0.1 s."""
+
+_RESPONSE = 1.0 / (4.0 * URGENT_BANDWIDTH) + 0.5 / 20.0
+"""Seconds by which the slope follows its target late: the filter's time constant, and half a tick
+at the slowest rate of setpoints (20 Hz)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClockLimits:
+    """The largest slope ``urgent`` (k,) of the clock's rate, 1/s, every 0.05 s from ``start``."""
+
+    start: float
+    urgent: Floats
+
+    def at(self, time: float, *, urgent: bool) -> float:
+        """Return the largest slope at a mission time, 1/s."""
+        sample = round((time - self.start) / _STEP)
+        limit = float(self.urgent[min(max(sample, 0), len(self.urgent) - 1)])
+        return limit if urgent else min(limit, ORDINARY)
+
+    def advance(self, times: Floats, rates: Floats, delay: float) -> Floats:
+        """Return the mission seconds that pass until the clock stands, after urgent stops.
+
+        The clock runs at ``rates`` at ``times`` and keeps them for ``delay`` seconds before it
+        slows. Arrays of one shape, or of shapes that broadcast.
+        """
+        slowing = times + (delay + _RESPONSE) * rates
+        grid, energy = self._energy
+        end = np.interp(np.interp(slowing, grid, energy) + 0.5 * rates**2, energy, grid)
+        # The last part, in which the slope is proportional to the rate, is slower.
+        tail = 0.5 * np.minimum(rates, URGENT / URGENT_BANDWIDTH) / URGENT_BANDWIDTH
+        advance: Floats = end - times + tail
+        return advance
+
+    @cached_property
+    def _energy(self) -> tuple[Floats, Floats]:
+        """Mission times (k,), and half the squared rate that braking up to them takes away."""
+        last = self.start + _STEP * (len(self.urgent) - 1)
+        grid = np.append(self.start + _STEP * np.arange(len(self.urgent)), last + 10.0)
+        limit = np.append(self.urgent, URGENT)
+        steps = 0.5 * (limit[1:] + limit[:-1]) * np.diff(grid)
+        return grid, np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def clock_limits(motion: Motion, braking: float) -> ClockLimits:
+    """Return the limits for a motion of which ``braking`` (m/s²) is kept in reserve."""
+    count = int(np.ceil((motion.times[-1] - motion.times[0]) / _STEP)) + 1
+    times = motion.times[0] + _STEP * np.arange(count)
+    speed = np.linalg.norm(motion.at(times)[1], axis=2).max(axis=1)
+    fastest = maximum_filter1d(speed, 2 * _AROUND + 1, mode="nearest")
+    return ClockLimits(float(motion.times[0]), np.minimum(URGENT, braking / (fastest + 1e-9)))
