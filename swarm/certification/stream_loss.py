@@ -111,10 +111,15 @@ class StreamLossCertificate:
     @property
     def delay(self) -> float:
         """Additional duration of the fold at these rates, seconds."""
+        return self.delay_after(-np.inf)
+
+    def delay_after(self, time: float) -> float:
+        """Return the additional duration of the fold after a mission time, seconds."""
         if not len(self.times):
             return 0.0
         slower = np.minimum(self.rates[1:], self.rates[:-1])
-        return float(np.sum(np.diff(self.times) * (1.0 / slower - 1.0)))
+        ahead = np.diff(np.maximum(self.times, time))
+        return float(np.sum(ahead * (1.0 / slower - 1.0)))
 
     def findings(self) -> list[Finding]:
         """Return the findings on stream losses; none without a fold."""

@@ -6,13 +6,14 @@ from typing import Any
 
 import click
 
+from swarm.cli.commented import SCHEMA_FILE, commented_mission
 from swarm.cli.inputs import print_json
 from swarm.errors import InputError, Problem, reason
 from swarm.files import write_text
 from swarm.knots.catalog import choose_knot
-from swarm.mission import Mission, mission_for_knot, mission_schema
+from swarm.mission import mission_schema
 from swarm.mission.fleet import fleet_schema
-from swarm.mission.validation import Section
+from swarm.mission.presets import PRESETS
 
 KINDS = ("mission", "fleet", "world", "scenario")
 
@@ -25,17 +26,33 @@ KINDS = ("mission", "fleet", "world", "scenario")
     type=click.Path(dir_okay=False, path_type=Path),
     help="Output file. Default: KNOT.yaml in the current folder.",
 )
-def init(knot: str, output: Path | None) -> None:
+@click.option(
+    "--vehicles",
+    type=click.Choice(list(PRESETS)),
+    help="Write the values of these vehicles, with their sources, instead of the defaults.",
+)
+def init(knot: str, output: Path | None, vehicles: str | None) -> None:
     """Write a commented mission file for KNOT (a name such as overhand or 8_18).
 
-    Example: swarm init figure_eight -o mission.yaml
+    Every key has its value, unit or choices and meaning in a comment. The schema, with which
+    editors complete and check the file, is written beside it.
+
+    Vehicles: {PRESETS}.
+
+    Example: swarm init figure-eight --vehicles px4-500mm --output mission.yaml
     """
     choose_knot(name=knot, chirality="either")
     path = output or Path(f"{knot}.yaml")
     if path.exists():
         raise InputError([Problem(str(path), "exists already; it is not changed")])
-    write_text(path, commented_mission(knot))
+    write_text(path, commented_mission(knot, PRESETS[vehicles] if vehicles else None))
+    write_text(path.parent / SCHEMA_FILE, json.dumps(mission_schema(), indent=2) + "\n")
     click.echo(f"{path} — plan it with: swarm plan {path}")
+
+
+init.help = (init.help or "").format(
+    PRESETS="; ".join(f"{name}: {preset.description}" for name, preset in PRESETS.items())
+)
 
 
 @click.command()
@@ -80,33 +97,3 @@ def schema_of(kind: str) -> dict[str, Any]:
     from swarm.simulation.monte_carlo import trial_scenario_schema  # noqa: PLC0415 - slow to import
 
     return trial_scenario_schema()
-
-
-def commented_mission(knot: str) -> str:
-    """Return a mission file with the default and the description of every key."""
-    mission = mission_for_knot(knot)
-    lines = [
-        "# A mission for `swarm`: metres, seconds, kilograms; x east, y north, z up.",
-        "# Editors check it with the schema that `swarm schema mission` prints.",
-    ]
-    for key, field in Mission.model_fields.items():
-        value = getattr(mission, key)
-        lines.append(f"\n# {field.description}")
-        if isinstance(value, Section):
-            lines.append(f"{key}:")
-            lines.extend(_section_lines(value))
-        elif value is None:
-            lines.append(f"# {key}:")
-        else:
-            lines.append(f"{field.alias or key}: {value}")
-    return "\n".join(lines) + "\n"
-
-
-def _section_lines(section: Section) -> list[str]:
-    width = max(len(key) for key in type(section).model_fields) + 12
-    lines = []
-    for key, field in type(section).model_fields.items():
-        value = getattr(section, key)
-        entry = f"  {key}: {value}" if value is not None else f"  # {key}:"
-        lines.append(f"{entry:<{width}}  # {field.description}")
-    return lines

@@ -1,5 +1,6 @@
 """The displays of a flight and its end, shared by ``swarm fly`` and ``swarm fly --resume``."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -50,7 +51,7 @@ def displays(plan: Plan, folder: Path, view: Viewer | None, console: Console) ->
     try:
         if viewer.message:
             console.print(viewer.message, soft_wrap=True, highlight=False)
-        yield Displays(FlightScreen(plan, console), viewer)
+        yield Displays(FlightScreen(plan, console, keys=sys.stdin.isatty()), viewer)
     finally:
         viewer.close()
 

@@ -179,7 +179,7 @@ def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResul
                 on_snapshot=shown.on_snapshot,
                 on_event=shown.on_event,
             ),
-            read_keys=unattended and sys.stdin.isatty(),
+            read_keys=sys.stdin.isatty(),
             low_priority=True,
         )
 

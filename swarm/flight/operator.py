@@ -8,7 +8,7 @@ from swarm.flight.failures import OPERATOR
 from swarm.flight.holds import end_operator_hold, hold
 from swarm.flight.modes.contingency import leave_the_plan
 from swarm.flight.modes.rejoin import outside, rejoin
-from swarm.flight.pace import rewind_end
+from swarm.flight.pace import rewind_limit
 from swarm.flight.policy import Response
 from swarm.flight.progress import set_rewinding
 from swarm.flight.stages import Stage
@@ -87,10 +87,13 @@ def _rewind(flight: FlightState) -> Availability:
         return Availability(False, f"the phase {flight.phase.name} does not run backwards")
     if flight.progress.waiting:
         return Availability(False, "the clock waits at a gate")
-    back = flight.clock.time - rewind_end(flight)
+    end, why = rewind_limit(flight)
+    back = flight.clock.time - end
     if back < 0.5:
-        return Availability(False, "the plan is rewound as far as it is safe")
-    return Availability(True, f"rewinds along the path by up to {back:.0f} s, then holds")
+        return Availability(False, f"cannot rewind beyond {end:.1f} s: {why}")
+    return Availability(
+        True, f"rewinds along the path by up to {back:.0f} s, to {end:.1f} s ({why}), then holds"
+    )
 
 
 def _land(flight: FlightState) -> Availability:

@@ -26,15 +26,26 @@ def advance_clock(flight: FlightState) -> bool:
 
 
 def rewind_end(flight: FlightState) -> float:
-    """Return how far back the clock may run: neither through a gate nor to where errors were large.
+    """Return how far back the clock may run, in seconds of mission time."""
+    return rewind_limit(flight)[0]
 
-    Seconds of mission time.
+
+def rewind_limit(flight: FlightState) -> tuple[float, str]:
+    """Return how far back the clock may run, and why no farther.
+
+    Neither through a gate, nor out of the phase, nor to where tracking errors were large: there
+    the cable may have caught, and pulling back tightens it.
     """
-    if not flight.phase.reversible:
-        return flight.clock.time
-    progress = flight.progress
+    phase, progress = flight.phase, flight.progress
+    if not phase.reversible:
+        return flight.clock.time, f"the phase {phase.name} does not run backwards"
     gate_before = flight.setup.gates[progress.gate - 1].time if progress.gate else 0.0
-    return max(flight.phase.start, gate_before, progress.error_kept_since)
+    return max(
+        (phase.start, f"the phase {phase.name} begins there"),
+        (gate_before, "no gate is passed backwards"),
+        (progress.error_kept_since, "tracking errors were too large there"),
+        key=lambda limit: limit[0],
+    )
 
 
 def steer_clock(flight: FlightState) -> None:
@@ -58,6 +69,6 @@ def steer_clock(flight: FlightState) -> None:
         pace = -pace
         if clock.stopped and clock.time <= rewind_end(flight) + 1e-6:
             set_rewinding(flight, rewinding=False)
-            hold(flight, OPERATOR, "rewound as far as it is safe")
+            hold(flight, OPERATOR, f"rewound to {clock.time:.1f} s: {rewind_limit(flight)[1]}")
             pace = 0.0
     clock.target = pace

@@ -7,6 +7,7 @@ from swarm.flight.result import Statistics
 from swarm.flight.snapshot import Snapshot
 from swarm.flight.stages import Stage
 from swarm.flight.state import FlightState
+from swarm.flight.waiting import held, remaining, time_left, waiting_for
 from swarm.mavlink.vehicle import Vehicle
 
 TRACE_INTERVAL = 0.1
@@ -34,7 +35,7 @@ def snapshot_of(flight: FlightState, now: float) -> Snapshot:
         mission_time=flight.clock.time,
         rate=flight.clock.rate,
         phase=flight.phase.name if flight.stage is Stage.EXECUTE else flight.stage.value,
-        waiting_for=_waiting_for(flight),
+        waiting_for=waiting_for(flight),
         position=seen.position.copy(),
         velocity=seen.velocity.copy(),
         setpoint=flight.streams.setpoint.copy(),
@@ -49,6 +50,9 @@ def snapshot_of(flight: FlightState, now: float) -> Snapshot:
         round_trip=np.array([vehicle.latest_round_trip for vehicle in vehicles]),
         received=np.array([float(vehicle.packets) for vehicle in vehicles]),
         lost=np.array([float(vehicle.lost_packets) for vehicle in vehicles]),
+        held=held(flight),
+        time_left=time_left(flight),
+        remaining=remaining(flight),
     )
 
 
@@ -71,18 +75,6 @@ def _rejected(flight: FlightState) -> dict[str, int]:
     by_signature = dict(flight.team.signing.dropped) if flight.team.signing else {}
     others = flight.team.rejected - sum(by_signature.values())
     return {**{str(kind): count for kind, count in by_signature.items()}, "stranger": others}
-
-
-def _waiting_for(flight: FlightState) -> str | None:
-    if flight.stage is Stage.PREPARE:
-        return "readiness" if flight.preparation.all_received else "heartbeats"
-    if flight.stage is Stage.READY:
-        return "go"
-    gate = flight.gate
-    at_gate = flight.stage is Stage.EXECUTE and flight.progress.waiting
-    if at_gate and gate is not None and not flight.holds.causes:
-        return gate.condition
-    return flight.holds.message
 
 
 def _state(flight: FlightState, vehicle: Vehicle) -> str:

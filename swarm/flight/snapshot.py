@@ -23,6 +23,10 @@ class Snapshot:
     command, whether it is possible now, and its effect. ``round_trip`` (n,) is the latest in
     seconds, ``received`` and ``lost`` (n,) count packets since the record began; empty where they
     are not counted.
+
+    ``waiting_for`` is what the clock waits for, ``held`` why the team holds, ``time_left`` the
+    seconds until the gate's or the hold's timeout, ``remaining`` the seconds to the end of the plan
+    without waiting; None where they do not apply.
     """
 
     time: float
@@ -44,6 +48,9 @@ class Snapshot:
     round_trip: Floats = field(default_factory=lambda: np.zeros(0))
     received: Floats = field(default_factory=lambda: np.zeros(0))
     lost: Floats = field(default_factory=lambda: np.zeros(0))
+    held: str | None = None
+    time_left: float | None = None
+    remaining: float | None = None
 
 
 @dataclass(frozen=True)

@@ -53,9 +53,9 @@ def fly_in_process(
 ) -> FlightResult:
     """Fly in another process; the callbacks run in this one and may be slow.
 
-    ``read_keys`` passes keys of this terminal on; ``low_priority`` runs this process at lower
-    priority during the flight. SIGINT and SIGTERM are passed on: the first lands the team after a
-    hold, the second at once.
+    ``read_keys`` passes keys of this terminal on, from the confirmation on where there is one;
+    ``low_priority`` runs this process at lower priority during the flight. SIGINT and SIGTERM are
+    passed on: the first lands the team after a hold, the second at once.
 
     Raises the errors of :func:`swarm.ground.fly.fly`, and :class:`VehicleError` if the process ends
     before the flight does.
@@ -75,9 +75,10 @@ def fly_in_process(
             context.enter_context(lowered_priority() if low_priority else nullcontext())
             context.enter_context(_forwarded_signals(process, confirming))
             pipe.send(request)
-            keys = _KeySender(pipe)
-            poll = context.enter_context(terminal_keys(keys)) if read_keys else lambda: None
-            return _serve(pipe, callbacks or FlightCallbacks(), poll, confirming)
+            keys = _Keys(context, _KeySender(pipe), enabled=read_keys)
+            if not request.confirm:
+                keys.start()
+            return _serve(pipe, callbacks or FlightCallbacks(), keys, confirming)
     except (EOFError, BrokenPipeError, ConnectionResetError):
         reason = exit_reason(process.wait(5.0))
         raise VehicleError(f"the flight's process ended ({reason})") from None
@@ -93,14 +94,14 @@ def fly_in_process(
 def _serve(
     pipe: Connection,
     callbacks: FlightCallbacks,
-    poll: Callable[[], None],
+    keys: "_Keys",
     confirming: threading.Event,
 ) -> FlightResult:
     """Handle the messages of the flight process until it sends a result or an error."""
     inbox = _Inbox(pipe)
     while True:
         while (message := inbox.receive(_POLL)) is None:
-            poll()
+            keys.poll()
         kind, content = message
         match kind:
             case "end":
@@ -118,7 +119,8 @@ def _serve(
                 callbacks.on_event(content)
             case "confirm":
                 pipe.send(("answer", _confirm(callbacks.confirm, content, confirming)))
-        poll()
+                keys.start()  # the question is answered on the same terminal
+        keys.poll()
 
 
 def _confirm(
@@ -182,6 +184,22 @@ class _KeySender:
         """Send a key."""
         self.pipe.send(("key", key))
         return None
+
+
+@dataclass
+class _Keys:
+    """Keys of this terminal, read from :meth:`start` on and until the context ends."""
+
+    context: ExitStack
+    sender: _KeySender
+    enabled: bool
+    poll: Callable[[], None] = lambda: None
+
+    def start(self) -> None:
+        """Begin to read keys; what was typed before is dropped."""
+        if self.enabled:
+            self.enabled = False
+            self.poll = self.context.enter_context(terminal_keys(self.sender))
 
 
 @contextmanager

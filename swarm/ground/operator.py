@@ -3,7 +3,7 @@
 The control socket is a Unix socket that only its owner may open. Each line is one request; the
 answer is one line: the effect, or the reason why the request is not possible. ``status`` lists the
 effect of every request at this moment. ``kill`` must be repeated as ``kill NUMBER``, with the
-number in the answer to ``kill``.
+number in the answer to ``kill``; after the key for it, the number must be typed.
 """
 
 import os
@@ -31,7 +31,10 @@ KEYS: Mapping[str, Request] = {
     "j": "rejoin",
     "a": "abort",
 }
-"""Keys and their requests. Kill has no key: it must be typed at the control socket."""
+"""Keys and their requests."""
+KILL_KEY = "k"
+"""The key that asks for the number with which kill is confirmed: no single key stops motors."""
+_DIGITS = 4
 _MAX_LINE = 200
 _MAX_CLIENTS = 8
 
@@ -41,6 +44,9 @@ class RequestHandler(Protocol):
 
     def request(self, request: Request) -> str:
         """Handle a request; return its effect."""
+
+    def report(self, kind: str, message: str) -> None:
+        """Add an event to the record, which the operator sees."""
 
 
 class KeyHandler(Protocol):
@@ -59,6 +65,7 @@ class OperatorConsole:
         """``status`` returns for every request whether it is possible, and its effect."""
         self._flight, self._status = flight, status
         self._number: str | None = None
+        self._typed: str | None = None
 
     def line(self, text: str) -> str:
         """Handle one line; return the answer, one line."""
@@ -77,15 +84,40 @@ class OperatorConsole:
 
     def key(self, key: str) -> str | None:
         """Handle one key; return the answer, None for a key without a request."""
+        if self._typed is not None and key.isdigit():
+            return self._digit(key)
+        self._typed = None
+        if key == KILL_KEY:
+            self._typed = ""
+            words = f"to stop all motors in the air, type {self._new_number()}; other keys cancel"
+            self._flight.report("operator", words)
+            return words
         request = KEYS.get(key)
         return None if request is None else self._flight.request(request)
+
+    def _digit(self, digit: str) -> str | None:
+        """Handle a digit of the number that confirms kill."""
+        self._typed = (self._typed or "") + digit
+        if len(self._typed) < _DIGITS:
+            return None
+        number, self._typed = self._typed, None
+        if number == self._number:
+            return self._kill(number)
+        self._number = None
+        words = f"kill: {number} is not the number; nothing was stopped"
+        self._flight.report("operator", words)
+        return words
 
     def _kill(self, number: str) -> str:
         if self._number is not None and number == self._number:
             self._number = None
             return self._flight.request("kill")
-        self._number = f"{secrets.randbelow(9000) + 1000}"
-        return f"to stop all motors in the air, type: kill {self._number}"
+        return f"to stop all motors in the air, type: kill {self._new_number()}"
+
+    def _new_number(self) -> str:
+        """Return a new number for the confirmation; numbers before it are no longer valid."""
+        self._number = f"{secrets.randbelow(9 * 10 ** (_DIGITS - 1)) + 10 ** (_DIGITS - 1)}"
+        return self._number
 
 
 class ControlSocket:

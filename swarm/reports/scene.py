@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from swarm.flight.setup import LOOSE_ERROR
 from swarm.flight.snapshot import Snapshot
 from swarm.geometry.catenary import MAX_CHORD_RATIO, solve_catenaries
 from swarm.geometry.distance import strand_strand
@@ -28,7 +29,7 @@ SILENT_AFTER: Final = 2.0
 STATE_COLOURS: Final[dict[str, tuple[int, int, int]]] = {
     "idle": (120, 128, 140),
     "armed": (94, 196, 120),
-    "holding": (86, 160, 255),
+    "attached": (86, 160, 255),
     "off track": (255, 140, 40),
     "silent": (235, 60, 140),
 }
@@ -118,6 +119,16 @@ def tautness_colours(ratio: Floats) -> Colours:
     return mixed.astype(np.uint8)
 
 
+def allowed_error(plan: Plan, mission_time: float) -> float:
+    """Return the tracking error in metres beyond which a vehicle is off track.
+
+    The tracking radius, which counts against the certificate, only while cable is off the floor.
+    """
+    tracking = plan.mission.vehicles.tracking
+    aloft = plan.phase_at(mission_time).cable in {"lifting", "aloft"}
+    return tracking if aloft else max(tracking, LOOSE_ERROR)
+
+
 def vehicle_states(snapshot: Snapshot, tracking: float) -> list[str]:
     """Return each vehicle's worst state, a key of :data:`STATE_COLOURS`.
 
@@ -125,7 +136,7 @@ def vehicle_states(snapshot: Snapshot, tracking: float) -> list[str]:
     """
     error = tracking_errors(snapshot)
     grip_states = [
-        "holding" if gripped else "armed" if armed else "idle"
+        "attached" if gripped else "armed" if armed else "idle"
         for gripped, armed in zip(snapshot.gripped, snapshot.armed, strict=True)
     ]
     silent = ~(snapshot.link_age <= SILENT_AFTER)

@@ -15,6 +15,13 @@ from rich.text import Text
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.planning import Plan
 from swarm.reports import scene
+from swarm.reports.flight_lines import (
+    clock_line,
+    key_line,
+    margin_line,
+    phase_line,
+    wait_line,
+)
 from swarm.reports.formatting import (
     ROUTINE_KINDS,
     STATUS_TEXT_KINDS,
@@ -30,7 +37,7 @@ from swarm.reports.status_texts import StatusTexts
 STATE_STYLES: Final = {
     "idle": "dim",
     "armed": "green",
-    "holding": "cyan",
+    "attached": "cyan",
     "off track": "bold yellow",
     "silent": "bold magenta",
 }
@@ -38,21 +45,26 @@ LEVEL_STYLES: Final = {"ERROR": "bold red", "WARN": "yellow", "INFO": "default"}
 LAST_EVENTS: Final = 6
 """Lines of events on the screen."""
 
+OTHER_LINES: Final = 8
+"""Lines that are neither vehicles nor events: four above the table, its head, a rule, the keys, and
+one that stays free for the terminal's cursor."""
+
 RECENT_EVENTS: Final = 200
 """Events that are kept for these lines, before they are merged."""
 
 
 class FlightScreen:
-    """The screen of a flight: phase, mission clock, the team, the last events.
+    """The screen of a flight: phases, mission clock, the team, the last events, the keys.
 
     Use it as a context manager; pass every snapshot to :meth:`show` and every event to
     :meth:`event`. It redraws five times a second; in a pipe it prints events and phases as lines.
     Routine events (modes, arming, …) are not listed. Of the vehicles' texts only warnings and worse
-    are shown, each once, with all vehicles that sent it.
+    are shown, each once, with all vehicles that sent it. With ``keys`` the operator's keys are
+    listed: where a terminal passes them on.
     """
 
-    def __init__(self, plan: Plan, console: Console) -> None:
-        self._plan = plan
+    def __init__(self, plan: Plan, console: Console, *, keys: bool = False) -> None:
+        self._plan, self._keys = plan, keys
         self._console = console
         self._events: deque[Event] = deque(maxlen=RECENT_EVENTS)
         self._snapshot: Snapshot | None = None
@@ -60,7 +72,10 @@ class FlightScreen:
         self._texts = StatusTexts()
         self._live = (
             Live(
-                console=console, auto_refresh=True, refresh_per_second=5, get_renderable=self._draw
+                console=console,
+                auto_refresh=True,
+                refresh_per_second=5,
+                get_renderable=self.drawing,
             )
             if console.is_terminal
             else None
@@ -123,52 +138,33 @@ class FlightScreen:
         line = f"{clock(snapshot.time)} phase {snapshot.phase}"
         self._console.print(line, soft_wrap=True, highlight=False, markup=False)
 
-    def _draw(self) -> RenderableType:
-        parts: list[RenderableType] = []
-        if self._snapshot is not None:
+    def drawing(self) -> RenderableType:
+        """Return the screen as it is now."""
+        snapshot, parts = self._snapshot, list[RenderableType]()
+        if snapshot is None:
+            parts.append(
+                Text("starting: links, numerical code, and the emulator if it flies", "dim")
+            )
+        else:
             parts += [
-                _flight_line(self._plan, self._snapshot),
-                _margin_line(self._snapshot),
-                team_table(self._snapshot, self._plan, self._console.height - LAST_EVENTS - 7),
+                clock_line(self._plan, snapshot),
+                phase_line(self._plan, snapshot),
+                wait_line(snapshot),
+                margin_line(snapshot),
+                team_table(snapshot, self._plan, self._console.height - LAST_EVENTS - OTHER_LINES),
             ]
         parts.append(Rule(style="dim"))
         parts += [
             _event_line(*merged) for merged in merge_events(list(self._events))[-LAST_EVENTS:]
         ]
+        if snapshot is not None and self._keys:
+            parts.append(key_line(snapshot.available))
         return Group(*parts)
-
-
-def _flight_line(plan: Plan, snapshot: Snapshot) -> Text:
-    line = Text(f"{plan.mission.name}  ", "bold", overflow="ellipsis", no_wrap=True)
-    line.append(snapshot.phase or "on the ground", "bold cyan")
-    line.append(f"  {clock(snapshot.mission_time)} of {clock(plan.duration)}")
-    if snapshot.waiting_for:
-        line.append(f"  waiting for: {snapshot.waiting_for}", "yellow")
-    elif snapshot.rate != 1.0:
-        line.append(f"  clock × {snapshot.rate:.2f}", "yellow")
-    line.append(f"  record {clock(snapshot.time)}", "dim")
-    return line
-
-
-def _margin_line(snapshot: Snapshot) -> Text:
-    line = Text(overflow="ellipsis", no_wrap=True)
-    clearances = snapshot.clearances
-    if clearances is not None and np.isfinite(clearances.margin):
-        margin = clearances.margin
-        style = "bold red" if margin < 0 else "yellow" if margin < 0.1 else "green"
-        line.append(f"margin {metres(margin)}", style)
-        line.append(
-            f"  cable {metres(clearances.cable)}, vehicles {metres(clearances.vehicle)}, "
-            f"tautest chord {clearances.chord:.0%}  ",
-            "dim",
-        )
-    available = [command for command, (possible, _) in snapshot.available.items() if possible]
-    return line.append(f"commands: {', '.join(available)}" if available else "", "dim")
 
 
 def team_table(snapshot: Snapshot, plan: Plan, rows: int) -> Table:
     """Return the team's table; with more vehicles than ``rows``, those in the worst state."""
-    tracking = plan.mission.vehicles.tracking
+    tracking = scene.allowed_error(plan, snapshot.mission_time)
     states = scene.vehicle_states(snapshot, tracking)
     errors = scene.tracking_errors(snapshot)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")

@@ -19,7 +19,7 @@ FailureTestDocument = Mapping[str, Any]
 """The JSON object of a failure test."""
 
 NOT_CERTIFIED: Final = (
-    "Not certified: swing, gusts, rotor wash, friction, segment lengths, and the knot once it is "
+    "Not certified: {}, gusts, rotor wash, friction, segment lengths, and the knot once it is "
     "released or on the floor."
 )
 NOT_CERTIFIED_WITHOUT_CABLE: Final = "Not certified: gusts and rotor wash."
@@ -46,8 +46,14 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
     if len(plan.layout.lengths):
         knot = knot_in_words(plan.knot.type, plan.knot.chirality)
         subject = knot if plan.knot.type else "a motion without a knot"
-        certified = f"{subject}, certified {errors} in the quasi-static cable model"
-        scope = NOT_CERTIFIED
+        swinging = plan.mission.fold.swing is not None
+        model = (
+            "swinging-cable model (planned motion, a stop)"
+            if swinging
+            else "quasi-static cable model"
+        )
+        certified = f"{subject}, certified {errors} in the {model}"
+        scope = NOT_CERTIFIED.format("swing by other causes" if swinging else "swing")
     else:
         certified = f"distances between vehicles are certified {errors}"
         scope = NOT_CERTIFIED_WITHOUT_CABLE

@@ -177,7 +177,7 @@ class Recorder:
             self._draw("link/limit", snapshot, scene.SILENT_AFTER)
         self._curves.send_due(snapshot.time)
         self._log_state("states/phase", snapshot.phase)
-        self._log_state("states/gate", snapshot.waiting_for or "–")
+        self._log_state("states/gate", snapshot.held or snapshot.waiting_for or "–")
 
     def event(self, event: Event) -> None:
         """Log an event."""
@@ -243,7 +243,8 @@ class Recorder:
 
     def _log_vehicles(self, snapshot: Snapshot) -> None:
         log = self._stream.log
-        states = scene.vehicle_states(snapshot, self._limit)
+        allowed = scene.allowed_error(self._plan, snapshot.mission_time)
+        states = scene.vehicle_states(snapshot, allowed)
         known = np.isfinite(snapshot.position).all(axis=-1)
         aimed = known & np.isfinite(snapshot.setpoint).all(axis=-1)
         centres = (snapshot.position + self._above)[known]

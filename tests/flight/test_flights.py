@@ -116,7 +116,7 @@ def test_rewind_goes_back_to_the_beginning_of_the_fold_and_holds():
     flight.conductor.request("rewind")
     flight.run(lambda: flight.conductor.clock.time <= start + 1e-6, most=30.0)
     flight.until_time(1.0)
-    assert flight.conductor.holding == "rewound as far as it is safe"
+    assert flight.conductor.holding == (f"rewound to {start:.1f} s: the phase fold begins there")
     assert flight.conductor.clock.time == pytest.approx(start)
     flight.conductor.request("resume")
     assert flight.run().word == "done"

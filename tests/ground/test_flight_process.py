@@ -1,17 +1,21 @@
 """The flight in its own process: slow callbacks, signals, a process that dies."""
 
+import multiprocessing
 import os
+import pty
 import signal
 import subprocess
 import sys
+import termios
 import threading
 import time
+from contextlib import ExitStack
 
 import pytest
 
 from swarm.errors import InputError, VehicleError
 from swarm.ground.callbacks import FlightCallbacks
-from swarm.ground.flight_process import FlightRequest, fly_in_process
+from swarm.ground.flight_process import FlightRequest, _Keys, _KeySender, _serve, fly_in_process
 from swarm.ground.fly import FlyOptions
 from swarm.ground.priority import helper_niceness
 from swarm.mission.fleet import emulated_fleet
@@ -128,3 +132,37 @@ def test_the_process_ends_with_its_caller(tmp_path):
     while os.path.exists(f"/proc/{pids[0]}") or emulators(tmp_path):
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+def test_keys_are_read_from_the_confirmation_on(monkeypatch):
+    """The question is answered on a terminal that echoes; after it, single keys are sent."""
+    master, slave = pty.openpty()
+    ours, theirs = multiprocessing.Pipe()
+    seen = []
+
+    def line_by_line():
+        return bool(termios.tcgetattr(slave)[3] & termios.ICANON)
+
+    def flight():
+        theirs.send(("confirm", None))
+        seen.append(theirs.recv())
+        while line_by_line():
+            time.sleep(0.01)
+        os.write(master, b"h")
+        seen.append(theirs.recv())
+        theirs.send(("result", "the result"))
+
+    def confirm(_audit):
+        seen.append(line_by_line())
+        return True
+
+    process = threading.Thread(target=flight)
+    process.start()
+    with os.fdopen(slave, "rb", buffering=0) as terminal, ExitStack() as context:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        keys = _Keys(context, _KeySender(ours), enabled=True)
+        callbacks = FlightCallbacks(confirm=confirm)
+        assert _serve(ours, callbacks, keys, threading.Event()) == "the result"
+    process.join(5.0)
+    os.close(master)
+    assert seen == [True, ("answer", True), ("key", "h")]

@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 
 from swarm.errors import VehicleError
-from swarm.ground.operator import KEYS, ControlSocket, OperatorConsole, terminal_keys
+from swarm.ground.operator import KEYS, KILL_KEY, ControlSocket, OperatorConsole, terminal_keys
 
 
 class Flight:
     def __init__(self):
         self.requests = []
+        self.reports = []
+
+    def report(self, kind, message):
+        self.reports.append((kind, message))
 
     def request(self, request):
         self.requests.append(request)
@@ -58,8 +62,33 @@ def test_kill_is_confirmed_with_the_number_in_the_answer(flight, console):
     assert flight.requests == ["kill"]
 
 
-def test_kill_has_no_key():
+def test_no_single_key_kills():
     assert "kill" not in KEYS.values()
+    assert KILL_KEY not in KEYS
+
+
+def test_kill_is_confirmed_by_typing_the_number(flight, console):
+    words = console.key("k")
+    number = words.removeprefix("to stop all motors in the air, type ")[:4]
+    assert words == f"to stop all motors in the air, type {number}; other keys cancel"
+    assert flight.reports == [("operator", words)]
+    assert [console.key(digit) for digit in number] == [None, None, None, "kill it is"]
+    assert flight.requests == ["kill"]
+
+
+def test_a_wrong_number_and_another_key_cancel_kill(flight, console):
+    number = console.key("k").removeprefix("to stop all motors in the air, type ")[:4]
+    wrong = f"{(int(number) + 1) % 10_000:04d}"
+    assert [console.key(digit) for digit in wrong][-1] == (
+        f"kill: {wrong} is not the number; nothing was stopped"
+    )
+    for digit in number:
+        console.key(digit)
+    number = console.key("k").removeprefix("to stop all motors in the air, type ")[:4]
+    console.key("h")
+    for digit in number:
+        console.key(digit)
+    assert flight.requests == ["hold"]
 
 
 def test_the_socket_is_private_and_answers(flight, console, tmp_path):

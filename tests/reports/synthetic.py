@@ -85,7 +85,9 @@ def snapshot_at(plan: Plan, time: float) -> Snapshot:
         mission_time=float(time),
         rate=1.0 if abs(time - 50.0) > 3 else 0.4,
         phase=plan.phase_at(float(time)).name,
-        waiting_for="gripped" if plan.phase_at(float(time)).name == "grab" else None,
+        waiting_for="all vehicles to grip the cable (gate before contract)"
+        if plan.phase_at(float(time)).name == "grab"
+        else None,
         position=position + flying * 0.03 * wave,
         velocity=velocity,
         setpoint=position,
@@ -100,6 +102,8 @@ def snapshot_at(plan: Plan, time: float) -> Snapshot:
         received=np.floor(40.0 * time + each),
         lost=np.floor(0.4 * time * (each % 3)),
         available={"hold": (armed, "all vehicles stop"), "rewind": (time > 40.0, "goes back")},
+        time_left=24.0 if plan.phase_at(float(time)).name == "grab" else None,
+        remaining=plan.duration - float(time),
     )
 
 

@@ -80,12 +80,12 @@ def test_crossings_are_where_the_strands_cross_in_plan_view() -> None:
 
 def test_the_worst_state_of_a_vehicle_is_shown() -> None:
     good = snapshot_at(PLAN, 50.0)
-    assert scene.vehicle_states(good, 0.1) == ["holding"] * 9
+    assert scene.vehicle_states(good, 0.1) == ["attached"] * 9
     far = good.position + np.array([0.0, 0.0, 0.5])
     age = np.where(np.arange(9) == 3, np.nan, good.link_age)
     bad = replace(good, position=far, link_age=age)
     assert scene.vehicle_states(bad, 0.1) == ["off track"] * 3 + ["silent"] + ["off track"] * 5
-    assert scene.vehicle_states(bad, 0.0)[0] == "holding"  # geometry only: no ball to leave
+    assert scene.vehicle_states(bad, 0.0)[0] == "attached"  # geometry only: no ball to leave
     assert scene.vehicle_states(snapshot_at(PLAN, 0.0), 0.1) == ["idle"] * 9
 
 

@@ -3,10 +3,13 @@ from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
+from rich.text import Text
 
 from swarm.certification.assessment import Assessment, Robustness, Tightest
 from swarm.certification.findings import Finding
+from swarm.flight.operator import REQUESTS
 from swarm.flight.snapshot import Event
+from swarm.reports.flight_lines import clock_line, key_line, phase_line, wait_line
 from swarm.reports.formatting import clock, log_level, metres, seconds, worst_vehicles
 from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.terminal import FlightScreen, team_table
@@ -140,7 +143,72 @@ def test_flight_on_a_screen_shows_team_and_events() -> None:
     assert text.count("OFFBOARD") >= 9
     assert "fold begins" in text
     assert "margin 0.27 m" in text
-    assert "commands: hold, rewind" in text
+    assert "^C" not in text  # no keys are read
+
+
+def lines_of(*texts: Text) -> list[str]:
+    return [text.plain for text in texts]
+
+
+def test_the_lines_of_a_gate() -> None:
+    shown = snapshot_at(PLAN, 12.0)
+    assert lines_of(clock_line(PLAN, shown), phase_line(PLAN, shown), wait_line(shown)) == [
+        "overhand  grab  0:12.0 of 1:29.0  1:17.0 to the end  record 0:12.0",
+        "✓ takeoff  grab ━━━━━─── 60%  contract  lift  fold  hold  finish  land",
+        "waiting, 24 s left: for all vehicles to grip the cable (gate before contract)",
+    ]
+
+
+def test_the_lines_of_a_hold_and_of_a_rewind() -> None:
+    shown = replace(snapshot_at(PLAN, 50.0), rate=-0.5, held="operator command", time_left=55.2)
+    assert lines_of(clock_line(PLAN, shown), wait_line(shown)) == [
+        "overhand  fold  0:50.0 of 1:29.0  rewinding × 0.50  0:39.0 to the end  record 0:50.0",
+        "hold, all land together in 55 s: operator command",
+    ]
+
+
+def test_outside_the_plan_no_phase_is_done() -> None:
+    shown = replace(snapshot_at(PLAN, 50.0), phase="contingency", remaining=None)
+    assert lines_of(clock_line(PLAN, shown), phase_line(PLAN, shown)) == [
+        "overhand  contingency  0:50.0 of 1:29.0  clock × 0.40  record 0:50.0",
+        "takeoff  grab  contract  lift  fold  hold  finish  land",
+    ]
+
+
+def test_every_command_has_a_key_beside_it() -> None:
+    available = {request: (request != "resume", "") for request in REQUESTS}
+    line = key_line(available)
+    assert line.plain == (
+        "h hold · r resume · b rewind · l land · x release · j rejoin · a abort · k kill · ^C end"
+    )
+    faint = [line.plain[span.start : span.end] for span in line.spans if span.style == "dim"]
+    assert [text for text in faint if text != " · "] == ["r", " resume"]
+    usual = key_line({**available, "rejoin": (False, "")})
+    assert "rejoin" not in usual.plain
+    assert len(usual.plain) <= 80
+
+
+def test_the_screen_of_a_flight_fits_an_80_by_24_terminal() -> None:
+    console = screen(80, 24)
+    with FlightScreen(PLAN, console, keys=True) as shown:
+        for k in range(20):
+            shown.event(Event(40.0 + 7 * k, "phase", f"event {k} of a flight with long words " * 4))
+        shown.show(replace(snapshot_at(PLAN, 50.0), held="operator command " * 9, time_left=5.0))
+        drawn = console.render_lines(shown.drawing(), pad=False)
+    assert len(drawn) <= 23
+    text = ["".join(part.text for part in line).rstrip() for line in drawn]
+    assert max(map(len, text)) <= 80
+    assert text[-1].startswith("h hold · r resume · b rewind")
+    assert sum("OFFBOARD" in line for line in text) == 9
+
+
+def test_a_screen_without_a_snapshot_says_that_the_flight_starts() -> None:
+    console = screen(80, 24)
+    with FlightScreen(PLAN, console) as shown:
+        first = console.render_lines(shown.drawing(), pad=False)[0]
+    assert "".join(part.text for part in first).rstrip() == (
+        "starting: links, numerical code, and the emulator if it flies"
+    )
 
 
 def test_the_same_text_of_several_vehicles_is_one_line() -> None:

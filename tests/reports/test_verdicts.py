@@ -33,6 +33,17 @@ def test_a_plan_for_exact_positions_states_that() -> None:
     assert words.startswith("Cleared: 3_1, right-handed, certified for exact positions in the")
 
 
+def test_a_plan_with_limited_swing_is_certified_in_the_swinging_cable_model() -> None:
+    fold = PLAN.mission.fold.model_copy(update={"swing": 0.06})
+    shaped = replace(PLAN, mission=PLAN.mission.model_copy(update={"fold": fold}))
+    assert plan_verdict(shaped, assessment()).words == (
+        "Cleared: 3_1, right-handed, certified for tracking errors up to 0.10 m in the "
+        "swinging-cable model (planned motion, a stop). Not certified: swing by other causes, "
+        "gusts, rotor wash, friction, segment lengths, and the knot once it is released or on the "
+        "floor."
+    )
+
+
 def test_a_refused_plan_counts_its_errors_by_check() -> None:
     taut = [Finding("error", "taut", f"segment {k}") for k in range(3)]
     found = plan_verdict(PLAN, assessment(*taut, WARNING, Finding("error", "payload", "heavy")))
