@@ -15,7 +15,8 @@ from swarm.errors import Refused
 from swarm.mission import parse_mission
 from swarm.planning import Plan
 from swarm.reports.animation import animate_plan
-from swarm.reports.plots import plot_plan, plot_schedule
+from swarm.reports.plots import plot_plan
+from swarm.reports.schedule_plots import plot_schedule
 from swarm.view.replay import write_plan
 from swarm.view.screenshot import ScreenshotFailed, screenshot
 

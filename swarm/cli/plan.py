@@ -137,7 +137,8 @@ def _front(mission: Mission, as_json: bool, plot: Path | None) -> int:
     points = studies.mark_dominated([one for one in found if isinstance(one, studies.FrontPoint)])
     refused = [one for one in found if isinstance(one, str)]
     if plot and points:
-        from swarm.reports.plots import pareto_figure, save  # noqa: PLC0415 - slow to import
+        from swarm.reports.pareto_plot import pareto_figure  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import save  # noqa: PLC0415
 
         save(pareto_figure([asdict(point) for point in points]), plot)
     if as_json:

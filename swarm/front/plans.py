@@ -105,7 +105,8 @@ class Plan(planning.Plan):
 
         Raises :class:`ValueError` for another picture. Source: :mod:`swarm.reports.plots`.
         """
-        from swarm.reports.plots import plan_figure, schedule_figure  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import plan_figure  # noqa: PLC0415 - slow to import
+        from swarm.reports.schedule_plots import schedule_figure  # noqa: PLC0415
 
         if picture not in {"knot", "schedule"}:
             raise ValueError(f"picture: expected knot or schedule, got {picture!r}")

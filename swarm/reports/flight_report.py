@@ -122,7 +122,7 @@ def _pictures(plan: Plan, trace: Trace) -> list[Picture]:
     if len(aloft):
         figure, axes = plots.new_axes(projection="3d")
         plots.draw_fold(axes, replace(plan.layout, corners=trace.position[aloft[-1]]))
-        axes.set_title("Cable at the end of the hold, distances at crossings in m")
+        axes.set_title("Cable at the end of the hold, distances at crossings")
         pictures.append(picture(figure, "The cable in space at the end of the hold"))
     return pictures
 

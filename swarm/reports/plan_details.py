@@ -14,7 +14,7 @@ from swarm.planning import Plan
 from swarm.reports.findings_text import findings_table
 from swarm.reports.formatting import metres, seconds
 
-_IN_TABLES: Final = frozenset({"tightest", "budget"})
+IN_TABLES: Final = frozenset({"tightest", "budget"})
 """Checks whose findings are shown as tables."""
 
 
@@ -28,7 +28,7 @@ def print_details(plan: Plan, assessment: Assessment, console: Console) -> None:
     remarks = [
         finding
         for finding in assessment.findings
-        if finding.severity == "info" and not (assessment.moments and finding.check in _IN_TABLES)
+        if finding.severity == "info" and not (assessment.moments and finding.check in IN_TABLES)
     ]
     if remarks:
         tables.append(findings_table(remarks))

@@ -4,9 +4,12 @@ import matplotlib as mpl
 import numpy as np
 
 from swarm.certification.assessment import Assessment
+from swarm.certification.clearances import Moment
 from swarm.planning import Plan
 from swarm.reports import plots, scene
+from swarm.reports.plan_details import IN_TABLES
 from swarm.reports.rendering import Picture, picture, render
+from swarm.reports.schedule_plots import schedule_figure
 from swarm.reports.strand_distances import planned_strand_distances
 from swarm.reports.verdicts import plan_verdict
 from swarm.reports.wording import (
@@ -18,7 +21,7 @@ from swarm.reports.wording import (
 
 
 def plan_report(plan: Plan, assessment: Assessment) -> str:
-    """Return the page of a plan: verdict, findings, figures, pictures, tables."""
+    """Return the page of a plan: verdict, figures, pictures, distances, findings, tables."""
     tightest = (assessment.cable, assessment.vehicle, assessment.vehicle_cable)
     return render(
         "plan.html.j2",
@@ -27,7 +30,14 @@ def plan_report(plan: Plan, assessment: Assessment) -> str:
         gauss_code=plan.knot.gauss,
         verdict=plan_verdict(plan, assessment),
         figures=plan_figures(plan, assessment),
-        findings=sorted_findings(assessment),
+        findings=[
+            one
+            for one in sorted_findings(assessment)
+            if not (assessment.moments and one.check in IN_TABLES)
+        ],
+        tightest=[] if not assessment.moments else assessment.tightest,
+        budget=assessment.budget,
+        neighbours=_tightest(assessment, "neighbouring segments"),
         clearances=list(zip(CLEARANCES.values(), tightest, strict=True)),
         pictures=_pictures(plan, assessment),
         segments=_segments(plan),
@@ -49,26 +59,33 @@ def _segments(plan: Plan) -> list[tuple[object, ...]]:
     ]
 
 
+def _tightest(assessment: Assessment, check: str) -> Moment | None:
+    """Return the tightest moment of one check; None where it has none."""
+    moments = [moment for moment in assessment.moments if moment.check == check]
+    return min(moments, key=lambda moment: moment.distance, default=None)
+
+
 @mpl.rc_context(plots.STYLE)
 def _pictures(plan: Plan, assessment: Assessment) -> list[Picture]:
     pictures = []
     if plan.knot.grid_columns:
         figure, axes = plots.new_axes()
-        plots.draw_grid(axes, plan.knot)
-        pictures.append(picture(figure, "Grid diagram of the knot"))
+        plots.draw_grid(axes, plan.knot, plan.layout)
+        pictures.append(picture(figure, "Grid diagram of the knot, numbered like the plan view"))
     figure, axes = plots.new_axes()
     plots.draw_plan_view(axes, plan.layout)
     pictures.append(picture(figure, "The cable from above; under strands have gaps"))
-    figure, axes = plots.new_axes(projection="3d")
-    plots.draw_fold(axes, plan.layout)
-    pictures.append(picture(figure, "The folded cable in space"))
+    figure, axes = plots.new_axes((8.0, 3.8), projection="3d")
+    plots.draw_fold(axes, plan.layout, zoom=1.35)
+    pictures.append(picture(figure, "The folded cable in space", wide=True))
     if plan.vehicles >= 4:
         figure, axes = plots.new_axes((8.0, 2.8))
         times, distance = planned_strand_distances(plan)
         required = plan.mission.clearance.cable
-        title = "Distance of strands that are not neighbours (sampled, without errors)"
-        plots.draw_clearance(axes, times, distance, required, title, assessment.cable)
+        title = "Smallest distance of strands that are not neighbours, planned"
+        tightest = _tightest(assessment, "cable clearance")
+        plots.draw_clearance(axes, times, distance, required, title, tightest)
         pictures.append(picture(figure, title, wide=True))
-    schedule = plots.schedule_figure(plan)
+    schedule = schedule_figure(plan)
     pictures.append(picture(schedule, "Schedule and heights of the vehicles", wide=True))
     return pictures

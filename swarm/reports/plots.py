@@ -1,9 +1,10 @@
-"""Figures of a plan: grid diagram, knot diagram in plan view, the folded cable in space, schedule.
+"""Figures of a plan and a flight: grid diagram, plan view, the folded cable in space, distances.
 
 ``draw_…`` draws into axes, ``…_figure`` returns a whole figure, ``plot_…`` writes it as PNG.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,11 +16,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from swarm.certification.assessment import Tightest
+from swarm.certification.clearances import Moment
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.trace import Trace
 from swarm.planning import KnotLayout, KnotSummary, Plan
 from swarm.reports import scene
+from swarm.reports.formatting import together
 
 Floats = npt.NDArray[np.float64]
 Axes = Any
@@ -64,7 +66,7 @@ def plan_figure(plan: Plan) -> Figure:
         shares = [1.0, 1.15, 1.35][not grid :]
         cells = figure.add_gridspec(1, len(shares), width_ratios=shares)
         if grid:
-            draw_grid(figure.add_subplot(cells[0, 0]), plan.knot)
+            draw_grid(figure.add_subplot(cells[0, 0]), plan.knot, plan.layout)
         draw_plan_view(figure.add_subplot(cells[0, -2]), plan.layout)
         draw_fold(figure.add_subplot(cells[0, -1], projection="3d"), plan.layout)
         figure.suptitle(_headline(plan))
@@ -78,22 +80,6 @@ def _headline(plan: Plan) -> str:
     length = plan.layout.lengths.sum()
     cable = f"{length:.1f} m of cable" if length else "no cable"
     return f"{plan.mission.name}: {knot}, {vehicles}, {cable}"
-
-
-def plot_schedule(plan: Plan, path: Path) -> None:
-    """Write a PNG of every vehicle's place along the fold's path and its height over time."""
-    save(schedule_figure(plan), path)
-
-
-def schedule_figure(plan: Plan) -> Figure:
-    """Return the figure of :func:`plot_schedule`."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.0, 5.2), layout="constrained")
-        FigureCanvasAgg(figure)
-        above, below = figure.subplots(2, 1, sharex=True)
-        draw_schedule(above, plan)
-        draw_heights(below, plan)
-        return figure
 
 
 def plot_flight(plan: Plan, trace: Trace, path: Path) -> None:
@@ -111,40 +97,6 @@ def flight_figure(plan: Plan, trace: Trace) -> Figure:
         draw_errors(figure.add_subplot(cells[0, 1]), trace, plan.mission.vehicles.tracking)
         draw_clock(figure.add_subplot(cells[1, 1]), trace)
         figure.suptitle(f"{plan.mission.name}: flight")
-        return figure
-
-
-def pareto_figure(
-    points: Sequence[Mapping[str, Any]],
-) -> Figure:
-    """Return the figure of a Pareto front: cable length, fold time and e* of plans.
-
-    Dominated plans are faint.
-
-    ``points`` have the fields of :class:`swarm.studies.FrontPoint`.
-    """
-    tracking = [point["max_tracking_error"] for point in points]
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.0, 4.6), layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = figure.subplots()
-        low, high = min(tracking), max(tracking)
-        for point in points:
-            cable, fold = point["cable_length"], point["fold_time"]
-            error, dominated = point["max_tracking_error"], point["dominated"]
-            share = (error - low) / (high - low) if high > low else 1.0
-            axes.plot(
-                cable, fold, "o", markersize=7 + 11 * share, color=START,
-                alpha=0.25 if dominated else 0.9, markeredgewidth=0,
-            )  # fmt: skip
-            axes.annotate(
-                f"e* {error:.3f} m\n{point['variant']}", (cable, fold), fontsize=7.5,
-                textcoords="offset points", xytext=(12, -4),
-                color=FAINT_INK if dominated else INK,
-            )  # fmt: skip
-        axes.set(xlabel="cable, m", ylabel="fold, s")
-        axes.set_title("Cable, fold time and the largest tracking error e*")
-        axes.margins(0.25, 0.18)
         return figure
 
 
@@ -174,11 +126,16 @@ def along_colours(count: int) -> Floats:
     return (1 - share) * START + share * END
 
 
-def draw_grid(axes: Axes, knot: KnotSummary) -> None:
-    """Draw a grid diagram: columns pass over rows, with marks at the corners."""
-    size = len(knot.grid_columns)
-    numbers = np.sort(np.array(knot.grid_columns), axis=1)
-    columns = np.unique(numbers, return_inverse=True)[1].reshape(size, 2)
+def draw_grid(axes: Axes, knot: KnotSummary, layout: KnotLayout | None = None) -> None:
+    """Draw a grid diagram: columns pass over rows.
+
+    Where the layout has a vehicle at each corner of the diagram but one, its corners are numbered
+    and coloured like the plan view, and the two edges without cable are dotted.
+    """
+    columns = grid_columns(knot)
+    size = len(columns)
+    places = None if layout is None else grid_places(knot, layout)
+    colour = _edge_colours(places)
     for row in range(size):
         left, right = np.flatnonzero((columns == row).any(axis=1))
         across = np.arange(left + 1, right)
@@ -186,15 +143,63 @@ def draw_grid(axes: Axes, knot: KnotSummary) -> None:
         edges = np.concatenate([[left], np.repeat(above, 2), [right]]).astype(float)
         edges[1:-1] += np.tile([-GAP, GAP], len(above))
         pieces = np.stack([edges.reshape(-1, 2), np.full((len(above) + 1, 2), row)], axis=-1)
-        axes.add_collection(LineCollection(list(pieces), colors=INK, linewidths=2.2))
-    for column, ends in enumerate(columns):
-        axes.plot([column] * 2, ends, "o-", color=INK, linewidth=2.2, markersize=4.5)
+        axes.add_collection(LineCollection(list(pieces), linewidths=2.2, **colour(1, row)))
+    for column, (low, high) in enumerate(columns):
+        ends = [[(column, low), (column, high)]]
+        axes.add_collection(LineCollection(ends, linewidths=2.2, **colour(0, column)))
     for edge in range(size + 1):
         axes.axhline(edge - 0.5, color=FAINT, linewidth=0.6, zorder=0)
         axes.axvline(edge - 0.5, color=FAINT, linewidth=0.6, zorder=0)
+    if places is None:
+        axes.plot(np.repeat(np.arange(size), 2), columns.ravel(), "o", color=INK, markersize=4.5)
+    else:
+        _label_vehicles(axes, places.astype(np.float64))
     axes.set(xlim=(-0.5, size - 0.5), ylim=(-0.5, size - 0.5), aspect="equal", xticks=[], yticks=[])
     axes.set_frame_on(False)
     axes.set_title(f"Grid diagram {size}×{size}")
+
+
+def grid_columns(knot: KnotSummary) -> npt.NDArray[np.intp]:
+    """Return the rows (size, 2) of both ends of each column, from 0, the lower first."""
+    numbers = np.sort(np.array(knot.grid_columns), axis=1)
+    return np.unique(numbers, return_inverse=True)[1].reshape(len(numbers), 2)
+
+
+def grid_places(knot: KnotSummary, layout: KnotLayout) -> npt.NDArray[np.intp] | None:
+    """Return each vehicle's column and row (n, 2) in the grid diagram; None where it has no place.
+
+    A layout has the order of its diagram's columns and rows, in metres, with one corner left out.
+    """
+    columns = grid_columns(knot)
+    if len(layout.corners) != 2 * len(columns) - 1:
+        return None
+    places = np.stack(
+        [np.unique(axis.round(6), return_inverse=True)[1] for axis in layout.corners[:, :2].T],
+        axis=1,
+    )
+    corners = {(column, int(row)) for column, rows in enumerate(columns) for row in rows}
+    return places if corners >= {tuple(place) for place in places.tolist()} else None
+
+
+def _edge_colours(
+    places: npt.NDArray[np.intp] | None,
+) -> Callable[[int, int], dict[str, Any]]:
+    """Return the style of the edge of a column (0, number) or of a row (1, number)."""
+    if places is None:
+        return lambda _axis, _number: {"colors": [INK]}
+    segments = {}
+    for segment, (one, other) in enumerate(pairwise(places)):
+        axis = 0 if one[0] == other[0] else 1
+        segments[axis, int(one[axis])] = segment
+    colours = along_colours(len(places) - 1)
+
+    def style(axis: int, number: int) -> dict[str, Any]:
+        segment = segments.get((axis, number))
+        if segment is None:
+            return {"colors": [FAINT_INK], "linestyles": [":"]}
+        return {"colors": [colours[segment]]}
+
+    return style
 
 
 def draw_plan_view(axes: Axes, layout: KnotLayout) -> None:
@@ -251,23 +256,33 @@ def _label_vehicles(axes: Axes, corners: Floats) -> None:
         axes.text(x, y, str(i + 1), ha="center", va="center_baseline", fontsize=7.5, zorder=6)
 
 
-def draw_fold(axes: Axes, layout: KnotLayout) -> None:
-    """Draw the folded cable in space, every segment a catenary, and its crossings."""
+def draw_fold(axes: Axes, layout: KnotLayout, zoom: float = 0.95) -> None:
+    """Draw the folded cable in space, every segment a catenary, and its crossings.
+
+    ``zoom`` enlarges the box, for axes that are wider than high.
+    """
     strips = scene.strands(layout.corners, layout.lengths, 40)
     colours = along_colours(len(strips))
     for strip, colour in zip(strips, colours, strict=True):
-        axes.plot(*strip.T, color=colour, linewidth=2.0)
+        axes.plot(*strip.T, color=colour, linewidth=2.0, clip_on=False)
     for crossing in scene.crossings(layout):
         axes.plot(*np.array([crossing.lower, crossing.upper]).T, color=INK, linewidth=0.9)
-        axes.text(*crossing.upper, f" {crossing.distance:.2f}", fontsize=7, color=INK)
-    axes.plot(*layout.corners.T, "o", color=INK, markersize=3.0)
+        axes.text(
+            *crossing.upper, f"{crossing.distance:.2f} m", fontsize=7, color=INK, zorder=9,
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.85, "lw": 0},
+        )  # fmt: skip
+    axes.plot(*layout.corners.T, "o", color=INK, markersize=3.0, clip_on=False)
+    for number, corner in enumerate(layout.corners, 1):
+        axes.text(*corner, f" {number}", fontsize=7, color=INK, va="bottom", zorder=8)
+    for artist in (*axes.lines, *axes.texts):
+        artist.set_in_layout(False)  # parts of an enlarged box are outside of the axes
     low, high = _extent(np.vstack([strips.reshape(-1, 3), layout.corners]))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low, zoom=0.95)
+    axes.set_box_aspect(high - low, zoom=zoom)
     axes.view_init(elev=28, azim=-62)
     sparse_ticks(axes, high - low)
     axes.set(xlabel="east, m", ylabel="north, m", zlabel="up, m")
-    axes.set_title("Folded cable, distances at crossings in m")
+    axes.set_title("Folded cable, distances at crossings")
 
 
 def sparse_ticks(axes: Axes, sides: Floats) -> None:
@@ -276,70 +291,35 @@ def sparse_ticks(axes: Axes, sides: Floats) -> None:
         axis.set_major_locator(MaxNLocator(3 if side < 0.6 * sides.max() else 7))
 
 
-def draw_schedule(axes: Axes, plan: Plan) -> None:
-    """Draw each vehicle's place along the common path during the fold."""
-    fold = plan.phase("fold")
-    times = np.linspace(fold.start, fold.end, 400)
-    places = places_along_path(plan, times)
-    corners = places[-1]
-    for i, colour in enumerate(along_colours(plan.vehicles)):
-        axes.axhline(corners[i], color=FAINT, linewidth=0.6, zorder=0)
-        axes.plot(times, places[:, i], color=colour, linewidth=1.4)
-        axes.text(times[-1], corners[i], f" {i + 1}", fontsize=7.5, va="center")
-    axes.set(ylabel="along the path, m", title="Schedule: each vehicle stops at its own corner")
-
-
-def places_along_path(plan: Plan, times: Floats) -> Floats:
-    """Return each vehicle's arc length (k, n) on the fold's path at mission times (k,), metres.
-
-    It is the arc length of the vehicle's corner minus its remaining distance, and negative before
-    the start of the path.
-    """
-    position = plan.motion.at(times)[0]
-    step = np.linalg.norm(np.diff(position, axis=0), axis=-1)
-    remaining = np.vstack([step[::-1].cumsum(axis=0)[::-1], np.zeros(plan.vehicles)])
-    arc = np.append(0.0, np.linalg.norm(np.diff(plan.path, axis=0), axis=1).cumsum())
-    apart = np.linalg.norm(plan.path[:, None] - plan.layout.corners, axis=-1)
-    places: Floats = arc[apart.argmin(axis=0)] - remaining
-    return places
-
-
-def draw_heights(axes: Axes, plan: Plan) -> None:
-    """Draw the heights of the grip points during the fold."""
-    fold = plan.phase("fold")
-    times = np.linspace(fold.start, fold.end, 400)
-    height = plan.motion.at(times)[0][:, :, 2]
-    for i, colour in enumerate(along_colours(plan.vehicles)):
-        axes.plot(times, height[:, i], color=colour, linewidth=1.4)
-    axes.set(xlabel="mission time, s", ylabel="height, m", title="Heights of the grip points")
-
-
 def draw_clearance(
     axes: Axes,
     times: Floats,
     distance: Floats,
     required: float,
     title: str,
-    tightest: Tightest | None = None,
+    tightest: Moment | None = None,
 ) -> None:
-    """Draw a distance (k,) in metres over times (k,) with the required and certified values."""
+    """Draw a distance (k,) in metres over times (k,) with the required and certified values.
+
+    ``tightest`` must be a moment of the strands that the curve is of.
+    """
     axes.plot(times, distance, color=INK, linewidth=1.4)
     axes.axhline(required, color=ALARM, linewidth=1.2, linestyle="--")
+    late = tightest is None or tightest.time > 0.5 * (times[0] + times[-1])
     axes.text(
-        times[0],
-        required,
-        f" required {required:.2f} m",
-        color=ALARM,
-        va="bottom",
-        fontsize=7.5,
-    )
+        times[0] if late else times[-1], required, f"required {required:.2f} m", color=ALARM,
+        ha="left" if late else "right", va="bottom", fontsize=7.5,
+    )  # fmt: skip
     if tightest is not None and np.isfinite(tightest.distance):
-        axes.plot([tightest.time], [tightest.distance], "v", color=ALARM, markersize=6)
+        low = max(tightest.distance, 0.0)
+        axes.plot([tightest.time], [low], "v", color=ALARM, markersize=6)
         axes.annotate(
-            f"certified {tightest.distance:.2f} m\n" + " and ".join(tightest.between),
-            (tightest.time, tightest.distance),
+            f"certified {low:.2f} m, {together(tightest.between)}",
+            (tightest.time, low),
             textcoords="offset points",
-            xytext=(6, 10),
+            xytext=(-8 if late else 8, 0),
+            ha="right" if late else "left",
+            va="center",
             fontsize=7.5,
         )
     axes.set(xlabel="mission time, s", ylabel="distance, m", title=title)

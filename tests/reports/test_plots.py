@@ -7,8 +7,9 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from swarm.certification.clearances import Moment
 from swarm.errors import InputError
-from swarm.reports import plots
+from swarm.reports import pareto_plot, plots, schedule_plots
 from tests.reports.synthetic import CROSSINGS, trefoil_plan
 
 PLAN = trefoil_plan()
@@ -68,6 +69,65 @@ def test_grid_diagram_breaks_rows_below_columns_only() -> None:
     assert not ink_at(figure, axes, 0, 3)
 
 
+def test_the_grid_diagram_is_numbered_like_the_plan_view() -> None:
+    places = plots.grid_places(PLAN.knot, PLAN.layout)
+    assert places is not None
+    assert np.allclose(places * 1.2 - 2.4, PLAN.layout.corners[:, :2])
+    axes = Figure().add_subplot()
+    plots.draw_grid(axes, PLAN.knot, PLAN.layout)
+    shown = {text.get_text(): text.get_position() for text in axes.texts}
+    assert shown == {str(k): tuple(place) for k, place in enumerate(places.tolist(), 1)}
+    edges = [line for line in axes.collections if line.get_linestyle()[0][1] is not None]
+    assert len(edges) == 2  # the dotted row and column without cable
+
+
+def test_a_grid_diagram_of_another_layout_has_no_numbers() -> None:
+    aside = PLAN.layout.corners.copy()
+    aside[3, 0] += 0.4
+    for corners in (aside, PLAN.layout.corners[:-1], PLAN.layout.corners[::-1] * [1, -1, 1]):
+        axes = Figure().add_subplot()
+        plots.draw_grid(axes, PLAN.knot, replace(PLAN.layout, corners=corners))
+        assert not axes.texts
+
+
+def test_labels_are_spread_and_keep_their_order() -> None:
+    values = np.array([0.0, 0.1, 5.0, 0.05, 9.0])
+    places = schedule_plots.spread_labels(values, 1.0)
+    assert np.diff(np.sort(places)).min() >= 1.0 - 1e-12
+    assert (np.argsort(places) == np.argsort(values)).all()
+    assert places[0] == 0.0
+    assert (places[2], places[4]) == (5.0, 9.0)
+
+
+def test_a_label_of_a_curve_is_far_from_other_curves() -> None:
+    times = np.linspace(0.0, 10.0, 101)
+    curves = np.stack([np.sin(times), np.zeros(101), 1.2 * np.cos(times)], axis=1)
+    labels = schedule_plots.places_of_labels(times, curves)
+    for curve, k in enumerate(labels):
+        assert np.abs(np.delete(curves[k], curve) - curves[k, curve]).min() > 0.5
+    assert len(set(labels)) == 3
+
+
+def moment(distance: float, time: float) -> Moment:
+    between = ("segment 2", "segment 7")
+    return Moment("cable clearance", between, distance, 0.15, time, (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("time", [10.0, 70.0])
+def test_the_certified_distance_does_not_overprint_the_required_one(time: float) -> None:
+    figure, axes = plots.new_axes((8.0, 2.8))
+    times = np.linspace(0.0, 80.0, 9)
+    plots.draw_clearance(axes, times, np.full(9, 1.0), 0.15, "title", moment(0.2, time))
+    figure.draw_without_rendering()
+    required, certified = (text.get_window_extent() for text in axes.texts)
+    assert certified.width > 0
+    assert not required.overlaps(certified)
+    assert [text.get_text() for text in axes.texts] == [
+        "required 0.15 m",
+        "certified 0.20 m, segments 2 and 7",
+    ]
+
+
 def test_a_plan_without_a_grid_is_drawn_without_one() -> None:
     free = replace(PLAN, knot=replace(PLAN.knot, grid_columns=()))
     assert len(plots.plan_figure(free).axes) == 2
@@ -77,7 +137,7 @@ def test_a_plan_without_a_grid_is_drawn_without_one() -> None:
 def test_places_along_the_path_end_at_the_corners() -> None:
     fold = PLAN.phase("fold")
     times = np.linspace(fold.start, fold.end, 50)
-    places = plots.places_along_path(PLAN, times)
+    places = schedule_plots.places_along_path(PLAN, times)
     arc = np.append(0.0, np.linalg.norm(np.diff(PLAN.path, axis=0), axis=1).cumsum())
     assert places[-1, 0] == pytest.approx(0.0, abs=1e-9)
     assert places[-1, -1] == pytest.approx(arc[-1], abs=1e-9)
@@ -86,7 +146,7 @@ def test_places_along_the_path_end_at_the_corners() -> None:
 
 
 def test_schedule_picture_is_written(tmp_path: Path) -> None:
-    plots.plot_schedule(PLAN, tmp_path / "schedule.png")
+    schedule_plots.plot_schedule(PLAN, tmp_path / "schedule.png")
     assert imread(tmp_path / "schedule.png").shape[1] > 800
 
 
@@ -118,7 +178,7 @@ def test_the_pareto_figure_shows_every_plan_with_its_tracking_error() -> None:
             tracking, (True, False, False), strict=True,
         )
     ]  # fmt: skip
-    figure = plots.pareto_figure(points)
+    figure = pareto_plot.pareto_figure(points)
     axes = figure.axes[0]
     assert [text.get_text().split("\n")[0] for text in axes.texts] == [
         f"e* {value:.3f} m" for value in tracking

@@ -13,6 +13,8 @@ import pytest
 from jinja2 import UndefinedError
 from matplotlib.figure import Figure
 
+from swarm.certification.budget import Budget
+from swarm.certification.clearances import Moment
 from swarm.certification.findings import Finding
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
@@ -106,6 +108,32 @@ def test_the_plan_report_has_verdict_and_findings() -> None:
     assert read.images == 5
     cleared = "Cleared: 3_1, right-handed, certified for tracking errors up to 0.10 m in the quasi"
     assert cleared in Reader(cleared_plan_report()).words
+
+
+def test_the_plan_report_has_pictures_above_findings_and_tables_of_moments_and_budget() -> None:
+    warning = Finding("warning", "swing", "swings")
+    tight = Finding("info", "tightest", "1. vehicle clearance: as a sentence")
+    at = (0.0, 0.0, 4.0)
+    moments = (
+        Moment("neighbouring segments", ("segment 6", "segment 7"), 0.28, 0.15, 52.7, at),
+        Moment("cable clearance", ("segment 2", "segment 7"), 0.32, 0.15, 70.0, at),
+        Moment("vehicle clearance", ("vehicle 1", "vehicle 7"), 1.09, 1.0, 68.8, at),
+    )
+    row = Budget(("segment 6", "segment 7"), 52.7, 0.4, 0.2, 0, 0, 0.02, 0.01, 0.16, 0, 0, 0.15)
+    found = replace(assessment(warning, tight), moments=moments, budget=(row,))
+    source = plan_report(PLAN, found)
+    heads = ["Pictures", "Smallest distances", "Findings", "Tightest moments", "Clearance budget"]
+    places = [source.index(f"<h2>{head}</h2>") for head in heads]
+    assert places == sorted(places)
+    assert source.index('class="verdict warn"') < places[0]
+    read = " ".join(Reader(source).words.split())
+    assert "as a sentence" not in read
+    assert "vehicle clearance 1.09 m 1.00 m +0.09 m 68.8 s vehicle 1 and vehicle 7" in read
+    assert "6 and 7 52.7 s 40 20 0 0 2 1 16 0 0 15 -14" in read
+    assert (
+        "Beyond the exempt length they keep 0.28 m of 0.15 m: segment 6 and segment 7 at 52.7 s."
+        in read
+    )
 
 
 def test_reports_load_no_other_file() -> None:
@@ -266,7 +294,7 @@ LOOK = """<!doctype html><title>-</title><iframe style="width:%dpx; height:900px
 srcdoc="%s"></iframe><script>addEventListener("load", () => {
   const page = document.querySelector("iframe").contentDocument;
   const wide = page.documentElement.clientWidth;
-  const out = (e) => !e.closest(".scroll, pre") && e.getBoundingClientRect().right > wide + 1;
+  const out = (e) => !e.closest(".scroll, .wide, pre") && e.getBoundingClientRect().right > wide + 1;
   document.title = JSON.stringify({
     sideways: page.documentElement.scrollWidth - wide,
     broken: [...page.images].filter((i) => !(i.complete && i.naturalWidth)).length,
