@@ -26,6 +26,7 @@ from swarm.front.files import load_fleet
 from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlyOptions
+from swarm.ground.forward import parse_forward
 from swarm.ground.record_folder import control_socket, new_record_folder
 from swarm.mission import Mission
 from swarm.mission.fleet import emulated_fleet
@@ -55,6 +56,7 @@ class Options:
     view: Viewer | None
     yes: bool
     record: Path | None
+    forward: str | None
     resume: Path | None
     then: Then
 
@@ -72,6 +74,18 @@ class Options:
         problems = [Problem(name, message) for name, value in given.items() if value]
         if problems:
             raise InputError(problems)
+
+
+def forward_address(
+    _context: click.Context, _parameter: click.Parameter, url: str | None
+) -> str | None:
+    """Return the address of --forward; another text is a usage error."""
+    try:
+        if url is not None:
+            parse_forward(url)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+    return url
 
 
 @click.command()
@@ -107,6 +121,13 @@ class Options:
     help="Folder for the flight record. Default: a new folder in flights/.",
 )
 @click.option(
+    "--forward",
+    metavar="udp://HOST:PORT",
+    callback=forward_address,
+    help="Send a copy of all packets of the vehicles there, for QGroundControl (port 14550); "
+    "nothing that comes back is passed on.",
+)
+@click.option(
     "--resume",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="RECORD",
@@ -137,7 +158,13 @@ def fly(context: click.Context, /, **options: Any) -> None:
         given.refuse_with_resume()
         folder = given.record or new_record_folder(_FLIGHTS, f"{given.resume.name}-resumed")
         resume_flight(
-            context, given.resume, folder, then=given.then, view=given.view, as_json=given.as_json
+            context,
+            given.resume,
+            folder,
+            then=given.then,
+            view=given.view,
+            forward=given.forward,
+            as_json=given.as_json,
         )
         return
     if given.mission is None:
@@ -157,7 +184,10 @@ def fly(context: click.Context, /, **options: Any) -> None:
     control = control_socket(folder)
     flight = FlightRequest(
         flight_plan, team, folder,
-        FlyOptions(speed=given.speed, no_cable=given.no_cable, control=control), confirm=True,
+        FlyOptions(
+            speed=given.speed, no_cable=given.no_cable, control=control, forward=given.forward
+        ),
+        confirm=True,
     )  # fmt: skip
     result = _fly(flight, given, console)
     end_flight(context, flight_plan.plan, planned.assessment, result, folder, as_json=given.as_json)

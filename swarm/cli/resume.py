@@ -33,6 +33,7 @@ def resume_flight(
     *,
     then: Then,
     view: Viewer | None,
+    forward: str | None,
     as_json: bool,
 ) -> None:
     """Resume the flight of a record, and exit with its code."""
@@ -54,7 +55,13 @@ def resume_flight(
         flight_plan,
         fleet,
         folder,
-        FlyOptions(no_cable=not basis.cable, control=control_socket(folder), left=left, then=then),
+        FlyOptions(
+            no_cable=not basis.cable,
+            control=control_socket(folder),
+            left=left,
+            then=then,
+            forward=forward,
+        ),
     )
     with displays(plan, folder, view, console) as shown, shown.screen:
         result = fly_in_process(

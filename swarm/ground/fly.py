@@ -23,6 +23,7 @@ from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
 from swarm.ground.callbacks import FlightCallbacks, publisher
 from swarm.ground.emulator import EmulatorProcess
+from swarm.ground.forward import open_forward
 from swarm.ground.loop import Loop
 from swarm.ground.operator import ControlSocket, OperatorConsole, terminal_keys
 from swarm.ground.preflight import Preflight
@@ -47,6 +48,7 @@ class FlyOptions:
       found, and the plan continues from there according to ``then``.
     - ``error_limit``: for flights that measure tracking errors: metres beyond which all vehicles
       land; smaller errors do not slow or hold the team.
+    - ``forward``: udp://HOST:PORT that gets a copy of all packets of the vehicles.
     """
 
     speed: float = 1.0
@@ -56,6 +58,7 @@ class FlyOptions:
     left: LeftOff | None = None
     then: Then = "hold"
     error_limit: float | None = None
+    forward: str | None = None
 
 
 def fly(
@@ -117,7 +120,12 @@ def fly(
                 preflight.relay = Relay(conductor.team)
                 running.callback(preflight.relay.close)
             tasks = TickTasks(conductor, record, preflight, publish, interrupts, emulator, inputs)
-            loop = Loop(conductor, links, record, options.speed, tasks.run, preflight.relay)
+            forward = open_forward(options.forward, conductor.team) if options.forward else None
+            if forward is not None:
+                running.callback(forward.close)
+            loop = Loop(
+                conductor, links, record, options.speed, tasks.run, preflight.relay, forward
+            )
             loop.run()
             tasks.run(conductor.now)
         result = _result(conductor, emulator, loop, tuple(tasks.events), folder)

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from swarm.flight.router import Address, Outgoing
+from swarm.ground.forward import Forward
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links
@@ -49,8 +50,8 @@ class Loop:
     """Runs a conductor on links in real time, ``speed`` times faster.
 
     ``each_tick`` is called with the flight time after every tick and must be fast. ``relay``
-    forwards packets of other programs. ``lateness`` are the seconds between deadline and sending of
-    every tick, ``cpu`` the share of one core.
+    forwards packets of other programs, ``forward`` copies what the vehicles send. ``lateness`` are
+    the seconds between deadline and sending of every tick, ``cpu`` the share of one core.
     """
 
     conductor: Runnable
@@ -59,6 +60,7 @@ class Loop:
     speed: float
     each_tick: Callable[[float], None]
     relay: Relay | None = None
+    forward: Forward | None = None
     lateness: list[float] = field(default_factory=list)
     cpu: float = 0.0
     start_time: float = 0.0
@@ -106,6 +108,8 @@ class Loop:
             return  # a flood is not recorded
         if self.relay is not None:
             self.relay.from_vehicles(link, address, data)
+        if self.forward is not None:
+            self.forward.from_vehicles(link, address, data)
         if self.record is not None:
             self.record.packet(data, now, "" if address is not None else link)
 
