@@ -49,7 +49,12 @@ def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
             "segments": [float(length) for length in layout.lengths],
             "total": float(layout.lengths.sum()),
         },
-        "duration": {"fold": fold.end - fold.start, "total": plan.duration},
+        "duration": {
+            "fold": fold.end - fold.start,
+            "total": plan.duration,
+            "gates": plan.expected_waits,
+            "flight": plan.flight_duration,
+        },
         "clearance": _clearance_object(assessment),
         "robustness": _robustness_object(assessment),
         "tightest": [moment_object(moment) for moment in assessment.tightest],

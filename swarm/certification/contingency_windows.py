@@ -11,6 +11,7 @@ import numpy.typing as npt
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.chain import polyline
 from swarm.planning import Plan
+from swarm.planning.clock_limits import URGENT
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -168,7 +169,7 @@ def longest_stop(plan: Plan) -> LongestStop:
 
     The clock slows so that no vehicle brakes by more than b = vehicles.braking_acceleration; the
     fastest vehicle's speed v then takes v / b seconds and v² / 2b metres (setpoint acceleration is
-    r²a + ṙv).
+    r²a + ṙv). The clock takes at least 1 / URGENT seconds. Stops without urgency are longer.
     """
     aloft = [phase for phase in plan.phases if phase.cable == "aloft"]
     times = np.concatenate([np.arange(phase.start, phase.end, _STOP_STEP) for phase in aloft])
@@ -176,4 +177,5 @@ def longest_stop(plan: Plan) -> LongestStop:
     fastest = int(np.argmax(speed))
     braking = plan.mission.vehicles.braking_acceleration
     largest = float(speed[fastest])
-    return LongestStop(largest / braking, largest**2 / (2.0 * braking), float(times[fastest]))
+    seconds = max(largest / braking, 1.0 / URGENT)
+    return LongestStop(seconds, 0.5 * largest * seconds, float(times[fastest]))

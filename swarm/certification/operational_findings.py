@@ -99,10 +99,10 @@ def _failure_findings(plan: Plan, limit: float) -> list[Finding]:
 def endurance_findings(plan: Plan, delay: float = 0.0) -> list[Finding]:
     """Return findings on the flight time; rate limits of the clock add ``delay`` seconds."""
     endurance = plan.mission.vehicles.endurance
-    duration = plan.duration + delay
+    duration = plan.flight_duration + delay
     limited = " with the rate limits of the clock" if delay else ""
     message = (
-        f"{duration:.0f} s of flight{limited}, without waiting at gates: "
+        f"{duration:.0f} s of flight{limited}, with waits at gates: "
         f"{duration / endurance:.0%} of the vehicles' endurance of {endurance:g} s"
     )
     severity: Severity = (

@@ -70,7 +70,7 @@ class Preflight:
         values = {vehicle.system: vehicle.parameters for vehicle in audits}
         flown = [(names[v.system], values[v.system]) for v in flyers if v.system in names]
         loss, loss_findings = stream_loss_findings(plan, stream_loss_model(flown, fleet.limits))
-        duration = plan.duration + loss.delay
+        duration = plan.flight_duration + loss.delay
         battery = 100.0 * duration / plan.mission.vehicles.endurance
         found = [finding for vehicle in audits for finding in vehicle.findings(battery)]
         findings = (*audit.findings, *found, *loss_findings)

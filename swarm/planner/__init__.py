@@ -102,7 +102,7 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
         paced = paced_plan(replace(candidate.plan, notes=notes))
         current = paced.plan
         candidate = replace(candidate, plan=current)
-        if current.duration > mission.vehicles.endurance:
+        if current.flight_duration > mission.vehicles.endurance:
             notes += (_exceeds_endurance(current),)
             too_long.append(current)
             candidate = next(proposals, None)
@@ -117,7 +117,7 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
         failed_checks = frozenset(moment.check for moment in failures)
         missing = [Shortfall(moment.check, moment.time, -moment.margin) for moment in failures]
         candidate = repaired(candidate, missing) or next(proposals, None)
-    rejected, measured = first or (min(too_long, key=lambda long: long.duration), None)
+    rejected, measured = first or (min(too_long, key=lambda long: long.flight_duration), None)
     return PlanningResult(rejected, certify(rejected, measured=measured, progress=progress))
 
 
@@ -143,7 +143,8 @@ def _certified(
 
 
 def _exceeds_endurance(plan: Plan) -> str:
-    return f"that took {plan.duration:.0f} s of {plan.mission.vehicles.endurance:g} s in the air"
+    endurance = plan.mission.vehicles.endurance
+    return f"that took {plan.flight_duration:.0f} s of {endurance:g} s in the air"
 
 
 def _failures(

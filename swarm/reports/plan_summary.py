@@ -54,7 +54,11 @@ def _team_rows(plan: Plan, assessment: Assessment) -> list[tuple[str, Text | str
         each = f"{metres(lengths.min())} to {metres(lengths.max())}"
         rows.append(("cable", f"{metres(lengths.sum())} in {count} of {each}"))
     fold = plan.phase("fold")
-    duration = f"{seconds(plan.duration)}, of which the fold {seconds(fold.end - fold.start)}"
+    folding = fold.end - fold.start
+    duration = (
+        f"{seconds(plan.flight_duration)} = fold {seconds(folding)} + other motion "
+        f"{seconds(plan.duration - folding)} + gates {seconds(plan.expected_waits)}"
+    )
     rows.append(("duration", duration))
     return rows
 

@@ -48,7 +48,7 @@ def plan_figures(plan: Plan, assessment: Assessment) -> list[tuple[str, object]]
         ("vehicles", plan.vehicles),
         ("cable", metres(float(plan.layout.lengths.sum()))),
         ("fold", seconds(fold.end - fold.start)),
-        ("from take-off to the ground", seconds(plan.duration)),
+        ("from take-off to the ground", seconds(plan.flight_duration)),
         ("tracking error certified for", metres(plan.mission.vehicles.tracking)),
         ("largest tracking error e*", number_with_unit(robustness.tracking, "m")),
         ("largest steady wind w*", number_with_unit(robustness.wind, "m/s")),

@@ -285,7 +285,7 @@ class _Check:
         order: tuple[int, ...],
     ) -> CheckReport:
         fleet, plan = self.listener.fleet, self.plan
-        battery = 100.0 * plan.duration / plan.mission.vehicles.endurance if plan else 0.0
+        battery = 100.0 * plan.flight_duration / plan.mission.vehicles.endurance if plan else 0.0
         findings = [
             Finding(
                 "info", "fleet", f"{len(self.listener.received)} vehicles of {fleet.name} received"
