@@ -40,7 +40,7 @@ from swarm.planning.phase_order import finish_of
 Progress = Callable[[str, float], None]
 
 BUDGETS = 3
-"""Rows of the budget: the tightest pairs of strands."""
+"""Rows of the budget: the pairs of strands with the least that remains."""
 
 _MODEL_END = {
     None: "to the end of the motion",
@@ -88,7 +88,8 @@ def assess(
     stream_loss = None if refused else certify_stream_loss(plan)
     findings += stream_loss.findings() if stream_loss else []
     findings += endurance_findings(plan, stream_loss.delay if stream_loss else 0.0)
-    budget = budgets(plan, sorted(moments, key=lambda moment: moment.margin))[:BUDGETS]
+    rows = budgets(plan, moments)
+    budget = tuple(sorted(rows, key=lambda row: row.remaining))[:BUDGETS]
     assessment = Assessment(
         findings=(),
         cable=_tightest(moments, ("cable clearance", "neighbouring segments"), plan),

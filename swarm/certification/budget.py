@@ -1,13 +1,14 @@
 """The clearance budget: all effects that reduce the distance of two strands at a moment.
 
-Every effect is a movement along the line between the closest points, in metres. The movements of
-both strands are added, as if all effects came together. Only tracking is part of the certificate;
-the others are estimates, each with its model.
+Every effect is a movement by which the closest points approach each other, in metres. The movements
+of both strands are added, as if all effects came together; a movement that is known and takes them
+apart does not count. Tracking, and with ``fold.swing`` the swing, are part of the certificate; the
+others are estimates, each with its model.
 """
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +18,15 @@ from swarm.certification.air import (
     jet_width,
     wind_down,
 )
-from swarm.certification.clearances import STILL_AIR, Moment, Place
+from swarm.certification.clearances import STILL_AIR, Moment, Place, exempt_length
+from swarm.certification.excitation import DEVIATIONS, variance_along
+from swarm.certification.strands import all_pairs
+from swarm.certification.swing_tube import swing_tube
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.linear_response import linear_response
 from swarm.geometry.lumped_mass import AIR_DENSITY, NORMAL_DRAG
-from swarm.geometry.sensitivity import BOTH_ENDS
+from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
@@ -45,9 +49,9 @@ class Budget:
     ``available`` is the distance between surfaces at the setpoints. Effects: ``tracking``, the
     displacement by the tracking error; ``amplification``, the additional movement because strands
     sag and tighten; ``length``, the tolerance of the segments' lengths; ``grip``, droppers that
-    lean with the planned acceleration; ``sway``, strands that lean with it; ``stop``, the swing
-    after a stop with the braking reserve; ``wind``, the mission's steady wind and gusts; ``wash``,
-    the downwash of vehicles above.
+    lean with the planned acceleration; ``swing``, the radii of both tubes, stops included;
+    ``excited``, the swing that tracking errors at the strands' own frequencies excite; ``wind``,
+    the mission's steady wind and gusts; ``wash``, the downwash of vehicles above.
     """
 
     between: tuple[str, str]
@@ -57,8 +61,8 @@ class Budget:
     amplification: float
     length: float
     grip: float
-    sway: float
-    stop: float
+    swing: float
+    excited: float
     wind: float
     wash: float
     required: float
@@ -67,13 +71,13 @@ class Budget:
     def effects(self) -> float:
         """Sum of all effects."""
         return (
-            self.tracking + self.amplification + self.length + self.grip
-            + self.sway + self.stop + self.wind + self.wash
+            self.tracking + self.amplification + self.length + self.grip + self.swing
+            + self.excited + self.wind + self.wash
         )  # fmt: skip
 
     @property
     def remaining(self) -> float:
-        """Margin if all effects come together; a slightly negative one can be acceptable."""
+        """Margin if all effects come together."""
         return self.available - self.effects - self.required
 
 
@@ -98,6 +102,12 @@ class _Strand:
         step = self.catenary(length, down).points_at(self.fraction)
         return float((step - self.catenary().points_at(self.fraction)) @ self.normal)
 
+    def displaced(self, first: Floats, last: Floats) -> float:
+        """Movement of the point along the normal when the ends are displaced by (3,) each."""
+        moved = replace(self, start=self.start + first, end=self.end + last)
+        step = moved.catenary().points_at(self.fraction)
+        return float((step - self.catenary().points_at(self.fraction)) @ self.normal)
+
     def straightened(self) -> Floats:
         """Movement (3,) of the point under an infinite load there: both parts straight."""
         chord_vector = self.end - self.start
@@ -111,13 +121,13 @@ class _Strand:
         point: Floats = self.start + foot * along + depth * below
         return point - self.catenary().points_at(self.fraction)
 
-    def response(self) -> float:
-        """Largest movement along the normal per metre of error of both ends."""
+    def response(self, ends: int = BOTH_ENDS) -> float:
+        """Largest movement along the normal per metre of error of the given ends."""
         one = np.ones(1)
         drawn = self.catenary()
         strands = solve_catenaries(drawn.start[None], drawn.end[None], drawn.length[None])
         found = linear_response(
-            strands, self.fraction * one, np.array([BOTH_ENDS]), self.normal[None],
+            strands, self.fraction * one, np.array([ends]), self.normal[None],
             (self.fraction * one, self.fraction * one), 0.0 * one,
         )  # fmt: skip
         return float(found.at_point[0]) if found.known[0] else 1.0
@@ -136,15 +146,14 @@ def _budget(plan: Plan, moment: Moment) -> Budget:
     mission = plan.mission
     segments = [int(name.split()[1]) - 1 for name in moment.between]
     place, _, acceleration = plan.motion.at(moment.time)
-    available, strands = _closest(plan, place, segments, np.array(moment.where))
-    strand_acceleration = [
-        0.5 * (acceleration[segment] + acceleration[segment + 1]) for segment in segments
-    ]
+    available, strands = _closest(plan, place, segments)
     radius, tolerance = mission.vehicles.tracking, mission.cable.length_tolerance
-    total = radius * sum(strand.response() for strand in strands)
+    if segments[1] == segments[0] + 1:
+        # Seen from the shared grip, the other ends are displaced by up to twice the radius.
+        total = 2.0 * radius * (strands[0].response(NEAR_END) + strands[1].response(FAR_END))
+    else:
+        total = radius * sum(strand.response() for strand in strands)
     bodily = min(2.0 * radius, total)
-    tilt = [float(np.hypot(a[0], a[1])) / STANDARD_GRAVITY for a in strand_acceleration]
-    grip = [mission.vehicles.grip_offset * math.sin(math.atan(angle)) for angle in tilt]
     return Budget(
         between=moment.between,
         time=moment.time,
@@ -155,22 +164,61 @@ def _budget(plan: Plan, moment: Moment) -> Budget:
             max(abs(strand.movement(length=strand.length + sign * tolerance)) for sign in (-1, 1))
             for strand in strands
         ),
-        grip=sum(size * strand.response() for size, strand in zip(grip, strands, strict=True)),
-        sway=sum(
-            abs(strand.movement(down=effective_gravity(acceleration)))
-            for acceleration, strand in zip(strand_acceleration, strands, strict=True)
-        ),
-        stop=_stop(strands, mission.vehicles.braking_acceleration),
+        grip=_grip(plan, acceleration, strands),
+        swing=_swing(plan, moment.time, acceleration, strands),
+        excited=_excited(strands, radius),
         wind=_wind(plan, strands),
-        wash=sum(_wash(plan, place, strand) for strand in strands),
+        wash=_wash(plan, place, strands),
         required=moment.required,
     )
 
 
+def _grip(plan: Plan, acceleration: Floats, strands: tuple["_Strand", "_Strand"]) -> float:
+    """Approach as droppers lean with the planned acceleration: a vehicle tilts towards it."""
+    tilt = np.arctan(np.hypot(acceleration[:, 0], acceleration[:, 1]) / STANDARD_GRAVITY)
+    heading = np.arctan2(acceleration[:, 1], acceleration[:, 0])
+    level = np.stack([np.cos(heading), np.sin(heading), 0.0 * heading], axis=1)
+    moved = -plan.mission.vehicles.grip_offset * np.sin(tilt)[:, None] * level
+    one, other = (
+        strand.displaced(moved[strand.segment], moved[strand.segment + 1]) for strand in strands
+    )
+    return max(0.0, other - one)
+
+
+def _swing(
+    plan: Plan, time: float, acceleration: Floats, strands: tuple["_Strand", "_Strand"]
+) -> float:
+    """Radii of the tubes at the closest points; without a tube, strands that lean and stop."""
+    tube = swing_tube(plan)
+    if tube is None:
+        sway = sum(
+            abs(strand.movement(down=effective_gravity(0.5 * (by[0] + by[1]))))
+            for strand in strands
+            for by in [acceleration[strand.segment : strand.segment + 2]]
+        )
+        return sway + _stop(strands, plan.mission.vehicles.braking_acceleration)
+    return sum(tube.at(strand.segment, time, strand.fraction) for strand in strands)
+
+
+def _excited(strands: tuple["_Strand", "_Strand"], tracking: float) -> float:
+    """Movement of both strands by tracking errors at their own frequencies (:mod:`.excitation`)."""
+    variance = sum(
+        variance_along(
+            strand.normal,
+            strand.end - strand.start,
+            float(strand.catenary().sag()),
+            strand.fraction,
+            tracking,
+        )
+        for strand in strands
+    )
+    return DEVIATIONS * math.sqrt(variance)
+
+
 def _closest(
-    plan: Plan, place: Floats, segments: list[int], where: Floats
+    plan: Plan, place: Floats, segments: list[int]
 ) -> tuple[float, tuple[_Strand, _Strand]]:
-    """The surface distance and both strands with their closest points near ``where``."""
+    """The surface distance of the compared parts, and both strands with their closest points."""
     ends = [(place[segment], place[segment + 1]) for segment in segments]
     lengths = [float(plan.layout.lengths[segment]) for segment in segments]
     points = [
@@ -179,14 +227,17 @@ def _closest(
         ).points(np.linspace(0.0, 1.0, _PIECES + 1))
         for (start, end), length in zip(ends, lengths, strict=True)
     ]
-    if abs(segments[0] - segments[1]) == 1:
-        # Neighbours are closest at their shared grip; the moment's position is what counts.
-        at = [float(np.argmin(np.linalg.norm(p - where, axis=-1))) for p in points]
-    else:
-        found = polyline_polyline(points[0], points[1])
-        at = [float(found.first), float(found.second)]
-    fractions = [index / _PIECES for index in at]
-    spots = [p[round(index)] for p, index in zip(points, at, strict=True)]
+    pairs, parts = all_pairs(plan.layout.lengths, exempt_length(plan))
+    found = []
+    for compared in parts[(pairs == segments).all(axis=1)]:
+        first = np.ceil(compared[:, 0] * _PIECES).astype(np.intp)
+        last = np.floor(compared[:, 1] * _PIECES).astype(np.intp) + 1
+        a, b = (p[i:j] for p, i, j in zip(points, first, last, strict=True))
+        closest = polyline_polyline(a, b)
+        found.append((closest.distance, first[0] + closest.first, first[1] + closest.second))
+    at = min(found)[1:]
+    fractions = [float(index) / _PIECES for index in at]
+    spots = [p[round(float(index))] for p, index in zip(points, at, strict=True)]
     apart = spots[0] - spots[1]
     size = float(np.linalg.norm(apart))
     normal = apart / size if size > 1e-9 else np.array([0.0, 0.0, 1.0])
@@ -234,8 +285,17 @@ def _wind(plan: Plan, strands: tuple[_Strand, _Strand]) -> float:
     return worst
 
 
-def _wash(plan: Plan, place: Floats, strand: _Strand) -> float:
-    """Deflection by the strongest downwash of other vehicles at the point.
+def _wash(plan: Plan, place: Floats, strands: tuple[_Strand, _Strand]) -> float:
+    """Approach of the strands as the downwash of other vehicles presses them down.
+
+    The strand that is pressed away from the other one may be spared, and does not count.
+    """
+    one, other = (float(_pressed(plan, place, strand) @ strand.normal) for strand in strands)
+    return max(0.0, -one) + max(0.0, other)
+
+
+def _pressed(plan: Plan, place: Floats, strand: _Strand) -> Floats:
+    """Movement (3,) of the point by the strongest downwash of other vehicles there.
 
     The drag of the vehicle's jet on the cable within it (:func:`jet_speed`) is a point load. It
     deflects the strand by about F·s(1 − s)·span / H, H the horizontal tension, limited to the
@@ -249,8 +309,6 @@ def _wash(plan: Plan, place: Floats, strand: _Strand) -> float:
     aside = np.hypot(place[:, 0] - spot[0], place[:, 1] - spot[1])
     speed = jet_speed(mission, below, aside)
     speed[strand.segment : strand.segment + 2] = 0.0
-    if not speed.any():
-        return 0.0
     drag = 0.5 * AIR_DENSITY * NORMAL_DRAG * mission.cable.diameter * speed**2
     load = float(np.max(drag * 2.0 * jet_width(mission, np.maximum(below, 0.0))))
     horizontal = float(drawn.tension(mission.cable.mass_per_length)[0])
@@ -258,20 +316,20 @@ def _wash(plan: Plan, place: Floats, strand: _Strand) -> float:
     deflection = load * share * float(drawn.span) / max(horizontal, 1e-6)
     farthest = strand.straightened()
     reached = min(1.0, deflection / max(float(np.linalg.norm(farthest)), 1e-9))
-    return reached * abs(float(farthest @ strand.normal))
+    return reached * farthest
 
 
 def table(rows: Iterable[Budget]) -> str:
     """Return the rows as a text table, in centimetres."""
     heads = (
-        "between", "at", "available", "tracking", "sag", "length", "grip", "sway", "stop", "wind",
-        "wash", "required", "remaining",
+        "between", "at", "available", "tracking", "sag", "length", "grip", "swing", "excited",
+        "wind", "wash", "required", "remaining",
     )  # fmt: skip
     lines = ["  ".join([f"{heads[0]:<24}", *(f"{head:>9}" for head in heads[1:])])]
     for row in rows:
         values = (
-            row.available, row.tracking, row.amplification, row.length, row.grip, row.sway,
-            row.stop, row.wind, row.wash, row.required, row.remaining,
+            row.available, row.tracking, row.amplification, row.length, row.grip, row.swing,
+            row.excited, row.wind, row.wash, row.required, row.remaining,
         )  # fmt: skip
         pair = " and ".join(name.replace("segment ", "") for name in row.between)
         cells = [f"{row.time:>8.1f}s", *(f"{100 * value:>7.0f}cm" for value in values)]

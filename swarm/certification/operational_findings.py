@@ -183,17 +183,22 @@ def tolerance_findings(plan: Plan) -> list[Finding]:
 
 def budget_findings(rows: Iterable[Budget]) -> list[Finding]:
     """Return the rows of the budget in words."""
-    return [
-        Finding(
-            "info",
-            "budget",
-            f"{row.remaining:+.2f} m remain between {row.between[0]} and {row.between[1]} if all "
-            f"effects come together: {row.available:.2f} m at the setpoints, less tracking "
-            f"{row.tracking:.2f} m, sag and tightening {row.amplification:.2f} m, length "
-            f"tolerance {row.length:.2f} m, leaning droppers {row.grip:.2f} m, sway "
-            f"{row.sway:.2f} m, a stop {row.stop:.2f} m, wind {row.wind:.2f} m, rotor wash "
-            f"{row.wash:.2f} m, required {row.required:g} m",
-            row.time,
-        )
-        for row in rows
-    ]
+    return [Finding("info", "budget", _in_words(row), row.time) for row in rows]
+
+
+def _in_words(row: Budget) -> str:
+    one, other = row.between
+    remain = f"{row.remaining:+.2f} m remain between {one} and {other} if all effects come together"
+    effects = (
+        ("tracking", row.tracking),
+        ("sag and tightening", row.amplification),
+        ("length tolerance", row.length),
+        ("leaning droppers", row.grip),
+        ("swing", row.swing),
+        ("swing by tracking errors", row.excited),
+        ("wind", row.wind),
+        ("rotor wash", row.wash),
+    )
+    less = ", ".join(f"{name} {size:.2f} m" for name, size in effects)
+    available = f"{row.available:.2f} m at the setpoints"
+    return f"{remain}: {available}, less {less}, required {row.required:g} m"

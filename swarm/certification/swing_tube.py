@@ -82,6 +82,11 @@ class SwingTube:
         found: Floats = self.radius[self._bins(np.array(time)), :, 1]
         return found
 
+    def at(self, segment: int, time: float, fraction: float) -> float:
+        """Return the radius of a segment at a mission time and a fraction of its length."""
+        leaf = _LEAVES + min(int(fraction * _LEAVES), _LEAVES - 1)
+        return float(self.radius[self._bins(np.array(time)), segment, leaf])
+
     def over(self, segment: Ints, time: Floats, half: Floats, number: Ints) -> "Radii":
         """Return bounds of the radii (b,) of pieces of segments during ``time`` ± ``half``."""
         first, last = self._bins(time - half), self._bins(time + half)

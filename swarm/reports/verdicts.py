@@ -58,7 +58,19 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
         certified = f"distances between vehicles are certified {errors}"
         scope = NOT_CERTIFIED_WITHOUT_CABLE
     level, head = _cleared(assessment.findings)
-    return Verdict(level, f"{head}: {certified}. {scope}")
+    short = _short_budget(assessment)
+    return Verdict("warn" if short else level, f"{head}: {certified}. {scope}{short}")
+
+
+def _short_budget(assessment: Assessment) -> str:
+    """Return a sentence where less than nothing of a distance remains with all effects."""
+    remaining = min((row.remaining for row in assessment.budget), default=0.0)
+    if remaining >= 0.0:
+        return ""
+    return (
+        f" Not kept if all effects come together: strands can be {metres(-remaining)} closer than "
+        "required."
+    )
 
 
 def findings_verdict(findings: Sequence[Finding], certified: str = CERTIFIED) -> Verdict:

@@ -9,7 +9,7 @@ import pytest
 from swarm.certification.air import deepest_sinking, induced_speed, jet_speed, wind_down
 from swarm.certification.assess import assess
 from swarm.certification.assessment import Robustness
-from swarm.certification.budget import budgets, table
+from swarm.certification.budget import _closest, _pressed, budgets, table
 from swarm.certification.clearances import certified, tightest_moments
 from swarm.certification.contingency_windows import contingency_windows, longest_stop
 from swarm.certification.loads import failed_vehicle_load, loads, stuck_gripper_load
@@ -129,7 +129,7 @@ def test_the_budget_separates_tracking_and_tolerance():
     assert row.available - row.tracking - row.amplification <= moment.distance + 0.15
     # A centimetre of cable more lets a strand sag by a little more than half a centimetre.
     assert 0.01 < row.length < 0.03
-    assert row.grip == row.sway == row.wind == 0.0
+    assert row.grip == row.wind == 0.0
     assert row.wash < 1e-4, "no vehicle is above these strands"
     assert row.remaining == pytest.approx(row.available - row.effects - 0.15)
     assert "segments 1 and 5" in table([row])
@@ -233,3 +233,32 @@ def test_contingencies_are_reported_with_their_windows():
     assert not contingencies.release.share
     assert findings[1].severity == "warning"
     assert findings[1].message == "0% of the time aloft, all can release"
+
+
+def test_neighbours_share_the_movement_of_their_grip():
+    """Two strands from one grip: an error of that grip moves both, and parts them little."""
+    plan = still([[-1.5, 0.0, 60.0], [0.0, 0.0, 60.0], [-1.5, 1.2, 60.0]], [3.0, 3.5])
+    moment = tightest_moments(plan, checks=("neighbouring segments",))[0]
+    (row,) = budgets(plan, [moment])
+    assert row.tracking + row.amplification < 0.2
+    assert row.available - row.tracking - row.amplification == pytest.approx(
+        moment.distance, abs=0.06
+    )
+
+
+def test_downwash_that_parts_two_strands_is_not_counted():
+    """A vehicle above a crossing presses the upper strand down; the lower one may be spared."""
+    above = crossed(0.6)
+    moment = tightest_moments(above, checks=("cable clearance",))[0]
+    (row,) = budgets(above, [moment])
+    assert row.wash < 1e-4
+    time, (one, other) = moment.time, (0, 4)
+    place = above.motion.at(time)[0].copy()
+    place[2] = [0.0, 0.0, 61.5]
+    _, strands = _closest(above, place, [one, other])
+    pressed = [float(_pressed(above, place, strand) @ strand.normal) for strand in strands]
+    upper = 0 if strands[0].normal[2] > 0 else 1
+    assert abs(pressed[0]) > 0.01
+    assert abs(pressed[1]) > 0.01
+    towards = max(0.0, -pressed[0]) + max(0.0, pressed[1])
+    assert towards == pytest.approx(abs(pressed[upper]), abs=1e-9)

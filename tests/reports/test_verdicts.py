@@ -3,7 +3,9 @@ from typing import Any
 
 import pytest
 
+from swarm.certification.budget import Budget
 from swarm.certification.findings import Finding
+from swarm.certification.operational_findings import budget_findings
 from swarm.reports.verdicts import (
     failures_verdict,
     findings_verdict,
@@ -169,3 +171,27 @@ def test_failed_failure_tests_are_named() -> None:
         "5 of 5 failure tests failed (10 flights): case 0 (px4), case 1 (px4), case 2 (px4) and 2 "
         "more.",
     )
+
+
+def test_a_plan_whose_budget_is_short_states_it() -> None:
+    row = Budget(
+        between=("segment 1", "segment 3"), time=5.0, available=0.5, tracking=0.2,
+        amplification=0.05, length=0.01, grip=0.0, swing=0.11, excited=0.09, wind=0.0, wash=0.0,
+        required=0.15,
+    )  # fmt: skip
+    (finding,) = budget_findings([row])
+    found = plan_verdict(PLAN, replace(assessment(finding), budget=(row,)))
+    assert found.level == "warn"
+    assert found.words.endswith(
+        " Not kept if all effects come together: strands can be 0.11 m closer than required."
+    )
+    closed = replace(row, available=0.62)
+    (finding,) = budget_findings([closed])
+    assert finding.message == (
+        "+0.01 m remain between segment 1 and segment 3 if all effects come together: 0.62 m at "
+        "the setpoints, less tracking 0.20 m, sag and tightening 0.05 m, length tolerance 0.01 m, "
+        "leaning droppers 0.00 m, swing 0.11 m, swing by tracking errors 0.09 m, wind 0.00 m, "
+        "rotor wash 0.00 m, required 0.15 m"
+    )
+    found = plan_verdict(PLAN, replace(assessment(finding), budget=(closed,)))
+    assert (found.level, "all effects" in found.words) == ("good", False)
