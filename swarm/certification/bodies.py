@@ -14,7 +14,7 @@ from swarm.certification.branch_and_bound import Boxes, Enclosure
 from swarm.certification.motion_bounds import BoundedMotion, TeamStates
 from swarm.certification.strand_pieces import Displacement, HeldCable, Selection, pieces
 from swarm.certification.strands import unit
-from swarm.geometry.distance import point_segment
+from swarm.geometry.distance import norms, point_segment
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 
 Floats = npt.NDArray[np.float64]
@@ -92,12 +92,12 @@ class VehicleStrands:
         tip = np.where(own, self.body.grip_offset, 0.0)
         at_strand, along, at_body = self.body.closest(strand.ends - grip[:, None], tip)
         normal = unit(at_strand - at_body)
-        reach = np.einsum("bki,bi->bk", strand.ends - grip[:, None], normal).min(axis=1)
+        reach = np.minimum(*np.einsum("bki,bi->kb", strand.ends - grip[:, None], normal))
         moved = strand.movement(along, normal)
         shift = np.where(own, 0.0, tracking) + 0.5 * self.diameter + self.required[boxes.group]
         low = reach - self.body.support(normal, tip) - strand.bow - moved.piece - shift
         low -= strand.swing.most
-        distance = np.linalg.norm(at_strand - at_body, axis=-1)
+        distance = norms(at_strand - at_body)
         high = distance + strand.bow - moved.tracking - shift - strand.swing.least
         in_time = moved.point - moved.tracking + strand.swing.in_time
         size = high - low - in_time
@@ -142,7 +142,7 @@ class Body:
         slant = rim - lowest
         share = np.einsum("bi,bi->b", flat - lowest, slant) / np.einsum("bi,bi->b", slant, slant)
         side = lowest + np.clip(share, 0.0, 1.0)[:, None] * slant
-        nearer_top = np.linalg.norm(flat - top, axis=-1) <= np.linalg.norm(flat - side, axis=-1)
+        nearer_top = norms(flat - top) <= norms(flat - side)
         closest = np.where(nearer_top[:, None], top, side)
         inside = (flat[:, 1] <= self.grip_offset) & (
             slant[:, 0] * (flat[:, 1] - tip) >= slant[:, 1] * out

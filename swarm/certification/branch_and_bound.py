@@ -7,6 +7,7 @@ Undecided boxes are halved in the coordinates that cause most of the uncertainty
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -123,7 +124,7 @@ def _halved(boxes: Boxes, found: Enclosure, where: Flags, cut: float) -> Boxes:
     """Halve some of the boxes in every coordinate with at least ``cut`` of the largest doubt."""
     doubts = found.doubts[where]
     boxes = replace(boxes.taken(where), known=found.low[where])
-    largest = doubts.max(axis=1)
+    largest = reduce(np.maximum, doubts.T)
     for coordinate in range(doubts.shape[1]):
         split = doubts[:, coordinate] >= cut * largest
         whole, cut_up = np.flatnonzero(~split), np.flatnonzero(split)

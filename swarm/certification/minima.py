@@ -5,6 +5,7 @@ a piece of each strand lies. The group of a box is the number of its pair.
 """
 
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -149,7 +150,7 @@ def failing(evaluate: Evaluator, boxes: Boxes) -> tuple[int, float] | None:
         count += len(boxes)
         counted[boxes.group[found.low < np.inf]] = True
         negative = found.low < 0.0
-        narrow = found.doubts.sum(axis=1) < 0.5 * TOLERANCE
+        narrow = reduce(np.add, found.doubts.T) < 0.5 * TOLERANCE
         given_up = _exhausted(boxes, found) | narrow | (count >= most)
         lost = (found.high < 0.0) | (negative & given_up)
         if lost.any():
@@ -172,7 +173,7 @@ def _most(boxes: Boxes) -> int:
 
 def _exhausted(boxes: Boxes, found: Enclosure) -> Flags:
     """Boxes that are not halved: too small, without a margin, or not a number."""
-    small = (boxes.half < _SMALLEST_HALF).any(axis=1)
+    small = reduce(np.minimum, boxes.half.T) < _SMALLEST_HALF
     done: Flags = small | (found.low == np.inf) | (found.high == -np.inf)
     return done
 

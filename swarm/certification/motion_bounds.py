@@ -7,6 +7,7 @@ from math import comb, perm
 import numpy as np
 import numpy.typing as npt
 
+from swarm.geometry.distance import norms
 from swarm.geometry.motion import Motion
 from swarm.jit import compiled
 
@@ -106,7 +107,7 @@ class TeamStates:
 
     def drift(self, instant: Ints, vehicle: Ints, frame: Floats) -> Floats:
         """Bound the movement (b,) of grip points in a frame with velocity ``frame`` (b, 3)."""
-        speed = np.linalg.norm(self.velocity[instant, vehicle] - frame, axis=-1)
+        speed = norms(self.velocity[instant, vehicle] - frame)
         bound: Floats = speed * self.half[instant] + self.deviation[instant, vehicle]
         return bound
 

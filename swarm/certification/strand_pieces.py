@@ -15,6 +15,7 @@ from swarm.certification.motion_bounds import BoundedMotion, TeamStates
 from swarm.certification.swing_tube import Radii, SwingTube
 from swarm.geometry.catenary import Catenaries, solve_catenaries
 from swarm.geometry.catenary_kernel import Catenary, max_elevation_sine
+from swarm.geometry.distance import norms
 from swarm.geometry.linear_response import (
     curvature_table,
     movement,
@@ -243,7 +244,7 @@ def pieces(
         for edge in (selection.middle - selection.half, selection.middle + selection.half)
     )
     ends = np.stack([strands.points_at(begin), strands.points_at(end)], axis=1)
-    across = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
+    across = norms(ends[:, 1] - ends[:, 0])
     arc = strands.length * (end - begin)
     number = _heap_number(selection.middle, selection.half)
     swing = Radii.none(len(segment))
@@ -283,7 +284,7 @@ def _strands(team: TeamStates, cable: HeldCable, instant: Ints, segment: Ints) -
     distinct, index = np.unique(instant * count + segment, return_inverse=True)
     when, number = distinct // count, distinct % count
     start, end = team.position[when, number], team.position[when, number + 1]
-    chord = np.linalg.norm(end - start, axis=-1)
+    chord = norms(end - start)
     length = np.maximum(cable.lengths[number], chord / LARGEST_RATIO)
     return _taken(solve_catenaries(start, end, length, down=cable.down), index)
 
@@ -308,7 +309,7 @@ def _end_motion(
         ends == BOTH_ENDS, np.maximum(drift_first, drift_last),
         np.where(ends == FAR_END, drift_last, drift_first),
     )  # fmt: skip
-    apart = np.linalg.norm(team.velocity[instant, last] - team.velocity[instant, first], axis=-1)
+    apart = norms(team.velocity[instant, last] - team.velocity[instant, first])
     deviation = team.deviation
     relative = apart * team.half[instant] + deviation[instant, first] + deviation[instant, last]
     ball = 2.0 * tracking

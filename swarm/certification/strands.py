@@ -20,7 +20,7 @@ from swarm.certification.strand_pieces import (
     Selection,
     pieces,
 )
-from swarm.geometry.distance import segment_segment
+from swarm.geometry.distance import norms, segment_segment
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 
 Floats = npt.NDArray[np.float64]
@@ -111,8 +111,8 @@ def _distance(a: Pieces, b: Pieces, required: float) -> Enclosure:
     at_b = b.ends[:, 0] + closest.second[:, None] * (b.ends[:, 1] - b.ends[:, 0])
     normal = unit(at_a - at_b)
     # Any unit vector gives a true bound: rounding in the closest points does no harm.
-    reach_a = np.einsum("bki,bi->bk", a.ends, normal).min(axis=1)
-    reach_b = np.einsum("bki,bi->bk", b.ends, normal).max(axis=1)
+    reach_a = np.minimum(*np.einsum("bki,bi->kb", a.ends, normal))
+    reach_b = np.maximum(*np.einsum("bki,bi->kb", b.ends, normal))
     moved_a = a.movement(closest.first, normal)
     moved_b = b.movement(closest.second, normal)
     bows = a.bow + b.bow
@@ -136,5 +136,5 @@ def _distance(a: Pieces, b: Pieces, required: float) -> Enclosure:
 
 def unit(vector: Floats) -> Floats:
     """Return unit vectors (b, 3); straight up for a vector of no length."""
-    size = np.linalg.norm(vector, axis=-1, keepdims=True)
+    size = norms(vector)[..., None]
     return np.where(size > 1e-12, vector / np.maximum(size, 1e-12), [0.0, 0.0, 1.0])

@@ -28,6 +28,18 @@ class Closest:
     second: Floats
 
 
+def norms(vectors: Floats) -> Floats:
+    """Return the lengths (…,) of vectors (…, d), d ≥ 2, to the last bit as ``numpy.linalg.norm``.
+
+    Several times as fast for many short vectors: NumPy reduces a short last axis row by row.
+    """
+    squares = vectors * vectors
+    total: Floats = squares[..., 0] + squares[..., 1]
+    for k in range(2, vectors.shape[-1]):
+        total += squares[..., k]
+    return np.sqrt(total)
+
+
 def segment_segment(first: ArrayLike, second: ArrayLike) -> Closest:
     """Return the closest points of straight segments (…, 2, 3); zero length is allowed."""
     first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)

@@ -8,6 +8,7 @@ from hypothesis.extra import numpy as nps
 from scipy.optimize import lsq_linear
 
 from swarm.geometry.distance import (
+    norms,
     point_segment,
     polyline_polyline,
     segment_segment,
@@ -127,3 +128,9 @@ def test_touching_polylines_have_distance_0() -> None:
     assert closest.distance == 0.0
     assert closest.first == pytest.approx(1.5)
     assert closest.second == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_lengths_of_vectors_are_numpys_to_the_last_bit(dimensions: int) -> None:
+    vectors = np.random.default_rng(3).normal(size=(500, 4, dimensions))
+    np.testing.assert_array_equal(norms(vectors), np.linalg.norm(vectors, axis=-1))
