@@ -13,8 +13,9 @@ import click
 from sitl import server
 from sitl.emulator import Emulator
 from sitl.faults.scenario import load_scenario
-from sitl.warm import warm_up
 from sitl.world import WorldError, default_world, load_key, load_world, schema
+from swarm import precompile
+from swarm.jit import sealed
 
 Autopilot = Literal["px4", "ardupilot"]
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -163,20 +164,21 @@ def _run(world_file: Path | None, count: int, given: Options) -> int:
     except WorldError as error:
         click.echo(f"{error}", err=True)
         return 2
-    warm_up()
+    precompile.load()
     try:
         if given.target is not None:
             running = server.to_target(emulator, given.target, given.host, given.speed)
         else:
             running = server.to_default_ports(emulator, given.host, given.speed, given.port_step)
-        return server.serve(
-            running,
-            given.truth,
-            as_json=given.as_json,
-            follow_parent=given.follow_parent is not None,
-            # with its PID, a parent that ended before this process started is detected too
-            parent=given.follow_parent or parent,
-        )
+        with sealed():
+            return server.serve(
+                running,
+                given.truth,
+                as_json=given.as_json,
+                follow_parent=given.follow_parent is not None,
+                # with its PID, a parent that ended before this process started is detected too
+                parent=given.follow_parent or parent,
+            )
     except OSError as error:
         click.echo(
             f"swarm sitl: cannot open sockets on {given.host}: {error.strerror or error}", err=True

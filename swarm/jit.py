@@ -7,16 +7,21 @@ import platform
 import re
 import shutil
 import sys
+import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final, ParamSpec, TypeVar, cast
+from typing import Any, Final, ParamSpec, TypeVar, cast
 
 import llvmlite
 import llvmlite.binding
 import numba
 import numpy as np
+from numba import types
+
+from swarm.signatures import signature
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
@@ -29,6 +34,8 @@ _DAY: Final = 86400.0
 _STARTED: Final = time.time()
 """Start of this process; files that were written later may differ from the imported ones."""
 
+_SEALED: Final = threading.Event()
+
 _ROOT: Final = str(Path(__file__).parents[1])
 _PACKAGES: Final = ("swarm", "sitl")
 
@@ -37,7 +44,11 @@ _IMPORTS: Final = re.compile(rb"\n[ \t]*(?:from|import) +([\w.]+)(?: +import +(\
 
 
 def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """Return a function of numbers and arrays that is compiled at its first call.
+    """Return a function of numbers and arrays that is compiled before its first call, or at it.
+
+    A function whose annotations determine the types of its arguments (:mod:`swarm.signatures`) has
+    machine code for these types only; :mod:`swarm.precompile` compiles it beforehand. Others are
+    called by compiled functions and are compiled with them.
 
     The machine code is kept in the user's cache, so that it is compiled once per machine; where the
     cache is not writable, once per process. It is compiled again when the contents change of its
@@ -55,7 +66,59 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
         made = numba.njit(function, error_model="numpy", nogil=True)
     finally:
         numba.config.CACHE_DIR = before
+    made._compile_for_args = functools.partial(_matching, made)
     return cast("Callable[Parameters, Result]", made)
+
+
+def declared(made: Any) -> tuple[types.Type, ...] | None:
+    """Return the argument types in the annotations of a compiled function, None without them."""
+    return signature(made.py_func)
+
+
+@contextmanager
+def sealed() -> Iterator[None]:
+    """Compile nothing in this context: a call that has no machine code is interpreted instead.
+
+    For the time in the air. Compilation lasts seconds, and half a second without setpoints ends a
+    flight. Interpreted, the same computation has the same result, a hundred times as slow, and
+    gives a RuntimeWarning, which is an error in the tests.
+    """
+    _SEALED.set()
+    try:
+        yield
+    finally:
+        _SEALED.clear()
+
+
+def _matching(made: Any, *arguments: Any, **named: Any) -> Callable[..., Any]:
+    """Return what executes a call for which Numba finds no machine code of exactly its types.
+
+    That of the declared types where the arguments fit them: an array without gaps is also one with
+    gaps, and a row of one vehicle has none. Numba's dispatcher calls the result, and calls this
+    function in place of its own method, which compiles the function for whatever types arrive.
+    """
+    expected = declared(made)
+    if expected is not None and not named and _fit(made, arguments, expected):
+        if expected not in made.overloads and not _SEALED.is_set():
+            made.compile(expected)
+        if expected in made.overloads:
+            return cast("Callable[..., Any]", made.overloads[expected].entry_point)
+    if not _SEALED.is_set():
+        return cast("Callable[..., Any]", type(made)._compile_for_args(made, *arguments, **named))
+    name = f"{made.py_func.__module__}.{made.py_func.__name__}"
+    warnings.warn(f"{name} is interpreted: no machine code", RuntimeWarning, stacklevel=2)
+    return cast("Callable[..., Any]", made.py_func)
+
+
+def _fit(made: Any, arguments: tuple[Any, ...], expected: tuple[types.Type, ...]) -> bool:
+    """Return whether arguments are of the declared types, or convert to them exactly."""
+    given = [made.typeof_pyval(argument) for argument in arguments]
+    return len(given) == len(expected) and all(
+        one == other
+        or (isinstance(one, types.Array) and one.can_convert_to(None, other) is not None)
+        or (isinstance(one, types.Integer) and isinstance(other, types.Integer | types.Float))
+        for one, other in zip(given, expected, strict=True)
+    )
 
 
 def cache() -> Path:

@@ -7,7 +7,7 @@ from contextlib import suppress
 import hypothesis
 import pytest
 
-from tests import machine_code
+from swarm import precompile
 
 # Before NumPy is imported: one thread for sums of arrays, as the goldens were made. Several processes
 # share the cores anyway.
@@ -54,7 +54,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Compile once what each process of pytest-xdist would otherwise compile for itself."""
     in_processes = config.getoption("numprocesses", None) and not config.option.collectonly
     if in_processes and config.args == config.getini("testpaths"):
-        machine_code.prepare()
+        precompile.prepare(precompile.PLANNING)
+        precompile.prepare(precompile.FLIGHT)
 
 
 @pytest.hookimpl(trylast=True)

@@ -32,7 +32,7 @@ def package(tmp_path: Path) -> Path:
     for name, text in PACKAGE.items():
         (tmp_path / "swarm" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "swarm" / name).write_text(text)
-    for name in ("__init__.py", "jit.py"):
+    for name in ("__init__.py", "jit.py", "signatures.py"):
         shutil.copy(Path(jit.__file__).parent / name, tmp_path / "swarm" / name)
     return tmp_path
 

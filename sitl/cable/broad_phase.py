@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarm.jit import compiled
+from swarm.signatures import Columns2, Floats1, Floats2
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,12 @@ _DRIFT = 0.5
 
 @compiled
 def spans_reachable(
-    start: Array, stop: Array, length: Array, sideways: float, centre: Array, radius: Array
+    start: Floats2,
+    stop: Floats2,
+    length: Floats1,
+    sideways: float,
+    centre: Columns2,
+    radius: Floats1,
 ) -> bool:
     """Return whether a disc at a centre (n, 3) can touch a span from start to stop (m, 3).
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from swarm.geometry.lumped_mass import solve_tridiagonal
 from swarm.jit import compiled
+from swarm.signatures import Bools1, Floats1, Floats2
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _ITERATIONS = 4
 """Largest number of Newton steps per time step: slack links may join after the first."""
@@ -51,16 +51,16 @@ class Chain(NamedTuple):
     ``pull`` (n, 3) of the links on the nodes.
     """
 
-    place: Array
-    velocity: Array
-    mass: Array
-    held: Flags
-    mobility: Array
-    air: Array
-    rest: Array
-    intact: Flags
-    tension: Array
-    pull: Array
+    place: Floats2
+    velocity: Floats2
+    mass: Floats1
+    held: Bools1
+    mobility: Floats1
+    air: Floats2
+    rest: Floats1
+    intact: Bools1
+    tension: Floats1
+    pull: Floats2
 
 
 class Guidance(NamedTuple):
@@ -70,8 +70,8 @@ class Guidance(NamedTuple):
     metres over the interval, beside their own motion: a grip point turns about its vehicle.
     """
 
-    acceleration: Array
-    drift: Array
+    acceleration: Floats2
+    drift: Floats2
 
 
 @compiled

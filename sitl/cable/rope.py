@@ -182,6 +182,7 @@ class Rope:
         inside = np.nonzero((self.arc >= low) & (self.arc <= high) & (self.arc != arc))[0]
         if tip < arc:
             inside = inside[::-1]
+        inside = np.ascontiguousarray(inside)
         return End(vehicle, high - low, inside, np.abs(self.arc[inside] - arc))
 
     def forces(self, grips: Array, velocity: Array, free: FreeMotion | None = None) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarm.jit import compiled
+from swarm.signatures import Columns2, Floats1, Floats2, Ints1, Ints2
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -29,8 +30,8 @@ ROWS = 9
 
 @compiled
 def solve(
-    ends: Array, lengths: Array, down: Array, floor: float, guess: Array, flat: Array,
-    solution: Array,
+    ends: Floats2, lengths: Floats1, down: Floats1, floor: float, guess: Floats1, flat: Floats2,
+    solution: Floats2,
 ) -> None:  # fmt: skip
     """Solve the catenaries of m spans; write ``flat`` (m, 3) and ``solution`` (ROWS, m).
 
@@ -134,7 +135,9 @@ def _floor_parameter(first: float, last: float, slack: float, guess: float) -> f
 
 
 @compiled
-def end_forces(load: Array, down: Array, flat: Array, solution: Array, force: Array) -> float:
+def end_forces(
+    load: Floats1, down: Floats1, flat: Floats2, solution: Floats2, force: Floats2
+) -> float:
     """Write the forces on all starts and then all stops, newtons, into ``force`` (2 m, 3).
 
     ``load`` (m,) is the weight per metre of each span. Returns an upper bound of the tension in a
@@ -152,8 +155,8 @@ def end_forces(load: Array, down: Array, flat: Array, solution: Array, force: Ar
 
 @compiled
 def add_elastic_forces(
-    ends: Array, holders: Indices, velocity: Array, solution: Array,
-    constants: tuple[float, float, float, float], force: Array, elastic: Array,
+    ends: Floats2, holders: Ints1, velocity: Columns2, solution: Floats2,
+    constants: tuple[float, float, float, float], force: Floats2, elastic: Floats1,
 ) -> None:  # fmt: skip
     """Write the elastic forces of overstretched spans to ``elastic`` and add them to ``force``.
 
@@ -182,7 +185,7 @@ def add_elastic_forces(
 
 @compiled
 def place_loose_end(
-    target: Array, samples: Indices, away: Array, grip: Array, floor: float
+    target: Floats2, samples: Ints1, away: Floats1, grip: Floats1, floor: float
 ) -> None:
     """Place the samples of a loose end vertically below its ``grip`` (3,), in ``target`` (m, 3).
 
@@ -202,8 +205,8 @@ def place_loose_end(
 
 @compiled
 def place_samples(
-    index: Indices, along: Array, ends: Array, flat: Array, solution: Array, floor: float,
-    down: Array, target: Array,
+    index: Ints2, along: Floats1, ends: Floats2, flat: Floats2, solution: Floats2, floor: float,
+    down: Floats1, target: Floats2,
 ) -> None:  # fmt: skip
     """Place the samples of solved spans in ``target`` (n, 3) of all samples.
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sitl.physics.dynamics import Bodies
 from sitl.physics.motion import POSITION
 from swarm.jit import compiled
+from swarm.signatures import Bools1, Floats1, Floats2, Floats3
 
 _HEIGHT = 0.25
 """Height difference in metres below which two vehicles can touch."""
@@ -79,8 +80,8 @@ class Contacts:
 
 @compiled
 def _touched(
-    cable: NDArray[np.float64], state: NDArray[np.float64], radius: NDArray[np.float64],
-    spinning: NDArray[np.bool_],
+    cable: Floats2, state: Floats3, radius: Floats1,
+    spinning: Bools1,
 ) -> NDArray[np.int64]:  # fmt: skip
     """Return the first cable sample (m, 3) in each spinning rotor disc (n,), -1 without one."""
     first = np.full(len(state), -1)

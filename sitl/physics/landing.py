@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from sitl.physics.dynamics import Bodies
 from sitl.physics.geodesy import GRAVITY
 from swarm.jit import compiled
+from swarm.signatures import Bools2, Columns2, Floats1, Floats2
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -44,8 +45,8 @@ def supervise(b: Bodies, interval: float) -> None:
 
 @compiled
 def _unchanged(
-    goal_moves: Array, goal_yaw: Array, yaw: Array, status: Flags, landing_time: Array, goal: Array,
-    velocity: Array,
+    goal_moves: Floats1, goal_yaw: Floats1, yaw: Floats1, status: Bools2, landing_time: Floats1,
+    goal: Floats2, velocity: Columns2,
 ) -> bool:  # fmt: skip
     """Return whether all vehicles fly, have their goal yaw, and meet no condition of a landing."""
     for i in range(len(yaw)):

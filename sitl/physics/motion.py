@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sitl.physics.geodesy import GRAVITY
 from swarm.jit import compiled
+from swarm.signatures import Bools1, Floats1, Floats2, Floats3, Singles2
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -44,8 +45,8 @@ AIR_DENSITY = 1.2
 
 @compiled
 def step(
-    state: Array, constants: Array, share: Array, crashed: Flags, interval: float, goal: Array,
-    hard: Flags,
+    state: Floats3, constants: Floats2, share: Floats1, crashed: Bools1, interval: float,
+    goal: Floats2, hard: Bools1,
 ) -> bool:  # fmt: skip
     """Advance ``state`` (n, 3, STATE_COLUMNS) by ``interval`` seconds, in place.
 
@@ -122,7 +123,7 @@ def _stand(body: Array, height: float) -> None:
 
 
 @compiled
-def grip_points(state: Array, offset: Array, points: Array) -> None:
+def grip_points(state: Floats3, offset: Floats1, points: Floats2) -> None:
     """Write the grip points into ``points`` (n, 3).
 
     A grip point hangs ``offset`` (n,) metres below the centre on a stiff dropper along the body's
@@ -140,7 +141,9 @@ def grip_points(state: Array, offset: Array, points: Array) -> None:
 
 
 @compiled
-def free_motion(state: Array, constants: Array, acceleration: Array, mobility: Array) -> None:
+def free_motion(
+    state: Floats3, constants: Floats2, acceleration: Floats2, mobility: Floats1
+) -> None:
     """Write the accelerations (n, 3) that the vehicles would have without cable, m/s².
 
     ``mobility`` (n,) becomes 1 / mass, and 0 for vehicles that stand on the floor.
@@ -156,8 +159,8 @@ def free_motion(state: Array, constants: Array, acceleration: Array, mobility: A
 
 @compiled
 def step_disturbances(
-    state: Array, disturbances: Array, constants: Array, gust: Array, random: Array, apart: Array,
-    factors: tuple[float, float, float, float, float, float],
+    state: Floats3, disturbances: Floats3, constants: Floats2, gust: Floats2, random: Floats2,
+    apart: Floats2, factors: tuple[float, float, float, float, float, float],
 ) -> None:  # fmt: skip
     """Advance estimator errors, gusts and downwash, and their effects on ``state``, in place.
 
@@ -185,7 +188,7 @@ def step_disturbances(
 
 
 @compiled
-def update_air(state: Array, disturbances: Array, constants: Array) -> None:
+def update_air(state: Floats3, disturbances: Floats3, constants: Floats2) -> None:
     """Write estimator errors, and the acceleration of air and gravity at rest, into ``state``."""
     for i in range(len(state)):
         slow = disturbances[i]
@@ -246,8 +249,8 @@ def _downwash(state: Array, constants: Array, apart: Array) -> Array:
 
 @compiled
 def telemetry_rows(
-    state: Array, tumbling: Flags, tumble: Array, yaw: Array, yaw_rate: Array, frames: Array,
-    rows: NDArray[np.float32],
+    state: Floats3, tumbling: Bools1, tumble: Floats1, yaw: Floats1, yaw_rate: Floats1,
+    frames: Floats2, rows: Singles2,
 ) -> None:  # fmt: skip
     """Write the floats of LOCAL_POSITION_NED and ATTITUDE, in wire order, to ``rows`` (n, 12).
 
@@ -282,7 +285,7 @@ def _attitude(body: Array, tumbles: bool, tumble: float, yaw: float) -> tuple[fl
 
 
 @compiled
-def tilts(state: Array, tumbling: Flags, tumble: Array) -> Array:
+def tilts(state: Floats3, tumbling: Bools1, tumble: Floats1) -> Array:
     """Return the angles of all thrusts from vertical (n,), radians."""
     leans = np.zeros(len(state))
     for i in range(len(state)):

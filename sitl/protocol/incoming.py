@@ -17,6 +17,7 @@ from sitl.protocol import wire
 from sitl.protocol.links import Link
 from sitl.protocol.vehicle import Vehicle
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats3, Ints1
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -93,7 +94,7 @@ class Incoming:
 
 @compiled
 def _set_goals(
-    packets: bytes, indices: bytes, systems: Indices, now: Array, frames: Array, goal_yaw: Array
+    packets: bytes, indices: bytes, systems: Ints1, now: Floats3, frames: Floats2, goal_yaw: Floats1
 ) -> int:
     """Write the goals of m setpoint packets into ``now``; return how many were written.
 

@@ -14,9 +14,10 @@ import numpy.typing as npt
 from swarm.certification.coarse_distance import box_distance, squared_point_distance
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.catenary_kernel import sample_strand
-from swarm.geometry.distance import polyline_distance
+from swarm.geometry.distance import point_distance, polyline_distance
 from swarm.jit import compiled
 from swarm.planning import CableState, Plan
+from swarm.signatures import Floats1, Floats2, Floats3, Ints2
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -69,9 +70,9 @@ class _Required(NamedTuple):
     vertical: float
     strands: float
     near: float
-    chord: Floats
-    pairs: Ints
-    lengths: Floats
+    chord: Floats1
+    pairs: Ints2
+    lengths: Floats1
     spacing: float
 
 
@@ -145,15 +146,15 @@ def _clock_rate(margin: float) -> float:
 
 @compiled
 def _margin(
-    moments: Floats, aloft: bool, required: _Required, diameter: float, points: Floats
+    moments: Floats3, aloft: bool, required: _Required, diameter: float, points: Floats3
 ) -> float:
     """Smallest margin at the moments (k, n, 3): of vehicles, and of chords and strands aloft."""
     margin = _vehicle_margin(moments, required)
     if aloft:
         margin = min(margin, _chord_margin(moments, required.chord))
         if margin > 0.0:
-            for grips in moments:
-                distance = _strand_distance(grips, required, 0.0, points)
+            for k in range(len(moments)):
+                distance = _strand_distance(moments[k], required, 0.0, points)
                 margin = min(margin, distance - diameter - required.strands)
     return margin
 
@@ -162,7 +163,8 @@ def _margin(
 def _vehicle_margin(moments: Floats, required: _Required) -> float:
     """Smallest margin between vehicles at the moments (k, n, 3), horizontal or vertical."""
     least = np.inf
-    for grips in moments:
+    for k in range(len(moments)):
+        grips = moments[k]
         for i in range(len(grips)):
             for j in range(i + 1, len(grips)):
                 across = math.hypot(grips[i, 0] - grips[j, 0], grips[i, 1] - grips[j, 1])
@@ -175,15 +177,14 @@ def _vehicle_margin(moments: Floats, required: _Required) -> float:
 def _chord_margin(moments: Floats, longest: Floats) -> float:
     """Smallest margin of chords to ``longest`` (n − 1,) at the moments (k, n, 3)."""
     least = np.inf
-    for grips in moments:
+    for k in range(len(moments)):
         for i in range(len(longest)):
-            step = grips[i + 1] - grips[i]
-            least = min(least, longest[i] - math.sqrt(np.sum(step * step)))
+            least = min(least, longest[i] - point_distance(moments[k, i], moments[k, i + 1]))
     return least
 
 
 @compiled
-def _strand_distance(grips: Floats, required: _Required, far: float, points: Floats) -> float:
+def _strand_distance(grips: Floats2, required: _Required, far: float, points: Floats3) -> float:
     """Smallest distance between the middles of strands at grip points (n, 3).
 
     Of boxes that contain the strands; of points where boxes come within ``far`` of ``near``;

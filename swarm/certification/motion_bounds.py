@@ -10,6 +10,7 @@ import numpy.typing as npt
 from swarm.geometry.distance import norms
 from swarm.geometry.motion import Motion
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats3
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -114,7 +115,7 @@ class TeamStates:
 
 @compiled
 def _bounds_between(
-    tables: Floats, joints: Floats, start: Floats, end: Floats, found: Floats
+    tables: Floats3, joints: Floats1, start: Floats1, end: Floats1, found: Floats2
 ) -> None:
     """Write the bounds (m, n) of all grip points on intervals (m,)."""
     for m in range(len(start)):

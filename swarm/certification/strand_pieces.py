@@ -33,6 +33,7 @@ from swarm.geometry.sensitivity import (
     sensitivity_tables,
 )
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats3, Floats5, Ints1
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -107,15 +108,15 @@ class Displacement:
 class _Shapes(NamedTuple):
     """Figures (b,) of strands and their pieces; ``number`` is the piece's heap number."""
 
-    length: Floats
-    parameter: Floats
-    slope: Floats
-    span: Floats
-    rise: Floats
-    ratio: Floats
-    begin: Floats
-    end: Floats
-    number: Ints
+    length: Floats1
+    parameter: Floats1
+    slope: Floats1
+    span: Floats1
+    rise: Floats1
+    ratio: Floats1
+    begin: Floats1
+    end: Floats1
+    number: Ints1
 
 
 class _EndMotion(NamedTuple):
@@ -126,27 +127,27 @@ class _EndMotion(NamedTuple):
     ends move.
     """
 
-    total: Floats
-    tracking: Floats
-    relative: Floats
-    relative_tracking: Floats
-    ends: Ints
+    total: Floats1
+    tracking: Floats1
+    relative: Floats1
+    relative_tracking: Floats1
+    ends: Ints1
 
 
 class _Direction(NamedTuple):
     """Normals' components (b,) along the heading and up, and the fraction of a point's chord."""
 
-    ahead: Floats
-    up: Floats
-    along: Floats
+    ahead: Floats1
+    up: Floats1
+    along: Floats1
 
 
 class _Tables(NamedTuple):
     """Tables of largest second derivatives, and of norms of sensitivity and their integrals."""
 
-    curvature: Floats
-    norm: Floats
-    integral: Floats
+    curvature: Floats3
+    norm: Floats5
+    integral: Floats5
 
 
 class Movement(NamedTuple):
@@ -196,7 +197,7 @@ class Pieces:
 
 @compiled
 def _write_movement(
-    shapes: _Shapes, motion: _EndMotion, direction: _Direction, tables: _Tables, found: Floats
+    shapes: _Shapes, motion: _EndMotion, direction: _Direction, tables: _Tables, found: Floats2
 ) -> None:
     """Write :class:`Movement` of pieces into ``found`` (3, b)."""
     for k in range(len(shapes.length)):

@@ -35,6 +35,7 @@ from swarm.geometry.sensitivity import sensitivity_tables
 from swarm.jit import compiled
 from swarm.planning import Plan
 from swarm.planning.clock_limits import ClockLimits
+from swarm.signatures import Floats1, Floats2, Ints1
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -106,8 +107,8 @@ def at_rate(advances: Floats, rate: Floats) -> Floats:
 class _Cases(NamedTuple):
     """Case and clock rate (m,) of boxes."""
 
-    case: Ints
-    rate: Floats
+    case: Ints1
+    rate: Floats1
 
 
 class _Workspace(NamedTuple):
@@ -118,9 +119,9 @@ class _Workspace(NamedTuple):
 class _Margins(NamedTuple):
     """Lower bounds (m,) of margins in boxes, margins (m,) in their middles, doubts (m, 3)."""
 
-    low: Floats
-    here: Floats
-    doubts: Floats
+    low: Floats1
+    here: Floats1
+    doubts: Floats2
 
 
 class StreamLossBound:
@@ -230,8 +231,8 @@ class StreamLossBound:
 @compiled
 def _write_margins(
     cases: _Cases,
-    middle: Floats,
-    half: Floats,
+    middle: Floats2,
+    half: Floats2,
     motion: LossMotion,
     required: Required,
     workspace: _Workspace,

@@ -22,6 +22,7 @@ from swarm.geometry.sensitivity import (
     ratio_range,
 )
 from swarm.jit import compiled
+from swarm.signatures import Bools1, Floats1, Floats3, Floats5
 
 Floats = npt.NDArray[np.float64]
 
@@ -40,13 +41,13 @@ class Required(NamedTuple):
     and ``integral`` the tables of their sensitivity.
     """
 
-    chord: Floats
+    chord: Floats1
     horizontal: float
     vertical: float
     strands: float
-    lengths: Floats
-    norm: Floats
-    integral: Floats
+    lengths: Floats1
+    norm: Floats5
+    integral: Floats5
 
 
 class SampledStrands(NamedTuple):
@@ -56,9 +57,9 @@ class SampledStrands(NamedTuple):
     ``sampled`` (n − 1,) tells which strands are computed.
     """
 
-    points: Floats
-    bow: Floats
-    sampled: npt.NDArray[np.bool_]
+    points: Floats3
+    bow: Floats1
+    sampled: Bools1
 
 
 def allocate_strands(strands: int) -> SampledStrands:

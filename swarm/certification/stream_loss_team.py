@@ -13,6 +13,7 @@ import numpy.typing as npt
 from swarm.certification.motion_bounds import largest_between, pieces_between
 from swarm.geometry.motion import evaluate_piece, find_piece
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats3, Floats4
 
 Floats = npt.NDArray[np.float64]
 
@@ -26,13 +27,13 @@ class LossMotion(NamedTuple):
     time, everything is certified. ``end`` is the last mission time that is reached.
     """
 
-    times: Floats
-    joints: Floats
-    coefficients: Floats
-    accelerations: Floats
-    jerks: Floats
-    coast_time: Floats
-    descent: Floats
+    times: Floats1
+    joints: Floats1
+    coefficients: Floats4
+    accelerations: Floats3
+    jerks: Floats3
+    coast_time: Floats1
+    descent: Floats1
     tracking: float
     end: float
 
@@ -61,10 +62,10 @@ class TeamState(NamedTuple):
     (3, 3) is working memory.
     """
 
-    position: Floats
-    velocity: Floats
-    spread: Floats
-    scratch: Floats
+    position: Floats2
+    velocity: Floats2
+    spread: Floats1
+    scratch: Floats2
 
 
 def allocate_team(n: int) -> TeamState:

@@ -16,7 +16,7 @@ from swarm.cli.inputs import (
     print_json,
     refuse_option_conflicts,
 )
-from swarm.cli.planning import load_source, require_cleared
+from swarm.cli.planning import load_source, prepare_flight, require_cleared
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.flight.setup import Options
@@ -78,6 +78,7 @@ def dry_run(
     refuse_option_conflicts(options, _REQUIRES, _EXCLUDES)
     planned = load_source(mission, overrides, replan=replan).planned()
     require_cleared(context, planned, verbose=verbose, as_json=as_json)
+    prepare_flight()
     with FlightScreen(planned.plan, Console(quiet=as_json)) as screen:
         result = _fly(planned, screen, options)
     _end(context, planned, result, options, as_json=as_json)

@@ -14,7 +14,7 @@ from rich.console import Console
 from swarm.certification.findings import Finding
 from swarm.cli.flight_session import Displays, Viewer, displays, end_flight
 from swarm.cli.inputs import JSON, REPLAN, SET, VERBOSE
-from swarm.cli.planning import load_source, require_cleared
+from swarm.cli.planning import load_source, prepare_flight, require_cleared
 from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
 from swarm.flight.bench_flight import RAISED, raised
@@ -198,6 +198,7 @@ def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResul
     unattended = flight.fleet.emulated is not None or given.yes
     plan = flight.flight_plan.plan
     plan_findings = flight.flight_plan.assessment.findings
+    prepare_flight()
     warnings = [finding for finding in plan_findings if finding.severity == "warning"]
     with displays(plan, flight.folder, given.view, console) as shown, ExitStack() as screen:
         return fly_in_process(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import click
 from rich.console import Console
 
-from swarm import planner
+from swarm import planner, precompile
 from swarm.cli.inputs import progress_bar
 from swarm.errors import InputError, Problem, Refused
 from swarm.front import plan_cache
@@ -53,6 +53,7 @@ def plan_mission(mission: Mission, *, replan: bool = False) -> planner.PlanningR
     """
     console = Console(stderr=True)
     with progress_bar(console) as progress:
+        precompile.prepare(precompile.PLANNING, progress)
         before = None if replan else plan_cache.find(mission, progress)
         if before is None:
             planned = planner.plan(mission, progress)
@@ -62,6 +63,12 @@ def plan_mission(mission: Mission, *, replan: bool = False) -> planner.PlanningR
     words = f"Planned before ({computed.astimezone():%Y-%m-%d %H:%M}); --replan plans again"
     console.print(words, style="dim", highlight=False, soft_wrap=True)
     return planned
+
+
+def prepare_flight() -> None:
+    """Compile what a flight calls, where that was not done before."""
+    with progress_bar(Console(stderr=True)) as progress:
+        precompile.prepare(precompile.FLIGHT, progress)
 
 
 def require_cleared(

@@ -7,6 +7,7 @@ import click
 from rich.console import Console
 
 from swarm.cli.flight_session import Viewer, displays, end_flight
+from swarm.cli.planning import prepare_flight
 from swarm.errors import Refused
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import Then, left_off
@@ -63,6 +64,7 @@ def resume_flight(
             forward=forward,
         ),
     )
+    prepare_flight()
     with displays(plan, folder, view, console) as shown, shown.screen:
         result = fly_in_process(
             flight,

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from swarm.jit import compiled
 from swarm.mavlink.telemetry_table import ATTITUDE, BOOT_TIME, POSITION, POSITION_AT, VELOCITY
+from swarm.signatures import Bools1, Floats1, Floats2, Floats3, Ints1
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -31,8 +32,8 @@ class Measured(NamedTuple):
     read, the tracking errors, and the times of the reports since each vehicle's boot.
     """
 
-    places: Floats
-    numbers: Floats
+    places: Floats3
+    numbers: Floats2
 
     @classmethod
     def of(cls, n: int) -> "Measured":
@@ -80,8 +81,8 @@ class Measured(NamedTuple):
 
 @compiled
 def measure(
-    table: Floats, rows: Indices, inverse: tuple[Floats, Floats], lift: Floats,
-    commanded: tuple[Floats, Floats, Flags], times: tuple[float, float, float, float],
+    table: Floats2, rows: Ints1, inverse: tuple[Floats3, Floats2], lift: Floats1,
+    commanded: tuple[Floats2, Floats2, Bools1], times: tuple[float, float, float, float],
     measured: Measured,
 ) -> None:  # fmt: skip
     """Extrapolate the reports of vehicles ``rows`` (n,) of a telemetry ``table`` to this moment.
@@ -118,7 +119,7 @@ def measure(
 
 @compiled
 def evaluate_piece(
-    coefficients: Floats, u: float, rate: float, slope: float, states: Floats
+    coefficients: Floats3, u: float, rate: float, slope: float, states: Floats3
 ) -> None:
     """Evaluate a piece of quintics (6, n, 3) at ``u`` into ``states``: position, velocity and
     acceleration (3, n, 3).
@@ -140,8 +141,8 @@ def evaluate_piece(
 
 @compiled
 def setpoints_ned(
-    state: tuple[Floats, Floats, Floats], lead: float, lift: Floats, mass: float,
-    pull: tuple[Floats, Floats, float], frames: tuple[Floats, Floats], states: Floats,
+    state: tuple[Floats2, Floats2, Floats2], lead: float, lift: Floats1, mass: float,
+    pull: tuple[Floats2, Floats2, float], frames: tuple[Floats3, Floats2], states: Floats3,
 ) -> None:  # fmt: skip
     """Compute setpoints of centres, in each vehicle's NED frame, into ``states`` (n, 3, 3):
     positions, velocities, accelerations.
@@ -174,8 +175,8 @@ def setpoints_ned(
 
 @compiled
 def new_reports(
-    table: Floats, rows: Indices, now: Measured, last: Measured, commanded: Floats,
-    streaming: Flags, limits: tuple[float, float, float, float, float], step: Floats,
+    table: Floats2, rows: Ints1, now: Measured, last: Measured, commanded: Floats2,
+    streaming: Bools1, limits: tuple[float, float, float, float, float], step: Floats1,
 ) -> tuple[bool, bool]:  # fmt: skip
     """Return whether any vehicle has reported since ``last``, and whether all move as commanded.
 
@@ -208,7 +209,7 @@ def new_reports(
 
 
 @compiled
-def keep_reports(now: Measured, last: Measured, step: Floats) -> None:
+def keep_reports(now: Measured, last: Measured, step: Floats1) -> None:
     """Copy the reports that came after ``step`` (n,) seconds into ``last``."""
     for i in range(len(step)):
         last.numbers[_AT, i] = now.numbers[_AT, i]

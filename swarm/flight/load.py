@@ -12,6 +12,7 @@ from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.geometry.floor import rest_on_floor
 from swarm.jit import compiled
 from swarm.planning import Plan
+from swarm.signatures import Floats1, Floats2
 
 Floats = npt.NDArray[np.float64]
 
@@ -44,7 +45,7 @@ def cable_pull(grip_points: Floats, lengths: Floats, mass_per_length: float) -> 
 
 @compiled
 def end_forces(
-    start: Floats, end: Floats, lengths: Floats, mass_per_length: float
+    start: Floats2, end: Floats2, lengths: Floats1, mass_per_length: float
 ) -> tuple[Floats, Floats]:
     """Return the forces (n, 3) of n strands on their starts and ends; newtons, ENU.
 

@@ -64,7 +64,11 @@ def find_crossings(strands: Outlines, first: Ints, second: Ints) -> list[Crossin
     found: list[Crossing] = []
     heights = np.empty(len(strands.ratio))
     for pair, (one, other) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-        crossing_heights(strands.points[:, one], strands.points[:, other], heights)
+        crossing_heights(
+            np.ascontiguousarray(strands.points[:, one]),
+            np.ascontiguousarray(strands.points[:, other]),
+            heights,
+        )
         edges = np.flatnonzero(np.diff(heights != 0.0, prepend=False, append=False))
         for begin, end in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
             lasts = end == len(heights) - 1

@@ -19,6 +19,7 @@ from swarm.geometry.catenary_kernel import solve_catenary, strand_polygon
 from swarm.geometry.catenary_shape import drop_at
 from swarm.geometry.distance import point_distance
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Ints1, Signs1, Signs2
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -67,14 +68,14 @@ class Surfaces(NamedTuple):
     m) of its span; the first ``crossed`` (e,) of both are used.
     """
 
-    corners: Floats
-    half_angle: Floats
-    response: Floats
-    side: Signs
-    above: Signs
-    fractions: Floats
-    gaps: Floats
-    crossed: Ints
+    corners: Floats2
+    half_angle: Floats1
+    response: Floats1
+    side: Signs2
+    above: Signs1
+    fractions: Floats2
+    gaps: Floats2
+    crossed: Ints1
 
 
 class VehicleLattice(NamedTuple):
@@ -84,12 +85,12 @@ class VehicleLattice(NamedTuple):
     reached the edges up to ``busy`` (k,).
     """
 
-    positions: Floats
-    progress: Floats
-    station: Floats
-    edge: Ints
-    edge_before: Ints
-    busy: Ints
+    positions: Floats2
+    progress: Floats1
+    station: Floats1
+    edge: Ints1
+    edge_before: Ints1
+    busy: Ints1
 
     def since(self, first: int) -> "VehicleLattice":
         """Return the lattice from its place ``first`` on."""
@@ -117,7 +118,7 @@ def fill_costs(
     length: float,
     surfaces: Surfaces,
     margins: Margins,
-    cost: Floats,
+    cost: Floats2,
 ) -> None:
     """Write the costs (a, b) of all states of a segment of some length."""
     points = np.empty((PIECES + 1, 3))
@@ -264,7 +265,7 @@ def _corner_cost(
 
 
 @compiled
-def accumulate_costs(cost: Floats, first: int, off_pace: float, best: Floats) -> None:
+def accumulate_costs(cost: Floats2, first: int, off_pace: float, best: Floats2) -> None:
     """Write the cost (a, b) of the cheapest path from state (0, ``first``) to every other state.
 
     Every step moves both vehicles by one place, or one of them, which costs ``off_pace`` more.

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import MAX_CHORD_RATIO
+from swarm.signatures import Floats1, Floats3
 
 Floats = npt.NDArray[np.float64]
 
@@ -39,5 +40,5 @@ class Penalty(NamedTuple):
     ``missed`` is (s,); ``gradient`` (s, n, 3) is half its derivative by all positions.
     """
 
-    missed: Floats
-    gradient: Floats
+    missed: Floats1
+    gradient: Floats3

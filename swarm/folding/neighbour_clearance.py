@@ -22,6 +22,7 @@ from swarm.folding.outlines import Outlines, direction_between, point_at
 from swarm.folding.strand_clearance import PREFERRED
 from swarm.geometry.distance import point_distance, polyline_distance_sized
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats4
 
 Floats = npt.NDArray[np.float64]
 
@@ -41,8 +42,8 @@ class MarginCache(NamedTuple):
     ``positions`` (s, n − 2, 3, 3) those of the three vehicles at that time.
     """
 
-    spare: Floats
-    positions: Floats
+    spare: Floats2
+    positions: Floats4
 
 
 def empty_margin_cache(moments: int, segments: int) -> MarginCache:
@@ -78,8 +79,8 @@ class _Junction(NamedTuple):
 @compiled
 def penalize_neighbours(
     strands: Outlines,
-    lengths: Floats,
-    extra: Floats,
+    lengths: Floats1,
+    extra: Floats1,
     margins: Margins,
     cache: MarginCache,
     penalty: Penalty,

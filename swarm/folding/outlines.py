@@ -1,6 +1,6 @@
 """Outlines of strands: polygons of a few edges, with which the planner computes distances."""
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +9,7 @@ from swarm.folding.end_sensitivity import PIECES
 from swarm.geometry.catenary_kernel import strand_polygon
 from swarm.geometry.distance import bounding_boxes, point_distance
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats3, Floats4, record
 
 Floats = npt.NDArray[np.float64]
 Index = Any
@@ -26,13 +27,17 @@ class Outlines(NamedTuple):
     A *place* on an outline is the index of an edge plus a fraction of that edge.
     """
 
-    points: Floats
-    boxes: Floats
-    ratio: Floats
+    points: Floats4
+    boxes: Floats4
+    ratio: Floats2
 
     def take(self, which: Index) -> "Outlines":
         """Return the outlines at an index or slice of the leading dimensions."""
         return Outlines(*(field[which] for field in self))
+
+
+OutlineRow = Annotated[Outlines, record(Outlines, Floats3, Floats3, Floats1)]
+"""Outlines with one leading dimension."""
 
 
 def outline_strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Outlines:
@@ -45,13 +50,14 @@ def outline_strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Outlin
     points = np.empty((*chord.shape, PIECES + 1, 3))
     boxes = np.empty((*chord.shape, 2, 3))
     corners = points.reshape(-1, PIECES + 1, 3)
-    _write_outlines(start.reshape(-1, 3), end.reshape(-1, 3), length.ravel(), corners)
+    start, end = (np.ascontiguousarray(each).reshape(-1, 3) for each in (start, end))
+    _write_outlines(start, end, length.flatten(), corners)
     bounding_boxes(corners, boxes.reshape(-1, 2, 3))
     return Outlines(points, boxes, chord / length)
 
 
 @compiled
-def _write_outlines(start: Floats, end: Floats, length: Floats, points: Floats) -> None:
+def _write_outlines(start: Floats2, end: Floats2, length: Floats1, points: Floats3) -> None:
     """Write the outlines (q, k, 3) of strands; over-stretched strands are straight."""
     for q in range(len(length)):
         chord = point_distance(start[q], end[q])
@@ -65,7 +71,7 @@ def reachable_length(length: float, chord: float) -> float:
 
 
 @compiled
-def crossing_heights(one: Floats, other: Floats, found: Floats) -> None:
+def crossing_heights(one: Floats3, other: Floats3, found: Floats1) -> None:
     """Write :func:`crossing_height` of outlines (q, k, 3) and others, pair by pair."""
     for q in range(len(one)):
         found[q] = crossing_height(one[q], other[q])
@@ -81,7 +87,7 @@ def crossing_height(one: Floats, other: Floats) -> float:
 
 
 @compiled
-def plan_crossing(one: Floats, other: Floats) -> tuple[float, float]:
+def plan_crossing(one: Floats2, other: Floats2) -> tuple[float, float]:
     """Return the shares of two spans at which the lines along them cross in plan view.
 
     A strand lies in a vertical plane, so both are straight in plan view. −1 where parallel.
@@ -96,7 +102,7 @@ def plan_crossing(one: Floats, other: Floats) -> tuple[float, float]:
 
 
 @compiled
-def height_at_span(points: Floats, share: float) -> float:
+def height_at_span(points: Floats2, share: float) -> float:
     """Return the height of an outline at a share of its span in plan view."""
     place = share * (len(points) - 1)
     piece = min(int(place), len(points) - 2)

@@ -30,16 +30,19 @@ def strand_costs(one: Outlines, other: Outlines, margins: Margins) -> Floats:
     """Return the cost (b,) of the distance of strands, pair by pair; they share no vehicle."""
     spare = np.empty(len(one.points))
     spare_margins(one, other, margins, spare)
-    return margin_cost(spare / (margins.cable + 2.0 * margins.tracking))
+    return margin_costs(spare / (margins.cable + 2.0 * margins.tracking))
 
 
-@compiled
-def margin_cost(margin: Numbers) -> Numbers:
+def margin_costs(margin: Numbers) -> Numbers:
     """Return the cost of margins in units of the required one: steep below 0, slight below 1."""
     short = np.maximum(-margin, 0.0)
     slight = np.maximum(1.0 - margin, 0.0)
     cost: Numbers = _MISS * short + _MISS_SQUARED * short**2 + _SLIGHT * slight**2
     return cost
+
+
+margin_cost = compiled(margin_costs)
+"""As :func:`margin_costs`, compiled for one margin."""
 
 
 @compiled

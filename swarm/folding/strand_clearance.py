@@ -18,9 +18,16 @@ from swarm.folding.end_sensitivity import (
     sag_response,
 )
 from swarm.folding.margins import Margins, Penalty
-from swarm.folding.outlines import Outlines, crossing_height, direction_between, plan_crossing
+from swarm.folding.outlines import (
+    OutlineRow,
+    Outlines,
+    crossing_height,
+    direction_between,
+    plan_crossing,
+)
 from swarm.geometry.distance import boxes_closer, polyline_distance
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Signs2
 
 Floats = npt.NDArray[np.float64]
 
@@ -46,8 +53,8 @@ class _Pair(NamedTuple):
 @compiled
 def penalize_strands(
     strands: Outlines,
-    signs: npt.NDArray[np.int8],
-    extra: Floats,
+    signs: Signs2,
+    extra: Floats1,
     margins: Margins,
     penalty: Penalty,
 ) -> None:
@@ -107,7 +114,7 @@ def _penalize_pair(
 
 
 @compiled
-def spare_margins(one: Outlines, other: Outlines, margins: Margins, found: Floats) -> None:
+def spare_margins(one: OutlineRow, other: OutlineRow, margins: Margins, found: Floats1) -> None:
     """Write by how much strands (q,) keep more than their margin from others, pair by pair.
 
     They share no vehicle; metres, negative where the margin is missed.

@@ -15,6 +15,7 @@ from swarm.folding.outlines import Outlines, height_at_span
 from swarm.folding.strand_clearance import PREFERRED
 from swarm.geometry.distance import boxes_closer
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats3, Signs3
 
 Floats = npt.NDArray[np.float64]
 
@@ -54,10 +55,10 @@ class _Meeting(NamedTuple):
 
 @compiled
 def penalize_strands_at_vehicles(
-    positions: Floats,
+    positions: Floats3,
     strands: Outlines,
-    signs: npt.NDArray[np.int8],
-    extra: Floats,
+    signs: Signs3,
+    extra: Floats1,
     margins: Margins,
     penalty: Penalty,
 ) -> None:
@@ -177,7 +178,9 @@ def rotor_cone_distance(level: float, above: float, margins: Margins) -> float:
 
 
 @compiled
-def penalize_vehicles(positions: Floats, extra: Floats, margins: Margins, penalty: Penalty) -> None:
+def penalize_vehicles(
+    positions: Floats3, extra: Floats1, margins: Margins, penalty: Penalty
+) -> None:
     """Add the missed margins of vehicles (s, n, 3) beside each other, and right below others."""
     for s in range(len(positions)):
         beside = margins.vehicle + 2.0 * margins.tracking + extra[s]
@@ -207,7 +210,7 @@ def penalize_vehicles(positions: Floats, extra: Floats, margins: Margins, penalt
 
 
 @compiled
-def penalize_downwash(positions: Floats, margins: Margins, penalty: Penalty) -> None:
+def penalize_downwash(positions: Floats3, margins: Margins, penalty: Penalty) -> None:
     """Add the cost of vehicles (s, n, 3) in the jets of others above, which make them sink.
 
     This is a preference, not a margin. A jet's half-width is 0.7 of the rotors' radius, and grows
@@ -254,7 +257,7 @@ def rotor_disc_cost(position: Floats, strand: Floats, wider: float, margins: Mar
 
 @compiled
 def rotor_disc_costs(
-    positions: Floats, strands: Floats, wider: Floats, margins: Margins, found: Floats
+    positions: Floats2, strands: Floats3, wider: Floats1, margins: Margins, found: Floats1
 ) -> None:
     """Write :func:`rotor_disc_cost` for positions (k, 3), strands (k, p, 3) and ``wider`` (k,)."""
     for k in range(len(positions)):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from swarm import planner, planning
+from swarm import planner, planning, precompile
 from swarm.certification.certificate import Certificate, CertifiedPlan, require_no_errors
 from swarm.errors import Refused
 from swarm.exports import MOTION_STEP, motion_rows
@@ -142,6 +142,7 @@ def plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
     Source: :func:`swarm.planner.plan`, which certifies and repairs the candidates of
     :mod:`swarm.planning.candidates` (grid diagram, layout, folding).
     """
+    precompile.prepare(precompile.PLANNING, progress)
     result = planner.plan(mission, progress, robustness=False)
     planned = Plan.of(result.plan)
     try:

@@ -28,6 +28,7 @@ from swarm.geometry.catenary_shape import (
     sag_per_span,
 )
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats3
 
 Floats = NDArray[np.float64]
 
@@ -291,31 +292,31 @@ def _require_reach(chord: Floats, length: Floats) -> None:
 class _Strands(NamedTuple):
     """Arguments (q,) of :func:`swarm.geometry.catenary_kernel.solve`."""
 
-    span: Floats
-    rise: Floats
-    length: Floats
-    excess: Floats
-    stretch: Floats
+    span: Floats1
+    rise: Floats1
+    length: Floats1
+    excess: Floats1
+    stretch: Floats1
 
 
 class _Arcs(NamedTuple):
     """Length, parameter and start slope (q,) of strands."""
 
-    length: Floats
-    parameter: Floats
-    slope: Floats
+    length: Floats1
+    parameter: Floats1
+    slope: Floats1
 
 
 class _Vectors(NamedTuple):
     """Starts of strands, and vectors per angle and per height over length, (q, 3)."""
 
-    start: Floats
-    per_angle: Floats
-    per_height: Floats
+    start: Floats2
+    per_angle: Floats2
+    per_height: Floats2
 
 
 @compiled
-def _solve_all(strands: _Strands, solved: Floats) -> None:
+def _solve_all(strands: _Strands, solved: Floats2) -> None:
     """Write half angles, parameters and start slopes (3, q)."""
     for q in range(len(strands.span)):
         solved[0, q], solved[1, q], solved[2, q] = solve(
@@ -325,7 +326,7 @@ def _solve_all(strands: _Strands, solved: Floats) -> None:
 
 
 @compiled
-def _write_points(fractions: Floats, arcs: _Arcs, vectors: _Vectors, points: Floats) -> None:
+def _write_points(fractions: Floats1, arcs: _Arcs, vectors: _Vectors, points: Floats3) -> None:
     """Write points (q, k, 3) of strands (q,) at fractions (k,) of their arcs."""
     for q in range(len(arcs.length)):
         for k in range(len(fractions)):
@@ -338,7 +339,7 @@ def _write_points(fractions: Floats, arcs: _Arcs, vectors: _Vectors, points: Flo
 
 
 @compiled
-def _write_offsets(fraction: Floats, arcs: _Arcs, angle: Floats, height: Floats) -> None:
+def _write_offsets(fraction: Floats1, arcs: _Arcs, angle: Floats1, height: Floats1) -> None:
     """Write :func:`arc_offset` of strands (q,) at a fraction (q,) of each."""
     for q in range(len(arcs.length)):
         angle[q], height[q] = arc_offset(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarm.jit import compiled
+from swarm.signatures import Floats1
 
 Floats = NDArray[np.float64]
 
@@ -126,12 +127,12 @@ def half_angle_for_drop(drop: Floats, fraction: Floats, gradient: Floats) -> Flo
     """Invert :func:`drop_at` for x by bisection of its logarithm."""
     found = np.empty(drop.size)
     fraction, gradient = (np.broadcast_to(each, drop.shape) for each in (fraction, gradient))
-    _bisect(drop.ravel(), fraction.ravel(), gradient.ravel(), found)
+    _bisect(drop.flatten(), fraction.flatten(), gradient.flatten(), found)
     return found.reshape(drop.shape)
 
 
 @compiled
-def _bisect(drop: Floats, fraction: Floats, gradient: Floats, found: Floats) -> None:
+def _bisect(drop: Floats1, fraction: Floats1, gradient: Floats1, found: Floats1) -> None:
     """Write half angles (k,) between 1e-11 and 400, in 60 halvings: to the last bits."""
     for k in range(len(drop)):
         low, high = -25.0, 6.0

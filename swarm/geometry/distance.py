@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from swarm.jit import compiled
+from swarm.signatures import Floats2, Floats3, Floats4, Ints2
 
 Floats = NDArray[np.float64]
 
@@ -86,7 +87,7 @@ def _plain(array: Floats) -> Floats:
 
 
 @compiled
-def _write_closest(first: Floats, second: Floats, found: Floats) -> None:
+def _write_closest(first: Floats3, second: Floats3, found: Floats2) -> None:
     """Write distances and places (3, q) of polylines (q, m, 3) and (q, k, 3)."""
     straight = first.shape[1] == second.shape[1] == 2
     for q in range(len(first)):
@@ -99,7 +100,7 @@ def _write_closest(first: Floats, second: Floats, found: Floats) -> None:
 
 
 @compiled
-def _write_chosen(strands: Floats, pairs: NDArray[np.intp], found: Floats) -> None:
+def _write_chosen(strands: Floats4, pairs: Ints2, found: Floats3) -> None:
     """Write distances and places (3, q, p) of pairs (p, 2) among strands (q, s, k, 3)."""
     for q in range(len(strands)):
         for p in range(len(pairs)):
@@ -194,7 +195,7 @@ def point_distance(one: Floats, other: Floats) -> float:
 
 
 @compiled
-def bounding_boxes(points: Floats, boxes: Floats) -> None:
+def bounding_boxes(points: Floats3, boxes: Floats3) -> None:
     """Write the upright boxes (q, 2, 3) around polylines (q, k, 3): middles and half sizes."""
     for q in range(len(points)):
         for axis in range(3):

@@ -24,6 +24,7 @@ from swarm.geometry.catenary import Catenaries, solve_catenaries
 from swarm.geometry.catenary_kernel import Catenary, max_elevation_sine, min_elevation_sine
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, find_class
 from swarm.jit import compiled
+from swarm.signatures import Floats2, Floats3, Ints1
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -67,24 +68,26 @@ class LinearResponse:
         ``relative`` (b,) bounds the movement of one end relative to the other. Infinite where
         not ``known``.
         """
-        bound = movement(self.at_point, self.curvature, size, relative)
+        bound = _movement(self.at_point, self.curvature, size, relative)
         return np.where(self.known, bound, np.inf)
 
     def movement_difference(self, arc: Floats, relative: Floats) -> Floats:
         """Return a bound (b,) of the extra movement of points up to ``arc`` (b,) metres away."""
-        return np.where(self.known, movement_difference(self.per_arc, arc, relative), np.inf)
+        return np.where(self.known, _movement_difference(self.per_arc, arc, relative), np.inf)
 
 
-@compiled
-def movement(at_point: Numbers, curvature: Numbers, size: Numbers, relative: Numbers) -> Numbers:
+def _movement(at_point: Numbers, curvature: Numbers, size: Numbers, relative: Numbers) -> Numbers:
     """As :meth:`LinearResponse.movement`, where known: the first order and the remainder."""
     return at_point * size + 0.5 * curvature * relative * relative
 
 
-@compiled
-def movement_difference(per_arc: Numbers, arc: Numbers, relative: Numbers) -> Numbers:
+def _movement_difference(per_arc: Numbers, arc: Numbers, relative: Numbers) -> Numbers:
     """As :meth:`LinearResponse.movement_difference`, where known."""
     return per_arc * arc * relative
+
+
+movement, movement_difference = compiled(_movement), compiled(_movement_difference)
+"""The same for one strand, compiled."""
 
 
 def linear_response(
@@ -114,7 +117,9 @@ def linear_response(
 
 
 @compiled
-def _responses(strands: Floats, points: Floats, ends: Ints, table: Floats, found: Floats) -> None:
+def _responses(
+    strands: Floats2, points: Floats2, ends: Ints1, table: Floats3, found: Floats2
+) -> None:
     """Write :func:`strand_response` (3, b) of strands (5, b).
 
     ``points`` (6, b) holds the two parts of normals, fractions, begins and ends of pieces, and

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.jit import compiled
+from swarm.signatures import Columns4, Floats3
 
 Floats = npt.NDArray[np.float64]
 
@@ -139,7 +140,7 @@ class _Steps(NamedTuple):
 
 
 @compiled
-def _swing_strand(ends: Floats, steps: _Steps, drag: Drag, found: Floats) -> None:
+def _swing_strand(ends: Floats3, steps: _Steps, drag: Drag, found: Columns4) -> None:
     """Write the states (2, links + 1, 3) of one strand to ``found``, from its first."""
     before, now = found[0, 0].copy(), found[0, 1].copy()
     after = now.copy()

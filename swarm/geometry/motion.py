@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats4
 
 Floats = npt.NDArray[np.float64]
 
@@ -52,7 +53,7 @@ class Motion:
 
 
 @compiled
-def _evaluate(breaks: Floats, coefficients: Floats, times: Floats, states: Floats) -> None:
+def _evaluate(breaks: Floats1, coefficients: Floats4, times: Floats1, states: Floats4) -> None:
     """Write position, velocity and acceleration (3, q, n, 3) at times (q,)."""
     for q in range(len(times)):
         piece, since, moving = find_piece(breaks, times[q])

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from swarm.geometry.catenary import solve_catenaries
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats5, Ints1
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -68,7 +69,9 @@ class Sensitivity:
         """
         ratio, reach, sine, ends, piece = np.broadcast_arrays(ratio, reach, sine, ends, piece)
         found = np.empty((2, ratio.size))
-        moves = _Movements(ratio.ravel(), reach.ravel(), sine.ravel(), ends.ravel(), piece.ravel())
+        moves = _Movements(
+            ratio.flatten(), reach.flatten(), sine.flatten(), ends.flatten(), piece.flatten()
+        )
         _write_bounds(self.norm, self.integral, moves, found)
         across, up = found.reshape(2, *ratio.shape)
         return across, up
@@ -77,15 +80,15 @@ class Sensitivity:
 class _Movements(NamedTuple):
     """Arguments (k,) of :meth:`Sensitivity.largest`."""
 
-    ratio: Floats
-    reach: Floats
-    sine: Floats
-    ends: Ints
-    piece: Ints
+    ratio: Floats1
+    reach: Floats1
+    sine: Floats1
+    ends: Ints1
+    piece: Ints1
 
 
 @compiled
-def _write_bounds(norm: Floats, integral: Floats, moves: _Movements, found: Floats) -> None:
+def _write_bounds(norm: Floats5, integral: Floats5, moves: _Movements, found: Floats2) -> None:
     """Write :meth:`Sensitivity.largest` of k strands, found (2, k)."""
     for k in range(len(moves.ratio)):
         steep = elevation_class(moves.sine[k])

@@ -11,11 +11,11 @@ from functools import partial
 from pathlib import Path
 from types import FrameType
 
+from swarm import precompile
 from swarm.errors import Refused
 from swarm.flight.adherence import adherence
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
-from swarm.flight.jit_warm_up import warm_up
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.setup import Options
@@ -32,6 +32,7 @@ from swarm.ground.relay import Relay
 from swarm.ground.signing_key import signing_with
 from swarm.ground.sockets import Links, open_links
 from swarm.ground.tick_tasks import TickTasks
+from swarm.jit import sealed
 from swarm.mission.fleet import Fleet
 
 
@@ -106,6 +107,7 @@ def fly(
         console = OperatorConsole(conductor, lambda: conductor.snapshot(conductor.now).available)
         preflight = Preflight(conductor, folder, callbacks.confirm)
         with ExitStack() as running:
+            running.enter_context(sealed())
             publish = running.enter_context(publisher(callbacks))
             interrupts = running.enter_context(_caught_interrupts())
             inputs = [running.enter_context(terminal_keys(console))] if read_keys else []
@@ -143,7 +145,7 @@ def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, speed: float) -> No
 def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Conductor:
     setup = Options(no_cable=options.no_cable, error_limit=options.error_limit, speed=options.speed)
     conductor = Conductor(flight_plan, fleet, setup, left=options.left, then=options.then)
-    warm_up(conductor)
+    precompile.load()
     return conductor
 
 

@@ -23,8 +23,6 @@ import numpy as np
 import numpy.typing as npt
 import pymap3d
 
-from swarm.jit import compiled
-
 Floats = npt.NDArray[np.float64]
 AutopilotName = Literal["px4", "ardupilot"]
 
@@ -53,13 +51,6 @@ class Frames:
     rotation: Floats
     translation: Floats
 
-    def to_vehicles(self, states: Floats) -> Floats:
-        """Return states (n, 3, 3), given in mission ENU, in the vehicles' NED.
-
-        The three rows of a vehicle are its position, velocity and acceleration.
-        """
-        return _to_vehicles(states, self.rotation, self.translation)
-
     def select(self, order: Sequence[int]) -> "Frames":
         """Return the frames of the vehicles with these indices, in this order."""
         return Frames(self.rotation[order], self.translation[order])
@@ -82,23 +73,6 @@ class Frames:
         """Return the frames after a shift of the mission points by (n, 3), ENU metres."""
         offset = np.matmul(self.rotation, by[:, :, None])[:, :, 0]
         return replace(self, translation=self.translation - offset)
-
-
-@compiled
-def _to_vehicles(states: Floats, rotation: Floats, translation: Floats) -> Floats:
-    """Rotate states (n, 3, 3) by n rotations, and translate the first row of each."""
-    rotated = np.empty(states.shape)
-    for i in range(len(states)):
-        for j in range(3):
-            for k in range(3):
-                rotated[i, j, k] = (
-                    rotation[i, k, 0] * states[i, j, 0]
-                    + rotation[i, k, 1] * states[i, j, 1]
-                    + rotation[i, k, 2] * states[i, j, 2]
-                )
-        for k in range(3):
-            rotated[i, 0, k] += translation[i, k]
-    return rotated
 
 
 def shared_frames(vehicles: int, heading: float = 0.0) -> Frames:

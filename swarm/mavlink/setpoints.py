@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import common
 from swarm.jit import compiled
 from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
 from swarm.mavlink.telemetry_table import crc_accumulate
+from swarm.signatures import Bytes2, Floats1, Floats3, Ints1
 
 Floats = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
@@ -94,9 +95,7 @@ class SetpointPacker:
 
 
 @compiled
-def _write(
-    packets: Bytes, sequences: npt.NDArray[np.int64], time: int, states: Floats, yaw: Floats
-) -> None:
+def _write(packets: Bytes2, sequences: Ints1, time: int, states: Floats3, yaw: Floats1) -> None:
     single = np.empty(10, np.float32)
     raw = single.view(np.uint8)
     for i in range(len(packets)):

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.jit import compiled
+from swarm.signatures import Bytes3, Floats2, Ints1, Ints2, Shorts2
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -98,7 +99,7 @@ class VectorField:
 
 @compiled
 def count_packet(
-    values: Floats, sequences: Sequences, missing: Bits, k: int, component: int, sequence: int,
+    values: Floats2, sequences: Shorts2, missing: Bytes3, k: int, component: int, sequence: int,
     now: float,
 ) -> None:  # fmt: skip
     """Count a packet of vehicle ``k``, and the packets before it that have not arrived.
@@ -126,8 +127,8 @@ def count_packet(
 
 @compiled
 def read_datagrams(
-    data: bytes, origins: Indices, extras: Indices, now: float, values: Floats,
-    sequences: Sequences, missing: Bits, rows: Indices,
+    data: bytes, origins: Ints2, extras: Ints1, now: float, values: Floats2,
+    sequences: Shorts2, missing: Bytes3, rows: Ints2,
 ) -> int:  # fmt: skip
     """Read datagrams into the table; return the number of packets that are left for the handlers.
 

@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 
 from swarm.geometry.motion import Motion, through_states
 from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats4
 
 Floats = npt.NDArray[np.float64]
 
@@ -103,7 +104,7 @@ def _time_factors(
 
 @compiled
 def _largest_rates(
-    coefficients: Floats, durations: Floats, samples: int, fastest: Floats, hardest: Floats
+    coefficients: Floats4, durations: Floats1, samples: int, fastest: Floats1, hardest: Floats1
 ) -> None:
     """Write the largest sampled speeds and accelerations (k,) of any vehicle in each piece."""
     for k in range(len(durations)):
@@ -203,14 +204,14 @@ def _rate_limits(
 
 @compiled
 def _excess(
-    bend: Floats,
-    mixed: Floats,
-    slope: Floats,
-    tight: Floats,
-    w: Floats,
-    u: Floats,
-    by_w: Floats,
-    by_u: Floats,
+    bend: Floats2,
+    mixed: Floats2,
+    slope: Floats2,
+    tight: Floats1,
+    w: Floats1,
+    u: Floats1,
+    by_w: Floats1,
+    by_u: Floats1,
 ) -> float:
     """Return the sum of squared excesses; add its derivatives to ``by_w`` and ``by_u`` (k,)."""
     total = 0.0

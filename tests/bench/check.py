@@ -22,8 +22,8 @@ import sitl.protocol.parameter_protocol
 from sitl import server
 from sitl.emulator import AUTOPILOT_STEPS, Emulator
 from sitl.physics.dynamics import STEP
-from sitl.warm import warm_up
 from sitl.world import default_world
+from swarm import precompile
 from tests.command import run
 
 NUMBER = {"px4": 886, "ardupilot": 1391}
@@ -49,7 +49,7 @@ def serve(kind: str, table: dict[str, float], vehicles: int, ready: object) -> N
         PACE[kind] * AUTOPILOT_STEPS * STEP
     )
     emulator = carrying(kind, table, vehicles)
-    warm_up()
+    precompile.load()
     running = server.to_default_ports(emulator, "127.0.0.1", 1.0, None)
     ready.set()  # type: ignore[attr-defined]
     running.run(None, None)

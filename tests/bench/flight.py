@@ -40,8 +40,8 @@ from mavsdk.plugins.offboard import (
 from pymavlink.dialects.v20 import common
 from rich.console import Console
 
+from swarm import precompile
 from swarm.flight.conductor import Conductor
-from swarm.flight.jit_warm_up import warm_up
 from swarm.flight.stages import Stage
 from swarm.flight.state import Mode
 from swarm.ground.loop import Loop
@@ -146,7 +146,7 @@ def ours(
     count, rate = chosen.vehicles, chosen.rate
     flight_plan, fleet = small_plan(vehicles=count), fleet_of(count, rate)
     conductor = Conductor(flight_plan, fleet)
-    warm_up(conductor)
+    precompile.load()
     links = open_links(conductor.fleet.links)
     (configure_interpreter if chosen.normal else raise_priority)()
     record = Record(folder / "record", time.time())

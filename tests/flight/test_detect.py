@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from swarm.flight.clone import branch
 from swarm.flight.detect.health import HealthDetector
 from swarm.flight.detect.latch import Latch
 from swarm.flight.detect.links import LinkDetector
@@ -16,13 +15,14 @@ from swarm.flight.detect.standstill import HoldTimeoutDetector, StandstillDetect
 from swarm.flight.detect.tracking import TrackingDetector
 from swarm.flight.estimation import Measured
 from swarm.flight.failures import OPERATOR, Failure, FailureKind, Recovery
-from swarm.flight.jit_warm_up import lasting
 from swarm.flight.modes import execute
 from swarm.flight.observation import Expected, Observation
 from swarm.flight.stages import Stage
 from swarm.mavlink.telemetry_table import WIDTH
 from swarm.mavlink.vehicle_state import VehicleEvent
 from swarm.mission.fleet import emulated_fleet
+from swarm.simulation.fault_injection.clone import branch
+from swarm.simulation.fault_injection.stepped_simulation import lasting
 from tests.network import Network, small_plan
 
 PLACES = np.array([[0.0, 0.0, 5.0], [3.0, 0.0, 5.0], [6.0, 0.0, 5.0]])

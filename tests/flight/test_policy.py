@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 
 from swarm.certification.contingency_windows import ContingencyWindows
-from swarm.flight.clone import branch
 from swarm.flight.failures import Failure, FailureKind, HoldCause
-from swarm.flight.jit_warm_up import lasting
 from swarm.flight.modes import contingency
 from swarm.flight.policy import (
     ENDS,
@@ -32,6 +30,8 @@ from swarm.flight.policy import (
 from swarm.flight.responding import respond
 from swarm.flight.stages import Stage, Step
 from swarm.flight.state import FlightState, Timing
+from swarm.simulation.fault_injection.clone import branch
+from swarm.simulation.fault_injection.stepped_simulation import lasting
 from tests.network import Network, small_plan
 
 PLAN = small_plan(vehicles=5)

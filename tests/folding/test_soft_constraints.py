@@ -8,7 +8,7 @@ from scipy.spatial.distance import cdist
 from swarm.folding.end_sensitivity import PIECES
 from swarm.folding.margins import Margins
 from swarm.folding.outlines import Outlines, crossing_heights, outline_strands
-from swarm.folding.soft_constraints import margin_cost, strand_costs, vehicle_cost
+from swarm.folding.soft_constraints import margin_costs, strand_costs, vehicle_cost
 from swarm.geometry.catenary import solve_catenaries
 
 Floats = npt.NDArray[np.float64]
@@ -33,10 +33,10 @@ def test_strand_costs_grow_as_strands_come_closer() -> None:
         for ends, length in (((a, b), 6.5), ((c, d), 6.8))
     ]
     distance = np.array([cdist(x, y).min() for x, y in zip(*dense, strict=True)])
-    expected = margin_cost((distance - EXACT.cable) / EXACT.cable)
+    expected = margin_costs((distance - EXACT.cable) / EXACT.cable)
     bow = 7.7 / PIECES**2  # of strands as slack as these
-    assert np.all(cost >= margin_cost((distance + bow - EXACT.cable) / EXACT.cable) - 1e-9)
-    assert np.all(cost <= margin_cost((distance - bow - EXACT.cable) / EXACT.cable) + 1e-9)
+    assert np.all(cost >= margin_costs((distance + bow - EXACT.cable) / EXACT.cable) - 1e-9)
+    assert np.all(cost <= margin_costs((distance - bow - EXACT.cable) / EXACT.cable) + 1e-9)
     assert np.corrcoef(cost, expected)[0, 1] > 0.9
 
 

@@ -22,6 +22,7 @@ from swarm.flight.observation import Expected, Observation
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.jit import compiled
 from swarm.planning import Plan
+from swarm.signatures import Columns2, Floats1, Floats2, Floats3
 
 Floats = npt.NDArray[np.float64]
 
@@ -166,7 +167,7 @@ class _Held(NamedTuple):
 
 
 @compiled
-def _could_fit(residual: Floats, pull: Floats) -> bool:
+def _could_fit(residual: Floats2, pull: Floats2) -> bool:
     """Return whether any vehicle's pattern could explain enough of the residual (n, 2).
 
     The vehicle's own pull (n, 3) is part of its pattern, which covers it and its neighbours.
@@ -205,7 +206,7 @@ def match(residual: Floats, centred: Floats, patterns: Floats) -> tuple[int | No
 
 
 @compiled
-def _best_fit(centred: Floats, patterns: Floats) -> tuple[int, int]:
+def _best_fit(centred: Floats2, patterns: Floats3) -> tuple[int, int]:
     """Return the vehicle whose pattern fits the centred residual (n, 2) best, and the score.
 
     -1 and 0 where none fits.
@@ -246,7 +247,7 @@ def _sum_error(residual: Floats, count: int) -> float:
 
 @compiled
 def _pulls(
-    above: Floats, every: int, lengths: Floats, mass_per_length: float
+    above: Floats2, every: int, lengths: Floats1, mass_per_length: float
 ) -> tuple[Floats, Floats, Floats]:
     """Return the forces on both ends of the strands from each of n vehicles to the next (``every``
     1) or to the next but one (2), and their sums (n, 3); newtons, ENU."""
@@ -267,7 +268,7 @@ def _pulls(
 
 
 @compiled
-def thrust(attitude: Floats, pull: Floats, mass: float) -> Floats:
+def thrust(attitude: Columns2, pull: Floats2, mass: float) -> Floats:
     """Return the horizontal forces (n, 2), east and north, of the thrusts that carry vehicle and
     cable, plus the cable's pulls (n, 3); newtons.
 

@@ -9,13 +9,12 @@ from pymavlink.dialects.v20 import common
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.flight.clearance import go
-from swarm.flight.clone import branch
 from swarm.flight.conductor import Conductor
-from swarm.flight.jit_warm_up import lasting
 from swarm.flight.parameters import plan_requirements, rules
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import Fleet, emulated_fleet
+from swarm.simulation.fault_injection.clone import branch
 from swarm.simulation.loop import Emulator, parse_world
 
 TeamAutopilots = Literal["px4", "ardupilot", "mixed"]
@@ -50,6 +49,11 @@ def set_audited_parameters(emulator: Emulator, flight_plan: CertifiedPlan, fleet
                 value = required(values[rule.name]) if callable(required) else required
                 values[rule.name] = type(values[rule.name])(value)
                 vehicle.autopilot.parameter_changed(rule.name)
+
+
+def lasting(flight: Conductor) -> tuple[object, ...]:
+    """Return the constants of a flight, which its copies share."""
+    return flight.state.setup, flight.stream_loss
 
 
 @dataclass(eq=False)

@@ -1,0 +1,152 @@
+"""Machine code before its first call: compiled on all cores, and loaded before a flight.
+
+The compiled functions that Python calls declare the types of their arguments
+(:mod:`swarm.signatures`). What is not in the user's cache is compiled in processes beside each
+other; a process that flies then loads all of it, and compiles nothing more
+(:func:`swarm.jit.sealed`).
+"""
+
+import hashlib
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from numba.core.dispatcher import Dispatcher
+
+from swarm.jit import cache, declared, key
+
+Progress = Callable[[str, float], None]
+
+PLANNING = (
+    ("swarm.geometry", "swarm.folding"),
+    ("swarm.certification", "swarm.planning"),
+)
+FLIGHT = (("swarm.flight", "swarm.mavlink", "swarm.certification.monitor"), ("sitl",))
+"""Packages whose functions are compiled in processes beside each other: halves of about the same
+duration."""
+
+_STAGE = "compiling, once on this machine"
+
+
+def functions(modules: Iterable[str]) -> Iterator[Any]:
+    """Yield the compiled functions of imported modules."""
+    for name in modules:
+        for value in list(vars(sys.modules[name]).values()):
+            if isinstance(value, Dispatcher) and value.py_func.__module__ == name:
+                yield value
+
+
+def imported() -> list[str]:
+    """Return the names of this project's imported modules."""
+    return [name for name in list(sys.modules) if name.partition(".")[0] in {"swarm", "sitl"}]
+
+
+def load(modules: Iterable[str] | None = None) -> int:
+    """Load or compile all declared functions of imported modules (default: all); return how many.
+
+    After this and in :func:`swarm.jit.sealed` no call waits for a compiler.
+    """
+    count = 0
+    for function in functions(imported() if modules is None else modules):
+        types = declared(function)
+        if types is not None:
+            function.compile(types)
+            count += 1
+    return count
+
+
+def prepare(parts: Sequence[Sequence[str]], progress: Progress | None = None) -> None:
+    """Compile what the cache does not have of packages, a process for each of the ``parts``.
+
+    ``progress`` is called with a stage and its completed share, 0…1. Nothing is done where it was
+    done before for the same sources, or where there is no cache to share; whatever is not compiled
+    here is compiled at its first call.
+    """
+    mark = _mark(parts)
+    if mark is None or mark.exists():
+        return
+    command = [sys.executable, "-m", __name__]
+    reading, writing = os.pipe()
+    processes = [
+        subprocess.Popen(  # noqa: S603
+            [*command, *part], stdin=subprocess.DEVNULL, stdout=writing, stderr=subprocess.DEVNULL
+        )
+        for part in parts
+    ]
+    os.close(writing)
+    try:
+        with os.fdopen(reading) as lines:
+            for share in _shares(lines):
+                if progress is not None:
+                    progress(_STAGE, share)
+        codes = [process.wait() for process in processes]
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+    if not any(codes):
+        with suppress(OSError):
+            mark.touch()
+
+
+def _shares(lines: Iterable[str]) -> Iterator[float]:
+    """Yield the completed share: a line is the number of a process's functions, or empty for one
+    that is compiled."""
+    total = done = 0
+    for line in lines:
+        if line.strip():
+            total += int(line)
+        else:
+            done += 1
+        yield done / max(total, 1)
+
+
+def _mark(parts: Sequence[Sequence[str]]) -> Path | None:
+    """Return the file that says that these sources are compiled; None without a cache."""
+    try:
+        cache().mkdir(parents=True, exist_ok=True)
+        keys = [key(file) for part in parts for file in _files(part).values()]
+    except OSError:
+        return None
+    return cache() / f"compiled-{hashlib.sha256(repr(keys).encode()).hexdigest()[:16]}"
+
+
+def _files(packages: Iterable[str]) -> dict[str, str]:
+    """Return the files with compiled functions of packages, by the names of their modules."""
+    found: dict[str, str] = {}
+    for package in packages:
+        spec = find_spec(package)
+        if spec is None or spec.origin is None:
+            raise ModuleNotFoundError(package)
+        if not spec.submodule_search_locations:
+            found[package] = spec.origin
+            continue
+        folder = Path(spec.origin).parent
+        for path in sorted(folder.rglob("*.py")):
+            if b"@compiled" in path.read_bytes():
+                parts = path.relative_to(folder).with_suffix("").parts
+                found[".".join((package, *parts))] = str(path)
+    return found
+
+
+def main(packages: Sequence[str]) -> None:
+    """Compile the declared functions of packages; write a line for each to standard output."""
+    modules = list(_files(packages))
+    for module in modules:
+        importlib.import_module(module)
+    pending = [function for function in functions(modules) if declared(function) is not None]
+    sys.stdout.write(f"{len(pending)}\n")
+    for function in pending:
+        function.compile(declared(function))
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
