@@ -24,7 +24,6 @@ from sitl.protocol.links import Link
 from sitl.protocol.vehicle import Vehicle
 from sitl.truth import Truth
 
-HOST = "127.0.0.1"
 OFFBOARD, OFFBOARD_LOCAL, GROUND, GROUND_LOCAL, TCP = 14540, 14580, 14550, 18570, 5760
 """Ports of PX4's and ArduPilot's simulators."""
 _LARGEST_DATAGRAM = 65535
@@ -57,7 +56,6 @@ class Server:
         self.by_link: dict[int, Endpoint] = {}
         self.poll = select.poll()
         self.stopped = False
-        self.slipped = 0.0
         self.description: list[dict[str, Any]] = []
 
     def udp(
@@ -182,7 +180,6 @@ class Server:
                     continue
             elif wait < -_LARGEST_LAG:
                 start -= wait
-                self.slipped -= wait
             else:
                 for descriptor, _ in self.poll.poll(0):
                     self._receive(descriptor, emulator.time)

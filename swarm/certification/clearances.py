@@ -20,7 +20,7 @@ from swarm.certification.cable_spans import CableSpans, Spans, cable_spans
 from swarm.certification.ellipsoid_bounds import ReachPairs, ReachVehicles
 from swarm.certification.fence import InsideFence, InsideFenceInWind
 from swarm.certification.floor_limits import BELOW, LYING, BesideRotors, DrawnOut, RigidDescent
-from swarm.certification.limits import AboveFloor, AccelerationLimit, HeightLimit, Slack, SpeedLimit
+from swarm.certification.limits import AboveFloor, DerivativeLimit, HeightLimit, Slack
 from swarm.certification.minima import (
     TOLERANCE,
     Minima,
@@ -359,8 +359,8 @@ def limits(plan: Plan) -> tuple[Family, ...]:
     names = _each_vehicle(plan, "")
     reserve = vehicles.max_acceleration - vehicles.braking_acceleration
     return (
-        Family("speed", names, 0.0, pieces, SpeedLimit(motion, vehicles.max_speed)),
-        Family("acceleration", names, 0.0, pieces, AccelerationLimit(motion, reserve)),
+        Family("speed", names, 0.0, pieces, DerivativeLimit(motion, vehicles.max_speed, 1)),
+        Family("acceleration", names, 0.0, pieces, DerivativeLimit(motion, reserve, 2)),
     )
 
 

@@ -1,6 +1,7 @@
 """Certified margins to the limits of vehicles and cable: chords, floor, heights, speeds."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -94,34 +95,22 @@ class HeightLimit:
 
 
 @dataclass(frozen=True, eq=False)
-class SpeedLimit:
-    """Margins of vehicles' speeds to ``largest``; per vehicle, m/s."""
+class DerivativeLimit:
+    """Margins of a derivative of vehicles' positions to ``largest``; per vehicle.
+
+    ``order`` 1 limits speeds in m/s, 2 accelerations in m/s².
+    """
 
     motion: BoundedMotion
     largest: float
+    order: Literal[1, 2]
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box."""
         time, half, instant = boxes.instants()
-        position, velocity, _ = self.motion.at(time)
-        bound = self.motion.acceleration_bound(time - half, time + half)[instant, boxes.group]
-        speed = np.linalg.norm(velocity[instant, boxes.group], axis=-1)
-        place = position[instant, boxes.group]
-        return Enclosure.over_time(self.largest - speed, bound * boxes.half[:, 0], place)
-
-
-@dataclass(frozen=True, eq=False)
-class AccelerationLimit:
-    """Margins of vehicles' accelerations to ``largest``; per vehicle, m/s²."""
-
-    motion: BoundedMotion
-    largest: float
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        position, _, acceleration = self.motion.at(time)
-        bound = self.motion.jerk_bound(time - half, time + half)[instant, boxes.group]
-        size = np.linalg.norm(acceleration[instant, boxes.group], axis=-1)
-        place = position[instant, boxes.group]
+        motion, state = self.motion, self.motion.at(time)
+        change = motion.acceleration_bound if self.order == 1 else motion.jerk_bound
+        bound = change(time - half, time + half)[instant, boxes.group]
+        size = np.linalg.norm(state[self.order][instant, boxes.group], axis=-1)
+        place = state[0][instant, boxes.group]
         return Enclosure.over_time(self.largest - size, bound * boxes.half[:, 0], place)

@@ -95,11 +95,6 @@ class Guidance:
         self._separation = None
 
     @property
-    def left_plan(self) -> bool:
-        """Whether the setpoints no longer come from the plan."""
-        return self._separation is not None or self._descent is not None
-
-    @property
     def descending(self) -> bool:
         """Whether the team descends straight down."""
         return self._descent is not None

@@ -140,7 +140,8 @@ ENDS: Mapping[Response, Mapping[Windows, End]] = {
 }
 """Response → windows where the team stands → how it comes down with a cable attached. With neither
 window open it lands all the same, and cable may touch a rotor that stands on the ground. RELEASE
-moves first; after T it releases wherever it is."""
+first moves the clock to a window for the release; after T without one, the team releases at its
+present place."""
 
 
 class Cell(NamedTuple):

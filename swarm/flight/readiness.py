@@ -28,8 +28,6 @@ Floats = npt.NDArray[np.float64]
 
 FRESH = 1.0
 """Seconds after which a position is too old."""
-STEEPEST_LEVELLING = 30.0
-"""Largest correction of a vehicle's height in metres."""
 
 
 def named(vehicle: Vehicle, number: int) -> str:

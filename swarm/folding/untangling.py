@@ -16,6 +16,7 @@ from swarm.folding.outlines import Outlines
 from swarm.folding.penalty import TeamGeometry
 from swarm.geometry.gauss_integral import gauss_integral
 from swarm.jit import compiled
+from swarm.signatures import Floats1
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -105,7 +106,7 @@ def _tangle(team: TeamGeometry, positions: Floats) -> Floats:
 
 
 @compiled
-def _write_tangles(strands: Outlines, found: Floats) -> None:
+def _write_tangles(strands: Outlines, found: Floats1) -> None:
     """Write the sums (s,) of Gauss integrals of strands that share no vehicle, without signs."""
     points = strands.points
     for s in range(len(points)):

@@ -71,7 +71,6 @@ def _boot_time(vehicle: VehicleState, boot_ms: int) -> None:
 def _global_position(vehicle: VehicleState, message: Message, now: float) -> None:
     position = Origin(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
     vehicle.global_position = position
-    vehicle.relative_altitude = message.relative_alt * 1e-3
     _compare_positions(vehicle, position, now)
 
 

@@ -76,7 +76,6 @@ class VehicleState:
     origin: Origin | None = None
     next_origin_request: float = -math.inf
     global_position: Origin | None = None
-    relative_altitude: float = math.nan
     battery: float = math.nan
     voltage: float = math.nan
     ready: bool | None = None

@@ -131,7 +131,7 @@ def test_nothing_is_compiled_or_interpreted_in_flight(how):
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -207,7 +207,7 @@ def run_prepare(folder: Path, script: str) -> subprocess.CompletedProcess[str]:
         env=os.environ | {"XDG_CACHE_HOME": str(folder)},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
         check=False,
     )
 
