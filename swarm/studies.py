@@ -22,6 +22,7 @@ from swarm.files import read_text
 from swarm.knots.catalog import lookup_knot, table_names
 from swarm.mission import Mission, mission_for_knot
 from swarm.mission.validation import LARGEST_FILE
+from swarm.simulation.workers import parallel_workers
 
 Progress = Callable[[str, float], None]
 Clock = Callable[[], float]
@@ -113,20 +114,28 @@ def matching_knots(pattern: str | None) -> list[str]:
 
 
 def plan_rows(
-    names: Sequence[str], overrides: Sequence[str], *, jobs: int = 1, robustness: bool = True
+    names: Sequence[str],
+    overrides: Sequence[str],
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    robustness: bool = True,
 ) -> Generator[dict[str, Any], None, None]:
-    """Plan knots in ``jobs`` processes; yield their rows as they are completed, in any order.
+    """Plan knots; yield their rows as they are completed, in any order.
 
-    ``planning_time`` is processor time. Close the generator to end the planning.
+    They are planned in ``jobs`` processes of this machine, or by the workers of the Dask cluster at
+    ``scheduler`` (tcp://host:port). ``planning_time`` is processor time. Close the generator to
+    end the planning.
     """
     tasks = (
         delayed(plan_row)(name, overrides, time.process_time, robustness=robustness)
         for name in names
     )
     rows: Generator[dict[str, Any], None, None]
-    rows = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")(tasks)
-    with closing(rows):
-        yield from rows
+    with parallel_workers(jobs, scheduler):
+        rows = Parallel(batch_size=1, return_as="generator_unordered")(tasks)
+        with closing(rows):
+            yield from rows
 
 
 def read_rows(path: Path) -> dict[str, dict[str, Any]]:

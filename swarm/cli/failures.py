@@ -11,7 +11,17 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from swarm import planner
-from swarm.cli.inputs import JOBS, JSON, REPLAN, SET, VERBOSE, missions, print_json
+from swarm.cli.inputs import (
+    JOBS,
+    JSON,
+    REPLAN,
+    SCHEDULER,
+    SET,
+    VERBOSE,
+    missions,
+    print_json,
+    refuse_option_conflicts,
+)
 from swarm.cli.planning import load_source, require_cleared
 from swarm.cli.responses import print_responses
 from swarm.files import write_text
@@ -44,6 +54,7 @@ class FailureOptions:
     filter: tuple[str, ...]
     seed: int
     jobs: int | None
+    scheduler: str | None
     output: Path | None
     report: Path | None
 
@@ -79,6 +90,7 @@ class FailureOptions:
 @click.option("--filter", multiple=True, metavar="TEXT", help="Only cases whose name has TEXT.")
 @click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
 @JOBS
+@SCHEDULER
 @click.option(
     "-o",
     "--output",
@@ -115,6 +127,7 @@ def failures(
         return
     if table or diagram:
         raise click.UsageError("--table and --diagram are of the responses: leave MISSION out")
+    refuse_option_conflicts(options, {}, [("jobs", "scheduler")])
     planned = load_source(mission, overrides, replan=replan).planned()
     require_cleared(context, planned, verbose=verbose, as_json=as_json)
     run_failures(context, planned, FailureOptions(**options), as_json=as_json)
@@ -165,6 +178,7 @@ def _run(planned: planner.PlanningResult, options: FailureOptions) -> tuple[Fail
             planned.certified(),
             FailureTestSettings(cases, teams, options.repeat, options.seed),
             jobs=options.jobs,
+            scheduler=options.scheduler,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
             earlier_results=open_results(options.output, header) if options.output else (),
             on_result=partial(append_results, options.output) if options.output else None,

@@ -43,6 +43,11 @@ from swarm.reports.knots_text import (
     "--jobs", type=click.IntRange(1, 64), default=1, help="With --plan: parallel processes."
 )
 @click.option(
+    "--scheduler",
+    metavar="tcp://HOST:PORT",
+    help="With --plan: plan on this Dask cluster instead.",
+)
+@click.option(
     "-o",
     "--output",
     type=click.Path(dir_okay=False, path_type=Path),

@@ -20,6 +20,7 @@ class PlanOptions:
 
     filter: str | None = None
     jobs: int = 1
+    scheduler: str | None = None
     output: Path | None = None
     as_csv: bool = False
     no_robustness: bool = False
@@ -36,7 +37,11 @@ def print_planned(options: PlanOptions, *, as_json: bool) -> int:
     remaining = [name for name in names if name not in rows]
     interrupted = False
     planned = plan_rows(
-        remaining, options.overrides, jobs=options.jobs, robustness=not options.no_robustness
+        remaining,
+        options.overrides,
+        jobs=options.jobs,
+        scheduler=options.scheduler,
+        robustness=not options.no_robustness,
     )
     try:
         with closing(planned):

@@ -23,11 +23,11 @@ from swarm.simulation.monte_carlo import (
     Trial,
     certify_clearances,
     fly_trials,
-    process_count,
     read_scenario,
     summary,
 )
 from swarm.simulation.monte_carlo.results import results_table, write_results
+from swarm.simulation.workers import process_count
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

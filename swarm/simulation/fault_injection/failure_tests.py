@@ -32,6 +32,7 @@ from swarm.simulation.fault_injection.stepped_simulation import (
     failure_test_fleet,
 )
 from swarm.simulation.loop import Fault
+from swarm.simulation.workers import parallel_workers
 
 OBSERVATION_TIME: Final = 12.0
 """Seconds after the end of a fault during which a flight that continues is observed."""
@@ -118,13 +119,15 @@ def run_failure_tests(
     settings: FailureTestSettings,
     *,
     jobs: int | None = None,
+    scheduler: str | None = None,
     progress: Callable[[int, int], None] | None = None,
     earlier_results: Iterable[CaseTrials] = (),
     on_result: Callable[[CaseTrials], None] | None = None,
 ) -> tuple[FailureTest, ...]:
     """Fly every case at random times of its part of the flight, with each team.
 
-    ``jobs`` processes share the work (None: one per core). ``progress(done, total)`` receives the
+    ``jobs`` processes share the work (None: one per core), or the workers of the Dask cluster at
+    ``scheduler`` (tcp://host:port). ``progress(done, total)`` receives the
     number of trials. Trials in ``earlier_results``, from a run with the same plan and seed, are not
     flown again; ``on_result`` receives the new ones as they complete.
     """
@@ -132,17 +135,21 @@ def run_failure_tests(
     keys = {task.key(case) for task in tasks for case in task.cases}
     results = {one.key: one for one in earlier_results if one.key in keys}
     total = len(settings.cases) * len(settings.autopilots) * settings.times
-    new_results = Parallel(n_jobs=jobs or -1, return_as="generator_unordered")(
-        delayed(_fly_cases)(flight_plan, part)
+    parts = [
+        part
         for task in tasks
         for part in _parts(task, [case for case in task.cases if task.key(case) not in results])
-    )
-    for result in itertools.chain.from_iterable(new_results):
-        results[result.key] = result
-        if on_result is not None:
-            on_result(result)
-        if progress is not None:
-            progress(sum(len(one.trials) for one in results.values()), total)
+    ]
+    with parallel_workers(jobs, scheduler):
+        new_results = Parallel(return_as="generator_unordered")(
+            delayed(_fly_cases)(flight_plan, part) for part in parts
+        )
+        for result in itertools.chain.from_iterable(new_results):
+            results[result.key] = result
+            if on_result is not None:
+                on_result(result)
+            if progress is not None:
+                progress(sum(len(one.trials) for one in results.values()), total)
     trials: dict[tuple[str, TeamAutopilots], list[FaultTrial]] = {}
     for result in results.values():
         trials.setdefault((result.case, result.autopilots), []).extend(result.trials)

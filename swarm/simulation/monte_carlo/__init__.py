@@ -3,7 +3,7 @@
 Seed and number determine a trial, so each one can be flown again alone.
 """
 
-from swarm.simulation.monte_carlo.parallel import fly_trials, process_count, workers_starting
+from swarm.simulation.monte_carlo.parallel import fly_trials, workers_starting
 from swarm.simulation.monte_carlo.spread import (
     FAILURES,
     Conditions,
@@ -48,7 +48,6 @@ __all__ = [
     "draw",
     "fly_trial",
     "fly_trials",
-    "process_count",
     "read_scenario",
     "summary",
     "table_rows",

@@ -2,24 +2,22 @@
 
 import functools
 import gc
-import os
 import signal
-import sys
 import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from typing import Any
 
 from joblib import Parallel, delayed, parallel_config
 
-from swarm.errors import SwarmError
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.flight.setup import Options
 from swarm.simulation.loop import Fault
 from swarm.simulation.monte_carlo.spread import Spread
 from swarm.simulation.monte_carlo.trial import Trial, fly_trial
+from swarm.simulation.workers import parallel_workers, process_count
 
 FlyTrial = Callable[[int], tuple[Trial, FlightResult]]
 """Flies the trial of a number."""
@@ -50,17 +48,8 @@ def fly_trials(
         for trial in trials:
             yield fly(trial)[0]
         return
-    if scheduler is None:
-        with parallel_config(backend="loky", n_jobs=process_count(jobs)):
-            yield from _parallel(fly, trials)
-        return
-    with _cluster(scheduler), parallel_config(backend="dask"):
+    with parallel_workers(jobs, scheduler):
         yield from _parallel(fly, trials)
-
-
-def process_count(jobs: int | None) -> int:
-    """Return the number of processes on this machine: ``jobs``, or one per core for None."""
-    return jobs or os.cpu_count() or 1
 
 
 @contextmanager
@@ -87,30 +76,6 @@ def workers_starting(jobs: int | None) -> Iterator[None]:
             pass
     finally:
         _close(starting)
-
-
-def _cluster(scheduler: str) -> AbstractContextManager[Any]:
-    """Return a client of the Dask cluster at an address."""
-    # Dask takes every package named snappy for the compressor; SnapPy, the package of knot theory,
-    # has the same name, and importing Dask would fail.
-    loaded = sys.modules.get("snappy")
-    sys.modules["snappy"] = None  # type: ignore[assignment]
-    try:
-        from distributed import Client  # noqa: PLC0415 - an optional extra
-    except ImportError:
-        raise SwarmError(
-            "trials on a cluster need more packages: pip install 'swarm-ground-station[cluster]'"
-        ) from None
-    finally:
-        if loaded is None:
-            del sys.modules["snappy"]
-        else:
-            sys.modules["snappy"] = loaded
-    try:
-        client: AbstractContextManager[Any] = Client(scheduler, timeout=10)
-    except (OSError, ValueError) as error:
-        raise SwarmError(f"no Dask scheduler at {scheduler}: {error}") from None
-    return client
 
 
 def _parallel(fly: FlyTrial, trials: Iterable[int]) -> Generator[Trial, None, None]:

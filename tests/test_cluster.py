@@ -1,0 +1,66 @@
+"""Work on a Dask cluster: the file in missions/, knots and failure tests on its workers."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from swarm.errors import SwarmError
+from swarm.simulation.fault_injection import FAILURE_CASES, FailureTestSettings, run_failure_tests
+from swarm.simulation.workers import parallel_workers
+from tests.command import run
+from tests.network import small_plan
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    cluster = subprocess.Popen(
+        [sys.executable, str(ROOT / "missions" / "cluster.py"), "--port", "0"],
+        stdout=subprocess.PIPE, text=True, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert cluster.stdout is not None
+    yield cluster.stdout.readline().strip()
+    cluster.send_signal(signal.SIGINT)
+    assert cluster.wait(60) == 0
+    cluster.stdout.close()
+
+
+def test_knots_are_planned_on_the_workers(scheduler):
+    said = run(
+        "knots",
+        "--plan",
+        "--filter",
+        "^3_1$",
+        "--no-robustness",
+        "--scheduler",
+        scheduler,
+        "--json",
+    )
+    assert said.returncode == 0, said.stderr
+    (row,) = json.loads(said.stdout)
+    assert (row["knot"], row["vehicles"], row["cleared"]) == ("3_1", 9, True)
+
+
+def test_failure_tests_on_the_workers_are_those_of_this_machine(scheduler):
+    plan = small_plan(vehicles=3)
+    cases = [case for case in FAILURE_CASES if case.name == "killed"]
+    settings = FailureTestSettings(cases, ["ardupilot"], times=1, seed=3)
+    alone = run_failure_tests(plan, settings, jobs=1)
+    assert run_failure_tests(plan, settings, scheduler=scheduler) == alone
+
+
+def test_a_scheduler_that_does_not_answer_is_an_error():
+    with (
+        pytest.raises(SwarmError, match="no Dask scheduler at tcq://nowhere:1"),
+        parallel_workers(None, "tcq://nowhere:1"),
+    ):
+        pass
+    said = run("knots", "--plan", "--filter", "^3_1$", "--scheduler", "tcq://nowhere:1")
+    assert (said.returncode, said.stdout) == (1, "")
+    assert "no Dask scheduler at tcq://nowhere:1: " in said.stderr
