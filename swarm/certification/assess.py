@@ -155,7 +155,7 @@ def _scope(plan: Plan) -> Finding:
     model = "in the quasi-static cable model"
     if certified_tube(plan) is not None:
         model = (
-            "in the swinging-cable model for the planned motion and a stop of all vehicles at any "
+            "in the swinging-cable model for the planned motion and an ordinary stop at any "
             f"moment of the fold, {model}"
         )
     return Finding(

@@ -28,8 +28,8 @@ def swing_findings(plan: Plan, tube: SwingTube | None) -> list[Finding]:
     message = (
         f"a cable with inertia swings up to {largest:.2f} m away from its catenary "
         f"({segment_name(int(segment))}) in the planned motion, in {share:.0%} of the time more "
-        f"than {max(tracking, 0.1):g} m, and {tube.stopped.max():.2f} m after a stop begun at any "
-        f"moment; with the errors of the model at most {tube.largest:.2f} m"
+        f"than {max(tracking, 0.1):g} m, and {tube.stopped.max():.2f} m after an ordinary stop at "
+        f"any moment; with the errors of the model at most {tube.largest:.2f} m"
     )
     if limit != "auto" and largest > limit:
         return [Finding("error", "swing", f"{message}; fold.swing allows {limit:g} m", time)]

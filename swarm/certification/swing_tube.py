@@ -1,9 +1,10 @@
 """The tube of the swinging cable: how far each part of a strand gets from its catenary.
 
-The lumped masses are simulated along the planned motion, and again from a stop of the mission clock
-begun every half second. Vehicles are exactly on their trajectories, the air is still, and the cable
-is at rest when it comes aloft. The tube contains all these strays, and bounds of what lies between
-the simulated moments and of the error of the model.
+The lumped masses are simulated along the planned motion, and again from an ordinary stop of the
+mission clock begun every half second; urgent stops, after failures, are not in it. Vehicles are
+exactly on their trajectories, the air is still, and the cable is at rest when it comes aloft. The
+tube contains all these strays, and bounds of what lies between the simulated moments and of the
+error of the model.
 """
 
 from dataclasses import dataclass, field, replace

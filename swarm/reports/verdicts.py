@@ -48,7 +48,7 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
         subject = knot if plan.knot.type else "a motion without a knot"
         swinging = plan.mission.fold.swing is not None
         model = (
-            "swinging-cable model (planned motion, a stop)"
+            "swinging-cable model (planned motion, ordinary stops)"
             if swinging
             else "quasi-static cable model"
         )

@@ -40,7 +40,7 @@ def test_a_plan_with_limited_swing_is_certified_in_the_swinging_cable_model() ->
     shaped = replace(PLAN, mission=PLAN.mission.model_copy(update={"fold": fold}))
     assert plan_verdict(shaped, assessment()).words == (
         "Cleared: 3_1, right-handed, certified for tracking errors up to 0.10 m in the "
-        "swinging-cable model (planned motion, a stop). Not certified: swing by other causes, "
+        "swinging-cable model (planned motion, ordinary stops). Not certified: swing by other causes, "
         "gusts, rotor wash, friction, segment lengths, and the knot once it is released or on the "
         "floor."
     )
