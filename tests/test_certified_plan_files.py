@@ -252,3 +252,10 @@ def test_the_reference_names_every_member_and_key_of_a_plan_file():
         data = io.BytesIO(parts[name])
         found = np.load(data).keys() if name.endswith(".npz") else json.load(data)
         assert list(found) == list(keys), name
+
+
+def test_a_mission_of_another_version_is_refused_with_its_key():
+    data = forged("plan.json", lambda document: document["mission"]["cable"].update(length=-3.0))
+    assert refusal(data) == (
+        "a.plan: the plan: mission: cable.length: expected a length > 0 in metres, got -3.0"
+    )

@@ -19,6 +19,7 @@ from swarm.errors import InputError, Problem
 from swarm.folding.layout import KnotLayout
 from swarm.geometry.motion import Motion
 from swarm.mission import Mission
+from swarm.mission.validation import validate
 from swarm.planning.digest import digest
 from swarm.planning.plan import Gate, KnotSummary, Phase, Plan
 from swarm.version import __version__
@@ -79,7 +80,7 @@ def read_plan(
     try:
         layout = document["layout"]
         plan = Plan(
-            mission=Mission.model_validate(document["mission"]),
+            mission=validate(Mission, document["mission"], f"{source}: mission"),
             knot=KnotSummary(
                 **{
                     **document["knot"],
