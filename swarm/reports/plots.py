@@ -282,6 +282,8 @@ def draw_fold(axes: Axes, layout: KnotLayout, zoom: float = 0.95) -> None:
     axes.view_init(elev=28, azim=-62)
     sparse_ticks(axes, high - low)
     axes.set(xlabel="east, m", ylabel="north, m", zlabel="up, m")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.labelpad = 9  # points; less is printed over the numbers of a short side
     axes.set_title("Folded cable, distances at crossings")
 
 

@@ -46,7 +46,7 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
     if len(plan.layout.lengths):
         knot = knot_in_words(plan.knot.type, plan.knot.chirality)
         subject = knot if plan.knot.type else "a motion without a knot"
-        swinging = plan.mission.fold.swing is not None
+        swinging = plan.mission.fold.swing != "auto"  # only a given limit is certified
         model = (
             "swinging-cable model (planned motion, ordinary stops)"
             if swinging
