@@ -12,7 +12,7 @@ from swarm.certification.budget import Budget
 from swarm.certification.clearances import Moment
 from swarm.planning import Plan
 from swarm.reports.findings_text import findings_table
-from swarm.reports.formatting import metres, seconds
+from swarm.reports.formatting import metres, seconds, together
 
 IN_TABLES: Final = frozenset({"tightest", "budget"})
 """Checks whose findings are shown as tables."""
@@ -70,7 +70,7 @@ def _tightest_moments(moments: tuple[Moment, ...]) -> Table:
     return table
 
 
-_BUDGET: Final = (
+BUDGET: Final = (
     ("available", "available"),
     ("tracking", "tracking"),
     ("sag", "amplification"),
@@ -83,16 +83,21 @@ _BUDGET: Final = (
     ("required", "required"),
     ("remaining", "remaining"),
 )
+"""Columns of the clearance budget: heading and field."""
 
 
 def _budget(rows: tuple[Budget, ...]) -> Table:
     """Return the clearance budget of pairs of strands, in centimetres."""
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="dim")
     table.add_column("Budget, cm")
-    for name, _ in _BUDGET:
+    for name, _ in BUDGET:
         table.add_column(name, justify="right")
     for row in rows:
-        pair = " and ".join(name.removeprefix("segment ") for name in row.between)
-        values = [f"{100.0 * getattr(row, field):.0f}" for _, field in _BUDGET]
-        table.add_row(f"segments {pair} at {seconds(row.time)}", *values)
+        table.add_row(*budget_cells(row))
     return table
+
+
+def budget_cells(row: Budget) -> list[str]:
+    """Return a pair of segments with its time, and the values of :data:`BUDGET` in centimetres."""
+    values = [f"{100.0 * getattr(row, field):.0f}" for _, field in BUDGET]
+    return [f"{together(row.between)} at {seconds(row.time)}", *values]

@@ -7,7 +7,7 @@ from swarm.certification.assessment import Assessment
 from swarm.certification.clearances import Moment
 from swarm.planning import Plan
 from swarm.reports import plots, scene
-from swarm.reports.plan_details import IN_TABLES
+from swarm.reports.plan_details import BUDGET, IN_TABLES, budget_cells
 from swarm.reports.rendering import Picture, picture, render
 from swarm.reports.schedule_plots import schedule_figure
 from swarm.reports.strand_distances import planned_strand_distances
@@ -36,7 +36,8 @@ def plan_report(plan: Plan, assessment: Assessment) -> str:
             if not (assessment.moments and one.check in IN_TABLES)
         ],
         tightest=[] if not assessment.moments else assessment.tightest,
-        budget=assessment.budget,
+        budget_head=["", *(name for name, _ in BUDGET)],
+        budget=[budget_cells(row) for row in assessment.budget],
         neighbours=_tightest(assessment, "neighbouring segments"),
         clearances=list(zip(CLEARANCES.values(), tightest, strict=True)),
         pictures=_pictures(plan, assessment),

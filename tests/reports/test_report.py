@@ -129,7 +129,7 @@ def test_the_plan_report_has_pictures_above_findings_and_tables_of_moments_and_b
     read = " ".join(Reader(source).words.split())
     assert "as a sentence" not in read
     assert "vehicle clearance 1.09 m 1.00 m +0.09 m 68.8 s vehicle 1 and vehicle 7" in read
-    assert "6 and 7 52.7 s 40 20 0 0 2 1 16 0 0 15 -14" in read
+    assert "segments 6 and 7 at 52.7 s 40 20 0 0 2 1 16 0 0 15 -14" in read
     assert (
         "Beyond the exempt length they keep 0.28 m of 0.15 m: segment 6 and segment 7 at 52.7 s."
         in read
