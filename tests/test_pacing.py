@@ -1,0 +1,61 @@
+"""The timing of folds: rates that are lowered in time, smooth, and no faster than before."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarm.planner.pacing import Pacing
+from swarm.planning.shaping import shape, shaper_for
+from tests.test_shaping import carry
+
+SHAPER = shaper_for(np.array([0.6, 1.4]))
+
+
+def pacing() -> Pacing:
+    motion, _ = carry(12.0)
+    at = np.linspace(0.0, motion.times[-1], round(motion.times[-1] / 0.05) + 1)
+    return Pacing(motion, SHAPER, at, np.ones(len(at)), np.ones(len(at)))
+
+
+@given(st.floats(0.0, 11.0), st.floats(0.3, 0.99))
+@settings(max_examples=30, deadline=None)
+def test_a_lower_rate_holds_where_it_was_asked_for_and_time_goes_on(
+    moment: float, rate: float
+) -> None:
+    before = pacing()
+    times = np.arange(0.0, 15.0, 0.25)
+    asked = np.where(np.abs(times - moment) < 0.3, rate, 1.0)
+    after = before.slowed_for_loss(times, asked)
+    first, last = before.paced(), after.paced()
+    assert (np.diff(last.time) > 0.0).all()
+    assert (last.rate <= first.rate + 1e-12).all()
+    assert (last.rate >= 0.2 - 1e-9).all()
+    around = np.abs(first.time + 0.5 * SHAPER.delays[-1] - moment) < 0.3
+    assert (last.rate[around] <= rate + 0.02).all()
+    # The rate changes within half a second or more: accelerations along the path stay small.
+    assert np.abs(last.slope).max() <= (1.0 - rate) * 1.01 + 1e-9
+
+
+def test_slowing_for_the_swing_acts_before_the_swing_only() -> None:
+    before = pacing()
+    times = np.arange(0.0, 15.0, 0.1)
+    after = before.slowed_for_swing(times, np.where(times > 12.0, 2.0, 0.5))
+    early = before.at < 12.0 - SHAPER.delays[-1] - 6.1
+    assert early.sum() > 10
+    assert after.paced().rate[early] == pytest.approx(1.0, abs=1e-6)
+    assert after.paced().rate[-1] < 0.7
+
+
+def test_a_slowed_motion_is_as_smooth_and_ends_at_the_same_place() -> None:
+    before = pacing()
+    times = np.arange(0.0, 15.0, 0.25)
+    after = before.slowed_for_loss(times, np.where(np.abs(times - 6.0) < 1.0, 0.5, 1.0))
+    fast, slow = (shape(one.paced(), one.shaper) for one in (before, after))
+    assert slow.times[-1] > fast.times[-1]
+    assert slow.at(np.inf)[0] == pytest.approx(fast.at(np.inf)[0])
+    joints = slow.times[1:-1]
+    for order in range(3):
+        left, right = slow.at(joints - 1e-7)[order], slow.at(joints + 1e-7)[order]
+        assert left == pytest.approx(right, abs=1e-4)
+    assert np.linalg.norm(slow.at(slow.times)[1], axis=2).max() <= 2.0
