@@ -39,6 +39,11 @@ FILE = click.Path(dir_okay=False, path_type=Path)
     type=FILE,
     help="Plot grid diagram, plan view and folded cable (PNG); with --front, the Pareto front.",
 )
+@click.option(
+    "--vehicles",
+    metavar="N|fewest|auto",
+    help="Number of vehicles, in place of vehicles.count: fewest searches for the smallest.",
+)
 @click.option("--report", type=FILE, help="Write a report (one HTML file).")
 @click.option(
     "--sheet",
@@ -60,6 +65,7 @@ def plan(
     as_json: bool,
     verbose: bool,
     front: bool,
+    vehicles: str | None,
     **files: Path | None,
 ) -> None:
     """Plan MISSION (a mission or plan file, or the name of a knot), check the plan, and print it.
@@ -74,6 +80,8 @@ def plan(
 
     Example: swarm plan missions/overhand.yaml --save overhand.plan --plot plan.png
     """
+    if vehicles is not None:
+        overrides = (*overrides, f"vehicles.count={vehicles}")
     source = load_source(mission, overrides, replan=replan)
     if front:
         others = (files[name] for name in ("save", "export", "report", "sheet"))

@@ -21,7 +21,7 @@ from swarm.signatures import Floats1
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-SPACING = 0.5
+SPACING = 0.6
 """Distance of the lattice's places, metres. Margins of strands are larger, also with their own
 movement: a strand cannot pass another between two places."""
 
@@ -44,6 +44,9 @@ _GAIN = 0.004
 _SWEEPS = 12
 """Largest number of times that every vehicle is moved."""
 
+_EFFORT = 8e7
+"""Places times squared numbers of segments, after which a search is given up: about a minute."""
+
 _LINE_SHARE = 0.79
 """Chord of a segment on the line over its length; as :attr:`Margins.chord_ratio`."""
 
@@ -60,17 +63,30 @@ def untangle(team: TeamGeometry, knot: Floats, progress: Progress | None = None)
     The margins are kept at all waypoints, which are at most 0.25 m or a place of the lattice apart.
     None where the search finds no way.
     """
-    ways, positions = [knot[None]], knot
+    outward = _from_the_ends(len(knot))
+    for order in (outward, outward[::-1]):
+        found = _untangled(team, knot, order, progress)
+        if found is not None:
+            return found
+    return None
+
+
+def _untangled(
+    team: TeamGeometry, knot: Floats, order: list[int], progress: Progress | None
+) -> Floats | None:
+    """As :func:`untangle`, with the vehicles moved in an order, over and over."""
+    ways, positions, left = [knot[None]], knot, _EFFORT
     tangled = first = float(_tangle(team, knot[None])[0])
     for _ in range(_SWEEPS):
         before = tangled
-        for vehicle in _from_the_ends(len(knot)):
+        for vehicle in order:
             last = _to_line(team, positions)
             if last is not None:
                 return np.concatenate([*ways, last])
             space = free_space(team, positions, vehicle, SPACING)
-            if space is None:
+            if space is None or left < 0.0:
                 return None
+            left -= len(space.places) * float(len(team.lengths)) ** 2
             way, tangled = _least_tangled(team, space, tangled)
             ways.append(way[1:])
             positions = way[-1]

@@ -172,6 +172,26 @@ class Mission(Section):
         return self
 
     @model_validator(mode="after")
+    def _counted(self) -> Self:
+        if self.vehicles.count == "auto":
+            return self
+        wrong = [f"layout.{name}" for name in sorted(self.layout.model_fields_set - {"height"})]
+        wrong += ["cable.length"] * (self.cable.length is not None)
+        wrong += ["formation"] * (self.formation is not None)
+        wrong += ["fold.method: paper"] * (self.fold.method == "paper")
+        wrong = [name for name in wrong if not self._is_auto(name)]
+        if wrong:
+            raise ValueError(
+                f"expected vehicles.count: auto with {wrong[0]}, got {self.vehicles.count}"
+            )
+        return self
+
+    def _is_auto(self, name: str) -> bool:
+        """Return whether a key of the layout is written out with its default."""
+        section, _, key = name.partition(".")
+        return section == "layout" and getattr(self.layout, key) in {"auto", None}
+
+    @model_validator(mode="after")
     def _tied_on(self) -> Self:
         if self.grab == "attached":
             if self.vehicles.breakaway is None:

@@ -106,7 +106,14 @@ most, about twice their own mass."""
 
 
 class Vehicles(Section):
-    """Properties and limits of every vehicle of the team."""
+    """Number, properties and limits of the vehicles of the team."""
+
+    count: Annotated[int, Field(strict=True, ge=3, le=200)] | Literal["auto", "fewest"] = Field(
+        "auto",
+        description="Number of vehicles. auto: one for each corner of the grid diagram, 2N − 1; "
+        "fewest: the smallest number for which a motion is found; a number: that many, or refused.",
+        json_schema_extra={"expected": "auto, fewest or an integer >= 3 and <= 200"},
+    )
 
     radius: Number = _length(
         0.25, "Distance from the vehicle's axis to the tips of its rotors.", above=0, most=5.0

@@ -20,6 +20,7 @@ from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
 from swarm.planning.assembly import paper_plan, plan_of_folding
 from swarm.planning.estimates import refuse_overload
+from swarm.planning.few_vehicles import FewVehicles, code_at_rest
 from swarm.planning.foldings import (
     GOOD,
     Folding,
@@ -98,6 +99,14 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
             yield Candidate(plan_of_folding(mission, knot, folding), folding, notes=notes)
             notes = ()
         return
+    if mission.vehicles.count not in {"auto", len(opened[0].corners)}:
+        count = mission.vehicles.count
+        few = FewVehicles(choice, opened, count, margins)  # type: ignore[arg-type]
+        for folding, note in few.foldings(progress):
+            tied = replace(knot, gauss=code_at_rest(folding.layout).signed_text())
+            yield Candidate(plan_of_folding(mission, tied, folding), folding, notes=(note,))
+        if count != "fewest":
+            return
     _refuse_crowding(mission, knot, opened, margins)
     refuse_overload(mission, _smallest_layouts(mission, opened, margins))
     yield from _folded_grids(mission, knot, opened, margins, progress)

@@ -6,7 +6,7 @@ import pytest
 from swarm.folding.free_space import KEPT, free_space, missed_margins
 from swarm.folding.layout import lay_out_corners
 from swarm.folding.penalty import TeamGeometry
-from swarm.folding.untangling import between, shortened, untangle
+from swarm.folding.untangling import SPACING, between, shortened, untangle
 from swarm.folding.waypoints import schedule_of_waypoints
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.gauss_integral import gauss_integral
@@ -42,7 +42,7 @@ def test_an_overhand_is_untangled_to_a_level_line_without_missed_margins() -> No
     assert np.allclose(waypoints[0], knot)
     assert len(waypoints) <= len(found)
     assert missed_margins(team, waypoints).max() <= KEPT
-    assert np.linalg.norm(np.diff(waypoints, axis=0), axis=2).max() <= 0.5 + 1e-9
+    assert np.linalg.norm(np.diff(waypoints, axis=0), axis=2).max() <= SPACING + 1e-9
     steps = np.diff(waypoints[-1], axis=0)
     assert np.ptp(waypoints[-1][:, 2]) < 1e-9
     assert np.abs(np.cross(steps, steps[0])).max() < 1e-9

@@ -1,0 +1,38 @@
+"""Missions with a number of vehicles: the fewest, a number, and numbers that no layout has."""
+
+import pytest
+
+from swarm.errors import InputError, Refused
+from swarm.mission import mission_for_knot
+from swarm.planning import make_plan
+
+
+def test_the_fewest_vehicles_for_an_overhand_are_five() -> None:
+    plan = make_plan(mission_for_knot("overhand", ["vehicles.count=fewest"]))
+    assert plan.vehicles == 5
+    assert plan.notes == (
+        "folded with 5 vehicles; at least 5 vehicles are needed for 3 crossings in plan view with "
+        "one catenary for each edge",
+    )
+
+
+@pytest.mark.parametrize("count", [4, 10])
+def test_a_number_that_no_layout_has_is_refused_with_those_that_there_are(count: int) -> None:
+    with pytest.raises(Refused) as caught:
+        make_plan(mission_for_knot("overhand", [f"vehicles.count={count}"]))
+    assert str(caught.value) == (
+        f"vehicles.count {count}: at least 5 vehicles are needed for 3 crossings in plan view with "
+        "one catenary for each edge, and the grid diagram has 9"
+    )
+
+
+def test_a_number_of_vehicles_excludes_a_given_layout() -> None:
+    with pytest.raises(InputError) as caught:
+        mission_for_knot("overhand", ["vehicles.count=5", "layout.cell=2.0"])
+    message = "overhand: expected vehicles.count: auto with layout.cell, got 5"
+    assert str(caught.value).startswith(message)
+
+
+def test_a_word_that_is_no_number_of_vehicles_is_an_error_of_its_key() -> None:
+    with pytest.raises(InputError, match=r"vehicles\.count: expected auto, fewest or an integer"):
+        mission_for_knot("overhand", ["vehicles.count=few"])
