@@ -145,7 +145,11 @@ def test_a_knot_name_with_an_underscore_is_a_word() -> None:
             "m.yaml: vehicles: expected braking_acceleration below max_acceleration (2 m/s²), got 2",
         ),
         ("fold.delay=1.0", "m.yaml: fold: expected delay only with method: paper, got certified"),
-        ("fold.swing=0", "m.yaml: fold.swing: expected a length > 0 in metres, got 0"),
+        ("fold.swing=0", "m.yaml: fold.swing: expected auto or a length > 0 in metres, got 0"),
+        (
+            "fold.swing=60",
+            "m.yaml: fold.swing: expected auto or a length <= 10 in metres, got 60: did you mean 0.06?",
+        ),
         (
             "layout={corners: [[0,0],[1,0],[1,1]], sags: [1,1], sag_over: 1.0}",
             "m.yaml: layout: expected no sag_over together with corners",

@@ -312,7 +312,7 @@ class Fold(Section):
     delay: Number | None = number(
         None, "s", "Delay between neighbouring vehicles (method: paper).", above=0, most=600.0
     )
-    swing: Positive | Auto = _length(
+    swing: Annotated[float, Field(strict=True, gt=0, le=10.0)] | Auto = _length(
         "auto",
         "Largest distance of the swinging cable from its catenary in the planned fold, which is "
         "shaped and slowed for it. auto: 1 % of the longest segment, at least 0.06 m, where "
