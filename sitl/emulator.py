@@ -142,8 +142,9 @@ class Emulator:
         if self.rope is None or self.world.cable is None:
             return
         tied = [v for v in self.vehicles if v.spec.gripper == "attached"]
+        grips = self.bodies.grip_points()
         for vehicle, arc in zip(tied, self.world.cable.attached or (), strict=True):
-            self.rope.attach(vehicle.index, min(arc, self.rope.length))
+            self.rope.attach(vehicle.index, min(arc, self.rope.length), grips[vehicle.index])
             vehicle.gripper.gripped = True
 
     def receive(self, sysid: int, data: bytes, now: float) -> None:

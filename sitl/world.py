@@ -106,9 +106,9 @@ class CableSpec(_Strict):
     )
     breaking_load: Positive = Field(default=200.0, description="tension at which it breaks, N")
     stiffness: Positive = Field(default=1500.0, description="axial stiffness EA, N")
-    model: Literal["static", "swinging"] = Field(
-        default="static",
-        description="static: catenaries without inertia; swinging: a chain of masses with drag",
+    model: Literal["swinging", "static"] = Field(
+        default="swinging",
+        description="swinging: a chain of masses with drag; static: catenaries without inertia",
     )
     attached: list[NotNegative] | None = Field(
         default=None,

@@ -114,8 +114,9 @@ class Rope:
             self.attach(vehicle, arc)
         return arc
 
-    def attach(self, vehicle: int, arc: float) -> None:
-        """Attach the cable to a holder at an arc length."""
+    def attach(self, vehicle: int, arc: float, grip_point: Array | None = None) -> None:
+        """Attach the cable to a holder at an arc length; the ``grip_point`` is not needed here."""
+        del grip_point
         self.grips = sorted([*self.grips, (arc, vehicle)])
         self._rebuild()
 

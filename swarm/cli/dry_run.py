@@ -39,8 +39,8 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
 @click.option(
     "--cable",
-    type=click.Choice(["static", "swinging"]),
-    help="Emulated cable: catenaries without inertia, or a chain of masses.  [default: static]",
+    type=click.Choice(["swinging", "static"]),
+    help="Emulated cable: a chain of masses, or catenaries without inertia.  [default: swinging]",
 )
 @click.option("--no-cable", is_flag=True, help="Fly without cable; simulate the grips.")
 @click.option("--report", type=FILE, help="Write a report (one HTML file).")
@@ -94,7 +94,7 @@ def _fly(
         count, seed = flight_plan.plan.vehicles, options["seed"]
         return simulate_flight(
             flight_plan,
-            fleet=emulated_fleet(count, seed=seed, cable=options["cable"] or "static"),
+            fleet=emulated_fleet(count, seed=seed, cable=options["cable"] or "swinging"),
             seed=seed,
             options=Options(no_cable=options["no_cable"]),
             callbacks=callbacks,

@@ -123,7 +123,7 @@ class Limits(Section):
     )
 
 
-CableModel = Literal["static", "swinging"]
+CableModel = Literal["swinging", "static"]
 
 
 class Emulated(Section):
@@ -138,9 +138,9 @@ class Emulated(Section):
         1, description="Seed of the random numbers."
     )
     cable: CableModel = Field(
-        "static",
-        description="Model of the cable: static: catenaries without inertia; swinging: a chain of "
-        "masses with drag.",
+        "swinging",
+        description="Model of the cable: swinging: a chain of masses with drag; static: catenaries "
+        "without inertia.",
     )
 
 
@@ -266,7 +266,7 @@ def emulated_fleet(
     *,
     seed: int = 1,
     biases: Literal["default", "none"] = "default",
-    cable: CableModel = "static",
+    cable: CableModel = "swinging",
 ) -> Fleet:
     """Return a fleet for the built-in emulator; the autopilots are assigned in turn."""
     document = {

@@ -11,13 +11,18 @@ GRIPPER = dialect.MAV_CMD_DO_GRIPPER
 
 
 def hung_team(
-    count: int = 3, integral: float = 0.4, mass: float = 0.05, slack: float = 0.8
+    count: int = 3,
+    integral: float = 0.4,
+    mass: float = 0.05,
+    slack: float = 0.8,
+    model: str = "swinging",
 ) -> Ground:
     """Return vehicles above their pads with one straight cable with some slack."""
     span = 3.0 + slack
     tied = [span * i for i in range(count)]
     cable = (
-        f"{{mass_per_length: {mass}, points: [[0, 0, 0], [{tied[-1]}, 0, 0]], attached: {tied}}}"
+        f"{{mass_per_length: {mass}, points: [[0, 0, 0], [{tied[-1]}, 0, 0]], attached: {tied}, "
+        f"model: {model}}}"
     )
     ground = Ground(Emulator(world(count, cable, gripper="attached")))
     for i in range(count):
@@ -44,7 +49,7 @@ def test_a_gripper_grabs_cable_only_within_reach() -> None:
 
 
 def test_the_holders_carry_the_weight_of_the_cable() -> None:
-    ground = hung_team(3)
+    ground = hung_team(3, model="static")
     truth = ground.emulator.truth()
     assert not truth.strikes
     assert np.isfinite(truth.grip_arc).all()
@@ -55,9 +60,28 @@ def test_the_holders_carry_the_weight_of_the_cable() -> None:
     assert lengths == pytest.approx(7.6, rel=2e-3)
 
 
+def test_a_swinging_cable_pulls_with_its_weight_on_average() -> None:
+    ground = hung_team(3)
+    bodies, rope = ground.emulator.bodies, ground.emulator.rope
+    forces = []
+
+    def pull(*state: object) -> np.ndarray:
+        forces.append(advance(*state))
+        return forces[-1]
+
+    advance, rope.forces = rope.forces, pull
+    ground.run(10.0, ground.toward({i + 1: (3.0 * i, 0.0, 4.6) for i in range(3)}))
+    mean = np.mean(forces, axis=0)
+    assert mean[:, 2].sum() == pytest.approx(-7.6 * 0.05 * 9.80665, rel=0.01)
+    static = hung_team(3, model="static").emulator.rope
+    assert mean == pytest.approx(
+        static.forces(bodies.grip_points(), bodies.velocity), abs=0.02 * 7.6 * 0.05 * 9.80665
+    )
+
+
 def test_neighbours_of_a_weak_vehicle_shift_as_statics_predicts() -> None:
     """Without integrators F newtons move a vehicle by F / (m · P_velocity · P_position)."""
-    ground = hung_team(3, integral=0.0, mass=0.3)
+    ground = hung_team(3, integral=0.0, mass=0.3, model="static")
     b, rope = ground.emulator.bodies, ground.emulator.rope
     before = b.position.copy()
     pull_before = rope.forces(b.grip_points(), b.velocity)

@@ -15,6 +15,7 @@ from sitl.physics.dynamics import STEP
 from sitl.physics.geodesy import GRAVITY
 from sitl.world import CableSpec
 from swarm.flight.conductor import Conductor
+from swarm.geometry.catenary import length_for_sag
 from swarm.geometry.lumped_mass import SwingModel, swing
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.loop import Callbacks, simulate_flight
@@ -158,7 +159,7 @@ def test_a_team_ties_a_knot_in_it() -> None:
     assert 0.1 < largest < 3.0, "newtons: the weight of a segment or two"
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(
     st.floats(0.0, 2.0 * math.pi), st.floats(2.0, 10.0), st.sampled_from([(1.0, 1.0), (0.4, 3.0)])
 )
@@ -190,4 +191,48 @@ def test_a_jerk_passes_on_momentum_and_makes_no_energy(
         fallen = weight * step * STEP * np.array([0.0, 0.0, -1.0])
         assert momentum() == pytest.approx(thrown + fallen, abs=0.02 * body[1] * speed)
         assert 0.5 * (body[:, None] * velocity**2).sum() < 1.02 * energy + weight * 2.0
-    assert most > 5.0 * speed, "it was taut, N"
+    assert most > 3.0 * speed, "it was taut, N"
+
+
+@pytest.mark.parametrize("sag", [0.3, 0.6])
+def test_it_swings_sideways_as_irvine_says(sag: float) -> None:
+    # Irvine, Cable Structures (1981), chapter 3: ω = (π/l)·√(H/m) with H = m·g·l² / 8d
+    span = 4.0
+    length = float(length_for_sag(span, sag))
+    made = rope(length, [0.0, length])
+    grips = np.array([[0.0, 0.0, 9.0], [span, 0.0, 9.0]])
+    settle(made, grips, 40.0)
+    aside = []
+    for step in range(round(12.0 / STEP)):
+        shift = 0.01 * min(1.0, step * STEP / 0.2) * np.array([0.0, 1.0, 0.0])
+        made.forces(grips + shift, np.zeros_like(grips))
+        aside.append(made.position_at(0.5 * length)[1] - 0.01)
+    swung = np.array(aside[round(0.5 / STEP) :])
+    crossings = np.flatnonzero((swung[:-1] < 0.0) & (swung[1:] >= 0.0))
+    period = float(np.diff(crossings).mean()) * STEP
+    assert period == pytest.approx(2.0 / math.sqrt(GRAVITY / (8.0 * sag)), rel=0.03)
+
+
+def test_wind_leans_a_strand_and_a_loose_end_by_their_drag() -> None:
+    speed = 4.0
+    made = SwingingRope(CableSpec(points=[(0, 0, 9), (6, 0, 9)]), 0.0, np.array([0.0, speed, 0.0]))
+    made.attach(0, 0.0)
+    made.attach(1, 4.0)
+    force = settle(made, np.array([[0.0, 0.0, 9.0], [3.0, 0.0, 9.0]]), 60.0)
+    # a strand across the wind: drag ½ρ·C·d·v² over weight; a loose end hangs where the normal
+    # component of the wind, v·cos θ, pushes as hard as that of gravity: tan θ = ratio·cos θ
+    ratio = 0.5 * 1.2 * 1.1 * 0.006 * speed**2 / (0.012 * GRAVITY)
+    end = made.position_at(6.0) - made.position_at(4.0)
+    lean = math.atan2(end[1], -end[2])
+    assert math.tan(lean) == pytest.approx(ratio * math.cos(lean), rel=0.05)
+    assert end[0] == pytest.approx(0.0, abs=0.02)
+    weight = 6.0 * 0.012 * GRAVITY
+    assert -weight < force[:, 2].sum() < -0.8 * weight, "drag across a leaning cable lifts it"
+    assert 0.5 * ratio * weight < force[:, 1].sum() < ratio * weight
+    assert made.release(1)
+    assert made.release(0)
+    for _ in range(round(6.0 / STEP)):
+        made.forces(np.zeros((2, 3)), np.zeros((2, 3)))
+    shape = made.update(np.zeros((2, 3)), 0.0)
+    assert shape[:, 2].max() < 0.01, "on the floor"
+    assert shape[:, 1].mean() > 1.0, "carried by the wind"
