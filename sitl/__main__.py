@@ -6,24 +6,26 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import click
 
 from sitl import server
 from sitl.emulator import Emulator
 from sitl.faults.scenario import load_scenario
-from sitl.world import WorldError, default_world, load_key, load_world, schema
+from sitl.firmware.selection import Firmware, FirmwareError, assign
+from sitl.firmware.selection import parse as parse_firmware
+from sitl.firmware.team import flying
+from sitl.world import Kind, WorldError, default_world, load_key, load_world, schema
 from swarm import precompile
 from swarm.jit import sealed
 
-Autopilot = Literal["px4", "ardupilot"]
 FILE = click.Path(dir_okay=False, path_type=Path)
 
 
-def _kinds(_context: click.Context, _parameter: click.Parameter, value: str) -> list[Autopilot]:
+def _kinds(_context: click.Context, _parameter: click.Parameter, value: str) -> list[Kind]:
     """Return the autopilots of a list separated by commas."""
-    known = {kind: kind for kind in get_args(Autopilot)}
+    known = {kind: kind for kind in get_args(Kind)}
     try:
         return [known[kind] for kind in value.split(",")]
     except KeyError:
@@ -64,6 +66,17 @@ def _address(
     metavar="KIND[,KIND]",
     callback=_kinds,
     help="px4, ardupilot, or both separated by a comma, in turn; without --world.",
+)
+@click.option(
+    "--firmware",
+    metavar="KIND=PATH",
+    help="Vehicles of this kind fly with real firmware, an ArduCopter built for SITL: "
+    "ardupilot=PATH, or 4*ardupilot=PATH for four of them.",
+)
+@click.option(
+    "--firmware-folder",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for the firmware's parameters and logs; without it they are deleted.",
 )
 @click.option("--scenario", type=FILE, help="Faults to inject (YAML).")
 @click.option(
@@ -122,7 +135,9 @@ def command(
 class Options:
     """The options of the command beside the vehicles."""
 
-    kinds: list[Autopilot]
+    kinds: list[Kind]
+    firmware: str | None
+    firmware_folder: Path | None
     scenario: Path | None
     speed: float
     seed: int | None
@@ -154,14 +169,17 @@ def _run(world_file: Path | None, count: int, given: Options) -> int:
     """Serve the vehicles until they end; return the exit code."""
     parent = os.getppid()
     try:
-        world = load_world(world_file) if world_file else default_world(count, given.kinds)
+        parts = parse_firmware(given.firmware) if given.firmware else []
+        kinds = _in_order(parts, count) if parts else given.kinds
+        world = load_world(world_file) if world_file else default_world(count, kinds)
         if given.seed is not None:
             world = world.model_copy(update={"seed": given.seed})
         faults = load_scenario(given.scenario) if given.scenario else []
-        emulator = Emulator(world, faults)
+        firmware = assign(parts, world)
+        emulator = Emulator(world, faults, outside=list(firmware))
         if given.signing_key:
             emulator.sign_with(load_key(given.signing_key), time.time())
-    except WorldError as error:
+    except (WorldError, FirmwareError) as error:
         click.echo(f"{error}", err=True)
         return 2
     precompile.load()
@@ -170,7 +188,11 @@ def _run(world_file: Path | None, count: int, given: Options) -> int:
             running = server.to_target(emulator, given.target, given.host, given.speed)
         else:
             running = server.to_default_ports(emulator, given.host, given.speed, given.port_step)
-        with sealed():
+        host, port = given.target or (given.host, server.GROUND)
+        folder = given.firmware_folder
+        with sealed(), flying(emulator, firmware, f"{host}:{port}", folder) as exchange:
+            if exchange is not None:
+                running.advance = exchange.advance
             return server.serve(
                 running,
                 given.truth,
@@ -184,6 +206,12 @@ def _run(world_file: Path | None, count: int, given: Options) -> int:
             f"swarm sitl: cannot open sockets on {given.host}: {error.strerror or error}", err=True
         )
         return 3
+
+
+def _in_order(parts: list[Firmware], count: int) -> list[Kind]:
+    """Return the autopilots of ``count`` vehicles, in the order of ``--firmware``."""
+    kinds = [part.kind for part in parts for _ in range(part.count or 0)]
+    return kinds + [parts[-1].kind] * (count - len(kinds))
 
 
 if __name__ == "__main__":

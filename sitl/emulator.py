@@ -18,10 +18,10 @@ from sitl.autopilots import services, streams
 from sitl.autopilots.ardupilot.autopilot import ArduPilot
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.cable.grips import FreeMotion
-from sitl.cable.swinging import AnyRope, make_rope
+from sitl.cable.swinging import AnyRope, SwingingRope, make_rope
 from sitl.faults.injector import Injector
 from sitl.faults.scenario import Fault
-from sitl.physics import landing, motion, wind
+from sitl.physics import landing, motion, rigid_bodies, wind
 from sitl.physics.contacts import Contacts
 from sitl.physics.dynamics import STEP, Array, Bodies, Flags
 from sitl.physics.geodesy import GRAVITY, Geodesy
@@ -48,11 +48,16 @@ _HOVER_CURRENT = 15.0
 class Emulator:
     """The emulated team.
 
-    ``kinds`` are the links that every vehicle has from the start ("onboard" or "gcs").
+    ``kinds`` are the links that every vehicle has from the start ("onboard" or "gcs"). ``outside``
+    are the system ids of vehicles that real autopilots control: they have no links here.
     """
 
     def __init__(
-        self, world: World, faults: Sequence[Fault] = (), kinds: Sequence[str] = ("onboard",)
+        self,
+        world: World,
+        faults: Sequence[Fault] = (),
+        kinds: Sequence[str] = ("onboard",),
+        outside: Sequence[int] = (),
     ) -> None:
         self.world = world
         seeds = np.random.SeedSequence(world.seed).spawn(len(world.vehicles) + 2)
@@ -68,6 +73,9 @@ class Emulator:
             else None
         )
         self.contacts = Contacts(self.bodies)
+        rows = [i for i, spec in enumerate(world.vehicles) if spec.id in outside]
+        self.outside = rigid_bodies.RigidBodies(self.bodies, rows) if rows else None
+        self._pull = np.zeros((self.bodies.count, 3))
         origin = world.origin
         self.environment = Environment(
             bodies=self.bodies,
@@ -86,9 +94,10 @@ class Emulator:
         self._incoming = Incoming(self.bodies, self._ids, services.handle)
         self.by_id = {vehicle.system: vehicle for vehicle in self.vehicles}
         for vehicle in self.vehicles:
+            vehicle.frozen = vehicle.system in outside
             make = Px4 if vehicle.spec.autopilot == "px4" else ArduPilot
             vehicle.autopilot = make(vehicle)
-            for kind in kinds:
+            for kind in () if vehicle.frozen else kinds:
                 self.open_link(vehicle, kind)
             if vehicle.global_valid:
                 vehicle.set_home_here()
@@ -279,18 +288,25 @@ class Emulator:
             self._wake()
         self._deliver_delayed(now)
         rope = self.rope
-        if rope is not None and self._steps % rope.force_interval == 0:
+        if self.outside is not None:
+            b.set_external_force(self._pull / rigid_bodies.SUBSTEPS)
+            self._pull[:] = 0.0
+        elif rope is not None and self._steps % rope.force_interval == 0:
             force = rope.forces(*self._holders(), self._free_motion())
             b.set_external_force(force[: b.count])
             if self.injector.anchors:
                 self.injector.drag(force[b.count :], rope.force_interval * STEP)
         hit = b.step()
+        if self.outside is not None:
+            self.outside.place(b)
         if hit is not None:
             self._record_crashes(hit)
         if self._steps % _AIR_STEPS == 0:
             self._update_air(_AIR_STEPS * STEP)
         if self._steps % AUTOPILOT_STEPS == 0:
             landing.supervise(b, AUTOPILOT_STEPS * STEP)
+            if self.outside is not None:
+                self.outside.place(b)
             if b.landed_changes != self._landed_changes:
                 self._landed_changes = b.landed_changes
                 self._wake()
@@ -298,6 +314,25 @@ class Emulator:
                 if vehicle.next_check_at <= now:
                     self._update(vehicle, now)
         streams.send_due(self._links, now)
+
+    def advance_outside(self, command: Array, ahead: float) -> None:
+        """Advance the vehicles of real autopilots, and the cable, by one of their substeps.
+
+        ``command`` (k, 4) are motor commands between 0 and 1; the substep begins ``ahead`` seconds
+        after the present time of the world, which follows with `advance`. The emulated vehicles
+        keep their velocity until then.
+        """
+        outside, interval = self.outside, STEP / rigid_bodies.SUBSTEPS
+        if outside is None:
+            raise ValueError("no vehicle is controlled from outside")
+        force = np.zeros((self.bodies.count, 3))
+        if isinstance(self.rope, SwingingRope):
+            grips, velocity = self._holders()
+            grips = grips + (ahead + interval) * velocity
+            grips[outside.rows] = outside.grip_points()
+            force = self.rope.forces(grips, velocity, None, interval)[: self.bodies.count]
+        self._pull += force
+        outside.advance(command, force[outside.rows], self.bodies)
 
     def _record_crashes(self, hit: Flags) -> None:
         for i in np.nonzero(hit)[0]:

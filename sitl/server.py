@@ -49,6 +49,7 @@ class Server:
 
     def __init__(self, emulator: Emulator, host: str, speed: float) -> None:
         self.emulator = emulator
+        self.advance = emulator.advance
         self.host = host
         self.speed = speed
         self.endpoints: dict[int, Endpoint] = {}
@@ -183,7 +184,7 @@ class Server:
             else:
                 for descriptor, _ in self.poll.poll(0):
                     self._receive(descriptor, emulator.time)
-            emulator.advance(emulator.time + STEP)
+            self.advance(emulator.time + STEP)
             self._flush()
             if on_truth is not None and emulator.time >= next_truth:
                 on_truth(emulator.truth())
@@ -207,6 +208,16 @@ def to_target(emulator: Emulator, target: tuple[str, int], host: str, speed: flo
     """Return a server that sends from one ephemeral UDP port per vehicle to one address."""
     server = Server(emulator, host, speed)
     for vehicle in emulator.vehicles:
+        if not vehicle.links:
+            server.description.append(
+                {
+                    "id": vehicle.system,
+                    "autopilot": vehicle.spec.autopilot,
+                    "firmware": True,
+                    "udp_to": f"{target[0]}:{target[1]}",
+                }
+            )
+            continue
         local = server.udp(vehicle, vehicle.links[0], target)
         server.description.append(
             {
@@ -228,7 +239,9 @@ def to_default_ports(emulator: Emulator, host: str, speed: float, port_step: int
     server = Server(emulator, host, speed)
     for i, vehicle in enumerate(emulator.vehicles):
         one: dict[str, Any] = {"id": vehicle.system, "autopilot": vehicle.spec.autopilot}
-        if vehicle.spec.autopilot == "px4":
+        if not vehicle.links:
+            one["firmware"] = True
+        elif vehicle.spec.autopilot == "px4":
             offset = min(i, 9) if port_step is None else i * port_step
             server.udp(vehicle, vehicle.links[0], (host, OFFBOARD + offset), OFFBOARD_LOCAL + i)
             one["udp_to"] = f"{host}:{OFFBOARD + offset}"

@@ -25,6 +25,7 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Point = tuple[Number, Number, Number]
+Kind = Literal["px4", "ardupilot"]
 
 
 class WorldError(Exception):
@@ -58,9 +59,7 @@ class VehicleSpec(_Strict):
     """One vehicle: system id, pad, capabilities (SI units, ENU)."""
 
     id: Annotated[int, Field(ge=1, le=250)] = Field(description="MAVLink system id")
-    autopilot: Literal["px4", "ardupilot"] = Field(
-        default="px4", description="the autopilot that it emulates"
-    )
+    autopilot: Kind = Field(default="px4", description="the autopilot that it emulates")
     pad: Point = Field(description="position of the pad, metres ENU")
     heading: Number = Field(
         default=0.0, description="radians, compass: 0 north, clockwise seen from above"
@@ -80,6 +79,9 @@ class VehicleSpec(_Strict):
     gripper: Literal["mavlink", "attached", "none"] = Field(
         default="mavlink",
         description="grip: a gripper that obeys MAVLink, cable that is tied on, or none",
+    )
+    parameters: dict[str, Number] = Field(
+        default={}, description="values that real firmware starts with, beside its defaults"
     )
     radio: bool = Field(default=False, description="a pilot's transmitter is switched on")
     gps_noise: NotNegative = Field(
@@ -267,9 +269,7 @@ def read_text(path: Path) -> str:
         ) from None
 
 
-def default_world(
-    count: int, autopilots: Sequence[Literal["px4", "ardupilot"]] = ("px4",), seed: int = 1
-) -> World:
+def default_world(count: int, autopilots: Sequence[Kind] = ("px4",), seed: int = 1) -> World:
     """Return ``count`` vehicles on a square grid of pads SEPARATE apart, without a cable.
 
     As in the autopilots' own simulators, vehicles never meet: a ground station may place them

@@ -134,8 +134,14 @@ class SwingingRope:
         position: Array = self._at(np.array([arc]))[0]
         return position
 
-    def forces(self, grips: Array, velocity: Array, free: FreeMotion | None = None) -> Array:
-        """Advance the chain by `STEP`; return its mean forces on all holders, N, ENU (n, 3).
+    def forces(
+        self,
+        grips: Array,
+        velocity: Array,
+        free: FreeMotion | None = None,
+        interval: float = STEP,
+    ) -> Array:
+        """Advance the chain by ``interval``; return its mean forces on all holders, N, ENU (n, 3).
 
         ``grips`` and ``velocity`` (n, 3) are the grip points and velocities of all holders at the
         beginning of the step, ``free`` their motion without the cable in it; without that, they
@@ -146,7 +152,7 @@ class SwingingRope:
         nodes, holders = self._held, [holder for _, holder in self.grips]
         drift, push = np.zeros_like(chain.place), np.zeros_like(chain.place)
         if holders:
-            drift[nodes] = grips[holders] + self._drawn_in() - chain.place[nodes]
+            drift[nodes] = grips[holders] + self._drawn_in(interval) - chain.place[nodes]
             chain.mobility[nodes], chain.velocity[nodes] = 0.0, 0.0
         if holders and free is not None:
             mobility = free.mobility[holders]
@@ -158,7 +164,8 @@ class SwingingRope:
             drift[nodes] += np.where(mobile, self._turned(grips, velocity)[holders], 0.0)
             push[nodes] = np.where(mobile, push[nodes], 0.0)
         self._grips = grips.copy()
-        advance(chain, self._spec, Guidance(push, drift), STEP, _STEPS)
+        steps = max(1, round(_STEPS * interval / STEP))
+        advance(chain, self._spec, Guidance(push, drift), interval, steps)
         force = np.zeros_like(grips)
         if holders:
             force[holders] = chain.pull[nodes]
@@ -182,12 +189,12 @@ class SwingingRope:
                 self.breaks = sorted([*self.breaks, float(self._nodes[worst : worst + 2].mean())])
                 self._chain.intact[worst] = False
 
-    def _drawn_in(self) -> Array:
+    def _drawn_in(self, interval: float) -> Array:
         """Return the caught cable's remaining distances from all grip points; reduce them."""
         rest = np.zeros((len(self.grips), 3))
         for row, (_, holder) in enumerate(self.grips):
             if holder in self._offsets:
-                self._offsets[holder] = self._offsets[holder] * float(np.exp(-STEP / _CLOSING_TIME))
+                self._offsets[holder] *= float(np.exp(-interval / _CLOSING_TIME))
                 rest[row] = self._offsets[holder]
         return rest
 

@@ -1,5 +1,6 @@
 """``swarm fly``: plan, check and fly a mission."""
 
+import re
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -28,8 +29,9 @@ from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlyOptions
 from swarm.ground.forward import parse_forward
 from swarm.ground.record_folder import control_socket, new_record_folder
+from swarm.mavlink.frames import AutopilotName
 from swarm.mission import Mission
-from swarm.mission.fleet import emulated_fleet
+from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning.estimates import require_fleet
 from swarm.reports.findings_text import findings_table
 
@@ -53,6 +55,7 @@ class Options:
     fleet: Path | None
     speed: float
     no_cable: bool
+    firmware: str | None
     view: Viewer | None
     yes: bool
     record: Path | None
@@ -68,6 +71,7 @@ class Options:
             "--replan": self.replan,
             "--fleet": self.fleet,
             "--no-cable": self.no_cable,
+            "--firmware": self.firmware,
             "--speed": self.speed != 1.0,
         }
         message = "comes from the record with --resume"
@@ -107,6 +111,11 @@ def forward_address(
     help="Multiple of real time; for emulated vehicles only.",
 )
 @click.option("--no-cable", is_flag=True, help="Fly without cable; simulate the grips.")
+@click.option(
+    "--firmware",
+    metavar="KIND=PATH",
+    help="Emulated vehicles of this kind fly with real firmware, as `swarm sitl --firmware`.",
+)
 @click.option(
     "--view",
     is_flag=False,
@@ -176,7 +185,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
         require_fleet(source.given, fleet)
     planned = source.planned()
     require_cleared(context, planned, verbose=given.verbose, as_json=given.as_json)
-    team = fleet or emulated_fleet(planned.plan.vehicles)
+    team = fleet or _emulated_fleet(planned.plan.vehicles, given.firmware)
     flight_plan = raised(planned.certified(), team, no_cable=given.no_cable)
     if flight_plan.plan is not planned.plan:
         console.print(_RAISED_FLIGHT, style="dim", highlight=False, soft_wrap=True)
@@ -185,12 +194,27 @@ def fly(context: click.Context, /, **options: Any) -> None:
     flight = FlightRequest(
         flight_plan, team, folder,
         FlyOptions(
-            speed=given.speed, no_cable=given.no_cable, control=control, forward=given.forward
+            speed=given.speed, no_cable=given.no_cable, control=control, forward=given.forward,
+            firmware=given.firmware,
         ),
         confirm=True,
     )  # fmt: skip
     result = _fly(flight, given, console)
     end_flight(context, flight_plan.plan, planned.assessment, result, folder, as_json=given.as_json)
+
+
+def _emulated_fleet(count: int, firmware: str | None) -> Fleet:
+    """Return emulated vehicles; those of ``--firmware`` are of its kinds, in its order.
+
+    Real autopilots carry the swinging cable: a cable without inertia answers each motion of a
+    grip at once, which no control loop in steps stands.
+    """
+    if firmware is None:
+        return emulated_fleet(count)
+    found = re.findall(r"(?:(\d+)\*)?(\w+)=", firmware)
+    known = get_args(AutopilotName)
+    kinds = [kind for number, kind in found if kind in known for _ in range(int(number or 1))]
+    return emulated_fleet(count, tuple(kinds) or ("px4",), cable="swinging")
 
 
 def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResult:

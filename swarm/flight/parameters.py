@@ -261,6 +261,14 @@ def _ardupilot(required: Requirements) -> tuple[Rule, ...]:
     )  # fmt: skip
 
 
+def required_values(autopilot: AutopilotName, requirements: Requirements) -> dict[str, Value]:
+    """Return the parameters that an autopilot with default parameters needs, and their values."""
+    return {
+        rule.name: rule.should if isinstance(rule.should, int | float) else rule.should(0.0)
+        for rule in rules(autopilot, requirements)
+    }
+
+
 def evaluate(
     system: int, values: Mapping[str, Value], rules_: Sequence[Rule]
 ) -> tuple[list[ParameterResult], list[ParameterResult]]:

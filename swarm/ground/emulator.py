@@ -2,10 +2,12 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +32,11 @@ class EmulatorProcess:
         speed: float,
         signing_key: str | None = None,
         timeout: float = START_TIMEOUT,
+        firmware: str | None = None,
     ) -> None:
         """Write the world file and start; the vehicles send to UDP ``port`` on loopback.
 
+        ``firmware`` has the form of ``swarm sitl --firmware``: vehicles with real autopilots.
         Raises :class:`VehicleError` if it is not ready within ``timeout`` seconds.
         """
         path = folder / "world.json"
@@ -46,6 +50,9 @@ class EmulatorProcess:
         command += ["--target", f"127.0.0.1:{port}"]
         if signing_key is not None:
             command += ["--signing-key", signing_key]
+        if firmware is not None:
+            command += ["--firmware", firmware]
+            command += ["--firmware-folder", str(folder.absolute() / "firmware")]
         with errors:
             self._process = subprocess.Popen(  # noqa: S603
                 [*command, "--json", "--follow-parent", str(os.getpid())],
@@ -85,10 +92,12 @@ class EmulatorProcess:
         return f"the emulator ended ({exit_reason(code)}){last}"
 
     def stop(self) -> None:
-        """End the emulator."""
+        """End the emulator, and the autopilots that it has started: its session."""
         self._process.terminate()
         try:
             self._process.wait(_STOP_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)

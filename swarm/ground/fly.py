@@ -16,6 +16,7 @@ from swarm.errors import Refused
 from swarm.flight.adherence import adherence
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
+from swarm.flight.parameters import plan_requirements, required_values
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.setup import Options
@@ -50,6 +51,8 @@ class FlyOptions:
     - ``error_limit``: for flights that measure tracking errors: metres beyond which all vehicles
       land; smaller errors do not slow or hold the team.
     - ``forward``: udp://HOST:PORT that gets a copy of all packets of the vehicles.
+    - ``firmware``: real autopilots for vehicles of the emulator, as ``swarm sitl --firmware``; they
+      start with the parameters that the plan requires.
     """
 
     speed: float = 1.0
@@ -60,6 +63,7 @@ class FlyOptions:
     then: Then = "hold"
     error_limit: float | None = None
     forward: str | None = None
+    firmware: str | None = None
 
 
 def fly(
@@ -117,7 +121,8 @@ def fly(
                 control = ControlSocket(options.control, console)
                 running.callback(control.close)
                 inputs.append(control.poll)
-            audit = options.audit if options.audit is not None else fleet.emulated is None
+            real = fleet.emulated is None or options.firmware is not None
+            audit = options.audit if options.audit is not None else real
             if audit and options.left is None:
                 preflight.relay = Relay(conductor.team)
                 running.callback(preflight.relay.close)
@@ -157,8 +162,14 @@ def _start_emulator(
         return None
     seed = fleet.emulated.seed
     world = emulated_world(flight_plan.plan, fleet, with_cable=not options.no_cable, seed=seed)
+    if options.firmware is not None:
+        required = plan_requirements(flight_plan.plan, fleet)
+        for vehicle in world["vehicles"]:
+            vehicle["parameters"] = required_values(vehicle["autopilot"], required)
     port = links.port(next(iter(fleet.links)))
-    return EmulatorProcess(world, folder, port, options.speed, fleet.signing_key)
+    return EmulatorProcess(
+        world, folder, port, options.speed, fleet.signing_key, firmware=options.firmware
+    )
 
 
 def _result(

@@ -1,0 +1,161 @@
+"""Rigid bodies with four motors, for real autopilots: they control motors, not accelerations.
+
+Frames: world ENU; body FLU (forward, left, up). State of one vehicle, `COLUMNS` numbers: position
+and velocity of the centre (m, m/s), attitude (quaternion w, x, y, z, body to world), body rates
+(rad/s), thrusts of the motors (N). Motors are in the order of PX4 and of ArduPilot for a quadrotor
+X: front right, rear left (both turn counter-clockwise seen from above), front left, rear right.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.physics.geodesy import GRAVITY
+from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2
+
+Array = NDArray[np.float64]
+
+MOTORS = 4
+COLUMNS = 17
+"""Columns of the state: position 0-2, velocity 3-5, attitude 6-9, rates 10-12, thrusts 13-16."""
+
+_LAG = 0.03
+"""Time constant of a motor with its propeller, seconds; 0.02 to 0.05 s are usual at 0.5 m."""
+_TORQUE = 0.016
+"""Reaction torque of a propeller over its thrust, metres; 0.01 to 0.02 m are usual at 10 inches."""
+_RATE_DRAG = 0.02
+"""Torque of the air against rotation over the body rate, N m s."""
+_GYRATION = (0.36, 0.36, 0.48)
+"""Radii of gyration over the radius of the disc: 0.012 and 0.022 kg m² at 1.5 kg and 0.25 m."""
+_GRIPPER = 0.1
+"""Mass of the gripper at the end of the dropper, part of the vehicle's mass, kg; at most a tenth.
+
+Without it, that end would have 0.03 kg of inertia against a pull from the side, less than a strand
+has, and steps that exchange forces with the cable would not be stable."""
+_ARM = 0.7
+"""Distance of a motor from the centre over the radius of the vehicle's disc."""
+_CURVE = 0.65
+"""Share of the square in thrust over command: ArduPilot's MOT_THST_EXPO, of usual propellers."""
+
+
+class Frame(NamedTuple):
+    """Constants of vehicles, each (n,): kg, m, m, N of one motor, 1/s.
+
+    ``offset`` is the length of the dropper, and of the legs; ``drag`` is per mass and speed.
+    """
+
+    mass: Floats1
+    radius: Floats1
+    offset: Floats1
+    motor: Floats1
+    drag: Floats1
+
+
+def thrusts(command: Array, largest: Array) -> Array:
+    """Return the thrusts (n, 4) in newtons for motor commands (n, 4) between 0 and 1.
+
+    ``largest`` (n,) are the motors' full thrusts.
+    """
+    u = np.clip(command, 0.0, 1.0)
+    thrust: Array = largest[:, None] * ((1.0 - _CURVE) * u + _CURVE * u * u)
+    return thrust
+
+
+@compiled
+def step(
+    state: Floats2, frame: Frame, wanted: Floats2, outside: Floats2, floor: float, interval: float
+) -> Array:
+    """Advance ``state`` (n, COLUMNS) by ``interval`` seconds, in place.
+
+    ``wanted`` (n, 4) are thrusts that the motors approach, newtons. ``outside`` (n, 6) are the
+    cable's force at the grip point (N, ENU) and the velocity of the air (m/s, ENU). Returns the
+    specific forces (n, 3) in body axes that accelerometers measure, m/s².
+    """
+    measured = np.empty((len(state), 3))
+    rotation = np.empty((3, 3))
+    total = np.empty(3)
+    for i in range(len(state)):
+        body = state[i]
+        for k in range(4):
+            body[13 + k] += (wanted[i, k] - body[13 + k]) * (1.0 - math.exp(-interval / _LAG))
+        _rotation(body, rotation)
+        lift = body[13] + body[14] + body[15] + body[16]
+        for k in range(3):
+            air = frame.drag[i] * (outside[i, 3 + k] - body[3 + k])
+            total[k] = (rotation[k, 2] * lift + outside[i, k]) / frame.mass[i] + air
+        standing = body[2] <= floor + frame.offset[i] and total[2] < GRAVITY
+        if standing:
+            _stand(body, floor + frame.offset[i])
+            _rotation(body, rotation)
+            total[0], total[1], total[2] = 0.0, 0.0, GRAVITY
+        else:
+            for k in range(3):
+                body[3 + k] += interval * (total[k] - (GRAVITY if k == 2 else 0.0))
+                body[k] += interval * body[3 + k]
+            if body[2] < floor + frame.offset[i]:
+                body[2], body[5] = floor + frame.offset[i], max(body[5], 0.0)
+            _turn(body, rotation, frame, i, outside[i], interval)
+        for k in range(3):
+            measured[i, k] = (
+                rotation[0, k] * total[0] + rotation[1, k] * total[1] + rotation[2, k] * total[2]
+            )
+    return measured
+
+
+@compiled
+def _rotation(body: Array, rotation: Array) -> None:
+    """Write the rotation matrix (3, 3), body to world, of one vehicle's attitude."""
+    w, x, y, z = body[6], body[7], body[8], body[9]
+    rotation[0, 0], rotation[0, 1] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z)
+    rotation[0, 2], rotation[1, 0] = 2.0 * (x * z + w * y), 2.0 * (x * y + w * z)
+    rotation[1, 1], rotation[1, 2] = 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
+    rotation[2, 0], rotation[2, 1] = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x)
+    rotation[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+
+
+@compiled
+def _turn(
+    body: Array, rotation: Array, frame: Frame, i: int, outside: Array, interval: float
+) -> None:
+    """Advance the rates and the attitude of vehicle ``i``: Euler's equations, body axes.
+
+    The cable pulls at the end of a stiff dropper below the centre.
+    """
+    arm = _ARM * frame.radius[i] * math.sqrt(0.5)
+    one, two, three, four = body[13], body[14], body[15], body[16]
+    ahead = rotation[0, 0] * outside[0] + rotation[1, 0] * outside[1] + rotation[2, 0] * outside[2]
+    left = rotation[0, 1] * outside[0] + rotation[1, 1] * outside[1] + rotation[2, 1] * outside[2]
+    p, q, r = body[10], body[11], body[12]
+    scale = frame.mass[i] * frame.radius[i] ** 2
+    gripper = min(_GRIPPER, 0.1 * frame.mass[i]) * frame.offset[i] ** 2
+    inertia_x, inertia_y = scale * _GYRATION[0] ** 2 + gripper, scale * _GYRATION[1] ** 2 + gripper
+    inertia_z = scale * _GYRATION[2] ** 2
+    torque_x = arm * (two + three - one - four) + frame.offset[i] * left - _RATE_DRAG * p
+    torque_y = arm * (two + four - one - three) - frame.offset[i] * ahead - _RATE_DRAG * q
+    torque_z = _TORQUE * (three + four - one - two) - _RATE_DRAG * r
+    body[10] += interval * (torque_x + (inertia_y - inertia_z) * q * r) / inertia_x
+    body[11] += interval * (torque_y + (inertia_z - inertia_x) * r * p) / inertia_y
+    body[12] += interval * (torque_z + (inertia_x - inertia_y) * p * q) / inertia_z
+    p, q, r = 0.5 * interval * body[10], 0.5 * interval * body[11], 0.5 * interval * body[12]
+    w, x, y, z = body[6], body[7], body[8], body[9]
+    body[6] = w - p * x - q * y - r * z
+    body[7] = x + p * w + r * y - q * z
+    body[8] = y + q * w - r * x + p * z
+    body[9] = z + r * w + q * x - p * y
+    norm = math.sqrt(body[6] ** 2 + body[7] ** 2 + body[8] ** 2 + body[9] ** 2)
+    for k in range(6, 10):
+        body[k] /= norm
+
+
+@compiled
+def _stand(body: Array, height: float) -> None:
+    """Put one vehicle level and at rest on its legs; its heading stays."""
+    w, x, y, z = body[6], body[7], body[8], body[9]
+    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    body[2] = height
+    body[3] = body[4] = body[5] = 0.0
+    body[6], body[7], body[8], body[9] = math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
+    body[10] = body[11] = body[12] = 0.0

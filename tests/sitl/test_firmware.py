@@ -1,0 +1,61 @@
+"""Which vehicles fly with real firmware, and what one does in our world, where one is given."""
+
+import stat
+
+import pytest
+
+from sitl.__main__ import main
+from sitl.firmware.selection import Firmware, FirmwareError, assign, parse
+from sitl.world import CableSpec, default_world
+
+
+@pytest.fixture
+def program(tmp_path):
+    """Return an executable file."""
+    path = tmp_path / "arducopter"
+    path.write_text("#!/bin/sh\n")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return path
+
+
+def test_parts_have_a_kind_a_program_and_perhaps_a_count(program):
+    assert parse(f"ardupilot={program}") == [Firmware("ardupilot", program, None)]
+    assert parse(f"2*ardupilot={program}, ardupilot={program}") == [
+        Firmware("ardupilot", program, 2),
+        Firmware("ardupilot", program, None),
+    ]
+
+
+@pytest.mark.parametrize("text", ["", "ardupilot", "ardupilot=", "betaflight=x", "x*ardupilot=y"])
+def test_other_texts_are_refused(text):
+    with pytest.raises(FirmwareError) as caught:
+        parse(text)
+    assert str(caught.value) == f"--firmware: expected ardupilot=PATH, got {text}"
+
+
+def test_a_missing_program_is_named(tmp_path, capsys):
+    missing = tmp_path / "arducopter"
+    assert main(["-n", "2", "--firmware", f"ardupilot={missing}"]) == 2
+    assert capsys.readouterr().err == (
+        "--firmware: expected the program of ardupilot, built as its own pages say, got "
+        f"{missing}: no executable file\n"
+    )
+
+
+def test_vehicles_of_the_kind_get_the_firmware_in_order(program):
+    world = default_world(4, ["px4", "ardupilot", "ardupilot", "ardupilot"])
+    assert list(assign(parse(f"2*ardupilot={program}"), world)) == [2, 3]
+    assert list(assign(parse(f"ardupilot={program}"), world)) == [2, 3, 4]
+    with pytest.raises(FirmwareError) as caught:
+        assign(parse(f"4*ardupilot={program}"), world)
+    assert str(caught.value) == "--firmware: expected at least 4 vehicles with ardupilot, got 3"
+
+
+def test_a_cable_without_inertia_is_refused(program):
+    cable = CableSpec(points=[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], model="static")
+    world = default_world(1, ["ardupilot"]).model_copy(update={"cable": cable})
+    with pytest.raises(FirmwareError) as caught:
+        assign(parse(f"ardupilot={program}"), world)
+    assert str(caught.value) == (
+        "--firmware: expected a world with cable.model: swinging, got static"
+    )
