@@ -31,6 +31,10 @@ FLIGHT = (("swarm.flight", "swarm.mavlink", "swarm.certification.monitor"), ("si
 """Packages whose functions are compiled in processes beside each other: halves of about the same
 duration."""
 
+SEARCH = (("swarm.knots.sticks",),)
+"""What only a search for a number of vehicles calls: compiled before the first one, not before
+every first plan (3 s of a processor), and not loaded for a flight."""
+
 _STAGE = "compiling, once on this machine"
 
 
@@ -48,12 +52,15 @@ def imported() -> list[str]:
 
 
 def load(modules: Iterable[str] | None = None) -> int:
-    """Load or compile all declared functions of imported modules (default: all); return how many.
+    """Load or compile all declared functions of imported modules; return how many.
 
-    After this and in :func:`swarm.jit.sealed` no call waits for a compiler.
+    The default is all modules but those of ``SEARCH``, which no flight calls. After this and in
+    :func:`swarm.jit.sealed` no call waits for a compiler.
     """
     count = 0
-    for function in functions(imported() if modules is None else modules):
+    if modules is None:
+        modules = set(imported()).difference(*SEARCH)
+    for function in functions(modules):
         types = declared(function)
         if types is not None:
             function.compile(types)

@@ -56,6 +56,8 @@ def plan_mission(mission: Mission, *, replan: bool = False) -> planner.PlanningR
         precompile.prepare(precompile.PLANNING, progress)
         before = None if replan else plan_cache.find(mission, progress)
         if before is None:
+            if mission.vehicles.count != "auto":
+                precompile.prepare(precompile.SEARCH, progress)
             planned = planner.plan(mission, progress)
             plan_cache.store(mission, planned)
             return planned

@@ -143,6 +143,8 @@ def plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
     :mod:`swarm.planning.candidates` (grid diagram, layout, folding).
     """
     precompile.prepare(precompile.PLANNING, progress)
+    if mission.vehicles.count != "auto":
+        precompile.prepare(precompile.SEARCH, progress)
     result = planner.plan(mission, progress, robustness=False)
     planned = Plan.of(result.plan)
     try:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from swarm.jit import compiled
 from swarm.knots.grid import OpenGrid
+from swarm.signatures import Floats2
 
 Points = npt.NDArray[np.float64]
 
@@ -34,8 +35,9 @@ _FLAT = 0.6
 _JITTER = 0.03
 """Standard deviation in cells of the first displacement: a grid has parallel edges."""
 
-_STEPS = 600_000
-"""Steps of the reduction; knots to eight crossings take a tenth of it."""
+_STEPS, _CHUNK = 600_000, 10_000
+"""Steps of the reduction; knots to eight crossings take a tenth of it. Random numbers are drawn for
+a chunk of steps at a time."""
 
 _SHAPING, _HEAT = 60_000, 2.0
 """Steps of the shaping, and its first temperature in units of the cost."""
@@ -46,6 +48,9 @@ in mean edges, at which they cost 1."""
 
 _EVEN, _SHORT = 0.5, 0.1
 """Costs of an edge that is longer or shorter by a mean edge, and of one of a mean length."""
+
+_LEAST_SQUARE = 1e-9
+"""Least squared distance, cells squared, so that no cost is infinite."""
 
 _DIRECTIONS = 16
 """Directions in which an end is led outward in plan view."""
@@ -59,17 +64,23 @@ def reduced_polygon(opened: OpenGrid, vertices: int, rng: np.random.Generator) -
     another polygon.
     """
     size = 0.75 * opened.grid.size
-    reduced = _reduce(_with_ends(_vertices(opened, rng)), vertices, _STEPS, rng, size)
-    if len(reduced) - 2 > vertices:
-        return None
-    return np.ascontiguousarray(_shape(reduced, _SHAPING, rng, size)[1:-1])
+    rows = _with_ends(_vertices(opened, rng))
+    count = len(rows) - 2
+    for _ in range(_STEPS // _CHUNK):
+        count = _reduce(rows, count, vertices, *_drawn(_CHUNK, rng), size)
+        if count - 2 <= vertices:
+            rows = np.concatenate([rows[:count], rows[-2:]])
+            best = rows.copy()
+            _shape(rows, best, *_drawn(_SHAPING, rng), size)
+            return np.ascontiguousarray(best[1 : count - 1])
+    return None
 
 
 def fewest_edges(crossings: int) -> int:
     """Return the least number of straight edges in plan view of a knot with so many crossings.
 
-    k edges have at most (k − 1)(k − 2)/2 crossings, because neighbours do not cross; ends that are
-    outside in plan view are closed without another one.
+    Both ends are outside in plan view. k edges have at most (k − 1)(k − 2)/2 crossings, because
+    neighbours do not cross, and closing the curve outside adds none.
     """
     edges = 1
     while (edges - 1) * (edges - 2) // 2 < crossings:
@@ -93,182 +104,224 @@ def _vertices(opened: OpenGrid, rng: np.random.Generator) -> Points:
 
 
 def _with_ends(polygon: Points) -> Points:
+    """Return the rows that the moves below take: a polygon with its far ends, and two places.
+
+    The last two rows are the place to which a vertex is to move, and the same far above.
+    """
     up = np.array([0.0, 0.0, _FAR])
-    return np.concatenate([polygon[:1] + up, polygon, polygon[-1:] + up])
+    places = np.zeros((2, 3))
+    return np.concatenate([polygon[:1] + up, polygon, polygon[-1:] + up, places])
+
+
+def _drawn(steps: int, rng: np.random.Generator) -> tuple[Points, Points]:
+    """Return uniform (steps, 5) and normal (steps, 3) random numbers."""
+    return rng.random((steps, 5)), rng.normal(size=(steps, 3))
 
 
 @compiled
 def _reduce(
-    polygon: Points, vertices: int, steps: int, rng: np.random.Generator, size: float
-) -> Points:
-    """Return a polygon with the far ends, reduced until it has so many vertices or steps end."""
-    p, count = polygon.copy(), len(polygon)
-    for _ in range(steps):
+    p: Floats2, count: int, vertices: int, uniform: Floats2, normal: Floats2, size: float
+) -> int:
+    """Reduce a polygon of ``count`` rows in place until it has so many vertices or steps end.
+
+    Returns how many rows it has then.
+    """
+    place = len(p) - 2
+    for step in range(len(uniform)):
         if count - 2 <= vertices:
             break
-        i = int(rng.integers(1, count - 1))
-        if rng.random() < _REMOVALS:
-            if _can_leave_out(p[:count], i):
-                left = p[: count - 1].copy()
-                left[i:] = p[i + 1 : count]
-                _raise_ends(left)
-                if _ends_are_outside(left):
-                    count -= 1
-                    p[:count] = left
+        i = 1 + int((count - 2) * uniform[step, 0])
+        if uniform[step, 1] < _REMOVALS:
+            count -= _leave_out(p, count, i)
             continue
-        moved = np.empty(3)
-        if rng.random() < _STRAIGHTENINGS and 1 < i < count - 2:
-            share, part = rng.random(), rng.random()
+        share, part = uniform[step, 3], uniform[step, 4]
+        if uniform[step, 2] < _STRAIGHTENINGS and 1 < i < count - 2:
             for x in range(3):
                 middle = share * p[i - 1, x] + (1.0 - share) * p[i + 1, x]
-                moved[x] = p[i, x] + part * (middle - p[i, x])
+                p[place, x] = p[i, x] + part * (middle - p[i, x])
         else:
-            _draw_near(p[i], size * 10.0 ** (-2.0 * rng.random()), rng, moved)
-        inside = max(abs(moved[0]), abs(moved[1]), abs(moved[2]) / _FLAT) <= size
-        if inside and _can_move(p[:count], i, moved):
-            _move_inside(p[:count], i, moved)
-    return p[:count].copy()
+            distance = size * 10.0 ** (-2.0 * share)
+            for x in range(3):
+                p[place, x] = p[i, x] + distance * normal[step, x]
+        wide = max(abs(p[place, 0]), abs(p[place, 1]), abs(p[place, 2]) / _FLAT)
+        if wide <= size and _can_move(p, count, i):
+            _move_inside(p, count, i)
+    return count
 
 
 @compiled
-def _shape(polygon: Points, steps: int, rng: np.random.Generator, size: float) -> Points:
-    """Return the polygon of least cost that simulated annealing finds."""
-    p = polygon.copy()
-    cost, best, least = _cost(p), p.copy(), _cost(p)
+def _shape(p: Floats2, best: Floats2, uniform: Floats2, normal: Floats2, size: float) -> None:
+    """Write the polygon of least cost that simulated annealing finds to ``best``."""
+    steps, count, place = len(uniform), len(p) - 2, len(p) - 2
+    cost = least = _cost(p, count)
     for step in range(steps):
         heat = _HEAT * (1.0 - step / steps)
-        i = int(rng.integers(1, len(p) - 1))
-        before, moved = p[i].copy(), np.empty(3)
-        _draw_near(before, size * 10.0 ** (-2.5 * rng.random()), rng, moved)
-        p[i] = moved
-        changed = _cost(p)
-        p[i] = before
+        i = 1 + int((count - 2) * uniform[step, 0])
+        distance = size * 10.0 ** (-2.5 * uniform[step, 1])
+        for x in range(3):
+            p[place, x] = p[i, x] + distance * normal[step, x]
+        _swap(p, i, place)
+        changed = _cost(p, count)
+        _swap(p, i, place)
         rise = changed - cost
-        if rise > 0.0 and rng.random() > np.exp(-rise / max(heat, 1e-9)):
+        if rise > 0.0 and uniform[step, 2] > np.exp(-rise / max(heat, 1e-9)):
             continue
-        if _can_move(p, i, moved) and _move_inside(p, i, moved):
+        if _can_move(p, count, i) and _move_inside(p, count, i):
             cost = changed
             if cost < least:
-                best, least = p.copy(), cost
-    return best
+                least = cost
+                for k in range(count):
+                    _copy(best, k, p, k)
 
 
 @compiled
-def _draw_near(place: Points, distance: float, rng: np.random.Generator, found: Points) -> None:
-    """Write a random place (3,) at about a distance."""
+def _copy(to: Points, i: int, p: Points, j: int) -> None:
+    """Copy row j of p to row i."""
     for x in range(3):
-        found[x] = place[x] + distance * rng.normal()
+        to[i, x] = p[j, x]
 
 
 @compiled
-def _raise_ends(p: Points) -> None:
+def _swap(p: Points, i: int, j: int) -> None:
+    """Exchange two rows."""
+    for x in range(3):
+        p[i, x], p[j, x] = p[j, x], p[i, x]
+
+
+@compiled
+def _raise_ends(p: Points, count: int) -> None:
     """Put the far ends straight above the first and the last vertex."""
-    p[0] = p[1]
-    p[-1] = p[-2]
+    _copy(p, 0, p, 1)
+    _copy(p, count - 1, p, count - 2)
     p[0, 2] += _FAR
-    p[-1, 2] += _FAR
+    p[count - 1, 2] += _FAR
 
 
 @compiled
-def _move_inside(p: Points, i: int, moved: Points) -> bool:
-    """Move vertex i unless that encloses an end in plan view; return whether it moved."""
-    before = p[i].copy()
-    p[i] = moved
-    if not _ends_are_outside(p):
-        p[i] = before
+def _move_inside(p: Points, count: int, i: int) -> bool:
+    """Move vertex i to the place unless that encloses an end in plan view; return whether it
+    moved."""
+    place = len(p) - 2
+    _swap(p, i, place)
+    if not _ends_are_outside(p, count):
+        _swap(p, i, place)
         return False
-    _raise_ends(p)
+    _raise_ends(p, count)
     return True
 
 
 @compiled
-def _can_move(p: Points, i: int, moved: Points) -> bool:
-    """Return whether vertex i can move straight to a place without passing through an edge."""
-    far, count = moved.copy(), len(p)
-    far[2] += _FAR
-    if i == 1:
-        return (
-            _is_clear(p, (p[1], moved, p[2]), 0, 3)
-            and _is_clear(p, (p[1], moved, far), 0, 2)
-            and _is_clear(p, (p[1], far, p[0]), 0, 2)
+def _leave_out(p: Points, count: int, i: int) -> int:
+    """Leave vertex i out unless that changes the knot or encloses an end; return how many left."""
+    if not _can_leave_out(p, count, i):
+        return 0
+    place = len(p) - 2
+    _copy(p, place, p, i)
+    for k in range(i, count - 1):
+        _copy(p, k, p, k + 1)
+    _raise_ends(p, count - 1)
+    if _ends_are_outside(p, count - 1):
+        return 1
+    for k in range(count - 1, i, -1):
+        _copy(p, k, p, k - 1)
+    _copy(p, i, p, place)
+    _raise_ends(p, count)
+    return 0
+
+
+@compiled
+def _can_move(p: Points, count: int, i: int) -> bool:
+    """Return whether vertex i can move straight to the place without passing through an edge."""
+    place = len(p) - 2
+    if 1 < i < count - 2:
+        return _is_clear(p, count, (i - 1, i, place), i - 2, i + 1) and _is_clear(
+            p, count, (i, place, i + 1), i - 1, i + 2
         )
-    if i == count - 2:
-        return (
-            _is_clear(p, (p[i], moved, p[i - 1]), count - 4, count - 1)
-            and _is_clear(p, (p[i], moved, far), count - 3, count - 1)
-            and _is_clear(p, (p[i], far, p[i + 1]), count - 3, count - 1)
-        )
-    return _is_clear(p, (p[i - 1], p[i], moved), i - 2, i + 1) and _is_clear(
-        p, (p[i], moved, p[i + 1]), i - 1, i + 2
+    beside, end = (2, 0) if i == 1 else (count - 3, count - 1)
+    first, last = (0, 3) if i == 1 else (count - 4, count - 1)
+    own = (0, 2) if i == 1 else (count - 3, count - 1)
+    far = _far_above(p, place)
+    return (
+        _is_clear(p, count, (i, place, beside), first, last)
+        and _is_clear(p, count, (i, place, far), own[0], own[1])
+        and _is_clear(p, count, (i, far, end), own[0], own[1])
     )
 
 
 @compiled
-def _can_leave_out(p: Points, i: int) -> bool:
+def _far_above(p: Points, i: int) -> int:
+    """Return the last row, and write the place far above row i to it."""
+    far = len(p) - 1
+    _copy(p, far, p, i)
+    p[far, 2] += _FAR
+    return far
+
+
+@compiled
+def _can_leave_out(p: Points, count: int, i: int) -> bool:
     """Return whether vertex i can be left out without passing through an edge."""
-    count = len(p)
     if 1 < i < count - 2:
-        return _is_clear(p, (p[i - 1], p[i], p[i + 1]), i - 2, i + 2)
+        return _is_clear(p, count, (i - 1, i, i + 1), i - 2, i + 2)
     beside, end = (2, 0) if i == 1 else (count - 3, count - 1)
     first = 0 if i == 1 else count - 4
-    far = p[beside].copy()
-    far[2] += _FAR
-    return _is_clear(p, (p[i], p[end], far), first, first + 3) and _is_clear(
-        p, (p[i], far, p[beside]), first, first + 3
+    far = _far_above(p, beside)
+    return _is_clear(p, count, (i, end, far), first, first + 3) and _is_clear(
+        p, count, (i, far, beside), first, first + 3
     )
 
 
 @compiled
-def _is_clear(p: Points, triangle: tuple[Points, Points, Points], first: int, last: int) -> bool:
-    """Return whether no edge but ``first`` … ``last`` − 1 pierces a triangle."""
-    for j in range(len(p) - 1):
-        if not first <= j < last and _pierces(p[j], p[j + 1], triangle):
+def _is_clear(p: Points, count: int, triangle: tuple[int, int, int], first: int, last: int) -> bool:
+    """Return whether no edge but ``first`` … ``last`` − 1 pierces the triangle of three rows."""
+    for j in range(count - 1):
+        other = j < first or j >= last
+        if other and _pierces(p, j, triangle):
             return False
     return True
 
 
 @compiled
-def _pierces(a: Points, b: Points, triangle: tuple[Points, Points, Points]) -> bool:
-    """Return whether edge ab meets a triangle (Möller and Trumbore 1997)."""
-    p, q, r = triangle
-    u, v, along, s = q - p, r - p, b - a, a - p
-    h0 = along[1] * v[2] - along[2] * v[1]
-    h1 = along[2] * v[0] - along[0] * v[2]
-    h2 = along[0] * v[1] - along[1] * v[0]
-    volume = u[0] * h0 + u[1] * h1 + u[2] * h2
+def _pierces(p: Points, j: int, triangle: tuple[int, int, int]) -> bool:
+    """Return whether edge j meets the triangle of three rows (Möller and Trumbore 1997)."""
+    o, q, r = triangle
+    a0, a1, a2 = p[j + 1, 0] - p[j, 0], p[j + 1, 1] - p[j, 1], p[j + 1, 2] - p[j, 2]
+    v0, v1, v2 = p[r, 0] - p[o, 0], p[r, 1] - p[o, 1], p[r, 2] - p[o, 2]
+    u0, u1, u2 = p[q, 0] - p[o, 0], p[q, 1] - p[o, 1], p[q, 2] - p[o, 2]
+    h0, h1, h2 = a1 * v2 - a2 * v1, a2 * v0 - a0 * v2, a0 * v1 - a1 * v0
+    volume = u0 * h0 + u1 * h1 + u2 * h2
     if abs(volume) < _NO_VOLUME:
         return False
-    first = (s[0] * h0 + s[1] * h1 + s[2] * h2) / volume
+    s0, s1, s2 = p[j, 0] - p[o, 0], p[j, 1] - p[o, 1], p[j, 2] - p[o, 2]
+    first = (s0 * h0 + s1 * h1 + s2 * h2) / volume
     if not -_TOUCHING <= first <= 1.0 + _TOUCHING:
         return False
-    g0 = s[1] * u[2] - s[2] * u[1]
-    g1 = s[2] * u[0] - s[0] * u[2]
-    g2 = s[0] * u[1] - s[1] * u[0]
-    second = (along[0] * g0 + along[1] * g1 + along[2] * g2) / volume
+    g0, g1, g2 = s1 * u2 - s2 * u1, s2 * u0 - s0 * u2, s0 * u1 - s1 * u0
+    second = (a0 * g0 + a1 * g1 + a2 * g2) / volume
     if second < -_TOUCHING or first + second > 1.0 + _TOUCHING:
         return False
-    place = (v[0] * g0 + v[1] * g1 + v[2] * g2) / volume
+    place = (v0 * g0 + v1 * g1 + v2 * g2) / volume
     return bool(-_TOUCHING <= place <= 1.0 + _TOUCHING)
 
 
 @compiled
-def _cost(p: Points) -> float:
+def _cost(p: Points, rows: int) -> float:
     """Return how uneven and how close to itself a polygon with the far ends is; scale-free."""
-    count = len(p) - 2
+    count = rows - 2
     mean = 0.0
     for i in range(1, count):
-        x, y, z = p[i + 1] - p[i]
+        x, y, z = p[i + 1, 0] - p[i, 0], p[i + 1, 1] - p[i, 1], p[i + 1, 2] - p[i, 2]
         mean += np.sqrt(x * x + y * y + 4.0 * z * z) / count
     strands, vertices = (_STRANDS * mean) ** 2, (_VERTICES * mean) ** 2
     cost = 0.0
     for i in range(1, count + 1):
         for j in range(1, count):
             if i < j - 1 and i < count:
-                cost += strands / _square_distance(p[i], p[i + 1], p[j], p[j + 1], 3)
+                cost += strands / _square_distance(p, i, i + 1, j, 3)
             if j not in (i - 1, i):
-                cost += strands / _square_distance(p[i], p[i], p[j], p[j + 1], 2)
+                cost += strands / _square_distance(p, i, i, j, 2)
         for j in range(i + 1, count + 1):
-            cost += vertices / _square_distance(p[i], p[i], p[j], p[j], 2)
+            x, y = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1]
+            cost += vertices / max(x * x + y * y, _LEAST_SQUARE)
     for i in range(1, count):
         size = np.sqrt((p[i + 1, 0] - p[i, 0]) ** 2 + (p[i + 1, 1] - p[i, 1]) ** 2)
         cost += _EVEN * (size / mean - 1.0) ** 2 + _SHORT * (mean / max(size, 1e-6)) ** 2
@@ -276,11 +329,11 @@ def _cost(p: Points) -> float:
 
 
 @compiled
-def _square_distance(a: Points, b: Points, c: Points, d: Points, axes: int) -> float:
-    """Return the squared distance of segments ab and cd in the first axes; at least 1e-9."""
+def _square_distance(p: Points, i: int, j: int, k: int, axes: int) -> float:
+    """Return the squared distance of the segment of rows i and j from edge k in the first axes."""
     uu = uv = vv = uw = vw = ww = 0.0
     for x in range(axes):
-        u, v, w = b[x] - a[x], d[x] - c[x], a[x] - c[x]
+        u, v, w = p[j, x] - p[i, x], p[k + 1, x] - p[k, x], p[i, x] - p[k, x]
         uu, uv, vv = uu + u * u, uv + u * v, vv + v * v
         uw, vw, ww = uw + u * w, vw + v * w, ww + w * w
     area, least = uu * vv - uv * uv, np.inf
@@ -298,22 +351,22 @@ def _square_distance(a: Points, b: Points, c: Points, d: Points, axes: int) -> f
             s = min(max((t * uv - uw) / max(uu, 1e-12), 0.0), 1.0)
         square = ww + s * s * uu + t * t * vv + 2.0 * (s * uw - t * vw - s * t * uv)
         least = min(least, square)
-    return float(max(least, 1e-9))
+    return float(max(least, _LEAST_SQUARE))
 
 
 @compiled
-def _ends_are_outside(p: Points) -> bool:
+def _ends_are_outside(p: Points, count: int) -> bool:
     """Return whether a straight way outward from each end crosses no edge in plan view."""
-    return _is_outside(p, 1) and _is_outside(p, len(p) - 2)
+    return _is_outside(p, count, 1) and _is_outside(p, count, count - 2)
 
 
 @compiled
-def _is_outside(p: Points, end: int) -> bool:
+def _is_outside(p: Points, count: int, end: int) -> bool:
     """Return whether one of some straight ways outward from an end crosses no edge."""
     for k in range(_DIRECTIONS):
         angle = 2.0 * np.pi * (k + 0.3) / _DIRECTIONS
         x, y, crossed = np.cos(angle), np.sin(angle), False
-        for j in range(1, len(p) - 2):
+        for j in range(1, count - 2):
             if end in (j, j + 1):
                 continue
             a0, a1 = p[j, 0] - p[end, 0], p[j, 1] - p[end, 1]

@@ -77,7 +77,8 @@ def test_whatever_python_calls_declares_its_types():
 
 
 def test_every_compiled_function_is_in_a_package_that_is_compiled_beforehand():
-    named = [package for part in (*precompile.PLANNING, *precompile.FLIGHT) for package in part]
+    parts = (*precompile.PLANNING, *precompile.FLIGHT, *precompile.SEARCH)
+    named = [package for part in parts for package in part]
     found = {
         one.py_func.__module__
         for module in modules()
@@ -185,6 +186,28 @@ def test_types_that_annotations_do_not_tell_are_not_declared():
         return points[0, 0] + rest[0]
 
     assert declared(several) is None
+
+
+SEARCH = """
+from swarm import precompile
+from swarm.knots import sticks
+flown = precompile.load()
+assert not sticks._reduce.signatures and not sticks._shape.signatures
+assert precompile.load(precompile.imported()) == flown + 2
+assert len(sticks._reduce.signatures) == len(sticks._shape.signatures) == 1
+"""
+
+
+def test_what_only_a_search_for_few_vehicles_calls_is_not_loaded_for_a_flight():
+    done = subprocess.run(
+        [sys.executable, "-c", SEARCH],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 PREPARE = """
