@@ -36,6 +36,7 @@ SECTIONS = {
         "fly": ("fly", "Plan, check and fly a mission."),
         "verify": ("verify", "Verify a flight record."),
         "view": ("view", "Open a flight record, a plan or a recording in the Rerun viewer."),
+        "export": ("export", "Write a flight or a plan for Foxglove, PlotJuggler and others."),
         "sitl": ("sitl", "Run the emulator of vehicles, for any MAVLink client."),
     },
     "Knots and files": {

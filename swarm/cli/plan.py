@@ -7,6 +7,7 @@ import click
 from rich.console import Console
 
 from swarm import exports, planner, studies
+from swarm.cli.exporting import PLANNED, export_plan, require_suffix
 from swarm.cli.inputs import JSON, MISSION, REPLAN, SET, VERBOSE, print_json, progress_bar
 from swarm.cli.planning import load_source
 from swarm.errors import Refused
@@ -32,7 +33,10 @@ FILE = click.Path(dir_okay=False, path_type=Path)
     help="Write the cleared plan with its certificate (FILE.plan), to be reviewed and flown.",
 )
 @click.option(
-    "--export", type=FILE, help="Write the motion of every grip point (CSV; ENU, SI, every 0.05 s)."
+    "--export",
+    type=FILE,
+    help="Write the motion of every grip point, every 0.05 s (ENU, SI): .csv, .mcap or .parquet, "
+    "as swarm export.",
 )
 @click.option(
     "--plot",
@@ -82,6 +86,8 @@ def plan(
     """
     if vehicles is not None:
         overrides = (*overrides, f"vehicles.count={vehicles}")
+    if files["export"]:
+        require_suffix(files["export"], PLANNED)
     source = load_source(mission, overrides, replan=replan)
     if front:
         others = (files[name] for name in ("save", "export", "report", "sheet"))
@@ -116,7 +122,7 @@ def _write_files(
     if save and planned.assessment.cleared:
         write_bytes(save, certified_plan_file(planned.certified()))
     if export:
-        write_text(export, "\n".join(exports.motion_rows(planned.plan)) + "\n")
+        export_plan(planned.plan, export)
     if plot:
         from swarm.reports.plots import plot_plan  # noqa: PLC0415 - slow to import
 

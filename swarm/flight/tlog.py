@@ -62,10 +62,14 @@ class CommandLatency:
 class Replayed:
     """The content of a .tlog. ``systems`` are in order along the cable; losses by system id.
 
-    ``frames`` and ``yaw`` (n,) in radians are those of the vehicles on their pads.
+    ``frames`` and ``yaw`` (n,) in radians are those of the vehicles on their pads. ``started`` is
+    time 0 of the trace, the first packet, in seconds since 1970; ``event_time`` is the same moment
+    on the clock of the record's events.
     """
 
     trace: Trace
+    started: float
+    event_time: float
     systems: tuple[int, ...]
     frames: Frames
     yaw: Floats
@@ -141,6 +145,7 @@ class _Content:
     latencies: dict[int, list[float]] = field(default_factory=dict)
     counts: dict[int, Counter[str]] = field(default_factory=dict)
     standing: dict[int, Vehicle] = field(default_factory=dict)
+    event_time: float = 0.0
 
     def take(self, now: float, packet: Packet) -> None:
         message = packet.message
@@ -169,6 +174,7 @@ class _Content:
             name = m.name.rstrip(b"\0") if isinstance(m.name, bytes) else m.name
             (self.clock if name == b"mission" else self.phase).append((now, m.value))
             if not self.standing:
+                self.event_time = m.time_boot_ms * 1e-3 - now
                 self.standing = {s: copy(vehicle) for s, vehicle in self.vehicles.items()}
         elif packet.number == _COMMAND:
             count = self.counts.setdefault(m.command, Counter())
@@ -219,6 +225,8 @@ def replay(data: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = No
     notes = [f"the .tlog has {holes} damaged places"] if holes else []
     return Replayed(
         trace=_trace(content, plan, known.frames, list(known.systems), last - first),
+        started=first,
+        event_time=content.event_time,
         systems=known.systems,
         frames=known.frames,
         yaw=known.yaw,

@@ -4,16 +4,18 @@ Every function raises :class:`InputError` for a file that is missing, too large 
 """
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from swarm.certification.assessment import Assessment
 from swarm.errors import InputError, Problem, reason
 from swarm.files import read_bytes
 from swarm.flight.archive import read_certificate, read_frames
 from swarm.flight.flight_plan import Basis
+from swarm.flight.snapshot import Event
 from swarm.flight.tlog import KnownFrames, Replayed, replay
 from swarm.mission.fleet import Fleet
 from swarm.mission.validation import LARGEST_FILE
@@ -22,6 +24,7 @@ from swarm.planning.archive import read_plan
 
 LARGEST_PLAN = 64 << 20
 """Bytes of a record's plan, motion or certificate."""
+_EVENT = TypeAdapter(Event)
 LARGEST_LOG = 4 << 30
 """Bytes of a record's packets."""
 
@@ -79,6 +82,18 @@ def recorded_flight(record: Path, plan: Plan) -> Replayed:
     """Return positions, setpoints and link statistics of a record, from its .tlog."""
     fleet = recorded_fleet(record)
     return replay(recorded_log(record), plan, fleet, recorded_frames(record, plan))
+
+
+def recorded_events(record: Path) -> Iterator[Event]:
+    """Yield the events of a record; a last line that was cut off is left out."""
+    path = record / "events.jsonl"
+    lines = read_bytes(path, LARGEST_PLAN).decode("utf-8", "replace").splitlines()
+    for number, line in enumerate(lines, start=1):
+        try:
+            yield _EVENT.validate_json(line)
+        except ValidationError:
+            if number < len(lines):
+                raise InputError([Problem(f"{path}:{number}", "expected an event")]) from None
 
 
 def recorded_frames(record: Path, plan: Plan) -> KnownFrames | None:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from swarm.flight.setup import LOOSE_ERROR
 from swarm.flight.snapshot import Snapshot
+from swarm.flight.trace import Trace
 from swarm.geometry.catenary import MAX_CHORD_RATIO, solve_catenaries
 from swarm.geometry.distance import strand_strand
 from swarm.planning import KnotLayout, Plan
@@ -180,6 +181,12 @@ def planned_cable(plan: Plan, times: Floats) -> Floats:
         last = times[gripped][-1]
         held[times > last] = plan.motion.at(last)[0] * [1.0, 1.0, 0.0]
     return held
+
+
+def flown_cable(plan: Plan, trace: Trace) -> Floats:
+    """Return the cable's grip points (k, n, 3) in a flight: as reported, gripped as planned."""
+    gripped = planned_grip(plan, trace.mission_time)[:, None, None]
+    return np.where(gripped, trace.position, planned_cable(plan, trace.mission_time))
 
 
 def crossings(layout: KnotLayout) -> list[Crossing]:

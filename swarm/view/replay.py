@@ -9,7 +9,6 @@ import rerun as rr
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
-from swarm.planning.cable_shape import planned_grip
 from swarm.reports import scene
 from swarm.view.blueprint import comparison_blueprint, plan_blueprint
 from swarm.view.columns import (
@@ -63,12 +62,10 @@ def write_flight(plan: Plan, trace: Trace, events: Iterable[Event], path: Path) 
 def flown_motion(plan: Plan, trace: Trace) -> MotionSamples:
     """Return the motion of a trace; the cable is gripped as planned."""
     above = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
-    gripped = planned_grip(plan, trace.mission_time)[:, None, None]
-    resting = scene.planned_cable(plan, trace.mission_time)
     return MotionSamples(
         {"time": trace.time, "mission_time": trace.mission_time},
         trace.position + above,
-        np.where(gripped, trace.position, resting),
+        scene.flown_cable(plan, trace),
     )
 
 

@@ -1,0 +1,1 @@
+"""Plans and flights in the file formats of other programs."""
