@@ -11,8 +11,8 @@ def test_the_fewest_vehicles_for_an_overhand_are_five() -> None:
     plan = make_plan(mission_for_knot("overhand", ["vehicles.count=fewest"]))
     assert plan.vehicles == 5
     assert plan.notes == (
-        "folded with 5 vehicles; at least 5 vehicles are needed for 3 crossings in plan view with "
-        "one catenary for each edge",
+        "folded with 5 vehicles; at least 5 vehicles are needed for 3 crossings, with one "
+        "catenary for each edge and both ends outside in plan view",
     )
 
 
@@ -21,8 +21,8 @@ def test_a_number_that_no_layout_has_is_refused_with_those_that_there_are(count:
     with pytest.raises(Refused) as caught:
         make_plan(mission_for_knot("overhand", [f"vehicles.count={count}"]))
     assert str(caught.value) == (
-        f"vehicles.count {count}: at least 5 vehicles are needed for 3 crossings in plan view with "
-        "one catenary for each edge, and the grid diagram has 9"
+        f"vehicles.count {count}: at least 5 vehicles are needed for 3 crossings, with one "
+        "catenary for each edge and both ends outside in plan view, and the grid diagram has 9"
     )
 
 

@@ -53,7 +53,8 @@ class FewVehicles:
 
     @property
     def least(self) -> int:
-        """Number of vehicles below which no layout with a catenary for each edge exists."""
+        """Number of vehicles below which no layout exists with a catenary for each edge and with
+        both ends outside in plan view."""
         return max(fewest_edges(self.knot.crossings) + 1, 3)
 
     @property
@@ -73,8 +74,8 @@ class FewVehicles:
                 "compared with it"
             )
         bound = (
-            f"at least {self.least} vehicles are needed for {self.knot.crossings} crossings in "
-            "plan view with one catenary for each edge"
+            f"at least {self.least} vehicles are needed for {self.knot.crossings} crossings, with "
+            "one catenary for each edge and both ends outside in plan view"
         )
         if self.count == "fewest":
             for count in range(self.least, self.most):
