@@ -128,3 +128,14 @@ def test_a_plan_does_not_depend_on_the_threads_of_a_machine() -> None:
     with threadpool_limits(limits=2, user_api="blas"):
         two = digest(planner.plan(mission, robustness=False).plan)
     assert one == two
+
+
+def test_a_motion_that_exceeds_the_endurance_is_noted_in_the_plan_of_the_next() -> None:
+    mission = mission_for_knot("overhand", ["vehicles.endurance=60", "layout.cell=1.5"])
+    result = planner.plan(mission, robustness=False)
+    errors = [found.check for found in result.certificate.findings if found.severity == "error"]
+    assert "endurance" in errors
+    too_long = [note for note in result.plan.notes if note.endswith(" s of 60 s in the air")]
+    (duration,) = [note.removeprefix("that took ").partition(" ")[0] for note in too_long]
+    # the shortest motion is returned, so that the noted one took no less
+    assert int(duration) >= round(result.plan.flight_duration) > 60
