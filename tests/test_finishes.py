@@ -140,7 +140,8 @@ def test_every_finish_is_flown_to_its_end(overrides: tuple[str, ...]) -> None:
     [
         (
             "grab: attached, finish: hold",
-            "m.yaml: expected vehicles.breakaway in newtons with grab: attached",
+            "m.yaml: expected vehicles.breakaway in newtons with grab: attached; "
+            "for example: vehicles: {breakaway: 5}",
         ),
         (
             "grab: attached, vehicles: {breakaway: 8}",
@@ -151,8 +152,8 @@ def test_every_finish_is_flown_to_its_end(overrides: tuple[str, ...]) -> None:
             "vehicles: {breakaway: 8}",
             "m.yaml: expected vehicles.breakaway only with grab: attached",
         ),
-        ("hold_time: 1", "m.yaml: hold_time: expected a number >= 4 in s, got 1"),
-        ("finish: drop", "m.yaml: finish: expected release, unfold, tighten or hold, got 'drop'"),
+        ("hold_time: 1", "m.yaml:1: hold_time: expected a number >= 4 in s, got 1"),
+        ("finish: drop", "m.yaml:1: finish: expected release, unfold, tighten or hold, got 'drop'"),
     ],
 )
 def test_incompatible_keys_are_refused(keys: str, message: str) -> None:

@@ -89,7 +89,7 @@ def test_hold_stops_along_the_path_and_resume_goes_on():
     flight = network(no_cable=True)
     flight.until_phase("fold", 2.0)
     flight.conductor.request("hold")
-    flight.until_time(4.0)
+    flight.until_time(5.0)
     stood = flight.conductor.clock.time
     assert flight.conductor.clock.stopped
     flight.until_time(2.0)
