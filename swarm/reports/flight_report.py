@@ -21,6 +21,7 @@ from swarm.reports.formatting import (
     metres,
     seconds,
 )
+from swarm.reports.motion_view import flown_motion
 from swarm.reports.rendering import Picture, picture, render
 from swarm.reports.strand_distances import SAMPLE_INTERVAL, smallest_strand_distances
 from swarm.reports.verdicts import flight_verdict, largest_fold_error
@@ -51,6 +52,7 @@ def flight_report(
         outcome=outcome,
         verdict=flight_verdict(plan, outcome),
         figures=_figures(plan, outcome),
+        motion=flown_motion(plan, outcome, trace),
         clearances=_clearances(outcome["clearance"]),
         pictures=_pictures(plan, trace),
         tracking_errors=[

@@ -7,6 +7,7 @@ from swarm.certification.assessment import Assessment
 from swarm.certification.clearances import Moment
 from swarm.planning import Plan
 from swarm.reports import plots, scene
+from swarm.reports.motion_view import planned_motion
 from swarm.reports.plan_details import BUDGET, IN_TABLES, budget_cells
 from swarm.reports.rendering import Picture, picture, render
 from swarm.reports.schedule_plots import schedule_figure
@@ -30,6 +31,7 @@ def plan_report(plan: Plan, assessment: Assessment) -> str:
         gauss_code=plan.knot.gauss,
         verdict=plan_verdict(plan, assessment),
         figures=plan_figures(plan, assessment),
+        motion=planned_motion(plan, assessment),
         findings=[
             one
             for one in sorted_findings(assessment)

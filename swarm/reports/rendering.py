@@ -5,6 +5,7 @@ import io
 import math
 from dataclasses import dataclass
 from functools import cache
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -61,5 +62,10 @@ def _environment() -> Environment:
         "seconds": seconds,
     }
     environment.tests["finite"] = math.isfinite
-    environment.globals["version"] = __version__
+    environment.globals |= {"version": __version__, "static": _static}
     return environment
+
+
+def _static(name: str) -> str:
+    """Return a script or a style of this package, for its element in the page."""
+    return files("swarm.reports").joinpath("static", name).read_text(encoding="utf-8")

@@ -1,0 +1,272 @@
+// A motion to turn, to scrub and to play: WebGL 1, without a library. The shapes are those of
+// motion_scene.js, which the page has before this file.
+
+const REDUCED = matchMedia("(prefers-reduced-motion: reduce)");
+const FIELD_OF_VIEW = 0.6; // radians; a long lens, so that near strands do not look much thicker
+
+const VERTEX = `attribute vec3 place, normal, colour; uniform mat4 view; uniform vec3 light;
+varying vec3 shade; void main() { gl_Position = view * vec4(place, 1.0);
+  shade = colour * (0.62 + 0.38 * abs(dot(normal, light))); }`;
+const FRAGMENT = `precision mediump float; varying vec3 shade;
+void main() { gl_FragColor = vec4(shade, 1.0); }`;
+
+function painter(canvas) {
+  // The buffer is kept, so that the picture can be saved by the browser's menu.
+  const gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
+  if (!gl) return null;
+  const program = gl.createProgram();
+  for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+  }
+  gl.linkProgram(program);
+  gl.useProgram(program);
+  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+  ["place", "normal", "colour"].forEach((name, k) => {
+    const at = gl.getAttribLocation(program, name);
+    gl.enableVertexAttribArray(at);
+    gl.vertexAttribPointer(at, 3, gl.FLOAT, false, 36, 12 * k);
+  });
+  gl.enable(gl.DEPTH_TEST);
+  gl.clearColor(...PAPER, 1);
+  return (matrix, light, lines, triangles) => {
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.uniformMatrix4fv(gl.getUniformLocation(program, "view"), false, matrix);
+    gl.uniform3fv(gl.getUniformLocation(program, "light"), light);
+    for (const [kind, corners] of [[gl.LINES, lines], [gl.TRIANGLES, triangles]]) {
+      gl.bufferData(gl.ARRAY_BUFFER, corners, gl.STREAM_DRAW);
+      gl.drawArrays(kind, 0, corners.length / 9);
+    }
+  };
+}
+
+// Returns the eye, and the matrix of the camera: perspective times view, column by column.
+function camera(target, yaw, pitch, distance, aspect) {
+  const back = [Math.cos(pitch) * Math.sin(yaw), -Math.cos(pitch) * Math.cos(yaw), Math.sin(pitch)];
+  const right = [Math.cos(yaw), Math.sin(yaw), 0];
+  const up = cross(back, right);
+  const eye = add(target, back, distance);
+  const f = 1 / Math.tan(FIELD_OF_VIEW / 2), near = 0.05 * distance, far = 20 * distance;
+  const depth = (far + near) / (near - far);
+  const rows = [[...right, -dot(right, eye)], [...up, -dot(up, eye)], [...back, -dot(back, eye)]];
+  const matrix = [0, 1, 2, 3].flatMap((k) => [
+    (f / aspect) * rows[0][k], f * rows[1][k],
+    depth * rows[2][k] + (k === 3 ? (2 * far * near) / (near - far) : 0), -rows[2][k],
+  ]);
+  return { eye, back, matrix: new Float32Array(matrix) };
+}
+
+function onCanvas(matrix, p, canvas) {
+  const [x, y, , w] = [0, 1, 2, 3].map((row) =>
+    matrix[row] * p[0] + matrix[4 + row] * p[1] + matrix[8 + row] * p[2] + matrix[12 + row]);
+  return w <= 0 ? null : [(0.5 + x / w / 2) * canvas.width, (0.5 - y / w / 2) * canvas.height];
+}
+
+function motionView(section) {
+  const find = (name) => section.querySelector(name);
+  const canvas = find(".space"), labels = find(".labels"), slider = find("input");
+  const playButton = find(".play"), now = find(".now"), speed = find("select");
+  const marks = [...section.querySelectorAll(".moments button")];
+  const spans = [...section.querySelectorAll(".phases span")].map((element) =>
+    ({ element, name: element.textContent, start: +element.dataset.start, end: +element.dataset.end }));
+  let paint = painter(canvas);
+  if (!paint) return;
+  find(".fallback").hidden = true;
+  find(".player").hidden = false;
+
+  const data = JSON.parse(find("script").textContent);
+  const frameAt = frames(data);
+  const field = data.unit * 32767 + Math.hypot(data.centre[0], data.centre[1]);
+  const spacing = field > 40 ? 5 : field > 15 ? 2 : 1; // metres; wide fields would look grey
+  const lines = floorLines(field, spacing);
+  const home = { yaw: -0.5, pitch: 0.62, zoom: 1 };
+  let { yaw, pitch, zoom } = home;
+  let time = data.shown, playing = false, touched = false;
+  let pending = 0, last = 0; // the next frame, and the time of the one before
+  let chosen = null; // the moment that is shown
+  let near = 0; // 0: the camera frames the team; 1: the two strands of the moment
+  const goal = () => (chosen ? 1 : 0);
+
+  function draw() {
+    const frame = frameAt(time);
+    const seen = [...frame.vehicles, ...frame.strands.flat()].filter(Boolean);
+    const low = [0, 1, 2].map((x) => Math.min(...seen.map((p) => p[x])));
+    const high = [0, 1, 2].map((x) => Math.max(...seen.map((p) => p[x])));
+    let target = seen.length ? mix(low, high, 0.5) : data.centre;
+    let reach = seen.length ? 0.5 * norm(subtract(high, low)) + data.radius : 5;
+    const highlighted = chosen && highlight(frame);
+    if (highlighted && highlighted.nearest) {
+      const [a, b] = highlighted.nearest.ends;
+      target = mix(target, mix(a, b, 0.5), near);
+      reach += near * (Math.min(reach, 1.2 + 1.5 * highlighted.nearest.distance) - reach);
+    }
+    const aspect = canvas.width / canvas.height;
+    const distance = (0.85 * reach * Math.max(1, 1 / aspect)) / Math.tan(FIELD_OF_VIEW / 2) / zoom;
+    const { back, matrix } = camera(target, yaw, pitch, distance, aspect);
+    paint(matrix, unit(add(back, [0, 0, 0.6])), lines, scene(data, frame, highlighted, distance));
+    write(frame, highlighted, matrix);
+    slider.value = time;
+    const span = spans.findLast((one) => time >= one.start) || spans[0];
+    now.textContent = `${time.toFixed(1)} s${span && span.name ? `, ${span.name}` : ""}`;
+    slider.setAttribute("aria-valuetext", now.textContent);
+    spans.forEach((one) => one.element.classList.toggle("current", one === span));
+    marks.forEach((one) => one.setAttribute("aria-pressed", one === chosen));
+  }
+
+  function highlight(frame) {
+    const things = JSON.parse(chosen.dataset.between).map((name) => {
+      const [kind, number] = name.split(" ");
+      return { kind, index: number - 1 };
+    });
+    const shapes = things.map(({ kind, index }) => {
+      if (kind === "segment") return frame.strands[index] && smooth(frame.strands[index]);
+      return kind === "vehicle" && frame.vehicles[index] && [add(frame.vehicles[index], [0, 0, data.grip])];
+    });
+    return { things, nearest: shapes.every(Boolean) ? nearest(...shapes) : null };
+  }
+
+  // Numbers of the vehicles, and of the two things of the moment.
+  function write(frame, highlighted, matrix) {
+    const pen = labels.getContext("2d"), size = canvas.width / canvas.clientWidth;
+    pen.clearRect(0, 0, labels.width, labels.height);
+    pen.font = `${12 * size}px system-ui, sans-serif`;
+    pen.textAlign = "center";
+    pen.fillStyle = "#667085";
+    pen.fillText(`floor grid ${spacing} m`, 48 * size, labels.height - 8 * size);
+    pen.lineWidth = 3 * size;
+    pen.strokeStyle = "rgb(244 246 249 / 85%)";
+    const text = (words, p, colour) => {
+      const at = onCanvas(matrix, p, canvas);
+      if (!at) return;
+      pen.fillStyle = colour;
+      pen.strokeText(words, at[0], at[1] - 8 * size);
+      pen.fillText(words, at[0], at[1] - 8 * size);
+    };
+    const alarm = `rgb(${ALARM.map((part) => 255 * part)})`;
+    frame.vehicles.forEach((p, k) => p && text(`${k + 1}`, add(p, [0, 0, data.grip]), "#303848"));
+    for (const { kind, index } of highlighted ? highlighted.things : []) {
+      const strand = kind === "segment" && frame.strands[index];
+      if (strand) text(`segment ${index + 1}`, strand[strand.length >> 1], alarm);
+    }
+  }
+
+  function tick(stamp) {
+    pending = 0;
+    const passed = last ? Math.min((stamp - last) / 1000, 0.2) : 0;
+    last = stamp;
+    if (playing) time = Math.min(time + passed * speed.value, data.end);
+    if (time >= data.end) play(false);
+    near = clamp(near + Math.sign(goal() - near) * passed * 2.5, 0, 1);
+    draw();
+    if (playing || near !== goal()) run();
+    else last = 0;
+  }
+
+  function run() {
+    pending ||= requestAnimationFrame(tick);
+  }
+
+  function play(on) {
+    if (on && (!touched || time >= data.end)) time = data.begin;
+    touched ||= on;
+    playing = on;
+    playButton.textContent = on ? "Pause" : "Play";
+    if (on) run();
+  }
+
+  function jump(to) {
+    touched = true;
+    time = clamp(to, data.start, data.end);
+    draw();
+  }
+
+  function choose(mark) {
+    play(false);
+    chosen = mark;
+    if (!mark || REDUCED.matches) near = goal();
+    if (near !== goal()) run();
+    if (mark) jump(+mark.dataset.time);
+    else draw();
+  }
+
+  function turn(right, down) {
+    yaw -= right;
+    pitch = clamp(pitch + down, -0.2, 1.55);
+    draw();
+  }
+
+  function magnify(factor) {
+    zoom = clamp(zoom * factor, 0.4, 12);
+    draw();
+  }
+
+  function whole() {
+    ({ yaw, pitch, zoom } = home);
+    choose(null);
+  }
+
+  slider.addEventListener("input", () => jump(+slider.value));
+  playButton.addEventListener("click", () => play(!playing));
+  find(".whole").addEventListener("click", whole);
+  marks.forEach((mark) => mark.addEventListener("click", () => choose(mark === chosen ? null : mark)));
+  spans.forEach((span) => span.element.addEventListener("click", () => jump(span.start)));
+
+  const keys = {
+    ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0),
+    ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
+    "+": () => magnify(1.15), "=": () => magnify(1.15), "-": () => magnify(1 / 1.15),
+    " ": () => play(!playing), Home: whole,
+  };
+  canvas.addEventListener("keydown", (event) => {
+    const act = !event.ctrlKey && !event.metaKey && !event.altKey && keys[event.key];
+    if (!act) return;
+    event.preventDefault();
+    act();
+  });
+
+  const fingers = new Map();
+  const spread = () => {
+    const [a, b] = [...fingers.values()];
+    return Math.hypot(a[0] - b[0], a[1] - b[1]) || 1;
+  };
+  canvas.addEventListener("pointerdown", (event) => {
+    if (fingers.size < 2) fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    canvas.setPointerCapture(event.pointerId);
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    const before = fingers.get(event.pointerId);
+    if (!before) return;
+    const wide = fingers.size === 2 && spread();
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (wide) magnify(spread() / wide);
+    else turn((event.clientX - before[0]) / 150, (event.clientY - before[1]) / 150);
+  });
+  for (const ending of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(ending, (event) => fingers.delete(event.pointerId));
+  }
+  // A page that is scrolled with the wheel must not stop at the picture.
+  canvas.addEventListener("wheel", (event) => {
+    if (document.activeElement !== canvas && !event.ctrlKey) return;
+    event.preventDefault();
+    magnify(Math.exp(-event.deltaY / 500));
+  }, { passive: false });
+
+  canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+  canvas.addEventListener("webglcontextrestored", () => {
+    paint = painter(canvas);
+    draw();
+  });
+  new ResizeObserver(() => {
+    const ratio = Math.min(devicePixelRatio, 2);
+    for (const one of [canvas, labels]) {
+      one.width = Math.max(1, canvas.clientWidth * ratio);
+      one.height = Math.max(1, canvas.clientHeight * ratio);
+    }
+    draw();
+  }).observe(canvas);
+}
+
+document.querySelectorAll(".motion").forEach(motionView);
