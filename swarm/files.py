@@ -1,6 +1,7 @@
 """Reading and writing of files; every failure is an :class:`InputError` that names the file."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 from swarm.errors import InputError, Problem, reason
@@ -38,3 +39,13 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
         Path(path).write_bytes(data)
     except OSError as error:
         raise InputError([Problem(os.fspath(path), reason(error))]) from None
+
+
+def write_folder(path: str | os.PathLike[str], texts: Mapping[str, str]) -> None:
+    """Write a new folder of UTF-8 files by their names; raises :class:`InputError` if it fails."""
+    try:
+        Path(path).mkdir()
+    except OSError as error:
+        raise InputError([Problem(os.fspath(path), reason(error))]) from None
+    for name, text in texts.items():
+        write_text(Path(path) / name, text)

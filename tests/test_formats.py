@@ -1,23 +1,36 @@
 """Plans and flights in the files of other programs, read by readers that are not ours."""
 
+import io
 import json
+import re
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from swarm.certification.certificate import CertifiedPlan, certify
+from swarm.cli.exporting import export_plan
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
+from swarm.formats.crazyswarm import trajectory_files
 from swarm.formats.mcap_log import write_log
 from swarm.formats.samples import sampled_flight, sampled_plan
+from swarm.formats.skybrush import fitted, show_file
 from swarm.formats.table import write_table
+from swarm.front.plan_files import certified_plan_file
+from swarm.geometry.motion import through_states
 from swarm.ground.record import Record
 from swarm.ground.record_reader import recorded_flight, recorded_plan
+from swarm.planner import PlanningResult
 from swarm.planning.cable_shape import cable_shape
 from tests import command
+from tests.certification.conftest import recorded_overhand
 from tests.flight.test_resuming import BEGAN, Recorded
 from tests.network import small_plan
 from tests.reports.synthetic import trefoil_plan
@@ -44,6 +57,13 @@ def figures(path: Path, topic: str) -> list[tuple[float, dict]]:
 
 def xyz(point) -> list[float]:
     return [point.x, point.y, point.z]
+
+
+@pytest.fixture(scope="module")
+def cleared() -> CertifiedPlan:
+    """A cleared plan of an overhand, of 100 pieces and more."""
+    plan = recorded_overhand()
+    return CertifiedPlan(plan, certify(plan))
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +186,11 @@ def test_events_of_the_team_and_of_a_vehicle_are_told_apart(tmp_path: Path) -> N
     [
         ("record", "flight.csv", "expected a name that ends in .mcap or .parquet"),
         ("record", "flight", "expected a name that ends in .mcap or .parquet"),
-        ("overhand", "plan.bag", "expected a name that ends in .csv, .mcap or .parquet"),
+        (
+            "overhand",
+            "plan.bag",
+            "expected a name that ends in .crazyswarm, .csv, .mcap, .parquet or .skyc",
+        ),
     ],
 )
 def test_a_name_that_ends_otherwise_is_refused_at_once(
@@ -179,7 +203,9 @@ def test_a_name_that_ends_otherwise_is_refused_at_once(
 
 def test_plan_refuses_such_a_name_before_it_plans() -> None:
     said = command.run("plan", "overhand", "--export", "motion.txt")
-    message = "motion.txt: expected a name that ends in .csv, .mcap or .parquet\n"
+    message = (
+        "motion.txt: expected a name that ends in .crazyswarm, .csv, .mcap, .parquet or .skyc\n"
+    )
     assert (said.returncode, said.stderr) == (2, message)
 
 
@@ -196,3 +222,128 @@ def test_a_record_is_not_planned_again_and_a_damaged_one_is_refused(record: Path
     said = command.run("export", str(record), "-o", str(record / "none" / "a.mcap"))
     assert said.returncode == 2
     assert said.stderr == f"{record / 'none' / 'a.mcap'}: no such file or directory\n"
+
+
+def test_crazyswarm_trajectories_are_the_polynomials_of_the_plan(
+    cleared: CertifiedPlan,
+) -> None:
+    overhand = cleared.plan
+    texts = trajectory_files(cleared)
+    assert list(texts) == [f"vehicle_{k}.csv" for k in range(1, overhand.vehicles + 1)]
+    times = np.arange(0.0, overhand.duration, 0.01)
+    planned = overhand.motion.at(times)[0]
+    for vehicle, text in enumerate(texts.values()):
+        # as crazyflie_py reads such a file: 33 columns after one line, lowest power first
+        rows = np.loadtxt(text.splitlines(), delimiter=",", skiprows=1, usecols=range(33))
+        starts = np.concatenate([[0.0], np.cumsum(rows[:, 0])])
+        piece = np.searchsorted(starts[1:-1], times, side="right")
+        since = times - starts[piece]
+        read = [
+            sum(rows[piece, 1 + 8 * axis + power] * since**power for power in range(8))
+            for axis in range(4)
+        ]
+        assert np.abs(np.column_stack(read[:3]) - planned[:, vehicle]).max() < 1e-9
+        assert not np.any(read[3])
+        assert starts[-1] == pytest.approx(overhand.duration)
+
+
+def test_a_skybrush_show_is_within_a_millimetre_of_the_plan(cleared: CertifiedPlan) -> None:
+    overhand = cleared.plan
+    data, error = show_file(cleared)
+    assert error <= 0.0006
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        assert archive.namelist() == ["show.json"]
+        show = json.loads(archive.read("show.json"))
+    assert show["version"] == 1
+    assert show["environment"]["type"] == "outdoor"
+    drones = show["swarm"]["drones"]
+    assert [drone["settings"]["name"] for drone in drones] == list("123456789")
+    times = np.arange(0.0, overhand.duration, 0.01)
+    planned = overhand.motion.at(times)[0]
+    for vehicle, drone in enumerate(drones):
+        trajectory = drone["settings"]["trajectory"]
+        assert (trajectory["version"], trajectory["takeoffTime"]) == (1, 0)
+        moments, places, control = zip(*trajectory["points"], strict=True)
+        assert control[0] == []
+        steps = np.diff(moments)
+        assert np.abs(steps * 1000 - np.round(steps * 1000)).max() < 1e-6
+        assert steps.min() > 0.0005
+        flown = np.array([bezier(moments, places, control, time) for time in times[:: 1 + vehicle]])
+        apart = np.linalg.norm(flown - planned[:: 1 + vehicle, vehicle], axis=1)
+        assert apart.max() < min(1.02 * error, 0.001)
+        assert drone["settings"]["home"] == places[0]
+
+
+def bezier(moments, places, control, time: float):
+    """The place at a time by de Casteljau's construction."""
+    k = min(int(np.searchsorted(moments, time, side="right")), len(moments) - 1)
+    share = (time - moments[k - 1]) / (moments[k] - moments[k - 1])
+    points = np.array([places[k - 1], *control[k], places[k]])
+    assert len(points) == 4
+    while len(points) > 1:
+        points = (1 - share) * points[:-1] + share * points[1:]
+    return points[0]
+
+
+@given(
+    steps=st.lists(st.floats(0.02, 3.0), min_size=1, max_size=4),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_cubics_keep_their_tolerance_between_milliseconds(steps: list[float], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.concatenate([[0.0], np.cumsum(steps)])
+    states = rng.normal(size=(3, len(times), 2, 3))
+    states[1:, [0, -1]] = 0.0  # from rest to rest
+    motion = through_states(times, *states)
+    cubics = fitted(motion, 0.001)
+    assert cubics.error <= 0.001
+    moments = np.linspace(0.0, times[-1], 301)
+    k = np.clip(np.searchsorted(cubics.times, moments * 1000, side="right") - 1, 0, None)
+    k = np.minimum(k, len(cubics.points) - 1)
+    share = (moments * 1000 - cubics.times[k]) / np.diff(cubics.times)[k]
+    for place, points, s in zip(motion.at(moments)[0], cubics.points[k], share, strict=True):
+        curve = points
+        while len(curve) > 1:
+            curve = (1 - s) * curve[:-1] + s * curve[1:]
+        # the error was looked for at seven moments of each cubic: between them it is little larger
+        assert np.linalg.norm(curve[0] - place, axis=1).max() < 0.0012
+
+
+def test_a_plan_is_exported_for_programs_that_fly(tmp_path: Path) -> None:
+    saved = tmp_path / "sideways.plan"
+    saved.write_bytes(certified_plan_file(small_plan()))
+    show = tmp_path / "sideways.skyc"
+    said = command.run("export", str(saved), "-o", str(show))
+    assert (said.returncode, said.stdout) == (0, f"{show}\n")
+    without = "without waits at gates, grips, yaw and cable"
+    assert re.search(rf"sideways\.skyc: at most 0\.\d mm from the plan; {without}\n", said.stderr)
+    folder = tmp_path / "sideways.crazyswarm"
+    said = command.run("export", str(saved), "-o", str(folder))
+    assert said.returncode == 0
+    pieces = len(small_plan().plan.motion.coefficients)
+    assert f"{folder}: {pieces} pieces; {without}\n" in said.stderr
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["vehicle_1.csv", "vehicle_2.csv", "vehicle_3.csv"]
+    said = command.run("export", str(saved), "-o", str(folder))
+    assert said.returncode == 2
+    assert f"{folder}: file exists\n" in said.stderr
+
+
+def test_more_pieces_than_a_crazyflie_holds_are_announced(
+    cleared: CertifiedPlan, tmp_path: Path
+) -> None:
+    planned = PlanningResult(cleared.plan, cleared.certificate)
+    pieces = len(cleared.plan.motion.coefficients)
+    assert export_plan(planned, tmp_path / "overhand.crazyswarm") == (
+        f"{pieces} pieces, more than the 31 that a Crazyflie's memory holds: stream them; "
+        "without waits at gates, grips, yaw and cable"
+    )
+
+
+def test_a_refused_plan_is_not_exported_for_programs_that_fly(tmp_path: Path) -> None:
+    paper = ("overhand", "--set", "fold.method=paper")
+    show = tmp_path / "paper.skyc"
+    said = command.run("plan", *paper, "--export", str(show))
+    assert said.returncode == 1
+    assert f"{show}: not written: the plan is refused\n" in said.stderr
+    assert not show.exists()

@@ -19,8 +19,8 @@ from swarm.ground.record_reader import recorded_events, recorded_flight, recorde
     "-o",
     "--output",
     required=True,
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="The file to write; the end of its name chooses the format.",
+    type=click.Path(path_type=Path),
+    help="The file or folder to write; the end of its name chooses the format.",
 )
 @SET
 @REPLAN
@@ -30,10 +30,17 @@ def export(source: str, output: Path, overrides: tuple[str, ...], replan: bool) 
     \b
     .mcap     Foxglove and PlotJuggler: vehicles, cable, events and figures over time
     .parquet  tables: one row per moment, one column per figure of a vehicle
-    .csv      of a plan: the motion of every grip point, for swarm certify
+
+    Of a plan only:
+
+    \b
+    .csv         the motion of every grip point, for swarm certify
+    .skyc        Skybrush: a show file
+    .crazyswarm  Crazyswarm2: a folder with one trajectory per vehicle
 
     A flight has the reported positions and the sent setpoints, from its .tlog. A mission is planned
-    first; a refused plan is not written (swarm plan --export writes it, to look at).
+    first; a refused plan is not written (swarm plan --export writes it, but not for a program that
+    flies).
 
     Example: swarm export flights/2025-06-01T10-00-00-overhand --output flight.mcap
     """
@@ -48,7 +55,10 @@ def export(source: str, output: Path, overrides: tuple[str, ...], replan: bool) 
     else:
         require_suffix(output, PLANNED)
         planned = load_source(source, overrides, replan=replan).planned()
-        export_plan(planned.certified().plan, output)
+        planned.certified()
+        note = export_plan(planned, output)
+        if note:
+            click.echo(f"{output}: {note}", err=True)
     click.echo(f"{output}")
 
 

@@ -7,7 +7,7 @@ import click
 from rich.console import Console
 
 from swarm import exports, planner, studies
-from swarm.cli.exporting import PLANNED, export_plan, require_suffix
+from swarm.cli.exporting import FLOWN, PLANNED, export_plan, require_suffix
 from swarm.cli.inputs import JSON, MISSION, REPLAN, SET, VERBOSE, print_json, progress_bar
 from swarm.cli.planning import load_source
 from swarm.errors import Refused
@@ -35,8 +35,8 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option(
     "--export",
     type=FILE,
-    help="Write the motion of every grip point, every 0.05 s (ENU, SI): .csv, .mcap or .parquet, "
-    "as swarm export.",
+    help="Write the motion of every grip point (ENU, SI): .csv, .mcap or .parquet, every 0.05 s; "
+    "a cleared plan also as .skyc or .crazyswarm, as swarm export.",
 )
 @click.option(
     "--plot",
@@ -107,6 +107,8 @@ def plan(
         print_plan_summary(planned.plan, planned.assessment, Console(), verbose=verbose)
     if files["save"]:
         _say_saved(files["save"], planned)
+    if files["export"] and not planned.assessment.cleared and files["export"].suffix in FLOWN:
+        click.echo(f"{files['export']}: not written: the plan is refused", err=True)
     context.exit(0 if planned.assessment.cleared else 1)
 
 
@@ -121,8 +123,8 @@ def _write_files(
 ) -> None:
     if save and planned.assessment.cleared:
         write_bytes(save, certified_plan_file(planned.certified()))
-    if export:
-        export_plan(planned.plan, export)
+    if export and (planned.assessment.cleared or export.suffix not in FLOWN):
+        export_plan(planned, export)
     if plot:
         from swarm.reports.plots import plot_plan  # noqa: PLC0415 - slow to import
 
