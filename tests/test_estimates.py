@@ -43,6 +43,8 @@ def test_the_limit_is_half_of_the_two_longest_neighbouring_segments(payload, ref
     [
         (mission_for_knot("overhand"), 9),
         (mission_for_knot("figure-eight"), 11),
+        (mission_for_knot("figure-eight", ["vehicles.count=7"]), 7),
+        (mission_for_knot("figure-eight", ["vehicles.count=fewest"]), 6),
         (mission_for_knot("overhand", [f"layout={CORNERS}"]), 4),
         (parse_mission(FORMATION, "m.yaml"), 2),
     ],

@@ -9,6 +9,7 @@ from swarm.errors import Refused
 from swarm.knots.catalog import choose_knot
 from swarm.mission import Mission
 from swarm.mission.fleet import Fleet
+from swarm.planning.few_vehicles import least_vehicles
 
 Floats = npt.NDArray[np.float64]
 
@@ -19,7 +20,10 @@ and the cable swings."""
 
 
 def vehicles_needed(mission: Mission) -> int:
-    """Return the number of vehicles: of the formation, of given corners, or 2N − 1 of the grid.
+    """Return the number of vehicles that is known before planning.
+
+    It is the number of places of a formation, of given corners, or 2N − 1 of the grid; or
+    ``vehicles.count`` where that is a number, and its lower bound where that is ``fewest``.
 
     Raises :class:`swarm.errors.InputError` for a knot that does not exist.
     """
@@ -28,7 +32,14 @@ def vehicles_needed(mission: Mission) -> int:
     if mission.layout.corners is not None:
         return len(mission.layout.corners)
     assert mission.knot is not None  # noqa: S101 - a mission has a knot or a formation
-    return choose_knot(**mission.knot.model_dump()).vehicles
+    choice = choose_knot(**mission.knot.model_dump())
+    match mission.vehicles.count:
+        case "auto":
+            return choice.vehicles
+        case "fewest":
+            return least_vehicles(choice.crossings)
+        case count:
+            return count
 
 
 def require_fleet(mission: Mission, fleet: Fleet) -> None:

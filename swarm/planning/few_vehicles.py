@@ -38,6 +38,15 @@ _PIECES = 16
 """Straight pieces of a segment in the curve whose knot is identified."""
 
 
+def least_vehicles(crossings: int) -> int:
+    """Return a lower bound of the number of vehicles for a knot with so many crossings.
+
+    Below it no layout exists with a catenary for each edge and with both ends outside in plan view.
+    A mission has at least 3 vehicles.
+    """
+    return max(fewest_edges(crossings) + 1, 3)
+
+
 @dataclass(frozen=True)
 class FewVehicles:
     """The search for a knot with few vehicles.
@@ -53,9 +62,8 @@ class FewVehicles:
 
     @property
     def least(self) -> int:
-        """Number of vehicles below which no layout exists with a catenary for each edge and with
-        both ends outside in plan view."""
-        return max(fewest_edges(self.knot.crossings) + 1, 3)
+        """Lower bound of the number of vehicles, see :func:`least_vehicles`."""
+        return least_vehicles(self.knot.crossings)
 
     @property
     def most(self) -> int:
