@@ -64,9 +64,12 @@ def _team_rows(plan: Plan, assessment: Assessment) -> list[tuple[str, Text | str
 
 
 def _layout(plan: Plan) -> str:
-    cell = f", cell {metres(plan.layout.cell)}" if plan.layout.cell > 0 else ""
-    size = 0 if plan.mission.layout.corners is not None else len(plan.knot.grid_columns)
-    return f"{size}×{size} grid{cell}" if size else "given corners"
+    size = len(plan.knot.grid_columns)
+    if not size or plan.mission.layout.corners is not None:
+        return "given corners"
+    if plan.layout.cell == 0.0:
+        return "searched layout"
+    return f"{size}×{size} grid, cell {metres(plan.layout.cell)}"
 
 
 def _knot(plan: Plan, assessment: Assessment) -> Text:

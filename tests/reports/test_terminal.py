@@ -65,6 +65,16 @@ def test_summary_of_a_cleared_plan() -> None:
     ]
 
 
+def test_summary_calls_a_layout_a_grid_only_where_it_is_one() -> None:
+    searched = replace(PLAN, layout=replace(PLAN.layout, cell=0.0))
+    without_grid = replace(PLAN, knot=replace(PLAN.knot, grid_columns=()))
+    for plan, words in ((searched, "searched layout"), (without_grid, "given corners")):
+        console = plain()
+        print_plan_summary(plan, assessment(), console)
+        lines = [line.rstrip() for line in printed(console).splitlines()]
+        assert lines[3] == f"  vehicles            9, {words}"
+
+
 def test_refused_plan_has_the_verdict_first_and_the_errors_last() -> None:
     console = plain()
     remark = Finding("info", "budget", "nothing to add")
