@@ -5,11 +5,24 @@ import numpy.typing as npt
 import rerun.blueprint as rrb
 
 from swarm.planning import Plan
+from swarm.reports import scene
 
 Floats = npt.NDArray[np.float64]
 
-TRAIL = 8.0
-"""Seconds of trail behind each vehicle."""
+FIELD_TRAIL = 8.0
+"""Seconds of trail behind each vehicle in a view of the whole flown area."""
+
+KNOT_TRAIL = 1.5
+"""Seconds of trail in a view of the knot: the direction of motion; longer ones hide the strands."""
+
+FIELD_OF_VIEW = np.radians(55.0)
+"""Vertical field of view of Rerun's camera by default."""
+
+ASPECT = 1.5
+"""Width over height of the narrowest view of a knot, that of the comparison on a 16:9 screen."""
+
+FILLED = 0.88
+"""Share of a view's height or width that the knot takes; the rest is for the labels."""
 
 BACKGROUND = (22, 26, 34)
 UNLABELLED = "- /plan/crossings/labels"
@@ -21,14 +34,14 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
     return _blueprint(
         rrb.Horizontal(
             rrb.Vertical(
-                _scene("Knot", "time", _knot_eye(plan), "- /plan/team/**", UNLABELLED),
+                _knot("Knot", "time", plan, "- /plan/team/**", UNLABELLED),
                 _scene("Field", "time", _field_eye(plan), *FLOWN_ONLY),
                 rrb.Horizontal(_states(), _log(), column_shares=[1, 1]),
                 row_shares=[6, 2.4, 3],
             ),
             rrb.Vertical(
                 _curves("error", "Tracking error (m)"),
-                _curves("margin", "Margin: clearance above the required one (m)"),
+                _curves("margin", "Margin above the required (m)", legend=True),
                 _curves("rate", "Mission clock rate", (-1.1, 1.1)),
                 rrb.Tabs(
                     _curves("battery", "Battery (%)", (0.0, 100.0)),
@@ -50,7 +63,7 @@ def plan_blueprint(plan: Plan) -> rrb.Blueprint:
     return _blueprint(
         rrb.Horizontal(
             rrb.Vertical(
-                _scene("Knot", "mission_time", _knot_eye(plan)),
+                _knot("Knot", "mission_time", plan),
                 _scene("Field", "mission_time", _field_eye(plan), UNLABELLED),
                 row_shares=[6, 2.4],
             ),
@@ -72,8 +85,8 @@ def comparison_blueprint(plan: Plan) -> rrb.Blueprint:
     return _blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                _scene("Planned", "mission_time", _knot_eye(plan), "- /flight/**", UNLABELLED),
-                _scene("Flown", "mission_time", _knot_eye(plan), *FLOWN_ONLY),
+                _knot("Planned", "mission_time", plan, "- /flight/**", UNLABELLED),
+                _knot("Flown", "mission_time", plan, *FLOWN_ONLY),
             ),
             rrb.Horizontal(
                 _scene("Planned and flown", "mission_time", _field_eye(plan, near=0.4), UNLABELLED),
@@ -100,10 +113,22 @@ def _blueprint(
     )
 
 
-def _scene(name: str, timeline: str, eye: rrb.EyeControls3D, *excluded: str) -> rrb.Spatial3DView:
+def _knot(name: str, timeline: str, plan: Plan, *excluded: str) -> rrb.Spatial3DView:
+    """Return a view of the knot, without the planned paths, which would hide it."""
+    hidden = {"- /plan/path", *excluded}
+    return _scene(name, timeline, _knot_eye(plan), *sorted(hidden), trail_seconds=KNOT_TRAIL)
+
+
+def _scene(
+    name: str,
+    timeline: str,
+    eye: rrb.EyeControls3D,
+    *excluded: str,
+    trail_seconds: float = FIELD_TRAIL,
+) -> rrb.Spatial3DView:
     trail = rrb.VisibleTimeRanges(
         timeline=timeline,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL),
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-trail_seconds),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
     return rrb.Spatial3DView(
@@ -137,22 +162,36 @@ def _log() -> rrb.TextLogView:
 
 
 def _curves(
-    origin: str, name: str, limits: tuple[float, float] | None = None
+    origin: str, name: str, limits: tuple[float, float] | None = None, *, legend: bool = False
 ) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         origin=f"plots/{origin}",
         name=name,
         axis_y=rrb.ScalarAxis(range=limits, zoom_lock=False) if limits else None,
-        plot_legend=rrb.PlotLegend(visible=False),
+        plot_legend=rrb.PlotLegend("LeftTop", visible=legend),
     )
 
 
 def _knot_eye(plan: Plan) -> rrb.EyeControls3D:
-    """Return a view of the knot from above, from the south-west."""
-    low, high = plan.layout.corners.min(axis=0), plan.layout.corners.max(axis=0)
-    low[2] = high[2] - float(plan.layout.sags.max(initial=0.0))
-    extent = float(np.linalg.norm((high - low)[:2]))
-    return _eye((low + high) / 2, np.array([-0.6, -1.0, 0.75]), 0.55 * extent + 2.5)
+    """Return a view from above, from the south-west, that the folded knot fills."""
+    layout, vehicles = plan.layout, plan.mission.vehicles
+    strands = scene.strands(layout.corners, layout.lengths, scene.POINTS_PER_SEGMENT)
+    above = layout.corners + np.array([0.0, 0.0, vehicles.grip_offset + vehicles.radius])
+    points = np.concatenate([strands.reshape(-1, 3), above])
+    towards = np.array([-0.6, -1.0, 0.75])
+    target = (points.min(axis=0) + points.max(axis=0)) / 2
+    return _eye(target, towards, _framing_distance(points - target, towards))
+
+
+def _framing_distance(points: Floats, towards: Floats) -> float:
+    """Return the least distance of a camera from which points (k, 3) around its target are seen."""
+    back = towards / np.linalg.norm(towards)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    half_height = FILLED * np.tan(FIELD_OF_VIEW / 2)
+    beside = np.abs(points @ right) / (ASPECT * half_height)
+    over = np.abs(points @ np.cross(back, right)) / half_height
+    return float((np.maximum(beside, over) + points @ back).max())
 
 
 def _field_eye(plan: Plan, near: float = 0.2) -> rrb.EyeControls3D:
