@@ -5,6 +5,7 @@ import json
 import re
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -13,6 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from mcap_ros2.decoder import DecoderFactory as RosDecoderFactory
+from ruamel.yaml import YAML
 
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.cli.exporting import export_plan
@@ -139,6 +142,37 @@ def test_a_flight_is_a_parquet_table_with_a_column_per_figure(record: Path, tmp_
     assert json.loads(table.schema.metadata[b"mission"]) == plan.mission.document()
 
 
+def test_a_flight_is_a_ros_bag_that_another_reader_reads(record: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "flight.rosbag"
+    assert command.run("export", str(record), "--output", str(bag)).returncode == 0
+    plan = recorded_plan(record)
+    flown = recorded_flight(record, plan)
+    metadata = YAML(typ="safe").load((bag / "metadata.yaml").read_text())
+    information = metadata["rosbag2_bagfile_information"]
+    assert information["storage_identifier"] == "mcap"
+    (name,) = information["relative_file_paths"]
+    read: dict[str, list[Any]] = {}
+    with (bag / name).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[RosDecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages():
+            read.setdefault(channel.topic, []).append(message)
+    known = [k for k in range(len(flown.trace.time)) if np.isfinite(flown.trace.position[k, 1, 0])]
+    poses = [xyz(one.pose.position) for one in read["/vehicle_2/position"]]
+    assert poses == flown.trace.position[known, 1].tolist()
+    assert {one.header.frame_id for one in read["/vehicle_2/setpoint"]} == {"map"}
+    last = read["/vehicle_2/position"][-1].header.stamp
+    began = flown.started + flown.trace.time[-1]
+    assert last.sec + last.nanosec * 1e-9 == pytest.approx(began, abs=2e-6)
+    assert read["/phase"][-1].data == "fold"
+    frames = read["/tf"][-1].transforms
+    assert [one.child_frame_id for one in frames] == ["vehicle_1", "vehicle_2", "vehicle_3"]
+    cable = read["/cable"][-1].points
+    assert xyz(cable[0]) == pytest.approx(flown.trace.position[-1, 0], abs=1e-6)
+    assert xyz(cable[-1]) == pytest.approx(flown.trace.position[-1, 2], abs=1e-6)
+    said = command.run("export", str(record), "--output", str(bag))
+    assert (said.returncode, said.stderr) == (2, f"{bag}: file exists\n")
+
+
 def test_unknown_positions_are_left_out_and_are_null(tmp_path: Path) -> None:
     plan = TREFOIL
     samples = sampled_plan(plan, 5.0)
@@ -184,12 +218,12 @@ def test_events_of_the_team_and_of_a_vehicle_are_told_apart(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("source", "name", "message"),
     [
-        ("record", "flight.csv", "expected a name that ends in .mcap or .parquet"),
-        ("record", "flight", "expected a name that ends in .mcap or .parquet"),
+        ("record", "flight.csv", "expected a name that ends in .mcap, .parquet or .rosbag"),
+        ("record", "flight", "expected a name that ends in .mcap, .parquet or .rosbag"),
         (
             "overhand",
             "plan.bag",
-            "expected a name that ends in .crazyswarm, .csv, .mcap, .parquet or .skyc",
+            "expected a name that ends in .crazyswarm, .csv, .mcap, .parquet, .rosbag or .skyc",
         ),
     ],
 )
@@ -203,9 +237,7 @@ def test_a_name_that_ends_otherwise_is_refused_at_once(
 
 def test_plan_refuses_such_a_name_before_it_plans() -> None:
     said = command.run("plan", "overhand", "--export", "motion.txt")
-    message = (
-        "motion.txt: expected a name that ends in .crazyswarm, .csv, .mcap, .parquet or .skyc\n"
-    )
+    message = "motion.txt: expected a name that ends in .crazyswarm, .csv, .mcap, .parquet, .rosbag or .skyc\n"
     assert (said.returncode, said.stderr) == (2, message)
 
 

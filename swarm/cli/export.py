@@ -30,6 +30,7 @@ def export(source: str, output: Path, overrides: tuple[str, ...], replan: bool) 
     \b
     .mcap     Foxglove and PlotJuggler: vehicles, cable, events and figures over time
     .parquet  tables: one row per moment, one column per figure of a vehicle
+    .rosbag   ROS 2 (Jazzy): a bag, which is a folder, with positions, frames and cable
 
     Of a plan only:
 

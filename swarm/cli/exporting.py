@@ -12,7 +12,7 @@ from swarm.formats.samples import Samples, sampled_plan
 from swarm.formats.skybrush import show_file
 from swarm.planner import PlanningResult
 
-SAMPLED = (".mcap", ".parquet")
+SAMPLED = (".mcap", ".parquet", ".rosbag")
 """Ends of names for samples over time, of a plan or of a flight."""
 FLOWN = (".crazyswarm", ".skyc")
 """Ends of names for programs that fly: cleared plans only."""
@@ -66,10 +66,13 @@ def export_samples(samples: Samples, path: Path) -> None:
 
         write_table(samples, path)
         return
+    extra = "mcap" if path.suffix == ".mcap" else "ros"
     try:
-        from swarm.formats.mcap_log import write_log  # noqa: PLC0415 - an optional extra
+        if extra == "mcap":
+            from swarm.formats.mcap_log import write_log as write  # noqa: PLC0415 - optional
+        else:
+            from swarm.formats.ros_bag import write_bag as write  # noqa: PLC0415 - optional
     except ImportError:
-        raise SwarmError(
-            "MCAP needs more packages: pip install 'swarm-ground-station[mcap]'"
-        ) from None
-    write_log(samples, path)
+        message = f"{path.suffix} needs more packages: pip install 'swarm-ground-station[{extra}]'"
+        raise SwarmError(message) from None
+    write(samples, path)

@@ -35,8 +35,8 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option(
     "--export",
     type=FILE,
-    help="Write the motion of every grip point (ENU, SI): .csv, .mcap or .parquet, every 0.05 s; "
-    "a cleared plan also as .skyc or .crazyswarm, as swarm export.",
+    help="Write the motion of every grip point (ENU, SI): .csv, .mcap, .parquet or .rosbag, every "
+    "0.05 s; a cleared plan also as .skyc or .crazyswarm, as swarm export.",
 )
 @click.option(
     "--plot",

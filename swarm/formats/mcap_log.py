@@ -31,16 +31,12 @@ from mcap_protobuf.schema import register_schema
 
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.snapshot import Event
-from swarm.formats.samples import Samples
+from swarm.formats.samples import CABLE_POINTS, CABLE_WIDTH, FRAME, Samples, nanoseconds
 from swarm.reports import scene
 from swarm.version import __version__
 
 Floats = npt.NDArray[np.float64]
 
-FRAME = "map"
-"""The mission's frame (ENU), by its usual name in ROS and Foxglove."""
-_CABLE_POINTS = 13
-"""Points of a drawn segment of the cable: more enlarge the file, and are not seen."""
 _HEIGHT = 0.06
 """Height in metres of the disc that stands for a vehicle."""
 _LABEL_SIZE = 0.25
@@ -74,9 +70,10 @@ def _write(samples: Samples, file: IO[bytes]) -> None:
     states = [
         _figures_channel(writer, f"/vehicle_{k + 1}/state", state) for k in range(samples.vehicles)
     ]
-    for k, (stamp, update) in enumerate(zip(_stamps(samples), _scenes(samples), strict=True)):
+    centres = samples.centres
+    for k, (stamp, update) in enumerate(zip(samples.stamps, _scenes(samples), strict=True)):
         _add(writer, scenes, stamp, update.SerializeToString())
-        _add(writer, frames, stamp, _transforms(samples, k, stamp).SerializeToString())
+        _add(writer, frames, stamp, _transforms(centres[k], stamp).SerializeToString())
         clock = {"mission_time": samples.mission_time[k], "phase": samples.phase[k]}
         _add(writer, mission, stamp, json.dumps(clock).encode())
         for vehicle, channel in enumerate(states):
@@ -84,7 +81,7 @@ def _write(samples: Samples, file: IO[bytes]) -> None:
     if samples.events:
         channel = _protobuf(writer, "/events", Log)
         for event in samples.events:
-            stamp = _nanoseconds(samples.started + event.time)
+            stamp = nanoseconds(samples.started + event.time)
             _add(writer, channel, stamp, _log(event, stamp).SerializeToString())
     writer.finish()
 
@@ -127,26 +124,11 @@ def _state(samples: Samples, k: int, vehicle: int) -> dict[str, Any]:
     return known | {name: value for name, value in scalars.items() if isfinite(value)}
 
 
-def _stamps(samples: Samples) -> list[int]:
-    return [_nanoseconds(samples.started + time) for time in samples.time.tolist()]
-
-
-def _nanoseconds(seconds: float) -> int:
-    """Return nanoseconds since 1970, rounded to microseconds: a float has no more digits."""
-    return max(0, round(seconds * 1e6)) * 1000
-
-
 def _timestamp(stamp: int) -> Timestamp:
     return Timestamp(seconds=stamp // 10**9, nanos=stamp % 10**9)
 
 
-def _centres(samples: Samples) -> Floats:
-    above = np.array([0.0, 0.0, samples.mission.vehicles.grip_offset])
-    places: Floats = samples.vectors["position"] + above
-    return places
-
-
-def _transforms(samples: Samples, k: int, stamp: int) -> FrameTransforms:
+def _transforms(centres: Floats, stamp: int) -> FrameTransforms:
     """Return the frames of the vehicles with a known place, upright: attitudes are not known."""
     transforms = [
         FrameTransform(
@@ -156,7 +138,7 @@ def _transforms(samples: Samples, k: int, stamp: int) -> FrameTransforms:
             translation=Vector3(x=x, y=y, z=z),
             rotation=_UPRIGHT,
         )
-        for vehicle, (x, y, z) in enumerate(_centres(samples)[k].tolist(), start=1)
+        for vehicle, (x, y, z) in enumerate(centres.tolist(), start=1)
         if isfinite(x + y + z)
     ]
     return FrameTransforms(transforms=transforms)
@@ -165,11 +147,11 @@ def _transforms(samples: Samples, k: int, stamp: int) -> FrameTransforms:
 def _scenes(samples: Samples) -> Iterator[SceneUpdate]:
     """Yield the scene at every moment: the vehicles, and the cable coloured by its tautness."""
     colours = scene.tautness_colours(scene.tautness(samples.cable, samples.lengths)) / 255.0
-    centres = _centres(samples)
-    for k, stamp in enumerate(_stamps(samples)):
-        shapes = scene.strands(samples.cable[k], samples.lengths, _CABLE_POINTS)
+    centres = samples.centres
+    for k, stamp in enumerate(samples.stamps):
+        shapes = scene.strands(samples.cable[k], samples.lengths, CABLE_POINTS)
         entities = [_entity("vehicles", stamp, *_vehicles(samples, centres[k]))]
-        entities.append(_entity("cable", stamp, lines=_cable(samples, shapes, colours[k])))
+        entities.append(_entity("cable", stamp, lines=_cable(shapes, colours[k])))
         yield SceneUpdate(entities=entities)
 
 
@@ -202,14 +184,13 @@ def _vehicles(samples: Samples, centres: Floats) -> tuple[list[Any], list[Any]]:
     return discs, numbers
 
 
-def _cable(samples: Samples, shapes: Floats, colours: Floats) -> list[LinePrimitive]:
+def _cable(shapes: Floats, colours: Floats) -> list[LinePrimitive]:
     """Return the segments of the cable with a known shape as lines."""
     return [
         LinePrimitive(
             type=LinePrimitive.LINE_STRIP,
             pose=Pose(orientation=_UPRIGHT),
-            # drawn at least 2 cm thick: a cable of 5 mm is not seen in a field of ten metres
-            thickness=max(samples.mission.cable.diameter, 0.02),
+            thickness=CABLE_WIDTH,
             points=[Point3(x=x, y=y, z=z) for x, y, z in shape.tolist()],
             color=Color(r=colour[0], g=colour[1], b=colour[2], a=1.0),
         )

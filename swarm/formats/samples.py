@@ -17,6 +17,13 @@ Floats = npt.NDArray[np.float64]
 PLAN_STEP = 0.05
 """Seconds between two samples of a plan, as in its CSV."""
 
+FRAME = "map"
+"""The mission's frame (ENU), by its usual name in ROS (REP 105) and Foxglove."""
+CABLE_POINTS = 13
+"""Points of a drawn segment of the cable: more enlarge the file, and are not seen."""
+CABLE_WIDTH = 0.02
+"""Metres of the drawn cable: one of 5 mm is not seen in a field of ten metres."""
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:
@@ -45,6 +52,23 @@ class Samples:
     def vehicles(self) -> int:
         """Number of vehicles n."""
         return int(self.vectors["position"].shape[1])
+
+    @property
+    def centres(self) -> Floats:
+        """Centres of the vehicles (k, n, 3), metres."""
+        above = np.array([0.0, 0.0, self.mission.vehicles.grip_offset])
+        places: Floats = self.vectors["position"] + above
+        return places
+
+    @property
+    def stamps(self) -> list[int]:
+        """The k moments in nanoseconds since 1970."""
+        return [nanoseconds(self.started + time) for time in self.time.tolist()]
+
+
+def nanoseconds(seconds: float) -> int:
+    """Return whole nanoseconds, rounded to microseconds: seconds since 1970 have no more digits."""
+    return max(0, round(seconds * 1e6)) * 1000
 
 
 def sampled_plan(plan: Plan, step: float = PLAN_STEP) -> Samples:
