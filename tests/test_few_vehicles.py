@@ -2,6 +2,7 @@
 
 import pytest
 
+from swarm import planner
 from swarm.errors import InputError, Refused
 from swarm.mission import mission_for_knot
 from swarm.planning import make_plan
@@ -14,6 +15,14 @@ def test_the_fewest_vehicles_for_an_overhand_are_five() -> None:
         "folded with 5 vehicles; at least 5 vehicles are needed for 3 crossings, with one "
         "catenary for each edge and both ends outside in plan view",
     )
+
+
+def test_an_overhand_with_six_vehicles_is_cleared() -> None:
+    mission = mission_for_knot("overhand", ["vehicles.count=6"])
+    result = planner.plan(mission, robustness=False)
+    assert result.plan.vehicles == 6
+    assert result.certificate.cleared
+    assert (result.assessment.knot, result.assessment.chirality) == ("3_1", "right")
 
 
 @pytest.mark.parametrize("count", [4, 10])
