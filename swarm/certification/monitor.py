@@ -131,6 +131,12 @@ class Monitor:
             for s, v, r, m in zip(strands, vehicle, ratio, margin, strict=True)
         ]
 
+    def vehicle_margins(self, moments: Floats) -> Floats:
+        """Return the smallest margins (k,) between vehicles at the moments (k, n, 3)."""
+        margins = np.empty(len(moments))
+        _vehicle_margins(np.ascontiguousarray(moments), self._required, margins)
+        return margins
+
     def clock_rate(self, moments: Floats, cable: CableState) -> float:
         """Return the allowed clock rate, 0…1, for the margins at the moments (k, n, 3).
 
@@ -157,6 +163,13 @@ def _margin(
                 distance = _strand_distance(moments[k], required, 0.0, points)
                 margin = min(margin, distance - diameter - required.strands)
     return margin
+
+
+@compiled
+def _vehicle_margins(moments: Floats3, required: _Required, margins: Floats1) -> None:
+    """Write the smallest margin between vehicles at each of the moments (k, n, 3)."""
+    for k in range(len(moments)):
+        margins[k] = _vehicle_margin(moments[k : k + 1], required)
 
 
 @compiled

@@ -282,7 +282,7 @@ def _vehicle_margins(plan: Plan, monitor: Monitor, positions: Floats) -> Floats:
     """Smallest margins (k,) of chords and between vehicles."""
     chords = np.linalg.norm(np.diff(positions, axis=1), axis=2)
     slack = (MAX_CHORD_RATIO * plan.layout.lengths - chords).min(axis=1, initial=np.inf)
-    between: Floats = np.minimum(_clearances(monitor, positions, "free")[1], slack)
+    between: Floats = np.minimum(monitor.vehicle_margins(positions), slack)
     return between
 
 

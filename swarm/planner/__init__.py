@@ -17,7 +17,7 @@ from swarm.certification.certificate import (
 )
 from swarm.certification.clearances import Moment, violations
 from swarm.mission import Mission
-from swarm.planner.pacing import PacedPlan, paced_plan, slower
+from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower, timed_for_losses
 from swarm.planning import Plan, Shortfall, candidates, repaired
 
 Progress = Callable[[str, float], None]
@@ -88,37 +88,47 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     """Certify and repair candidates until one is cleared; otherwise return the first one checked.
 
     A plan that exceeds the endurance is not checked, because no repair shortens it; the shortest
-    one is returned where nothing else was found.
+    one is returned where nothing else was found. The swing takes the longest to compute: plans are
+    slowed for it, and checked again, once they pass the checks without.
     """
     proposals = candidates(mission, progress=progress)
     candidate = next(proposals, None)
     notes: tuple[str, ...] = ()
-    first: tuple[Plan, MeasuredClearances | None] | None = None
+    first: PacedPlan | None = None
     too_long: list[Plan] = []
     failed_checks: frozenset[str] = frozenset()
     attempts = 0
     while candidate is not None and attempts < _ATTEMPTS:
         notes += candidate.notes
-        paced = paced_plan(replace(candidate.plan, notes=notes))
-        current = paced.plan
-        candidate = replace(candidate, plan=current)
-        if current.flight_duration > mission.vehicles.endurance:
-            notes += (_exceeds_endurance(current),)
-            too_long.append(current)
+        paced = timed_for_losses(replace(candidate.plan, notes=notes))
+        if not _exceeds_endurance(paced.plan):
+            attempts += 1
+            first = first or paced
+            failures, measured = _failures(paced.plan, failed_checks, progress)
+            slowed = paced if failures else slowed_for_swing(paced)
+            if slowed is not paced:
+                paced = slowed
+                if not _exceeds_endurance(paced.plan):
+                    failures, measured = _failures(paced.plan, frozenset(), progress)
+        if _exceeds_endurance(paced.plan):
+            notes += (_too_long(paced.plan),)
+            too_long.append(paced.plan)
             candidate = next(proposals, None)
             continue
-        attempts += 1
-        failures, measured = _failures(current, failed_checks, progress)
-        first = first or (current, measured)
         if not failures:
             found = _certified(paced, measured, progress)
             if found.certificate.cleared:
                 return found
         failed_checks = frozenset(moment.check for moment in failures)
         missing = [Shortfall(moment.check, moment.time, -moment.margin) for moment in failures]
+        candidate = replace(candidate, plan=paced.plan)
         candidate = repaired(candidate, missing) or next(proposals, None)
-    rejected, measured = first or (min(too_long, key=lambda long: long.flight_duration), None)
-    return PlanningResult(rejected, certify(rejected, measured=measured, progress=progress))
+    rejected = (
+        slowed_for_swing(first).plan
+        if first
+        else min(too_long, key=lambda long: long.flight_duration)
+    )
+    return PlanningResult(rejected, certify(rejected, progress=progress))
 
 
 def _certified(
@@ -142,7 +152,11 @@ def _certified(
     return result
 
 
-def _exceeds_endurance(plan: Plan) -> str:
+def _exceeds_endurance(plan: Plan) -> bool:
+    return plan.flight_duration > plan.mission.vehicles.endurance
+
+
+def _too_long(plan: Plan) -> str:
     endurance = plan.mission.vehicles.endurance
     return f"that took {plan.flight_duration:.0f} s of {endurance:g} s in the air"
 

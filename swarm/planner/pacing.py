@@ -102,8 +102,8 @@ class PacedPlan:
     pacing: Pacing | None = None
 
 
-def paced_plan(plan: Plan) -> PacedPlan:
-    """Return the plan with its fold timed for lost setpoints, and for ``fold.swing``.
+def timed_for_losses(plan: Plan) -> PacedPlan:
+    """Return the plan with its fold shaped, and slowed for lost setpoints; not yet for the swing.
 
     Formations, the paper's trajectory and flights without cable keep their timing.
     """
@@ -114,25 +114,20 @@ def paced_plan(plan: Plan) -> PacedPlan:
     count = int(np.ceil(fold.times[-1] / _GRID)) + 1
     at = np.linspace(0.0, fold.times[-1], count)
     shaper = shaper_for(plan.layout.sags)
-    return _limited(plan, Pacing(fold, shaper, at, np.ones(count), np.ones(count)))
+    pacing = _limited_for_loss(plan, Pacing(fold, shaper, at, np.ones(count), np.ones(count)))
+    return _timed(plan, pacing)
 
 
-def slower(paced: PacedPlan, loss: StreamLossCertificate) -> PacedPlan | None:
-    """Return the plan timed for the rates of its certificate; None where they are 1 already."""
-    if paced.pacing is None or not len(loss.times) or loss.rates.min() >= 1.0:
-        return None
-    times = loss.times - paced.plan.phase("fold").start
-    return _limited(paced.plan, paced.pacing.slowed_for_loss(times, loss.rates))
-
-
-def _limited(plan: Plan, pacing: Pacing) -> PacedPlan:
-    """Return the plan timed so that neither lost setpoints nor the swing ask for a lower rate.
+def slowed_for_swing(paced: PacedPlan) -> PacedPlan:
+    """Return the plan timed for ``fold.swing`` too; the same object where it keeps that already.
 
     Where no round reaches the limit of the swing, the one with the least swing counts.
     """
-    limit = swing_limit(plan)
-    pacing = _limited_for_loss(plan, pacing)
-    best, least = pacing, np.inf
+    if paced.pacing is None:
+        return paced
+    plan, limit = paced.plan, swing_limit(paced.plan)
+    pacing = best = paced.pacing
+    least = np.inf
     for _ in range(_SWING_ROUNDS):
         times, stray = largest_stray(_fold(plan, pacing), plan.layout.lengths, _model(plan))
         worst = stray.max(axis=1)
@@ -141,8 +136,20 @@ def _limited(plan: Plan, pacing: Pacing) -> PacedPlan:
         if least <= limit:
             break
         pacing = pacing.slowed_for_swing(times, worst / (_TARGET * limit))
-    best = _limited_for_loss(plan, best)
-    return PacedPlan(with_fold(plan, _fold(plan, best)), best)
+    return paced if best is paced.pacing else _timed(plan, _limited_for_loss(plan, best))
+
+
+def slower(paced: PacedPlan, loss: StreamLossCertificate) -> PacedPlan | None:
+    """Return the plan timed for the rates of its certificate; None where they are 1 already."""
+    if paced.pacing is None or not len(loss.times) or loss.rates.min() >= 1.0:
+        return None
+    times = loss.times - paced.plan.phase("fold").start
+    pacing = paced.pacing.slowed_for_loss(times, loss.rates)
+    return slowed_for_swing(_timed(paced.plan, _limited_for_loss(paced.plan, pacing)))
+
+
+def _timed(plan: Plan, pacing: Pacing) -> PacedPlan:
+    return PacedPlan(with_fold(plan, _fold(plan, pacing)), pacing)
 
 
 def swing_limit(plan: Plan) -> float:
