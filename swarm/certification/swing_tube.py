@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from swarm.certification.cable_spans import cable_spans
 from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.lumped_mass import at_rest, cable_model, swing_on
+from swarm.geometry.lumped_mass import at_rest, cable_model, swing_on, swing_on_each
 from swarm.planning import Plan, digest
 from swarm.planning.clock_limits import BANDWIDTH, ORDINARY
 
@@ -47,6 +47,9 @@ measured for stops every 0.25 s in the default overhand and figure-eight, with f
 MODEL_ERROR = 0.006
 """Metres by which a finer chain strays farther: 2 mm with 96 links and 2.5 ms in the default
 missions with fold.swing, 6 mm in the overhand without."""
+
+_STOPS = 8
+"""Stops that are simulated together, which bounds the memory."""
 
 _LEAVES = 8
 """Equal parts of a strand with a radius of their own; dyadic pieces of them have heap numbers."""
@@ -168,11 +171,13 @@ def _tube_of(named: _Named) -> SwingTube | None:
     planned, stopped = np.zeros((2, count, len(lengths), model.links + 1))
     _collect(planned, _strays(states[:, 1], ends[::EVERY], lengths), time[::EVERY] - span[0])
     reached = stop_ramp(plan)
-    for first in range(0, len(time) - 1, round(BIN / STEP)):
-        at = np.minimum(time[first] + reached, span[1])
-        moved = plan.motion.at(at)[0]
-        swung = swing_on(states[first // EVERY], moved, lengths, model, EVERY)
-        _collect(stopped, _strays(swung[:, 1], moved[::EVERY], lengths), at[::EVERY] - span[0])
+    firsts = np.arange(0, len(time) - 1, round(BIN / STEP))
+    for some in np.split(firsts, np.arange(_STOPS, len(firsts), _STOPS)):
+        at = np.minimum(time[some, None] + reached, span[1])
+        moved = plan.motion.at(at.ravel())[0].reshape(*at.shape, -1, 3)
+        swung = swing_on_each(states[some // EVERY], moved, lengths, model, EVERY)[:, :, 1]
+        for one, ends_of, when in zip(swung, moved[:, ::EVERY], at[:, ::EVERY], strict=True):
+            _collect(stopped, _strays(one, ends_of, lengths), when - span[0])
     return _tube(span[0], planned, stopped)
 
 

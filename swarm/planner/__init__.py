@@ -16,6 +16,7 @@ from swarm.certification.certificate import (
     with_recorded_robustness,
 )
 from swarm.certification.clearances import Moment, violations
+from swarm.certification.stream_loss import certify_stream_loss
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower, timed_for_losses
 from swarm.planning import Plan, Shortfall, candidates, repaired
@@ -134,22 +135,21 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
 def _certified(
     paced: PacedPlan, measured: MeasuredClearances | None, progress: Progress | None
 ) -> PlanningResult:
-    """Certify a plan; time it again while its certificate has rates of the clock below 1.
+    """Certify a plan, timed again while lost setpoints would lower the rate of the clock.
 
-    Where that leads to a plan that is not cleared, the one before it is returned.
+    Of several timings the last one that is cleared is returned; the first where none is.
     """
-    result = PlanningResult(paced.plan, certify(paced.plan, measured=measured, progress=progress))
+    timings = [paced]
     for _ in range(_RETIMED):
-        loss = result.assessment.stream_loss
-        again = slower(paced, loss) if loss is not None else None
+        again = slower(timings[-1], certify_stream_loss(timings[-1].plan))
         if again is None:
             break
-        paced = again
-        certificate = certify(paced.plan, progress=progress)
-        if not certificate.cleared:
-            break
-        result = PlanningResult(paced.plan, certificate)
-    return result
+        timings.append(again)
+    for again in reversed(timings[1:]):
+        certificate = certify(again.plan, progress=progress)
+        if certificate.cleared:
+            return PlanningResult(again.plan, certificate)
+    return PlanningResult(paced.plan, certify(paced.plan, measured=measured, progress=progress))
 
 
 def _exceeds_endurance(plan: Plan) -> bool:
