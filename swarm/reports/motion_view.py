@@ -99,14 +99,16 @@ def flown_motion(plan: Plan, outcome: Mapping[str, Any], trace: Trace) -> Motion
     times = _frame_times(plan, float(trace.time[0]), float(trace.time[-1]))
     sampled = np.minimum(np.searchsorted(trace.time, times), len(trace.time) - 1)
     places = trace.position[sampled]
-    cable = _implied_cable(plan, places, trace.mission_time[sampled])
+    outside = np.array(trace.phase, dtype=str)[sampled] == ""
+    cable = _implied_cable(plan, places, trace.mission_time[sampled], outside)
     spans = _flown_spans(trace)
     return MotionView(
         start=float(times[0]),
         end=float(times[-1]),
         spans=spans,
         moments=_flown_moments(outcome, trace),
-        note="Reported grip points. The cable is implied: it hangs in catenaries between them.",
+        note="Reported grip points. The cable is implied: it hangs in catenaries between them. "
+        "It is not drawn after its release, nor in a contingency, in which it may be released.",
         data=_data(plan, times, spans, places, cable),
     )
 
@@ -118,11 +120,18 @@ def _frame_times(plan: Plan, start: float, end: float) -> Floats:
     return np.linspace(start, end, int(min(largest, np.ceil((end - start) / STEP) + 1)))
 
 
-def _implied_cable(plan: Plan, places: Floats, mission_times: Floats) -> Floats:
-    """Return the cable (k, n − 1, points, 3): laid before the grip, held, unknown afterwards."""
+def _implied_cable(
+    plan: Plan, places: Floats, mission_times: Floats, outside: npt.NDArray[np.bool_]
+) -> Floats:
+    """Return the cable (k, n − 1, points, 3): laid before the grip, held, unknown afterwards.
+
+    ``outside`` (k,) says when the team does not follow the plan; a cable that was gripped is then
+    unknown, too, because it may have been released.
+    """
     begins, ends = grip_interval(plan)
-    grips = np.where((mission_times < begins)[:, None, None], laid_grip_points(plan), places)
-    grips[mission_times >= ends] = np.nan
+    laid = mission_times < begins
+    grips = np.where(laid[:, None, None], laid_grip_points(plan), places)
+    grips[(mission_times >= ends) | (outside & ~laid)] = np.nan
     if not len(plan.layout.lengths):
         return np.empty((len(places), 0, _POINTS, 3))
     return scene.strands(grips, plan.layout.lengths, _POINTS)
@@ -176,11 +185,11 @@ def _data(plan: Plan, times: Floats, spans: tuple[Span, ...], places: Floats, ca
 
     The view first shows the end of the fold (``shown``) and plays from the lift (``begin``) on.
     """
-    known = places[np.isfinite(places).all(axis=-1)]
-    low, high = known.min(axis=0), known.max(axis=0)
-    centre = 0.5 * (low + high)
-    # Cable hangs below its vehicles, and not beyond them sideways, down to the floor.
-    unit = max(float(np.abs(high - centre).max()), centre[2], 1.0) / _LARGEST * 1.001
+    shown = np.concatenate([places.reshape(-1, 3), cable.reshape(-1, 3)])
+    shown = shown[np.isfinite(shown).all(axis=-1)]
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    centre = (0.5 * (low + high)).round(4)
+    unit = max(float(np.abs([low - centre, high - centre]).max()), 1.0) / _LARGEST
     document = {
         "vehicles": plan.vehicles,
         "segments": cable.shape[1],
@@ -188,7 +197,7 @@ def _data(plan: Plan, times: Floats, spans: tuple[Span, ...], places: Floats, ca
         "frames": len(times),
         "start": float(times[0]),
         "end": float(times[-1]),
-        "centre": centre.round(4).tolist(),
+        "centre": centre.tolist(),
         "unit": unit,
         "unknown": _UNKNOWN,
         "radius": plan.mission.vehicles.radius,
@@ -208,5 +217,5 @@ def _data(plan: Plan, times: Floats, spans: tuple[Span, ...], places: Floats, ca
 
 def _encoded(values: Floats) -> str:
     """Return numbers as 16-bit little-endian integers in base64."""
-    bounded = np.clip(np.nan_to_num(values, nan=_UNKNOWN), _UNKNOWN, _LARGEST)
-    return base64.b64encode(np.rint(bounded).astype("<i2").tobytes()).decode("ascii")
+    stored = np.where(np.isfinite(values), np.rint(values), _UNKNOWN)
+    return base64.b64encode(stored.astype("<i2").tobytes()).decode("ascii")

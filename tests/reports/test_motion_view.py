@@ -85,6 +85,26 @@ def test_a_flight_shows_reported_positions_and_the_implied_cable_on_its_own_cloc
     assert both.words == "0.30 m flown, segments 3 and 5, mission time 51.0 s"
 
 
+def test_the_cable_is_not_drawn_in_a_contingency() -> None:
+    flown = trace()
+    ended = replace(
+        flown,
+        mission_time=np.minimum(flown.mission_time, 50.0),
+        phase=tuple(
+            name if time < 50.0 else ""
+            for name, time in zip(flown.phase, flown.mission_time, strict=True)
+        ),
+    )
+    view = flown_motion(PLAN, outcome(), ended)
+    assert view is not None
+    data = json.loads(view.data)
+    strands = decoded(data, "strands").reshape(data["frames"], -1)
+    known = np.isfinite(strands).all(axis=1)
+    times = np.linspace(data["start"], data["end"], data["frames"]) - 3.0  # the clock's lead
+    assert known[(times > 10.0) & (times < 49.0)].all()
+    assert not known[times > 51.0].any()
+
+
 def test_a_flight_without_a_position_has_no_view() -> None:
     blind = replace(trace(), position=np.full_like(trace().position, np.nan))
     assert flown_motion(PLAN, outcome(), blind) is None
