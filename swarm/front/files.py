@@ -75,7 +75,7 @@ def _mission(text: str, source: str, overrides: Sequence[str]) -> Mission:
         wrong = error.problems
         with suppress(InputError):
             document = apply_overrides(parse_yaml(text, source), overrides)
-            knot = validate(Knot, document.get("knot"), source)
+            knot = validate(Knot, (document or {}).get("knot"), source)
     wrong += tuple(_knot_problems(knot, source, key_lines(text, overrides)))
     if mission is None or wrong:
         raise InputError(wrong)
