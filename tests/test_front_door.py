@@ -307,3 +307,11 @@ def test_a_view_without_a_display_writes_the_recording_and_warns(tmp_path, monke
         plan.view(tmp_path / "none" / "plan.rrd")
     with pytest.raises(ValueError, match="picture: expected knot or schedule, got 'map'"):
         plan.plot("map")
+
+
+def test_an_empty_mission_file_is_refused_with_its_name(tmp_path):
+    path = tmp_path / "empty.yaml"
+    path.write_text("")
+    with pytest.raises(swarm.InputError) as caught:
+        swarm.load(path)
+    assert str(caught.value) == f"{path}: expected a mapping of keys, got None"
