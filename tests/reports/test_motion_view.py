@@ -130,7 +130,7 @@ addEventListener("load", () => {
     let red = 0, dark = 0, sum = 0;
     for (let i = 0; i < pixels.length; i += 4) {
       red += pixels[i] > 100 && Math.max(pixels[i + 1], pixels[i + 2]) < 0.33 * pixels[i];
-      dark += pixels[i] + pixels[i + 1] + pixels[i + 2] < 300;
+      dark += pixels[i + 3] > 0 && pixels[i] + pixels[i + 1] + pixels[i + 2] < 300;
       sum = (31 * sum + pixels[i] + 7 * pixels[i + 1]) %% 1000003;
     }
     return { red, dark, sum, now: find(".now").textContent, value: +slider.value };
@@ -172,23 +172,36 @@ addEventListener("load", () => {
 });</script>"""
 
 
+def looked_at(file: Path, folder: Path) -> dict[str, Any]:
+    """Return what the page says that it shows.
+
+    On a busy machine a browser without a screen can lose its graphics process: every pixel reads as
+    transparent then. It is started again, twice at most; a view that draws nothing stays blank.
+    """
+    for start in range(3):
+        ran = subprocess.run(
+            [
+                str(BROWSER), "--headless", "--no-sandbox", "--enable-unsafe-swiftshader",
+                "--enable-logging=stderr", "--dump-dom", "--window-size=1300,1000",
+                f"--user-data-dir={folder / f'profile{start}'}", "--virtual-time-budget=8000",
+                file.as_uri(),
+            ],
+            check=True, capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+        assert not re.findall(r"Uncaught.*|.*:ERROR:CONSOLE.*", ran.stderr)
+        seen: dict[str, Any] = json.loads(ran.stdout.split("<title>")[1].split("</title>")[0])
+        if seen["first"]["dark"] > 0:
+            break
+    return seen
+
+
 @pytest.mark.skipif(BROWSER is None, reason="needs a Chromium to look with")
 @pytest.mark.parametrize("width", [390, pytest.param(1280, marks=pytest.mark.full)])
 @pytest.mark.parametrize("made", [cleared_plan_report, made_flight_report])
 def test_a_browser_turns_scrubs_and_plays_the_motion(made: Any, width: int, tmp_path: Path) -> None:
     file = tmp_path / "page.html"
     file.write_text(DRIVE % (width, escape(made())), encoding="utf-8")
-    ran = subprocess.run(
-        [
-            str(BROWSER), "--headless", "--no-sandbox", "--enable-unsafe-swiftshader",
-            "--enable-logging=stderr", "--dump-dom", "--window-size=1300,1000",
-            f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=8000",
-            file.as_uri(),
-        ],
-        check=True, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
-    assert not re.findall(r"Uncaught.*|.*:ERROR:CONSOLE.*", ran.stderr)
-    seen = json.loads(ran.stdout.split("<title>")[1].split("</title>")[0])
+    seen = looked_at(file, tmp_path)
     assert seen["errors"] == []
     assert not seen["fallback"]
     assert seen["sideways"] == 0
