@@ -166,7 +166,7 @@ def with_recorded_robustness(
     """Return the certificate with e* and w* that were computed before.
 
     With ``confirm``, each is shown again to hold, and left out (None) where it does not. Without
-    it, they are taken as they are: only from files that nobody else can write.
+    ``confirm``, the recorded values are used unchecked: right for the user's own cache alone.
 
     Raises :class:`Refused` where the certificate belongs to another plan.
     """

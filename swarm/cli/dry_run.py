@@ -1,6 +1,5 @@
 """``swarm dry-run``: one simulated flight of a mission, in virtual time."""
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -8,6 +7,7 @@ from rich.console import Console
 
 from swarm import planner
 from swarm.cli.inputs import (
+    FILE,
     JSON,
     MISSION,
     REPLAN,
@@ -26,8 +26,6 @@ from swarm.reports.flight_text import print_outcome
 from swarm.reports.terminal import FlightScreen
 from swarm.simulation.loop import Callbacks, simulate_flight
 from swarm.verification import verify_trace
-
-FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @click.command("dry-run")

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from swarm import planner
 from swarm.cli.inputs import (
+    FILE,
     JOBS,
     JSON,
     REPLAN,
@@ -41,8 +42,6 @@ from swarm.simulation.fault_injection.results_file import (
     open_results,
     results_header,
 )
-
-FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import click
@@ -24,6 +25,7 @@ def missions(
     return [CompletionItem(incomplete, type="file"), *map(CompletionItem, names)]
 
 
+FILE = click.Path(dir_okay=False, path_type=Path)
 MISSION = click.argument("mission", metavar="MISSION", shell_complete=missions)
 SET = click.option(
     "--set",

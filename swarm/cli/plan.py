@@ -8,7 +8,16 @@ from rich.console import Console
 
 from swarm import exports, planner, studies
 from swarm.cli.exporting import FLOWN, PLANNED, export_plan, require_suffix
-from swarm.cli.inputs import JSON, MISSION, REPLAN, SET, VERBOSE, print_json, progress_bar
+from swarm.cli.inputs import (
+    FILE,
+    JSON,
+    MISSION,
+    REPLAN,
+    SET,
+    VERBOSE,
+    print_json,
+    progress_bar,
+)
 from swarm.cli.planning import load_source
 from swarm.errors import Refused
 from swarm.files import write_bytes, write_text
@@ -17,8 +26,6 @@ from swarm.mission import Mission
 from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.studies_text import print_front
-
-FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @click.command()

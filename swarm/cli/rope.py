@@ -9,6 +9,7 @@ from rich.console import Console
 
 from swarm import planner
 from swarm.cli.inputs import (
+    FILE,
     JSON,
     MISSION,
     REPLAN,
@@ -26,7 +27,6 @@ from swarm.reports.rope_plots import rope_figure
 from swarm.reports.rope_report import rope_report
 from swarm.reports.rope_text import print_rope, rope_curves
 
-FILE = click.Path(dir_okay=False, path_type=Path)
 PAPER = "the paper's trajectory"
 
 

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from swarm import planner
 from swarm.cli.inputs import (
+    FILE,
     JOBS,
     JSON,
     MISSION,
@@ -30,8 +31,6 @@ from swarm.front.trials import Trials, TrialSeries, fly_series, load_scenario
 from swarm.reports.trials_text import print_trials
 from swarm.simulation.monte_carlo import workers_starting
 from swarm.simulation.monte_carlo.results import write_results
-
-FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @dataclass(frozen=True)
