@@ -70,8 +70,8 @@ def _address(
 @click.option(
     "--firmware",
     metavar="KIND=PATH",
-    help="Vehicles of this kind fly with real firmware, an ArduCopter built for SITL: "
-    "ardupilot=PATH, or 4*ardupilot=PATH for four of them.",
+    help="Vehicles of this kind fly with real firmware: ardupilot=PATH of an ArduCopter built for "
+    "SITL, px4=BUILD_FOLDER of a PX4, or 5*px4=…,4*ardupilot=… for some of them.",
 )
 @click.option(
     "--firmware-folder",
@@ -188,9 +188,9 @@ def _run(world_file: Path | None, count: int, given: Options) -> int:
             running = server.to_target(emulator, given.target, given.host, given.speed)
         else:
             running = server.to_default_ports(emulator, given.host, given.speed, given.port_step)
-        host, port = given.target or (given.host, server.GROUND)
+        target = f"{given.target[0]}:{given.target[1]}" if given.target else None
         folder = given.firmware_folder
-        with sealed(), flying(emulator, firmware, f"{host}:{port}", folder) as exchange:
+        with sealed(), flying(emulator, firmware, target, folder) as exchange:
             if exchange is not None:
                 running.advance = exchange.advance
             return server.serve(
@@ -201,6 +201,9 @@ def _run(world_file: Path | None, count: int, given: Options) -> int:
                 # with its PID, a parent that ended before this process started is detected too
                 parent=given.follow_parent or parent,
             )
+    except FirmwareError as error:
+        click.echo(f"{error}", err=True)
+        return 3
     except OSError as error:
         click.echo(
             f"swarm sitl: cannot open sockets on {given.host}: {error.strerror or error}", err=True

@@ -1,11 +1,12 @@
-"""Processes of real ArduPilot firmware, each with fresh parameters in a folder of its own."""
+"""Processes of real firmware, each with fresh parameters in a folder of its own; ArduPilot's."""
 
 import contextlib
+import os
 import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from sitl.world import Origin
@@ -56,13 +57,18 @@ _PARAMETERS: dict[str, float] = {
     "BATT_MONITOR": 4,  # voltage and current
     "SIM_BARO_RND": 0,
 }
+_GROUND = "127.0.0.1:14550"
+"""Where ground stations listen."""
 _GRIPPER: dict[str, float] = {"GRIP_ENABLE": 1, "GRIP_TYPE": 1, "SERVO9_FUNCTION": 28}
 """A gripper on output 9."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """What one process is started with; ``target`` is the ground station's UDP address."""
+    """What one process is started with.
+
+    ``target`` is the ground station's UDP address; None: that of the autopilot's own simulator.
+    """
 
     binary: Path
     folder: Path
@@ -71,7 +77,7 @@ class Start:
     heading: float
     gripper: bool
     parameters: Mapping[str, float]
-    target: str
+    target: str | None
 
 
 def command(start: Start, origin: Origin) -> list[str]:
@@ -80,7 +86,7 @@ def command(start: Start, origin: Origin) -> list[str]:
     return [
         str(start.binary), "--model", "JSON:127.0.0.1", f"-I{start.instance}",
         "--sysid", str(start.system), "--home", home, "--speedup", "1",
-        "--serial0", f"udpclient:{start.target}", "--defaults", "defaults.parm",
+        "--serial0", f"udpclient:{start.target or _GROUND}", "--defaults", "defaults.parm",
     ]  # fmt: skip
 
 
@@ -90,21 +96,38 @@ def parameters(start: Start) -> str:
     return "".join(f"{name} {value:g}\n" for name, value in values.items())
 
 
+@dataclass(frozen=True)
+class Launch:
+    """One process: its command, its folder, the files in it, variables beside the present ones."""
+
+    command: Sequence[str]
+    folder: Path
+    files: Mapping[str, str]
+    environment: Mapping[str, str] = field(default_factory=dict)
+
+
+def launch(start: Start, origin: Origin) -> Launch:
+    """Return the process of one ArduPilot."""
+    return Launch(command(start, origin), start.folder, {"defaults.parm": parameters(start)})
+
+
 class Processes:
     """Running autopilots; they end with `stop`."""
 
-    def __init__(self, starts: Sequence[Start], origin: Origin) -> None:
+    def __init__(self, launches: Sequence[Launch]) -> None:
         """Start all; raise `OSError` if a folder cannot be written or a binary not executed."""
         self._running: list[subprocess.Popen[bytes]] = []
         try:
-            for start in starts:
-                start.folder.mkdir(parents=True, exist_ok=True)
-                (start.folder / "defaults.parm").write_text(parameters(start))
-                with (start.folder / "log.txt").open("wb") as log:
+            for one in launches:
+                one.folder.mkdir(parents=True, exist_ok=True)
+                for name, text in one.files.items():
+                    (one.folder / name).write_text(text)
+                with (one.folder / "log.txt").open("wb") as log:
                     self._running.append(
                         subprocess.Popen(  # noqa: S603
-                            command(start, origin),
-                            cwd=start.folder,
+                            one.command,
+                            cwd=one.folder,
+                            env=os.environ | one.environment,
                             stdin=subprocess.DEVNULL,
                             stdout=log,
                             stderr=log,

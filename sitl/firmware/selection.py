@@ -7,9 +7,12 @@ from pathlib import Path
 
 from sitl.world import Kind, World
 
+PX4_PROGRAM = "bin/px4"
+"""PX4's program in the folder of its build."""
 _PART = re.compile(r"(?:(\d+)\*)?(\w+)=(.+)")
-KINDS: tuple[Kind, ...] = ("ardupilot",)
-"""The autopilots whose firmware the world can drive."""
+_EXPECTED = {"px4": "BUILD_FOLDER", "ardupilot": "PATH"}
+"""The autopilots whose firmware the world can drive, and what names their programs."""
+_KINDS: tuple[Kind, ...] = ("px4", "ardupilot")
 
 
 class FirmwareError(Exception):
@@ -18,7 +21,10 @@ class FirmwareError(Exception):
 
 @dataclass(frozen=True)
 class Firmware:
-    """One part of ``--firmware``: the autopilot, its program, and for how many vehicles."""
+    """One part of ``--firmware``: the autopilot, its program, and for how many vehicles.
+
+    ``program`` of PX4 is the folder of its build.
+    """
 
     kind: Kind
     program: Path
@@ -30,22 +36,29 @@ def parse(text: str) -> list[Firmware]:
     parts = []
     for part in text.split(","):
         match = _PART.fullmatch(part.strip())
-        if match is None or match[2] not in KINDS:
-            raise FirmwareError(
-                f"--firmware: expected {' or '.join(f'{kind}=PATH' for kind in KINDS)}, got {part}"
-            )
+        if match is None or match[2] not in _KINDS:
+            known = " or ".join(f"{kind}={what}" for kind, what in _EXPECTED.items())
+            raise FirmwareError(f"--firmware: expected {known}, got {part}")
         count, name, program = match.groups()
-        kind = KINDS[KINDS.index(name)]
-        path = Path(program).expanduser().absolute()
-        if not (path.is_file() and os.access(path, os.X_OK)):
-            raise FirmwareError(
-                f"--firmware: expected the program of {kind}, built as its own pages say, got "
-                f"{program}: no executable file"
-            )
+        kind = _KINDS[_KINDS.index(name)]
+        path = _program(kind, program)
         if count is not None and int(count) < 1:
             raise FirmwareError(f"--firmware: expected a count from 1, got {part}")
         parts.append(Firmware(kind, path, int(count) if count else None))
     return parts
+
+
+def _program(kind: Kind, given: str) -> Path:
+    """Return the program of an autopilot, or the folder of a PX4 build; raise `FirmwareError`."""
+    path = Path(given).expanduser().absolute()
+    file = path / PX4_PROGRAM if kind == "px4" else path
+    if file.is_file() and os.access(file, os.X_OK):
+        return path
+    what = "the folder of a build" if kind == "px4" else "the program"
+    lacks = f"no executable {PX4_PROGRAM} in it" if kind == "px4" else "no executable file"
+    raise FirmwareError(
+        f"--firmware: expected {what} of {kind}, built as its own pages say, got {given}: {lacks}"
+    )
 
 
 def assign(parts: list[Firmware], world: World) -> dict[int, Firmware]:

@@ -6,20 +6,30 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import numpy as np
+
 from sitl.emulator import Emulator
-from sitl.firmware.exchange import Exchange
-from sitl.firmware.process import Processes, Start
-from sitl.firmware.selection import Firmware
+from sitl.firmware import process, px4_process
+from sitl.firmware.ardupilot_port import ArduPilotPort
+from sitl.firmware.exchange import Exchange, Port
+from sitl.firmware.process import Launch, Processes, Start
+from sitl.firmware.px4_port import Px4Port, connect_all
+from sitl.firmware.selection import Firmware, FirmwareError
+from sitl.protocol.vehicle import Vehicle
+
+_BOOT_TIMEOUT = 60.0
+"""Seconds until each PX4 must have connected; it takes 0.2 s on an idle machine."""
 
 
 @contextlib.contextmanager
 def flying(
-    emulator: Emulator, firmware: Mapping[int, Firmware], target: str, folder: Path | None
+    emulator: Emulator, firmware: Mapping[int, Firmware], target: str | None, folder: Path | None
 ) -> Iterator[Exchange | None]:
     """Run the autopilots of the vehicles in ``firmware`` until the context ends.
 
-    They send to the UDP address ``target``. ``folder`` keeps their parameters and logs; without it
-    they are deleted. Yields None without any firmware. Raises `OSError` for sockets and files.
+    They send to the UDP address ``target``, without one as in the autopilots' own simulators.
+    ``folder`` keeps their parameters and logs; without it they are deleted. Yields None without any
+    firmware. Raises `OSError` for sockets and files, `FirmwareError` if a PX4 does not connect.
     """
     if not firmware or emulator.outside is None:
         yield None
@@ -27,22 +37,60 @@ def flying(
     with contextlib.ExitStack() as stack:
         if folder is None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="firmware")))
-        starts = [
-            Start(
-                binary=firmware[vehicle.system].program,
-                folder=folder / f"vehicle{vehicle.system}",
-                instance=instance,
-                system=vehicle.system,
-                heading=math.degrees(vehicle.spec.heading) % 360.0,
-                gripper=vehicle.gripper.installed,
-                parameters=vehicle.spec.parameters,
-                target=target,
-            )
-            for instance, vehicle in enumerate(
-                one for one in emulator.vehicles if one.system in firmware
-            )
-        ]
-        exchange = Exchange(emulator, emulator.outside, [start.instance for start in starts])
-        stack.callback(exchange.close)
-        stack.callback(Processes(starts, emulator.world.origin).stop)
-        yield exchange
+        ports: list[Port] = []
+        launches = []
+        flown = [one for one in emulator.vehicles if one.system in firmware]
+        for row, vehicle in enumerate(flown):
+            kind = firmware[vehicle.system].kind
+            # PX4 derives its system id from its instance
+            instance = vehicle.system - 1 if kind == "px4" else row
+            start = _start(vehicle, firmware[vehicle.system], instance, target, folder)
+            port = _port(emulator, vehicle, row, instance)
+            stack.callback(port.close)
+            ports.append(port)
+            launches.append(_launch(emulator, vehicle, start))
+        processes = Processes(launches)
+        stack.callback(processes.stop)
+        _connect(ports, flown, processes, folder)
+        yield Exchange(emulator, emulator.outside, ports)
+
+
+def _start(
+    vehicle: Vehicle, firmware: Firmware, instance: int, target: str | None, folder: Path
+) -> Start:
+    return Start(
+        binary=firmware.program,
+        folder=folder / f"vehicle{vehicle.system}",
+        instance=instance,
+        system=vehicle.system,
+        heading=math.degrees(vehicle.spec.heading) % 360.0,
+        gripper=vehicle.gripper.installed,
+        parameters=vehicle.spec.parameters,
+        target=target,
+    )
+
+
+def _port(emulator: Emulator, vehicle: Vehicle, row: int, instance: int) -> Port:
+    """Open the socket of a vehicle's autopilot."""
+    if vehicle.spec.autopilot == "ardupilot":
+        return ArduPilotPort(row, instance)
+    rng = np.random.default_rng([emulator.world.seed, vehicle.system])
+    return Px4Port(row, instance, emulator.environment.geodesy, rng)
+
+
+def _launch(emulator: Emulator, vehicle: Vehicle, start: Start) -> Launch:
+    if vehicle.spec.autopilot == "ardupilot":
+        return process.launch(start, emulator.world.origin)
+    return px4_process.launch(start, vehicle.spec.radius)
+
+
+def _connect(ports: list[Port], flown: list[Vehicle], processes: Processes, folder: Path) -> None:
+    """Wait for the connections of all PX4; raise `FirmwareError` if one does not come."""
+    waiting = [port for port in ports if isinstance(port, Px4Port)]
+    missing = connect_all(waiting, _BOOT_TIMEOUT, lambda: not processes.ended())
+    if missing:
+        system = flown[missing[0].row].system
+        raise FirmwareError(
+            f"PX4 of vehicle {system} did not connect to its simulator; its output is in "
+            f"{folder / f'vehicle{system}' / 'log.txt'}"
+        )

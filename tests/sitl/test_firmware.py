@@ -30,7 +30,9 @@ def test_parts_have_a_kind_a_program_and_perhaps_a_count(program):
 def test_other_texts_are_refused(text):
     with pytest.raises(FirmwareError) as caught:
         parse(text)
-    assert str(caught.value) == f"--firmware: expected ardupilot=PATH, got {text}"
+    assert str(caught.value) == (
+        f"--firmware: expected px4=BUILD_FOLDER or ardupilot=PATH, got {text}"
+    )
 
 
 def test_a_missing_program_is_named(tmp_path, capsys):
@@ -40,6 +42,39 @@ def test_a_missing_program_is_named(tmp_path, capsys):
         "--firmware: expected the program of ardupilot, built as its own pages say, got "
         f"{missing}: no executable file\n"
     )
+
+
+def test_a_folder_without_a_px4_is_named(tmp_path, capsys):
+    assert main(["-n", "2", "--firmware", f"px4={tmp_path}"]) == 2
+    assert capsys.readouterr().err == (
+        "--firmware: expected the folder of a build of px4, built as its own pages say, got "
+        f"{tmp_path}: no executable bin/px4 in it\n"
+    )
+
+
+def test_a_px4_that_ends_at_once_is_named(tmp_path, capsys):
+    program = tmp_path / "bin" / "px4"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\necho no airframe\n")
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    folder = tmp_path / "logs"
+    given = ["-n", "1", "--firmware", f"px4={tmp_path}", "--firmware-folder", str(folder)]
+    assert main(given) == 3
+    log = folder / "vehicle1" / "log.txt"
+    assert capsys.readouterr().err == (
+        f"PX4 of vehicle 1 did not connect to its simulator; its output is in {log}\n"
+    )
+    assert log.read_text() == "no airframe\n"
+
+
+def test_teams_of_both_autopilots_are_in_the_order_of_the_parts(program, tmp_path):
+    build = tmp_path / "bin" / "px4"
+    build.parent.mkdir()
+    build.write_text("#!/bin/sh\n")
+    build.chmod(build.stat().st_mode | stat.S_IXUSR)
+    parts = parse(f"2*px4={tmp_path},1*ardupilot={program}")
+    world = default_world(3, ["px4", "px4", "ardupilot"])
+    assert [one.kind for one in assign(parts, world).values()] == ["px4", "px4", "ardupilot"]
 
 
 def test_vehicles_of_the_kind_get_the_firmware_in_order(program):

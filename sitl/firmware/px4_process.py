@@ -1,0 +1,86 @@
+"""Processes of real PX4 firmware: their command, environment and parameters."""
+
+import math
+import os
+
+from sitl.firmware.process import Launch, Start
+from sitl.firmware.selection import PX4_PROGRAM
+
+_AIRFRAME = "10016"
+"""PX4's quadrotor X whose physics come through the simulator link (``none_iris``)."""
+_LOCAL = 14580
+"""UDP port of instance 0's link to a ground station; instance i uses the i-th after it."""
+
+_PARAMETERS: dict[str, float] = {
+    "IMU_INTEG_RATE": 200,  # the rate of the sensor values
+    "THR_MDL_FAC": 0.65,  # the curve of `sitl.physics.rigid`
+    "MPC_THR_HOVER": 0.39,  # weight over full thrust of the default vehicle
+    # Tuned for the default vehicle, as every real one must be: see ArduPilot's in `process`.
+    "MC_ROLL_P": 8,
+    "MC_PITCH_P": 8,
+    "MC_ROLLRATE_P": 0.33,
+    "MC_PITCHRATE_P": 0.33,
+    "MC_ROLLRATE_I": 1.0,
+    "MC_PITCHRATE_I": 1.0,
+    "MC_ROLLRATE_D": 0.006,
+    "MC_PITCHRATE_D": 0.006,
+    "MC_RR_INT_LIM": 0.5,
+    "MC_PR_INT_LIM": 0.5,
+    # a receiver with RTK; PX4's defaults are those of one without
+    "EKF2_GPS_P_NOISE": 0.02,
+    "EKF2_GPS_V_NOISE": 0.1,
+    "EKF2_GPS_DELAY": 0,  # the simulated receiver has none
+    "SIM_BAT_DRAIN": 900,  # seconds, as the emulated vehicles
+    "IMU_GYRO_FFT_EN": 0,  # no propellers shake it: half of the processor time
+    "SDLOG_MODE": 0,  # from arming to disarming
+    "SDLOG_PROFILE": 1,  # without replay of the estimator: a tenth of the size
+}
+_GRIPPER: dict[str, float] = {"PD_GRIPPER_TYPE": 0, "PD_GRIPPER_TO": 1, "PWM_MAIN_FUNC5": 430}
+"""A gripper on output 5, which has moved after a second."""
+
+
+def launch(start: Start, radius: float) -> Launch:
+    """Return the process of one PX4; ``radius`` is that of the vehicle's disc in metres.
+
+    PX4's instance is the system id less one. Variables ``PX4_PARAM_…`` set parameters; the file
+    ``px4-rc.mavlink`` is the user's own choice of MAVLink links, which PX4 finds by its path.
+    """
+    build, instance = start.binary, start.instance
+    values = parameters(start, radius)
+    environment = {
+        "PX4_SIM_MODEL": "none_iris",
+        "PX4_SYS_AUTOSTART": _AIRFRAME,
+        **{f"PX4_PARAM_{name}": f"{value:g}" for name, value in values.items()},
+    }
+    files = {}
+    if start.target is not None:
+        host, _, port = start.target.rpartition(":")
+        local = _LOCAL + instance
+        files["px4-rc.mavlink"] = (
+            f"mavlink start -x -u {local} -r 4000000 -f -m onboard -o {port} -t {host}\n"
+        )
+        environment["PATH"] = f"{start.folder}:{os.environ.get('PATH', os.defpath)}"
+    return Launch(
+        [str(build / PX4_PROGRAM), "-d", "-i", str(instance), str(build / "etc")],
+        start.folder,
+        files,
+        environment,
+    )
+
+
+def parameters(start: Start, radius: float) -> dict[str, float]:
+    """Return the parameters that differ from PX4's own."""
+    return (
+        _PARAMETERS | _rotors(radius) | (_GRIPPER if start.gripper else {}) | dict(start.parameters)
+    )
+
+
+def _rotors(radius: float) -> dict[str, float]:
+    """Return the places of the motors of `sitl.physics.rigid`, metres forward and right."""
+    arm = 0.7 * radius * math.sqrt(0.5)
+    places = ((arm, arm), (-arm, -arm), (arm, -arm), (-arm, arm))
+    return {
+        f"CA_ROTOR{i}_P{axis}": value
+        for i, place in enumerate(places)
+        for axis, value in zip("XY", place, strict=True)
+    }
