@@ -31,8 +31,8 @@ def test_a_flight_without_cable_has_no_line_on_knots_and_no_empty_table(hover):
     assert len(after) == 3
     assert "quasi-static" not in said.stdout
     assert said.stdout.splitlines()[0] == (
-        "Cleared: distances between vehicles are certified for tracking errors up to 0.10 m. "
-        "Not certified: gusts and rotor wash."
+        "Cleared: distances between vehicles, tracking errors up to 0.10 m. "
+        "Not certified: gusts, rotor wash."
     )
     assert "Planned knot: no knot" in words
     assert "imply" not in words

@@ -23,10 +23,15 @@ LISTED: Final = 3
 limits has dozens that differ in time and vehicle only."""
 
 
-def print_verdict(verdict: Verdict, console: Console) -> None:
-    """Print a verdict: wrapped at words on a terminal, one line in a pipe."""
-    text = Text(verdict.words, LEVEL_STYLES[verdict.level])
-    console.print(text, soft_wrap=not console.is_terminal)
+def print_verdict(verdict: Verdict, console: Console, *, verbose: bool = False) -> None:
+    """Print a verdict: wrapped at words on a terminal, one line in a pipe.
+
+    With ``verbose`` its details too, in lines of their own.
+    """
+    wrapped = console.is_terminal
+    console.print(Text(verdict.words, LEVEL_STYLES[verdict.level]), soft_wrap=not wrapped)
+    if verbose and verdict.details:
+        console.print(verdict.details, soft_wrap=not wrapped, highlight=False)
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:

@@ -23,7 +23,7 @@ def print_plan_summary(
     With ``verbose`` also the tightest moments, the clearance budget and all remarks, before the
     warnings.
     """
-    print_verdict(plan_verdict(plan, assessment), console)
+    print_verdict(plan_verdict(plan, assessment), console, verbose=verbose)
     console.print(Padding(_figures(plan, assessment), (1, 0, 0, 2), expand=False))
     if verbose:
         print_details(plan, assessment, console)

@@ -18,59 +18,60 @@ Level = Literal["good", "warn", "bad"]
 FailureTestDocument = Mapping[str, Any]
 """The JSON object of a failure test."""
 
-NOT_CERTIFIED: Final = (
-    "Not certified: {}, gusts, rotor wash, friction, segment lengths, and the knot once it is "
-    "released or on the floor."
-)
-NOT_CERTIFIED_WITHOUT_CABLE: Final = "Not certified: gusts and rotor wash."
 _NAMED: Final = 3
 """Failed tests that a verdict names; more would not fit into a line or two."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """A result in words, and the level of its worst row."""
+    """A result in words, the level of its worst row, and what the words leave out."""
 
     level: Level
     words: str
+    details: str = ""
 
 
 def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
-    """Return what is certified of a plan, for which tracking error, and what is not."""
+    """Return what is certified of a plan, for which tracking error, and what is not.
+
+    The words take two lines of 80 columns; the details name the model and everything outside it.
+    """
     if not assessment.cleared:
         return Verdict("bad", _refused(assessment.findings))
     tracking = plan.mission.vehicles.tracking
-    errors = (
-        f"for tracking errors up to {metres(tracking)}" if tracking > 0 else "for exact positions"
-    )
-    if len(plan.layout.lengths):
-        knot = knot_in_words(plan.knot.type, plan.knot.chirality)
-        subject = knot if plan.knot.type else "a motion without a knot"
-        swinging = plan.mission.fold.swing != "auto"  # only a given limit is certified
-        model = (
-            "swinging-cable model (planned motion, ordinary stops)"
-            if swinging
-            else "quasi-static cable model"
-        )
-        certified = f"{subject}, certified {errors} in the {model}"
-        scope = NOT_CERTIFIED.format("swing by other causes" if swinging else "swing")
-    else:
-        certified = f"distances between vehicles are certified {errors}"
-        scope = NOT_CERTIFIED_WITHOUT_CABLE
+    errors = f"tracking errors up to {metres(tracking)}" if tracking > 0 else "exact positions"
     level, head = _cleared(assessment.findings)
-    short = _short_budget(assessment)
-    return Verdict("warn" if short else level, f"{head}: {certified}. {scope}{short}")
+    if not len(plan.layout.lengths):
+        words = f"{head}: distances between vehicles, {errors}. Not certified: gusts, rotor wash."
+        return Verdict(level, words)
+    knot = knot_in_words(plan.knot.type, plan.knot.chirality)
+    subject = knot if plan.knot.type else "a motion without a knot"
+    swinging = plan.mission.fold.swing != "auto"  # only a given limit is certified
+    beside = "other swing" if swinging else "swing"
+    short, shortfall = _short_budget(assessment)
+    words = (
+        f"{head}: {subject}, {errors}. Not certified: {beside}, gusts, rotor wash{short}, friction."
+    )
+    model = (
+        "swinging-cable model (planned motion, ordinary stops)"
+        if swinging
+        else "quasi-static cable model"
+    )
+    details = (
+        f"Certified in the {model}. Not certified: {beside}, gusts, rotor wash, friction, segment "
+        f"lengths, and the knot once it is released or on the floor.{shortfall}"
+    )
+    return Verdict("warn" if short else level, words, details)
 
 
-def _short_budget(assessment: Assessment) -> str:
-    """Return a sentence where less than nothing of a distance remains with all effects."""
+def _short_budget(assessment: Assessment) -> tuple[str, str]:
+    """Return words and a sentence where a distance is short if all effects come together."""
     remaining = min((row.remaining for row in assessment.budget), default=0.0)
     if remaining >= 0.0:
-        return ""
-    return (
-        f" Not kept if all effects come together: strands can be {metres(-remaining)} closer than "
-        "required."
-    )
+        return "", ""
+    closer = metres(-remaining)
+    sentence = f" If all effects come together, strands can be {closer} closer than required."
+    return f" (together {closer} too close)", sentence
 
 
 def findings_verdict(findings: Sequence[Finding], certified: str = CERTIFIED) -> Verdict:

@@ -49,9 +49,8 @@ def test_summary_of_a_cleared_plan() -> None:
     print_plan_summary(PLAN, assessment(), console)
     lines = [line.rstrip() for line in printed(console).splitlines()]
     assert lines == [
-        "Cleared: 3_1, right-handed, certified for tracking errors up to 0.10 m in the quasi-static "
-        "cable model. Not certified: swing, gusts, rotor wash, friction, segment lengths, and the "
-        "knot once it is released or on the floor.",
+        "Cleared: 3_1, right-handed, tracking errors up to 0.10 m. Not certified: swing, gusts, "
+        "rotor wash, friction.",
         "",
         "  knot                3_1, right-handed",
         "  vehicles            9, 5×5 grid, cell 1.20 m",

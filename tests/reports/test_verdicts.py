@@ -1,3 +1,4 @@
+import textwrap
 from dataclasses import replace
 from typing import Any
 
@@ -24,7 +25,14 @@ WARNING = Finding("warning", "swing", "swings")
 def test_a_plan_with_warnings_is_not_green() -> None:
     found = plan_verdict(PLAN, assessment(WARNING, WARNING))
     assert found.level == "warn"
-    assert found.words.startswith("Cleared with 2 warnings: 3_1, right-handed, certified for")
+    assert found.words == (
+        "Cleared with 2 warnings: 3_1, right-handed, tracking errors up to 0.10 m. "
+        "Not certified: swing, gusts, rotor wash, friction."
+    )
+    assert found.details == (
+        "Certified in the quasi-static cable model. Not certified: swing, gusts, rotor wash, "
+        "friction, segment lengths, and the knot once it is released or on the floor."
+    )
     assert plan_verdict(PLAN, assessment(WARNING)).words.startswith("Cleared with 1 warning: ")
 
 
@@ -32,17 +40,20 @@ def test_a_plan_for_exact_positions_states_that() -> None:
     vehicles = PLAN.mission.vehicles.model_copy(update={"tracking": 0.0})
     exact = replace(PLAN, mission=PLAN.mission.model_copy(update={"vehicles": vehicles}))
     words = plan_verdict(exact, assessment()).words
-    assert words.startswith("Cleared: 3_1, right-handed, certified for exact positions in the")
+    assert words.startswith("Cleared: 3_1, right-handed, exact positions. Not certified")
 
 
 def test_a_plan_with_limited_swing_is_certified_in_the_swinging_cable_model() -> None:
     fold = PLAN.mission.fold.model_copy(update={"swing": 0.06})
     shaped = replace(PLAN, mission=PLAN.mission.model_copy(update={"fold": fold}))
-    assert plan_verdict(shaped, assessment()).words == (
-        "Cleared: 3_1, right-handed, certified for tracking errors up to 0.10 m in the "
-        "swinging-cable model (planned motion, ordinary stops). Not certified: swing by other causes, "
-        "gusts, rotor wash, friction, segment lengths, and the knot once it is released or on the "
-        "floor."
+    found = plan_verdict(shaped, assessment())
+    assert found.words == (
+        "Cleared: 3_1, right-handed, tracking errors up to 0.10 m. Not certified: other swing, "
+        "gusts, rotor wash, friction."
+    )
+    assert found.details.startswith(
+        "Certified in the swinging-cable model (planned motion, ordinary stops). Not certified: "
+        "other swing, gusts,"
     )
 
 
@@ -183,8 +194,13 @@ def test_a_plan_whose_budget_is_short_states_it() -> None:
     found = plan_verdict(PLAN, replace(assessment(finding), budget=(row,)))
     assert found.level == "warn"
     assert found.words.endswith(
-        " Not kept if all effects come together: strands can be 0.11 m closer than required."
+        " Not certified: swing, gusts, rotor wash (together 0.11 m too close), friction."
     )
+    assert found.details.endswith(
+        " If all effects come together, strands can be 0.11 m closer than required."
+    )
+    words = plan_verdict(PLAN, replace(assessment(WARNING, WARNING), budget=(row,))).words
+    assert len(textwrap.wrap(words, 80)) == 2
     closed = replace(row, available=0.62)
     (finding,) = budget_findings([closed])
     assert finding.message == (
@@ -194,4 +210,4 @@ def test_a_plan_whose_budget_is_short_states_it() -> None:
         "rotor wash 0.00 m, required 0.15 m"
     )
     found = plan_verdict(PLAN, replace(assessment(finding), budget=(closed,)))
-    assert (found.level, "all effects" in found.words) == ("good", False)
+    assert (found.level, "too close" in found.words) == ("good", False)
