@@ -60,6 +60,38 @@ def test_bad_input_exits_with_2_and_names_the_place(arguments: list[str], words:
     assert "Traceback" not in result.stderr
 
 
+_WITHOUT_THE_PLANNER = """
+import json, sys
+from swarm.cli.main import main
+sys.argv = ["swarm", *sys.argv[1:]]
+try:
+    main()
+finally:
+    sys.stderr.write(json.dumps(sorted({"numba", "scipy", "mavsdk"} & set(sys.modules))))
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["plan", "nosuch.yaml", "--verbose"], "nosuch.yaml: no such file or directory"),
+        (["trials", "overhandd"], "did you mean overhand?"),
+        (["dry-run", "3_1", "--set", "vehicles.radius=250"], "got 250: did you mean 0.25?"),
+        (["plan", "3_1", "--vehicles=-2"], "3_1: vehicles.count: "),
+        (["fly", OVERHAND, "--fleet", "nosuch.yaml"], "nosuch.yaml: no such file or directory"),
+    ],
+)
+def test_a_wrong_file_is_refused_before_the_planner_is_imported(
+    arguments: list[str], words: str
+) -> None:
+    command = [sys.executable, "-c", _WITHOUT_THE_PLANNER, *arguments]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert result.returncode == 2
+    message, libraries = result.stderr.split("[")
+    assert words in message
+    assert libraries == "]"
+
+
 def test_the_installed_program_lists_its_commands_and_ends_with_its_codes() -> None:
     listed = swarm("--help")
     assert (listed.returncode, listed.stderr) == (0, "")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
+import scipy
 
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.geometry.lumped_mass import AIR_DENSITY, NORMAL_DRAG
@@ -139,7 +139,7 @@ def _error(disturbance: Floats) -> Floats:
     # States: 1, s and s² over the denominator, and the disturbance, constant for a step.
     rates = np.diag(np.ones(3), 1)
     rates[2, :3] = -np.array(_DENOMINATOR)
-    held = expm(STEP * rates)[:3]
+    held = scipy.linalg.expm(STEP * rates)[:3]
     state, error = np.zeros((3, disturbance.shape[1])), np.empty_like(disturbance)
     for k, now in enumerate(disturbance):
         state = held @ np.vstack([state, now])

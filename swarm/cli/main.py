@@ -15,6 +15,7 @@ from types import FrameType
 import click
 from click.shell_completion import CompletionItem
 
+from swarm.cli.early_validation import validate_files
 from swarm.cli.old_spelling import current_spelling
 from swarm.errors import InputError, Interrupted, SwarmError, nearest, reason
 from swarm.version import __version__
@@ -91,6 +92,7 @@ class Commands(click.Group):
         """Return the command of the arguments; an unknown one is refused with the nearest."""
         if args and args[0] not in COMMANDS and not args[0].startswith("-"):
             ctx.fail(f"No such command {args[0]!r}{nearest(args[0], COMMANDS) or '.'}")
+        validate_files(args)
         return super().resolve_command(ctx, args)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:

@@ -9,8 +9,8 @@ from swarm import planner, precompile
 from swarm.cli.inputs import progress_bar
 from swarm.errors import InputError, Problem, Refused
 from swarm.front import plan_cache
-from swarm.front.files import load_mission
-from swarm.front.plan_files import is_plan_file, load_certified
+from swarm.front.files import is_plan_file, load_mission
+from swarm.front.plan_files import load_certified
 from swarm.mission import Mission
 from swarm.reports.findings_text import print_verdict
 from swarm.reports.plan_summary import print_plan_summary

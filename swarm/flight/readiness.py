@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import Refused
@@ -134,7 +134,7 @@ def assigned(positions: Floats, pads: Floats, taken: Mapping[int, int]) -> list[
     free_pads = [pad for pad in range(len(pads)) if pad not in taken]
     others = [k for k in range(len(positions)) if k not in taken.values()]
     apart = positions[others][None, :, :2] - pads[free_pads][:, None, :2]
-    rows, columns = linear_sum_assignment((apart**2).sum(axis=2))
+    rows, columns = scipy.optimize.linear_sum_assignment((apart**2).sum(axis=2))
     chosen = dict(taken)
     chosen |= {free_pads[r]: others[c] for r, c in zip(rows, columns, strict=True)}
     return [chosen[pad] for pad in range(len(pads))]

@@ -5,9 +5,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import label
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
+import scipy
 
 from swarm.folding.crossing_constraints import free_signs
 from swarm.folding.penalty import TeamGeometry
@@ -75,8 +73,8 @@ class FreeSpace:
             links.append(np.stack([here, ahead[here]]))
         pairs = np.concatenate(links, axis=1)
         shape = (len(self.cells), len(self.cells))
-        graph = coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=shape).tocsr()
-        steps, before = dijkstra(  # type: ignore[call-overload]  # its stubs know no plain int
+        graph = scipy.sparse.coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=shape).tocsr()
+        steps, before = scipy.sparse.csgraph.dijkstra(  # type: ignore[call-overload]  # its stubs know no plain int
             graph, directed=False, indices=self.home, return_predecessors=True, unweighted=True
         )
         return steps, before
@@ -108,7 +106,7 @@ def free_space(
     origin = cells.min(axis=0)
     free = np.zeros(np.ptp(cells, axis=0) + 1, dtype=bool)
     free[tuple((cells - origin).T)] = kept
-    regions, _ = label(free)
+    regions, _ = scipy.ndimage.label(free)
     own = regions[tuple(-origin)]
     if own == 0:
         return None

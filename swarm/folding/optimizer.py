@@ -12,9 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import minimize
-from scipy.sparse import csr_array
+import scipy
 
 from swarm.folding.crossing_constraints import CrossingSigns
 from swarm.folding.margins import Penalty
@@ -151,7 +149,7 @@ class ElasticBand:
     positions: Floats
     signs: CrossingSigns
     extra: ExtraMargins
-    weights: csr_array
+    weights: "scipy.sparse.csr_array"
 
     @property
     def density(self) -> int:
@@ -177,8 +175,8 @@ class ElasticBand:
         smooth = _smoothing(window.stop - window.start, settings.bending)
         inside = self.weights[:, window]
         moments = np.flatnonzero(np.diff(inside.indptr))
-        weights = csr_array(inside[moments] @ smooth)
-        back, smooth_back = csr_array(weights.T), csr_array(smooth.T)
+        weights = scipy.sparse.csr_array(inside[moments] @ smooth)
+        back, smooth_back = scipy.sparse.csr_array(weights.T), scipy.sparse.csr_array(smooth.T)
         base = self.moved(offsets)[moments]
         signs, extra = self.signs[moments], self.extra[moments]
         cache = empty_margin_cache(len(moments), len(self.team.lengths))
@@ -198,7 +196,7 @@ class ElasticBand:
             return float(total), (gradient + 2.0 * _PREFERENCE_COST * variables).ravel()
 
         begin = np.zeros(weights.shape[1] * base[0].size)
-        found = minimize(
+        found = scipy.optimize.minimize(
             cost,
             begin,
             jac=True,
@@ -220,7 +218,7 @@ def _second_differences_back(bends: Floats) -> Floats:
     return slope
 
 
-def _smoothing(stages: int, bending: float) -> csr_array:
+def _smoothing(stages: int, bending: float) -> "scipy.sparse.csr_array":
     """Return weights (stages, stages) of smooth offsets for variables; almost 0 at both ends.
 
     Variables of one size give offsets of about the same cost, whether these are long or short: with
@@ -231,7 +229,7 @@ def _smoothing(stages: int, bending: float) -> csr_array:
     second = np.diff(np.eye(stages), 2, axis=0)
     curvature = bending * (second.T @ second + _STIFFNESS * np.eye(stages))
     curvature = curvature + np.diag(_FIXED_STIFFNESS * ends)
-    smooth = solve_triangular(cholesky(curvature), np.eye(stages))
+    smooth = scipy.linalg.solve_triangular(scipy.linalg.cholesky(curvature), np.eye(stages))
     smooth[ends] = 0.0
     largest = np.abs(smooth).max()
-    return csr_array(np.where(np.abs(smooth) > _NEGLIGIBLE * largest, smooth, 0.0))
+    return scipy.sparse.csr_array(np.where(np.abs(smooth) > _NEGLIGIBLE * largest, smooth, 0.0))

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline, PPoly
+import scipy
 
 Floats = npt.NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class Guide:
         return np.concatenate([[0.0], np.cumsum(spans)])
 
     @cached_property
-    def plan(self) -> PPoly:
+    def plan(self) -> "scipy.interpolate.PPoly":
         """Plan view over station: straight edges, joined by quintics where the path turns."""
         stations, headings = self.stations, self.headings
         spans = np.diff(stations)
@@ -78,7 +78,7 @@ class Guide:
         values.append([self.corners[-1, :2], headings[-1], np.zeros(2)])
         return _quintics(x, values)
 
-    def height(self, lanes: Floats, stop: int) -> PPoly:
+    def height(self, lanes: Floats, stop: int) -> "scipy.interpolate.PPoly":
         """Return the height over station in given lanes, up to corner ``stop``.
 
         On the run-in it is the height of the first corner.
@@ -110,7 +110,7 @@ class Guide:
         return _quintics(x, [[np.array([v]) for v in row] for row in values])
 
     @cached_property
-    def station_of_progress(self) -> CubicSpline:
+    def station_of_progress(self) -> "scipy.interpolate.CubicSpline":
         """Distance from the first corner along the edges in plan view, over progress."""
         finest = 0.1 * min(self.slope, self.rounding)
         before = int(np.ceil(self.run_in / finest))
@@ -126,7 +126,7 @@ class Guide:
         speed = np.linalg.norm(slope, axis=1)
         steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(stations)
         progress = np.concatenate([[0.0], np.cumsum(steps)])
-        return CubicSpline(progress - progress[before], stations)
+        return scipy.interpolate.CubicSpline(progress - progress[before], stations)
 
     @cached_property
     def stops(self) -> Floats:
@@ -169,10 +169,10 @@ class FoldPath:
         return self.guide.stops
 
     @cached_property
-    def _heights(self) -> dict[int, PPoly]:
+    def _heights(self) -> "dict[int, scipy.interpolate.PPoly]":
         return {}
 
-    def _height(self, vehicle: int) -> PPoly:
+    def _height(self, vehicle: int) -> "scipy.interpolate.PPoly":
         """Return the height over station of a vehicle, up to its own corner."""
         if vehicle not in self._heights:
             self._heights[vehicle] = self.guide.height(self.lanes[:, vehicle], vehicle)
@@ -248,7 +248,7 @@ def last_lane(lane: float, span: float, slope: float, longest: float) -> float:
     return float(np.sign(lane) * height)
 
 
-def _quintics(x: list[float], values: list[list[Floats]]) -> PPoly:
+def _quintics(x: list[float], values: list[list[Floats]]) -> "scipy.interpolate.PPoly":
     """Return the C² piecewise quintic through (value, slope, curvature) at increasing x.
 
     Repeated x are dropped.
@@ -268,4 +268,4 @@ def _quintics(x: list[float], values: list[list[Floats]]) -> PPoly:
         v0,
         value[:-1],
     ]
-    return PPoly(np.stack([c / h ** (5 - k) for k, c in enumerate(unit)]), at)
+    return scipy.interpolate.PPoly(np.stack([c / h ** (5 - k) for k, c in enumerate(unit)]), at)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linprog, minimize
+import scipy
 
 from swarm.folding.crossing_constraints import free_signs
 from swarm.folding.free_space import KEPT
@@ -142,7 +142,7 @@ def _levels(
     above[:, count + edges :] = np.eye(count)
     limits = np.concatenate([crossed, rises, -rises, sizes - above, -sizes - above])
     bounds = [np.full(len(pairs), -gap), _STEEP * spans, _STEEP * spans, np.zeros(2 * count)]
-    solved = linprog(
+    solved = scipy.optimize.linprog(
         np.concatenate([np.zeros(count), np.ones(edges), np.full(count, _UNEVEN)]),
         A_ub=limits,
         b_ub=np.concatenate(bounds),
@@ -167,6 +167,8 @@ def _apart(placed: Floats, team: TeamGeometry) -> Floats | None:
         total = float(penalty.missed[0] + _STAY * (moved**2).sum())
         return total, 2.0 * (penalty.gradient.ravel() + _STAY * moved)
 
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS})
+    found = scipy.optimize.minimize(
+        cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS}
+    )
     positions: Floats = np.ascontiguousarray(found.x.reshape(-1, 3))
     return positions if team.penalty(positions[None], signs).missed[0] <= KEPT else None

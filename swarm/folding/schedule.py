@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline
-from scipy.ndimage import gaussian_filter1d
-from scipy.sparse import csr_array
+import scipy
 
 from swarm.folding.crossing_constraints import CrossingSigns, crossing_signs
 from swarm.folding.hopping import basin_hopping
@@ -192,7 +190,7 @@ def _smoothed(controls: Floats) -> Floats:
     before = controls[0] - (controls[1] - controls[0]) * np.arange(margin, 0, -1)
     after = np.full(margin, controls[-1])
     padded = np.concatenate([before, controls, after])
-    even: Floats = gaussian_filter1d(padded, _SMOOTHED)[margin:-margin]
+    even: Floats = scipy.ndimage.gaussian_filter1d(padded, _SMOOTHED)[margin:-margin]
     even = np.maximum.accumulate(even)
     even += (controls[0] - even[0]) * np.maximum(1.0 - np.arange(len(even)) / margin, 0.0)
     rest = min(int(np.argmax(controls >= controls[-1] - 1e-9)) + margin, len(even) - 1)
@@ -214,16 +212,16 @@ def _knots(controls: int) -> Floats:
     return np.arange(controls + 10.0) - 5.0
 
 
-def stage_spline(controls: Floats) -> BSpline:
+def stage_spline(controls: Floats) -> "scipy.interpolate.BSpline":
     """Return the quintic spline of control points, one per stage."""
-    return BSpline(_knots(len(controls)), _extended(controls), 5)
+    return scipy.interpolate.BSpline(_knots(len(controls)), _extended(controls), 5)
 
 
-def _weights(controls: int, density: int) -> csr_array:
+def _weights(controls: int, density: int) -> "scipy.sparse.csr_array":
     """Return weights (density·(c − 1) + 1, c) of control points, at so many moments per stage."""
     stages = np.arange(density * (controls - 1) + 1) / density
-    weights = BSpline.design_matrix(stages, _knots(controls), 5)
-    return csr_array(weights @ csr_array(_extended(np.eye(controls))))
+    weights = scipy.interpolate.BSpline.design_matrix(stages, _knots(controls), 5)
+    return scipy.sparse.csr_array(weights @ scipy.sparse.csr_array(_extended(np.eye(controls))))
 
 
 def team_path(schedule: Schedule, per_stage: int = 8) -> tuple[Floats, Floats, Floats, Floats]:

@@ -5,8 +5,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline
-from scipy.ndimage import gaussian_filter1d
+import scipy
 
 from swarm.folding.layout import KnotLayout
 from swarm.folding.margins import Margins
@@ -29,7 +28,7 @@ class WaypointPaths:
     waypoints: Floats
 
     @cached_property
-    def _splines(self) -> list[BSpline]:
+    def _splines(self) -> "list[scipy.interpolate.BSpline]":
         return [stage_spline(self.waypoints[:, i]) for i in range(self.waypoints.shape[1])]
 
     def at(self, vehicle: int, progress: Floats) -> tuple[Floats, Floats, Floats]:
@@ -63,5 +62,5 @@ def _in_stages(waypoints: Floats) -> Floats:
     even = waypoints[before] + share * (waypoints[before + 1] - waypoints[before])
     rest = int(4 * _SMOOTHED) + 1
     padded = np.pad(even, ((rest, rest + REST), (0, 0), (0, 0)), mode="edge")
-    smooth: Floats = gaussian_filter1d(padded, _SMOOTHED, axis=0, mode="nearest")
+    smooth: Floats = scipy.ndimage.gaussian_filter1d(padded, _SMOOTHED, axis=0, mode="nearest")
     return smooth

@@ -20,6 +20,10 @@ from swarm.mission.validation import (
 )
 from swarm.mission.yaml_lines import key_lines
 
+PLAN_SUFFIX = ".plan"
+_ARCHIVE = b"PK\x03\x04"
+"""First bytes of a ZIP archive."""
+
 
 def load(path: str | os.PathLike[str], *overrides: str) -> Mission:
     """Read a mission file (YAML) and return the mission.
@@ -48,6 +52,18 @@ def load_mission(name: str, overrides: Sequence[str] = ()) -> Mission:
     if problems := _knot_problems(mission.knot, name):
         raise InputError(problems)
     return mission
+
+
+def is_plan_file(name: str) -> bool:
+    """Return whether a file is to be read as a plan file: by its name or by its first bytes."""
+    path = Path(name)
+    if path.suffix == PLAN_SUFFIX:
+        return True
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_ARCHIVE)) == _ARCHIVE
+    except OSError:
+        return False
 
 
 def load_fleet(path: str | os.PathLike[str]) -> Fleet:

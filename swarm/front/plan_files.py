@@ -8,7 +8,6 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from swarm.certification.assessment import Assessment, Robustness
@@ -28,21 +27,6 @@ Progress = Callable[[str, float], None]
 
 LARGEST_PLAN = 512 * 1024 * 1024
 """Bytes of a plan file; an hour of a hundred vehicles takes less."""
-SUFFIX = ".plan"
-_ARCHIVE = b"PK\x03\x04"
-"""First bytes of a ZIP archive."""
-
-
-def is_plan_file(name: str) -> bool:
-    """Return whether a file is to be read as a plan file: by its name or by its first bytes."""
-    path = Path(name)
-    if path.suffix == SUFFIX:
-        return True
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_ARCHIVE)) == _ARCHIVE
-    except OSError:
-        return False
 
 
 def certified_plan_file(certified: CertifiedPlan) -> bytes:

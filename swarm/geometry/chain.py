@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from swarm.errors import Refused
 from swarm.geometry.catenary import length_for_sag, sag_for_drop, solve_catenaries
@@ -164,7 +164,7 @@ def cell_for_length(corners: ArrayLike, sags: ArrayLike, length: float) -> float
             f"a cable of {length:g} m is too short for these sags: the sags alone need "
             f"{surplus(narrowest) + length:.6g} m"
         )
-    return float(brentq(surplus, narrowest, widest, xtol=1e-12 * widest, rtol=1e-14))
+    return float(scipy.optimize.brentq(surplus, narrowest, widest, xtol=1e-12 * widest, rtol=1e-14))
 
 
 def minimum_sags(

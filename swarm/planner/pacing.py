@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d, minimum_filter1d
+import scipy
 
 from swarm.certification.stream_loss import StreamLossCertificate, sampled_rates
 from swarm.geometry.lumped_mass import SwingModel, cable_model
@@ -76,7 +76,7 @@ class Pacing:
 
     def slowed_for_loss(self, times: Floats, rates: Floats) -> "Pacing":
         """Return the pacing that is slower where ``rates`` (m,) at times (m,) are below 1."""
-        least = minimum_filter1d(rates, 3, mode="nearest")
+        least = scipy.ndimage.minimum_filter1d(rates, 3, mode="nearest")
         factors = self._least_during(times, least, 0.0) ** _LOSS_EXPONENT
         return replace(self, loss=np.maximum(self.loss * factors, _SLOWEST_LOSS))
 
@@ -185,6 +185,6 @@ def _model(plan: Plan) -> SwingModel:
 
 
 def _smooth(rate: Floats, around: int, deviation: float) -> Floats:
-    least = minimum_filter1d(rate, around, mode="nearest")
-    found: Floats = gaussian_filter1d(least, deviation, mode="nearest")
+    least = scipy.ndimage.minimum_filter1d(rate, around, mode="nearest")
+    found: Floats = scipy.ndimage.gaussian_filter1d(least, deviation, mode="nearest")
     return found

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.distance import pdist
+import scipy
 
 from swarm.errors import Refused
 from swarm.folding.layout import LayoutParameters
@@ -213,7 +213,9 @@ def _refuse_crowding(
         cell, key = shape.cell, f"cable.length {mission.cable.length:g} m, a cell of"
     if cell == "auto":
         return
-    distance = max(float(pdist(diagram.corners).min()) for diagram in opened) * cell
+    distance = (
+        max(float(scipy.spatial.distance.pdist(diagram.corners).min()) for diagram in opened) * cell
+    )
     required = margins.vehicle + 2.0 * margins.tracking
     if distance < required:
         raise Refused(

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import maximum_filter1d
+import scipy
 
 from swarm.geometry.motion import Motion
 
@@ -82,5 +82,5 @@ def clock_limits(motion: Motion, braking: float) -> ClockLimits:
     count = int(np.ceil((motion.times[-1] - motion.times[0]) / _STEP)) + 1
     times = motion.times[0] + _STEP * np.arange(count)
     speed = np.linalg.norm(motion.at(times)[1], axis=2).max(axis=1)
-    fastest = maximum_filter1d(speed, 2 * _AROUND + 1, mode="nearest")
+    fastest = scipy.ndimage.maximum_filter1d(speed, 2 * _AROUND + 1, mode="nearest")
     return ClockLimits(float(motion.times[0]), np.minimum(URGENT, braking / (fastest + 1e-9)))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.geometry.motion import Motion, at_rest, concatenate, leg
@@ -198,7 +198,7 @@ def _spread_and_land(mission: Mission, start: Floats) -> tuple[PhaseMotion, Phas
     spread[:, 2] = start[:, 2] + 1.0
     places = _landing_places(start, spread, apart)
     squared = ((spread[:, None, :2] - places[None, :, :2]) ** 2).sum(axis=2)
-    ground = places[linear_sum_assignment(squared)[1]]
+    ground = places[scipy.optimize.linear_sum_assignment(squared)[1]]
     above = ground + np.array([0.0, 0.0, float(spread[:, 2].max())])
     away = concatenate(
         leg(start, spread, speed, acceleration), leg(spread, above, speed, acceleration)

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d
-from scipy.optimize import minimize
+import scipy
 
 from swarm.geometry.motion import Motion, through_states
 from swarm.jit import compiled
@@ -140,7 +139,9 @@ class _RateLimits:
 
     def smooth(self, values: Floats) -> Floats:
         """Return values (k,) smoothed by a symmetric matrix of weights."""
-        found: Floats = gaussian_filter1d(values, _SMOOTHING / self.step, mode="reflect")
+        found: Floats = scipy.ndimage.gaussian_filter1d(
+            values, _SMOOTHING / self.step, mode="reflect"
+        )
         return found
 
     def rate_squared(self, log_rates: Floats) -> Floats:
@@ -165,7 +166,7 @@ class _RateLimits:
             gradient = self.smooth(slope - 0.5 * w**-1.5) * rates
             return float(step / usual * total), step / usual * gradient
 
-        found = minimize(
+        found = scipy.optimize.minimize(
             cost,
             log_rates,
             jac=True,
@@ -180,7 +181,7 @@ class _RateLimits:
         for piece in np.flatnonzero(excess > 1.0):
             around = slice(chosen[piece], chosen[piece + 1] + 1)
             by[around] = np.maximum(by[around], excess[piece])
-        wide = maximum_filter1d(by, 2 * round(_SMOOTHING / self.step) + 1)
+        wide = scipy.ndimage.maximum_filter1d(by, 2 * round(_SMOOTHING / self.step) + 1)
         return replace(self, tight=self.tight * wide**2)
 
 
