@@ -21,6 +21,7 @@ from swarm.signatures import Floats1, Floats2, Floats3, Ints2
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
+Flags = npt.NDArray[np.bool_]
 
 LOOKAHEAD = 1.5
 """Seconds ahead at which conflicts are detected: about the longest stop along the path of plans of
@@ -57,8 +58,8 @@ class Clearances:
         return _clock_rate(self.margin)
 
 
-class _Required(NamedTuple):
-    """Required distances in metres.
+class RequiredNow(NamedTuple):
+    """Required distances in metres of a team at one moment.
 
     Of vehicles ``horizontal`` or ``vertical``; of strands' middles ``strands``; ``chord`` (n − 1,)
     the longest chords. Strands nearer than ``near`` are computed exactly. ``pairs`` (p, 2) of
@@ -85,7 +86,7 @@ class Monitor:
         self._diameter = plan.mission.cable.diameter
         self._clearance = clearance
         self._vehicle_pairs = np.triu_indices(n, 1)
-        self._required = _Required(
+        self.required = RequiredNow(
             horizontal=clearance.vehicle,
             vertical=clearance.downwash,
             strands=clearance.cable,
@@ -95,7 +96,7 @@ class Monitor:
             lengths=self._lengths,
             spacing=float(self._lengths.max(initial=0.0)) / _PIECES,
         )
-        self._points = np.zeros((len(self._lengths), _PIECES + 1, 3))
+        self.points = np.zeros((len(self._lengths), _PIECES + 1, 3))
 
     def clearances(self, moments: Floats, cable: CableState) -> list[Clearances]:
         """Return the clearances of grip points (k, n, 3), mission ENU, at each of k moments."""
@@ -122,7 +123,7 @@ class Monitor:
         fits = ratio < 1.0
         if fits.any():
             strands[fits] = [
-                _strand_distance(grips, self._required, FAR, self._points) - self._diameter
+                _strand_distance(grips, self.required, FAR, self.points) - self._diameter
                 for grips in moments[fits]
             ]
             margin = np.fmin(margin, strands - self._clearance.cable)
@@ -131,19 +132,13 @@ class Monitor:
             for s, v, r, m in zip(strands, vehicle, ratio, margin, strict=True)
         ]
 
-    def vehicle_margins(self, moments: Floats) -> Floats:
-        """Return the smallest margins (k,) between vehicles at the moments (k, n, 3)."""
-        margins = np.empty(len(moments))
-        _vehicle_margins(np.ascontiguousarray(moments), self._required, margins)
-        return margins
-
     def clock_rate(self, moments: Floats, cable: CableState) -> float:
         """Return the allowed clock rate, 0…1, for the margins at the moments (k, n, 3).
 
         As from :meth:`clearances`, without distances of strands that are far apart.
         """
         aloft = cable == "aloft"
-        return _clock_rate(_margin(moments, aloft, self._required, self._diameter, self._points))
+        return _clock_rate(_margin(moments, aloft, self.required, self._diameter, self.points))
 
 
 def _clock_rate(margin: float) -> float:
@@ -152,7 +147,7 @@ def _clock_rate(margin: float) -> float:
 
 @compiled
 def _margin(
-    moments: Floats3, aloft: bool, required: _Required, diameter: float, points: Floats3
+    moments: Floats3, aloft: bool, required: RequiredNow, diameter: float, points: Floats3
 ) -> float:
     """Smallest margin at the moments (k, n, 3): of vehicles, and of chords and strands aloft."""
     margin = _vehicle_margin(moments, required)
@@ -166,14 +161,7 @@ def _margin(
 
 
 @compiled
-def _vehicle_margins(moments: Floats3, required: _Required, margins: Floats1) -> None:
-    """Write the smallest margin between vehicles at each of the moments (k, n, 3)."""
-    for k in range(len(moments)):
-        margins[k] = _vehicle_margin(moments[k : k + 1], required)
-
-
-@compiled
-def _vehicle_margin(moments: Floats, required: _Required) -> float:
+def _vehicle_margin(moments: Floats, required: RequiredNow) -> float:
     """Smallest margin between vehicles at the moments (k, n, 3), horizontal or vertical."""
     least = np.inf
     for k in range(len(moments)):
@@ -197,28 +185,62 @@ def _chord_margin(moments: Floats, longest: Floats) -> float:
 
 
 @compiled
-def _strand_distance(grips: Floats2, required: _Required, far: float, points: Floats3) -> float:
+def _strand_distance(grips: Floats2, required: RequiredNow, far: float, points: Floats3) -> float:
     """Smallest distance between the middles of strands at grip points (n, 3).
 
-    Of boxes that contain the strands; of points where boxes come within ``far`` of ``near``;
-    exactly where points come closer than ``near``. ``points`` (n − 1, k, 3) is working memory.
+    As :func:`pair_distance`; ``points`` (n − 1, k, 3) is working memory.
     """
-    lengths = required.lengths
-    sampled = np.zeros(len(lengths), np.bool_)
+    sampled = np.zeros(len(required.lengths), np.bool_)
     least = np.inf
     for pair in range(len(required.pairs)):
-        one, other = required.pairs[pair]
-        apart = box_distance(grips, lengths, (one, other), (0.0, 0.0), np.inf)
-        if apart < required.near + far:
-            for strand in (one, other):
-                if not sampled[strand]:
-                    sample_strand(grips[strand], grips[strand + 1], lengths[strand], points[strand])
-                    sampled[strand] = True
-            # Where two straight lines are closest, their samples are off by up to half a spacing
-            # each, both at right angles to the shortest distance.
-            square = squared_point_distance(points[one], points[other])
-            apart = math.sqrt(max(square - 0.5 * required.spacing**2, 0.0)) - _BOW
-            if apart < required.near:
-                apart = polyline_distance(points[one], points[other], np.inf)[0]
-        least = min(least, apart)
+        strands = required.pairs[pair, 0], required.pairs[pair, 1]
+        least = min(least, pair_distance(grips, strands, required, far, (points, sampled)))
     return least
+
+
+@compiled
+def pair_distance(
+    grips: Floats,
+    pair: tuple[int, int],
+    required: RequiredNow,
+    far: float,
+    memory: tuple[Floats, Flags],
+) -> float:
+    """Distance between the middles of two strands at grip points (n, 3).
+
+    Of boxes that contain the strands; of points where boxes come within ``far`` of ``near``;
+    exactly where points come closer than ``near``. ``memory`` are the points (n − 1, k, 3) of the
+    strands, and which of them are sampled (n − 1,).
+    """
+    apart = box_distance(grips, required.lengths, pair, (0.0, 0.0), np.inf)
+    if apart < required.near + far:
+        apart = sampled_distance(grips, pair, required, memory)
+    return apart
+
+
+@compiled
+def sampled_distance(
+    grips: Floats, pair: tuple[int, int], required: RequiredNow, memory: tuple[Floats, Flags]
+) -> float:
+    """Distance of two strands by their points, as in :func:`pair_distance`."""
+    points, sampled = memory
+    for strand in pair:
+        if not sampled[strand]:
+            length = required.lengths[strand]
+            sample_strand(grips[strand], grips[strand + 1], length, points[strand])
+            sampled[strand] = True
+    square = squared_point_distance(points[pair[0]], points[pair[1]])
+    apart = least_between(square, required.spacing)
+    if apart < required.near:
+        apart = polyline_distance(points[pair[0]], points[pair[1]], np.inf)[0]
+    return float(apart)
+
+
+@compiled
+def least_between(square: float, spacing: float) -> float:
+    """Lower bound of two strands' distance by the squared distance of their points.
+
+    Where two straight lines are closest, their samples are off by up to half a spacing each, both
+    at right angles to the shortest distance.
+    """
+    return math.sqrt(max(square - 0.5 * spacing**2, 0.0)) - _BOW

@@ -10,7 +10,9 @@ certified for all times between (:mod:`.stream_loss_bound`), or lowered until th
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,8 +20,13 @@ import numpy.typing as npt
 from swarm.certification.findings import Finding
 from swarm.certification.monitor import Monitor
 from swarm.certification.stream_loss_bound import Overrun, StreamLossBound
-from swarm.geometry.catenary import MAX_CHORD_RATIO
-from swarm.planning import CableState, Plan, digest
+from swarm.certification.stream_loss_samples import (
+    Losses,
+    Needed,
+    allocate_memory,
+    write_margins,
+)
+from swarm.planning import Plan, digest
 from swarm.planning.clock_limits import ClockLimits, clock_limits
 
 Floats = npt.NDArray[np.float64]
@@ -37,11 +44,6 @@ BRAKING_TIME = 0.3
 brake with about 3 m/s², which takes less at speeds up to 2 m/s."""
 _SHARES = (0.5, 1.0)
 """Shares of a motion after a loss at which it is sampled."""
-_LEVERAGE = 5.0
-"""Metres by which strands can approach per metre of an end's movement, and more: a sag grows up to
-threefold where the chord shrinks, at the allowed chords."""
-_BATCH = 128
-"""Moments that are computed together, which bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -156,15 +158,29 @@ def certify_stream_loss(
     plan: Plan, model: StreamLossModel = StreamLossModel()
 ) -> StreamLossCertificate:
     """Return the certificate of stream losses, of all or of single vehicles, during the fold."""
+    return _certificate_of(_Named(digest(plan), model, plan))
+
+
+@dataclass(frozen=True)
+class _Named:
+    digest: str
+    model: StreamLossModel
+    plan: Plan = field(compare=False)
+
+
+@lru_cache(maxsize=4)
+def _certificate_of(named: _Named) -> StreamLossCertificate:
+    """Planner and certificate ask for the same plan, which is told by its digest."""
+    plan, model = named.plan, named.model
     fold = [phase for phase in plan.phases if phase.name == "fold" and phase.cable == "aloft"]
     if not fold or plan.vehicles < 2:
         none = np.empty(0)
         return StreamLossCertificate(
-            none, none, WorstLoss(np.inf, 0.0, 0), none, model, digest(plan)
+            none, none, WorstLoss(np.inf, 0.0, 0), none, model, named.digest
         )
     times = np.append(np.arange(fold[0].start, fold[-1].end, STEP), fold[-1].end)
     overrun = model.overrun(plan)
-    rates, margins, vehicles = _sampled_rates(plan, overrun, times, RATES, 0.0)
+    rates, margins, vehicles = _sampled_rates(plan, overrun, times, RATES, _Accepted(0.0, -np.inf))
     lost = np.isnan(rates)
     rates[lost] = RATES[-1]
     unshown = _lower(StreamLossBound(plan, overrun, fold[-1].end), times, rates, lost)
@@ -175,7 +191,7 @@ def certify_stream_loss(
         WorstLoss(float(margins[tightest]), float(times[tightest]), int(vehicles[tightest])),
         times[lost | unshown],
         model,
-        digest(plan),
+        named.digest,
     )
 
 
@@ -207,28 +223,41 @@ def sampled_rates(plan: Plan, step: float, margin: float) -> tuple[Floats, Float
     fold = plan.phase("fold")
     times = np.append(np.arange(fold.start, fold.end, step), fold.end)
     overrun = StreamLossModel().overrun(plan)
-    rates = _sampled_rates(plan, overrun, times, _FINE_RATES, margin)[0]
+    rates = _sampled_rates(plan, overrun, times, _FINE_RATES, _Accepted(margin, margin))[0]
     return times, np.nan_to_num(rates, nan=_FINE_RATES[-1])
 
 
+class _Accepted(NamedTuple):
+    """The ``least`` margin of a rate, and the margin ``exact`` from which on it is exact, metres.
+
+    Below, it is an upper bound.
+    """
+
+    least: float
+    exact: float
+
+
 def _sampled_rates(
-    plan: Plan, overrun: Overrun, times: Floats, tried: Sequence[float], least: float
+    plan: Plan, overrun: Overrun, times: Floats, tried: Sequence[float], accepted: _Accepted
 ) -> tuple[Floats, Floats, Ints]:
-    """Return the fastest of the rates with at least a margin, NaN for none, at times (k,).
+    """Return the fastest of the rates with an accepted margin, NaN for none, at times (k,).
 
     Also the margins (k,) at these rates, and the vehicles (k,) without setpoints that have them.
     """
     monitor = Monitor(plan)
+    needed = Needed(monitor.required, plan.mission.cable.diameter, accepted.exact)
+    memory = allocate_memory(monitor)
     rates = np.full(len(times), np.nan)
     margins, vehicles = np.full(len(times), -np.inf), np.zeros(len(times), dtype=np.intp)
     for rate in tried:
         open_ = np.flatnonzero(np.isnan(rates))
         if not len(open_):
             break
-        margin, vehicle = _margins(plan, monitor, times[open_], rate, overrun)
+        margin, vehicle = np.empty(len(open_)), np.empty(len(open_), dtype=np.intp)
+        write_margins(_losses(plan, times[open_], rate, overrun), needed, memory, margin, vehicle)
         better = margin > margins[open_]
         margins[open_[better]], vehicles[open_[better]] = margin[better], vehicle[better]
-        rates[open_[margin >= least]] = rate
+        rates[open_[margin >= accepted.least]] = rate
     return rates, margins, vehicles
 
 
@@ -245,66 +274,13 @@ def _reachable(limits: ClockLimits, times: Floats, rates: Floats) -> Floats:
     return limited
 
 
-def _margins(
-    plan: Plan, monitor: Monitor, times: Floats, rate: float, overrun: Overrun
-) -> tuple[Floats, Ints]:
-    """Smallest margins (k,) after losses at ``times``, and the vehicles (k,) (0: whole team)."""
+def _losses(plan: Plan, times: Floats, rate: float, overrun: Overrun) -> Losses:
+    """Return the sampled positions after losses at ``times`` (k,) and a clock rate."""
     position, velocity, _ = plan.motion.at(times)
-    smallest = np.full(len(times), np.inf)
-    vehicles = np.zeros(len(times), dtype=np.intp)
-    nearest: dict[bytes, Floats] = {}
-    samples = _positions_after(plan, times, (position, rate * velocity), rate, overrun)
-    for vehicle, planned, reached in samples:
-        key = planned.tobytes()
-        if key not in nearest:
-            nearest[key] = _clearances(monitor, planned, "aloft")[0]
-        off = np.linalg.norm(reached - planned, axis=2).max(axis=1)
-        margin = _vehicle_margins(plan, monitor, reached)
-        # Strands that are far apart in the plan stay so when their ends move a little.
-        close = (margin > 0.0) & (nearest[key] - _LEVERAGE * off < plan.mission.clearance.cable)
-        margin[close] = _clearances(monitor, reached[close], "aloft")[1]
-        less = margin < smallest
-        smallest[less], vehicles[less] = margin[less], vehicle
-    return smallest, vehicles
-
-
-def _clearances(monitor: Monitor, positions: Floats, cable: CableState) -> tuple[Floats, Floats]:
-    """Return the distances between strands (k,) and the smallest margins (k,)."""
-    found = [
-        clearances
-        for k in range(0, len(positions), _BATCH)
-        for clearances in monitor.clearances(positions[k : k + _BATCH], cable)
-    ]
-    return np.array([one.cable for one in found]), np.array([one.margin for one in found])
-
-
-def _vehicle_margins(plan: Plan, monitor: Monitor, positions: Floats) -> Floats:
-    """Smallest margins (k,) of chords and between vehicles."""
-    chords = np.linalg.norm(np.diff(positions, axis=1), axis=2)
-    slack = (MAX_CHORD_RATIO * plan.layout.lengths - chords).min(axis=1, initial=np.inf)
-    between: Floats = np.minimum(monitor.vehicle_margins(positions), slack)
-    return between
-
-
-def _positions_after(
-    plan: Plan, times: Floats, states: tuple[Floats, Floats], rate: float, overrun: Overrun
-) -> Sequence[tuple[int, Floats, Floats]]:
-    """Sampled positions after losses with positions and velocities ``states`` (k, n, 3).
-
-    Each is the vehicle without setpoints (0: the whole team), the planned positions (k, n, 3) and
-    the reached ones.
-    """
-    position, velocity = states
-    moved = overrun.coast_time[:, None] * velocity
-    found = [(0, position, position + share * moved) for share in (0.0, *_SHARES)]
     # The team continues until the silence is detected; then the clock's rate falls to zero.
     advance = overrun.advance(times, np.array(rate))
     end = next(phase.end for phase in plan.phases if phase.name == "fold")
-    for share in _SHARES:
-        team = plan.motion.at(np.minimum(times + share * advance, end))[0]
-        for k in range(plan.vehicles):
-            reached = team.copy()
-            reached[:, k] = position[:, k] + share * moved[:, k]
-            reached[:, k, 2] -= share * overrun.descent[k]
-            found.append((k + 1, team, reached))
-    return found
+    after = np.array(_SHARES)
+    team = plan.motion.at(np.minimum(times + after[:, None] * advance, end))[0]
+    moved = overrun.coast_time[:, None] * (rate * velocity)
+    return Losses(position, moved, np.array(overrun.descent), team, after)

@@ -11,6 +11,7 @@ from swarm.certification.stream_loss import (
     certify_stream_loss,
 )
 from swarm.certification.stream_loss_bound import TOLERANCE
+from swarm.certification.stream_loss_samples import Losses, Needed, allocate_memory, write_margins
 from swarm.flight.clock import MissionClock
 from swarm.planning.clock_limits import ORDINARY, clock_limits
 from tests.certification.synthetic import moving, plan_of
@@ -169,3 +170,38 @@ def test_a_loss_between_two_samples_counts():
     assert off > 0.1
     assert np.linalg.norm(np.diff(reached, axis=0), axis=1).max() <= 0.985 * LENGTH + TOLERANCE
     assert limit < 1.0
+
+
+def test_sampled_margins_are_those_of_the_whole_team(overhand):
+    """Distances that are computed once for all losses of a moment, against all of them each time.
+
+    Vehicles that are moved at random are far off the plan, close to others and within reach.
+    """
+    rng, n = np.random.default_rng(3), overhand.vehicles
+    fold = overhand.phase("fold")
+    times = rng.uniform(fold.start, fold.end, 12)
+    position, later = overhand.motion.at(times)[0], overhand.motion.at(times + 0.3)[0]
+    moved = rng.normal(0.0, 0.4, position.shape) * rng.uniform(0.0, 1.0, (12, 1, 1))
+    shares, descent = np.array([0.5, 1.0]), rng.uniform(0.0, 0.2, n)
+    team, monitor = np.stack([later, later]), Monitor(overhand)
+    losses = Losses(position, moved, descent, team, shares)
+    needed = Needed(monitor.required, overhand.mission.cable.diameter, -np.inf)
+    margins, vehicles = np.empty(12), np.empty(12, dtype=np.intp)
+    write_margins(losses, needed, allocate_memory(monitor), margins, vehicles)
+    assert (margins > 0.0).sum() > 3
+    for k in range(12):
+        of_team = [position[k] + share * moved[k] for share in (0.0, 0.5, 1.0)]
+        cases = [(0, reached) for reached in of_team]
+        for share in shares:
+            for vehicle in range(n):
+                reached = later[k].copy()
+                reached[vehicle] = position[k, vehicle] + share * moved[k, vehicle]
+                reached[vehicle, 2] -= share * descent[vehicle]
+                cases.append((vehicle + 1, reached))
+        expected = [monitor.clearances(reached[None], "aloft")[0].margin for _, reached in cases]
+        # Chords that are longer than their cable end the comparison there: strands are not computed.
+        if min(expected) > 0.0:
+            assert margins[k] == pytest.approx(min(expected), abs=1e-9)
+            assert vehicles[k] == cases[int(np.argmin(expected))][0]
+        else:
+            assert margins[k] <= 0.0
