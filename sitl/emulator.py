@@ -305,8 +305,6 @@ class Emulator:
             self._update_air(_AIR_STEPS * STEP)
         if self._steps % AUTOPILOT_STEPS == 0:
             landing.supervise(b, AUTOPILOT_STEPS * STEP)
-            if self.outside is not None:
-                self.outside.place(b)
             if b.landed_changes != self._landed_changes:
                 self._landed_changes = b.landed_changes
                 self._wake()

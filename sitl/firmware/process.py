@@ -30,6 +30,22 @@ _PARAMETERS: dict[str, float] = {
     "ATC_RAT_PIT_I": 1.0,
     "ATC_RAT_RLL_D": 0.006,
     "ATC_RAT_PIT_D": 0.006,
+    # ArduPilot takes no force as feed-forward: its integrator resists the cable. With the default
+    # gains (1, 2, 1, 0.25) a pull that grows by 0.14 N/s moves one vehicle by 0.08 m, and it is
+    # 0.09 m off on a circle of 1.5 m at 1 m/s; with these, 0.02 and 0.04 m.
+    "PSC_POSXY_P": 2,
+    "PSC_VELXY_P": 4,
+    "PSC_VELXY_I": 2,
+    "PSC_VELXY_D": 0.5,
+    # An RTK receiver, and an estimator that trusts it. The simulated one is late by 0.16 s, which
+    # the default for its kind (0.12 s) leaves as 0.05 s of delay in the estimate; with the default
+    # noise, the simulated drift of the gyroscopes makes velocities wrong by 0.025 m/s.
+    "SIM_GPS_HZ": 10,
+    "SIM_GPS_ACC": 0.02,
+    "GPS1_RATE_MS": 100,
+    "GPS1_DELAY_MS": 160,
+    "EK3_POSNE_M_NSE": 0.1,
+    "EK3_VELNE_M_NSE": 0.1,
     "MOT_THST_HOVER": 0.39,  # weight over full thrust of the default vehicle
     "MOT_SPIN_MIN": 0.0,  # the simulated motors have no dead band
     "MOT_SPIN_ARM": 0.0,

@@ -61,7 +61,8 @@ class Bodies:
     directly, then call `refresh`. `step` advances all vehicles by `STEP` seconds.
 
     Flags (n,): ``may_lift`` permits a take-off, ``all_cruising`` says that no vehicle needs
-    `sitl.physics.landing`, ``goal_moves`` is 1 where the goal moves with its velocity. Times in
+    `sitl.physics.landing`, ``outside`` are vehicles that `sitl.physics.rigid_bodies` moves,
+    ``goal_moves`` is 1 where the goal moves with its velocity. Times in
     seconds (n,): since arming (``armed_time``), since the start of lift (``lift_time``), with the
     condition of a landing (``landing_time``); until lift (``spool_time``), full thrust
     (``ramp_time``), reduced thrust (``cut_time``) and landed (``land_time``). ``frames`` (n, 5) are
@@ -131,6 +132,7 @@ class Bodies:
         self.land_time = np.full(n, 0.9)
         self.cut_time = np.full(n, 0.35)
         self.health = np.ones(n)
+        self.outside = np.zeros(n, dtype=bool)
         self.crashed = np.zeros(n, dtype=bool)
         self.tumble = np.zeros(n)
         self.false_landing = np.zeros(n, dtype=bool)

@@ -22,7 +22,10 @@ _TUMBLE_RATE = 5.0
 
 
 def supervise(b: Bodies, interval: float) -> None:
-    """Update take-off ramp, land detector and yaw by ``interval`` seconds (call at 25 Hz)."""
+    """Update take-off ramp, land detector and yaw by ``interval`` seconds (call at 25 Hz).
+
+    Vehicles that are moved from outside keep their yaw and whether they stand.
+    """
     if b.all_cruising and _unchanged(
         b.goal_moves, b.goal_yaw, b.yaw, b.status, b.landing_time, b.velocity_goal, b.velocity
     ):
@@ -62,10 +65,10 @@ def _unchanged(
 
 def _turn(b: Bodies, interval: float) -> None:
     turn = (b.goal_yaw - b.yaw + np.pi) % (2 * np.pi) - np.pi
-    turn[abs(turn) < 1e-6] = 0.0
+    turn[(abs(turn) < 1e-6) | b.outside] = 0.0
     b.yaw_rate = np.clip(2.0 * turn, -_YAW_RATE, _YAW_RATE) * ~b.landed
     b.yaw += interval * b.yaw_rate
-    done = turn == 0.0
+    done = (turn == 0.0) & ~b.outside
     b.yaw[done] = b.goal_yaw[done]
 
 
@@ -102,6 +105,7 @@ def _detect_landing(b: Bodies, down: Flags, interval: float) -> None:
         left = b.position[:, 2] > b.floor + b.grip_offset + 0.05
         lifted = left & b.armed & ~b.false_landing
         landed |= b.landed & ~lifted
+    landed = np.where(b.outside, b.landed, landed)
     if landed.tobytes() != b.landed.tobytes():
         b.landed[:] = landed
         b.landed_changes += 1

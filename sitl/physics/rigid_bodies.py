@@ -24,6 +24,7 @@ class RigidBodies:
 
     def __init__(self, bodies: Bodies, rows: list[int]) -> None:
         self.rows = np.array(rows, dtype=int)
+        bodies.outside[self.rows] = True
         self.floor = bodies.floor
         mass = bodies.mass[self.rows]
         self.frame = rigid.Frame(

@@ -141,16 +141,17 @@ def evaluate_piece(
 
 @compiled
 def setpoints_ned(
-    state: tuple[Floats2, Floats2, Floats2], lead: float, lift: Floats1, mass: float,
+    state: tuple[Floats2, Floats2, Floats2], lead: float, lift: Floats1, mobility: Floats1,
     pull: tuple[Floats2, Floats2, float], frames: tuple[Floats3, Floats2], states: Floats3,
 ) -> None:  # fmt: skip
     """Compute setpoints of centres, in each vehicle's NED frame, into ``states`` (n, 3, 3):
     positions, velocities, accelerations.
 
     ``state`` are position, velocity and acceleration (n, 3) of grip points, ``lift`` (3,) leads
-    from there to centres; positions are ``lead`` seconds ahead. The cable's pull on ``mass`` is fed
-    forward: ``pull`` is the pull at a sample (n, 3), its change to the next one, and the share of
-    that. ``frames`` are rotations (n, 3, 3) and translations (n, 3).
+    from there to centres; positions are ``lead`` seconds ahead. The cable's pull is fed forward
+    with ``mobility`` (n,), acceleration per force in 1/kg: ``pull`` is the pull at a sample (n, 3),
+    its change to the next one, and the share of that. ``frames`` are rotations (n, 3, 3) and
+    translations (n, 3).
     """
     position, velocity, acceleration = state
     before, change, share = pull
@@ -161,7 +162,7 @@ def setpoints_ned(
             ahead = velocity[i, k] + 0.5 * lead * acceleration[i, k]
             enu[0, k] = position[i, k] + lead * ahead + lift[k]
             enu[1, k] = velocity[i, k]
-            enu[2, k] = acceleration[i, k] - (change[i, k] * share + before[i, k]) / mass
+            enu[2, k] = acceleration[i, k] - mobility[i] * (change[i, k] * share + before[i, k])
         for j in range(3):
             for k in range(3):
                 states[i, j, k] = (

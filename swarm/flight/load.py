@@ -2,6 +2,7 @@
 
 An autopilot resists a steady pull by its integrator alone: with the usual gains a newton on a
 vehicle of 1.5 kg moves it by some tenths of a metre for seconds. The cable model gives the pull.
+ArduPilot cannot use it: see :class:`swarm.mavlink.autopilots.Autopilot`.
 """
 
 import numpy as np

@@ -3,11 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm.flight.estimation import setpoints_ned
 from swarm.flight.router import Outgoing
 from swarm.flight.stages import Stage
 from swarm.flight.state import FlightState
+
+Floats = npt.NDArray[np.float64]
 
 
 def start_stream(flight: FlightState, k: int) -> None:
@@ -78,7 +81,7 @@ def setpoints(flight: FlightState) -> list[Outgoing]:
         states = np.empty((len(roster.systems), 3, 3))
         setpoints_ned(
             (state.position, state.velocity, state.acceleration), lead, setup.lift,
-            setup.plan.mission.vehicles.mass, pull, (frames.rotation, frames.translation), states,
+            _mobility(flight), pull, (frames.rotation, frames.translation), states,
         )  # fmt: skip
         packets = flight.team.setpoints(
             roster.systems, active, flight.now, states, flight.placement.yaw
@@ -90,6 +93,16 @@ def setpoints(flight: FlightState) -> list[Outgoing]:
         sent=flight.streams.sent + len(packets),
     )
     return packets
+
+
+def _mobility(flight: FlightState) -> Floats:
+    """Return the acceleration per force (n,), 1/kg, with which the cable's pull is fed forward.
+
+    It is 0 for autopilots that do not add accelerations: their integrators resist the pull.
+    """
+    per_mass = 1.0 / flight.setup.plan.mission.vehicles.mass
+    kinds = [vehicle.autopilot for vehicle in flight.roster.vehicles]
+    return np.array([per_mass if kind and kind.adds_acceleration else 0.0 for kind in kinds])
 
 
 def _set_active(flight: FlightState, k: int, *, active: bool) -> None:

@@ -50,6 +50,10 @@ class Autopilot:
     - ``lists_prearm_as_present``: SYS_STATUS lists the pre-arm check among the sensors present, as
       ArduPilot does. PX4 (1.14 and later) sets its bit only in the sensors' health, while the
       vehicle can be armed in its mode.
+    - ``adds_acceleration``: the acceleration of a setpoint is added to the controller's output.
+      ArduPilot takes it for the derivative of the setpoint's velocity (`AC_PosControl`,
+      ``input_pos_vel_accel_xy``): its target leaves a position at rest with a steady acceleration,
+      by the acceleration over 2 s⁻² with the default jerk and acceleration limits.
     - ``bytewise``: integer parameters are sent as the bytes of an integer
       (MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE).
     """
@@ -61,6 +65,7 @@ class Autopilot:
     ready_in_offboard_only: bool
     mode_message: int
     lists_prearm_as_present: bool
+    adds_acceleration: bool
     bytewise: bool
 
     def custom_mode(self, mode: Mode) -> int:
@@ -85,6 +90,7 @@ PX4 = Autopilot(
     ready_in_offboard_only=False,
     mode_message=CURRENT_MODE,
     lists_prearm_as_present=False,
+    adds_acceleration=True,
     bytewise=True,
 )
 
@@ -96,6 +102,7 @@ ARDUPILOT = Autopilot(
     ready_in_offboard_only=True,
     mode_message=int(common.MAVLINK_MSG_ID_HEARTBEAT),
     lists_prearm_as_present=True,
+    adds_acceleration=False,
     bytewise=False,
 )
 

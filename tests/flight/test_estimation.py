@@ -52,9 +52,10 @@ def test_setpoints_aim_ahead_of_centres_and_are_relieved_of_what_pulls():
     turn, move = some(3, 3, 3), some(3, 3)
     states = np.empty((3, 3, 3))
     moving, frames = (position, velocity, acceleration), (turn, move)
-    estimation.setpoints_ned(moving, 0.025, LIFT, 1.6, (pull, change, 0.3), frames, states)
+    mobility = np.array([1.0 / 1.6, 0.0, 1.0])
+    estimation.setpoints_ned(moving, 0.025, LIFT, mobility, (pull, change, 0.3), frames, states)
     ahead = position + 0.025 * velocity + 0.5 * 0.025**2 * acceleration + LIFT
-    relieved = acceleration - (pull + 0.3 * change) / 1.6
+    relieved = acceleration - mobility[:, None] * (pull + 0.3 * change)
     enu = np.stack([ahead, velocity, relieved], axis=1)
     expected = np.einsum("nij,nkj->nki", turn, enu)
     expected[:, 0] += move

@@ -9,9 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from sitl.emulator import Emulator
 from sitl.firmware import ardupilot_json
-from sitl.physics import rigid
+from sitl.physics import landing, rigid
 from sitl.physics.geodesy import GRAVITY
+from sitl.world import default_world
 
 FRAME = rigid.Frame(*(np.array([value]) for value in (1.5, 0.25, 0.6, 9.3, 0.2)))
 STEP = 0.0025
@@ -118,3 +120,17 @@ def test_servo_packets_are_read_and_others_are_not():
     )
     for wrong in (b"", packet[:-1], b"\x00" + packet[1:], packet + b"\x00"):
         assert ardupilot_json.parse(wrong) is None
+
+
+def test_supervision_leaves_vehicles_alone_that_are_moved_from_outside():
+    bodies = Emulator(default_world(2, ["ardupilot"]), outside=[2]).bodies
+    bodies.goal_yaw += 1.0
+    bodies.armed[:] = True
+    bodies.position[:, 2] += 2.0
+    yaw = bodies.yaw.copy()
+    landing.supervise(bodies, 0.04)
+    assert bodies.landed.tolist() == [False, True]
+    assert bodies.yaw[1] == yaw[1]
+    landing.supervise(bodies, 0.04)
+    assert bodies.yaw[0] != yaw[0]
+    assert bodies.yaw[1] == yaw[1]
