@@ -95,6 +95,9 @@ def _address(
 @click.option("--port-step", type=int, help="PX4: vehicle i sends to UDP 14540 + i·STEP.")
 @click.option("--signing-key", type=FILE, help="Sign frames with this key, drop all others.")
 @click.option("--truth", type=FILE, help="Write the ground truth (JSON lines).")
+@click.option(
+    "--clock", type=FILE, help="Keep the world's time in this file (8 bytes, little-endian double)."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the connections as one JSON line.")
 @click.option(
     "--follow-parent",
@@ -146,6 +149,7 @@ class Options:
     port_step: int | None
     signing_key: Path | None
     truth: Path | None
+    clock: Path | None
     as_json: bool
     follow_parent: int | None
 
@@ -188,6 +192,8 @@ def _run(world_file: Path | None, count: int, given: Options) -> int:
             running = server.to_target(emulator, given.target, given.host, given.speed)
         else:
             running = server.to_default_ports(emulator, given.host, given.speed, given.port_step)
+        if given.clock is not None:
+            running.clock = server.open_clock(given.clock)
         target = f"{given.target[0]}:{given.target[1]}" if given.target else None
         folder = given.firmware_folder
         with sealed(), flying(emulator, firmware, target, folder) as exchange:

@@ -7,10 +7,12 @@ import contextlib
 import gc
 import json
 import math
+import mmap
 import os
 import select
 import signal
 import socket
+import struct
 import sys
 import time
 from collections.abc import Callable
@@ -31,6 +33,7 @@ _LARGEST_LAG = 0.25
 """Delay in seconds beyond which emulated time falls behind real time."""
 _TRUTH_INTERVAL = 0.1
 _BUFFER = 1 << 20
+_CLOCK = struct.Struct("<d")
 
 
 @dataclass
@@ -45,11 +48,16 @@ class Endpoint:
 
 
 class Server:
-    """Connects an `Emulator` to sockets and the wall clock."""
+    """Connects an `Emulator` to sockets and the wall clock.
+
+    ``advance`` takes the world to a time; ``clock`` gets the world's time after every step, eight
+    bytes as a little-endian double.
+    """
 
     def __init__(self, emulator: Emulator, host: str, speed: float) -> None:
         self.emulator = emulator
         self.advance = emulator.advance
+        self.clock: mmap.mmap | None = None
         self.host = host
         self.speed = speed
         self.endpoints: dict[int, Endpoint] = {}
@@ -185,6 +193,8 @@ class Server:
                 for descriptor, _ in self.poll.poll(0):
                     self._receive(descriptor, emulator.time)
             self.advance(emulator.time + STEP)
+            if self.clock is not None:
+                _CLOCK.pack_into(self.clock, 0, emulator.time)
             self._flush()
             if on_truth is not None and emulator.time >= next_truth:
                 on_truth(emulator.truth())
@@ -202,6 +212,13 @@ class Server:
             endpoint.socket.close()
         for listener, _ in self.listeners.values():
             listener.close()
+
+
+def open_clock(path: Path) -> mmap.mmap:
+    """Return the memory of a new file for `Server.clock`; raises `OSError`."""
+    with path.open("w+b") as file:
+        file.truncate(_CLOCK.size)
+        return mmap.mmap(file.fileno(), _CLOCK.size)
 
 
 def to_target(emulator: Emulator, target: tuple[str, int], host: str, speed: float) -> Server:
@@ -257,11 +274,16 @@ def to_default_ports(emulator: Emulator, host: str, speed: float, port_step: int
 
 
 def truth_line(truth: Truth) -> str:
-    """Return ground truth as one JSON line (NaN as null)."""
+    """Return ground truth as one JSON line (NaN as null).
+
+    Cable is rounded to 0.1 mm: it is most of the line.
+    """
     data: dict[str, Any] = {}
     for name, value in vars(truth).items():
         if name in {"contacts", "strikes", "events"}:
             data[name] = len(value)
+        elif name == "cable":
+            data[name] = value.round(4).tolist()
         elif hasattr(value, "tolist"):
             data[name] = value.tolist()
         else:

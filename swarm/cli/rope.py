@@ -22,6 +22,7 @@ from swarm.cli.planning import load_source, plan_paper_trajectory
 from swarm.errors import SwarmError
 from swarm.files import write_text
 from swarm.ground.record_reader import recorded_flight, recorded_plan
+from swarm.ground.truth_reader import true_trace
 from swarm.reports.plots import save
 from swarm.reports.rope_plots import rope_figure
 from swarm.reports.rope_report import rope_report
@@ -37,6 +38,7 @@ class RopeOptions:
     links: int | None
     no_contact: bool
     flown: Path | None
+    truth: bool
     plot: Path | None
     report: Path | None
     compare: bool
@@ -58,6 +60,11 @@ class RopeOptions:
     type=click.Path(file_okay=False, path_type=Path),
     metavar="RECORD",
     help="Use the reported motion of this flight record instead of the plan.",
+)
+@click.option(
+    "--truth",
+    is_flag=True,
+    help="With --flown: use the emulator's ground truth in the record, not the reports.",
 )
 @click.option("--compare", is_flag=True, help="Also move the rope on the paper's trajectory.")
 @click.option("--plot", type=FILE, help="Plot the rope's distances and its knot (PNG).")
@@ -82,7 +89,7 @@ def rope(
 
     Example: swarm rope missions/overhand.yaml --plot rope.png
     """
-    refuse_option_conflicts(options, {}, [("compare", "flown")])
+    refuse_option_conflicts(options, {"truth": ("flown",)}, [("compare", "flown")])
     planned = load_source(mission, overrides, replan=replan).planned()
     run_rope(context, planned, RopeOptions(**options), as_json=as_json)
 
@@ -97,7 +104,8 @@ def run_rope(
         raise SwarmError("a rope needs MuJoCo: pip install 'swarm-ground-station[rope]'") from None
     if options.flown:
         plan = recorded_plan(options.flown)
-        trace = recorded_flight(options.flown, plan).trace
+        flown = recorded_flight(options.flown, plan)
+        trace = true_trace(options.flown, flown) if options.truth else flown.trace
         trajectories = [simulation.flown_trajectory(plan, trace, str(options.flown))]
     else:
         plan = planned.plan

@@ -33,6 +33,11 @@ from swarm.reports.record_text import print_record
     help='Append an observation to the record, such as "3_1 right by camera" or "unknot by Ann".',
 )
 @click.option(
+    "--truth",
+    is_flag=True,
+    help="Use the emulator's ground truth in the record instead of the vehicles' reports.",
+)
+@click.option(
     "--plot",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Draw the positions in the hold, the tracking errors and the mission clock (PNG).",
@@ -44,6 +49,7 @@ def verify(
     as_json: bool,
     reviewed: Path | None,
     observed: str | None,
+    truth: bool,
     plot: Path | None,
 ) -> None:
     """Verify a flight RECORD (a folder): implied knot, smallest distances, tracking errors.
@@ -57,7 +63,7 @@ def verify(
     observation = parse_observation(observed, datetime.now(UTC)) if observed else None
     if reviewed is not None:
         _require_reviewed(record, reviewed)
-    verified = verify_record(record)
+    verified = verify_record(record, truth=truth)
     if observation is not None:
         verified = verified.observed(observation)
     if plot:

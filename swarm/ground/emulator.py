@@ -13,6 +13,7 @@ from typing import Any
 
 from swarm.errors import VehicleError
 from swarm.ground.child_process import exit_reason
+from swarm.ground.world_clock import WorldClock, create_clock
 
 _STOP_TIMEOUT = 3.0
 
@@ -36,13 +37,18 @@ class EmulatorProcess:
     ) -> None:
         """Write the world file and start; the vehicles send to UDP ``port`` on loopback.
 
-        ``firmware`` has the form of ``swarm sitl --firmware``: vehicles with real autopilots.
+        ``firmware`` has the form of ``swarm sitl --firmware``: vehicles with real autopilots. Then
+        ``clock`` has the time of the world, and the record gets its ground truth.
         Raises :class:`VehicleError` if it is not ready within ``timeout`` seconds.
         """
-        path = folder / "world.json"
+        path, clock = folder / "world.json", folder.absolute() / "clock.bin"
         self._errors = folder / "emulator.txt"
+        self.clock: WorldClock | None = None
         try:
             path.write_text(json.dumps(world, indent=1))
+            if firmware is not None:
+                create_clock(clock)
+                self.clock = WorldClock(clock, speed)
             errors = self._errors.open("wb")
         except OSError as error:
             raise VehicleError(f"the emulator's world cannot be written: {error}") from None
@@ -53,6 +59,8 @@ class EmulatorProcess:
         if firmware is not None:
             command += ["--firmware", firmware]
             command += ["--firmware-folder", str(folder.absolute() / "firmware")]
+            command += ["--truth", str(folder.absolute() / "truth.jsonl")]
+            command += ["--clock", str(clock)]
         with errors:
             self._process = subprocess.Popen(  # noqa: S603
                 [*command, "--json", "--follow-parent", str(os.getpid())],
@@ -66,6 +74,7 @@ class EmulatorProcess:
         except BaseException:
             self.stop()
             raise
+        clock.unlink(missing_ok=True)
 
     def _wait_until_ready(self, timeout: float) -> None:
         """Wait until the vehicles send: flight time begins with them, and may run fast."""
@@ -101,3 +110,6 @@ class EmulatorProcess:
             self._process.wait()
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
+        if self.clock is not None:
+            self.clock.close()
+            self.clock = None

@@ -98,10 +98,13 @@ def fly(
             resources.callback(emulator.stop)
         # flight time begins once the emulator sends packets, which takes a while
         record.start_time = time.time()
+        clock = emulator.clock if emulator is not None else None
+        started = clock.now() if clock is not None else None
         facts = {
             "speed": options.speed,
             "no_cable": options.no_cable,
             "start_time": record.start_time,
+            "world_start": started * options.speed if started is not None else None,
         }
         record.before(flight_plan, conductor.basis, fleet, facts)
         if options.left is not None:
@@ -131,8 +134,9 @@ def fly(
             if forward is not None:
                 running.callback(forward.close)
             loop = Loop(
-                conductor, links, record, options.speed, tasks.run, preflight.relay, forward
-            )
+                conductor, links, record, options.speed, tasks.run, preflight.relay, forward,
+                clock=clock.now if clock is not None else None, start=started,
+            )  # fmt: skip
             loop.run()
             tasks.run(conductor.now)
         result = _result(conductor, emulator, loop, tuple(tasks.events), folder)

@@ -17,6 +17,7 @@ from swarm.ground.forward import Forward
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links
+from swarm.ground.world_clock import SHORTEST_WAIT
 from swarm.mission.fleet import Fleet
 
 _LEAD = 0.4
@@ -52,6 +53,8 @@ class Loop:
     ``each_tick`` is called with the flight time after every tick and must be fast. ``relay``
     forwards packets of other programs, ``forward`` copies what the vehicles send. ``lateness`` are
     the seconds between deadline and sending of every tick, ``cpu`` the share of one core.
+    ``clock`` returns seconds, by default of real time; flight time is zero at its ``start``, by
+    default when `run` begins.
     """
 
     conductor: Runnable
@@ -63,45 +66,57 @@ class Loop:
     forward: Forward | None = None
     lateness: list[float] = field(default_factory=list)
     cpu: float = 0.0
+    clock: Callable[[], float] | None = None
+    start: float | None = None
     start_time: float = 0.0
 
     def run(self) -> None:
         """Run until the conductor has finished."""
         conductor, links = self.conductor, self.links
         interval = 1.0 / (self.conductor.fleet.rates.setpoint * self.speed)
-        start, cpu = time.monotonic(), time.process_time()
+        began, cpu = time.monotonic(), time.process_time()
+        deadline = self._now()
+        start = deadline if self.start is None else self.start
         self.start_time = start
-        deadline = start
         while not conductor.over:
             earliest = deadline - _LEAD * interval
-            self._receive(start, earliest, max(earliest, time.monotonic() + _CATCH_UP * interval))
-            now = (max(time.monotonic(), deadline) - start) * self.speed
+            self._receive(start, earliest, max(earliest, self._now() + _CATCH_UP * interval))
+            now = (max(self._now(), deadline) - start) * self.speed
             outgoing = conductor.tick(now)
             if self.relay is not None:
                 outgoing.extend(self.relay.to_vehicles())
             self._receive(start, deadline - _GUARD, deadline - _GUARD)
-            if (remaining := deadline - time.monotonic()) > 0.0:
-                time.sleep(remaining)
-            self.lateness.append(time.monotonic() - deadline)
+            while (remaining := deadline - self._now()) > 0.0:
+                time.sleep(max(remaining, self._shortest))
+            self.lateness.append(self._now() - deadline)
             links.send(outgoing)
             if self.record is not None:
                 for one in outgoing:
                     self.record.packet(one.data, now)
             self.each_tick(now)
-            missed = max(0.0, time.monotonic() - deadline) // interval
+            missed = max(0.0, self._now() - deadline) // interval
             deadline += (missed + 1.0) * interval
-        elapsed = time.monotonic() - start
+        elapsed = time.monotonic() - began
         self.cpu = (time.process_time() - cpu) / max(elapsed, 1e-9)
 
     def _receive(self, start: float, until: float, stop: float) -> None:
         """Receive packets until a time, then those that wait, at the latest until ``stop``."""
-        while (moment := time.monotonic()) < stop:
-            for link, address, data in self.links.wait(until - moment):
-                self._process(link, address, data, (time.monotonic() - start) * self.speed)
-                if time.monotonic() >= stop:
+        while (moment := self._now()) < stop:
+            wait = max(until - moment, self._shortest) if until > moment else 0.0
+            for link, address, data in self.links.wait(wait):
+                self._process(link, address, data, (self._now() - start) * self.speed)
+                if self._now() >= stop:
                     return
-            if time.monotonic() >= until:
+            if self._now() >= until:
                 return
+
+    def _now(self) -> float:
+        return time.monotonic() if self.clock is None else self.clock()
+
+    @property
+    def _shortest(self) -> float:
+        """Seconds to wait at least: a clock that stands still must not keep the processor busy."""
+        return 0.0 if self.clock is None else SHORTEST_WAIT
 
     def _process(self, link: str, address: Address | None, data: bytes, now: float) -> None:
         if not self.conductor.receive(link, address, data, now):

@@ -10,6 +10,7 @@ from swarm.flight.flight_plan import Basis
 from swarm.flight.tlog import Replayed
 from swarm.ground.observations import Observation, append_observation, recorded_observations
 from swarm.ground.record_reader import recorded_basis, recorded_flight, recorded_plan
+from swarm.ground.truth_reader import true_trace
 from swarm.planning import Plan
 from swarm.verification import Verification, verify_trace
 
@@ -56,8 +57,11 @@ class VerifiedRecord:
         return replace(self, observations=(*self.observations, observation))
 
 
-def verify_record(record: Path) -> VerifiedRecord:
-    """Return the verification of a flight record.
+_TRUE = "positions are the emulator's ground truth, not what the vehicles reported"
+
+
+def verify_record(record: Path, *, truth: bool = False) -> VerifiedRecord:
+    """Return the verification of a flight record; of the emulator's ground truth with ``truth``.
 
     Reads reported positions and sent setpoints from the .tlog, and checks the recorded plan again.
     Raises :class:`InputError` for a folder that is not a complete record.
@@ -66,6 +70,8 @@ def verify_record(record: Path) -> VerifiedRecord:
     basis = recorded_basis(record, plan)
     observations = tuple(recorded_observations(record))
     log = recorded_flight(record, plan)
+    if truth:
+        log = replace(log, trace=true_trace(record, log), notes=(*log.notes, _TRUE))
     return VerifiedRecord(
         record=record,
         plan=plan,

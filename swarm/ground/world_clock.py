@@ -1,0 +1,52 @@
+"""The time of the emulator's world, for flights that follow it instead of the wall clock.
+
+Real autopilots run in lockstep with the world. On a busy machine both fall behind real time; a
+ground station that does not would see all vehicles lag, by the speed times the delay.
+"""
+
+import mmap
+import struct
+import time
+from pathlib import Path
+
+_TIME = struct.Struct("<d")
+_STEP = 0.02
+"""Seconds of the world between two values in the file."""
+_PATIENCE = 2.0
+"""Seconds of real time without a new value after which the world counts as ended."""
+SHORTEST_WAIT = 0.001
+"""Seconds of real time to wait at least while the world has not advanced."""
+
+
+def create_clock(path: Path) -> None:
+    """Create the file in which the emulator puts its time; raises `OSError`."""
+    path.write_bytes(_TIME.pack(0.0))
+
+
+class WorldClock:
+    """Seconds of a world that runs at ``speed`` times real time, divided by ``speed``.
+
+    Between values it goes on with the wall clock, by one step at most. It never goes back; without
+    an emulator it continues after a while, so that a flight notices the silence.
+    """
+
+    def __init__(self, path: Path, speed: float) -> None:
+        """Raise `OSError` if the file cannot be read."""
+        with path.open("rb") as file:
+            self._map = mmap.mmap(file.fileno(), _TIME.size, access=mmap.ACCESS_READ)
+        self._speed = speed
+        self._world, self._changed, self._last = -1.0, 0.0, 0.0
+
+    def now(self) -> float:
+        """Return the time, seconds."""
+        world, moment = _TIME.unpack_from(self._map)[0], time.monotonic()
+        if world != self._world:
+            self._world, self._changed = world, moment
+        since = moment - self._changed
+        ahead = min(since, _STEP / self._speed) + max(since - _PATIENCE, 0.0)
+        self._last = max(self._last, world / self._speed + ahead)
+        return self._last
+
+    def close(self) -> None:
+        """Close the file."""
+        self._map.close()
