@@ -1,5 +1,8 @@
 """Whole plans: phases, gates, motion and limits, checked without the planner's code."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import pairwise
 
@@ -128,6 +131,25 @@ def test_a_plan_does_not_depend_on_the_threads_of_a_machine() -> None:
     with threadpool_limits(limits=2, user_api="blas"):
         two = digest(planner.plan(mission, robustness=False).plan)
     assert one == two
+
+
+def test_libraries_that_planning_loads_have_one_thread_too() -> None:
+    """In a process of its own: this one has loaded them already."""
+    program = (
+        "from swarm.planner import one_thread\n"
+        "from threadpoolctl import threadpool_info\n"
+        "with one_thread():\n"
+        "    import scipy.linalg, scipy.optimize\n"
+        "    found = [pool for pool in threadpool_info() if pool['user_api'] == 'blas']\n"
+        "    print(len(found), {pool['num_threads'] for pool in found})\n"
+    )
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    libraries, threads = done.stdout.split(maxsplit=1)
+    assert int(libraries) > 0
+    assert threads.strip() == "{1}"
 
 
 def test_a_motion_that_exceeds_the_endurance_is_noted_in_the_plan_of_the_next() -> None:

@@ -146,6 +146,13 @@ def tightest_moments(
     return tuple(found)
 
 
+def checks_of(plan: Plan) -> frozenset[str]:
+    """Return the checks of clearances that a plan has."""
+    return frozenset(
+        family.check for family in families(plan, plan.mission.vehicles.tracking, STILL_AIR)
+    )
+
+
 def violations(plan: Plan, checks: Collection[str]) -> tuple[Moment, ...]:
     """Return the moments at which clearances of the given checks do not hold.
 

@@ -1,6 +1,8 @@
 """The planner: propose a plan, certify it, repair it, until a plan is cleared."""
 
+import importlib
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 from threadpoolctl import threadpool_limits
@@ -15,7 +17,7 @@ from swarm.certification.certificate import (
     measure_clearances,
     with_recorded_robustness,
 )
-from swarm.certification.clearances import Moment, violations
+from swarm.certification.clearances import Moment, checks_of, violations
 from swarm.certification.stream_loss import certify_stream_loss
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower, timed_for_losses
@@ -58,9 +60,7 @@ def plan(
 
     Raises :class:`swarm.errors.Refused` where no motion exists to check.
     """
-    # The result of a sum depends on the number of BLAS threads, and so would the plan: one thread
-    # gives the same plan on every machine. It is also faster, because the arrays are small.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_thread():
         result = _cleared_or_first(mission, progress)
         if robustness and result.certificate.cleared:
             certificate = certify_robustness(result.plan, result.certificate, progress)
@@ -76,13 +76,25 @@ def certify_again(
     All checks are computed again from the plan. With ``confirm`` this includes e* and w*, which are
     None in the result where they do not hold; otherwise they are taken as recorded.
     """
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_thread():
         certificate = certify(plan, progress=progress)
         if certificate.cleared:
             if progress:
                 progress("recorded e* and w*", 0.0)
             certificate = with_recorded_robustness(plan, certificate, recorded, confirm=confirm)
     return PlanningResult(plan, certificate)
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Return the context in which linear algebra has one thread.
+
+    The result of a sum depends on the number of threads, and so would the plan: one thread gives
+    the same plan on every machine. It is also faster, because the arrays are small.
+    """
+    # Only loaded libraries are limited, and SciPy loads its own with this module.
+    importlib.import_module("scipy.linalg")
+    limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
+    return limits
 
 
 def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningResult:
@@ -105,12 +117,13 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
         if not _exceeds_endurance(paced.plan):
             attempts += 1
             first = first or paced
-            failures, measured = _failures(paced.plan, failed_checks, progress)
+            measured = None
+            failures = _failures(paced.plan, failed_checks)
             slowed = paced if failures else slowed_for_swing(paced)
             if slowed is not paced:
                 paced = slowed
                 if not _exceeds_endurance(paced.plan):
-                    failures, measured = _failures(paced.plan, frozenset(), progress)
+                    failures, measured = _measured_failures(paced.plan, progress)
         if _exceeds_endurance(paced.plan):
             notes += (_too_long(paced.plan),)
             too_long.append(paced.plan)
@@ -161,18 +174,24 @@ def _too_long(plan: Plan) -> str:
     return f"that took {plan.flight_duration:.0f} s of {endurance:g} s in the air"
 
 
-def _failures(
-    plan: Plan, failed_checks: frozenset[str], progress: Progress | None
-) -> tuple[tuple[Moment, ...], MeasuredClearances | None]:
-    """Return all moments at which clearances fail, and the clearances where they were measured.
+def _failures(plan: Plan, failed_checks: frozenset[str]) -> tuple[Moment, ...]:
+    """Return all moments at which clearances fail.
 
     The checks that the previous candidate failed come first. Where one fails again, the others are
-    not measured: the plan has to be repaired anyway. A repair needs all failing moments of a check
+    not computed: the plan has to be repaired anyway. A repair needs all failing moments of a check
     at once; repaired one at a time, each would take an attempt.
     """
     failures = violations(plan, failed_checks) if failed_checks else ()
-    if failures:
-        return failures, None
+    return failures or violations(plan, checks_of(plan) - failed_checks)
+
+
+def _measured_failures(
+    plan: Plan, progress: Progress | None
+) -> tuple[tuple[Moment, ...], MeasuredClearances]:
+    """Return all moments at which clearances fail, and the clearances.
+
+    For a plan that is likely to be certified, which needs the clearances.
+    """
     measured = measure_clearances(plan, progress)
     failed = {moment.check for moment in measured.moments if moment.margin < 0.0}
     return violations(plan, failed) if failed else (), measured
