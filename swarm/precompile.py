@@ -11,8 +11,9 @@ import importlib
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -23,17 +24,18 @@ from swarm.jit import cache, declared, key
 
 Progress = Callable[[str, float], None]
 
-PLANNING = (
-    ("swarm.geometry", "swarm.folding"),
-    ("swarm.certification", "swarm.planning"),
-)
-FLIGHT = (("swarm.flight", "swarm.mavlink", "swarm.certification.monitor"), ("sitl",))
-"""Packages whose functions are compiled in processes beside each other: halves of about the same
-duration."""
+PLANNING = ("swarm.geometry", "swarm.folding", "swarm.certification", "swarm.planning")
+FLIGHT = ("swarm.flight", "swarm.mavlink", "swarm.certification.monitor", "sitl")
+"""Packages whose functions are compiled before the first plan and the first flight. Those that
+others call come first, so that few functions are compiled in two processes at the same time."""
 
-SEARCH = (("swarm.knots.sticks",),)
-"""What only a search for a number of vehicles calls: compiled before the first one, not before
-every first plan (3 s of a processor), and not loaded for a flight."""
+SEARCH = ("swarm.knots.sticks", "swarm.folding.untangling")
+"""What only a search for a number of vehicles or for the motion of a given layout calls: compiled
+before the first one, not before every first plan (5 s of a processor), and not loaded for a
+flight."""
+
+_PROCESSES = 4
+"""Most processes that compile beside each other: 40 s of a processor for all are then 10 s."""
 
 _STAGE = "compiling, once on this machine"
 
@@ -59,7 +61,7 @@ def load(modules: Iterable[str] | None = None) -> int:
     """
     count = 0
     if modules is None:
-        modules = set(imported()).difference(*SEARCH)
+        modules = set(imported()).difference(SEARCH)
     for function in functions(modules):
         types = declared(function)
         if types is not None:
@@ -68,64 +70,82 @@ def load(modules: Iterable[str] | None = None) -> int:
     return count
 
 
-def prepare(parts: Sequence[Sequence[str]], progress: Progress | None = None) -> None:
-    """Compile what the cache does not have of packages, a process for each of the ``parts``.
+def prepare(packages: Sequence[str], progress: Progress | None = None) -> None:
+    """Compile what the cache does not have of packages, in processes beside each other.
 
     ``progress`` is called with a stage and its completed share, 0…1. Nothing is done where it was
     done before for the same sources, or where there is no cache to share; whatever is not compiled
     here is compiled at its first call.
     """
-    mark = _mark(parts)
+    with compiling(packages) as finish:
+        finish(progress)
+
+
+@contextmanager
+def compiling(packages: Sequence[str]) -> Iterator[Callable[[Progress | None], None]]:
+    """Compile packages as :func:`prepare` while the body runs; yield what waits for the rest.
+
+    What is not compiled at the end of the body is left.
+    """
+    mark = _mark(packages) if packages else None
     if mark is None or mark.exists():
+        yield lambda _progress: None
         return
-    command = [sys.executable, "-m", __name__]
-    reading, writing = os.pipe()
-    processes = [
-        subprocess.Popen(  # noqa: S603
-            [*command, *part], stdin=subprocess.DEVNULL, stdout=writing, stderr=subprocess.DEVNULL
-        )
-        for part in parts
-    ]
-    os.close(writing)
-    try:
-        with os.fdopen(reading) as lines:
+    with tempfile.TemporaryDirectory(prefix="swarm-") as taken:
+        command = [sys.executable, "-m", __name__, taken, *packages]
+        reading, writing = os.pipe()
+        processes = [
+            subprocess.Popen(  # noqa: S603
+                command, stdin=subprocess.DEVNULL, stdout=writing, stderr=subprocess.DEVNULL
+            )
+            for _ in range(min(_PROCESSES, os.cpu_count() or 1))
+        ]
+        os.close(writing)
+
+        def finish(progress: Progress | None) -> None:
             for share in _shares(lines):
                 if progress is not None:
                     progress(_STAGE, share)
-        codes = [process.wait() for process in processes]
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
-    if not any(codes):
-        with suppress(OSError):
-            mark.touch()
+            if not any(process.wait() for process in processes):
+                with suppress(OSError):
+                    mark.touch()
+
+        try:
+            with os.fdopen(reading) as lines:
+                yield finish
+        finally:
+            for process in processes:
+                process.kill()
+                process.wait()
 
 
 def _shares(lines: Iterable[str]) -> Iterator[float]:
-    """Yield the completed share: a line is the number of a process's functions, or empty for one
-    that is compiled."""
+    """Yield the completed share: a line is the number of all functions, or empty for one that is
+    compiled."""
     total = done = 0
     for line in lines:
         if line.strip():
-            total += int(line)
+            total = int(line)
         else:
             done += 1
         yield done / max(total, 1)
 
 
-def _mark(parts: Sequence[Sequence[str]]) -> Path | None:
+def _mark(packages: Sequence[str]) -> Path | None:
     """Return the file that says that these sources are compiled; None without a cache."""
     try:
         cache().mkdir(parents=True, exist_ok=True)
-        keys = [key(file) for part in parts for file in _files(part).values()]
+        keys = [key(file) for file in _files(packages).values()]
     except OSError:
         return None
     return cache() / f"compiled-{hashlib.sha256(repr(keys).encode()).hexdigest()[:16]}"
 
 
 def _files(packages: Iterable[str]) -> dict[str, str]:
-    """Return the files with compiled functions of packages, by the names of their modules."""
+    """Return the files with compiled functions of packages, by the names of their modules.
+
+    Those of ``SEARCH`` are found under their own names only.
+    """
     found: dict[str, str] = {}
     for package in packages:
         spec = find_spec(package)
@@ -138,22 +158,32 @@ def _files(packages: Iterable[str]) -> dict[str, str]:
         for path in sorted(folder.rglob("*.py")):
             if b"@compiled" in path.read_bytes():
                 parts = path.relative_to(folder).with_suffix("").parts
-                found[".".join((package, *parts))] = str(path)
+                name = ".".join((package, *parts))
+                if name not in SEARCH:
+                    found[name] = str(path)
     return found
 
 
-def main(packages: Sequence[str]) -> None:
-    """Compile the declared functions of packages; write a line for each to standard output."""
+def main(taken: str, packages: Sequence[str]) -> None:
+    """Compile the declared functions of packages that no other process compiles.
+
+    A process takes a function by creating a file in the folder ``taken``. Writes the number of all
+    functions to standard output, and a line for each that is compiled here.
+    """
     modules = list(_files(packages))
     for module in modules:
         importlib.import_module(module)
     pending = [function for function in functions(modules) if declared(function) is not None]
     sys.stdout.write(f"{len(pending)}\n")
-    for function in pending:
+    for number, function in enumerate(pending):
+        try:
+            Path(taken, str(number)).touch(exist_ok=False)
+        except FileExistsError:
+            continue
         function.compile(declared(function))
         sys.stdout.write("\n")
         sys.stdout.flush()
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(sys.argv[1], sys.argv[2:])

@@ -85,8 +85,7 @@ def advance(chain: Chain, spec: ChainSpec, guidance: Guidance, interval: float, 
     released end, and where a jerk draws it taut.
     """
     nodes = len(chain.place)
-    chain.tension[:] = 0.0
-    chain.pull[:] = 0.0
+    _clear(chain.tension, chain.pull)
     after, system = np.empty((nodes, 3)), np.empty((5, nodes - 1))
     impulse = np.empty((nodes - 1, 3))
     done, parts, size = 0, steps * _PARTS, _PARTS
@@ -112,6 +111,19 @@ def advance(chain: Chain, spec: ChainSpec, guidance: Guidance, interval: float, 
         done += size
         if size < _PARTS and done % (2 * size) == 0:
             size *= 2
+
+
+@compiled
+def _clear(scalars: Array, vectors: Array) -> None:
+    """Write 0 to scalars (m,) and vectors (k, 3).
+
+    Assignments to slices would say the same, and take seconds to compile.
+    """
+    for j in range(len(scalars)):
+        scalars[j] = 0.0
+    for i in range(len(vectors)):
+        for x in range(3):
+            vectors[i, x] = 0.0
 
 
 @compiled
@@ -200,12 +212,13 @@ def _restore_links(
     length, before = np.empty(links), np.empty(links)
     _directions(chain.place, along, before)
     viscous = _DAMPING_TIME / abs(step)
-    total[:] = 0.0
-    impulse[:] = 0.0
+    _clear(total, impulse)
     for _ in range(_ITERATIONS):
         _directions(after, now, length)
         if step < 0.0:
-            along[:] = now
+            for j in range(links):
+                for x in range(3):
+                    along[j, x] = now[j, x]
         for j in range(links):
             active[j] = chain.intact[j] and (length[j] > chain.rest[j] or total[j] > 0.0)
         worst = 0.0

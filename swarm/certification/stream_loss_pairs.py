@@ -96,8 +96,9 @@ def strand_margins(
     case: int, half: float, team: TeamState, required: Required, strands: SampledStrands
 ) -> tuple[float, float]:
     """Return the smallest margins between strands that share no vehicle."""
-    strands.sampled[:] = False
     count, low, here = len(required.lengths), np.inf, np.inf
+    for i in range(count):
+        strands.sampled[i] = False
     for i in range(count):
         held = case in (0, i + 1, i + 2)
         for j in range(
@@ -129,7 +130,10 @@ def _strand_margin(
     # that are a spacing apart come nearer by at most a spacing, half of it on each.
     most = np.sqrt(squared_point_distance(strands.points[i], strands.points[j]))
     most -= required.strands
-    least = most - required.lengths.max() / _PIECES
+    longest = 0.0
+    for k in range(len(required.lengths)):
+        longest = max(longest, required.lengths[k])
+    least = most - longest / _PIECES
     if least < off and most >= off - TOLERANCE:
         limit = most + required.strands
         exact = polyline_distance(strands.points[i], strands.points[j], limit)[0]

@@ -80,7 +80,7 @@ def write_state(box: Box, motion: LossMotion, team: TeamState, doubts: Floats) -
     ``doubts`` (3,) becomes the uncertainty that the widths in time, coasting and advance cause.
     """
     position, velocity, spread = team.position, team.velocity, team.spread
-    doubts[:] = 0.0
+    doubts[0] = doubts[1] = doubts[2] = 0.0
     after, after_half = (
         (box.coast, box.coast_half) if box.case == 0 else (box.advance, box.advance_half)
     )
@@ -105,7 +105,10 @@ def write_state(box: Box, motion: LossMotion, team: TeamState, doubts: Floats) -
             doubts[2] = max(doubts[2], speed * box.advance_half)
     if largest <= motion.tracking:
         return False
-    x, y, z = velocity[:, 0].mean(), velocity[:, 1].mean(), velocity[:, 2].mean()
+    x = y = z = 0.0
+    for i in range(len(velocity)):
+        x, y, z = x + velocity[i, 0], y + velocity[i, 1], z + velocity[i, 2]
+    x, y, z = x / len(velocity), y / len(velocity), z / len(velocity)
     largest = 0.0
     for i in range(len(velocity)):
         square = (velocity[i, 0] - x) ** 2 + (velocity[i, 1] - y) ** 2 + (velocity[i, 2] - z) ** 2
@@ -127,7 +130,10 @@ def _coast(box: Box, i: int, motion: LossMotion, team: TeamState, doubts: Floats
     largest_acceleration = largest_between(motion.accelerations, pieces, i)
     largest_jerk = largest_between(motion.jerks, pieces, i)
     # Whole team: each has coasted as long as the last to stop, or less where it stops earlier.
-    earlier = box.rate * (motion.coast_time.max() - motion.coast_time[i]) if box.case == 0 else 0.0
+    longest = 0.0
+    for k in range(len(motion.coast_time)):
+        longest = max(longest, motion.coast_time[k])
+    earlier = box.rate * (longest - motion.coast_time[i]) if box.case == 0 else 0.0
     sunk = 0.5 * motion.descent[i] if box.case > 0 else 0.0
     middle, most = max(box.coast - 0.5 * earlier, 0.0), box.coast + box.coast_half
     fastest = _norm(velocity) + largest_acceleration * box.half

@@ -74,7 +74,7 @@ def dry_run(
     Example: swarm dry-run missions/overhand.yaml --report flight.html
     """
     refuse_option_conflicts(options, _REQUIRES, _EXCLUDES)
-    planned = load_source(mission, overrides, replan=replan).planned()
+    planned = load_source(mission, overrides, replan=replan, flight=True).planned()
     require_cleared(context, planned, verbose=verbose, as_json=as_json)
     prepare_flight()
     with FlightScreen(planned.plan, Console(quiet=as_json)) as screen:

@@ -127,7 +127,7 @@ def failures(
     if table or diagram:
         raise click.UsageError("--table and --diagram are of the responses: leave MISSION out")
     refuse_option_conflicts(options, {}, [("jobs", "scheduler")])
-    planned = load_source(mission, overrides, replan=replan).planned()
+    planned = load_source(mission, overrides, replan=replan, flight=True).planned()
     require_cleared(context, planned, verbose=verbose, as_json=as_json)
     run_failures(context, planned, FailureOptions(**options), as_json=as_json)
 

@@ -178,7 +178,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
         return
     if given.mission is None:
         raise click.UsageError("Missing argument 'MISSION'.")
-    source = load_source(given.mission, given.overrides, replan=given.replan)
+    source = load_source(given.mission, given.overrides, replan=given.replan, flight=True)
     fleet = load_fleet(given.fleet) if given.fleet else None
     console = Console(quiet=given.as_json)
     if fleet is not None and isinstance(source.given, Mission):

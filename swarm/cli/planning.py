@@ -19,47 +19,58 @@ from swarm.reports.verdicts import plan_verdict
 
 @dataclass(frozen=True)
 class Source:
-    """What a command was given: a mission to plan, or the name of a plan file."""
+    """What a command was given: a mission to plan, or the name of a plan file.
+
+    For a ``flight``, what it calls is compiled while the mission is planned.
+    """
 
     given: Mission | str
     replan: bool
+    flight: bool
 
     def planned(self) -> planner.PlanningResult:
         """Return the plan and its certificate, with a progress line."""
         if isinstance(self.given, Mission):
-            return plan_mission(self.given, replan=self.replan)
+            return plan_mission(self.given, replan=self.replan, flight=self.flight)
         with progress_bar(Console(stderr=True), "certificate") as progress:
             return load_certified(self.given, progress)
 
 
-def load_source(name: str, overrides: tuple[str, ...], *, replan: bool = False) -> Source:
+def load_source(
+    name: str, overrides: tuple[str, ...], *, replan: bool = False, flight: bool = False
+) -> Source:
     """Return the mission of a file or of a knot, or a plan file.
 
     Raises :class:`InputError` for a wrong mission, and for options that a plan file does not take.
     """
     if not is_plan_file(name):
-        return Source(load_mission(name, overrides), replan)
+        return Source(load_mission(name, overrides), replan, flight)
     given = [option for option, value in (("--set", overrides), ("--replan", replan)) if value]
     if given:
         message = f"{name} is a plan file, which is not planned again"
         raise InputError([Problem(option, message) for option in given])
-    return Source(name, replan)
+    return Source(name, replan, flight)
 
 
-def plan_mission(mission: Mission, *, replan: bool = False) -> planner.PlanningResult:
+def plan_mission(
+    mission: Mission, *, replan: bool = False, flight: bool = False
+) -> planner.PlanningResult:
     """Return the plan of a mission and its certificate, cleared or not.
 
-    A mission that was planned before is not planned again, unless with ``replan``.
+    A mission that was planned before is not planned again, unless with ``replan``. What a
+    ``flight`` calls is compiled meanwhile, where that was not done before.
     """
     console = Console(stderr=True)
     with progress_bar(console) as progress:
         precompile.prepare(precompile.PLANNING, progress)
         before = None if replan else plan_cache.find(mission, progress)
         if before is None:
-            if mission.vehicles.count != "auto":
+            if mission.vehicles.count != "auto" or mission.layout.corners is not None:
                 precompile.prepare(precompile.SEARCH, progress)
-            planned = planner.plan(mission, progress)
-            plan_cache.store(mission, planned)
+            with precompile.compiling(precompile.FLIGHT if flight else ()) as finish:
+                planned = planner.plan(mission, progress)
+                plan_cache.store(mission, planned)
+                finish(progress)
             return planned
     planned, computed = before
     words = f"Planned before ({computed.astimezone():%Y-%m-%d %H:%M}); --replan plans again"

@@ -96,7 +96,7 @@ def trials(
     """
     refuse_option_conflicts(options, {}, [("jobs", "scheduler")])
     given = TrialOptions(**options)
-    source = load_source(mission, overrides, replan=replan)
+    source = load_source(mission, overrides, replan=replan, flight=True)
     # the processes that fly the trials start while the plan is computed
     with workers_starting(given.jobs) if given.scheduler is None else nullcontext():
         planned = source.planned()

@@ -68,12 +68,14 @@ def penalize_strands_at_vehicles(
     """
     limit = margins.vehicle_cable * (1.0 + PREFERRED) + (2.0 * PREFERRED + 3.2) * margins.tracking
     body = np.empty((1, 2, 3))
-    body[0, 1, :2], body[0, 1, 2] = margins.radius, 0.5 * margins.grip_offset
+    body[0, 1, 0] = body[0, 1, 1] = margins.radius
+    body[0, 1, 2] = 0.5 * margins.grip_offset
     for s in range(len(positions)):
         points, boxes, ratio = strands.points[s], strands.boxes[s], strands.ratio[s]
         team, gradient = positions[s], penalty.gradient[s]
         for vehicle in range(positions.shape[1]):
-            body[0, 0] = positions[s, vehicle]
+            for x in range(3):
+                body[0, 0, x] = positions[s, vehicle, x]
             body[0, 0, 2] += 0.5 * margins.grip_offset
             for segment in range(len(ratio)):
                 if segment in (vehicle, vehicle - 1):

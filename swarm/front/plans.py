@@ -143,7 +143,7 @@ def plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
     :mod:`swarm.planning.candidates` (grid diagram, layout, folding).
     """
     precompile.prepare(precompile.PLANNING, progress)
-    if mission.vehicles.count != "auto":
+    if mission.vehicles.count != "auto" or mission.layout.corners is not None:
         precompile.prepare(precompile.SEARCH, progress)
     result = planner.plan(mission, progress, robustness=False)
     planned = Plan.of(result.plan)

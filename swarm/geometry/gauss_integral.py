@@ -30,27 +30,37 @@ def gauss_integral(one: Floats, other: Floats) -> float:
 def _edge_integral(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
     """Return the integral of edges ab and cd: the area of directions in which they cross."""
     normals, sizes = np.empty((4, 3)), np.empty(4)
-    _cross(c - a, d - a, normals[0])
-    _cross(d - a, d - b, normals[1])
-    _cross(d - b, c - b, normals[2])
-    _cross(c - b, c - a, normals[3])
+    _cross(a, c, a, d, normals[0])
+    _cross(a, d, b, d, normals[1])
+    _cross(b, d, b, c, normals[2])
+    _cross(b, c, a, c, normals[3])
     for k in range(4):
-        sizes[k] = np.sqrt((normals[k] ** 2).sum())
+        sizes[k] = np.sqrt(_dot(normals[k], normals[k]))
         if sizes[k] < _NO_AREA:
             return 0.0
     area = 0.0
     for k in range(4):
         after = (k + 1) % 4
-        cosine = (normals[k] * normals[after]).sum() / (sizes[k] * sizes[after])
+        cosine = _dot(normals[k], normals[after]) / (sizes[k] * sizes[after])
         area += np.arcsin(min(max(cosine, -1.0), 1.0))
     turned = np.empty(3)
-    _cross(d - c, b - a, turned)
-    return float(area * np.sign((turned * (c - a)).sum()))
+    _cross(c, d, a, b, turned)
+    side = 0.0
+    for x in range(3):
+        side += turned[x] * (c[x] - a[x])
+    return float(area * np.sign(side))
 
 
 @compiled
-def _cross(u: Floats, v: Floats, found: Floats) -> None:
-    """Write the cross product (3,)."""
-    found[0] = u[1] * v[2] - u[2] * v[1]
-    found[1] = u[2] * v[0] - u[0] * v[2]
-    found[2] = u[0] * v[1] - u[1] * v[0]
+def _cross(from_: Floats, to: Floats, start: Floats, end: Floats, found: Floats) -> None:
+    """Write the cross product (3,) of the vectors from ``from_`` to ``to`` and start to end."""
+    for x in range(3):
+        y, z = (x + 1) % 3, (x + 2) % 3
+        found[x] = (to[y] - from_[y]) * (end[z] - start[z])
+        found[x] -= (to[z] - from_[z]) * (end[y] - start[y])
+
+
+@compiled
+def _dot(u: Floats, v: Floats) -> float:
+    """Return the scalar product."""
+    return float(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])

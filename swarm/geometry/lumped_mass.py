@@ -182,17 +182,32 @@ def _swing_together(
     ``ends`` (k, 2, 3, w) are the positions of their grip points, ``links`` (w,) the lengths of
     their links.
     """
-    joints = np.stack((found[0, 0], found[0, 1], found[0, 1]))
-    system = np.empty((4, joints.shape[1] - 1, len(links)))
+    last = found.shape[2] - 1
+    joints = np.empty((3, last + 1, 3, len(links)))
+    system = np.empty((4, last, len(links)))
     before, now, after = 0, 1, 2
+    _copy(found[0, 0], joints[before])
+    _copy(found[0, 1], joints[now])
     for k in range(1, len(ends)):
         _step_freely(joints[before], joints[now], joints[after], drag, steps.step)
-        joints[after, 0], joints[after, -1] = ends[k, 0], ends[k, 1]
+        for x in range(3):
+            for w in range(_TOGETHER):
+                joints[after, 0, x, w] = ends[k, 0, x, w]
+                joints[after, last, x, w] = ends[k, 1, x, w]
         _restore_links(joints[now], joints[after], links, system)
         before, now, after = now, after, before
         if k % steps.every == 0:
-            found[k // steps.every, 0] = joints[before]
-            found[k // steps.every, 1] = joints[now]
+            _copy(joints[before], found[k // steps.every, 0])
+            _copy(joints[now], found[k // steps.every, 1])
+
+
+@compiled
+def _copy(joints: Floats, found: Floats) -> None:
+    """Write joints (links + 1, 3, w) to ``found``."""
+    for i in range(len(joints)):
+        for x in range(3):
+            for w in range(_TOGETHER):
+                found[i, x, w] = joints[i, x, w]
 
 
 @compiled
@@ -229,12 +244,14 @@ def _restore_links(now: Floats, after: Floats, links: Floats, system: Floats) ->
     A strand whose links have it is not moved further, so that it does not depend on the others.
     """
     error, count = system[3], len(now) - 1
-    open_, worst = np.ones(_TOGETHER), np.empty(_TOGETHER)
+    open_, worst = np.empty(_TOGETHER), np.empty(_TOGETHER)
     for _ in range(_ITERATIONS):
         _write_system(now, after, links, system, worst)
+        still_open = 0.0
         for w in range(_TOGETHER):
             open_[w] = 0.0 if worst[w] <= _TOLERANCE * links[w] * links[w] else 1.0
-        if open_.max() == 0.0:
+            still_open += open_[w]
+        if still_open == 0.0:
             return
         _solve_together(system)
         for i in range(1, count):
@@ -243,9 +260,11 @@ def _restore_links(now: Floats, after: Floats, links: Floats, system: Floats) ->
                     moved = after[i, x, w] - error[i - 1, w] * (now[i, x, w] - now[i - 1, x, w])
                     moved = moved + error[i, w] * (now[i + 1, x, w] - now[i, x, w])
                     after[i, x, w] = moved if open_[w] > 0.0 else after[i, x, w]
-    for w in range(_TOGETHER):
-        if open_[w] > 0.0:
-            after[1:-1, :, w] = np.nan
+    for i in range(1, count):
+        for x in range(3):
+            for w in range(_TOGETHER):
+                if open_[w] > 0.0:
+                    after[i, x, w] = np.nan
 
 
 @compiled
@@ -253,7 +272,8 @@ def _write_system(now: Floats, after: Floats, links: Floats, system: Floats, wor
     """Write the system (4, links, w) of the links' errors, and the ``worst`` error (w,)."""
     lower, diagonal, upper, error = system
     count = len(now) - 1
-    worst[:] = 0.0
+    for w in range(_TOGETHER):
+        worst[w] = 0.0
     for j in range(count):
         free = (1.0 if j > 0 else 0.0) + (1.0 if j < count - 1 else 0.0)
         for w in range(_TOGETHER):

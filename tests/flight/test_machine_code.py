@@ -77,15 +77,14 @@ def test_whatever_python_calls_declares_its_types():
 
 
 def test_every_compiled_function_is_in_a_package_that_is_compiled_beforehand():
-    parts = (*precompile.PLANNING, *precompile.FLIGHT, *precompile.SEARCH)
-    named = [package for part in parts for package in part]
+    named = (*precompile.PLANNING, *precompile.FLIGHT, *precompile.SEARCH)
     found = {
         one.py_func.__module__
         for module in modules()
         for one in vars(module).values()
         if isinstance(one, Dispatcher)
     }
-    assert {name for name in found if not name.startswith(tuple(named))} == set()
+    assert {name for name in found if not name.startswith(named)} == set()
 
 
 FLY = """
@@ -214,11 +213,11 @@ PREPARE = """
 from swarm import precompile
 from swarm.jit import cache
 seen = []
-parts = (("swarm.planning.timing",), ("swarm.flight.load",))
-precompile.prepare(parts, lambda stage, share: seen.append(share))
+packages = ("swarm.planning.timing", "swarm.flight.load")
+precompile.prepare(packages, lambda stage, share: seen.append(share))
 assert seen[-1] == 1.0 and seen == sorted(seen) and len(seen) > 3, seen
 assert len(list(cache().glob("*/**/*.nbi"))) >= 3
-precompile.prepare(parts, lambda stage, share: seen.append(2.0))
+precompile.prepare(packages, lambda stage, share: seen.append(2.0))
 assert seen[-1] == 1.0
 """
 

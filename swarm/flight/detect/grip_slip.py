@@ -209,9 +209,14 @@ def _could_fit(residual: Floats2, pull: Floats2) -> bool:
             mean += residual[k, axis] / count
         for k in range(count):
             squared[k] += (residual[k, axis] - mean) ** 2
-    total = MIN_WEAK_FIT * squared.sum()
+    total = 0.0
     for k in range(count):
-        around = squared[max(k - 1, 0) : k + 2].sum()
+        total += squared[k]
+    total *= MIN_WEAK_FIT
+    for k in range(count):
+        around = 0.0
+        for j in range(max(k - 1, 0), min(k + 2, count)):
+            around += squared[j]
         own = pull[k, 0] ** 2 + pull[k, 1] ** 2
         if around > (1.0 - 1e-9) * max(MIN_SHARE**2 * max(own, NOISE_FORCE**2), total):
             return True
