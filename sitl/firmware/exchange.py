@@ -102,8 +102,10 @@ class Exchange:
         for port in self.ports:
             gripper = self.emulator.vehicles[int(self.outside.rows[port.row])].gripper
             closed = port.grip() if gripper.installed else None
-            if closed is not None and closed != gripper.gripped:
+            if closed is not None and closed != (gripper.gripped or gripper.closed):
                 gripper.move(closed)
+                # jaws that missed the cable stay closed without it
+                gripper.closed = closed and not gripper.gripped
 
     def close(self) -> None:
         """Close every socket."""

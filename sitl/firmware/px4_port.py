@@ -23,7 +23,7 @@ _SLOW = 4
 _START = 1_000_000
 """PX4's time at the world's time zero, microseconds; zero is no time for it."""
 _GRIPPER, _HALF = 4, 0.5
-"""Index of the gripper's output (PWM_MAIN_FUNC5), and the value beyond which its jaws move."""
+"""Index of the gripper's output (PWM_MAIN_FUNC5), and the value beyond which it is an end."""
 _LARGEST = 65536
 
 
@@ -40,7 +40,6 @@ class Px4Port:
         self.fresh, self.silent, self.ended = False, True, False
         self.command = np.zeros(MOTORS)
         self._outputs = px4_hil.Outputs(0, (0.0,) * 16, armed=False)
-        self._closed: bool | None = None
         self._geodesy, self._rng = geodesy, rng
         self._field = sensors.magnetic_field(geodesy.latitude, geodesy.longitude, geodesy.altitude)
         self._sender, self._stream = wire.Sender(instance + 1), px4_hil.Stream()
@@ -125,19 +124,12 @@ class Px4Port:
         return *field.tolist(), pressure, sensors.pressure_altitude(pressure), temperature
 
     def grip(self) -> bool | None:
-        """Return whether the gripper's output has begun to close it, or to open it; None otherwise.
+        """Return whether the gripper's output closes it; None between closed and open.
 
-        PX4 starts with a closed gripper: jaws that were closed before hold nothing.
+        Outputs are 0 until PX4 is armed.
         """
-        if not self._outputs.armed:
-            return None
         value = self._outputs.controls[_GRIPPER]
-        if abs(value) <= _HALF:
-            return None
-        closed = value > 0.0
-        moved = self._closed is not None and closed != self._closed
-        self._closed = closed
-        return closed if moved or not closed else None
+        return value > 0.0 if abs(value) > _HALF else None
 
     def close(self) -> None:
         """Close the sockets."""

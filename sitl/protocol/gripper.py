@@ -23,12 +23,14 @@ class Gripper:
 
     ``installed``: the vehicle has a gripper that obeys MAVLink. ``grab`` and ``release`` attach the
     cable and detach it; each returns whether it did. ``stuck`` is "open", "shut" or None.
+    ``closed``: the jaws are closed on nothing, as PX4 closes them when it starts.
     """
 
     installed: bool
     grab: Callable[[], bool]
     release: Callable[[], bool]
     gripped: bool = False
+    closed: bool = False
     stuck: str | None = None
     pending: list[GripperRequest] = field(default_factory=list)
 
@@ -52,11 +54,14 @@ class Gripper:
         if grab:
             if self.stuck == "open" or self.gripped:
                 return self.gripped
+            if self.closed:
+                # a servo has no feedback: closed jaws count as a grip
+                return True
             self.gripped = self.grab()
             return self.gripped
         if self.stuck == "shut":
             return False
         if self.gripped:
             self.release()
-        self.gripped = False
+        self.gripped = self.closed = False
         return True

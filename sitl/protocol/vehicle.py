@@ -97,6 +97,7 @@ class Vehicle:
             spec.gripper == "mavlink",
             partial(environment.grab, index),
             partial(environment.release, index),
+            closed=spec.autopilot == "px4",
         )
         self.on_sim_parameter: Callable[[str, Mapping[str, float]], None] | None = None
         self.inject: Callable[[int, int, int], bool] | None = None

@@ -1,5 +1,7 @@
 """Detection of failures in whole flights, at any order and timing of the reports."""
 
+import re
+
 import pytest
 
 from sitl.faults.scenario import Fault
@@ -27,7 +29,8 @@ def test_a_clock_at_standstill_for_lack_of_clearance_is_reported_and_ends_in_lan
     result = simulate_flight(TOO_NEAR, fleet=fleet)
     said = [event.message for event in result.events if event.kind == "failure"]
     assert said[0].startswith("standstill: no clearance remains (strands ")
-    assert "vehicles 3.0" in said[0]
+    (apart,) = re.findall(r"vehicles ([0-9.]+) m apart", said[0])
+    assert float(apart) == pytest.approx(3.0, abs=0.1)
     assert said[1].startswith("hold timeout: on hold for 4 s")
     assert result.outcome.word == "interrupted"
     assert result.statistics.duration < 90.0

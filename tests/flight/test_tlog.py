@@ -85,7 +85,7 @@ def test_commands_and_losses_are_counted(flown):
     data, flight, fleet = flown
     again = replay(data, PLAN.plan, fleet)
     commands = {one.name: one for one in again.commands}
-    assert commands["do gripper"].sent == commands["do gripper"].answered == 6
+    assert commands["do gripper"].sent == commands["do gripper"].answered == 9
     assert 0.0 <= commands["component arm disarm"].median < 1.0
     assert again.lost == {1: 0, 2: 0, 3: 0}
     for vehicle in flight.conductor.team.vehicles.values():

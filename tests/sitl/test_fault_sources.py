@@ -236,6 +236,9 @@ def test_stuck_grippers_and_refused_arming(source: str) -> None:
     cable = "{points: [[-1, 0, 0], [7, 0, 0]]}"
     ground = Ground(Emulator(world(2, cable)))
     ground.run(0.5)
+    for vehicle in ground.ids:
+        ground.command(vehicle, GRIP, 1, 0)
+    ground.run(1.0)
     if source == "parameters":
         set_parameters(ground, 1, {"SIM_GRIP_FAIL": 1, "SIM_ARM_REFUSE": 1})
     else:

@@ -216,10 +216,13 @@ def test_gripper_faults() -> None:
         Emulator(
             world(3, cable),
             scenario("at: 0, kind: gripper_stuck_open, vehicle: 1",
-                     "at: 2, kind: gripper_stuck_shut, vehicle: 2",
-                     "at: 2, kind: gripper_slip, vehicle: 3"),
+                     "at: 3, kind: gripper_stuck_shut, vehicle: 2",
+                     "at: 3, kind: gripper_slip, vehicle: 3"),
         )
     )  # fmt: skip
+    for vehicle in ground.ids:
+        ground.command(vehicle, GRIP, 1, 0)
+    ground.run(1.0)
     for vehicle in ground.ids:
         ground.command(vehicle, GRIP, 1, 1)
     ground.run(1.5)

@@ -129,9 +129,16 @@ def test_each_process_has_its_own_instance_link_and_parameters(tmp_path):
     start = Start(Path("/px4"), tmp_path, 4, 5, 0.0, True, {"COM_OF_LOSS_T": 0.5}, "127.0.0.1:9")
     one = px4_process.launch(start, 0.25)
     assert one.command == ["/px4/bin/px4", "-d", "-i", "4", "/px4/etc"]
-    assert one.files == {
-        "px4-rc.mavlink": "mavlink start -x -u 14584 -r 4000000 -f -m onboard -o 9 -t 127.0.0.1\n"
-    }
-    assert one.environment["PX4_PARAM_COM_OF_LOSS_T"] == "0.5"
+    assert one.files["px4-rc.mavlink"].splitlines() == [
+        "param set COM_OF_LOSS_T 0.5",
+        "mavlink start -x -u 14584 -r 4000000 -f -m onboard -o 9 -t 127.0.0.1",
+    ]
     assert one.environment["PX4_PARAM_PWM_MAIN_FUNC5"] == "430"
     assert one.environment["PATH"].startswith(f"{tmp_path}:")
+
+
+def test_without_a_target_the_links_are_those_of_px4s_own_simulators(tmp_path):
+    start = Start(Path("/px4"), tmp_path, 0, 1, 0.0, False, {}, None)
+    one = px4_process.launch(start, 0.25)
+    assert one.files["px4-rc.mavlink"] == ". etc/init.d-posix/px4-rc.mavlink\n"
+    assert "PX4_PARAM_PWM_MAIN_FUNC5" not in one.environment

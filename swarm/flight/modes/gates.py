@@ -43,6 +43,13 @@ def _waited(flight: FlightState) -> float:
     return flight.now - flight.progress.gate_since
 
 
+def _open_grippers(flight: FlightState) -> None:
+    """Open all grippers: PX4 closes its own as it starts, and would acknowledge a grip at once."""
+    if flight.setup.commands_grippers:
+        for vehicle in flight.roster.vehicles:
+            vehicle.grip(closed=False)
+
+
 def _armed(flight: FlightState) -> bool:
     """Bring all vehicles into offboard mode, then arm, then take off where that is necessary.
 
@@ -54,7 +61,8 @@ def _armed(flight: FlightState) -> bool:
     for k, vehicle in enumerate(vehicles):
         if not vehicle.needs_takeoff_command:
             start_stream(flight, k)
-    if _waited(flight) < STREAM_BEFORE_OFFBOARD:
+    opening = any(vehicle.commands.contains("release") for vehicle in vehicles)
+    if opening or _waited(flight) < STREAM_BEFORE_OFFBOARD:
         return False
     waiting = [vehicle for vehicle in vehicles if not vehicle.in_mode("offboard")]
     if waiting and not any(vehicle.armed for vehicle in vehicles):
@@ -179,7 +187,7 @@ def _landed(flight: FlightState) -> bool:
 
 
 GATES: Mapping[Condition, GateHandlers] = {
-    "armed": GateHandlers(_no_action, _armed),
+    "armed": GateHandlers(_open_grippers, _armed),
     "airborne": GateHandlers(_no_action, _airborne),
     "gripped": GateHandlers(_no_action, _gripped),
     "settled": GateHandlers(not_settled, _settled),
