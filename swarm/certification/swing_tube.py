@@ -211,15 +211,16 @@ def _aloft(plan: Plan) -> tuple[float, float] | None:
 def _strays(joints: Floats, ends: Floats, lengths: Floats) -> Floats:
     """Return the distances (k, n − 1, links + 1) of joints from their catenaries, metres."""
     fractions = np.linspace(0.0, 1.0, joints.shape[2])
-    still = solve_catenaries(ends[:, :-1], ends[:, 1:], lengths).points(fractions)
-    found: Floats = np.nan_to_num(np.linalg.norm(joints - still, axis=-1), nan=np.inf)
+    still = solve_catenaries(ends[:, :-1], ends[:, 1:], lengths)
+    found: Floats = np.nan_to_num(still.distances(fractions, joints), nan=np.inf)
     return found
 
 
 def _collect(most: Floats, strays: Floats, since: Floats) -> None:
-    """Keep the largest strays in each interval of mission time."""
+    """Keep the largest strays in each interval of mission time; ``since`` (k,) increases."""
     which = np.minimum((since / BIN).astype(np.intp), len(most) - 1)
-    np.maximum.at(most, which, strays)
+    first = np.flatnonzero(np.diff(which, prepend=-1))
+    most[which[first]] = np.maximum(most[which[first]], np.maximum.reduceat(strays, first))
 
 
 def _tube(start: float, planned: Floats, stopped: Floats) -> SwingTube:

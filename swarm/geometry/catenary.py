@@ -98,12 +98,22 @@ class Catenaries:
         """Return points (…, k, 3) at given fractions (k,) of the arc length of every strand."""
         fractions = _floats(fractions)
         points = np.empty((self.span.size, fractions.size, 3))
-        arcs = _Arcs(_flat(self.length), _flat(self.parameter), _flat(self.slope))
-        vectors = _Vectors(
-            _flat(self.start, 3), _flat(self._per_angle, 3), _flat(self._per_height, 3)
-        )
-        _write_points(_flat(fractions), arcs, vectors, points)
+        _write_points(_flat(fractions), *self._for_kernels(), points)
         return points.reshape(*self.span.shape, fractions.size, 3)
+
+    def distances(self, fractions: ArrayLike, others: Floats) -> Floats:
+        """Return distances (…, k) of other points (…, k, 3) from those at fractions (k,)."""
+        fractions = _floats(fractions)
+        distances = np.empty((self.span.size, fractions.size))
+        flat = _flat(others, fractions.size, 3)
+        _write_distances(_flat(fractions), *self._for_kernels(), flat, distances)
+        return distances.reshape(*self.span.shape, fractions.size)
+
+    def _for_kernels(self) -> "tuple[_Arcs, _Vectors]":
+        return (
+            _Arcs(_flat(self.length), _flat(self.parameter), _flat(self.slope)),
+            _Vectors(_flat(self.start, 3), _flat(self._per_angle, 3), _flat(self._per_height, 3)),
+        )
 
     def points_at(self, fraction: ArrayLike) -> Floats:
         """Return one point per strand, at its own fraction (…,) of its arc length: (…, 3)."""
@@ -336,6 +346,23 @@ def _write_points(fractions: Floats1, arcs: _Arcs, vectors: _Vectors, points: Fl
             for axis in range(3):
                 moved = angle * vectors.per_angle[q, axis] + height * vectors.per_height[q, axis]
                 points[q, k, axis] = vectors.start[q, axis] + moved
+
+
+@compiled
+def _write_distances(
+    fractions: Floats1, arcs: _Arcs, vectors: _Vectors, others: Floats3, distances: Floats2
+) -> None:
+    """Write the distances (q, k) of points (q, k, 3) from those of :func:`_write_points`."""
+    for q in range(len(arcs.length)):
+        for k in range(len(fractions)):
+            angle, height = arc_offset(
+                fractions[k], arcs.length[q], arcs.parameter[q], arcs.slope[q]
+            )
+            square = 0.0
+            for axis in range(3):
+                moved = angle * vectors.per_angle[q, axis] + height * vectors.per_height[q, axis]
+                square += (others[q, k, axis] - (vectors.start[q, axis] + moved)) ** 2
+            distances[q, k] = np.sqrt(square)
 
 
 @compiled

@@ -138,7 +138,8 @@ def _swing_all(state: Floats, ends: Floats, links: Floats, model: SwingModel, ev
         states = np.empty((samples, 2, *state.shape[2:], _TOGETHER))
         states[0] = state[:, filled].transpose(0, 2, 3, 1)
         _swing_together(moved, links[filled], steps, drag, states)
-        found[:, :, chosen] = states[..., : len(chosen)].transpose(0, 1, 4, 2, 3)
+        last = first + len(chosen)
+        found[:, :, first:last] = states[..., : len(chosen)].transpose(0, 1, 4, 2, 3)
     return found
 
 
@@ -152,7 +153,7 @@ def stray(joints: Floats, ends: Floats, lengths: Floats) -> Floats:
     fractions = np.linspace(0.0, 1.0, joints.shape[2])
     chords = np.linalg.norm(np.diff(ends, axis=1), axis=2)
     still = solve_catenaries(ends[:, :-1], ends[:, 1:], np.maximum(lengths, chords))
-    distance: Floats = np.linalg.norm(joints - still.points(fractions), axis=-1).max(axis=-1)
+    distance: Floats = still.distances(fractions, joints).max(axis=-1)
     return np.where((chords > lengths) | np.isnan(distance), np.inf, distance)
 
 
@@ -173,18 +174,36 @@ class _Steps(NamedTuple):
     every: int
 
 
+class _Workspace(NamedTuple):
+    """Memory for w strands of l links.
+
+    ``system`` (3, l, w) the diagonal, the upper diagonal and the right side of the links' errors,
+    ``links`` (l, 3, w) the links after a step, ``worst`` and ``open`` (w,) the largest error, and
+    whether it is above the tolerance.
+    """
+
+    system: Floats
+    links: Floats
+    worst: Floats
+    open: Floats
+
+
 @compiled
 def _swing_together(
-    ends: Floats4, links: Floats1, steps: _Steps, drag: Drag, found: Floats5
+    ends: Floats4, lengths: Floats1, steps: _Steps, drag: Drag, found: Floats5
 ) -> None:
     """Write the states (2, links + 1, 3, w) of w strands to ``found``, from its first.
 
-    ``ends`` (k, 2, 3, w) are the positions of their grip points, ``links`` (w,) the lengths of
-    their links.
+    ``ends`` (k, 2, 3, w) are the positions of their grip points, ``lengths`` (w,) those of their
+    links.
     """
     last = found.shape[2] - 1
-    joints = np.empty((3, last + 1, 3, len(links)))
-    system = np.empty((4, last, len(links)))
+    joints = np.empty((3, last + 1, 3, _TOGETHER))
+    links = np.empty((last, 3, _TOGETHER))
+    memory = _Workspace(
+        np.empty((3, last, _TOGETHER)), np.empty((last, 3, _TOGETHER)), np.empty(_TOGETHER),
+        np.empty(_TOGETHER),
+    )  # fmt: skip
     before, now, after = 0, 1, 2
     _copy(found[0, 0], joints[before])
     _copy(found[0, 1], joints[now])
@@ -194,7 +213,11 @@ def _swing_together(
             for w in range(_TOGETHER):
                 joints[after, 0, x, w] = ends[k, 0, x, w]
                 joints[after, last, x, w] = ends[k, 1, x, w]
-        _restore_links(joints[now], joints[after], links, system)
+        for j in range(last):
+            for x in range(3):
+                for w in range(_TOGETHER):
+                    links[j, x, w] = joints[now, j + 1, x, w] - joints[now, j, x, w]
+        _restore_links(links, joints[after], lengths, memory)
         before, now, after = now, after, before
         if k % steps.every == 0:
             _copy(joints[before], found[k // steps.every, 0])
@@ -238,27 +261,27 @@ def _step_freely(before: Floats, now: Floats, after: Floats, drag: Drag, step: f
 
 
 @compiled
-def _restore_links(now: Floats, after: Floats, links: Floats, system: Floats) -> None:
-    """Move the inner joints along the links of ``now`` until all links have their length.
+def _restore_links(now: Floats, after: Floats, lengths: Floats, memory: _Workspace) -> None:
+    """Move the inner joints along the links ``now`` (l, 3, w) until all have their length.
 
     A strand whose links have it is not moved further, so that it does not depend on the others.
     """
-    error, count = system[3], len(now) - 1
-    open_, worst = np.empty(_TOGETHER), np.empty(_TOGETHER)
+    error, open_, count = memory.system[2], memory.open, len(now)
     for _ in range(_ITERATIONS):
-        _write_system(now, after, links, system, worst)
+        _measure_links(after, lengths, memory)
         still_open = 0.0
         for w in range(_TOGETHER):
-            open_[w] = 0.0 if worst[w] <= _TOLERANCE * links[w] * links[w] else 1.0
+            most = _TOLERANCE * lengths[w] * lengths[w]
+            open_[w] = 0.0 if memory.worst[w] <= most else 1.0
             still_open += open_[w]
         if still_open == 0.0:
             return
-        _solve_together(system)
+        _solve_links(now, memory)
         for i in range(1, count):
             for x in range(3):
                 for w in range(_TOGETHER):
-                    moved = after[i, x, w] - error[i - 1, w] * (now[i, x, w] - now[i - 1, x, w])
-                    moved = moved + error[i, w] * (now[i + 1, x, w] - now[i, x, w])
+                    moved = after[i, x, w] - error[i - 1, w] * now[i - 1, x, w]
+                    moved = moved + error[i, w] * now[i, x, w]
                     after[i, x, w] = moved if open_[w] > 0.0 else after[i, x, w]
     for i in range(1, count):
         for x in range(3):
@@ -268,52 +291,54 @@ def _restore_links(now: Floats, after: Floats, links: Floats, system: Floats) ->
 
 
 @compiled
-def _write_system(now: Floats, after: Floats, links: Floats, system: Floats, worst: Floats) -> None:
-    """Write the system (4, links, w) of the links' errors, and the ``worst`` error (w,)."""
-    lower, diagonal, upper, error = system
-    count = len(now) - 1
+def _measure_links(after: Floats, lengths: Floats, memory: _Workspace) -> None:
+    """Write the links, the errors of their squared lengths, and the ``worst`` of each strand."""
+    error, links, worst = memory.system[2], memory.links, memory.worst
     for w in range(_TOGETHER):
         worst[w] = 0.0
-    for j in range(count):
-        free = (1.0 if j > 0 else 0.0) + (1.0 if j < count - 1 else 0.0)
+    for j in range(len(links)):
         for w in range(_TOGETHER):
-            ax, ay, az = _link(after, j, w)
-            nx, ny, nz = _link(now, j, w)
-            error[j, w] = ax * ax + ay * ay + az * az - links[w] * links[w]
+            x = after[j + 1, 0, w] - after[j, 0, w]
+            y = after[j + 1, 1, w] - after[j, 1, w]
+            z = after[j + 1, 2, w] - after[j, 2, w]
+            links[j, 0, w], links[j, 1, w], links[j, 2, w] = x, y, z
+            error[j, w] = x * x + y * y + z * z - lengths[w] * lengths[w]
             worst[w] = max(worst[w], abs(error[j, w]))
-            diagonal[j, w] = 2.0 * free * (ax * nx + ay * ny + az * nz)
-            if j > 0:
-                lx, ly, lz = _link(now, j - 1, w)
-                lower[j, w] = -2.0 * (ax * lx + ay * ly + az * lz)
-                bx, by, bz = _link(after, j - 1, w)
-                upper[j - 1, w] = -2.0 * (bx * nx + by * ny + bz * nz)
 
 
 @compiled
-def _link(joints: Floats, j: int, w: int) -> tuple[float, float, float]:
-    """Return link j of strand w."""
-    return (
-        joints[j + 1, 0, w] - joints[j, 0, w],
-        joints[j + 1, 1, w] - joints[j, 1, w],
-        joints[j + 1, 2, w] - joints[j, 2, w],
-    )
+def _solve_links(now: Floats, memory: _Workspace) -> None:
+    """Replace the errors by the solution of their tridiagonal system (Thomas), in each strand.
 
-
-@compiled
-def _solve_together(system: Floats) -> None:
-    """Solve the system of each strand in place (Thomas), as :func:`solve_tridiagonal`."""
-    lower, diagonal, upper, right = system
-    n = len(right)
-    for j in range(1, n):
-        for w in range(_TOGETHER):
-            factor = lower[j, w] / diagonal[j - 1, w]
-            diagonal[j, w] -= factor * upper[j - 1, w]
-            right[j, w] -= factor * right[j - 1, w]
+    The system is eliminated while it is written; its lower diagonal is not kept.
+    """
+    diagonal, upper, error = memory.system
+    after, last = memory.links, len(now) - 1
     for w in range(_TOGETHER):
-        right[n - 1, w] /= diagonal[n - 1, w]
-    for j in range(n - 2, -1, -1):
+        diagonal[0, w] = 2.0 * _product(after, 0, now, 0, w)
+    for j in range(1, last + 1):
+        free = 2.0 if j < last else 1.0
         for w in range(_TOGETHER):
-            right[j, w] = (right[j, w] - upper[j, w] * right[j + 1, w]) / diagonal[j, w]
+            lower = -2.0 * _product(after, j, now, j - 1, w)
+            upper[j - 1, w] = -2.0 * _product(after, j - 1, now, j, w)
+            factor = lower / diagonal[j - 1, w]
+            diagonal[j, w] = 2.0 * free * _product(after, j, now, j, w) - factor * upper[j - 1, w]
+            error[j, w] -= factor * error[j - 1, w]
+    for w in range(_TOGETHER):
+        error[last, w] /= diagonal[last, w]
+    for j in range(last - 1, -1, -1):
+        for w in range(_TOGETHER):
+            error[j, w] = (error[j, w] - upper[j, w] * error[j + 1, w]) / diagonal[j, w]
+
+
+@compiled
+def _product(one: Floats, i: int, other: Floats, j: int, w: int) -> float:
+    """Return the scalar product of two links (l, 3, w) of strand w."""
+    return float(
+        one[i, 0, w] * other[j, 0, w]
+        + one[i, 1, w] * other[j, 1, w]
+        + one[i, 2, w] * other[j, 2, w]
+    )
 
 
 @compiled
