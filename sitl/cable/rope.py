@@ -224,7 +224,7 @@ class Rope:
         elastic = np.empty(spans.count)
         constants = (self.spec.stiffness, _LARGEST_STIFFNESS, _DAMPING_RATIO, _END_MASS)
         span_statics.add_elastic_forces(
-            solved.ends, spans.holders, velocity, solved.solution, constants, on_ends, elastic
+            solved.ends, spans.holders, velocity, solved.solution, constants, (on_ends, elastic)
         )
         self.solved = solved._replace(elastic=elastic)
 

@@ -30,14 +30,16 @@ ROWS = 9
 
 @compiled
 def solve(
-    ends: Floats2, lengths: Floats1, down: Floats1, floor: float, guess: Floats1, flat: Floats2,
+    ends: Floats2, lengths: Floats1, bottom: tuple[Floats1, float], guess: Floats1, flat: Floats2,
     solution: Floats2,
 ) -> None:  # fmt: skip
     """Solve the catenaries of m spans; write ``flat`` (m, 3) and ``solution`` (ROWS, m).
 
-    ``ends`` (2 m, 3) are all starts, then all stops; ``guess`` (m,) are the parameters of the last
-    solution on the floor, updated here.
+    ``ends`` (2 m, 3) are all starts, then all stops; ``bottom`` is the direction (3,) of the
+    weight, and the height of the floor; ``guess`` (m,) are the parameters of the last solution on the
+    floor, updated here.
     """
+    down, floor = bottom
     count = len(lengths)
     still = down[0] == 0.0 and down[1] == 0.0
     for i in range(count):
@@ -156,16 +158,16 @@ def end_forces(
 @compiled
 def add_elastic_forces(
     ends: Floats2, holders: Ints1, velocity: Columns2, solution: Floats2,
-    constants: tuple[float, float, float, float], force: Floats2, elastic: Floats1,
+    constants: tuple[float, float, float, float], forces: tuple[Floats2, Floats1],
 ) -> None:  # fmt: skip
-    """Write the elastic forces of overstretched spans to ``elastic`` and add them to ``force``.
+    """Write the elastic forces of overstretched spans, and add them to the forces on their ends.
 
-    ``elastic`` is (m,), ``force`` (2 m, 3), both in newtons. ``holders`` (2 m,) hold the starts,
-    then the stops; ``velocity`` (n, 3) is of all holders.
+    ``forces`` are those on the ends (2 m, 3) and the elastic ones (m,), in newtons. ``holders``
+    (2 m,) hold the starts, then the stops; ``velocity`` (n, 3) is of all holders.
     ``constants`` are the axial stiffness of the cable in newtons, the largest stiffness of a span
     in N/m, the damping ratio and the mass at an end in kg.
     """
-    axial, stiffest, ratio, mass = constants
+    (axial, stiffest, ratio, mass), (force, elastic) = constants, forces
     count = len(elastic)
     along = np.empty(3)
     for i in range(count):
@@ -205,13 +207,15 @@ def place_loose_end(
 
 @compiled
 def place_samples(
-    index: Ints2, along: Floats1, ends: Floats2, flat: Floats2, solution: Floats2, floor: float,
-    down: Floats1, target: Floats2,
+    samples: tuple[Ints2, Floats1], ends: Floats2, flat: Floats2, solution: Floats2,
+    bottom: tuple[Floats1, float], target: Floats2,
 ) -> None:  # fmt: skip
     """Place the samples of solved spans in ``target`` (n, 3) of all samples.
 
-    ``index`` (2, m) are the samples and their spans, ``along`` (m,) the distances from the starts.
+    ``samples`` are numbers (2, m) of samples and their spans, and the distances (m,) from the
+    spans' starts; ``bottom`` is the direction (3,) of the weight, and the height of the floor.
     """
+    (index, along), (down, floor) = samples, bottom
     for m in range(len(along)):
         j, place = index[1, m], target[index[0, m]]
         a, start_arc, distance = (

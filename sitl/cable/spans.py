@@ -166,12 +166,13 @@ class Spans:
         ends = grips.take(self.holders, axis=0)
         flat = np.empty((self.count, 3))
         solution = np.empty((span_statics.ROWS, self.count))
-        span_statics.solve(ends, self.lengths, down, self.floor, self._parameter, flat, solution)
+        bottom = down, self.floor
+        span_statics.solve(ends, self.lengths, bottom, self._parameter, flat, solution)
         return SolvedSpans(ends, flat, solution, self.load, self.lengths)
 
     def place(self, solved: SolvedSpans, down: Array, target: Array) -> None:
         """Place the samples of solved spans in ``target`` (n, 3) of all samples."""
         span_statics.place_samples(
-            self.index, self._along, solved.ends, solved.flat, solved.solution, self.floor, down,
-            target,
+            (self.index, self._along), solved.ends, solved.flat, solved.solution,
+            (down, self.floor), target,
         )  # fmt: skip

@@ -266,7 +266,7 @@ class Bodies:
         """Return `motion.telemetry_rows` as bytes, computed once a step."""
         if self._telemetry is None:
             motion.telemetry_rows(
-                self.state, self.tumbling, self.tumble, self.yaw, self.yaw_rate, self.frames,
+                self.state, self.tumbling, self.tumble, (self.yaw, self.yaw_rate), self.frames,
                 self._telemetry_rows,
             )  # fmt: skip
             self._telemetry = self._telemetry_rows.tobytes()
@@ -299,7 +299,7 @@ class Bodies:
         hard = self._hard
         any_hard = motion.step(
             self.state, self._constants, self.thrust_share, self.crashed, STEP,
-            self.velocity_goal, hard,
+            (self.velocity_goal, hard),
         )  # fmt: skip
         if not any_hard:
             return None
@@ -327,7 +327,12 @@ class Bodies:
             wind.WASH_FACTOR,
         )  # fmt: skip
         motion.step_disturbances(
-            self.state, self._disturbances, self._constants, self.gust, random, self.apart, factors
+            self.state,
+            self._disturbances,
+            self._constants,
+            (self.gust, random),
+            self.apart,
+            factors,
         )
         if self._disturbed:
             keep = math.exp(-interval / _DISTURBANCE_TIME)

@@ -27,7 +27,7 @@ def supervise(b: Bodies, interval: float) -> None:
     Vehicles that are moved from outside keep their yaw and whether they stand.
     """
     if b.all_cruising and _unchanged(
-        b.goal_moves, b.goal_yaw, b.yaw, b.status, b.landing_time, b.velocity_goal, b.velocity
+        b.goal_moves, (b.goal_yaw, b.yaw), b.status, b.landing_time, b.velocity_goal, b.velocity
     ):
         return
     if b.goal_moves.tobytes() != b.zero_times:
@@ -48,10 +48,14 @@ def supervise(b: Bodies, interval: float) -> None:
 
 @compiled
 def _unchanged(
-    goal_moves: Floats1, goal_yaw: Floats1, yaw: Floats1, status: Bools2, landing_time: Floats1,
+    goal_moves: Floats1, yaws: tuple[Floats1, Floats1], status: Bools2, landing_time: Floats1,
     goal: Floats2, velocity: Columns2,
 ) -> bool:  # fmt: skip
-    """Return whether all vehicles fly, have their goal yaw, and meet no condition of a landing."""
+    """Return whether all vehicles fly, have their goal yaw, and meet no condition of a landing.
+
+    ``yaws`` are the goals (n,), and the present ones.
+    """
+    goal_yaw, yaw = yaws
     for i in range(len(yaw)):
         flies = status[0, i] and not (status[1, i] or status[2, i])
         still = goal_moves[i] == 0.0 and landing_time[i] == 0.0 and yaw[i] == goal_yaw[i]

@@ -46,13 +46,14 @@ AIR_DENSITY = 1.2
 @compiled
 def step(
     state: Floats3, constants: Floats2, share: Floats1, crashed: Bools1, interval: float,
-    goal: Floats2, hard: Bools1,
+    reached: tuple[Floats2, Bools1],
 ) -> bool:  # fmt: skip
     """Advance ``state`` (n, 3, STATE_COLUMNS) by ``interval`` seconds, in place.
 
-    ``share`` (n,) is the usable share of full thrust. The velocity setpoints of the position
-    controllers go to ``goal`` (n, 3), hard landings to ``hard`` (n,); returns whether one occurred.
+    ``share`` (n,) is the usable share of full thrust. The velocity setpoints (n, 3) of the position
+    controllers, and hard landings (n,), go to ``reached``; returns whether one occurred.
     """
+    goal, hard = reached
     any_hard = False
     for i in range(len(state)):
         body, own = state[i], constants[i]
@@ -159,17 +160,18 @@ def free_motion(
 
 @compiled
 def step_disturbances(
-    state: Floats3, disturbances: Floats3, constants: Floats2, gust: Floats2, random: Floats2,
+    state: Floats3, disturbances: Floats3, constants: Floats2, air: tuple[Floats2, Floats2],
     apart: Floats2, factors: tuple[float, float, float, float, float, float],
 ) -> None:  # fmt: skip
     """Advance estimator errors, gusts and downwash, and their effects on ``state``, in place.
 
-    ``gust`` (n + 1, 3) adds to the steady wind; ``random`` (2 n + 1, 3) are normal numbers for
+    ``air`` are gusts (n + 1, 3), which add to the steady wind, and normal numbers (2 n + 1, 3) for
     noise and gusts; horizontal distances squared go to ``apart`` (n, n). ``factors`` are the
     interval in seconds, the shares of noise and gusts that persist, the largest integral, the
     intensity of gusts and the factor of downwash on vehicles.
     """
     interval, keep, gust_keep, integral, intensity, wash_factor = factors
+    gust, random = air
     count = len(state)
     for i in range(count):
         slow = disturbances[i]
@@ -249,15 +251,16 @@ def _downwash(state: Array, constants: Array, apart: Array) -> Array:
 
 @compiled
 def telemetry_rows(
-    state: Floats3, tumbling: Bools1, tumble: Floats1, yaw: Floats1, yaw_rate: Floats1,
+    state: Floats3, tumbling: Bools1, tumble: Floats1, turn: tuple[Floats1, Floats1],
     frames: Floats2, rows: Singles2,
 ) -> None:  # fmt: skip
     """Write the floats of LOCAL_POSITION_NED and ATTITUDE, in wire order, to ``rows`` (n, 12).
 
-    ``yaw`` and ``yaw_rate`` (n,) are counter-clockwise from east; ``frames`` (n, 5) are the origins
-    of the local frames and their metres per true metre east and north. An attitude is that of the
-    thrust; rates of roll and pitch in ``rows`` stay unchanged.
+    ``turn`` are yaws (n,), counter-clockwise from east, and their rates; ``frames`` (n, 5) are the
+    origins of the local frames and their metres per true metre east and north. An attitude is that
+    of the thrust; rates of roll and pitch in ``rows`` stay unchanged.
     """
+    yaw, yaw_rate = turn
     for i in range(len(state)):
         body, row = state[i], rows[i]
         east = body[0, POSITION] + body[0, ESTIMATE_ERROR] - frames[i, 0]

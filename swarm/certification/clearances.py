@@ -40,6 +40,7 @@ Place = tuple[float, float, float]
 Progress = Callable[[str, float], None]
 
 STILL_AIR = (0.0, 0.0, -1.0)
+"""Unit vector of the effective gravity without wind: down, ENU."""
 ROOT = 1.0
 """Largest width in seconds of an initial box; bounds of wider ones are too weak to be of use."""
 

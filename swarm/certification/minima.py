@@ -30,8 +30,7 @@ _SMALLEST_HALF = 1e-6
 """Half widths, in seconds or as a share of a strand, below which a box is not halved: far below
 what changes a margin by the tolerance."""
 
-MOST_BOXES = 500_000
-MOST_PER_ROOT = 128
+MOST_BOXES, MOST_PER_ROOT = 500_000, 128
 """A search ends after MOST_BOXES boxes and MOST_PER_ROOT for each initial box: minutes of
 computing. Margins that are not shown by then count as not shown."""
 

@@ -90,9 +90,8 @@ def write_state(box: Box, motion: LossMotion, team: TeamState, doubts: Floats) -
     pieces = pieces_between(motion.joints, later - width, until)
     largest = 0.0
     for i in range(len(spread)):
-        evaluate_piece(
-            motion.coefficients[piece], i, since, moving, position[i], velocity[i], team.scratch[2]
-        )
+        evaluate_piece(motion.coefficients[piece], i, since, moving, team.scratch)
+        position[i], velocity[i] = team.scratch[0], team.scratch[1]
         acceleration = largest_between(motion.accelerations, pieces, i)
         # Planned positions, of all vehicles at the same time.
         speed = _norm(velocity[i])
@@ -125,7 +124,7 @@ def _coast(box: Box, i: int, motion: LossMotion, team: TeamState, doubts: Floats
     """
     position, velocity, acceleration = team.scratch[0], team.scratch[1], team.scratch[2]
     piece, since, moving = find_piece(motion.times, box.time)
-    evaluate_piece(motion.coefficients[piece], i, since, moving, position, velocity, acceleration)
+    evaluate_piece(motion.coefficients[piece], i, since, moving, team.scratch)
     pieces = pieces_between(motion.joints, box.time - box.half, box.time + box.half)
     largest_acceleration = largest_between(motion.accelerations, pieces, i)
     largest_jerk = largest_between(motion.jerks, pieces, i)

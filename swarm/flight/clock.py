@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from swarm.planning.clock_limits import BANDWIDTH, URGENT_BANDWIDTH, ClockLimits
 
 _CLOSE = 1e-3
+"""Rate, and its slope per second, that count as reached: 2 mm/s at the default speed limit."""
 
 
 @dataclass

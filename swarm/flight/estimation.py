@@ -21,7 +21,9 @@ Indices = npt.NDArray[np.int64]
 
 
 _REPORTED, _VELOCITY, _POSITION = range(3)
+"""Rows of `Measured.places`."""
 _AT, _ERROR, _BOOT = range(3)
+"""Rows of `Measured.numbers`."""
 
 
 class Measured(NamedTuple):
@@ -81,13 +83,13 @@ class Measured(NamedTuple):
 
 @compiled
 def measure(
-    table: Floats2, rows: Ints1, inverse: tuple[Floats3, Floats2], lift: Floats1,
+    table: Floats2, rows: Ints1, inverse: tuple[Floats3, Floats2, Floats1],
     commanded: tuple[Floats2, Floats2, Bools1], times: tuple[float, float, float, float],
     measured: Measured,
 ) -> None:  # fmt: skip
     """Extrapolate the reports of vehicles ``rows`` (n,) of a telemetry ``table`` to this moment.
 
-    ``inverse`` are the maps from their NED frames, ``lift`` (3,) leads from grip points to centres.
+    ``inverse`` are the maps from their NED frames, and the way (3,) from grip points to centres.
     ``commanded`` are the last tick's setpoints, their velocities, and which vehicles get them; the
     error is NaN for a silent vehicle, or one without setpoints. ``times`` in seconds: now, the
     longest extrapolation, the age from which a vehicle is silent, and the time since the last tick.
@@ -96,7 +98,7 @@ def measure(
     now, longest, silence, elapsed = times
     setpoint, setpoint_velocity, streaming = commanded
     places, numbers = measured.places, measured.numbers
-    turn, offset = inverse
+    turn, offset, lift = inverse
     for i in range(len(rows)):
         row = table[rows[i]]
         age = now - row[POSITION_AT]
@@ -141,21 +143,21 @@ def evaluate_piece(
 
 @compiled
 def setpoints_ned(
-    state: tuple[Floats2, Floats2, Floats2], lead: float, lift: Floats1, mobility: Floats1,
-    pull: tuple[Floats2, Floats2, float], frames: tuple[Floats3, Floats2], states: Floats3,
+    state: tuple[Floats2, Floats2, Floats2], lead: float, mobility: Floats1,
+    pull: tuple[Floats2, Floats2, float], frames: tuple[Floats3, Floats2, Floats1], states: Floats3,
 ) -> None:  # fmt: skip
     """Compute setpoints of centres, in each vehicle's NED frame, into ``states`` (n, 3, 3):
     positions, velocities, accelerations.
 
-    ``state`` are position, velocity and acceleration (n, 3) of grip points, ``lift`` (3,) leads
-    from there to centres; positions are ``lead`` seconds ahead. The cable's pull is fed forward
-    with ``mobility`` (n,), acceleration per force in 1/kg: ``pull`` is the pull at a sample (n, 3),
-    its change to the next one, and the share of that. ``frames`` are rotations (n, 3, 3) and
-    translations (n, 3).
+    ``state`` are position, velocity and acceleration (n, 3) of grip points; positions are ``lead``
+    seconds ahead. The cable's pull is fed forward with ``mobility`` (n,), acceleration per force in
+    1/kg: ``pull`` is the pull at a sample (n, 3), its change to the next one, and the share of
+    that. ``frames`` are rotations (n, 3, 3) and translations (n, 3), and the way (3,) from grip
+    points to centres.
     """
     position, velocity, acceleration = state
     before, change, share = pull
-    rotation, translation = frames
+    rotation, translation, lift = frames
     enu = np.empty((3, 3))
     for i in range(len(position)):
         for k in range(3):
@@ -176,19 +178,24 @@ def setpoints_ned(
 
 @compiled
 def new_reports(
-    table: Floats2, rows: Ints1, now: Measured, last: Measured, commanded: Floats2,
-    streaming: Bools1, limits: tuple[float, float, float, float, float], step: Floats1,
+    table: Floats2, rows: Ints1, reports: tuple[Measured, Measured],
+    commanded: tuple[Floats2, Bools1], limits: tuple[float, float, float, float, float],
+    step: Floats1,
 ) -> tuple[bool, bool]:  # fmt: skip
-    """Return whether any vehicle has reported since ``last``, and whether all move as commanded.
+    """Return whether any vehicle has reported since the last time, and all move as commanded.
+
+    ``reports`` are those of now and of the last time; ``commanded`` are velocities (n, 3), and
+    which vehicles get setpoints.
 
     ``step`` (n,) becomes the seconds between the reports, 0 without a new one: by the vehicle's own
     clock where it is known, since a ground station that was stalled reads old reports late. A
-    vehicle moves as commanded where it does not sink faster than ``commanded`` (n, 3), jump, turn
-    over, or stay without a report for too long. ``limits``: the longest step in seconds, the
-    descent without setpoints, the sinking beyond the commanded one, both in m/s, the largest jump
-    along an axis in metres, and the largest roll or pitch.
+    vehicle moves as commanded where it does not sink faster than commanded, jump, turn over, or
+    stay without a report for too long. ``limits``: the longest step in seconds, the descent without
+    setpoints, the sinking beyond the commanded one, both in m/s, the largest jump along an axis in
+    metres, and the largest roll or pitch.
     """
     longest, descent, sinking, jump, tilt = limits
+    (now, last), (velocity, streaming) = reports, commanded
     places, at = now.places, now.numbers[_AT]
     before, last_at = last.places, last.numbers[_AT]
     reported, calm = False, True
@@ -199,7 +206,7 @@ def new_reports(
             by_boot = now.numbers[_BOOT, i] - last.numbers[_BOOT, i]
             step[i] = by_boot if by_boot > 0.0 else at[i] - last_at[i]
         reported = reported or step[i] > 0.0
-        down = min(commanded[i, 2], 0.0) if streaming[i] else -descent
+        down = min(velocity[i, 2], 0.0) if streaming[i] else -descent
         calm = calm and step[i] <= longest and not down - places[_VELOCITY, i, 2] > sinking
         calm = calm and not (abs(row[ATTITUDE]) > tilt or abs(row[ATTITUDE + 1]) > tilt)
         for k in range(3):

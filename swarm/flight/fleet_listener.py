@@ -21,6 +21,7 @@ from swarm.flight.readiness import readiness
 from swarm.flight.router import Address, Outgoing, Team
 from swarm.flight.snapshot import Event
 from swarm.mavlink.frames import to_mission
+from swarm.mavlink.signing import SIGNATURE_LENGTH
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mavlink.vehicle_state import VehicleEvent
 from swarm.mission.fleet import Fleet
@@ -28,12 +29,15 @@ from swarm.mission.fleet import Fleet
 Floats = npt.NDArray[np.float64]
 
 LOSS_TOLERATED = 0.05
-SIGNATURE_BYTES = 13
-SETPOINT_BYTES = 65
-POSITION_BYTES = 40
+"""Share of lost packets without a warning: one setpoint in twenty; long gaps are a check of their
+own."""
+SETPOINT_BYTES, POSITION_BYTES = 65, 40
+"""Bytes of unsigned packets: SET_POSITION_TARGET_LOCAL_NED has 53, LOCAL_POSITION_NED 28, and the
+frame of MAVLink 2 adds 12."""
 RADIO_SHARE = 0.5
 """Share of a slow link for setpoints; the rest is for positions, commands and repetitions."""
 FEWEST_SATELLITES = 8
+"""Satellites without a warning; the filters of PX4 and ArduPilot require 6."""
 POOREST_ACCURACY = 1.5
 """Largest horizontal GPS accuracy in metres without a warning."""
 
@@ -296,7 +300,7 @@ def radio_finding(
 
     ``positions`` in Hz come back from each. Half of the radio is left for all other packets.
     """
-    signature = SIGNATURE_BYTES if signed else 0
+    signature = SIGNATURE_LENGTH if signed else 0
     setpoint, back = 8.0 * (SETPOINT_BYTES + signature), 8.0 * (POSITION_BYTES + signature)
     per_vehicle = setpoint * rate + back * positions
     needed = per_vehicle * vehicles

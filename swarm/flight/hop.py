@@ -36,6 +36,7 @@ SPREAD = 4.0
 """Tracking radius for planning per RMS error: one in a hundred flights of a minute with nine
 vehicles exceeds it, where errors are normal, along one direction, and independent every 3 s."""
 _SPEED = 0.5
+"""m/s up and down: only the hover at the top is measured."""
 
 
 def hop(flight_plan: FlightPlan) -> CableFreeFlight:

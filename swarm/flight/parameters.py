@@ -23,7 +23,10 @@ from swarm.planning import Plan
 
 Value = float
 STREAM_LOSS_TIME = 0.5
+"""Seconds without setpoints after which an autopilot must hold: COM_OF_LOSS_T, GUID_TIMEOUT. It is
+half of PX4's default, since vehicles coast until then."""
 GROUND_SYSTEM = 255.0
+"""System id of a ground station, by convention of MAVLink; as a parameter it is a float."""
 _HEADROOM = 1.2
 """Speed that an autopilot must allow per planned speed, so that a vehicle can catch up."""
 

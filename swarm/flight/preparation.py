@@ -29,6 +29,8 @@ from swarm.mission.fleet import Fleet
 Floats = npt.NDArray[np.float64]
 
 _REQUEST_INTERVAL = 1.0
+"""Seconds between requests for a vehicle's origin: it answers within a round trip of 0.7 s."""
+
 SPARE_TIMEOUT = 5.0
 """Seconds to wait for vehicles beyond the number that the plan needs."""
 

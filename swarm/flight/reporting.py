@@ -11,7 +11,9 @@ from swarm.flight.waiting import held, remaining, time_left, waiting_for
 from swarm.mavlink.vehicle import Vehicle
 
 TRACE_INTERVAL = 0.1
+"""Seconds between recorded samples: at 2 m/s 0.2 m, which pages draw as a curve."""
 FRESH_IN_TRACE = 1.0
+"""Seconds after which a position is recorded as unknown: it would be drawn at rest."""
 
 
 def record_sample(flight: FlightState) -> None:

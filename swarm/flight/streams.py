@@ -80,8 +80,8 @@ def setpoints(flight: FlightState) -> list[Outgoing]:
         pull = setup.pull.around(flight.clock.time) if held else setup.pull.none()
         states = np.empty((len(roster.systems), 3, 3))
         setpoints_ned(
-            (state.position, state.velocity, state.acceleration), lead, setup.lift,
-            _mobility(flight), pull, (frames.rotation, frames.translation), states,
+            (state.position, state.velocity, state.acceleration), lead, _mobility(flight), pull,
+            (frames.rotation, frames.translation, setup.lift), states,
         )  # fmt: skip
         packets = flight.team.setpoints(
             roster.systems, active, flight.now, states, flight.placement.yaw

@@ -30,9 +30,13 @@ Floats = npt.NDArray[np.float64]
 CLOCK_COMPONENT = int(common.MAV_COMP_ID_USER1)
 """The component of the mission clock's packets, which are in the record only."""
 STEP = 0.1
+"""Seconds between samples of a flight that is read from its packets, as those of a record."""
 _FRESH = 1.0
+"""Seconds after which a position counts as unknown, as in a record."""
 _STAMP = 8
+"""Bytes of the time stamp before each packet: microseconds, big-endian (MAVLink .tlog)."""
 _HOUR = 3_600_000_000
+"""Microseconds; a larger difference of two stamps is no stamp but damage."""
 _SETPOINT = int(common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED)
 _POSITION = int(common.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 _VALUE = int(common.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT)

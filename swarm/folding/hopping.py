@@ -30,6 +30,7 @@ stages before and after in which all vehicles may move."""
 _DIRECTIONS = np.array(
     [[1.0, 0, 0], [0, 1.0, 0], [0, 0, -1.0], [-1.0, 0, 0], [0, -1.0, 0], [0, 0, 1.0]]
 )
+"""Displacements, in the order in which they are tried: both horizontal ways, and down before up."""
 
 
 def basin_hopping(band: ElasticBand, offsets: Floats) -> Floats:

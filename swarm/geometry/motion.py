@@ -58,10 +58,7 @@ def _evaluate(breaks: Floats1, coefficients: Floats4, times: Floats1, states: Fl
     for q in range(len(times)):
         piece, since, moving = find_piece(breaks, times[q])
         for i in range(coefficients.shape[2]):
-            evaluate_piece(
-                coefficients[piece], i, since, moving, states[0, q, i], states[1, q, i],
-                states[2, q, i],
-            )  # fmt: skip
+            evaluate_piece(coefficients[piece], i, since, moving, states[:, q, i])
 
 
 @compiled
@@ -73,24 +70,16 @@ def find_piece(breaks: Floats, time: float) -> tuple[int, float, float]:
 
 
 @compiled
-def evaluate_piece(
-    c: Floats,
-    i: int,
-    u: float,
-    moving: float,
-    position: Floats,
-    velocity: Floats,
-    acceleration: Floats,
-) -> None:
-    """Write the state of point ``i``, (3,) each, ``u`` seconds into a piece ``c`` (6, n, 3).
+def evaluate_piece(c: Floats, i: int, u: float, moving: float, state: Floats) -> None:
+    """Write the state of point ``i``, ``u`` seconds into a piece ``c`` (6, n, 3).
 
-    Velocity and acceleration are multiplied by ``moving``.
+    ``state`` (3, 3): position, velocity and acceleration; the last two multiplied by ``moving``.
     """
     for x in range(3):
         c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
-        position[x] = c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
-        velocity[x] = moving * (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5))))
-        acceleration[x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
+        state[0, x] = c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+        state[1, x] = moving * (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5))))
+        state[2, x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
 
 
 def through_states(

@@ -34,6 +34,10 @@ _OVERTAKEN = 128
 """A sequence number that is farther ahead than this belongs to a packet that was overtaken."""
 
 
+TableArrays = tuple[Floats2, Shorts2, Bytes3]
+"""The arrays of a :class:`TelemetryTable`, for compiled functions."""
+
+
 class TelemetryTable:
     """Frequent telemetry of n vehicles: ``values`` (n, WIDTH), and the packets that are missing.
 
@@ -48,6 +52,11 @@ class TelemetryTable:
         self.values[:, PACKETS] = self.values[:, LOST_PACKETS] = 0.0
         self.sequences = np.full((vehicles, 256), -1, np.int16)
         self.missing = np.zeros((vehicles, 256, 32), np.uint8)
+
+    @property
+    def arrays(self) -> TableArrays:
+        """Values, sequence numbers and missing packets."""
+        return self.values, self.sequences, self.missing
 
     def copy_row(self, row: int) -> "TelemetryTable":
         """Return a table with a copy of one vehicle's row."""
@@ -98,15 +107,13 @@ class VectorField:
 
 
 @compiled
-def count_packet(
-    values: Floats2, sequences: Shorts2, missing: Bytes3, k: int, component: int, sequence: int,
-    now: float,
-) -> None:  # fmt: skip
+def count_packet(table: TableArrays, k: int, component: int, sequence: int, now: float) -> None:
     """Count a packet of vehicle ``k``, and the packets before it that have not arrived.
 
     A packet that arrives late is not lost. Only packets of the autopilot's component set
     RECEIVED_AT: a camera on board does not show that the autopilot is alive.
     """
+    values, sequences, missing = table
     if component == values[k, COMPONENT]:
         values[k, RECEIVED_AT] = now
     values[k, PACKETS] += 1.0
@@ -127,9 +134,8 @@ def count_packet(
 
 @compiled
 def read_datagrams(
-    data: bytes, origins: Ints2, extras: Ints1, now: float, values: Floats2,
-    sequences: Shorts2, missing: Bytes3, rows: Ints2,
-) -> int:  # fmt: skip
+    data: bytes, origins: Ints2, extras: Ints1, now: float, table: TableArrays, rows: Ints2
+) -> int:
     """Read datagrams into the table; return the number of packets that are left for the handlers.
 
     ``data`` are m datagrams, one after the other. ``origins`` (m, 3) are their lengths, the rows of
@@ -140,6 +146,7 @@ def read_datagrams(
     If ``data`` holds anything but whole unsigned MAVLink 2 packets of known messages from their
     vehicles, nothing is read and the result is negative.
     """
+    values = table[0]
     in_order = np.zeros(len(values), np.bool_)
     start = 0
     for m in range(len(origins)):
@@ -156,7 +163,7 @@ def read_datagrams(
         while at < end:
             close = at + _HEADER + int(data[at + 1])
             number = data[at + 7] | data[at + 8] << 8
-            count_packet(values, sequences, missing, k, int(data[at + 6]), int(data[at + 4]), now)
+            count_packet(table, k, int(data[at + 6]), int(data[at + 4]), now)
             tabular = number == _ATTITUDE or (number == _LOCAL_POSITION_NED and not in_order[k])
             if not tabular or not _read_packet(data, at, close, single, now, values[k]):
                 in_order[k] |= number == _LOCAL_POSITION_NED

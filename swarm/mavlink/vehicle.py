@@ -37,10 +37,7 @@ class Vehicle(VehicleState):
     def receive(self, packet: Packet, now: float) -> None:
         """Count and read a packet of this vehicle."""
         number, _, component, sequence, message = packet
-        table = self.telemetry
-        count_packet(
-            table.values, table.sequences, table.missing, self.row, component, sequence, now
-        )
+        count_packet(self.telemetry.arrays, self.row, component, sequence, now)
         self.read(number, component, message, now)
 
     def read(self, number: int, component: int, message: Message | None, now: float) -> None:

@@ -39,6 +39,7 @@ _LOSS_EXPONENT, _SWING_EXPONENT = 1.0, 0.7
 neighbours are reduced too."""
 
 _LOSS_ROUNDS, _SWING_ROUNDS = 12, 10
+"""Largest numbers of reductions; the certificate states what is missing after them."""
 
 _SLOWEST_LOSS, _SLOWEST_SWING = 0.2, 0.3
 """Smallest rates: where they are not enough, slowing is not the remedy."""

@@ -37,6 +37,7 @@ SCHEMA: Final = 2
 _MANIFEST, _DOCUMENT, _MOTION = "manifest.json", "plan.json", "motion.npz"
 _CERTIFICATE = "certificate.json"
 _LARGEST_MEMBER = 256 * 1024 * 1024
+"""Bytes that a member of a plan file may have: a damaged file must not fill the memory."""
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """Modification time of every member of a plan file, so that equal plans give equal files."""
 

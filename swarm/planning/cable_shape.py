@@ -10,6 +10,7 @@ from swarm.planning.plan import Phase, Plan
 Floats = npt.NDArray[np.float64]
 
 _TO_FLOOR = np.array([1.0, 1.0, 0.0])
+"""Factors that move a point straight down to the floor at z = 0."""
 
 
 def cable_shape(plan: Plan, times: npt.ArrayLike, points: int) -> Floats:

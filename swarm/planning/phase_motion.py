@@ -15,8 +15,7 @@ GRAB_HEIGHT = 0.02
 CARRY_HEIGHT = 0.1
 """Height of the grip points while the line contracts, metres: landing legs clear the floor."""
 
-TOUCHDOWN_SPEED = 0.7
-DESCENT_SPEED = 1.0
+TOUCHDOWN_SPEED, DESCENT_SPEED = 0.7, 1.0
 """Speeds of descent near the floor and above it, m/s. Autopilots descend more slowly than they
 climb (PX4: at most 1.5 m/s)."""
 

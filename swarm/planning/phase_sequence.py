@@ -34,6 +34,8 @@ _TIMEOUTS: dict[Condition, float] = {
     "released": 20.0,
     "landed": 60.0,
 }
+"""Seconds at each gate: a minute where persons confirm or vehicles must disarm, otherwise several
+times what vehicles take."""
 
 
 @dataclass(frozen=True, eq=False)

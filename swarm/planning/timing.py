@@ -157,9 +157,8 @@ class _RateLimits:
             rates = np.exp(log_rates)
             w = self.smooth(rates)
             by_w, by_u = np.zeros_like(w), np.zeros_like(w)
-            excess = _excess(
-                self.bend, self.mixed, self.slope, self.tight, w, _half_slope(w, step), by_w, by_u
-            )
+            limits = self.bend, self.mixed, self.slope, self.tight
+            excess = _excess(limits, w, _half_slope(w, step), by_w, by_u)
             fast = np.maximum(w / self.cap - 1.0, 0.0)
             total = (w**-0.5).sum() + weight * (excess + (fast**2).sum())
             slope = weight * (by_w + _half_slope_transposed(by_u, step) + 2.0 * fast / self.cap)
@@ -205,16 +204,17 @@ def _rate_limits(
 
 @compiled
 def _excess(
-    bend: Floats2,
-    mixed: Floats2,
-    slope: Floats2,
-    tight: Floats1,
+    limits: tuple[Floats2, Floats2, Floats2, Floats1],
     w: Floats1,
     u: Floats1,
     by_w: Floats1,
     by_u: Floats1,
 ) -> float:
-    """Return the sum of squared excesses; add its derivatives to ``by_w`` and ``by_u`` (k,)."""
+    """Return the sum of squared excesses; add its derivatives to ``by_w`` and ``by_u`` (k,).
+
+    ``limits`` are ``bend``, ``mixed``, ``slope`` and ``tight`` of :class:`_RateLimits`.
+    """
+    bend, mixed, slope, tight = limits
     total = 0.0
     for k in range(len(w)):
         for i in range(bend.shape[1]):

@@ -35,7 +35,7 @@ def test_reports_are_carried_on_to_this_moment_for_a_bounded_time():
     said[rows, VELOCITY : VELOCITY + 3] = np.linalg.solve(turn, velocity[..., None])[..., 0]
     found = Measured.of(4)
     estimation.measure(
-        said, rows, (turn, offset), LIFT, (setpoint, told, streaming), (now, 0.5, 2.0, 0.05), found
+        said, rows, (turn, offset, LIFT), (setpoint, told, streaming), (now, 0.5, 2.0, 0.05), found
     )
     carried = np.array([0.0, 0.3, 0.5, 0.5])[:, None]
     assert found.reported == pytest.approx(reported, abs=1e-9)
@@ -51,9 +51,9 @@ def test_setpoints_aim_ahead_of_centres_and_are_relieved_of_what_pulls():
     position, velocity, acceleration, pull, change = (some(3, 3) for _ in range(5))
     turn, move = some(3, 3, 3), some(3, 3)
     states = np.empty((3, 3, 3))
-    moving, frames = (position, velocity, acceleration), (turn, move)
+    moving, frames = (position, velocity, acceleration), (turn, move, LIFT)
     mobility = np.array([1.0 / 1.6, 0.0, 1.0])
-    estimation.setpoints_ned(moving, 0.025, LIFT, mobility, (pull, change, 0.3), frames, states)
+    estimation.setpoints_ned(moving, 0.025, mobility, (pull, change, 0.3), frames, states)
     ahead = position + 0.025 * velocity + 0.5 * 0.025**2 * acceleration + LIFT
     relieved = acceleration - mobility[:, None] * (pull + 0.3 * change)
     enu = np.stack([ahead, velocity, relieved], axis=1)
@@ -101,7 +101,7 @@ def test_sinking_jumping_and_turning_over_is_not_motion_as_commanded(change, tol
     now = Measured(places, np.array([of("at"), np.zeros(2), of("boot")]))
     last = Measured(before, np.array([of("last_at"), np.zeros(2), of("last_boot")]))
     found = estimation.new_reports(
-        said, np.arange(2), now, last, of("told"), of("streaming"), LIMITS, step
+        said, np.arange(2), (now, last), (of("told"), of("streaming")), LIMITS, step
     )
     assert found == (told, calm)
     assert (step > 0).any() == told
@@ -113,7 +113,8 @@ def test_the_time_between_reports_is_none_where_there_was_no_report():
     at.numbers[0] = [-np.inf, 1.5, 2.0, 2.0]
     said, step = np.full((4, WIDTH), np.nan), np.ones(4)
     none = np.zeros((4, 3))
-    estimation.new_reports(said, np.arange(4), at, before, none, np.ones(4, bool), LIMITS, step)
+    streaming = np.ones(4, bool)
+    estimation.new_reports(said, np.arange(4), (at, before), (none, streaming), LIMITS, step)
     assert step.tolist() == [0.0, 0.5, np.inf, 0.0]
 
 
@@ -133,6 +134,6 @@ def test_the_time_between_reports_is_that_of_the_vehicle_s_clock():
     before.numbers[2], at.numbers[2] = [50.0, np.nan, 50.0], [50.3, 70.0, 50.0]
     said, step = np.full((3, WIDTH), np.nan), np.ones(3)
     estimation.new_reports(
-        said, np.arange(3), at, before, np.zeros((3, 3)), np.ones(3, bool), LIMITS, step
+        said, np.arange(3), (at, before), (np.zeros((3, 3)), np.ones(3, bool)), LIMITS, step
     )
     assert step == pytest.approx([0.3, 1.2, 0.0])

@@ -19,6 +19,7 @@ permits less than its own accuracy."""
 _ACCURACIES = 5.0
 """Multiple of the receivers' stated vertical accuracy that a drift must exceed."""
 _INTERVAL = 1.0
+"""Seconds between comparisons: heights drift over minutes."""
 
 
 class HeightDetector:

@@ -18,9 +18,9 @@ from swarm.flight.observation import Expected, Observation
 
 SINKING = 1.0
 """m/s by which a vehicle may descend faster than commanded."""
-FALLING = 5.0
-"""m/s² downwards, between two reports, that no vehicle with thrust shows; with FALLING_SINKING."""
-FALLING_SINKING = 0.4
+FALLING, FALLING_SINKING = 5.0, 0.4
+"""m/s² downwards, between two reports, that no vehicle with thrust shows: half of a free fall; and
+m/s of sinking that it has reached after 0.08 s, so that noise between two reports is none."""
 TURNED_OVER = math.radians(60.0)
 """Roll or pitch; PX4's own failure detector uses the same angle (FD_FAIL_R)."""
 JUMP = 0.5
@@ -44,7 +44,7 @@ class MotionDetector:
         """Return the failures of motion at this tick."""
         now, last = seen.measured, self._last
         new, calm = estimation.new_reports(
-            seen.table, seen.rows, now, last, expected.velocity, expected.streaming, _CALM,
+            seen.table, seen.rows, (now, last), (expected.velocity, expected.streaming), _CALM,
             self._step,
         )  # fmt: skip
         if not new:

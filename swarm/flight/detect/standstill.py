@@ -12,6 +12,7 @@ SLOW_FROM = 0.6
 CALM = 0.5
 """Share of the allowed tracking error within which a vehicle follows undisturbed."""
 STOPPED_RATE = 0.02
+"""Rate of the clock that counts as none: a minute of flight would last 50 minutes."""
 STANDSTILL_TIME = 3.0
 """Seconds for which the clock may stand without a cause that ends by itself."""
 STANDSTILL = HoldCause(FailureKind.STANDSTILL)

@@ -11,6 +11,7 @@ import numpy as np
 
 from swarm.flight.failures import OPERATOR
 from swarm.flight.holds import hold
+from swarm.flight.modes.contingency import DISARM_AFTER
 from swarm.flight.progress import first_time, not_settled
 from swarm.flight.state import FlightState
 from swarm.flight.streams import expect_armed, start_stream, stop_streams_of_landing
@@ -22,10 +23,11 @@ STREAM_BEFORE_OFFBOARD = 1.0
 STREAM_AFTER_TAKEOFF = 0.8
 """Share of the take-off height from which a vehicle that takes off by itself gets setpoints."""
 TAKEOFF_HEIGHT = 1.0
+"""Metres to which a vehicle takes off by itself (ArduPilot): less than the plan's first 2 m."""
 AIRBORNE_HEIGHT = 0.3
-SETTLED_FOR = 1.0
-SETTLED_SPEED = 0.3
-DISARM_AFTER = 5.0
+"""Metres of every grip point above which a team is airborne: more than heights err on pads."""
+SETTLED_FOR, SETTLED_SPEED = 1.0, 0.3
+"""Seconds for which all must be slower than this, m/s: one that oscillates is faster meanwhile."""
 
 
 class GateHandlers(NamedTuple):

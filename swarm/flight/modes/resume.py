@@ -23,10 +23,12 @@ from swarm.mavlink.vehicle import Vehicle
 LARGEST = 1.0
 """Metres between a vehicle and its place in the plan up to which the team goes on with it."""
 FRESH = 0.5
+"""Seconds: oldest report from which a vehicle's place is compared; it moves 1 m at 2 m/s."""
 AROUND = 4.0
 """Seconds of mission time around the last recorded one in which the team is searched: it flew on
 without setpoints."""
 _STEP = 0.05
+"""Seconds between compared moments of the plan: 0.1 m at the default speed limit of 2 m/s."""
 
 
 def find_team(flight: FlightState) -> None:
