@@ -26,6 +26,8 @@ from swarm.geometry.sensitivity import (
     BOTH_ENDS,
     FAR_END,
     LARGEST_RATIO,
+    EndMovement,
+    Sensitivity,
     elevation_class,
     finest_piece,
     movement_bound,
@@ -33,7 +35,7 @@ from swarm.geometry.sensitivity import (
     sensitivity_tables,
 )
 from swarm.jit import compiled
-from swarm.signatures import Floats1, Floats2, Floats3, Floats5, Ints1
+from swarm.signatures import Floats1, Floats2, Floats3, Ints1
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -143,11 +145,10 @@ class _Direction(NamedTuple):
 
 
 class _Tables(NamedTuple):
-    """Tables of largest second derivatives, and of norms of sensitivity and their integrals."""
+    """Tables of largest second derivatives, and of the sensitivity of all shapes."""
 
     curvature: Floats3
-    norm: Floats5
-    integral: Floats5
+    sensitivity: Sensitivity
 
 
 class Movement(NamedTuple):
@@ -187,17 +188,25 @@ class Pieces:
         strands = self.strands
         up = -np.einsum("bi,bi->b", normal, strands.down)
         ahead = np.einsum("bi,bi->b", normal, strands.heading)
-        found, tables = np.empty((3, len(along))), sensitivity_tables()
+        found = np.empty((3, len(along)))
+        direction = _Direction(ahead, up, along)
         _write_movement(
-            self.shapes, self.end_motion, _Direction(ahead, up, along),
-            _Tables(curvature_table(), tables.norm, tables.integral), found,
-        )  # fmt: skip
+            self.shapes,
+            self.end_motion,
+            direction,
+            _Tables(curvature_table(), sensitivity_tables()),
+            found,
+        )
         return Movement(found[0], found[1], found[2])
 
 
 @compiled
 def _write_movement(
-    shapes: _Shapes, motion: _EndMotion, direction: _Direction, tables: _Tables, found: Floats2
+    shapes: _Shapes,
+    motion: _EndMotion,
+    direction: _Direction,
+    tables: _Tables,
+    found: Floats2,
 ) -> None:
     """Write :class:`Movement` of pieces into ``found`` (3, b)."""
     for k in range(len(shapes.length)):
@@ -208,8 +217,8 @@ def _write_movement(
             length, shapes.parameter[k], shapes.slope[k], shapes.span[k], shapes.rise[k]
         )
         at_point, per_arc, curvature = strand_response(
-            strand, (direction.ahead[k], direction.up[k]), fraction, (begin, end), ends, relative,
-            tables.curvature,
+            strand, (direction.ahead[k], direction.up[k]), fraction, (begin, end),
+            EndMovement(ends, motion.total[k], relative), tables.curvature,
         )  # fmt: skip
         upright = min(abs(direction.up[k]), 1.0)
         across = np.sqrt(1.0 - upright * upright)
@@ -221,7 +230,7 @@ def _write_movement(
             size = motion.total[k] if which < 2 else motion.tracking[k]
             apart = relative if which < 2 else motion.relative_tracking[k]
             level, rising = movement_bound(
-                tables.norm, tables.integral, steep, ends,
+                tables.sensitivity, steep, ends,
                 shapes.number[k] if which == 0 else point, ratios if which < 2 else ratios_tracking,
             )  # fmt: skip
             worst = (across * level + upright * rising) * size

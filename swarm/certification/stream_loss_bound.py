@@ -143,8 +143,7 @@ class StreamLossBound:
         tables, lengths = sensitivity_tables(), plan.layout.lengths
         self._required = Required(
             MAX_CHORD_RATIO * lengths, clearance.vehicle, clearance.downwash,
-            clearance.cable + plan.mission.cable.diameter, np.array(lengths), tables.norm,
-            tables.integral,
+            clearance.cable + plan.mission.cable.diameter, np.array(lengths), tables,
         )  # fmt: skip
         self._workspace = _Workspace(
             allocate_team(len(overrun.coast_time)), allocate_strands(len(lengths))
@@ -222,7 +221,7 @@ class StreamLossBound:
         count = len(boxes)
         found = _Margins(np.empty(count), np.empty(count), np.empty((count, 3)))
         _write_margins(
-            _Cases(case, rate[interval]), boxes.middle, boxes.half, self._motion, self._required,
+            _Cases(case, rate[interval]), (boxes.middle, boxes.half), self._motion, self._required,
             self._workspace, found,
         )  # fmt: skip
         return Enclosure(found.low, found.here, found.doubts, np.empty((count, 0)))
@@ -231,14 +230,14 @@ class StreamLossBound:
 @compiled
 def _write_margins(
     cases: _Cases,
-    middle: Floats2,
-    half: Floats2,
+    boxes: tuple[Floats2, Floats2],
     motion: LossMotion,
     required: Required,
     workspace: _Workspace,
     found: _Margins,
 ) -> None:
-    """Write the margins of boxes with ``middle`` and ``half`` (m, 3)."""
+    """Write the margins of boxes with middles and half widths (m, 3)."""
+    middle, half = boxes
     for m in range(len(middle)):
         box = Box(
             cases.case[m], cases.rate[m], middle[m, 0], half[m, 0], middle[m, 1], half[m, 1],

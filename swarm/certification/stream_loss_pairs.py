@@ -12,17 +12,17 @@ import numpy.typing as npt
 
 from swarm.certification.coarse_distance import box_distance, squared_point_distance
 from swarm.certification.stream_loss_team import TeamState
-from swarm.geometry.catenary_kernel import max_elevation_sine, sample_strand
+from swarm.geometry.catenary_kernel import sample_strand
 from swarm.geometry.distance import polyline_distance
 from swarm.geometry.sensitivity import (
     BOTH_ENDS,
     LARGEST_RATIO,
-    elevation_class,
-    movement_bound,
-    ratio_range,
+    Sensitivity,
+    chord_response,
+    error_of_ends,
 )
 from swarm.jit import compiled
-from swarm.signatures import Bools1, Floats1, Floats3, Floats5
+from swarm.signatures import Bools1, Floats1, Floats3
 
 Floats = npt.NDArray[np.float64]
 
@@ -37,8 +37,8 @@ class Required(NamedTuple):
     """Required distances, metres.
 
     ``chord`` (n − 1,): the longest chords; ``horizontal``, ``vertical``: of vehicles, one of both;
-    ``strands``: of the middles of strands. ``lengths`` (n − 1,) are those of the segments; ``norm``
-    and ``integral`` the tables of their sensitivity.
+    ``strands``: of the middles of strands. ``lengths`` (n − 1,) are those of the segments;
+    ``sensitivity`` has the tables of their response to their ends.
     """
 
     chord: Floats1
@@ -46,8 +46,7 @@ class Required(NamedTuple):
     vertical: float
     strands: float
     lengths: Floats1
-    norm: Floats5
-    integral: Floats5
+    sensitivity: Sensitivity
 
 
 class SampledStrands(NamedTuple):
@@ -156,11 +155,8 @@ def _deviation(
         strands.bow[i] = _sample(start, end, drawn, strands.points[i])
     if chord + 2.0 * moved >= LARGEST_RATIO * length:
         return np.inf
-    steep = elevation_class(max_elevation_sine(rise, span, 2.0 * moved))
-    level, upright = movement_bound(
-        required.norm, required.integral, steep, BOTH_ENDS, 1,
-        ratio_range(chord / length, 2.0 * moved / length),
-    )  # fmt: skip
+    errors = error_of_ends(BOTH_ENDS, moved)
+    level, upright = chord_response(rise, span, length, errors, 1, required.sensitivity)
     return float(strands.bow[i] + np.sqrt(level * level + upright * upright) * moved)
 
 

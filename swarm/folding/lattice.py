@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_sensitivity import sag_responses
 from swarm.folding.lattice_states import Surfaces, VehicleLattice, accumulate_costs, fill_costs
 from swarm.folding.layout import KnotLayout
-from swarm.folding.margins import Margins
+from swarm.folding.margins import Margins, PenaltyModel
 from swarm.folding.path import FoldPath
-from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.catenary import Catenaries, solve_catenaries
 from swarm.geometry.chain import crossing_fractions, crossing_gaps
+from swarm.geometry.sensitivity import BOTH_ENDS, FINEST, sensitivity_tables
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -40,8 +40,11 @@ class SegmentCosts:
     cost: Floats
 
 
-def separating_surfaces(layout: KnotLayout) -> Surfaces:
-    """Return the surfaces half way between the strands that cross in a layout."""
+def separating_surfaces(layout: KnotLayout, tracking: float) -> Surfaces:
+    """Return the surfaces half way between the strands that cross in a layout.
+
+    The ends of the strands have tracking errors of up to ``tracking`` metres.
+    """
     corners, count = layout.corners, len(layout.lengths)
     final = solve_catenaries(corners[:-1], corners[1:], layout.lengths)
     side = np.zeros((count, count), dtype=np.int8)
@@ -61,7 +64,7 @@ def separating_surfaces(layout: KnotLayout) -> Surfaces:
     return Surfaces(
         corners=corners,
         half_angle=final.half_angle,
-        response=sag_responses(final.span / layout.lengths),
+        response=_vertical_response(final, tracking),
         side=side,
         above=-np.sign(layout.lanes).astype(np.int8),
         fractions=np.take_along_axis(fractions, order, axis=1),
@@ -70,18 +73,35 @@ def separating_surfaces(layout: KnotLayout) -> Surfaces:
     )
 
 
+def _vertical_response(strands: Catenaries, tracking: float) -> Floats:
+    """Return the vertical movement (e, FINEST) of strands' points per metre of both ends."""
+    shares = (np.arange(FINEST) + 0.5) / FINEST
+    angle, turn = np.arcsinh(strands.slope), strands.span / strands.parameter
+    slope = np.sinh(angle[:, None] + turn[:, None] * shares)
+    arc = (slope - strands.slope[:, None]) * (strands.parameter / strands.length)[:, None]
+    piece = FINEST + np.clip((arc * FINEST).astype(np.intp), 0, FINEST - 1)
+    chord = np.hypot(strands.span, strands.rise)
+    sine = np.abs(strands.rise) / chord
+    _, rising = sensitivity_tables().largest(
+        (chord / strands.length)[:, None], (2.0 * tracking / strands.length)[:, None],
+        sine[:, None], BOTH_ENDS, piece,
+    )  # fmt: skip
+    return rising
+
+
 def segment_costs(
     layout: KnotLayout, path: FoldPath, margins: Margins, step: float
 ) -> Iterator[SegmentCosts]:
     """Yield the costs of the states of each segment, on lattices of ``step`` metres to its goal."""
-    surfaces = separating_surfaces(layout)
+    surfaces = separating_surfaces(layout, margins.tracking)
+    model = PenaltyModel(margins, sensitivity_tables())
     behind = _lattice(0, layout, path, margins, step)
     for segment, length in enumerate(layout.lengths):
         following = _lattice(segment + 1, layout, path, margins, step)
         begin = int(np.searchsorted(following.progress, -2.0 * step, side="right"))
         ahead = following.since(begin)
         cost = np.empty((len(ahead.progress), len(behind.progress)))
-        fill_costs(ahead, behind, float(length), surfaces, margins, cost)
+        fill_costs(ahead, behind, float(length), surfaces, model, cost)
         yield SegmentCosts(ahead.progress, behind.progress, cost)
         behind = following
 

@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_sensitivity import PIECES, interpolate, point_movement, sag_response
-from swarm.folding.margins import Margins
-from swarm.folding.outlines import reachable_length
+from swarm.folding.margins import Margins, PenaltyModel
+from swarm.folding.outlines import PIECES, reachable_length
 from swarm.folding.soft_constraints import margin_cost, vehicle_cost
 from swarm.folding.vehicle_clearance import DISC_ERRORS, rotor_disc_cost
-from swarm.geometry.catenary_kernel import solve_catenary, strand_polygon
+from swarm.geometry.catenary_kernel import Catenary, solve_catenary, strand_polygon
 from swarm.geometry.catenary_shape import drop_at
 from swarm.geometry.distance import point_distance
+from swarm.geometry.sensitivity import BOTH_ENDS, FINEST, chord_response, error_of_ends
 from swarm.jit import compiled
 from swarm.signatures import Floats1, Floats2, Ints1, Signs1, Signs2
 
@@ -36,8 +36,10 @@ _CHORD_COST = 3e-2
 """Cost of the squared difference of the chord ratio from the preferred one."""
 
 _TAUT_FROM, _TAUT_COST = 0.98, 0.5
+"""Share of the largest chord, tracking errors included, from which a chord costs, and how much."""
+
 _STRAIGHT_FROM, _STRAIGHT_COST = 0.995, 200.0
-"""Shares of the largest chord, tracking errors included, from which a chord costs, and how much."""
+"""The same where little is left: it costs as much as missed margins."""
 
 _ROUNDING = 1e-6
 """Metres by which a chord may exceed the largest one: rounding."""
@@ -61,16 +63,17 @@ _CORNER_ERRORS = 2.5
 class Surfaces(NamedTuple):
     """Surfaces between strands that pass over and under each of e edges, as heights over an edge.
 
-    ``corners`` (e + 1, 3) are those of the edges. ``half_angle`` and ``response`` (e,) describe the
-    final strands along them. ``side`` (e, e) is 1 where traffic on the first edge passes over the
-    second, −1 where under; ``above`` (e,) is the side of all traffic whose relation is not given.
-    ``gaps`` (e, m) are half the heights to the strands that an edge crosses, at ``fractions`` (e,
-    m) of its span; the first ``crossed`` (e,) of both are used.
+    ``corners`` (e + 1, 3) are those of the edges. ``half_angle`` (e,) is that of the final strands
+    along them, ``response`` (e, FINEST) the vertical movement of their points, at equal shares of
+    the span, per metre of both ends. ``side`` (e, e) is 1 where traffic on the first edge passes
+    over the second, −1 where under; ``above`` (e,) is the side of all traffic whose relation is not
+    given. ``gaps`` (e, m) are half the heights to the strands that an edge crosses, at
+    ``fractions`` (e, m) of its span; the first ``crossed`` (e,) of both are used.
     """
 
     corners: Floats2
     half_angle: Floats1
-    response: Floats1
+    response: Floats2
     side: Signs2
     above: Signs1
     fractions: Floats2
@@ -117,10 +120,11 @@ def fill_costs(
     behind: VehicleLattice,
     length: float,
     surfaces: Surfaces,
-    margins: Margins,
+    model: PenaltyModel,
     cost: Floats2,
 ) -> None:
     """Write the costs (a, b) of all states of a segment of some length."""
+    margins = model.margins
     points = np.empty((PIECES + 1, 3))
     for a in range(len(ahead.progress)):
         for b in range(len(behind.progress)):
@@ -138,7 +142,7 @@ def fill_costs(
             edges = behind.edge[b], ahead.edge_before[a], ahead.busy[a]
             extent = _Extent(chord, length)
             total = _own_cost(rear, front, extent, margins, points)
-            total += _surface_cost(rear, front, extent, edges, surfaces, margins)
+            total += _surface_cost(rear, front, extent, edges, surfaces, model)
             total += _corner_cost(rear, front, edges, surfaces.corners, margins)
             cost[a, b] = min(total, 0.1 * BLOCKED)
 
@@ -169,13 +173,15 @@ def _surface_cost(
     extent: _Extent,
     edges: tuple[int, int, int],
     surfaces: Surfaces,
-    margins: Margins,
+    model: PenaltyModel,
 ) -> float:
     """Return the cost of distances from the surfaces of edges below the margin."""
-    chord, length = extent.chord, extent.length
+    chord, length, margins = extent.chord, extent.length, model.margins
+    moved = error_of_ends(BOTH_ENDS, margins.tracking)
     behind, ahead, busy = edges
     corners, cost, solved = surfaces.corners, 0.0, False
-    angle = turn = parameter = response = 0.0
+    angle = turn = 0.0
+    strand = Catenary(length, 0.0, 0.0, 0.0, 0.0)
     own_x, own_y = front[0] - rear[0], front[1] - rear[1]
     for edge in range(min(busy, len(corners) - 2) + 1):
         if edge in (behind, ahead):
@@ -204,16 +210,19 @@ def _surface_cost(
         if not solved:
             enough = reachable_length(length, chord)
             strand = solve_catenary(rear, front, enough, _SMALLEST_HALF_ANGLE)
-            parameter = strand.parameter
-            angle, turn = math.asinh(strand.slope), strand.span / parameter
-            response, solved = sag_response(chord / length), True
+            angle, turn = math.asinh(strand.slope), strand.span / strand.parameter
+            solved = True
         half_turn = 0.5 * turn * share
-        up = 2.0 * parameter * math.sinh(half_turn) * math.sinh(angle + half_turn)
+        up = 2.0 * strand.parameter * math.sinh(half_turn) * math.sinh(angle + half_turn)
         slope = math.sinh(angle + 2.0 * half_turn)
         fraction = min(max(fraction, 0.0), 1.0)
         apart = side * (rear[2] + up - _surface_height(edge, fraction, side, span, surfaces))
-        error = point_movement(response, share, 1.0)
-        error += point_movement(surfaces.response[edge], fraction, 1.0)
+        arc = (slope - strand.slope) * strand.parameter / strand.length
+        piece = FINEST + min(max(int(arc * FINEST), 0), FINEST - 1)
+        error = chord_response(strand.rise, strand.span, strand.length, moved, piece, model.tables)[
+            1
+        ]
+        error += surfaces.response[edge, min(int(fraction * FINEST), FINEST - 1)]
         needed = 0.5 * margins.cable + 0.5 * margins.tracking * error
         unit = margins.cable + 2.0 * margins.tracking
         cost += margin_cost((apart / math.sqrt(1.0 + slope * slope) - needed) / unit)
@@ -239,8 +248,23 @@ def _surface_height(
     count = surfaces.crossed[edge]
     gap = 0.0
     if count:
-        gap = interpolate(fraction, surfaces.fractions[edge, :count], surfaces.gaps[edge, :count])
+        gap = _interpolate(fraction, surfaces.fractions[edge, :count], surfaces.gaps[edge, :count])
     return float(surfaces.corners[edge, 2] - drop + side * gap)
+
+
+@compiled
+def _interpolate(at: float, places: Floats, values: Floats) -> float:
+    """Return the linear interpolation of values at increasing places (k,), constant outside.
+
+    As ``np.interp``, which creates arrays even for one number.
+    """
+    if not at > places[0]:
+        return float(values[0])
+    for k in range(len(places) - 1):
+        if at < places[k + 1]:
+            slope = (values[k + 1] - values[k]) / (places[k + 1] - places[k])
+            return float(slope * (at - places[k]) + values[k])
+    return float(values[-1])
 
 
 @compiled

@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import MAX_CHORD_RATIO
-from swarm.signatures import Floats1, Floats3
+from swarm.geometry.sensitivity import Sensitivity
+from swarm.signatures import Floats1, Floats3, Floats4
 
 Floats = npt.NDArray[np.float64]
 
@@ -32,6 +33,27 @@ class Margins(NamedTuple):
     exempt: float = 0.0
     chord_ratio: float = 0.79
     max_chord_ratio: float = MAX_CHORD_RATIO
+
+
+class PenaltyModel(NamedTuple):
+    """Margins, and the tables by which strands respond to tracking errors."""
+
+    margins: Margins
+    tables: Sensitivity
+
+
+class Team(NamedTuple):
+    """A team at s moments: positions (s, n, 3) of its vehicles, and its strands (s, n − 1).
+
+    ``points``, ``boxes`` and ``shapes`` are as in :class:`swarm.folding.outlines.Outlines`;
+    ``response`` (s, n − 1, 2) as in :func:`swarm.folding.end_response.write_largest_responses`.
+    """
+
+    positions: Floats3
+    points: Floats4
+    boxes: Floats4
+    shapes: Floats3
+    response: Floats3
 
 
 class Penalty(NamedTuple):

@@ -9,18 +9,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_sensitivity import (
-    PIECES,
-    add_to_ends,
-    far_end_movement,
-    max_far_end_movement,
-    max_point_movement,
-    sag_response,
-)
-from swarm.folding.margins import Margins, Penalty
-from swarm.folding.outlines import Outlines, direction_between, point_at
+from swarm.folding.end_response import add_to_ends, arc_fraction, largest_response, point_movement
+from swarm.folding.margins import Penalty, PenaltyModel, Team
+from swarm.folding.outlines import PIECES, direction_between, point_at
 from swarm.folding.strand_clearance import PREFERRED
 from swarm.geometry.distance import point_distance, polyline_distance_sized
+from swarm.geometry.sensitivity import FAR_END, FINEST, NEAR_END, error_of_ends, finest_piece
 from swarm.jit import compiled
 from swarm.signatures import Floats1, Floats2, Floats4
 
@@ -28,11 +22,6 @@ Floats = npt.NDArray[np.float64]
 
 _LEAST_FREE = 0.5
 """Smallest free part of a strand, as a share of its length, however long the exempt length is."""
-
-_OBTUSE_CABLE, _OBTUSE_TRACKING = 1.3, 2.6
-"""Multiples of the cable margin and of the tracking error: at an obtuse angle, free parts that
-begin at this horizontal distance from the grip have the preferred margin and 2.1 tracking errors
-more."""
 
 
 class MarginCache(NamedTuple):
@@ -52,14 +41,6 @@ def empty_margin_cache(moments: int, segments: int) -> MarginCache:
     return MarginCache(np.full((moments, pairs), -1.0), np.zeros((moments, pairs, 3, 3)))
 
 
-class _Team(NamedTuple):
-    """Outlines (n − 1, k, 3), chord ratios and lengths (n − 1,) of a team at one moment."""
-
-    points: Floats
-    ratio: Floats
-    lengths: Floats
-
-
 class _Junction(NamedTuple):
     """Two strands that meet at a vehicle: segments ``first`` and ``first + 1``.
 
@@ -76,79 +57,99 @@ class _Junction(NamedTuple):
     part: Floats
 
 
+class _FreePart(NamedTuple):
+    """The free part of a segment, up to or from the place ``limit`` on its outline."""
+
+    segment: int
+    limit: float
+
+
 @compiled
 def penalize_neighbours(
-    strands: Outlines,
-    lengths: Floats1,
-    extra: Floats1,
-    margins: Margins,
-    cache: MarginCache,
-    penalty: Penalty,
+    team: Team, extra: Floats1, model: PenaltyModel, cache: MarginCache, penalty: Penalty
 ) -> None:
     """Add the missed margins of strands that meet at a vehicle; ``extra`` (s,) as elsewhere.
 
     Pairs with a spare margin in the cache are skipped; others are written to it. The cache is valid
     as long as nothing but positions changes.
     """
-    points, ratio = strands.points, strands.ratio
-    free = np.maximum(_LEAST_FREE, 1.0 - margins.exempt / lengths)
+    margins, exempt = model.margins, model.margins.exempt
     unit = margins.cable + 2.0 * margins.tracking
-    enough = _OBTUSE_CABLE * margins.cable + _OBTUSE_TRACKING * margins.tracking
+    tracking = 2.0 * margins.tracking
+    at_end, at_start = error_of_ends(FAR_END, tracking), error_of_ends(NEAR_END, tracking)
     part, sizes = np.empty((PIECES + 1, 3)), np.empty((2, PIECES))
-    for s in range(len(points)):
+    for s in range(len(team.points)):
         wanted = margins.cable + PREFERRED * unit + extra[s]
-        team = _Team(points[s], ratio[s], lengths)
+        points, shapes, response = team.points[s], team.shapes[s], team.response[s]
         moment = Penalty(penalty.missed[s : s + 1], penalty.gradient[s : s + 1])
-        for i in range(len(lengths) - 1):
-            before, after = points[s, i], points[s, i + 1]
-            if _is_cached(
-                before, after, ratio[s, i], ratio[s, i + 1], cache.spare[s, i],
-                cache.positions[s, i],
-            ):  # fmt: skip
+        for i in range(len(points) - 1):
+            before, after = points[i], points[i + 1]
+            movement = _movement(before, after, response[i, 0], response[i + 1, 0])
+            if _is_cached(before, after, movement, cache.spare[s, i], cache.positions[s, i]):
                 continue
             for k in range(PIECES):
                 sizes[0, k] = point_distance(before[k], before[k + 1])
                 sizes[1, k] = point_distance(after[k], after[k + 1])
-            error = max_far_end_movement(ratio[s, i]) + max_far_end_movement(ratio[s, i + 1])
-            reach = wanted + margins.tracking * error
+            reach = wanted + tracking * (response[i, 1] + response[i + 1, 1])
             sine = _least_sine(before, after)
-            ends = _place_at(sizes[0], free[i])
-            begins = _place_at(sizes[1], 1.0 - free[i + 1])
+            free, free_after = _free_share(shapes[i], exempt), _free_share(shapes[i + 1], exempt)
+            ends, begins = _place_at(sizes[0], free), _place_at(sizes[1], 1.0 - free_after)
             level = _level_distance(before, ends, after[0])
             level_after = _level_distance(after, begins, after[0])
-            if sine == 1.0 and extra[s] == 0.0 and min(level, level_after) > enough:
-                cache.spare[s, i] = min(level, level_after) - enough
-                continue
+            if sine == 1.0:
+                # Points farther along move more with the far end, but by less than they are apart.
+                piece, piece_after = finest_piece(1, free), finest_piece(1, 1.0 - free_after)
+                error = largest_response(shapes[i], piece, at_start, model.tables)
+                error += largest_response(shapes[i + 1], FINEST, at_end, model.tables)
+                error_after = largest_response(shapes[i + 1], piece_after, at_end, model.tables)
+                error_after += largest_response(shapes[i], 2 * FINEST - 1, at_start, model.tables)
+                least = min(level - tracking * error, level_after - tracking * error_after)
+                if least > wanted:
+                    cache.spare[s, i] = least - wanted
+                    continue
             junction = _Junction(i, sizes, wanted, reach, sine, part)
             spare = np.inf
             for own, limit, near in ((i, ends, level), (i + 1, begins, level_after)):
                 left = near * sine - reach
                 if left < 0.0:
-                    left = _penalize_free_part(team, junction, own, limit, margins, moment)
+                    apart = _FreePart(own, limit)
+                    left = _penalize_free_part(points, shapes, junction, apart, model, moment)
                 spare = min(spare, left)
             cache.spare[s, i] = spare
 
 
 @compiled
+def _free_share(shape: Floats, exempt: float) -> float:
+    """Return the free part of a strand as a share of its length."""
+    return float(max(_LEAST_FREE, 1.0 - exempt / shape[0]))
+
+
+@compiled
+def _movement(before: Floats, after: Floats, response: float, response_after: float) -> float:
+    """Return by how much the distance of two strands changes per metre of their ends, at most.
+
+    A strand moves by its response, and the line along it in plan view turns about their vehicle.
+    """
+    x, y = before[0, 0] - before[-1, 0], before[0, 1] - before[-1, 1]
+    x_after, y_after = after[-1, 0] - after[0, 0], after[-1, 1] - after[0, 1]
+    longer = np.sqrt((x * x + y * y) / max(x_after * x_after + y_after * y_after, 1e-18))
+    return float(max(response_after, longer) + max(response, 1.0 / max(longer, 1e-9)))
+
+
+@compiled
 def _is_cached(
-    before: Floats,
-    after: Floats,
-    ratio: float,
-    ratio_after: float,
-    spare: float,
-    positions: Floats,
+    before: Floats, after: Floats, movement: float, spare: float, positions: Floats
 ) -> bool:
     """Return whether movement since then cannot have used up a spare margin.
 
-    Otherwise, write the positions of the three vehicles.
+    ``movement`` is :func:`_movement` of the strands. Otherwise, write the positions of
+    the three vehicles.
     """
     ends = (before[0], after[0], after[-1])
     if spare > 0.0:
         farthest = 0.0
         for k in range(3):
             farthest = max(farthest, point_distance(ends[k], positions[k]))
-        movement = max_point_movement(sag_response(ratio))
-        movement += max_point_movement(sag_response(ratio_after))
         if spare > movement * farthest:
             return True
     for k in range(3):
@@ -184,56 +185,59 @@ def _level_distance(points: Floats, place: float, at: Floats) -> float:
 
 @compiled
 def _penalize_free_part(
-    team: _Team, junction: _Junction, own: int, limit: float, margins: Margins, moment: Penalty
+    points: Floats,
+    shapes: Floats,
+    junction: _Junction,
+    free: _FreePart,
+    model: PenaltyModel,
+    moment: Penalty,
 ) -> float:
-    """Add the missed margin of the free part of strand ``own``, which ends at place ``limit``.
+    """Add the missed margin of a free part to the penalty of one moment.
 
-    ``moment`` is the penalty of one moment. Return the metres that remain of the preferred margin.
+    ``points`` (n − 1, k, 3) and ``shapes`` (n − 1, 5) are the team's strands. Return the metres
+    that remain of the preferred margin.
     """
+    own, limit = free.segment, free.limit
     sizes, part, reach = junction.sizes, junction.part, junction.reach
     neighbour = 2 * junction.first + 1 - own
-    points, other, outward = team.points[own], team.points[neighbour], own > neighbour
-    own_sizes, other_sizes = sizes[own - junction.first], sizes[neighbour - junction.first]
-    low, high = _close_points(points, reach, junction.sine, outward)
+    outline, other, outward = points[own], points[neighbour], own > neighbour
+    low, high = _close_points(outline, reach, junction.sine, outward)
     begin, end = _close_points(other, reach, junction.sine, not outward)
     if outward:
         low = min(int(limit), PIECES - 1)
     else:
         high = min(int(limit), PIECES - 1) + 2
     for k in range(low, high):
-        point_at(points, _in_free_part(float(k), limit, not outward), part[k])
+        point_at(outline, _in_free_part(float(k), limit, not outward), part[k])
     distance, here, there = polyline_distance_sized(
-        part[low:high], other[begin:end], other_sizes[begin : end - 1], reach
+        part[low:high], other[begin:end], sizes[neighbour - junction.first, begin : end - 1], reach
     )
     if distance >= reach:
         return 0.0
     here, there = here + low, there + begin
     push = np.empty(3)
-    upright = direction_between(part, here, other, there, distance, push)
+    direction_between(part, here, other, there, distance, push)
     piece = min(int(here), PIECES - 1)
     from_place = _in_free_part(float(piece), limit, not outward)
     to_place = _in_free_part(piece + 1.0, limit, not outward)
     here = from_place + (here - piece) * (to_place - from_place)
-    at_end = 0.0 if outward else 1.0
-    tracking, ratio, lengths = margins.tracking, team.ratio, team.lengths
-    error = far_end_movement(
-        points, ratio[own], ratio[own] * lengths[own],
-        abs(_share_before(own_sizes, here) - at_end), upright, tracking,
-    )  # fmt: skip
-    error += far_end_movement(
-        other, ratio[neighbour], ratio[neighbour] * lengths[neighbour],
-        abs(_share_before(other_sizes, there) - 1.0 + at_end), upright, tracking,
-    )  # fmt: skip
-    left = distance - junction.wanted - tracking * error
+    here = arc_fraction(shapes[own], here / PIECES)
+    there = arc_fraction(shapes[neighbour], there / PIECES)
+    # Seen from the shared grip, the other ends move by up to twice the tracking error.
+    tracking, tables = model.margins.tracking, model.tables
+    moved = error_of_ends(FAR_END if outward else NEAR_END, 2.0 * tracking)
+    error = point_movement(shapes[own], here, push[2], moved, tables)
+    moved = error_of_ends(NEAR_END if outward else FAR_END, 2.0 * tracking)
+    error += point_movement(shapes[neighbour], there, push[2], moved, tables)
+    left = distance - junction.wanted - error
     if left < 0.0:
-        short = -left / (margins.cable + 2.0 * tracking)
+        short = -left / (model.margins.cable + 2.0 * tracking)
         moment.missed[0] += short * short
-        push *= -short / (margins.cable + 2.0 * tracking)
+        push *= -short / (model.margins.cable + 2.0 * tracking)
         gradient = moment.gradient[0]
-        add_to_ends(gradient, own, here / PIECES, sag_response(ratio[own]), points, push)
+        add_to_ends(gradient, own, outline, shapes[own], here, push)
         push *= -1.0
-        response = sag_response(ratio[neighbour])
-        add_to_ends(gradient, neighbour, there / PIECES, response, other, push)
+        add_to_ends(gradient, neighbour, other, shapes[neighbour], there, push)
     return left
 
 
@@ -267,11 +271,3 @@ def _place_at(sizes: Floats, share: float) -> float:
             return float(k + left / max(sizes[k], 1e-12))
         left -= sizes[k]
     return float(len(sizes))
-
-
-@compiled
-def _share_before(sizes: Floats, place: float) -> float:
-    """Return the share of a polyline's length before a place; edges have lengths (k,)."""
-    piece = min(int(place), len(sizes) - 1)
-    before = sizes[:piece].sum() + (place - piece) * sizes[piece]
-    return float(before / max(sizes.sum(), 1e-12))

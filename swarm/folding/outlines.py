@@ -5,7 +5,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_sensitivity import PIECES
+from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.catenary_kernel import strand_polygon
 from swarm.geometry.distance import bounding_boxes, point_distance
 from swarm.jit import compiled
@@ -13,6 +13,12 @@ from swarm.signatures import Floats1, Floats2, Floats3, Floats4, record
 
 Floats = npt.NDArray[np.float64]
 Index = Any
+
+_NO_CHORD = 1e-9
+"""Metres; length of a strand between two ends in one place."""
+
+PIECES = 6
+"""Edges of the polygon that stands for a strand."""
 
 _PARALLEL = 1e-12
 """Square metres of the plan-view parallelogram of two strands below which they are parallel."""
@@ -24,50 +30,58 @@ _TOUCHING = 1e-3
 class Outlines(NamedTuple):
     """Strands as polygons (…, PIECES + 1, 3), their boxes (…, 2, 3), and chord over length (…,).
 
-    A *place* on an outline is the index of an edge plus a fraction of that edge.
+    ``shapes`` (…, 5) are the fields of their catenaries; over-stretched strands have the length
+    that reaches. A *place* on an outline is the index of an edge plus a fraction of that edge.
     """
 
     points: Floats4
     boxes: Floats4
     ratio: Floats2
+    shapes: Floats3
 
     def take(self, which: Index) -> "Outlines":
         """Return the outlines at an index or slice of the leading dimensions."""
         return Outlines(*(field[which] for field in self))
 
 
-OutlineRow = Annotated[Outlines, record(Outlines, Floats3, Floats3, Floats1)]
+OutlineRow = Annotated[Outlines, record(Outlines, Floats3, Floats3, Floats1, Floats2)]
 """Outlines with one leading dimension."""
 
 
 def outline_strands(start: Floats, end: Floats, length: npt.ArrayLike) -> Outlines:
     """Return the outlines of strands of given lengths between ends (…, 3).
 
-    Over-stretched strands are straight.
+    Over-stretched strands are drawn with the length at which they no longer are; see
+    :func:`reachable_length`.
     """
     chord = np.linalg.norm(end - start, axis=-1)
     length = np.broadcast_to(np.asarray(length, dtype=np.float64), chord.shape)
     points = np.empty((*chord.shape, PIECES + 1, 3))
     boxes = np.empty((*chord.shape, 2, 3))
+    shapes = np.empty((*chord.shape, 5))
     corners = points.reshape(-1, PIECES + 1, 3)
     start, end = (np.ascontiguousarray(each).reshape(-1, 3) for each in (start, end))
-    _write_outlines(start, end, length.flatten(), corners)
+    _write_outlines(start, end, length.flatten(), corners, shapes.reshape(-1, 5))
     bounding_boxes(corners, boxes.reshape(-1, 2, 3))
-    return Outlines(points, boxes, chord / length)
+    return Outlines(points, boxes, chord / length, shapes)
 
 
 @compiled
-def _write_outlines(start: Floats2, end: Floats2, length: Floats1, points: Floats3) -> None:
-    """Write the outlines (q, k, 3) of strands; over-stretched strands are straight."""
+def _write_outlines(
+    start: Floats2, end: Floats2, length: Floats1, points: Floats3, shapes: Floats2
+) -> None:
+    """Write the outlines (q, k, 3) and catenaries (q, 5) of strands."""
     for q in range(len(length)):
         chord = point_distance(start[q], end[q])
-        strand_polygon(start[q], end[q], reachable_length(length[q], chord), points[q])
+        strand = strand_polygon(start[q], end[q], reachable_length(length[q], chord), points[q])
+        for k in range(5):
+            shapes[q, k] = strand[k]
 
 
 @compiled
 def reachable_length(length: float, chord: float) -> float:
-    """Return the length, or 0.1 % more than the chord where the strand is over-stretched."""
-    return max(length, chord * 1.001 + 1e-9)
+    """Return the length, or that with which a chord has the largest ratio in the air."""
+    return max(length, chord / MAX_CHORD_RATIO + _NO_CHORD)
 
 
 @compiled
@@ -121,15 +135,17 @@ def point_at(points: Floats, place: float, found: Floats) -> None:
 @compiled
 def direction_between(
     one: Floats, here: float, other: Floats, there: float, distance: float, found: Floats
-) -> float:
+) -> None:
     """Write the unit vector (3,) from a place on the second outline to a place on the first.
 
-    Return the absolute value of its vertical part; 1 where the outlines touch.
+    It is upward where the outlines touch.
     """
+    if distance <= _TOUCHING:
+        found[:2], found[2] = 0.0, 1.0
+        return
     piece, other_piece = min(int(here), len(one) - 2), min(int(there), len(other) - 2)
     share, part = here - piece, there - other_piece
     for axis in range(3):
         apart = (1.0 - share) * one[piece, axis] + share * one[piece + 1, axis]
         apart -= (1.0 - part) * other[other_piece, axis] + part * other[other_piece + 1, axis]
-        found[axis] = apart / max(distance, 1e-6)
-    return min(abs(found[2]), 1.0) if distance > _TOUCHING else 1.0
+        found[axis] = apart / distance

@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.folding.crossing_constraints import CrossingSigns
-from swarm.folding.margins import Margins, Penalty
+from swarm.folding.end_response import write_largest_responses
+from swarm.folding.margins import Margins, Penalty, PenaltyModel, Team
 from swarm.folding.neighbour_clearance import MarginCache, empty_margin_cache, penalize_neighbours
 from swarm.folding.outlines import Outlines, outline_strands
 from swarm.folding.strand_clearance import penalize_strands
@@ -16,6 +17,7 @@ from swarm.folding.vehicle_clearance import (
     penalize_vehicles,
     rotor_disc_costs,
 )
+from swarm.geometry.sensitivity import sensitivity_tables
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -82,12 +84,14 @@ class TeamGeometry:
         extra = extra or no_extra_margins(len(positions))
         cache = cache or empty_margin_cache(len(positions), len(self.lengths))
         margins, strands = self.margins, self.outlines(positions)
+        model = PenaltyModel(margins, sensitivity_tables())
+        response = np.empty((*strands.ratio.shape, 2))
+        write_largest_responses(strands.shapes, margins.tracking, model.tables, response)
+        team = Team(positions, strands.points, strands.boxes, strands.shapes, response)
         total = Penalty(np.zeros(len(positions)), np.zeros(positions.shape))
-        penalize_strands(strands, signs.strands, extra.cable, margins, total)
-        penalize_neighbours(strands, self.lengths, extra.neighbour, margins, cache, total)
-        penalize_strands_at_vehicles(
-            positions, strands, signs.vehicles, extra.vehicle_cable, margins, total
-        )
+        penalize_strands(team, signs.strands, extra.cable, model, total)
+        penalize_neighbours(team, extra.neighbour, model, cache, total)
+        penalize_strands_at_vehicles(team, signs.vehicles, extra.vehicle_cable, model, total)
         penalize_vehicles(positions, extra.vehicle, margins, total)
         if preferences:
             penalize_downwash(positions, margins, total)

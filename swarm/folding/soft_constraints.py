@@ -1,8 +1,7 @@
 """Costs of missed margins, for the planner's choice among many motions.
 
 Fast and sampled: only the certificate bounds distances. All distances are between nominal
-positions, so each margin includes what tracking errors may take of a clearance. The tauter a
-strand, the more it moves with its ends.
+positions, so each margin includes what tracking errors may take of a clearance.
 """
 
 from typing import TypeVar
@@ -10,9 +9,10 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.margins import Margins
+from swarm.folding.margins import Margins, PenaltyModel
 from swarm.folding.outlines import Outlines
 from swarm.folding.strand_clearance import spare_margins
+from swarm.geometry.sensitivity import sensitivity_tables
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -29,7 +29,7 @@ _VEHICLE_UNIT, _VEHICLE_SPARE = 2.0, 0.2
 def strand_costs(one: Outlines, other: Outlines, margins: Margins) -> Floats:
     """Return the cost (b,) of the distance of strands, pair by pair; they share no vehicle."""
     spare = np.empty(len(one.points))
-    spare_margins(one, other, margins, spare)
+    spare_margins(one, other, PenaltyModel(margins, sensitivity_tables()), spare)
     return margin_costs(spare / (margins.cable + 2.0 * margins.tracking))
 
 

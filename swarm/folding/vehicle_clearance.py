@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_sensitivity import PIECES, add_to_ends, point_movement, sag_response
-from swarm.folding.margins import Margins, Penalty
-from swarm.folding.outlines import Outlines, height_at_span
+from swarm.folding.end_response import add_to_ends, arc_fraction, point_movement
+from swarm.folding.margins import Margins, Penalty, PenaltyModel, Team
+from swarm.folding.outlines import PIECES, height_at_span
 from swarm.folding.strand_clearance import PREFERRED
 from swarm.geometry.distance import boxes_closer
+from swarm.geometry.sensitivity import BOTH_ENDS, error_of_ends
 from swarm.jit import compiled
 from swarm.signatures import Floats1, Floats2, Floats3, Signs3
 
@@ -29,9 +30,6 @@ _JETS, _FAR_BELOW, _WASH_WEIGHT = 2.2, 8.0, 0.5
 """Half-widths of jets that vehicles avoid, metres below which jets do not count, and weight of a
 position on the axis of a jet."""
 
-_LEVEL_UPRIGHT = 0.7
-"""Vertical part of the direction, 45° upward, in which the movement of a strand counts."""
-
 DISC_ERRORS = 1.5
 """Tracking errors by which a rotor disc is larger and lower for the vehicle's own strands."""
 
@@ -42,87 +40,93 @@ _DISC_WEIGHT = 10.0
 class _Meeting(NamedTuple):
     """A vehicle and the segment of others that it may meet.
 
-    ``sign`` is 1 where the vehicle must pass over the strand, −1 under, 0 where free; ``ratio`` is
-    the strand's chord ratio, ``extra`` the metres required beyond the margin.
+    ``sign`` is 1 where the vehicle must pass over the strand, −1 under, 0 where free; ``extra`` are
+    the metres required beyond the margin. Beyond ``limit`` metres it misses no margin.
     """
 
     vehicle: int
     segment: int
     sign: int
-    ratio: float
     extra: float
+    limit: float
 
 
 @compiled
 def penalize_strands_at_vehicles(
-    positions: Floats3,
-    strands: Outlines,
-    signs: Signs3,
-    extra: Floats1,
-    margins: Margins,
-    penalty: Penalty,
+    team: Team, signs: Signs3, extra: Floats1, model: PenaltyModel, penalty: Penalty
 ) -> None:
-    """Add the missed margins of vehicles (s, n, 3) to strands that others hold.
+    """Add the missed margins of vehicles (s, n) to strands that others hold.
 
     ``signs`` (s, n, n − 1) are as in :class:`swarm.folding.crossing_constraints.CrossingSigns`.
     """
-    limit = margins.vehicle_cable * (1.0 + PREFERRED) + (2.0 * PREFERRED + 3.2) * margins.tracking
+    margins, positions = model.margins, team.positions
+    unit = margins.vehicle_cable + 2.0 * margins.tracking
+    wanted = margins.vehicle_cable + PREFERRED * unit + margins.tracking
     body = np.empty((1, 2, 3))
     body[0, 1, 0] = body[0, 1, 1] = margins.radius
     body[0, 1, 2] = 0.5 * margins.grip_offset
     for s in range(len(positions)):
-        points, boxes, ratio = strands.points[s], strands.boxes[s], strands.ratio[s]
-        team, gradient = positions[s], penalty.gradient[s]
+        boxes, response, gradient = team.boxes[s], team.response[s], penalty.gradient[s]
         for vehicle in range(positions.shape[1]):
             for x in range(3):
                 body[0, 0, x] = positions[s, vehicle, x]
             body[0, 0, 2] += 0.5 * margins.grip_offset
-            for segment in range(len(ratio)):
+            for segment in range(len(response)):
                 if segment in (vehicle, vehicle - 1):
                     continue
-                if boxes_closer(body, 0, boxes, segment, limit + extra[s]):
+                limit = wanted + extra[s] + margins.tracking * response[segment, 0]
+                if boxes_closer(body, 0, boxes, segment, limit):
                     sign = signs[s, vehicle, segment]
-                    meeting = _Meeting(vehicle, segment, sign, ratio[segment], extra[s])
+                    meeting = _Meeting(vehicle, segment, sign, extra[s], limit)
                     penalty.missed[s] += _penalize_meeting(
-                        team, points[segment], meeting, margins, gradient
-                    )
+                        positions[s, vehicle], team.points[s, segment], team.shapes[s, segment],
+                        meeting, model, gradient,
+                    )  # fmt: skip
 
 
 @compiled
 def _penalize_meeting(
-    positions: Floats, strand: Floats, meeting: _Meeting, margins: Margins, gradient: Floats
+    position: Floats,
+    strand: Floats,
+    shape: Floats,
+    meeting: _Meeting,
+    model: PenaltyModel,
+    gradient: Floats,
 ) -> float:
     """Return the square of a vehicle's missed margin to a strand; add to the gradient (n, 3)."""
+    margins = model.margins
     unit = margins.vehicle_cable + 2.0 * margins.tracking
-    position, response = positions[meeting.vehicle], sag_response(meeting.ratio)
     apart, place, lowest = np.empty(3), 0.0, np.inf
     for k in range(PIECES):
         here = k + _nearest(strand[k], strand[k + 1], position, 0.5 * margins.grip_offset)
         _write_offset(strand, here, position, apart)
         level = np.sqrt(apart[0] ** 2 + apart[1] ** 2)
-        error = 1.0 + point_movement(response, here / PIECES, _LEVEL_UPRIGHT)
-        distance = rotor_cone_distance(level, apart[2], margins) - margins.tracking * error
+        distance = rotor_cone_distance(level, apart[2], margins)
         if distance < lowest:
             lowest, place = distance, here
-    short = PREFERRED - (lowest - margins.vehicle_cable - meeting.extra) / unit
+    if lowest >= meeting.limit:
+        return 0.0
+    fraction, push = arc_fraction(shape, place / PIECES), np.zeros(3)
+    _write_offset(strand, place, position, apart)
+    _write_cone_derivative(apart, margins, push)
+    moved = error_of_ends(BOTH_ENDS, margins.tracking)
+    error = point_movement(shape, fraction, push[2], moved, model.tables) + margins.tracking
+    short = PREFERRED - (lowest - error - margins.vehicle_cable - meeting.extra) / unit
     if short <= 0.0:
         return 0.0
-    push, sign = np.zeros(3), meeting.sign
-    share = _nearest_span(strand, position)
+    sign, share = meeting.sign, _nearest_span(strand, position)
     under = height_at_span(strand, share) - position[2]
     beyond = under if sign > 0 else margins.grip_offset - under
     if sign != 0 and beyond > 0.0 and 0.0 < share < 1.0:
         # The vehicle is on the wrong side of the strand: under it (sign 1) or over it (−1).
         short = PREFERRED + (margins.vehicle_cable + beyond) / unit
-        push[2] = -sign * short / unit
+        push[:2], push[2] = 0.0, -sign * short / unit
     else:
-        _write_offset(strand, place, position, apart)
-        _write_cone_derivative(apart, margins, push)
         push *= -short / unit
     for axis in range(3):
         gradient[meeting.vehicle, axis] += push[axis]
     push *= -1.0
-    add_to_ends(gradient, meeting.segment, place / PIECES, response, strand, push)
+    add_to_ends(gradient, meeting.segment, strand, shape, fraction, push)
     return short * short
 
 

@@ -226,11 +226,8 @@ def solve_catenaries(
     _require_reach(chord, length)
 
     wide = np.maximum(span, _VERTICAL * length)
-    excess = np.maximum(length - chord, 0.0) * (length + chord)
-    stretch = 0.5 * np.log1p(excess / wide**2)
     solved = np.empty((3, span.size))
-    strands = _Strands(_flat(wide), _flat(rise), _flat(length), _flat(excess), _flat(stretch))
-    _solve_all(strands, solved)
+    _solve_all(_flat(wide), _flat(rise), _flat(length), solved)
     half_angle, parameter, slope = solved.reshape(3, *shape)
     across /= wide[..., None]
     return Catenaries(
@@ -299,16 +296,6 @@ def _require_reach(chord: Floats, length: Floats) -> None:
         raise OverStretched(segments, chord[over], length[over])
 
 
-class _Strands(NamedTuple):
-    """Arguments (q,) of :func:`swarm.geometry.catenary_kernel.solve`."""
-
-    span: Floats1
-    rise: Floats1
-    length: Floats1
-    excess: Floats1
-    stretch: Floats1
-
-
 class _Arcs(NamedTuple):
     """Length, parameter and start slope (q,) of strands."""
 
@@ -326,13 +313,12 @@ class _Vectors(NamedTuple):
 
 
 @compiled
-def _solve_all(strands: _Strands, solved: Floats2) -> None:
+def _solve_all(span: Floats1, rise: Floats1, length: Floats1, solved: Floats2) -> None:
     """Write half angles, parameters and start slopes (3, q)."""
-    for q in range(len(strands.span)):
+    for q in range(len(span)):
         solved[0, q], solved[1, q], solved[2, q] = solve(
-            strands.span[q], strands.rise[q], strands.length[q], strands.excess[q],
-            strands.stretch[q], SMALLEST_HALF_ANGLE,
-        )  # fmt: skip
+            span[q], rise[q], length[q], SMALLEST_HALF_ANGLE
+        )
 
 
 @compiled

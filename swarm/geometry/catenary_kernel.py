@@ -20,7 +20,9 @@ _VERTICAL = 1e-6
 _SMALLEST_HALF_ANGLE = 1e-6
 """At this half angle a strand sags by a quarter of a millionth of its span."""
 _SMALLEST_HEIGHT = 1e-18
-"""Metres; replaces a height of 0 over the floor, of which the solver would take the logarithm."""
+"""Metres; replaces a height of 0 over the floor, where a branch's derivative is 0 / 0."""
+_SMALLEST_SURPLUS = 1e-30
+"""Metres; replaces a surplus that is 0 by rounding, of which the solver takes the logarithm."""
 _NEWTON_STEPS = 60
 """Steps of at most 2 in log a: enough for every ratio of parameter to height up to e¹²⁰."""
 _CONVERGED = 1e-9
@@ -43,16 +45,15 @@ class Catenary(NamedTuple):
 
 
 @compiled
-def solve(
-    span: float, rise: float, length: float, excess: float, stretch: float, smallest: float
-) -> tuple[float, float, float]:
+def solve(span: float, rise: float, length: float, smallest: float) -> tuple[float, float, float]:
     """Return half angle x, parameter a and start slope of the catenary of a strand.
 
-    ``excess`` is length² − chord², ``stretch`` is ½ log(1 + excess / span²) = log(sinh(x) / x)
-    (Routh, *Statics*, § 443); callers compute both, each as exactly as its figures allow. x is at
-    least ``smallest``. ``span`` must be positive.
+    ½ log(1 + (length² − chord²) / span²) = log(sinh(x) / x) (Routh, *Statics*, § 443). x is at
+    least ``smallest``. ``span`` must be positive; a chord beyond ``length`` counts as ``length``.
     """
-    x = max(solve_half_angle(stretch), smallest)
+    chord = math.sqrt(span * span + rise * rise)
+    excess = max(length - chord, 0.0) * (length + chord)
+    x = max(solve_half_angle(0.5 * math.log1p(excess / (span * span))), smallest)
     # sinh and cosh of the middle angle are rise and length over the level length of the same x.
     level = math.sqrt(excess + span * span)
     sinh = x * (level / span)
@@ -67,11 +68,8 @@ def solve_catenary(start: Floats, end: Floats, length: float, smallest: float) -
     Its half angle is at least ``smallest``, its span at least a millionth of its length.
     """
     east, north, rise = end[0] - start[0], end[1] - start[1], end[2] - start[2]
-    square = east * east + north * north
-    span = max(math.sqrt(square), _VERTICAL * length)
-    excess = max(length * length - square - rise * rise, 0.0)
-    stretch = 0.5 * math.log1p(excess / (span * span))
-    _, parameter, slope = solve(span, rise, length, excess, stretch, smallest)
+    span = max(math.sqrt(east * east + north * north), _VERTICAL * length)
+    _, parameter, slope = solve(span, rise, length, smallest)
     return Catenary(length, parameter, slope, span, rise)
 
 
@@ -112,12 +110,12 @@ def sample_strand(start: Floats, end: Floats, length: float, points: Floats) -> 
 
 
 @compiled
-def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) -> None:
+def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) -> Catenary:
     """Write corners (k, 3) of a polygon along a strand, at equal distances in plan view.
 
     So, steep or level, every edge is as far from the strand as every other; corners at equal
     distances along the arc would cut off the bottom of a narrow loop. Corners lie below the strand
-    by as much as edges lie above it.
+    by as much as edges lie above it. Return the catenary.
     """
     strand = solve_catenary(start, end, length, _SMALLEST_HALF_ANGLE)
     span, parameter, slope = strand.span, strand.parameter, strand.slope
@@ -138,6 +136,7 @@ def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) ->
         points[k, 1] = start[1] + share * (end[1] - start[1])
         points[k, 2] = start[2] + up
         turned *= piece
+    return strand
 
 
 @compiled
@@ -203,19 +202,19 @@ def end_forces(
 def solve_on_floor(first: float, last: float, surplus: float) -> tuple[float, float, float]:
     """Return the parameter and the two lifted lengths of a strand that partly lies on the floor.
 
-    ``first`` and ``last`` are the heights of the ends, ``surplus`` is length − span. From height h
-    a branch of parameter a comes down over an arc s = √(h² + 2ah) and a reach a·arcosh(1 + h/a);
-    s − reach of both branches add up to the surplus. Newton's method in log a, for the logarithm of
-    that sum. The parameter is 0 where surplus cable lies loose.
+    ``first`` and ``last`` are the heights of the ends, not negative; ``surplus`` is length − span.
+    From height h a branch of parameter a comes down over an arc s = √(h² + 2ah) and a reach
+    a·arcosh(1 + h/a); s − reach of both branches add up to the surplus. Newton's method in log a,
+    for the logarithm of that sum. The parameter is 0 where surplus cable lies loose.
     """
-    first, last = max(first, _SMALLEST_HEIGHT), max(last, _SMALLEST_HEIGHT)
     if surplus >= first + last:
         return 0.0, first, last
-    log_a, target = math.log(first + last), math.log(surplus)
+    low, high = max(first, _SMALLEST_HEIGHT), max(last, _SMALLEST_HEIGHT)
+    log_a, target = math.log(low + high), math.log(max(surplus, _SMALLEST_SURPLUS))
     for _ in range(_NEWTON_STEPS):
         a = math.exp(log_a)
-        one, one_rate = _branch_surplus(first, a)
-        other, other_rate = _branch_surplus(last, a)
+        one, one_rate = _branch_surplus(low, a)
+        other, other_rate = _branch_surplus(high, a)
         total = one + other
         step = (target - math.log(total)) * total / ((one_rate + other_rate) * a)
         step = min(max(step, -2.0), 2.0)

@@ -3,10 +3,8 @@
 Where its catenary would pass below the floor, a strand comes down as part of a catenary that meets
 the floor tangentially, lies straight, and rises again as part of a catenary with the same
 horizontal tension (no friction, quasi-static). With surplus cable the horizontal tension vanishes:
-both ends hang straight down and the surplus lies loose on the floor.
-
-:func:`swarm.geometry.catenary_kernel.solve_on_floor` solves the same equation for one strand. Both
-remain: pulls of neighbouring segments cancel to the last bit, and setpoints carry the remainder.
+both ends hang straight down and the surplus lies loose on the floor. Each strand is solved by
+:func:`swarm.geometry.catenary_kernel.solve_on_floor`.
 """
 
 from dataclasses import dataclass
@@ -16,7 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
-from swarm.geometry.catenary_shape import sinh_minus_argument
+from swarm.geometry.catenary_kernel import solve_on_floor
+from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2
 
 Floats = NDArray[np.float64]
 
@@ -126,19 +126,27 @@ def rest_on_floor(
     low, high = _heights(free, floor)
     touching = free.lowest()[..., 2] < floor - _NEGLIGIBLE * free.length
     surplus = free.length - free.span
-    loose = np.maximum(surplus - low - high, 0.0)
-    tight = touching & (loose == 0.0)
-    parameter = _solve_parameter(low, high, np.where(tight, surplus, 0.5 * (low + high)))
-    parameter = np.where(tight, parameter, 0.0)
+    solved = np.zeros((3, touching.sum()))
+    _solve_all(low[touching], high[touching], surplus[touching], solved)
+    resting = np.zeros((3, *touching.shape))
+    resting[:, touching] = solved
+    parameter, lifted_start, lifted_end = resting
     return FloorStrands(
         free=free,
         floor=floor,
         touching=touching,
         parameter=parameter,
-        lifted_start=_lifted(parameter, low),
-        lifted_end=_lifted(parameter, high),
-        loose=np.where(touching, loose, 0.0),
+        lifted_start=lifted_start,
+        lifted_end=lifted_end,
+        loose=np.where(touching, np.maximum(surplus - low - high, 0.0), 0.0),
     )
+
+
+@compiled
+def _solve_all(first: Floats1, last: Floats1, surplus: Floats1, solved: Floats2) -> None:
+    """Write parameters and the two lifted lengths (3, q) of strands that reach the floor."""
+    for q in range(len(first)):
+        solved[0, q], solved[1, q], solved[2, q] = solve_on_floor(first[q], last[q], surplus[q])
 
 
 def _heights(free: Catenaries, floor: Floats) -> tuple[Floats, Floats]:
@@ -148,40 +156,6 @@ def _heights(free: Catenaries, floor: Floats) -> tuple[Floats, Floats]:
         raise ValueError("an end of a strand is below the floor")
     negligible = _NEGLIGIBLE * free.length
     return np.where(low > negligible, low, 0.0), np.where(high > negligible, high, 0.0)
-
-
-def _solve_parameter(low: Floats, high: Floats, surplus: Floats) -> Floats:
-    """Return the parameter a with Σ (arc − reach) of both branches = surplus.
-
-    With cosh θ = 1 + h/a: arc a·sinh θ, reach a·θ, and d(arc − reach)/da = 2·tanh(θ/2) − θ.
-    Newton's method in log a, with bisection as a safeguard, within a factor of e⁸⁰ of the heights.
-    """
-    scale = np.maximum(low + high, np.finfo(float).tiny)
-    log_a = np.log(scale)
-    log_least, log_most = log_a - 80.0, log_a + 80.0
-    for _ in range(100):
-        a = np.exp(log_a)
-        excess, slope = -surplus, np.zeros_like(a)
-        for height in (low, high):
-            half = np.arcsinh(np.sqrt(0.5 * height / a))
-            excess = excess + a * sinh_minus_argument(2.0 * half)
-            slope = slope + a * (2.0 * np.tanh(half) - 2.0 * half)
-        log_least = np.where(excess > 0.0, log_a, log_least)
-        log_most = np.where(excess > 0.0, log_most, log_a)
-        step = log_a - excess / np.where(slope < 0.0, slope, -1.0)
-        inside = (step >= log_least) & (step <= log_most)
-        following = np.where(inside, step, 0.5 * (log_least + log_most))
-        settled = np.abs(following - log_a) <= 1e-14 * np.maximum(1.0, np.abs(log_a))
-        log_a = following
-        if np.all(settled):
-            break
-    return np.exp(log_a)
-
-
-def _lifted(a: Floats, height: Floats) -> Floats:
-    """Return the arc length of a branch that ends ``height`` above the floor: √(h² + 2ah)."""
-    arc: Floats = np.sqrt(height * (height + 2.0 * a))
-    return arc
 
 
 def _branch(a: Floats, arc: Floats) -> tuple[Floats, Floats]:

@@ -15,14 +15,20 @@ elsewhere.
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import Catenaries, solve_catenaries
 from swarm.geometry.catenary_kernel import Catenary, max_elevation_sine, min_elevation_sine
-from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, find_class
+from swarm.geometry.sensitivity import (
+    BOTH_ENDS,
+    FAR_END,
+    LARGEST_RATIO,
+    EndMovement,
+    find_class,
+)
 from swarm.jit import compiled
 from swarm.signatures import Floats2, Floats3, Ints1
 
@@ -43,7 +49,7 @@ _PARTS = 16
 """Parts of a strand with a table entry each."""
 _SHORTEST_SPAN = 0.05
 """Share of the length below which a span is too short for the table."""
-_DEGENERATE = 1e-12
+DEGENERATE = 1e-12
 """Determinant of K(ℓ) below which the response is not computed."""
 _COLUMNS = float(_BINS / np.log1p(-LARGEST_RATIO))
 
@@ -129,25 +135,35 @@ def _responses(
         length, parameter, slope, span, rise = strands[:, k]
         along, up, fraction, begin, end, stretch = points[:, k]
         strand = Catenary(length, parameter, slope, span, rise)
+        moved = EndMovement(ends[k], np.inf, stretch)
         found[0, k], found[1, k], found[2, k] = strand_response(
-            strand, (along, up), fraction, (begin, end), ends[k], stretch, table
+            strand, (along, up), fraction, (begin, end), moved, table
         )
 
 
-@compiled
-def strand_response(
-    strand: Catenary,
-    normal: tuple[float, float],
-    fraction: float,
-    piece: tuple[float, float],
-    ends: int,
-    stretch: float,
-    table: Floats,
-) -> tuple[float, float, float]:
-    """Return :func:`linear_response` of one strand: at the point, per arc, and curvature.
+class PointResponse(NamedTuple):
+    """Movement of one point of a strand along a unit vector n, to first order in its ends.
 
-    ``normal`` holds the parts of a unit vector along the strand's heading and upward, ``table`` is
-    :func:`curvature_table`. All are infinite where the response is not known.
+    Per metre of the end it is (``ahead``, ``up``) along the strand's heading and upward, and
+    ``share`` of the part of n across both; per metre of the start n less these. ``by_start`` and
+    ``by_end`` are the largest movements per metre of one end. ``trace`` and ``determinant`` are
+    those of K(ℓ); where the determinant is below DEGENERATE nothing here is meaningful.
+    """
+
+    ahead: float
+    up: float
+    share: float
+    by_start: float
+    by_end: float
+    trace: float
+    determinant: float
+
+
+@compiled
+def point_response(strand: Catenary, normal: tuple[float, float], fraction: float) -> PointResponse:
+    """Return the first-order response of the point at a fraction of the arc.
+
+    ``normal`` holds the parts of a unit vector along the strand's heading and upward.
     """
     along, up = normal
     across = 1.0 - up * up - along * along
@@ -171,7 +187,29 @@ def strand_response(
     aside = max(across, 0.0)
     by_end = np.sqrt(by_along**2 + by_up**2 + share**2 * aside)
     by_start = np.sqrt((along - by_along) ** 2 + (up - by_up) ** 2 + (1.0 - share) ** 2 * aside)
-    trace = bent + level
+    return PointResponse(by_along, by_up, share, by_start, by_end, bent + level, determinant)
+
+
+@compiled
+def strand_response(
+    strand: Catenary,
+    normal: tuple[float, float],
+    fraction: float,
+    piece: tuple[float, float],
+    moved: EndMovement,
+    table: Floats,
+) -> tuple[float, float, float]:
+    """Return :func:`linear_response` of one strand: at the point, per arc, and curvature.
+
+    ``normal`` holds the parts of a unit vector along the strand's heading and upward, ``table`` is
+    :func:`curvature_table`. All are infinite where the response is not known.
+    """
+    turn = strand.length / strand.parameter
+    point = point_response(strand, normal, fraction)
+    at_point = point.by_end if moved.ends == FAR_END else point.by_start
+    if moved.ends == BOTH_ENDS:
+        at_point = point.by_start + point.by_end
+    trace, determinant = point.trace, point.determinant
     softest = 0.5 * (trace + np.sqrt(max(trace * trace - 4.0 * determinant, 0.0)))
     begin, end = strand.slope + piece[0] * turn, strand.slope + piece[1] * turn
     lowest = 0.0 if begin * end <= 0.0 else min(abs(begin), abs(end))
@@ -179,11 +217,8 @@ def strand_response(
     per_arc = max(
         softest / determinant / (strand.parameter * flattest), 1.0 / (strand.span * flattest)
     )
-    at_point = by_end if ends == FAR_END else by_start
-    if ends == BOTH_ENDS:
-        at_point = by_start + by_end
-    curvature = _curvature(strand, piece, stretch, table)
-    if determinant > _DEGENERATE and np.isfinite(at_point + per_arc + curvature):
+    curvature = _curvature(strand, piece, moved.relative, table)
+    if determinant > DEGENERATE and np.isfinite(at_point + per_arc + curvature):
         return at_point, per_arc, curvature
     return np.inf, np.inf, np.inf
 

@@ -10,7 +10,6 @@ steeper, and its integral over ρ. Horizontal and vertical movement have separat
 strand that gets tauter rises.
 """
 
-from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -18,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.catenary_kernel import max_elevation_sine
 from swarm.jit import compiled
 from swarm.signatures import Floats1, Floats2, Floats5, Ints1
 
@@ -26,6 +26,7 @@ Ints = npt.NDArray[np.intp]
 
 BOTH_ENDS, FAR_END, NEAR_END = 0, 1, 2
 """The ends that move: both by up to D, only the end (start fixed), only the start (end fixed)."""
+
 
 LARGEST_RATIO = 0.999
 """A chord beyond this share of the length counts as taut; nothing is certified there."""
@@ -47,19 +48,40 @@ _INFLATION = 1.02
 """Covers elevations between the samples; the tests check it adversarially."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
+class EndMovement(NamedTuple):
+    """Which ends of a strand move (BOTH_ENDS, FAR_END or NEAR_END), and bounds of how far, metres.
+
+    ``size`` of each end, ``relative`` of one end relative to the other.
+    """
+
+    ends: int
+    size: float
+    relative: float
+
+
+@compiled
+def error_of_ends(ends: int, size: float) -> EndMovement:
+    """Return the movement of ends by up to ``size`` metres in any directions."""
+    return EndMovement(ends, size, 2.0 * size if ends == BOTH_ENDS else size)
+
+
+class Sensitivity(NamedTuple):
     """Tables of norms and of their integrals over the chord ratio.
 
     ``norm`` and ``integral`` have the axes (elevation class, moving ends, horizontal or vertical,
     ratio bin, piece); a piece is the number of a node in the binary heap of dyadic pieces.
     """
 
-    norm: Floats
-    integral: Floats
+    norm: Floats5
+    integral: Floats5
 
     def largest(
-        self, ratio: Floats, reach: Floats, sine: Floats, ends: Ints, piece: Ints
+        self,
+        ratio: Floats,
+        reach: Floats,
+        sine: Floats,
+        ends: npt.ArrayLike,
+        piece: npt.ArrayLike,
     ) -> tuple[Floats, Floats]:
         """Return mean norms, horizontal and vertical, each (…,): movement per metre of D.
 
@@ -67,13 +89,15 @@ class Sensitivity:
         during the movement, ``sine`` the largest |rise| / chord (1 if in doubt), ``ends`` one of
         BOTH_ENDS, FAR_END, NEAR_END, ``piece`` heap numbers of pieces (1 is the whole strand).
         """
-        ratio, reach, sine, ends, piece = np.broadcast_arrays(ratio, reach, sine, ends, piece)
-        found = np.empty((2, ratio.size))
-        moves = _Movements(
-            ratio.flatten(), reach.flatten(), sine.flatten(), ends.flatten(), piece.flatten()
+        shape = np.broadcast_shapes(*map(np.shape, (ratio, reach, sine, ends, piece)))
+        ratio, reach, sine = (
+            np.broadcast_to(each, shape).flatten() for each in (ratio, reach, sine)
         )
-        _write_bounds(self.norm, self.integral, moves, found)
-        across, up = found.reshape(2, *ratio.shape)
+        moving, part = (np.broadcast_to(each, shape).astype(np.int64) for each in (ends, piece))
+        moves = _Movements(ratio, reach, sine, moving.flatten(), part.flatten())
+        found = np.empty((2, len(ratio)))
+        _write_bounds(self, moves, found)
+        across, up = found.reshape(2, *shape)
         return across, up
 
 
@@ -88,13 +112,13 @@ class _Movements(NamedTuple):
 
 
 @compiled
-def _write_bounds(norm: Floats5, integral: Floats5, moves: _Movements, found: Floats2) -> None:
+def _write_bounds(tables: Sensitivity, moves: _Movements, found: Floats2) -> None:
     """Write :meth:`Sensitivity.largest` of k strands, found (2, k)."""
     for k in range(len(moves.ratio)):
         steep = elevation_class(moves.sine[k])
         ratios = ratio_range(moves.ratio[k], moves.reach[k])
         found[0, k], found[1, k] = movement_bound(
-            norm, integral, steep, moves.ends[k], moves.piece[k], ratios
+            tables, steep, moves.ends[k], moves.piece[k], ratios
         )
 
 
@@ -154,14 +178,25 @@ def finest_piece(piece: int, fraction: float) -> int:
 
 @compiled
 def movement_bound(
-    norm: Floats, integral: Floats, steep: int, ends: int, piece: int, ratios: RatioRange
+    tables: Sensitivity, steep: int, ends: int, piece: int, ratios: RatioRange
 ) -> tuple[float, float]:
     """Return :meth:`Sensitivity.largest` of one strand; ``steep`` is its elevation class."""
-    piece = _tabulated(piece)
+    norm, integral, piece = tables.norm, tables.integral, _tabulated(piece)
     return (
         _mean(norm[steep, ends, 0], integral[steep, ends, 0], piece, ratios),
         _mean(norm[steep, ends, 1], integral[steep, ends, 1], piece, ratios),
     )
+
+
+@compiled
+def chord_response(
+    rise: float, span: float, length: float, moved: EndMovement, piece: int, tables: Sensitivity
+) -> tuple[float, float]:
+    """Return :meth:`Sensitivity.largest` of a strand with a chord of ``rise`` and ``span``."""
+    ratio = np.sqrt(span * span + rise * rise) / length
+    steep = elevation_class(max_elevation_sine(rise, span, moved.relative))
+    ratios = ratio_range(ratio, moved.relative / length)
+    return movement_bound(tables, steep, moved.ends, piece, ratios)
 
 
 @compiled

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_sensitivity import sag_responses
 from swarm.folding.layout import KnotLayout, lay_out, lay_out_corners
 from swarm.folding.margins import Margins
 from swarm.folding.paper import edge_dips, paper_motion
 from swarm.folding.schedule import team_path
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.motion import Motion, through_states
+from swarm.geometry.sensitivity import BOTH_ENDS, sensitivity_tables
 from swarm.knots.grid import OpenGrid
 from swarm.mission import Mission
 from swarm.planning.foldings import Folding, layout_sizes
@@ -128,10 +128,14 @@ def _height(mission: Mission, fold: Motion, lengths: Floats) -> float:
         return mission.layout.height
     times = np.linspace(fold.times[0], fold.times[-1], 4 * len(fold.times))
     places = fold.at(times)[0]
-    chord = np.linalg.norm(np.diff(places, axis=1), axis=2)
+    step, tracking = np.diff(places, axis=1), mission.vehicles.tracking
+    chord = np.linalg.norm(step, axis=2)
     strands = solve_catenaries(places[:, :-1], places[:, 1:], np.maximum(lengths, chord))
-    error = mission.vehicles.tracking * 1.1 * sag_responses(chord / lengths)
-    lowest = float((strands.lowest()[..., 2] - error).min()) - 0.1
+    sine = np.abs(step[..., 2]) / np.maximum(chord, 1e-9)
+    _, down = sensitivity_tables().largest(
+        chord / lengths, 2.0 * tracking / lengths, sine, BOTH_ENDS, 1
+    )
+    lowest = float((strands.lowest()[..., 2] - tracking * down).min()) - 0.1
     margin = mission.clearance.floor + 0.5 * mission.cable.diameter
     return float(np.ceil(10.0 * (margin - lowest)) / 10.0)
 

@@ -5,9 +5,8 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.distance import cdist
 
-from swarm.folding.end_sensitivity import PIECES
 from swarm.folding.margins import Margins
-from swarm.folding.outlines import Outlines, crossing_heights, outline_strands
+from swarm.folding.outlines import PIECES, Outlines, crossing_heights, outline_strands
 from swarm.folding.soft_constraints import margin_costs, strand_costs, vehicle_cost
 from swarm.geometry.catenary import solve_catenaries
 

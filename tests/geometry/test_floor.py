@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from swarm.geometry.catenary import OverStretched, solve_catenaries
-from swarm.geometry.catenary_kernel import solve_on_floor
 from swarm.geometry.floor import FloorStrands, rest_on_floor
 
 CASES = [(1.0, 1.0, 5.0), (1.0, 0.3, 4.6), (0.05, 0.02, 4.001), (0.0, 1.0, 4.2), (2.0, 1.0, 6.5)]
@@ -118,17 +117,3 @@ def test_forces_carry_the_weight_off_the_floor(strand: FloorStrands, mass: float
     _, start_size, end_size = strand.tension(mass, 10.0)
     assert np.linalg.norm(at_start) == pytest.approx(float(start_size), rel=1e-6, abs=1e-9)
     assert np.linalg.norm(at_end) == pytest.approx(float(end_size), rel=1e-6, abs=1e-9)
-
-
-@given(strands())
-def test_one_strand_has_the_parameter_of_the_batch(strand: FloorStrands) -> None:
-    if not strand.touching or strand.loose > 0.0:
-        return
-    low, high = (float(end[2]) for end in (strand.free.start, strand.free.end))
-    # Smaller heights count as 0 in the batch alone.
-    assume(all(height == 0.0 or height > 1e-12 * strand.free.length for height in (low, high)))
-    surplus = float(strand.free.length - strand.free.span)
-    parameter, lifted_start, lifted_end = solve_on_floor(low, high, surplus)
-    assert parameter == pytest.approx(float(strand.parameter), rel=1e-6, abs=1e-12)
-    assert lifted_start == pytest.approx(float(strand.lifted_start), rel=1e-6, abs=1e-8)
-    assert lifted_end == pytest.approx(float(strand.lifted_end), rel=1e-6, abs=1e-8)
