@@ -36,8 +36,8 @@ def solve(
     """Solve the catenaries of m spans; write ``flat`` (m, 3) and ``solution`` (ROWS, m).
 
     ``ends`` (2 m, 3) are all starts, then all stops; ``bottom`` is the direction (3,) of the
-    weight, and the height of the floor; ``guess`` (m,) are the parameters of the last solution on the
-    floor, updated here.
+    weight, and the height of the floor; ``guess`` (m,) are the parameters of the last solution on
+    the floor, updated here.
     """
     down, floor = bottom
     count = len(lengths)
