@@ -24,13 +24,17 @@ hypothesis.settings.load_profile("patient")
 LONGEST = (
     "test_the_overhand_flies_over_udp_and_leaves_its_record",
     "test_house_rule[mypy]",
-    "test_the_papers_tables_are_reproduced_and_refused",
-    "test_parameters_are_found_set_and_put_back",
-    "test_after_sigkill_in_mid_fold_the_team_is_found",
     "test_trials_in_processes_are_the_trials_flown_alone",
-    "test_the_tour_plans_certifies_draws_and_rehearses",
+    "test_after_sigkill_in_the_fold_the_team_is_found",
     "test_the_walk_through_runs_and_prints_its_output",
+    "test_a_disk_that_becomes_full_in_flight_damages_the_record_only",
+    "test_an_emulator_that_dies_is_a_vehicle_error",
+    "test_a_foreign_station_sees_every_vehicle_and_commands_none",
     "test_a_killed_emulator_is_explained",
+    "test_a_slow_caller_does_not_delay_the_flight",
+    "test_the_tour_plans_certifies_draws_and_rehearses",
+    "test_a_reduced_polygon_has_the_knot_of_the_grid",
+    "test_parameters_are_checked_set_and_restored",
 )
 """Parts of the names of tests that take ten seconds and more, longest first."""
 

@@ -123,6 +123,7 @@ def test_a_plan_knows_its_phases(printed: Plan) -> None:
         replace(printed, phases=()).phase("fold")
 
 
+@pytest.mark.full
 def test_a_plan_does_not_depend_on_the_threads_of_a_machine() -> None:
     """With two threads for sums of arrays, 5_2 had another plan than with one."""
     mission = mission_for_knot("5_2", ())

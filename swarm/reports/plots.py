@@ -51,6 +51,9 @@ FLAT: Final = 0.25
 GAP: Final = 0.16
 """Half of the gap of an under strand, in cells or in shares of a median span."""
 
+_ABOVE_PHASES: Final = 16.0
+"""Points between axes and a title: the names of the phases, 7.5 points high, are between them."""
+
 
 def plot_plan(plan: Plan, path: Path) -> None:
     """Write one PNG with the grid diagram, the plan view and the folded cable in space."""
@@ -336,7 +339,8 @@ def draw_errors(axes: Axes, trace: Trace, tracking_radius: float) -> None:
     if tracking_radius > 0:
         axes.axhline(tracking_radius, color=ALARM, linewidth=1.2, linestyle="--")
     _shade_phases(axes, trace)
-    axes.set(xlabel="time, s", ylabel="error, m", title="Tracking error")
+    axes.set(xlabel="time, s", ylabel="error, m")
+    axes.set_title("Tracking error", pad=_ABOVE_PHASES)
     axes.set_ylim(bottom=0.0)
 
 
@@ -344,7 +348,8 @@ def draw_clock(axes: Axes, trace: Trace) -> None:
     """Draw the mission clock over time."""
     axes.plot(trace.time, trace.mission_time, color=INK, linewidth=1.4)
     _shade_phases(axes, trace)
-    axes.set(xlabel="time, s", ylabel="mission time, s", title="Mission clock")
+    axes.set(xlabel="time, s", ylabel="mission time, s")
+    axes.set_title("Mission clock", pad=_ABOVE_PHASES)
 
 
 def draw_flown_view(axes: Axes, plan: Plan, trace: Trace) -> None:
@@ -358,7 +363,7 @@ def draw_flown_view(axes: Axes, plan: Plan, trace: Trace) -> None:
 
 
 def _shade_phases(axes: Axes, trace: Trace) -> None:
-    """Shade every second phase, and label the phases that are long enough for a label."""
+    """Shade every second phase; write the names above the axes where there is room for them."""
     if not len(trace.time):
         return
     names = np.array(trace.phase)
@@ -371,6 +376,6 @@ def _shade_phases(axes: Axes, trace: Trace) -> None:
             axes.axvspan(start, end, color="#f0f2f6", zorder=0, linewidth=0)
         if end - start > 0.04 * span:
             axes.text(
-                (start + end) / 2, 1.0, names[begin], transform=axes.get_xaxis_transform(),
-                ha="center", va="top", fontsize=7.5, color="#667085",
+                (start + end) / 2, 1.01, names[begin], transform=axes.get_xaxis_transform(),
+                ha="center", va="bottom", fontsize=7.5, color="#667085",
             )  # fmt: skip
