@@ -16,19 +16,19 @@ import numpy as np
 
 from sitl.autopilots import services, streams
 from sitl.autopilots.ardupilot.autopilot import ArduPilot
+from sitl.autopilots.batteries import discharge
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.cable.grips import FreeMotion
+from sitl.cable.grips import free_motion, holders
 from sitl.cable.swinging import AnyRope, SwingingRope, make_rope
 from sitl.faults.injector import Injector
 from sitl.faults.scenario import Fault
 from sitl.physics import landing, motion, rigid_bodies, wind
 from sitl.physics.contacts import Contacts
 from sitl.physics.dynamics import STEP, Array, Bodies, Flags
-from sitl.physics.geodesy import GRAVITY, Geodesy
+from sitl.physics.geodesy import Geodesy
 from sitl.protocol import wire
 from sitl.protocol.incoming import Incoming, Received
 from sitl.protocol.links import Link
-from sitl.protocol.parameter_protocol import send_queued
 from sitl.protocol.vehicle import Environment, Vehicle
 from sitl.truth import Truth
 from sitl.world import World
@@ -40,9 +40,7 @@ AUTOPILOT_STEPS, _AIR_STEPS, _BATTERY_STEPS, _WASH_STEPS = 2, 5, 25, 50
 """Steps of physics between updates of autopilots, air, batteries, downwash on the cable."""
 _WASH_STRIDE = 3
 """Downwash is computed for every third sample of the cable."""
-_FULL_CELL, _EMPTY_CELL, _CELL_RESISTANCE = 4.2, 3.3, 0.004
 _VISION_TIMEOUT = 1.0
-_HOVER_CURRENT = 15.0
 
 
 class Emulator:
@@ -292,7 +290,7 @@ class Emulator:
             b.set_external_force(self._pull / rigid_bodies.SUBSTEPS)
             self._pull[:] = 0.0
         elif rope is not None and self._steps % rope.force_interval == 0:
-            force = rope.forces(*self._holders(), self._free_motion())
+            force = rope.forces(*self._holders(), free_motion(b, len(self.injector.anchors)))
             b.set_external_force(force[: b.count])
             if self.injector.anchors:
                 self.injector.drag(force[b.count :], rope.force_interval * STEP)
@@ -310,7 +308,7 @@ class Emulator:
                 self._wake()
             for vehicle in self.vehicles:
                 if vehicle.next_check_at <= now:
-                    self._update(vehicle, now)
+                    services.update(vehicle, now)
         streams.send_due(self._links, now)
 
     def advance_outside(self, command: Array, ahead: float) -> None:
@@ -342,52 +340,19 @@ class Emulator:
 
     def _holders(self) -> tuple[Array, Array]:
         """Return positions and velocities of all holders of cable: vehicles, then snags."""
-        b = self.bodies
-        grips = b.grip_points()
-        anchors = self.injector.anchors
-        if not anchors:
-            return grips, b.velocity
-        pinned = np.array([anchor.position for anchor in anchors])
-        return np.vstack([grips, pinned]), np.vstack([b.velocity, np.zeros_like(pinned)])
-
-    def _free_motion(self) -> FreeMotion:
-        """Return the motion of all holders without cable; snags resist it by friction alone."""
-        free = FreeMotion(*self.bodies.free_motion())
-        anchors = len(self.injector.anchors)
-        if not anchors:
-            return free
-        return FreeMotion(
-            np.vstack([free.acceleration, np.zeros((anchors, 3))]),
-            np.append(free.mobility, np.zeros(anchors)),
-        )
+        return holders(self.bodies, [anchor.position for anchor in self.injector.anchors])
 
     def _wake(self) -> None:
         """Make every autopilot check again after an event that may concern it."""
         for vehicle in self.vehicles:
             vehicle.next_check_at = -math.inf
 
-    def _update(self, vehicle: Vehicle, now: float) -> None:
-        vehicle.now = max(vehicle.now, now)
-        if vehicle.timers:
-            due = [entry for entry in vehicle.timers if entry[0] <= now]
-            vehicle.timers = [entry for entry in vehicle.timers if entry[0] > now]
-            for _, action in due:
-                action()
-        if vehicle.frozen:
-            return
-        if vehicle.gripper.pending:
-            vehicle.finish_gripper()
-        if vehicle.parameter_queue:
-            send_queued(vehicle)
-        next_check = vehicle.autopilot.update()
-        if not (vehicle.timers or vehicle.gripper.pending or vehicle.parameter_queue):
-            vehicle.next_check_at = next_check
-
     def _update_air(self, interval: float) -> None:
         b = self.bodies
         b.step_disturbances(interval)
         if self._steps % _BATTERY_STEPS == 0:
-            self._update_batteries(_BATTERY_STEPS * STEP)
+            discharge(self.vehicles, b, _BATTERY_STEPS * STEP)
+            self._detect_lost_vision()
         cable = None
         rope = self.rope
         if rope is not None:
@@ -401,19 +366,8 @@ class Emulator:
                     )
         self.contacts.detect(self.time, self._ids, cable)
 
-    def _update_batteries(self, interval: float) -> None:
-        """Discharge batteries (momentum theory: power ∝ thrust^1.5); detect lost vision."""
-        b = self.bodies
-        load = (np.maximum(np.linalg.norm(b.thrust, axis=1), 0.0) / GRAVITY) ** 1.5 * b.armed
-        for vehicle, share in zip(self.vehicles, load.tolist(), strict=True):
-            if share > 0.0:
-                vehicle.charge = max(
-                    0.0, vehicle.charge - interval * share / vehicle.spec.endurance
-                )
-            vehicle.current = _HOVER_CURRENT * share + 0.3
-            sag = _CELL_RESISTANCE * vehicle.current
-            cell = _EMPTY_CELL + (_FULL_CELL - _EMPTY_CELL) * vehicle.charge - sag
-            vehicle.voltage = cell * vehicle.cells
+    def _detect_lost_vision(self) -> None:
+        for vehicle in self.vehicles:
             silence = self.time - vehicle.vision_at
             if math.isfinite(silence) and silence > _VISION_TIMEOUT and not vehicle.vision_lost:
                 vehicle.vision_lost, vehicle.local_valid = True, False

@@ -1,4 +1,4 @@
-"""Handlers of the messages that ground stations send, whichever autopilot flies.
+"""What an autopilot does besides flying: what is due, and handlers of ground stations' messages.
 
 Heartbeats, commands, streams, logs, file transfer, time, external positions, signing; missions are
 in `sitl.protocol.missions`, parameters in `sitl.protocol.parameter_protocol`.
@@ -20,6 +20,25 @@ from sitl.protocol.vehicle import Vehicle, addressed, scaled_degrees
 
 _FARTHEST = 1e5
 _ABOVE_SEA, _ABOVE_HOME = (0, 5), (3, 6)
+
+
+def update(v: Vehicle, now: float) -> None:
+    """Execute what is due on a vehicle: timers, gripper, queued parameters and its autopilot."""
+    v.now = max(v.now, now)
+    if v.timers:
+        due = [entry for entry in v.timers if entry[0] <= now]
+        v.timers = [entry for entry in v.timers if entry[0] > now]
+        for _, action in due:
+            action()
+    if v.frozen:
+        return
+    if v.gripper.pending:
+        v.finish_gripper()
+    if v.parameter_queue:
+        parameter_protocol.send_queued(v)
+    next_check = v.autopilot.update()
+    if not (v.timers or v.gripper.pending or v.parameter_queue):
+        v.next_check_at = next_check
 
 
 def handle(v: Vehicle, message: Any, link: Link) -> None:

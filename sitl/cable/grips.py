@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.physics.dynamics import Bodies
+
 Array = NDArray[np.float64]
 Grip = tuple[float, int]
 
@@ -23,6 +25,29 @@ class FreeMotion(NamedTuple):
 
     acceleration: Array
     mobility: Array
+
+
+def holders(bodies: Bodies, anchors: Sequence[Array]) -> tuple[Array, Array]:
+    """Return positions and velocities (n, 3) of all holders of cable: vehicles, then anchors.
+
+    An anchor (3,) holds the cable at a point that does not move.
+    """
+    grips = bodies.grip_points()
+    if not anchors:
+        return grips, bodies.velocity
+    pinned = np.array(anchors)
+    return np.vstack([grips, pinned]), np.vstack([bodies.velocity, np.zeros_like(pinned)])
+
+
+def free_motion(bodies: Bodies, anchors: int) -> FreeMotion:
+    """Return the motion of all holders without cable; anchors resist it by friction alone."""
+    free = FreeMotion(*bodies.free_motion())
+    if not anchors:
+        return free
+    return FreeMotion(
+        np.vstack([free.acceleration, np.zeros((anchors, 3))]),
+        np.append(free.mobility, np.zeros(anchors)),
+    )
 
 
 def slid(grips: Sequence[Grip], holder: int, distance: float, marks: Sequence[float]) -> list[Grip]:

@@ -3,6 +3,7 @@
 import math
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -61,11 +62,9 @@ def view(
     overrides: tuple[str, ...],
     replan: bool,
     web: bool,
-    picture: Path | None,
-    at: float | None,
-    only: str | None,
     compare: bool,
     output: Path | None,
+    **picture_options: Any,
 ) -> None:
     """Open a flight RECORD (a folder), a recording, or the plan of a MISSION in Rerun.
 
@@ -74,10 +73,7 @@ def view(
 
     Example: swarm view flights/2025-06-01T10-00-00-overhand --compare
     """
-    if picture is None and (at is not None or only is not None):
-        raise click.UsageError("--at and --only belong to --screenshot")
-    if at is not None and not 0.0 <= at < math.inf:
-        raise click.UsageError(f"--at: expected seconds from 0 on, got {at:g}")
+    picture = _picture_options(**picture_options)
     with tempfile.TemporaryDirectory(prefix="swarm-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         recording = find_recording(Path(source))
@@ -90,7 +86,7 @@ def view(
         if compare:
             sources = [_verification(Path(source), folder / "verification.rrd")]
         if picture is not None:
-            _picture(sources, picture, at, only)
+            _picture(sources, *picture)
         elif web:
             _serve(sources, folder)
         elif has_display():
@@ -98,6 +94,20 @@ def view(
                 _wait(shown, folder)
         else:
             click.echo("no display: use --web, or --screenshot for a picture")
+
+
+def _picture_options(
+    picture: Path | None, at: float | None, only: str | None
+) -> tuple[Path, float | None, str | None] | None:
+    """Return the file, the time and the view of a screenshot; None without one.
+
+    Raises :class:`click.UsageError` for options without their file, and for times before 0.
+    """
+    if picture is None and (at is not None or only is not None):
+        raise click.UsageError("--at and --only belong to --screenshot")
+    if at is not None and not 0.0 <= at < math.inf:
+        raise click.UsageError(f"--at: expected seconds from 0 on, got {at:g}")
+    return None if picture is None else (picture, at, only)
 
 
 def _verification(record: Path, path: Path) -> Path:
