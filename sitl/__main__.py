@@ -11,9 +11,11 @@ from typing import Any, get_args
 import click
 
 from sitl import server
+from sitl.capture import MotionCapture
 from sitl.emulator import Emulator
 from sitl.faults.scenario import load_scenario
-from sitl.firmware.selection import Firmware, FirmwareError, assign
+from sitl.firmware.positioning import Positioning
+from sitl.firmware.selection import Firmware, FirmwareError, assign, check_positioning
 from sitl.firmware.selection import parse as parse_firmware
 from sitl.firmware.team import flying
 from sitl.world import Kind, WorldError, default_world, load_key, load_world, schema
@@ -78,6 +80,20 @@ def _address(
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for the firmware's parameters and logs; without it they are deleted.",
 )
+@click.option(
+    "--positioning",
+    type=click.Choice(get_args(Positioning)),
+    default="rtk",
+    show_default=True,
+    help="How ArduPilot's firmware knows its position: its simulated receiver, one with RTK, or "
+    "motion capture, which a ground station must send (--mocap).",
+)
+@click.option(
+    "--mocap",
+    metavar="HOST:PORT",
+    callback=_address,
+    help="Send the vehicles' true poses there, as a motion capture system (JSON datagrams).",
+)
 @click.option("--scenario", type=FILE, help="Faults to inject (YAML).")
 @click.option(
     "--speed",
@@ -141,6 +157,8 @@ class Options:
     kinds: list[Kind]
     firmware: str | None
     firmware_folder: Path | None
+    positioning: Positioning
+    mocap: tuple[str, int] | None
     scenario: Path | None
     speed: float
     seed: int | None
@@ -174,6 +192,7 @@ def _run(world_file: Path | None, count: int, given: Options) -> int:
     parent = os.getppid()
     try:
         parts = parse_firmware(given.firmware) if given.firmware else []
+        check_positioning(parts, given.positioning)
         kinds = _in_order(parts, count) if parts else given.kinds
         world = load_world(world_file) if world_file else default_world(count, kinds)
         if given.seed is not None:
@@ -194,9 +213,11 @@ def _run(world_file: Path | None, count: int, given: Options) -> int:
             running = server.to_default_ports(emulator, given.host, given.speed, given.port_step)
         if given.clock is not None:
             running.clock = server.open_clock(given.clock)
+        if given.mocap is not None:
+            running.capture = MotionCapture(emulator, given.mocap)
         target = f"{given.target[0]}:{given.target[1]}" if given.target else None
         folder = given.firmware_folder
-        with sealed(), flying(emulator, firmware, target, folder) as exchange:
+        with sealed(), flying(emulator, firmware, target, folder, given.positioning) as exchange:
             if exchange is not None:
                 running.advance = exchange.advance
             return server.serve(

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
+from sitl.capture import MotionCapture
 from sitl.emulator import Emulator
 from sitl.physics.dynamics import STEP
 from sitl.protocol.links import Link
@@ -51,13 +52,14 @@ class Server:
     """Connects an `Emulator` to sockets and the wall clock.
 
     ``advance`` takes the world to a time; ``clock`` gets the world's time after every step, eight
-    bytes as a little-endian double.
+    bytes as a little-endian double; ``capture`` sends the vehicles' poses.
     """
 
     def __init__(self, emulator: Emulator, host: str, speed: float) -> None:
         self.emulator = emulator
         self.advance = emulator.advance
         self.clock: mmap.mmap | None = None
+        self.capture: MotionCapture | None = None
         self.host = host
         self.speed = speed
         self.endpoints: dict[int, Endpoint] = {}
@@ -195,6 +197,8 @@ class Server:
             self.advance(emulator.time + STEP)
             if self.clock is not None:
                 _CLOCK.pack_into(self.clock, 0, emulator.time)
+            if self.capture is not None:
+                self.capture.send()
             self._flush()
             if on_truth is not None and emulator.time >= next_truth:
                 on_truth(emulator.truth())
@@ -208,6 +212,8 @@ class Server:
 
     def close(self) -> None:
         """Close every socket."""
+        if self.capture is not None:
+            self.capture.close()
         for endpoint in self.endpoints.values():
             endpoint.socket.close()
         for listener, _ in self.listeners.values():

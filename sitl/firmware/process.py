@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from sitl.firmware.positioning import ARDUPILOT, Positioning
 from sitl.world import Origin
 
 _STOP_TIMEOUT = 0.5
@@ -37,15 +38,6 @@ _PARAMETERS: dict[str, float] = {
     "PSC_VELXY_P": 4,
     "PSC_VELXY_I": 2,
     "PSC_VELXY_D": 0.5,
-    # An RTK receiver, and an estimator that trusts it. The simulated one is late by 0.16 s, which
-    # the default for its kind (0.12 s) leaves as 0.05 s of delay in the estimate; with the default
-    # noise, the simulated drift of the gyroscopes makes velocities wrong by 0.025 m/s.
-    "SIM_GPS_HZ": 10,
-    "SIM_GPS_ACC": 0.02,
-    "GPS1_RATE_MS": 100,
-    "GPS1_DELAY_MS": 160,
-    "EK3_POSNE_M_NSE": 0.1,
-    "EK3_VELNE_M_NSE": 0.1,
     "MOT_THST_HOVER": 0.39,  # weight over full thrust of the default vehicle
     "MOT_SPIN_MIN": 0.0,  # the simulated motors have no dead band
     "MOT_SPIN_ARM": 0.0,
@@ -94,6 +86,7 @@ class Start:
     gripper: bool
     parameters: Mapping[str, float]
     target: str | None
+    positioning: Positioning = "rtk"
 
 
 def command(start: Start, origin: Origin) -> list[str]:
@@ -108,7 +101,8 @@ def command(start: Start, origin: Origin) -> list[str]:
 
 def parameters(start: Start) -> str:
     """Return the text of the file of default parameters."""
-    values = _PARAMETERS | (_GRIPPER if start.gripper else {}) | dict(start.parameters)
+    values = _PARAMETERS | dict(ARDUPILOT[start.positioning])
+    values |= (_GRIPPER if start.gripper else {}) | dict(start.parameters)
     return "".join(f"{name} {value:g}\n" for name, value in values.items())
 
 

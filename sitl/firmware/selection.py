@@ -5,6 +5,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from sitl.firmware.positioning import Positioning
 from sitl.world import Kind, World
 
 PX4_PROGRAM = "bin/px4"
@@ -59,6 +60,12 @@ def _program(kind: Kind, given: str) -> Path:
     raise FirmwareError(
         f"--firmware: expected {what} of {kind}, built as its own pages say, got {given}: {lacks}"
     )
+
+
+def check_positioning(parts: list[Firmware], positioning: Positioning) -> None:
+    """Raise `FirmwareError` for firmware that cannot know its position in this way here."""
+    if positioning != "rtk" and any(part.kind != "ardupilot" for part in parts):
+        raise FirmwareError(f"--positioning: expected rtk with px4, got {positioning}")
 
 
 def assign(parts: list[Firmware], world: World) -> dict[int, Firmware]:

@@ -1,6 +1,7 @@
 """Start and end real autopilots together with the world that is their physics."""
 
 import contextlib
+import dataclasses
 import math
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -12,6 +13,7 @@ from sitl.emulator import Emulator
 from sitl.firmware import process, px4_process
 from sitl.firmware.ardupilot_port import ArduPilotPort
 from sitl.firmware.exchange import Exchange, Port
+from sitl.firmware.positioning import Positioning
 from sitl.firmware.process import Launch, Processes, Start
 from sitl.firmware.px4_port import Px4Port, connect_all
 from sitl.firmware.selection import Firmware, FirmwareError
@@ -23,7 +25,11 @@ _BOOT_TIMEOUT = 60.0
 
 @contextlib.contextmanager
 def flying(
-    emulator: Emulator, firmware: Mapping[int, Firmware], target: str | None, folder: Path | None
+    emulator: Emulator,
+    firmware: Mapping[int, Firmware],
+    target: str | None,
+    folder: Path | None,
+    positioning: Positioning = "rtk",
 ) -> Iterator[Exchange | None]:
     """Run the autopilots of the vehicles in ``firmware`` until the context ends.
 
@@ -45,6 +51,7 @@ def flying(
             # PX4 derives its system id from its instance
             instance = vehicle.system - 1 if kind == "px4" else row
             start = _start(vehicle, firmware[vehicle.system], instance, target, folder)
+            start = dataclasses.replace(start, positioning=positioning)
             port = _port(emulator, vehicle, row, instance)
             stack.callback(port.close)
             ports.append(port)

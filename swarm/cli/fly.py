@@ -14,7 +14,7 @@ from rich.console import Console
 
 from swarm.certification.findings import Finding
 from swarm.cli.flight_session import Displays, Viewer, displays, end_flight
-from swarm.cli.inputs import JSON, REPLAN, SET, VERBOSE
+from swarm.cli.inputs import JSON, REPLAN, SET, VERBOSE, refuse_option_conflicts
 from swarm.cli.planning import load_source, prepare_flight, require_cleared
 from swarm.cli.resume import resume_flight
 from swarm.errors import InputError, Problem
@@ -28,6 +28,7 @@ from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlyOptions
 from swarm.ground.forward import parse_forward
+from swarm.ground.mocap import parse_url
 from swarm.ground.record_folder import control_socket, new_record_folder
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission import Mission
@@ -56,6 +57,8 @@ class Options:
     speed: float
     no_cable: bool
     firmware: str | None
+    positioning: str | None
+    mocap: str | None
     view: Viewer | None
     yes: bool
     record: Path | None
@@ -72,6 +75,7 @@ class Options:
             "--fleet": self.fleet,
             "--no-cable": self.no_cable,
             "--firmware": self.firmware,
+            "--positioning": self.positioning,
             "--speed": self.speed != 1.0,
         }
         message = "comes from the record with --resume"
@@ -87,6 +91,18 @@ def forward_address(
     try:
         if url is not None:
             parse_forward(url)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+    return url
+
+
+def capture_address(
+    _context: click.Context, _parameter: click.Parameter, url: str | None
+) -> str | None:
+    """Return the address of --mocap; another text is a usage error."""
+    try:
+        if url is not None:
+            parse_url(url)
     except ValueError as error:
         raise click.BadParameter(str(error)) from None
     return url
@@ -115,6 +131,19 @@ def forward_address(
     "--firmware",
     metavar="KIND=PATH",
     help="Emulated vehicles of this kind fly with real firmware, as `swarm sitl --firmware`.",
+)
+@click.option(
+    "--positioning",
+    type=click.Choice(["gps", "rtk", "mocap"]),
+    help="With --firmware: how these vehicles know their position, as `swarm sitl --positioning`.  "
+    "[default: rtk]",
+)
+@click.option(
+    "--mocap",
+    metavar="KIND://HOST",
+    callback=capture_address,
+    help="Send the poses of a motion capture system to the vehicles (fleets with frame: shared): "
+    "vicon, optitrack, qualisys, vrpn and others of libmotioncapture, or udp://HOST:PORT.",
 )
 @click.option(
     "--view",
@@ -173,19 +202,25 @@ def fly(context: click.Context, /, **options: Any) -> None:
             then=given.then,
             view=given.view,
             forward=given.forward,
+            mocap=given.mocap,
             as_json=given.as_json,
         )
         return
     if given.mission is None:
         raise click.UsageError("Missing argument 'MISSION'.")
+    refuse_option_conflicts(options, {"positioning": ("firmware",), "mocap": ("fleet",)}, [])
     source = load_source(given.mission, given.overrides, replan=given.replan, flight=True)
     fleet = load_fleet(given.fleet) if given.fleet else None
+    if given.mocap and fleet is not None and fleet.frame != "shared":
+        raise InputError(f"--mocap: expected a fleet with frame: shared, got {fleet.frame}")
     console = Console(quiet=given.as_json)
     if fleet is not None and isinstance(source.given, Mission):
         require_fleet(source.given, fleet)
     planned = source.planned()
     require_cleared(context, planned, verbose=given.verbose, as_json=given.as_json)
     team = fleet or _emulated_fleet(planned.plan.vehicles, given.firmware)
+    if given.positioning == "mocap":
+        team = team.model_copy(update={"frame": "shared"})
     flight_plan = raised(planned.certified(), team, no_cable=given.no_cable)
     if flight_plan.plan is not planned.plan:
         console.print(_RAISED_FLIGHT, style="dim", highlight=False, soft_wrap=True)
@@ -195,7 +230,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
         flight_plan, team, folder,
         FlyOptions(
             speed=given.speed, no_cable=given.no_cable, control=control, forward=given.forward,
-            firmware=given.firmware,
+            firmware=given.firmware, positioning=given.positioning or "rtk", mocap=given.mocap,
         ),
         confirm=True,
     )  # fmt: skip

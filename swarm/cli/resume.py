@@ -35,6 +35,7 @@ def resume_flight(
     then: Then,
     view: Viewer | None,
     forward: str | None,
+    mocap: str | None,
     as_json: bool,
 ) -> None:
     """Resume the flight of a record, and exit with its code."""
@@ -62,6 +63,7 @@ def resume_flight(
             left=left,
             then=then,
             forward=forward,
+            mocap=mocap,
         ),
     )
     prepare_flight()

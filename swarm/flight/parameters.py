@@ -151,6 +151,7 @@ _STREAM = "without setpoints the vehicle flies on for this time"
 _TOGETHER = "no vehicle may decide earlier than the others: this is the fleet's limits.hold"
 _PACE = "vehicles that land without the ground station must descend at one speed"
 _HIGH = "above this height the descent is faster: vertical distances would change"
+_CAPTURE = "without a receiver, positions and headings come from motion capture"
 _GRIP = "one vehicle must not drop the cable on its own"
 
 
@@ -228,6 +229,7 @@ def _ardupilot(required: Requirements) -> tuple[Rule, ...]:
     )
     low = 100.0 * required.height
     return (
+        *(() if required.global_position else _EXTERNAL),
         Rule("GUID_TIMEOUT", _most(STREAM_LOSS_TIME), STREAM_LOSS_TIME,
              f"at most {STREAM_LOSS_TIME:g} s", _STREAM),
         Rule("FS_GCS_ENABLE", _one_of(5), 5, "5 (land)",
@@ -262,6 +264,19 @@ def _ardupilot(required: Requirements) -> tuple[Rule, ...]:
         Rule("SYSID_MYGCS", _one_of(GROUND_SYSTEM), GROUND_SYSTEM, f"{GROUND_SYSTEM:g}",
              "the vehicle obeys only the ground station with this system id", "warning"),
     )  # fmt: skip
+
+
+_EXTERNAL = (
+    Rule("EK3_SRC1_POSXY", _one_of(6), 6, "6 (external navigation)", _CAPTURE, "warning"),
+    Rule("EK3_SRC1_POSZ", _one_of(6), 6, "6 (external navigation)", _CAPTURE, "warning"),
+    Rule("EK3_SRC1_YAW", _one_of(6), 6, "6 (external navigation)", _CAPTURE, "warning"),
+    Rule("EK3_SRC1_VELXY", _one_of(0, 6), 0, "0 (none) or 6 (external navigation)", _CAPTURE,
+         "warning"),
+    Rule("EK3_SRC1_VELZ", _one_of(0, 6), 0, "0 (none) or 6 (external navigation)", _CAPTURE,
+         "warning"),
+    Rule("VISO_TYPE", _one_of(1), 1, "1 (MAVLink)", _CAPTURE, "warning"),
+)  # fmt: skip
+"""ArduPilot's sources where the fleet has one shared frame."""
 
 
 def required_values(autopilot: AutopilotName, requirements: Requirements) -> dict[str, Value]:

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,18 @@ START_TIMEOUT = 180.0
 _POLL = 0.02
 
 
+@dataclass(frozen=True)
+class RealFirmware:
+    """Vehicles with real autopilots: ``--firmware`` and ``--positioning`` of ``swarm sitl``.
+
+    ``mocap`` is the UDP port on loopback that gets the vehicles' poses.
+    """
+
+    selection: str
+    positioning: str = "rtk"
+    mocap: int | None = None
+
+
 class EmulatorProcess:
     """The process of the emulator; it ends with :meth:`stop` or with this process."""
 
@@ -33,12 +46,11 @@ class EmulatorProcess:
         speed: float,
         signing_key: str | None = None,
         timeout: float = START_TIMEOUT,
-        firmware: str | None = None,
+        firmware: RealFirmware | None = None,
     ) -> None:
         """Write the world file and start; the vehicles send to UDP ``port`` on loopback.
 
-        ``firmware`` has the form of ``swarm sitl --firmware``: vehicles with real autopilots. Then
-        ``clock`` has the time of the world, and the record gets its ground truth.
+        With ``firmware``, ``clock`` has the time of the world, and the record its ground truth.
         Raises :class:`VehicleError` if it is not ready within ``timeout`` seconds.
         """
         path, clock = folder / "world.json", folder.absolute() / "clock.bin"
@@ -57,10 +69,12 @@ class EmulatorProcess:
         if signing_key is not None:
             command += ["--signing-key", signing_key]
         if firmware is not None:
-            command += ["--firmware", firmware]
+            command += ["--firmware", firmware.selection, "--positioning", firmware.positioning]
             command += ["--firmware-folder", str(folder.absolute() / "firmware")]
             command += ["--truth", str(folder.absolute() / "truth.jsonl")]
             command += ["--clock", str(clock)]
+            if firmware.mocap is not None:
+                command += ["--mocap", f"127.0.0.1:{firmware.mocap}"]
         with errors:
             self._process = subprocess.Popen(  # noqa: S603
                 [*command, "--json", "--follow-parent", str(os.getpid())],

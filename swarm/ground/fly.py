@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 from swarm import precompile
 from swarm.errors import Refused
@@ -23,9 +24,10 @@ from swarm.flight.setup import Options
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
 from swarm.ground.callbacks import FlightCallbacks, publisher
-from swarm.ground.emulator import EmulatorProcess
+from swarm.ground.emulator import EmulatorProcess, RealFirmware
 from swarm.ground.forward import open_forward
 from swarm.ground.loop import Loop
+from swarm.ground.mocap import ANYWHERE, DatagramCapture, MocapBridge, open_capture
 from swarm.ground.operator import ControlSocket, OperatorConsole, terminal_keys
 from swarm.ground.preflight import Preflight
 from swarm.ground.record import Record
@@ -34,6 +36,7 @@ from swarm.ground.signing_key import signing_with
 from swarm.ground.sockets import Links, open_links
 from swarm.ground.tick_tasks import TickTasks
 from swarm.jit import sealed
+from swarm.mavlink.frames import Origin
 from swarm.mission.fleet import Fleet
 
 
@@ -52,7 +55,10 @@ class FlyOptions:
       land; smaller errors do not slow or hold the team.
     - ``forward``: udp://HOST:PORT that gets a copy of all packets of the vehicles.
     - ``firmware``: real autopilots for vehicles of the emulator, as ``swarm sitl --firmware``; they
-      start with the parameters that the plan requires.
+      start with the parameters that the plan requires. ``positioning``: how they know their
+      position, as there.
+    - ``mocap``: URL of the motion capture system whose poses are sent to the vehicles
+      (:mod:`swarm.ground.mocap`).
     """
 
     speed: float = 1.0
@@ -64,6 +70,8 @@ class FlyOptions:
     error_limit: float | None = None
     forward: str | None = None
     firmware: str | None = None
+    positioning: str = "rtk"
+    mocap: str | None = None
 
 
 def fly(
@@ -93,20 +101,15 @@ def fly(
         conductor.team.signing = resources.enter_context(signing_with(fleet.signing_key))
         record = Record(folder, time.time())
         resources.callback(record.close)
-        emulator = _start_emulator(flight_plan, fleet, links, folder, options)
+        bridge = resources.enter_context(_open_bridge(conductor, options))
+        emulator = _start_emulator(flight_plan, fleet, links, folder, options, bridge)
         if emulator is not None:
             resources.callback(emulator.stop)
         # flight time begins once the emulator sends packets, which takes a while
         record.start_time = time.time()
         clock = emulator.clock if emulator is not None else None
         started = clock.now() if clock is not None else None
-        facts = {
-            "speed": options.speed,
-            "no_cable": options.no_cable,
-            "start_time": record.start_time,
-            "world_start": started * options.speed if started is not None else None,
-        }
-        record.before(flight_plan, conductor.basis, fleet, facts)
+        record.before(flight_plan, conductor.basis, fleet, _facts(options, record, started))
         if options.left is not None:
             record.frames(options.left.known)
         if emulator is not None and callbacks.on_emulator is not None:
@@ -135,7 +138,7 @@ def fly(
                 running.callback(forward.close)
             loop = Loop(
                 conductor, links, record, options.speed, tasks.run, preflight.relay, forward,
-                clock=clock.now if clock is not None else None, start=started,
+                mocap=bridge, clock=clock.now if clock is not None else None, start=started,
             )  # fmt: skip
             loop.run()
             tasks.run(conductor.now)
@@ -158,8 +161,40 @@ def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Co
     return conductor
 
 
+def _facts(options: FlyOptions, record: Record, started: float | None) -> dict[str, Any]:
+    """Return what a record says about its flight; ``started`` on the clock of its world."""
+    return {
+        "speed": options.speed,
+        "no_cable": options.no_cable,
+        "start_time": record.start_time,
+        "world_start": started * options.speed if started is not None else None,
+    }
+
+
+@contextmanager
+def _open_bridge(conductor: Conductor, options: FlyOptions) -> Iterator[MocapBridge | None]:
+    """Open the bridge from motion capture; that of the emulator sends to a free port."""
+    emulated = options.firmware is not None and options.positioning == "mocap"
+    if options.mocap is None and not emulated:
+        yield None
+        return
+    url = options.mocap
+    capture = DatagramCapture("127.0.0.1", 0) if url is None else open_capture(url)
+    place = conductor.fleet.origin
+    origin = Origin(place.latitude, place.longitude, place.altitude or 0.0) if place else ANYWHERE
+    try:
+        yield MocapBridge(capture, conductor.team, origin)
+    finally:
+        capture.close()
+
+
 def _start_emulator(
-    flight_plan: FlightPlan, fleet: Fleet, links: Links, folder: Path, options: FlyOptions
+    flight_plan: FlightPlan,
+    fleet: Fleet,
+    links: Links,
+    folder: Path,
+    options: FlyOptions,
+    bridge: MocapBridge | None,
 ) -> EmulatorProcess | None:
     """Start the emulator for an emulated fleet."""
     if fleet.emulated is None:
@@ -171,9 +206,11 @@ def _start_emulator(
         for vehicle in world["vehicles"]:
             vehicle["parameters"] = required_values(vehicle["autopilot"], required)
     port = links.port(next(iter(fleet.links)))
-    return EmulatorProcess(
-        world, folder, port, options.speed, fleet.signing_key, firmware=options.firmware
-    )
+    firmware = None
+    if options.firmware is not None:
+        mocap = bridge.capture.port if bridge is not None else None
+        firmware = RealFirmware(options.firmware, options.positioning, mocap)
+    return EmulatorProcess(world, folder, port, options.speed, fleet.signing_key, firmware=firmware)
 
 
 def _result(

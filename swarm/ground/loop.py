@@ -14,6 +14,7 @@ import numpy as np
 
 from swarm.flight.router import Address, Outgoing
 from swarm.ground.forward import Forward
+from swarm.ground.mocap import MocapBridge
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links
@@ -51,8 +52,9 @@ class Loop:
     """Runs a conductor on links in real time, ``speed`` times faster.
 
     ``each_tick`` is called with the flight time after every tick and must be fast. ``relay``
-    forwards packets of other programs, ``forward`` copies what the vehicles send. ``lateness`` are
-    the seconds between deadline and sending of every tick, ``cpu`` the share of one core.
+    forwards packets of other programs, ``forward`` copies what the vehicles send, ``mocap`` sends
+    them their poses. ``lateness`` are the seconds between deadline and sending of every tick,
+    ``cpu`` the share of one core.
     ``clock`` returns seconds, by default of real time; flight time is zero at its ``start``, by
     default when `run` begins.
     """
@@ -66,6 +68,7 @@ class Loop:
     forward: Forward | None = None
     lateness: list[float] = field(default_factory=list)
     cpu: float = 0.0
+    mocap: MocapBridge | None = None
     clock: Callable[[], float] | None = None
     start: float | None = None
     start_time: float = 0.0
@@ -85,6 +88,8 @@ class Loop:
             outgoing = conductor.tick(now)
             if self.relay is not None:
                 outgoing.extend(self.relay.to_vehicles())
+            if self.mocap is not None:
+                outgoing.extend(self.mocap.packets(now))
             self._receive(start, deadline - _GUARD, deadline - _GUARD)
             while (remaining := deadline - self._now()) > 0.0:
                 time.sleep(max(remaining, self._shortest))

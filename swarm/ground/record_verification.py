@@ -20,7 +20,8 @@ class VerifiedRecord:
     """A flight record and its verification.
 
     ``basis`` and ``adherence`` are None for a record from before certificates. ``log`` has the
-    trace and the link statistics of the .tlog. ``observations`` are in the order of their entry.
+    trace and the link statistics of the .tlog, ``truth``: with the emulator's positions.
+    ``observations`` are in the order of their entry.
     """
 
     record: Path
@@ -31,6 +32,7 @@ class VerifiedRecord:
     verification: Verification
     adherence: Adherence | None
     observations: tuple[Observation, ...]
+    truth: bool = False
 
     @property
     def outside_certificate(self) -> bool:
@@ -57,9 +59,6 @@ class VerifiedRecord:
         return replace(self, observations=(*self.observations, observation))
 
 
-_TRUE = "positions are the emulator's ground truth, not what the vehicles reported"
-
-
 def verify_record(record: Path, *, truth: bool = False) -> VerifiedRecord:
     """Return the verification of a flight record; of the emulator's ground truth with ``truth``.
 
@@ -71,7 +70,7 @@ def verify_record(record: Path, *, truth: bool = False) -> VerifiedRecord:
     observations = tuple(recorded_observations(record))
     log = recorded_flight(record, plan)
     if truth:
-        log = replace(log, trace=true_trace(record, log), notes=(*log.notes, _TRUE))
+        log = replace(log, trace=true_trace(record, log))
     return VerifiedRecord(
         record=record,
         plan=plan,
@@ -81,4 +80,5 @@ def verify_record(record: Path, *, truth: bool = False) -> VerifiedRecord:
         verification=verify_trace(plan, log.trace),
         adherence=adherence(plan, log.trace, basis) if basis else None,
         observations=observations,
+        truth=truth,
     )

@@ -54,6 +54,8 @@ class Autopilot:
       ArduPilot takes it for the derivative of the setpoint's velocity (`AC_PosControl`,
       ``input_pos_vel_accel_xy``): its target leaves a position at rest with a steady acceleration,
       by the acceleration over 2 s⁻² with the default jerk and acceleration limits.
+    - ``needs_origin``: it arms only with an origin on the earth, which is given to it where it has
+      no receiver.
     - ``bytewise``: integer parameters are sent as the bytes of an integer
       (MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE).
     """
@@ -66,6 +68,7 @@ class Autopilot:
     mode_message: int
     lists_prearm_as_present: bool
     adds_acceleration: bool
+    needs_origin: bool
     bytewise: bool
 
     def custom_mode(self, mode: Mode) -> int:
@@ -91,6 +94,7 @@ PX4 = Autopilot(
     mode_message=CURRENT_MODE,
     lists_prearm_as_present=False,
     adds_acceleration=True,
+    needs_origin=False,
     bytewise=True,
 )
 
@@ -103,6 +107,7 @@ ARDUPILOT = Autopilot(
     mode_message=int(common.MAVLINK_MSG_ID_HEARTBEAT),
     lists_prearm_as_present=True,
     adds_acceleration=False,
+    needs_origin=True,
     bytewise=False,
 )
 

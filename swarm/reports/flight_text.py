@@ -42,14 +42,19 @@ def print_outcome(
 
 
 def print_verification(
-    plan: Plan, verification: Verification, assessment: Assessment, console: Console
+    plan: Plan,
+    verification: Verification,
+    assessment: Assessment,
+    console: Console,
+    *,
+    positions: str = "reported positions",
 ) -> None:
-    """Print the implied knot, flown beside certified distances, and the tracking error.
+    """Print the knot that ``positions`` imply, distances beside certified ones, tracking errors.
 
     Lines that do not apply, without a cable or before the fold, are left out.
     """
     if len(plan.layout.lengths):
-        console.print(_knot_line(plan, verification), highlight=False, soft_wrap=True)
+        console.print(_knot_line(plan, verification, positions), highlight=False, soft_wrap=True)
     _print_measurements(plan, verification, assessment, console)
 
 
@@ -72,7 +77,7 @@ def print_adherence(adherence: Adherence, console: Console) -> None:
         console.print(line, highlight=False, soft_wrap=True)
 
 
-def _knot_line(plan: Plan, verification: Verification) -> str:
+def _knot_line(plan: Plan, verification: Verification, positions: str) -> str:
     planned = f"{plan.knot.type} {_hand(plan.knot.chirality)}".strip() or "none"
     style = "green" if verification.as_planned else "bold red"
     if verification.knot == "unknown":
@@ -80,7 +85,7 @@ def _knot_line(plan: Plan, verification: Verification) -> str:
     implied = f"{verification.knot} {_hand(verification.chirality)}".strip()
     if not plan.knot.type and verification.knot == "0_1":
         implied = "none"
-    return f"Knot implied by the reported positions: [{style}]{implied}[/] (planned: {planned})"
+    return f"Knot implied by the {positions}: [{style}]{implied}[/] (planned: {planned})"
 
 
 def _clearance_table(verification: Verification, assessment: Assessment) -> Table:

@@ -22,7 +22,10 @@ def print_record(verified: VerifiedRecord, console: Console) -> None:
         if verified.adherence is not None:
             print_adherence(verified.adherence, console)
         console.print(f"Flown {verified.basis.words}.", highlight=False, soft_wrap=True)
-    print_verification(verified.plan, verified.verification, verified.assessment, console)
+    print_verification(
+        verified.plan, verified.verification, verified.assessment, console,
+        positions="world's positions" if verified.truth else "reported positions",
+    )  # fmt: skip
     console.print(_tracking_table(verified.verification.tracking))
     _print_links(verified.log, console)
     _print_observations(verified.plan, verified.observations, console)

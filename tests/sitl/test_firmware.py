@@ -5,7 +5,7 @@ import stat
 import pytest
 
 from sitl.__main__ import main
-from sitl.firmware.selection import Firmware, FirmwareError, assign, parse
+from sitl.firmware.selection import Firmware, FirmwareError, assign, check_positioning, parse
 from sitl.world import CableSpec, default_world
 
 
@@ -94,3 +94,12 @@ def test_a_cable_without_inertia_is_refused(program):
     assert str(caught.value) == (
         "--firmware: expected a world with cable.model: swinging, got static"
     )
+
+
+def test_px4_has_no_other_positions_than_those_of_a_receiver_with_rtk(program):
+    parts = [Firmware("ardupilot", program, None), Firmware("px4", program.parent, None)]
+    check_positioning(parts, "rtk")
+    check_positioning(parts[:1], "mocap")
+    with pytest.raises(FirmwareError) as caught:
+        check_positioning(parts, "mocap")
+    assert str(caught.value) == "--positioning: expected rtk with px4, got mocap"

@@ -1,0 +1,39 @@
+"""How vehicles with ArduPilot's firmware know their position: parameters of ``--positioning``."""
+
+from collections.abc import Mapping
+from typing import Literal
+
+Positioning = Literal["gps", "rtk", "mocap"]
+
+_RECEIVER: dict[str, float] = {
+    # The simulated receiver is late by 0.16 s; the default for its kind (0.12 s) leaves 0.05 s of
+    # delay in the estimate.
+    "GPS1_DELAY_MS": 160,
+}
+ARDUPILOT: Mapping[Positioning, Mapping[str, float]] = {
+    # ArduPilot's simulated receiver as it is: 5 Hz, and an estimator that trusts it little. With
+    # it, the drift of the simulated gyroscopes makes velocities wrong by 0.025 m/s.
+    "gps": _RECEIVER,
+    "rtk": _RECEIVER
+    | {
+        "SIM_GPS_HZ": 10,
+        "SIM_GPS_ACC": 0.02,
+        "GPS1_RATE_MS": 100,
+        "EK3_POSNE_M_NSE": 0.1,
+        "EK3_VELNE_M_NSE": 0.1,
+    },
+    "mocap": {
+        "SIM_GPS_DISABLE": 1,
+        "GPS1_TYPE": 0,
+        "COMPASS_ENABLE": 0,  # the heading comes from motion capture
+        "EK3_SRC1_POSXY": 6,
+        "EK3_SRC1_VELXY": 0,
+        "EK3_SRC1_POSZ": 6,
+        "EK3_SRC1_VELZ": 0,
+        "EK3_SRC1_YAW": 6,
+        "VISO_TYPE": 1,  # MAVLink
+        "VISO_DELAY_MS": 20,  # `sitl.capture.DELAY`
+        "VISO_POS_M_NSE": 0.05,
+        "VISO_YAW_M_NSE": 0.05,
+    },
+}

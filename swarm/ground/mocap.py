@@ -1,0 +1,231 @@
+"""The bridge from a motion capture system to the vehicles: VISION_POSITION_ESTIMATE.
+
+Poses are ENU, of bodies FLU; messages are NED and FRD, in the one frame of the laboratory (fleet
+files: ``frame: shared``). Each has the time of its capture, from which autopilots correct jitter.
+The bridge ends with the ground station, and then the vehicles have no position.
+"""
+
+import json
+import math
+import re
+import socket
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+from urllib.parse import urlsplit
+
+from pymavlink.dialects.v20 import common
+
+from swarm.errors import VehicleError
+from swarm.flight.router import Outgoing, Team
+from swarm.mavlink.frames import Origin
+
+_LARGEST_DATAGRAM = 65_536
+_ORIGIN_INTERVAL = 1.0
+"""Seconds between attempts to set a vehicle's origin."""
+ANYWHERE = Origin(47.397742, 8.545594, 488.0)
+"""Origin on the earth without one in the fleet file: ArduPilot arms with one only, and takes 0, 0
+for none. Nothing depends on the place: heading comes from motion capture too."""
+_UNKNOWN = math.nan
+LABORATORY = (
+    "vicon", "optitrack", "optitrack_closed_source", "qualisys", "nokov", "vrpn", "motionanalysis",
+    "freemotion", "mock",
+)  # fmt: skip
+"""Systems that libmotioncapture reads."""
+
+
+class Pose(NamedTuple):
+    """One body: seconds on the capture's clock, metres (ENU), quaternion w, x, y, z."""
+
+    system: int
+    time: float
+    position: tuple[float, float, float]
+    attitude: tuple[float, float, float, float]
+
+
+class Capture(Protocol):
+    """A motion capture system."""
+
+    @property
+    def port(self) -> int | None:
+        """The UDP port on which its frames are received, if it is one of ours."""
+
+    def latest(self) -> Iterable[Pose]:
+        """Return the newest pose of every body that was seen since the last call."""
+
+    def close(self) -> None:
+        """Stop reading."""
+
+
+class DatagramCapture:
+    """Poses as JSON datagrams, one frame each, as the emulator sends them.
+
+    ``{"time": seconds, "bodies": {"1": [x, y, z, qw, qx, qy, qz]}}`` with system ids.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        """Listen; raises :class:`VehicleError`. Port 0 takes a free one."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind((host, port))
+        except OSError as error:
+            self._socket.close()
+            raise VehicleError(
+                f"motion capture: cannot listen on {host}:{port}: {error.strerror or error}"
+            ) from None
+
+    @property
+    def port(self) -> int:
+        """The port on which frames are received."""
+        return int(self._socket.getsockname()[1])
+
+    def latest(self) -> Iterable[Pose]:
+        """Return the newest poses; datagrams that are not frames are left out."""
+        found: dict[int, Pose] = {}
+        while True:
+            try:
+                data = self._socket.recv(_LARGEST_DATAGRAM)
+            except (BlockingIOError, ConnectionError):
+                return found.values()
+            found |= {pose.system: pose for pose in parse_frame(data)}
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+def parse_frame(data: bytes) -> list[Pose]:
+    """Return the poses of a JSON frame; nothing for other bytes."""
+    try:
+        frame = json.loads(data)
+        moment = float(frame["time"])
+        poses = []
+        for system, values in frame["bodies"].items():
+            x, y, z, qw, qx, qy, qz = map(float, values)
+            poses.append(Pose(int(system), moment, (x, y, z), (qw, qx, qy, qz)))
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return []
+    return [one for one in poses if all(map(math.isfinite, (moment, *one.position, *one.attitude)))]
+
+
+@dataclass
+class LaboratoryCapture:
+    """A laboratory's system through libmotioncapture, read by a thread of its own.
+
+    A rigid body belongs to the vehicle whose system id ends its name: ``quad3`` to system 3.
+    """
+
+    kind: str
+    host: str
+    _poses: dict[int, Pose] = field(default_factory=dict)
+    _closed: bool = False
+
+    def __post_init__(self) -> None:
+        """Connect in the thread; raises :class:`VehicleError` without the library."""
+        try:
+            import motioncapture  # type: ignore[import-not-found]  # noqa: PLC0415 - an optional extra
+        except ImportError:
+            raise VehicleError(
+                "motion capture needs a library: pip install 'swarm-ground-station[mocap]'"
+            ) from None
+        self._library: Any = motioncapture
+        threading.Thread(target=self._read, name="motion capture", daemon=True).start()
+
+    def _read(self) -> None:
+        system = self._library.connect(self.kind, {"hostname": self.host})
+        while not self._closed:
+            system.waitForNextFrame()
+            moment = time.monotonic()
+            for pose in named_poses(system.rigidBodies, moment):
+                self._poses[pose.system] = pose
+
+    @property
+    def port(self) -> int | None:
+        """None: the library has its own."""
+        return None
+
+    def latest(self) -> Iterable[Pose]:
+        """Return the newest poses."""
+        return [self._poses.pop(system) for system in list(self._poses)]
+
+    def close(self) -> None:
+        """Let the thread end with its next frame."""
+        self._closed = True
+
+
+def named_poses(bodies: Mapping[str, Any], moment: float) -> Iterator[Pose]:
+    """Yield the poses of rigid bodies whose names end in a number."""
+    for name, body in bodies.items():
+        number = re.search(r"\d+$", name)
+        x, y, z = (float(value) for value in body.position)
+        if number is not None and all(map(math.isfinite, (x, y, z))):
+            q = body.rotation
+            yield Pose(int(number[0]), moment, (x, y, z), (q.w, q.x, q.y, q.z))
+
+
+def parse_url(url: str) -> tuple[str, str, int]:
+    """Return kind, host and port (0: none) of a ``--mocap``; raises `ValueError`."""
+    parts = urlsplit(url)
+    known = parts.scheme in ("udp", *LABORATORY) and bool(parts.hostname)
+    if not known or (parts.scheme == "udp") != bool(parts.port):
+        kinds = ", ".join(LABORATORY)
+        raise ValueError(f"expected udp://HOST:PORT or KIND://HOST with one of {kinds}, got {url}")
+    return parts.scheme, parts.hostname or "", parts.port or 0
+
+
+def open_capture(url: str) -> Capture:
+    """Return the capture of a ``--mocap``; raises :class:`VehicleError`."""
+    kind, host, port = parse_url(url)
+    return DatagramCapture(host, port) if kind == "udp" else LaboratoryCapture(kind, host)
+
+
+@dataclass
+class MocapBridge:
+    """Sends each new pose to its vehicle, and an ``origin`` to vehicles that need one to arm."""
+
+    capture: Capture
+    team: Team
+    origin: Origin = ANYWHERE
+    _next_origin: float = 0.0
+
+    def packets(self, now: float) -> Iterator[Outgoing]:
+        """Yield the packets that are due at ``now``."""
+        for pose in self.capture.latest():
+            yield from self._packet(pose.system, estimate(pose))
+        if now < self._next_origin:
+            return
+        self._next_origin = now + _ORIGIN_INTERVAL
+        for system, vehicle in self.team.vehicles.items():
+            kind = vehicle.autopilot
+            if kind is not None and kind.needs_origin and vehicle.origin is None:
+                yield from self._packet(system, origin_message(system, self.origin))
+
+    def _packet(self, system: int, message: Any) -> Iterator[Outgoing]:
+        route = self.team.way_to(system) if system in self.team.vehicles else None
+        if route is not None:
+            data = self.team.sealed(route.link, route.encoder.encode(message))
+            yield Outgoing(route.link, route.address, data)
+
+
+def estimate(pose: Pose) -> Any:
+    """Return a pose as VISION_POSITION_ESTIMATE: NED, FRD, radians."""
+    (east, north, up), (w, x, y, z) = pose.position, pose.attitude
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = -math.asin(min(1.0, max(-1.0, 2.0 * (w * y - z * x))))
+    yaw = 0.5 * math.pi - math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    yaw = math.remainder(yaw, 2.0 * math.pi)
+    unknown = [_UNKNOWN] * 21
+    return common.MAVLink_vision_position_estimate_message(
+        int(pose.time * 1e6), north, east, -up, roll, pitch, yaw, unknown, 0
+    )
+
+
+def origin_message(system: int, origin: Origin) -> Any:
+    """Return SET_GPS_GLOBAL_ORIGIN for a vehicle."""
+    return common.MAVLink_set_gps_global_origin_message(
+        system, round(origin.latitude * 1e7), round(origin.longitude * 1e7),
+        round(origin.altitude * 1e3), 0,
+    )  # fmt: skip
