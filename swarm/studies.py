@@ -39,7 +39,8 @@ CELL_FACTORS: Final = (1.15, 1.35)
 COLUMNS: Final = (
     "knot", "crossings", "vehicles", "cleared", "cell", "cable_length", "fold_time",
     "cable_clearance", "vehicle_clearance", "vehicle_cable_clearance", "cable_clearance_per_cell",
-    "max_tracking_error", "max_wind", "land_share", "release_share", "planning_time", "message",
+    "max_tracking_error", "max_wind", "budget", "land_share", "release_share", "planning_time",
+    "message",
 )  # fmt: skip
 """Columns of the table of all knots, in order."""
 
@@ -56,15 +57,21 @@ def plan_row(
 
     Lengths in metres, times in seconds, wind in m/s. ``planning_time`` is the time by ``clock`` of
     planning and certification, without the search for e* (``max_tracking_error``) and w*
-    (``max_wind``), which are None without ``robustness``. ``message`` is empty for a cleared plan;
-    otherwise it has the errors and the layouts that were tried.
+    (``max_wind``), which are None without ``robustness``. ``budget`` is what remains at least of a
+    distance of strands if all effects come together; it is not planned for, and a plan with a
+    negative one is not refused, unlike for a flight: what is compared is the certificate.
+    ``message`` is empty for a cleared plan; otherwise it has the errors and the layouts that were
+    tried.
     """
     row: dict[str, Any] = dict.fromkeys(COLUMNS)
     start = clock()
     try:
         choice = lookup_knot(name)
         row |= {"knot": name, "crossings": choice.crossings, "vehicles": choice.vehicles}
-        planned = planner.plan(mission_for_knot(name, overrides), robustness=False)
+        mission = mission_for_knot(name, overrides)
+        planned = planner.plan(
+            _with(mission, "limits", accept_negative_budget=True), robustness=False
+        )
     except (Refused, InputError) as error:
         return row | {
             "knot": name, "cleared": False, "planning_time": clock() - start,
@@ -86,6 +93,7 @@ def plan_row(
         "release_share": assessment.contingencies.release.share
         if assessment.contingencies
         else None,
+        "budget": min((one.remaining for one in assessment.budget), default=None),
         "planning_time": planning_time,
         "message": "" if assessment.cleared else _errors(assessment, plan.notes),
     }

@@ -16,9 +16,9 @@ from swarm.certification.clearance_findings import (
 from swarm.certification.clearances import (
     Moment,
     certified_tube,
-    exempt_length,
     tightest_moments,
 )
+from swarm.certification.compared_pairs import MOST_EXEMPT, exempt_length
 from swarm.certification.findings import Finding
 from swarm.certification.knot_findings import tied_knot
 from swarm.certification.operational_findings import (
@@ -30,7 +30,7 @@ from swarm.certification.operational_findings import (
     tolerance_findings,
 )
 from swarm.certification.robustness import robustness_of
-from swarm.certification.strands import MOST_EXEMPT
+from swarm.certification.smallest_budgets import smallest_budgets
 from swarm.certification.stream_loss import certify_stream_loss
 from swarm.certification.swing_findings import swing_findings
 from swarm.certification.swing_tube import swing_tube
@@ -88,7 +88,7 @@ def assess(
     stream_loss = None if refused else certify_stream_loss(plan)
     findings += stream_loss.findings() if stream_loss else []
     findings += endurance_findings(plan, stream_loss.delay if stream_loss else 0.0)
-    rows = budgets(plan, moments)
+    rows = smallest_budgets(plan, tube) if tube else budgets(plan, moments)
     budget = tuple(sorted(rows, key=lambda row: row.remaining))[:BUDGETS]
     assessment = Assessment(
         findings=(),
@@ -105,7 +105,7 @@ def assess(
         tube=tube,
     )
     findings += tightest_findings(assessment.tightest)
-    findings += budget_findings(budget)
+    findings += budget_findings(budget, accepted=plan.mission.limits.accept_negative_budget)
     findings += tolerance_findings(plan)
     findings.append(_scope(plan))
     assessment = replace(assessment, findings=tuple(findings))

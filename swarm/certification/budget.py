@@ -18,14 +18,15 @@ from swarm.certification.air import (
     jet_width,
     wind_down,
 )
-from swarm.certification.clearances import STILL_AIR, Moment, Place, exempt_length
-from swarm.certification.excitation import DEVIATIONS, variance_along
-from swarm.certification.strands import all_pairs
-from swarm.certification.swing_tube import swing_tube
+from swarm.certification.approaches import PIECES
+from swarm.certification.clearances import STILL_AIR, Moment, Place
+from swarm.certification.compared_pairs import all_pairs, exempt_length
+from swarm.certification.excitation import DEVIATIONS, STEP, Variances, modes, variances_along
+from swarm.certification.swing_tube import BIN, SwingTube, swing_tube
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.linear_response import linear_response
-from swarm.geometry.lumped_mass import AIR_DENSITY, NORMAL_DRAG
+from swarm.geometry.lumped_mass import AIR_DENSITY, NORMAL_DRAG, cable_model
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 from swarm.planning import Plan
 
@@ -38,9 +39,6 @@ NEARLY_STRAIGHT = 0.9995
 """Largest ratio of chord to length at which strands are drawn: a straight strand has no catenary.
 The taut check refuses plans far below it."""
 
-_PIECES = 64
-"""Pieces of a strand for its closest point: 5 cm of a strand of 3 m."""
-
 
 @dataclass(frozen=True)
 class Budget:
@@ -49,8 +47,9 @@ class Budget:
     ``available`` is the distance between surfaces at the setpoints. Effects: ``tracking``, the
     displacement by the tracking error; ``amplification``, the additional movement because strands
     sag and tighten; ``length``, the tolerance of the segments' lengths; ``grip``, droppers that
-    lean with the planned acceleration; ``swing``, the radii of both tubes, stops included;
-    ``excited``, the swing that tracking errors at the strands' own frequencies excite; ``wind``,
+    lean with the planned acceleration; ``swing``, how much nearer both strands come as they swing,
+    in the planned motion and after stops, rewinds and resumes; ``excited``, the swing that tracking
+    errors at the strands' own frequencies excite; ``wind``,
     the mission's steady wind and gusts; ``wash``, the downwash of vehicles above.
     """
 
@@ -79,6 +78,11 @@ class Budget:
     def remaining(self) -> float:
         """Margin if all effects come together."""
         return self.available - self.effects - self.required
+
+
+def least_remaining(rows: Iterable[Budget]) -> float:
+    """Return what remains at least; 0 without rows."""
+    return min((row.remaining for row in rows), default=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,17 +139,21 @@ class _Strand:
 
 def budgets(plan: Plan, moments: Iterable[Moment]) -> tuple[Budget, ...]:
     """Return the rows for moments between two strands, in the given order."""
+    tube = swing_tube(plan)
     return tuple(
-        _budget(plan, moment)
+        budget_at(plan, moment.between, moment.time, moment.required, tube)
         for moment in moments
         if moment.check in {"cable clearance", "neighbouring segments"}
     )
 
 
-def _budget(plan: Plan, moment: Moment) -> Budget:
+def budget_at(
+    plan: Plan, between: tuple[str, str], time: float, required: float, tube: SwingTube | None
+) -> Budget:
+    """Return the row of two segments, by their names, at a mission time."""
     mission = plan.mission
-    segments = [int(name.split()[1]) - 1 for name in moment.between]
-    place, _, acceleration = plan.motion.at(moment.time)
+    segments = [int(name.split()[1]) - 1 for name in between]
+    place, _, acceleration = plan.motion.at(time)
     available, strands = _closest(plan, place, segments)
     radius, tolerance = mission.vehicles.tracking, mission.cable.length_tolerance
     if segments[1] == segments[0] + 1:
@@ -154,9 +162,10 @@ def _budget(plan: Plan, moment: Moment) -> Budget:
     else:
         total = radius * sum(strand.response() for strand in strands)
     bodily = min(2.0 * radius, total)
+    swing, excited = _swing(plan, time, acceleration, strands, tube)
     return Budget(
-        between=moment.between,
-        time=moment.time,
+        between=between,
+        time=time,
         available=available,
         tracking=bodily,
         amplification=total - bodily,
@@ -165,11 +174,11 @@ def _budget(plan: Plan, moment: Moment) -> Budget:
             for strand in strands
         ),
         grip=_grip(plan, acceleration, strands),
-        swing=_swing(plan, moment.time, acceleration, strands),
-        excited=_excited(strands, radius),
+        swing=swing,
+        excited=excited,
         wind=_wind(plan, strands),
         wash=_wash(plan, place, strands),
-        required=moment.required,
+        required=required,
     )
 
 
@@ -186,33 +195,48 @@ def _grip(plan: Plan, acceleration: Floats, strands: tuple["_Strand", "_Strand"]
 
 
 def _swing(
-    plan: Plan, time: float, acceleration: Floats, strands: tuple["_Strand", "_Strand"]
-) -> float:
-    """Radii of the tubes at the closest points; without a tube, strands that lean and stop."""
-    tube = swing_tube(plan)
+    plan: Plan,
+    time: float,
+    acceleration: Floats,
+    strands: tuple["_Strand", "_Strand"],
+    tube: SwingTube | None,
+) -> tuple[float, float]:
+    """Approach by swing, and by the swing that tracking errors excite.
+
+    In flight both come together; in a long hold the first has decayed, and the second has grown to
+    what air damps. The larger sum counts. Without a tube strands lean and stop.
+    """
     if tube is None:
         sway = sum(
             abs(strand.movement(down=effective_gravity(0.5 * (by[0] + by[1]))))
             for strand in strands
             for by in [acceleration[strand.segment : strand.segment + 2]]
         )
-        return sway + _stop(strands, plan.mission.vehicles.braking_acceleration)
-    return sum(tube.at(strand.segment, time, strand.fraction) for strand in strands)
+        return sway + _stop(strands, plan.mission.vehicles.braking_acceleration), 0.0
+    close = tube.close
+    near = (close.pairs == [strand.segment for strand in strands]).all(axis=1)
+    near &= np.abs(close.times - time) <= BIN
+    swing = float(tube.approach[near].max(initial=0.0))
+    found = [_excited(plan, time, strand, tube.start) for strand in strands]
+    moving = DEVIATIONS * math.sqrt(sum(one.moving for one in found))
+    held = DEVIATIONS * math.sqrt(sum(one.held for one in found))
+    return (swing, moving) if swing + moving > held else (0.0, held)
 
 
-def _excited(strands: tuple["_Strand", "_Strand"], tracking: float) -> float:
-    """Movement of both strands by tracking errors at their own frequencies (:mod:`.excitation`)."""
-    variance = sum(
-        variance_along(
-            strand.normal,
-            strand.end - strand.start,
-            float(strand.catenary().sag()),
-            strand.fraction,
-            tracking,
-        )
-        for strand in strands
-    )
-    return DEVIATIONS * math.sqrt(variance)
+def _excited(plan: Plan, time: float, strand: "_Strand", since: float) -> Variances:
+    """Variances of a strand's swing by tracking errors at its frequencies (:mod:`.excitation`)."""
+    cable = plan.mission.cable
+    past = np.arange(since, time, STEP)
+    place, velocity, _ = plan.motion.at(past)
+    ends = slice(strand.segment, strand.segment + 2)
+    chord = np.diff(place[:, ends], axis=1)[:, 0]
+    chord /= np.linalg.norm(chord, axis=1, keepdims=True)
+    mean = velocity[:, ends].mean(axis=1)
+    across = np.linalg.norm(mean - np.einsum("ki,ki->k", mean, chord)[:, None] * chord, axis=1)
+    drawn = solve_catenaries(strand.start[None], strand.end[None], np.array([strand.length]))
+    drag = cable_model(cable.mass_per_length, cable.diameter).normal_drag
+    at = strand.fraction, strand.normal
+    return variances_along(modes(drawn), at, plan.mission.vehicles.tracking, drag, across)
 
 
 def _closest(
@@ -224,19 +248,19 @@ def _closest(
     points = [
         solve_catenaries(
             start, end, max(length, float(np.linalg.norm(end - start)) / NEARLY_STRAIGHT)
-        ).points(np.linspace(0.0, 1.0, _PIECES + 1))
+        ).points(np.linspace(0.0, 1.0, PIECES + 1))
         for (start, end), length in zip(ends, lengths, strict=True)
     ]
     pairs, parts = all_pairs(plan.layout.lengths, exempt_length(plan))
     found = []
     for compared in parts[(pairs == segments).all(axis=1)]:
-        first = np.ceil(compared[:, 0] * _PIECES).astype(np.intp)
-        last = np.floor(compared[:, 1] * _PIECES).astype(np.intp) + 1
+        first = np.ceil(compared[:, 0] * PIECES).astype(np.intp)
+        last = np.floor(compared[:, 1] * PIECES).astype(np.intp) + 1
         a, b = (p[i:j] for p, i, j in zip(points, first, last, strict=True))
         closest = polyline_polyline(a, b)
         found.append((closest.distance, first[0] + closest.first, first[1] + closest.second))
     at = min(found)[1:]
-    fractions = [float(index) / _PIECES for index in at]
+    fractions = [float(index) / PIECES for index in at]
     spots = [p[round(float(index))] for p, index in zip(points, at, strict=True)]
     apart = spots[0] - spots[1]
     size = float(np.linalg.norm(apart))

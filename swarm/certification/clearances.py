@@ -17,6 +17,7 @@ import numpy.typing as npt
 from swarm.certification.bodies import Body, VehiclePairs, VehicleStrands, vehicle_segments
 from swarm.certification.branch_and_bound import Boxes, Evaluator
 from swarm.certification.cable_spans import CableSpans, Spans, cable_spans
+from swarm.certification.compared_pairs import all_pairs, exempt_length
 from swarm.certification.ellipsoid_bounds import ReachPairs, ReachVehicles
 from swarm.certification.fence import InsideFence, InsideFenceInWind
 from swarm.certification.floor_limits import BELOW, LYING, BesideRotors, DrawnOut, RigidDescent
@@ -31,7 +32,7 @@ from swarm.certification.minima import (
 )
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.strand_pieces import HeldCable
-from swarm.certification.strands import StrandPairs, all_pairs
+from swarm.certification.strands import StrandPairs
 from swarm.certification.swing_tube import SwingTube, swing_tube
 from swarm.planning import Plan
 
@@ -105,16 +106,6 @@ def segment_name(index: int) -> str:
 def vehicle_name(index: int) -> str:
     """Return the name of a vehicle, counted from 1 along the cable."""
     return f"vehicle {index + 1}"
-
-
-def exempt_length(plan: Plan) -> float:
-    """Return the exempt length of cable on either side of a vehicle, metres.
-
-    Neighbouring segments meet at their vehicle. From this arc length on, each must keep the cable
-    clearance from all of the other: they must diverge at about 15° or more.
-    """
-    mission = plan.mission
-    return 4.0 * (mission.clearance.cable + mission.cable.diameter + mission.vehicles.tracking)
 
 
 def tightest_moments(

@@ -181,9 +181,16 @@ def tolerance_findings(plan: Plan) -> list[Finding]:
     return [Finding("info", "length tolerance", message)]
 
 
-def budget_findings(rows: Iterable[Budget]) -> list[Finding]:
-    """Return the rows of the budget in words."""
-    return [Finding("info", "budget", _in_words(row), row.time) for row in rows]
+def budget_findings(rows: Iterable[Budget], *, accepted: bool) -> list[Finding]:
+    """Return the rows of the budget in words.
+
+    A negative one is an error, or a warning where the mission has accepted that.
+    """
+    short: Severity = "warning" if accepted else "error"
+    return [
+        Finding("info" if row.remaining >= 0.0 else short, "budget", _in_words(row), row.time)
+        for row in rows
+    ]
 
 
 def _in_words(row: Budget) -> str:

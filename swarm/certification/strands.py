@@ -27,10 +27,6 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
 
-MOST_EXEMPT = 0.5
-"""Largest exempt share of the shorter of two neighbours: half of every segment is compared."""
-
-
 @dataclass(frozen=True, eq=False)
 class StrandPairs:
     """Distances of strands, surface to surface, less the required distance.
@@ -81,28 +77,6 @@ class StrandPairs:
             found.doubts,
             found.place,
         )
-
-
-def all_pairs(lengths: Floats, beyond: float) -> tuple[Ints, Floats]:
-    """Return all pairs (q, 2) of segments to compare, and the compared parts (q, 2, 2).
-
-    Each of two neighbours is compared with the whole of the other from ``beyond`` metres of cable
-    away from their shared vehicle, or from half of the shorter one where that is less: two entries
-    per pair.
-    """
-    first, second = np.triu_indices(len(lengths), 1)
-    pairs = np.stack([first, second], axis=1)
-    whole = np.tile([0.0, 1.0], (len(pairs), 2, 1))
-    neighbours = second == first + 1
-    i, j = pairs[neighbours].T
-    left, right = whole[neighbours].copy(), whole[neighbours].copy()
-    near = np.minimum(beyond, MOST_EXEMPT * np.minimum(lengths[i], lengths[j]))
-    left[:, 0, 1] = 1.0 - near / lengths[i]
-    right[:, 1, 0] = near / lengths[j]
-    return (
-        np.concatenate([pairs[~neighbours], pairs[neighbours], pairs[neighbours]]),
-        np.concatenate([whole[~neighbours], left, right]),
-    )
 
 
 def _distance(a: Pieces, b: Pieces, required: float) -> Enclosure:

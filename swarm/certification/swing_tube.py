@@ -1,40 +1,31 @@
 """The tube of the swinging cable: how far each part of a strand gets from its catenary.
 
-The lumped masses are simulated along the planned motion, and again from an ordinary stop of the
-mission clock begun every half second; urgent stops, after failures, are not in it. Vehicles are
-exactly on their trajectories, the air is still, and the cable is at rest when it comes aloft. The
-tube contains all these strays, and bounds of what lies between the simulated moments and of the
-error of the model.
+It contains all strays that :mod:`.swing_runs` simulates, and bounds of what lies between the
+simulated moments and of the error of the model: in the planned motion, and after ordinary and
+urgent stops, rewinds and resumes of the mission clock at any moment.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.cable_spans import cable_spans
-from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.lumped_mass import at_rest, cable_model, swing_on, swing_on_each
+from swarm.certification.approaches import (
+    ClosePairs,
+    close_pairs,
+    collect_approaches,
+    collect_settling,
+)
+from swarm.certification.compared_pairs import exempt_length
+from swarm.certification.swing_runs import EVERY, SETTLING, STEP, aloft, swings
 from swarm.planning import Plan, digest
-from swarm.planning.clock_limits import BANDWIDTH, ORDINARY
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
-STEP = 0.02
-"""Seconds of a step of the simulation: strays of shaped default missions differ by less than 0.5 mm
-from those with half of it."""
-
-EVERY = 5
-"""Steps between compared moments: 0.1 s."""
-
 BIN = 0.5
-"""Seconds of mission time over which the tube is constant, and between the moments of stops."""
-
-STOPPING = 6.0
-"""Seconds of a simulated stop: the clock stands after 4 s, and strays are largest in the two
-seconds after."""
+"""Seconds of mission time over which the tube is constant."""
 
 BETWEEN_SAMPLES = 0.05
 """Share by which a stray can be larger between compared moments: ω²h²/8 for h = 0.1 s and a period
@@ -48,8 +39,8 @@ MODEL_ERROR = 0.006
 """Metres by which a finer chain strays farther: 2 mm with 96 links and 2.5 ms in the default
 missions with fold.swing, 6 mm in the overhand without."""
 
-_STOPS = 8
-"""Stops that are simulated together, which bounds the memory."""
+_LAST = round(SETTLING / (EVERY * STEP))
+"""Compared moments at the end of a stop that show the amplitudes."""
 
 _LEAVES = 8
 """Equal parts of a strand with a radius of their own; dyadic pieces of them have heap numbers."""
@@ -60,14 +51,18 @@ class SwingTube:
     """Radii of the tube in metres, constant over BIN seconds from ``start``.
 
     ``planned`` and ``stopped`` (k, n − 1) are the simulated strays in the planned motion and after
-    stops, ``radius`` (k, n − 1, 16) the radius of each dyadic piece by its heap number (1: the
-    whole strand; finest: eighths).
+    changes of the clock's rate, ``radius`` (k, n − 1, 16) the radius of each dyadic piece by its
+    heap number (1: the whole strand; finest: eighths). ``close`` are the pairs of strands that are
+    near each other in the middles of the intervals, ``approach`` (r,) how much nearer they come as
+    both swing, with the same bounds.
     """
 
     start: float
     planned: Floats
     stopped: Floats
     radius: Floats
+    close: ClosePairs
+    approach: Floats
     _most: Floats = field(repr=False)
     _least: Floats = field(repr=False)
 
@@ -157,73 +152,31 @@ class _Named:
 def _tube_of(named: _Named) -> SwingTube | None:
     """Every call of the certificate's search needs the tube; its plan is told by its digest."""
     plan = named.plan
-    span = _aloft(plan)
+    span = aloft(plan)
     if span is None:
         return None
-    cable, lengths = plan.mission.cable, plan.layout.lengths
-    model = replace(cable_model(cable.mass_per_length, cable.diameter), step=STEP)
-    time = np.arange(span[0], span[1] + STEP, STEP)
-    ends = plan.motion.at(np.minimum(time, span[1]))[0]
-    if (np.linalg.norm(np.diff(ends, axis=1), axis=2) > lengths).any():
-        return None
-    states = swing_on(at_rest(ends[0], lengths, model), ends, lengths, model, EVERY)
     count = int(np.ceil((span[1] - span[0]) / BIN))
-    planned, stopped = np.zeros((2, count, len(lengths), model.links + 1))
-    _collect(planned, _strays(states[:, 1], ends[::EVERY], lengths), time[::EVERY] - span[0])
-    reached = stop_ramp(plan)
-    firsts = np.arange(0, len(time) - 1, round(BIN / STEP))
-    for some in np.split(firsts, np.arange(_STOPS, len(firsts), _STOPS)):
-        at = np.minimum(time[some, None] + reached, span[1])
-        moved = plan.motion.at(at.ravel())[0].reshape(*at.shape, -1, 3)
-        swung = swing_on_each(states[some // EVERY], moved, lengths, model, EVERY)[:, :, 1]
-        for one, ends_of, when in zip(swung, moved[:, ::EVERY], at[:, ::EVERY], strict=True):
-            _collect(stopped, _strays(one, ends_of, lengths), when - span[0])
-    return _tube(span[0], planned, stopped)
+    middles = np.asarray(span[0] + BIN * (np.arange(count) + 0.5), dtype=np.float64)
+    close = close_pairs(plan, middles, exempt_length(plan))
+    approach = np.zeros(len(close.bins))
+    planned, stopped = np.empty(0), np.empty(0)
+    for swung in swings(plan, span):
+        far = np.nan_to_num(np.linalg.norm(swung.strays, axis=-1), nan=np.inf)
+        if not planned.size:
+            planned, stopped = np.zeros((2, count, *far.shape[2:]))
+        bins = np.minimum(((swung.times - span[0]) / BIN).astype(np.intp), count - 1)
+        np.maximum.at(planned if swung.course is None else stopped, bins, far)
+        for one, strays in zip(bins, swung.strays, strict=True):
+            collect_approaches(close, one, strays, approach)
+            if swung.course is not None and swung.course.target == 0.0:
+                collect_settling(close, int(one[-1]), strays[-_LAST:], approach)
+    approach = (1.0 + BETWEEN_SAMPLES) * approach + 2.0 * (BETWEEN_STOPS + MODEL_ERROR)
+    return _tube(span[0], planned, stopped, close, approach)
 
 
-def stop_ramp(plan: Plan) -> Floats:
-    """Return the mission time (k,) since the beginning of a stop, every STEP seconds.
-
-    An ordinary stop: the clock's rate approaches 0 with its bandwidth, by at most ORDINARY and the
-    braking reserve over the largest speed, from the full rate.
-    """
-    vehicles = plan.mission.vehicles
-    steepest = min(ORDINARY, vehicles.braking_acceleration / vehicles.max_speed)
-    rate, slope, reached = 1.0, 0.0, [0.0]
-    for _ in range(round(STOPPING / STEP)):
-        wanted = max(-steepest, -BANDWIDTH * rate)
-        after = slope + min(1.0, 4.0 * BANDWIDTH * STEP) * (wanted - slope)
-        change = 0.5 * (slope + after) * STEP
-        reached.append(reached[-1] + (rate + 0.5 * change) * STEP)
-        rate, slope = rate + change, after
-    return np.array(reached)
-
-
-def _aloft(plan: Plan) -> tuple[float, float] | None:
-    """Return the first and last time of the cable aloft, where the plan folds it."""
-    spans = cable_spans(plan)
-    folds = any(phase.name == "fold" for phase in plan.phases)
-    if not folds or spans.problems or not spans.aloft:
-        return None
-    return spans.aloft[0][0], spans.aloft[-1][1]
-
-
-def _strays(joints: Floats, ends: Floats, lengths: Floats) -> Floats:
-    """Return the distances (k, n − 1, links + 1) of joints from their catenaries, metres."""
-    fractions = np.linspace(0.0, 1.0, joints.shape[2])
-    still = solve_catenaries(ends[:, :-1], ends[:, 1:], lengths)
-    found: Floats = np.nan_to_num(still.distances(fractions, joints), nan=np.inf)
-    return found
-
-
-def _collect(most: Floats, strays: Floats, since: Floats) -> None:
-    """Keep the largest strays in each interval of mission time; ``since`` (k,) increases."""
-    which = np.minimum((since / BIN).astype(np.intp), len(most) - 1)
-    first = np.flatnonzero(np.diff(which, prepend=-1))
-    most[which[first]] = np.maximum(most[which[first]], np.maximum.reduceat(strays, first))
-
-
-def _tube(start: float, planned: Floats, stopped: Floats) -> SwingTube:
+def _tube(
+    start: float, planned: Floats, stopped: Floats, close: ClosePairs, approach: Floats
+) -> SwingTube:
     """Return the tube of the largest strays (k, n − 1, links + 1) in each interval.
 
     A stop between two simulated ones passes through each mission time at most half an interval from
@@ -243,8 +196,9 @@ def _tube(start: float, planned: Floats, stopped: Floats) -> SwingTube:
         radius[:, :, number] = radius[:, :, parts].max(axis=2)
         least[:, :, number] = least[:, :, parts].min(axis=2)
     return SwingTube(
-        start, planned.max(axis=2), stopped.max(axis=2), radius, _range_maxima(radius), least
-    )
+        start, planned.max(axis=2), stopped.max(axis=2), radius, close, approach,
+        _range_maxima(radius), least,
+    )  # fmt: skip
 
 
 def _range_maxima(values: Floats) -> Floats:

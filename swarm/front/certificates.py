@@ -120,13 +120,14 @@ class Motion(Quintics):
         """Return the motion with its cable as a plan, as :func:`certify` checks it.
 
         ``mission`` has vehicles, clearances, wind and workspace, by default the values of
-        :meth:`swarm.Mission.for_knot`; its knot has no effect.
+        :meth:`swarm.Mission.for_knot`, with a negative clearance budget accepted; its knot has no
+        effect.
         Raises :class:`swarm.InputError` unless there is one length fewer than vehicles, and where
         no row has the cable aloft.
 
         Source: :func:`swarm.certification.motion_file.plan_of_motion`.
         """
-        limits = mission or mission_for_knot("overhand")
+        limits = mission or mission_for_knot("overhand", ["limits.accept_negative_budget=true"])
         limits = limits.model_copy(update={"cable": cable.section(limits.cable)})
         lengths = np.array(cable.lengths, dtype=np.float64)
         return Plan.of(plan_of_motion(self.table, lengths, limits))

@@ -16,6 +16,7 @@ from swarm.mission.sections import (
     Formation,
     Knot,
     Layout,
+    Limits,
     Number,
     Text,
     Vehicles,
@@ -43,6 +44,7 @@ class Mission(Section):
     vehicles: Vehicles = Field(Vehicles(), description="The vehicles.")
     layout: Layout = Field(Layout(), description="Size and height of the knot in space.")
     clearance: Clearance = Field(Clearance(), description="Clearances to keep.")
+    limits: Limits = Field(Limits(), description="What a plan must keep, beside the certificate.")
     wind: Wind = Field(Wind(), description="Wind that the flight must withstand.")
     workspace: Workspace = Field(Workspace(), description="Limits of the space for the flight.")
     fold: Fold = Field(Fold(), description="Method of folding.")

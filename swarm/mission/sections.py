@@ -264,6 +264,18 @@ class Clearance(Section):
     )
 
 
+class Limits(Section):
+    """What a plan must keep to be flown, beside its certificate."""
+
+    accept_negative_budget: Annotated[bool, Field(strict=True)] = Field(
+        False,
+        description="true: plan without regard to the clearance budget, and fly a plan whose "
+        "strands can be closer than `clearance.cable` if all of its effects come together; false: "
+        "lead strands apart and slow down for it, and refuse such a plan.",
+        json_schema_extra={"expected": "true or false"},
+    )
+
+
 class Wind(Section):
     """The wind that the flight must withstand."""
 

@@ -1,13 +1,15 @@
 """The planner: propose a plan, certify it, repair it, until a plan is cleared."""
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from swarm.certification.assessment import Assessment, Robustness
+from swarm.certification.budget import least_remaining
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
@@ -18,15 +20,37 @@ from swarm.certification.certificate import (
     with_recorded_robustness,
 )
 from swarm.certification.clearances import Moment, checks_of, violations
+from swarm.certification.smallest_budgets import short_moments
 from swarm.certification.stream_loss import certify_stream_loss
+from swarm.certification.swing_tube import swing_tube
 from swarm.mission import Mission
-from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower, timed_for_losses
-from swarm.planning import Plan, Shortfall, candidates, repaired
+from swarm.planner.pacing import (
+    PacedPlan,
+    slowed_for_stops,
+    slowed_for_swing,
+    slower,
+    timed_for_losses,
+)
+from swarm.planning import Candidate, Plan, Shortfall, candidates, repaired
 
 Progress = Callable[[str, float], None]
 
 _ATTEMPTS = 16
 """Largest number of plans that are checked before the first of them is returned as it is."""
+
+_BUDGET_ROUNDS = 4
+"""Largest number of repairs of a plan whose budget is short."""
+
+_LONGER = 1.3
+"""Most that a fold may take longer for its budget: a repair that lost setpoints slow down by more
+is none."""
+
+_SLOWED, _MOST_EXCESS = 3, 2.0
+"""Rounds in which a plan is slowed for its budget, and the largest excess of the swing of one: a
+rate of half."""
+
+_SHARES = (1.0, 0.5, 0.25)
+"""Shares of what a budget is short of that are tried to be repaired at once."""
 
 _RETIMED = 4
 """Largest number of times that a plan is timed again for the rates of its certificate."""
@@ -102,41 +126,52 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
 
     A plan that exceeds the endurance is not checked, because no repair shortens it; the shortest
     one is returned where nothing else was found. The swing takes the longest to compute: plans are
-    slowed for it, and checked again, once they pass the checks without.
+    slowed for it, and checked again, once they pass the checks without. Then strands are led
+    farther apart where the clearance budget is short; where it stays so, the plan that comes
+    closest counts.
     """
     proposals = candidates(mission, progress=progress)
     candidate = next(proposals, None)
     notes: tuple[str, ...] = ()
     first: PacedPlan | None = None
     too_long: list[Plan] = []
+    kept: list[_Kept] = []
+    short_ones: list[PlanningResult] = []
     failed_checks: frozenset[str] = frozenset()
     attempts = 0
     while candidate is not None and attempts < _ATTEMPTS:
         notes += candidate.notes
-        paced = timed_for_losses(replace(candidate.plan, notes=notes))
-        if not _exceeds_endurance(paced.plan):
-            attempts += 1
-            first = first or paced
-            measured = None
-            failures = _failures(paced.plan, failed_checks)
-            slowed = paced if failures else slowed_for_swing(paced)
-            if slowed is not paced:
-                paced = slowed
-                if not _exceeds_endurance(paced.plan):
-                    failures, measured = _measured_failures(paced.plan, progress)
+        plan = replace(candidate.plan, notes=notes)
+        paced, failures, measured = _checked(plan, failed_checks, progress)
         if _exceeds_endurance(paced.plan):
             notes += (_too_long(paced.plan),)
             too_long.append(paced.plan)
-            candidate = next(proposals, None)
-            continue
-        if not failures:
-            found = _certified(paced, measured, progress)
+            candidate = None if kept else next(proposals, None)
+        else:
+            attempts += 1
+            first = first or paced
+            candidate = replace(candidate, plan=paced.plan)
+            if failures:
+                failed_checks = frozenset(moment.check for moment in failures)
+                candidate = repaired(candidate, [_shortfall(moment) for moment in failures])
+            elif kept and _fold_time(paced.plan) > _LONGER * _fold_time(kept[0].paced.plan):
+                candidate = None
+            else:
+                short = _short_budget(paced.plan)
+                kept.append(_Kept(paced, measured, max((one.metres for one in short), default=0.0)))
+                more = len(kept) <= _BUDGET_ROUNDS
+                candidate = _led_apart(candidate, short) if more else None
+            if candidate is None and not kept:
+                candidate = next(proposals, None)
+        if kept and (candidate is None or attempts >= _ATTEMPTS):
+            found = _certified(_slowed_for_budget(_least_short(kept), progress), progress)
             if found.certificate.cleared:
                 return found
-        failed_checks = frozenset(moment.check for moment in failures)
-        missing = [Shortfall(moment.check, moment.time, -moment.margin) for moment in failures]
-        candidate = replace(candidate, plan=paced.plan)
-        candidate = repaired(candidate, missing) or next(proposals, None)
+            short_ones += [found] if _certifiable(found.assessment) else []
+            kept = []
+            candidate = next(proposals, None)
+    if short_ones:
+        return max(short_ones, key=lambda found: least_remaining(found.assessment.budget))
     rejected = (
         slowed_for_swing(first).plan
         if first
@@ -145,14 +180,97 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     return PlanningResult(rejected, certify(rejected, progress=progress))
 
 
-def _certified(
-    paced: PacedPlan, measured: MeasuredClearances | None, progress: Progress | None
-) -> PlanningResult:
+def _checked(
+    plan: Plan, failed_checks: frozenset[str], progress: Progress | None
+) -> tuple[PacedPlan, tuple[Moment, ...], MeasuredClearances | None]:
+    """Return the plan timed, the moments at which it fails, and its clearances if measured.
+
+    Unchecked where it is too long.
+    """
+    paced = timed_for_losses(plan)
+    if _exceeds_endurance(paced.plan):
+        return paced, (), None
+    failures = _failures(paced.plan, failed_checks)
+    slowed = paced if failures else slowed_for_swing(paced)
+    if slowed is paced or _exceeds_endurance(slowed.plan):
+        return slowed, failures, None
+    return slowed, *_measured_failures(slowed.plan, progress)
+
+
+def _shortfall(moment: Moment) -> Shortfall:
+    return Shortfall(moment.check, moment.time, -moment.margin)
+
+
+def _least_short(kept: Sequence["_Kept"]) -> "_Kept":
+    """Return the plan whose budget is short by the least."""
+    return min(kept, key=lambda one: one.short)
+
+
+def _fold_time(plan: Plan) -> float:
+    fold = plan.phase("fold")
+    return fold.end - fold.start
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A plan that keeps all clearances, and by how many metres its budget is short at most."""
+
+    paced: PacedPlan
+    measured: MeasuredClearances | None
+    short: float
+
+
+def _short_budget(plan: Plan) -> list[Shortfall]:
+    """Return where the budget of a plan is short; nowhere where the mission accepts that."""
+    if plan.mission.limits.accept_negative_budget:
+        return []
+    tube = swing_tube(plan)
+    moments = short_moments(plan, tube) if tube else ()
+    return [Shortfall(moment.check, moment.time, moment.metres) for moment in moments]
+
+
+def _slowed_for_budget(kept: _Kept, progress: Progress | None) -> _Kept:
+    """Return the plan, slowed where its budget is short, while that makes it less so."""
+    for _ in range(_SLOWED):
+        tube = swing_tube(kept.paced.plan) if kept.short > 0.0 else None
+        short = short_moments(kept.paced.plan, tube) if tube else ()
+        if not short:
+            break
+        times, metres, swing = np.array([(one.time, one.metres, one.swing) for one in short]).T
+        excess = swing / np.maximum(swing - metres, swing / _MOST_EXCESS)
+        paced = slowed_for_stops(kept.paced, times, excess)
+        if _exceeds_endurance(paced.plan):
+            break
+        failures, measured = _measured_failures(paced.plan, progress)
+        left = max((one.metres for one in _short_budget(paced.plan)), default=0.0)
+        if failures or left >= kept.short:
+            break
+        kept = _Kept(paced, measured, left)
+    return kept
+
+
+def _led_apart(candidate: Candidate, short: list[Shortfall]) -> Candidate | None:
+    """Return the candidate with strands farther apart, by as much as can be repaired at once."""
+    for share in _SHARES:
+        part = [replace(one, metres=share * one.metres) for one in short]
+        found = repaired(candidate, part)
+        if found is not None:
+            return found
+    return None
+
+
+def _certifiable(assessment: Assessment) -> bool:
+    """Whether no finding is an error but for a short budget, which another repair may close."""
+    errors = {found.check for found in assessment.findings if found.severity == "error"}
+    return errors <= {"budget"}
+
+
+def _certified(kept: _Kept, progress: Progress | None) -> PlanningResult:
     """Certify a plan, timed again while lost setpoints would lower the rate of the clock.
 
     Of several timings the last one that is cleared is returned; the first where none is.
     """
-    timings = [paced]
+    timings = [kept.paced]
     for _ in range(_RETIMED):
         again = slower(timings[-1], certify_stream_loss(timings[-1].plan))
         if again is None:
@@ -160,9 +278,10 @@ def _certified(
         timings.append(again)
     for again in reversed(timings[1:]):
         certificate = certify(again.plan, progress=progress)
-        if certificate.cleared:
+        if _certifiable(certificate.assessment):
             return PlanningResult(again.plan, certificate)
-    return PlanningResult(paced.plan, certify(paced.plan, measured=measured, progress=progress))
+    plan = kept.paced.plan
+    return PlanningResult(plan, certify(plan, measured=kept.measured, progress=progress))
 
 
 def _exceeds_endurance(plan: Plan) -> bool:

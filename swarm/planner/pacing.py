@@ -140,6 +140,19 @@ def slowed_for_swing(paced: PacedPlan) -> PacedPlan:
     return paced if best is paced.pacing else _timed(plan, _limited_for_loss(plan, best))
 
 
+def slowed_for_stops(paced: PacedPlan, times: Floats, excess: Floats) -> PacedPlan:
+    """Return the plan flown slower around mission times (k,), where stops excite too much swing.
+
+    ``excess`` (k,) is that swing over what is allowed: it grows like the speed of the vehicles.
+    """
+    if paced.pacing is None:
+        return paced
+    order = np.argsort(times, kind="stable")
+    since = times[order] - paced.plan.phase("fold").start
+    pacing = paced.pacing.slowed_for_swing(since, excess[order] ** (1.0 / _SWING_EXPONENT))
+    return _timed(paced.plan, _limited_for_loss(paced.plan, pacing))
+
+
 def slower(paced: PacedPlan, loss: StreamLossCertificate) -> PacedPlan | None:
     """Return the plan timed for the rates of its certificate; None where they are 1 already."""
     if paced.pacing is None or not len(loss.times) or loss.rates.min() >= 1.0:

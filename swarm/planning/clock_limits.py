@@ -29,6 +29,9 @@ URGENT = 1.0
 """Largest slope of the rate in an urgent stop, 1/s: the vehicles then stop about as late as one
 that has lost its setpoints (0.8 s); faster stops of slow teams would gain nothing."""
 
+COURSE_STEP = 0.02
+"""Seconds between the times of a course: a tick at 50 Hz."""
+
 _STEP = 0.05
 """Seconds of mission time between the samples: at 1 m/s² speeds change by 5 cm/s meanwhile."""
 
@@ -66,6 +69,29 @@ class ClockLimits:
         tail = 0.5 * np.minimum(rates, URGENT / URGENT_BANDWIDTH) / URGENT_BANDWIDTH
         advance: Floats = end - times + tail
         return advance
+
+    def course(
+        self, starts: Floats, rate: float, target: float, duration: float, *, urgent: bool
+    ) -> Floats:
+        """Return mission times (c, k), COURSE_STEP seconds apart, of clocks that change their rate.
+
+        Each begins at a time of ``starts`` (c,) with ``rate`` and approaches ``target``, as
+        :class:`swarm.flight.clock.MissionClock` does.
+        """
+        bandwidth = URGENT_BANDWIDTH if urgent else BANDWIDTH
+        share = min(1.0, 4.0 * bandwidth * COURSE_STEP)
+        rates, slopes = np.full(len(starts), rate), np.zeros(len(starts))
+        times = [np.asarray(starts, dtype=np.float64)]
+        for _ in range(round(duration / COURSE_STEP)):
+            samples = np.rint((times[-1] - self.start) / _STEP).astype(np.intp)
+            steepest = self.urgent[np.clip(samples, 0, len(self.urgent) - 1)]
+            steepest = steepest if urgent else np.minimum(steepest, ORDINARY)
+            wanted = np.clip(bandwidth * (target - rates), -steepest, steepest)
+            after = slopes + share * (wanted - slopes)
+            change = 0.5 * (slopes + after) * COURSE_STEP
+            times.append(times[-1] + (rates + 0.5 * change) * COURSE_STEP)
+            rates, slopes = rates + change, after
+        return np.stack(times, axis=1)
 
     @cached_property
     def _energy(self) -> tuple[Floats, Floats]:

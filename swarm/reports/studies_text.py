@@ -16,6 +16,7 @@ _SHOWN_COLUMNS = (
     ("cable_clearance_per_cell", ".3f", "/cell"),
     ("max_tracking_error", ".3f", "e*"),
     ("max_wind", ".1f", "w*"),
+    ("budget", "+.2f", "budget"),
     ("planning_time", ".1f", "time"),
     ("cleared", "", ""),
 )

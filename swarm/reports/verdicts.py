@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from swarm.certification.assessment import Assessment
+from swarm.certification.budget import least_remaining
 from swarm.certification.findings import Finding
 from swarm.planning import Plan
 from swarm.reports.formatting import metres
@@ -36,7 +37,8 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
 
     The words take two lines of 80 columns; the details name the model and everything outside it.
     """
-    if not assessment.cleared:
+    refused = {finding.check for finding in assessment.findings if finding.severity == "error"}
+    if refused - {"budget"}:
         return Verdict("bad", _refused(assessment.findings))
     tracking = plan.mission.vehicles.tracking
     errors = f"tracking errors up to {metres(tracking)}" if tracking > 0 else "exact positions"
@@ -48,30 +50,34 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
     subject = knot if plan.knot.type else "a motion without a knot"
     swinging = plan.mission.fold.swing != "auto"  # only a given limit is certified
     beside = "other swing" if swinging else "swing"
-    short, shortfall = _short_budget(assessment)
+    closer = _closer_than_required(assessment)
+    short = f" (together {closer} too close)" if closer else ""
     words = (
         f"{head}: {subject}, {errors}. Not certified: {beside}, gusts, rotor wash{short}, friction."
     )
     model = (
-        "swinging-cable model (planned motion, ordinary stops)"
-        if swinging
-        else "quasi-static cable model"
+        "swinging-cable model (planned motion, stops)" if swinging else "quasi-static cable model"
     )
     details = (
         f"Certified in the {model}. Not certified: {beside}, gusts, rotor wash, friction, segment "
-        f"lengths, and the knot once it is released or on the floor.{shortfall}"
+        f"lengths, and the knot once it is released or on the floor."
     )
-    return Verdict("warn" if short else level, words, details)
+    if closer:
+        details += f" If all effects come together, strands can be {closer} closer than required."
+    if refused:
+        words = (
+            f"Refused for its budget: {subject} is certified for {errors}, but together with all "
+            f"other effects strands are {closer} too close. "
+            "limits.accept_negative_budget: true accepts that."
+        )
+        return Verdict("bad", words, details)
+    return Verdict("warn" if closer else level, words, details)
 
 
-def _short_budget(assessment: Assessment) -> tuple[str, str]:
-    """Return words and a sentence where a distance is short if all effects come together."""
-    remaining = min((row.remaining for row in assessment.budget), default=0.0)
-    if remaining >= 0.0:
-        return "", ""
-    closer = metres(-remaining)
-    sentence = f" If all effects come together, strands can be {closer} closer than required."
-    return f" (together {closer} too close)", sentence
+def _closer_than_required(assessment: Assessment) -> str:
+    """Return by how much a distance is short if all effects come together; "" where none is."""
+    remaining = least_remaining(assessment.budget)
+    return metres(-remaining) if remaining < 0.0 else ""
 
 
 def findings_verdict(findings: Sequence[Finding], certified: str = CERTIFIED) -> Verdict:

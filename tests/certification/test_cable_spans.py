@@ -13,9 +13,9 @@ from swarm.certification.cable_spans import cable_spans
 from swarm.certification.clearances import (
     STILL_AIR,
     certified,
-    exempt_length,
     tightest_moments,
 )
+from swarm.certification.compared_pairs import exempt_length
 from swarm.certification.motion_file import plan_of_motion, read_motion
 from swarm.cli.certify import certify
 from swarm.errors import InputError

@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from swarm.certification.clearances import certified, exempt_length, tightest_moments
-from swarm.certification.strands import all_pairs
+from swarm.certification.clearances import certified, tightest_moments
+from swarm.certification.compared_pairs import all_pairs, exempt_length
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.motion import concatenate, through_states
 from tests.certification.oracle import catenary, closest, displaced

@@ -1,4 +1,4 @@
-"""The tube of the swinging cable: it contains other simulations, and every stop."""
+"""The tube of the swinging cable: it contains other simulations, stops, rewinds and resumes."""
 
 from dataclasses import replace
 from typing import Literal
@@ -13,7 +13,8 @@ from sitl.physics.dynamics import STEP as TICK
 from sitl.world import CableSpec
 from swarm.certification.clearances import tightest_moments
 from swarm.certification.swing_findings import swing_findings
-from swarm.certification.swing_tube import BIN, STEP, STOPPING, SwingTube, stop_ramp, swing_tube
+from swarm.certification.swing_runs import COURSES, STEP, Course, aloft, model_of, swings
+from swarm.certification.swing_tube import BIN, SwingTube, swing_tube
 from swarm.flight.clock import MissionClock
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
@@ -43,30 +44,32 @@ def tube(shaped: Plan) -> SwingTube:
     return found
 
 
-def flown(plan: Plan, stop: float | None, step: float) -> np.ndarray:
-    """Mission times (k,) in steps from the fold on, with a stop of the mission clock."""
+def flown(plan: Plan, change: float | None, step: float, course: Course = COURSES[0]) -> np.ndarray:
+    """Mission times (k,) in steps from the fold on, with a change of the mission clock's rate."""
     first, last = plan.phase("fold").start, plan.phase("hold").end
-    if stop is None:
+    if change is None:
         return np.arange(first, last, step)
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
-    clock = MissionClock(limits, time=stop)
-    clock.set_running()
-    clock.target = 0.0
-    times = list(np.arange(first, stop, step))
+    clock = MissionClock(limits, time=change, urgent=course.urgent)
+    if course.rate:
+        clock.set_running()
+    clock.target = course.target
+    # a start from rest: the team has stood there, the cable hangs still
+    times = list(np.arange(first, change, step)) if course.rate else [change]
     for _ in range(round(6.0 / step)):
         clock.advance(step, first, last)
         times.append(clock.time)
     return np.array(times)
 
 
-@settings(max_examples=12, deadline=None)
-@given(share=st.floats(0.05, 0.98))
-def test_it_contains_finer_simulations_of_every_stop(
-    shaped: Plan, tube: SwingTube, share: float
+@settings(max_examples=16, deadline=None)
+@given(share=st.floats(0.05, 0.98), course=st.sampled_from(COURSES))
+def test_it_contains_finer_simulations_of_every_change_of_rate(
+    shaped: Plan, tube: SwingTube, share: float, course: Course
 ) -> None:
     cable, lengths, fold = shaped.mission.cable, shaped.layout.lengths, shaped.phase("fold")
     model = replace(cable_model(cable.mass_per_length, cable.diameter), links=40, step=0.006)
-    times = flown(shaped, fold.start + share * (fold.end - fold.start), model.step)
+    times = flown(shaped, fold.start + share * (fold.end - fold.start), model.step, course)
     ends = shaped.motion.at(times)[0]
     strays = stray(swing(ends, lengths, model, 4), ends[::4], lengths)
     allowed = np.array([tube.strands(float(time)) for time in times[::4]])
@@ -112,12 +115,44 @@ def _hanging(grips: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     return drawn.reshape(-1, 3)[np.r_[0, np.arange(len(drawn) * 40)[1:]]]
 
 
-def test_stops_are_those_of_the_mission_clock(shaped: Plan) -> None:
-    fold, reached = shaped.phase("fold"), stop_ramp(shaped)
-    times = flown(shaped, fold.start + 10.0, STEP)[-round(6.0 / STEP) :]
-    expected = times[: len(reached) - 1] - (fold.start + 10.0)
-    assert reached[1:] == pytest.approx(expected, abs=1e-3)
-    assert len(reached) == round(STOPPING / STEP) + 1
+@pytest.mark.parametrize("course", COURSES, ids=lambda course: course.name)
+def test_courses_are_those_of_the_mission_clock(shaped: Plan, course: Course) -> None:
+    begin = shaped.phase("fold").start + 20.0
+    limits = clock_limits(shaped.motion, shaped.mission.vehicles.braking_acceleration)
+    (found,) = limits.course(
+        np.array([begin]), course.rate, course.target, 6.0, urgent=course.urgent
+    )
+    expected = flown(shaped, begin, STEP, course)[-round(6.0 / STEP) :]
+    assert found[1:] == pytest.approx(expected, abs=1e-3)
+
+
+def test_strands_come_no_nearer_than_the_approach_states(shaped: Plan, tube: SwingTube) -> None:
+    # the same pairs at the same moments, in a stop that begins between the simulated ones
+    close, lengths = tube.close, shaped.layout.lengths
+    limits = clock_limits(shaped.motion, shaped.mission.vehicles.braking_acceleration)
+    model = replace(model_of(shaped), links=36, step=0.01)
+    begin = shaped.phase("fold").start + 31.3
+    times = flown(shaped, begin, model.step)
+    assert limits.at(begin, urgent=True) > limits.at(begin, urgent=False)
+    ends = shaped.motion.at(times)[0]
+    joints = swing(ends, lengths, model, 10)
+    still = solve_catenaries(ends[::10, :-1], ends[::10, 1:], lengths)
+    strays = joints - still.points(np.linspace(0.0, 1.0, 37))
+    at = np.rint(close.fractions * 36).astype(int)
+    for row in np.flatnonzero(close.available < 0.6):
+        now = np.abs(times[::10] - close.times[row]) <= 0.5 * BIN
+        i, j = close.pairs[row]
+        apart = strays[now, j, at[row, 1]] - strays[now, i, at[row, 0]]
+        nearer = (apart @ close.normal[row]).max(initial=0.0)
+        assert nearer <= tube.approach[row]
+
+
+def test_the_cable_does_not_swing_before_it_is_aloft(shaped: Plan) -> None:
+    span = aloft(shaped)
+    assert span is not None
+    first = next(swings(shaped, span))
+    assert first.course is None
+    assert np.abs(first.strays[0, 0]).max() < 1e-9
 
 
 @settings(max_examples=40)

@@ -52,7 +52,7 @@ def test_a_plan_with_limited_swing_is_certified_in_the_swinging_cable_model() ->
         "gusts, rotor wash, friction."
     )
     assert found.details.startswith(
-        "Certified in the swinging-cable model (planned motion, ordinary stops). Not certified: "
+        "Certified in the swinging-cable model (planned motion, stops). Not certified: "
         "other swing, gusts,"
     )
 
@@ -190,7 +190,7 @@ def test_a_plan_whose_budget_is_short_states_it() -> None:
         amplification=0.05, length=0.01, grip=0.0, swing=0.11, excited=0.09, wind=0.0, wash=0.0,
         required=0.15,
     )  # fmt: skip
-    (finding,) = budget_findings([row])
+    (finding,) = budget_findings([row], accepted=True)
     found = plan_verdict(PLAN, replace(assessment(finding), budget=(row,)))
     assert found.level == "warn"
     assert found.words.endswith(
@@ -201,8 +201,16 @@ def test_a_plan_whose_budget_is_short_states_it() -> None:
     )
     words = plan_verdict(PLAN, replace(assessment(WARNING, WARNING), budget=(row,))).words
     assert len(textwrap.wrap(words, 80)) == 2
+    (finding,) = budget_findings([row], accepted=False)
+    found = plan_verdict(PLAN, replace(assessment(finding), budget=(row,)))
+    assert (found.level, found.words) == (
+        "bad",
+        "Refused for its budget: 3_1, right-handed is certified for tracking errors up to 0.10 m, "
+        "but together with all other effects strands are 0.11 m too close. "
+        "limits.accept_negative_budget: true accepts that.",
+    )
     closed = replace(row, available=0.62)
-    (finding,) = budget_findings([closed])
+    (finding,) = budget_findings([closed], accepted=False)
     assert finding.message == (
         "+0.01 m remain between segment 1 and segment 3 if all effects come together: 0.62 m at "
         "the setpoints, less tracking 0.20 m, sag and tightening 0.05 m, length tolerance 0.01 m, "

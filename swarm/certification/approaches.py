@@ -1,0 +1,114 @@
+"""How much nearer swinging strands come to each other than their catenaries are.
+
+Both strands of a pair swing in the same motion: strands that swing together keep their distance.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.certification.compared_pairs import all_pairs
+from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.distance import polyline_polyline
+from swarm.planning import Plan
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+
+WITHIN = 1.0
+"""Metres between surfaces beyond which pairs are left out: tracking, swing, tolerances and the
+required distance together take 0.6 m in the default missions."""
+
+PIECES = 64
+"""Pieces of a strand for its closest point: 5 cm of a strand of 3 m."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClosePairs:
+    """Closest points of pairs of strands at moments, all (r,) or (r, 2) or (r, 3).
+
+    ``bins`` are the numbers of the intervals in the middle of which they were found, ascending;
+    ``fractions`` those of the length; ``normal`` points from the second to the first strand,
+    ``available`` is the distance between surfaces in metres.
+    """
+
+    bins: Ints
+    times: Floats
+    pairs: Ints
+    fractions: Floats
+    normal: Floats
+    available: Floats
+
+
+def close_pairs(plan: Plan, times: Floats, exempt: float) -> ClosePairs:
+    """Return all pairs that are nearer than WITHIN at mission times (k,); ``exempt`` in metres."""
+    lengths = plan.layout.lengths
+    place = plan.motion.at(times)[0]
+    strands = solve_catenaries(place[:, :-1], place[:, 1:], lengths)
+    points = strands.points(np.linspace(0.0, 1.0, PIECES + 1))
+    none = np.empty((0, 5), dtype=np.intp), np.empty((0, 3)), np.empty(0)
+    found: list[tuple[Floats | Ints, ...]] = [none]
+    for (i, j), parts in zip(*all_pairs(lengths, exempt), strict=True):
+        first = np.ceil(parts[:, 0] * PIECES).astype(np.intp)
+        last = np.floor(parts[:, 1] * PIECES).astype(np.intp) + 1
+        a, b = points[:, i, first[0] : last[0]], points[:, j, first[1] : last[1]]
+        near = np.flatnonzero(_gap(a, b) < WITHIN + plan.mission.cable.diameter)
+        closest = polyline_polyline(a[near], b[near])
+        here = np.rint(closest.first).astype(np.intp) + first[0]
+        there = np.rint(closest.second).astype(np.intp) + first[1]
+        apart = points[near, i, here] - points[near, j, there]
+        size = np.linalg.norm(apart, axis=1)
+        kept = (size < WITHIN + plan.mission.cable.diameter) & (size > 1e-9)
+        rows = np.column_stack([near, np.full(len(near), i), np.full(len(near), j), here, there])
+        found.append((rows[kept], apart[kept] / size[kept, None], size[kept]))
+    rows, normal, size = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    order = np.argsort(rows[:, 0], kind="stable")
+    rows, normal, size = rows[order], normal[order], size[order]
+    return ClosePairs(
+        rows[:, 0], times[rows[:, 0]], rows[:, 1:3], rows[:, 3:] / PIECES, normal,
+        size - plan.mission.cable.diameter,
+    )  # fmt: skip
+
+
+def _gap(a: Floats, b: Floats) -> Floats:
+    """Return a lower bound (k,) of the distance of polylines (k, m, 3): that of upright boxes."""
+    apart = np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1))
+    found: Floats = np.linalg.norm(np.maximum(apart, 0.0), axis=1)
+    return found
+
+
+def collect_approaches(close: ClosePairs, bins: Ints, strays: Floats, most: Floats) -> None:
+    """Raise ``most`` (r,) to how much nearer strands come by strays at their closest points.
+
+    ``strays`` (m, n − 1, links + 1, 3) at moments in the intervals ``bins`` (m,). Moments in the
+    interval before and after count, too: a change of the rate that begins between two simulated
+    ones passes through each mission time at most half an interval from where one of them does.
+    """
+    links = strays.shape[2] - 1
+    joints = np.rint(close.fractions * links).astype(np.intp)
+    first = np.searchsorted(close.bins, bins - 1, side="left")
+    last = np.searchsorted(close.bins, bins + 1, side="right")
+    counts = last - first
+    sample = np.repeat(np.arange(len(bins)), counts)
+    row = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + first[sample]
+    (i, j), (at_i, at_j) = close.pairs[row].T, joints[row].T
+    apart = strays[sample, j, at_j] - strays[sample, i, at_i]
+    np.maximum.at(most, row, np.nan_to_num((apart * close.normal[row]).sum(axis=1), nan=np.inf))
+
+
+def collect_settling(close: ClosePairs, bin_: int, strays: Floats, most: Floats) -> None:
+    """Raise ``most`` (r,) to the sum of both strands' amplitudes in the rest after a stop.
+
+    Strands of unequal periods that begin to swing together swing against each other later, with no
+    more than the amplitudes that air has left. ``strays`` (m, n − 1, links + 1, 3) are those of the
+    last moments of a stop that ends in the interval ``bin_``, over half a period at least.
+    """
+    first, last = np.searchsorted(close.bins, [bin_ - 1, bin_ + 2])
+    rows = np.arange(first, last)
+    joints = np.rint(close.fractions[rows] * (strays.shape[2] - 1)).astype(np.intp)
+    reached = [
+        np.abs((strays[:, segment, joint] * close.normal[rows]).sum(axis=-1)).max(axis=0, initial=0)
+        for segment, joint in zip(close.pairs[rows].T, joints.T, strict=True)
+    ]
+    most[rows] = np.maximum(most[rows], np.nan_to_num(reached[0] + reached[1], nan=np.inf))

@@ -1,0 +1,136 @@
+"""Simulated swings of a plan's cable: in the planned motion, and after changes of the clock's rate.
+
+The lumped masses are simulated along the planned motion. From moments of it they are simulated
+again with an ordinary and an urgent stop of the mission clock, an urgent change to full rate
+backwards (a rewind), and, from rest, a start (a resume). Vehicles are exactly on their
+trajectories, the air is still, and the cable is at rest when it comes aloft.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.certification.cable_spans import cable_spans
+from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.lumped_mass import SwingModel, at_rest, cable_model, swing_on, swing_on_each
+from swarm.planning import Plan
+from swarm.planning.clock_limits import COURSE_STEP, clock_limits
+
+Floats = npt.NDArray[np.float64]
+
+STEP = COURSE_STEP
+"""Seconds of a step of the simulation: strays of shaped default missions differ by less than 0.5 mm
+from those with half of it."""
+
+EVERY = 5
+"""Steps between compared moments: 0.1 s."""
+
+BEGINNINGS = 0.5
+"""Seconds of mission time between the beginnings of urgent stops, the farthest swings of all."""
+
+_TOGETHER = 8
+"""Courses that are simulated together, which bounds the memory."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """A change of the clock's rate, followed for ``duration`` seconds.
+
+    It begins at every ``each``-th of the beginnings; where the rate is 0, with the cable at rest.
+    """
+
+    name: str
+    rate: float
+    target: float
+    urgent: bool
+    duration: float
+    each: int
+
+
+COURSES = (
+    Course("urgent stop", 1.0, 0.0, True, 6.0, 2),
+    Course("ordinary stop", 1.0, 0.0, False, 6.0, 4),
+    Course("rewind", 1.0, -1.0, True, 6.0, 4),
+    Course("resume", 0.0, 1.0, False, 6.0, 4),
+)
+"""What the clock may do. Strays are largest within a period, about 2 s, after the clock has reached
+its target: after 1.2 s in urgent stops, 4 s in ordinary ones. Ordinary stops and resumes swing half
+as far as urgent stops, rewinds hardly farther: they need fewer beginnings."""
+
+SETTLING = 2.0
+"""Seconds at the end of a stop in which a strand reaches its amplitude to both sides: more than
+half the period of a sag of 4 m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Swung:
+    """Strays (c, k, n − 1, links + 1, 3) from the catenaries at mission times (c, k), metres.
+
+    In the planned motion (``course`` None), or in c courses of the clock.
+    """
+
+    times: Floats
+    strays: Floats
+    course: Course | None
+
+
+def aloft(plan: Plan) -> tuple[float, float] | None:
+    """Return the first and last time of the cable aloft, where the plan folds it.
+
+    None too where a chord is longer than its cable then, which the checks of lengths report.
+    """
+    spans = cable_spans(plan)
+    folds = any(phase.name == "fold" for phase in plan.phases)
+    if not folds or spans.problems or not spans.aloft:
+        return None
+    span = spans.aloft[0][0], spans.aloft[-1][1]
+    ends = plan.motion.at(_times(span))[0]
+    taut = (np.linalg.norm(np.diff(ends, axis=1), axis=2) > plan.layout.lengths).any()
+    return None if taut else span
+
+
+def model_of(plan: Plan) -> SwingModel:
+    """Return the model of a plan's cable."""
+    cable = plan.mission.cable
+    return replace(cable_model(cable.mass_per_length, cable.diameter), step=STEP)
+
+
+def swings(plan: Plan, span: tuple[float, float]) -> Iterator[Swung]:
+    """Yield all simulated swings of a plan between the times of :func:`aloft`."""
+    lengths, model = plan.layout.lengths, model_of(plan)
+    time = _times(span)
+    ends = plan.motion.at(time)[0]
+    states = swing_on(at_rest(ends[0], lengths, model), ends, lengths, model, EVERY)
+    strays = _strays(states[:, 1], ends[::EVERY], lengths)
+    yield Swung(time[None, ::EVERY], strays[None], None)
+    limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
+    beginnings = np.arange(0, len(time) - 1, round(BEGINNINGS / STEP))
+    for course in COURSES:
+        chosen = beginnings[:: course.each]
+        for some in np.split(chosen, np.arange(_TOGETHER, len(chosen), _TOGETHER)):
+            at = limits.course(
+                time[some], course.rate, course.target, course.duration, urgent=course.urgent
+            )
+            at = np.clip(at, span[0], span[1])
+            moved = plan.motion.at(at.ravel())[0].reshape(*at.shape, -1, 3)
+            begun = states[some // EVERY]
+            if course.rate == 0.0:
+                begun = np.stack([at_rest(first, lengths, model) for first in moved[:, 0]])
+            joints = swing_on_each(begun, moved, lengths, model, EVERY)[:, :, 1]
+            strays = _strays(joints, moved[:, ::EVERY], lengths)
+            yield Swung(at[:, ::EVERY], strays, course)
+
+
+def _times(span: tuple[float, float]) -> Floats:
+    found: Floats = np.minimum(np.arange(span[0], span[1] + STEP, STEP), span[1])
+    return found
+
+
+def _strays(joints: Floats, ends: Floats, lengths: Floats) -> Floats:
+    """Return the strays (…, n − 1, links + 1, 3) of joints from their catenaries, metres."""
+    fractions = np.linspace(0.0, 1.0, joints.shape[-2])
+    still = solve_catenaries(ends[..., :-1, :], ends[..., 1:, :], lengths).points(fractions)
+    found: Floats = joints - still
+    return found
