@@ -33,7 +33,6 @@ Shorts2 = Annotated[npt.NDArray[np.int16], types.int16[:, ::1]]
 Bytes2 = Annotated[npt.NDArray[np.uint8], types.uint8[:, ::1]]
 Bytes3 = Annotated[npt.NDArray[np.uint8], types.uint8[:, :, ::1]]
 Columns2 = Annotated[npt.NDArray[np.float64], _f[:, :]]
-Columns4 = Annotated[npt.NDArray[np.float64], _f[:, :, :, :]]
 """Parts of larger arrays, with gaps between their rows."""
 
 _SCALARS = {

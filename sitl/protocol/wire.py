@@ -24,7 +24,6 @@ _WHOLE_SETPOINT = struct.Struct("<5xBB3x4x11fHBBB2x")
 SETPOINT_LENGTH = _WHOLE_SETPOINT.size
 _WHOLE, _NUMBER = b"\xfd\x35\0", bytes([SETPOINT_LOCAL, 0, 0])
 _HEADER_LENGTH = 10
-_SIGNATURE_LENGTH = 13
 _TICKS_PER_SECOND = 100_000
 _crc: Callable[..., int] = crc16.mcrf4xx
 

@@ -14,8 +14,18 @@ import numpy.typing as npt
 from swarm.flight.estimation import Measured
 from swarm.flight.failures import HoldCause
 from swarm.flight.monitoring import Sample
-from swarm.mavlink.telemetry_table import ATTITUDE, POSITION_AT, RECEIVED_AT
-from swarm.mavlink.vehicle import Vehicle
+from swarm.mavlink.telemetry_table import (
+    ATTITUDE,
+    BATTERY,
+    FIX_TYPE,
+    GRIPPED,
+    HEIGHT_DIFFERENCE,
+    MODE_AT,
+    POSITION_AT,
+    POSITION_HEALTHY,
+    RECEIVED_AT,
+    VERTICAL_ACCURACY,
+)
 from swarm.planning import CableState
 
 Floats = npt.NDArray[np.float64]
@@ -46,7 +56,7 @@ class Observation:
     mode_at: Floats
     battery: Floats
     located: Flags
-    fix: Indices
+    fix: Floats
     height_gap: Floats
     height_accuracy: Floats
     gripped: Flags
@@ -86,10 +96,9 @@ class Observation:
 
 
 def observation_of(
-    now: float, names: Sequence[str], vehicles: Sequence[Vehicle], rows: Indices, measured: Measured
+    now: float, names: Sequence[str], table: Floats, rows: Indices, measured: Measured
 ) -> Observation:
     """Return the observation of vehicles whose positions have been ``measured``."""
-    table = vehicles[0].telemetry.values
     reported = table[rows]
     return Observation(
         now=now,
@@ -100,13 +109,13 @@ def observation_of(
         heard_at=reported[:, RECEIVED_AT],
         position_at=reported[:, POSITION_AT],
         attitude=reported[:, ATTITUDE : ATTITUDE + 3],
-        mode_at=np.array([vehicle.mode_at for vehicle in vehicles]),
-        battery=np.array([vehicle.battery for vehicle in vehicles]),
-        located=np.array([vehicle.position_healthy for vehicle in vehicles]),
-        fix=np.array([vehicle.fix_type for vehicle in vehicles]),
-        height_gap=np.array([vehicle.height_difference for vehicle in vehicles]),
-        height_accuracy=np.array([vehicle.vertical_accuracy for vehicle in vehicles]),
-        gripped=np.array([vehicle.gripped for vehicle in vehicles]),
+        mode_at=reported[:, MODE_AT],
+        battery=reported[:, BATTERY],
+        located=reported[:, POSITION_HEALTHY] > 0.0,
+        fix=reported[:, FIX_TYPE],
+        height_gap=reported[:, HEIGHT_DIFFERENCE],
+        height_accuracy=reported[:, VERTICAL_ACCURACY],
+        gripped=reported[:, GRIPPED] > 0.0,
     )
 
 

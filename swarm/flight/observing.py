@@ -37,7 +37,7 @@ def observe(flight: FlightState) -> None:
             (*flight.placement.frames.inverse, flight.setup.lift), commanded, times, measured,
         )  # fmt: skip
     flight.observation = observation_of(
-        timing.now, roster.names, roster.vehicles, roster.rows, measured
+        timing.now, roster.names, flight.team.telemetry.values, roster.rows, measured
     )
 
 

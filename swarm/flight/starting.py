@@ -48,7 +48,9 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
         stream_loss=_stream_loss_of(setup),
         roster=roster,
         placement=placement,
-        observation=observation_of(0.0, roster.names, flying, roster.rows, Measured.of(n)),
+        observation=observation_of(
+            0.0, roster.names, team.telemetry.values, roster.rows, Measured.of(n)
+        ),
         streams=Streams.of(n),
         mode=Mode(Stage.PREPARE if left is None else Stage.RESUME),
         resumption=resumption,

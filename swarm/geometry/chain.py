@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from swarm.errors import Refused
@@ -142,29 +141,6 @@ def minimum_under_sag(grid_size: ArrayLike, cell: ArrayLike, sag_over: ArrayLike
     if np.any(size < 3.0):
         raise ValueError("a grid with crossings has at least three rows")
     return sag_for_drop((size - 1.0) * _floats(cell), sag_over, 1.0 / (size - 1.0))
-
-
-def cell_for_length(corners: ArrayLike, sags: ArrayLike, length: float) -> float:
-    """Return the cell width with which the chain of unit-cell ``corners`` uses ``length`` of cable.
-
-    ``corners`` (n, 3) are in cells; ``sags`` (n − 1,) are metres and do not change. (Where sags
-    scale with the cell, all lengths do, and the result is a quotient.) Raises :class:`Refused`
-    where the sags alone need more cable.
-    """
-    corners = _floats(corners)
-
-    def surplus(cell: float) -> float:
-        return float(segment_lengths(corners * cell, sags).sum()) - length
-
-    steps = np.diff(corners, axis=0)
-    widest = length / float(np.linalg.norm(steps, axis=1).sum())
-    narrowest = 1e-9 * widest
-    if surplus(narrowest) >= 0.0:
-        raise Refused(
-            f"a cable of {length:g} m is too short for these sags: the sags alone need "
-            f"{surplus(narrowest) + length:.6g} m"
-        )
-    return float(scipy.optimize.brentq(surplus, narrowest, widest, xtol=1e-12 * widest, rtol=1e-14))
 
 
 def minimum_sags(

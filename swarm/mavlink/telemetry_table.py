@@ -15,14 +15,16 @@ from swarm.signatures import Bytes3, Floats2, Ints1, Ints2, Shorts2
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Sequences = npt.NDArray[np.int16]
 Bits = npt.NDArray[np.uint8]
 Vector = tuple[float, float, float]
 
 RECEIVED_AT, POSITION_AT, POSITION, VELOCITY, ATTITUDE = 0, 1, 2, 5, 8
 BOOT_TIME, PACKETS, LOST_PACKETS, COMPONENT = 11, 12, 13, 14
-WIDTH = 15
-"""Columns: times, position and velocity in NED, attitude, boot time in ms, counts, component."""
+MODE_AT, BATTERY, POSITION_HEALTHY, FIX_TYPE, HEIGHT_DIFFERENCE = 15, 16, 17, 18, 19
+VERTICAL_ACCURACY, GRIPPED = 20, 21
+WIDTH = 22
+"""Columns: times, position and velocity in NED, attitude, boot time in ms, counts, component; then
+what changes rarely, but is observed at every tick."""
 
 REBOOT_STEP = 2000.0
 """Milliseconds by which the boot time must go back to count as a reboot."""
@@ -50,6 +52,8 @@ class TelemetryTable:
         self.values[:, RECEIVED_AT] = self.values[:, POSITION_AT] = -math.inf
         self.values[:, BOOT_TIME], self.values[:, COMPONENT] = -1.0, 1.0
         self.values[:, PACKETS] = self.values[:, LOST_PACKETS] = 0.0
+        self.values[:, MODE_AT], self.values[:, FIX_TYPE] = -math.inf, -1.0
+        self.values[:, POSITION_HEALTHY], self.values[:, GRIPPED] = 1.0, 0.0
         self.sequences = np.full((vehicles, 256), -1, np.int16)
         self.missing = np.zeros((vehicles, 256, 32), np.uint8)
 
@@ -90,6 +94,13 @@ class IntegerField(FloatField):
 
     def __get__(self, vehicle: _HasRow, owner: type) -> int:
         return int(super().__get__(vehicle, owner))
+
+
+class FlagField(FloatField):
+    """An attribute that is true or false in a row."""
+
+    def __get__(self, vehicle: _HasRow, owner: type) -> bool:
+        return bool(super().__get__(vehicle, owner))
 
 
 class VectorField:

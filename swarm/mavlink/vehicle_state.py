@@ -11,14 +11,22 @@ from swarm.mavlink.frames import Origin
 from swarm.mavlink.parameters import Parameters
 from swarm.mavlink.telemetry_table import (
     ATTITUDE,
+    BATTERY,
     BOOT_TIME,
     COMPONENT,
+    FIX_TYPE,
+    GRIPPED,
+    HEIGHT_DIFFERENCE,
     LOST_PACKETS,
+    MODE_AT,
     PACKETS,
     POSITION,
     POSITION_AT,
+    POSITION_HEALTHY,
     RECEIVED_AT,
     VELOCITY,
+    VERTICAL_ACCURACY,
+    FlagField,
     FloatField,
     IntegerField,
     TelemetryTable,
@@ -68,7 +76,6 @@ class VehicleState:
     row: int = 0
 
     heartbeat_at: float = -math.inf
-    mode_at: float = -math.inf
     armed: bool = False
     custom_mode: int = -1
     system_status: int = 0
@@ -76,22 +83,16 @@ class VehicleState:
     origin: Origin | None = None
     next_origin_request: float = -math.inf
     global_position: Origin | None = None
-    battery: float = math.nan
     voltage: float = math.nan
     ready: bool | None = None
-    position_healthy: bool = True
-    fix_type: int = -1
     satellites: int = -1
     horizontal_accuracy: float = math.nan
-    vertical_accuracy: float = math.nan
-    height_difference: float = math.nan
     height_average: Vector = (math.nan, math.nan, math.nan)
     round_trip: float = math.nan
     latest_round_trip: float = math.nan
     clock_offset: float = math.nan
     latest_clock_offset: float = math.nan
     timesync_at: float = -math.inf
-    gripped: bool = False
     unhandled: dict[int, int] = field(default_factory=dict)
 
     commands: CommandQueue = field(init=False)
@@ -113,6 +114,13 @@ class VehicleState:
     packets = IntegerField(PACKETS)
     lost_packets = IntegerField(LOST_PACKETS)
     component = IntegerField(COMPONENT)
+    mode_at = FloatField(MODE_AT)
+    battery = FloatField(BATTERY)
+    position_healthy = FlagField(POSITION_HEALTHY)
+    fix_type = IntegerField(FIX_TYPE)
+    height_difference = FloatField(HEIGHT_DIFFERENCE)
+    vertical_accuracy = FloatField(VERTICAL_ACCURACY)
+    gripped = FlagField(GRIPPED)
 
     def __post_init__(self) -> None:
         self.commands = CommandQueue(self.system, self.component)

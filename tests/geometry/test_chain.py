@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq, minimize
 
@@ -13,7 +13,6 @@ from swarm.errors import Refused
 from swarm.geometry.catenary import length_for_sag, solve_catenaries
 from swarm.geometry.chain import (
     alpha,
-    cell_for_length,
     crossing_fractions,
     crossing_gaps,
     minimum_sags,
@@ -307,25 +306,6 @@ def test_a_circle_of_strands_is_refused_with_its_members() -> None:
     minimum_sags(corners, [(0, 2), (0, 4), (2, 4)], 0.2, minimum_sag=0.5, one_each=True)
     with pytest.raises(Refused, match="no sags exist: segments 0, 2, 4"):
         minimum_sags(corners, [(0, 2), (4, 0), (2, 4)], 0.2, minimum_sag=0.5, one_each=True)
-
-
-@settings(max_examples=25)
-@given(st.floats(40.0, 400.0))
-def test_a_given_cable_gives_the_cell(length: float) -> None:
-    placed, given_sags, _ = paper_layout("carrick_mat")
-    sags = 0.5 * given_sags
-    unit = placed - [0.0, 0.0, 10.0]
-    assume(length > 2.0 * sags.sum() + 1.0)
-    cell = cell_for_length(unit, sags, length)
-    assert segment_lengths(unit * cell, sags).sum() == pytest.approx(length, rel=1e-9)
-
-
-def test_too_short_a_cable_is_refused() -> None:
-    placed, sags, _ = paper_layout("carrick_mat")
-    with pytest.raises(
-        Refused, match=r"10 m is too short for these sags: the sags alone need 63 m"
-    ):
-        cell_for_length(placed, sags, 10.0)
 
 
 def test_a_crossing_over_a_corner_is_refused() -> None:
