@@ -8,25 +8,24 @@ where the mission limits the swing, in the tube around it, too (:mod:`.swing_tub
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.bodies import Body, VehiclePairs, VehicleStrands, vehicle_segments
-from swarm.certification.branch_and_bound import Boxes, Evaluator
 from swarm.certification.cable_spans import CableSpans, Spans, cable_spans
 from swarm.certification.compared_pairs import all_pairs, exempt_length
 from swarm.certification.ellipsoid_bounds import ReachPairs, ReachVehicles
+from swarm.certification.family import Family
+from swarm.certification.far_apart import FarPairs, FarVehicles
 from swarm.certification.fence import InsideFence, InsideFenceInWind
 from swarm.certification.floor_limits import BELOW, LYING, BesideRotors, DrawnOut, RigidDescent
 from swarm.certification.limits import AboveFloor, DerivativeLimit, HeightLimit, Slack
 from swarm.certification.minima import (
     TOLERANCE,
     Minima,
-    holds,
-    roots,
     smallest,
     smallest_in_boxes,
 )
@@ -37,13 +36,12 @@ from swarm.certification.swing_tube import SwingTube, swing_tube
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 Place = tuple[float, float, float]
 Progress = Callable[[str, float], None]
 
 STILL_AIR = (0.0, 0.0, -1.0)
 """Unit vector of the effective gravity without wind: down, ENU."""
-ROOT = 1.0
-"""Largest width in seconds of an initial box; bounds of wider ones are too weak to be of use."""
 
 CLEARANCES = (
     "cable clearance",
@@ -77,25 +75,6 @@ class Moment:
     def margin(self) -> float:
         """Distance less the required distance; negative where the check fails."""
         return self.distance - self.required
-
-
-@dataclass(frozen=True)
-class Family:
-    """Pairs of one kind whose margins are bounded together.
-
-    ``strands`` is the number of objects of a pair that the evaluator divides into pieces.
-    """
-
-    check: str
-    names: Sequence[tuple[str, str]]
-    required: float
-    spans: Spans
-    evaluate: Evaluator
-    strands: int = 0
-
-    def roots(self) -> Boxes:
-        """Return the initial boxes for all pairs over all spans of time."""
-        return roots(len(self.names), self.spans, ROOT, strands=self.strands)
 
 
 def segment_name(index: int) -> str:
@@ -138,28 +117,23 @@ def tightest_moments(
     return tuple(found)
 
 
-def checks_of(plan: Plan) -> frozenset[str]:
-    """Return the checks of clearances that a plan has."""
-    return frozenset(
-        family.check for family in families(plan, plan.mission.vehicles.tracking, STILL_AIR)
-    )
-
-
-def violations(plan: Plan, checks: Collection[str]) -> tuple[Moment, ...]:
-    """Return the moments at which clearances of the given checks do not hold.
+def violations(
+    plan: Plan, checks: Collection[str] | None = None, *, without: Collection[str] = ()
+) -> tuple[Moment, ...]:
+    """Return the moments at which clearances of the given checks (default: all) do not hold.
 
     For every pair, the worst moment of every second or less in which it fails, for the repair.
     """
     found: list[Moment] = []
     for family in families(plan, plan.mission.vehicles.tracking, STILL_AIR):
-        if family.check in checks:
+        if (checks is None or family.check in checks) and family.check not in without:
             found += _violations(family)
     return tuple(found)
 
 
 def _violations(family: Family) -> list[Moment]:
-    seconds = family.roots()
-    minima = smallest_in_boxes(family.evaluate, seconds)
+    seconds, initial = family.doubtful()
+    minima = smallest_in_boxes(family.evaluate, seconds, initial)
     failing = np.flatnonzero(minima.low < 0.0)
     return [_moment(family, int(seconds.group[k]), minima, int(k)) for k in failing]
 
@@ -170,7 +144,7 @@ def certified(plan: Plan, *, tracking: float, down: Place = STILL_AIR) -> bool:
     Much faster than :func:`tightest_moments`, which measures margins.
     """
     return not cable_spans(plan).problems and all(
-        holds(family.evaluate, family.roots()) for family in families(plan, tracking, down)
+        family.failing() is None for family in families(plan, tracking, down)
     )
 
 
@@ -236,6 +210,8 @@ def _strands(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, .
     clearance, diameter = plan.mission.clearance, plan.mission.cable.diameter
     pairs, parts = all_pairs(plan.layout.lengths, exempt_length(plan))
     neighbours = pairs[:, 1] == pairs[:, 0] + 1
+    # Boxes around neighbours, which meet at their vehicle, are never apart.
+    far = FarPairs(cable, pairs[~neighbours], clearance.cable + diameter)
 
     def distances(which: npt.NDArray[np.bool_], check: str) -> Family:
         names = [(segment_name(i), segment_name(j)) for i, j in pairs[which]]
@@ -244,7 +220,7 @@ def _strands(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, .
 
     return (
         Family("taut", _segments(plan, "its length"), 0.0, spans.hanging, Slack(cable)),
-        distances(~neighbours, "cable clearance"),
+        replace(distances(~neighbours, "cable clearance"), far=far),
         distances(neighbours, "neighbouring segments"),
         Family(
             "floor", _segments(plan, "the floor"), clearance.floor, spans.aloft,
@@ -330,17 +306,19 @@ def _bodies(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ..
     """Vehicles and hanging cable."""
     vehicles = plan.mission.vehicles
     other, own = vehicle_segments(plan.vehicles)
-    body = Body(vehicles.radius, vehicles.grip_offset)
+    body, diameter = Body(vehicles.radius, vehicles.grip_offset), plan.mission.cable.diameter
 
     def bodies(chosen: npt.NDArray[np.intp], check: str, required: float) -> Family:
         names = [(vehicle_name(i), segment_name(j)) for i, j in chosen]
-        evaluate = VehicleStrands(
-            cable, chosen, body, plan.mission.cable.diameter, np.full(len(chosen), required)
-        )
+        evaluate = VehicleStrands(cable, chosen, body, diameter, np.full(len(chosen), required))
         return Family(check, names, required, spans.aloft, evaluate, strands=1)
 
+    from_others = plan.mission.clearance.vehicle_cable
+    far = FarVehicles(
+        cable, other, vehicles.radius, vehicles.grip_offset, from_others + 0.5 * diameter
+    )
     return (
-        bodies(other, "vehicle-cable clearance", plan.mission.clearance.vehicle_cable),
+        replace(bodies(other, "vehicle-cable clearance", from_others), far=far),
         bodies(own, "rotor disc", 0.0),
     )
 

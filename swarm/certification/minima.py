@@ -89,8 +89,12 @@ def smallest(
     *,
     tolerance: float = TOLERANCE,
     below: float = np.inf,
+    initial: int = 0,
 ) -> Minima:
     """Return every pair's smallest margin over its boxes.
+
+    ``initial`` is the number of initial boxes before some were left out, which counts for the limit
+    of the search.
 
     The MOMENTS tightest pairs are found to ``tolerance``, or to 5 % of the margin (10 % of a
     shortfall) where that is more; for the others ``low`` is a true lower bound, not below that of
@@ -100,7 +104,7 @@ def smallest(
     low, high = np.full(pairs, np.inf), np.full(pairs, np.inf)
     time, place = np.full(pairs, np.nan), np.full((pairs, 3), np.nan)
     time[boxes.group] = boxes.middle[:, 0]
-    count, most = 0, _most(boxes)
+    count, most = 0, _most(boxes, initial)
 
     def undecided(boxes: Boxes, found: Enclosure) -> Flags:
         nonlocal count
@@ -120,14 +124,14 @@ def smallest(
     return Minima(np.where(low < np.inf, low, -np.inf), high, time, place, count)
 
 
-def smallest_in_boxes(evaluate: Evaluator, boxes: Boxes) -> Minima:
+def smallest_in_boxes(evaluate: Evaluator, boxes: Boxes, initial: int = 0) -> Minima:
     """Return the smallest margin of every given box where it is negative."""
     alone = replace(boxes, group=np.arange(len(boxes)))
 
     def of_pair(cut: Boxes) -> Enclosure:
         return evaluate(replace(cut, group=boxes.group[cut.group]))
 
-    return smallest(of_pair, len(boxes), alone, below=0.0)
+    return smallest(of_pair, len(boxes), alone, below=0.0, initial=initial)
 
 
 def holds(evaluate: Evaluator, boxes: Boxes) -> bool:
@@ -135,12 +139,12 @@ def holds(evaluate: Evaluator, boxes: Boxes) -> bool:
     return failing(evaluate, boxes) is None
 
 
-def failing(evaluate: Evaluator, boxes: Boxes) -> tuple[int, float] | None:
+def failing(evaluate: Evaluator, boxes: Boxes, initial: int = 0) -> tuple[int, float] | None:
     """Return pair and time of a margin that cannot be certified not to be negative, if any.
 
-    A pair without a margin in any box fails, too.
+    A pair without a margin in any box fails, too. ``initial`` as for :func:`smallest`.
     """
-    count, most = 0, _most(boxes)
+    count, most = 0, _most(boxes, initial)
     counted = np.zeros(int(boxes.group.max(initial=-1)) + 1, dtype=bool)
     failed: tuple[int, float] | None = None
 
@@ -165,9 +169,9 @@ def failing(evaluate: Evaluator, boxes: Boxes) -> tuple[int, float] | None:
     return failed
 
 
-def _most(boxes: Boxes) -> int:
-    """Largest number of boxes of a search with these initial ones."""
-    return MOST_BOXES + MOST_PER_ROOT * len(boxes)
+def _most(boxes: Boxes, initial: int) -> int:
+    """Largest number of boxes of a search with these initial ones, or with that many."""
+    return MOST_BOXES + MOST_PER_ROOT * max(len(boxes), initial)
 
 
 def _exhausted(boxes: Boxes, found: Enclosure) -> Flags:

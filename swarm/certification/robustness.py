@@ -10,14 +10,13 @@ from swarm.certification.air import wind_down
 from swarm.certification.assessment import Robustness
 from swarm.certification.branch_and_bound import Boxes
 from swarm.certification.clearances import (
-    ROOT,
     STILL_AIR,
-    Family,
     Moment,
     certified,
     families,
 )
-from swarm.certification.minima import failing, holds, whole_strands
+from swarm.certification.family import ROOT, Family
+from swarm.certification.minima import holds, whole_strands
 from swarm.planning import Plan
 
 Progress = Callable[[str, float], None]
@@ -98,7 +97,7 @@ def failure_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], flo
     """
     for case in _windy(plan, speed).values():
         for family in case():
-            found = failing(family.evaluate, family.roots())
+            found = family.failing()
             if found is not None:
                 return family.check, family.names[found[0]], found[1]
     return None
@@ -184,7 +183,7 @@ class _Search:
         cases = self._cases(value)
         for case in self._likely_first(value):
             for index, family in enumerate(cases[case]()):
-                found = failing(family.evaluate, family.roots())
+                found = family.failing()
                 if found is not None:
                     self._failed.setdefault((case, index), set()).add(found)
                     self._worst = case

@@ -19,7 +19,7 @@ from swarm.certification.certificate import (
     measure_clearances,
     with_recorded_robustness,
 )
-from swarm.certification.clearances import Moment, checks_of, violations
+from swarm.certification.clearances import Moment, violations
 from swarm.certification.smallest_budgets import short_moments
 from swarm.certification.stream_loss import certify_stream_loss
 from swarm.certification.swing_tube import swing_tube
@@ -301,7 +301,7 @@ def _failures(plan: Plan, failed_checks: frozenset[str]) -> tuple[Moment, ...]:
     at once; repaired one at a time, each would take an attempt.
     """
     failures = violations(plan, failed_checks) if failed_checks else ()
-    return failures or violations(plan, checks_of(plan) - failed_checks)
+    return failures or violations(plan, without=failed_checks)
 
 
 def _measured_failures(
