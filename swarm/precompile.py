@@ -29,9 +29,9 @@ FLIGHT = ("swarm.flight", "swarm.mavlink", "swarm.certification.monitor", "sitl"
 """Packages whose functions are compiled before the first plan and the first flight. Those that
 others call come first, so that few functions are compiled in two processes at the same time."""
 
-SEARCH = ("swarm.knots.sticks", "swarm.folding.untangling")
+SEARCH = ("swarm.untangling", "swarm.knots.sticks")
 """What only a search for a number of vehicles or for the motion of a given layout calls: compiled
-before the first one, not before every first plan (5 s of a processor), and not loaded for a
+before the first one, not before every first plan (20 s of a processor), and not loaded for a
 flight."""
 
 _PROCESSES = 4
@@ -61,7 +61,7 @@ def load(modules: Iterable[str] | None = None) -> int:
     """
     count = 0
     if modules is None:
-        modules = set(imported()).difference(SEARCH)
+        modules = [name for name in imported() if not name.startswith(SEARCH)]
     for function in functions(modules):
         types = declared(function)
         if types is not None:

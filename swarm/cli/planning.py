@@ -12,6 +12,7 @@ from swarm.front import plan_cache
 from swarm.front.files import is_plan_file, load_mission
 from swarm.front.plan_files import load_certified
 from swarm.mission import Mission
+from swarm.planning.searched_foldings import may_search
 from swarm.reports.findings_text import print_verdict
 from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.verdicts import plan_verdict
@@ -65,7 +66,7 @@ def plan_mission(
         precompile.prepare(precompile.PLANNING, progress)
         before = None if replan else plan_cache.find(mission, progress)
         if before is None:
-            if mission.vehicles.count != "auto" or mission.layout.corners is not None:
+            if may_search(mission):
                 precompile.prepare(precompile.SEARCH, progress)
             with precompile.compiling(precompile.FLIGHT if flight else ()) as finish:
                 planned = planner.plan(mission, progress)

@@ -43,11 +43,19 @@ def write_largest_responses(
     ``shapes`` (s, n − 1, 5) are their catenaries. ``found`` (s, n − 1, 2): metres per metre of both
     ends when these move by the tracking error, and of the far end when it moves by twice as much.
     """
-    moved = error_of_ends(BOTH_ENDS, tracking), error_of_ends(FAR_END, 2.0 * tracking)
     for s in range(shapes.shape[0]):
         for i in range(shapes.shape[1]):
-            for k in range(2):
-                found[s, i, k] = largest_response(shapes[s, i], 1, moved[k], tables)
+            write_largest_response(shapes[s, i], tracking, tables, found[s, i])
+
+
+@compiled
+def write_largest_response(
+    shape: Floats, tracking: float, tables: Sensitivity, found: Floats
+) -> None:
+    """As :func:`write_largest_responses`, for one strand: ``shape`` (5,), ``found`` (2,)."""
+    moved = error_of_ends(BOTH_ENDS, tracking), error_of_ends(FAR_END, 2.0 * tracking)
+    for k in range(2):
+        found[k] = largest_response(shape, 1, moved[k], tables)
 
 
 @compiled

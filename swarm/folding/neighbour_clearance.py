@@ -12,7 +12,7 @@ import numpy.typing as npt
 from swarm.folding.end_response import add_to_ends, arc_fraction, largest_response, point_movement
 from swarm.folding.margins import Penalty, PenaltyModel, Team
 from swarm.folding.outlines import PIECES, direction_between, point_at
-from swarm.folding.strand_clearance import PREFERRED
+from swarm.folding.strand_clearance import preferred_distance
 from swarm.geometry.distance import point_distance, polyline_distance_sized
 from swarm.geometry.sensitivity import FAR_END, FINEST, NEAR_END, error_of_ends, finest_piece
 from swarm.jit import compiled
@@ -41,27 +41,39 @@ def empty_margin_cache(moments: int, segments: int) -> MarginCache:
     return MarginCache(np.full((moments, pairs), -1.0), np.zeros((moments, pairs, 3, 3)))
 
 
-class _Junction(NamedTuple):
+class Chain(NamedTuple):
+    """Strands of a team at one moment, as in :class:`swarm.folding.margins.Team`."""
+
+    points: Floats
+    shapes: Floats
+    response: Floats
+
+
+class Junction(NamedTuple):
     """Two strands that meet at a vehicle: segments ``first`` and ``first + 1``.
 
-    ``sizes`` (2, PIECES) are the lengths of their edges. Their preferred distance is ``wanted``;
-    beyond ``reach`` no margin is missed. In plan view, a point of one is at least ``sine`` times as
-    far from the other as from the vehicle. ``part`` (PIECES + 1, 3) is a buffer.
+    ``extra`` metres are required beyond the margin. ``sizes`` (2, PIECES), for the lengths of their
+    edges, and ``part`` (PIECES + 1, 3) are buffers.
     """
 
     first: int
+    extra: float
     sizes: Floats
-    wanted: float
-    reach: float
-    sine: float
     part: Floats
 
 
 class _FreePart(NamedTuple):
-    """The free part of a segment, up to or from the place ``limit`` on its outline."""
+    """The free part of a segment, up to or from the place ``limit`` on its outline.
+
+    The preferred distance is ``wanted``; beyond ``reach`` no margin is missed. In plan view, a
+    point of one strand is at least ``sine`` times as far from the other as from the vehicle.
+    """
 
     segment: int
     limit: float
+    wanted: float
+    reach: float
+    sine: float
 
 
 @compiled
@@ -73,49 +85,60 @@ def penalize_neighbours(
     Pairs with a spare margin in the cache are skipped; others are written to it. The cache is valid
     as long as nothing but positions changes.
     """
-    margins, exempt = model.margins, model.margins.exempt
-    unit = margins.cable + 2.0 * margins.tracking
-    tracking = 2.0 * margins.tracking
-    at_end, at_start = error_of_ends(FAR_END, tracking), error_of_ends(NEAR_END, tracking)
     part, sizes = np.empty((PIECES + 1, 3)), np.empty((2, PIECES))
     for s in range(len(team.points)):
-        wanted = margins.cable + PREFERRED * unit + extra[s]
-        points, shapes, response = team.points[s], team.shapes[s], team.response[s]
+        chain = Chain(team.points[s], team.shapes[s], team.response[s])
+        points, response = chain.points, chain.response
         moment = Penalty(penalty.missed[s : s + 1], penalty.gradient[s : s + 1])
         for i in range(len(points) - 1):
             before, after = points[i], points[i + 1]
             movement = _movement(before, after, response[i, 0], response[i + 1, 0])
             if _is_cached(before, after, movement, cache.spare[s, i], cache.positions[s, i]):
                 continue
-            for k in range(PIECES):
-                sizes[0, k] = point_distance(before[k], before[k + 1])
-                sizes[1, k] = point_distance(after[k], after[k + 1])
-            reach = wanted + tracking * (response[i, 1] + response[i + 1, 1])
-            sine = _least_sine(before, after)
-            free, free_after = _free_share(shapes[i], exempt), _free_share(shapes[i + 1], exempt)
-            ends, begins = _place_at(sizes[0], free), _place_at(sizes[1], 1.0 - free_after)
-            level = _level_distance(before, ends, after[0])
-            level_after = _level_distance(after, begins, after[0])
-            if sine == 1.0:
-                # Points farther along move more with the far end, but by less than they are apart.
-                piece, piece_after = finest_piece(1, free), finest_piece(1, 1.0 - free_after)
-                error = largest_response(shapes[i], piece, at_start, model.tables)
-                error += largest_response(shapes[i + 1], FINEST, at_end, model.tables)
-                error_after = largest_response(shapes[i + 1], piece_after, at_end, model.tables)
-                error_after += largest_response(shapes[i], 2 * FINEST - 1, at_start, model.tables)
-                least = min(level - tracking * error, level_after - tracking * error_after)
-                if least > wanted:
-                    cache.spare[s, i] = least - wanted
-                    continue
-            junction = _Junction(i, sizes, wanted, reach, sine, part)
-            spare = np.inf
-            for own, limit, near in ((i, ends, level), (i + 1, begins, level_after)):
-                left = near * sine - reach
-                if left < 0.0:
-                    apart = _FreePart(own, limit)
-                    left = _penalize_free_part(points, shapes, junction, apart, model, moment)
-                spare = min(spare, left)
-            cache.spare[s, i] = spare
+            junction = Junction(i, extra[s], sizes, part)
+            cache.spare[s, i] = penalize_junction(chain, junction, model, moment)
+
+
+@compiled
+def penalize_junction(
+    chain: Chain, junction: Junction, model: PenaltyModel, moment: Penalty
+) -> float:
+    """Add the missed margin of two strands that meet to the penalty of one moment.
+
+    Return the metres that remain of the preferred margin, negative where it is missed.
+    """
+    i, sizes, margins = junction.first, junction.sizes, model.margins
+    before, after = chain.points[i], chain.points[i + 1]
+    shape, shape_after = chain.shapes[i], chain.shapes[i + 1]
+    for k in range(PIECES):
+        sizes[0, k] = point_distance(before[k], before[k + 1])
+        sizes[1, k] = point_distance(after[k], after[k + 1])
+    wanted, tracking = preferred_distance(margins) + junction.extra, 2.0 * margins.tracking
+    reach = wanted + tracking * (chain.response[i, 1] + chain.response[i + 1, 1])
+    sine = _least_sine(before, after)
+    free, free_after = _free_share(shape, margins.exempt), _free_share(shape_after, margins.exempt)
+    ends, begins = _place_at(sizes[0], free), _place_at(sizes[1], 1.0 - free_after)
+    level = _level_distance(before, ends, after[0])
+    level_after = _level_distance(after, begins, after[0])
+    if sine == 1.0:
+        # Points farther along move more with the far end, but by less than they are apart.
+        at_end, at_start = error_of_ends(FAR_END, tracking), error_of_ends(NEAR_END, tracking)
+        piece, piece_after = finest_piece(1, free), finest_piece(1, 1.0 - free_after)
+        error = largest_response(shape, piece, at_start, model.tables)
+        error += largest_response(shape_after, FINEST, at_end, model.tables)
+        error_after = largest_response(shape_after, piece_after, at_end, model.tables)
+        error_after += largest_response(shape, 2 * FINEST - 1, at_start, model.tables)
+        least = min(level - tracking * error, level_after - tracking * error_after)
+        if least > wanted:
+            return least - wanted
+    spare = np.inf
+    for own, limit, near in ((i, ends, level), (i + 1, begins, level_after)):
+        left = near * sine - reach
+        if left < 0.0:
+            apart = _FreePart(own, limit, wanted, reach, sine)
+            left = _penalize_free_part(chain, junction, apart, model, moment)
+        spare = min(spare, left)
+    return spare
 
 
 @compiled
@@ -185,24 +208,19 @@ def _level_distance(points: Floats, place: float, at: Floats) -> float:
 
 @compiled
 def _penalize_free_part(
-    points: Floats,
-    shapes: Floats,
-    junction: _Junction,
-    free: _FreePart,
-    model: PenaltyModel,
-    moment: Penalty,
+    chain: Chain, junction: Junction, free: _FreePart, model: PenaltyModel, moment: Penalty
 ) -> float:
     """Add the missed margin of a free part to the penalty of one moment.
 
-    ``points`` (n − 1, k, 3) and ``shapes`` (n − 1, 5) are the team's strands. Return the metres
-    that remain of the preferred margin.
+    Return the metres that remain of the preferred margin.
     """
-    own, limit = free.segment, free.limit
-    sizes, part, reach = junction.sizes, junction.part, junction.reach
+    points, shapes = chain.points, chain.shapes
+    own, limit, reach = free.segment, free.limit, free.reach
+    sizes, part = junction.sizes, junction.part
     neighbour = 2 * junction.first + 1 - own
     outline, other, outward = points[own], points[neighbour], own > neighbour
-    low, high = _close_points(outline, reach, junction.sine, outward)
-    begin, end = _close_points(other, reach, junction.sine, not outward)
+    low, high = _close_points(outline, reach, free.sine, outward)
+    begin, end = _close_points(other, reach, free.sine, not outward)
     if outward:
         low = min(int(limit), PIECES - 1)
     else:
@@ -229,7 +247,7 @@ def _penalize_free_part(
     error = point_movement(shapes[own], here, push[2], moved, tables)
     moved = error_of_ends(NEAR_END if outward else FAR_END, 2.0 * tracking)
     error += point_movement(shapes[neighbour], there, push[2], moved, tables)
-    left = distance - junction.wanted - error
+    left = distance - free.wanted - error
     if left < 0.0:
         short = -left / (model.margins.cable + 2.0 * tracking)
         moment.missed[0] += short * short

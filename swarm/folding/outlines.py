@@ -72,10 +72,16 @@ def _write_outlines(
 ) -> None:
     """Write the outlines (q, k, 3) and catenaries (q, 5) of strands."""
     for q in range(len(length)):
-        chord = point_distance(start[q], end[q])
-        strand = strand_polygon(start[q], end[q], reachable_length(length[q], chord), points[q])
-        for k in range(5):
-            shapes[q, k] = strand[k]
+        write_outline(start[q], end[q], length[q], points[q], shapes[q])
+
+
+@compiled
+def write_outline(start: Floats, end: Floats, length: float, points: Floats, shape: Floats) -> None:
+    """Write the outline (k, 3) and the catenary (5,) of a strand."""
+    chord = point_distance(start, end)
+    strand = strand_polygon(start, end, reachable_length(length, chord), points)
+    for k in range(5):
+        shape[k] = strand[k]
 
 
 @compiled

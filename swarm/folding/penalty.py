@@ -5,7 +5,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.crossing_constraints import CrossingSigns
+from swarm.folding.chord_clearance import chord_unit, missed_chords
+from swarm.folding.crossing_constraints import CrossingSigns, free_signs
 from swarm.folding.end_response import write_largest_responses
 from swarm.folding.margins import Margins, Penalty, PenaltyModel, Team
 from swarm.folding.neighbour_clearance import MarginCache, empty_margin_cache, penalize_neighbours
@@ -25,8 +26,13 @@ Ints = npt.NDArray[np.intp]
 _STEP = 1e-4
 """Metres; step of the differences for derivatives that are not written out."""
 
-_PREFERRED_CHORD, _CHORD_WEIGHT = 0.985, 4.0
-"""Share of the largest chord that the optimizer prefers to keep, and weight of metres beyond."""
+KEPT = 0.02
+"""Missed margins, squared, up to which a team keeps its margins: the penalty of a single pair
+begins a quarter of a unit beyond its margin, so that 0.06 is a kept margin. Jets of vehicles above
+cost more than this where they make a vehicle sink by about a tracking error."""
+
+_BATCH = 4000
+"""Number of teams whose margins are computed at once: their outlines fit a processor's cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +68,11 @@ class TeamGeometry:
     lengths: Floats
     margins: Margins
 
+    @property
+    def model(self) -> PenaltyModel:
+        """The margins, with the tables by which strands respond to tracking errors."""
+        return PenaltyModel(self.margins, sensitivity_tables())
+
     def outlines(self, positions: Floats) -> Outlines:
         """Return the team's strands (s, n − 1) with vehicles at positions (s, n, 3)."""
         return outline_strands(positions[:, :-1], positions[:, 1:], self.lengths)
@@ -83,8 +94,8 @@ class TeamGeometry:
         """
         extra = extra or no_extra_margins(len(positions))
         cache = cache or empty_margin_cache(len(positions), len(self.lengths))
-        margins, strands = self.margins, self.outlines(positions)
-        model = PenaltyModel(margins, sensitivity_tables())
+        model, strands = self.model, self.outlines(positions)
+        margins = model.margins
         response = np.empty((*strands.ratio.shape, 2))
         write_largest_responses(strands.shapes, margins.tracking, model.tables, response)
         team = Team(positions, strands.points, strands.boxes, strands.shapes, response)
@@ -104,15 +115,13 @@ class TeamGeometry:
         self, positions: Floats, strands: Outlines, extra: Floats, total: Penalty
     ) -> None:
         """Add the cost of chords that are close to the largest one."""
-        margins, lengths = self.margins, self.lengths
-        unit = (margins.cable + 2.0 * margins.tracking) / _CHORD_WEIGHT
-        longer = 2.0 * margins.tracking + extra[:, None]
-        over = (strands.ratio + longer / lengths) / margins.max_chord_ratio - _PREFERRED_CHORD
-        moment, segment = np.nonzero(over > 0.0)
+        margins = self.margins
+        missed = missed_chords(strands.ratio, self.lengths, extra[:, None], margins)
+        moment, segment = np.nonzero(missed > 0.0)
         along = positions[moment, segment + 1] - positions[moment, segment]
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-        short = over[moment, segment] * lengths[segment] / unit
-        pull = (short / (unit * margins.max_chord_ratio))[:, None] * along
+        short = missed[moment, segment]
+        pull = (short / (chord_unit(margins) * margins.max_chord_ratio))[:, None] * along
         np.add.at(total.missed, moment, short**2)
         np.add.at(total.gradient, (moment, segment), -pull)
         np.add.at(total.gradient, (moment, segment + 1), pull)
@@ -141,3 +150,16 @@ class TeamGeometry:
             rotor_disc_costs(moved[:, end].copy(), held, extra[moment], self.margins, after)
             slope = cost * (after - cost) / _STEP
             np.add.at(total.gradient, (moment, segment + vehicle, axis), slope)
+
+
+def missed_margins(team: TeamGeometry, positions: Floats) -> Floats:
+    """Return the missed margins (s,), squared and summed, of a team at positions (s, n, 3).
+
+    Vehicles in the jets of others count as well. No strand is required on one side of another.
+    """
+    missed = np.empty(len(positions))
+    for begin in range(0, len(positions), _BATCH):
+        some = positions[begin : begin + _BATCH]
+        signs = free_signs(len(some), len(team.lengths))
+        missed[begin : begin + _BATCH] = team.penalty(some, signs, preferences=True).missed
+    return missed

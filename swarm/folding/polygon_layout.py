@@ -12,10 +12,9 @@ import numpy.typing as npt
 import scipy
 
 from swarm.folding.crossing_constraints import free_signs
-from swarm.folding.free_space import KEPT
 from swarm.folding.layout import KnotLayout
 from swarm.folding.margins import Margins
-from swarm.folding.penalty import TeamGeometry
+from swarm.folding.penalty import KEPT, TeamGeometry
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.chain import crossing_gaps, plan_crossings, segment_lengths
 

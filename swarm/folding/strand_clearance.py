@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.folding.end_response import add_to_ends, arc_fraction, point_movement
-from swarm.folding.margins import Penalty, PenaltyModel, Team
+from swarm.folding.margins import Margins, Penalty, PenaltyModel, Team
 from swarm.folding.outlines import (
     PIECES,
     OutlineRow,
@@ -30,7 +30,7 @@ PREFERRED = 0.25
 bound."""
 
 
-class _Pair(NamedTuple):
+class StrandPair(NamedTuple):
     """Segments ``first`` and ``second``, and the sign and the metres that their margin adds.
 
     ``sign`` is 1 where the first must pass over the second, −1 under, 0 where free. Beyond
@@ -54,7 +54,7 @@ def penalize_strands(
     ``extra`` (s,) is required beyond the margin, in metres.
     """
     margins, count = model.margins, team.points.shape[1]
-    wanted = margins.cable + PREFERRED * (margins.cable + 2.0 * margins.tracking)
+    wanted = preferred_distance(margins)
     for s in range(len(team.points)):
         boxes, number = team.boxes[s], -1
         points, shapes, response = team.points[s], team.shapes[s], team.response[s]
@@ -65,13 +65,19 @@ def penalize_strands(
                 error = margins.tracking * (response[i, 0] + response[j, 0])
                 limit = wanted + extra[s] + error
                 if boxes_closer(boxes, i, boxes, j, limit):
-                    pair = _Pair(i, j, signs[s, number], extra[s], limit)
-                    penalty.missed[s] += _penalize_pair(points, shapes, pair, model, gradient)
+                    pair = StrandPair(i, j, signs[s, number], extra[s], limit)
+                    penalty.missed[s] += penalize_pair(points, shapes, pair, model, gradient)
 
 
 @compiled
-def _penalize_pair(
-    points: Floats, shapes: Floats, pair: _Pair, model: PenaltyModel, gradient: Floats
+def preferred_distance(margins: Margins) -> float:
+    """Return the distance that two strands should have at their places, without errors."""
+    return margins.cable + PREFERRED * (margins.cable + 2.0 * margins.tracking)
+
+
+@compiled
+def penalize_pair(
+    points: Floats, shapes: Floats, pair: StrandPair, model: PenaltyModel, gradient: Floats
 ) -> float:
     """Return the square of the missed margin of two strands; add to the gradient (n, 3)."""
     i, j, margins = pair.first, pair.second, model.margins

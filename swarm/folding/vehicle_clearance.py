@@ -37,7 +37,7 @@ _DISC_WEIGHT = 10.0
 """Weight of metres inside a rotor disc, over the disc's radius."""
 
 
-class _Meeting(NamedTuple):
+class Meeting(NamedTuple):
     """A vehicle and the segment of others that it may meet.
 
     ``sign`` is 1 where the vehicle must pass over the strand, −1 under, 0 where free; ``extra`` are
@@ -60,36 +60,47 @@ def penalize_strands_at_vehicles(
     ``signs`` (s, n, n − 1) are as in :class:`swarm.folding.crossing_constraints.CrossingSigns`.
     """
     margins, positions = model.margins, team.positions
-    unit = margins.vehicle_cable + 2.0 * margins.tracking
-    wanted = margins.vehicle_cable + PREFERRED * unit + margins.tracking
-    body = np.empty((1, 2, 3))
-    body[0, 1, 0] = body[0, 1, 1] = margins.radius
-    body[0, 1, 2] = 0.5 * margins.grip_offset
+    wanted, body = preferred_meeting(margins), np.empty((1, 2, 3))
     for s in range(len(positions)):
         boxes, response, gradient = team.boxes[s], team.response[s], penalty.gradient[s]
         for vehicle in range(positions.shape[1]):
-            for x in range(3):
-                body[0, 0, x] = positions[s, vehicle, x]
-            body[0, 0, 2] += 0.5 * margins.grip_offset
+            write_body(positions[s, vehicle], margins, body)
             for segment in range(len(response)):
                 if segment in (vehicle, vehicle - 1):
                     continue
                 limit = wanted + extra[s] + margins.tracking * response[segment, 0]
                 if boxes_closer(body, 0, boxes, segment, limit):
                     sign = signs[s, vehicle, segment]
-                    meeting = _Meeting(vehicle, segment, sign, extra[s], limit)
-                    penalty.missed[s] += _penalize_meeting(
+                    meeting = Meeting(vehicle, segment, sign, extra[s], limit)
+                    penalty.missed[s] += penalize_meeting(
                         positions[s, vehicle], team.points[s, segment], team.shapes[s, segment],
                         meeting, model, gradient,
                     )  # fmt: skip
 
 
 @compiled
-def _penalize_meeting(
+def preferred_meeting(margins: Margins) -> float:
+    """Return the distance that a vehicle should have from a strand that does not move."""
+    unit = margins.vehicle_cable + 2.0 * margins.tracking
+    return margins.vehicle_cable + PREFERRED * unit + margins.tracking
+
+
+@compiled
+def write_body(position: Floats, margins: Margins, body: Floats) -> None:
+    """Write the box (1, 2, 3) around a vehicle's rotor disc and grip: middle and half size."""
+    for x in range(3):
+        body[0, 0, x] = position[x]
+    body[0, 0, 2] += 0.5 * margins.grip_offset
+    body[0, 1, 0] = body[0, 1, 1] = margins.radius
+    body[0, 1, 2] = 0.5 * margins.grip_offset
+
+
+@compiled
+def penalize_meeting(
     position: Floats,
     strand: Floats,
     shape: Floats,
-    meeting: _Meeting,
+    meeting: Meeting,
     model: PenaltyModel,
     gradient: Floats,
 ) -> float:
@@ -189,8 +200,7 @@ def penalize_vehicles(
 ) -> None:
     """Add the missed margins of vehicles (s, n, 3) beside each other, and right below others."""
     for s in range(len(positions)):
-        beside = margins.vehicle + 2.0 * margins.tracking + extra[s]
-        under = margins.downwash + 2.0 * margins.tracking + extra[s]
+        beside, under = _required(margins, extra[s])
         gradient = penalty.gradient[s]
         for i in range(positions.shape[1]):
             for j in range(i + 1, positions.shape[1]):
@@ -199,7 +209,7 @@ def penalize_vehicles(
                 rise = positions[s, i, 2] - positions[s, j, 2]
                 level = np.sqrt(x * x + y * y)
                 aside, above = level / beside, abs(rise) / under
-                short = _VEHICLE_WEIGHT * (1.0 + _VEHICLES_APART - max(aside, above))
+                short = _short_of(max(aside, above))
                 if short <= 0.0:
                     continue
                 penalty.missed[s] += short * short
@@ -213,6 +223,37 @@ def penalize_vehicles(
                     push = -np.sign(rise) * short * _VEHICLE_WEIGHT / under
                     gradient[i, 2] += push
                     gradient[j, 2] -= push
+
+
+@compiled
+def missed_by_pair(one: Floats, other: Floats, margins: Margins) -> float:
+    """Return what :func:`penalize_vehicles` and :func:`penalize_downwash` add for two vehicles."""
+    beside, under = _required(margins, 0.0)
+    x, y, rise = one[0] - other[0], one[1] - other[1], abs(one[2] - other[2])
+    level = np.sqrt(x * x + y * y)
+    short, wash = max(_short_of(max(level / beside, rise / under)), 0.0), 0.0
+    if 0.0 < rise < _FAR_BELOW:
+        wash = _WASH_WEIGHT * max(1.0 - level / _jet(rise, margins), 0.0)
+    return float(short * short + wash * wash)
+
+
+@compiled
+def _required(margins: Margins, extra: float) -> tuple[float, float]:
+    """Return the distances of two vehicles that are required, beside and below each other."""
+    beside = margins.vehicle + 2.0 * margins.tracking + extra
+    return beside, margins.downwash + 2.0 * margins.tracking + extra
+
+
+@compiled
+def _short_of(apart: float) -> float:
+    """Return the missed margin of vehicles, for their distance over the required one."""
+    return _VEHICLE_WEIGHT * (1.0 + _VEHICLES_APART - apart)
+
+
+@compiled
+def _jet(rise: float, margins: Margins) -> float:
+    """Return the distance from a jet's axis that vehicles avoid, ``rise`` metres below."""
+    return _JETS * (0.7 * margins.radius + 0.1 * rise)
 
 
 @compiled
@@ -232,7 +273,7 @@ def penalize_downwash(positions: Floats3, margins: Margins, penalty: Penalty) ->
                 x = positions[s, i, 0] - positions[s, j, 0]
                 y = positions[s, i, 1] - positions[s, j, 1]
                 level = np.sqrt(x * x + y * y)
-                size = _JETS * (0.7 * margins.radius + 0.1 * rise)
+                size = _jet(rise, margins)
                 if level >= size:
                     continue
                 short = _WASH_WEIGHT * (1.0 - level / size)

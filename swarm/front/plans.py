@@ -19,6 +19,7 @@ from swarm.mission import Mission
 from swarm.notebook import table
 from swarm.planning.archive import plan_file, read_plan_file
 from swarm.planning.cable_shape import cable_shape
+from swarm.planning.searched_foldings import may_search
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -143,7 +144,7 @@ def plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
     :mod:`swarm.planning.candidates` (grid diagram, layout, folding).
     """
     precompile.prepare(precompile.PLANNING, progress)
-    if mission.vehicles.count != "auto" or mission.layout.corners is not None:
+    if may_search(mission):
         precompile.prepare(precompile.SEARCH, progress)
     result = planner.plan(mission, progress, robustness=False)
     planned = Plan.of(result.plan)

@@ -6,6 +6,7 @@ import numpy.typing as npt
 from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
+Vector = tuple[float, float, float]
 
 _NO_AREA = 1e-12
 """Square metres of a triangle below which an edge sees the other end on: its integral is 0."""
@@ -29,38 +30,34 @@ def gauss_integral(one: Floats, other: Floats) -> float:
 @compiled
 def _edge_integral(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
     """Return the integral of edges ab and cd: the area of directions in which they cross."""
-    normals, sizes = np.empty((4, 3)), np.empty(4)
-    _cross(a, c, a, d, normals[0])
-    _cross(a, d, b, d, normals[1])
-    _cross(b, d, b, c, normals[2])
-    _cross(b, c, a, c, normals[3])
-    for k in range(4):
-        sizes[k] = np.sqrt(_dot(normals[k], normals[k]))
-        if sizes[k] < _NO_AREA:
-            return 0.0
-    area = 0.0
-    for k in range(4):
-        after = (k + 1) % 4
-        cosine = _dot(normals[k], normals[after]) / (sizes[k] * sizes[after])
-        area += np.arcsin(min(max(cosine, -1.0), 1.0))
-    turned = np.empty(3)
-    _cross(c, d, a, b, turned)
-    side = 0.0
-    for x in range(3):
-        side += turned[x] * (c[x] - a[x])
-    return float(area * np.sign(side))
+    ac = (c[0] - a[0], c[1] - a[1], c[2] - a[2])
+    ad = (d[0] - a[0], d[1] - a[1], d[2] - a[2])
+    bc = (c[0] - b[0], c[1] - b[1], c[2] - b[2])
+    bd = (d[0] - b[0], d[1] - b[1], d[2] - b[2])
+    n1, n2, n3, n4 = _cross(ac, ad), _cross(ad, bd), _cross(bd, bc), _cross(bc, ac)
+    s1, s2, s3, s4 = _dot(n1, n1), _dot(n2, n2), _dot(n3, n3), _dot(n4, n4)
+    if min(s1, s2, s3, s4) < _NO_AREA * _NO_AREA:
+        return 0.0
+    area = _arc(_dot(n1, n2), s1 * s2) + _arc(_dot(n2, n3), s2 * s3)
+    area += _arc(_dot(n3, n4), s3 * s4) + _arc(_dot(n4, n1), s4 * s1)
+    along = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    other = (d[0] - c[0], d[1] - c[1], d[2] - c[2])
+    return float(area * np.sign(_dot(_cross(other, along), ac)))
 
 
 @compiled
-def _cross(from_: Floats, to: Floats, start: Floats, end: Floats, found: Floats) -> None:
-    """Write the cross product (3,) of the vectors from ``from_`` to ``to`` and start to end."""
-    for x in range(3):
-        y, z = (x + 1) % 3, (x + 2) % 3
-        found[x] = (to[y] - from_[y]) * (end[z] - start[z])
-        found[x] -= (to[z] - from_[z]) * (end[y] - start[y])
+def _cross(u: Vector, v: Vector) -> Vector:
+    """Return the cross product."""
+    return (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
 
 
 @compiled
-def _dot(u: Floats, v: Floats) -> float:
-    """Return the scalar product."""
-    return float(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
+def _dot(u: Vector, v: Vector) -> float:
+    """Return the inner product."""
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+@compiled
+def _arc(product: float, squares: float) -> float:
+    """Return the arc sine of an inner product over the root of the product of squared sizes."""
+    return float(np.arcsin(min(max(product / np.sqrt(squares), -1.0), 1.0)))

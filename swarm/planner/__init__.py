@@ -36,7 +36,8 @@ from swarm.planning import Candidate, Plan, Shortfall, candidates, repaired
 Progress = Callable[[str, float], None]
 
 _ATTEMPTS = 16
-"""Largest number of plans that are checked before the first of them is returned as it is."""
+"""Largest number of plans with a number of vehicles that are checked. Where none is cleared, the
+first of all is returned as it is."""
 
 _BUDGET_ROUNDS = 4
 """Largest number of repairs of a plan whose budget is short."""
@@ -138,8 +139,12 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     kept: list[_Kept] = []
     short_ones: list[PlanningResult] = []
     failed_checks: frozenset[str] = frozenset()
-    attempts = 0
-    while candidate is not None and attempts < _ATTEMPTS:
+    attempts, vehicles = 0, 0
+    while candidate is not None:
+        if candidate.plan.vehicles != vehicles:
+            attempts, vehicles = 0, candidate.plan.vehicles
+        elif attempts >= _ATTEMPTS:
+            break
         notes += candidate.notes
         plan = replace(candidate.plan, notes=notes)
         paced, failures, measured = _checked(plan, failed_checks, progress)

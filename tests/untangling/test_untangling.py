@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from swarm.folding.free_space import KEPT, free_space, missed_margins
 from swarm.folding.layout import lay_out_corners
-from swarm.folding.penalty import TeamGeometry
-from swarm.folding.untangling import SPACING, between, shortened, untangle
+from swarm.folding.penalty import KEPT, TeamGeometry, missed_margins
 from swarm.folding.waypoints import schedule_of_waypoints
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.gauss_integral import gauss_integral
 from swarm.mission import mission_for_knot
 from swarm.planning.foldings import planning_margins
+from swarm.untangling.free_space import free_space
+from swarm.untangling.loosening import between, loosened
+from swarm.untangling.moved_vehicle import Group, missed_by, team_state, update
+from swarm.untangling.search import SPACING, shortened, untangle
 
 PENTAGRAM = np.array([[4.0, 0.0], [-3.24, -2.35], [1.24, 3.8], [1.24, -3.8], [-3.24, 2.35]])
 SAGS = [3.28, 1.29, 4.26, 2.29]
@@ -36,7 +38,7 @@ def test_the_gauss_integral_of_two_linked_rings_is_one() -> None:
 
 def test_an_overhand_is_untangled_to_a_level_line_without_missed_margins() -> None:
     team, knot = overhand()
-    found = untangle(team, knot)
+    found = untangle(team, knot, np.random.default_rng(0))
     assert found is not None
     waypoints = shortened(team, found)
     assert np.allclose(waypoints[0], knot)
@@ -70,18 +72,57 @@ def test_waypoints_become_a_motion_between_rests_that_ends_at_the_corners() -> N
 
 def test_a_team_that_misses_its_margins_has_no_free_space() -> None:
     team, knot = overhand()
-    assert free_space(team, 0.2 * knot, 0, 0.5) is None
-    assert untangle(team, 0.2 * knot) is None
+    assert free_space(team, 0.2 * knot, Group(0, 1), 0.5) is None
+    assert untangle(team, 0.2 * knot, np.random.default_rng(0)) is None
 
 
-def test_free_places_are_connected_with_the_vehicle_and_keep_the_margins() -> None:
+@pytest.mark.parametrize("group", [Group(4, 5), Group(0, 2), Group(1, 4)])
+def test_free_places_are_connected_with_the_vehicles_and_keep_the_margins(group: Group) -> None:
     team, knot = overhand()
-    space = free_space(team, knot, 4, 1.0)
+    space = free_space(team, knot, group, 0.6)
     assert space is not None
-    assert np.allclose(space.places[space.home], knot[4])
-    assert missed_margins(team, space.teams(np.arange(len(space.places)))).max() <= KEPT
+    assert np.allclose(space.offsets[0], 0.0)
+    assert missed_margins(team, space.teams(np.arange(len(space.offsets)))).max() <= KEPT
     farthest = int(space.steps.argmax())
     way = space.way(farthest)
     assert np.allclose(way[0], knot)
     assert len(way) == space.steps[farthest] + 1
-    assert np.allclose(np.linalg.norm(np.diff(way[:, 4], axis=0), axis=1), 1.0)
+    moved = np.linalg.norm(np.diff(way, axis=0), axis=2)
+    assert np.allclose(moved[:, group.first : group.last], 0.6)
+    assert np.delete(moved, slice(*group), axis=1).max(initial=0.0) == 0.0
+
+
+@pytest.mark.parametrize("group", [Group(0, 1), Group(2, 3), Group(3, 5), Group(1, 4)])
+def test_what_moved_vehicles_miss_is_how_the_missed_margins_of_the_team_change(
+    group: Group,
+) -> None:
+    team, knot = overhand()
+    rng = np.random.default_rng(1)
+    teams = np.repeat(knot[None], 50, axis=0)
+    teams[1:, slice(*group)] += rng.normal(scale=1.5, size=(49, 1, 3))
+    own = []
+    for positions in teams:
+        state = team_state(positions, team.lengths)
+        update(state, 0, len(team.lengths), team.model)
+        own.append(missed_by(state, group, np.inf, team.model))
+    everything = missed_margins(team, teams)
+    assert everything.max() > 1.0
+    assert np.allclose(np.array(own) - own[0], everything - everything[0], rtol=1e-9, atol=1e-9)
+
+
+def test_loosening_moves_the_team_apart_and_keeps_the_margins() -> None:
+    team, knot = overhand()
+    way = loosened(team, knot)
+    assert len(way)
+    assert missed_margins(team, way).max() <= KEPT
+    assert np.linalg.norm(np.diff(way, axis=0, prepend=knot[None]), axis=2).max() <= 0.25 + 1e-9
+
+    def nearest(positions: np.ndarray) -> float:
+        strands = solve_catenaries(positions[:-1], positions[1:], team.lengths)
+        points = strands.points(np.linspace(0.0, 1.0, 100))
+        return min(
+            float(((points[one][:, None] - points[other][None]) ** 2).sum(axis=2).min())
+            for one, other in ((0, 2), (0, 3), (1, 3))
+        )
+
+    assert nearest(way[-1]) > nearest(knot)
