@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.cable_spans import cable_spans
-from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.geometry.lumped_mass import SwingModel, at_rest, cable_model, swing_on, swing_on_each
 from swarm.planning import Plan
 from swarm.planning.clock_limits import COURSE_STEP, clock_limits
@@ -29,6 +29,12 @@ EVERY = 5
 
 BEGINNINGS = 0.5
 """Seconds of mission time between the beginnings of urgent stops, the farthest swings of all."""
+
+_LINKS = (24, 16, 8)
+"""Links of a strand, most first, in equal numbers for each of the tube's eighths."""
+
+_TAUT = 0.999
+"""Largest ratio of chord to length for which tensions are computed; plans are refused far below."""
 
 _TOGETHER = 8
 """Courses that are simulated together, which bounds the memory."""
@@ -92,9 +98,27 @@ def aloft(plan: Plan) -> tuple[float, float] | None:
 
 
 def model_of(plan: Plan) -> SwingModel:
-    """Return the model of a plan's cable."""
-    cable = plan.mission.cable
-    return replace(cable_model(cable.mass_per_length, cable.diameter), step=STEP)
+    """Return the model of a plan's cable, with as many links as the step permits.
+
+    The stiffest mode of a chain of N links of l metres under tension T per mass per length moves
+    its joints against each other, ω = 2√T/l, and Verlet's method is stable for ω·step < 2.
+    """
+    cable, fold = plan.mission.cable, plan.phase("fold")
+    places = plan.motion.at(np.arange(fold.start, fold.end, BEGINNINGS))[0]
+    strands = solve_catenaries(
+        places[:, :-1], places[:, 1:], np.maximum(plan.layout.lengths, _chords(places) / _TAUT)
+    )
+    arc = np.abs(strands.slope * strands.parameter)
+    farthest = np.maximum(arc, np.abs(strands.length - arc))
+    waves = np.sqrt(STANDARD_GRAVITY * np.hypot(strands.parameter, farthest))
+    most = float((plan.layout.lengths / (waves * STEP)).min())
+    links = next((links for links in _LINKS if links < most), _LINKS[-1])
+    return replace(cable_model(cable.mass_per_length, cable.diameter), step=STEP, links=links)
+
+
+def _chords(places: Floats) -> Floats:
+    found: Floats = np.linalg.norm(np.diff(places, axis=1), axis=2)
+    return found
 
 
 def swings(plan: Plan, span: tuple[float, float]) -> Iterator[Swung]:

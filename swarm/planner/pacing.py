@@ -12,7 +12,7 @@ import numpy.typing as npt
 import scipy
 
 from swarm.certification.stream_loss import StreamLossCertificate, sampled_rates
-from swarm.geometry.lumped_mass import SwingModel, cable_model
+from swarm.certification.swing_runs import model_of
 from swarm.geometry.motion import Motion
 from swarm.planning import Plan, fold_of, usable_acceleration, with_fold
 from swarm.planning.plan import Phase
@@ -50,10 +50,6 @@ moderate slowing reach in the default missions (0.06 m overhand, 0.11 m Carrick 
 
 _TARGET = 0.96
 """Share of the limit of the swing that rounds aim at."""
-
-_STEP = 0.02
-"""Seconds of the swing's integration: at half of it, strays of the default missions are equal to
-half a millimetre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +124,9 @@ def slowed_for_swing(paced: PacedPlan) -> PacedPlan:
         return paced
     plan, limit = paced.plan, swing_limit(paced.plan)
     pacing = best = paced.pacing
-    least = np.inf
+    least, model = np.inf, model_of(plan)
     for _ in range(_SWING_ROUNDS):
-        times, stray = largest_stray(_fold(plan, pacing), plan.layout.lengths, _model(plan))
+        times, stray = largest_stray(_fold(plan, pacing), plan.layout.lengths, model)
         worst = stray.max(axis=1)
         if worst.max() < least:
             best, least = pacing, float(worst.max())
@@ -191,11 +187,6 @@ def _fold(plan: Plan, pacing: Pacing) -> Motion:
     shaped = shape(pacing.paced(), pacing.shaper)
     limits = plan.mission.vehicles.max_speed, usable_acceleration(plan.mission)
     return slow_to_limits(shaped, *limits)
-
-
-def _model(plan: Plan) -> SwingModel:
-    cable = plan.mission.cable
-    return replace(cable_model(cable.mass_per_length, cable.diameter), step=_STEP)
 
 
 def _smooth(rate: Floats, around: int, deviation: float) -> Floats:
