@@ -7,6 +7,7 @@ from tests.recordings.trim import entries, read
 
 PX4 = "px4-1.16.0-takeoff-hold-land"
 ARDUCOPTER = "arducopter-4.6.2-overhand"
+ARDUCOPTER_CABLE = "arducopter-4.6.2-carries-cable"
 ARDUCOPTER_ENDS = "arducopter-4.6.2-one-vehicle-ends"
 
 

@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import common as dialect
 from sitl import Emulator
 from sitl.autopilots.ardupilot import tables as ardupilot_tables
 from sitl.autopilots.px4 import tables as px4_tables
-from tests.recordings import ARDUCOPTER, PX4, recorded
+from tests.recordings import ARDUCOPTER, ARDUCOPTER_CABLE, PX4, recorded
 from tests.sitl.client import world
 from tests.sitl.conformance import (
     Decoded,
@@ -214,3 +214,26 @@ def test_delays_after_commands_match_the_real_autopilot(name):
     assert len(both_ways) >= 3
     apart = {key: (real[key], other[key]) for key in both_ways}
     assert all(abs(one - two) < 1.2 for one, two in apart.values()), apart
+
+
+def test_a_real_arducopter_acknowledges_its_gripper_before_that_has_moved():
+    """A servo has no feedback: a grip that misses the cable is acknowledged, too.
+
+    The emulated gripper has a switch at its jaws, and answers when they have moved.
+    """
+    log = list(recorded(ARDUCOPTER_CABLE))
+    told = [one for one in decoded(to_vehicle(log, 1)) if _is(one, "COMMAND_LONG", 211)]
+    heard = decoded([(at, packet) for at, packet in log if packet[5] == 1])
+    answers = [one for one in heard if _is(one, "COMMAND_ACK", 211)]
+    texts = [one for one in heard if one.name == "STATUSTEXT"]
+    assert [one.fields["param2"] for one in told] == [1.0, 0.0]
+    assert [one.fields["result"] for one in answers] == [0, 0]
+    for asked, answered, word in zip(told, answers, ("grabb", "releas"), strict=True):
+        said = (one.at for one in texts if one.fields["text"].startswith(f"Gripper load {word}"))
+        begins, ends = said
+        assert 0.0 < answered.at - asked.at < 0.1
+        assert 0.4 < ends - begins < 0.7
+
+
+def _is(one: Decoded, name: str, command: int) -> bool:
+    return one.name == name and one.fields["command"] == command

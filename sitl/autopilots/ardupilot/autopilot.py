@@ -25,6 +25,11 @@ _ALIGNED_AFTER = 5.0
 """Seconds of flight after which the estimator reports its heading as aligned."""
 _IDLE_TIME = 0.4
 """Seconds on the ground after which the autopilot disarms when it has landed by itself."""
+_VERTICAL_INTEGRAL = 1.1
+"""Integral gain on the vertical velocity error, 1/s², over PSC_VELZ_P · PSC_ACCZ_I.
+
+ArduCopter closes a loop on the measured acceleration; at a hover throttle of 0.39 its gains are
+1.26 and 2.5 /s, and the integral becomes 2.5 / (1 + 1.26)."""
 
 
 class ArduPilot(ArduPilotState):
@@ -65,7 +70,7 @@ class ArduPilot(ArduPilotState):
             self.v,
             (p["PSC_POSXY_P"], p["PSC_POSZ_P"]),
             (p["PSC_VELXY_P"], p["PSC_VELZ_P"]),
-            (p["PSC_VELXY_I"], 2.0 * p["PSC_ACCZ_I"]),
+            (p["PSC_VELXY_I"], _VERTICAL_INTEGRAL * p["PSC_VELZ_P"] * p["PSC_ACCZ_I"]),
         )
         angle = min(80.0, max(10.0, p["ANGLE_MAX"] / 100.0))
         b.tilt_limit[i] = math.tan(math.radians(angle))
