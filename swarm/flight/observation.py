@@ -15,6 +15,7 @@ from swarm.flight.estimation import Measured
 from swarm.flight.failures import HoldCause
 from swarm.flight.monitoring import Sample
 from swarm.mavlink.telemetry_table import (
+    ARMED,
     ATTITUDE,
     BATTERY,
     FIX_TYPE,
@@ -42,7 +43,8 @@ class Observation:
     roll, pitch and yaw in radians. ``battery`` (n,) is a share 0…1, ``located`` (n,) whether the
     vehicle has a position estimate, ``fix`` (n,) GPS_FIX_TYPE (-1: not reported). ``height_gap``
     (n,) in metres is the local height against the GPS, ``height_accuracy`` (n,) the receiver's own
-    statement; ``gripped`` (n,) whether the vehicle holds the cable. NaN: not known.
+    statement; ``gripped`` (n,) whether the vehicle holds the cable, ``armed`` (n,) whether its
+    motors run. NaN: not known.
     """
 
     now: float
@@ -60,6 +62,7 @@ class Observation:
     height_gap: Floats
     height_accuracy: Floats
     gripped: Flags
+    armed: Flags
 
     @property
     def position(self) -> Floats:
@@ -116,6 +119,7 @@ def observation_of(
         height_gap=reported[:, HEIGHT_DIFFERENCE],
         height_accuracy=reported[:, VERTICAL_ACCURACY],
         gripped=reported[:, GRIPPED] > 0.0,
+        armed=reported[:, ARMED] > 0.0,
     )
 
 

@@ -27,6 +27,10 @@ STREAM_LOSS_TIME = 0.5
 half of PX4's default, since vehicles coast until then."""
 GROUND_SYSTEM = 255.0
 """System id of a ground station, by convention of MAVLink; as a parameter it is a float."""
+PX4_LATE = 2.0
+"""Seconds by which PX4 misses the ground station later than after COM_DL_LOSS_T, a whole number: it
+counts a link as alive for 1.25 to 2.5 s after its last heartbeat, and from then on the parameter's
+time (``mavlink_receiver.cpp``, ``Commander.cpp``; 2.4 and 2.5 s were measured)."""
 _HEADROOM = 1.2
 """Speed that an autopilot must allow per planned speed, so that a vehicle can catch up."""
 
@@ -161,7 +165,8 @@ def rules(autopilot: AutopilotName, requirements: Requirements) -> tuple[Rule, .
 
 
 def _px4(required: Requirements) -> tuple[Rule, ...]:
-    speed, hold = _HEADROOM * required.speed, float(round(required.hold))
+    speed = _HEADROOM * required.speed
+    alone = float(round(required.hold - PX4_LATE))
     lost = (
         Rule("COM_OBL_RC_ACT", _one_of(5), 5, "5 (hold)",
              "what follows when the setpoints end; all hold, and land together after T")
@@ -175,7 +180,7 @@ def _px4(required: Requirements) -> tuple[Rule, ...]:
              f"at most {STREAM_LOSS_TIME:g} s", _STREAM),
         Rule("NAV_DLL_ACT", _one_of(3), 3, "3 (land)",
              "without the ground station all must land"),
-        Rule("COM_DL_LOSS_T", _one_of(hold), hold, f"{hold:g} s", _TOGETHER),
+        Rule("COM_DL_LOSS_T", _one_of(alone), alone, f"{alone:g} s", _TOGETHER),
         Rule("COM_FAIL_ACT_T", _one_of(0), 0, "0 s",
              "every failsafe waits this long first, and the others do not"),
         Rule("NAV_RCL_ACT", _one_of(1, 3), 3, "1 (hold) or 3 (land)", _ALONE),

@@ -21,8 +21,8 @@ Vector = tuple[float, float, float]
 RECEIVED_AT, POSITION_AT, POSITION, VELOCITY, ATTITUDE = 0, 1, 2, 5, 8
 BOOT_TIME, PACKETS, LOST_PACKETS, COMPONENT = 11, 12, 13, 14
 MODE_AT, BATTERY, POSITION_HEALTHY, FIX_TYPE, HEIGHT_DIFFERENCE = 15, 16, 17, 18, 19
-VERTICAL_ACCURACY, GRIPPED = 20, 21
-WIDTH = 22
+VERTICAL_ACCURACY, GRIPPED, ARMED = 20, 21, 22
+WIDTH = 23
 """Columns: times, position and velocity in NED, attitude, boot time in ms, counts, component; then
 what changes rarely, but is observed at every tick."""
 
@@ -53,7 +53,8 @@ class TelemetryTable:
         self.values[:, BOOT_TIME], self.values[:, COMPONENT] = -1.0, 1.0
         self.values[:, PACKETS] = self.values[:, LOST_PACKETS] = 0.0
         self.values[:, MODE_AT], self.values[:, FIX_TYPE] = -math.inf, -1.0
-        self.values[:, POSITION_HEALTHY], self.values[:, GRIPPED] = 1.0, 0.0
+        self.values[:, POSITION_HEALTHY] = 1.0
+        self.values[:, GRIPPED] = self.values[:, ARMED] = 0.0
         self.sequences = np.full((vehicles, 256), -1, np.int16)
         self.missing = np.zeros((vehicles, 256, 32), np.uint8)
 

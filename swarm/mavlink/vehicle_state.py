@@ -10,6 +10,7 @@ from swarm.mavlink.commands import CommandQueue
 from swarm.mavlink.frames import Origin
 from swarm.mavlink.parameters import Parameters
 from swarm.mavlink.telemetry_table import (
+    ARMED,
     ATTITUDE,
     BATTERY,
     BOOT_TIME,
@@ -76,7 +77,6 @@ class VehicleState:
     row: int = 0
 
     heartbeat_at: float = -math.inf
-    armed: bool = False
     custom_mode: int = -1
     system_status: int = 0
     landed_state: int = 0
@@ -121,6 +121,7 @@ class VehicleState:
     height_difference = FloatField(HEIGHT_DIFFERENCE)
     vertical_accuracy = FloatField(VERTICAL_ACCURACY)
     gripped = FlagField(GRIPPED)
+    armed = FlagField(ARMED)
 
     def __post_init__(self) -> None:
         self.commands = CommandQueue(self.system, self.component)

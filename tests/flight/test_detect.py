@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from swarm.flight.detect.health import HealthDetector
+from swarm.flight.detect.heights import HeightDetector
 from swarm.flight.detect.latch import Latch
 from swarm.flight.detect.links import LinkDetector
 from swarm.flight.detect.motion import MotionDetector
@@ -42,7 +43,7 @@ def seen(now=10.0, at=None, position=PLACES, velocity=None, boot=None, **fields)
         "heard_at": np.full(3, now), "position_at": np.full(3, now), "mode_at": np.full(3, now),
         "attitude": np.zeros((3, 3)), "battery": np.full(3, 0.9), "located": np.full(3, True),
         "fix": np.full(3, 3), "height_gap": np.zeros(3), "height_accuracy": np.full(3, 0.1),
-        "gripped": np.full(3, True),
+        "gripped": np.full(3, True), "armed": np.full(3, True),
     }  # fmt: skip
     return Observation(
         now, ("vehicle 1", "vehicle 2", "vehicle 3"), table, np.arange(3),
@@ -183,3 +184,13 @@ def test_a_gate_that_is_not_passed_in_time_lands_the_team():
     assert state.stage is Stage.CONTINGENCY
     (words,) = (e.message for e in state.recorder.take_events() if e.kind == "failure")
     assert words.startswith(f"{FailureKind.GATE_TIMEOUT}: not all are released in ")
+
+
+@pytest.mark.parametrize(("armed", "found"), [(True, 1), (False, 0)])
+def test_a_height_that_is_set_anew_after_disarming_is_no_drift(armed, found):
+    # real ArduCopters of a mixed team, which disarm before the PX4 have landed
+    detector = HeightDetector(3, Latch())
+    assert not detector.detect(seen(now=10.0), expected())
+    motors = np.array([True, armed, True])
+    moved = seen(now=12.0, height_gap=np.array([0.0, 2.0, 0.0]), armed=motors)
+    assert len(detector.detect(moved, expected())) == found

@@ -94,7 +94,8 @@ def test_limits_follow_the_mission():
 def test_all_vehicles_land_after_the_teams_own_time():
     values = {**settled(PX4), "COM_DL_LOSS_T": 10.0}
     (row,), _ = evaluate(1, values, PX4)
-    assert (row.should, row.severity) == (FLEET.limits.hold, "error")
+    # PX4 notices 2 s later than that (tests/sitl/test_silence.py)
+    assert (row.should, row.severity) == (FLEET.limits.hold - 2.0, "error")
     (row,), _ = evaluate(1, {**settled(ARDUPILOT), "FS_GCS_TIMEOUT": 5.0}, ARDUPILOT)
     assert row.should == FLEET.limits.hold
 

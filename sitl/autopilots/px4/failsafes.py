@@ -13,6 +13,10 @@ from sitl.autopilots.px4.tables import BATTERY, GEOFENCE, LINK_LOSS
 _NO_STICKS = 4
 _EXCEPTIONS = {"MISSION": 1, "LOITER": 2, "OFFBOARD": 4}
 
+_ALIVE = 1.9
+"""Seconds after its last heartbeat for which a ground station counts as connected: 1.25 to 2.5 s,
+the latest of checks 1.25 s apart."""
+
 
 def watch_battery(px4: Px4State) -> None:
     """Report a low battery and act on it (BAT_*_THR, COM_LOW_BAT_ACT)."""
@@ -32,7 +36,7 @@ def watch_ground_station(px4: Px4State) -> None:
     """Detect the connection, loss (NAV_DLL_ACT) and return of the ground station."""
     v, p = px4.v, px4.v.parameters
     latest = max(v.last_heartbeat.values(), default=-math.inf)
-    lost = v.now - latest > p["COM_DL_LOSS_T"]
+    lost = v.now - latest > p["COM_DL_LOSS_T"] + _ALIVE
     if not lost and not px4.gcs_connected:
         if px4.gcs_known:
             v.text(INFO, "GCS connection regained\t")

@@ -106,7 +106,7 @@ def trigger(px4: Px4State, action: str) -> None:
         px4.latched = "LOITER" if wait > 0 else action
         px4.delayed = action
         px4.delay_until = v.now + wait
-        v.text(CRITICAL, f"Failsafe activated: {MODES[action].label}\t")
+        v.text(CRITICAL, "Failsafe activated\t")
         if px4.mode == "LOITER" and px4.goal is not None:
             px4.goal = None
             controller_goals.hold(v)
@@ -151,7 +151,7 @@ def _enter(px4: Px4State, name: str, failsafe: bool) -> None:
         return
     v = px4.v
     if failsafe and not px4.failsafe and v.armed:
-        v.text(CRITICAL, f"Failsafe activated: {MODES[name].label}\t")
+        v.text(CRITICAL, "Failsafe activated\t")
     px4.failsafe = failsafe
     if name == px4.mode:
         return

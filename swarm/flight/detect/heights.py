@@ -53,7 +53,8 @@ class HeightDetector:
         for k, by in enumerate(drift.tolist()):
             off = by - middle
             allowed = min(max(_ACCURACIES * max(accuracies[k], usual), least), most)
-            drifted = abs(off) > allowed and expected.armed[k]
+            # an ArduCopter that has landed and disarmed sets its height anew
+            drifted = abs(off) > allowed and expected.armed[k] and seen.armed[k]
             if drifted and self._reported.first(FailureKind.HEIGHT_DRIFT, k):
                 words = f"{seen.names[k]}'s height has drifted by {off:+.1f} m"
                 found.append(Failure(FailureKind.HEIGHT_DRIFT, words, k))
