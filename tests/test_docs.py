@@ -173,6 +173,19 @@ def test_the_tables_of_layers_are_the_import_contracts(package, place):
     ]
 
 
+def test_the_ways_through_a_flight_name_its_files_and_functions():
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    section = page.partition("## The flight, tick by tick")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| (`[^|]*\.py`[^|]*) \| (.*) \|$", section, re.M)
+    assert len(rows) > 14
+    folder = ROOT / "swarm" / "flight"
+    for files, what in rows:
+        named = re.findall(r"`([\w/]+\.py)`", files + what)
+        text = "".join((folder / file).read_text() for file in named)
+        for name in re.findall(r"`([A-Za-z_]\w*)[(`]", what):
+            assert re.search(rf"\b{name}\b", text), f"{name} is not in {named}"
+
+
 def test_the_citation_names_this_version_and_the_paper():
     cited = YAML(typ="safe").load((ROOT / "CITATION.cff").read_text())
     assert {"cff-version", "message", "title", "authors"} <= cited.keys()
