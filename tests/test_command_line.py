@@ -148,7 +148,7 @@ def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> No
     reviewed = run("plan", OVERHAND, "--save", str(tmp_path / "overhand.plan"), "--json")
     assert reviewed.returncode == 0
     result = swarm(
-        "fly", "overhand.plan", "--speed", "3", "--record", "flight", "--json", cwd=tmp_path
+        "fly", "overhand.plan", "--speed", "2", "--record", "flight", "--json", cwd=tmp_path
     )
     assert result.returncode == 0, result.stderr
     flown = json.loads(result.stdout)

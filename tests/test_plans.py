@@ -154,11 +154,12 @@ def test_libraries_that_planning_loads_have_one_thread_too() -> None:
 
 
 def test_a_motion_that_exceeds_the_endurance_is_noted_in_the_plan_of_the_next() -> None:
-    mission = mission_for_knot("overhand", ["vehicles.endurance=60", "layout.cell=1.5"])
+    mission = mission_for_knot("overhand", ["vehicles.endurance=60", "layout.cell=1.6"])
     result = planner.plan(mission, robustness=False)
     errors = [found.check for found in result.certificate.findings if found.severity == "error"]
     assert "endurance" in errors
     too_long = [note for note in result.plan.notes if note.endswith(" s of 60 s in the air")]
-    (duration,) = [note.removeprefix("that took ").partition(" ")[0] for note in too_long]
-    # the shortest motion is returned, so that the noted one took no less
-    assert int(duration) >= round(result.plan.flight_duration) > 60
+    durations = [int(note.removeprefix("that took ").partition(" ")[0]) for note in too_long]
+    # the shortest motion is returned, so that the noted ones took no less
+    assert durations
+    assert min(durations) >= round(result.plan.flight_duration) > 60

@@ -4,6 +4,7 @@ The planner and its libraries take a second to import. A wrong file is refused w
 """
 
 from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 
 _WITH_MISSION = frozenset({"plan", "dry-run", "trials", "failures", "rope", "check", "fly"})
 """Commands whose argument is a mission, a plan file or the name of a knot."""
@@ -29,7 +30,7 @@ def validate_files(arguments: Sequence[str]) -> None:
 
 def _values(option: str, arguments: Sequence[str]) -> Iterator[str]:
     """Yield the values of an option that can be repeated."""
-    for argument, following in zip(arguments, (*arguments[1:], None), strict=True):
+    for argument, following in zip_longest(arguments, arguments[1:]):
         name, equals, value = argument.partition("=")
         if name == option and equals:
             yield value

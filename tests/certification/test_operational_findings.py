@@ -184,11 +184,12 @@ def test_strands_without_margin_tolerate_no_wind():
         lengths = [5.0, 50.0, 60.0, 55.0, 3.2]
         return still(side, lengths, "vehicles.tracking=0.02", f"clearance.cable={clearance}")
 
-    low, high = 1.12, 1.15
+    low, high = 1.12, 1.17
     for _ in range(12):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if certified(keeping(middle), tracking=0.02) else (low, middle)
-    assert 1.12 < low < high < 1.15
+    # in parallel planes, 1.2 m apart, with errors of 0.02 m at both strands
+    assert 1.12 < low < high < 1.17
     assert largest_wind(keeping(low), tightest_moments(keeping(low))) == 0.0
 
 

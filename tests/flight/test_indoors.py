@@ -34,7 +34,7 @@ def test_outdoors_a_vehicle_that_is_not_ready_is_waited_for_and_refused():
 
 def test_in_a_mixed_team_no_vehicle_stays_armed_on_the_ground_beyond_its_timer():
     flight = Network(small_plan(vehicles=4), emulated_fleet(4, ("px4", "ardupilot")))
-    flight.until_phase("takeoff", 2.0)
+    flight.until_phase("takeoff", 3.0)
     at = {kind: {e.vehicle: e.time for e in flight.events if e.kind == kind}
           for kind in ("armed", "airborne")}  # fmt: skip
     px4 = {v for v in at["armed"] if flight.conductor.flyers[v - 1].autopilot.name == "px4"}
@@ -42,6 +42,7 @@ def test_in_a_mixed_team_no_vehicle_stays_armed_on_the_ground_beyond_its_timer()
     first = max(time for vehicle, time in at["armed"].items() if vehicle not in px4)
     assert all(at["armed"][vehicle] > first for vehicle in px4)
     waited = {vehicle: at["airborne"][vehicle] - time for vehicle, time in at["armed"].items()}
-    assert max(waited.values()) < 6.0, "COM_DISARM_PRFLT and DISARM_DELAY are 10 s"
+    # 6.1 s, since emulated ArduPilots climb as measured with real ones
+    assert max(waited.values()) < 7.0, "COM_DISARM_PRFLT and DISARM_DELAY are 10 s"
     # and nobody leaves the ground before all are armed
     assert min(at["airborne"].values()) > max(at["armed"].values())
