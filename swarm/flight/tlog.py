@@ -6,12 +6,13 @@ big-endian). A log that is cut off, or has a gap where a disk was full, is read 
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, Refused
@@ -21,6 +22,7 @@ from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.frames import Frames
 from swarm.mavlink.message_handlers import HANDLED_MESSAGES
 from swarm.mavlink.packets import GROUND_SYSTEM, Decoder, Encoder, Packet, packet_length
+from swarm.mavlink.telemetry_table import REBOOT_STEP
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
@@ -31,6 +33,9 @@ CLOCK_COMPONENT = int(common.MAV_COMP_ID_USER1)
 """The component of the mission clock's packets, which are in the record only."""
 STEP = 0.1
 """Seconds between samples of a flight that is read from its packets, as those of a record."""
+_NEIGHBOURS = 100
+"""Reports before and after one, of which the quickest shows the difference of the clocks: 7 to 20 s
+together, longer than a link stalls in a flight, and clocks part by 1 ms in them (50 ppm each)."""
 _FRESH = 1.0
 """Seconds after which a position counts as unknown, as in a record."""
 _STAMP = 8
@@ -140,6 +145,7 @@ class _Content:
     fleet: Fleet
     vehicles: dict[int, Vehicle]
     times: dict[int, list[float]] = field(default_factory=dict)
+    boots: dict[int, list[float]] = field(default_factory=dict)
     places: dict[int, list[tuple[float, float, float]]] = field(default_factory=dict)
     setpoint_times: dict[int, list[float]] = field(default_factory=dict)
     setpoints: dict[int, list[tuple[float, float, float]]] = field(default_factory=dict)
@@ -164,6 +170,7 @@ class _Content:
         vehicle.take_events()
         if packet.number == _POSITION:
             self.times.setdefault(packet.system, []).append(now)
+            self.boots.setdefault(packet.system, []).append(1e-3 * vehicle.boot_ms)
             self.places.setdefault(packet.system, []).append(vehicle.position)
         elif packet.number == _ANSWER and message is not None:
             self._answered(now, packet.system, message.command)
@@ -287,8 +294,12 @@ def _trace(
     # a setpoint stands until the next one comes: it was aimed at the middle of its time
     lead = 0.5 / content.fleet.rates.setpoint
     for k, system in enumerate(systems):
-        position[:, k] = _sampled(content.times, content.places, system, time, 0.0)
-        setpoint[:, k] = _sampled(content.setpoint_times, content.setpoints, system, time, lead)
+        if system in content.times:
+            measured_at = measurement_times(content.times[system], content.boots[system])
+            position[:, k] = _sampled(measured_at, content.places[system], time)
+        if system in content.setpoint_times:
+            aimed_at = np.array(content.setpoint_times[system]) + lead
+            setpoint[:, k] = _sampled(aimed_at, content.setpoints[system], time)
     for places in (position, setpoint):
         for moment in places:
             moment[:] = frames.points_to_mission(moment) - lift
@@ -303,17 +314,26 @@ def _trace(
     )
 
 
-def _sampled(
-    times: Mapping[int, list[float]],
-    places: Mapping[int, list[tuple[float, float, float]]],
-    system: int,
-    at: Floats,
-    lead: float,
-) -> Floats:
+def measurement_times(read: Sequence[float], boot: Sequence[float]) -> Floats:
+    """Return when reports (k,) were measured, in seconds of the clock by which they were ``read``.
+
+    ``boot`` are the vehicle's own times in the reports. A report that waited, in a stalled program
+    or on a busy link, is read late; among its neighbours the quickest one shows the difference of
+    the two clocks. Times of reading are returned for a vehicle that counts no time, or booted anew.
+    """
+    arrived, own = np.array(read), np.array(boot)
+    delay = arrived - own
+    booted = np.any(np.diff(own) < -1e-3 * REBOOT_STEP)
+    if booted or np.ptp(delay) > 0.5 * np.ptp(arrived):
+        return arrived
+    neighbours = sliding_window_view(np.pad(delay, _NEIGHBOURS, mode="edge"), 2 * _NEIGHBOURS + 1)
+    return np.asarray(own + neighbours.min(axis=1))
+
+
+def _sampled(times: Floats, places: Sequence[tuple[float, float, float]], at: Floats) -> Floats:
     """Return points (k, 3) at moments, interpolated; NaN where no known one is near."""
-    if system not in times:
-        return np.full((len(at), 3), np.nan)
-    known, points = np.array(times[system]) + lead, np.array(places[system])
+    order = np.argsort(times, kind="stable")
+    known, points = times[order], np.array(places)[order]
     found = np.column_stack([np.interp(at, known, points[:, axis]) for axis in range(3)])
     after = np.searchsorted(known, at)
     before = known[np.clip(after - 1, 0, len(known) - 1)]

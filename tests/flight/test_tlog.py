@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from swarm.errors import InputError
-from swarm.flight.tlog import ClockEncoder, packets, replay
+from swarm.flight.tlog import ClockEncoder, measurement_times, packets, replay
 from swarm.mavlink.packets import split_packets
 from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
@@ -79,6 +79,43 @@ def test_positions_setpoints_clock_and_phases_come_back(flown):
         clock = np.interp(at, again.trace.time, again.trace.mission_time)
         assert np.abs(clock - known.mission_time[then]).max() < 0.1
     assert list(dict.fromkeys(again.trace.phase))[-2:] == ["finish", "land"]
+
+
+def test_reports_that_are_read_late_stand_at_the_time_of_their_measurement(flown):
+    data, _, fleet = flown
+    trace = replay(data, PLAN.plan, fleet).trace
+    began = next(now for now, packet in packets(data) if packet)
+    # moves at 1 m/s here: half a metre, if what is read late were taken as new
+    middle = began + trace.time[np.argmax(np.array(trace.phase) == "fold")] + 2.5
+    stalled = middle, middle + 0.5
+    entries = [
+        (stalled[1] if stalled[0] < now < stalled[1] and packet[5] != 255 else now, packet)
+        for now, packet in packets(data)
+        if packet
+    ]
+    entries.sort(key=lambda entry: entry[0])
+    late = replay(as_tlog([(now - BEGAN, packet) for now, packet in entries]), PLAN.plan, fleet)
+    moved = np.abs(trace.position - late.trace.position)
+    assert np.nanmax(moved) < 0.005
+    assert np.nanmax(np.abs(np.diff(trace.position[:, 1], axis=0))) > 0.08
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 0.0, 1e-4])
+def test_measurement_times_keep_to_the_clock_by_which_reports_are_read(drift):
+    rng = np.random.default_rng(7)
+    true = np.arange(0.0, 300.0, 0.05)
+    boot = 12.0 + (1.0 + drift) * true
+    read = true + 0.01 + rng.exponential(0.05, len(true))
+    found = measurement_times(np.maximum.accumulate(read).tolist(), boot.tolist())
+    assert np.abs(found - true - 0.01).max() < 0.006
+
+
+@pytest.mark.parametrize(
+    "boot", [np.zeros(400), np.arange(400) % 200 * 0.05 + 3.0], ids=["no clock", "boots anew"]
+)
+def test_without_a_vehicles_clock_reports_stand_where_they_were_read(boot):
+    read = 5.0 + np.arange(400) * 0.05
+    assert measurement_times(read.tolist(), boot.tolist()).tolist() == read.tolist()
 
 
 def test_commands_and_losses_are_counted(flown):
