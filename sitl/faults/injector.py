@@ -10,7 +10,7 @@ import numpy as np
 from sitl.cable.swinging import AnyRope
 from sitl.faults.link_errors import Channel, UniformNumbers
 from sitl.faults.mapping import INJECTED, UNITS, fault_of_injection, fault_of_parameter
-from sitl.faults.scenario import WORLDWIDE, Fault
+from sitl.faults.scenario import REACHABLE, SENSORS, WORLDWIDE, Fault
 from sitl.physics.dynamics import STEP, Array, Bodies
 from sitl.protocol.vehicle import Vehicle
 from sitl.world import WorldError
@@ -70,12 +70,26 @@ class Injector:
         unknown = sorted(set(ids) - set(self.by_id))
         if unknown:
             raise WorldError(f"faults: expected vehicles of the world, got {unknown}")
+        for system in () if fault.kind in WORLDWIDE else ids:
+            self._refuse_unreachable(fault, self.by_id[system])
         for target in [self.vehicles[0].system] if fault.kind in WORLDWIDE else ids:
             self._schedule(fault.at, functools.partial(self.start, fault, target))
             if fault.duration is not None:
                 self._schedule(
                     fault.at + fault.duration, functools.partial(self.end, fault, target)
                 )
+
+    def _refuse_unreachable(self, fault: Fault, vehicle: Vehicle) -> None:
+        """Raise `WorldError` for a fault that the world cannot cause in real firmware."""
+        if not self.bodies.outside[vehicle.index]:
+            return
+        kind = vehicle.spec.autopilot
+        known = REACHABLE | (SENSORS if kind == "px4" else frozenset())
+        if fault.kind not in known:
+            raise WorldError(
+                f"faults: expected one of {', '.join(sorted(known | WORLDWIDE))} for vehicle "
+                f"{vehicle.system} with firmware ({kind}), got {fault.kind}"
+            )
 
     def _schedule(self, at: float, action: Callable[[], None]) -> None:
         self._count += 1
@@ -122,12 +136,15 @@ class Injector:
     def _motor_loss(self, v: Vehicle, _: Fault) -> None:
         """Leave little thrust, and tumble in flight, as a quadrotor without one motor does."""
         self.bodies.health[v.index] = 0.15
-        self.bodies.tumbling[v.index] = not self.bodies.landed[v.index]
+        outside = self.bodies.outside[v.index]
+        self.bodies.tumbling[v.index] = outside or not self.bodies.landed[v.index]
 
     def _weak_thrust(self, v: Vehicle, fault: Fault) -> None:
         self.bodies.health[v.index] = fault.fraction
 
     def _restore_thrust(self, v: Vehicle, _: Fault) -> None:
+        if self.bodies.outside[v.index]:
+            self.bodies.tumbling[v.index] = False
         if not self.bodies.crashed[v.index]:
             self.bodies.health[v.index] = 1.0
 

@@ -65,6 +65,13 @@ KINDS: dict[str, tuple[str, ...]] = {
 WORLDWIDE = frozenset({"wind", "snag"})
 """Kinds that concern no single vehicle."""
 
+REACHABLE = frozenset(
+    {"motor_loss", "weak_thrust", "gripper_stuck_open", "gripper_stuck_shut", "gripper_slip"}
+)
+"""Kinds that the world can cause in a vehicle with real firmware: those of bodies and grippers."""
+SENSORS = frozenset({"gps_loss", "gps_jump", "barometer_drift"})
+"""Kinds that it can cause where it simulates the sensors too: with PX4's firmware."""
+
 
 class Fault(BaseModel):
     """One fault: start, kind, vehicles, duration, severity."""

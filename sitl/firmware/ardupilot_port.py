@@ -56,6 +56,12 @@ class ArduPilotPort:
             self._socket.sendto(ardupilot_json.answer(at, state, measured), self._peer)
             self.fresh = False
 
+    def end(self) -> None:
+        """Note that the process has ended: motors stop, and the gripper stays as it is."""
+        self.ended = self.silent = True
+        self.command = np.zeros(MOTORS)
+        self._pulses = (0,) * 16
+
     def grip(self) -> bool | None:
         """Return whether the gripper's output closes it; None between closed and open."""
         pulse = self._pulses[_GRIPPER]

@@ -2,7 +2,7 @@
 
 import select
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -42,6 +42,9 @@ class Port(Protocol):
     def answer(self, at: float, state: Array, measured: Array) -> None:
         """Send what the vehicle measures at ``at`` seconds, if it is expected."""
 
+    def end(self) -> None:
+        """Note that the process has ended: its outputs are off."""
+
     def grip(self) -> bool | None:
         """Return whether the gripper shall close (True) or open (False); None: stay."""
 
@@ -52,9 +55,17 @@ class Port(Protocol):
 class Exchange:
     """The connections of all vehicles with real firmware; `advance` takes the world on."""
 
-    def __init__(self, emulator: Emulator, outside: RigidBodies, ports: Sequence[Port]) -> None:
+    def __init__(
+        self,
+        emulator: Emulator,
+        outside: RigidBodies,
+        ports: Sequence[Port],
+        ended: Callable[[], Sequence[int]] = tuple,
+    ) -> None:
+        """``ended`` returns the numbers of the ports whose processes have ended."""
         self.emulator, self.outside = emulator, outside
         self.ports = ports
+        self._ended = ended
         self._poll = select.poll()
         self._command = np.zeros((len(ports), MOTORS))
         for port in ports:
@@ -95,7 +106,14 @@ class Exchange:
             if left <= 0.0:
                 for port in self.ports:
                     port.silent = not port.fresh
+                for number in self._ended():
+                    self._stop(self.ports[number])
                 return
+
+    def _stop(self, port: Port) -> None:
+        """Turn off the outputs of an autopilot whose process has ended."""
+        port.end()
+        self._command[port.row] = port.command
 
     def _move_grippers(self) -> None:
         """Close and open grippers as the autopilots' outputs say."""

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.firmware import px4_hil, sensors
+from sitl.firmware.sensors import SensorFaults
 from sitl.physics.dynamics import STEP
 from sitl.physics.geodesy import Geodesy
 from sitl.physics.rigid import MOTORS
@@ -34,9 +35,20 @@ class Px4Port:
     values all the same, because its time stands still without them.
     """
 
-    def __init__(self, row: int, instance: int, geodesy: Geodesy, rng: np.random.Generator) -> None:
-        """Listen for the ``instance``; raises `OSError` if its port is taken."""
+    def __init__(
+        self,
+        row: int,
+        instance: int,
+        geodesy: Geodesy,
+        rng: np.random.Generator,
+        faults: Callable[[], SensorFaults] = SensorFaults,
+    ) -> None:
+        """Listen for the ``instance``; raises `OSError` if its port is taken.
+
+        ``faults`` returns what is wrong with the vehicle's sensors now.
+        """
         self.row = row
+        self._faults = faults
         self.fresh, self.silent, self.ended = False, True, False
         self.command = np.zeros(MOTORS)
         self._outputs = px4_hil.Outputs(0, (0.0,) * 16, armed=False)
@@ -75,8 +87,7 @@ class Px4Port:
         except ConnectionError:
             data = b""
         if not data:
-            self.ended = self.silent = True
-            self.command = np.zeros(MOTORS)
+            self.end()
             return
         outputs = self._stream.feed(data)
         if outputs is None:
@@ -106,7 +117,11 @@ class Px4Port:
         if at >= self._next_fix:
             self._next_fix = at + sensors.RTK.interval - 1e-9
             noise = self._rng.standard_normal(6)
-            fix = sensors.fix(sensors.RTK, self._geodesy, state[0:3], state[3:6], noise)
+            faults = self._faults()
+            place = state[0:3] + faults.offset
+            fix = sensors.fix(sensors.RTK, self._geodesy, place, state[3:6], noise)
+            if not faults.receiver:
+                fix = fix._replace(kind=sensors.NO_FIX)
             data = px4_hil.receiver(self._sender, self._sent, fix) + data
         self.fresh = False
         try:
@@ -119,9 +134,17 @@ class Px4Port:
         field = sensors.in_body(state[6:10], self._field)
         noise = self._rng.standard_normal(4)
         field += sensors.MAGNETIC_NOISE * noise[:3]
-        pressure, temperature = sensors.air(self._geodesy.altitude + float(state[2]))
+        pressure, temperature = sensors.air(
+            self._geodesy.altitude + float(state[2]) + self._faults().barometer
+        )
         pressure += sensors.PRESSURE_NOISE * float(noise[3])
         return *field.tolist(), pressure, sensors.pressure_altitude(pressure), temperature
+
+    def end(self) -> None:
+        """Note that the process has ended: motors stop, and the gripper stays as it is."""
+        self.ended = self.silent = True
+        self.command = np.zeros(MOTORS)
+        self._outputs = px4_hil.Outputs(0, (0.0,) * 16, armed=False)
 
     def grip(self) -> bool | None:
         """Return whether the gripper's output closes it; None between closed and open.

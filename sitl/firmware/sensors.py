@@ -52,6 +52,21 @@ class Receiver:
     interval: float
 
 
+@dataclass(frozen=True)
+class SensorFaults:
+    """What is wrong with sensors.
+
+    ``receiver``: it has a fix; ``offset``: its positions are wrong by that (m, ENU); ``barometer``:
+    it is wrong by that height, metres.
+    """
+
+    receiver: bool = True
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    barometer: float = 0.0
+
+
+NO_FIX = 1
+"""MAVLink's type of fix of a receiver that has none."""
 RTK = Receiver(level=0.008, height=0.012, speed=0.03, kind=6, interval=0.1)
 """A receiver with fixed carrier phases beside its base: 8 mm + 1 ppm and 12 mm by data sheets."""
 

@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import math
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from sitl.firmware.positioning import Positioning
 from sitl.firmware.process import Launch, Processes, Start
 from sitl.firmware.px4_port import Px4Port, connect_all
 from sitl.firmware.selection import Firmware, FirmwareError
+from sitl.firmware.sensors import SensorFaults
 from sitl.protocol.vehicle import Vehicle
 
 _BOOT_TIMEOUT = 60.0
@@ -59,7 +60,7 @@ def flying(
         processes = Processes(launches)
         stack.callback(processes.stop)
         _connect(ports, flown, processes, folder)
-        yield Exchange(emulator, emulator.outside, ports)
+        yield Exchange(emulator, emulator.outside, ports, processes.ended)
 
 
 def _start(
@@ -82,7 +83,21 @@ def _port(emulator: Emulator, vehicle: Vehicle, row: int, instance: int) -> Port
     if vehicle.spec.autopilot == "ardupilot":
         return ArduPilotPort(row, instance)
     rng = np.random.default_rng([emulator.world.seed, vehicle.system])
-    return Px4Port(row, instance, emulator.environment.geodesy, rng)
+    return Px4Port(row, instance, emulator.environment.geodesy, rng, _faults_of(vehicle))
+
+
+def _faults_of(vehicle: Vehicle) -> Callable[[], SensorFaults]:
+    """Return a function of what the world's faults have done to a vehicle's sensors."""
+    bias = vehicle.bodies.bias[vehicle.index]
+    before = bias.copy()
+
+    def faults() -> SensorFaults:
+        offset = (bias - before).tolist()
+        # a barometer's drift is in both
+        offset[2] -= vehicle.barometer
+        return SensorFaults(vehicle.global_valid, tuple(offset), vehicle.barometer)
+
+    return faults
 
 
 def _launch(emulator: Emulator, vehicle: Vehicle, start: Start) -> Launch:

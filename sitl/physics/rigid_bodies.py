@@ -57,10 +57,14 @@ class RigidBodies:
 
         ``command`` (k, 4) are motor commands between 0 and 1, ``force`` (k, 3) the cable's forces
         on the grip points in newtons, ENU; air and health of the motors are those of ``bodies``.
+        Of a tumbling vehicle the first motor gives no thrust, the others all of theirs.
         """
         rows = self.rows
         outside = np.hstack([force, bodies.wind[rows] + bodies.downwash[rows]])
-        wanted = rigid.thrusts(command, self.frame.motor * bodies.health[rows])
+        lost = bodies.tumbling[rows]
+        health = np.where(lost, 1.0, bodies.health[rows])
+        wanted = rigid.thrusts(command, self.frame.motor * health)
+        wanted[lost, 0] = 0.0
         self.measured = rigid.step(
             self.state, self.frame, wanted, outside, self.floor, STEP / SUBSTEPS
         )

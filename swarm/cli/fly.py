@@ -38,6 +38,8 @@ from swarm.reports.findings_text import findings_table
 
 COUNTDOWN = 3
 _FLIGHTS = Path("flights")
+_NEEDS = {"positioning": ("firmware",), "mocap": ("fleet",), "clock": ("fleet",)}
+"""Options that go with others only."""
 _RAISED_FLIGHT = (
     f"The fleet has no grippers (gripper: none): flown {RAISED:g} m higher, without contact with "
     f"the ground; tracking errors up to {LOOSE_ERROR:g} m do not stop the clock."
@@ -59,6 +61,7 @@ class Options:
     firmware: str | None
     positioning: str | None
     mocap: str | None
+    clock: Path | None
     view: Viewer | None
     yes: bool
     record: Path | None
@@ -146,6 +149,12 @@ def capture_address(
     "vicon, optitrack, qualisys, vrpn and others of libmotioncapture, or udp://HOST:PORT.",
 )
 @click.option(
+    "--clock",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="With --fleet or --resume: follow the time in this file instead of the wall clock's. "
+    "`swarm sitl --clock` writes it for vehicles that are simulated in another process.",
+)
+@click.option(
     "--view",
     is_flag=False,
     flag_value="native",
@@ -199,16 +208,19 @@ def fly(context: click.Context, /, **options: Any) -> None:
             context,
             given.resume,
             folder,
-            then=given.then,
+            FlyOptions(
+                then=given.then,
+                forward=given.forward,
+                mocap=given.mocap,
+                world_clock=given.clock,
+            ),
             view=given.view,
-            forward=given.forward,
-            mocap=given.mocap,
             as_json=given.as_json,
         )
         return
     if given.mission is None:
         raise click.UsageError("Missing argument 'MISSION'.")
-    refuse_option_conflicts(options, {"positioning": ("firmware",), "mocap": ("fleet",)}, [])
+    refuse_option_conflicts(options, _NEEDS, [])
     source = load_source(given.mission, given.overrides, replan=given.replan, flight=True)
     fleet = load_fleet(given.fleet) if given.fleet else None
     if given.mocap and fleet is not None and fleet.frame != "shared":
@@ -231,6 +243,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
         FlyOptions(
             speed=given.speed, no_cable=given.no_cable, control=control, forward=given.forward,
             firmware=given.firmware, positioning=given.positioning or "rtk", mocap=given.mocap,
+            world_clock=given.clock,
         ),
         confirm=True,
     )  # fmt: skip

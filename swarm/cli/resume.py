@@ -1,6 +1,7 @@
 """``swarm fly --resume RECORD``: take over a team whose ground station failed in flight."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -10,7 +11,7 @@ from swarm.cli.flight_session import Viewer, displays, end_flight
 from swarm.cli.planning import prepare_flight
 from swarm.errors import Refused
 from swarm.flight.flight_plan import ResumedFlight
-from swarm.flight.resuming import Then, left_off
+from swarm.flight.resuming import left_off
 from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlyOptions
@@ -31,14 +32,12 @@ def resume_flight(
     context: click.Context,
     record: Path,
     folder: Path,
+    options: FlyOptions,
     *,
-    then: Then,
     view: Viewer | None,
-    forward: str | None,
-    mocap: str | None,
     as_json: bool,
 ) -> None:
-    """Resume the flight of a record, and exit with its code."""
+    """Resume the flight of a record with ``options``, and exit with its code."""
     console = Console(quiet=as_json)
     plan, fleet = recorded_plan(record), recorded_fleet(record)
     log = recorded_log(record, LARGEST_LOG)
@@ -57,14 +56,7 @@ def resume_flight(
         flight_plan,
         fleet,
         folder,
-        FlyOptions(
-            no_cable=not basis.cable,
-            control=control_socket(folder),
-            left=left,
-            then=then,
-            forward=forward,
-            mocap=mocap,
-        ),
+        replace(options, no_cable=not basis.cable, control=control_socket(folder), left=left),
     )
     prepare_flight()
     with displays(plan, folder, view, console) as shown, shown.screen:

@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Any
 
 from swarm import precompile
-from swarm.errors import Refused
+from swarm.errors import InputError, Problem, Refused
 from swarm.flight.adherence import adherence
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
@@ -35,6 +35,7 @@ from swarm.ground.relay import Relay
 from swarm.ground.signing_key import signing_with
 from swarm.ground.sockets import Links, open_links
 from swarm.ground.tick_tasks import TickTasks
+from swarm.ground.world_clock import WorldClock
 from swarm.jit import sealed
 from swarm.mavlink.frames import Origin
 from swarm.mission.fleet import Fleet
@@ -59,6 +60,8 @@ class FlyOptions:
       position, as there.
     - ``mocap``: URL of the motion capture system whose poses are sent to the vehicles
       (:mod:`swarm.ground.mocap`).
+    - ``world_clock``: file with the time of a world in another process (``swarm sitl --clock``),
+      which the flight follows instead of the wall clock.
     """
 
     speed: float = 1.0
@@ -72,6 +75,7 @@ class FlyOptions:
     firmware: str | None = None
     positioning: str = "rtk"
     mocap: str | None = None
+    world_clock: Path | None = None
 
 
 def fly(
@@ -107,7 +111,7 @@ def fly(
             resources.callback(emulator.stop)
         # flight time begins once the emulator sends packets, which takes a while
         record.start_time = time.time()
-        clock = emulator.clock if emulator is not None else None
+        clock = resources.enter_context(_followed_clock(emulator, options))
         started = clock.now() if clock is not None else None
         record.before(flight_plan, conductor.basis, fleet, _facts(options, record, started))
         if options.left is not None:
@@ -159,6 +163,25 @@ def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Co
     conductor = Conductor(flight_plan, fleet, setup, left=options.left, then=options.then)
     precompile.load()
     return conductor
+
+
+@contextmanager
+def _followed_clock(
+    emulator: EmulatorProcess | None, options: FlyOptions
+) -> Iterator[WorldClock | None]:
+    """Open the clock of the world that the flight follows; None: the wall clock."""
+    if emulator is not None or options.world_clock is None:
+        yield emulator.clock if emulator is not None else None
+        return
+    try:
+        clock = WorldClock(options.world_clock, 1.0)
+    except (OSError, ValueError):
+        message = "expected the clock of a world that runs (swarm sitl --clock)"
+        raise InputError([Problem(str(options.world_clock), message)]) from None
+    try:
+        yield clock
+    finally:
+        clock.close()
 
 
 def _facts(options: FlyOptions, record: Record, started: float | None) -> dict[str, Any]:

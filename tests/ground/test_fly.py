@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
-from swarm.errors import VehicleError
+from swarm.errors import InputError, VehicleError
 from swarm.flight.world import emulated_world
 from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.emulator import EmulatorProcess
@@ -22,6 +22,8 @@ from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.ground.sockets import open_links
 from swarm.mission.fleet import emulated_fleet
 from swarm.verification import verify_trace
+from tests.command import run
+from tests.ground.station import fleet_on
 from tests.network import small_plan
 
 SPEED = 4.0
@@ -102,6 +104,8 @@ from swarm.mission.fleet import emulated_fleet
 from swarm.flight.world import emulated_world
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.fly import FlyOptions, fly
+from tests.command import run
+from tests.ground.station import fleet_on
 from tests.network import small_plan
 result = fly(small_plan(), emulated_fleet(3), Path(sys.argv[1]), FlyOptions(speed=4.0))
 sys.exit(result.outcome.exit_code)
@@ -178,6 +182,20 @@ def test_all_links_that_cannot_be_opened_are_named():
         open_links({"a": "udpin://192.0.2.1:14550", "b": "tcp://127.0.0.1:1"})
     assert "link a (udpin://192.0.2.1:14550) cannot be opened" in str(caught.value)
     assert "link b (tcp://127.0.0.1:1) cannot be opened: connection refused" in str(caught.value)
+
+
+def test_the_clock_of_a_world_that_does_not_run_is_refused(tmp_path):
+    missing = tmp_path / "clock.bin"
+    with pytest.raises(InputError) as caught:
+        fly(FLIGHT_PLAN, fleet_on(14991), tmp_path / "record", FlyOptions(world_clock=missing))
+    assert str(caught.value) == (
+        f"{missing}: expected the clock of a world that runs (swarm sitl --clock)"
+    )
+
+
+def test_a_flight_follows_a_worlds_clock_only_with_a_fleet():
+    done = run("fly", "overhand", "--clock", "clock.bin")
+    assert (done.returncode, done.stderr.strip()) == (2, "--clock needs --fleet")
 
 
 def test_the_start_of_the_emulator_does_not_count_as_flight_time(tmp_path):

@@ -10,10 +10,14 @@ are the world's. `tests/sitl/test_silence.py` plays the ground station's packets
 import argparse
 import gzip
 import socket
+import struct
+from collections.abc import Iterator
 from pathlib import Path
 
 from pymavlink.dialects.v20 import common as dialect
 
+from sitl.autopilots.ardupilot import tables as ardupilot_tables
+from sitl.autopilots.px4 import tables as px4_tables
 from sitl.emulator import Emulator
 from sitl.firmware.selection import assign, parse
 from sitl.firmware.team import flying
@@ -27,6 +31,7 @@ HOLD = 20.0
 """T of the recordings, seconds: shorter than a fleet's 60 s, so that they are small."""
 SILENT_FROM = {"px4": 30.0, "ardupilot": 90.0}
 """World time of the last packet: the ArduCopter boots for 40 to 60 s."""
+TABLES = {"px4": px4_tables.PARAMETERS, "ardupilot": ardupilot_tables.PARAMETERS}
 EPOCH = 1_800_000_000.0
 HEIGHT = 2.0
 _LONGEST = 40.0
@@ -43,6 +48,16 @@ def parameters(kind: Kind) -> dict[str, float]:
     return required_values(
         kind, fleet_requirements(Vehicles(), fleet.model_copy(update={"limits": limits}))
     )
+
+
+def settings(kind: Kind) -> Iterator[dialect.MAVLink_param_set_message]:
+    """Yield PARAM_SET of the audit's values."""
+    for name, value in parameters(kind).items():
+        integer = isinstance(TABLES[kind][name], int)
+        sent = float(value)
+        if integer and kind == "px4":
+            sent = struct.unpack("<f", struct.pack("<i", int(value)))[0]
+        yield dialect.MAVLink_param_set_message(1, 1, name.encode(), sent, 6 if integer else 9)
 
 
 class Pilot:

@@ -1,17 +1,14 @@
 """What real and emulated autopilots do alone after the ground station has ended: the same."""
 
-import struct
 from functools import cache
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator
-from sitl.autopilots.ardupilot import tables as ardupilot_tables
-from sitl.autopilots.px4 import tables as px4_tables
 from sitl.world import default_world
 from tests.recordings import recorded
-from tests.recordings.silence import HOLD, parameters
+from tests.recordings.silence import HOLD, parameters, settings
 from tests.recordings.trim import GROUND
 from tests.sitl.conformance import Decoded, decoded, replay
 
@@ -21,7 +18,6 @@ BEFORE = 20.0
 """Seconds of the emulated vehicle before the recording's packets; its parameters are set in it."""
 FROM = 25.0
 """Seconds before the silence from which packets are played: the real one boots before."""
-TABLES = {"px4": px4_tables.PARAMETERS, "ardupilot": ardupilot_tables.PARAMETERS}
 SLACK = 2.0
 """Largest difference of times, seconds: heartbeats come once a second, PX4 checks the link to its
 ground station every 1.25 s, and its descent begins and ends more softly than the emulated one."""
@@ -39,25 +35,15 @@ def both(kind):
         (played[0][0] - BEFORE + k, dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mav))
         for k in range(1, int(BEFORE))
     ]
-    settings = [
+    configuration = [
         (played[0][0] - 15.0 + 0.01 * k, message.pack(mav))
-        for k, message in enumerate(_settings(kind))
+        for k, message in enumerate(settings(kind))
     ]
     emulator = Emulator(default_world(1, [kind]))
     delay = BEFORE - played[0][0]
-    downlink = replay(emulator, [*sorted(beats + settings), *played], 1, delay, log[-1][0])
+    downlink = replay(emulator, [*sorted(beats + configuration), *played], 1, delay, log[-1][0])
     real = [(at, packet) for at, packet in log if packet[5] == 1 and packet[6] == 1]
     return decoded(real), decoded(downlink), silence
-
-
-def _settings(kind):
-    """Yield PARAM_SET of the audit's values."""
-    for name, value in parameters(kind).items():
-        integer = isinstance(TABLES[kind][name], int)
-        sent = float(value)
-        if integer and kind == "px4":
-            sent = struct.unpack("<f", struct.pack("<i", int(value)))[0]
-        yield dialect.MAVLink_param_set_message(1, 1, name.encode(), sent, 6 if integer else 9)
 
 
 def changes(messages, since) -> list[tuple[float, str]]:
