@@ -58,11 +58,11 @@ class SwingTube:
     """
 
     start: float
-    planned: Floats
-    stopped: Floats
-    radius: Floats
-    close: ClosePairs
-    approach: Floats
+    planned: Floats = field(repr=False)
+    stopped: Floats = field(repr=False)
+    radius: Floats = field(repr=False)
+    close: ClosePairs = field(repr=False)
+    approach: Floats = field(repr=False)
     _most: Floats = field(repr=False)
     _least: Floats = field(repr=False)
 

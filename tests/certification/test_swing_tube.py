@@ -56,7 +56,7 @@ def flown(plan: Plan, change: float | None, step: float, course: Course = COURSE
     clock.target = course.target
     # a start from rest: the team has stood there, the cable hangs still
     times = list(np.arange(first, change, step)) if course.rate else [change]
-    for _ in range(round(6.0 / step)):
+    for _ in range(round(course.duration / step)):
         clock.advance(step, first, last)
         times.append(clock.time)
     return np.array(times)
@@ -120,9 +120,9 @@ def test_courses_are_those_of_the_mission_clock(shaped: Plan, course: Course) ->
     begin = shaped.phase("fold").start + 20.0
     limits = clock_limits(shaped.motion, shaped.mission.vehicles.braking_acceleration)
     (found,) = limits.course(
-        np.array([begin]), course.rate, course.target, 6.0, urgent=course.urgent
+        np.array([begin]), course.rate, course.target, course.duration, urgent=course.urgent
     )
-    expected = flown(shaped, begin, STEP, course)[-round(6.0 / STEP) :]
+    expected = flown(shaped, begin, STEP, course)[-round(course.duration / STEP) :]
     assert found[1:] == pytest.approx(expected, abs=1e-3)
 
 
