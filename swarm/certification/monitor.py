@@ -29,6 +29,8 @@ the default mission (1.6 s)."""
 SLOWING_MARGIN = 0.1
 """Metres of margin below which the clock slows, to a standstill at none: the default tracking
 radius."""
+SLOWEST = 0.3
+"""Smallest rate of the clock for the swing: a stop would swing the strands anew."""
 _PIECES = 20
 """Pieces of a sampled strand: 15 cm of a strand of 3 m."""
 _BOW = 0.02
@@ -140,6 +142,18 @@ class Monitor:
         aloft = cable == "aloft"
         return _clock_rate(_margin(moments, aloft, self.required, self._diameter, self.points))
 
+    def swinging_rate(self, moments: Floats, strays: Floats) -> float:
+        """Return the allowed clock rate, SLOWEST…1, for strands that swing.
+
+        Each strand may be up to its stray (n − 1,), in metres, nearer to the others than its
+        catenary at the moments (k, n, 3).
+        """
+        near = self.required.near + 2.0 * float(strays.max(initial=0.0))
+        required = self.required._replace(near=near)
+        least = swinging_distance(moments, strays, required, self.points)
+        margin = least - self._diameter - required.strands
+        return max(SLOWEST, _clock_rate(margin))
+
 
 def _clock_rate(margin: float) -> float:
     return min(1.0, max(0.0, margin / SLOWING_MARGIN))
@@ -181,6 +195,24 @@ def _chord_margin(moments: Floats, longest: Floats) -> float:
     for k in range(len(moments)):
         for i in range(len(longest)):
             least = min(least, longest[i] - point_distance(moments[k, i], moments[k, i + 1]))
+    return least
+
+
+@compiled
+def swinging_distance(
+    moments: Floats3, strays: Floats1, required: RequiredNow, points: Floats3
+) -> float:
+    """Smallest distance of strands at the moments (k, n, 3), less the strays (n − 1,) of both.
+
+    As :func:`pair_distance`; ``points`` (n − 1, k, 3) is working memory.
+    """
+    least = np.inf
+    for k in range(len(moments)):
+        sampled = np.zeros(len(required.lengths), np.bool_)
+        for pair in range(len(required.pairs)):
+            one, other = required.pairs[pair, 0], required.pairs[pair, 1]
+            apart = pair_distance(moments[k], (one, other), required, 0.0, (points, sampled))
+            least = min(least, apart - strays[one] - strays[other])
     return least
 
 

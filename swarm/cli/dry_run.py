@@ -122,7 +122,7 @@ def _end(
     """Write the files of a flight, print its outcome, and exit with its code."""
     plan, assessment = planned.plan, planned.assessment
     verification = verify_trace(plan, result.trace)
-    outcome = outcome_object(result, verification, assessment)
+    outcome = outcome_object(plan, result, verification, assessment)
     if options["plot"]:
         from swarm.reports.plots import plot_flight  # noqa: PLC0415 - slow to import
 

@@ -69,7 +69,7 @@ def end_flight(
     from swarm.reports.flight_report import flight_report  # noqa: PLC0415 - slow to import
 
     verification = verify_trace(plan, result.trace)
-    outcome = outcome_object(result, verification, assessment)
+    outcome = outcome_object(plan, result, verification, assessment)
     report = flight_report(plan, assessment, outcome, result.trace, result.events)
     write_text(folder / "report.html", report)
     if as_json:

@@ -18,7 +18,7 @@ from swarm.flight.modes import contingency, execute
 from swarm.flight.modes.prepare import prepare, wait_for_clearance
 from swarm.flight.modes.resume import find_team
 from swarm.flight.modes.transitions import change_stage
-from swarm.flight.observing import monitor, observe
+from swarm.flight.observing import follow_swing, monitor, observe
 from swarm.flight.operator import Request, request
 from swarm.flight.pace import LONGEST_TICK
 from swarm.flight.reporting import record_sample, snapshot_of, statistics_of
@@ -79,6 +79,7 @@ class Conductor(FlightView):
         observe(flight)
         stage = flight.stage
         if stage is Stage.EXECUTE:
+            follow_swing(flight)
             monitor(flight)
         self._detect()
         _MODES[stage](flight)

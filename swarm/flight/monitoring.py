@@ -17,13 +17,15 @@ Floats = npt.NDArray[np.float64]
 class Sample:
     """Positions at one moment and a moment ahead.
 
-    ``moments`` (2, n, 3) are grip points, mission ENU. Clearances are computed where they are read;
-    the clock mostly needs a bound of the strands' distances alone.
+    ``moments`` (2, n, 3) are grip points, mission ENU; ``strays`` (n − 1,) how far the strands
+    swing from their catenaries, where that is estimated. Clearances are computed where they are
+    read; the clock mostly needs a bound of the strands' distances alone.
     """
 
     monitor: Monitor
     moments: Floats
     cable: CableState
+    strays: Floats | None = None
 
     @cached_property
     def clearances(self) -> Clearances:
@@ -34,7 +36,10 @@ class Sample:
     @cached_property
     def pace(self) -> float:
         """The largest permitted rate of the clock, 0…1."""
-        return self.monitor.clock_rate(self.moments, self.cable)
+        pace = self.monitor.clock_rate(self.moments, self.cable)
+        if self.strays is None:
+            return pace
+        return min(pace, self.monitor.swinging_rate(self.moments, self.strays))
 
 
 @dataclass(frozen=True)

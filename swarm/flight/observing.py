@@ -12,6 +12,7 @@ from swarm.flight.monitoring import Monitored, Sample
 from swarm.flight.observation import observation_of
 from swarm.flight.preparation import Prepared
 from swarm.flight.state import FlightState, Roster
+from swarm.flight.swinging import INTERVAL, Reports, lean
 
 Floats = npt.NDArray[np.float64]
 
@@ -66,6 +67,30 @@ def shift_frame(flight: FlightState, k: int, jump: Floats) -> None:
     flight.observation = flight.observation.shifted(k, jump)
 
 
+def follow_swing(flight: FlightState) -> None:
+    """Estimate the swing of the cable ten times a second, while it is aloft."""
+    estimator, before = flight.setup.swing, flight.swing
+    aloft = flight.phase.cable == "aloft" and flight.attached and not flight.setup.bare
+    if estimator is None or not aloft or flight.placement.frames is None:
+        flight.swing = None
+        return
+    if before is not None and flight.now - before.at < INTERVAL - 1e-6:
+        return
+    seen, streams = flight.observation, flight.streams
+    if not np.isfinite(seen.position).all():
+        return
+    fresh = flight.now - seen.position_at <= EXTRAPOLATION
+    turn, offset = flight.placement.frames.inverse[0], float(flight.setup.lift[2])
+    reports = Reports(
+        now=flight.now,
+        position=seen.position,
+        velocity=np.where(fresh[:, None], seen.velocity, streams.velocity),
+        lean=lean(seen.attitude, turn, offset),
+        fresh=fresh,
+    )
+    flight.swing = estimator.begin(reports) if before is None else estimator.follow(before, reports)
+
+
 def monitor(flight: FlightState) -> None:
     """Update the live monitor with the positions now and a moment ahead, ten times a second."""
     options, seen = flight.setup.options, flight.observation
@@ -82,4 +107,5 @@ def monitor(flight: FlightState) -> None:
     held = flight.attached and not flight.setup.bare
     cable = phase.cable if held else "free"
     moments = np.array((seen.position, seen.position + LOOKAHEAD * seen.velocity))
-    flight.monitored = Monitored(Sample(flight.setup.monitor, moments, cable), next_at)
+    strays = flight.swing.amplitude if flight.swing is not None else None
+    flight.monitored = Monitored(Sample(flight.setup.monitor, moments, cable, strays), next_at)

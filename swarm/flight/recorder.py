@@ -14,7 +14,7 @@ class Recorder:
 
     def __init__(self) -> None:
         self._events: list[Event] = []
-        self._samples: list[tuple[float, float, Floats, Floats, str]] = []
+        self._samples: list[tuple[float, float, Floats, Floats, str, Floats]] = []
         self.next_sample = 0.0
 
     def event(self, time: float, kind: str, message: str, vehicle: int | None) -> None:
@@ -27,10 +27,15 @@ class Recorder:
         return events
 
     def sample(
-        self, time: float, mission_time: float, position: Floats, setpoint: Floats, phase: str
+        self,
+        times: tuple[float, float],
+        places: tuple[Floats, Floats],
+        phase: str,
+        stray: Floats,
     ) -> None:
-        """Add the positions and setpoints (n, 3) of a moment."""
-        self._samples.append((time, mission_time, position, setpoint, phase))
+        """Add a moment: its time and mission time, positions and setpoints (n, 3), the plan's
+        phase, and the strays (n − 1,) of the strands."""
+        self._samples.append((*times, *places, phase, stray))
 
     def trace(self, n: int) -> Trace:
         """Return the flight of n vehicles so far."""
@@ -41,4 +46,5 @@ class Recorder:
             position=np.array([row[2] for row in samples]).reshape(-1, n, 3),
             setpoint=np.array([row[3] for row in samples]).reshape(-1, n, 3),
             phase=tuple(row[4] for row in samples),
+            stray=np.array([row[5] for row in samples]).reshape(len(samples), -1),
         )

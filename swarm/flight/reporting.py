@@ -26,12 +26,15 @@ def record_sample(flight: FlightState) -> None:
     position = seen.position.copy()
     position[flight.now - seen.measured.at > FRESH_IN_TRACE] = np.nan
     setpoint = flight.streams.setpoint.copy()
-    recorder.sample(flight.now, flight.clock.time, position, setpoint, phase)
+    swing = flight.swing if flight.stage is Stage.EXECUTE else None
+    stray = swing.stray if swing else np.full(len(flight.setup.plan.layout.lengths), np.nan)
+    recorder.sample((flight.now, flight.clock.time), (position, setpoint), phase, stray)
 
 
 def snapshot_of(flight: FlightState, now: float) -> Snapshot:
     """Return the flight at this moment."""
     vehicles, seen = flight.roster.vehicles, flight.observation
+    swing = flight.swing if flight.stage is Stage.EXECUTE else None
     return Snapshot(
         time=now,
         mission_time=flight.clock.time,
@@ -55,6 +58,8 @@ def snapshot_of(flight: FlightState, now: float) -> Snapshot:
         held=held(flight),
         time_left=time_left(flight),
         remaining=remaining(flight),
+        stray=swing.stray if swing else None,
+        cable=swing.states[1] if swing else None,
     )
 
 

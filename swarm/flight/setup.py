@@ -13,6 +13,7 @@ from swarm.errors import Refused
 from swarm.flight.bench_flight import is_bare
 from swarm.flight.flight_plan import Basis, FlightPlan, basis_of
 from swarm.flight.load import PlannedPull
+from swarm.flight.swinging import SwingEstimator
 from swarm.mission.fleet import Fleet
 from swarm.planning import Gate, Plan
 
@@ -44,8 +45,8 @@ class Setup:
     """One flight's constants.
 
     ``commands_grippers`` says whether grippers are commanded, ``carries_cable`` whether cable is
-    attached, ``bare`` whether the vehicles could not hold one. ``lift`` (3,) in metres leads from
-    grip points to centres.
+    attached, ``bare`` whether the vehicles could not hold one. ``swing`` estimates the swing of the
+    cable, where one is folded. ``lift`` (3,) in metres leads from grip points to centres.
     """
 
     flight_plan: FlightPlan
@@ -60,6 +61,7 @@ class Setup:
     windows: ContingencyWindows
     separations: Separations
     monitor: Monitor
+    swing: SwingEstimator | None
     pull: PlannedPull
     lift: Floats
 
@@ -94,6 +96,7 @@ def setup_of(flight_plan: FlightPlan, fleet: Fleet, options: Options) -> Setup:
         windows=contingency_windows(plan, whole=True),
         separations=separations(plan),
         monitor=Monitor(plan),
+        swing=SwingEstimator.of(plan) if carries_cable else None,
         pull=PlannedPull(plan),
         lift=np.array([0.0, 0.0, plan.mission.vehicles.grip_offset]),
     )

@@ -26,7 +26,9 @@ class Snapshot:
 
     ``waiting_for`` is what the clock waits for, ``held`` why the team holds, ``time_left`` the
     seconds until the gate's or the hold's timeout, ``remaining`` the seconds to the end of the plan
-    without waiting; None where they do not apply.
+    without waiting; None where they do not apply. ``stray`` (n − 1,) is how far each strand is
+    estimated from its catenary, in metres, and ``cable`` (n − 1, k, 3) are points of the strands;
+    None while no cable is aloft.
     """
 
     time: float
@@ -51,6 +53,8 @@ class Snapshot:
     held: str | None = None
     time_left: float | None = None
     remaining: float | None = None
+    stray: Floats | None = None
+    cable: Floats | None = None
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.router import Team
 from swarm.flight.setup import LOOSE_ERROR, Setup
 from swarm.flight.stages import Stage, Step
+from swarm.flight.swinging import Swing
 from swarm.mavlink.frames import Frames
 from swarm.mavlink.vehicle import Vehicle
 from swarm.planning import Gate, Phase
@@ -204,6 +205,7 @@ OWNERS: Mapping[str, str] = {
     "placement": "observing",
     "observation": "observing",
     "monitored": "observing",
+    "swing": "observing",
     "progress": "progress",
     "streams": "streams",
     "holds": "holds",
@@ -231,6 +233,7 @@ class FlightState:
     observation: Observation
     streams: Streams
     monitored: Monitored = field(default_factory=Monitored)
+    swing: Swing | None = None
     timing: Timing = field(default_factory=Timing)
     mode: Mode = field(default_factory=Mode)
     progress: Progress = field(default_factory=Progress)

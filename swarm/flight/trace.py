@@ -1,6 +1,6 @@
 """The flown positions and setpoints over time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,8 @@ class Trace:
     ``setpoint`` (k, n, 3) are grip points in ENU metres: the reported position,
     interpolated to ``time``, and the sent setpoint; NaN where not known. ``phase`` (k,) are the
     names of the plan's phases, empty outside the plan (before the start, or in a contingency).
+    ``stray`` (k, n − 1) is how far each strand was estimated from its catenary in metres, NaN where
+    it was not; (0, 0) for a trace that has no estimates, as of a .tlog.
     """
 
     time: Floats
@@ -24,3 +26,4 @@ class Trace:
     position: Floats
     setpoint: Floats
     phase: tuple[str, ...]
+    stray: Floats = field(default_factory=lambda: np.empty((0, 0)))

@@ -23,6 +23,7 @@ from swarm.errors import InputError, Problem
 from swarm.flight.adherence import adherence_object
 from swarm.flight.archive import certificate_document, frames_document
 from swarm.flight.flight_plan import Basis, FlightPlan
+from swarm.flight.flown_swing import largest_stray, swing_object
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event
 from swarm.flight.tlog import KnownFrames
@@ -147,6 +148,7 @@ class Record:
             "exit_code": result.exit_code,
             "certificate": asdict(result.basis),
             "adherence": adherence_object(result.adherence),
+            "swing": swing_object(largest_stray(result.trace)),
             "statistics": statistics,
             "record": {"dropped": self.dropped, "problem": self.problem},
         }
@@ -160,6 +162,7 @@ class Record:
                 position=trace.position,
                 setpoint=trace.setpoint,
                 phase=np.array(trace.phase, dtype=np.str_),
+                stray=trace.stray,
             )
         except OSError as error:
             self.problem = (error.strerror or "cannot be written").lower()

@@ -7,17 +7,19 @@ from typing import Any
 from swarm.certification.assessment import Assessment
 from swarm.exports import tightest_object
 from swarm.flight.adherence import adherence_object
+from swarm.flight.flown_swing import flown_swing, swing_object
 from swarm.flight.result import FlightResult
 from swarm.flight.tlog import Replayed
 from swarm.ground.commissioning.logs import LogDownload
 from swarm.ground.record_verification import VerifiedRecord
+from swarm.planning import Plan
 from swarm.verification import Verification
 
 
 def outcome_object(
-    result: FlightResult, verification: Verification, assessment: Assessment
+    plan: Plan, result: FlightResult, verification: Verification, assessment: Assessment
 ) -> dict[str, Any]:
-    """Return the outcome of a flight, with flown beside certified distances."""
+    """Return the outcome of a flight of a plan, with flown beside certified distances."""
     statistics = result.statistics
     lateness, latency = statistics.lateness, statistics.command_latency
     return {
@@ -27,6 +29,7 @@ def outcome_object(
         "certificate": {**asdict(result.basis), "description": result.basis.words},
         "adherence": adherence_object(result.adherence),
         **verification_object(verification, assessment),
+        "swing": swing_object(flown_swing(plan, result.trace)),
         "duration": statistics.duration,
         "setpoints": statistics.setpoints,
         "setpoint_lateness": {"median": lateness[0], "p99": lateness[1]} if lateness else None,

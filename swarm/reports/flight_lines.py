@@ -94,9 +94,17 @@ def margin_line(snapshot: Snapshot) -> Text:
     line.append(f"margin {metres(margin)}", style)
     return line.append(
         f"  cable {metres(clearances.cable)}, vehicles {metres(clearances.vehicle)}, "
-        f"tautest chord {clearances.chord:.0%}",
+        f"tautest chord {clearances.chord:.0%}{_swing(snapshot)}",
         "dim",
     )
+
+
+def _swing(snapshot: Snapshot) -> str:
+    """Return the largest estimated stray of a strand now, and its segment; "" without one."""
+    if snapshot.stray is None:
+        return ""
+    segment = int(np.argmax(snapshot.stray))
+    return f", swing {metres(snapshot.stray[segment])} (segment {segment + 1})"
 
 
 def key_line(available: Mapping[str, tuple[bool, str]]) -> Text:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.assessment import Assessment
+from swarm.flight.flown_swing import swing_curves
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
@@ -24,6 +25,7 @@ from swarm.reports.formatting import (
 from swarm.reports.motion_view import flown_motion
 from swarm.reports.rendering import Picture, picture, render
 from swarm.reports.strand_distances import SAMPLE_INTERVAL, smallest_strand_distances
+from swarm.reports.swing_plots import draw_swing
 from swarm.reports.verdicts import flight_verdict, largest_fold_error
 from swarm.reports.wording import (
     CLEARANCES,
@@ -107,6 +109,12 @@ def _pictures(plan: Plan, trace: Trace) -> list[Picture]:
     figure, axes = plots.new_axes((8.0, 2.2))
     plots.draw_clock(axes, trace)
     pictures.append(picture(figure, "Mission clock over time", wide=True))
+    swing = swing_curves(plan, trace)
+    if swing is not None:
+        figure, axes = plots.new_axes((8.0, 2.8))
+        draw_swing(axes, swing)
+        title = "Swing of the cable: planned, certified and estimated"
+        pictures.append(picture(figure, title, wide=True))
     aloft = np.flatnonzero(_aloft(trace))
     sampled = aloft[:: _sampling_step(trace)]
     if plan.vehicles >= 4 and len(sampled):

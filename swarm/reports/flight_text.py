@@ -7,6 +7,7 @@ from rich.table import Table
 
 from swarm.certification.assessment import Assessment, Tightest
 from swarm.flight.adherence import Adherence
+from swarm.flight.flown_swing import flown_swing
 from swarm.flight.result import FlightResult
 from swarm.planning import Plan
 from swarm.reports.findings_text import print_verdict
@@ -25,12 +26,16 @@ def print_outcome(
     console: Console,
 ) -> None:
     """Print the verdict, flown beside certified distances, tracking error and timing."""
-    outcome = outcome_object(result, verification, assessment)
+    outcome = outcome_object(plan, result, verification, assessment)
     print_verdict(flight_verdict(plan, outcome), console)
     if not result.basis.cable and len(plan.layout.lengths):
         words = "Flown without cable: the knot above is the one that these positions would tie."
         console.print(words, highlight=False, soft_wrap=True)
     _print_measurements(plan, verification, assessment, console)
+    swing = flown_swing(plan, result.trace)
+    if swing is not None:
+        line = f"Swing of the cable: {swing.words}"
+        console.print(line, highlight=False, soft_wrap=True)
     statistics = result.statistics
     line = f"{statistics.duration:.0f} s of flight, {statistics.setpoints} setpoints"
     if statistics.lateness:

@@ -41,7 +41,10 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
             ),
             rrb.Vertical(
                 _curves("error", "Tracking error (m)"),
-                _curves("margin", "Margin above the required (m)", legend=True),
+                rrb.Tabs(
+                    _curves("margin", "Margin above the required (m)", legend=True),
+                    _curves("swing", "Swing of the cable, estimated (m)"),
+                ),
                 _curves("rate", "Mission clock rate", (-1.1, 1.1)),
                 rrb.Tabs(
                     _curves("battery", "Battery (%)", (0.0, 100.0)),
@@ -91,7 +94,10 @@ def comparison_blueprint(plan: Plan) -> rrb.Blueprint:
             rrb.Horizontal(
                 _scene("Planned and flown", "mission_time", _field_eye(plan, near=0.4), UNLABELLED),
                 _curves("error", "Tracking error (m)"),
-                _curves("distance", "Sampled distance of strands (m)"),
+                rrb.Tabs(
+                    _curves("distance", "Sampled distance of strands (m)"),
+                    _curves("swing", "Largest swing of the cable (m)"),
+                ),
                 column_shares=[3, 2, 2],
             ),
             row_shares=[3, 2],

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from swarm.flight.flown_swing import swing_curves
 from swarm.flight.trace import Trace
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.planning import Plan
@@ -155,6 +156,17 @@ def send_distances(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None
             _curves(stream, f"distance/{name}", [name], {"mission_time": times}, values[:, None])
     clock = {"mission_time": sampled}
     _limit(stream, "distance/limit", plan.mission.clearance.cable, "required", clock)
+
+
+def send_swing(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None:
+    """Send the largest stray of the strands: estimated, planned, and the radius of the tube."""
+    swing = swing_curves(plan, trace)
+    if swing is None:
+        return
+    clock = {"mission_time": swing.time}
+    for name in ("estimated", "planned", "certified"):
+        strays: Floats = getattr(swing, name)
+        _curves(stream, f"swing/{name}", [name], clock, strays.max(axis=1)[:, None])
 
 
 def send_phases(stream: rr.RecordingStream, entity: str, plan: Plan) -> None:

@@ -19,6 +19,7 @@ from swarm.view.columns import (
     send_motion,
     send_phases,
     send_plan_curves,
+    send_swing,
 )
 from swarm.view.rerun_scene import log_event, log_plan
 
@@ -54,6 +55,7 @@ def write_flight(plan: Plan, trace: Trace, events: Iterable[Event], path: Path) 
     send_motion(stream, "flight", plan, flown_motion(plan, trace))
     send_errors(stream, plan, trace)
     send_distances(stream, plan, trace)
+    send_swing(stream, plan, trace)
     for event in events:
         log_event(stream, event)
     stream.disconnect()

@@ -205,6 +205,10 @@ class Recorder:
                 rr.SeriesLines(names=names, colors=colours, widths=[1.5] * n),
                 static=True,
             )
+        segments = [f"segment {i + 1}" for i in range(n - 1)]
+        if segments:
+            swings = rr.SeriesLines(names=segments, colors=colours[:-1], widths=[1.5] * (n - 1))
+            log("plots/swing", swings, static=True)
         limits = (
             ("error/limit", f"tracking radius {self._limit:g} m"),
             ("link/limit", f"silent after {scene.SILENT_AFTER:g} s"),
@@ -279,6 +283,8 @@ class Recorder:
         lengths = self._plan.layout.lengths
         self._held, self._gripped = scene.follow_grips(self._held, self._gripped, snapshot)
         self._strips = scene.strands(self._held, lengths, scene.POINTS_PER_SEGMENT)
+        if snapshot.cable is not None and self._gripped.all():
+            self._strips = snapshot.cable
         tints = scene.tautness_colours(scene.tautness(self._held, lengths)) if colours else None
         self._stream.log(
             "flight/cable", rr.LineStrips3D.from_fields(strips=self._strips, colors=tints)
@@ -293,6 +299,8 @@ class Recorder:
             margins[~np.isfinite(margins)] = np.nan
             self._draw("margin", snapshot, margins)
             self._draw("margin/limit", snapshot, 0.0)
+        if snapshot.stray is not None:
+            self._draw("swing", snapshot, snapshot.stray)
         for command, (possible, _) in snapshot.available.items():
             self._log_state(f"states/windows/{command}", "open" if possible else "closed")
 
