@@ -4,14 +4,18 @@ Both strands of a pair swing in the same motion: strands that swing together kee
 """
 
 from dataclasses import dataclass
+from functools import cache, partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.compared_pairs import all_pairs
 from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.distance import polyline_polyline
+from swarm.geometry.distance import norms, polyline_polyline
+from swarm.jit import compiled
 from swarm.planning import Plan
+from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1, Ints2
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -49,16 +53,18 @@ def close_pairs(plan: Plan, times: Floats, exempt: float) -> ClosePairs:
     points = strands.points(np.linspace(0.0, 1.0, PIECES + 1))
     none = np.empty((0, 5), dtype=np.intp), np.empty((0, 3)), np.empty(0)
     found: list[tuple[Floats | Ints, ...]] = [none]
+    box = cache(partial(_box, points))
     for (i, j), parts in zip(*all_pairs(lengths, exempt), strict=True):
         first = np.ceil(parts[:, 0] * PIECES).astype(np.intp)
         last = np.floor(parts[:, 1] * PIECES).astype(np.intp) + 1
         a, b = points[:, i, first[0] : last[0]], points[:, j, first[1] : last[1]]
-        near = np.flatnonzero(_gap(a, b) < WITHIN + plan.mission.cable.diameter)
+        gap = _gap(box(i, first[0], last[0]), box(j, first[1], last[1]))
+        near = np.flatnonzero(gap < WITHIN + plan.mission.cable.diameter)
         closest = polyline_polyline(a[near], b[near])
         here = np.rint(closest.first).astype(np.intp) + first[0]
         there = np.rint(closest.second).astype(np.intp) + first[1]
         apart = points[near, i, here] - points[near, j, there]
-        size = np.linalg.norm(apart, axis=1)
+        size = norms(apart)
         kept = (size < WITHIN + plan.mission.cable.diameter) & (size > 1e-9)
         rows = np.column_stack([near, np.full(len(near), i), np.full(len(near), j), here, there])
         found.append((rows[kept], apart[kept] / size[kept, None], size[kept]))
@@ -71,11 +77,35 @@ def close_pairs(plan: Plan, times: Floats, exempt: float) -> ClosePairs:
     )  # fmt: skip
 
 
-def _gap(a: Floats, b: Floats) -> Floats:
-    """Return a lower bound (k,) of the distance of polylines (k, m, 3): that of upright boxes."""
-    apart = np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1))
-    found: Floats = np.linalg.norm(np.maximum(apart, 0.0), axis=1)
-    return found
+def _box(points: Floats, strand: int, first: int, last: int) -> tuple[Floats, Floats]:
+    """Return the lowest and highest coordinates (k, 3) of a part of a strand."""
+    part = points[:, strand, first:last]
+    return part.min(axis=1), part.max(axis=1)
+
+
+def _gap(a: tuple[Floats, Floats], b: tuple[Floats, Floats]) -> Floats:
+    """Return a lower bound (k,) of the distance of polylines: that of the boxes around them."""
+    apart = np.maximum(a[0] - b[1], b[0] - a[1])
+    return norms(np.maximum(apart, 0.0))
+
+
+def collect_distances(bins: Ints, strays: Floats, most: Floats) -> None:
+    """Raise ``most`` (k, n − 1, links + 1) to the sizes of strays of joints in these intervals.
+
+    ``strays`` (m, n − 1, links + 1, 3) at moments in the intervals ``bins`` (m,); a stray that is
+    not a number has no bound.
+    """
+    _raise_distances(bins, np.require(strays, requirements=["C", "W"]), most)
+
+
+@compiled
+def _raise_distances(bins: Ints1, strays: Floats4, most: Floats3) -> None:
+    for m in range(len(bins)):
+        for i in range(strays.shape[1]):
+            for j in range(strays.shape[2]):
+                x, y, z = strays[m, i, j, 0], strays[m, i, j, 1], strays[m, i, j, 2]
+                size = np.sqrt(x * x + y * y + z * z)
+                most[bins[m], i, j] = max(most[bins[m], i, j], size if size >= 0.0 else np.inf)
 
 
 def collect_approaches(close: ClosePairs, bins: Ints, strays: Floats, most: Floats) -> None:
@@ -89,12 +119,29 @@ def collect_approaches(close: ClosePairs, bins: Ints, strays: Floats, most: Floa
     joints = np.rint(close.fractions * links).astype(np.intp)
     first = np.searchsorted(close.bins, bins - 1, side="left")
     last = np.searchsorted(close.bins, bins + 1, side="right")
-    counts = last - first
-    sample = np.repeat(np.arange(len(bins)), counts)
-    row = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + first[sample]
-    (i, j), (at_i, at_j) = close.pairs[row].T, joints[row].T
-    apart = strays[sample, j, at_j] - strays[sample, i, at_i]
-    np.maximum.at(most, row, np.nan_to_num((apart * close.normal[row]).sum(axis=1), nan=np.inf))
+    which = _Rows(first, last, close.pairs, joints)
+    _raise_approaches(which, close.normal, np.require(strays, requirements=["C", "W"]), most)
+
+
+class _Rows(NamedTuple):
+    """Close pairs (r, 2) and their nearest joints; moment m has those from first to last (m,)."""
+
+    first: Ints1
+    last: Ints1
+    pairs: Ints2
+    joints: Ints2
+
+
+@compiled
+def _raise_approaches(which: _Rows, normal: Floats2, strays: Floats4, most: Floats1) -> None:
+    for m in range(len(which.first)):
+        for row in range(which.first[m], which.last[m]):
+            one, other = strays[m, which.pairs[row, 0]], strays[m, which.pairs[row, 1]]
+            i, j = which.joints[row]
+            nearer = (other[j, 0] - one[i, 0]) * normal[row, 0]
+            nearer += (other[j, 1] - one[i, 1]) * normal[row, 1]
+            nearer += (other[j, 2] - one[i, 2]) * normal[row, 2]
+            most[row] = max(most[row], np.inf if np.isnan(nearer) else nearer)
 
 
 def collect_settling(close: ClosePairs, bin_: int, strays: Floats, most: Floats) -> None:

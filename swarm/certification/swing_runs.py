@@ -138,16 +138,17 @@ def swings(plan: Plan, span: tuple[float, float]) -> Iterator[Swung]:
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     for course in COURSES:
         chosen = np.arange(0, len(time) - 1, EVERY * round(course.apart / (EVERY * STEP)))
-        for some in np.split(chosen, np.arange(_TOGETHER, len(chosen), _TOGETHER)):
-            at = limits.course(
-                time[some], course.rate, course.target, course.duration, urgent=course.urgent
-            )
-            at = np.clip(at, span[0], span[1])
+        times = limits.course(
+            time[chosen], course.rate, course.target, course.duration, urgent=course.urgent
+        )
+        times = np.clip(times, span[0], span[1])
+        for first in range(0, len(chosen), _TOGETHER):
+            some, at = chosen[first : first + _TOGETHER], times[first : first + _TOGETHER]
             moved = plan.motion.at(at.ravel())[0].reshape(*at.shape, -1, 3)
             begun = states[some // EVERY]
             if course.rate == 0.0:
                 begun = np.stack([at_rest(first, lengths, model) for first in moved[:, 0]])
-            joints = swing_on_each(begun, moved, lengths, model, EVERY)[:, :, 1]
+            joints = swing_on_each(begun, moved, lengths, model, EVERY)
             strays = _strays(joints, moved[:, ::EVERY], lengths)
             yield Swung(at[:, ::EVERY], strays, course)
 

@@ -15,6 +15,7 @@ from swarm.certification.approaches import (
     ClosePairs,
     close_pairs,
     collect_approaches,
+    collect_distances,
     collect_settling,
 )
 from swarm.certification.compared_pairs import exempt_length
@@ -161,12 +162,12 @@ def _tube_of(named: _Named) -> SwingTube | None:
     approach = np.zeros(len(close.bins))
     planned, stopped = np.empty(0), np.empty(0)
     for swung in swings(plan, span):
-        far = np.nan_to_num(np.linalg.norm(swung.strays, axis=-1), nan=np.inf)
         if not planned.size:
-            planned, stopped = np.zeros((2, count, *far.shape[2:]))
+            planned, stopped = np.zeros((2, count, *swung.strays.shape[2:4]))
         bins = np.minimum(((swung.times - span[0]) / BIN).astype(np.intp), count - 1)
-        np.maximum.at(planned if swung.course is None else stopped, bins, far)
+        most = planned if swung.course is None else stopped
         for one, strays in zip(bins, swung.strays, strict=True):
+            collect_distances(one, strays, most)
             collect_approaches(close, one, strays, approach)
             if swung.course is not None and swung.course.target == 0.0:
                 collect_settling(close, int(one[-1]), strays[-_LAST:], approach)

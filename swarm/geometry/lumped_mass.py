@@ -41,9 +41,20 @@ _ITERATIONS = 8
 _TOLERANCE = 1e-10
 """Relative error of a squared link length at which the iteration ends."""
 
-_TOGETHER = 4
-"""Strands that are stepped side by side: while one waits for a division, others go on. Four take
-0.7 of the time of single ones; eight take no less for the 8 to 22 strands of a team."""
+_TOGETHER = 16
+"""Strands that are stepped side by side: two vectors of the widest processors. Their rows, 0.06 MB,
+stay in the fastest caches: with 32, each strand takes 1.4 times as long."""
+
+_BEFORE, _AFTER, _NOW, _LINK, _NEXT = 0, 0, 3, 6, 9
+"""Places in a row, three numbers each: the joint one step ago, which that after the step replaces;
+the joint now; the link that begins there, now and after the step."""
+
+_ERROR, _DIAGONAL, _UPPER, _WORST, _OPEN, _SQUARE = 12, 13, 14, 15, 16, 17
+"""The next places: the error of the link's squared length, then the correction; two diagonals of
+the system; the largest error so far; whether it is above the tolerance; the squared length."""
+
+_FIELDS = 18
+"""Places in a row: in one array of fixed sizes the compiler knows that they do not overlap."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +89,8 @@ def swing(ends: Floats, lengths: Floats, model: SwingModel, every: int = 1) -> F
     Raises :class:`swarm.geometry.catenary.OverStretched` where the first chord is longer than its
     strand; later, a strand that is pulled taut ends as NaN.
     """
-    return swing_on(at_rest(ends[0], lengths, model), ends, lengths, model, every)[:, 1]
+    state = at_rest(ends[0], lengths, model)
+    return _swing_all(state, _joined(ends), lengths / model.links, model, every, 1)[:, 0]
 
 
 def at_rest(ends: Floats, lengths: Floats, model: SwingModel) -> Floats:
@@ -100,44 +112,52 @@ def swing_on(
     ``ends`` (k, n, 3) begin at the state's time. Returns (ceil(k / every), 2, n − 1, links + 1, 3),
     the given state first.
     """
-    joined = np.stack([ends[:, :-1], ends[:, 1:]], axis=1)
-    return _swing_all(state, joined, lengths / model.links, model, every)
+    return _swing_all(state, _joined(ends), lengths / model.links, model, every, 2)
+
+
+def _joined(ends: Floats) -> Floats:
+    """Return both ends (k, 2, n − 1, 3) of strands between grip points (k, n, 3)."""
+    return np.stack([ends[:, :-1], ends[:, 1:]], axis=1)
 
 
 def swing_on_each(
     states: Floats, ends: Floats, lengths: Floats, model: SwingModel, every: int = 1
 ) -> Floats:
-    """Return the states of the same strands that continue from c states, each in its own motion.
+    """Return the joints of the same strands that continue from c states, each in its own motion.
 
     ``states`` (c, 2, n − 1, links + 1, 3) and ``ends`` (c, k, n, 3) as for :func:`swing_on`.
-    Returns (c, ceil(k / every), 2, n − 1, links + 1, 3).
+    Returns (c, ceil(k / every), n − 1, links + 1, 3).
     """
     count, strands = len(states), len(lengths)
     # next to each other: continuations of the same strand, which need about as many iterations
     joined = np.stack([ends[:, :, :-1], ends[:, :, 1:]], axis=2).transpose(1, 2, 3, 0, 4)
     joined = joined.reshape(*joined.shape[:2], strands * count, 3)
     state = states.transpose(1, 2, 0, 3, 4).reshape(2, strands * count, *states.shape[3:])
-    found = _swing_all(state, joined, np.repeat(lengths / model.links, count), model, every)
-    found = found.reshape(*found.shape[:2], strands, count, *found.shape[3:])
-    return found.transpose(3, 0, 1, 2, 4, 5)
+    lengths = np.repeat(lengths / model.links, count)
+    found = _swing_all(state, joined, lengths, model, every, 1)[:, 0]
+    found = found.reshape(len(found), strands, count, *found.shape[2:])
+    return found.transpose(2, 0, 1, 3, 4)
 
 
-def _swing_all(state: Floats, ends: Floats, links: Floats, model: SwingModel, every: int) -> Floats:
-    """Return the states (…, 2, m, links + 1, 3) of m strands, a few at a time.
+def _swing_all(
+    state: Floats, ends: Floats, links: Floats, model: SwingModel, every: int, parts: int
+) -> Floats:
+    """Return the last ``parts`` of the states (…, 2, m, links + 1, 3) of m strands.
 
     ``ends`` (k, 2, m, 3) are the two ends of each, ``links`` (m,) the lengths of their links.
     """
     samples = (len(ends) + every - 1) // every
-    found = np.empty((samples, *state.shape))
+    found = np.empty((samples, parts, *state.shape[1:]))
     drag = Drag(model.normal_drag, model.tangential_drag, *model.wind)
     steps = _Steps(model.step, every)
     for first in range(0, len(links), _TOGETHER):
         chosen = np.arange(first, min(first + _TOGETHER, len(links)))
         filled = np.resize(chosen, _TOGETHER)
         moved = np.ascontiguousarray(ends[:, :, filled].transpose(0, 1, 3, 2))
-        states = np.empty((samples, 2, *state.shape[2:], _TOGETHER))
-        states[0] = state[:, filled].transpose(0, 2, 3, 1)
-        _swing_together(moved, links[filled], steps, drag, states)
+        states = np.empty((samples, parts, *state.shape[2:], _TOGETHER))
+        begun = np.ascontiguousarray(state[:, filled].transpose(0, 2, 3, 1))
+        states[0] = begun[2 - parts :]
+        _swing_together((begun, moved), links[filled], steps, drag, states)
         last = first + len(chosen)
         found[:, :, first:last] = states[..., : len(chosen)].transpose(0, 1, 4, 2, 3)
     return found
@@ -174,171 +194,195 @@ class _Steps(NamedTuple):
     every: int
 
 
-class _Workspace(NamedTuple):
-    """Memory for w strands of l links.
-
-    ``system`` (3, l, w) the diagonal, the upper diagonal and the right side of the links' errors,
-    ``links`` (l, 3, w) the links after a step, ``worst`` and ``open`` (w,) the largest error, and
-    whether it is above the tolerance.
-    """
-
-    system: Floats
-    links: Floats
-    worst: Floats
-    open: Floats
-
-
 @compiled
 def _swing_together(
-    ends: Floats4, lengths: Floats1, steps: _Steps, drag: Drag, found: Floats5
+    given: tuple[Floats4, Floats4], lengths: Floats1, steps: _Steps, drag: Drag, found: Floats5
 ) -> None:
-    """Write the states (2, links + 1, 3, w) of w strands to ``found``, from its first.
+    """Write the states of w strands to ``found`` (…, 1 or 2, links + 1, 3, w), after its first.
 
-    ``ends`` (k, 2, 3, w) are the positions of their grip points, ``lengths`` (w,) those of their
-    links.
+    ``given`` are the first state (2, links + 1, 3, w) and the positions (k, 2, 3, w) of the grip
+    points, ``lengths`` (w,) those of the links. With 1, only the last part of each state is
+    written, the joints at that time.
     """
+    begun, ends = given
     last = found.shape[2] - 1
-    joints = np.empty((3, last + 1, 3, _TOGETHER))
-    links = np.empty((last, 3, _TOGETHER))
-    memory = _Workspace(
-        np.empty((3, last, _TOGETHER)), np.empty((last, 3, _TOGETHER)), np.empty(_TOGETHER),
-        np.empty(_TOGETHER),
-    )  # fmt: skip
-    before, now, after = 0, 1, 2
-    _copy(found[0, 0], joints[before])
-    _copy(found[0, 1], joints[now])
-    for k in range(1, len(ends)):
-        _step_freely(joints[before], joints[now], joints[after], drag, steps.step)
-        for x in range(3):
-            for w in range(_TOGETHER):
-                joints[after, 0, x, w] = ends[k, 0, x, w]
-                joints[after, last, x, w] = ends[k, 1, x, w]
-        for j in range(last):
-            for x in range(3):
-                for w in range(_TOGETHER):
-                    links[j, x, w] = joints[now, j + 1, x, w] - joints[now, j, x, w]
-        _restore_links(links, joints[after], lengths, memory)
-        before, now, after = now, after, before
-        if k % steps.every == 0:
-            _copy(joints[before], found[k // steps.every, 0])
-            _copy(joints[now], found[k // steps.every, 1])
-
-
-@compiled
-def _copy(joints: Floats, found: Floats) -> None:
-    """Write joints (links + 1, 3, w) to ``found``."""
-    for i in range(len(joints)):
-        for x in range(3):
-            for w in range(_TOGETHER):
-                found[i, x, w] = joints[i, x, w]
-
-
-@compiled
-def _step_freely(before: Floats, now: Floats, after: Floats, drag: Drag, step: float) -> None:
-    """Write the inner joints one step later, under gravity and drag and without constraints."""
-    fall = step * step * STANDARD_GRAVITY
-    for i in range(1, len(now) - 1):
+    rows = np.zeros((last + 1, _FIELDS, _TOGETHER))
+    for i in range(last + 1):
         for w in range(_TOGETHER):
-            tx = now[i + 1, 0, w] - now[i - 1, 0, w]
-            ty = now[i + 1, 1, w] - now[i - 1, 1, w]
-            tz = now[i + 1, 2, w] - now[i - 1, 2, w]
-            vx = (now[i, 0, w] - before[i, 0, w]) / step - drag.east
-            vy = (now[i, 1, w] - before[i, 1, w]) / step - drag.north
-            vz = (now[i, 2, w] - before[i, 2, w]) / step - drag.up
+            rows[i, _SQUARE, w] = lengths[w] * lengths[w]
+            for x in range(3):
+                rows[i, _NOW + x, w] = begun[0, i, x, w]
+                rows[i, _AFTER + x, w] = begun[1, i, x, w]
+    _advance(rows)
+    for k in range(1, len(ends)):
+        _step_freely(rows, drag, steps.step)
+        for x in range(3):
+            for w in range(_TOGETHER):
+                rows[0, _AFTER + x, w] = ends[k, 0, x, w]
+                rows[last, _AFTER + x, w] = ends[k, 1, x, w]
+        _restore_links(rows, lengths)
+        _advance(rows)
+        if k % steps.every == 0:
+            sample = found[k // steps.every]
+            for i in range(last + 1):
+                for x in range(3):
+                    for w in range(_TOGETHER):
+                        sample[0, i, x, w] = rows[i, _BEFORE + x, w]
+                        sample[len(sample) - 1, i, x, w] = rows[i, _NOW + x, w]
+
+
+@compiled
+def _advance(rows: Floats) -> None:
+    """Let the joints after the step be those now, and those now the ones before; write the links.
+
+    The joints after the step were written over those before.
+    """
+    if _other_sizes(rows):
+        return
+    last = len(rows) - 1
+    for i in range(last):
+        for w in range(_TOGETHER):
+            for x in range(3):
+                after = rows[i, _AFTER + x, w]
+                rows[i, _LINK + x, w] = rows[i + 1, _AFTER + x, w] - after
+                rows[i, _BEFORE + x, w] = rows[i, _NOW + x, w]
+                rows[i, _NOW + x, w] = after
+    for x in range(3):
+        for w in range(_TOGETHER):
+            after = rows[last, _AFTER + x, w]
+            rows[last, _BEFORE + x, w] = rows[last, _NOW + x, w]
+            rows[last, _NOW + x, w] = after
+
+
+@compiled
+def _step_freely(rows: Floats, drag: Drag, step: float) -> None:
+    """Write the inner joints one step later, under gravity and drag and without constraints."""
+    if _other_sizes(rows):
+        return
+    fall = step * step * STANDARD_GRAVITY
+    for i in range(1, len(rows) - 1):
+        for w in range(_TOGETHER):
+            tx = rows[i + 1, _NOW, w] - rows[i - 1, _NOW, w]
+            ty = rows[i + 1, _NOW + 1, w] - rows[i - 1, _NOW + 1, w]
+            tz = rows[i + 1, _NOW + 2, w] - rows[i - 1, _NOW + 2, w]
+            ox, x = rows[i, _BEFORE, w], rows[i, _NOW, w]
+            oy, y = rows[i, _BEFORE + 1, w], rows[i, _NOW + 1, w]
+            oz, z = rows[i, _BEFORE + 2, w], rows[i, _NOW + 2, w]
+            vx = (x - ox) / step - drag.east
+            vy = (y - oy) / step - drag.north
+            vz = (z - oz) / step - drag.up
             size = tx * tx + ty * ty + tz * tz
             along = (vx * tx + vy * ty + vz * tz) / size
             vx, vy, vz = vx - along * tx, vy - along * ty, vz - along * tz
             across = drag.normal * np.sqrt(vx * vx + vy * vy + vz * vz)
             along *= drag.tangential * abs(along) * np.sqrt(size)
-            px, py, pz = (
-                -across * vx - along * tx,
-                -across * vy - along * ty,
-                -across * vz - along * tz,
-            )
-            after[i, 0, w] = 2.0 * now[i, 0, w] - before[i, 0, w] + step * step * px
-            after[i, 1, w] = 2.0 * now[i, 1, w] - before[i, 1, w] + step * step * py
-            after[i, 2, w] = 2.0 * now[i, 2, w] - before[i, 2, w] + step * step * pz - fall
+            px, py = -across * vx - along * tx, -across * vy - along * ty
+            pz = -across * vz - along * tz
+            rows[i, _AFTER, w] = 2.0 * x - ox + step * step * px
+            rows[i, _AFTER + 1, w] = 2.0 * y - oy + step * step * py
+            rows[i, _AFTER + 2, w] = 2.0 * z - oz + step * step * pz - fall
 
 
 @compiled
-def _restore_links(now: Floats, after: Floats, lengths: Floats, memory: _Workspace) -> None:
-    """Move the inner joints along the links ``now`` (l, 3, w) until all have their length.
+def _restore_links(rows: Floats, lengths: Floats) -> None:
+    """Move the inner joints along the links of this moment until all links have their length.
 
     A strand whose links have it is not moved further, so that it does not depend on the others.
     """
-    error, open_, count = memory.system[2], memory.open, len(now)
+    if _other_sizes(rows):
+        return
+    last = len(rows) - 1
     for _ in range(_ITERATIONS):
-        _measure_links(after, lengths, memory)
+        _measure_links(rows)
         still_open = 0.0
         for w in range(_TOGETHER):
             most = _TOLERANCE * lengths[w] * lengths[w]
-            open_[w] = 0.0 if memory.worst[w] <= most else 1.0
-            still_open += open_[w]
+            open_ = 0.0 if rows[last - 1, _WORST, w] <= most else 1.0
+            rows[0, _OPEN, w] = open_
+            still_open += open_
         if still_open == 0.0:
             return
-        _solve_links(now, memory)
-        for i in range(1, count):
-            for x in range(3):
-                for w in range(_TOGETHER):
-                    moved = after[i, x, w] - error[i - 1, w] * now[i - 1, x, w]
-                    moved = moved + error[i, w] * now[i, x, w]
-                    after[i, x, w] = moved if open_[w] > 0.0 else after[i, x, w]
-    for i in range(1, count):
+        _eliminate(rows)
+        _move_joints(rows)
+    for i in range(1, last):
         for x in range(3):
             for w in range(_TOGETHER):
-                if open_[w] > 0.0:
-                    after[i, x, w] = np.nan
+                if rows[0, _OPEN, w] > 0.0:
+                    rows[i, _AFTER + x, w] = np.nan
 
 
 @compiled
-def _measure_links(after: Floats, lengths: Floats, memory: _Workspace) -> None:
-    """Write the links, the errors of their squared lengths, and the ``worst`` of each strand."""
-    error, links, worst = memory.system[2], memory.links, memory.worst
+def _measure_links(rows: Floats) -> None:
+    """Write the links, the errors of their squared lengths, and the largest error so far."""
+    if _other_sizes(rows):
+        return
     for w in range(_TOGETHER):
-        worst[w] = 0.0
-    for j in range(len(links)):
+        rows[0, _WORST, w] = 0.0
+    for j in range(len(rows) - 1):
         for w in range(_TOGETHER):
-            x = after[j + 1, 0, w] - after[j, 0, w]
-            y = after[j + 1, 1, w] - after[j, 1, w]
-            z = after[j + 1, 2, w] - after[j, 2, w]
-            links[j, 0, w], links[j, 1, w], links[j, 2, w] = x, y, z
-            error[j, w] = x * x + y * y + z * z - lengths[w] * lengths[w]
-            worst[w] = max(worst[w], abs(error[j, w]))
+            x = rows[j + 1, _AFTER, w] - rows[j, _AFTER, w]
+            y = rows[j + 1, _AFTER + 1, w] - rows[j, _AFTER + 1, w]
+            z = rows[j + 1, _AFTER + 2, w] - rows[j, _AFTER + 2, w]
+            rows[j, _NEXT, w], rows[j, _NEXT + 1, w], rows[j, _NEXT + 2, w] = x, y, z
+            error = x * x + y * y + z * z - rows[j, _SQUARE, w]
+            rows[j, _ERROR, w] = error
+            rows[j + 1, _WORST, w] = max(rows[j, _WORST, w], abs(error))
 
 
 @compiled
-def _solve_links(now: Floats, memory: _Workspace) -> None:
-    """Replace the errors by the solution of their tridiagonal system (Thomas), in each strand.
-
-    The system is eliminated while it is written; its lower diagonal is not kept.
-    """
-    diagonal, upper, error = memory.system
-    after, last = memory.links, len(now) - 1
+def _eliminate(rows: Floats) -> None:
+    """Write the tridiagonal system for the errors, without its lower diagonal (Thomas)."""
+    if _other_sizes(rows):
+        return
+    last = len(rows) - 2
     for w in range(_TOGETHER):
-        diagonal[0, w] = 2.0 * _product(after, 0, now, 0, w)
+        rows[0, _DIAGONAL, w] = 2.0 * _product(rows, 0, 0, w)
     for j in range(1, last + 1):
         free = 2.0 if j < last else 1.0
         for w in range(_TOGETHER):
-            lower = -2.0 * _product(after, j, now, j - 1, w)
-            upper[j - 1, w] = -2.0 * _product(after, j - 1, now, j, w)
-            factor = lower / diagonal[j - 1, w]
-            diagonal[j, w] = 2.0 * free * _product(after, j, now, j, w) - factor * upper[j - 1, w]
-            error[j, w] -= factor * error[j - 1, w]
-    for w in range(_TOGETHER):
-        error[last, w] /= diagonal[last, w]
-    for j in range(last - 1, -1, -1):
-        for w in range(_TOGETHER):
-            error[j, w] = (error[j, w] - upper[j, w] * error[j + 1, w]) / diagonal[j, w]
+            lower = -2.0 * _product(rows, j, j - 1, w)
+            upper = -2.0 * _product(rows, j - 1, j, w)
+            factor = lower / rows[j - 1, _DIAGONAL, w]
+            rows[j - 1, _UPPER, w] = upper
+            rows[j, _DIAGONAL, w] = 2.0 * free * _product(rows, j, j, w) - factor * upper
+            rows[j, _ERROR, w] -= factor * rows[j - 1, _ERROR, w]
+            rows[j, _OPEN, w] = rows[j - 1, _OPEN, w]
 
 
 @compiled
-def _product(one: Floats, i: int, other: Floats, j: int, w: int) -> float:
-    """Return the scalar product of two links (l, 3, w) of strand w."""
+def _move_joints(rows: Floats) -> None:
+    """Solve the system, and move the inner joints of strands that are not right yet by it."""
+    if _other_sizes(rows):
+        return
+    last = len(rows) - 2
+    for w in range(_TOGETHER):
+        rows[last, _ERROR, w] /= rows[last, _DIAGONAL, w]
+    for j in range(last - 1, -1, -1):
+        for w in range(_TOGETHER):
+            there = rows[j + 1, _ERROR, w]
+            here = (rows[j, _ERROR, w] - rows[j, _UPPER, w] * there) / rows[j, _DIAGONAL, w]
+            rows[j, _ERROR, w] = here
+            for x in range(3):
+                before = rows[j + 1, _AFTER + x, w]
+                moved = before - here * rows[j, _LINK + x, w]
+                moved = moved + there * rows[j + 1, _LINK + x, w]
+                rows[j + 1, _AFTER + x, w] = moved if rows[j + 1, _OPEN, w] > 0.0 else before
+
+
+@compiled
+def _product(rows: Floats, i: int, j: int, w: int) -> float:
+    """Return the scalar product of the links i after the step and j before it, of strand w."""
     return float(
-        one[i, 0, w] * other[j, 0, w]
-        + one[i, 1, w] * other[j, 1, w]
-        + one[i, 2, w] * other[j, 2, w]
+        rows[i, _NEXT, w] * rows[j, _LINK, w]
+        + rows[i, _NEXT + 1, w] * rows[j, _LINK + 1, w]
+        + rows[i, _NEXT + 2, w] * rows[j, _LINK + 2, w]
     )
+
+
+@compiled
+def _other_sizes(rows: Floats) -> bool:
+    """Return False: a branch by it tells the compiler the sizes, which it needs for vectors."""
+    return bool(rows.shape[1] != _FIELDS or rows.shape[2] != _TOGETHER)
 
 
 @compiled
