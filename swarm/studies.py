@@ -16,12 +16,15 @@ from joblib import Parallel, delayed
 
 from swarm import planner
 from swarm.certification.assessment import Assessment, Tightest
+from swarm.certification.loads import loads
 from swarm.certification.robustness import largest_tracking, robustness_of
 from swarm.errors import InputError, Problem, Refused, reason
 from swarm.files import read_text
-from swarm.knots.catalog import lookup_knot, table_names
+from swarm.geometry.catenary import STANDARD_GRAVITY
+from swarm.knots.catalog import choose_knot, lookup_knot, table_names
 from swarm.mission import Mission, mission_for_knot
 from swarm.mission.validation import LARGEST_FILE
+from swarm.planning.few_vehicles import least_vehicles
 from swarm.simulation.workers import parallel_workers
 
 Progress = Callable[[str, float], None]
@@ -37,7 +40,8 @@ CELL_FACTORS: Final = (1.15, 1.35)
 """Cell widths of the Pareto front, as multiples of the cell width of the mission's own plan."""
 
 COLUMNS: Final = (
-    "knot", "crossings", "vehicles", "cleared", "cell", "cable_length", "fold_time",
+    "knot", "crossings", "vehicles", "grid_vehicles", "least_vehicles", "cleared", "cell",
+    "cable_length", "fold_time",
     "cable_clearance", "vehicle_clearance", "vehicle_cable_clearance", "cable_clearance_per_cell",
     "max_tracking_error", "max_wind", "budget", "land_share", "release_share", "planning_time",
     "message",
@@ -60,6 +64,7 @@ def plan_row(
     (``max_wind``), which are None without ``robustness``. ``budget`` is what remains at least of a
     distance of strands if all effects come together; it is not planned for, and a plan with a
     negative one is not refused, unlike for a flight: what is compared is the certificate.
+    ``grid_vehicles`` are those of the grid diagram, 2N − 1, and ``least_vehicles`` a lower bound.
     ``message`` is empty for a cleared plan; otherwise it has the errors and the layouts that were
     tried.
     """
@@ -67,7 +72,10 @@ def plan_row(
     start = clock()
     try:
         choice = lookup_knot(name)
-        row |= {"knot": name, "crossings": choice.crossings, "vehicles": choice.vehicles}
+        row |= {
+            "knot": name, "crossings": choice.crossings, "vehicles": choice.vehicles,
+            "grid_vehicles": choice.vehicles, "least_vehicles": least_vehicles(choice.crossings),
+        }  # fmt: skip
         mission = mission_for_knot(name, overrides)
         planned = planner.plan(
             _with(mission, "limits", accept_negative_budget=True), robustness=False
@@ -196,30 +204,50 @@ def _errors(assessment: Assessment, notes: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class FrontPoint:
-    """A cleared plan of the Pareto front. Metres, seconds.
+    """A cleared plan of the Pareto front. Metres, seconds, kilograms.
 
-    ``variant`` names the change of the mission. ``max_tracking_error`` is e*. ``dominated`` is true
-    if another plan is no worse in cable length, fold time and e*, and better in one of them.
+    ``variant`` names the change of the mission. ``cell`` is 0 where the layout has no cells.
+    ``max_tracking_error`` is e*, ``payload`` the mass that weighs as much as the largest force of
+    the cable on a vehicle. ``dominated`` is true if another plan is no worse in vehicles, cable
+    length, fold time, e* and payload, and better in one of them.
     """
 
     variant: str
+    vehicles: int
     cell: float
     cable_length: float
     fold_time: float
     max_tracking_error: float
+    payload: float
     dominated: bool = False
+
+    @property
+    def _figures(self) -> tuple[float, ...]:
+        """The figures that are compared; smaller ones are better."""
+        return (
+            self.vehicles, self.cable_length, self.fold_time, -self.max_tracking_error,
+            self.payload,
+        )  # fmt: skip
+
+    def dominates(self, other: "FrontPoint") -> bool:
+        """Return whether this plan is no worse in any figure than another, and better in one."""
+        ours, theirs = self._figures, other._figures
+        return ours != theirs and all(a <= b for a, b in zip(ours, theirs, strict=True))
 
 
 def pareto_front(mission: Mission, progress: Progress | None = None) -> Iterator[FrontPoint | str]:
     """Plan variants of a mission; yield a point for each cleared plan, otherwise the reason.
 
     The variants are the smallest layouts for TRACKING_ERRORS and for the mission's own tracking
-    error, and layouts with CELL_FACTORS times the cell width of the latter.
+    error, layouts with CELL_FACTORS times the cell width of the latter, and layouts with every
+    smaller number of vehicles from the lower bound on. A mission with a number of vehicles or with
+    given corners keeps them.
     """
     own = mission.vehicles.tracking
     own_cell: float | None = None
     tracking_errors = sorted({*TRACKING_ERRORS, own})
-    total = len(tracking_errors) + len(CELL_FACTORS)
+    counts = numbers_of_vehicles(mission)
+    total = len(tracking_errors) + len(CELL_FACTORS) + len(counts)
     for number, tracking in enumerate(tracking_errors, start=1):
         variant = f"certified for {tracking:g} m" + (
             " (as in the mission)" if tracking == own else ""
@@ -230,23 +258,31 @@ def pareto_front(mission: Mission, progress: Progress | None = None) -> Iterator
         if progress:
             progress(f"{number} of {total} plans", 1.0)
         yield point
-    if not own_cell:
-        return
-    for factor in CELL_FACTORS:
-        variant = f"{factor:g} times the mission's cell"
-        yield _point(_with(mission, "layout", cell=factor * own_cell), variant, progress)
+    if own_cell:
+        for number, factor in enumerate(CELL_FACTORS, start=len(tracking_errors) + 1):
+            variant = f"{factor:g} times the mission's cell"
+            yield _point(_with(mission, "layout", cell=factor * own_cell), variant, progress)
+            if progress:
+                progress(f"{number} of {total} plans", 1.0)
+    for number, count in enumerate(counts, total - len(counts) + 1):
+        yield _point(_with(mission, "vehicles", count=count), f"{count} vehicles", progress)
+        if progress:
+            progress(f"{number} of {total} plans", 1.0)
+
+
+def numbers_of_vehicles(mission: Mission) -> Sequence[int]:
+    """Return the numbers of vehicles between the lower bound of a mission's knot and its grid."""
+    automatic = mission.vehicles.count == "auto" and mission.layout.corners is None
+    if not automatic or mission.knot is None or mission.fold.method == "paper":
+        return ()
+    knot = choose_knot(**mission.knot.model_dump())
+    return () if knot.name == "unknown" else range(least_vehicles(knot.crossings), knot.vehicles)
 
 
 def mark_dominated(points: Sequence[FrontPoint]) -> list[FrontPoint]:
     """Return the points with ``dominated`` set."""
-
-    def dominates(one: FrontPoint, other: FrontPoint) -> bool:
-        ours = (one.cable_length, one.fold_time, -one.max_tracking_error)
-        theirs = (other.cable_length, other.fold_time, -other.max_tracking_error)
-        return ours != theirs and all(a <= b for a, b in zip(ours, theirs, strict=True))
-
     return [
-        replace(point, dominated=any(dominates(other, point) for other in points))
+        replace(point, dominated=any(other.dominates(point) for other in points))
         for point in points
     ]
 
@@ -267,8 +303,10 @@ def _point(mission: Mission, variant: str, progress: Progress | None) -> FrontPo
     fold = plan.phase("fold")
     return FrontPoint(
         variant=variant,
+        vehicles=plan.vehicles,
         cell=plan.layout.cell,
         cable_length=float(plan.layout.lengths.sum()),
         fold_time=fold.end - fold.start,
         max_tracking_error=largest_tracking(plan, assessment.moments) or 0.0,
+        payload=float(loads(plan).force.max()) / STANDARD_GRAVITY,
     )

@@ -12,8 +12,9 @@ def test_the_fewest_vehicles_for_an_overhand_are_five() -> None:
     plan = make_plan(mission_for_knot("overhand", ["vehicles.count=fewest"]))
     assert plan.vehicles == 5
     assert plan.notes == (
-        "folded with 5 vehicles; at least 5 vehicles are needed for 3 crossings, with one "
-        "catenary for each edge and both ends outside in plan view",
+        "at least 5 vehicles are needed for 3 crossings, with one catenary for each edge and both "
+        "ends outside in plan view",
+        "folded with 5 vehicles",
     )
 
 

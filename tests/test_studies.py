@@ -8,16 +8,18 @@ from click.testing import CliRunner
 
 from swarm.cli.knots import knots
 from swarm.errors import InputError
+from swarm.mission import mission_for_knot
 from swarm.studies import (
     COLUMNS,
     COMPOSITE_AND_TORUS,
     FrontPoint,
     knots_to_plan,
     mark_dominated,
+    numbers_of_vehicles,
 )
 
 ROW = dict.fromkeys(COLUMNS) | {
-    "knot": "3_1", "crossings": 3, "vehicles": 9, "cleared": True, "cell": 2.5, "cable_length": 50.0,
+    "knot": "3_1", "crossings": 3, "vehicles": 9, "grid_vehicles": 9, "least_vehicles": 5, "cleared": True, "cell": 2.5, "cable_length": 50.0,
     "fold_time": 99.0, "cable_clearance": 0.25, "cable_clearance_per_cell": 0.1, "planning_time": 3.0, "message": "",
 }  # fmt: skip
 
@@ -49,7 +51,7 @@ def test_rows_in_a_file_are_printed_and_not_planned_again(tmp_path: Path) -> Non
     assert code == 0
     header, row = printed.strip().splitlines()[-2:]
     assert header == ",".join(COLUMNS)
-    assert row.startswith("3_1,3,9,True,2.5,50.0,99.0,0.25,")
+    assert row.startswith("3_1,3,9,9,5,True,2.5,50.0,99.0,0.25,")
     code, printed = run("--filter", "^3_1$", "--output", str(kept), "--json")
     assert json.loads(printed[printed.index("[") :]) == [ROW]
     code, printed = run("--filter", "^3_1$", "--output", str(kept))
@@ -99,12 +101,37 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     assert message in said("--plan", "--output", str(kept))
 
 
+def point(vehicles: int, cable: float, fold: float, error: float, payload: float) -> FrontPoint:
+    return FrontPoint("", vehicles, 2.0, cable, fold, error, payload)
+
+
 def test_a_point_is_dominated_by_one_no_worse_in_any_figure() -> None:
-    short, long = FrontPoint("a", 2, 50, 100, 0.1), FrontPoint("b", 3, 60, 110, 0.2)
-    worse = FrontPoint("c", 3, 61, 110, 0.2)
-    assert [point.dominated for point in mark_dominated([short, long, worse])] == [
-        False,
-        False,
-        True,
-    ]
-    assert not any(point.dominated for point in mark_dominated([short, short]))
+    short, long = point(9, 50, 100, 0.1, 0.2), point(9, 60, 110, 0.2, 0.2)
+    worse, fewer = point(9, 61, 110, 0.2, 0.2), point(5, 61, 110, 0.2, 0.2)
+    lighter = point(9, 61, 110, 0.2, 0.1)
+    marked = mark_dominated([short, long, worse, fewer, lighter])
+    assert [one.dominated for one in marked] == [False, False, True, False, False]
+    assert not any(one.dominated for one in mark_dominated([short, short]))
+
+
+def test_the_front_has_every_number_of_vehicles_from_the_bound_to_the_grid() -> None:
+    assert list(numbers_of_vehicles(mission_for_knot("4_1"))) == [6, 7, 8, 9, 10]
+    assert not numbers_of_vehicles(mission_for_knot("4_1", ["vehicles.count=7"]))
+    assert not numbers_of_vehicles(mission_for_knot("4_1", ["fold.method=paper"]))
+
+
+def test_the_number_of_vehicles_can_be_given_for_a_table(tmp_path: Path) -> None:
+    table = tmp_path / "table.jsonl"
+    code, _ = run("--filter", "^3_1$", "--vehicles", "10", "--to", str(table))
+    assert code == 1
+    row = json.loads(table.read_text())
+    assert (row["least_vehicles"], row["grid_vehicles"]) == (5, 9)
+    assert row["message"].startswith("vehicles.count 10: at least 5 vehicles are needed")
+
+
+def test_the_mean_share_of_vehicles_is_printed_where_there_are_fewer(tmp_path: Path) -> None:
+    table = tmp_path / "table.jsonl"
+    rows = [ROW | {"vehicles": 5}, ROW | {"knot": "4_1", "vehicles": 7, "grid_vehicles": 11}]
+    table.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    _, printed = run("--filter", "^(3_1|4_1)$", "--to", str(table))
+    assert "vehicles: 59.6% of 2N−1 in the mean" in printed

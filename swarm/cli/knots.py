@@ -50,8 +50,15 @@ from swarm.reports.knots_text import (
 @click.option(
     "-o",
     "--output",
+    "--to",
+    "output",
     type=click.Path(dir_okay=False, path_type=Path),
     help="With --plan: append rows to this file (JSON lines); its knots are not planned again.",
+)
+@click.option(
+    "--vehicles",
+    metavar="N|fewest|auto",
+    help="With --plan: number of vehicles, as swarm plan --vehicles.",
 )
 @click.option("--csv", "as_csv", is_flag=True, help="With --plan: print the table as CSV.")
 @click.option("--no-robustness", is_flag=True, help="With --plan: without e* and w*.")
@@ -74,10 +81,11 @@ def knots(
 
     --plan plans and certifies every prime knot to ten crossings, and some sums and torus knots,
     with the default mission (and --set). It prints vehicles, cable, fold time, clearances, e*, w*,
-    processor time, and the attempts for knots that are not cleared. Exit code 1 if a knot is not
-    cleared.
+    the budget (a negative one is not refused), processor time, and the attempts for knots that are
+    not cleared. Exit code 1 if a knot is not cleared.
 
-    Example: swarm knots 8_18 --plot 8_18.png
+    Examples: swarm knots 8_18 --plot 8_18.png;
+    swarm knots --plan --vehicles fewest --to table.jsonl
     """
     if planning:
         if name or plot or whole_table:

@@ -24,6 +24,7 @@ class PlanOptions:
     output: Path | None = None
     as_csv: bool = False
     no_robustness: bool = False
+    vehicles: str | None = None
     overrides: tuple[str, ...] = ()
 
 
@@ -33,12 +34,13 @@ def print_planned(options: PlanOptions, *, as_json: bool) -> int:
     After an interrupt, the completed rows are in the file and are printed.
     """
     names = matching_knots(options.filter)
+    count = (f"vehicles.count={options.vehicles}",) if options.vehicles else ()
     rows = read_rows(options.output) if options.output else {}
     remaining = [name for name in names if name not in rows]
     interrupted = False
     planned = plan_rows(
         remaining,
-        options.overrides,
+        (*options.overrides, *count),
         jobs=options.jobs,
         scheduler=options.scheduler,
         robustness=not options.no_robustness,

@@ -64,7 +64,8 @@ from swarm.reports.studies_text import print_front
 @click.option(
     "--front",
     is_flag=True,
-    help="Plan variants of the mission, and list their cable, fold time and e* (Pareto front).",
+    help="Plan variants of the mission, with fewer vehicles too, and list their vehicles, cable, "
+    "fold time, e* and payload (Pareto front).",
 )
 @click.pass_context
 def plan(

@@ -35,9 +35,9 @@ from swarm.planning import Candidate, Plan, Shortfall, candidates, repaired
 
 Progress = Callable[[str, float], None]
 
-_ATTEMPTS = 16
-"""Largest number of plans with a number of vehicles that are checked. Where none is cleared, the
-first of all is returned as it is."""
+_ATTEMPTS, _ATTEMPTS_SEARCHED = 16, 32
+"""Largest number of plans with a number of vehicles that are checked; of searched motions all
+repairs of two. Where none is cleared, the first of all is returned as it is."""
 
 _BUDGET_ROUNDS = 4
 """Largest number of repairs of a plan whose budget is short."""
@@ -145,9 +145,11 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     failed_checks: frozenset[str] = frozenset()
     attempts, vehicles = 0, 0
     while candidate is not None:
+        searched = candidate.searched
+        most = _ATTEMPTS_SEARCHED if searched else _ATTEMPTS
         if candidate.plan.vehicles != vehicles:
             attempts, vehicles = 0, candidate.plan.vehicles
-        elif attempts >= _ATTEMPTS:
+        elif attempts >= most:
             break
         notes += candidate.notes
         plan = replace(candidate.plan, notes=notes)
@@ -171,12 +173,14 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
                 more = len(kept) <= _BUDGET_ROUNDS
                 candidate = _led_apart(candidate, short) if more else None
             if candidate is None and not kept:
+                notes += _why_not(failures) if searched else ()
                 candidate = next(proposals, None)
-        if kept and (candidate is None or attempts >= _ATTEMPTS):
+        if kept and (candidate is None or attempts >= most):
             found = _certified(_slowed_for_budget(_least_short(kept), progress), progress)
             if found.certificate.cleared:
                 return found
             short_ones += [found] if _certifiable(found.assessment) else []
+            notes += _why_refused(found) if searched else ()
             kept = []
             candidate = next(proposals, None)
     if short_ones:
@@ -204,6 +208,21 @@ def _checked(
     if slowed is paced or _exceeds_endurance(slowed.plan):
         return slowed, failures, None
     return slowed, *_measured_failures(slowed.plan, progress)
+
+
+def _why_not(failures: Sequence[Moment]) -> tuple[str, ...]:
+    """Return a note on the failing moment at which a folding was given up."""
+    worst = min(failures, key=lambda moment: moment.margin)
+    return (
+        f"given up: {worst.check} of {worst.between[0]} and {worst.between[1]} short by "
+        f"{-worst.margin:.2f} m",
+    )
+
+
+def _why_refused(found: PlanningResult) -> tuple[str, ...]:
+    """Return notes on the errors with which a certificate refused a folding."""
+    errors = [one for one in found.assessment.findings if one.severity == "error"]
+    return tuple(f"given up: {one.check}: {one.message}" for one in errors)
 
 
 def _shortfall(moment: Moment) -> Shortfall:

@@ -15,6 +15,7 @@ from swarm.folding.layout import LayoutParameters
 from swarm.folding.margins import Margins
 from swarm.folding.optimizer import BEYOND_REPAIR
 from swarm.folding.schedule import improve
+from swarm.folding.waypoints import WaypointPaths
 from swarm.knots.catalog import KnotChoice, choose_knot
 from swarm.knots.grid import OpenGrid, openings
 from swarm.mission import Mission
@@ -44,8 +45,10 @@ _DEFERRED = 2
 _IN_LARGER_CELLS = 3
 """Number of openings that are also folded in the larger cells."""
 
-_ATTEMPTS = 8
-"""Number of candidates from one folding: the first one and its repairs."""
+_ATTEMPTS, _ATTEMPTS_SEARCHED = 8, 16
+"""Number of candidates from one folding: the first one and its repairs. A motion of 8_18 that was
+searched takes about 5 s to find and 0.4 s to repair; one with 10 vehicles needs 9 repairs, since
+shaping for the swing cuts the corners of motions that change their directions often."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,11 @@ class Candidate:
     folding: Folding | None = None
     attempt: int = 1
     notes: tuple[str, ...] = ()
+
+    @property
+    def searched(self) -> bool:
+        """Whether the motion was searched, see :mod:`swarm.untangling`."""
+        return self.folding is not None and isinstance(self.folding.schedule.path, WaypointPaths)
 
 
 def make_plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
@@ -94,22 +102,27 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
     if mission.layout.corners is not None:
         refuse_overload(mission, [np.asarray(mission.layout.corners, dtype=np.float64)])
         foldings = foldings_of_given_layout(mission.layout, margins, progress)
-        notes = tuple(note for _, note in foldings)
+        given = tuple(note for _, note in foldings)
         for folding in sorted((one for one, _ in foldings), key=lambda one: one.schedule.worst):
-            yield Candidate(plan_of_folding(mission, knot, folding), folding, notes=notes)
-            notes = ()
+            yield Candidate(plan_of_folding(mission, knot, folding), folding, notes=given)
+            given = ()
         return
+    notes: tuple[str, ...] = ()
     if mission.vehicles.count not in {"auto", len(opened[0].corners)}:
         count = mission.vehicles.count
-        few = FewVehicles(choice, opened, count, margins)  # type: ignore[arg-type]
-        for folding, note in few.foldings(progress):
+        carried = mission.vehicles.payload / mission.cable.mass_per_length
+        few = FewVehicles(choice, opened, count, margins, carried)  # type: ignore[arg-type]
+        for folding, found in few.foldings(progress):
             tied = replace(knot, gauss=code_at_rest(folding.layout).signed_text())
-            yield Candidate(plan_of_folding(mission, tied, folding), folding, notes=(note,))
+            yield Candidate(plan_of_folding(mission, tied, folding), folding, notes=found)
         if count != "fewest":
             return
+        notes = ("no motion with fewer vehicles was cleared: the grid diagram is folded",)
     _refuse_crowding(mission, knot, opened, margins)
     refuse_overload(mission, _smallest_layouts(mission, opened, margins))
-    yield from _folded_grids(mission, knot, opened, margins, progress)
+    for candidate in _folded_grids(mission, knot, opened, margins, progress):
+        yield replace(candidate, notes=notes + candidate.notes)
+        notes = ()
 
 
 def repaired(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> Candidate | None:
@@ -123,7 +136,7 @@ def repaired(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> Candidate
         folding is None
         or not shortfalls
         or any(shortfall.check not in REPAIRABLE for shortfall in shortfalls)
-        or candidate.attempt >= _ATTEMPTS
+        or candidate.attempt >= (_ATTEMPTS_SEARCHED if candidate.searched else _ATTEMPTS)
     ):
         return None
     schedule = improve(with_larger_margins(folding, candidate.plan, shortfalls))

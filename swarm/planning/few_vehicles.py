@@ -1,6 +1,6 @@
 """Foldings of a knot with few vehicles: layouts from polygons with few edges, and their motions."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Literal
@@ -12,6 +12,7 @@ from swarm.errors import Refused, SwarmError
 from swarm.folding.layout import KnotLayout
 from swarm.folding.margins import Margins
 from swarm.folding.polygon_layout import lay_out_polygon, lay_out_star
+from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.geometry.chain import polyline
 from swarm.knots.catalog import KnotChoice
 from swarm.knots.curve import curve_gauss
@@ -23,6 +24,8 @@ from swarm.planning.foldings import GOOD, Folding
 from swarm.planning.searched_foldings import searched_folding
 
 Progress = Callable[[str, float], None]
+NotedFolding = tuple[Folding, tuple[str, ...]]
+Noted = Generator[NotedFolding, None, tuple[str, ...]]
 
 _POLYGONS = 12
 """Number of polygons with a number of edges that are laid out."""
@@ -59,13 +62,15 @@ class FewVehicles:
     """The search for a knot with few vehicles.
 
     ``count`` is a number of vehicles, or ``fewest``. ``opened`` are openings of the knot's grid
-    diagram, which needs 2N − 1 vehicles.
+    diagram, which needs 2N − 1 vehicles. ``carried`` is the length of cable, metres, that weighs as
+    much as a vehicle can carry.
     """
 
     knot: KnotChoice
     opened: Sequence[OpenGrid]
     count: int | Literal["fewest"]
     margins: Margins
+    carried: float = np.inf
 
     @property
     def least(self) -> int:
@@ -77,8 +82,8 @@ class FewVehicles:
         """Number of vehicles of the grid diagram."""
         return len(self.opened[0].corners)
 
-    def foldings(self, progress: Progress | None) -> Iterator[tuple[Folding, str]]:
-        """Yield foldings, those with the fewest vehicles first, each with a note for the plan.
+    def foldings(self, progress: Progress | None) -> Iterator[NotedFolding]:
+        """Yield foldings, those with the fewest vehicles first, with notes on the search so far.
 
         Raises :class:`swarm.errors.Refused` where a number is out of range, and where no motion
         with it is found, with the nearest number for which one is.
@@ -92,32 +97,34 @@ class FewVehicles:
             f"at least {self.least} vehicles are needed for {self.knot.crossings} crossings, with "
             "one catenary for each edge and both ends outside in plan view"
         )
+        notes: tuple[str, ...] = (bound,)
         if self.count == "fewest":
             for count in range(self.least, self.most):
-                for folding in self._with(count, progress):
-                    yield folding, f"folded with {count} vehicles; {bound}"
+                notes = yield from self._with(count, notes, progress)
             return
         if not self.least <= self.count <= self.most:
             raise Refused(
                 f"vehicles.count {self.count}: {bound}, and the grid diagram has {self.most}"
             )
-        none = True
-        for folding in self._with(self.count, progress):
-            none = False
-            yield folding, f"folded with {self.count} vehicles; {bound}"
-        if none:
-            raise Refused(f"vehicles.count {self.count}: {self._nearest(self.count, progress)}")
+        notes = yield from self._with(self.count, notes, progress)
+        if notes:
+            nearest = self._nearest(self.count, progress)
+            raise Refused(f"vehicles.count {self.count}: {notes[-1]}; {nearest}")
 
     def _nearest(self, count: int, progress: Progress | None) -> str:
         """Return in words for which larger number of vehicles a motion is found."""
         for more in range(count + 1, self.most):
-            if next(self._with(more, progress), None) is not None:
-                return f"no motion was found; the nearest number with one is {more}"
-        return f"no motion was found; the grid diagram has {self.most}"
+            if next(self._with(more, (), progress), None) is not None:
+                return f"the nearest number with a motion is {more}"
+        return f"the grid diagram has {self.most}"
 
-    def _with(self, count: int, progress: Progress | None) -> Iterator[Folding]:
-        """Yield foldings with a number of vehicles, those with a short cable first."""
-        layouts = sorted(self._layouts(count, progress), key=lambda one: one.lengths.sum())
+    def _with(self, count: int, notes: tuple[str, ...], progress: Progress | None) -> Noted:
+        """Yield foldings with a number of vehicles, the first one with the notes before it.
+
+        Those with a short cable come first. Returns the notes, and why there is none, where no
+        folding was yielded.
+        """
+        layouts, why = self._layouts(count, progress)
         folded: set[int] = set()
         for attempt in range(_ATTEMPTS if layouts else 0):
             if progress:
@@ -127,18 +134,36 @@ class FewVehicles:
                 continue
             folding = searched_folding(layouts[which], self.margins, again)
             if folding is not None and folding.schedule.worst < GOOD:
-                yield folding
+                yield folding, (*notes, f"folded with {count} vehicles")
+                notes = ()
                 folded.add(which)
                 if len(folded) == _FOLDED:
-                    return
+                    break
+        return notes if folded else (*notes, why)
 
-    def _layouts(self, count: int, progress: Progress | None) -> Iterator[KnotLayout]:
-        """Yield layouts with a number of vehicles that keep the margins at rest."""
+    def _layouts(self, count: int, progress: Progress | None) -> tuple[list[KnotLayout], str]:
+        """Return layouts with a number of vehicles, and why none of them may be folded.
+
+        They keep the margins at rest, the shortest first, and the vehicles can carry them.
+        """
+        found = [
+            layout
+            for layout in self._polygons(count, progress)
+            if layout is not None and self._is_the_knot(layout)
+        ]
+        carried = [layout for layout in found if _largest_load(layout) <= self.carried]
+        if not found:
+            return [], f"no layout with {count} vehicles was found"
+        if not carried:
+            return [], f"the layouts with {count} vehicles are too heavy for them"
+        why = f"no motion with {count} vehicles was found; layouts: {len(carried)}"
+        return sorted(carried, key=lambda one: one.lengths.sum()), why
+
+    def _polygons(self, count: int, progress: Progress | None) -> Iterator[KnotLayout | None]:
+        """Yield layouts with a number of vehicles, of any knot; None where margins are missed."""
         if count == _STAR:
             for order in permutations(range(count - 1)):
-                star = lay_out_star(count, order, self.margins)
-                if star is not None and self._is_the_knot(star):
-                    yield star
+                yield lay_out_star(count, order, self.margins)
         missing = 0
         for seed in range(_POLYGONS):
             if progress:
@@ -150,9 +175,8 @@ class FewVehicles:
                 if missing == _WITHOUT:
                     return
                 continue
-            layout = lay_out_polygon(polygon, self.margins)
-            if layout is not None and len(layout.corners) == count and self._is_the_knot(layout):
-                yield layout
+            if len(polygon) == count:
+                yield lay_out_polygon(polygon, self.margins)
 
     def _is_the_knot(self, layout: KnotLayout) -> bool:
         """Return whether the cable of a layout at rest has the knot."""
@@ -166,6 +190,14 @@ class FewVehicles:
 def code_at_rest(layout: KnotLayout) -> SignedGauss:
     """Return the signed Gauss code of the cable of a layout at rest, closed without a crossing."""
     return curve_gauss(_curve(layout)).as_closed()
+
+
+def _largest_load(layout: KnotLayout) -> float:
+    """Return the largest force on a vehicle at rest, as the length of cable with that weight."""
+    strands = solve_catenaries(layout.corners[:-1], layout.corners[1:], layout.lengths)
+    at_start, at_end = strands.end_forces(1.0 / STANDARD_GRAVITY)
+    force = np.pad(at_start, ((0, 1), (0, 0))) + np.pad(at_end, ((1, 0), (0, 0)))
+    return float(np.linalg.norm(force, axis=1).max())
 
 
 def _curve(layout: KnotLayout) -> npt.NDArray[np.float64]:

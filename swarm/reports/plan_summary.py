@@ -7,7 +7,9 @@ from rich.table import Table
 from rich.text import Text
 
 from swarm.certification.assessment import Assessment, Contingencies, Tightest
+from swarm.knots.catalog import lookup_knot
 from swarm.planning import Plan
+from swarm.planning.few_vehicles import least_vehicles
 from swarm.reports.findings_text import findings_table, print_verdict, shortened
 from swarm.reports.formatting import metres, seconds, together
 from swarm.reports.plan_details import print_details
@@ -68,7 +70,8 @@ def _layout(plan: Plan) -> str:
     if not size or plan.mission.layout.corners is not None:
         return "given corners"
     if plan.layout.cell == 0.0:
-        return "searched layout"
+        bound = least_vehicles(lookup_knot(plan.knot.type).crossings)
+        return f"searched layout (lower bound {bound}, grid {2 * size - 1})"
     return f"{size}×{size} grid, cell {metres(plan.layout.cell)}"
 
 

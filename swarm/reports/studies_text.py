@@ -1,6 +1,7 @@
 """Studies of many plans on the terminal: the table of all knots, and a Pareto front."""
 
 from collections.abc import Mapping, Sequence
+from statistics import fmean
 from typing import Any
 
 from rich.console import Console
@@ -9,6 +10,7 @@ from rich.table import Table
 _SHOWN_COLUMNS = (
     ("knot", "", "knot"),
     ("vehicles", "d", "n"),
+    ("grid_vehicles", "d", "2N−1"),
     ("cell", ".2f", "cell"),
     ("cable_length", ".1f", "cable"),
     ("fold_time", ".0f", "fold"),
@@ -20,7 +22,7 @@ _SHOWN_COLUMNS = (
     ("planning_time", ".1f", "time"),
     ("cleared", "", ""),
 )
-"""Column, format and heading: n vehicles, metres, seconds, and w* in m/s."""
+"""Column, format and heading: n vehicles, those of the grid, metres, seconds, and w* in m/s."""
 
 
 def print_plan_rows(rows: Sequence[Mapping[str, Any]], console: Console) -> None:
@@ -38,8 +40,14 @@ def print_plan_rows(rows: Sequence[Mapping[str, Any]], console: Console) -> None
     for row in refused:
         console.print(f"[bold]{row['knot']}[/]: {row['message']}", highlight=False)
     time = sum(row["planning_time"] for row in rows)
+    shares = [row["vehicles"] / row["grid_vehicles"] for row in rows if row["cleared"]]
+    fewer = (
+        f"; vehicles: {fmean(shares):.1%} of 2N−1 in the mean"
+        if any(share < 1.0 for share in shares)
+        else ""
+    )
     console.print(
-        f"{len(rows)} knots, {len(refused)} refused; {time:.0f} s of processor time",
+        f"{len(rows)} knots, {len(refused)} refused{fewer}; {time:.0f} s of processor time",
         highlight=False,
     )
 
@@ -53,16 +61,18 @@ def print_front(
     """
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     table.add_column("variant")
-    for name in ("cell", "cable", "fold", "e*"):
+    for name in ("vehicles", "cell", "cable", "fold", "e*", "payload"):
         table.add_column(name, justify="right")
     table.add_column("")
     for point in sorted(points, key=lambda point: float(point["cable_length"])):
         table.add_row(
             point["variant"],
-            f"{point['cell']:.2f} m",
+            str(point["vehicles"]),
+            f"{point['cell']:.2f} m" if point["cell"] else "–",
             f"{point['cable_length']:.1f} m",
             f"{point['fold_time']:.0f} s",
             f"{point['max_tracking_error']:.3f} m",
+            f"{1e3 * point['payload']:.0f} g",
             "[dim]dominated[/]" if point["dominated"] else "",
         )
     console.print(table)

@@ -172,7 +172,7 @@ def test_the_pareto_figure_shows_every_plan_with_its_tracking_error() -> None:
     tracking = np.array([0.01, 0.12, 0.2])
     points = [
         {"variant": variant, "cable_length": cable, "fold_time": fold, "max_tracking_error": error,
-         "dominated": dominated}
+         "dominated": dominated, "vehicles": 9, "payload": 0.2}
         for variant, cable, fold, error, dominated in zip(
             ("least", "the mission's", "roomy"), (60.0, 70.0, 90.0), (110.0, 130.0, 150.0),
             tracking, (True, False, False), strict=True,
@@ -184,6 +184,24 @@ def test_the_pareto_figure_shows_every_plan_with_its_tracking_error() -> None:
         f"e* {value:.3f} m" for value in tracking
     ]
     assert axes.lines[0].get_markersize() < axes.lines[2].get_markersize()
+    assert len(figure.axes) == 1
+
+
+def test_plans_with_several_numbers_of_vehicles_are_drawn_over_these() -> None:
+    points = [
+        {"variant": f"{vehicles} vehicles", "vehicles": vehicles, "cable_length": cable,
+         "fold_time": fold, "max_tracking_error": 0.1, "payload": payload, "dominated": False}
+        for vehicles, cable, fold, payload in ((5, 34.0, 46.0, 0.25), (9, 33.0, 52.0, 0.125))
+    ]  # fmt: skip
+    by_vehicles = pareto_plot.pareto_figure(points).axes[1:]
+    assert [axes.get_ylabel() for axes in by_vehicles] == [
+        "cable, m",
+        "fold, s",
+        "e*, m",
+        "payload, g",
+    ]
+    drawn = [(line.get_xdata()[0], line.get_ydata()[0]) for line in by_vehicles[3].lines]
+    assert drawn == [(5, 250.0), (9, 125.0)]
 
 
 def test_a_picture_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
