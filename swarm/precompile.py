@@ -135,7 +135,9 @@ def _mark(packages: Sequence[str]) -> Path | None:
     """Return the file that says that these sources are compiled; None without a cache."""
     try:
         cache().mkdir(parents=True, exist_ok=True)
-        keys = [key(file) for file in _files(packages).values()]
+        # Numba finds machine code by the path and the time of its file
+        files = sorted(_files(packages).values())
+        keys = [(file, Path(file).stat().st_mtime_ns, key(file)) for file in files]
     except OSError:
         return None
     return cache() / f"compiled-{hashlib.sha256(repr(keys).encode()).hexdigest()[:16]}"

@@ -1,6 +1,8 @@
 """What is made ready for the tests, and their order, where several processes run all of them."""
 
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 
@@ -8,6 +10,7 @@ import hypothesis
 import pytest
 
 from swarm import precompile
+from tests.shared import FOLDER
 
 # Before NumPy is imported: one thread for sums of arrays, as the goldens were made. Several processes
 # share the cores anyway.
@@ -55,11 +58,20 @@ def in_real_time() -> Iterator[None]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile once what each process of pytest-xdist would otherwise compile for itself."""
+    """Compile and plan once what each process of pytest-xdist would otherwise make for itself."""
+    if not hasattr(config, "workerinput"):
+        os.environ[FOLDER] = tempfile.mkdtemp(prefix="swarm-tests-")
     in_processes = config.getoption("numprocesses", None) and not config.option.collectonly
     if in_processes and config.args == config.getini("testpaths"):
         precompile.prepare(precompile.PLANNING)
         precompile.prepare(precompile.FLIGHT)
+        precompile.prepare(precompile.SEARCH)
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Remove what the processes shared."""
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(os.environ.pop(FOLDER), ignore_errors=True)
 
 
 @pytest.hookimpl(trylast=True)

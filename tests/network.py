@@ -8,7 +8,6 @@ import itertools
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from swarm.mission import Mission, mission_for_knot
 from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning import KnotLayout, KnotSummary, Plan
 from swarm.planning.phase_sequence import flight_around_fold
+from tests.shared import shared
 
 Keep = Callable[[float, int, bytes], bool]
 """Whether a packet gets through: time, system id, bytes."""
@@ -37,7 +37,7 @@ def small_mission(*overrides: str) -> Mission:
     return mission_for_knot("3_1", overrides)
 
 
-@cache
+@shared
 def small_plan(*overrides: str, vehicles: int = 3, height: float = 5.0) -> CertifiedPlan:
     """A real flight around a fold that moves the whole line sideways and back, certified."""
     plan = sideways(*overrides, vehicles=vehicles, height=height)

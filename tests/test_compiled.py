@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from swarm import jit
+from swarm import jit, precompile
+from swarm.jit import key
 
 PACKAGE = {
     "inner.py": (
@@ -152,3 +153,23 @@ def test_use_updates_the_time_of_a_folder(package):
 def test_functions_compile_without_a_cache(package: Path) -> None:
     (package / "cache").write_text("not a folder")
     assert run(package) == "42"
+
+
+def test_another_installation_of_the_same_sources_is_compiled_beforehand_too(tmp_path, monkeypatch):
+    """Numba finds machine code by the path and the time of its file, and we leave out what it has."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    source = "from swarm.jit import compiled\n\n@compiled\ndef one(x):\n    return x\n"
+    marks = []
+    for folder, changed in (("first", 1e9), ("second", 1e9), ("second", 1.1e9), ("second", 1.1e9)):
+        path = tmp_path / folder / "twice_installed.py"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(source)
+        os.utime(path, (changed, changed))
+        key.cache_clear()
+        monkeypatch.setattr(
+            precompile, "_files", lambda _, path=path: {"twice_installed": str(path)}
+        )
+        marks.append(precompile._mark(["twice_installed"]))
+    assert None not in marks
+    assert len({*marks[:3]}) == 3
+    assert marks[2] == marks[3]

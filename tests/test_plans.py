@@ -5,16 +5,18 @@ import subprocess
 import sys
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from swarm import planner
 from swarm.errors import Refused
-from swarm.mission import mission_for_knot
+from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import Plan, digest, make_plan
 
+ROOT = Path(__file__).parents[1]
 STILL = ("takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land")
 
 
@@ -121,6 +123,21 @@ def test_a_plan_knows_its_phases(printed: Plan) -> None:
     assert printed.phase_at(printed.duration + 1.0).name == "land"
     with pytest.raises(KeyError):
         replace(printed, phases=()).phase("fold")
+
+
+@pytest.mark.full
+def test_planning_has_one_thread_for_sums_of_arrays_whatever_the_machine_has() -> None:
+    """The number of threads decides how a sum is rounded."""
+    threads: set[int] = set()
+
+    def note(_stage: str, _share: float) -> None:
+        pools = threadpool_info()
+        threads.update(p["num_threads"] for p in pools if p["user_api"] == "blas")
+
+    carried = ROOT / "missions" / "first-steps" / "two_carry.yaml"
+    with threadpool_limits(limits=2, user_api="blas"):
+        planner.plan(parse_mission(carried.read_text(), str(carried)), note)
+    assert threads == {1}
 
 
 @pytest.mark.full

@@ -31,7 +31,7 @@ def test_a_preset_keeps_other_rotors_and_cable_out_of_its_own(preset):
     assert vehicles.payload < vehicles.mass
 
 
-@pytest.mark.parametrize("knot", ["overhand", "figure-eight"])
+@pytest.mark.parametrize("knot", ["overhand", pytest.param("figure-eight", marks=pytest.mark.full)])
 def test_every_preset_plans_and_certifies_the_first_two_knots(preset, knot):
     planned = planner.plan(mission_for_knot(knot, preset.overrides), robustness=False)
     errors = [f.message for f in planned.assessment.findings if f.severity == "error"]

@@ -6,7 +6,6 @@ import math
 import signal
 import sys
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -35,6 +34,7 @@ from swarm.simulation.monte_carlo import (
 )
 from swarm.simulation.monte_carlo.results import write_results
 from tests.network import small_plan, uncleared
+from tests.shared import shared
 
 FLIGHT_PLAN = small_plan(vehicles=4)
 PLAN = FLIGHT_PLAN.plan
@@ -42,7 +42,7 @@ FLEET = emulated_fleet(4)
 CALM = Spread(wind=0, gust=0, loss=0, latency=0, jitter=0, mass=0, grip=0, length=0, failing=0)
 
 
-@cache
+@shared
 def flown(number: int) -> Trial:
     return fly_trial(FLIGHT_PLAN, Spread(failing=0), 5, number)[0]
 

@@ -8,6 +8,7 @@ from swarm.certification.assessment import Assessment
 from swarm.geometry.motion import through_states
 from swarm.mission import parse_mission
 from swarm.planning import Gate, KnotLayout, KnotSummary, Phase, Plan
+from tests.shared import shared
 
 OVERHAND = """
 schema: 1
@@ -47,6 +48,11 @@ def overhand() -> Plan:
     return recorded_overhand()
 
 
+@shared
+def recorded_overhand_assessed() -> Assessment:
+    return assess(recorded_overhand())
+
+
 @pytest.fixture(scope="session")
-def overhand_assessed(overhand: Plan) -> Assessment:
-    return assess(overhand)
+def overhand_assessed() -> Assessment:
+    return recorded_overhand_assessed()

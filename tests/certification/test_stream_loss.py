@@ -131,10 +131,16 @@ def after_loss(plan, model, vehicle, time, rate, elapsed):
 
 
 @pytest.mark.parametrize(
-    "timeout",
-    [(0.5,), (0.5, 0.2, 0.1) * 3, pytest.param((0.1,), marks=pytest.mark.full)],
+    ("timeout", "losses"),
+    [
+        ((0.5,), 500),
+        ((0.5, 0.2, 0.1) * 3, 500),
+        pytest.param((0.5,), 3000, marks=pytest.mark.full),
+        pytest.param((0.5, 0.2, 0.1) * 3, 3000, marks=pytest.mark.full),
+        pytest.param((0.1,), 3000, marks=pytest.mark.full),
+    ],
 )
-def test_random_losses_keep_every_certified_margin(overhand, overhand_assessed, timeout):
+def test_random_losses_keep_every_certified_margin(overhand, overhand_assessed, timeout, losses):
     """Random losses at random times and rates, also between the certificate's samples."""
     model, found = StreamLossModel(timeout, 1.0), overhand_assessed.stream_loss
     if found.model != model:
@@ -142,7 +148,7 @@ def test_random_losses_keep_every_certified_margin(overhand, overhand_assessed, 
     monitor, rng = Monitor(overhand), np.random.default_rng(7)
     ball = overhand.mission.vehicles.tracking
     states = []
-    for _ in range(1500):
+    for _ in range(losses):
         time = rng.uniform(found.times[0], found.times[-1])
         before = found.times[np.searchsorted(found.times, time, side="right") - 1]
         after = found.times[min(np.searchsorted(found.times, time), len(found.times) - 1)]

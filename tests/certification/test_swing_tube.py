@@ -23,6 +23,7 @@ from swarm.mission import mission_for_knot
 from swarm.planner import plan as make_plan
 from swarm.planning import Plan
 from swarm.planning.clock_limits import clock_limits
+from tests.shared import shared
 
 
 def with_limit(plan: Plan, limit: float | str) -> Plan:
@@ -30,18 +31,23 @@ def with_limit(plan: Plan, limit: float | str) -> Plan:
     return replace(plan, mission=plan.mission.model_copy(update={"fold": fold}))
 
 
-@pytest.fixture(scope="module")
-def shaped() -> Plan:
+@shared
+def shaped_overhand() -> tuple[Plan, SwingTube]:
     result = make_plan(mission_for_knot("3_1", ["fold.swing=0.06"]), robustness=False)
     assert result.certificate.cleared
-    return result.plan
+    found = swing_tube(result.plan)
+    assert found is not None
+    return result.plan, found
 
 
 @pytest.fixture(scope="module")
-def tube(shaped: Plan) -> SwingTube:
-    found = swing_tube(shaped)
-    assert found is not None
-    return found
+def shaped() -> Plan:
+    return shaped_overhand()[0]
+
+
+@pytest.fixture(scope="module")
+def tube() -> SwingTube:
+    return shaped_overhand()[1]
 
 
 def flown(plan: Plan, change: float | None, step: float, course: Course = COURSES[0]) -> np.ndarray:

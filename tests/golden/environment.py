@@ -1,5 +1,6 @@
 """What the last bits of floating-point numbers depend on beside this project's own code."""
 
+import functools
 import platform
 import re
 from importlib.metadata import version
@@ -12,6 +13,7 @@ _PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 _LINE = re.compile(r'environment"?: "?(?P<words>[^"\n]+)')
 
 
+@functools.cache
 def environment() -> str:
     """Return one line: library versions, the C library, and the CPU as LLVM and NumPy see it.
 
