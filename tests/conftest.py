@@ -32,7 +32,6 @@ LONGEST = (
     "test_the_walk_through_runs_and_prints_its_output",
     "test_a_disk_that_becomes_full_in_flight_damages_the_record_only",
     "test_an_emulator_that_dies_is_a_vehicle_error",
-    "test_a_foreign_station_sees_every_vehicle_and_commands_none",
     "test_a_killed_emulator_is_explained",
     "test_a_slow_caller_does_not_delay_the_flight",
     "test_the_tour_plans_certifies_draws_and_rehearses",

@@ -23,6 +23,7 @@ from swarm.ground.sockets import open_links
 from swarm.mission.fleet import emulated_fleet
 from swarm.verification import verify_trace
 from tests.command import run
+from tests.ground.foreign_station import ForeignStation
 from tests.ground.station import fleet_on
 from tests.network import small_plan
 
@@ -35,18 +36,19 @@ pytestmark = pytest.mark.usefixtures("in_real_time")
 def flown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flight") / "record"
     snapshots, events = [], []
-    result = fly(
-        FLIGHT_PLAN,
-        emulated_fleet(3, ("px4", "ardupilot")),
-        folder,
-        FlyOptions(speed=SPEED),
-        FlightCallbacks(on_snapshot=snapshots.append, on_event=events.append),
-    )
-    return result, snapshots, events
+    with ForeignStation() as station:
+        result = fly(
+            FLIGHT_PLAN,
+            emulated_fleet(3, ("px4", "ardupilot")),
+            folder,
+            FlyOptions(speed=SPEED, forward=station.url),
+            FlightCallbacks(on_snapshot=snapshots.append, on_event=events.append),
+        )
+    return result, snapshots, events, station
 
 
 def test_a_flight_over_udp_succeeds(flown):
-    result, snapshots, events = flown
+    result, snapshots, events, _ = flown
     assert result.outcome.word == "done", [event.message for event in events[-10:]]
     assert result.statistics.setpoints > 500
     assert {event.kind for event in events} >= {"discovered", "gate", "armed", "landed", "outcome"}
@@ -54,7 +56,7 @@ def test_a_flight_over_udp_succeeds(flown):
 
 
 def test_its_record_is_complete(flown):
-    result, _, events = flown
+    result, _, events, _ = flown
     folder = result.record
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["outcome"] == "done"
@@ -77,18 +79,36 @@ def test_its_record_is_complete(flown):
         assert trace["position"].shape == result.trace.position.shape
 
 
+def test_a_foreign_station_sees_every_vehicle_and_commands_none(flown):
+    result, _, _, station = flown
+    for system in (1, 2, 3):
+        assert {(system, "HEARTBEAT"), (system, "LOCAL_POSITION_NED")} <= station.heard
+    assert {system for system, _ in station.heard} == {1, 2, 3}
+    assert station.ordered > 30
+    # neither our log nor the emulated vehicles know of an order of system 254
+    log = mavutil.mavlink_connection(str(result.record / "flight.tlog"))
+    senders = set()
+    while (message := log.recv_match()) is not None:
+        if not message.get_type().startswith("UNKNOWN"):
+            senders.add(message.get_srcSystem())
+        assert message.get_type() != "COMMAND_LONG" or message.get_srcSystem() == 255
+    assert 254 not in senders
+    log.close()
+
+
 def test_an_emulator_that_dies_is_a_vehicle_error(tmp_path):
     killers = []
 
     def kill_soon(pid):
-        killers.append(threading.Timer(2.0, lambda: os.kill(pid, signal.SIGKILL)))
+        killers.append(threading.Timer(1.0, lambda: os.kill(pid, signal.SIGKILL)))
         killers[0].start()
 
     result = fly(
         FLIGHT_PLAN,
         emulated_fleet(3),
         tmp_path / "record",
-        FlyOptions(speed=SPEED),
+        # no setpoint need be in time: it dies at 8 s, and is missed for a minute
+        FlyOptions(speed=8.0),
         FlightCallbacks(on_emulator=kill_soon),
     )
     killers[0].join()

@@ -1,70 +1,15 @@
 """The read-only copy for other ground stations: pymavlink listens to it, and commands in vain."""
 
 import socket
-import threading
 
 import pytest
 from pymavlink import mavutil
 
 from swarm.errors import VehicleError
-from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.forward import open_forward, parse_forward
-from swarm.mission.fleet import emulated_fleet
 from tests.command import run
-from tests.network import small_plan
 
 HOVER = "missions/first-steps/hover.yaml"
-
-
-class ForeignStation(threading.Thread):
-    """A client of pymavlink that hears vehicles, and orders each of them to disarm in the air."""
-
-    def __init__(self) -> None:
-        super().__init__(daemon=True)
-        self.port = mavutil.mavlink_connection("udpin:127.0.0.1:0", source_system=254)
-        self.url = f"udp://127.0.0.1:{self.port.port.getsockname()[1]}"
-        self.heard: set[tuple[int, str]] = set()
-        self.ordered = 0
-        self.over = threading.Event()
-
-    def run(self) -> None:
-        force = 21196  # the value that disarms in the air
-        while not self.over.is_set():
-            message = self.port.recv_match(blocking=True, timeout=0.2)
-            if message is None or message.get_type().startswith(("BAD_DATA", "UNKNOWN")):
-                continue  # pymavlink does not read the header of a message that it does not know
-            self.heard.add((message.get_srcSystem(), message.get_type()))
-            if message.get_type() == "HEARTBEAT":
-                self.port.mav.command_long_send(
-                    message.get_srcSystem(), 1, mavutil.mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
-                    0, 0, force, 0, 0, 0, 0, 0,
-                )  # fmt: skip
-                self.ordered += 1
-
-
-@pytest.mark.usefixtures("in_real_time")
-def test_a_foreign_station_sees_every_vehicle_and_commands_none(tmp_path):
-    station = ForeignStation()
-    station.start()
-    options = FlyOptions(speed=4.0, forward=station.url)
-    result = fly(small_plan(), emulated_fleet(3), tmp_path / "record", options)
-    station.over.set()
-    station.join(5)
-    station.port.close()
-    assert result.outcome.word == "done", result.outcome.explanation
-    for system in (1, 2, 3):
-        assert {(system, "HEARTBEAT"), (system, "LOCAL_POSITION_NED")} <= station.heard
-    assert {system for system, _ in station.heard} == {1, 2, 3}
-    assert station.ordered > 30
-    # neither our log nor the emulated vehicles know of an order of system 254
-    log = mavutil.mavlink_connection(str(tmp_path / "record" / "flight.tlog"))
-    senders = set()
-    while (message := log.recv_match()) is not None:
-        if not message.get_type().startswith("UNKNOWN"):
-            senders.add(message.get_srcSystem())
-        assert message.get_type() != "COMMAND_LONG" or message.get_srcSystem() == 255
-    assert 254 not in senders
-    log.close()
 
 
 class Trusting:
