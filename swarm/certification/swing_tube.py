@@ -149,7 +149,7 @@ class _Named:
     plan: Plan = field(compare=False)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _tube_of(named: _Named) -> SwingTube | None:
     """Every call of the certificate's search needs the tube; its plan is told by its digest."""
     plan = named.plan

@@ -13,10 +13,8 @@ from swarm.certification.budget import least_remaining
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
-    MeasuredClearances,
     certify,
     certify_robustness,
-    measure_clearances,
     with_recorded_robustness,
 )
 from swarm.certification.clearances import Moment, violations
@@ -153,7 +151,7 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
             break
         notes += candidate.notes
         plan = replace(candidate.plan, notes=notes)
-        paced, failures, measured = _checked(plan, failed_checks, progress)
+        paced, failures = _checked(plan, failed_checks)
         if _exceeds_endurance(paced.plan):
             notes += (_too_long(paced.plan),)
             too_long.append(paced.plan)
@@ -169,14 +167,14 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
                 candidate = None
             else:
                 short = _short_budget(paced.plan)
-                kept.append(_Kept(paced, measured, max((one.metres for one in short), default=0.0)))
+                kept.append(_Kept(paced, max((one.metres for one in short), default=0.0)))
                 more = len(kept) <= _BUDGET_ROUNDS
                 candidate = _led_apart(candidate, short) if more else None
             if candidate is None and not kept:
                 notes += _why_not(failures) if searched else ()
                 candidate = next(proposals, None)
         if kept and (candidate is None or attempts >= most):
-            found = _certified(_slowed_for_budget(_least_short(kept), progress), progress)
+            found = _certified(_slowed_for_budget(_least_short(kept)), progress)
             if found.certificate.cleared:
                 return found
             short_ones += [found] if _certifiable(found.assessment) else []
@@ -193,21 +191,16 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     return PlanningResult(rejected, certify(rejected, progress=progress))
 
 
-def _checked(
-    plan: Plan, failed_checks: frozenset[str], progress: Progress | None
-) -> tuple[PacedPlan, tuple[Moment, ...], MeasuredClearances | None]:
-    """Return the plan timed, the moments at which it fails, and its clearances if measured.
-
-    Unchecked where it is too long.
-    """
+def _checked(plan: Plan, failed_checks: frozenset[str]) -> tuple[PacedPlan, tuple[Moment, ...]]:
+    """Return the plan timed, and the moments at which it fails; unchecked where it is too long."""
     paced = timed_for_losses(plan)
     if _exceeds_endurance(paced.plan):
-        return paced, (), None
+        return paced, ()
     failures = _failures(paced.plan, failed_checks)
     slowed = paced if failures else slowed_for_swing(paced)
     if slowed is paced or _exceeds_endurance(slowed.plan):
-        return slowed, failures, None
-    return slowed, *_measured_failures(slowed.plan, progress)
+        return slowed, failures
+    return slowed, violations(slowed.plan)
 
 
 def _why_not(failures: Sequence[Moment]) -> tuple[str, ...]:
@@ -244,7 +237,6 @@ class _Kept:
     """A plan that keeps all clearances, and by how many metres its budget is short at most."""
 
     paced: PacedPlan
-    measured: MeasuredClearances | None
     short: float
 
 
@@ -257,7 +249,7 @@ def _short_budget(plan: Plan) -> list[Shortfall]:
     return [Shortfall(moment.check, moment.time, moment.metres) for moment in moments]
 
 
-def _slowed_for_budget(kept: _Kept, progress: Progress | None) -> _Kept:
+def _slowed_for_budget(kept: _Kept) -> _Kept:
     """Return the plan, slowed where its budget is short, while that makes it less so."""
     longest = _LONGER * _fold_time(kept.paced.plan)
     for _ in range(_SLOWED):
@@ -270,11 +262,12 @@ def _slowed_for_budget(kept: _Kept, progress: Progress | None) -> _Kept:
         paced = slowed_for_stops(kept.paced, times, excess)
         if _exceeds_endurance(paced.plan) or _fold_time(paced.plan) > longest:
             break
-        failures, measured = _measured_failures(paced.plan, progress)
-        left = max((one.metres for one in _short_budget(paced.plan)), default=0.0)
-        if failures or left >= kept.short:
+        if violations(paced.plan):
             break
-        kept = _Kept(paced, measured, left)
+        left = max((one.metres for one in _short_budget(paced.plan)), default=0.0)
+        if left >= kept.short:
+            break
+        kept = _Kept(paced, left)
     return kept
 
 
@@ -310,7 +303,7 @@ def _certified(kept: _Kept, progress: Progress | None) -> PlanningResult:
         if _certifiable(certificate.assessment):
             return PlanningResult(again.plan, certificate)
     plan = kept.paced.plan
-    return PlanningResult(plan, certify(plan, measured=kept.measured, progress=progress))
+    return PlanningResult(plan, certify(plan, progress=progress))
 
 
 def _exceeds_endurance(plan: Plan) -> bool:
@@ -331,15 +324,3 @@ def _failures(plan: Plan, failed_checks: frozenset[str]) -> tuple[Moment, ...]:
     """
     failures = violations(plan, failed_checks) if failed_checks else ()
     return failures or violations(plan, without=failed_checks)
-
-
-def _measured_failures(
-    plan: Plan, progress: Progress | None
-) -> tuple[tuple[Moment, ...], MeasuredClearances]:
-    """Return all moments at which clearances fail, and the clearances.
-
-    For a plan that is likely to be certified, which needs the clearances.
-    """
-    measured = measure_clearances(plan, progress)
-    failed = {moment.check for moment in measured.moments if moment.margin < 0.0}
-    return violations(plan, failed) if failed else (), measured
