@@ -117,9 +117,12 @@ class Catenaries:
 
     def points_at(self, fraction: ArrayLike) -> Floats:
         """Return one point per strand, at its own fraction (…,) of its arc length: (…, 3)."""
-        shape = np.broadcast_shapes(np.shape(fraction), self.span.shape)
+        shape = _common_shape(np.shape(fraction), self.span.shape)
+        figures: tuple[Floats, ...]
         figures = (_floats(fraction), self.length, self.parameter, self.slope)
-        at, length, parameter, slope = (_flat(np.broadcast_to(v, shape)) for v in figures)
+        if any(figure.shape != shape for figure in figures):
+            figures = tuple(np.broadcast_to(figure, shape) for figure in figures)
+        at, length, parameter, slope = (_flat(figure) for figure in figures)
         angle, height = np.empty((2, len(at)))
         _write_offsets(at, _Arcs(length, parameter, slope), angle, height)
         angle, height = angle.reshape(*shape, 1), height.reshape(*shape, 1)
@@ -211,10 +214,11 @@ def solve_catenaries(
     Raises :class:`OverStretched` where a chord is longer than its cable.
     """
     start, end, length, down = _floats(start), _floats(end), _floats(length), _floats(down)
-    shape = np.broadcast_shapes(start.shape[:-1], end.shape[:-1], length.shape, down.shape[:-1])
-    start = np.broadcast_to(start, (*shape, 3))
-    end = np.broadcast_to(end, (*shape, 3))
-    length = np.broadcast_to(length, shape)
+    shape = _common_shape(start.shape[:-1], end.shape[:-1], length.shape, down.shape[:-1])
+    if not start.shape[:-1] == end.shape[:-1] == length.shape == shape:
+        start = np.broadcast_to(start, (*shape, 3))
+        end = np.broadcast_to(end, (*shape, 3))
+        length = np.broadcast_to(length, shape)
     down = np.broadcast_to(down / np.linalg.norm(down, axis=-1, keepdims=True), (*shape, 3))
 
     across = end - start
@@ -362,7 +366,18 @@ def _write_offsets(fraction: Floats1, arcs: _Arcs, angle: Floats1, height: Float
 
 def _flat(array: Floats, *last: int) -> Floats:
     """Return the array as a row of numbers or vectors, contiguous and writable for the kernels."""
-    return np.require(array.reshape(-1, *last), requirements=["C", "W"])
+    flat = array.reshape(-1, *last)
+    # The question alone: most arrays are so, and np.require takes longer than the kernels of few.
+    if flat.flags.c_contiguous and flat.flags.writeable:
+        return flat
+    return np.require(flat, requirements=["C", "W"])
+
+
+def _common_shape(first: tuple[int, ...], *others: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the shape to which arrays broadcast; most have the same one, or none."""
+    if all(shape in (first, ()) for shape in others):
+        return first
+    return np.broadcast_shapes(first, *others)
 
 
 def _floats(value: ArrayLike) -> Floats:

@@ -59,9 +59,13 @@ def polyline_polyline(first: ArrayLike, second: ArrayLike) -> Closest:
     NaN where a coordinate is NaN.
     """
     first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    shape = np.broadcast_shapes(first.shape[:-2], second.shape[:-2])
-    a = np.broadcast_to(first, shape + first.shape[-2:]).reshape(-1, *first.shape[-2:])
-    b = np.broadcast_to(second, shape + second.shape[-2:]).reshape(-1, *second.shape[-2:])
+    shape = first.shape[:-2]
+    if second.shape[:-2] != shape:
+        shape = np.broadcast_shapes(shape, second.shape[:-2])
+        first = np.broadcast_to(first, shape + first.shape[-2:])
+        second = np.broadcast_to(second, shape + second.shape[-2:])
+    a = first.reshape(-1, *first.shape[-2:])
+    b = second.reshape(-1, *second.shape[-2:])
     found = np.empty((3, len(a)))
     _write_closest(_plain(a), _plain(b), found)
     distance, at_first, at_second = found.reshape(3, *shape)
@@ -83,6 +87,8 @@ def strand_strand(strands: ArrayLike, pairs: ArrayLike) -> Closest:
 
 def _plain(array: Floats) -> Floats:
     """Return the array, or a copy that is contiguous and writable, as the kernels require."""
+    if array.flags.c_contiguous and array.flags.writeable:
+        return array
     return np.require(array, requirements=["C", "W"])
 
 
