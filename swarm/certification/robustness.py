@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -135,40 +135,45 @@ class _Search:
 
     def __init__(self, cases: Callable[[float], Cases], tight: "Tight") -> None:
         self._cases = cases
+        self._families = cache(lambda value, case: cases(value)[case]())
         self._tight = tight
         self._failed: dict[tuple[int, int], set[tuple[int, float]]] = {}
-        self._worst = 0
+        self._worst = (0, 0)
 
     def narrowed(self, good: float, bad: float, most: float, step: float) -> tuple[float, float]:
         """Return the largest value that holds in the tight boxes, and a value ``step`` above it.
 
-        ``good`` holds everywhere, ``bad`` fails or is above ``most``. A case is bisected only where
-        it fails for the value that holds for the cases before it.
+        ``good`` holds everywhere, ``bad`` fails or is above ``most``. A family of a case is
+        bisected only where it fails for the value that holds for the families before it.
         """
         least = good
-        for number, case in enumerate(self._likely_first(0.5 * (good + bad))):
+        for number, which in enumerate(self._likely_first(0.5 * (good + bad))):
             if number:
-                if least == good or self._holds_in_tight_boxes(case, least):
+                if least == good or self._holds_in_tight_boxes(which, least):
                     continue
                 bad = least
             least = good
             while bad - least > step:
                 middle = 0.5 * (least + bad)
-                fine = middle <= most and self._holds_in_tight_boxes(case, middle)
+                fine = middle <= most and self._holds_in_tight_boxes(which, middle)
                 least, bad = (middle, bad) if fine else (least, middle)
-            self._worst = case
+            self._worst = which
         return least, bad
 
-    def _holds_in_tight_boxes(self, case: int, value: float) -> bool:
-        for index, family in enumerate(self._cases(value)[case]()):
-            tight = self._failed.setdefault((case, index), self._tight_of(family))
-            if tight and not holds(family.evaluate, _boxes(family, tight)):
-                return False
-        return True
+    def _holds_in_tight_boxes(self, which: tuple[int, int], value: float) -> bool:
+        case, index = which
+        family = self._families(value, case)[index]
+        tight = self._failed.setdefault(which, self._tight_of(family))
+        return not tight or holds(family.evaluate, _boxes(family, tight))
 
-    def _likely_first(self, value: float) -> list[int]:
-        """All cases, the last failed one first: it is the most likely to fail again."""
-        return sorted(self._cases(value), key=lambda case: case != self._worst)
+    def _likely_first(self, value: float) -> list[tuple[int, int]]:
+        """All families of all cases, the last failed one first: it likely fails again."""
+        every = [
+            (case, index)
+            for case in self._cases(value)
+            for index in range(len(self._families(value, case)))
+        ]
+        return sorted(every, key=lambda which: which != self._worst)
 
     def _tight_of(self, family: Family) -> set[tuple[int, float]]:
         return {
@@ -180,14 +185,12 @@ class _Search:
 
     def holds(self, value: float) -> bool:
         """Return whether the value holds everywhere; keeps the box in which it fails."""
-        cases = self._cases(value)
-        for case in self._likely_first(value):
-            for index, family in enumerate(cases[case]()):
-                found = family.failing()
-                if found is not None:
-                    self._failed.setdefault((case, index), set()).add(found)
-                    self._worst = case
-                    return False
+        for case, index in self._likely_first(value):
+            found = self._families(value, case)[index].failing()
+            if found is not None:
+                self._failed.setdefault((case, index), set()).add(found)
+                self._worst = case, index
+                return False
         return True
 
 
