@@ -213,6 +213,24 @@ def test_it_swings_sideways_as_irvine_says(sag: float) -> None:
     assert period == pytest.approx(2.0 / math.sqrt(GRAVITY / (8.0 * sag)), rel=0.03)
 
 
+def test_it_sways_in_its_plane_as_irvine_says() -> None:
+    # the same chapter: the first antisymmetric mode in plane has twice the lateral frequency
+    span, sag = 4.0, 0.3
+    length = float(length_for_sag(span, sag))
+    made = rope(length, [0.0, length])
+    grips = np.array([[0.0, 0.0, 9.0], [span, 0.0, 9.0]])
+    settle(made, grips, 40.0)
+    apart = []
+    for step in range(round(8.0 / STEP)):
+        shift = 0.01 * min(1.0, step * STEP / 0.2) * np.array([1.0, 0.0, 0.0])
+        made.forces(grips + shift, np.zeros_like(grips))
+        apart.append(made.position_at(0.25 * length)[2] - made.position_at(0.75 * length)[2])
+    swung = np.array(apart[round(0.5 / STEP) :])
+    crossings = np.flatnonzero((swung[:-1] < 0.0) & (swung[1:] >= 0.0))
+    period = float(np.diff(crossings).mean()) * STEP
+    assert period == pytest.approx(1.0 / math.sqrt(GRAVITY / (8.0 * sag)), rel=0.04)
+
+
 def test_wind_leans_a_strand_and_a_loose_end_by_their_drag() -> None:
     speed = 4.0
     made = SwingingRope(CableSpec(points=[(0, 0, 9), (6, 0, 9)]), 0.0, np.array([0.0, speed, 0.0]))
