@@ -136,7 +136,9 @@ def fly(
             if audit and options.left is None:
                 preflight.relay = Relay(conductor.team)
                 running.callback(preflight.relay.close)
-            tasks = TickTasks(conductor, record, preflight, publish, interrupts, emulator, inputs)
+            tasks = TickTasks(
+                conductor, record, preflight, publish, interrupts, emulator, inputs, mocap=bridge
+            )
             forward = open_forward(options.forward, conductor.team) if options.forward else None
             if forward is not None:
                 running.callback(forward.close)

@@ -2,16 +2,15 @@
 
 Poses are ENU, of bodies FLU; messages are NED and FRD, in the one frame of the laboratory (fleet
 files: ``frame: shared``). Each has the time of its capture, from which autopilots correct jitter.
-The bridge ends with the ground station, and then the vehicles have no position.
+The bridge ends with the ground station, and then the vehicles have no position. Laboratories'
+systems are read by :mod:`swarm.ground.mocap_child`.
 """
 
+import importlib.util
 import json
 import math
-import re
 import socket
-import threading
-import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 from urllib.parse import urlsplit
@@ -20,6 +19,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError
 from swarm.flight.router import Outgoing, Team
+from swarm.ground.child_process import ChildError, ChildProcess
 from swarm.mavlink.frames import Origin
 
 _LARGEST_DATAGRAM = 65_536
@@ -29,11 +29,16 @@ ANYWHERE = Origin(47.397742, 8.545594, 488.0)
 """Origin on the earth without one in the fleet file: ArduPilot arms with one only, and takes 0, 0
 for none. Nothing depends on the place: heading comes from motion capture too."""
 _UNKNOWN = math.nan
+UNSEEN = 0.5
+"""Seconds without a pose that are reported: ten ticks at the lowest rate, 20 Hz."""
+CONNECT_TIMEOUT = 10.0
+"""Seconds within which a laboratory's system must answer, which may be starting."""
+_MODULE = "swarm.ground.mocap_child"
 LABORATORY = (
     "vicon", "optitrack", "optitrack_closed_source", "qualisys", "nokov", "vrpn", "motionanalysis",
     "freemotion", "mock",
 )  # fmt: skip
-"""Systems that libmotioncapture reads."""
+"""Systems that libmotioncapture reads, some of them only where it was built for them."""
 
 
 class Pose(NamedTuple):
@@ -111,36 +116,32 @@ def parse_frame(data: bytes) -> list[Pose]:
     return [one for one in poses if all(map(math.isfinite, (moment, *one.position, *one.attitude)))]
 
 
-@dataclass
 class LaboratoryCapture:
-    """A laboratory's system through libmotioncapture, read by a thread of its own.
+    """A laboratory's system through libmotioncapture, in a process that is restarted if it ends.
 
     A rigid body belongs to the vehicle whose system id ends its name: ``quad3`` to system 3.
     """
 
-    kind: str
-    host: str
-    _poses: dict[int, Pose] = field(default_factory=dict)
-    _closed: bool = False
-
-    def __post_init__(self) -> None:
-        """Connect in the thread; raises :class:`VehicleError` without the library."""
-        try:
-            import motioncapture  # type: ignore[import-not-found]  # noqa: PLC0415 - an optional extra
-        except ImportError:
+    def __init__(self, kind: str, host: str, timeout: float = CONNECT_TIMEOUT) -> None:
+        """Connect; raises :class:`VehicleError` without the library or the system."""
+        if importlib.util.find_spec("motioncapture") is None:
             raise VehicleError(
                 "motion capture needs a library: pip install 'swarm-ground-station[mocap]'"
-            ) from None
-        self._library: Any = motioncapture
-        threading.Thread(target=self._read, name="motion capture", daemon=True).start()
+            )
+        self._system = kind, host
+        self._start()
+        try:
+            message = next(self._child.receive(timeout), None)
+        except ChildError as error:
+            message = "failed", str(error)
+        if message is None or message[0] == "failed":
+            self.close()
+            reason = message[1] if message else f"no answer within {timeout:g} s"
+            raise VehicleError(f"motion capture: {kind} at {host}: {reason}")
 
-    def _read(self) -> None:
-        system = self._library.connect(self.kind, {"hostname": self.host})
-        while not self._closed:
-            system.waitForNextFrame()
-            moment = time.monotonic()
-            for pose in named_poses(system.rigidBodies, moment):
-                self._poses[pose.system] = pose
+    def _start(self) -> None:
+        self._child = ChildProcess(_MODULE)
+        self._child.send(self._system)
 
     @property
     def port(self) -> int | None:
@@ -149,21 +150,19 @@ class LaboratoryCapture:
 
     def latest(self) -> Iterable[Pose]:
         """Return the newest poses."""
-        return [self._poses.pop(system) for system in list(self._poses)]
+        found: dict[int, Pose] = {}
+        try:
+            while (message := next(self._child.receive(0.0), None)) is not None:
+                if message[0] == "frame":
+                    found |= {body[0]: Pose(*body) for body in message[1]}
+        except ChildError:
+            self._child.close()
+            self._start()
+        return found.values()
 
     def close(self) -> None:
-        """Let the thread end with its next frame."""
-        self._closed = True
-
-
-def named_poses(bodies: Mapping[str, Any], moment: float) -> Iterator[Pose]:
-    """Yield the poses of rigid bodies whose names end in a number."""
-    for name, body in bodies.items():
-        number = re.search(r"\d+$", name)
-        x, y, z = (float(value) for value in body.position)
-        if number is not None and all(map(math.isfinite, (x, y, z))):
-            q = body.rotation
-            yield Pose(int(number[0]), moment, (x, y, z), (q.w, q.x, q.y, q.z))
+        """End the process."""
+        self._child.close()
 
 
 def parse_url(url: str) -> tuple[str, str, int]:
@@ -190,10 +189,12 @@ class MocapBridge:
     team: Team
     origin: Origin = ANYWHERE
     _next_origin: float = 0.0
+    _seen: dict[int, float] = field(default_factory=dict)
 
     def packets(self, now: float) -> Iterator[Outgoing]:
         """Yield the packets that are due at ``now``."""
         for pose in self.capture.latest():
+            self._seen[pose.system] = now
             yield from self._packet(pose.system, estimate(pose))
         if now < self._next_origin:
             return
@@ -202,6 +203,16 @@ class MocapBridge:
             kind = vehicle.autopilot
             if kind is not None and kind.needs_origin and vehicle.origin is None:
                 yield from self._packet(system, origin_message(system, self.origin))
+
+    def unseen(self, now: float) -> tuple[int, ...]:
+        """Return the vehicles that have had poses, but none for UNSEEN seconds."""
+        return tuple(
+            sorted(
+                system
+                for system, seen in self._seen.items()
+                if system in self.team.vehicles and now - seen > UNSEEN
+            )
+        )
 
     def _packet(self, system: int, message: Any) -> Iterator[Outgoing]:
         route = self.team.way_to(system) if system in self.team.vehicles else None

@@ -9,6 +9,7 @@ from swarm.flight.conductor import Conductor
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockEncoder
 from swarm.ground.emulator import EmulatorProcess
+from swarm.ground.mocap import UNSEEN, MocapBridge
 from swarm.ground.preflight import Preflight
 from swarm.ground.record import Record
 
@@ -21,6 +22,7 @@ class TickTasks:
 
     ``inputs`` are polled for operator requests. ``interrupts`` are signals that have been caught
     and are to be handled. ``events`` are all events so far.
+    Poses that ``mocap`` misses are reported.
     """
 
     conductor: Conductor
@@ -31,8 +33,10 @@ class TickTasks:
     emulator: EmulatorProcess | None = None
     inputs: Sequence[Callable[[], None]] = ()
     events: list[Event] = field(default_factory=list)
+    mocap: MocapBridge | None = None
     _next_snapshot: float = 0.0
     _disk_reported: bool = False
+    _unseen: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         self._clock = ClockEncoder(self.conductor.plan)
@@ -63,12 +67,23 @@ class TickTasks:
             text = f"the record cannot be written: {record.problem}; the flight goes on"
             conductor.report("record", text)
         phase = conductor.phase.name if conductor.stage == "execute" else ""
+        self._report_poses(now)
         if conductor.stage in {"ready", "execute", "contingency"}:
             record.packet(self._clock.encode(now, conductor.clock.time, phase), now)
         if conductor.stage in {"listen", "prepare"} and self.emulator is not None:
             ended = self.emulator.ended()
             if ended is not None:
                 conductor.give_up(ended)
+
+    def _report_poses(self, now: float) -> None:
+        """Report vehicles whose poses are missing, and when all have poses again."""
+        unseen = self.mocap.unseen(now) if self.mocap is not None else ()
+        if unseen == self._unseen:
+            return
+        self._unseen = unseen
+        names = ", ".join(map(str, unseen))
+        text = f"no pose of system {names} for {UNSEEN:g} s" if unseen else "has all poses again"
+        self.conductor.report("motion capture", text)
 
     def _decide(self, audit: Audit) -> None:
         """Start the preflight once; start or refuse the flight when it has decided."""

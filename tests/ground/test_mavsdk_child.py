@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,22 +14,10 @@ from swarm.ground.commissioning.logs import download_logs
 from swarm.ground.commissioning.mavsdk_client import ATTEMPTS, vehicle_reports
 from swarm.ground.fly import FlyOptions, fly
 from swarm.mission.fleet import emulated_fleet
+from tests.children import children
 from tests.command import run
 from tests.ground.test_logs import NEW, PX4, content, team
 from tests.network import small_plan
-
-
-def children() -> list[int]:
-    listed = subprocess.run(
-        ["ps", "-ww", "-o", "pid=,stat=,args=", "--ppid", str(os.getpid())],
-        capture_output=True, text=True, check=False,
-    ).stdout  # fmt: skip
-    rows = [row.split(maxsplit=2) for row in listed.splitlines()]
-    return [
-        int(pid)
-        for pid, state, what in rows
-        if "mavsdk_child" in what and not state.startswith("Z")
-    ]
 
 
 @contextmanager
@@ -41,7 +28,7 @@ def killing(number: int, most: int = 100) -> Iterator[set[int]]:
 
     def kill() -> None:
         while not over.wait(0.02):
-            for pid in children():
+            for pid in children("mavsdk_child"):
                 if pid not in killed and len(killed) < most:
                     killed.add(pid)
                     os.kill(pid, number)
@@ -92,7 +79,7 @@ def test_a_process_that_hangs_is_ended_in_time():
         vehicle_reports({4: 9}, timeout=1.0)
     assert str(error.value).startswith("MAVSDK failed in 3 attempts of 3 for system 4: ")
     assert len(stopped) == ATTEMPTS
-    assert children() == []
+    assert children("mavsdk_child") == []
 
 
 def test_a_crash_in_one_vehicles_log_does_not_affect_the_others(tmp_path):
@@ -103,7 +90,7 @@ def test_a_crash_in_one_vehicles_log_does_not_affect_the_others(tmp_path):
         def on_share(system: int, share: float) -> None:
             if system == 1 and share > 0.1 and in_turns:
                 in_turns.pop()
-                for pid in children():
+                for pid in children("mavsdk_child"):
                     os.kill(pid, signal.SIGSEGV)
 
         return on_share

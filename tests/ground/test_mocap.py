@@ -2,6 +2,10 @@
 
 import json
 import math
+import os
+import signal
+import socket
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,18 +18,23 @@ from scipy.spatial.transform import Rotation
 from sitl.capture import DELAY, MotionCapture
 from sitl.emulator import Emulator
 from sitl.world import default_world
+from swarm.errors import VehicleError
 from swarm.flight.router import Team
 from swarm.ground.mocap import (
     ANYWHERE,
+    UNSEEN,
     DatagramCapture,
+    LaboratoryCapture,
     MocapBridge,
     Pose,
     estimate,
-    named_poses,
+    open_capture,
     parse_frame,
     parse_url,
 )
+from swarm.ground.mocap_child import named_bodies
 from swarm.mission.fleet import emulated_fleet
+from tests.children import children
 
 NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """ENU to NED; FLU to FRD is diag(1, −1, −1)."""
@@ -62,7 +71,86 @@ def test_a_rigid_body_belongs_to_the_system_that_ends_its_name():
         "wand": SimpleNamespace(position=seen, rotation=still),
         "quad3": SimpleNamespace(position=np.full(3, np.nan), rotation=still),
     }
-    assert list(named_poses(bodies, 7.0)) == [Pose(12, 7.0, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))]
+    assert list(named_bodies(bodies, 7.0)) == [(12, 7.0, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))]
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        ("vicon", "no answer within 1.5 s"),
+        ("qualisys", "Error connecting QTM on address: 127.0.0.1:22222"),
+        ("nokov", "Unknown motion capture type!"),
+    ],
+)
+def test_a_system_that_is_not_there_is_an_error(kind, reason):
+    # libmotioncapture itself, which keeps its interpreter locked while it waits for Vicon
+    with pytest.raises(VehicleError) as error:
+        LaboratoryCapture(kind, "127.0.0.1", timeout=1.5)
+    assert str(error.value) == f"motion capture: {kind} at 127.0.0.1: {reason}"
+
+
+STAND_IN = """
+import os
+from types import SimpleNamespace
+
+class System:
+    def waitForNextFrame(self):
+        pass
+    @property
+    def rigidBodies(self):
+        still = SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0)
+        return {"quad2": SimpleNamespace(position=(os.getpid(), 2.0, 3.0), rotation=still)}
+
+def connect(kind, options):
+    return System()
+"""
+
+
+def test_the_process_of_a_system_is_started_again_when_it_ends(tmp_path, monkeypatch):
+    (tmp_path / "motioncapture.py").write_text(STAND_IN)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    capture = open_capture("vrpn://127.0.0.1")
+    first = next_pose(capture)
+    (process,) = children("mocap_child")
+    assert first == Pose(2, first.time, (process, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
+    os.kill(process, signal.SIGKILL)
+    while (second := next_pose(capture)).position == first.position:
+        pass  # frames that were on their way
+    assert second.system == 2
+    capture.close()
+    assert children("mocap_child") == []
+
+
+def next_pose(capture):
+    deadline = time.monotonic() + 30.0
+    while time.monotonic() < deadline:
+        for pose in capture.latest():
+            return pose
+    raise AssertionError("no pose within 30 s")
+
+
+def test_missing_poses_are_reported_and_their_return():
+    team = Team(emulated_fleet(2, ("px4",)), lambda *_: None)
+    capture = DatagramCapture("127.0.0.1", 0)
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def see(*systems):
+        bodies = {str(one): [0, 0, 0, 1, 0, 0, 0] for one in systems}
+        frame = json.dumps({"time": 1.0, "bodies": bodies}).encode()
+        sender.sendto(frame, ("127.0.0.1", capture.port))
+
+    bridge = MocapBridge(capture, team)
+    see(1, 2, 9)
+    assert list(bridge.packets(10.0)) == []
+    assert bridge.unseen(10.0 + UNSEEN) == ()
+    see(2)
+    list(bridge.packets(10.2))
+    assert bridge.unseen(10.1 + UNSEEN) == (1,)
+    see(1)
+    list(bridge.packets(10.4 + UNSEEN))
+    assert bridge.unseen(10.5 + UNSEEN) == (2,)
+    capture.close()
+    sender.close()
 
 
 @pytest.mark.parametrize(
