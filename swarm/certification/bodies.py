@@ -5,7 +5,9 @@ of the disc and the grip point straight below. Other segments keep their distanc
 own segments, which begin at the tip, keep out of the disc.
 """
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +16,10 @@ from swarm.certification.branch_and_bound import Boxes, Enclosure
 from swarm.certification.motion_bounds import BoundedMotion, TeamStates
 from swarm.certification.strand_pieces import Displacement, HeldCable, Selection, pieces
 from swarm.certification.strands import unit
-from swarm.geometry.distance import norms, point_segment
+from swarm.geometry.distance import norms
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
+from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2, Floats3
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -125,32 +129,19 @@ class Body:
         ``tip`` (b,) is the height of the body's lowest point: 0, or the grip offset for the disc
         alone. Returns the chords' points (b, 3), their fractions (b,), the body's points (b, 3).
         """
-        at_body = np.broadcast_to(np.array([0.0, 0.0, self.grip_offset]), (len(chord), 3))
-        for _ in range(_PROJECTIONS):
-            along = point_segment(at_body, chord).second
-            at_strand = chord[:, 0] + along[:, None] * (chord[:, 1] - chord[:, 0])
-            at_body = self.projected(at_strand, tip)
-        return at_strand, along, at_body
+        found = np.empty((len(chord), 7))
+        _write_closest(np.ascontiguousarray(chord), _plain(tip), self._cone, found)
+        return found[:, :3], np.ascontiguousarray(found[:, 3]), found[:, 4:]
 
     def projected(self, point: Floats, tip: Floats) -> Floats:
         """Return the points (b, 3) of the bodies that are closest to the given points (b, 3)."""
-        out = np.hypot(point[:, 0], point[:, 1])
-        rim = np.array([self.radius, self.grip_offset])
-        flat = np.stack([out, point[:, 2]], axis=-1)
-        top = np.stack([np.minimum(out, self.radius), np.full_like(out, self.grip_offset)], axis=-1)
-        lowest = np.stack([np.zeros_like(tip), tip], axis=-1)
-        slant = rim - lowest
-        share = np.einsum("bi,bi->b", flat - lowest, slant) / np.einsum("bi,bi->b", slant, slant)
-        side = lowest + np.clip(share, 0.0, 1.0)[:, None] * slant
-        nearer_top = norms(flat - top) <= norms(flat - side)
-        closest = np.where(nearer_top[:, None], top, side)
-        inside = (flat[:, 1] <= self.grip_offset) & (
-            slant[:, 0] * (flat[:, 1] - tip) >= slant[:, 1] * out
-        )
-        inside &= (flat[:, 1] >= tip) & (out <= self.radius)
-        closest = np.where(inside[:, None], flat, closest)
-        ratio = closest[:, 0] / np.maximum(out, 1e-12)
-        return np.stack([point[:, 0] * ratio, point[:, 1] * ratio, closest[:, 1]], axis=-1)
+        found = np.empty((len(point), 3))
+        _write_projected(np.ascontiguousarray(point), _plain(tip), self._cone, found)
+        return found
+
+    @property
+    def _cone(self) -> "_Cone":
+        return _Cone(self.radius, self.grip_offset)
 
     def support(self, normal: Floats, tip: Floats) -> Floats:
         """Return the support function (b,) of the bodies in directions (b, 3)."""
@@ -158,6 +149,64 @@ class Body:
         disc = self.radius * across + self.grip_offset * normal[:, 2]
         reach: Floats = np.maximum(disc, tip * normal[:, 2])
         return reach
+
+
+class _Cone(NamedTuple):
+    """Radius of the rotor disc, and its height above the grip point, metres."""
+
+    radius: float
+    height: float
+
+
+@compiled
+def _write_closest(chord: Floats3, tip: Floats1, cone: _Cone, found: Floats2) -> None:
+    """Write the chord's point, its fraction and the body's point (b, 7) for chords (b, 2, 3)."""
+    for b in range(len(found)):
+        at_strand, at_body = found[b, :3], found[b, 4:]
+        at_body[0], at_body[1], at_body[2] = 0.0, 0.0, cone.height
+        for _ in range(_PROJECTIONS):
+            square = ahead = 0.0
+            for axis in range(3):
+                step = chord[b, 1, axis] - chord[b, 0, axis]
+                square += step * step
+                ahead += step * (at_body[axis] - chord[b, 0, axis])
+            along = 0.0
+            if square > 0.0:
+                along = min(max(ahead / square, 0.0), 1.0)
+            for axis in range(3):
+                step = chord[b, 1, axis] - chord[b, 0, axis]
+                at_strand[axis] = chord[b, 0, axis] + along * step
+            found[b, 3] = along
+            _project(at_strand, tip[b], cone, at_body)
+
+
+@compiled
+def _write_projected(point: Floats2, tip: Floats1, cone: _Cone, found: Floats2) -> None:
+    """Write the points (b, 3) of bodies that are closest to points (b, 3)."""
+    for b in range(len(found)):
+        _project(point[b], tip[b], cone, found[b])
+
+
+@compiled
+def _project(point: Floats, tip: float, cone: _Cone, found: Floats) -> None:
+    """Write the point (3,) of a body that is closest to a point, in the plane of its axis."""
+    out, up = math.hypot(point[0], point[1]), point[2]
+    rise = cone.height - tip
+    share = out * cone.radius + (up - tip) * rise
+    share = min(max(share / (cone.radius * cone.radius + rise * rise), 0.0), 1.0)
+    side_out, side_up = share * cone.radius, tip + share * rise
+    top_out = min(out, cone.radius)
+    from_top = np.sqrt((out - top_out) ** 2 + (up - cone.height) ** 2)
+    from_side = np.sqrt((out - side_out) ** 2 + (up - side_up) ** 2)
+    at_out, at_up = (top_out, cone.height) if from_top <= from_side else (side_out, side_up)
+    if tip <= up <= cone.height and out <= cone.radius and cone.radius * (up - tip) >= rise * out:
+        at_out, at_up = out, up
+    ratio = at_out / max(out, 1e-12)
+    found[0], found[1], found[2] = point[0] * ratio, point[1] * ratio, at_up
+
+
+def _plain(array: Floats) -> Floats:
+    return np.require(array, requirements=["C", "W"])
 
 
 def vehicle_segments(vehicles: int) -> tuple[Ints, Ints]:
