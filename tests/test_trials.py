@@ -284,3 +284,16 @@ def test_the_terminal_shows_completion_distances_and_the_worst_trials():
     assert any(line.startswith("cable to cable") for line in lines)
     assert any(line.startswith("among the worst: trial 1 (cable") for line in lines)
     assert lines[-1].endswith("--seed 7 --trial 1 --recording trial.rrd")
+
+
+def test_the_terminal_says_nothing_of_a_cable_or_an_interval_that_is_not_known():
+    trials = [trial(k, cable=None, vehicle_cable=None, emulated_cable=None) for k in range(3)]
+    certified = certify_clearances(PLAN, trials, 1)
+    document = summary(PLAN, trials, seed=7, spread=CALM, certified=certified)
+    console = Console(file=io.StringIO(), width=80)
+    print_trials(document, console)
+    lines = [line.rstrip() for line in console.file.getvalue().splitlines()]
+    (distances,) = [line for line in lines if line.startswith("vehicle to vehicle")]
+    assert distances.split("  ")[-1].strip() == "2.00 m"
+    assert "among the worst: trial 0" in lines
+    assert not any("?" in line or "unknown" in line for line in lines)

@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.stages import Stage
 from swarm.planning import Plan
 from swarm.reports import scene
 from swarm.reports.flight_lines import (
@@ -157,7 +158,7 @@ class FlightScreen:
         parts += [
             _event_line(*merged) for merged in merge_events(list(self._events))[-LAST_EVENTS:]
         ]
-        if snapshot is not None and self._keys:
+        if snapshot is not None and self._keys and snapshot.phase != Stage.FINISHED:
             parts.append(key_line(snapshot.available))
         return Group(*parts)
 

@@ -68,9 +68,11 @@ def _details(summary: Mapping[str, Any]) -> list[str]:
 def _worst(summary: Mapping[str, Any]) -> list[str]:
     lines = []
     for trial in summary["worst"][:3]:
-        cable = "unknown" if trial["cable"] is None else f"{trial['cable']:.2f} m"
-        details = ", ".join(filter(None, (f"cable {cable}", trial["failure"], trial["reason"])))
-        lines.append(f"among the worst: trial {trial['trial']} ({details})")
+        # a plan without two strands apart has no distance of its cable
+        cable = "" if trial["cable"] is None else f"cable {trial['cable']:.2f} m"
+        details = ", ".join(filter(None, (cable, trial["failure"], trial["reason"])))
+        words = f" ({details})" if details else ""
+        lines.append(f"among the worst: trial {trial['trial']}{words}")
     if summary["method"] != "paper":
         lines.append(
             f"to repeat the worst: swarm dry-run … --seed {summary['seed']} --trial "
@@ -90,6 +92,8 @@ def _distribution(values: Mapping[str, Any]) -> list[str]:
     cells = [f"{values['smallest']:.2f} m"]
     for share in ("0.05", "0.5"):
         quantile = values["quantiles"][share]
-        low, high = (f"{v:.2f}" if v is not None else "?" for v in quantile["interval"])
-        cells.append(f"{quantile['value']:.2f} m ({low} to {high})")
+        low, high = quantile["interval"]
+        known = low is not None and high is not None
+        interval = f" ({low:.2f} to {high:.2f})" if known else ""
+        cells.append(f"{quantile['value']:.2f} m{interval}")
     return cells

@@ -26,8 +26,9 @@ def knot_in_words(name: str, chirality: str) -> str:
 
 
 def implied_in_words(plan: Plan, knot: Mapping[str, Any]) -> str:
-    """Return a sentence with the knot that the reported positions imply; "" without a cable.
+    """Return a sentence with the knot that the reported positions imply.
 
+    It is "" without a cable, and for a cable without a knot that was to have none.
     ``knot`` is the outcome's: type, chirality, as_planned.
     """
     if not len(plan.layout.lengths):
@@ -35,6 +36,8 @@ def implied_in_words(plan: Plan, knot: Mapping[str, Any]) -> str:
     if knot["type"] == "unknown":
         return "The knot of the cable is not known."
     untied = knot["type"] == "0_1" and not plan.knot.type
+    if untied and knot["as_planned"]:
+        return ""
     implied = "no knot" if untied else knot_in_words(knot["type"], knot["chirality"])
     unplanned = "" if knot["as_planned"] else ", not the planned knot"
     return f"In the cable model, the reported positions imply {implied}{unplanned}."

@@ -67,7 +67,10 @@ def test_summary_of_a_cleared_plan() -> None:
 def test_summary_calls_a_layout_a_grid_only_where_it_is_one() -> None:
     searched = replace(PLAN, layout=replace(PLAN.layout, cell=0.0))
     without_grid = replace(PLAN, knot=replace(PLAN.knot, grid_columns=()))
-    for plan, words in ((searched, "searched layout"), (without_grid, "given corners")):
+    for plan, words in (
+        (searched, "searched layout (lower bound 5, grid 9)"),
+        (without_grid, "given corners"),
+    ):
         console = plain()
         print_plan_summary(plan, assessment(), console)
         lines = [line.rstrip() for line in printed(console).splitlines()]
@@ -209,6 +212,14 @@ def test_the_screen_of_a_flight_fits_an_80_by_24_terminal() -> None:
     assert max(map(len, text)) <= 80
     assert text[-1].startswith("h hold · r resume · b rewind")
     assert sum("OFFBOARD" in line for line in text) == 9
+
+
+def test_a_finished_flight_offers_no_keys() -> None:
+    console = screen(80, 24)
+    with FlightScreen(PLAN, console, keys=True) as shown:
+        shown.show(replace(snapshot_at(PLAN, 50.0), phase="finished"))
+        drawn = console.render_lines(shown.drawing(), pad=False)
+    assert not any("hold" in part.text and "·" in part.text for line in drawn for part in line)
 
 
 def test_a_screen_without_a_snapshot_says_that_the_flight_starts() -> None:

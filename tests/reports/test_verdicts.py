@@ -117,6 +117,16 @@ def test_a_flight_has_the_level_of_its_worst_row(
     assert (found.level, found.words) == (level, words)
 
 
+def test_a_cable_that_was_to_have_no_knot_and_has_none_needs_no_sentence() -> None:
+    carried = replace(PLAN, knot=replace(PLAN.knot, type="", chirality="none"))
+    none = {"type": "0_1", "chirality": "none", "gauss": "", "as_planned": True}
+    found = flight_verdict(carried, outcome(knot=none, tracking_error=errors(0.05)))
+    assert (found.level, found.words) == ("good", "Done: all vehicles have landed.")
+    tied = flight_verdict(carried, outcome(knot={**none, "type": "3_1", "as_planned": False}))
+    assert tied.level == "bad"
+    assert "imply 3_1, not the planned knot." in tied.words
+
+
 def trials(below: tuple[int, ...] = (), **changed: Any) -> dict[str, Any]:
     kept = {"count": 2, "smallest": changed.pop("smallest", 0.4), "required": 0.15}
     return {
