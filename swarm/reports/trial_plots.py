@@ -69,8 +69,10 @@ def trials_figure(
     """Return a figure with a column per kind of distance.
 
     Above are the distributions of all trajectories, below the certified bounds of the first.
-    ``required`` maps each kind to the mission's clearance, metres.
+    ``required`` maps each kind to the mission's clearance, metres. A kind that no trial has a
+    distance of is left out: a plan of two vehicles has no two strands apart.
     """
+    kinds = [k for k in kinds if any(np.isfinite(r.by_kind[k]).any() for r in runs)] or kinds
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(3.7 * len(kinds), 6.4), layout="constrained")
         FigureCanvasAgg(figure)

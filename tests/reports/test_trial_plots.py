@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 
 from swarm.reports import rope_plots, trial_plots
@@ -42,6 +44,17 @@ def test_distributions_of_both_trajectories_have_no_trials_with_a_failure() -> N
     assert [len(line.get_xdata()) for line in below.lines[:3]] == [2, 2, 1]
     assert below.get_title() == "Flown and certified, this plan"
     assert "trials with a failure (1 of 1 beyond the right edge)" in words
+
+
+def test_a_distance_that_no_trial_has_has_no_picture() -> None:
+    two = run("this plan", [np.nan, np.nan], [False, False])
+    two = replace(two, by_kind={**two.by_kind, "vehicle": np.array([2.7, 2.8])})
+    required = {"cable": 0.15, "vehicle": 1.0, "vehicle_cable": 0.3}
+    figure = trial_plots.trials_figure([two], required)
+    assert [axes.get_title() for axes in figure.axes] == [
+        "Vehicle to vehicle",
+        "Flown and certified",
+    ]
 
 
 def test_the_upper_strand_of_a_rope_covers_the_lower() -> None:
