@@ -52,7 +52,7 @@ class RopeOptions:
 @click.option(
     "--links",
     type=click.IntRange(20, 5000),
-    help="Number of links of the rope.  [default: one link for each diameter of the cable]",
+    help="Number of links of the rope.  [default: one for each 0.17 m of cable]",
 )
 @click.option("--no-contact", is_flag=True, help="No contact; strands pass through each other.")
 @click.option(
