@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
+from swarm.geometry.hanging_links import hung_strands
 from swarm.jit import compiled
 from swarm.signatures import Floats1, Floats4, Floats5
 
@@ -99,8 +100,7 @@ def at_rest(ends: Floats, lengths: Floats, model: SwingModel) -> Floats:
     A state holds the joints one step ago, and now. Raises
     :class:`swarm.geometry.catenary.OverStretched` where a chord is longer than its strand.
     """
-    fractions = np.linspace(0.0, 1.0, model.links + 1)
-    joints = solve_catenaries(ends[:-1], ends[1:], lengths).points(fractions)
+    joints = hung_strands(ends, lengths, model.links)
     return np.stack([joints, joints])
 
 

@@ -1,10 +1,11 @@
 """The swinging cable against small oscillations of the literature, energy, and the catenary."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from swarm.geometry.catenary import (
@@ -13,7 +14,8 @@ from swarm.geometry.catenary import (
     length_for_sag,
     solve_catenaries,
 )
-from swarm.geometry.lumped_mass import SwingModel, stray, swing
+from swarm.geometry.hanging_links import hang_links
+from swarm.geometry.lumped_mass import SwingModel, at_rest, stray, swing
 
 STILL = SwingModel(links=24, step=0.004, normal_drag=0.0)
 """Without air: an oscillation is not damped."""
@@ -68,12 +70,49 @@ def test_a_folded_strand_swings_as_a_hanging_chain() -> None:
 
 @settings(deadline=None, max_examples=20)
 @given(span=st.floats(0.2, 6.0), rise=st.floats(-2.0, 2.0), slack=st.floats(0.02, 1.0))
+@example(span=0.25, rise=2.0, slack=0.75)
 def test_a_strand_at_rest_stays_on_its_catenary(span: float, rise: float, slack: float) -> None:
     length = math.hypot(span, rise) * (1.0 + slack)
+    link = length / STILL.links
     ends = np.tile(np.array([[0.0, 0.0, 9.0], [span, 0.0, 9.0 + rise]]), (500, 1, 1))
     joints = swing(ends, np.array([length]), STILL, every=50)
-    # a polygon of 24 links hangs within a part of a link's own sag of the curve
-    assert stray(joints, ends[::50], np.array([length])).max() < length / 24**1.5
+    # a polygon is off by l²/8a of a curve of radius a, and where the curve turns over within a link
+    # by half a link at most, since a joint is that far from where it turns
+    radius = float(solve_catenaries(ends[0, 0], ends[0, 1], length).parameter)
+    allowed = link * min(0.25, 0.25 * link / radius)
+    assert stray(joints, ends[::50], np.array([length])).max() < allowed
+    if span >= link:
+        assert np.abs(joints - joints[0]).max() < 1e-9, "it does not move at all"
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    span=st.floats(1e-3, 6.0),
+    rise=st.floats(-3.0, 3.0),
+    slack=st.floats(1e-4, 5.0),
+    links=st.sampled_from([8, 24, 48]),
+)
+def test_links_at_rest_have_their_length_and_balance_their_tensions(
+    span: float, rise: float, slack: float, links: int
+) -> None:
+    length = max(math.hypot(span, rise), 1e-3) * (1.0 + slack)
+    start, end = (
+        np.array([1.0, 2.0, 9.0]),
+        np.array([1.0 + 0.6 * span, 2.0 - 0.8 * span, 9.0 + rise]),
+    )
+    joints = np.empty((links + 1, 3))
+    closed = hang_links(start, end, length, joints)
+    assert closed or span < length / links
+    if closed:
+        sizes = np.linalg.norm(np.diff(joints, axis=0), axis=1)
+        assert sizes == pytest.approx(length / links, rel=1e-6)
+        model = replace(STILL, links=links)
+        state = at_rest(np.stack([start, end]), np.array([length]), model)
+        assert np.array_equal(state[:, 0], [joints, joints])
+        along = np.diff(joints, axis=0)
+        # equal weights at the joints: slopes that rise by equal steps, over the level tension
+        slopes = along[:, 2] / np.hypot(along[:, 0], along[:, 1])
+        assert np.diff(slopes) == pytest.approx(np.diff(slopes).mean(), rel=1e-3)
 
 
 @settings(deadline=None, max_examples=15)
