@@ -85,7 +85,7 @@ def _address(
     type=click.Choice(get_args(Positioning)),
     default="rtk",
     show_default=True,
-    help="How ArduPilot's firmware knows its position: its simulated receiver, one with RTK, or "
+    help="How real firmware knows its position: ArduPilot's simulated receiver, one with RTK, or "
     "motion capture, which a ground station must send (--mocap).",
 )
 @click.option(

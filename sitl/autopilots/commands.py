@@ -129,7 +129,7 @@ def _reboot(v: Vehicle, command: Command) -> int:
     if command.p[0] not in (1.0, 3.0):
         return ACCEPTED if command.p[0] == 0.0 else DENIED
     if v.armed:
-        return DENIED
+        return DENIED if v.spec.autopilot == "px4" else FAILED
     v.timers.append((v.now + 0.2, v.reboot))
     return ACCEPTED
 

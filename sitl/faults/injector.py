@@ -18,7 +18,8 @@ from sitl.world import WorldError
 _SLIDE_SPEED, _LARGEST_SLIDE_SPEED = 1.0, 3.0
 """m/s at twice the friction, and at most."""
 
-_DEAD_RECKONING = 4.0
+_DEAD_RECKONING = {"px4": 5.0, "ardupilot": 15.0}
+"""Seconds without a receiver for which a local position is reported: EKF2_NOAID_TOUT; measured."""
 
 
 @dataclass
@@ -152,7 +153,7 @@ class Injector:
         v.charge = min(v.charge, fault.charge)
 
     def _gps_loss(self, v: Vehicle, _: Fault) -> None:
-        """End the global position; the local one drifts and ends after 4 s of dead reckoning."""
+        """End the global position; the local one drifts and ends after some dead reckoning."""
         v.global_valid = False
         self.bodies.drift[v.index] = self.rng.normal(0.0, 0.3, 3) * (1.0, 1.0, 0.2)
 
@@ -160,7 +161,7 @@ class Injector:
             if not v.global_valid and not v.environment.indoor:
                 v.local_valid = False
 
-        v.timers.append((v.now + _DEAD_RECKONING, end_local_position))
+        v.timers.append((v.now + _DEAD_RECKONING[v.spec.autopilot], end_local_position))
 
     def _restore_position(self, v: Vehicle, _: Fault) -> None:
         v.local_valid = True

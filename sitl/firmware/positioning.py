@@ -1,4 +1,4 @@
-"""How vehicles with ArduPilot's firmware know their position: parameters of ``--positioning``."""
+"""How vehicles with real firmware know their position: parameters of ``--positioning``."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -35,5 +35,21 @@ ARDUPILOT: Mapping[Positioning, Mapping[str, float]] = {
         "VISO_DELAY_MS": 20,  # `sitl.capture.DELAY`
         "VISO_POS_M_NSE": 0.05,
         "VISO_YAW_M_NSE": 0.05,
+    },
+}
+PX4: Mapping[Positioning, Mapping[str, float]] = {
+    # PX4's defaults are those of a receiver without correction data; the simulated one has no delay
+    "rtk": {"EKF2_GPS_P_NOISE": 0.02, "EKF2_GPS_V_NOISE": 0.1, "EKF2_GPS_DELAY": 0},
+    "mocap": {
+        "SYS_HAS_GPS": 0,
+        "EKF2_GPS_CTRL": 0,
+        "EKF2_BARO_CTRL": 0,  # its noise is a hundred times that of motion capture
+        "EKF2_MAG_TYPE": 5,  # none: the heading comes from motion capture
+        "EKF2_HGT_REF": 3,
+        "EKF2_EV_CTRL": 11,  # position, height and yaw
+        "EKF2_EV_DELAY": 20,  # `sitl.capture.DELAY`
+        "EKF2_EV_NOISE_MD": 1,  # the poses have no covariance
+        "EKF2_EVP_NOISE": 0.01,
+        "EKF2_EVA_NOISE": 0.05,
     },
 }

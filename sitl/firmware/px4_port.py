@@ -1,5 +1,6 @@
 """The connection to one PX4 process: its simulator link on a TCP socket of loopback."""
 
+import math
 import socket
 from collections.abc import Callable
 
@@ -42,10 +43,13 @@ class Px4Port:
         geodesy: Geodesy,
         rng: np.random.Generator,
         faults: Callable[[], SensorFaults] = SensorFaults,
+        *,
+        receiver: bool = True,
     ) -> None:
         """Listen for the ``instance``; raises `OSError` if its port is taken.
 
-        ``faults`` returns what is wrong with the vehicle's sensors now.
+        ``faults`` returns what is wrong with the vehicle's sensors now; without ``receiver`` it has
+        none for satellites.
         """
         self.row = row
         self._faults = faults
@@ -56,7 +60,7 @@ class Px4Port:
         self._field = sensors.magnetic_field(geodesy.latitude, geodesy.longitude, geodesy.altitude)
         self._sender, self._stream = wire.Sender(instance + 1), px4_hil.Stream()
         self._sent = self._count = 0
-        self._next_fix = 0.0
+        self._next_fix = 0.0 if receiver else math.inf
         self._due = 0.0
         self._listener = socket.create_server(("127.0.0.1", px4_hil.PORT + instance))
         self._socket: socket.socket | None = None

@@ -3,6 +3,7 @@
 import math
 import os
 
+from sitl.firmware.positioning import PX4
 from sitl.firmware.process import Launch, Start
 from sitl.firmware.selection import PX4_PROGRAM
 
@@ -34,10 +35,6 @@ _PARAMETERS: dict[str, float] = {
     "MPC_Z_P": 1.5,
     "MPC_Z_VEL_P_ACC": 8,
     "MPC_Z_VEL_I_ACC": 3,
-    # a receiver with RTK; PX4's defaults are those of one without
-    "EKF2_GPS_P_NOISE": 0.02,
-    "EKF2_GPS_V_NOISE": 0.1,
-    "EKF2_GPS_DELAY": 0,  # the simulated receiver has none
     "SIM_BAT_DRAIN": 900,  # seconds, as the emulated vehicles
     "SDLOG_MODE": -1,  # no log: in SITL it has the whole estimator at 100 Hz, 20 MB a minute
 }
@@ -54,7 +51,12 @@ def launch(start: Start, radius: float) -> Launch:
     to the first default would follow the second (COM_LOW_BAT_ACT: 0, then 3).
     """
     build, instance = start.binary, start.instance
-    values = _PARAMETERS | _rotors(radius) | (_GRIPPER if start.gripper else {})
+    values = (
+        _PARAMETERS
+        | dict(PX4[start.positioning])
+        | _rotors(radius)
+        | (_GRIPPER if start.gripper else {})
+    )
     return Launch(
         [str(build / PX4_PROGRAM), "-d", "-i", str(instance), str(build / "etc")],
         start.folder,

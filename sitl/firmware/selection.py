@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from sitl.firmware.positioning import Positioning
+from sitl.firmware.positioning import PX4, Positioning
 from sitl.world import Kind, World
 
 PX4_PROGRAM = "bin/px4"
@@ -64,8 +64,8 @@ def _program(kind: Kind, given: str) -> Path:
 
 def check_positioning(parts: list[Firmware], positioning: Positioning) -> None:
     """Raise `FirmwareError` for firmware that cannot know its position in this way here."""
-    if positioning != "rtk" and any(part.kind != "ardupilot" for part in parts):
-        raise FirmwareError(f"--positioning: expected rtk with px4, got {positioning}")
+    if positioning not in PX4 and any(part.kind == "px4" for part in parts):
+        raise FirmwareError(f"--positioning: expected rtk or mocap with px4, got {positioning}")
 
 
 def assign(parts: list[Firmware], world: World) -> dict[int, Firmware]:

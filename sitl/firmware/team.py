@@ -53,7 +53,7 @@ def flying(
             instance = vehicle.system - 1 if kind == "px4" else row
             start = _start(vehicle, firmware[vehicle.system], instance, target, folder)
             start = dataclasses.replace(start, positioning=positioning)
-            port = _port(emulator, vehicle, row, instance)
+            port = _port(emulator, vehicle, row, start)
             stack.callback(port.close)
             ports.append(port)
             launches.append(_launch(emulator, vehicle, start))
@@ -78,12 +78,14 @@ def _start(
     )
 
 
-def _port(emulator: Emulator, vehicle: Vehicle, row: int, instance: int) -> Port:
+def _port(emulator: Emulator, vehicle: Vehicle, row: int, start: Start) -> Port:
     """Open the socket of a vehicle's autopilot."""
     if vehicle.spec.autopilot == "ardupilot":
-        return ArduPilotPort(row, instance)
+        return ArduPilotPort(row, start.instance)
     rng = np.random.default_rng([emulator.world.seed, vehicle.system])
-    return Px4Port(row, instance, emulator.environment.geodesy, rng, _faults_of(vehicle))
+    receiver = start.positioning != "mocap"
+    geodesy, faults = emulator.environment.geodesy, _faults_of(vehicle)
+    return Px4Port(row, start.instance, geodesy, rng, faults, receiver=receiver)
 
 
 def _faults_of(vehicle: Vehicle) -> Callable[[], SensorFaults]:

@@ -124,6 +124,7 @@ class Vehicle:
         self.parameters = Parameters()
         self.parameter_queue: list[tuple[Link, int]] = []
         self.text_id = 0
+        self.muted = False
 
     @property
     def armed(self) -> bool:
@@ -192,8 +193,11 @@ class Vehicle:
     def text(self, severity: int, text: str) -> None:
         """Send STATUSTEXT, in chunks of 50 characters.
 
-        PX4 gives every text an id; ArduPilot gives one only to texts of several chunks.
+        PX4 gives every text an id; ArduPilot gives one only to texts of several chunks. A vehicle
+        that is ``muted`` sends none: PX4 without its ground station (``STATUSTEXT.hpp``).
         """
+        if self.muted:
+            return
         data = text.encode()
         px4 = self.spec.autopilot == "px4"
         if len(data) <= _TEXT_LENGTH and not px4:

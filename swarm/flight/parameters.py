@@ -31,6 +31,10 @@ PX4_LATE = 2.0
 """Seconds by which PX4 misses the ground station later than after COM_DL_LOSS_T, a whole number: it
 counts a link as alive for 1.25 to 2.5 s after its last heartbeat, and from then on the parameter's
 time (``mavlink_receiver.cpp``, ``Commander.cpp``; 2.4 and 2.5 s were measured)."""
+ARDUPILOT_LATE = 4.0
+"""Seconds for which an ArduCopter hovers in LAND before it descends, if a failsafe chose the mode
+(``LAND_WITH_DELAY_MS``; measured: half a metre lower 5.3 s after its failsafe, 1.3 s after a
+command)."""
 _HEADROOM = 1.2
 """Speed that an autopilot must allow per planned speed, so that a vehicle can catch up."""
 
@@ -175,6 +179,7 @@ def _px4(required: Requirements) -> tuple[Rule, ...]:
                   "what follows when the setpoints end; there is no hold without global position")
     )  # fmt: skip
     return (
+        *(() if required.global_position else _EXTERNAL_PX4),
         lost,
         Rule("COM_OF_LOSS_T", _most(STREAM_LOSS_TIME), STREAM_LOSS_TIME,
              f"at most {STREAM_LOSS_TIME:g} s", _STREAM),
@@ -232,14 +237,14 @@ def _ardupilot(required: Requirements) -> tuple[Rule, ...]:
         100.0 * required.acceleration,
         round(100.0 * required.descent),
     )
-    low = 100.0 * required.height
+    low, alone = 100.0 * required.height, hold - ARDUPILOT_LATE
     return (
         *(() if required.global_position else _EXTERNAL),
         Rule("GUID_TIMEOUT", _most(STREAM_LOSS_TIME), STREAM_LOSS_TIME,
              f"at most {STREAM_LOSS_TIME:g} s", _STREAM),
         Rule("FS_GCS_ENABLE", _one_of(5), 5, "5 (land)",
              "without the ground station all must land"),
-        Rule("FS_GCS_TIMEOUT", _one_of(hold), hold, f"{hold:g} s", _TOGETHER),
+        Rule("FS_GCS_TIMEOUT", _one_of(alone), alone, f"{alone:g} s", _TOGETHER),
         Rule("FS_THR_ENABLE", _one_of(0, 3), 3, "0 or 3 (land)", _ALONE),
         Rule("FS_OPTIONS", lambda value: int(value) & 36 == 4,
              lambda value: float(int(value) & ~32 | 4),
@@ -282,6 +287,16 @@ _EXTERNAL = (
     Rule("VISO_TYPE", _one_of(1), 1, "1 (MAVLink)", _CAPTURE, "warning"),
 )  # fmt: skip
 """ArduPilot's sources where the fleet has one shared frame."""
+_POSE = 0b1011
+"""EKF2_EV_CTRL: horizontal position, height, yaw."""
+_EXTERNAL_PX4 = (
+    Rule("EKF2_EV_CTRL", lambda value: int(value) & _POSE == _POSE,
+         lambda value: float(int(value) | _POSE), "with bits 0, 1 and 3 (position, height, yaw)",
+         _CAPTURE, "warning"),
+    Rule("EKF2_HGT_REF", _one_of(3), 3, "3 (vision)", _CAPTURE, "warning"),
+    Rule("EKF2_GPS_CTRL", _one_of(0), 0, "0 (none)", _CAPTURE, "warning"),
+)  # fmt: skip
+"""PX4's, likewise."""
 
 
 def required_values(autopilot: AutopilotName, requirements: Requirements) -> dict[str, Value]:

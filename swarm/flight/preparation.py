@@ -83,11 +83,12 @@ class Preparation:
         if self._heard_at is None:
             return self._listen(now, late=late)
         self._request(now)
-        findings = readiness(self._heard, self.fleet, now)
+        measured = np.array([vehicle.position for vehicle in self._heard])
+        findings = readiness(self._heard, self.fleet, now) or self._moved(measured)
         if findings:
             self._samples.clear()
             return _not_ready(findings) if late else None
-        self._samples.append((now, np.array([vehicle.position for vehicle in self._heard])))
+        self._samples.append((now, measured))
         if now - self._samples[0][0] < STANDING_TIME:
             return None
         for vehicle in self._heard:
@@ -129,6 +130,24 @@ class Preparation:
                 vehicle.set_mode("offboard")
             if not early:
                 leave_offboard(vehicle)
+
+    def _moved(self, measured: Floats) -> list[Finding]:
+        """Return the vehicles that report another place than at first, though they stand.
+
+        Their estimators have just found their places, as with the first poses of motion capture.
+        """
+        if not self._samples:
+            return []
+        away = np.linalg.norm(measured - self._samples[0][1], axis=1)
+        return [
+            Finding(
+                "error",
+                "position",
+                f"system {vehicle.system} reports a motion of {distance:.2f} m on the ground",
+            )
+            for vehicle, distance in zip(self._heard, away.tolist(), strict=True)
+            if distance > self.fleet.limits.placement
+        ]
 
     def _finish(self) -> Prepared | Outcome:
         measured = np.mean([row for _, row in self._samples], axis=0)

@@ -183,19 +183,26 @@ def open_capture(url: str) -> Capture:
 
 @dataclass
 class MocapBridge:
-    """Sends each new pose to its vehicle, and an ``origin`` to vehicles that need one to arm."""
+    """Sends each new pose to its vehicle, and an ``origin`` to vehicles that need one to arm.
+
+    Poses are stamped in flight time, in which the ground station answers TIMESYNC: PX4 takes poses
+    for what they say by that clock, and rejects those from the future. ``_behind`` is the flight
+    time less the capture's, least over all poses: of the pose that was delayed least.
+    """
 
     capture: Capture
     team: Team
     origin: Origin = ANYWHERE
     _next_origin: float = 0.0
     _seen: dict[int, float] = field(default_factory=dict)
+    _behind: float = math.inf
 
     def packets(self, now: float) -> Iterator[Outgoing]:
         """Yield the packets that are due at ``now``."""
         for pose in self.capture.latest():
             self._seen[pose.system] = now
-            yield from self._packet(pose.system, estimate(pose))
+            self._behind = min(self._behind, now - pose.time)
+            yield from self._packet(pose.system, estimate(pose, pose.time + self._behind))
         if now < self._next_origin:
             return
         self._next_origin = now + _ORIGIN_INTERVAL
@@ -221,8 +228,8 @@ class MocapBridge:
             yield Outgoing(route.link, route.address, data)
 
 
-def estimate(pose: Pose) -> Any:
-    """Return a pose as VISION_POSITION_ESTIMATE: NED, FRD, radians."""
+def estimate(pose: Pose, at: float) -> Any:
+    """Return a pose as VISION_POSITION_ESTIMATE of flight time ``at``: NED, FRD, radians."""
     (east, north, up), (w, x, y, z) = pose.position, pose.attitude
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = -math.asin(min(1.0, max(-1.0, 2.0 * (w * y - z * x))))
@@ -230,7 +237,7 @@ def estimate(pose: Pose) -> Any:
     yaw = math.remainder(yaw, 2.0 * math.pi)
     unknown = [_UNKNOWN] * 21
     return common.MAVLink_vision_position_estimate_message(
-        int(pose.time * 1e6), north, east, -up, roll, pitch, yaw, unknown, 0
+        round(at * 1e6), north, east, -up, roll, pitch, yaw, unknown, 0
     )
 
 

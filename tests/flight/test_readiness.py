@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sitl.faults.scenario import Fault
 from swarm.errors import Refused
+from swarm.flight.preparation import STANDING_TIME
 from swarm.flight.readiness import assigned, levelled, rough_frames
 from swarm.mavlink.autopilots import PX4
 from swarm.mavlink.frames import Origin, from_mission, to_local
@@ -114,3 +116,13 @@ def test_a_vehicle_far_from_its_pad_is_refused_by_name():
     flight.conductor = type(flight.conductor)(flight_plan, swapped)
     with pytest.raises(Refused, match=r"vehicle 1 \(system 2\) stands 3\.\d+ m from its pad"):
         flight.run()
+
+
+def test_a_place_that_an_estimator_has_just_found_is_not_averaged_with_the_one_before():
+    found = 0.6
+    wrong = Fault(at=0.0, kind="gps_jump", vehicle=2, offset=(3.0, 0.0, 0.0), duration=found)
+    flight = Network(small_plan(), emulated_fleet(3), no_cable=True)
+    flight.emulator.inject(wrong)
+    flight.run(lambda: flight.conductor.stage != "prepare")
+    assert flight.conductor.stage == "execute"
+    assert found + STANDING_TIME < flight.now < found + STANDING_TIME + 1.0

@@ -45,7 +45,7 @@ ANGLE = st.floats(-3.1, 3.1)
 def test_an_attitude_in_ned_and_frd_is_the_same_rotation(yaw, pitch, roll):
     attitude = Rotation.from_euler("ZYX", [yaw, pitch, roll])
     x, y, z, w = attitude.as_quat()
-    message = estimate(Pose(3, 12.5, (1.0, 2.0, 3.0), (w, x, y, z)))
+    message = estimate(Pose(3, 12.5, (1.0, 2.0, 3.0), (w, x, y, z)), 12.5)
     assert (message.usec, message.x, message.y, message.z) == (12_500_000, 2.0, 1.0, -3.0)
     expected = NED @ attitude.as_matrix() @ np.diag([1.0, -1.0, -1.0])
     angles = [message.yaw, message.pitch, message.roll]
@@ -180,7 +180,11 @@ def test_each_vehicle_gets_its_newest_pose_and_ardupilot_an_origin():
     for _ in range(steps):
         world.advance(world.time + 0.02)
         source.send()
-    sent = list(MocapBridge(capture, team).packets(0.0))
+    bridge = MocapBridge(capture, team)
+    sent = list(bridge.packets(5.0))
+    world.advance(world.time + 0.02)
+    source.send()
+    (late, *_) = bridge.packets(5.07)  # 0.05 s later than the one before
     source.close()
     capture.close()
     parser = dialect.MAVLink(None)
@@ -191,7 +195,9 @@ def test_each_vehicle_gets_its_newest_pose_and_ardupilot_an_origin():
         (1, "SET_GPS_GLOBAL_ORIGIN"),
     ]
     first, second = found[0][1], found[1][1]
-    assert first.usec == round((world.time - DELAY) * 1e6)
+    assert first.usec == 5_000_000
+    # the time of the least delayed pose, and the capture's own clock from there
+    assert parser.parse_buffer(late.data)[0].usec == 5_020_000
     east, north, up = world.bodies.position[1]
     assert (second.x, second.y, second.z) == pytest.approx((north, east, -up), abs=1e-6)
     assert found[2][1].latitude == round(ANYWHERE.latitude * 1e7)

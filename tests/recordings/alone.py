@@ -173,6 +173,7 @@ def _reboot(one: Flight) -> None:
 
 
 def _stranger(one: Flight) -> None:
+    """Send a command with the ground station's id; an ArduCopter's UDP client hears one address."""
     one.foreign(dialect.MAV_CMD_NAV_LAND)
 
 
@@ -385,7 +386,7 @@ def _flight(
 
         def send_other(data: bytes) -> None:
             if peer:
-                other.sendto(data, peer[-1])
+                (ground if kind == "ardupilot" else other).sendto(data, peer[-1])
 
         with flying(emulator, firmware, target, Path(folder)) as exchange:
             assert exchange is not None

@@ -156,7 +156,7 @@ def test_position_faults_and_the_reaction_of_the_autopilot() -> None:
 def test_battery_pilot_and_leaving_offboard() -> None:
     ground = flying("at: 9.0, kind: battery, charge: 0.06")
     stay(ground, 2.0)
-    assert "Critical battery level\t" in ground.texts(1)
+    assert "Critical battery\t" in ground.texts(1)
     assert ground.last[1, "BATTERY_STATUS"].battery_remaining <= 6
 
     ground = flying("at: 9.0, kind: pilot")

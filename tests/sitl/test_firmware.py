@@ -96,10 +96,11 @@ def test_a_cable_without_inertia_is_refused(program):
     )
 
 
-def test_px4_has_no_other_positions_than_those_of_a_receiver_with_rtk(program):
+def test_px4_has_no_plain_receiver(program):
     parts = [Firmware("ardupilot", program, None), Firmware("px4", program.parent, None)]
     check_positioning(parts, "rtk")
-    check_positioning(parts[:1], "mocap")
+    check_positioning(parts, "mocap")
+    check_positioning(parts[:1], "gps")
     with pytest.raises(FirmwareError) as caught:
-        check_positioning(parts, "mocap")
-    assert str(caught.value) == "--positioning: expected rtk with px4, got mocap"
+        check_positioning(parts, "gps")
+    assert str(caught.value) == "--positioning: expected rtk or mocap with px4, got gps"

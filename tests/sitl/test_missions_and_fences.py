@@ -266,7 +266,7 @@ def test_a_lost_radio_triggers_a_failsafe_only_if_connected_before(
     assert modes(ground)[-1] == ("LOITER" if autopilot == "px4" else "RTL")
     ground.run(4.0)
     assert modes(ground)[-1] == "RTL"
-    said = "Manual control lost\t" if autopilot == "px4" else "Radio Failsafe"
+    said = "Failsafe activated\t" if autopilot == "px4" else "Radio Failsafe"
     assert said in ground.texts(1)
 
 

@@ -11,7 +11,6 @@ from sitl.autopilots.ardupilot.state import CRITICAL, WARNING, ArduPilotState
 from sitl.autopilots.ardupilot.tables import (
     AUTO,
     BATTERY,
-    DEAD_RECKONING,
     FENCE,
     GROUND_STATION_LOSS,
     GUIDED,
@@ -22,6 +21,13 @@ from sitl.autopilots.ardupilot.tables import (
 
 _RADIO_IN_AUTO, _GCS_IN_AUTO, _RADIO_IN_GUIDED, _WHILE_LANDING, _GCS_WITH_PILOT = 1, 2, 4, 8, 16
 """FS_OPTIONS: conditions in which a failsafe does not change the mode."""
+_RADIO_TIMEOUT = 1.0
+"""Seconds without pulses until a radio counts as lost: RC_FS_TIMEOUT's default; measured."""
+_ESTIMATOR_TIMEOUT = 8.0
+"""Seconds without a receiver until the estimator's variances are a failure: measured on 4.6.2.
+
+The dead reckoning failsafe (FS_DR_ENABLE) does not come before it: it needs an estimate of the
+wind (EK3_DRAG_BCOEF_X), which multicopters have only where somebody has measured their drag."""
 _FENCES = {checks.ALTITUDE: "Max Alt", checks.CIRCLE: "Circle", checks.POLYGON: "Polygon"}
 
 
@@ -78,11 +84,15 @@ def _watch_radio(copter: ArduPilotState) -> None:
     """Detect the loss of a pilot's radio that was connected (FS_THR_ENABLE, FS_OPTIONS)."""
     v, p = copter.v, copter.v.parameters
     if v.radio_connected:
-        copter.radio_known = True
+        copter.radio_known, copter.radio_lost_at, copter.radio_failed = True, None, False
         return
     if not copter.radio_known:
         return
-    copter.radio_known = False
+    if copter.radio_lost_at is None:
+        copter.radio_lost_at = v.now
+    if v.now - copter.radio_lost_at < _RADIO_TIMEOUT:
+        return
+    copter.radio_known, copter.radio_failed = False, True
     action = RADIO_LOSS.get(p.integer("FS_THR_ENABLE"), LAND)
     options = p.integer("FS_OPTIONS")
     if action is None:
@@ -134,22 +144,24 @@ def _watch_battery(copter: ArduPilotState) -> None:
         if level > copter.battery_level and v.now - since >= p["BATT_LOW_TIMER"]:
             copter.battery_level = level
             v.text(WARNING, f"Battery 1 is {word} {v.voltage:.2f}V used {5000 - left:.0f} mAh")
+            if not v.landed:
+                v.text(WARNING, "Battery Failsafe")
             action = BATTERY.get(p.integer(f"BATT_FS_{key}_ACT"))
             if action is not None and not v.landed:
                 modes.fail_to(copter, action)
 
 
 def _watch_position(copter: ArduPilotState) -> None:
-    """Without GPS: dead reckoning (FS_DR_ENABLE), then an estimator failure (FS_EKF_ACTION)."""
+    """Without GPS: an estimator failure (FS_EKF_ACTION), once."""
     v, p = copter.v, copter.v.parameters
     if copter.position_lost_at is None:
         copter.position_lost_at = v.now
-        action = DEAD_RECKONING.get(p.integer("FS_DR_ENABLE"))
-        if action is not None and not v.landed and v.local_valid:
-            v.text(WARNING, "Dead Reckoning started")
-            modes.fail_to(copter, action)
-    timeout = 1.0 if not v.local_valid else p["FS_DR_TIMEOUT"]
+    timeout = 1.0 if not v.local_valid else _ESTIMATOR_TIMEOUT
     if v.now - copter.position_lost_at > timeout and copter.mode != LAND:
-        v.text(CRITICAL, "EKF Failsafe")
+        copter.position_lost_at = math.inf
+        v.text(CRITICAL, "EKF variance")
         if p.integer("FS_EKF_ACTION") in {1, 3} and not v.landed:
+            v.text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
             modes.fail_to(copter, LAND)
+        else:
+            v.text(CRITICAL, "EKF Failsafe")

@@ -10,8 +10,10 @@ from sitl.autopilots.mission_flight import DONE, LANDING, RETURNING
 
 
 def _land(copter: ArduPilotState) -> None:
-    """Descend, faster above LAND_ALT_LOW over home."""
+    """Descend, faster above LAND_ALT_LOW over home; a failsafe's landing waits before it."""
     v, p = copter.v, copter.v.parameters
+    if v.now < copter.descend_at:
+        return
     home = v.home[2] if v.home is not None else v.origin[2]
     high = float(v.estimated()[2] - home) > p["LAND_ALT_LOW"] / 100.0
     rate = p["WPNAV_SPEED_DN"] if high else p["LAND_SPEED"]

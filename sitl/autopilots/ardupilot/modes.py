@@ -9,6 +9,8 @@ from sitl.protocol.links import ACCEPTED, FAILED
 
 _RELEASE_GRIPPER = 32
 """FS_OPTIONS."""
+_LAND_PAUSE = 4.0
+"""Seconds for which a failsafe's landing hovers first (LAND_WITH_DELAY_MS in its source)."""
 
 
 def change(copter: ArduPilotState, number: int, *, failsafe: bool = False) -> int:
@@ -27,6 +29,7 @@ def change(copter: ArduPilotState, number: int, *, failsafe: bool = False) -> in
         return FAILED
     copter.mode = number
     copter.failsafe = failsafe
+    copter.descend_at = v.now + _LAND_PAUSE if failsafe and number == LAND else v.now
     v.environment.event("mode", v.system, mode=mode.name, failsafe=failsafe)
     _begin(copter)
     return ACCEPTED
@@ -68,7 +71,8 @@ def _begin(copter: ArduPilotState) -> None:
     if copter.mode == AUTO:
         copter.submode = "" if v.landed else "auto"
     elif copter.mode == LAND:
-        controller_goals.descend(v, p["LAND_SPEED"] / 100.0, steer=v.local_valid)
+        rate = p["LAND_SPEED"] / 100.0 if v.now >= copter.descend_at else 0.0
+        controller_goals.descend(v, rate, steer=v.local_valid)
 
 
 def cruise(copter: ArduPilotState) -> None:

@@ -36,7 +36,7 @@ class ArduPilotState:
         self.failsafe = False
         self.landing = False
         self.submode = ""
-        self.setpoint_at = -math.inf
+        self.setpoint_at = self.descend_at = -math.inf
         self.takeoff_at = -math.inf
         self.takeoff_height = self.takeoff_from = 0.0
         self.idle_since = 0.0
@@ -47,7 +47,8 @@ class ArduPilotState:
         self.accepted_mask: int | None = None
         self.gcs_connected = self.gcs_lost = False
         self.checked = (-math.inf, False)
-        self.radio_known = False
+        self.radio_known = self.radio_failed = False
+        self.radio_lost_at: float | None = None
         self.outside_fences = 0
         self.v.mission_progress = MissionProgress(first=1)
         self.battery_level = 0
@@ -68,7 +69,8 @@ class ArduPilotState:
     @property
     def failsafe_active(self) -> bool:
         """Whether HEARTBEAT reports an active failsafe, in flight or not."""
-        return self.failsafe or self.gcs_lost
+        reported = self.gcs_lost or self.radio_failed or self.battery_level > 0
+        return self.failsafe or reported
 
     @property
     def taking_off(self) -> bool:

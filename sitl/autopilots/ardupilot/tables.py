@@ -37,7 +37,6 @@ FENCE = {0: None, 1: RTL, 2: LAND, 3: RTL, 4: BRAKE, 5: LAND}
 """FENCE_ACTION."""
 BATTERY = {0: None, 1: LAND, 2: RTL, 3: RTL, 4: LAND, 6: LAND, 7: BRAKE}
 """BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
-DEAD_RECKONING = {0: None, 1: LAND, 2: RTL, 3: RTL, 4: LAND, 5: LAND}
 """FS_DR_ENABLE."""
 
 PARAMETERS: dict[str, float | int] = {

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from sitl.autopilots import controller_goals
 from sitl.autopilots.px4 import modes
-from sitl.autopilots.px4.state import CRITICAL, Px4State
+from sitl.autopilots.px4.state import CRITICAL, INFO, Px4State
 from sitl.autopilots.px4.tables import BY_NUMBER
 from sitl.protocol.links import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, Command
 
@@ -67,7 +67,10 @@ def _jump(px4: Px4State, command: Command) -> int:
 
 
 def _land(px4: Px4State, _: Command) -> int:
-    return modes.change(px4, "LAND")
+    result = modes.change(px4, "LAND")
+    if result == ACCEPTED:
+        px4.v.text(INFO, "Landing at current position\t")
+    return result
 
 
 def _return(px4: Px4State, _: Command) -> int:

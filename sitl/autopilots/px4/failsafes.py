@@ -7,7 +7,7 @@
 import math
 
 from sitl.autopilots.px4 import checks, modes
-from sitl.autopilots.px4.state import CRITICAL, INFO, WARNING, Px4State
+from sitl.autopilots.px4.state import CRITICAL, EMERGENCY, INFO, Px4State
 from sitl.autopilots.px4.tables import BATTERY, GEOFENCE, LINK_LOSS
 
 _NO_STICKS = 4
@@ -24,11 +24,14 @@ def watch_battery(px4: Px4State) -> None:
     thresholds = (p["BAT_LOW_THR"], p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"])
     level = sum(v.charge < threshold for threshold in thresholds)
     if level > px4.battery_level:
-        label = ("Low battery level", "Critical battery level", "Dangerous battery level")
-        v.text(WARNING if level == 1 else CRITICAL, f"{label[level - 1]}\t")
+        label = ("Low battery", "Critical battery", "Emergency battery level")
+        v.text(EMERGENCY, f"{label[level - 1]}\t")
         action = BATTERY[p.integer("COM_LOW_BAT_ACT") % 4][max(level - 2, 0)]
         if v.armed and level >= 2 and action and level > px4.battery_at_arming:
             modes.trigger(px4, action)
+        elif v.armed:
+            # a warning is a failsafe without an action, and is reported as the others are
+            v.text(CRITICAL, "Failsafe activated\t")
     px4.battery_level = max(level, px4.battery_level if v.armed else 0)
 
 
@@ -38,12 +41,13 @@ def watch_ground_station(px4: Px4State) -> None:
     latest = max(v.last_heartbeat.values(), default=-math.inf)
     lost = v.now - latest > p["COM_DL_LOSS_T"] + _ALIVE
     if not lost and not px4.gcs_connected:
+        v.muted = False
         if px4.gcs_known:
             v.text(INFO, "GCS connection regained\t")
         px4.gcs_connected = px4.gcs_known = True
     elif lost and px4.gcs_connected:
         px4.gcs_connected = False
-        v.text(INFO, "Connection to ground station lost\t")
+        v.muted = True
         if v.armed:
             _link_lost(px4, "NAV_DLL_ACT", "COM_DLL_EXCEPT")
 
@@ -60,8 +64,7 @@ def watch_radio(px4: Px4State) -> None:
         if px4.radio_lost_at is None:
             px4.radio_lost_at = v.now
         if v.now - px4.radio_lost_at >= p["COM_RC_LOSS_T"]:
-            px4.radio_known = False
-            v.text(CRITICAL, "Manual control lost\t")
+            px4.radio_known = False  # an event says so, no text
             if p.integer("COM_RC_IN_MODE") != _NO_STICKS:
                 _link_lost(px4, "NAV_RCL_ACT", "COM_RCL_EXCEPT")
 
