@@ -98,14 +98,22 @@ class Sinking:
 def deepest_sinking(plan: Plan) -> Sinking | None:
     """Return the largest vertical error by downwash alone while the cable is off the floor.
 
-    Air that comes down through a rotor at speed w reduces its thrust by w / 2v at the same power, v
-    the induced speed (Leishman 2006, 2.13, for a slow climb); here by at most half. The autopilot
-    responds with _DENOMINATOR. Where several jets meet, the largest speed counts. None where no
-    vehicle passes below another.
+    None where no vehicle passes below another. See :func:`sinkings`.
+    """
+    return max(sinkings(plan, LEAST_SINKING), key=lambda found: found.depth, default=None)
+
+
+def sinkings(plan: Plan, least: float) -> list[Sinking]:
+    """Return vertical errors by downwash alone of ``least`` metres or more, cable off the floor.
+
+    One for each vehicle and each time in which it is so low. Air that comes down through a rotor at
+    speed w reduces its thrust by w / 2v at the same power, v the induced speed (Leishman 2006,
+    2.13, for a slow climb); here by at most half. The autopilot responds with _DENOMINATOR. Where
+    several jets meet, the largest speed counts.
     """
     held = [phase for phase in plan.phases if phase.cable in {"lifting", "aloft"}]
     if not held or plan.vehicles < 2:
-        return None
+        return []
     time = np.arange(held[0].start, held[-1].end, STEP)
     position = plan.motion.at(time)[0]
     speeds = np.empty(position.shape[:2])
@@ -117,21 +125,26 @@ def deepest_sinking(plan: Plan) -> Sinking | None:
         speeds[:, k] = blown.max(axis=1)
     lost = np.minimum(0.5, speeds / (2.0 * induced_speed(plan.mission))) * STANDARD_GRAVITY
     depth = _error(lost)
-    instant, vehicle = np.unravel_index(np.argmax(depth), depth.shape)
-    if depth[instant, vehicle] < LEAST_SINKING:
-        return None
-    # The air is fastest up to 1.5 s before the vehicle is lowest, by the transfer function.
-    before = slice(max(0, int(instant) - int(1.5 / STEP)), int(instant) + 1)
-    worst = before.start + int(np.argmax(speeds[before, vehicle]))
-    above = int(sources[worst, vehicle])
-    return Sinking(
-        depth=float(depth[instant, vehicle]),
-        vehicle=int(vehicle),
-        above=above,
-        below=float(position[worst, above, 2] - position[worst, vehicle, 2]),
-        speed=float(speeds[worst, vehicle]),
-        time=float(time[worst]),
-    )
+    found = []
+    for vehicle, below in enumerate((depth >= least).T):
+        changes = np.flatnonzero(np.diff(below, prepend=False, append=False))
+        for begin, end in changes.reshape(-1, 2):
+            instant = int(begin + np.argmax(depth[begin:end, vehicle]))
+            # The air is fastest up to 1.5 s before the vehicle is lowest, by the transfer function.
+            before = slice(max(0, instant - int(1.5 / STEP)), instant + 1)
+            worst = before.start + int(np.argmax(speeds[before, vehicle]))
+            above = int(sources[worst, vehicle])
+            found.append(
+                Sinking(
+                    depth=float(depth[instant, vehicle]),
+                    vehicle=vehicle,
+                    above=above,
+                    below=float(position[worst, above, 2] - position[worst, vehicle, 2]),
+                    speed=float(speeds[worst, vehicle]),
+                    time=float(time[worst]),
+                )
+            )
+    return found
 
 
 def _error(disturbance: Floats) -> Floats:

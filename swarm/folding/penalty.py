@@ -37,7 +37,10 @@ _BATCH = 4000
 
 @dataclass(frozen=True, eq=False)
 class ExtraMargins:
-    """Metres (s,) that moments must keep beyond the margins, each named after its check."""
+    """Metres (s,) that moments must keep beyond the margins, each named after its check.
+
+    ``jet`` makes the jets of vehicles above wider, which are avoided without a margin.
+    """
 
     cable: Floats
     neighbour: Floats
@@ -45,6 +48,7 @@ class ExtraMargins:
     vehicle_cable: Floats
     rotor_disc: Floats
     chord: Floats
+    jet: Floats
 
     def __getitem__(self, moments: Ints | slice) -> "ExtraMargins":
         return ExtraMargins(*(getattr(self, each.name)[moments] for each in fields(self)))
@@ -105,7 +109,7 @@ class TeamGeometry:
         penalize_strands_at_vehicles(team, signs.vehicles, extra.vehicle_cable, model, total)
         penalize_vehicles(positions, extra.vehicle, margins, total)
         if preferences:
-            penalize_downwash(positions, margins, total)
+            penalize_downwash(positions, extra.jet, margins, total)
         self._penalize_chords(positions, strands, extra.chord, total)
         for end in (0, 1):
             self._penalize_discs(positions, strands, end, extra.rotor_disc, total)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from swarm.certification.air import sinkings
 from swarm.certification.assessment import Assessment, Robustness
 from swarm.certification.budget import least_remaining
 from swarm.certification.certificate import (
@@ -166,10 +167,10 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
             elif kept and _fold_time(paced.plan) > _LONGER * _fold_time(kept[0].paced.plan):
                 candidate = None
             else:
-                short = _short_budget(paced.plan)
-                kept.append(_Kept(paced, max((one.metres for one in short), default=0.0)))
+                sinking = _sinking(paced.plan) if searched else []
+                kept.append(_Kept(paced, _short_budget(paced.plan), sinking))
                 more = len(kept) <= _BUDGET_ROUNDS
-                candidate = _led_apart(candidate, short) if more else None
+                candidate = _led_apart(candidate, kept[-1].shortfalls) if more else None
             if candidate is None and not kept:
                 notes += _why_not(failures) if searched else ()
                 candidate = next(proposals, None)
@@ -223,8 +224,8 @@ def _shortfall(moment: Moment) -> Shortfall:
 
 
 def _least_short(kept: Sequence["_Kept"]) -> "_Kept":
-    """Return the plan whose budget is short by the least."""
-    return min(kept, key=lambda one: one.short)
+    """Return the plan whose budget is short by the least, and of these with the least sinking."""
+    return min(kept, key=lambda one: (_most(one.budget), _most(one.sinking)))
 
 
 def _fold_time(plan: Plan) -> float:
@@ -234,10 +235,20 @@ def _fold_time(plan: Plan) -> float:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A plan that keeps all clearances, and by how many metres its budget is short at most."""
+    """A plan that keeps all clearances, and where its ``budget`` is short.
+
+    ``sinking`` is where a vehicle sinks in the jet of another by more than the tracking radius;
+    only searched motions are repaired for that.
+    """
 
     paced: PacedPlan
-    short: float
+    budget: Sequence[Shortfall]
+    sinking: Sequence[Shortfall] = ()
+
+    @property
+    def shortfalls(self) -> list[Shortfall]:
+        """What a repair should mend."""
+        return [*self.budget, *self.sinking]
 
 
 def _short_budget(plan: Plan) -> list[Shortfall]:
@@ -249,11 +260,22 @@ def _short_budget(plan: Plan) -> list[Shortfall]:
     return [Shortfall(moment.check, moment.time, moment.metres) for moment in moments]
 
 
+def _sinking(plan: Plan) -> list[Shortfall]:
+    """Return where vehicles sink in the jets of others by more than they may be off."""
+    allowed = plan.mission.vehicles.tracking
+    found = sinkings(plan, allowed) if allowed else []
+    return [Shortfall("downwash", one.time, one.depth - allowed) for one in found]
+
+
+def _most(shortfalls: Sequence[Shortfall]) -> float:
+    return max((one.metres for one in shortfalls), default=0.0)
+
+
 def _slowed_for_budget(kept: _Kept) -> _Kept:
     """Return the plan, slowed where its budget is short, while that makes it less so."""
     longest = _LONGER * _fold_time(kept.paced.plan)
     for _ in range(_SLOWED):
-        tube = swing_tube(kept.paced.plan) if kept.short > 0.0 else None
+        tube = swing_tube(kept.paced.plan) if kept.budget else None
         short = short_moments(kept.paced.plan, tube) if tube else ()
         if not short:
             break
@@ -264,8 +286,8 @@ def _slowed_for_budget(kept: _Kept) -> _Kept:
             break
         if violations(paced.plan):
             break
-        left = max((one.metres for one in _short_budget(paced.plan)), default=0.0)
-        if left >= kept.short:
+        left = _short_budget(paced.plan)
+        if _most(left) >= _most(kept.budget):
             break
         kept = _Kept(paced, left)
     return kept

@@ -16,6 +16,7 @@ REPAIRABLE = {
     "vehicle-cable clearance": "vehicle_cable",
     "rotor disc": "rotor_disc",
     "taut": "chord",
+    "downwash": "jet",
 }
 """Check of the certificate → the margin of the schedule that a repair enlarges."""
 

@@ -74,7 +74,9 @@ def _pictures(plan: Plan, assessment: Assessment) -> list[Picture]:
     if plan.knot.grid_columns:
         figure, axes = plots.new_axes()
         plots.draw_grid(axes, plan.knot, plan.layout)
-        pictures.append(picture(figure, "Grid diagram of the knot, numbered like the plan view"))
+        folded = plots.grid_places(plan.knot, plan.layout) is not None
+        words = "numbered like the plan view" if folded else "which this layout does not follow"
+        pictures.append(picture(figure, f"Grid diagram of the knot, {words}"))
     figure, axes = plots.new_axes()
     plots.draw_plan_view(axes, plan.layout)
     pictures.append(picture(figure, "The cable from above; under strands have gaps"))

@@ -159,7 +159,9 @@ def draw_grid(axes: Axes, knot: KnotSummary, layout: KnotLayout | None = None) -
         _label_vehicles(axes, places.astype(np.float64))
     axes.set(xlim=(-0.5, size - 0.5), ylim=(-0.5, size - 0.5), aspect="equal", xticks=[], yticks=[])
     axes.set_frame_on(False)
-    axes.set_title(f"Grid diagram {size}×{size}")
+    # A searched layout, and given corners, are not those of the diagram.
+    other = layout is not None and places is None
+    axes.set_title(f"Grid diagram {size}×{size}{', not folded' if other else ''}")
 
 
 def grid_columns(knot: KnotSummary) -> npt.NDArray[np.intp]:

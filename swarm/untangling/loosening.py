@@ -1,5 +1,7 @@
 """A first move out of a tight knot: all vehicles at once, to where margins are larger."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
@@ -7,7 +9,6 @@ from scipy.optimize import minimize
 from swarm.folding.crossing_constraints import free_signs
 from swarm.folding.penalty import (
     KEPT,
-    ExtraMargins,
     TeamGeometry,
     missed_margins,
     no_extra_margins,
@@ -38,7 +39,7 @@ def loosened(team: TeamGeometry, positions: Floats) -> Floats:
     """
     none = no_extra_margins(1)
     extra = np.full(1, _EXTRA)
-    wanted = ExtraMargins(extra, none.neighbour, extra, extra, none.rotor_disc, none.chord)
+    wanted = replace(none, cable=extra, vehicle=extra, vehicle_cable=extra)
     signs, start = free_signs(1, len(team.lengths)), positions.ravel()
 
     def cost(flat: Floats) -> tuple[float, Floats]:

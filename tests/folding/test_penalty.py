@@ -121,7 +121,7 @@ def test_extra_margins_apply_to_their_moments_only() -> None:
         assert free == 0.0 < kept
 
 
-FIELDS = ("cable", "neighbour", "vehicle", "vehicle_cable", "rotor_disc", "chord")
+FIELDS = ("cable", "neighbour", "vehicle", "vehicle_cable", "rotor_disc", "chord", "jet")
 
 
 @pytest.mark.parametrize("margins", [EXACT, ERRING])
