@@ -225,7 +225,7 @@ def _shortfall(moment: Moment) -> Shortfall:
 
 def _least_short(kept: Sequence["_Kept"]) -> "_Kept":
     """Return the plan whose budget is short by the least, and of these with the least sinking."""
-    return min(kept, key=lambda one: (_most(one.budget), _most(one.sinking)))
+    return min(kept, key=lambda one: (_total(one.budget), _total(one.sinking)))
 
 
 def _fold_time(plan: Plan) -> float:
@@ -267,8 +267,9 @@ def _sinking(plan: Plan) -> list[Shortfall]:
     return [Shortfall("downwash", one.time, one.depth - allowed) for one in found]
 
 
-def _most(shortfalls: Sequence[Shortfall]) -> float:
-    return max((one.metres for one in shortfalls), default=0.0)
+def _total(shortfalls: Sequence[Shortfall]) -> float:
+    """Return the sum: the largest does not tell one short moment from a thousand."""
+    return sum(one.metres for one in shortfalls)
 
 
 def _slowed_for_budget(kept: _Kept) -> _Kept:
@@ -287,7 +288,7 @@ def _slowed_for_budget(kept: _Kept) -> _Kept:
         if violations(paced.plan):
             break
         left = _short_budget(paced.plan)
-        if _most(left) >= _most(kept.budget):
+        if _total(left) >= _total(kept.budget):
             break
         kept = _Kept(paced, left)
     return kept

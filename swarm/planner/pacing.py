@@ -13,6 +13,7 @@ import scipy
 
 from swarm.certification.stream_loss import StreamLossCertificate, sampled_rates
 from swarm.certification.swing_runs import model_of
+from swarm.certification.swing_tube import BIN
 from swarm.geometry.motion import Motion
 from swarm.planning import Plan, fold_of, usable_acceleration, with_fold
 from swarm.planning.plan import Phase
@@ -30,6 +31,10 @@ smoothing: half a second, and 0.4 s; the shaper smooths further."""
 
 _SWING_AROUND, _SWING_SMOOTHING = 61, 20.0
 """The same for the swing: a rate that changes within a period would excite swing itself."""
+
+_STOP_BEFORE, _STOP_AFTER = 2, 8
+"""Intervals of the tube before and after one that slow with it for stops, 1 s and 4 s: an urgent
+stop that swings a strand begins at most a second before, a rewind a few seconds after."""
 
 _LOSS_STEP, _LOSS_MARGIN = 0.25, 0.02
 """Seconds between sampled losses, and metres of margin that the certificate needs between them."""
@@ -143,9 +148,15 @@ def slowed_for_stops(paced: PacedPlan, times: Floats, excess: Floats) -> PacedPl
     """
     if paced.pacing is None:
         return paced
-    order = np.argsort(times, kind="stable")
-    since = times[order] - paced.plan.phase("fold").start
-    pacing = paced.pacing.slowed_for_swing(since, excess[order] ** (1.0 / _SWING_EXPONENT))
+    fold = paced.plan.phase("fold")
+    grid = np.arange(0.0, fold.end - fold.start + BIN, BIN)
+    most = np.ones(len(grid))
+    bins = np.rint((times - fold.start) / BIN).astype(np.intp)
+    np.maximum.at(most, np.clip(bins, 0, len(grid) - 1), excess)
+    before, after = _STOP_BEFORE, _STOP_AFTER
+    padded = np.pad(most, (after, before), constant_values=1.0)
+    most = np.lib.stride_tricks.sliding_window_view(padded, before + after + 1).max(axis=1)
+    pacing = paced.pacing.slowed_for_swing(grid, most ** (1.0 / _SWING_EXPONENT))
     return _timed(paced.plan, _limited_for_loss(paced.plan, pacing))
 
 
