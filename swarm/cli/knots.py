@@ -82,10 +82,11 @@ def knots(
     --plan plans and certifies every prime knot to ten crossings, and some sums and torus knots,
     with the default mission (and --set). It prints vehicles, cable, fold time, clearances, e*, w*,
     the budget (a negative one is not refused), processor time, and the attempts for knots that are
-    not cleared. Exit code 1 if a knot is not cleared.
+    not cleared. With --vehicles fewest it searches each knot's fewest vehicles; --to keeps a row
+    per knot as it comes, and an interrupted run goes on from there. Exit code 1 if a knot is not
+    cleared.
 
-    Examples: swarm knots 8_18 --plot 8_18.png;
-    swarm knots --plan --vehicles fewest --to table.jsonl
+    Example: swarm knots 8_18 --plot 8_18.png
     """
     if planning:
         if name or plot or whole_table:

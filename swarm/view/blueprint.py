@@ -43,7 +43,7 @@ def flight_blueprint(plan: Plan, *, live: bool) -> rrb.Blueprint:
                 _curves("error", "Tracking error (m)"),
                 rrb.Tabs(
                     _curves("margin", "Margin above the required (m)", legend=True),
-                    _curves("swing", "Swing of the cable, estimated (m)"),
+                    _curves("swing", "Estimated swing of the cable (m)"),
                 ),
                 _curves("rate", "Mission clock rate", (-1.1, 1.1)),
                 rrb.Tabs(
