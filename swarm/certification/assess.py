@@ -155,8 +155,8 @@ def _scope(plan: Plan) -> Finding:
     model = "in the quasi-static cable model"
     if certified_tube(plan) is not None:
         model = (
-            "in the swinging-cable model for the planned motion and an ordinary stop at any "
-            f"moment of the fold, {model}"
+            "in the swinging-cable model for the planned motion and one stop, rewind or resume at "
+            f"any moment of the fold, {model}"
         )
     return Finding(
         "info",

@@ -1,4 +1,4 @@
-"""Findings on the swing of the cable: in the planned motion, and after a stop."""
+"""Findings on the swing of the cable: as planned, and after changes of the clock's rate."""
 
 import numpy as np
 import numpy.typing as npt
@@ -25,11 +25,12 @@ def swing_findings(plan: Plan, tube: SwingTube | None) -> list[Finding]:
     largest, time = float(planned.max()), float(tube.times[moment])
     tracking, limit = plan.mission.vehicles.tracking, plan.mission.fold.swing
     share = float((planned.max(axis=1) > max(tracking, 0.1)).mean())
+    changes = ", ".join(f"{name} {stray:.2f} m" for name, stray in tube.changed.items())
     message = (
         f"a cable with inertia swings up to {largest:.2f} m away from its catenary "
         f"({segment_name(int(segment))}) in the planned motion, in {share:.0%} of the time more "
-        f"than {max(tracking, 0.1):g} m, and {tube.stopped.max():.2f} m after an ordinary stop at "
-        f"any moment; with the errors of the model at most {tube.largest:.2f} m"
+        f"than {max(tracking, 0.1):g} m; after a change of the clock's rate, at any moment: "
+        f"{changes}; with the errors of the model at most {tube.largest:.2f} m"
     )
     if limit != "auto" and largest > limit:
         return [Finding("error", "swing", f"{message}; fold.swing allows {limit:g} m", time)]

@@ -46,7 +46,7 @@ class Course:
     """A change of the clock's rate, followed for ``duration`` seconds.
 
     It is simulated from beginnings ``apart`` seconds of mission time from each other; where the
-    rate is 0, with the cable at rest.
+    rate is 0, with the cable at rest. Courses of one name are stated together.
     """
 
     name: str
@@ -60,8 +60,8 @@ class Course:
 COURSES = (
     Course("urgent stop", 1.0, 0.0, True, 6.0, 0.5),
     Course("ordinary stop", 1.0, 0.0, False, 6.0, 2.0),
-    Course("rewind", 1.0, -1.0, True, 6.0, 0.3),
-    Course("long rewind", 1.0, -1.0, True, 20.0, 4.0),
+    Course("urgent rewind", 1.0, -1.0, True, 6.0, 0.3),
+    Course("urgent rewind", 1.0, -1.0, True, 20.0, 4.0),
     Course("resume", 0.0, 1.0, False, 6.0, 2.0),
 )
 """What the clock may do. Strays are largest within a period, about 2 s, after the clock has reached

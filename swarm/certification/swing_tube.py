@@ -40,6 +40,9 @@ MODEL_ERROR = 0.006
 """Metres by which a finer chain strays farther: 2 mm with 96 links and 2.5 ms in the default
 missions with fold.swing, 6 mm in the overhand without."""
 
+_PLANNED = "planned motion"
+"""Name of the motion without a change of the clock's rate, beside those of courses."""
+
 _LAST = round(SETTLING / (EVERY * STEP))
 """Compared moments at the end of a stop that show the amplitudes."""
 
@@ -51,16 +54,16 @@ _LEAVES = 8
 class SwingTube:
     """Radii of the tube in metres, constant over BIN seconds from ``start``.
 
-    ``planned`` and ``stopped`` (k, n − 1) are the simulated strays in the planned motion and after
-    changes of the clock's rate, ``radius`` (k, n − 1, 16) the radius of each dyadic piece by its
-    heap number (1: the whole strand; finest: eighths). ``close`` are the pairs of strands that are
-    near each other in the middles of the intervals, ``approach`` (r,) how much nearer they come as
-    both swing, with the same bounds.
+    ``planned`` (k, n − 1) are the simulated strays in the planned motion, ``changed`` the largest
+    stray after each change of the clock's rate, by its name; ``radius`` (k, n − 1, 16) is the
+    radius of each dyadic piece by its heap number (1: the whole strand; finest: eighths). ``close``
+    are the pairs of strands that are near each other in the middles of the intervals, ``approach``
+    (r,) how much nearer they come as both swing, with the same bounds.
     """
 
     start: float
     planned: Floats = field(repr=False)
-    stopped: Floats = field(repr=False)
+    changed: dict[str, float]
     radius: Floats = field(repr=False)
     close: ClosePairs = field(repr=False)
     approach: Floats = field(repr=False)
@@ -160,30 +163,27 @@ def _tube_of(named: _Named) -> SwingTube | None:
     middles = np.asarray(span[0] + BIN * (np.arange(count) + 0.5), dtype=np.float64)
     close = close_pairs(plan, middles, exempt_length(plan))
     approach = np.zeros(len(close.bins))
-    planned, stopped = np.empty(0), np.empty(0)
+    found: dict[str, Floats] = {}
     for swung in swings(plan, span):
-        if not planned.size:
-            planned, stopped = np.zeros((2, count, *swung.strays.shape[2:4]))
         bins = np.minimum(((swung.times - span[0]) / BIN).astype(np.intp), count - 1)
-        most = planned if swung.course is None else stopped
+        name = swung.course.name if swung.course else _PLANNED
+        most = found.setdefault(name, np.zeros((count, *swung.strays.shape[2:4])))
         for one, strays in zip(bins, swung.strays, strict=True):
             collect_distances(one, strays, most)
             collect_approaches(close, one, strays, approach)
             if swung.course is not None and swung.course.target == 0.0:
                 collect_settling(close, int(one[-1]), strays[-_LAST:], approach)
     approach = (1.0 + BETWEEN_SAMPLES) * approach + 2.0 * (BETWEEN_STOPS + MODEL_ERROR)
-    return _tube(span[0], planned, stopped, close, approach)
+    return _tube(span[0], found, close, approach)
 
 
-def _tube(
-    start: float, planned: Floats, stopped: Floats, close: ClosePairs, approach: Floats
-) -> SwingTube:
-    """Return the tube of the largest strays (k, n − 1, links + 1) in each interval.
+def _tube(start: float, found: dict[str, Floats], close: ClosePairs, approach: Floats) -> SwingTube:
+    """Return the tube of the largest strays (k, n − 1, links + 1) in each interval, by motion.
 
     A stop between two simulated ones passes through each mission time at most half an interval from
     where one of them does: the intervals before and after count, too.
     """
-    most = np.maximum(planned, stopped)
+    most = np.maximum.reduce(list(found.values()))
     wide = np.pad(most, ((1, 1), (0, 0), (0, 0)), mode="edge")
     most = np.maximum(most, np.maximum(wide[:-2], wide[2:]))
     links = (most.shape[2] - 1) // _LEAVES
@@ -196,10 +196,9 @@ def _tube(
         parts = slice(2 * number, 2 * number + 2)
         radius[:, :, number] = radius[:, :, parts].max(axis=2)
         least[:, :, number] = least[:, :, parts].min(axis=2)
-    return SwingTube(
-        start, planned.max(axis=2), stopped.max(axis=2), radius, close, approach,
-        _range_maxima(radius), least,
-    )  # fmt: skip
+    planned = found[_PLANNED].max(axis=2)
+    changed = {name: float(strays.max()) for name, strays in found.items() if name != _PLANNED}
+    return SwingTube(start, planned, changed, radius, close, approach, _range_maxima(radius), least)
 
 
 def _range_maxima(values: Floats) -> Floats:

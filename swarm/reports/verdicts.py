@@ -56,7 +56,9 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
         f"{head}: {subject}, {errors}. Not certified: {beside}, gusts, rotor wash{short}, friction."
     )
     model = (
-        "swinging-cable model (planned motion, stops)" if swinging else "quasi-static cable model"
+        "swinging-cable model (planned motion, one stop, rewind or resume)"
+        if swinging
+        else "quasi-static cable model"
     )
     details = (
         f"Certified in the {model}. Not certified: {beside}, gusts, rotor wash, friction, segment "

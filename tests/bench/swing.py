@@ -51,8 +51,8 @@ def main() -> None:
         fold, rows = plan.phase("fold"), planned.assessment.budget
         print(
             f"{name}: stray {strays.max():.3f} m ({REQUIRED.get(name, np.nan):.2f} m asked), inside "
-            f"the tube at {inside:.1%} of {len(times)} moments, after stops up to "
-            f"{tube.stopped.max():.3f} m; budget {min(row.remaining for row in rows):+.3f} m; "
+            f"the tube at {inside:.1%} of {len(times)} moments, after changes of the rate up to "
+            f"{max(tube.changed.values()):.3f} m; budget {min(row.remaining for row in rows):+.3f} m; "
             f"cable {plan.layout.lengths.sum():.1f} m, fold {fold.end - fold.start:.1f} s; "
             f"cleared: {planned.certificate.cleared}",
             flush=True,

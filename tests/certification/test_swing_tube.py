@@ -132,13 +132,16 @@ def test_courses_are_those_of_the_mission_clock(shaped: Plan, course: Course) ->
     assert found[1:] == pytest.approx(expected, abs=1e-3)
 
 
-def test_strands_come_no_nearer_than_the_approach_states(shaped: Plan, tube: SwingTube) -> None:
-    # the same pairs at the same moments, in a stop that begins between the simulated ones
+@pytest.mark.parametrize("course", [COURSES[0], COURSES[2]], ids=lambda course: course.name)
+def test_strands_come_no_nearer_than_the_approach_states(
+    shaped: Plan, tube: SwingTube, course: Course
+) -> None:
+    # the same pairs at the same moments, in a change that begins between the simulated ones
     close, lengths = tube.close, shaped.layout.lengths
     limits = clock_limits(shaped.motion, shaped.mission.vehicles.braking_acceleration)
     model = replace(model_of(shaped), links=36, step=0.01)
     begin = shaped.phase("fold").start + 31.3
-    times = flown(shaped, begin, model.step)
+    times = flown(shaped, begin, model.step, course)
     assert limits.at(begin, urgent=True) > limits.at(begin, urgent=False)
     ends = shaped.motion.at(times)[0]
     joints = swing(ends, lengths, model, 10)
@@ -184,7 +187,7 @@ def test_bounds_over_an_interval_are_those_of_its_moments(
 
 def test_a_shaped_fold_keeps_its_limit(shaped: Plan, tube: SwingTube) -> None:
     assert 0.02 < tube.planned.max() <= 0.06
-    assert tube.stopped.max() > tube.planned.max()
+    assert max(tube.changed.values()) > tube.planned.max()
     assert tube.start == pytest.approx(shaped.phase("fold").start)
     assert tube.times[-1] == pytest.approx(shaped.phase("hold").end, abs=BIN)
 
@@ -207,6 +210,8 @@ def test_the_finding_is_an_error_beyond_the_limit(
     assert found.severity == severity
     assert ("fold.swing allows 0.005 m" in found.message) is (severity == "error")
     assert f"with the errors of the model at most {tube.largest:.2f} m" in found.message
+    assert "at any moment: urgent stop 0." in found.message
+    assert f"urgent rewind {tube.changed['urgent rewind']:.2f} m, resume 0." in found.message
 
 
 def test_the_finding_names_segment_and_time(shaped: Plan, tube: SwingTube) -> None:
