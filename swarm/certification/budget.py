@@ -21,7 +21,14 @@ from swarm.certification.air import (
 from swarm.certification.approaches import PIECES
 from swarm.certification.clearances import STILL_AIR, Moment, Place
 from swarm.certification.compared_pairs import all_pairs, exempt_length
-from swarm.certification.excitation import DEVIATIONS, STEP, Variances, modes, variances_along
+from swarm.certification.excitation import (
+    DEVIATIONS,
+    STEP,
+    Variances,
+    modes,
+    speeds_across,
+    variances_along,
+)
 from swarm.certification.swing_tube import BIN, SwingTube, swing_tube
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.distance import polyline_polyline
@@ -229,10 +236,7 @@ def _excited(plan: Plan, time: float, strand: "_Strand", since: float) -> Varian
     past = np.arange(since, time, STEP)
     place, velocity, _ = plan.motion.at(past)
     ends = slice(strand.segment, strand.segment + 2)
-    chord = np.diff(place[:, ends], axis=1)[:, 0]
-    chord /= np.linalg.norm(chord, axis=1, keepdims=True)
-    mean = velocity[:, ends].mean(axis=1)
-    across = np.linalg.norm(mean - np.einsum("ki,ki->k", mean, chord)[:, None] * chord, axis=1)
+    across = speeds_across(place[:, ends], velocity[:, ends])
     drawn = solve_catenaries(strand.start[None], strand.end[None], np.array([strand.length]))
     drag = cable_model(cable.mass_per_length, cable.diameter).normal_drag
     at = strand.fraction, strand.normal

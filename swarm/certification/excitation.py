@@ -122,8 +122,39 @@ def variances_along(
     ``speeds`` (k,) those of the strand across the air before the moment, STEP seconds apart, since
     it came aloft at rest.
 
-    With the damping ratio ζ, the variance of a mode of frequency f approaches Γ²·S·πf / 4ζ
-    (Crandall and Mark 1963, 2.3) with the time constant 1 / 4πζf.
+    """
+    moving, held = modal_variances(found, tracking, drag, speeds)
+    weights = found.along(*at) ** 2
+    return Variances(float(weights @ moving), float(weights @ held))
+
+
+def speeds_across(places: Floats, velocities: Floats) -> Floats:
+    """Return the speeds (k,) of a strand across its chord, by its two ends (k, 2, 3), m/s."""
+    chord = np.diff(places, axis=1)[:, 0]
+    chord /= np.linalg.norm(chord, axis=1, keepdims=True)
+    mean = velocities.mean(axis=1)
+    across = mean - np.einsum("ki,ki->k", mean, chord)[:, None] * chord
+    found: Floats = np.linalg.norm(across, axis=1)
+    return found
+
+
+def largest_deviation(found: Modes, variances: Floats) -> float:
+    """Return the largest standard deviation of any joint in any direction, metres.
+
+    ``variances`` (k,) are those of the modes, as of :func:`modal_variances`.
+    """
+    spread = np.einsum("jxk,jyk,k->jxy", found.shapes, found.shapes, variances)
+    return math.sqrt(max(float(np.linalg.eigvalsh(spread).max()), 0.0))
+
+
+def modal_variances(
+    found: Modes, tracking: float, drag: float, speeds: Floats
+) -> tuple[Floats, Floats]:
+    """Return the variances (k,) of a strand's modes in motion, and after a long hold.
+
+    ``drag`` and ``speeds`` as for :func:`variances_along`. With the damping ratio ζ, the variance
+    of a mode of frequency f approaches Γ²·S·πf / 4ζ (Crandall and Mark 1963, 2.3) with the time
+    constant 1 / 4πζf.
     """
     frequency = found.frequencies
     drive = (found.participation**2).sum(axis=1) * density(frequency, tracking)
@@ -144,5 +175,4 @@ def variances_along(
         ratio = damping(moving, float(speed))
         rest = np.exp(-4.0 * math.pi * ratio * frequency * STEP)
         moving = moving * rest + drive / ratio * (1.0 - rest)
-    weights = found.along(*at) ** 2
-    return Variances(float(weights @ moving), float(weights @ held))
+    return moving, held

@@ -1,11 +1,13 @@
-"""The swing of the cable as estimated in a flight, beside the planned and the certified one."""
+"""The swing of the cable as estimated in a flight, beside the planned and the allowed one."""
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.allowed_swing import allowed_swing
 from swarm.certification.swing_tube import SwingTube, swing_tube
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
@@ -25,36 +27,39 @@ class LargestStray:
 @dataclass(frozen=True)
 class FlownSwing(LargestStray):
     """The same beside the plan's: ``planned`` is the largest stray of the planned motion,
-    ``certified`` the largest radius of the tube, with stops, rewinds and resumes; ``inside`` the
-    share of moments at which every strand was estimated inside the tube."""
+    ``allowed`` the largest that tube and budget allow; ``within`` the share of moments at which
+    every strand was estimated within what they allow it then."""
 
     planned: float
-    certified: float
-    inside: float
+    allowed: float
+    within: float
 
     @property
     def words(self) -> str:
         """The estimate, the plan, and the tube, in one line."""
+        moments = "all" if self.within == 1.0 else f"{math.floor(100.0 * self.within)} % of the"
         return (
             f"estimated up to {self.estimated:.2f} m (segment {self.segment} at "
-            f"{self.mission_time:.1f} s of the plan), {self.planned:.2f} m planned; "
-            f"inside the tube of up to {self.certified:.2f} m at {self.inside:.0%} of moments"
+            f"{self.mission_time:.1f} s of the plan), {self.planned:.2f} m planned; within what "
+            f"the budget allows, up to {self.allowed:.2f} m, at {moments} moments"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class SwingCurves:
     """Strays of the strands (k, n − 1) in metres at k moments of a flight, which are given in
-    mission ``time`` (k,): estimated, planned, and the radii of the tube."""
+    mission ``time`` (k,): estimated, planned, the radii of the tube, and what tube and budget
+    allow (:mod:`swarm.certification.allowed_swing`)."""
 
     time: Floats
     estimated: Floats
     planned: Floats
-    certified: Floats
+    tube: Floats
+    allowed: Floats
 
 
 def swing_curves(plan: Plan, trace: Trace) -> SwingCurves | None:
-    """Return what was estimated in a flight beside the plan's tube; None without an estimate."""
+    """Return what was estimated in a flight, planned and allowed; None without an estimate."""
     known = np.isfinite(trace.stray).all(axis=1) if trace.stray.shape[1] else np.empty(0, np.bool_)
     tube = swing_tube(plan) if known.any() else None
     if tube is None:
@@ -63,6 +68,7 @@ def swing_curves(plan: Plan, trace: Trace) -> SwingCurves | None:
     return SwingCurves(
         time, trace.stray[known], _planned(tube, time),
         np.stack([tube.strands(moment) for moment in time.tolist()]),
+        allowed_swing(plan, tube, time),
     )  # fmt: skip
 
 
@@ -85,8 +91,8 @@ def flown_swing(plan: Plan, trace: Trace) -> FlownSwing | None:
     return FlownSwing(
         **asdict(largest),
         planned=float(found.planned.max()),
-        certified=float(found.certified.max()),
-        inside=float((found.estimated <= found.certified).all(axis=1).mean()),
+        allowed=float(found.allowed.max()),
+        within=float((found.estimated <= found.allowed).all(axis=1).mean()),
     )
 
 

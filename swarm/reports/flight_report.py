@@ -113,7 +113,7 @@ def _pictures(plan: Plan, trace: Trace) -> list[Picture]:
     if swing is not None:
         figure, axes = plots.new_axes((8.0, 2.8))
         draw_swing(axes, swing)
-        title = "Swing of the cable: planned, certified and estimated"
+        title = "Swing of the cable: estimated, planned, and allowed by tube and budget"
         pictures.append(picture(figure, title, wide=True))
     aloft = np.flatnonzero(_aloft(trace))
     sampled = aloft[:: _sampling_step(trace)]

@@ -5,7 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from swarm.certification.excitation import STEP, density, modes, variances_along
+from swarm.certification.excitation import (
+    STEP,
+    density,
+    largest_deviation,
+    modal_variances,
+    modes,
+    speeds_across,
+    variances_along,
+)
 from swarm.geometry.catenary import Catenaries, length_for_sag, solve_catenaries
 from swarm.geometry.lumped_mass import cable_model, swing
 
@@ -50,6 +58,31 @@ def test_lumped_masses_swing_about_as_far(sag: float, fraction: float) -> None:
         assert found.moving == 0.0
         measured = (moved @ normal).std()
         assert 0.8 * measured < math.sqrt(found.held) < 1.7 * measured
+
+
+def test_no_point_swings_farther_in_any_direction_than_the_largest_deviation() -> None:
+    strand, rng = modes(hanging(0.8)), np.random.default_rng(4)
+    speeds = np.full(20, 0.4)
+    moving, held = modal_variances(strand, 0.1, MODEL.normal_drag, speeds)
+    normals = rng.normal(size=(300, 3))
+    found = [
+        variances_along(
+            strand, (float(rng.random()), normal / np.linalg.norm(normal)), 0.1,
+            MODEL.normal_drag, speeds,
+        )
+        for normal in normals
+    ]  # fmt: skip
+    for modal, most in (
+        (moving, max(one.moving for one in found)), (held, max(one.held for one in found))
+    ):  # fmt: skip
+        assert 0.95 * largest_deviation(strand, modal) < math.sqrt(most)
+        assert math.sqrt(most) <= largest_deviation(strand, modal)
+
+
+def test_a_strand_that_moves_along_its_chord_has_no_speed_across() -> None:
+    places = np.tile([[0.0, 0.0, 9.0], [3.0, 4.0, 9.0]], (2, 1, 1))
+    velocities = np.array([[[0.6, 0.8, 0.0]] * 2, [[-0.8, 0.6, 0.0], [0.0, 0.0, 0.0]]])
+    assert speeds_across(places, velocities) == pytest.approx([0.0, 0.5])
 
 
 def test_frequencies_of_shallow_strands_are_irvines() -> None:
