@@ -20,7 +20,8 @@ Floats2 = Annotated[npt.NDArray[np.float64], _f[:, ::1]]
 Floats3 = Annotated[npt.NDArray[np.float64], _f[:, :, ::1]]
 Floats4 = Annotated[npt.NDArray[np.float64], _f[:, :, :, ::1]]
 Floats5 = Annotated[npt.NDArray[np.float64], _f[:, :, :, :, ::1]]
-"""Contiguous arrays of one to five axes."""
+Floats6 = Annotated[npt.NDArray[np.float64], _f[:, :, :, :, :, ::1]]
+"""Contiguous arrays of one to six axes."""
 Ints1 = Annotated[npt.NDArray[np.int64], _i[::1]]
 Ints2 = Annotated[npt.NDArray[np.int64], _i[:, ::1]]
 Bools1 = Annotated[npt.NDArray[np.bool_], _b[::1]]

@@ -17,6 +17,7 @@ from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.geometry.lumped_mass import SwingModel, at_rest, cable_model, swing_on, swing_on_each
 from swarm.planning import Plan
 from swarm.planning.clock_limits import COURSE_STEP, clock_limits
+from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
 
@@ -129,28 +130,58 @@ def _chords(places: Floats) -> Floats:
 
 def swings(plan: Plan, span: tuple[float, float]) -> Iterator[Swung]:
     """Yield all simulated swings of a plan between the times of :func:`aloft`."""
+    planned = planned_swing(plan, span)
+    yield planned.swung
+    yield from swings_after(plan, span, planned)
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedSwing:
+    """The swing in the planned motion, and the ``states`` (k, …) every EVERY steps of ``times``."""
+
+    swung: Swung
+    times: Floats
+    states: Floats
+    model: SwingModel
+
+
+def planned_swing(plan: Plan, span: tuple[float, float]) -> PlannedSwing:
+    """Return the swing in the planned motion between the times of :func:`aloft`."""
     lengths, model = plan.layout.lengths, model_of(plan)
-    time = _times(span)
-    ends = plan.motion.at(time)[0]
+    times = _times(span)
+    ends = plan.motion.places(times)
     states = swing_on(at_rest(ends[0], lengths, model), ends, lengths, model, EVERY)
     strays = _strays(states[:, 1], ends[::EVERY], lengths)
-    yield Swung(time[None, ::EVERY], strays[None], None)
+    return PlannedSwing(Swung(times[None, ::EVERY], strays[None], None), times, states, model)
+
+
+def swings_after(plan: Plan, span: tuple[float, float], planned: PlannedSwing) -> Iterator[Swung]:
+    """Yield the swings after all changes of the clock's rate, several courses together."""
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
-    for course in COURSES:
-        chosen = np.arange(0, len(time) - 1, EVERY * round(course.apart / (EVERY * STEP)))
-        times = limits.course(
-            time[chosen], course.rate, course.target, course.duration, urgent=course.urgent
-        )
-        times = np.clip(times, span[0], span[1])
-        for first in range(0, len(chosen), _TOGETHER):
-            some, at = chosen[first : first + _TOGETHER], times[first : first + _TOGETHER]
-            moved = plan.motion.at(at.ravel())[0].reshape(*at.shape, -1, 3)
-            begun = states[some // EVERY]
-            if course.rate == 0.0:
-                begun = np.stack([at_rest(first, lengths, model) for first in moved[:, 0]])
-            joints = swing_on_each(begun, moved, lengths, model, EVERY)
-            strays = _strays(joints, moved[:, ::EVERY], lengths)
-            yield Swung(at[:, ::EVERY], strays, course)
+    lengths, model = plan.layout.lengths, planned.model
+
+    def groups() -> Iterator[tuple[Course, Floats, Floats]]:
+        for course in COURSES:
+            apart = EVERY * round(course.apart / (EVERY * STEP))
+            chosen = np.arange(0, len(planned.times) - 1, apart)
+            times = limits.course(
+                planned.times[chosen], course.rate, course.target, course.duration,
+                urgent=course.urgent,
+            )  # fmt: skip
+            times = np.clip(times, span[0], span[1])
+            for first in range(0, len(chosen), _TOGETHER):
+                some = slice(first, first + _TOGETHER)
+                yield course, times[some], planned.states[chosen[some] // EVERY]
+
+    def swung(group: tuple[Course, Floats, Floats]) -> Swung:
+        course, times, begun = group
+        moved = plan.motion.places(times)
+        if course.rate == 0.0:
+            begun = np.stack([at_rest(first, lengths, model) for first in moved[:, 0]])
+        joints = swing_on_each(begun, moved, lengths, model, EVERY)
+        return Swung(times[:, ::EVERY], _strays(joints, moved[:, ::EVERY], lengths), course)
+
+    return side_by_side(swung, groups())
 
 
 def _times(span: tuple[float, float]) -> Floats:
@@ -162,5 +193,5 @@ def _strays(joints: Floats, ends: Floats, lengths: Floats) -> Floats:
     """Return the strays (…, n − 1, links + 1, 3) of joints from their catenaries, metres."""
     fractions = np.linspace(0.0, 1.0, joints.shape[-2])
     still = solve_catenaries(ends[..., :-1, :], ends[..., 1:, :], lengths).points(fractions)
-    found: Floats = joints - still
+    found: Floats = np.subtract(joints, still, out=still)
     return found

@@ -5,8 +5,11 @@ simulated moments and of the error of the model: in the planned motion, and afte
 urgent stops, rewinds and resumes of the mission clock at any moment.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import chain
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +22,16 @@ from swarm.certification.approaches import (
     collect_settling,
 )
 from swarm.certification.compared_pairs import exempt_length
-from swarm.certification.swing_runs import EVERY, SETTLING, STEP, aloft, swings
+from swarm.certification.swing_runs import (
+    EVERY,
+    SETTLING,
+    STEP,
+    aloft,
+    planned_swing,
+    swings_after,
+)
 from swarm.planning import Plan, digest
+from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -161,18 +172,23 @@ def _tube_of(named: _Named) -> SwingTube | None:
         return None
     count = int(np.ceil((span[1] - span[0]) / BIN))
     middles = np.asarray(span[0] + BIN * (np.arange(count) + 0.5), dtype=np.float64)
-    close = close_pairs(plan, middles, exempt_length(plan))
+    tasks: tuple[Callable[[], Any], ...] = (
+        partial(close_pairs, plan, middles, exempt_length(plan)),
+        partial(planned_swing, plan, span),
+    )
+    close, without_stops = side_by_side(lambda task: task(), tasks)
     approach = np.zeros(len(close.bins))
     found: dict[str, Floats] = {}
-    for swung in swings(plan, span):
+    for swung in chain([without_stops.swung], swings_after(plan, span, without_stops)):
         bins = np.minimum(((swung.times - span[0]) / BIN).astype(np.intp), count - 1)
+        strays = swung.strays.reshape(-1, *swung.strays.shape[2:])
         name = swung.course.name if swung.course else _PLANNED
-        most = found.setdefault(name, np.zeros((count, *swung.strays.shape[2:4])))
-        for one, strays in zip(bins, swung.strays, strict=True):
-            collect_distances(one, strays, most)
-            collect_approaches(close, one, strays, approach)
-            if swung.course is not None and swung.course.target == 0.0:
-                collect_settling(close, int(one[-1]), strays[-_LAST:], approach)
+        most = found.setdefault(name, np.zeros((count, *strays.shape[1:3])))
+        collect_distances(bins.ravel(), strays, most)
+        collect_approaches(close, bins.ravel(), strays, approach)
+        if swung.course is not None and swung.course.target == 0.0:
+            for last, strays in zip(bins[:, -1].tolist(), swung.strays[:, -_LAST:], strict=True):
+                collect_settling(close, last, strays, approach)
     approach = (1.0 + BETWEEN_SAMPLES) * approach + 2.0 * (BETWEEN_STOPS + MODEL_ERROR)
     return _tube(span[0], found, close, approach)
 

@@ -17,9 +17,10 @@ import numpy.typing as npt
 from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.geometry.hanging_links import hung_strands
 from swarm.jit import compiled
-from swarm.signatures import Floats1, Floats4, Floats5
+from swarm.signatures import Floats1, Floats4, Floats5, Floats6
 
 Floats = npt.NDArray[np.float64]
+Chosen = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
 
 AIR_DENSITY = 1.225
 """kg/m³ at sea level, 15 °C (ISO 2533)."""
@@ -42,7 +43,7 @@ _ITERATIONS = 8
 _TOLERANCE = 1e-10
 """Relative error of a squared link length at which the iteration ends."""
 
-_TOGETHER = 16
+TOGETHER = 16
 """Strands that are stepped side by side: two vectors of the widest processors. Their rows, 0.06 MB,
 stay in the fastest caches: with 32, each strand takes 1.4 times as long."""
 
@@ -91,7 +92,8 @@ def swing(ends: Floats, lengths: Floats, model: SwingModel, every: int = 1) -> F
     strand; later, a strand that is pulled taut ends as NaN.
     """
     state = at_rest(ends[0], lengths, model)
-    return _swing_all(state, _joined(ends), lengths / model.links, model, every, 1)[:, 0]
+    found: Floats = _swing_all(state[None], ends[None], lengths, model, every, 1)[0, :, 0]
+    return found
 
 
 def at_rest(ends: Floats, lengths: Floats, model: SwingModel) -> Floats:
@@ -112,12 +114,8 @@ def swing_on(
     ``ends`` (k, n, 3) begin at the state's time. Returns (ceil(k / every), 2, n − 1, links + 1, 3),
     the given state first.
     """
-    return _swing_all(state, _joined(ends), lengths / model.links, model, every, 2)
-
-
-def _joined(ends: Floats) -> Floats:
-    """Return both ends (k, 2, n − 1, 3) of strands between grip points (k, n, 3)."""
-    return np.stack([ends[:, :-1], ends[:, 1:]], axis=1)
+    found: Floats = _swing_all(state[None], ends[None], lengths, model, every, 2)[0]
+    return found
 
 
 def swing_on_each(
@@ -128,38 +126,20 @@ def swing_on_each(
     ``states`` (c, 2, n − 1, links + 1, 3) and ``ends`` (c, k, n, 3) as for :func:`swing_on`.
     Returns (c, ceil(k / every), n − 1, links + 1, 3).
     """
-    count, strands = len(states), len(lengths)
-    # next to each other: continuations of the same strand, which need about as many iterations
-    joined = np.stack([ends[:, :, :-1], ends[:, :, 1:]], axis=2).transpose(1, 2, 3, 0, 4)
-    joined = joined.reshape(*joined.shape[:2], strands * count, 3)
-    state = states.transpose(1, 2, 0, 3, 4).reshape(2, strands * count, *states.shape[3:])
-    lengths = np.repeat(lengths / model.links, count)
-    found = _swing_all(state, joined, lengths, model, every, 1)[:, 0]
-    found = found.reshape(len(found), strands, count, *found.shape[2:])
-    return found.transpose(2, 0, 1, 3, 4)
+    found: Floats = _swing_all(states, ends, lengths, model, every, 1)[:, :, 0]
+    return found
 
 
 def _swing_all(
-    state: Floats, ends: Floats, links: Floats, model: SwingModel, every: int, parts: int
+    states: Floats, ends: Floats, lengths: Floats, model: SwingModel, every: int, parts: int
 ) -> Floats:
-    """Return the last ``parts`` of the states (…, 2, m, links + 1, 3) of m strands.
-
-    ``ends`` (k, 2, m, 3) are the two ends of each, ``links`` (m,) the lengths of their links.
-    """
-    samples = (len(ends) + every - 1) // every
-    found = np.empty((samples, parts, *state.shape[1:]))
+    """Return the last ``parts`` of the states (c, ceil(k / every), …, n − 1, links + 1, 3)."""
+    samples = (ends.shape[1] + every - 1) // every
+    found = np.empty((len(states), samples, parts, *states.shape[2:]))
+    found[:, 0] = states[:, 2 - parts :]
     drag = Drag(model.normal_drag, model.tangential_drag, *model.wind)
-    steps = _Steps(model.step, every)
-    for first in range(0, len(links), _TOGETHER):
-        chosen = np.arange(first, min(first + _TOGETHER, len(links)))
-        filled = np.resize(chosen, _TOGETHER)
-        moved = np.ascontiguousarray(ends[:, :, filled].transpose(0, 1, 3, 2))
-        states = np.empty((samples, parts, *state.shape[2:], _TOGETHER))
-        begun = np.ascontiguousarray(state[:, filled].transpose(0, 2, 3, 1))
-        states[0] = begun[2 - parts :]
-        _swing_together((begun, moved), links[filled], steps, drag, states)
-        last = first + len(chosen)
-        found[:, :, first:last] = states[..., : len(chosen)].transpose(0, 1, 4, 2, 3)
+    given = np.ascontiguousarray(states), np.ascontiguousarray(ends)
+    _swing_each(given, lengths / model.links, _Steps(model.step, every), drag, found)
     return found
 
 
@@ -195,40 +175,60 @@ class _Steps(NamedTuple):
 
 
 @compiled
-def _swing_together(
-    given: tuple[Floats4, Floats4], lengths: Floats1, steps: _Steps, drag: Drag, found: Floats5
+def _swing_each(
+    given: tuple[Floats5, Floats4], lengths: Floats1, steps: _Steps, drag: Drag, found: Floats6
 ) -> None:
-    """Write the states of w strands to ``found`` (…, 1 or 2, links + 1, 3, w), after its first.
+    """Write the states of the strands of c motions to ``found`` (c, …, 1 or 2, n − 1, joints, 3),
+    after the first ones.
 
-    ``given`` are the first state (2, links + 1, 3, w) and the positions (k, 2, 3, w) of the grip
-    points, ``lengths`` (w,) those of the links. With 1, only the last part of each state is
-    written, the joints at that time.
+    ``given`` are the first states (c, 2, n − 1, joints, 3) and the positions (c, k, n, 3) of the
+    grip points, ``lengths`` (n − 1,) those of the links. With 1, only the last part of each state
+    is written, the joints at that time.
     """
+    count, total = len(found), len(found) * len(lengths)
+    motion, strand = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
+    for first in range(0, total, TOGETHER):
+        # next to each other: motions of the same strand, which need about as many iterations
+        for w in range(TOGETHER):
+            which = min(first + w, total - 1)
+            strand[w], motion[w] = which // count, which % count
+        _swing_together(given, lengths, steps, drag, (motion, strand), found)
+
+
+@compiled
+def _swing_together(
+    given: tuple[Floats, Floats], lengths: Floats, steps: _Steps, drag: Drag, chosen: Chosen,
+    found: Floats,
+) -> None:  # fmt: skip
+    """Write the states of the strands ``chosen`` by the numbers of their motions and their own."""
     begun, ends = given
-    last = found.shape[2] - 1
-    rows = np.zeros((last + 1, _FIELDS, _TOGETHER))
-    for i in range(last + 1):
-        for w in range(_TOGETHER):
-            rows[i, _SQUARE, w] = lengths[w] * lengths[w]
+    motion, strand = chosen
+    last = found.shape[4] - 1
+    rows, own = np.zeros((last + 1, _FIELDS, TOGETHER)), np.empty(TOGETHER)
+    for w in range(TOGETHER):
+        own[w] = lengths[strand[w]]
+        for i in range(last + 1):
+            rows[i, _SQUARE, w] = own[w] * own[w]
             for x in range(3):
-                rows[i, _NOW + x, w] = begun[0, i, x, w]
-                rows[i, _AFTER + x, w] = begun[1, i, x, w]
+                rows[i, _NOW + x, w] = begun[motion[w], 0, strand[w], i, x]
+                rows[i, _AFTER + x, w] = begun[motion[w], 1, strand[w], i, x]
     _advance(rows)
-    for k in range(1, len(ends)):
+    for k in range(1, ends.shape[1]):
         _step_freely(rows, drag, steps.step)
-        for x in range(3):
-            for w in range(_TOGETHER):
-                rows[0, _AFTER + x, w] = ends[k, 0, x, w]
-                rows[last, _AFTER + x, w] = ends[k, 1, x, w]
-        _restore_links(rows, lengths)
+        for w in range(TOGETHER):
+            place = ends[motion[w], k]
+            for x in range(3):
+                rows[0, _AFTER + x, w] = place[strand[w], x]
+                rows[last, _AFTER + x, w] = place[strand[w] + 1, x]
+        _restore_links(rows, own)
         _advance(rows)
         if k % steps.every == 0:
-            sample = found[k // steps.every]
-            for i in range(last + 1):
-                for x in range(3):
-                    for w in range(_TOGETHER):
-                        sample[0, i, x, w] = rows[i, _BEFORE + x, w]
-                        sample[len(sample) - 1, i, x, w] = rows[i, _NOW + x, w]
+            for w in range(TOGETHER):
+                sample = found[motion[w], k // steps.every]
+                for i in range(last + 1):
+                    for x in range(3):
+                        sample[0, strand[w], i, x] = rows[i, _BEFORE + x, w]
+                        sample[len(sample) - 1, strand[w], i, x] = rows[i, _NOW + x, w]
 
 
 @compiled
@@ -241,14 +241,14 @@ def _advance(rows: Floats) -> None:
         return
     last = len(rows) - 1
     for i in range(last):
-        for w in range(_TOGETHER):
+        for w in range(TOGETHER):
             for x in range(3):
                 after = rows[i, _AFTER + x, w]
                 rows[i, _LINK + x, w] = rows[i + 1, _AFTER + x, w] - after
                 rows[i, _BEFORE + x, w] = rows[i, _NOW + x, w]
                 rows[i, _NOW + x, w] = after
     for x in range(3):
-        for w in range(_TOGETHER):
+        for w in range(TOGETHER):
             after = rows[last, _AFTER + x, w]
             rows[last, _BEFORE + x, w] = rows[last, _NOW + x, w]
             rows[last, _NOW + x, w] = after
@@ -261,7 +261,7 @@ def _step_freely(rows: Floats, drag: Drag, step: float) -> None:
         return
     fall = step * step * STANDARD_GRAVITY
     for i in range(1, len(rows) - 1):
-        for w in range(_TOGETHER):
+        for w in range(TOGETHER):
             tx = rows[i + 1, _NOW, w] - rows[i - 1, _NOW, w]
             ty = rows[i + 1, _NOW + 1, w] - rows[i - 1, _NOW + 1, w]
             tz = rows[i + 1, _NOW + 2, w] - rows[i - 1, _NOW + 2, w]
@@ -295,7 +295,7 @@ def _restore_links(rows: Floats, lengths: Floats) -> None:
     for _ in range(_ITERATIONS):
         _measure_links(rows)
         still_open = 0.0
-        for w in range(_TOGETHER):
+        for w in range(TOGETHER):
             most = _TOLERANCE * lengths[w] * lengths[w]
             open_ = 0.0 if rows[last - 1, _WORST, w] <= most else 1.0
             rows[0, _OPEN, w] = open_
@@ -306,7 +306,7 @@ def _restore_links(rows: Floats, lengths: Floats) -> None:
         _move_joints(rows)
     for i in range(1, last):
         for x in range(3):
-            for w in range(_TOGETHER):
+            for w in range(TOGETHER):
                 if rows[0, _OPEN, w] > 0.0:
                     rows[i, _AFTER + x, w] = np.nan
 
@@ -316,10 +316,10 @@ def _measure_links(rows: Floats) -> None:
     """Write the links, the errors of their squared lengths, and the largest error so far."""
     if _other_sizes(rows):
         return
-    for w in range(_TOGETHER):
+    for w in range(TOGETHER):
         rows[0, _WORST, w] = 0.0
     for j in range(len(rows) - 1):
-        for w in range(_TOGETHER):
+        for w in range(TOGETHER):
             x = rows[j + 1, _AFTER, w] - rows[j, _AFTER, w]
             y = rows[j + 1, _AFTER + 1, w] - rows[j, _AFTER + 1, w]
             z = rows[j + 1, _AFTER + 2, w] - rows[j, _AFTER + 2, w]
@@ -335,11 +335,11 @@ def _eliminate(rows: Floats) -> None:
     if _other_sizes(rows):
         return
     last = len(rows) - 2
-    for w in range(_TOGETHER):
+    for w in range(TOGETHER):
         rows[0, _DIAGONAL, w] = 2.0 * _product(rows, 0, 0, w)
     for j in range(1, last + 1):
         free = 2.0 if j < last else 1.0
-        for w in range(_TOGETHER):
+        for w in range(TOGETHER):
             lower = -2.0 * _product(rows, j, j - 1, w)
             upper = -2.0 * _product(rows, j - 1, j, w)
             factor = lower / rows[j - 1, _DIAGONAL, w]
@@ -355,10 +355,10 @@ def _move_joints(rows: Floats) -> None:
     if _other_sizes(rows):
         return
     last = len(rows) - 2
-    for w in range(_TOGETHER):
+    for w in range(TOGETHER):
         rows[last, _ERROR, w] /= rows[last, _DIAGONAL, w]
     for j in range(last - 1, -1, -1):
-        for w in range(_TOGETHER):
+        for w in range(TOGETHER):
             there = rows[j + 1, _ERROR, w]
             here = (rows[j, _ERROR, w] - rows[j, _UPPER, w] * there) / rows[j, _DIAGONAL, w]
             rows[j, _ERROR, w] = here
@@ -382,7 +382,7 @@ def _product(rows: Floats, i: int, j: int, w: int) -> float:
 @compiled
 def _other_sizes(rows: Floats) -> bool:
     """Return False: a branch by it tells the compiler the sizes, which it needs for vectors."""
-    return bool(rows.shape[1] != _FIELDS or rows.shape[2] != _TOGETHER)
+    return bool(rows.shape[1] != _FIELDS or rows.shape[2] != TOGETHER)
 
 
 @compiled

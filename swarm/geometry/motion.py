@@ -41,20 +41,29 @@ class Motion:
 
         Outside the motion the result is its nearest end, at rest.
         """
+        position, velocity, acceleration = self._states(times, 3)
+        return position, velocity, acceleration
+
+    def places(self, times: npt.ArrayLike) -> Floats:
+        """Return the positions (…, n, 3) of :meth:`at` alone, in less than half the time."""
+        found: Floats = self._states(times, 1)[0]
+        return found
+
+    def _states(self, times: npt.ArrayLike, orders: int) -> Floats:
+        """Return the position and its derivatives below ``orders``: (orders, …, n, 3)."""
         moments = np.asarray(times, dtype=np.float64)
-        states = np.empty((3, moments.size, *self.coefficients.shape[2:]))
+        states = np.empty((orders, moments.size, *self.coefficients.shape[2:]))
         breaks, coefficients, flat = (
             np.require(values, requirements=["C", "W"])
             for values in (self.times, self.coefficients, moments.reshape(-1))
         )
         _evaluate(breaks, coefficients, flat, states)
-        position, velocity, acceleration = states.reshape(3, *moments.shape, *states.shape[2:])
-        return position, velocity, acceleration
+        return states.reshape(orders, *moments.shape, *states.shape[2:])
 
 
 @compiled
 def _evaluate(breaks: Floats1, coefficients: Floats4, times: Floats1, states: Floats4) -> None:
-    """Write position, velocity and acceleration (3, q, n, 3) at times (q,)."""
+    """Write positions, or these with velocities and accelerations, (1 or 3, q, n, 3), at (q,)."""
     for q in range(len(times)):
         piece, since, moving = find_piece(breaks, times[q])
         for i in range(coefficients.shape[2]):
@@ -74,12 +83,14 @@ def evaluate_piece(c: Floats, i: int, u: float, moving: float, state: Floats) ->
     """Write the state of point ``i``, ``u`` seconds into a piece ``c`` (6, n, 3).
 
     ``state`` (3, 3): position, velocity and acceleration; the last two multiplied by ``moving``.
+    With (1, 3) the position alone.
     """
     for x in range(3):
         c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
         state[0, x] = c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
-        state[1, x] = moving * (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5))))
-        state[2, x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
+        if len(state) > 1:
+            state[1, x] = moving * (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5))))
+            state[2, x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
 
 
 def through_states(

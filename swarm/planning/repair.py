@@ -47,8 +47,10 @@ def with_larger_margins(folding: Folding, plan: Plan, shortfalls: Sequence[Short
         found = [(each.time, each.metres) for each in shortfalls if each.check == check]
         if found:
             times, metres = np.array(found).T
-            offsets = plan.motion.at(times)[0][:, None] - places
-            at = stages[np.argmin((offsets**2).sum(axis=(2, 3)), axis=1)]
+            # pairs that are short at the same time share a row: thousands have a few hundred times
+            moments, which = np.unique(times, return_inverse=True)
+            offsets = plan.motion.at(moments)[0][:, None] - places
+            at = stages[np.argmin((offsets**2).sum(axis=(2, 3)), axis=1)][which]
             # Where an earlier increase was not enough, double it.
             before = getattr(schedule.extra, margin)[at.astype(np.intp)]
             increase = np.minimum(np.maximum(1.1 * metres + SAMPLING_ERROR, before), _LARGEST_STEP)

@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import STANDARD_GRAVITY
-from swarm.geometry.lumped_mass import SwingModel, stray, swing
+from swarm.geometry.lumped_mass import TOGETHER, SwingModel, stray, swing
 from swarm.geometry.motion import Motion, through_states
+from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
 
@@ -132,5 +133,11 @@ def largest_stray(motion: Motion, lengths: Floats, model: SwingModel) -> tuple[F
     """
     every = max(1, round(_STORED / model.step))
     times = np.arange(motion.times[0], motion.times[-1] + _SETTLING, model.step)
-    ends = motion.at(times)[0]
-    return times[::every], stray(swing(ends, lengths, model, every), ends[::every], lengths)
+    ends = motion.places(times)
+
+    def strays(some: slice) -> Floats:
+        held = ends[:, some.start : some.stop + 1]
+        return stray(swing(held, lengths[some], model, every), held[::every], lengths[some])
+
+    groups = (slice(k, min(k + TOGETHER, len(lengths))) for k in range(0, len(lengths), TOGETHER))
+    return times[::every], np.concatenate(list(side_by_side(strays, groups)), axis=1)

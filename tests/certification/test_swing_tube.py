@@ -1,5 +1,6 @@
 """The tube of the swinging cable: it contains other simulations, stops, rewinds and resumes."""
 
+import os
 from dataclasses import replace
 from typing import Literal
 
@@ -14,7 +15,7 @@ from sitl.world import CableSpec
 from swarm.certification.clearances import tightest_moments
 from swarm.certification.swing_findings import swing_findings
 from swarm.certification.swing_runs import COURSES, STEP, Course, aloft, model_of, swings
-from swarm.certification.swing_tube import BIN, SwingTube, swing_tube
+from swarm.certification.swing_tube import BIN, SwingTube, _tube_of, swing_tube
 from swarm.flight.clock import MissionClock
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
@@ -154,6 +155,22 @@ def test_strands_come_no_nearer_than_the_approach_states(
         apart = strays[now, j, at[row, 1]] - strays[now, i, at[row, 0]]
         nearer = (apart @ close.normal[row]).max(initial=0.0)
         assert nearer <= tube.approach[row]
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "sched_setaffinity"), reason="no cores to choose on this system"
+)
+def test_the_tube_is_the_same_on_one_core(shaped: Plan, tube: SwingTube) -> None:
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        _tube_of.cache_clear()
+        again = swing_tube(shaped)
+    finally:
+        os.sched_setaffinity(0, cores)
+    assert again is not None
+    for name in ("planned", "radius", "approach"):
+        assert np.array_equal(getattr(again, name), getattr(tube, name))
 
 
 def test_the_cable_does_not_swing_before_it_is_aloft(shaped: Plan) -> None:

@@ -1,0 +1,49 @@
+"""Independent computations on several cores: compiled functions release the lock of Python."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_MOST = 4
+"""Most threads: what is not compiled runs in one of them at a time, a fifth of the swings' work."""
+
+_AHEAD = 2
+"""Results for each thread that are computed ahead of the one that is used, which bounds memory."""
+
+
+def side_by_side(
+    function: Callable[[Item], Result], items: Iterable[Item], *, threads: int | None = None
+) -> Iterator[Result]:
+    """Yield the results for all items in their order; the next ones are computed meanwhile.
+
+    ``threads`` at a time, by default as many as this process has cores, at most four. With one
+    thread each result is computed when it is asked for.
+    """
+    threads = min(_cores(), _MOST) if threads is None else threads
+    if threads < 2:
+        yield from map(function, items)
+        return
+    pending: deque[Future[Result]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            for item in items:
+                pending.append(pool.submit(function, item))
+                if len(pending) > _AHEAD * threads:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            for left in pending:
+                left.cancel()
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
