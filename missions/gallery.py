@@ -13,10 +13,11 @@ from pathlib import Path
 from swarm import planner
 from swarm.errors import Refused
 from swarm.mission import parse_mission
-from swarm.planning import Plan
+from swarm.planning import Plan, make_plan
 from swarm.reports.animation import animate_plan
 from swarm.reports.plots import plot_plan
 from swarm.reports.schedule_plots import plot_schedule
+from swarm.reports.swing_plots import plot_shaping
 from swarm.view.replay import write_plan
 from swarm.view.screenshot import ScreenshotFailed, screenshot
 
@@ -32,6 +33,10 @@ def draw(plan: Plan, folder: Path) -> list[Path]:
     if any(phase.name == "fold" for phase in plan.phases):
         drawn.append(folder / f"{name}.gif")
         animate_plan(plan, drawn[-1])
+        if plan.layout.lengths.size and plan.mission.fold.method != "paper":
+            drawn.append(folder / f"{name}-swing.png")
+            # that plan is neither shaped nor slowed yet
+            plot_shaping(plan, make_plan(plan.mission), drawn[-1])
     with tempfile.TemporaryDirectory() as scratch:
         recording = Path(scratch) / "plan.rrd"
         write_plan(plan, recording)

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from swarm.certification.clearances import Moment
-from swarm.errors import InputError
-from swarm.reports import pareto_plot, plots, schedule_plots
+from swarm.errors import InputError, Refused
+from swarm.reports import pareto_plot, plots, schedule_plots, swing_plots
 from tests.reports.synthetic import CROSSINGS, trefoil_plan
 
 PLAN = trefoil_plan()
@@ -148,6 +148,14 @@ def test_places_along_the_path_end_at_the_corners() -> None:
 def test_schedule_picture_is_written(tmp_path: Path) -> None:
     schedule_plots.plot_schedule(PLAN, tmp_path / "schedule.png")
     assert imread(tmp_path / "schedule.png").shape[1] > 800
+
+
+def test_the_swing_of_two_timings_is_drawn(tmp_path: Path) -> None:
+    swing_plots.plot_shaping(PLAN, PLAN, tmp_path / "swing.png")
+    assert imread(tmp_path / "swing.png").shape[1] > 800
+    grounded = tuple(phase for phase in PLAN.phases if phase.name != "fold")
+    with pytest.raises(Refused, match="the plan folds no cable"):
+        swing_plots.plot_shaping(PLAN, replace(PLAN, phases=grounded), tmp_path / "none.png")
 
 
 @pytest.mark.parametrize("vehicles", [1, 2, 3])
