@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from swarm import exports, planner, studies
+from swarm import exports, planner
 from swarm.cli.exporting import FLOWN, PLANNED, export_plan, require_suffix
 from swarm.cli.inputs import (
     FILE,
@@ -23,7 +23,6 @@ from swarm.errors import Refused
 from swarm.files import write_bytes, write_text
 from swarm.front.plan_files import certified_plan_file
 from swarm.mission import Mission
-from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.studies_text import print_front
 
@@ -142,6 +141,8 @@ def _write_files(
 
         write_text(report, plan_report(planned.plan, planned.assessment))
     if sheet:
+        from swarm.reports.layout_sheet import layout_sheet  # noqa: PLC0415 - slow to import
+
         write_text(sheet, layout_sheet(planned.plan))
 
 
@@ -156,6 +157,8 @@ def _say_saved(path: Path, planned: planner.PlanningResult) -> None:
 
 def _front(mission: Mission, as_json: bool, plot: Path | None) -> int:
     """Print the Pareto front of a mission; return exit code 1 if no variant is cleared."""
+    from swarm import studies  # noqa: PLC0415 - slow to import
+
     with progress_bar(Console(stderr=True)) as progress:
         found = list(studies.pareto_front(mission, progress))
     points = studies.mark_dominated([one for one in found if isinstance(one, studies.FrontPoint)])
