@@ -34,9 +34,10 @@ from swarm.planning import Candidate, Plan, Shortfall, candidates, repaired
 
 Progress = Callable[[str, float], None]
 
-_ATTEMPTS, _ATTEMPTS_SEARCHED = 16, 32
-"""Largest number of plans with a number of vehicles that are checked; of searched motions all
-repairs of two. Where none is cleared, the first of all is returned as it is."""
+_ATTEMPTS = 32
+"""Largest number of plans with a number of vehicles that are checked: all repairs of four foldings,
+of searched motions of two. 9_44 is cleared with its third folding; repairs of the first two end 4
+and 5 mm short. Where none is cleared, the first of all is returned as it is."""
 
 _BUDGET_ROUNDS = 4
 """Largest number of repairs of a plan whose budget is short."""
@@ -145,10 +146,9 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     attempts, vehicles = 0, 0
     while candidate is not None:
         searched = candidate.searched
-        most = _ATTEMPTS_SEARCHED if searched else _ATTEMPTS
         if candidate.plan.vehicles != vehicles:
             attempts, vehicles = 0, candidate.plan.vehicles
-        elif attempts >= most:
+        elif attempts >= _ATTEMPTS:
             break
         notes += candidate.notes
         plan = replace(candidate.plan, notes=notes)
@@ -174,7 +174,7 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
             if candidate is None and not kept:
                 notes += _why_not(failures) if searched else ()
                 candidate = next(proposals, None)
-        if kept and (candidate is None or attempts >= most):
+        if kept and (candidate is None or attempts >= _ATTEMPTS):
             found = _certified(_slowed_for_budget(_least_short(kept)), progress)
             if found.certificate.cleared:
                 return found
