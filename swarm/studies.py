@@ -63,7 +63,8 @@ def plan_row(
     planning and certification, without the search for e* (``max_tracking_error``) and w*
     (``max_wind``), which are None without ``robustness``. ``budget`` is what remains at least of a
     distance of strands if all effects come together; it is not planned for, and a plan with a
-    negative one is not refused, unlike for a flight: what is compared is the certificate.
+    negative one is not refused, unlike for a flight, unless ``overrides`` set
+    limits.accept_negative_budget to false: what is compared is the certificate.
     ``grid_vehicles`` are those of the grid diagram, 2N − 1, and ``least_vehicles`` a lower bound.
     ``message`` is empty for a cleared plan; otherwise it has the errors and the layouts that were
     tried.
@@ -76,10 +77,8 @@ def plan_row(
             "knot": name, "crossings": choice.crossings, "vehicles": choice.vehicles,
             "grid_vehicles": choice.vehicles, "least_vehicles": least_vehicles(choice.crossings),
         }  # fmt: skip
-        mission = mission_for_knot(name, overrides)
-        planned = planner.plan(
-            _with(mission, "limits", accept_negative_budget=True), robustness=False
-        )
+        mission = mission_for_knot(name, ["limits.accept_negative_budget=true", *overrides])
+        planned = planner.plan(mission, robustness=False)
     except (Refused, InputError) as error:
         return row | {
             "knot": name, "cleared": False, "planning_time": clock() - start,

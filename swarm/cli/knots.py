@@ -81,10 +81,10 @@ def knots(
 
     --plan plans and certifies every prime knot to ten crossings, and some sums and torus knots,
     with the default mission (and --set). It prints vehicles, cable, fold time, clearances, e*, w*,
-    the budget (a negative one is not refused), processor time, and the attempts for knots that are
-    not cleared. With --vehicles fewest it searches each knot's fewest vehicles; --to keeps a row
-    per knot as it comes, and an interrupted run goes on from there. Exit code 1 if a knot is not
-    cleared.
+    the budget (a negative one is refused only with --set limits.accept_negative_budget=false),
+    processor time, and the attempts for knots that are not cleared. With --vehicles fewest it
+    searches each knot's fewest vehicles; --to keeps a row per knot as it comes, and an interrupted
+    run goes on from there. Exit code 1 if a knot is not cleared.
 
     Example: swarm knots 8_18 --plot 8_18.png
     """

@@ -16,7 +16,7 @@ from swarm.knots.grid import OpenGrid
 from swarm.mission import Mission
 from swarm.planning.foldings import Folding, layout_sizes
 from swarm.planning.phase_motion import usable_acceleration
-from swarm.planning.phase_sequence import flight_around_fold
+from swarm.planning.phase_sequence import PhaseSequence, flight_around_fold
 from swarm.planning.plan import KnotSummary, Plan
 from swarm.planning.timing import time_path
 
@@ -82,7 +82,7 @@ def _assembled(
     ``fold`` and ``line`` (k, 3), the curve that the vehicles follow, are at height 0.
     """
     height = _height(mission, fold, layout.lengths)
-    flight = flight_around_fold(mission, layout.lengths, _raised(fold, height))
+    flight = _flight(mission, layout, _raised(fold, height))
     up = np.array([0.0, 0.0, height])
     return Plan(
         mission=mission,
@@ -110,7 +110,7 @@ def with_fold(plan: Plan, fold: Motion) -> Plan:
     rise = max(0.0, _height(plan.mission, fold, plan.layout.lengths))
     if plan.mission.layout.height != "auto":
         rise = 0.0
-    flight = flight_around_fold(plan.mission, plan.layout.lengths, _raised(fold, rise))
+    flight = _flight(plan.mission, plan.layout, _raised(fold, rise))
     up = np.array([0.0, 0.0, rise])
     return replace(
         plan,
@@ -120,6 +120,12 @@ def with_fold(plan: Plan, fold: Motion) -> Plan:
         gates=flight.gates,
         path=plan.path + up,
     )
+
+
+def _flight(mission: Mission, layout: KnotLayout, fold: Motion) -> PhaseSequence:
+    """Return the flight around a fold; in the lift, grids keep within the tracking radius as is."""
+    relaxed = layout.cell == 0.0 and mission.fold.method == "certified"
+    return flight_around_fold(mission, layout.lengths, fold, relaxed=relaxed)
 
 
 def _height(mission: Mission, fold: Motion, lengths: Floats) -> float:

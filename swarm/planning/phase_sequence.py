@@ -23,6 +23,12 @@ Floats = npt.NDArray[np.float64]
 LAID_SHARE = 0.99
 """Distance between grip points on the floor over the cable between them; a taut cable jerks."""
 
+_RELAXING = 0.1
+"""Metres that vehicles contract farther than the line and go back. Friction holds the cable that a
+vehicle has dragged over the floor, with 0.2 to 0.3 N in dry runs; until it is lifted, the autopilot
+takes the pull for wind. Held 0.1 m above the floor, cable with that pull gets slack by 0.01 m of
+way; the rest is for tracking errors, of some 0.05 m there."""
+
 _STAGGER = 0.6
 """Seconds between the starts of two neighbours' descents to the cable."""
 
@@ -47,14 +53,18 @@ class PhaseSequence:
     gates: tuple[Gate, ...]
 
 
-def flight_around_fold(mission: Mission, lengths: Floats, fold: Motion) -> PhaseSequence:
+def flight_around_fold(
+    mission: Mission, lengths: Floats, fold: Motion, *, relaxed: bool = False
+) -> PhaseSequence:
     """Return the whole flight around a fold.
 
     Before the fold: take-off, grab, contract and lift; with a cable that is tied on, take-off and
     lift from the positions below the line. After the fold: the hold and the mission's finish.
 
     ``lengths`` (n − 1,) are the lengths of the segments, metres. The fold starts with all vehicles
-    at one height on a straight line, in order.
+    at one height on a straight line, in order. With ``relaxed`` the contraction ends without pull
+    of the cable on the floor, by _RELAXING: without, long and unequal segments pulled vehicles off
+    by up to 0.12 m in the lift, with it 0.09 m.
     """
     lifted = fold.at(fold.times[0])[0]
     folded = fold.at(fold.times[-1])[0]
@@ -62,7 +72,7 @@ def flight_around_fold(mission: Mission, lengths: Floats, fold: Motion) -> Phase
     before = (
         _before_fold_attached(mission, lifted)
         if attached
-        else _before_fold(mission, lengths, lifted, folded)
+        else _before_fold(mission, lengths, fold, relaxed=relaxed)
     )
     folding = PhaseMotion("fold", fold, "aloft", reversible=True, gate="settled")
     hold = PhaseMotion("hold", at_rest(folded, mission.hold_time), "aloft", reversible=True)
@@ -104,9 +114,10 @@ def join_phases(motions: tuple[PhaseMotion, ...], gates: list[Gate]) -> PhaseSeq
 
 
 def _before_fold(
-    mission: Mission, lengths: Floats, lifted: Floats, folded: Floats
+    mission: Mission, lengths: Floats, fold: Motion, *, relaxed: bool
 ) -> tuple[PhaseMotion, ...]:
     """Return take-off from pads beside the cable, grab, contraction on the floor, and lift."""
+    lifted, folded = fold.at(fold.times[[0, -1]])[0]
     vehicles = mission.vehicles
     speed, acceleration = vehicles.max_speed, usable_acceleration(mission)
     slow = min(speed, TOUCHDOWN_SPEED)
@@ -140,7 +151,7 @@ def _before_fold(
             "contract",
             concatenate(
                 leg(grip + low, grip + carried, slow, 0.25 * acceleration),
-                leg(grip + carried, contracted + carried, slow, acceleration),
+                *_contraction(mission, grip + carried, contracted + carried, relaxed=relaxed),
             ),
             "floor",
             gate="settled",
@@ -151,6 +162,25 @@ def _before_fold(
             "lifting",
             gate="settled",
         ),
+    )
+
+
+def _contraction(
+    mission: Mission, laid: Floats, contracted: Floats, *, relaxed: bool
+) -> tuple[Motion, ...]:
+    """Return the motion from the laid cable to the contracted line, both (n, 3), over the floor."""
+    slow, acceleration = (
+        min(mission.vehicles.max_speed, TOUCHDOWN_SPEED),
+        usable_acceleration(mission),
+    )
+    if not relaxed:
+        return (leg(laid, contracted, slow, acceleration),)
+    step = contracted - laid
+    way = np.linalg.norm(step, axis=1, keepdims=True)
+    beyond = contracted + np.minimum(_RELAXING, way) * step / np.maximum(way, 1e-9)
+    return (
+        leg(laid, beyond, slow, acceleration),
+        leg(beyond, contracted, slow, 0.25 * acceleration),
     )
 
 
