@@ -1,11 +1,17 @@
 """Missions with a number of vehicles: the fewest, a number, and numbers that no layout has."""
 
+import re
+
 import pytest
 
 from swarm import planner
 from swarm.errors import InputError, Refused
+from swarm.knots.catalog import lookup_knot
+from swarm.knots.grid import openings
 from swarm.mission import mission_for_knot
 from swarm.planning import make_plan
+from swarm.planning.few_vehicles import FewVehicles
+from swarm.planning.foldings import planning_margins
 
 
 def test_the_fewest_vehicles_for_an_overhand_are_five() -> None:
@@ -34,6 +40,20 @@ def test_a_number_that_no_layout_has_is_refused_with_those_that_there_are(count:
         f"vehicles.count {count}: at least 5 vehicles are needed for 3 crossings, with one "
         "catenary for each edge and both ends outside in plan view, and the grid diagram has 9"
     )
+
+
+def test_a_search_ends_after_a_counted_number_of_attempts() -> None:
+    choice = lookup_knot("overhand")
+    margins = planning_margins(mission_for_knot("overhand"))
+    opened = openings(choice.grid)
+    with pytest.raises(Refused) as caught:
+        list(FewVehicles(choice, opened, 6, margins, attempts=0).foldings(None))
+    assert re.fullmatch(
+        r"vehicles\.count 6: no motion with 6 vehicles was found; layouts: \d+; the search ended "
+        r"after 0 attempts, before 7 vehicles; the grid diagram has 9",
+        str(caught.value),
+    )
+    assert not list(FewVehicles(choice, opened, "fewest", margins, attempts=0).foldings(None))
 
 
 def test_a_number_of_vehicles_excludes_a_given_layout() -> None:

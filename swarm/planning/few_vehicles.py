@@ -25,7 +25,7 @@ from swarm.planning.searched_foldings import searched_folding
 
 Progress = Callable[[str, float], None]
 NotedFolding = tuple[Folding, tuple[str, ...]]
-Noted = Generator[NotedFolding, None, tuple[str, ...]]
+Noted = Generator[NotedFolding, None, "_Searched"]
 
 _POLYGONS = 12
 """Number of polygons with a number of edges that are laid out."""
@@ -33,6 +33,11 @@ _POLYGONS = 12
 _ATTEMPTS = 24
 """Number of attempts to find a motion with a number of vehicles. One succeeds in about two for 5_1
 with 8, in five for 8_18 with 11; each takes 1 to 5 s."""
+
+_ATTEMPTS_IN_ALL = 96
+"""Number of attempts to find a motion with all numbers of vehicles together, so that a search ends:
+the slowest take 5 s of a processor with 8 crossings, and with laying out and certifying fit into 10
+min. Counted, not timed: the same search on every machine. No knot to 8 crossings took that many."""
 
 _FOLDED = 2
 """Number of foldings with a number of vehicles that are certified."""
@@ -58,12 +63,20 @@ def least_vehicles(crossings: int) -> int:
 
 
 @dataclass(frozen=True)
+class _Searched:
+    """Notes of a search that no folding came with yet, and its number of attempts at a motion."""
+
+    notes: tuple[str, ...]
+    attempts: int
+
+
+@dataclass(frozen=True)
 class FewVehicles:
     """The search for a knot with few vehicles.
 
     ``count`` is a number of vehicles, or ``fewest``. ``opened`` are openings of the knot's grid
     diagram, which needs 2N − 1 vehicles. ``carried`` is the length of cable, metres, that weighs as
-    much as a vehicle can carry.
+    much as a vehicle can carry. The search ends after ``attempts`` at a motion.
     """
 
     knot: KnotChoice
@@ -71,6 +84,7 @@ class FewVehicles:
     count: int | Literal["fewest"]
     margins: Margins
     carried: float = np.inf
+    attempts: int = _ATTEMPTS_IN_ALL
 
     @property
     def least(self) -> int:
@@ -97,41 +111,54 @@ class FewVehicles:
             f"at least {self.least} vehicles are needed for {self.knot.crossings} crossings, with "
             "one catenary for each edge and both ends outside in plan view"
         )
-        notes: tuple[str, ...] = (bound,)
+        found = _Searched((bound,), 0)
         if self.count == "fewest":
             for count in range(self.least, self.most):
-                notes = yield from self._with(count, notes, progress)
+                if found.attempts >= self.attempts:
+                    return
+                found = yield from self._with(count, found, progress)
             return
         if not self.least <= self.count <= self.most:
             raise Refused(
                 f"vehicles.count {self.count}: {bound}, and the grid diagram has {self.most}"
             )
-        notes = yield from self._with(self.count, notes, progress)
-        if notes:
-            nearest = self._nearest(self.count, progress)
-            raise Refused(f"vehicles.count {self.count}: {notes[-1]}; {nearest}")
+        found = yield from self._with(self.count, found, progress)
+        if found.notes:
+            nearest = self._nearest(self.count, found, progress)
+            raise Refused(f"vehicles.count {self.count}: {found.notes[-1]}; {nearest}")
 
-    def _nearest(self, count: int, progress: Progress | None) -> str:
+    def _nearest(self, count: int, found: _Searched, progress: Progress | None) -> str:
         """Return in words for which larger number of vehicles a motion is found."""
         for more in range(count + 1, self.most):
-            if next(self._with(more, (), progress), None) is not None:
+            if found.attempts >= self.attempts:
+                ended = f"the search ended after {self.attempts} attempts, before {more} vehicles"
+                return f"{ended}; the grid diagram has {self.most}"
+            search = self._with(more, found, progress)
+            try:
+                next(search)
+            except StopIteration as end:
+                found = end.value
+            else:
                 return f"the nearest number with a motion is {more}"
         return f"the grid diagram has {self.most}"
 
-    def _with(self, count: int, notes: tuple[str, ...], progress: Progress | None) -> Noted:
+    def _with(self, count: int, found: _Searched, progress: Progress | None) -> Noted:
         """Yield foldings with a number of vehicles, the first one with the notes before it.
 
         Those with a short cable come first. Returns the notes, and why there is none, where no
         folding was yielded.
         """
         layouts, why = self._layouts(count, progress)
+        most = min(_ATTEMPTS, self.attempts - found.attempts) if layouts else 0
+        notes, attempts = found.notes, found.attempts
         folded: set[int] = set()
-        for attempt in range(_ATTEMPTS if layouts else 0):
+        for attempt in range(most):
             if progress:
                 progress(f"untangling the knot with {count} vehicles", attempt / _ATTEMPTS)
             again, which = divmod(attempt, len(layouts))
             if which in folded:
                 continue
+            attempts += 1
             folding = searched_folding(layouts[which], self.margins, again)
             if folding is not None and folding.schedule.worst < GOOD:
                 yield folding, (*notes, f"folded with {count} vehicles")
@@ -139,7 +166,9 @@ class FewVehicles:
                 folded.add(which)
                 if len(folded) == _FOLDED:
                     break
-        return notes if folded else (*notes, why)
+        if not folded:
+            notes = (*notes, why)
+        return _Searched(notes, attempts)
 
     def _layouts(self, count: int, progress: Progress | None) -> tuple[list[KnotLayout], str]:
         """Return layouts with a number of vehicles, and why none of them may be folded.

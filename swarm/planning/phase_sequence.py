@@ -29,6 +29,9 @@ vehicle has dragged over the floor, with 0.2 to 0.3 N in dry runs; until it is l
 takes the pull for wind. Held 0.1 m above the floor, cable with that pull gets slack by 0.01 m of
 way; the rest is for tracking errors, of some 0.05 m there."""
 
+_RELAXED = 3.0
+"""Seconds of rest after that: without, a vehicle was still 0.1 m off when the lift began."""
+
 _STAGGER = 0.6
 """Seconds between the starts of two neighbours' descents to the cable."""
 
@@ -181,6 +184,7 @@ def _contraction(
     return (
         leg(laid, beyond, slow, acceleration),
         leg(beyond, contracted, slow, 0.25 * acceleration),
+        at_rest(contracted, _RELAXED),
     )
 
 

@@ -14,6 +14,7 @@ from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
 from swarm.reports import plots
+from swarm.reports.fold_labels import label_fold
 from swarm.reports.formatting import (
     ROUTINE_KINDS,
     event_text,
@@ -131,8 +132,10 @@ def _pictures(plan: Plan, trace: Trace) -> list[Picture]:
     )
     if len(aloft):
         figure, axes = plots.new_axes(projection="3d")
-        plots.draw_fold(axes, replace(plan.layout, corners=trace.position[aloft[-1]]))
+        held = replace(plan.layout, corners=trace.position[aloft[-1]])
+        plots.draw_fold(axes, held)
         axes.set_title("Cable at the end of the hold, distances at crossings")
+        label_fold(axes, held, plots.INK)
         pictures.append(picture(figure, "The cable in space at the end of the hold"))
     return pictures
 

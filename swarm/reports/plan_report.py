@@ -7,6 +7,7 @@ from swarm.certification.assessment import Assessment
 from swarm.certification.clearances import Moment
 from swarm.planning import Plan
 from swarm.reports import plots, scene
+from swarm.reports.fold_labels import label_fold
 from swarm.reports.motion_view import planned_motion
 from swarm.reports.plan_details import BUDGET, IN_TABLES, budget_cells
 from swarm.reports.rendering import Picture, picture, render
@@ -82,6 +83,7 @@ def _pictures(plan: Plan, assessment: Assessment) -> list[Picture]:
     pictures.append(picture(figure, "The cable from above; under strands have gaps"))
     figure, axes = plots.new_axes((8.0, 3.8), projection="3d")
     plots.draw_fold(axes, plan.layout, zoom=1.35)
+    label_fold(axes, plan.layout, plots.INK)
     pictures.append(picture(figure, "The folded cable in space", wide=True))
     if plan.vehicles >= 4:
         figure, axes = plots.new_axes((8.0, 2.8))

@@ -51,6 +51,8 @@ def _team_rows(plan: Plan, assessment: Assessment) -> list[tuple[str, Text | str
     lengths = plan.layout.lengths
     rows: list[tuple[str, Text | str]] = [("knot", _knot(plan, assessment))]
     rows.append(("vehicles", f"{plan.vehicles}, {_layout(plan)}"))
+    if plan.mission.vehicles.count == "fewest" and plan.layout.cell == 0.0:
+        rows += [("", reason) for reason in _why_not_fewer(plan)]
     if len(lengths):
         count = f"{len(lengths)} segment{'s' if len(lengths) > 1 else ''}"
         each = f"{metres(lengths.min())} to {metres(lengths.max())}"
@@ -63,6 +65,13 @@ def _team_rows(plan: Plan, assessment: Assessment) -> list[tuple[str, Text | str
     )
     rows.append(("duration", duration))
     return rows
+
+
+def _why_not_fewer(plan: Plan) -> list[str]:
+    """Return what smaller numbers of vehicles lacked, by the notes of a search for the fewest."""
+    end = f"folded with {plan.vehicles} vehicles"
+    before = plan.notes[1 : plan.notes.index(end)] if end in plan.notes else ()
+    return [note for note in before if not note.startswith(("folded", "increased"))]
 
 
 def _layout(plan: Plan) -> str:

@@ -21,6 +21,7 @@ from swarm.errors import InputError, Problem, reason
 from swarm.flight.trace import Trace
 from swarm.planning import KnotLayout, KnotSummary, Plan
 from swarm.reports import scene
+from swarm.reports.fold_labels import label_fold
 from swarm.reports.formatting import together
 
 Floats = npt.NDArray[np.float64]
@@ -71,8 +72,10 @@ def plan_figure(plan: Plan) -> Figure:
         if grid:
             draw_grid(figure.add_subplot(cells[0, 0]), plan.knot, plan.layout)
         draw_plan_view(figure.add_subplot(cells[0, -2]), plan.layout)
-        draw_fold(figure.add_subplot(cells[0, -1], projection="3d"), plan.layout)
+        folded = figure.add_subplot(cells[0, -1], projection="3d")
+        draw_fold(folded, plan.layout)
         figure.suptitle(_headline(plan))
+        label_fold(folded, plan.layout, INK)
         return figure
 
 
@@ -262,8 +265,9 @@ def _label_vehicles(axes: Axes, corners: Floats) -> None:
 
 
 def draw_fold(axes: Axes, layout: KnotLayout, zoom: float = 0.95) -> None:
-    """Draw the folded cable in space, every segment a catenary, and its crossings.
+    """Draw the folded cable in space, every segment a catenary, and its crossings, without labels.
 
+    :func:`swarm.reports.fold_labels.label_fold` adds them, when the figure is complete.
     ``zoom`` enlarges the box, for axes that are wider than high.
     """
     strips = scene.strands(layout.corners, layout.lengths, 40)
@@ -272,14 +276,8 @@ def draw_fold(axes: Axes, layout: KnotLayout, zoom: float = 0.95) -> None:
         axes.plot(*strip.T, color=colour, linewidth=2.0, clip_on=False)
     for crossing in scene.crossings(layout):
         axes.plot(*np.array([crossing.lower, crossing.upper]).T, color=INK, linewidth=0.9)
-        axes.text(
-            *crossing.upper, f"{crossing.distance:.2f} m", fontsize=7, color=INK, zorder=9,
-            bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.85, "lw": 0},
-        )  # fmt: skip
     axes.plot(*layout.corners.T, "o", color=INK, markersize=3.0, clip_on=False)
-    for number, corner in enumerate(layout.corners, 1):
-        axes.text(*corner, f" {number}", fontsize=7, color=INK, va="bottom", zorder=8)
-    for artist in (*axes.lines, *axes.texts):
+    for artist in axes.lines:
         artist.set_in_layout(False)  # parts of an enlarged box are outside of the axes
     low, high = _extent(np.vstack([strips.reshape(-1, 3), layout.corners]))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))

@@ -6,7 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm.certification.air import deepest_sinking, induced_speed, jet_speed, wind_down
+from swarm.certification.air import (
+    deepest_sinking,
+    induced_speed,
+    jet_speed,
+    sinkings,
+    wind_down,
+)
 from swarm.certification.assess import assess
 from swarm.certification.assessment import Robustness
 from swarm.certification.budget import _closest, _pressed, budgets, table
@@ -219,6 +225,24 @@ def test_a_vehicle_that_passes_under_another_sinks_for_a_while():
     (finding,) = downwash_findings(plan)
     assert finding.severity == "warning"
     assert "m of sinking for vehicle 2, 4.0 m below vehicle 1 in downwash of " in finding.message
+
+
+def test_a_vehicle_that_enters_a_jet_sinks_as_the_poles_of_its_autopilot_say():
+    """The response to a step of 1 / (s³ + 4s² + 6s + 2), from its partial fractions."""
+    places = [[0, 0, 9.0], [0.8, 0, 5.0], [3.8, 0, 5.0]]
+    plan = still(places, [6.0, 4.0])
+    poles = np.roots([1.0, 4.0, 6.0, 2.0])
+    residues = 1.0 / (3.0 * poles**2 + 8.0 * poles + 6.0)
+    response = (residues * np.exp(poles * np.arange(0.0, 4.0, 0.01)[:, None])).sum(axis=1).real
+    speed = float(jet_speed(plan.mission, np.array(4.0), np.array(0.8)))
+    depth = 9.80665 * speed / (2.0 * induced_speed(plan.mission)) * response.max()
+    assert 0.05 < depth < 0.5
+    (found,) = sinkings(plan, 0.99 * depth)
+    assert found.depth == pytest.approx(depth, rel=0.01)
+    assert (found.vehicle, found.above, found.below) == (1, 0, pytest.approx(4.0))
+    assert not sinkings(plan, 1.01 * depth)
+    laid = replace(plan, phases=tuple(replace(one, cable="floor") for one in plan.phases))
+    assert not sinkings(laid, 0.01)
 
 
 def test_contingencies_are_reported_with_their_windows():

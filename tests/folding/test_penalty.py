@@ -3,6 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from swarm.folding.crossing_constraints import CrossingSigns, crossing_signs, segment_pairs
 from swarm.folding.margins import Margins
@@ -172,6 +174,22 @@ def test_positions_in_the_jets_of_others_have_a_cost() -> None:
     assert blown.missed[0] > team.penalty(below, signs, preferences=False).missed[0] + 0.05
     assert blown.gradient[0, 1, 0] < 0.0 < blown.gradient[0, 0, 0]
     assert team.penalty(beside, signs).missed[0] == 0.0
+
+
+@given(below=st.floats(1.8, 12.0), wider=st.floats(0.01, 0.4), share=st.floats(0.02, 0.98))
+def test_a_repaired_jet_is_avoided_as_far_as_it_is_wider(
+    below: float, wider: float, share: float
+) -> None:
+    """2.2 half-widths, 0.7 of the radius and a tenth of the distance below, and the extra."""
+    team = TeamGeometry(np.array([30.0]), EXACT)
+    edge = 2.2 * (0.7 * EXACT.radius + 0.1 * below)
+    place = line((0.0, 0.0, below), (edge + share * wider, 0.0, 0.0))
+    extra = {name: np.zeros(1) for name in FIELDS}
+    assert team.penalty(place, free_signs(1, 1), ExtraMargins(**extra)).missed[0] == 0.0
+    extra["jet"] = np.array([wider])
+    repaired = team.penalty(place, free_signs(1, 1), ExtraMargins(**extra))
+    assert repaired.missed[0] > 0.0
+    assert repaired.gradient[0, 1, 0] < 0.0
 
 
 @pytest.mark.parametrize("seed", range(8))
