@@ -134,7 +134,10 @@ def _vehicle_margin(
     """
     (k, share, vehicle), required = which, needed.required
     team, part, grips = losses.team[share, k], losses.shares[share], memory.grips
-    grips[:] = team
+    # loops: assignments to slices take the compiler half a second each
+    for other in range(len(team)):
+        for axis in range(3):
+            grips[other, axis] = team[other, axis]
     for axis in range(3):
         moved = part * losses.moved[k, vehicle, axis]
         grips[vehicle, axis] = losses.position[k, vehicle, axis] + moved

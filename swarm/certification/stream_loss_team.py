@@ -91,7 +91,8 @@ def write_state(box: Box, motion: LossMotion, team: TeamState, doubts: Floats) -
     largest = 0.0
     for i in range(len(spread)):
         evaluate_piece(motion.coefficients[piece], i, since, moving, team.scratch)
-        position[i], velocity[i] = team.scratch[0], team.scratch[1]
+        for axis in range(3):
+            position[i, axis], velocity[i, axis] = team.scratch[0, axis], team.scratch[1, axis]
         acceleration = largest_between(motion.accelerations, pieces, i)
         # Planned positions, of all vehicles at the same time.
         speed = _norm(velocity[i])

@@ -48,8 +48,8 @@ def allocate_strands(points: Floats) -> TeamStrands:
 @compiled
 def place(grips: Floats, required: RequiredNow, strands: TeamStrands) -> bool:
     """Take the strands between grip points (n, 3); return whether all chords are shorter."""
-    strands.sampled[:] = False
     count = len(strands.least)
+    _forget_points(strands, 0, count)
     for i in range(count):
         if point_distance(grips[i], grips[i + 1]) >= required.lengths[i]:
             return False
@@ -65,6 +65,13 @@ def place(grips: Floats, required: RequiredNow, strands: TeamStrands) -> bool:
                 strands.bound[i, j] = least_between(apart * apart, required.spacing)
             strands.least[i] = min(strands.least[i], strands.bound[i, j])
     return True
+
+
+@compiled
+def _forget_points(strands: TeamStrands, first: int, last: int) -> None:
+    """Mark that strands have no points yet; in a loop, which takes less to compile than a slice."""
+    for i in range(first, last):
+        strands.sampled[i] = False
 
 
 @compiled
@@ -98,7 +105,7 @@ def nearest_of(
     """
     count = len(strands.least)
     first, last = max(vehicle - 1, 0), min(vehicle + 1, count)
-    strands.sampled[first:last] = False
+    _forget_points(strands, first, last)
     for i in range(first, last):
         _write_box(grips, i, required, strands.moved)
         for j in range(count):
@@ -111,7 +118,7 @@ def nearest_of(
                     sampled = strands.points, strands.sampled
                     apart = sampled_distance(grips, pair, required, sampled)
                 below = min(below, apart)
-    strands.sampled[first:last] = False
+    _forget_points(strands, first, last)
     return below
 
 
