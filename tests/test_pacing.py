@@ -40,11 +40,20 @@ def test_a_lower_rate_holds_where_it_was_asked_for_and_time_goes_on(
 def test_slowing_for_the_swing_acts_before_the_swing_only() -> None:
     before = pacing()
     times = np.arange(0.0, 15.0, 0.1)
-    after = before.slowed_for_swing(times, np.where(times > 12.0, 2.0, 0.5))
+    after = before.slowed_for_swing(times, np.where(times > 12.0, 2.0, 0.5), 0.3)
     early = before.at < 12.0 - SHAPER.delays[-1] - 6.1
     assert early.sum() > 10
     assert after.paced().rate[early] == pytest.approx(1.0, abs=1e-6)
     assert after.paced().rate[-1] < 0.7
+
+
+def test_no_round_raises_a_rate_that_another_lowered_further() -> None:
+    before, times = pacing(), np.arange(0.0, 15.0, 0.1)
+    everywhere = np.full(len(times), 100.0)
+    slowest = before.slowed_for_swing(times, everywhere, 0.2)
+    again = slowest.slowed_for_swing(times, everywhere, 0.3)
+    assert slowest.swing == pytest.approx(0.2)
+    assert again.swing == pytest.approx(0.2)
 
 
 def test_a_slowed_motion_is_as_smooth_and_ends_at_the_same_place() -> None:

@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import os
 import signal
 import sys
 from dataclasses import replace
@@ -14,6 +15,7 @@ from rich.console import Console
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused, SwarmError
 from swarm.flight.setup import Options
+from swarm.front.trials import TrialSeries, fly_series
 from swarm.ground.fly import fly
 from swarm.mission.fleet import emulated_fleet
 from swarm.reports.trials_text import print_trials
@@ -33,6 +35,7 @@ from swarm.simulation.monte_carlo import (
     worst_trials,
 )
 from swarm.simulation.monte_carlo.results import write_results
+from tests.children import children
 from tests.network import small_plan, uncleared
 from tests.shared import shared
 
@@ -112,6 +115,20 @@ def test_trials_in_processes_are_the_trials_flown_alone():
     alone, shared = (certify_clearances(PLAN, [flown(0)], jobs) for jobs in (1, 2))
     for name in ("tracking_radius", "cable", "vehicle", "vehicle_cable"):
         assert np.array_equal(getattr(alone, name), getattr(shared, name))
+
+
+def test_trials_before_the_death_of_a_worker_are_kept():
+    killed = []
+
+    def kill() -> None:
+        if not killed:
+            killed.append(children("loky.backend.popen_loky_posix")[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    flown, ended = fly_series(FLIGHT_PLAN, TrialSeries(40, 5, CALM, ()), 2, None, kill)
+    assert 1 <= len(flown) < 40
+    assert type(ended) is SwarmError
+    assert str(ended) == "a worker process was killed (too little memory for as many --jobs?)"
 
 
 def test_an_interrupt_while_processes_start_gives_no_warning(recwarn):

@@ -24,7 +24,7 @@ from swarm.cli.inputs import (
     refuse_option_conflicts,
 )
 from swarm.cli.planning import load_source, plan_paper_trajectory, require_cleared
-from swarm.errors import Interrupted
+from swarm.errors import Interrupted, SwarmError
 from swarm.files import write_text
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.front.trials import Trials, TrialSeries, fly_series, load_scenario
@@ -114,14 +114,14 @@ def run_trials(
         paper = plan_paper_trajectory(planned.plan.mission)
         flights.append(ComparisonFlight(paper.plan, paper.certificate))
     runs: list[Trials] = []
-    interrupted = False
+    ended: SwarmError | None = None
     for flight_plan in flights:
         # the paper has no mission clock: with ours its trajectory would stop, not come close
         open_loop = bool(runs)
         series = TrialSeries(options.count, options.seed, spread, faults, open_loop=open_loop)
-        flown, interrupted = _fly(flight_plan, series, options)
+        flown, ended = _fly(flight_plan, series, options)
         runs.append(flown)
-        if interrupted:
+        if ended:
             break
     summaries = [run.summary() for run in runs]
     if options.output:
@@ -135,8 +135,8 @@ def run_trials(
     else:
         for summary in summaries:
             print_trials(summary, Console())
-    if interrupted:
-        raise Interrupted(f"stopped after {sum(map(len, runs))} trials")
+    if ended:
+        raise type(ended)(f"{ended} after {sum(map(len, runs))} trials")
     context.exit(0 if _passed(summaries[0]) else 1)
 
 
@@ -148,8 +148,8 @@ def _passed(summary: Mapping[str, Any]) -> bool:
 
 def _fly(
     flight_plan: FlightPlan, series: TrialSeries, options: TrialOptions
-) -> tuple[Trials, bool]:
-    """Return the trials that were flown, and whether an interrupt ended them; show progress."""
+) -> tuple[Trials, SwarmError | None]:
+    """Return the trials that were flown, and what ended them early; show progress."""
     console = Console(stderr=True)
     with Progress(
         TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(),
@@ -157,12 +157,14 @@ def _fly(
     ) as bar:  # fmt: skip
         method = flight_plan.plan.mission.fold.method
         task = bar.add_task(f"trials ({method})", total=series.trials)
-        flown, interrupted = fly_series(
+        flown, ended = fly_series(
             flight_plan, series, options.jobs, options.scheduler, lambda: bar.advance(task)
         )
-    if not len(flown):
+    if isinstance(ended, Interrupted) and not len(flown):
         raise Interrupted("stopped before the first trial was completed")
-    return flown, interrupted
+    if ended and not len(flown):
+        raise ended
+    return flown, ended
 
 
 def _write_figures(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 from swarm import planning
 from swarm.certification.certificate import Certificate
-from swarm.errors import InputError, Problem, SwarmError
+from swarm.errors import InputError, Interrupted, Problem, SwarmError
 from swarm.files import read_text
 from swarm.flight.flight_plan import FlightPlan
 from swarm.front.flights import flyable
@@ -223,13 +223,13 @@ def fly_series(
     jobs: int | None,
     scheduler: str | None,
     on_trial: Callable[[], None],
-) -> tuple[Trials, bool]:
-    """Fly trials until an interrupt; return the completed trials, and whether it came.
+) -> tuple[Trials, SwarmError | None]:
+    """Fly trials until an interrupt or error; return the completed trials, and what ended them.
 
     ``on_trial`` is called after each trial.
     """
     flown: list[Trial] = []
-    interrupted = False
+    ended: SwarmError | None = None
     flying = fly_trials(
         flight_plan, series.spread, seed=series.seed, trials=range(series.trials),
         faults=series.faults, jobs=jobs, scheduler=scheduler, open_loop=series.open_loop,
@@ -240,9 +240,11 @@ def fly_series(
             on_trial()
     except KeyboardInterrupt:
         flying.close()
-        interrupted = True
+        ended = Interrupted("stopped")
+    except SwarmError as error:
+        ended = error
     flown.sort(key=lambda trial: trial.number)
-    # after an interrupt the certificates are computed in this process
-    processes_after = 1 if interrupted else jobs
+    # after an interrupt or error the certificates are computed in this process
+    processes_after = 1 if ended else jobs
     done = Trials(flight_plan.plan, tuple(flown), series.seed, series.spread, processes_after)
-    return done, interrupted
+    return done, ended

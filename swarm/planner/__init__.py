@@ -40,15 +40,15 @@ of searched motions of two. 9_44 is cleared with its third folding; repairs of t
 and 5 mm short. Where none is cleared, the first of all is returned as it is."""
 
 _BUDGET_ROUNDS, _BUDGET_ROUNDS_SEARCHED = 4, 10
-"""Largest number of repairs of a plan whose budget is short; of a searched motion also of those for
-jets: the eighth led a vehicle of 4_1 with 7 around a jet, after four that changed little."""
+"""Largest number of repairs of a plan for its budget and for jets, and that of a searched motion:
+the eighth led a vehicle of 4_1 with 7 around a jet, after four that changed little."""
 
 _LONGER, _LONGER_SEARCHED = 1.3, 1.5
 """Most that a fold may take longer for its budget. A repair that lost setpoints slow down by more
 is none, and slowing by more closed no budget of a grid: the Carrick mat's was still short at twice.
 It closed that of 8_18 with 10, a searched motion, at 1.36."""
 
-_SLOWED, _MOST_EXCESS = 3, 2.0
+_SLOWED, _MOST_EXCESS = 6, 2.0
 """Rounds in which a plan is slowed for its budget, and the largest excess of the swing of one: a
 rate of half."""
 
@@ -132,59 +132,32 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     """Certify and repair candidates until one is cleared; otherwise return the first one checked.
 
     A plan that exceeds the endurance is not checked, because no repair shortens it; the shortest
-    one is returned where nothing else was found. The swing takes the longest to compute: plans are
-    slowed for it, and checked again, once they pass the checks without. Then strands are led
-    farther apart where the clearance budget is short; where it stays so, the plan that comes
-    closest counts.
+    one is returned where nothing else was found. Where only the budget stays short, the plan that
+    comes closest counts.
     """
-    proposals = candidates(mission, progress=progress)
-    candidate = next(proposals, None)
     notes: tuple[str, ...] = ()
     first: PacedPlan | None = None
     too_long: list[Plan] = []
-    kept: list[_Kept] = []
     short_ones: list[PlanningResult] = []
     failed_checks: frozenset[str] = frozenset()
     attempts, vehicles = 0, 0
-    while candidate is not None:
-        searched = candidate.searched
-        longer = _LONGER_SEARCHED if searched else _LONGER
+    for candidate in candidates(mission, progress=progress):
         if candidate.plan.vehicles != vehicles:
             attempts, vehicles = 0, candidate.plan.vehicles
         elif attempts >= _ATTEMPTS:
             break
-        notes += candidate.notes
-        plan = replace(candidate.plan, notes=notes)
-        paced, failures = _checked(plan, failed_checks)
-        if _exceeds_endurance(paced.plan):
-            notes += (_too_long(paced.plan),)
-            too_long.append(paced.plan)
-            candidate = None if kept else next(proposals, None)
-        else:
-            attempts += 1
-            first = first or paced
-            candidate = replace(candidate, plan=paced.plan)
-            if failures:
-                failed_checks = frozenset(moment.check for moment in failures)
-                candidate = repaired(candidate, [_shortfall(moment) for moment in failures])
-            elif kept and _fold_time(paced.plan) > longer * _fold_time(kept[0].paced.plan):
-                candidate = None
-            else:
-                sinking = _sinking(paced.plan) if searched else []
-                kept.append(_Kept(paced, _short_budget(paced.plan), sinking))
-                more = len(kept) <= (_BUDGET_ROUNDS_SEARCHED if searched else _BUDGET_ROUNDS)
-                candidate = _led_apart(candidate, kept[-1].shortfalls) if more else None
-            if candidate is None and not kept:
-                notes += _why_not(failures) if searched else ()
-                candidate = next(proposals, None)
-        if kept and (candidate is None or attempts >= _ATTEMPTS):
-            found = _certified(_slowed_for_budget(_least_short(kept), longer), progress)
+        repairs = _repair(candidate, notes, failed_checks, _ATTEMPTS - attempts)
+        attempts += repairs.attempts
+        notes, failed_checks = repairs.notes, repairs.failed_checks
+        first = first or repairs.first
+        too_long += repairs.too_long
+        if repairs.kept:
+            best = _least_short(repairs.kept)
+            found = _certified(_slowed_for_budget(best, _longer(candidate)), progress)
             if found.certificate.cleared:
                 return found
             short_ones += [found] if _certifiable(found.assessment) else []
-            notes += _why_refused(found) if searched else ()
-            kept = []
-            candidate = next(proposals, None)
+            notes += _why_refused(found) if candidate.searched else ()
     if short_ones:
         return max(short_ones, key=lambda found: least_remaining(found.assessment.budget))
     rejected = (
@@ -193,6 +166,67 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
         else min(too_long, key=lambda long: long.flight_duration)
     )
     return PlanningResult(rejected, certify(rejected, progress=progress))
+
+
+@dataclass(frozen=True)
+class _Repairs:
+    """What became of a candidate and its repairs.
+
+    ``kept`` are those that keep all clearances; ``first`` is the first that was checked, of
+    ``attempts``; plans ``too_long`` were not.
+    """
+
+    kept: Sequence["_Kept"]
+    first: PacedPlan | None
+    too_long: Sequence[Plan]
+    attempts: int
+    notes: tuple[str, ...]
+    failed_checks: frozenset[str]
+
+
+def _repair(
+    candidate: Candidate, notes: tuple[str, ...], failed_checks: frozenset[str], allowed: int
+) -> _Repairs:
+    """Check a candidate, and repair it until a repair is no longer possible or wanted.
+
+    At most ``allowed`` plans are checked, first for ``failed_checks``. The swing takes the longest
+    to compute: plans are slowed for it, and checked again, once they pass the checks without. Then
+    strands are led farther apart where the clearance budget is short, and vehicles around jets.
+    """
+    rounds = _BUDGET_ROUNDS_SEARCHED if candidate.searched else _BUDGET_ROUNDS
+    longer = _longer(candidate)
+    kept: list[_Kept] = []
+    first: PacedPlan | None = None
+    too_long: list[Plan] = []
+    failures: tuple[Moment, ...] = ()
+    attempts = 0
+    tried: Candidate | None = candidate
+    while tried is not None and attempts < allowed:
+        notes += tried.notes
+        paced, failures = _checked(replace(tried.plan, notes=notes), failed_checks)
+        tried = replace(tried, plan=paced.plan)
+        if _exceeds_endurance(paced.plan):
+            notes += (_too_long(paced.plan),)
+            too_long.append(paced.plan)
+            tried = None
+        else:
+            attempts += 1
+            first = first or paced
+            if failures:
+                failed_checks = frozenset(moment.check for moment in failures)
+                tried = repaired(tried, [_shortfall(moment) for moment in failures])
+            else:
+                if not kept or _fold_time(paced.plan) <= longer * _fold_time(kept[0].paced.plan):
+                    kept.append(_keep(tried, paced))
+                tried = None
+        if tried is None and 0 < len(kept) <= rounds:
+            tried, kept[-1] = _led_apart(kept[-1])
+    notes += _why_not(failures) if candidate.searched and failures and not kept else ()
+    return _Repairs(kept, first, too_long, attempts, notes, failed_checks)
+
+
+def _longer(candidate: Candidate) -> float:
+    return _LONGER_SEARCHED if candidate.searched else _LONGER
 
 
 def _checked(plan: Plan, failed_checks: frozenset[str]) -> tuple[PacedPlan, tuple[Moment, ...]]:
@@ -238,20 +272,27 @@ def _fold_time(plan: Plan) -> float:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A plan that keeps all clearances, and where its ``budget`` is short.
+    """A candidate whose plan keeps all clearances, and where its ``budget`` is short.
 
     ``sinking`` is where a vehicle sinks in the jet of another by more than the tracking radius;
-    only searched motions are repaired for that.
+    ``shares`` are those of both that no repair has tried yet.
     """
 
+    candidate: Candidate
     paced: PacedPlan
     budget: Sequence[Shortfall]
-    sinking: Sequence[Shortfall] = ()
+    sinking: Sequence[Shortfall]
+    shares: tuple[float, ...] = _SHARES
 
     @property
     def shortfalls(self) -> list[Shortfall]:
         """What a repair should mend."""
         return [*self.budget, *self.sinking]
+
+
+def _keep(candidate: Candidate, paced: PacedPlan) -> _Kept:
+    candidate = replace(candidate, attempt=0)
+    return _Kept(candidate, paced, _short_budget(paced.plan), _sinking(paced.plan))
 
 
 def _short_budget(plan: Plan) -> list[Shortfall]:
@@ -293,21 +334,24 @@ def _slowed_for_budget(kept: _Kept, longer: float) -> _Kept:
             break
         if violations(paced.plan):
             break
-        left = _short_budget(paced.plan)
-        if _total(left) >= _total(kept.budget):
+        slowed = _keep(kept.candidate, paced)
+        if _total(slowed.budget) >= _total(kept.budget):
             break
-        kept = _Kept(paced, left)
+        kept = slowed
     return kept
 
 
-def _led_apart(candidate: Candidate, short: list[Shortfall]) -> Candidate | None:
-    """Return the candidate with strands farther apart, by as much as can be repaired at once."""
-    for share in _SHARES:
-        part = [replace(one, metres=share * (one.metres + _RESERVE)) for one in short]
-        found = repaired(candidate, part)
+def _led_apart(kept: _Kept) -> tuple[Candidate | None, _Kept]:
+    """Return the candidate with strands farther apart, by as much as can be repaired at once.
+
+    None where no share that is left can be; the plan is returned with those that are left then.
+    """
+    for number, share in enumerate(kept.shares if kept.shortfalls else (), start=1):
+        part = [replace(one, metres=share * (one.metres + _RESERVE)) for one in kept.shortfalls]
+        found = repaired(kept.candidate, part)
         if found is not None:
-            return found
-    return None
+            return found, replace(kept, shares=kept.shares[number:])
+    return None, replace(kept, shares=())
 
 
 def _certifiable(assessment: Assessment) -> bool:

@@ -66,8 +66,8 @@ def flight_around_fold(
 
     ``lengths`` (n − 1,) are the lengths of the segments, metres. The fold starts with all vehicles
     at one height on a straight line, in order. With ``relaxed`` the contraction ends without pull
-    of the cable on the floor, by _RELAXING: without, long and unequal segments pulled vehicles off
-    by up to 0.12 m in the lift, with it 0.09 m.
+    of the cable on the floor, by _RELAXING: without, long segments pulled vehicles off by up to
+    0.13 m in the lift.
     """
     lifted = fold.at(fold.times[0])[0]
     folded = fold.at(fold.times[-1])[0]

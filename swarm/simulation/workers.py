@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from joblib import parallel_config
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from swarm.errors import SwarmError
 
@@ -20,12 +21,17 @@ def process_count(jobs: int | None) -> int:
 def parallel_workers(jobs: int | None, scheduler: str | None) -> Iterator[None]:
     """Let joblib run in ``jobs`` processes of this machine, or on the cluster at ``scheduler``.
 
-    ``scheduler`` is tcp://host:port. Raises :class:`swarm.errors.SwarmError` where the cluster's
-    packages are missing or its scheduler does not answer.
+    ``scheduler`` is tcp://host:port. Raises :class:`swarm.errors.SwarmError` where a process of
+    this machine is killed, the cluster's packages are missing, or its scheduler does not answer.
     """
     if scheduler is None:
         with parallel_config(backend="loky", n_jobs=process_count(jobs)):
-            yield
+            try:
+                yield
+            except TerminatedWorkerError:
+                raise SwarmError(
+                    "a worker process was killed (too little memory for as many --jobs?)"
+                ) from None
         return
     with _cluster(scheduler), parallel_config(backend="dask"):
         yield
