@@ -53,7 +53,9 @@ def test_a_search_ends_after_a_counted_number_of_attempts() -> None:
         r"after 0 attempts, before 7 vehicles; the grid diagram has 9",
         str(caught.value),
     )
-    assert not list(FewVehicles(choice, opened, "fewest", margins, attempts=0).foldings(None))
+    with pytest.raises(StopIteration) as end:
+        next(FewVehicles(choice, opened, "fewest", margins, attempts=0).foldings(None))
+    assert end.value.value[-1] == "the search ended after 0 attempts, before 5 vehicles"
 
 
 def test_a_number_of_vehicles_excludes_a_given_layout() -> None:

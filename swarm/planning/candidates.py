@@ -3,7 +3,7 @@
 A candidate is not certified. `swarm.planner` certifies candidates one after the other.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,12 +112,10 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
         count = mission.vehicles.count
         carried = mission.vehicles.payload / mission.cable.mass_per_length
         few = FewVehicles(choice, opened, count, margins, carried)  # type: ignore[arg-type]
-        for folding, found in few.foldings(progress):
-            tied = replace(knot, gauss=code_at_rest(folding.layout).signed_text())
-            yield Candidate(plan_of_folding(mission, tied, folding), folding, notes=found)
+        notes = yield from _with_few_vehicles(mission, knot, few, progress)
         if count != "fewest":
             return
-        notes = ("no motion with fewer vehicles was cleared: the grid diagram is folded",)
+        notes += ("no motion with fewer vehicles was cleared: the grid diagram is folded",)
     _refuse_crowding(mission, knot, opened, margins)
     refuse_overload(mission, _smallest_layouts(mission, opened, margins))
     for candidate in _folded_grids(mission, knot, opened, margins, progress):
@@ -153,6 +151,21 @@ def repaired(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> Candidate
 
 def _without_folding(plan: Plan) -> Candidate:
     return Candidate(plan, notes=plan.notes)
+
+
+def _with_few_vehicles(
+    mission: Mission, knot: KnotSummary, few: FewVehicles, progress: Progress | None
+) -> Generator[Candidate, None, tuple[str, ...]]:
+    """Yield a candidate for every folding of a search; return the notes on its end."""
+    search = few.foldings(progress)
+    while True:
+        try:
+            folding, notes = next(search)
+        except StopIteration as end:
+            ended: tuple[str, ...] = end.value
+            return ended
+        tied = replace(knot, gauss=code_at_rest(folding.layout).signed_text())
+        yield Candidate(plan_of_folding(mission, tied, folding), folding, notes=notes)
 
 
 def _folded_grids(

@@ -96,11 +96,12 @@ class FewVehicles:
         """Number of vehicles of the grid diagram."""
         return len(self.opened[0].corners)
 
-    def foldings(self, progress: Progress | None) -> Iterator[NotedFolding]:
+    def foldings(self, progress: Progress | None) -> Generator[NotedFolding, None, tuple[str, ...]]:
         """Yield foldings, those with the fewest vehicles first, with notes on the search so far.
 
-        Raises :class:`swarm.errors.Refused` where a number is out of range, and where no motion
-        with it is found, with the nearest number for which one is.
+        Returns the notes that no folding came with. Raises :class:`swarm.errors.Refused` where a
+        number is out of range, and where no motion with it is found, with the nearest number for
+        which one is.
         """
         if self.knot.name == "unknown":
             raise Refused(
@@ -115,9 +116,9 @@ class FewVehicles:
         if self.count == "fewest":
             for count in range(self.least, self.most):
                 if found.attempts >= self.attempts:
-                    return
+                    return (*found.notes, self._ended(count))
                 found = yield from self._with(count, found, progress)
-            return
+            return found.notes
         if not self.least <= self.count <= self.most:
             raise Refused(
                 f"vehicles.count {self.count}: {bound}, and the grid diagram has {self.most}"
@@ -126,13 +127,16 @@ class FewVehicles:
         if found.notes:
             nearest = self._nearest(self.count, found, progress)
             raise Refused(f"vehicles.count {self.count}: {found.notes[-1]}; {nearest}")
+        return ()
+
+    def _ended(self, count: int) -> str:
+        return f"the search ended after {self.attempts} attempts, before {count} vehicles"
 
     def _nearest(self, count: int, found: _Searched, progress: Progress | None) -> str:
         """Return in words for which larger number of vehicles a motion is found."""
         for more in range(count + 1, self.most):
             if found.attempts >= self.attempts:
-                ended = f"the search ended after {self.attempts} attempts, before {more} vehicles"
-                return f"{ended}; the grid diagram has {self.most}"
+                return f"{self._ended(more)}; the grid diagram has {self.most}"
             search = self._with(more, found, progress)
             try:
                 next(search)
