@@ -35,9 +35,9 @@ from swarm.planning import Candidate, Plan, Shortfall, candidates, repaired
 Progress = Callable[[str, float], None]
 
 _ATTEMPTS = 32
-"""Largest number of plans with a number of vehicles that are checked: all repairs of four foldings,
-of searched motions of two. 9_44 is cleared with its third folding; repairs of the first two end 4
-and 5 mm short. Where none is cleared, the first of all is returned as it is."""
+"""Largest number of plans with a number of vehicles that are checked, of all foldings. 9_44 is
+cleared with its third folding; repairs of the first two end 4 and 5 mm short. Where none is
+cleared, the first of all is returned as it is."""
 
 _BUDGET_ROUNDS, _BUDGET_ROUNDS_SEARCHED = 4, 10
 """Largest number of repairs of a plan for its budget and for jets, and that of a searched motion:
@@ -291,6 +291,7 @@ class _Kept:
 
 
 def _keep(candidate: Candidate, paced: PacedPlan) -> _Kept:
+    # repairs are counted anew from a plan that keeps all clearances
     candidate = replace(candidate, attempt=0)
     return _Kept(candidate, paced, _short_budget(paced.plan), _sinking(paced.plan))
 
@@ -316,29 +317,30 @@ def _total(shortfalls: Sequence[Shortfall]) -> float:
     return sum(one.metres for one in shortfalls)
 
 
-def _slowed_for_budget(kept: _Kept, longer: float) -> _Kept:
+def _slowed_for_budget(kept: _Kept, longer: float) -> PacedPlan:
     """Return the plan, slowed where its budget is short, while that makes it less so.
 
     Its fold takes at most ``longer`` times as long.
     """
-    longest = longer * _fold_time(kept.paced.plan)
+    best, budget = kept.paced, kept.budget
+    longest = longer * _fold_time(best.plan)
     for _ in range(_SLOWED):
-        tube = swing_tube(kept.paced.plan) if kept.budget else None
-        short = short_moments(kept.paced.plan, tube) if tube else ()
+        tube = swing_tube(best.plan) if budget else None
+        short = short_moments(best.plan, tube) if tube else ()
         if not short:
             break
         times, metres, swing = np.array([(one.time, one.metres, one.swing) for one in short]).T
         excess = swing / np.maximum(swing - metres - _RESERVE, swing / _MOST_EXCESS)
-        paced = slowed_for_stops(kept.paced, times, excess)
+        paced = slowed_for_stops(best, times, excess)
         if _exceeds_endurance(paced.plan) or _fold_time(paced.plan) > longest:
             break
         if violations(paced.plan):
             break
-        slowed = _keep(kept.candidate, paced)
-        if _total(slowed.budget) >= _total(kept.budget):
+        left = _short_budget(paced.plan)
+        if _total(left) >= _total(budget):
             break
-        kept = slowed
-    return kept
+        best, budget = paced, left
+    return best
 
 
 def _led_apart(kept: _Kept) -> tuple[Candidate | None, _Kept]:
@@ -360,12 +362,12 @@ def _certifiable(assessment: Assessment) -> bool:
     return errors <= {"budget"}
 
 
-def _certified(kept: _Kept, progress: Progress | None) -> PlanningResult:
+def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
     """Certify a plan, timed again while lost setpoints would lower the rate of the clock.
 
     Of several timings the last one that is cleared is returned; the first where none is.
     """
-    timings = [kept.paced]
+    timings = [paced]
     for _ in range(_RETIMED):
         again = slower(timings[-1], certify_stream_loss(timings[-1].plan))
         if again is None:
@@ -375,8 +377,7 @@ def _certified(kept: _Kept, progress: Progress | None) -> PlanningResult:
         certificate = certify(again.plan, progress=progress)
         if _certifiable(certificate.assessment):
             return PlanningResult(again.plan, certificate)
-    plan = kept.paced.plan
-    return PlanningResult(plan, certify(plan, progress=progress))
+    return PlanningResult(paced.plan, certify(paced.plan, progress=progress))
 
 
 def _exceeds_endurance(plan: Plan) -> bool:

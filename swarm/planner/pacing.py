@@ -161,8 +161,8 @@ def slowed_for_stops(paced: PacedPlan, times: Floats, excess: Floats) -> PacedPl
     before, after = _STOP_BEFORE, _STOP_AFTER
     padded = np.pad(most, (after, before), constant_values=1.0)
     most = np.lib.stride_tricks.sliding_window_view(padded, before + after + 1).max(axis=1)
-    excess = most ** (1.0 / _SWING_EXPONENT)
-    pacing = paced.pacing.slowed_for_swing(grid, excess, _SLOWEST_STOPS)
+    stray = most ** (1.0 / _SWING_EXPONENT)
+    pacing = paced.pacing.slowed_for_swing(grid, stray, _SLOWEST_STOPS)
     return _timed(paced.plan, _limited_for_loss(paced.plan, pacing))
 
 

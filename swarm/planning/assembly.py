@@ -127,7 +127,10 @@ def with_fold(plan: Plan, fold: Motion) -> Plan:
 
 
 def _flight(mission: Mission, layout: KnotLayout, fold: Motion) -> PhaseSequence:
-    """Return the flight around a fold; that of the paper contracts as in the paper."""
+    """Return the flight around a fold.
+
+    Layouts without a grid, and long segments, contract beyond the line; the paper's do not.
+    """
     long = layout.cell == 0.0 or bool(layout.lengths.max() >= _LONG)
     relaxed = mission.fold.method == "certified" and long
     return flight_around_fold(mission, layout.lengths, fold, relaxed=relaxed)

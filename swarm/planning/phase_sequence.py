@@ -75,7 +75,7 @@ def flight_around_fold(
     before = (
         _before_fold_attached(mission, lifted)
         if attached
-        else _before_fold(mission, lengths, fold, relaxed=relaxed)
+        else _before_fold(mission, lengths, lifted, folded, relaxed=relaxed)
     )
     folding = PhaseMotion("fold", fold, "aloft", reversible=True, gate="settled")
     hold = PhaseMotion("hold", at_rest(folded, mission.hold_time), "aloft", reversible=True)
@@ -117,10 +117,9 @@ def join_phases(motions: tuple[PhaseMotion, ...], gates: list[Gate]) -> PhaseSeq
 
 
 def _before_fold(
-    mission: Mission, lengths: Floats, fold: Motion, *, relaxed: bool
+    mission: Mission, lengths: Floats, lifted: Floats, folded: Floats, *, relaxed: bool
 ) -> tuple[PhaseMotion, ...]:
     """Return take-off from pads beside the cable, grab, contraction on the floor, and lift."""
-    lifted, folded = fold.at(fold.times[[0, -1]])[0]
     vehicles = mission.vehicles
     speed, acceleration = vehicles.max_speed, usable_acceleration(mission)
     slow = min(speed, TOUCHDOWN_SPEED)
@@ -172,10 +171,8 @@ def _contraction(
     mission: Mission, laid: Floats, contracted: Floats, *, relaxed: bool
 ) -> tuple[Motion, ...]:
     """Return the motion from the laid cable to the contracted line, both (n, 3), over the floor."""
-    slow, acceleration = (
-        min(mission.vehicles.max_speed, TOUCHDOWN_SPEED),
-        usable_acceleration(mission),
-    )
+    slow = min(mission.vehicles.max_speed, TOUCHDOWN_SPEED)
+    acceleration = usable_acceleration(mission)
     if not relaxed:
         return (leg(laid, contracted, slow, acceleration),)
     step = contracted - laid
