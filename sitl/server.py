@@ -32,6 +32,8 @@ OFFBOARD, OFFBOARD_LOCAL, GROUND, GROUND_LOCAL, TCP = 14540, 14580, 14550, 18570
 _LARGEST_DATAGRAM = 65535
 _LARGEST_LAG = 0.25
 """Delay in seconds beyond which emulated time falls behind real time."""
+_LARGEST_LAG_FOLLOWED = 0.05
+"""The same where a ground station follows emulated time: faster than real time, packets wait."""
 _TRUTH_INTERVAL = 0.1
 _BUFFER = 1 << 20
 _CLOCK = struct.Struct("<d")
@@ -175,6 +177,7 @@ class Server:
         emulator = self.emulator
         start = time.monotonic() - emulator.time / self.speed
         next_truth = 0.0
+        largest_lag = _LARGEST_LAG if self.clock is None else _LARGEST_LAG_FOLLOWED
         gc.collect()
         gc.freeze()
         while not self.stopped:
@@ -183,13 +186,15 @@ class Server:
             if wait > 0:
                 ready = self.poll.poll(wait * 1000.0)
                 if ready:
-                    now = max(emulator.time, (time.monotonic() - start) * self.speed)
+                    # not beyond the next step, however long this process was held up here
+                    elapsed = (time.monotonic() - start) * self.speed
+                    now = min(max(emulator.time, elapsed), emulator.time + STEP)
                     for descriptor, _ in ready:
                         self._receive(descriptor, now)
                         if descriptor in self.endpoints:
                             self._send_answer(self.endpoints[descriptor])
                     continue
-            elif wait < -_LARGEST_LAG:
+            elif wait < -largest_lag:
                 start -= wait
             else:
                 for descriptor, _ in self.poll.poll(0):

@@ -88,6 +88,41 @@ def test_every_vehicle_sends_from_its_own_port_to_the_target() -> None:
             assert process.communicate()[1] == ""
 
 
+def test_packets_that_arrive_before_a_pause_of_the_process_are_read_in_their_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A vehicle must not state a time that its world has not reached."""
+    emulator = Emulator(default_world(1, ["px4"]))
+    with ground_socket() as sock:
+        running = server.to_target(emulator, sock.getsockname(), "127.0.0.1", 1.0)
+        pause = [0.0]
+        real, advance = time.monotonic, running.advance
+
+        class PausedAfterPacket:
+            """Poll, and the process is held up for 0.2 s where a packet waits."""
+
+            def poll(self, timeout: float) -> list[tuple[int, int]]:
+                ready = inner.poll(timeout)
+                pause[0] += 0.2 if ready and timeout > 0 else 0.0
+                return ready
+
+        inner, running.poll = running.poll, PausedAfterPacket()  # type: ignore[assignment]
+        monkeypatch.setattr(server.time, "monotonic", lambda: real() + pause[0])
+        ahead = []
+
+        def advanced(now: float) -> None:
+            ahead.append(emulator.vehicles[0].now - now)
+            advance(now)
+            sock.sendto(b"\xfd", ("127.0.0.1", running.description[0]["udp_local"]))
+            running.stopped = now > 1.0
+
+        running.advance = advanced
+        running.run(None, None)
+        running.close()
+    assert pause[0] >= 0.2
+    assert max(ahead) <= 1e-9
+
+
 def test_a_termination_signal_ends_the_process_and_truth_is_on_file(tmp_path: Path) -> None:
     file = tmp_path / "truth.jsonl"
     with running("--truth", str(file), "--target", "127.0.0.1:9", "--speed", "20") as (process, _):
