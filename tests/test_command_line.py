@@ -147,7 +147,9 @@ def test_the_papers_own_trajectory_is_shown_and_refused_because_strands_meet(
 def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> None:
     reviewed = run("plan", OVERHAND, "--save", str(tmp_path / "overhand.plan"), "--json")
     assert reviewed.returncode == 0
-    result = swarm("fly", "overhand.plan", "--record", "flight", "--json", cwd=tmp_path)
+    result = swarm(
+        "fly", "overhand.plan", "--speed", "3", "--record", "flight", "--json", cwd=tmp_path
+    )
     assert result.returncode == 0, result.stderr
     flown = json.loads(result.stdout)
     assert flown["adherence"]["within"] is True

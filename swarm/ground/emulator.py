@@ -50,29 +50,26 @@ class EmulatorProcess:
     ) -> None:
         """Write the world file and start; the vehicles send to UDP ``port`` on loopback.
 
-        With ``firmware``, ``clock`` has the time of the world, and the record its ground truth.
+        ``clock`` has the time of the world; with ``firmware``, the record has its ground truth.
         Raises :class:`VehicleError` if it is not ready within ``timeout`` seconds.
         """
         path, clock = folder / "world.json", folder.absolute() / "clock.bin"
         self._errors = folder / "emulator.txt"
-        self.clock: WorldClock | None = None
         try:
             path.write_text(json.dumps(world, indent=1))
-            if firmware is not None:
-                create_clock(clock)
-                self.clock = WorldClock(clock, speed)
+            create_clock(clock)
+            self.clock = WorldClock(clock, speed)
             errors = self._errors.open("wb")
         except OSError as error:
             raise VehicleError(f"the emulator's world cannot be written: {error}") from None
         command = [sys.executable, "-m", "sitl", "--world", str(path), "--speed", f"{speed:g}"]
-        command += ["--target", f"127.0.0.1:{port}"]
+        command += ["--target", f"127.0.0.1:{port}", "--clock", str(clock)]
         if signing_key is not None:
             command += ["--signing-key", signing_key]
         if firmware is not None:
             command += ["--firmware", firmware.selection, "--positioning", firmware.positioning]
             command += ["--firmware-folder", str(folder.absolute() / "firmware")]
             command += ["--truth", str(folder.absolute() / "truth.jsonl")]
-            command += ["--clock", str(clock)]
             if firmware.mocap is not None:
                 command += ["--mocap", f"127.0.0.1:{firmware.mocap}"]
         with errors:
@@ -124,6 +121,4 @@ class EmulatorProcess:
             self._process.wait()
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
-        if self.clock is not None:
-            self.clock.close()
-            self.clock = None
+        self.clock.close()

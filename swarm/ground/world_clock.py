@@ -1,7 +1,7 @@
 """The time of the emulator's world, for flights that follow it instead of the wall clock.
 
-Real autopilots run in lockstep with the world. On a busy machine both fall behind real time; a
-ground station that does not would see all vehicles lag, by the speed times the delay.
+On a busy machine the world, and the autopilots in it, fall behind real time; a ground station that
+does not would see all vehicles lag, by the speed times the delay.
 """
 
 import mmap
