@@ -8,8 +8,8 @@ import pytest
 from swarm.errors import InputError
 from swarm.geometry.catenary import OverStretched, solve_catenaries
 from swarm.mission import parse_mission
-from swarm.planning import make_plan
 from swarm.planning.cable_shape import cable_shape
+from swarm.planning.candidates import make_plan
 from tests.network import sideways
 
 PLAN = sideways()

@@ -6,7 +6,7 @@ import pytest
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.mission.fleet import emulated_fleet
-from swarm.planning import make_plan
+from swarm.planning.candidates import make_plan
 from swarm.planning.estimates import refuse_overload, require_fleet, vehicles_needed
 
 FORMATION = "{schema: 1, name: two, formation: {places: [[[0, 0, 2], [3, 0, 2]]]}}"

@@ -9,7 +9,7 @@ from swarm.errors import InputError, Refused
 from swarm.knots.catalog import lookup_knot
 from swarm.knots.grid import openings
 from swarm.mission import mission_for_knot
-from swarm.planning import make_plan
+from swarm.planning.candidates import make_plan
 from swarm.planning.few_vehicles import FewVehicles
 from swarm.planning.foldings import planning_margins
 

@@ -9,7 +9,7 @@ from swarm.certification.assess import assess
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused
 from swarm.mission import Mission, parse_mission
-from swarm.planning import make_plan
+from swarm.planning.candidates import make_plan
 from swarm.verification import verify_trace
 from tests.network import Network
 

@@ -10,7 +10,7 @@ from swarm.errors import InputError, Refused
 from swarm.knots.catalog import lookup_knot
 from swarm.knots.grid import openings
 from swarm.mission import Mission, mission_for_knot, parse_mission
-from swarm.planning import make_plan
+from swarm.planning.candidates import make_plan
 from swarm.planning.foldings import fit_to_cable, lay_out_apart, layout_sizes, planning_margins
 
 

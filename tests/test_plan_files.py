@@ -10,8 +10,9 @@ import pytest
 
 from swarm.errors import InputError
 from swarm.mission import parse_mission
-from swarm.planning import digest, make_plan
+from swarm.planning import digest
 from swarm.planning.archive import plan_file, read_plan_file
+from swarm.planning.candidates import make_plan
 from tests.network import sideways
 from tests.reports.synthetic import trefoil_plan
 

@@ -14,7 +14,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from swarm import planner
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot, parse_mission
-from swarm.planning import Plan, digest, make_plan
+from swarm.planning import Plan, digest
+from swarm.planning.candidates import make_plan
 
 ROOT = Path(__file__).parents[1]
 STILL = ("takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land")

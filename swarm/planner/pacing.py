@@ -15,7 +15,9 @@ from swarm.certification.stream_loss import StreamLossCertificate, sampled_rates
 from swarm.certification.swing_runs import model_of
 from swarm.certification.swing_tube import BIN
 from swarm.geometry.motion import Motion
-from swarm.planning import Plan, fold_of, usable_acceleration, with_fold
+from swarm.planning import Plan
+from swarm.planning.assembly import fold_of, with_fold
+from swarm.planning.phase_motion import usable_acceleration
 from swarm.planning.plan import Phase
 from swarm.planning.shaping import PacedMotion, Shaper, largest_stray, shape, shaper_for
 from swarm.planning.timing import slow_to_limits

@@ -1,10 +1,10 @@
-"""The plan, and its computation from a mission."""
+"""The plan, and its computation from a mission.
+
+Only the plan itself is imported here: a flight reads plans and does not make any.
+"""
 
 from swarm.folding.layout import KnotLayout
-from swarm.planning.assembly import fold_of, with_fold
-from swarm.planning.candidates import Candidate, candidates, make_plan, repaired
 from swarm.planning.digest import digest
-from swarm.planning.phase_motion import usable_acceleration
 from swarm.planning.plan import (
     CableState,
     Condition,
@@ -14,11 +14,9 @@ from swarm.planning.plan import (
     PhaseName,
     Plan,
 )
-from swarm.planning.repair import Shortfall
 
 __all__ = [
     "CableState",
-    "Candidate",
     "Condition",
     "Gate",
     "KnotLayout",
@@ -26,12 +24,5 @@ __all__ = [
     "Phase",
     "PhaseName",
     "Plan",
-    "Shortfall",
-    "candidates",
     "digest",
-    "fold_of",
-    "make_plan",
-    "repaired",
-    "usable_acceleration",
-    "with_fold",
 ]

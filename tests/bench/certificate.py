@@ -18,7 +18,8 @@ from swarm.certification.robustness import largest_tracking, largest_wind
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.mission import mission_for_knot, parse_mission
-from swarm.planning import Plan, make_plan
+from swarm.planning import Plan
+from swarm.planning.candidates import make_plan
 
 FRACTIONS = np.linspace(0.0, 1.0, 101)
 

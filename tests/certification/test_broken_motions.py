@@ -12,7 +12,8 @@ from click.testing import CliRunner
 from swarm.cli.certify import certify
 from swarm.exports import motion_rows
 from swarm.mission import mission_for_knot
-from swarm.planning import Plan, make_plan
+from swarm.planning import Plan
+from swarm.planning.candidates import make_plan
 from tests.certification.conftest import recorded_overhand
 
 STEP = 0.5
