@@ -32,8 +32,15 @@ def test_a_preset_keeps_other_rotors_and_cable_out_of_its_own(preset):
 
 
 @pytest.mark.parametrize("knot", ["overhand", pytest.param("figure-eight", marks=pytest.mark.full)])
-def test_every_preset_plans_and_certifies_the_first_two_knots(preset, knot):
-    planned = planner.plan(mission_for_knot(knot, preset.overrides), robustness=False)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name == "crazyflie-like" else pytest.mark.full)
+        for name in PRESETS
+    ],
+)
+def test_every_preset_plans_and_certifies_the_first_two_knots(name, knot):
+    planned = planner.plan(mission_for_knot(knot, PRESETS[name].overrides), robustness=False)
     errors = [f.message for f in planned.assessment.findings if f.severity == "error"]
     assert (errors, planned.certificate.cleared) == ([], True)
     assert planned.plan.duration < planned.plan.mission.vehicles.endurance
