@@ -24,19 +24,17 @@ _FAINT = 0.25
 """Opacity of dominated plans."""
 
 
-def pareto_figure(
-    points: Sequence[Point],
-) -> Figure:
+def pareto_figure(points: Sequence[Point]) -> Figure:
     """Return the figure of a Pareto front: cable length, fold time and e* of plans.
 
-    Where they have different numbers of vehicles, cable, fold time, e* and payload are shown over
-    these, too. Dominated plans are faint.
+    Points are numbered; a list beside names them. Where they have different numbers of vehicles,
+    cable, fold time, e* and payload are shown over these, too. Dominated plans are faint.
 
     ``points`` have the fields of :class:`swarm.studies.FrontPoint`.
     """
     several = len({point["vehicles"] for point in points}) > 1
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(12.0 if several else 8.0, 4.6), layout="constrained")
+        figure = Figure(figsize=(14.0 if several else 9.0, 4.6), layout="constrained")
         FigureCanvasAgg(figure)
         grid = figure.add_gridspec(2, 4 if several else 2)
         _draw_cable_and_time(figure.add_subplot(grid[:, :2]), points)
@@ -48,25 +46,34 @@ def pareto_figure(
 
 
 def _draw_cable_and_time(axes: Axes, points: Sequence[Point]) -> None:
-    """Draw fold time over cable, larger e* as larger marks."""
+    """Draw fold time over cable, larger e* as larger marks, with their numbers in a list beside."""
     tracking = [point["max_tracking_error"] for point in points]
     low, high = min(tracking), max(tracking)
-    for point in points:
-        cable, fold = point["cable_length"], point["fold_time"]
+    for number, point in enumerate(points, start=1):
         error, dominated = point["max_tracking_error"], point["dominated"]
         share = (error - low) / (high - low) if high > low else 1.0
+        ink = FAINT_INK if dominated else INK
+        place = point["cable_length"], point["fold_time"]
         axes.plot(
-            cable, fold, "o", markersize=7 + 11 * share, color=START,
+            *place, "o", markersize=10 + 8 * share, color=START,
             alpha=_FAINT if dominated else 0.9, markeredgewidth=0,
         )  # fmt: skip
         axes.annotate(
-            f"e* {error:.3f} m\n{point['variant']}", (cable, fold), fontsize=7.5,
-            textcoords="offset points", xytext=(12, -4),
-            color=FAINT_INK if dominated else INK,
+            f"{number}",
+            place,
+            fontsize=7.5,
+            ha="center",
+            va="center",
+            color=INK if dominated else "white",
+        )
+        axes.plot(
+            [], [], linestyle="", marker=f"${number}$", color=ink, markeredgewidth=0,
+            label=f"{point['variant']}, e* {error:.3f} m",
         )  # fmt: skip
     axes.set(xlabel="cable, m", ylabel="fold, s")
     axes.set_title("Cable, fold time and the largest tracking error e*")
-    axes.margins(0.25, 0.18)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7.5, frameon=False)
+    axes.margins(0.1, 0.12)
 
 
 def _draw_by_vehicles(axes: Axes, points: Sequence[Point], field: str, factor: float) -> None:

@@ -188,10 +188,17 @@ def test_the_pareto_figure_shows_every_plan_with_its_tracking_error() -> None:
     ]  # fmt: skip
     figure = pareto_plot.pareto_figure(points)
     axes = figure.axes[0]
-    assert [text.get_text().split("\n")[0] for text in axes.texts] == [
-        f"e* {value:.3f} m" for value in tracking
+    assert [text.get_text() for text in axes.texts] == ["1", "2", "3"]
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "least, e* 0.010 m",
+        "the mission's, e* 0.120 m",
+        "roomy, e* 0.200 m",
     ]
-    assert axes.lines[0].get_markersize() < axes.lines[2].get_markersize()
+    marks = [line.get_markersize() for line in axes.lines if len(line.get_xdata())]
+    assert marks == sorted(marks)
+    assert marks[0] < marks[-1]
     assert len(figure.axes) == 1
 
 
