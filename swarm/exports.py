@@ -53,6 +53,7 @@ def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
             "fold": fold.end - fold.start,
             "total": plan.duration,
             "gates": plan.expected_waits,
+            "slowing": plan.expected_slowing,
             "flight": plan.flight_duration,
         },
         "clearance": _clearance_object(assessment),

@@ -45,7 +45,9 @@ def test_first_steps_are_certified_and_flown_to_their_end(name: str) -> None:
     outcome = network.run(most=600.0)
     assert outcome is not None
     assert outcome.word == "done", network.words()[-8:]
-    flown = verify_trace(plan, network.conductor.trace())
+    trace = network.conductor.trace()
+    assert float(np.ptp(trace.time)) == pytest.approx(plan.flight_duration, rel=0.03)
+    flown = verify_trace(plan, trace)
     assert (flown.knot, flown.as_planned, flown.notes) == ("0_1", True, ())
     fold = [error for error in flown.tracking if error.phase == "fold"]
     assert max(error.largest for error in fold) < plan.mission.vehicles.tracking

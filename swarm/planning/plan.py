@@ -38,6 +38,11 @@ _WAITS: Final[Mapping[Condition, tuple[float, float]]] = {
 dry runs of the default missions with PX4 vehicles."""
 
 
+_SLOWING = 0.06
+"""Share of the fold by which it takes longer: 0.02 to 0.09 in dry runs of the missions with cable.
+With it, all of `missions/` take what is stated within 3 %."""
+
+
 @dataclass(frozen=True)
 class Phase:
     """An interval of mission time, seconds.
@@ -136,9 +141,18 @@ class Plan:
         )
 
     @property
+    def expected_slowing(self) -> float:
+        """Seconds that an undisturbed fold takes longer, because vehicles lag behind setpoints.
+
+        The mission clock slows before the largest lag of the team is the tracking radius.
+        """
+        folding = (phase.end - phase.start for phase in self.phases if phase.name == "fold")
+        return _SLOWING * sum(folding)
+
+    @property
     def flight_duration(self) -> float:
-        """Seconds of an undisturbed flight, with waits at gates."""
-        return self.duration + self.expected_waits
+        """Seconds of an undisturbed flight, with waits at gates and a slower clock."""
+        return self.duration + self.expected_waits + self.expected_slowing
 
     def phase(self, name: PhaseName) -> Phase:
         """Return the phase of that name; raises :class:`KeyError` where the plan has none."""

@@ -60,8 +60,9 @@ def _team_rows(plan: Plan, assessment: Assessment) -> list[tuple[str, Text | str
     fold = plan.phase("fold")
     folding = fold.end - fold.start
     duration = (
-        f"{seconds(plan.flight_duration)} = fold {seconds(folding)} + other motion "
-        f"{seconds(plan.duration - folding)} + gates {seconds(plan.expected_waits)}"
+        f"{seconds(plan.flight_duration)}: fold {folding:.1f}, "
+        f"other {plan.duration - folding:.1f}, gates {plan.expected_waits:.1f}, "
+        f"slowing {plan.expected_slowing:.1f}"
     )
     rows.append(("duration", duration))
     return rows
