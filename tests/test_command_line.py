@@ -14,11 +14,15 @@ import pytest
 from swarm import verify
 from swarm.cli.main import COMMANDS, _report_bug
 from swarm.errors import reason
+from swarm.files import write_bytes
+from swarm.front.plan_files import certified_plan_file
 from tests.command import run
+from tests.overhand import OVERHAND as OVERHAND_FILE
+from tests.overhand import planned_overhand
 
 ROOT = Path(__file__).parent.parent
 SWARM = Path(sys.executable).parent / "swarm"
-OVERHAND = str(ROOT / "missions" / "overhand.yaml")
+OVERHAND = str(OVERHAND_FILE)
 HOVER = str(ROOT / "missions" / "first-steps" / "hover.yaml")
 
 
@@ -145,8 +149,7 @@ def test_the_papers_own_trajectory_is_shown_and_refused_because_strands_meet(
 
 @pytest.mark.usefixtures("in_real_time")
 def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> None:
-    reviewed = run("plan", OVERHAND, "--save", str(tmp_path / "overhand.plan"), "--json")
-    assert reviewed.returncode == 0
+    write_bytes(tmp_path / "overhand.plan", certified_plan_file(planned_overhand().certified()))
     result = swarm(
         "fly", "overhand.plan", "--speed", "3", "--record", "flight", "--json", cwd=tmp_path
     )

@@ -20,10 +20,9 @@ from swarm.flight.clock import MissionClock
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.lumped_mass import cable_model, stray, swing
-from swarm.mission import mission_for_knot
-from swarm.planner import plan as make_plan
 from swarm.planning import Plan
 from swarm.planning.clock_limits import clock_limits
+from tests.overhand import planned_overhand
 from tests.shared import shared
 
 
@@ -34,11 +33,12 @@ def with_limit(plan: Plan, limit: float | str) -> Plan:
 
 @shared
 def shaped_overhand() -> tuple[Plan, SwingTube]:
-    result = make_plan(mission_for_knot("3_1", ["fold.swing=0.06"]), robustness=False)
+    result = planned_overhand()
     assert result.certificate.cleared
-    found = swing_tube(result.plan)
+    plan = with_limit(result.plan, 0.06)
+    found = swing_tube(plan)
     assert found is not None
-    return result.plan, found
+    return plan, found
 
 
 @pytest.fixture(scope="module")
