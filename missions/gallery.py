@@ -13,7 +13,8 @@ from pathlib import Path
 from swarm import planner
 from swarm.errors import Refused
 from swarm.mission import parse_mission
-from swarm.planning import Plan, make_plan
+from swarm.planning import Plan
+from swarm.planning.candidates import make_plan
 from swarm.reports.animation import animate_plan
 from swarm.reports.plots import plot_plan
 from swarm.reports.schedule_plots import plot_schedule

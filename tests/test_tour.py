@@ -1,8 +1,11 @@
 """The scripts in missions/ run as they stand."""
 
+import runpy
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 MISSIONS = Path(__file__).parents[1] / "missions"
 
@@ -20,3 +23,8 @@ def test_the_tour_plans_certifies_draws_and_rehearses(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "flight.png", "mission.plan", "motion.csv", "plan.png", "schedule.png",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("program", sorted(MISSIONS.glob("*.py")), ids=lambda path: path.name)
+def test_every_program_finds_what_it_imports(program):
+    runpy.run_path(str(program))
