@@ -23,10 +23,10 @@ INSTALL = ("python3 -m venv .venv", ".venv/bin/pip install --quiet .")
 WALKS = {
     "student": (
         *INSTALL,
-        "swarm fly missions/overhand.yaml --speed 2 --yes --record first",
+        "swarm fly missions/overhand.yaml --speed 4 --yes --record first",
         "swarm plan missions/first-steps/pass_over.yaml --report pass_over.html",
         "swarm dry-run missions/first-steps/pass_over.yaml",
-        "swarm fly missions/first-steps/pass_over.yaml --speed 2 --yes --record second",
+        "swarm fly missions/first-steps/pass_over.yaml --speed 4 --yes --record second",
         "swarm init figure-eight --vehicles crazyflie-like --output mine.yaml",
         "swarm plan mine.yaml",
     ),
@@ -34,7 +34,7 @@ WALKS = {
         *INSTALL,
         "swarm plan missions/overhand.yaml --save overhand.plan --report plan.html",
         "swarm dry-run overhand.plan",
-        "swarm fly overhand.plan --speed 2 --yes --record flight --forward udp://127.0.0.1:{port}",
+        "swarm fly overhand.plan --speed 4 --yes --record flight --forward udp://127.0.0.1:{port}",
         "swarm verify flight --plan overhand.plan",
         "swarm export flight --output flight.mcap",
         "swarm export flight --output flight.parquet",
