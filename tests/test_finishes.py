@@ -63,7 +63,8 @@ def test_a_relaxed_contraction_goes_beyond_the_line_and_back_and_rests() -> None
 
 
 @pytest.mark.parametrize(
-    "finish", [pytest.param("hold", marks=pytest.mark.full), "unfold", "tighten"]
+    "finish",
+    [*(pytest.param(name, marks=pytest.mark.full) for name in ("hold", "unfold")), "tighten"],
 )
 def test_every_finish_is_certified_and_states_the_limits_of_the_model(finish: str) -> None:
     plan = finished(f"finish={finish}")

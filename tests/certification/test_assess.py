@@ -129,7 +129,9 @@ def test_endurance_includes_the_rate_limits_of_the_clock(overhand):
     slowed = assessed.stream_loss.delay
     assert slowed > 10.0
     (endurance_,) = [f for f in assessed.findings if f.check == "endurance"]
-    flight = f"{overhand.flight_duration + slowed:.0f} s of flight with the rate limits of the clock"
+    flight = (
+        f"{overhand.flight_duration + slowed:.0f} s of flight with the rate limits of the clock"
+    )
     assert (endurance_.severity, endurance_.message.startswith(flight)) == ("info", True)
     endurance = overhand.flight_duration + 0.5 * slowed
     vehicles = overhand.mission.vehicles.model_copy(update={"endurance": endurance})

@@ -12,7 +12,7 @@ from tests.golden.environment import environment, environment_of
 FOLDER = Path(__file__).parent
 
 _FIRST_STEPS = tuple(f"missions/first-steps/{name}" for name in ("hover", "two_carry", "pass_over"))
-QUICK_PLANS = ("3_1", "4_1", *_FIRST_STEPS)
+QUICK_PLANS = ("3_1", *_FIRST_STEPS)
 """Plans that the default test run makes anew."""
 WITH_ROBUSTNESS = (*_FIRST_STEPS, "missions/overhand", "missions/figure_eight")
 """Plans whose e* and w* are kept too: each takes about twice as long as the rest of the plan."""
