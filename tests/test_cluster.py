@@ -31,6 +31,7 @@ def scheduler():
     cluster.stdout.close()
 
 
+@pytest.mark.full
 def test_knots_are_planned_on_the_workers(scheduler):
     said = run(
         "knots",

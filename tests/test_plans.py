@@ -171,6 +171,7 @@ def test_libraries_that_planning_loads_have_one_thread_too() -> None:
     assert threads.strip() == "{1}"
 
 
+@pytest.mark.full
 def test_a_motion_that_exceeds_the_endurance_is_noted_in_the_plan_of_the_next() -> None:
     mission = mission_for_knot("overhand", ["vehicles.endurance=60", "layout.cell=1.6"])
     result = planner.plan(mission, robustness=False)
