@@ -50,7 +50,7 @@ def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
             "total": float(layout.lengths.sum()),
         },
         "duration": {
-            "fold": fold.end - fold.start,
+            "fold": fold.duration,
             "total": plan.duration,
             "gates": plan.expected_waits,
             "slowing": plan.expected_slowing,

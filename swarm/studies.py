@@ -92,7 +92,7 @@ def plan_row(
         "cleared": assessment.cleared,
         "cell": cell,
         "cable_length": float(plan.layout.lengths.sum()),
-        "fold_time": fold.end - fold.start,
+        "fold_time": fold.duration,
         "cable_clearance": _distance(assessment.cable),
         "vehicle_clearance": _distance(assessment.vehicle),
         "vehicle_cable_clearance": _distance(assessment.vehicle_cable),
@@ -305,7 +305,7 @@ def _point(mission: Mission, variant: str, progress: Progress | None) -> FrontPo
         vehicles=plan.vehicles,
         cell=plan.layout.cell,
         cable_length=float(plan.layout.lengths.sum()),
-        fold_time=fold.end - fold.start,
+        fold_time=fold.duration,
         max_tracking_error=largest_tracking(plan, assessment.moments) or 0.0,
         payload=float(loads(plan).force.max()) / STANDARD_GRAVITY,
     )

@@ -96,7 +96,7 @@ def contingency_windows(plan: Plan, *, whole: bool = False) -> ContingencyWindow
     """
     phases = [phase for phase in plan.phases if whole or phase.cable == "aloft"]
     instants = [
-        np.linspace(phase.start, phase.end, max(2, int((phase.end - phase.start) / STEP) + 2))
+        np.linspace(phase.start, phase.end, max(2, int(phase.duration / STEP) + 2))
         for phase in phases
     ]
     time = np.unique(np.concatenate(instants)) if instants else np.empty(0)

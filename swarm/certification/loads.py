@@ -36,7 +36,7 @@ def loads(plan: Plan) -> Loads:
     """Return the quasi-static loads while the cable is aloft."""
     mission = plan.mission
     instants = [
-        np.linspace(phase.start, phase.end, max(2, round((phase.end - phase.start) / STEP) + 1))
+        np.linspace(phase.start, phase.end, max(2, round(phase.duration / STEP) + 1))
         for phase in plan.phases
         if phase.cable == "aloft"
     ]

@@ -172,8 +172,11 @@ def _followed_clock(
     emulator: EmulatorProcess | None, options: FlyOptions
 ) -> Iterator[WorldClock | None]:
     """Open the clock of the world that the flight follows; None: the wall clock."""
-    if emulator is not None or options.world_clock is None:
-        yield emulator.clock if emulator is not None else None
+    if emulator is not None:
+        yield emulator.clock
+        return
+    if options.world_clock is None:
+        yield None
         return
     try:
         clock = WorldClock(options.world_clock, 1.0)

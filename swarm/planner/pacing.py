@@ -156,7 +156,7 @@ def slowed_for_stops(paced: PacedPlan, times: Floats, excess: Floats) -> PacedPl
     if paced.pacing is None:
         return paced
     fold = paced.plan.phase("fold")
-    grid = np.arange(0.0, fold.end - fold.start + BIN, BIN)
+    grid = np.arange(0.0, fold.duration + BIN, BIN)
     most = np.ones(len(grid))
     bins = np.rint((times - fold.start) / BIN).astype(np.intp)
     np.maximum.at(most, np.clip(bins, 0, len(grid) - 1), excess)

@@ -92,7 +92,7 @@ def repair(
         notes += tried.notes
         paced, failures = _checked(replace(tried.plan, notes=notes), failed_checks)
         tried = replace(tried, plan=paced.plan)
-        if exceeds_endurance(paced.plan):
+        if _exceeds_endurance(paced.plan):
             notes += (_too_long(paced.plan),)
             too_long.append(paced.plan)
             tried = None
@@ -119,11 +119,11 @@ def _longer(candidate: Candidate) -> float:
 def _checked(plan: Plan, failed_checks: frozenset[str]) -> tuple[PacedPlan, tuple[Moment, ...]]:
     """Return the plan timed, and the moments at which it fails; unchecked where it is too long."""
     paced = timed_for_losses(plan)
-    if exceeds_endurance(paced.plan):
+    if _exceeds_endurance(paced.plan):
         return paced, ()
     failures = _failures(paced.plan, failed_checks)
     slowed = paced if failures else slowed_for_swing(paced)
-    if slowed is paced or exceeds_endurance(slowed.plan):
+    if slowed is paced or _exceeds_endurance(slowed.plan):
         return slowed, failures
     return slowed, violations(slowed.plan)
 
@@ -147,8 +147,7 @@ def least_short(kept: Sequence[Kept]) -> Kept:
 
 
 def _fold_time(plan: Plan) -> float:
-    fold = plan.phase("fold")
-    return fold.end - fold.start
+    return plan.phase("fold").duration
 
 
 def _keep(candidate: Candidate, paced: PacedPlan) -> Kept:
@@ -190,7 +189,7 @@ def slowed_for_budget(kept: Kept) -> PacedPlan:
         times, metres, swing = np.array([(one.time, one.metres, one.swing) for one in short]).T
         excess = swing / np.maximum(swing - metres - _RESERVE, swing / _MOST_EXCESS)
         paced = slowed_for_stops(best, times, excess)
-        if exceeds_endurance(paced.plan) or _fold_time(paced.plan) > longest:
+        if _exceeds_endurance(paced.plan) or _fold_time(paced.plan) > longest:
             break
         if violations(paced.plan):
             break
@@ -214,8 +213,7 @@ def _led_apart(kept: Kept) -> tuple[Candidate | None, Kept]:
     return None, replace(kept, shares=())
 
 
-def exceeds_endurance(plan: Plan) -> bool:
-    """Return whether a plan takes longer than its vehicles can be in the air."""
+def _exceeds_endurance(plan: Plan) -> bool:
     return plan.flight_duration > plan.mission.vehicles.endurance
 
 

@@ -60,7 +60,7 @@ def phase_line(plan: Plan, snapshot: Snapshot) -> Text:
         elif k > now:
             line.append(f"{phase.name}  ", "dim")
         else:
-            share = (snapshot.mission_time - phase.start) / max(phase.end - phase.start, 1e-9)
+            share = (snapshot.mission_time - phase.start) / max(phase.duration, 1e-9)
             share = min(max(share, 0.0), 1.0)
             done = round(BAR * share)
             line.append(f"{phase.name} ", "bold cyan")

@@ -57,8 +57,7 @@ def _team_rows(plan: Plan, assessment: Assessment) -> list[tuple[str, Text | str
         count = f"{len(lengths)} segment{'s' if len(lengths) > 1 else ''}"
         each = f"{metres(lengths.min())} to {metres(lengths.max())}"
         rows.append(("cable", f"{metres(lengths.sum())} in {count} of {each}"))
-    fold = plan.phase("fold")
-    folding = fold.end - fold.start
+    folding = plan.phase("fold").duration
     duration = (
         f"{seconds(plan.flight_duration)}: fold {folding:.1f}, "
         f"other {plan.duration - folding:.1f}, gates {plan.expected_waits:.1f}, "

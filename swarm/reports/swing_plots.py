@@ -46,9 +46,9 @@ def _draw_planned(axes: Axes, plan: Plan, words: str, colour: object) -> None:
     stray = np.linalg.norm(planned.strays[0], axis=-1).max(axis=(1, 2))
     shown = planned.times[0] <= hold.end
     time = planned.times[0][shown] - fold.start
-    words = f"{words}: {fold.end - fold.start:.0f} s, at most {stray[shown].max():.2f} m"
+    words = f"{words}: {fold.duration:.0f} s, at most {stray[shown].max():.2f} m"
     axes.plot(time, stray[shown], color=colour, linewidth=1.2, label=words)
-    axes.axvline(fold.end - fold.start, color=colour, linewidth=0.8, linestyle=":")
+    axes.axvline(fold.duration, color=colour, linewidth=0.8, linestyle=":")
 
 
 def draw_swing(axes: Axes, swing: SwingCurves) -> None:

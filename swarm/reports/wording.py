@@ -50,7 +50,7 @@ def plan_figures(plan: Plan, assessment: Assessment) -> list[tuple[str, object]]
     return [
         ("vehicles", plan.vehicles),
         ("cable", metres(float(plan.layout.lengths.sum()))),
-        ("fold", seconds(fold.end - fold.start)),
+        ("fold", seconds(fold.duration)),
         ("from take-off to the ground", seconds(plan.flight_duration)),
         ("tracking error certified for", metres(plan.mission.vehicles.tracking)),
         ("largest tracking error e*", number_with_unit(robustness.tracking, "m")),

@@ -101,7 +101,7 @@ def free_space(
     own = missed_by(state, group, np.inf, model)
     size = min(lattice.numbers.size, _MOST)
     found = _Found(
-        np.empty((size + 1, 3), dtype=np.int64),
+        np.empty((size, 3), dtype=np.int64),
         np.zeros(size, dtype=np.int64),
         np.zeros(size, dtype=np.int64),
         np.empty(size),
