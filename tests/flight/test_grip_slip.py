@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from swarm.flight.detect import grip_slip
-from swarm.flight.detect.grip_slip import GripSlipDetector, lean
+from swarm.flight.detect.grip_slip import GripSlipDetector, lean, score_needed
 from swarm.flight.detect.latch import Latch
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import (
@@ -76,6 +76,19 @@ def test_what_is_always_off_is_usual():
     attitude = np.column_stack([rng.normal(0.0, 0.03, (5, 2)), rng.uniform(-3, 3, 5)])
     for k in range(80):
         assert detector.evaluate(0.25 * k, attitude, np.zeros((5, 3)), grips) is None
+
+
+def test_a_clock_that_slows_and_speeds_up_needs_a_longer_match():
+    """Its changes swing the cable, at most as long as the swing itself goes one way."""
+    pumped = [0.33, 0.08, 0.0, 0.04, 0.12, 0.21, 0.29, 0.32, 0.07, 0.0, 0.06, 0.14]
+    assert score_needed(pumped) == 8
+    assert score_needed(pumped[:3]) == 4  # three samples old: a slip may have slowed it
+    assert score_needed([1.0] * 9 + [0.6, 0.3, 0.0]) == 4
+    assert score_needed([1.0] * 8 + [0.6, 0.3, 0.0, 0.0]) == 4
+    assert score_needed([1.0] * 7 + [0.6, 0.3, 0.0, 0.0, 0.0]) == 8
+    assert score_needed([0.0] * 15) == 4
+    assert score_needed([0.73, 0.95, 0.8, 0.9, 0.74, 0.95]) == 4
+    assert score_needed([]) == 4
 
 
 WRONG = 0.05
