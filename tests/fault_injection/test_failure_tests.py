@@ -79,16 +79,22 @@ def test_every_failure_of_a_team_that_ties_a_knot(overhand, case):
     assert not failed
 
 
-def problems(case, flight_plan=PLAN, cornered=False, **changes):
+def problems(case, flight_plan=PLAN, cornered=False, can_land=True, **changes):
     """Return the problems of a trial that meets the case's requirements but for ``changes``.
 
-    ``cornered``: the team left the plan where it can neither land nor release.
+    ``cornered``: the team left the plan where it can neither land nor release. ``can_land``: the
+    plan allows to land where the clock stands.
     """
     passed = FaultTrial(
         50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[case].allowed_ends[0], ()
     )
     contingency = SimpleNamespace(cornered=True) if cornered else None
-    conductor = SimpleNamespace(state=SimpleNamespace(contingency=contingency))
+    state = SimpleNamespace(
+        contingency=contingency,
+        clock=SimpleNamespace(time=50.0),
+        setup=SimpleNamespace(windows=SimpleNamespace(can_land=lambda _: can_land)),
+    )
+    conductor = SimpleNamespace(state=state)
     flight = SimpleNamespace(flight_plan=flight_plan, conductor=conductor)
     return evaluation.find_problems(flight, BY_NAME[case], replace(passed, **changes))
 
@@ -109,6 +115,20 @@ def test_a_vehicle_that_cannot_follow_may_strike_only_where_the_team_is_cornered
     assert problems("leaves offboard", cornered=True, **detected, rotor_strikes=2) == two
     assert problems("leaves offboard", **detected, rotor_strikes=1) == one
     assert problems("battery low", cornered=True, **detected, rotor_strikes=1) == one
+
+
+def test_vehicles_that_land_alone_may_strike_only_where_the_plan_does_not_allow_to_land():
+    alone = {"end": "landed by failsafe", "detected_after": 0.5}
+    gap, one, two = "setpoint gap of 10 s, all", ("1 rotor strikes",), ("2 rotor strikes",)
+    for case in ("killed", gap):
+        assert problems(case, can_land=False, **alone, rotor_strikes=1) == ()
+        assert problems(case, can_land=False, **alone, rotor_strikes=2) == two
+        assert problems(case, **alone, rotor_strikes=1) == one
+    landing = {"end": "landed", "detected_after": 0.5, "response": "hold, landing alone"}
+    assert problems(gap, can_land=False, **landing, rotor_strikes=1) == ()
+    landing["response"] = "hold, landing together"
+    assert problems(gap, can_land=False, **landing, rotor_strikes=1) == one
+    assert problems("battery low", can_land=False, **alone, rotor_strikes=1)[-1] == one[0]
 
 
 def test_after_a_stream_loss_the_clearances_of_its_certificate_are_required():

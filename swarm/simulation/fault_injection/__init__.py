@@ -1,10 +1,8 @@
 """Fault injection: simulated flights with faults, evaluated by the emulator's ground truth."""
 
 from swarm.simulation.fault_injection.evaluation import FaultTrial
-from swarm.simulation.fault_injection.failure_cases import (
-    FAILURE_CASES,
-    FailureCase,
-)
+from swarm.simulation.fault_injection.failure_case import FailureCase
+from swarm.simulation.fault_injection.failure_cases import FAILURE_CASES
 from swarm.simulation.fault_injection.failure_tests import (
     FailureTest,
     FailureTestSettings,

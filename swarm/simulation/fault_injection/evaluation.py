@@ -7,9 +7,12 @@ from typing import Final
 import numpy as np
 
 from swarm.certification.monitor import Monitor
+from swarm.certification.stream_loss import BRAKING_TIME
+from swarm.flight.failures import FailureKind
+from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.policy import Response
 from swarm.flight.snapshot import Event
-from swarm.simulation.fault_injection.failure_cases import FailureCase
+from swarm.simulation.fault_injection.failure_case import FailureCase
 from swarm.simulation.fault_injection.stepped_simulation import SteppedSimulation
 
 SAMPLE_INTERVAL: Final = 0.1
@@ -187,6 +190,7 @@ def find_problems(
     problems += _detection_problem(case, trial)
     strikes = trial.rotor_strikes - trial.fall_strikes
     allowed_strikes = case.allowed_strikes + (case.cannot_follow and _cornered(flight))
+    allowed_strikes += case.lands_alone and _landed_alone_outside_window(flight, trial)
     if strikes > allowed_strikes and not case.loses_vehicle:
         problems.append(f"{strikes} rotor strikes")
     if trial.vehicles_lost > int(case.loses_vehicle):
@@ -222,6 +226,19 @@ def _cornered(flight: SteppedSimulation) -> bool:
     """Return whether the team left the plan where it can neither land nor release as it stands."""
     contingency = flight.conductor.state.contingency
     return contingency is not None and contingency.cornered
+
+
+def _landed_alone_outside_window(flight: SteppedSimulation, trial: FaultTrial) -> bool:
+    """Return whether vehicles landed by themselves where the plan does not allow to land.
+
+    Without setpoints they fly on as certified, and brake: the window may close meanwhile.
+    """
+    alone = trial.end == "landed by failsafe" or FailureKind.LANDING_ALONE.value in trial.response
+    state = flight.conductor.state
+    lost = state.clock.time
+    stopped = lost + STREAM_LOSS_TIME + BRAKING_TIME
+    can_land = state.setup.windows.can_land
+    return alone and not all(can_land(time) for time in np.arange(lost, stopped, SAMPLE_INTERVAL))
 
 
 def _certified_distances(flight: SteppedSimulation, case: FailureCase) -> tuple[float, float]:

@@ -1,67 +1,12 @@
-"""The table of failure cases: the fault, the required detection and the allowed ends."""
+"""The table of failure cases."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from swarm.errors import InputError, Problem, Refused
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.planning import Plan
-
-Part = Literal["fold", "grab", "release"]
-"""The part of the flight in which a fault occurs."""
-
-Group = Literal["one vehicle", "links", "ground station", "world"]
-StationFault = Literal["stalled", "killed", "interrupted", "interrupted twice"]
-End = Literal["continued", "landed", "released and landed", "landed by failsafe", "completed"]
-"""How a flight ends after a fault; "continued" is a flight that is still on its plan."""
-
-
-@dataclass(frozen=True)
-class FailureCase:
-    """A fault, and the required behaviour of the team.
-
-    - ``faults``: those of the emulator, without time and vehicle; with ``whole_team`` they hit all
-      vehicles. ``station_fault`` is a fault of the ground station, ``lost_message`` a message that
-      is lost. ``duration`` in seconds, 0 for a permanent fault.
-    - ``detection_limit``: seconds within which the fault must be detected, None where no detection
-      is required. It is detected by an event, or with ``slows_clock`` by a slower mission clock.
-      With ``may_be_hidden`` the time counts only while the fault has a measurable effect.
-    - ``allowed_ends``: with ``pilot_lands`` a pilot lands the vehicle along with the team.
-    - ``loses_vehicle``: the fault itself takes a vehicle out of the air. ``moves_certified``: it
-      moves vehicles or cable beyond the certificate. ``vehicle_drifts``: it does so with one
-      vehicle, and with the cable only where it cannot be released.
-    - ``allowed_strikes``: number of rotors that may touch cable. With ``cannot_follow`` the vehicle
-      stays where it is and the others with it; one more rotor may touch cable where the team can
-      neither land nor release without cable on a rotor. During the first ``fall_time`` seconds any
-      number may: the cable falls because of the fault.
-    - ``stream_loss``: vehicles fly on without setpoints, so the worst case of the stream loss
-      certificate applies: the mission's own clearances.
-    - ``explanation``: the reason for exceptions.
-    """
-
-    name: str
-    group: Group
-    allowed_ends: tuple[End, ...]
-    faults: tuple[Mapping[str, Any], ...] = ()
-    part: Part = "fold"
-    detection_limit: float | None = None
-    slows_clock: bool = False
-    may_be_hidden: bool = False
-    whole_team: bool = False
-    loses_vehicle: bool = False
-    moves_certified: bool = False
-    vehicle_drifts: bool = False
-    allowed_strikes: int = 0
-    cannot_follow: bool = False
-    fall_time: float = 0.0
-    stream_loss: bool = False
-    explanation: str = ""
-    station_fault: StationFault | None = None
-    duration: float = 0.0
-    lost_message: str = ""
-    pilot_lands: bool = False
-
+from swarm.simulation.fault_injection.failure_case import End, FailureCase, Part
 
 _CONTINUED: tuple[End, ...] = ("continued", "completed")
 _LANDED: tuple[End, ...] = ("landed", "released and landed")
@@ -70,6 +15,10 @@ _CANNOT_FOLLOW = (
     "the vehicle no longer follows setpoints, so the team cannot move to a place where all can "
     "land together; where it can neither land nor release as it stands, it lands, and cable may "
     "touch a rotor on the ground"
+)
+_LANDS_ALONE = (
+    "the vehicles land by themselves where they are; outside the plan's windows for landing, cable "
+    "may touch a rotor on the ground"
 )
 _SLOW_MOTION = (
     "detected by the tracking error, which takes longer where the plan hardly moves the vehicles"
@@ -93,12 +42,15 @@ def _gaps() -> Iterator[FailureCase]:
         for direction, name in names.items():
             for seconds in (0.1, 0.5, 2.0, 10.0):
                 loses_setpoints = seconds >= 0.5 and direction != "down"
+                lands_alone = loses_setpoints and seconds > 5.0
                 ends = list(_CONTINUED)
                 if loses_setpoints:
                     ends.append("landed")
-                if loses_setpoints and seconds > 5.0:
+                if lands_alone:
                     ends.append("landed by failsafe")
                 limit = 2.0 if direction == "up" else _SILENCE
+                reasons = [_SLOW_MOTION] if direction == "up" else []
+                reasons += [_LANDS_ALONE] if lands_alone else []
                 yield FailureCase(
                     f"{name} gap of {seconds:g} s, {'all' if whole else 'one'}",
                     "links",
@@ -109,7 +61,8 @@ def _gaps() -> Iterator[FailureCase]:
                     whole_team=whole,
                     duration=seconds,
                     stream_loss=direction != "down" and seconds >= STREAM_LOSS_TIME,
-                    explanation=_SLOW_MOTION if direction == "up" else "",
+                    lands_alone=lands_alone,
+                    explanation="; ".join(reasons),
                 )
 
 
@@ -338,6 +291,8 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         ("landed by failsafe",),
         station_fault="killed",
         stream_loss=True,
+        lands_alone=True,
+        explanation=_LANDS_ALONE,
     ),
     FailureCase(
         "wind beyond w*",
