@@ -9,7 +9,7 @@ where the mission limits the swing, in the tube around it, too (:mod:`.swing_tub
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,7 @@ from swarm.certification.strand_pieces import HeldCable
 from swarm.certification.strands import StrandPairs
 from swarm.certification.swing_tube import SwingTube, swing_tube
 from swarm.planning import Plan
+from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -108,10 +109,10 @@ def tightest_moments(
         if checks is None or family.check in checks
     ]
     found: list[Moment] = []
-    for done, family in enumerate(chosen):
+    for done, moments in enumerate(side_by_side(moments_of, chosen)):
         if progress:
             progress("certificate", done / len(chosen))
-        found += moments_of(family)
+        found += moments
     if progress:
         progress("certificate", 1.0)
     return tuple(found)
@@ -124,11 +125,12 @@ def violations(
 
     For every pair, the worst moment of every second or less in which it fails, for the repair.
     """
-    found: list[Moment] = []
-    for family in families(plan, plan.mission.vehicles.tracking, STILL_AIR):
-        if (checks is None or family.check in checks) and family.check not in without:
-            found += _violations(family)
-    return tuple(found)
+    chosen = [
+        family
+        for family in families(plan, plan.mission.vehicles.tracking, STILL_AIR)
+        if (checks is None or family.check in checks) and family.check not in without
+    ]
+    return tuple(chain.from_iterable(side_by_side(_violations, chosen)))
 
 
 def _violations(family: Family) -> list[Moment]:
@@ -144,7 +146,7 @@ def certified(plan: Plan, *, tracking: float, down: Place = STILL_AIR) -> bool:
     Much faster than :func:`tightest_moments`, which measures margins.
     """
     return not cable_spans(plan).problems and all(
-        family.failing() is None for family in families(plan, tracking, down)
+        failing is None for failing in side_by_side(Family.failing, families(plan, tracking, down))
     )
 
 

@@ -18,6 +18,7 @@ from swarm.certification.clearances import (
 from swarm.certification.family import ROOT, Family
 from swarm.certification.minima import holds, whole_strands
 from swarm.planning import Plan
+from swarm.threads import side_by_side
 
 Progress = Callable[[str, float], None]
 
@@ -185,11 +186,12 @@ class _Search:
 
     def holds(self, value: float) -> bool:
         """Return whether the value holds everywhere; keeps the box in which it fails."""
-        for case, index in self._likely_first(value):
-            found = self._families(value, case)[index].failing()
+        every = self._likely_first(value)
+        families = [self._families(value, case)[index] for case, index in every]
+        for which, found in zip(every, side_by_side(Family.failing, families), strict=True):
             if found is not None:
-                self._failed.setdefault((case, index), set()).add(found)
-                self._worst = case, index
+                self._failed.setdefault(which, set()).add(found)
+                self._worst = which
                 return False
         return True
 
