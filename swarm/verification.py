@@ -14,7 +14,7 @@ import numpy.typing as npt
 from swarm.certification.assessment import Tightest
 from swarm.certification.bodies import Body, vehicle_segments
 from swarm.certification.clearances import segment_name, vehicle_name
-from swarm.certification.topology import cable_curve, layout_code
+from swarm.certification.topology import cable_curve, layout_code, ties_planned_knot
 from swarm.errors import SwarmError
 from swarm.flight.trace import Trace
 from swarm.geometry.catenary import solve_catenaries
@@ -60,8 +60,8 @@ class Verification:
     """The implied knot, the smallest distances and the tracking errors of a flight.
 
     ``knot``, ``chirality`` and ``gauss`` are of the modelled cable at the last reported positions
-    of the hold; "unknown" and "" without such positions. ``as_planned`` is true if the exact
-    crossing code is that of the layout and the knot is that of the plan. ``cable``, ``vehicle``
+    of the hold; "unknown" and "" without such positions. ``as_planned`` is true if the knot is that
+    of the plan (:func:`swarm.certification.topology.ties_planned_knot`). ``cable``, ``vehicle``
     and ``vehicle_cable`` are the smallest distances at reported positions in fold and hold, with
     mission times; None without positions, or without two such bodies. ``max_chord_ratio`` is the
     largest ratio of chord to length of a segment in fold and hold.
@@ -126,12 +126,12 @@ def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[st
     curve = cable_curve(grip_points, np.maximum(lengths, chords / _TAUT))
     try:
         code, found = curve_gauss(curve), identify_curve(curve)
-        as_planned = same_code(code, layout_code(plan.layout))
+        as_planned = ties_planned_knot(plan, found, code)
+        if as_planned and not same_code(code, layout_code(plan.layout)):
+            notes += ("it is the planned knot, with other crossings in plan view than planned",)
     except SwarmError as error:
         return "unknown", "none", "", False, (*notes, str(error))
     chirality: Chirality = found.chirality  # type: ignore[assignment]
-    if plan.knot.type:
-        as_planned &= (found.name, chirality) == (plan.knot.type, plan.knot.chirality)
     return found.name, chirality, code.signed_text(), as_planned, notes
 
 

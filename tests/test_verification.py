@@ -77,6 +77,19 @@ def test_a_vehicle_on_the_wrong_side_of_a_strand_implies_another_knot(plan):
     assert not flown.as_planned
 
 
+def test_strands_above_all_others_cross_them_in_plan_view_and_change_no_knot(plan):
+    def passed_above(time, place):
+        place[time > 7.0, 4] = [2.5 * CELL, 1.35 * CELL, 10.5]
+        return place
+
+    exact, flown = (verify_trace(plan, traced(plan, *how)) for how in [(), (passed_above,)])
+    assert (flown.knot, flown.chirality, flown.as_planned) == ("3_1", "right", True)
+    assert flown.gauss != exact.gauss
+    assert flown.notes[-1] == (
+        "it is the planned knot, with other crossings in plan view than planned"
+    )
+
+
 def test_a_mirrored_flight_is_the_other_hand_and_not_as_planned(plan):
     flown = verify_trace(plan, traced(plan, lambda _, place: place * [-1.0, 1.0, 1.0]))
     assert (flown.knot, flown.chirality, flown.as_planned) == ("3_1", "left", False)

@@ -20,12 +20,11 @@ import numpy.typing as npt
 from swarm.analysis.rope_model import STEP, TIGHTENING_STEP, Conditions, Extremes, Grips, Rope
 from swarm.analysis.swing import largest_swings
 from swarm.certification.budget import NEARLY_STRAIGHT
-from swarm.certification.topology import layout_code
+from swarm.certification.topology import ties_planned_knot
 from swarm.errors import Refused, SwarmError
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import strand_strand
 from swarm.knots.curve import curve_gauss
-from swarm.knots.gauss import same_code
 from swarm.knots.invariants import identify_curve
 from swarm.planning import Plan
 
@@ -57,8 +56,9 @@ class RopeRun:
     """Result of a simulated rope. Lengths in metres, times in seconds, k samples.
 
     ``knot``, ``chirality`` and ``gauss`` are of the rope at the end, its ends closed upwards;
-    ``as_planned`` compares the crossing code with the layout's, or after tightening the knot with
-    the plan's. ``span`` is the distance of the rope's ends. ``penetration`` is the deepest of all
+    ``as_planned`` compares them with the plan by
+    :func:`swarm.certification.topology.ties_planned_knot`, after tightening by the knot's name.
+    ``span`` is the distance of the rope's ends. ``penetration`` is the deepest of all
     contacts, ``stretch`` the largest of links away from grips, ``speed`` the largest of all nodes.
     ``invalid`` lists the reasons why the run is invalid. ``deviation`` (k, m) is the largest
     distance of a node of each segment from the quasi-static cable between the same grips,
@@ -226,11 +226,13 @@ def _result(
     try:
         found = identify_curve(nodes)
         knot, chirality = found.name, str(found.chirality)
-        as_planned = (knot, chirality) == (plan.knot.type, plan.knot.chirality)
         code = curve_gauss(nodes)
         gauss = code.signed_text()
-        if not tightened:
-            as_planned &= same_code(code, layout_code(plan.layout))
+        as_planned = (
+            (knot, chirality) == (plan.knot.type, plan.knot.chirality)
+            if tightened
+            else ties_planned_knot(plan, found, code)
+        )
     except SwarmError:
         pass
     return RopeRun(

@@ -61,6 +61,18 @@ def end_knot(plan: Plan) -> Identification:
     return identify_curve(cable_curve(_held(plan), plan.layout.lengths))
 
 
+def ties_planned_knot(plan: Plan, found: Identification, code: SignedGauss) -> bool:
+    """Return whether a curve, identified and with its crossing ``code``, has the knot of a plan.
+
+    A knot with a name is compared by name and chirality, which tracking errors do not change as
+    long as no strand passes another; in plan view they may add crossings that change no knot. Any
+    other knot is compared by its exact crossing code.
+    """
+    if plan.knot.type and found.known:
+        return (found.name, found.chirality) == (plan.knot.type, plan.knot.chirality)
+    return same_code(code, layout_code(plan.layout))
+
+
 def end_time(plan: Plan) -> float:
     """Return the mission time of the folded cable: the last one aloft before it unfolds."""
     return max(
@@ -72,4 +84,12 @@ def _held(plan: Plan) -> Floats:
     return plan.motion.at(end_time(plan))[0]
 
 
-__all__ = ["cable_curve", "end_code", "end_knot", "end_time", "layout_code", "same_code"]
+__all__ = [
+    "cable_curve",
+    "end_code",
+    "end_knot",
+    "end_time",
+    "layout_code",
+    "same_code",
+    "ties_planned_knot",
+]
