@@ -10,7 +10,6 @@ from swarm.errors import InputError
 from swarm.geometry.motion import Motion
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import Plan
-from swarm.planning.assembly import fold_of
 from swarm.planning.finishes import MAX_TIGHTENED_SHARE
 from swarm.planning.formation import formation_plan
 from swarm.planning.phase_sequence import flight_around_fold
@@ -42,24 +41,6 @@ def finished(*overrides: str) -> Plan:
 def at(plan: Plan, name: str, end: bool = False) -> np.ndarray:
     phase = plan.phase(name)
     return plan.motion.at(phase.end if end else phase.start)[0]
-
-
-def test_a_relaxed_contraction_goes_beyond_the_line_and_back_and_rests() -> None:
-    """The pull of dragged cable ends within a centimetre of way back; the line stays the same."""
-    plan = recorded_overhand()
-    fold = fold_of(plan)
-    flights = [
-        flight_around_fold(plan.mission, plan.layout.lengths, fold, relaxed=relaxed)
-        for relaxed in (False, True)
-    ]
-    ends = [next(one.end for one in flight.phases if one.name == "contract") for flight in flights]
-    lines = [flight.motion.at(end)[0] for flight, end in zip(flights, ends, strict=True)]
-    assert np.allclose(lines[0], lines[1], atol=1e-9)
-    longer = flights[1].motion
-    assert np.abs(longer.at(np.arange(ends[1] - 2.9, ends[1], 0.1))[1]).max() < 1e-9
-    contracting = np.arange(ends[1] - 12.0, ends[1], 0.02)
-    span = np.linalg.norm(np.diff(longer.at(contracting)[0][:, [0, -1]], axis=1)[:, 0], axis=1)
-    assert span[-1] - span.min() == pytest.approx(0.2, abs=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from swarm.geometry.motion import Motion, at_rest, concatenate, leg, staggered_leg
 from swarm.mission import Mission
+from swarm.planning.contraction import contraction
 from swarm.planning.finishes import finish_phases
 from swarm.planning.phase_motion import (
     CARRY_HEIGHT,
@@ -22,15 +23,6 @@ Floats = npt.NDArray[np.float64]
 
 LAID_SHARE = 0.99
 """Distance between grip points on the floor over the cable between them; a taut cable jerks."""
-
-_RELAXING = 0.1
-"""Metres that vehicles contract farther than the line and go back. Friction holds the cable that a
-vehicle has dragged over the floor, with 0.2 to 0.3 N in dry runs; until it is lifted, the autopilot
-takes the pull for wind. Held 0.1 m above the floor, cable with that pull gets slack by 0.01 m of
-way; the rest is for tracking errors, of some 0.05 m there."""
-
-_RELAXED = 3.0
-"""Seconds of rest after that: without, a vehicle was still 0.1 m off when the lift began."""
 
 _STAGGER = 0.6
 """Seconds between the starts of two neighbours' descents to the cable."""
@@ -66,8 +58,7 @@ def flight_around_fold(
 
     ``lengths`` (n − 1,) are the lengths of the segments, metres. The fold starts with all vehicles
     at one height on a straight line, in order. With ``relaxed`` the contraction ends without pull
-    of the cable on the floor, by _RELAXING: without, long segments pulled vehicles off by up to
-    0.13 m in the lift.
+    of the cable on the floor, see :func:`swarm.planning.contraction.contraction`.
     """
     lifted = fold.at(fold.times[0])[0]
     folded = fold.at(fold.times[-1])[0]
@@ -153,7 +144,9 @@ def _before_fold(
             "contract",
             concatenate(
                 leg(grip + low, grip + carried, slow, 0.25 * acceleration),
-                *_contraction(mission, grip + carried, contracted + carried, relaxed=relaxed),
+                *contraction(
+                    mission, lengths, grip + carried, contracted + carried, relaxed=relaxed
+                ),
             ),
             "floor",
             gate="settled",
@@ -164,24 +157,6 @@ def _before_fold(
             "lifting",
             gate="settled",
         ),
-    )
-
-
-def _contraction(
-    mission: Mission, laid: Floats, contracted: Floats, *, relaxed: bool
-) -> tuple[Motion, ...]:
-    """Return the motion from the laid cable to the contracted line, both (n, 3), over the floor."""
-    slow = min(mission.vehicles.max_speed, TOUCHDOWN_SPEED)
-    acceleration = usable_acceleration(mission)
-    if not relaxed:
-        return (leg(laid, contracted, slow, acceleration),)
-    step = contracted - laid
-    way = np.linalg.norm(step, axis=1, keepdims=True)
-    beyond = contracted + np.minimum(_RELAXING, way) * step / np.maximum(way, 1e-9)
-    return (
-        leg(laid, beyond, slow, acceleration),
-        leg(beyond, contracted, slow, 0.25 * acceleration),
-        at_rest(contracted, _RELAXED),
     )
 
 
