@@ -40,7 +40,7 @@ most take up to 5 s of a processor with 8 crossings, and with laying out and cer
 min. In layouts of 8_14, with 131 m of cable, one takes 60 to 80 s, in lattices of free places that
 grow with the longest segments. Counted, not timed: the same search on every machine."""
 
-_FOLDED = 2
+_FOLDED = 4
 """Number of foldings with a number of vehicles that are certified."""
 
 _WITHOUT = 3
