@@ -159,13 +159,18 @@ def send_distances(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None
 
 
 def send_swing(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None:
-    """Send the largest stray of the strands: estimated, planned, and the radius of the tube."""
+    """Send the largest stray of the strands: estimated, planned, in the tube, and allowed."""
     swing = swing_curves(plan, trace)
     if swing is None:
         return
     clock = {"mission_time": swing.time}
-    for name in ("estimated", "planned", "certified"):
-        strays: Floats = getattr(swing, name)
+    curves = {
+        "estimated": swing.estimated,
+        "planned": swing.planned,
+        "tube": swing.tube,
+        "allowed": swing.allowed,
+    }
+    for name, strays in curves.items():
         _curves(stream, f"swing/{name}", [name], clock, strays.max(axis=1)[:, None])
 
 

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,15 @@ def test_planned_and_flown_distances_are_drawn_together(tmp_path: Path) -> None:
     found = timelines(path)
     assert found["/plots/distance/planned"][0] > 10
     assert found["/plots/distance/flown"][0] > 10
+
+
+def test_the_swing_of_a_flight_is_drawn_beside_what_is_planned_and_allowed(tmp_path: Path) -> None:
+    path = tmp_path / "swing.rrd"
+    flown = replace(trace(), stray=np.full((len(trace().time), PLAN.vehicles - 1), 0.05))
+    replay.write_flight(PLAN, flown, (), path)
+    found = timelines(path)
+    for name in ("estimated", "planned", "tube", "allowed"):
+        assert found[f"/plots/swing/{name}"] == (len(flown.time), {"mission_time"})
 
 
 def test_planned_vehicles_are_above_their_grips() -> None:
