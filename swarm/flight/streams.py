@@ -6,11 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.flight.estimation import setpoints_ned
+from swarm.flight.guidance import State
 from swarm.flight.router import Outgoing
 from swarm.flight.stages import Stage
 from swarm.flight.state import FlightState
 
 Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 
 def start_stream(flight: FlightState, k: int) -> None:
@@ -79,8 +81,10 @@ def setpoints(flight: FlightState) -> list[Outgoing]:
         held = setup.carries_cable and all(vehicle.gripped for vehicle in roster.vehicles)
         pull = setup.pull.around(flight.clock.time) if held else setup.pull.none()
         states = np.empty((len(roster.systems), 3, 3))
+        mobility = _mobility(flight)
+        acceleration = _against_drag(flight, state, mobility > 0.0)
         setpoints_ned(
-            (state.position, state.velocity, state.acceleration), lead, _mobility(flight), pull,
+            (state.position, state.velocity, acceleration), lead, mobility, pull,
             (frames.rotation, frames.translation, setup.lift), states,
         )  # fmt: skip
         packets = flight.team.setpoints(
@@ -103,6 +107,20 @@ def _mobility(flight: FlightState) -> Floats:
     per_mass = 1.0 / flight.setup.plan.mission.vehicles.mass
     kinds = [vehicle.autopilot for vehicle in flight.roster.vehicles]
     return np.array([per_mass if kind and kind.adds_acceleration else 0.0 for kind in kinds])
+
+
+def _against_drag(flight: FlightState, state: State, adds: Flags) -> Floats:
+    """Return the accelerations (n, 3) of a state, with those against the drag of the vehicles.
+
+    Integrators follow a change of the drag only slowly: fed forward, errors of the emulated PX4
+    vehicles, whose drag is 0.2 1/s, fall by half. ``adds`` (n,) says whose autopilots add them.
+    """
+    drags = {vehicle.sysid: vehicle.drag for vehicle in flight.setup.fleet.vehicles}
+    if not any(drags.values()):
+        return state.acceleration
+    drag = np.array([drags[system] for system in flight.roster.systems]) * adds
+    against: Floats = state.acceleration + drag[:, None] * state.velocity * [1.0, 1.0, 0.0]
+    return against
 
 
 def _set_active(flight: FlightState, k: int, *, active: bool) -> None:

@@ -168,9 +168,20 @@ def validate(
         return model.model_validate(document)
     except ValidationError as error:
         lines = key_lines(text, overrides)
-        items = sorted(error.errors(), key=lambda item: line_of(_named(item["loc"]), lines) or 0)
+        items = [item for item in error.errors() if not _only_invalid(dict(item))]
+        items.sort(key=lambda item: line_of(_named(item["loc"]), lines) or 0)
         problems = [_problem(model, dict(item), source, lines) for item in items]
         raise InputError(list(dict.fromkeys(problems))) from None
+
+
+def _only_invalid(item: dict[str, Any]) -> bool:
+    """Return whether a sequence is too short only without its invalid items, which are reported."""
+    given = item["input"]
+    return (
+        item["type"] == "too_short"
+        and isinstance(given, Sequence)
+        and len(given) >= int(item["ctx"]["min_length"])
+    )
 
 
 def _named(location: tuple[int | str, ...]) -> list[str]:
