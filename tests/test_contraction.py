@@ -10,7 +10,7 @@ from swarm.planning.contraction import contraction
 
 MISSION = mission_for_knot("overhand")
 LINE = 0.79
-"""Distance of neighbours on the line over the cable between them, as of a fold's first formation"""
+"""Distance of neighbours on the line over the cable between them, as of a fold's first formation."""
 
 
 def on_a_line(gaps: np.ndarray) -> np.ndarray:

@@ -79,10 +79,10 @@ def test_what_is_always_off_is_usual():
 
 
 def test_a_clock_that_slows_and_speeds_up_needs_a_longer_match():
-    """Its changes swing the cable, at most as long as the swing itself goes one way."""
-    pumped = [0.33, 0.08, 0.0, 0.04, 0.12, 0.21, 0.29, 0.32, 0.07, 0.0, 0.06, 0.14]
-    assert score_needed(pumped) == 8
-    assert score_needed(pumped[:3]) == 4  # three samples old: a slip may have slowed it
+    """Its changes excite the cable, and a swing matches a slip for half a period at most."""
+    varied = [0.33, 0.08, 0.0, 0.04, 0.12, 0.21, 0.29, 0.32, 0.07, 0.0, 0.06, 0.14]
+    assert score_needed(varied) == 8
+    assert score_needed(varied[:3]) == 4  # three samples old: a slip may have slowed it
     assert score_needed([1.0] * 9 + [0.6, 0.3, 0.0]) == 4
     assert score_needed([1.0] * 8 + [0.6, 0.3, 0.0, 0.0]) == 4
     assert score_needed([1.0] * 7 + [0.6, 0.3, 0.0, 0.0, 0.0]) == 8

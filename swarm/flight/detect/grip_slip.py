@@ -58,14 +58,14 @@ the vehicles farther away is subtracted: weak slips differ by little more."""
 SCORE_NEEDED, CLEAR_SCORE, WEAK_SCORE = 4, 2, 1
 """The sum of scores of successive samples that match the same vehicle's pattern, and the score of
 each match. Whole flights without a slip have no match, not even a weak one."""
-STIRRED_SCORE = 8
-"""The sum of scores that is needed where changes of the clock's rate swing the cable. With delays
+EXCITED_SCORE = 8
+"""The sum of scores that is needed where changes of the clock's rate excite the cable. With delays
 of 300 ms the clock slows down to 0, and up to 0.3 again, every 1.3 s. Matches without a slip then
 reached 6: they end with the swing, within a second."""
-STIRRED_RATE, STIRRED_CHANGE = 0.5, 0.2
-"""Rate below which, and change by which, the clock swings the cable. Before 12 slips of 0.3 N or
+EXCITING_RATE, EXCITING_CHANGE = 0.5, 0.2
+"""Rate below which, and change by which, the clock excites the cable. Before 12 slips of 0.3 N or
 more it was 0.7 at least, with changes of 0.2 at most."""
-_RATES, _OWN = 15, 3
+_RATES, _SLOWED_BY_SLIP = 15, 3
 """Samples of the rate that are kept, nearly 4 s, and the last ones of them, which a slip itself may
 have slowed before it matches."""
 _OLDEST = 0.6
@@ -241,11 +241,11 @@ def score_needed(rates: Iterable[float]) -> int:
 
     The rates are one for each sample. The last ones do not count: a slip itself slows the clock.
     """
-    before = list(rates)[:-_OWN]
-    stirred = (
-        bool(before) and min(before) < STIRRED_RATE and max(before) - min(before) > STIRRED_CHANGE
+    before = list(rates)[:-_SLOWED_BY_SLIP]
+    excited = (
+        bool(before) and min(before) < EXCITING_RATE and max(before) - min(before) > EXCITING_CHANGE
     )
-    return STIRRED_SCORE if stirred else SCORE_NEEDED
+    return EXCITED_SCORE if excited else SCORE_NEEDED
 
 
 def match(residual: Floats, centred: Floats, patterns: Floats) -> tuple[int | None, int]:

@@ -229,7 +229,7 @@ def _cornered(flight: SteppedSimulation) -> bool:
 
 
 def _landed_alone_outside_window(flight: SteppedSimulation, trial: FaultTrial) -> bool:
-    """Return whether vehicles landed by themselves where the plan does not allow to land.
+    """Return whether failsafes landed the vehicles where the plan has no window for landing.
 
     Without setpoints they fly on as certified, and brake: the window may close meanwhile.
     """

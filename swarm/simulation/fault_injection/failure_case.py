@@ -29,10 +29,10 @@ class FailureCase:
       vehicle, and with the cable only where it cannot be released.
     - ``allowed_strikes``: number of rotors that may touch cable. With ``cannot_follow`` the vehicle
       stays where it is and the others with it; one more rotor may touch cable where the team can
-      neither land nor release without cable on a rotor. With ``lands_alone`` vehicles land where
-      they are, because nobody commands them; one more rotor may touch cable outside the plan's
-      windows for landing. During the first ``fall_time`` seconds any number may: the cable falls
-      because of the fault.
+      neither land nor release without cable on a rotor. With ``lands_alone`` the failsafes
+      of the autopilots land the vehicles where they are; one more rotor may touch cable where the
+      plan has no window for landing. During the first ``fall_time`` seconds any number may: the
+      cable falls because of the fault.
     - ``stream_loss``: vehicles fly on without setpoints, so the worst case of the stream loss
       certificate applies: the mission's own clearances.
     - ``explanation``: the reason for exceptions.

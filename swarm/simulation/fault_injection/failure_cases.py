@@ -17,8 +17,8 @@ _CANNOT_FOLLOW = (
     "touch a rotor on the ground"
 )
 _LANDS_ALONE = (
-    "the vehicles land by themselves where they are; outside the plan's windows for landing, cable "
-    "may touch a rotor on the ground"
+    "the failsafes of the autopilots land the vehicles where they are; where the plan has no "
+    "window for landing, cable may touch a rotor on the ground"
 )
 _SLOW_MOTION = (
     "detected by the tracking error, which takes longer where the plan hardly moves the vehicles"
