@@ -24,7 +24,7 @@ def side_by_side(
     ``threads`` at a time, by default as many as this process has cores, at most four. With one
     thread each result is computed when it is asked for.
     """
-    threads = min(_cores(), _MOST) if threads is None else threads
+    threads = usual_threads() if threads is None else threads
     if threads < 2:
         yield from map(function, items)
         return
@@ -42,8 +42,8 @@ def side_by_side(
                 left.cancel()
 
 
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
+def usual_threads() -> int:
+    """Return the number of cores that this process may use, at most four."""
     if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+        return min(len(os.sched_getaffinity(0)), _MOST)
+    return min(os.cpu_count() or 1, _MOST)

@@ -1,11 +1,15 @@
 """The timing of folds: rates that are lowered in time, smooth, and no faster than before."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.planner.pacing import Pacing
+from swarm.mission.mission import mission_for_knot
+from swarm.planner.pacing import PacedPlan, Pacing, slowed_for_swing, timed_for_losses
+from swarm.planning.candidates import make_plan
 from swarm.planning.shaping import shape, shaper_for
 from tests.test_shaping import carry
 
@@ -68,3 +72,24 @@ def test_a_slowed_motion_is_as_smooth_and_ends_at_the_same_place() -> None:
         left, right = slow.at(joints - 1e-7)[order], slow.at(joints + 1e-7)[order]
         assert left == pytest.approx(right, abs=1e-4)
     assert np.linalg.norm(slow.at(slow.times)[1], axis=2).max() <= 2.0
+
+
+def test_the_usual_limit_of_the_swing_gives_way_to_the_endurance() -> None:
+    """A part of the slowing that the endurance allows is made; a limit in metres is kept."""
+    timed = timed_for_losses(make_plan(mission_for_knot("4_1")))
+    fast, slow = (one.plan.flight_duration for one in (timed, slowed_for_swing(timed)))
+    assert slow > fast + 2.0
+
+    def with_endurance(share: float, swing: float | str) -> float:
+        mission = timed.plan.mission
+        vehicles = mission.vehicles.model_copy(update={"endurance": fast + share * (slow - fast)})
+        fold = mission.fold.model_copy(update={"swing": swing})
+        mission = mission.model_copy(update={"vehicles": vehicles, "fold": fold})
+        limited = PacedPlan(replace(timed.plan, mission=mission), timed.pacing)
+        return (slowed_for_swing(limited).plan.flight_duration - fast) / (slow - fast)
+
+    assert with_endurance(1.0, "auto") == pytest.approx(1.0)
+    assert 0.5 < with_endurance(0.8, "auto") <= 0.8
+    assert 0.2 < with_endurance(0.5, "auto") <= 0.5
+    assert with_endurance(0.0, "auto") == 0.0
+    assert with_endurance(0.5, 0.06) > 0.8

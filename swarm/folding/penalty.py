@@ -19,6 +19,7 @@ from swarm.folding.vehicle_clearance import (
     rotor_disc_costs,
 )
 from swarm.geometry.sensitivity import sensitivity_tables
+from swarm.threads import side_by_side, usual_threads
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -33,6 +34,10 @@ cost more than this where they make a vehicle sink by about a tracking error."""
 
 _BATCH = 4000
 """Number of teams whose margins are computed at once: their outlines fit a processor's cache."""
+
+
+_LEAST_TOGETHER = 50
+"""Moments that are worth a thread of their own, with half a millisecond of work."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +103,19 @@ class TeamGeometry:
         """
         extra = extra or no_extra_margins(len(positions))
         cache = cache or empty_margin_cache(len(positions), len(self.lengths))
+
+        def part(some: slice) -> Penalty:
+            kept = MarginCache(cache.spare[some], cache.positions[some])
+            return self._penalty(positions[some], signs[some], extra[some], kept, preferences)
+
+        parts = list(side_by_side(part, _parts(len(positions))))
+        return Penalty(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+    def _penalty(
+        self, positions: Floats, signs: CrossingSigns, extra: ExtraMargins, cache: MarginCache,
+        preferences: bool,
+    ) -> Penalty:  # fmt: skip
+        """Return the missed margins as :meth:`penalty` does."""
         model, strands = self.model, self.outlines(positions)
         margins = model.margins
         response = np.empty((*strands.ratio.shape, 2))
@@ -154,6 +172,12 @@ class TeamGeometry:
             rotor_disc_costs(moved[:, end].copy(), held, extra[moment], self.margins, after)
             slope = cost * (after - cost) / _STEP
             np.add.at(total.gradient, (moment, segment + vehicle, axis), slope)
+
+
+def _parts(moments: int) -> list[slice]:
+    """Return the moments in equal parts to compute side by side."""
+    count = max(1, min(usual_threads(), moments // _LEAST_TOGETHER))
+    return [slice(k * moments // count, (k + 1) * moments // count) for k in range(count)]
 
 
 def missed_margins(team: TeamGeometry, positions: Floats) -> Floats:

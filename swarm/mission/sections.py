@@ -327,8 +327,8 @@ class Fold(Section):
     swing: Annotated[float, Field(strict=True, gt=0, le=10.0)] | Auto = _length(
         "auto",
         "Largest distance of the swinging cable from its catenary in the planned fold, which is "
-        "shaped and slowed for it. auto: 1 % of the longest segment, at least 0.06 m, where "
-        "slowing reaches that.",
+        "shaped and slowed for it. auto: 0.95 % of the longest segment, 1 % with fewer vehicles "
+        "than the grid diagram has, at least 0.06 m, where slowing reaches that.",
         above=0,
         most=10.0,
         auto=True,

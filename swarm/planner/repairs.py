@@ -9,7 +9,13 @@ from swarm.certification.air import sinkings
 from swarm.certification.clearances import Moment, violations
 from swarm.certification.smallest_budgets import short_moments
 from swarm.certification.swing_tube import swing_tube
-from swarm.planner.pacing import PacedPlan, slowed_for_stops, slowed_for_swing, timed_for_losses
+from swarm.planner.pacing import (
+    PacedPlan,
+    exceeds_endurance,
+    slowed_for_stops,
+    slowed_for_swing,
+    timed_for_losses,
+)
 from swarm.planning import Plan
 from swarm.planning.candidates import Candidate, repaired
 from swarm.planning.repair import Shortfall
@@ -92,7 +98,7 @@ def repair(
         notes += tried.notes
         paced, failures = _checked(replace(tried.plan, notes=notes), failed_checks)
         tried = replace(tried, plan=paced.plan)
-        if _exceeds_endurance(paced.plan):
+        if exceeds_endurance(paced.plan):
             notes += (_too_long(paced.plan),)
             too_long.append(paced.plan)
             tried = None
@@ -106,10 +112,15 @@ def repair(
                 if not kept or _fold_time(paced.plan) <= longer * _fold_time(kept[0].paced.plan):
                     kept.append(_keep(tried, paced))
                 tried = None
-        if tried is None and 0 < len(kept) <= rounds:
+        if tried is None and 0 < len(kept) <= rounds and not _unchanged(kept):
             tried, kept[-1] = _led_apart(kept[-1])
     notes += _why_not(failures) if candidate.searched and failures and not kept else ()
     return Repairs(kept, first, too_long, attempts, notes, failed_checks)
+
+
+def _unchanged(kept: Sequence[Kept]) -> bool:
+    """Whether the last repair moved nothing at the shortfalls: neither would the next one."""
+    return len(kept) > 1 and kept[-1].shortfalls == kept[-2].shortfalls
 
 
 def _longer(candidate: Candidate) -> float:
@@ -119,11 +130,11 @@ def _longer(candidate: Candidate) -> float:
 def _checked(plan: Plan, failed_checks: frozenset[str]) -> tuple[PacedPlan, tuple[Moment, ...]]:
     """Return the plan timed, and the moments at which it fails; unchecked where it is too long."""
     paced = timed_for_losses(plan)
-    if _exceeds_endurance(paced.plan):
+    if exceeds_endurance(paced.plan):
         return paced, ()
     failures = _failures(paced.plan, failed_checks)
     slowed = paced if failures else slowed_for_swing(paced)
-    if slowed is paced or _exceeds_endurance(slowed.plan):
+    if slowed is paced or exceeds_endurance(slowed.plan):
         return slowed, failures
     return slowed, violations(slowed.plan)
 
@@ -189,7 +200,7 @@ def slowed_for_budget(kept: Kept) -> PacedPlan:
         times, metres, swing = np.array([(one.time, one.metres, one.swing) for one in short]).T
         excess = swing / np.maximum(swing - metres - _RESERVE, swing / _MOST_EXCESS)
         paced = slowed_for_stops(best, times, excess)
-        if _exceeds_endurance(paced.plan) or _fold_time(paced.plan) > longest:
+        if exceeds_endurance(paced.plan) or _fold_time(paced.plan) > longest:
             break
         if violations(paced.plan):
             break
@@ -211,10 +222,6 @@ def _led_apart(kept: Kept) -> tuple[Candidate | None, Kept]:
         if found is not None:
             return found, replace(kept, shares=kept.shares[number:])
     return None, replace(kept, shares=())
-
-
-def _exceeds_endurance(plan: Plan) -> bool:
-    return plan.flight_duration > plan.mission.vehicles.endurance
 
 
 def _too_long(plan: Plan) -> str:

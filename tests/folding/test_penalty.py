@@ -211,3 +211,19 @@ def test_cached_pairs_miss_no_margin(seed: int) -> None:
         np.testing.assert_allclose(cached.missed, plain.missed, atol=1e-9)
         np.testing.assert_allclose(cached.gradient, plain.gradient, atol=1e-9)
     assert skipped > 0.1 * 60 * cache.spare.size
+
+
+def test_moments_that_are_computed_side_by_side_have_the_penalties_of_each_alone() -> None:
+    rng = np.random.default_rng(5)
+    team = TeamGeometry(np.array([4.4, 6.0, 4.4]), ERRING)
+    positions = rng.uniform(-3.0, 3.0, (230, 4, 3))
+    extra = ExtraMargins(*rng.uniform(0.0, 0.2, (7, 230)))
+    signs, cache = free_signs(230, 3), empty_margin_cache(230, 3)
+    together = team.penalty(positions, signs, extra, cache=cache)
+    assert (together.missed > 0.0).sum() > 100
+    for k in range(len(positions)):
+        one, alone = slice(k, k + 1), empty_margin_cache(1, 3)
+        found = team.penalty(positions[one], signs[one], extra[one], cache=alone)
+        np.testing.assert_array_equal(found.missed, together.missed[one])
+        np.testing.assert_array_equal(found.gradient, together.gradient[one])
+        np.testing.assert_array_equal(alone.spare, cache.spare[one])
