@@ -30,18 +30,21 @@ class Vehicle:
     """Sends heartbeats and serves its logs: times in s since 1970 and contents, by id.
 
     Every ``loses``-th packet of a log is lost, and none is sent after ``stops`` packets. The vehicle
-    arms after ``arms`` packets.
+    arms after ``arms`` packets. It sends no heartbeats between the two times ``silent``, in seconds
+    after its beginning.
     """
 
     def __init__(
         self, system: int, port: int, autopilot: int, logs: Mapping[int, tuple[int, bytes]],
         *, loses: int = 0, stops: int | None = None, arms: int | None = None,
+        silent: tuple[float, float] = (0.0, 0.0),
     ) -> None:  # fmt: skip
         self.logs, self.requests = logs, 0
         self._loses, self._stops, self._arms = loses, stops, arms
         self._autopilot, self._to = autopilot, ("127.0.0.1", port)
         self._packets = itertools.count(1)
         self._sent = 0
+        self._silent = tuple(time.monotonic() + after for after in silent)
         self._link = common.MAVLink(None, srcSystem=system, srcComponent=1)
         self._link.robust_parsing = True
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -61,7 +64,8 @@ class Vehicle:
     def _run(self) -> None:
         beat = 0.0
         while not self._over.is_set():
-            if time.monotonic() > beat:
+            first, last = self._silent
+            if time.monotonic() > beat and not first < time.monotonic() < last:
                 beat = time.monotonic() + 0.2
                 armed = 128 if self._arms is not None and self._sent >= self._arms else 0
                 self._send(common.MAVLink_heartbeat_message(2, self._autopilot, armed, 0, 3, 3))
@@ -172,6 +176,15 @@ def test_an_armed_team_is_refused(tmp_path):
     ):
         download_logs(fleet, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.full
+def test_a_vehicle_that_mavsdk_does_not_find_at_first_is_searched_again(tmp_path):
+    log = {"autopilot": PX4, "logs": {0: (NEW, content(1, 900))}}
+    with team({**log, "silent": (0.5, 14.0)}) as (fleet, _):
+        (found,) = download_logs(fleet, tmp_path)
+    assert found.problem == ""
+    assert found.path is not None
 
 
 def test_callbacks_are_kept_until_mavsdk_is_destroyed(tmp_path, monkeypatch):

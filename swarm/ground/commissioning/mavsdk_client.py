@@ -96,10 +96,10 @@ def newest_logs(
 
     If the process fails for a vehicle in every attempt, this is the problem of its log, and the
     next vehicle follows. Ends early once ``cancelled`` returns True. Raises :class:`VehicleError`
-    if vehicles are not found or ``folder`` cannot be written.
+    if vehicles are not found in any attempt or ``folder`` cannot be written.
     """
     found: dict[int, NewestLog] = {}
-    failures = dict.fromkeys(ports, 0)
+    failures, searches = dict.fromkeys(ports, 0), 0
 
     def handle(message: tuple[Any, ...]) -> None:
         kind, system, *fields = message
@@ -114,6 +114,10 @@ def newest_logs(
         try:
             complete = partial(_complete, found, ports)
             _request(request, handle, TIMEOUT + timeout, complete, cancelled)
+        except MissingError:
+            searches += 1
+            if searches == ATTEMPTS:
+                raise
         except ChildError as error:
             current = next(system for system in missing if system not in found)
             failures[current] += 1
