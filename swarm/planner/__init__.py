@@ -197,7 +197,8 @@ def _certifiable(assessment: Assessment) -> bool:
 def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
     """Certify a plan, timed again while lost setpoints would lower the rate of the clock.
 
-    Of several timings the last one that is cleared is returned; the first where none is.
+    Of several timings the last one that is cleared is returned. Where none is, it is the last one
+    that is short of nothing but its budget, or else the first.
     """
     timings = [paced]
     for _ in range(_RETIMED):
@@ -205,8 +206,10 @@ def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
         if again is None:
             break
         timings.append(again)
-    for again in reversed(timings[1:]):
-        certificate = certify(again.plan, progress=progress)
-        if _certifiable(certificate.assessment):
-            return PlanningResult(again.plan, certificate)
-    return PlanningResult(paced.plan, certify(paced.plan, progress=progress))
+    refused: list[PlanningResult] = []
+    for again in reversed(timings):
+        found = PlanningResult(again.plan, certify(again.plan, progress=progress))
+        if found.certificate.cleared:
+            return found
+        refused.append(found)
+    return next((found for found in refused if _certifiable(found.assessment)), refused[-1])

@@ -20,9 +20,14 @@ from swarm.planning import Plan
 from swarm.planning.candidates import Candidate, repaired
 from swarm.planning.repair import Shortfall
 
-_BUDGET_ROUNDS, _BUDGET_ROUNDS_SEARCHED = 4, 10
-"""Largest number of repairs of a plan for its budget and for jets, and that of a searched motion:
-the eighth led a vehicle of 4_1 with 7 around a jet, after four that changed little."""
+_BUDGET_ROUNDS, _JET_ROUNDS, _ROUNDS_SEARCHED = 4, 8, 10
+"""Largest number of repairs of a plan for its budget, and for jets once that closes, and of a
+searched motion: the eighth led a vehicle of the square knot around a jet of 0.15 m of sinking, and
+one of 4_1 with 7, after four that changed little."""
+
+_IDLE_ROUNDS = 2
+"""Repairs that changed nothing after which the next one is not tried: margins grow with each, but
+none of five led vehicles of 10_1 around their jets."""
 
 _LONGER, _LONGER_SEARCHED = 1.3, 1.5
 """Most that a fold may take longer for its budget. A repair that lost setpoints slow down by more
@@ -86,7 +91,6 @@ def repair(
     to compute: plans are slowed for it, and checked again, once they pass the checks without. Then
     strands are led farther apart where the clearance budget is short, and vehicles around jets.
     """
-    rounds = _BUDGET_ROUNDS_SEARCHED if candidate.searched else _BUDGET_ROUNDS
     longer = _longer(candidate)
     kept: list[Kept] = []
     first: PacedPlan | None = None
@@ -112,15 +116,20 @@ def repair(
                 if not kept or _fold_time(paced.plan) <= longer * _fold_time(kept[0].paced.plan):
                     kept.append(_keep(tried, paced))
                 tried = None
-        if tried is None and 0 < len(kept) <= rounds and not _unchanged(kept):
+        if tried is None and kept and len(kept) <= _rounds(kept):
             tried, kept[-1] = _led_apart(kept[-1])
     notes += _why_not(failures) if candidate.searched and failures and not kept else ()
     return Repairs(kept, first, too_long, attempts, notes, failed_checks)
 
 
-def _unchanged(kept: Sequence[Kept]) -> bool:
-    """Whether the last repair moved nothing at the shortfalls: neither would the next one."""
-    return len(kept) > 1 and kept[-1].shortfalls == kept[-2].shortfalls
+def _rounds(kept: Sequence[Kept]) -> int:
+    """Return the largest number of repairs of plans that keep all clearances."""
+    idle = [one.shortfalls for one in kept[-_IDLE_ROUNDS - 1 :]]
+    if len(idle) > _IDLE_ROUNDS and all(one == idle[0] for one in idle):
+        return 0
+    if kept[-1].candidate.searched:
+        return _ROUNDS_SEARCHED
+    return _BUDGET_ROUNDS if kept[-1].budget else _JET_ROUNDS
 
 
 def _longer(candidate: Candidate) -> float:
