@@ -8,6 +8,9 @@ from swarm.flight.stages import Stage, Trigger
 from swarm.flight.state import FlightState
 from swarm.flight.streams import stop_all_streams
 
+_LEAST_DRAG = 0.05
+"""Fitted drag, 1/s, from which on it is stated: less is hardly told from no motion."""
+
 
 def mark_failed(flight: FlightState, message: str) -> None:
     """Keep the first reason for which the flight has failed, however it ends."""
@@ -41,5 +44,8 @@ def finish(flight: FlightState, word: Word, message: str) -> None:
     for vehicle in flight.roster.vehicles:
         vehicle.restore_streams()
     flight.ending = replace(flight.ending, outcome=Outcome(word, message))
+    drag = flight.detectors.grip_slip.drag
+    if drag > _LEAST_DRAG:
+        flight.report("drag", f"the vehicles' drag, fitted in this flight: {drag:.2f} 1/s")
     flight.report("outcome", f"{word}: {message}")
     change_stage(flight, Trigger.END)

@@ -1,6 +1,7 @@
 """What a flight never changes: its plan, its fleet, and the values that follow from the two."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +47,8 @@ class Setup:
 
     ``commands_grippers`` says whether grippers are commanded, ``carries_cable`` whether cable is
     attached, ``bare`` whether the vehicles could not hold one. ``swing`` estimates the swing of the
-    cable, where one is folded. ``lift`` (3,) in metres leads from grip points to centres.
+    cable, where one is folded. ``lift`` (3,) in metres leads from grip points to centres. ``drag``
+    is that of the vehicles whose fleet file states it, by system id, 1/s.
     """
 
     flight_plan: FlightPlan
@@ -64,6 +66,7 @@ class Setup:
     swing: SwingEstimator | None
     pull: PlannedPull
     lift: Floats
+    drag: Mapping[int, float]
 
 
 def setup_of(flight_plan: FlightPlan, fleet: Fleet, options: Options) -> Setup:
@@ -99,6 +102,7 @@ def setup_of(flight_plan: FlightPlan, fleet: Fleet, options: Options) -> Setup:
         swing=SwingEstimator.of(plan) if carries_cable else None,
         pull=PlannedPull(plan),
         lift=np.array([0.0, 0.0, plan.mission.vehicles.grip_offset]),
+        drag={one.sysid: one.drag for one in fleet.vehicles if one.drag is not None},
     )
 
 

@@ -113,12 +113,11 @@ def _against_drag(flight: FlightState, state: State, adds: Flags) -> Floats:
     """Return the accelerations (n, 3) of a state, with those against the drag of the vehicles.
 
     Integrators follow a change of the drag only slowly: fed forward, errors of the emulated PX4
-    vehicles, whose drag is 0.2 1/s, fall by half. ``adds`` (n,) says whose autopilots add them.
+    vehicles, whose drag is 0.2 1/s, fall by up to a half. It is as the fleet file has it, or as
+    fitted in this flight. ``adds`` (n,) says whose autopilots add accelerations.
     """
-    drags = {vehicle.sysid: vehicle.drag for vehicle in flight.setup.fleet.vehicles}
-    if not any(drags.values()):
-        return state.acceleration
-    drag = np.array([drags[system] for system in flight.roster.systems]) * adds
+    stated, fitted = flight.setup.drag, flight.detectors.grip_slip.drag
+    drag = np.array([stated.get(system, fitted) for system in flight.roster.systems]) * adds
     against: Floats = state.acceleration + drag[:, None] * state.velocity * [1.0, 1.0, 0.0]
     return against
 

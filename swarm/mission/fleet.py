@@ -37,10 +37,10 @@ class FleetVehicle(Section, title="Vehicle"):
         None,
         description="Number of the pad, from 1 at the first end of the cable; default: nearest.",
     )
-    drag: float = number(
-        0.0, "1/s",
+    drag: float | None = number(
+        None, "1/s",
         "Horizontal drag per mass and speed, fed forward where the autopilot adds accelerations "
-        "(PX4): 9.81 tan(lean) / speed in steady flight. 0: none.",
+        "(PX4): 9.81 tan(lean) / speed in steady flight. 0: none; default: fitted in flight.",
         least=0.0, most=2.0,
     )  # fmt: skip
 

@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 
 from swarm.errors import InputError
+from swarm.flight.detect.grip_slip import GripSlipDetector
+from swarm.flight.detect.latch import Latch
 from swarm.flight.trace import Trace
+from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.mission.fleet import emulated_fleet, parse_fleet
 from swarm.simulation.loop import simulate_flight
 from tests.network import small_plan
+from tests.overhand import planned_overhand
 
 PLAN = small_plan()
 
@@ -25,6 +29,31 @@ def largest_error(trace: Trace) -> float:
 
 def test_the_emulated_drag_fed_forward_lowers_the_tracking_error() -> None:
     assert largest_error(flown("px4", 0.2)) < 0.8 * largest_error(flown("px4", 0.0))
+
+
+def test_the_drag_is_fitted_in_flight_where_the_fleet_file_has_none() -> None:
+    """The emulated vehicles have 0.2 1/s, of which the ground station knows nothing."""
+    result = simulate_flight(planned_overhand().certified(), fleet=emulated_fleet(9))
+    (fitted,) = [event.message for event in result.events if event.kind == "drag"]
+    words, _, value = fitted.removesuffix(" 1/s").rpartition(" ")
+    assert words == "the vehicles' drag, fitted in this flight:"
+    assert 0.17 < float(value) < 0.22
+    assert largest_error(result.trace) < 0.07  # 0.08 with a drag of 0
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.2, 0.55, 3.0])
+def test_no_more_is_fed_forward_than_vehicles_have(drag: float) -> None:
+    """Vehicles that move apart and together lean by their drag; 3 1/s would be a wrong model."""
+    detector = GripSlipDetector(PLAN.plan, Latch(), enabled=True)
+    grips = np.array([[2.5 * k, 0.0, 5.0] for k in range(3)])
+    apart = np.array([[0.0, 0.3, 0.0], [0.0, 0.0, 0.0], [0.0, -0.3, 0.0]])
+    attitude = np.zeros((3, 3))
+    assert detector.drag == 0.0
+    for k in range(100):
+        velocity = apart * np.sign(np.sin(0.05 * k)) * (k > 9)
+        attitude[:, 1] = -np.arctan(drag * velocity[:, 1] / STANDARD_GRAVITY)
+        detector.evaluate(0.25 * k, attitude, velocity, grips)
+    assert detector.drag == pytest.approx(min(drag, 0.6), abs=0.05)
 
 
 def test_an_autopilot_that_adds_no_accelerations_is_sent_none() -> None:

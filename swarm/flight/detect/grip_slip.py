@@ -38,6 +38,9 @@ DRAG_TIME = 30.0
 DRAG_PRIOR = 0.5
 """(m/s)² of motion, summed over vehicles and samples, with which a drag of 0 is weighted: that of
 nine vehicles at 0.1 m/s in a second and a half."""
+MOST_DRAG = 0.6
+"""Largest drag per mass that is fed forward, 1/s. That of a quadrotor was identified as 0.54 1/s
+along one axis and 0.39 1/s along the other (Faessler, Franchi and Scaramuzza 2018)."""
 BIAS_TIME = 20.0
 """Seconds in which a lasting residual becomes part of the bias."""
 MIN_SHARE, MAX_SHARE = 0.5, 3.0
@@ -144,6 +147,11 @@ class GripSlipDetector:
         self._score = self._score + score if who == self._suspect else score
         self._suspect = -1 if who is None else who
         return who if self._score >= score_needed(self._rates) else None
+
+    @property
+    def drag(self) -> float:
+        """The fitted drag of a vehicle per its mass, 1/s; 0 before the team has moved."""
+        return min(self._drag / self._mass, MOST_DRAG)
 
     @property
     def _drag(self) -> float:
