@@ -39,7 +39,7 @@ dry runs of the default missions with PX4 vehicles."""
 
 
 _SLOWING = 3.5
-"""Seconds by which a flight with a fold takes longer: 2.3 to 4.3 s in dry runs of `missions/`, with
+"""Seconds by which a flight with a knot takes longer: 2.3 to 4.3 s in dry runs of `missions/`, with
 folds of 33 to 320 s. The clock slows in the lift, and in the fold until the drag is fitted."""
 
 
@@ -151,7 +151,8 @@ class Plan:
 
         The mission clock slows before the largest lag of the team is the tracking radius.
         """
-        return _SLOWING if any(phase.name == "fold" for phase in self.phases) else 0.0
+        folds = any(phase.name == "fold" for phase in self.phases)
+        return _SLOWING if folds and self.mission.formation is None else 0.0
 
     @property
     def flight_duration(self) -> float:
