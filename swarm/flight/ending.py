@@ -9,7 +9,7 @@ from swarm.flight.state import FlightState
 from swarm.flight.streams import stop_all_streams
 
 _LEAST_DRAG = 0.05
-"""Fitted drag, 1/s, from which on it is stated: less is hardly told from no motion."""
+"""Smallest fitted drag, 1/s, that is reported: smaller ones are within the error of the fit."""
 
 
 def mark_failed(flight: FlightState, message: str) -> None:

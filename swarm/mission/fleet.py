@@ -40,7 +40,8 @@ class FleetVehicle(Section, title="Vehicle"):
     drag: float | None = number(
         None, "1/s",
         "Horizontal drag per mass and speed, fed forward where the autopilot adds accelerations "
-        "(PX4): 9.81 tan(lean) / speed in steady flight. 0: none; default: fitted in flight.",
+        "(PX4): 9.81 tan(lean) / speed in steady flight. 0: none; default: fitted in flight, by "
+        "three vehicles or more with the cable aloft.",
         least=0.0, most=2.0,
     )  # fmt: skip
 

@@ -328,7 +328,8 @@ class Fold(Section):
         "auto",
         "Largest distance of the swinging cable from its catenary in the planned fold, which is "
         "shaped and slowed for it. auto: 0.95 % of the longest segment, 1 % with fewer vehicles "
-        "than the grid diagram has, at least 0.06 m, where slowing reaches that.",
+        "than the grid diagram has corners, at least 0.06 m, as far as slowing reaches that "
+        "within the endurance.",
         above=0,
         most=10.0,
         auto=True,

@@ -54,7 +54,7 @@ Carrick mat's budget stayed 1 cm short; for the swing without stops 0.2 took 20 
 
 _AUTO_SHARE, _AUTO_SHARE_FEWER, _AUTO_LEAST = 0.0095, 0.01, 0.06
 """``fold.swing: auto`` as a share of the longest segment, and with fewer vehicles than the grid
-diagram has, and at least, in metres: what shaping and moderate slowing reach in the default
+diagram has corners, and at least, in metres: what shaping and moderate slowing reach in the default
 missions (0.06 m overhand, 0.11 m Carrick mat). With 0.01 the Carrick mat swung by 0.122 m in a
 finer model, where 0.12 m were asked for. With 0.0095 the fold of the overhand with five, whose
 segments are longer, took 37.0 s instead of 32.6 s."""
@@ -137,7 +137,8 @@ def slowed_for_swing(paced: PacedPlan) -> PacedPlan:
     """Return the plan timed for ``fold.swing`` too; the same object where it keeps that already.
 
     Where no round reaches the limit of the swing, the one with the least swing counts. A limit that
-    is ``auto`` gives way to the endurance: the budget states what the swing takes.
+    is ``auto`` may be exceeded where the flight would exceed its endurance: the budget states what
+    the swing takes, and the plan is the same object where no slowing fits.
     """
     if paced.pacing is None:
         return paced

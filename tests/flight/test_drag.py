@@ -6,11 +6,12 @@ import pytest
 from swarm.errors import InputError
 from swarm.flight.detect.grip_slip import GripSlipDetector
 from swarm.flight.detect.latch import Latch
+from swarm.flight.streams import against_drag
 from swarm.flight.trace import Trace
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.mission.fleet import emulated_fleet, parse_fleet
 from swarm.simulation.loop import simulate_flight
-from tests.network import small_plan
+from tests.network import Network, small_plan
 from tests.overhand import planned_overhand
 
 PLAN = small_plan()
@@ -32,7 +33,7 @@ def test_the_emulated_drag_fed_forward_lowers_the_tracking_error() -> None:
 
 
 def test_the_drag_is_fitted_in_flight_where_the_fleet_file_has_none() -> None:
-    """The emulated vehicles have 0.2 1/s, of which the ground station knows nothing."""
+    """The emulated vehicles have 0.2 1/s, which the fleet file does not state."""
     result = simulate_flight(planned_overhand().certified(), fleet=emulated_fleet(9))
     (fitted,) = [event.message for event in result.events if event.kind == "drag"]
     words, _, value = fitted.removesuffix(" 1/s").rpartition(" ")
@@ -42,7 +43,7 @@ def test_the_drag_is_fitted_in_flight_where_the_fleet_file_has_none() -> None:
 
 
 @pytest.mark.parametrize("drag", [0.0, 0.2, 0.55, 3.0])
-def test_no_more_is_fed_forward_than_vehicles_have(drag: float) -> None:
+def test_the_fitted_drag_is_that_of_the_vehicles_up_to_a_limit(drag: float) -> None:
     """Vehicles that move apart and together lean by their drag; 3 1/s would be a wrong model."""
     detector = GripSlipDetector(PLAN.plan, Latch(), enabled=True)
     grips = np.array([[2.5 * k, 0.0, 5.0] for k in range(3)])
@@ -54,6 +55,46 @@ def test_no_more_is_fed_forward_than_vehicles_have(drag: float) -> None:
         attitude[:, 1] = -np.arctan(drag * velocity[:, 1] / STANDARD_GRAVITY)
         detector.evaluate(0.25 * k, attitude, velocity, grips)
     assert detector.drag == pytest.approx(min(drag, 0.6), abs=0.05)
+
+
+@pytest.mark.parametrize("wrong", ["attitude", "velocity", "grips"])
+def test_a_value_that_is_none_does_not_reach_the_fit(wrong: str) -> None:
+    """A thrust that points sideways has no lean; setpoints follow the fitted drag."""
+    detector = GripSlipDetector(PLAN.plan, Latch(), enabled=True)
+    values = {
+        "attitude": np.zeros((3, 3)),
+        "velocity": np.array([[0.0, 0.3, 0.0], [0.0, 0.0, 0.0], [0.0, -0.3, 0.0]]),
+        "grips": np.array([[2.5 * k, 0.0, 5.0] for k in range(3)]),
+    }
+    values["attitude"][:, 1] = -np.arctan(0.2 * values["velocity"][:, 1] / STANDARD_GRAVITY)
+    bad = values[wrong].copy()
+    bad[0, 0] = np.pi / 2.0 if wrong == "attitude" else np.nan
+    for k in range(60):
+        sample = {**values, wrong: bad} if k == 20 else values
+        detector.evaluate(0.25 * k, *sample.values())
+        assert np.isfinite(detector.drag)
+
+
+def test_a_drag_of_the_fleet_file_counts_instead_of_the_fitted_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fleet = emulated_fleet(4, ("px4", "px4", "px4", "ardupilot"))
+    drags = (None, 0.0, 0.5, 0.5)
+    vehicles = tuple(
+        one.model_copy(update={"drag": drag})
+        for one, drag in zip(fleet.vehicles, drags, strict=True)
+    )
+    network = Network(small_plan(vehicles=4), fleet.model_copy(update={"vehicles": vehicles}))
+    network.until_phase("fold", 3.0)
+    monkeypatch.setattr(GripSlipDetector, "drag", property(lambda _: 0.2))
+    flight = network.conductor.state
+    state = flight.guidance.state(flight.clock, flight.timing.moving)
+    adds = np.array([True, True, True, False])
+    found = against_drag(flight, state, adds) - state.acceleration
+    order = [flight.roster.systems.index(one.sysid) for one in vehicles]
+    assert np.abs(state.velocity[:, :2]).max(axis=1).min() > 0.05
+    for k, expected in zip(order, (0.2, 0.0, 0.5, 0.0), strict=True):
+        assert found[k] == pytest.approx(expected * state.velocity[k] * [1, 1, 0])
 
 
 def test_an_autopilot_that_adds_no_accelerations_is_sent_none() -> None:

@@ -213,7 +213,10 @@ def test_cached_pairs_miss_no_margin(seed: int) -> None:
     assert skipped > 0.1 * 60 * cache.spare.size
 
 
-def test_moments_that_are_computed_side_by_side_have_the_penalties_of_each_alone() -> None:
+def test_moments_that_are_computed_side_by_side_have_the_penalties_of_each_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("swarm.folding.penalty.usual_threads", lambda: 3)
     rng = np.random.default_rng(5)
     team = TeamGeometry(np.array([4.4, 6.0, 4.4]), ERRING)
     positions = rng.uniform(-3.0, 3.0, (230, 4, 3))

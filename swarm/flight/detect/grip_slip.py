@@ -6,7 +6,8 @@ vehicle loses its pull and its neighbours share a strand of the length of both: 
 vehicles, computed for each vehicle and compared with the residual. Wind pushes all vehicles alike
 and fits no pattern; a constant error of a sensor or of the model becomes part of the bias. The drag
 of the vehicles is the largest of all forces that the model lacks: it is fitted in flight as a force
-against the velocity. The horizontal parts are enough, and forces within the team cancel in them.
+against the velocity, and setpoints compensate for it too (:mod:`swarm.flight.streams`). The
+horizontal parts are enough, and forces within the team cancel in them.
 """
 
 import math
@@ -39,7 +40,7 @@ DRAG_PRIOR = 0.5
 """(m/s)² of motion, summed over vehicles and samples, with which a drag of 0 is weighted: that of
 nine vehicles at 0.1 m/s in a second and a half."""
 MOST_DRAG = 0.6
-"""Largest drag per mass that is fed forward, 1/s. That of a quadrotor was identified as 0.54 1/s
+"""Largest fitted drag per mass, 1/s. That of a quadrotor was identified as 0.54 1/s
 along one axis and 0.39 1/s along the other (Faessler, Franchi and Scaramuzza 2018)."""
 BIAS_TIME = 20.0
 """Seconds in which a lasting residual becomes part of the bias."""
@@ -131,6 +132,10 @@ class GripSlipDetector:
         """
         held = self._held(grips)
         force = thrust(attitude, held.pull, self._mass)
+        if not (np.isfinite(force).all() and np.isfinite(velocity).all()):
+            # a value that is none would stay in the fit of the drag, which setpoints follow
+            self.reset()
+            return None
         if self._samples and now - self._samples[-1][0] > 2.0 * INTERVAL:
             self.reset()
         self._samples.append((now, velocity[:, :2].copy(), force))
@@ -150,7 +155,11 @@ class GripSlipDetector:
 
     @property
     def drag(self) -> float:
-        """The fitted drag of a vehicle per its mass, 1/s; 0 before the team has moved."""
+        """The fitted drag of a vehicle per its mass, 1/s, at most MOST_DRAG.
+
+        0 until vehicles have moved relative to each other with the cable aloft. Setpoints of
+        vehicles whose drag the fleet file does not state compensate for it.
+        """
         return min(self._drag / self._mass, MOST_DRAG)
 
     @property

@@ -96,7 +96,7 @@ def newest_logs(
 
     If the process fails for a vehicle in every attempt, this is the problem of its log, and the
     next vehicle follows. Ends early once ``cancelled`` returns True. Raises :class:`VehicleError`
-    if vehicles are not found in any attempt or ``folder`` cannot be written.
+    if vehicles are not found in three searches or ``folder`` cannot be written.
     """
     found: dict[int, NewestLog] = {}
     failures, searches = dict.fromkeys(ports, 0), 0
@@ -116,7 +116,7 @@ def newest_logs(
             _request(request, handle, TIMEOUT + timeout, complete, cancelled)
         except MissingError:
             searches += 1
-            if searches == ATTEMPTS:
+            if searches == ATTEMPTS and not cancelled():
                 raise
         except ChildError as error:
             current = next(system for system in missing if system not in found)
