@@ -35,7 +35,6 @@ cost more than this where they make a vehicle sink by about a tracking error."""
 _BATCH = 4000
 """Number of teams whose margins are computed at once: their outlines fit a processor's cache."""
 
-
 _LEAST_TOGETHER = 50
 """Fewest moments for a thread: fewer take little more time than its start."""
 

@@ -116,20 +116,23 @@ def repair(
                 if not kept or _fold_time(paced.plan) <= longer * _fold_time(kept[0].paced.plan):
                     kept.append(_keep(tried, paced))
                 tried = None
-        if tried is None and kept and len(kept) <= _rounds(kept):
+        if tried is None and kept and len(kept) <= _rounds(kept[-1]) and not _idle(kept):
             tried, kept[-1] = _led_apart(kept[-1])
     notes += _why_not(failures) if candidate.searched and failures and not kept else ()
     return Repairs(kept, first, too_long, attempts, notes, failed_checks)
 
 
-def _rounds(kept: Sequence[Kept]) -> int:
+def _rounds(kept: Kept) -> int:
     """Return the largest number of repairs of plans that keep all clearances."""
-    idle = [one.shortfalls for one in kept[-_IDLE_ROUNDS - 1 :]]
-    if len(idle) > _IDLE_ROUNDS and all(one == idle[0] for one in idle):
-        return 0
-    if kept[-1].candidate.searched:
+    if kept.candidate.searched:
         return _ROUNDS_SEARCHED
-    return _BUDGET_ROUNDS if kept[-1].budget else _JET_ROUNDS
+    return _BUDGET_ROUNDS if kept.budget else _JET_ROUNDS
+
+
+def _idle(kept: Sequence[Kept]) -> bool:
+    """Whether the last repairs changed nothing."""
+    last = [one.shortfalls for one in kept[-1 - _IDLE_ROUNDS :]]
+    return len(last) > _IDLE_ROUNDS and last.count(last[0]) == len(last)
 
 
 def _longer(candidate: Candidate) -> float:

@@ -69,7 +69,7 @@ def flown(plan: Plan, change: float | None, step: float, course: Course = COURSE
     return np.array(times)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=16, deadline=None)
 @given(share=st.floats(0.05, 0.98), course=st.sampled_from(COURSES))
 @example(share=0.6484375, course=COURSES[3])  # outside with beginnings every 2 s
 def test_it_contains_finer_simulations_of_every_change_of_rate(

@@ -1,5 +1,7 @@
 """Missed margins of a team, and their derivatives."""
 
+import os
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -216,7 +218,7 @@ def test_cached_pairs_miss_no_margin(seed: int) -> None:
 def test_moments_that_are_computed_side_by_side_have_the_penalties_of_each_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("swarm.folding.penalty.usual_threads", lambda: 3)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2}, raising=False)
     rng = np.random.default_rng(5)
     team = TeamGeometry(np.array([4.4, 6.0, 4.4]), ERRING)
     positions = rng.uniform(-3.0, 3.0, (230, 4, 3))

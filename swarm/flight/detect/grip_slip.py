@@ -40,8 +40,8 @@ DRAG_PRIOR = 0.5
 """(m/s)² of motion, summed over vehicles and samples, with which a drag of 0 is weighted: that of
 nine vehicles at 0.1 m/s in a second and a half."""
 MOST_DRAG = 0.6
-"""Largest fitted drag per mass, 1/s. That of a quadrotor was identified as 0.54 1/s
-along one axis and 0.39 1/s along the other (Faessler, Franchi and Scaramuzza 2018)."""
+"""Largest fitted drag per mass, 1/s. That of a quadrotor was identified as 0.54 1/s along one axis
+and 0.39 1/s along the other (Faessler, Franchi and Scaramuzza 2018)."""
 BIAS_TIME = 20.0
 """Seconds in which a lasting residual becomes part of the bias."""
 MIN_SHARE, MAX_SHARE = 0.5, 3.0
@@ -133,7 +133,7 @@ class GripSlipDetector:
         held = self._held(grips)
         force = thrust(attitude, held.pull, self._mass)
         if not (np.isfinite(force).all() and np.isfinite(velocity).all()):
-            # a value that is none would stay in the fit of the drag, which setpoints follow
+            # NaN would stay in the fit of the drag, and so in all setpoints
             self.reset()
             return None
         if self._samples and now - self._samples[-1][0] > 2.0 * INTERVAL:
