@@ -42,7 +42,7 @@ def allowed_swing(plan: Plan, tube: SwingTube, times: Floats) -> Floats:
     count = int(np.clip((last - first) / _APART, 1, _MOST))
     moments = np.linspace(first, last, count + 1)
     excited = DEVIATIONS * np.array([_deviations(plan, tube.start, t) for t in moments.tolist()])
-    radius = np.array([tube.strands(time) for time in times.tolist()])
+    radius = np.array([tube.all_changes.strands(time) for time in times.tolist()])
     between = [np.interp(times, moments, strand) for strand in excited.T]
     allowed: Floats = radius.reshape(len(times), -1) + np.stack(between, axis=1)
     return allowed

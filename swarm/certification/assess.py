@@ -155,7 +155,7 @@ def _scope(plan: Plan) -> Finding:
     model = "in the quasi-static cable model"
     if certified_tube(plan) is not None:
         model = (
-            "in the swinging-cable model for the planned motion and one stop, rewind or resume at "
+            "in the swinging-cable model for the planned motion and one ordinary stop or resume at "
             f"any moment of the fold, {model}"
         )
     return Finding(

@@ -2,8 +2,9 @@
 
 Every effect is a movement by which the closest points approach each other, in metres. The movements
 of both strands are added, as if all effects came together; a movement that is known and takes them
-apart does not count. Tracking, and with ``fold.swing`` the swing, are part of the certificate; the
-others are estimates, each with its model.
+apart does not count. Tracking, and with ``fold.swing`` in metres the swing in the planned motion
+and after ordinary changes of the clock's rate, are part of the certificate; the others are
+estimates, each with its model.
 """
 
 import math
@@ -29,7 +30,8 @@ from swarm.certification.excitation import (
     speeds_across,
     variances_along,
 )
-from swarm.certification.swing_tube import BIN, SwingTube, swing_tube
+from swarm.certification.swing_tube import SwingTube, swing_tube
+from swarm.certification.tube_radii import BIN
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.linear_response import linear_response

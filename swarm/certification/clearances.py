@@ -32,7 +32,9 @@ from swarm.certification.minima import (
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.strand_pieces import HeldCable
 from swarm.certification.strands import StrandPairs
-from swarm.certification.swing_tube import SwingTube, swing_tube
+from swarm.certification.swing_runs import swing_is_certified
+from swarm.certification.swing_tube import swing_tube
+from swarm.certification.tube_radii import TubeRadii
 from swarm.planning import Plan
 from swarm.threads import side_by_side
 
@@ -119,15 +121,21 @@ def tightest_moments(
 
 
 def violations(
-    plan: Plan, checks: Collection[str] | None = None, *, without: Collection[str] = ()
+    plan: Plan,
+    checks: Collection[str] | None = None,
+    *,
+    without: Collection[str] = (),
+    swinging: bool = True,
 ) -> tuple[Moment, ...]:
     """Return the moments at which clearances of the given checks (default: all) do not hold.
 
     For every pair, the worst moment of every second or less in which it fails, for the repair.
+    Without ``swinging``, the cable is quasi-static also where the mission limits its swing.
     """
+    tube = certified_tube(plan) if swinging else None
     chosen = [
         family
-        for family in families(plan, plan.mission.vehicles.tracking, STILL_AIR)
+        for family in families_within(plan, plan.mission.vehicles.tracking, STILL_AIR, tube)
         if (checks is None or family.check in checks) and family.check not in without
     ]
     return tuple(chain.from_iterable(side_by_side(_violations, chosen)))
@@ -175,8 +183,15 @@ def _moment(family: Family, pair: int, minima: Minima, entry: int) -> Moment:
 
 def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
     """Return all non-empty families of a plan, with their spans and required distances."""
+    return families_within(plan, tracking, down, certified_tube(plan))
+
+
+def families_within(
+    plan: Plan, tracking: float, down: Place, tube: TubeRadii | None
+) -> tuple[Family, ...]:
+    """Return the families of a plan whose cable swings within a tube; None: quasi-static."""
     motion, spans = BoundedMotion(plan.motion), cable_spans(plan)
-    cable = HeldCable(motion, plan.layout.lengths, tracking, down, certified_tube(plan))
+    cable = HeldCable(motion, plan.layout.lengths, tracking, down, tube)
     every = (
         *_strands(plan, cable, spans),
         *_on_the_floor(plan, cable, spans),
@@ -187,12 +202,14 @@ def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
     return tuple(family for family in every if family.spans and family.names)
 
 
-def certified_tube(plan: Plan) -> SwingTube | None:
+def certified_tube(plan: Plan) -> TubeRadii | None:
     """Return the tube in which the clearances of a plan hold; None where it is quasi-static.
 
-    With ``fold.swing: auto`` the swing is not certified, since no limit was asked for.
+    It is that of the planned motion and of ordinary changes of the clock's rate: the budget counts
+    urgent ones. With ``fold.swing: auto`` the swing is not certified, since no limit was asked for.
     """
-    return None if plan.mission.fold.swing == "auto" else swing_tube(plan)
+    tube = swing_tube(plan) if swing_is_certified(plan) else None
+    return tube.ordinary if tube is not None else None
 
 
 def _always(plan: Plan) -> Spans:
@@ -352,7 +369,7 @@ def _fences(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ..
     motion, tracking = cable.motion, cable.tracking
     reach = np.full(len(vehicles) - 1, 0.5 * diameter)
     if cable.tube is not None:
-        reach += cable.tube.radius[:, :, 1].max(axis=0)
+        reach += cable.tube.pieces[:, :, 1].max(axis=0)
     upright = InsideFence(motion, tracking, fence, vehicles[:-1], vehicles[1:], reach)
     if math.hypot(*cable.down[:2]) > 0.0:
         leaning = InsideFenceInWind(cable, fence, diameter)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.motion_bounds import BoundedMotion, TeamStates
-from swarm.certification.swing_tube import Radii, SwingTube
+from swarm.certification.tube_radii import Radii, TubeRadii
 from swarm.geometry.catenary import Catenaries, solve_catenaries
 from swarm.geometry.catenary_kernel import Catenary, max_elevation_sine
 from swarm.geometry.distance import norms
@@ -54,7 +54,7 @@ class HeldCable:
     lengths: Floats
     tracking: float
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    tube: SwingTube | None = None
+    tube: TubeRadii | None = None
 
 
 @dataclass(frozen=True, eq=False)

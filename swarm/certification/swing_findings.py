@@ -30,7 +30,7 @@ def swing_findings(plan: Plan, tube: SwingTube | None) -> list[Finding]:
         f"a cable with inertia swings up to {largest:.2f} m away from its catenary "
         f"({segment_name(int(segment))}) in the planned motion, in {share:.0%} of the time more "
         f"than {max(tracking, 0.1):g} m; after a change of the clock's rate, at any moment: "
-        f"{changes}; with the errors of the model at most {tube.largest:.2f} m"
+        f"{changes}; with the errors of the model at most {tube.all_changes.largest:.2f} m"
     )
     if limit != "auto" and largest > limit:
         return [Finding("error", "swing", f"{message}; fold.swing allows {limit:g} m", time)]

@@ -73,6 +73,11 @@ left the tube of the default overhand by up to 6 mm, with 0.3 s none. What it sw
 longer than the 6 s, and comes to where the planned motion hardly swings: of 100 such rewinds 3 left
 the tube by up to 0.7 mm with beginnings every 4 s and every 2 s; with 1 s, 3.6 mm were left."""
 
+_CERTIFIED_APART = 1.0
+"""Seconds of mission time between the beginnings of ordinary changes, at most, where clearances are
+certified for these alone: with 2 s, 1 of 150 ordinary stops left the tube of ordinary changes of
+the default overhand by 1 mm, and 2 of 60 resumes by up to 9 mm; with 1 s, none of 300."""
+
 SETTLING = 2.0
 """Seconds at the end of a stop in which a strand reaches its amplitude to both sides: more than
 half the period of a sag of 4 m."""
@@ -88,6 +93,11 @@ class Swung:
     times: Floats
     strays: Floats
     course: Course | None
+
+
+def swing_is_certified(plan: Plan) -> bool:
+    """Return whether clearances are certified for a swinging cable: ``fold.swing`` in metres."""
+    return plan.mission.fold.swing != "auto"
 
 
 def aloft(plan: Plan) -> tuple[float, float] | None:
@@ -160,10 +170,12 @@ def swings_after(plan: Plan, span: tuple[float, float], planned: PlannedSwing) -
     """Yield the swings after all changes of the clock's rate, several courses together."""
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     lengths, model = plan.layout.lengths, planned.model
+    certified = swing_is_certified(plan)
 
     def groups() -> Iterator[tuple[Course, Floats, Floats]]:
         for course in COURSES:
-            apart = EVERY * round(course.apart / (EVERY * STEP))
+            most = course.apart if course.urgent or not certified else _CERTIFIED_APART
+            apart = EVERY * round(most / (EVERY * STEP))
             chosen = np.arange(0, len(planned.times) - 1, apart)
             times = limits.course(
                 planned.times[chosen], course.rate, course.target, course.duration,

@@ -17,6 +17,7 @@ from swarm.certification.certificate import (
     without_cable,
 )
 from swarm.certification.stream_loss import StreamLossCertificate
+from swarm.certification.swing_runs import swing_is_certified
 from swarm.errors import Refused
 from swarm.planning import Plan, digest
 
@@ -152,9 +153,15 @@ def basis_of(flight_plan: FlightPlan, *, cable: bool) -> Basis:
         }[flight_plan.purpose]
         words = f"{what}, certified without cable for {ball}"
         return Basis(flight_plan.purpose, words, name, False, largest)
-    model = " in the quasi-static cable model" if len(plan.layout.lengths) else ""
-    words = f"certified{model} for {ball}"
+    words = f"certified{_model(plan)} for {ball}"
     return Basis("certified", words, name, cable, largest)
+
+
+def _model(plan: Plan) -> str:
+    if not len(plan.layout.lengths):
+        return ""
+    kind = "swinging-cable" if swing_is_certified(plan) else "quasi-static cable"
+    return f" in the {kind} model"
 
 
 def _resumed(before: Basis, *, cable: bool) -> Basis:

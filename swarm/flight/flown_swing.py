@@ -67,7 +67,7 @@ def swing_curves(plan: Plan, trace: Trace) -> SwingCurves | None:
     time = trace.mission_time[known]
     return SwingCurves(
         time, trace.stray[known], _planned(tube, time),
-        np.stack([tube.strands(moment) for moment in time.tolist()]),
+        np.stack([tube.all_changes.strands(moment) for moment in time.tolist()]),
         allowed_swing(plan, tube, time),
     )  # fmt: skip
 

@@ -168,7 +168,8 @@ def certify(
     share, 0…1.
 
     A cleared certificate holds for every clearance in the quasi-static cable model, and for every
-    displacement of every grip point by up to ``mission.vehicles.tracking``.
+    displacement of every grip point by up to ``mission.vehicles.tracking``; with ``fold.swing`` in
+    metres also around it, as far as the cable swings in the planned motion.
 
     Raises :class:`swarm.InputError` where a cable is missing, is given with a plan or does not fit.
 

@@ -327,7 +327,8 @@ class Fold(Section):
     swing: Annotated[float, Field(strict=True, gt=0, le=10.0)] | Auto = _length(
         "auto",
         "Largest distance of the swinging cable from its catenary in the planned fold, which is "
-        "shaped and slowed for it. auto: 0.95 % of the longest segment, 1 % with fewer vehicles "
+        "shaped and slowed for it. In metres, the clearances hold around the catenary too, as far "
+        "as the cable swings. auto: 0.95 % of the longest segment, 1 % with fewer vehicles "
         "than the grid diagram has corners, at least 0.06 m, as far as slowing reaches that "
         "within the endurance.",
         above=0,

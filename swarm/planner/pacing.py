@@ -13,7 +13,7 @@ import scipy
 
 from swarm.certification.stream_loss import StreamLossCertificate, sampled_rates
 from swarm.certification.swing_runs import model_of
-from swarm.certification.swing_tube import BIN
+from swarm.certification.tube_radii import BIN
 from swarm.geometry.motion import Motion
 from swarm.planning import Plan
 from swarm.planning.assembly import fold_of, with_fold

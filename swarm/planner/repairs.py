@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swarm.certification.air import sinkings
-from swarm.certification.clearances import Moment, violations
+from swarm.certification.clearances import Moment, certified_tube, violations
 from swarm.certification.smallest_budgets import short_moments
 from swarm.certification.swing_tube import swing_tube
 from swarm.planner.pacing import (
@@ -146,8 +146,10 @@ def _checked(plan: Plan, failed_checks: frozenset[str]) -> tuple[PacedPlan, tupl
         return paced, ()
     failures = _failures(paced.plan, failed_checks)
     slowed = paced if failures else slowed_for_swing(paced)
-    if slowed is paced or exceeds_endurance(slowed.plan):
+    if failures or exceeds_endurance(slowed.plan):
         return slowed, failures
+    if slowed is paced and certified_tube(paced.plan) is None:
+        return slowed, ()
     return slowed, violations(slowed.plan)
 
 
@@ -242,11 +244,11 @@ def _too_long(plan: Plan) -> str:
 
 
 def _failures(plan: Plan, failed_checks: frozenset[str]) -> tuple[Moment, ...]:
-    """Return all moments at which clearances fail.
+    """Return all moments at which clearances fail, of a cable that does not swing.
 
     The checks that the previous candidate failed come first. Where one fails again, the others are
     not computed: the plan has to be repaired anyway. A repair needs all failing moments of a check
     at once; repaired one at a time, each would take an attempt.
     """
-    failures = violations(plan, failed_checks) if failed_checks else ()
-    return failures or violations(plan, without=failed_checks)
+    failures = violations(plan, failed_checks, swinging=False) if failed_checks else ()
+    return failures or violations(plan, without=failed_checks, swinging=False)

@@ -11,6 +11,7 @@ from typing import Any, Final, Literal
 from swarm.certification.assessment import Assessment
 from swarm.certification.budget import least_remaining
 from swarm.certification.findings import Finding
+from swarm.certification.swing_runs import swing_is_certified
 from swarm.planning import Plan
 from swarm.reports.formatting import metres
 from swarm.reports.wording import CERTIFIED, CLEARANCES, implied_in_words, knot_in_words
@@ -48,7 +49,7 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
         return Verdict(level, words)
     knot = knot_in_words(plan.knot.type, plan.knot.chirality)
     subject = knot if plan.knot.type else "a motion without a knot"
-    swinging = plan.mission.fold.swing != "auto"  # only a given limit is certified
+    swinging = swing_is_certified(plan)
     beside = "other swing" if swinging else "swing"
     closer = _closer_than_required(assessment)
     short = f" (together {closer} too close)" if closer else ""
@@ -56,7 +57,7 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
         f"{head}: {subject}, {errors}. Not certified: {beside}, gusts, rotor wash{short}, friction."
     )
     model = (
-        "swinging-cable model (planned motion, one stop, rewind or resume)"
+        "swinging-cable model (planned motion, one ordinary stop or resume)"
         if swinging
         else "quasi-static cable model"
     )

@@ -15,8 +15,10 @@ from sitl.world import CableSpec
 from swarm.certification.clearances import tightest_moments
 from swarm.certification.swing_findings import swing_findings
 from swarm.certification.swing_runs import COURSES, STEP, Course, aloft, model_of, swings
-from swarm.certification.swing_tube import BIN, SwingTube, _tube_of, swing_tube
+from swarm.certification.swing_tube import SwingTube, _tube_of, swing_tube
+from swarm.certification.tube_radii import BIN
 from swarm.flight.clock import MissionClock
+from swarm.flight.flight_plan import basis_of
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.lumped_mass import cable_model, stray, swing
@@ -24,6 +26,8 @@ from swarm.planning import Plan
 from swarm.planning.clock_limits import clock_limits
 from tests.overhand import planned_overhand
 from tests.shared import shared
+
+_ORDINARY_STOP = next(course for course in COURSES if course.name == "ordinary stop")
 
 
 def with_limit(plan: Plan, limit: float | str) -> Plan:
@@ -80,7 +84,8 @@ def test_it_contains_finer_simulations_of_every_change_of_rate(
     times = flown(shaped, fold.start + share * (fold.end - fold.start), model.step, course)
     ends = shaped.motion.at(times)[0]
     strays = stray(swing(ends, lengths, model, 4), ends[::4], lengths)
-    allowed = np.array([tube.strands(float(time)) for time in times[::4]])
+    radii = tube.all_changes if course.urgent else tube.ordinary
+    allowed = np.array([radii.strands(float(time)) for time in times[::4]])
     assert (strays <= allowed).all(), (strays - allowed).max()
 
 
@@ -114,7 +119,7 @@ def test_it_contains_the_emulators_cable(shaped: Plan, tube: SwingTube) -> None:
             ]
         )
         strays = stray(joints[None], place[None], lengths)[0]
-        worst = max(worst, float((strays - tube.strands(float(times[k]))).max()))
+        worst = max(worst, float((strays - tube.all_changes.strands(float(times[k]))).max()))
     assert worst <= 0.0
 
 
@@ -170,8 +175,9 @@ def test_the_tube_is_the_same_on_one_core(shaped: Plan, tube: SwingTube) -> None
     finally:
         os.sched_setaffinity(0, cores)
     assert again is not None
-    for name in ("planned", "radius", "approach"):
+    for name in ("planned", "approach"):
         assert np.array_equal(getattr(again, name), getattr(tube, name))
+    assert np.array_equal(again.all_changes.pieces, tube.all_changes.pieces)
 
 
 def test_the_cable_does_not_swing_before_it_is_aloft(shaped: Plan) -> None:
@@ -192,15 +198,34 @@ def test_bounds_over_an_interval_are_those_of_its_moments(
     tube: SwingTube, segment: int, time: float, half: float, depth: int, where: float
 ) -> None:
     number = np.array([2**depth + int(where * 2**depth)])
-    found = tube.over(np.array([segment]), np.array([time]), np.array([half]), number)
+    found = tube.all_changes.over(np.array([segment]), np.array([time]), np.array([half]), number)
     inside = np.arange(time - half, time + half + 0.5 * BIN, 0.5 * BIN).clip(max=time + half)
     values = [
-        tube.over(np.array([segment]), np.array([t]), np.zeros(1), number).now[0] for t in inside
+        tube.all_changes.over(np.array([segment]), np.array([t]), np.zeros(1), number).now[0]
+        for t in inside
     ]
     assert found.most[0] == max(values)
     assert found.least[0] <= found.now[0] <= found.most[0]
-    whole = tube.over(np.array([segment]), np.array([time]), np.zeros(1), np.array([1]))
-    assert found.now[0] <= whole.now[0] == tube.strands(time)[segment]
+    whole = tube.all_changes.over(np.array([segment]), np.array([time]), np.zeros(1), np.array([1]))
+    assert found.now[0] <= whole.now[0] == tube.all_changes.strands(time)[segment]
+
+
+def test_the_default_overhand_is_certified_for_a_swinging_cable() -> None:
+    result = planned_overhand()
+    basis = basis_of(result.certified(), cable=True)
+    assert basis.checked == (
+        "certified in the swinging-cable model for tracking errors of up to 0.1 m"
+    )
+    (scope,) = (found for found in result.assessment.findings if found.check == "scope")
+    assert scope.message.startswith(
+        "certified in the swinging-cable model for the planned motion and one ordinary stop or "
+        "resume at any moment of the fold, in the quasi-static cable model for every tracking error"
+    )
+
+
+def test_changes_that_are_not_urgent_swing_less(tube: SwingTube) -> None:
+    assert (tube.ordinary.pieces <= tube.all_changes.pieces).all()
+    assert tube.ordinary.largest < 0.7 * tube.all_changes.largest
 
 
 def test_a_shaped_fold_keeps_its_limit(shaped: Plan, tube: SwingTube) -> None:
@@ -227,7 +252,7 @@ def test_the_finding_is_an_error_beyond_the_limit(
     (found,) = swing_findings(with_limit(shaped, limit), tube)
     assert found.severity == severity
     assert ("fold.swing allows 0.005 m" in found.message) is (severity == "error")
-    assert f"with the errors of the model at most {tube.largest:.2f} m" in found.message
+    assert f"with the errors of the model at most {tube.all_changes.largest:.2f} m" in found.message
     assert "at any moment: urgent stop 0." in found.message
     assert f"urgent rewind {tube.changed['urgent rewind']:.2f} m, resume 0." in found.message
 
@@ -255,13 +280,14 @@ def test_a_plan_with_a_chord_longer_than_its_cable_has_no_tube(shaped: Plan) -> 
 def test_swinging_strands_with_tracking_errors_keep_the_certified_distance(
     shaped: Plan, seed: int, share: float
 ) -> None:
-    # every vehicle is as far from its setpoint as allowed, and the team stops
+    # every vehicle is as far from its setpoint as allowed, and the operator stops the team
     lengths, cable = shaped.layout.lengths, shaped.mission.cable
     moments = tightest_moments(shaped, checks=("cable clearance",))
     certified = min(moment.distance for moment in moments)
     fold = shaped.phase("fold")
     model = replace(cable_model(cable.mass_per_length, cable.diameter), step=0.01)
-    times = flown(shaped, fold.start + share * (fold.end - fold.start), model.step)
+    change = fold.start + share * (fold.end - fold.start)
+    times = flown(shaped, change, model.step, _ORDINARY_STOP)
     errors = np.random.default_rng(seed).normal(size=(shaped.vehicles, 3))
     errors *= shaped.mission.vehicles.tracking / np.linalg.norm(errors, axis=1, keepdims=True)
     joints = swing(shaped.motion.at(times)[0] + errors, lengths, model, 20)

@@ -171,7 +171,7 @@ def test_the_clock_slows_where_swinging_strands_come_near_each_other():
 def test_strands_may_swing_as_far_as_tube_and_budget_say():
     tube, fold = swing_tube(PLAN), PLAN.phase("fold")
     times = np.linspace(fold.start, fold.end, 50)
-    radius = np.array([tube.strands(time) for time in times])
+    radius = np.array([tube.all_changes.strands(time) for time in times])
     allowed = allowed_swing(PLAN, tube, times)
     assert (allowed >= radius).all()
     strand = solve_catenaries(LINE[:1], LINE[1:2], PLAN.layout.lengths[:1])

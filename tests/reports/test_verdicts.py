@@ -52,7 +52,7 @@ def test_a_plan_with_limited_swing_is_certified_in_the_swinging_cable_model() ->
         "gusts, rotor wash, friction."
     )
     assert found.details.startswith(
-        "Certified in the swinging-cable model (planned motion, one stop, rewind or resume). "
+        "Certified in the swinging-cable model (planned motion, one ordinary stop or resume). "
         "Not certified: other swing, gusts,"
     )
 
