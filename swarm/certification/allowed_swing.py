@@ -1,4 +1,4 @@
-"""How far the strands of a flown cable may swing by the certificate's tube and the budget together.
+"""How far strands of a flown cable may swing by the tube of all changes and the budget together.
 
 The tube is for vehicles exactly on the plan. Those of a flight err within the tracking radius, and
 so excite the strands: the budget counts that swing too.

@@ -3,8 +3,8 @@
 Every effect is a movement by which the closest points approach each other, in metres. The movements
 of both strands are added, as if all effects came together; a movement that is known and takes them
 apart does not count. Tracking, and with ``fold.swing`` in metres the swing in the planned motion
-and after ordinary changes of the clock's rate, are part of the certificate; the others are
-estimates, each with its model.
+and after ordinary stops and resumes, are part of the certificate; the others are estimates, each
+with its model.
 """
 
 import math

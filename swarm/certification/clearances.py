@@ -3,7 +3,7 @@
 Each kind of clearance is a family of pairs with an evaluator that bounds the margin of a pair on an
 interval of time (:func:`swarm.certification.minima.smallest`). "Certified" means: in the
 quasi-static cable model, every segment the catenary of its length between its two grip points; and
-where the mission limits the swing, in the tube around it, too (:mod:`.swing_tube`).
+with ``fold.swing`` in metres, in the tube around it, too (:mod:`.tube_radii`).
 """
 
 import math
@@ -130,7 +130,7 @@ def violations(
     """Return the moments at which clearances of the given checks (default: all) do not hold.
 
     For every pair, the worst moment of every second or less in which it fails, for the repair.
-    Without ``swinging``, the cable is quasi-static also where the mission limits its swing.
+    Without ``swinging``, the cable is quasi-static, with ``fold.swing`` in metres too.
     """
     tube = certified_tube(plan) if swinging else None
     chosen = [
@@ -205,8 +205,9 @@ def families_within(
 def certified_tube(plan: Plan) -> TubeRadii | None:
     """Return the tube in which the clearances of a plan hold; None where it is quasi-static.
 
-    It is that of the planned motion and of ordinary changes of the clock's rate: the budget counts
-    urgent ones. With ``fold.swing: auto`` the swing is not certified, since no limit was asked for.
+    It is that of the planned motion, ordinary stops and resumes: the budget counts urgent stops and
+    rewinds, for strands. With ``fold.swing: auto`` the swing is not certified, since no limit was
+    asked for.
     """
     tube = swing_tube(plan) if swing_is_certified(plan) else None
     return tube.ordinary if tube is not None else None

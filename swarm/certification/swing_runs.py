@@ -46,8 +46,9 @@ _TOGETHER = 8
 class Course:
     """A change of the clock's rate, followed for ``duration`` seconds.
 
-    It is simulated from beginnings ``apart`` seconds of mission time from each other; where the
-    rate is 0, with the cable at rest. Courses of one name are stated together.
+    It is simulated from beginnings ``apart`` seconds of mission time from each other, if not urgent
+    at most _CERTIFIED_APART where the swing is certified; where the rate is 0, with the cable at
+    rest. Courses of one name are stated together, and are urgent or not together.
     """
 
     name: str
@@ -75,8 +76,9 @@ the tube by up to 0.7 mm with beginnings every 4 s and every 2 s; with 1 s, 3.6 
 
 _CERTIFIED_APART = 1.0
 """Seconds of mission time between the beginnings of ordinary changes, at most, where clearances are
-certified for these alone: with 2 s, 1 of 150 ordinary stops left the tube of ordinary changes of
-the default overhand by 1 mm, and 2 of 60 resumes by up to 9 mm; with 1 s, none of 300."""
+certified for these alone, twice the interval of the tube: with 2 s, 1 of 150 ordinary stops of the
+default overhand left the tube of ordinary changes by 1 mm, and 2 of 60 resumes by up to 9 mm; with
+1 s, none of 150 resumes, nor of 150 of the figure-eight."""
 
 SETTLING = 2.0
 """Seconds at the end of a stop in which a strand reaches its amplitude to both sides: more than
@@ -174,8 +176,8 @@ def swings_after(plan: Plan, span: tuple[float, float], planned: PlannedSwing) -
 
     def groups() -> Iterator[tuple[Course, Floats, Floats]]:
         for course in COURSES:
-            most = course.apart if course.urgent or not certified else _CERTIFIED_APART
-            apart = EVERY * round(most / (EVERY * STEP))
+            most = _CERTIFIED_APART if certified and not course.urgent else np.inf
+            apart = EVERY * round(min(course.apart, most) / (EVERY * STEP))
             chosen = np.arange(0, len(planned.times) - 1, apart)
             times = limits.course(
                 planned.times[chosen], course.rate, course.target, course.duration,

@@ -3,8 +3,9 @@
 It contains all strays that :mod:`.swing_runs` simulates, and bounds of what lies between the
 simulated moments and of the error of the model: in the planned motion, and after ordinary and
 urgent stops, rewinds and resumes of the mission clock at any moment. Clearances are certified in
-the tube without the urgent ones, which swing a strand two to three times as far: in theirs, no plan
-of the figure-eight was found. The budget counts all of them.
+the tube of the planned motion, ordinary stops and resumes. Urgent stops and rewinds swing a strand
+two to three times as far: in the tube with them, no plan of the figure-eight was found. The budget
+counts all of them, for strands.
 """
 
 from collections.abc import Callable
@@ -66,7 +67,7 @@ class SwingTube:
 
     ``planned`` (k, n − 1) are the simulated strays in the planned motion, ``changed`` the largest
     stray after each change of the clock's rate, by its name. ``all_changes`` are the radii for all
-    of these, ``ordinary`` those for the planned motion and the changes that are not urgent.
+    of these, ``ordinary`` those for the planned motion, ordinary stops and resumes.
     ``close`` are the pairs of strands that are near each other in the middles of the intervals,
     ``approach`` (r,) how much nearer they come as both swing, with the same bounds, after all
     changes.
@@ -141,10 +142,10 @@ def _tube_of(named: _Named) -> SwingTube | None:
 
 
 def _radii(start: float, found: list[Floats]) -> TubeRadii:
-    """Return the radii for strays (k, n − 1, links + 1) in each interval, of several motions.
+    """Return the radii for strays (k, n − 1, links + 1) in metres in each interval, of motions.
 
-    A stop between two simulated ones passes through each mission time at most half an interval from
-    where one of them does: the intervals before and after count, too.
+    A change between two simulated ones passes through each mission time at most half their distance
+    from where one of them does: the intervals before and after count, too.
     """
     most = np.maximum.reduce(found)
     wide = np.pad(most, ((1, 1), (0, 0), (0, 0)), mode="edge")

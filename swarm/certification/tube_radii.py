@@ -23,7 +23,9 @@ LEAVES = 8
 class TubeRadii:
     """Radii in metres, constant over BIN seconds from ``start``.
 
-    ``pieces`` (k, n − 1, 16) is the radius of each dyadic piece by its heap number.
+    ``pieces`` (k, n − 1, 16) is the radius of each dyadic piece by its heap number, in each of k
+    intervals; ``_most`` (levels, k, n − 1, 16) the largest of 1, 2, 4, … intervals from each on,
+    ``_least`` (k, n − 1, 16) the smallest radius of the parts of a piece.
     """
 
     start: float
@@ -53,7 +55,10 @@ class TubeRadii:
         return found
 
     def over(self, segment: Ints, time: Floats, half: Floats, number: Ints) -> "Radii":
-        """Return bounds of the radii (b,) of pieces of segments during ``time`` ± ``half``."""
+        """Return bounds of the radii (b,) of pieces of segments during ``time`` ± ``half`` seconds.
+
+        ``segment``, ``time``, ``half`` and ``number``, the heap numbers of the pieces, are (b,).
+        """
         first, last = self._bins(time - half), self._bins(time + half)
         level = np.frexp(last - first + 1)[1] - 1
         piece = _coarser(number)

@@ -153,15 +153,20 @@ def basis_of(flight_plan: FlightPlan, *, cable: bool) -> Basis:
         }[flight_plan.purpose]
         words = f"{what}, certified without cable for {ball}"
         return Basis(flight_plan.purpose, words, name, False, largest)
-    words = f"certified{_model(plan)} for {ball}"
+    words = f"certified{_model(plan, flight_plan.assessment)} for {ball}"
     return Basis("certified", words, name, cable, largest)
 
 
-def _model(plan: Plan) -> str:
+def _model(plan: Plan, assessment: Assessment) -> str:
     if not len(plan.layout.lengths):
         return ""
-    kind = "swinging-cable" if swing_is_certified(plan) else "quasi-static cable"
-    return f" in the {kind} model"
+    quasi_static = " in the quasi-static cable model"
+    if assessment.tube is None or not swing_is_certified(plan):
+        return quasi_static
+    return (
+        " in the swinging-cable model for the planned motion and one ordinary stop or resume,"
+        f"{quasi_static}"
+    )
 
 
 def _resumed(before: Basis, *, cable: bool) -> Basis:

@@ -48,8 +48,8 @@ class FlownSwing(LargestStray):
 @dataclass(frozen=True, eq=False)
 class SwingCurves:
     """Strays of the strands (k, n − 1) in metres at k moments of a flight, which are given in
-    mission ``time`` (k,): estimated, planned, the radii of the tube, and what tube and budget
-    allow (:mod:`swarm.certification.allowed_swing`)."""
+    mission ``time`` (k,): estimated, planned, the radii of the tube of all changes of the clock's
+    rate, and what this tube and the budget allow (:mod:`swarm.certification.allowed_swing`)."""
 
     time: Floats
     estimated: Floats

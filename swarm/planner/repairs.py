@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swarm.certification.air import sinkings
-from swarm.certification.clearances import Moment, certified_tube, violations
+from swarm.certification.clearances import Moment, violations
 from swarm.certification.smallest_budgets import short_moments
+from swarm.certification.swing_runs import swing_is_certified
 from swarm.certification.swing_tube import swing_tube
 from swarm.planner.pacing import (
     PacedPlan,
@@ -88,8 +89,9 @@ def repair(
     """Check a candidate, and repair it until a repair is no longer possible or wanted.
 
     At most ``allowed`` plans are checked, first for ``failed_checks``. The swing takes the longest
-    to compute: plans are slowed for it, and checked again, once they pass the checks without. Then
-    strands are led farther apart where the clearance budget is short, and vehicles around jets.
+    to compute: plans are slowed for it, and checked again, in the tube too where that is certified,
+    once they pass the checks without. Then strands are led farther apart where the clearance budget
+    is short, and vehicles around jets.
     """
     longer = _longer(candidate)
     kept: list[Kept] = []
@@ -148,7 +150,7 @@ def _checked(plan: Plan, failed_checks: frozenset[str]) -> tuple[PacedPlan, tupl
     slowed = paced if failures else slowed_for_swing(paced)
     if failures or exceeds_endurance(slowed.plan):
         return slowed, failures
-    if slowed is paced and certified_tube(paced.plan) is None:
+    if slowed is paced and not swing_is_certified(paced.plan):
         return slowed, ()
     return slowed, violations(slowed.plan)
 

@@ -23,7 +23,7 @@ rates that follow measured errors are smooth, urgent stops begin at once."""
 
 ORDINARY = 1.0 / 3.0
 """Largest slope of the rate, 1/s, where nothing is urgent: after such stops the strands of the
-shaped overhand swing by 0.07 m, after stops with the braking reserve by 0.16 m."""
+shaped overhand swing by 0.07 m, after stops with the braking reserve by 0.17 m."""
 
 URGENT = 1.0
 """Largest slope of the rate in an urgent stop, 1/s: the vehicles then stop about as late as one

@@ -210,8 +210,8 @@ def _room_to_swing(mission: Mission) -> float:
     """Return the distance, metres, that a limit of the swing adds to that of vehicles and cable.
 
     As much as the limit: vehicles pass cable as near as is allowed, within a centimetre. Strands
-    need no room of their own, since repairs lead them apart until the budget closes, which counts
-    more: with it the cable of the default overhand (0.06 m) is 7 % longer, its fold 5 s.
+    get no room: repairs for the budget lead them farther apart. With as much room between strands,
+    the cable of the default overhand (0.06 m) is 7 % longer, and its fold takes 5 s more.
     """
     return 0.0 if mission.fold.swing == "auto" else mission.fold.swing
 

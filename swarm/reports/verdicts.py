@@ -49,7 +49,7 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
         return Verdict(level, words)
     knot = knot_in_words(plan.knot.type, plan.knot.chirality)
     subject = knot if plan.knot.type else "a motion without a knot"
-    swinging = swing_is_certified(plan)
+    swinging = assessment.tube is not None and swing_is_certified(plan)
     beside = "other swing" if swinging else "swing"
     closer = _closer_than_required(assessment)
     short = f" (together {closer} too close)" if closer else ""

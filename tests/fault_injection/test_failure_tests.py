@@ -246,3 +246,23 @@ def test_the_tests_of_system_failure_cases_exist():
         tree = ast.parse((root / file).read_text(encoding="utf-8"))
         names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
         assert name in names if name else any(one.startswith("test_") for one in names), test
+
+
+@pytest.mark.parametrize("team", ["ardupilot", "px4"])
+def test_the_team_descends_with_a_vehicle_that_lands_alone(team):
+    # ArduPilot hovers for 4 s before a failsafe's landing, PX4 does not
+    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, team), seed=2)
+    while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
+        flight.step()
+    silence = {"kind": "link", "vehicle": 2, "loss": 1.0, "direction": "up", "duration": 40.0}
+    flight.emulator.inject(Fault.model_validate({"at": flight.now, **silence}))
+    while flight.conductor.stage != "contingency":
+        flight.step()
+    failures = [event.message for event in flight.events if event.kind == "failure"]
+    assert failures[-1].startswith("landing alone: vehicle 2")
+    before = flight.emulator.truth().position[:, 2]
+    apart = 0.0
+    while (height := flight.emulator.truth().position[:, 2]).min() > 0.5:
+        apart = max(apart, float(np.ptp(before - height)))
+        flight.step()
+    assert apart < 0.5

@@ -4,20 +4,24 @@ separate where the policy says so, descend together.
 All vehicles descend straight down at one speed, so that chords and levels keep.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from swarm.analysis.separation import separation_motion, solo_landing_distance
-from swarm.certification.contingency_windows import rotors_clear
 from swarm.flight.ending import finish, mark_failed
+from swarm.flight.modes.open_ways import (
+    nearest_open,
+    not_following,
+    unanswering,
+    waits_to_land,
+    windows,
+)
 from swarm.flight.modes.transitions import change_stage
-from swarm.flight.pace import advance_clock, rewind_end
+from swarm.flight.pace import advance_clock
 from swarm.flight.policy import End, Response, Windows, end_of
 from swarm.flight.progress import first_time, leave_plan
-from swarm.flight.router import TIMESYNC_INTERVAL
 from swarm.flight.stages import Stage, Step, StepTrigger, Trigger, next_step
 from swarm.flight.state import Contingency, FlightState
 from swarm.flight.streams import give_up, stop_stream, stop_streams_of_landing
@@ -33,8 +37,6 @@ BLIND = 15.0
 """Seconds after the setpoints have come down after which silent vehicles are not waited for."""
 FALLEN_TIMEOUT = 40.0
 """Seconds after which nothing is expected from a fallen vehicle: its link may be broken."""
-UNANSWERED = TIMESYNC_INTERVAL + 0.7
-"""Seconds without an answer after which a vehicle may not receive; round trips take up to 0.7 s."""
 GIVE_UP = 120.0
 """Seconds beyond T after which a landing is given up: from the default ceiling, 30 m, the default
 descent at 0.6 m/s takes 50 s."""
@@ -74,7 +76,7 @@ def leave_the_plan(
         response=Response.LAND_HERE if here else response,
         since=flight.now,
         step_since=flight.now,
-        target=_moment(flight, response) if moves and flight.streams.active.all() else None,
+        target=nearest_open(flight, response) if moves and flight.streams.active.all() else None,
     )
     if response is Response.RELEASE_FALLEN:
         _release_fallen(flight)
@@ -112,27 +114,6 @@ def tick(flight: FlightState) -> bool:
     return _finished(flight)
 
 
-def windows(flight: FlightState) -> Windows:
-    """Return what the plan and the vehicles' places allow at this moment."""
-    landable = flight.setup.windows.can_land(flight.clock.time)
-    return Windows.of(landable=landable, releasable=may_release(flight))
-
-
-def may_release(flight: FlightState) -> bool:
-    """Return whether no cable hangs above a rotor: as planned, and where vehicles do not follow.
-
-    Such vehicles stopped by themselves, the others along the path: some decimetres apart.
-    """
-    setup, streams, position = flight.setup, flight.streams, flight.observation.position
-    if not setup.windows.can_release(flight.clock.time):
-        return False
-    places, apart = streams.setpoint.copy(), False
-    for k in _not_following(flight):
-        if np.isfinite(position[k]).all():
-            places[k], apart = position[k], True
-    return not apart or bool(rotors_clear(setup.plan, places[None])[0])
-
-
 def _contingency(flight: FlightState) -> Contingency:
     if flight.contingency is None:
         raise ValueError("the team has not left the plan")
@@ -145,25 +126,7 @@ def _change_step(flight: FlightState, trigger: StepTrigger) -> None:
     flight.contingency = replace(contingency, step=step, step_since=flight.now)
 
 
-def _not_following(flight: FlightState) -> list[int]:
-    """Return the vehicles that fly without setpoints."""
-    streams = flight.streams
-    return [k for k in np.flatnonzero(~streams.active).tolist() if k not in streams.fallen]
-
-
 # Approach
-
-
-def _moment(flight: FlightState, response: Response) -> float | None:
-    """Return the mission time at which a response is open, nearest to where the clock can stop."""
-    windows_, clock, gates = flight.setup.windows, flight.clock, flight.setup.gates
-    flags = windows_.land if response is Response.LAND else windows_.release
-    gate = flight.progress.gate
-    gate_before = gates[gate - 1].time if gate else 0.0
-    gate_after = gates[gate].time if gate < len(gates) else flight.setup.plan.duration
-    stopping = 0.5 * clock.rate * abs(clock.rate) / clock.steepest
-    moment = min(max(clock.time + stopping, gate_before), gate_after)
-    return windows_.nearest(flags, moment, rewind_end(flight), gate_after)
 
 
 def _approach(flight: FlightState) -> None:
@@ -186,7 +149,7 @@ def _approach(flight: FlightState) -> None:
     flight.contingency = replace(_contingency(flight), cornered=cornered)
     if flight.attached and end_of(_contingency(flight).response, open_) is End.RELEASE:
         _begin_release(flight)
-    else:
+    elif not waits_to_land(flight, _contingency(flight).since):
         _begin_descent(flight, StepTrigger.LAND)
 
 
@@ -199,13 +162,13 @@ def _begin_release(flight: FlightState) -> None:
     They may not receive the command, and the cable that the others release would swing on them.
     """
     vehicles = flight.roster.vehicles
-    unanswering = [vehicle for vehicle in _unanswering(flight) if vehicle.gripped]
+    silent = [vehicle for vehicle in unanswering(flight) if vehicle.gripped]
     _change_step(flight, StepTrigger.RELEASE)
-    if 0 < len(unanswering) < len(vehicles):
+    if 0 < len(silent) < len(vehicles):
         flight.contingency = replace(_contingency(flight), staggered=True)
-        names = ", ".join(flight.name(vehicle) for vehicle in unanswering)
+        names = ", ".join(flight.name(vehicle) for vehicle in silent)
         flight.report("release", f"releasing first, without recent answers: {names}")
-        _open_grippers(flight, [vehicles.index(vehicle) for vehicle in unanswering])
+        _open_grippers(flight, [vehicles.index(vehicle) for vehicle in silent])
     else:
         _release_all(flight)
 
@@ -260,8 +223,8 @@ def _release(flight: FlightState) -> None:
     ]
     waited = flight.now - contingency.step_since
     if contingency.staggered:
-        unanswering = any(vehicle in holding for vehicle in _unanswering(flight))
-        if not unanswering or waited > FALLEN_RELEASE_TIMEOUT:
+        silent = any(vehicle in holding for vehicle in unanswering(flight))
+        if not silent or waited > FALLEN_RELEASE_TIMEOUT:
             _release_all(flight)
         return
     if not flight.clock.stopped and waited < RELEASE_TIMEOUT:
@@ -272,17 +235,6 @@ def _release(flight: FlightState) -> None:
         names = ", ".join(flight.name(vehicle) for vehicle in holding)
         flight.report("contingency", f"{names} still hold the cable: landing here")
         _begin_descent(flight, StepTrigger.STUCK)
-
-
-def _unanswering(flight: FlightState) -> list[Vehicle]:
-    """Return the vehicles that have missed the last clock request, of those that answer any."""
-    return [
-        vehicle
-        for k, vehicle in enumerate(flight.roster.vehicles)
-        if flight.now - vehicle.timesync_at > UNANSWERED
-        and math.isfinite(vehicle.timesync_at)
-        and k not in flight.streams.fallen
-    ]
 
 
 # Separation
@@ -296,7 +248,7 @@ def _begin_separation(flight: FlightState) -> None:
     """
     setup, streams = flight.setup, flight.streams
     mission, start = setup.plan.mission, streams.setpoint.copy()
-    staying = _not_following(flight)
+    staying = not_following(flight)
     if streams.fallen:
         fallen = min(streams.fallen)
         centre, spread = start[fallen], setup.separations.at(flight.clock.time, fallen)

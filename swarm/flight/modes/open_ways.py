@@ -1,0 +1,83 @@
+"""What a team outside the plan may do at a moment: land, release, and for whom it waits."""
+
+import math
+
+import numpy as np
+
+from swarm.certification.contingency_windows import rotors_clear
+from swarm.flight.pace import rewind_end
+from swarm.flight.policy import Response, Windows
+from swarm.flight.router import TIMESYNC_INTERVAL
+from swarm.flight.state import FlightState
+from swarm.mavlink.vehicle import Vehicle
+
+UNANSWERED = TIMESYNC_INTERVAL + 0.7
+"""Seconds without an answer after which a vehicle may not receive; round trips take up to 0.7 s."""
+LONGEST_HOVER, DESCENT_SPEED = 5.0, 0.2
+"""Seconds for which the team waits until a vehicle that lands alone descends, and the speed in m/s
+from which it does: ArduPilot hovers for 4 s before the landing of a failsafe (LAND_WITH_DELAY_MS in
+its source). In a simulated flight, a team that descended at once pulled the cable taut there."""
+
+
+def windows(flight: FlightState) -> Windows:
+    """Return what the plan and the vehicles' places allow at this moment."""
+    landable = flight.setup.windows.can_land(flight.clock.time)
+    return Windows.of(landable=landable, releasable=may_release(flight))
+
+
+def may_release(flight: FlightState) -> bool:
+    """Return whether no cable hangs above a rotor: as planned, and where vehicles do not follow.
+
+    Such vehicles stopped by themselves, the others along the path: some decimetres apart.
+    """
+    setup, streams, position = flight.setup, flight.streams, flight.observation.position
+    if not setup.windows.can_release(flight.clock.time):
+        return False
+    places, apart = streams.setpoint.copy(), False
+    for k in not_following(flight):
+        if np.isfinite(position[k]).all():
+            places[k], apart = position[k], True
+    return not apart or bool(rotors_clear(setup.plan, places[None])[0])
+
+
+def not_following(flight: FlightState) -> list[int]:
+    """Return the vehicles that fly without setpoints."""
+    streams = flight.streams
+    return [k for k in np.flatnonzero(~streams.active).tolist() if k not in streams.fallen]
+
+
+def waits_to_land(flight: FlightState, since: float) -> bool:
+    """Return whether a vehicle that lands alone still hovers; for LONGEST_HOVER at most.
+
+    ``since`` is the time at which the team left the plan.
+    """
+    if flight.now - since > LONGEST_HOVER:
+        return False
+    vehicles, rising = flight.roster.vehicles, flight.observation.velocity[:, 2]
+    return any(
+        vehicles[k].in_mode("land") and flight.received(vehicles[k]) and rising[k] > -DESCENT_SPEED
+        for k in not_following(flight)
+    )
+
+
+def nearest_open(flight: FlightState, response: Response) -> float | None:
+    """Return the mission time at which a response is open, nearest to where the clock can stop."""
+    windows_, clock, gates = flight.setup.windows, flight.clock, flight.setup.gates
+    flags = windows_.land if response is Response.LAND else windows_.release
+    gate = flight.progress.gate
+    gate_before = gates[gate - 1].time if gate else 0.0
+    gate_after = gates[gate].time if gate < len(gates) else flight.setup.plan.duration
+    stopping = 0.5 * clock.rate * abs(clock.rate) / clock.steepest
+    moment = min(max(clock.time + stopping, gate_before), gate_after)
+    return windows_.nearest(flags, moment, rewind_end(flight), gate_after)
+
+
+def unanswering(flight: FlightState) -> list[Vehicle]:
+    """Return the vehicles that have missed the last clock request, of those that answer any."""
+    return [
+        vehicle
+        for k, vehicle in enumerate(flight.roster.vehicles)
+        if flight.now - vehicle.timesync_at > UNANSWERED
+        and math.isfinite(vehicle.timesync_at)
+        and k not in flight.streams.fallen
+    ]
