@@ -74,11 +74,10 @@ left the tube of the default overhand by up to 6 mm, with 0.3 s none. What it sw
 longer than the 6 s, and comes to where the planned motion hardly swings: of 100 such rewinds 3 left
 the tube by up to 0.7 mm with beginnings every 4 s and every 2 s; with 1 s, 3.6 mm were left."""
 
-_CERTIFIED_APART = 1.0
+_CERTIFIED_APART = 0.5
 """Seconds of mission time between the beginnings of ordinary changes, at most, where clearances are
-certified for these alone, twice the interval of the tube: with 2 s, 1 of 150 ordinary stops of the
-default overhand left the tube of ordinary changes by 1 mm, and 2 of 60 resumes by up to 9 mm; with
-1 s, none of 150 resumes, nor of 150 of the figure-eight."""
+certified for these alone: with 2 s, 1 of 150 ordinary stops of the default overhand left the tube
+of ordinary changes by 1 mm, and 2 of 60 resumes by up to 9 mm; with 1 s, a resume by 0.03 mm."""
 
 SETTLING = 2.0
 """Seconds at the end of a stop in which a strand reaches its amplitude to both sides: more than

@@ -76,6 +76,7 @@ def flown(plan: Plan, change: float | None, step: float, course: Course = COURSE
 @settings(max_examples=16, deadline=None)
 @given(share=st.floats(0.05, 0.98), course=st.sampled_from(COURSES))
 @example(share=0.6484375, course=COURSES[3])  # outside with beginnings every 2 s
+@example(share=0.8, course=COURSES[4])  # outside with beginnings every 1 s
 def test_it_contains_finer_simulations_of_every_change_of_rate(
     shaped: Plan, tube: SwingTube, share: float, course: Course
 ) -> None:
