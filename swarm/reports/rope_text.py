@@ -82,8 +82,7 @@ def _lines(document: Mapping[str, Any], plan: Plan) -> list[str]:
     if beyond["share"]:
         lines.append(
             f"it exceeds these models by up to {beyond['by']:.2f} m, at {beyond['share']:.0%} "
-            "of moments and segments: strands swing on after a movement, which the budget leaves "
-            "out"
+            "of moments and segments: strands swing on after a movement"
         )
     depth, stretch, speed = document["penetration"], document["stretch"], document["speed"]
     lines.append(
