@@ -125,7 +125,7 @@ def test_the_papers_own_trajectory_is_shown_and_refused_because_strands_meet(
 ) -> None:
     motion, picture = tmp_path / "motion.csv", tmp_path / "plan.png"
     result = run(
-        "plan", OVERHAND, "--set", "fold.method=paper",
+        "plan", OVERHAND, "--set", "fold.swing=auto", "--set", "fold.method=paper",
         "--json", "--export", str(motion), "--plot", str(picture),
     )  # fmt: skip
     plan = json.loads(result.stdout)
