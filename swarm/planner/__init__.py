@@ -26,11 +26,11 @@ from swarm.planning.candidates import candidates
 
 Progress = Callable[[str, float], None]
 
-_ATTEMPTS = 32
-"""Largest number of plans with a number of vehicles that are checked, of all foldings. 9_44 is
-cleared with its third folding; repairs of the first two end 4 and 5 mm short. Where none is
-cleared, the first of all is returned as it is; a search for the fewest goes on with more
-vehicles."""
+_ATTEMPTS, _ATTEMPTS_SEARCHED = 64, 32
+"""Largest numbers of plans with a number of vehicles that are checked, of all foldings of a grid
+diagram, and of searched motions. 9_44 is cleared with its third folding, and 8_9 on one of two CPUs
+with its fifth, after four that took 8 each. Where none is cleared, the first of all is returned as
+it is; a search for the fewest goes on with more vehicles."""
 
 _FLOWN_SINKING = 0.8
 """Largest share of a stated sinking that vehicles sank by in dry runs: 0.28 to 0.79 of 46."""
@@ -121,13 +121,14 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     for candidate in candidates(mission, progress=progress):
         if candidate.plan.vehicles != vehicles:
             attempts, vehicles = 0, candidate.plan.vehicles
-        elif attempts >= _ATTEMPTS and candidate.searched:
+        most = _ATTEMPTS_SEARCHED if candidate.searched else _ATTEMPTS
+        if attempts >= most and candidate.searched:
             continue
-        elif attempts >= _ATTEMPTS:
+        if attempts >= most:
             break
         if not candidate.searched and _cleared(certified):
             break
-        repairs = repair(candidate, notes, failed_checks, _ATTEMPTS - attempts)
+        repairs = repair(candidate, notes, failed_checks, most - attempts)
         attempts += repairs.attempts
         notes, failed_checks = repairs.notes, repairs.failed_checks
         first = first or repairs.first

@@ -40,7 +40,7 @@ dry runs of the default missions with PX4 vehicles."""
 
 _SLOWING = 3.5
 """Seconds by which a flight with a knot takes longer: 2.3 to 4.3 s in dry runs of `missions/`, with
-folds of 33 to 327 s. The clock slows in the lift, and in the fold until the drag is fitted."""
+folds of 33 to 350 s. The clock slows in the lift, and in the fold until the drag is fitted."""
 
 
 @dataclass(frozen=True)
