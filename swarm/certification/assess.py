@@ -103,11 +103,12 @@ def assess(
         contingencies=contingencies,
         stream_loss=stream_loss,
         tube=tube,
+        swing_certified=certified_tube(plan) is not None,
     )
     findings += tightest_findings(assessment.tightest)
     findings += budget_findings(budget, accepted=plan.mission.limits.accept_negative_budget)
     findings += tolerance_findings(plan)
-    findings.append(_scope(plan))
+    findings.append(_scope(plan, swing_certified=assessment.swing_certified))
     assessment = replace(assessment, findings=tuple(findings))
     return with_robustness(plan, assessment, progress) if robustness else assessment
 
@@ -132,7 +133,7 @@ def _tightest(moments: Iterable[Moment], checks: tuple[str, ...], plan: Plan) ->
     return Tightest(max(worst.distance, 0.0), worst.required, worst.time, worst.between)
 
 
-def _scope(plan: Plan) -> Finding:
+def _scope(plan: Plan, *, swing_certified: bool) -> Finding:
     """State the model, the tracking errors and the times for which a plan is certified."""
     tracking = plan.mission.vehicles.tracking
     errors = (
@@ -153,7 +154,7 @@ def _scope(plan: Plan) -> Finding:
         if spans.low:
             exempt += ", and all of both while cable lies on the floor in a line"
     model = "in the quasi-static cable model"
-    if certified_tube(plan) is not None:
+    if swing_certified:
         model = (
             "in the swinging-cable model for the planned motion and one ordinary stop or resume at "
             f"any moment of the fold, {model}"

@@ -64,7 +64,8 @@ class Assessment:
     ``moments`` are the tightest of each kind of clearance. ``budget`` lists what reduces the
     distances of the tightest strands. ``contingencies`` is None where the cable is never aloft.
     ``stream_loss`` limits the clock's rate, so that clearances hold after a loss of setpoints.
-    ``tube`` bounds the swing of the cable; None without a fold.
+    ``tube`` bounds the swing of the cable; None without a fold. ``swing_certified`` says whether
+    clearances hold in it, for the planned motion and one ordinary stop or resume.
     """
 
     findings: tuple[Finding, ...]
@@ -80,6 +81,7 @@ class Assessment:
     contingencies: Contingencies | None = None
     stream_loss: StreamLossCertificate | None = None
     tube: SwingTube | None = None
+    swing_certified: bool = False
 
     @property
     def tightest(self) -> tuple[Moment, ...]:

@@ -32,7 +32,6 @@ from swarm.certification.minima import (
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.strand_pieces import HeldCable
 from swarm.certification.strands import StrandPairs
-from swarm.certification.swing_runs import swing_is_certified
 from swarm.certification.swing_tube import swing_tube
 from swarm.certification.tube_radii import TubeRadii
 from swarm.planning import Plan
@@ -132,10 +131,10 @@ def violations(
     For every pair, the worst moment of every second or less in which it fails, for the repair.
     Without ``swinging``, the cable is quasi-static, with ``fold.swing`` in metres too.
     """
-    tube = certified_tube(plan) if swinging else None
+    every = families(plan, plan.mission.vehicles.tracking, STILL_AIR, swinging=swinging)
     chosen = [
         family
-        for family in families_within(plan, plan.mission.vehicles.tracking, STILL_AIR, tube)
+        for family in every
         if (checks is None or family.check in checks) and family.check not in without
     ]
     return tuple(chain.from_iterable(side_by_side(_violations, chosen)))
@@ -181,15 +180,14 @@ def _moment(family: Family, pair: int, minima: Minima, entry: int) -> Moment:
     )
 
 
-def families(plan: Plan, tracking: float, down: Place) -> tuple[Family, ...]:
-    """Return all non-empty families of a plan, with their spans and required distances."""
-    return families_within(plan, tracking, down, certified_tube(plan))
-
-
-def families_within(
-    plan: Plan, tracking: float, down: Place, tube: TubeRadii | None
+def families(
+    plan: Plan, tracking: float, down: Place, *, swinging: bool = True
 ) -> tuple[Family, ...]:
-    """Return the families of a plan whose cable swings within a tube; None: quasi-static."""
+    """Return all non-empty families of a plan, with their spans and required distances.
+
+    The cable swings within the :func:`certified_tube`; without ``swinging`` it is quasi-static.
+    """
+    tube = certified_tube(plan) if swinging else None
     motion, spans = BoundedMotion(plan.motion), cable_spans(plan)
     cable = HeldCable(motion, plan.layout.lengths, tracking, down, tube)
     every = (
@@ -209,7 +207,7 @@ def certified_tube(plan: Plan) -> TubeRadii | None:
     rewinds, for strands. With ``fold.swing: auto`` the swing is not certified, since no limit was
     asked for.
     """
-    tube = swing_tube(plan) if swing_is_certified(plan) else None
+    tube = swing_tube(plan) if plan.mission.fold.certifies_swing else None
     return tube.ordinary if tube is not None else None
 
 
@@ -370,7 +368,7 @@ def _fences(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ..
     motion, tracking = cable.motion, cable.tracking
     reach = np.full(len(vehicles) - 1, 0.5 * diameter)
     if cable.tube is not None:
-        reach += cable.tube.pieces[:, :, 1].max(axis=0)
+        reach += cable.tube.whole.max(axis=0)
     upright = InsideFence(motion, tracking, fence, vehicles[:-1], vehicles[1:], reach)
     if math.hypot(*cable.down[:2]) > 0.0:
         leaning = InsideFenceInWind(cable, fence, diameter)

@@ -96,11 +96,6 @@ class Swung:
     course: Course | None
 
 
-def swing_is_certified(plan: Plan) -> bool:
-    """Return whether clearances are certified for a swinging cable: ``fold.swing`` in metres."""
-    return plan.mission.fold.swing != "auto"
-
-
 def aloft(plan: Plan) -> tuple[float, float] | None:
     """Return the first and last time of the cable aloft, where the plan folds it.
 
@@ -171,13 +166,15 @@ def swings_after(plan: Plan, span: tuple[float, float], planned: PlannedSwing) -
     """Yield the swings after all changes of the clock's rate, several courses together."""
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     lengths, model = plan.layout.lengths, planned.model
-    certified = swing_is_certified(plan)
+    certified = plan.mission.fold.certifies_swing
 
     def groups() -> Iterator[tuple[Course, Floats, Floats]]:
         for course in COURSES:
-            most = _CERTIFIED_APART if certified and not course.urgent else np.inf
-            apart = EVERY * round(min(course.apart, most) / (EVERY * STEP))
-            chosen = np.arange(0, len(planned.times) - 1, apart)
+            apart = course.apart
+            if certified and not course.urgent:
+                apart = min(apart, _CERTIFIED_APART)
+            steps = EVERY * round(apart / (EVERY * STEP))
+            chosen = np.arange(0, len(planned.times) - 1, steps)
             times = limits.course(
                 planned.times[chosen], course.rate, course.target, course.duration,
                 urgent=course.urgent,

@@ -45,13 +45,18 @@ class TubeRadii:
         return TubeRadii(start, pieces, _range_maxima(pieces), least)
 
     @property
+    def whole(self) -> Floats:
+        """The radii (k, n − 1) of whole strands, metres."""
+        return np.asarray(self.pieces[:, :, 1])
+
+    @property
     def largest(self) -> float:
         """The largest radius of all."""
-        return float(self.pieces[:, :, 1].max())
+        return float(self.whole.max())
 
     def strands(self, time: float) -> Floats:
         """Return the radii (n − 1,) of whole strands at a mission time."""
-        found: Floats = self.pieces[self._bins(np.array(time)), :, 1]
+        found: Floats = self.whole[self._bins(np.array(time))]
         return found
 
     def over(self, segment: Ints, time: Floats, half: Floats, number: Ints) -> "Radii":

@@ -17,7 +17,6 @@ from swarm.certification.certificate import (
     without_cable,
 )
 from swarm.certification.stream_loss import StreamLossCertificate
-from swarm.certification.swing_runs import swing_is_certified
 from swarm.errors import Refused
 from swarm.planning import Plan, digest
 
@@ -161,7 +160,7 @@ def _model(plan: Plan, assessment: Assessment) -> str:
     if not len(plan.layout.lengths):
         return ""
     quasi_static = " in the quasi-static cable model"
-    if assessment.tube is None or not swing_is_certified(plan):
+    if not assessment.swing_certified:
         return quasi_static
     return (
         " in the swinging-cable model for the planned motion and one ordinary stop or resume,"

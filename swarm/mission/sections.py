@@ -336,6 +336,11 @@ class Fold(Section):
         auto=True,
     )
 
+    @property
+    def certifies_swing(self) -> bool:
+        """Whether clearances are certified for a swinging cable: ``swing`` is in metres."""
+        return self.swing != "auto"
+
     @model_validator(mode="after")
     def _keys_of_the_method(self) -> Self:
         if self.delay is not None and self.method != "paper":

@@ -122,9 +122,9 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
         if candidate.plan.vehicles != vehicles:
             attempts, vehicles = 0, candidate.plan.vehicles
         most = _ATTEMPTS_SEARCHED if candidate.searched else _ATTEMPTS
-        if attempts >= most and candidate.searched:
-            continue
         if attempts >= most:
+            if candidate.searched:
+                continue
             break
         if not candidate.searched and _cleared(certified):
             break

@@ -156,7 +156,7 @@ def slowed_for_swing(paced: PacedPlan) -> PacedPlan:
     if best is paced.pacing:
         return paced
     slowed = _timed(plan, _limited_for_loss(plan, best))
-    if plan.mission.fold.swing != "auto" or not exceeds_endurance(slowed.plan):
+    if plan.mission.fold.certifies_swing or not exceeds_endurance(slowed.plan):
         return slowed
     return _slowed_in_part(paced, paced.pacing, best)
 

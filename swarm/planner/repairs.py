@@ -8,7 +8,6 @@ import numpy as np
 from swarm.certification.air import sinkings
 from swarm.certification.clearances import Moment, violations
 from swarm.certification.smallest_budgets import short_moments
-from swarm.certification.swing_runs import swing_is_certified
 from swarm.certification.swing_tube import swing_tube
 from swarm.planner.pacing import (
     PacedPlan,
@@ -147,10 +146,11 @@ def _checked(plan: Plan, failed_checks: frozenset[str]) -> tuple[PacedPlan, tupl
     if exceeds_endurance(paced.plan):
         return paced, ()
     failures = _failures(paced.plan, failed_checks)
-    slowed = paced if failures else slowed_for_swing(paced)
-    if failures or exceeds_endurance(slowed.plan):
-        return slowed, failures
-    if slowed is paced and not swing_is_certified(paced.plan):
+    if failures:
+        return paced, failures
+    slowed = slowed_for_swing(paced)
+    as_checked = slowed is paced and not plan.mission.fold.certifies_swing
+    if as_checked or exceeds_endurance(slowed.plan):
         return slowed, ()
     return slowed, violations(slowed.plan)
 

@@ -11,7 +11,6 @@ from typing import Any, Final, Literal
 from swarm.certification.assessment import Assessment
 from swarm.certification.budget import least_remaining
 from swarm.certification.findings import Finding
-from swarm.certification.swing_runs import swing_is_certified
 from swarm.planning import Plan
 from swarm.reports.formatting import metres
 from swarm.reports.wording import CERTIFIED, CLEARANCES, implied_in_words, knot_in_words
@@ -49,7 +48,7 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
         return Verdict(level, words)
     knot = knot_in_words(plan.knot.type, plan.knot.chirality)
     subject = knot if plan.knot.type else "a motion without a knot"
-    swinging = assessment.tube is not None and swing_is_certified(plan)
+    swinging = assessment.swing_certified
     beside = "other swing" if swinging else "swing"
     closer = _closer_than_required(assessment)
     short = f" (together {closer} too close)" if closer else ""

@@ -46,7 +46,7 @@ def rope_strays(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
 def compared(asked: float, tube: SwingTube, found: tuple[np.ndarray, np.ndarray]) -> str:
     """Return the largest stray beside the one that was asked for, and the share of moments at which all are inside the tube."""
     times, strays = found
-    allowed = np.array([tube.all_changes.strands(float(time)) for time in times])
+    allowed = np.array([tube.ordinary.strands(float(time)) for time in times])
     inside = float((strays <= allowed).all(axis=1).mean())
     return (
         f"{strays.max():.3f} m ({asked:.2f} m asked), inside the tube at {inside:.1%} of "

@@ -214,6 +214,7 @@ def test_bounds_over_an_interval_are_those_of_its_moments(
 
 def test_the_default_overhand_is_certified_for_a_swinging_cable() -> None:
     result = planned_overhand()
+    assert result.assessment.swing_certified
     basis = basis_of(result.certified(), cable=True)
     assert basis.checked == (
         "certified in the swinging-cable model for the planned motion and one ordinary stop or "

@@ -14,7 +14,6 @@ from swarm.reports.verdicts import (
     plan_verdict,
     trials_verdict,
 )
-from tests.overhand import planned_overhand
 from tests.reports.synthetic import trefoil_plan
 from tests.reports.test_report import outcome, share
 from tests.reports.test_terminal import assessment
@@ -45,11 +44,9 @@ def test_a_plan_for_exact_positions_states_that() -> None:
 
 
 def test_a_plan_with_limited_swing_is_certified_in_the_swinging_cable_model() -> None:
-    fold = PLAN.mission.fold.model_copy(update={"swing": 0.06})
-    shaped = replace(PLAN, mission=PLAN.mission.model_copy(update={"fold": fold}))
-    without_tube = plan_verdict(shaped, assessment())
-    assert without_tube.details.startswith("Certified in the quasi-static cable model. Not")
-    found = plan_verdict(shaped, replace(assessment(), tube=planned_overhand().assessment.tube))
+    quasi_static = plan_verdict(PLAN, assessment())
+    assert quasi_static.details.startswith("Certified in the quasi-static cable model. Not")
+    found = plan_verdict(PLAN, replace(assessment(), swing_certified=True))
     assert found.words == (
         "Cleared: 3_1, right-handed, tracking errors up to 0.10 m. Not certified: other swing, "
         "gusts, rotor wash, friction."

@@ -11,14 +11,14 @@ import numpy as np
 
 from swarm.analysis.separation import separation_motion, solo_landing_distance
 from swarm.flight.ending import finish, mark_failed
-from swarm.flight.modes.open_ways import (
+from swarm.flight.modes.transitions import change_stage
+from swarm.flight.modes.windows import (
     nearest_open,
     not_following,
     unanswering,
     waits_to_land,
     windows,
 )
-from swarm.flight.modes.transitions import change_stage
 from swarm.flight.pace import advance_clock
 from swarm.flight.policy import End, Response, Windows, end_of
 from swarm.flight.progress import first_time, leave_plan

@@ -1,4 +1,4 @@
-"""What a team outside the plan may do at a moment: land, release, and for whom it waits."""
+"""Whether a team outside the plan may land or release at a moment, or waits for a vehicle."""
 
 import math
 
