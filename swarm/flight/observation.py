@@ -134,7 +134,8 @@ class Expected:
     in the present phase. ``descending`` says whether the team descends outside the plan,
     ``waiting`` whether the clock waits at a gate, ``holds`` why it is held. ``rate`` (−1…1) is
     the clock's; ``rewinding`` whether it runs backwards; ``allowed_error`` the tracking error in
-    metres at which it stands still; ``monitored`` the live monitor's latest sample.
+    metres at which it stands still; ``monitored`` the live monitor's latest sample. ``blocked`` is
+    for how many seconds a team that has left the plan could not move on to where it is to land.
     """
 
     setpoint: Floats
@@ -153,3 +154,4 @@ class Expected:
     rewinding: bool
     allowed_error: float
     monitored: Sample | None
+    blocked: float

@@ -50,21 +50,14 @@ def rewind_limit(flight: FlightState) -> tuple[float, str]:
 
 def steer_clock(flight: FlightState) -> None:
     """Set the clock's target rate."""
-    clock, options = flight.clock, flight.setup.options
-    worst = flight.observation.largest_error / flight.allowed_error
-    if worst > 1.0:
-        error_too_large(flight)
-    clock.urgent = worst > 1.0 or any(cause != OPERATOR for cause in flight.holds.causes)
-    if flight.holds.causes or options.open_loop:
-        clock.target = 0.0 if flight.holds.causes else 1.0
+    clock = flight.clock
+    clock.urgent = _too_far(flight) or any(cause != OPERATOR for cause in flight.holds.causes)
+    if flight.holds.causes:
+        clock.target = 0.0
         return
-    pace = min(1.0, max(0.0, (1.0 - worst) / (1.0 - SLOW_FROM)))
-    if options.error_limit is not None and flight.phase.name == "hold":
-        pace = 1.0  # the errors that are measured here must not decide for how long
+    pace = allowed_pace(flight)
     if flight.monitored.sample is not None:
-        pace = min(pace, flight.monitored.sample.pace)
         clock.urgent |= flight.monitored.sample.pace == 0.0
-    pace = min(pace, flight.stream_loss.rate_limit(clock.time))
     if flight.progress.rewinding:
         pace = -pace
         if clock.stopped and clock.time <= rewind_end(flight) + 1e-6:
@@ -72,3 +65,32 @@ def steer_clock(flight: FlightState) -> None:
             hold(flight, OPERATOR, f"rewound to {clock.time:.1f} s: {rewind_limit(flight)[1]}")
             pace = 0.0
     clock.target = pace
+
+
+def allowed_pace(flight: FlightState) -> float:
+    """Return the largest rate, 0…1, that errors, clearances and a loss of setpoints allow now.
+
+    Flights without feedback keep their rate.
+    """
+    options = flight.setup.options
+    if options.open_loop:
+        return 1.0
+    pace = min(1.0, max(0.0, (1.0 - _worst(flight)) / (1.0 - SLOW_FROM)))
+    if options.error_limit is not None and flight.phase.name == "hold":
+        pace = 1.0  # the errors that are measured here must not decide for how long
+    if flight.monitored.sample is not None:
+        pace = min(pace, flight.monitored.sample.pace)
+    return min(pace, flight.stream_loss.rate_limit(flight.clock.time))
+
+
+def _too_far(flight: FlightState) -> bool:
+    """Return whether a tracking error is larger than the allowed one, and take note of it."""
+    if _worst(flight) > 1.0:
+        error_too_large(flight)
+        return True
+    return False
+
+
+def _worst(flight: FlightState) -> float:
+    """Return the largest tracking error as a share of the allowed one."""
+    return flight.observation.largest_error / flight.allowed_error

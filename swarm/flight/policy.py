@@ -17,9 +17,10 @@ class Response(StrEnum):
 
     REPORT: go on. HOLD: stop the clock until the failure ends, or for the fleet's T at most. LAND:
     move along the plan to the nearest moment at which all can land, and land together. LAND_HERE:
-    the same without moving. RELEASE: move to the nearest moment at which no cable hangs above a
-    rotor, release, separate, land. RELEASE_HERE: the same without moving. RELEASE_FALLEN: release
-    at the fallen vehicle first, then beside it, then everywhere; the others separate and land.
+    the same without moving; a team that has left the plan, and still moves along it, stops.
+    RELEASE: move to the nearest moment at which no cable hangs above a rotor, release, separate,
+    land. RELEASE_HERE: the same without moving. RELEASE_FALLEN: release at the fallen vehicle
+    first, then beside it, then everywhere; the others separate and land.
     """
 
     REPORT = "report"
@@ -67,27 +68,27 @@ TABLE: Mapping[FailureKind, Responses] = {
     _K.SILENT: Responses(_R.HOLD, _R.REPORT, irreversible=False),
     _K.LOST: Responses(_R.HOLD, _R.REPORT),
     _K.ALL_LOST: Responses(_R.HOLD, _R.REPORT),
-    _K.LEFT_OFFBOARD: Responses(_R.HOLD, _R.REPORT, ends_stream=True),
-    _K.PILOT: Responses(_R.HOLD, _R.REPORT, ends_stream=True),
-    _K.LANDING_ALONE: Responses(_R.LAND_HERE, _R.REPORT, ends_stream=True),
+    _K.LEFT_OFFBOARD: Responses(_R.HOLD, _R.LAND_HERE, ends_stream=True),
+    _K.PILOT: Responses(_R.HOLD, _R.LAND_HERE, ends_stream=True),
+    _K.LANDING_ALONE: Responses(_R.LAND_HERE, _R.LAND_HERE, ends_stream=True),
     _K.RETURNING: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
     _K.FALLING: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
     _K.FALLEN_SILENT: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
     _K.DISARMED: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
     _K.REBOOTED: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN, ends_stream=True),
     _K.FALSE_LANDING: Responses(_R.RELEASE_FALLEN, _R.RELEASE_FALLEN),
-    _K.POSITION_JUMP: Responses(_R.LAND_HERE, _R.REPORT),
-    _K.ORIGIN_MOVED: Responses(_R.LAND_HERE, _R.REPORT),
+    _K.POSITION_JUMP: Responses(_R.LAND_HERE, _R.LAND_HERE),
+    _K.ORIGIN_MOVED: Responses(_R.LAND_HERE, _R.LAND_HERE),
     _K.FIX_LOST: Responses(_R.RELEASE_HERE, _R.RELEASE_HERE),
     _K.POSITION_LOST: Responses(_R.RELEASE_HERE, _R.RELEASE_HERE),
-    _K.HEIGHT_DRIFT: Responses(_R.LAND_HERE, _R.REPORT),
+    _K.HEIGHT_DRIFT: Responses(_R.LAND_HERE, _R.LAND_HERE),
     _K.BATTERY_LOW: Responses(_R.LAND, _R.REPORT),
-    _K.BATTERY_CRITICAL: Responses(_R.LAND_HERE, _R.REPORT),
-    _K.STANDSTILL: Responses(_R.HOLD, _R.REPORT, irreversible=False),
-    _K.TRACKING_ERROR: Responses(_R.LAND_HERE, _R.REPORT),
-    _K.SNAGGED: Responses(_R.RELEASE, _R.REPORT),
-    _K.GRIP_SLIP: Responses(_R.LAND_HERE, _R.REPORT),
-    _K.COMMAND_FAILED: Responses(_R.LAND_HERE, _R.REPORT),
+    _K.BATTERY_CRITICAL: Responses(_R.LAND_HERE, _R.LAND_HERE),
+    _K.STANDSTILL: Responses(_R.HOLD, _R.LAND_HERE, irreversible=False),
+    _K.TRACKING_ERROR: Responses(_R.LAND_HERE, _R.LAND_HERE),
+    _K.SNAGGED: Responses(_R.RELEASE, _R.RELEASE_HERE),
+    _K.GRIP_SLIP: Responses(_R.LAND_HERE, _R.LAND_HERE),
+    _K.COMMAND_FAILED: Responses(_R.LAND_HERE, _R.LAND_HERE),
     _K.GATE_TIMEOUT: Responses(_R.LAND, _R.REPORT),
     _K.HOLD_TIMEOUT: Responses(_R.LAND, _R.REPORT, irreversible=False),
 }

@@ -4,7 +4,12 @@ from swarm.flight import policy
 from swarm.flight.ending import mark_failed
 from swarm.flight.failures import Failure, Finding, HoldCause, Recovery
 from swarm.flight.holds import end_failures, hold
-from swarm.flight.modes.contingency import leave_the_plan, release_fallen, release_if_open
+from swarm.flight.modes.contingency import (
+    leave_the_plan,
+    release_fallen,
+    release_if_open,
+    stop_here,
+)
 from swarm.flight.observing import shift_frame
 from swarm.flight.policy import Response
 from swarm.flight.state import FlightState
@@ -44,6 +49,8 @@ def _fail(flight: FlightState, failure: Failure) -> None:
             if k is not None:
                 release_fallen(flight, k, message)
         case Response.RELEASE_HERE if flight.contingency is not None:
-            release_if_open(flight)
+            release_if_open(flight, message)
+        case Response.LAND_HERE if flight.contingency is not None:
+            stop_here(flight, message)
         case response:
             leave_the_plan(flight, response, message)

@@ -161,10 +161,12 @@ class Contingency:
     """The flight outside the plan, from the moment at which it was decided.
 
     ``since`` is when it began, ``step_since`` when its step began. ``target`` is the mission time
-    to move to first (None: stop at once). ``landing`` are the system ids of vehicles that were
-    commanded to land, ``on_ground_since`` since when they report the ground. ``staggered`` says
-    that some grippers open before the others; ``cornered`` that the team lands although neither
-    landing nor release is open; ``down_since`` is when all setpoints had come down.
+    to move to first (None: stop at once), ``moving_at`` when the team last moved, had arrived or
+    waited for a silent vehicle. ``landing`` are the system ids of vehicles that were commanded to
+    land, ``on_ground_since`` since when they report the ground. ``staggered`` says that some
+    grippers open before the others; ``cornered`` that the team lands although neither landing nor
+    release is open; ``down_since`` is when all setpoints had come down. ``alone`` are the vehicles
+    that fly without setpoints, ``alone_since`` is since when it is these.
     """
 
     response: Response
@@ -172,11 +174,14 @@ class Contingency:
     step_since: float
     step: Step = Step.APPROACH
     target: float | None = None
+    moving_at: float = 0.0
     landing: frozenset[int] = frozenset()
     on_ground_since: Mapping[int, float] = field(default_factory=dict)
     staggered: bool = False
     cornered: bool = False
     down_since: float | None = None
+    alone: tuple[int, ...] = ()
+    alone_since: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -316,7 +321,14 @@ class FlightState:
             rewinding=self.progress.rewinding,
             allowed_error=self.allowed_error,
             monitored=self.monitored.sample,
+            blocked=self._blocked,
         )
+
+    @property
+    def _blocked(self) -> float:
+        contingency = self.contingency
+        approaches = contingency is not None and contingency.step is Step.APPROACH
+        return self.now - contingency.moving_at if contingency and approaches else 0.0
 
     @property
     def attached(self) -> bool:

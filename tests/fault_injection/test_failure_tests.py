@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from swarm import planner
+from swarm.certification.contingency_windows import ContingencyWindows
 from swarm.certification.stream_loss import StreamLossCertificate, StreamLossModel, WorstLoss
 from swarm.flight.modes.contingency import leave_the_plan, release_fallen
 from swarm.flight.policy import LOSES_A_VEHICLE, TABLE, Response
@@ -266,3 +267,52 @@ def test_the_team_descends_with_a_vehicle_that_lands_alone(team):
         apart = max(apart, float(np.ptp(before - height)))
         flight.step()
     assert apart < 0.5
+
+
+def moving_to_a_landing(team: str, *, releasable: bool = False) -> SteppedSimulation:
+    """A flight whose operator commands to land, in the fold and five seconds before all can.
+
+    Until then, no vehicle may land, and all may release or none.
+    """
+    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, team), seed=2)
+    start = PLAN.plan.phase("fold").start
+    while flight.conductor.clock.time < start + 1.0:
+        flight.step()
+    time = np.arange(0.0, PLAN.plan.duration, 0.25)
+    state = flight.conductor.state
+    later = time > start + 6.0
+    windows = ContingencyWindows(time, later, later | releasable)
+    state.setup = replace(state.setup, windows=windows)
+    flight.conductor.request("land")
+    return flight
+
+
+@pytest.mark.parametrize("direction", ["up", "both"])
+@pytest.mark.parametrize("team", ["ardupilot", "px4"])
+def test_a_team_that_moves_to_a_landing_leaves_no_vehicle_behind(team, direction):
+    # A vehicle stops after half a second without setpoints, and lands by itself after T.
+    flight = moving_to_a_landing(team)
+    loss = {"kind": "link", "vehicle": 2, "loss": 1.0, "direction": direction, "duration": 40.0}
+    flight.emulator.inject(Fault.model_validate({"at": flight.now + 0.3, **loss}))
+    chord = 0.0
+    while (position := flight.emulator.truth().position)[:, 2].max() > 1.0:
+        lengths = np.linalg.norm(np.diff(position, axis=0), axis=1)
+        chord = max(chord, float((lengths / PLAN.plan.layout.lengths).max()))
+        flight.step()
+    # 0.83 before
+    assert chord < 0.9
+
+
+@pytest.mark.parametrize("team", ["ardupilot", "px4"])
+def test_a_team_whose_cable_is_caught_on_the_way_to_a_landing_releases_it(team):
+    flight = moving_to_a_landing(team, releasable=True)
+    flight.emulator.inject(Fault.model_validate({"at": flight.now + 0.3, "kind": "snag"}))
+    commanded = flight.now
+    while flight.conductor.finished is None:
+        flight.step()
+    found = [event for event in flight.events if event.kind in {"failure", "release"}]
+    assert [event.kind for event in found] == ["failure", "release"]
+    assert found[0].message.startswith("snagged: vehicle 2 cannot follow")
+    assert found[1].message == "releasing all together"
+    assert found[1].time - commanded < 6.0
+    assert not flight.emulator.truth().strikes

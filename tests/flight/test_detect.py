@@ -57,7 +57,7 @@ def expected(**fields) -> Expected:
         "armed": np.full(3, True), "may_land": np.full(3, False), "fallen": frozenset(),
         "rejoining": frozenset(), "start_height": np.zeros(3), "cable": "aloft",
         "descending": False, "waiting": False, "holds": {}, "rate": 1.0, "rewinding": False,
-        "allowed_error": 0.1, "monitored": None,
+        "allowed_error": 0.1, "monitored": None, "blocked": 0.0,
     }  # fmt: skip
     return Expected(**(values | fields))
 

@@ -15,6 +15,7 @@ import pytest
 from swarm.certification.contingency_windows import ContingencyWindows
 from swarm.flight.failures import Failure, FailureKind, HoldCause
 from swarm.flight.modes import contingency
+from swarm.flight.modes.windows import LONGEST_HOVER
 from swarm.flight.policy import (
     ENDS,
     LOSES_A_VEHICLE,
@@ -52,7 +53,10 @@ def folding():
 
 
 def standing(conductor, windows: Windows, stage: Stage) -> FlightState:
-    """A copy of the team in a stage, where the plan opens these windows all the time."""
+    """A copy of the team in a stage, where the plan opens these windows all the time.
+
+    Outside the plan, it moves along it for some seconds more.
+    """
     flight = branch(conductor, lasting(conductor)).state
     time = np.arange(0.0, PLAN.plan.duration, 0.25)
     land = np.full(len(time), windows in {Windows.BOTH, Windows.LAND})
@@ -60,16 +64,24 @@ def standing(conductor, windows: Windows, stage: Stage) -> FlightState:
     flight.setup = replace(flight.setup, windows=ContingencyWindows(time, land, release))
     if stage is Stage.CONTINGENCY:
         contingency.leave_the_plan(flight, Response.LAND_HERE, WORDS)
+        later = flight.clock.time + 3.0
+        flight.contingency = replace(flight.contingency, target=later)
     flight.recorder.take_events()
     return flight
 
 
 def come_to_rest(flight: FlightState) -> None:
-    """Let a contingency bring the clock to rest, and begin what it does there."""
-    for _ in range(400):
+    """Let a contingency bring the clock to rest, and begin what it does there.
+
+    All vehicles are received, and hover: one without setpoints is waited for, T and some seconds.
+    """
+    longest = flight.now + flight.setup.fleet.limits.hold + LONGEST_HOVER + 5.0
+    while flight.now < longest:
         if flight.contingency is None or flight.contingency.step is not Step.APPROACH:
             return
         now = flight.now + 0.05
+        for vehicle in flight.roster.vehicles:
+            vehicle.received_at = now
         flight.timing = Timing(now, flight.now, flight.timing.moving + 0.05)
         contingency.tick(flight)
     raise AssertionError("the clock does not come to rest")
@@ -87,6 +99,7 @@ def goes_on(flight: FlightState, cell: Cell) -> None:
     assert not opened(flight)
     if flight.contingency is not None:
         assert flight.contingency.response is Response.LAND_HERE
+        assert flight.contingency.target is not None
         assert not flight.streams.fallen
 
 
@@ -140,18 +153,15 @@ def test_the_team_responds_as_every_cell_of_the_table_says(folding, kind):
     }
     for cell in mine:
         flight = standing(folding, cell.windows, cell.stage)
-        begun = flight.contingency
         respond(flight, Failure(kind, WORDS, VICTIM))
         assert (flight.ending.failure == WORDS) == TABLE[kind].irreversible, cell
         assert bool(flight.streams.active[VICTIM]) == (
             not TABLE[kind].ends_stream and cell.response is not Response.RELEASE_FALLEN
         ), cell
-        if cell.end not in {End.GO_ON, End.HOLD} and flight.contingency is not begun:
+        if cell.end not in {End.GO_ON, End.HOLD}:
+            stopped = flight.clock.time
             come_to_rest(flight)
-        if cell.stage is Stage.CONTINGENCY and cell.end is End.LAND:
-            # the contingency that was begun before goes on
-            assert flight.contingency is begun, cell
-            continue
+            assert abs(flight.clock.time - stopped) < 0.1, cell
         CHECKS[cell.end](flight, cell)
 
 

@@ -11,7 +11,11 @@ from swarm.flight.detect.latch import Latch
 from swarm.flight.detect.links import LinkDetector
 from swarm.flight.detect.motion import MotionDetector
 from swarm.flight.detect.reports import ReportDetector
-from swarm.flight.detect.standstill import HoldTimeoutDetector, StandstillDetector
+from swarm.flight.detect.standstill import (
+    BlockedDetector,
+    HoldTimeoutDetector,
+    StandstillDetector,
+)
 from swarm.flight.detect.tracking import TrackingDetector
 from swarm.flight.failures import Finding
 from swarm.flight.observation import Expected, Observation
@@ -20,6 +24,7 @@ from swarm.flight.stages import Stage
 
 IN_FLIGHT = frozenset({Stage.EXECUTE, Stage.CONTINGENCY})
 ON_PLAN = frozenset({Stage.EXECUTE})
+OFF_PLAN = frozenset({Stage.CONTINGENCY})
 
 
 class Detector(Protocol):
@@ -43,6 +48,7 @@ class Detectors:
     tracking: TrackingDetector
     hold_timeout: HoldTimeoutDetector
     standstill: StandstillDetector
+    blocked: BlockedDetector
 
     @classmethod
     def of(cls, setup: Setup) -> "Detectors":
@@ -61,6 +67,7 @@ class Detectors:
             tracking=TrackingDetector(options.error_limit, plan.mission.clearance.vehicle),
             hold_timeout=HoldTimeoutDetector(fleet.limits.hold),
             standstill=StandstillDetector(enabled=paced),
+            blocked=BlockedDetector(),
         )
 
     def each_tick(self) -> Iterator[tuple[frozenset[Stage], Detector]]:
@@ -73,3 +80,4 @@ class Detectors:
         yield ON_PLAN, self.tracking
         yield ON_PLAN, self.hold_timeout
         yield ON_PLAN, self.standstill
+        yield OFF_PLAN, self.blocked

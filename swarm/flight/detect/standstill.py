@@ -1,4 +1,4 @@
-"""A mission clock that stands still, and holds that last too long."""
+"""A mission clock that stands still, in the plan or after it, and holds that last too long."""
 
 import math
 
@@ -49,9 +49,19 @@ class StandstillDetector:
         if expected.holds or not kept:
             self._since = seen.now
         elif seen.now - self._since > STANDSTILL_TIME:
-            words = _large_errors(seen, expected, worst) if off else _small_clearances(expected)
-            return [Failure(FailureKind.STANDSTILL, words)]
+            return [Failure(FailureKind.STANDSTILL, _cause(seen, expected))]
         return []
+
+
+class BlockedDetector:
+    """Detects that a team outside the plan cannot move on to where it is to land or release."""
+
+    def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
+        """Return that the cable is caught, or that errors or clearances keep the clock at rest."""
+        if expected.blocked <= STANDSTILL_TIME:
+            return []
+        kind = FailureKind.SNAGGED if _few_are_off(seen, expected) else FailureKind.STANDSTILL
+        return [Failure(kind, _cause(seen, expected))]
 
 
 class HoldTimeoutDetector:
@@ -73,6 +83,12 @@ class HoldTimeoutDetector:
             causes = "; ".join(expected.holds.values())
             return [Failure(kind, f"on hold for {self._limit:g} s: {causes}")]
         return []
+
+
+def _cause(seen: Observation, expected: Expected) -> str:
+    worst = seen.largest_error / expected.allowed_error
+    off = worst >= SLOW_FROM
+    return _large_errors(seen, expected, worst) if off else _small_clearances(expected)
 
 
 def _large_errors(seen: Observation, expected: Expected, worst: float) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from swarm.analysis.separation import separation_motion, solo_landing_distance
 from swarm.flight.ending import finish, mark_failed
+from swarm.flight.modes.approach import at_rest, contingency_of, move_on, stopped
 from swarm.flight.modes.transitions import change_stage
 from swarm.flight.modes.windows import (
     nearest_open,
@@ -77,6 +78,9 @@ def leave_the_plan(
         since=flight.now,
         step_since=flight.now,
         target=nearest_open(flight, response) if moves and flight.streams.active.all() else None,
+        moving_at=flight.now,
+        alone=tuple(not_following(flight)),
+        alone_since=flight.now,
     )
     if response is Response.RELEASE_FALLEN:
         _release_fallen(flight)
@@ -98,9 +102,18 @@ def release_fallen(flight: FlightState, k: int, message: str) -> None:
         _release_fallen(flight)
 
 
-def release_if_open(flight: FlightState) -> None:
-    """Release the cable in a contingency that keeps it, where no cable hangs above a rotor."""
-    contingency = _contingency(flight)
+def stop_here(flight: FlightState, message: str) -> None:
+    """Move no farther along the plan: come to rest at the present place, and end there."""
+    flight.contingency = stopped(flight, contingency_of(flight), message)
+
+
+def release_if_open(flight: FlightState, message: str = "") -> None:
+    """Release the cable in a contingency that keeps it, where no cable hangs above a rotor.
+
+    Elsewhere the team moves no farther.
+    """
+    stop_here(flight, message)
+    contingency = contingency_of(flight)
     early = contingency.step in {Step.APPROACH, Step.DESCEND}
     end = end_of(Response.RELEASE_HERE, windows(flight))
     if flight.attached and early and end is End.RELEASE:
@@ -110,18 +123,12 @@ def release_if_open(flight: FlightState) -> None:
 
 def tick(flight: FlightState) -> bool:
     """Go on; return whether all vehicles are down and disarmed, or given up."""
-    _STEPS[_contingency(flight).step](flight)
+    _STEPS[contingency_of(flight).step](flight)
     return _finished(flight)
 
 
-def _contingency(flight: FlightState) -> Contingency:
-    if flight.contingency is None:
-        raise ValueError("the team has not left the plan")
-    return flight.contingency
-
-
 def _change_step(flight: FlightState, trigger: StepTrigger) -> None:
-    contingency = _contingency(flight)
+    contingency = contingency_of(flight)
     step = next_step(contingency.step, trigger)
     flight.contingency = replace(contingency, step=step, step_since=flight.now)
 
@@ -130,26 +137,20 @@ def _change_step(flight: FlightState, trigger: StepTrigger) -> None:
 
 
 def _approach(flight: FlightState) -> None:
-    """Bring the clock to rest, at the chosen moment; there, release or descend."""
-    clock, target = flight.clock, _contingency(flight).target
-    clock.urgent = True
-    if target is None:
-        clock.target = 0.0
-    else:
-        left = target - clock.time
-        pace = (2.0 * clock.steepest * abs(left)) ** 0.5
-        clock.target = 0.0 if abs(left) < 0.02 else float(np.sign(left) * min(1.0, 0.5 * pace))
-    advance_clock(flight)
-    arrived = target is None or abs(target - clock.time) < 0.1
-    late = flight.now - _contingency(flight).step_since > flight.setup.fleet.limits.hold
-    if not (clock.stopped and (arrived or late)):
+    """Move to the chosen moment; there, release or descend."""
+    flight.contingency = move_on(flight)
+    if not at_rest(flight):
         return
     open_ = windows(flight)
     cornered = flight.attached and open_ is Windows.NEITHER
-    flight.contingency = replace(_contingency(flight), cornered=cornered)
-    if flight.attached and end_of(_contingency(flight).response, open_) is End.RELEASE:
+    flight.contingency = replace(contingency_of(flight), cornered=cornered)
+    if flight.attached and end_of(contingency_of(flight).response, open_) is End.RELEASE:
         _begin_release(flight)
-    elif not waits_to_land(flight, _contingency(flight).since):
+        return
+    for k in contingency_of(flight).alone:
+        if not (vehicle := flight.roster.vehicles[k]).in_manual_mode:
+            _land(flight, k, vehicle)
+    if not waits_to_land(flight, contingency_of(flight).alone_since):
         _begin_descent(flight, StepTrigger.LAND)
 
 
@@ -165,7 +166,7 @@ def _begin_release(flight: FlightState) -> None:
     silent = [vehicle for vehicle in unanswering(flight) if vehicle.gripped]
     _change_step(flight, StepTrigger.RELEASE)
     if 0 < len(silent) < len(vehicles):
-        flight.contingency = replace(_contingency(flight), staggered=True)
+        flight.contingency = replace(contingency_of(flight), staggered=True)
         names = ", ".join(flight.name(vehicle) for vehicle in silent)
         flight.report("release", f"releasing first, without recent answers: {names}")
         _open_grippers(flight, [vehicles.index(vehicle) for vehicle in silent])
@@ -174,7 +175,7 @@ def _begin_release(flight: FlightState) -> None:
 
 
 def _release_all(flight: FlightState) -> None:
-    flight.contingency = replace(_contingency(flight), staggered=False)
+    flight.contingency = replace(contingency_of(flight), staggered=False)
     flight.report("release", "releasing all together")
     _open_grippers(flight, range(len(flight.roster.vehicles)))
 
@@ -187,9 +188,9 @@ def _release_fallen(flight: FlightState) -> None:
     """
     fallen = sorted(flight.streams.fallen)
     flight.contingency = replace(
-        _contingency(flight), response=Response.RELEASE_FALLEN, target=None
+        contingency_of(flight), response=Response.RELEASE_FALLEN, target=None
     )
-    if _contingency(flight).step in {Step.SEPARATE, Step.DESCEND}:
+    if contingency_of(flight).step in {Step.SEPARATE, Step.DESCEND}:
         _open_grippers(flight, fallen)
         return
     _change_step(flight, StepTrigger.RELEASE)
@@ -215,7 +216,7 @@ def _release(flight: FlightState) -> None:
     """Wait until the grippers are open and the clock is at rest."""
     flight.clock.target = 0.0
     advance_clock(flight)
-    contingency, fallen = _contingency(flight), flight.streams.fallen
+    contingency, fallen = contingency_of(flight), flight.streams.fallen
     holding = [
         vehicle
         for k, vehicle in enumerate(flight.roster.vehicles)
@@ -272,7 +273,7 @@ def _begin_separation(flight: FlightState) -> None:
 
 
 def _separate(flight: FlightState) -> None:
-    if flight.now - _contingency(flight).step_since > flight.guidance.duration:
+    if flight.now - contingency_of(flight).step_since > flight.guidance.duration:
         _begin_descent(flight, StepTrigger.APART)
 
 
@@ -296,7 +297,7 @@ def _descend(flight: FlightState) -> None:
 
 
 def _land(flight: FlightState, k: int, vehicle: Vehicle) -> None:
-    contingency, system = _contingency(flight), vehicle.system
+    contingency, system = contingency_of(flight), vehicle.system
     if flight.streams.setpoint[k, 2] <= TOUCHDOWN or not flight.streams.active[k]:
         contingency = replace(contingency, landing=contingency.landing | {system})
     if system in contingency.landing:
@@ -314,7 +315,7 @@ def _land(flight: FlightState, k: int, vehicle: Vehicle) -> None:
 
 
 def _finished(flight: FlightState) -> bool:
-    limits, contingency = flight.setup.fleet.limits, _contingency(flight)
+    limits, contingency = flight.setup.fleet.limits, contingency_of(flight)
     armed = [
         vehicle
         for k, vehicle in enumerate(flight.roster.vehicles)
@@ -338,7 +339,7 @@ def _finished(flight: FlightState) -> bool:
 
 def _given_up(flight: FlightState, k: int) -> bool:
     """Return whether a vehicle fell so long ago that its disarming will not be received."""
-    age = flight.now - _contingency(flight).since
+    age = flight.now - contingency_of(flight).since
     return k in flight.streams.fallen and age > FALLEN_TIMEOUT
 
 

@@ -47,17 +47,29 @@ def not_following(flight: FlightState) -> list[int]:
 
 
 def waits_to_land(flight: FlightState, since: float) -> bool:
-    """Return whether a vehicle that lands alone still hovers; for LONGEST_HOVER at most.
+    """Return whether the team must not descend yet, because a vehicle would stay above it.
 
-    ``since`` is the time at which the team left the plan.
+    A vehicle that flies alone, and does not descend as it is commanded to, is waited for during
+    LONGEST_HOVER, and T longer where it is not in a landing mode: one that receives nothing lands
+    by itself T after the loss. So is a silent vehicle, which may be one. A pilot's vehicle is not.
+    ``since`` is when the last one began to fly without setpoints, or the team left the plan.
     """
-    if flight.now - since > LONGEST_HOVER:
-        return False
-    vehicles, rising = flight.roster.vehicles, flight.observation.velocity[:, 2]
-    return any(
-        vehicles[k].in_mode("land") and flight.received(vehicles[k]) and rising[k] > -DESCENT_SPEED
-        for k in not_following(flight)
-    )
+    limits, vehicles = flight.setup.fleet.limits, flight.roster.vehicles
+    flying = [k for k, one in enumerate(vehicles) if one.armed and k not in flight.streams.fallen]
+    silent_for = [flight.now - vehicles[k].received_at for k in flying]
+    if any(limits.silence < silence <= limits.hold for silence in silent_for):
+        return True
+    rising = flight.observation.velocity[:, 2]
+    hovering = [
+        vehicles[k]
+        for k in set(not_following(flight)).intersection(flying)
+        if not vehicles[k].in_manual_mode
+        and flight.received(vehicles[k])
+        and rising[k] > -DESCENT_SPEED
+    ]
+    landing = all(vehicle.in_mode("land") for vehicle in hovering)
+    longest = LONGEST_HOVER + (0.0 if landing else limits.hold)
+    return bool(hovering) and flight.now - since <= longest
 
 
 def nearest_open(flight: FlightState, response: Response) -> float | None:
