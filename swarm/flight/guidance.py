@@ -6,6 +6,7 @@ follows a motion in real time, or descends straight down.
 """
 
 from bisect import bisect_right
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ SHORTEST_BLEND = 2.0
 BLEND_SPEED = 0.3
 """Mean speed in m/s that a blend adds at most."""
 RAMP = 1.0
-"""Seconds in which a descent reaches its speed."""
+"""Seconds in which a descent reaches its speed, or stops."""
 
 
 class State(NamedTuple):
@@ -31,6 +32,36 @@ class State(NamedTuple):
     position: Floats
     velocity: Floats
     acceleration: Floats
+
+
+@dataclass(frozen=True)
+class Descent:
+    """A descent straight down from setpoints (n, 3), all at one speed and down to the floor.
+
+    ``depth`` metres have been descended at ``time``, and ``rate`` (0…1) is the share of the speed.
+    """
+
+    start: Floats
+    speed: float
+    time: float
+    depth: float = 0.0
+    rate: float = 0.0
+
+    def advanced(self, time: float, rate: float) -> "Descent":
+        """Return the descent at a later time, whose rate has changed towards another one."""
+        duration = time - self.time
+        change = max(-duration / RAMP, min(duration / RAMP, rate - self.rate))
+        depth = self.depth + self.speed * (self.rate + 0.5 * change) * duration
+        return replace(self, time=time, depth=depth, rate=self.rate + change)
+
+    @property
+    def state(self) -> State:
+        """The setpoints of this moment."""
+        position, velocity = self.start.copy(), np.zeros_like(self.start)
+        floor = np.minimum(self.start[:, 2], 0.0)
+        position[:, 2] = np.maximum(self.start[:, 2] - self.depth, floor)
+        velocity[position[:, 2] > 0.0, 2] = -self.speed * self.rate
+        return State(position, velocity, np.zeros_like(self.start))
 
 
 class Sampler:
@@ -68,7 +99,7 @@ class Guidance:
         self._blending = False
         self._separation: tuple[float, float, Sampler] | None = None
         self.duration = 0.0
-        self._descent: tuple[float, float, Floats] | None = None
+        self._descent: Descent | None = None
 
     def planned(self, time: float) -> State:
         """Return the plan's state at a mission time."""
@@ -91,8 +122,18 @@ class Guidance:
 
     def descend(self, start: Floats, speed: float, now: float) -> None:
         """Leave the plan straight down from setpoints (n, 3) at rest, all at the same speed."""
-        self._descent = now, speed, start.copy()
+        self._descent = Descent(start.copy(), speed, now)
         self._separation = None
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the setpoints rest, of a team that descended or has not left the plan."""
+        return self._descent is None or self._descent.rate == 0.0
+
+    def go_down(self, now: float, rate: float) -> None:
+        """Go on with the descent until now, at a rate that changes towards ``rate`` (0 or 1)."""
+        if self._descent is not None:
+            self._descent = self._descent.advanced(now, rate)
 
     @property
     def descending(self) -> bool:
@@ -102,7 +143,7 @@ class Guidance:
     def state(self, clock: MissionClock, now: float) -> State:
         """Return the setpoints of this moment."""
         if self._descent is not None:
-            return _descending(*self._descent, now)
+            return self._descent.state
         if self._separation is not None:
             since, start, sampler = self._separation
             return sampler.at(start + now - since)
@@ -123,14 +164,3 @@ class Guidance:
             state.velocity + self._blend * slowing,
             state.acceleration + self._blend * bending,
         )
-
-
-def _descending(since: float, speed: float, start: Floats, now: float) -> State:
-    """Return a descent from rest; vehicles stop at the floor."""
-    time = now - since
-    ramp = min(time / RAMP, 1.0)
-    down = speed * (0.5 * RAMP * ramp**2 + max(0.0, time - RAMP))
-    position, velocity = start.copy(), np.zeros_like(start)
-    position[:, 2] = np.maximum(start[:, 2] - down, np.minimum(start[:, 2], 0.0))
-    velocity[position[:, 2] > 0.0, 2] = -speed * ramp
-    return State(position, velocity, np.zeros_like(start))

@@ -166,7 +166,8 @@ class Contingency:
     land, ``on_ground_since`` since when they report the ground. ``staggered`` says that some
     grippers open before the others; ``cornered`` that the team lands although neither landing nor
     release is open; ``down_since`` is when all setpoints had come down. ``alone`` are the vehicles
-    that fly without setpoints, ``alone_since`` is since when it is these.
+    that fly without setpoints, ``alone_since`` is since when it is these. ``waited`` is for how
+    many seconds the descent has paused for vehicles that stay above.
     """
 
     response: Response
@@ -182,6 +183,7 @@ class Contingency:
     down_since: float | None = None
     alone: tuple[int, ...] = ()
     alone_since: float = 0.0
+    waited: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -287,20 +287,63 @@ def moving_to_a_landing(team: str, *, releasable: bool = False) -> SteppedSimula
     return flight
 
 
-@pytest.mark.parametrize("direction", ["up", "both"])
-@pytest.mark.parametrize("team", ["ardupilot", "px4"])
-def test_a_team_that_moves_to_a_landing_leaves_no_vehicle_behind(team, direction):
-    # A vehicle stops after half a second without setpoints, and lands by itself after T.
-    flight = moving_to_a_landing(team)
-    loss = {"kind": "link", "vehicle": 2, "loss": 1.0, "direction": direction, "duration": 40.0}
-    flight.emulator.inject(Fault.model_validate({"at": flight.now + 0.3, **loss}))
+def loses_setpoints(flight: SteppedSimulation, direction: str, at: float) -> None:
+    loss = {"kind": "link", "vehicle": 2, "loss": 1.0, "direction": direction, "duration": 60.0}
+    flight.emulator.inject(Fault.model_validate({"at": at, **loss}))
+
+
+def longest_chord_until_down(flight: SteppedSimulation) -> float:
+    """The longest chord, as a share of the cable between its vehicles; 0.83 before any fault."""
     chord = 0.0
     while (position := flight.emulator.truth().position)[:, 2].max() > 1.0:
         lengths = np.linalg.norm(np.diff(position, axis=0), axis=1)
         chord = max(chord, float((lengths / PLAN.plan.layout.lengths).max()))
         flight.step()
-    # 0.83 before
-    assert chord < 0.9
+    return chord
+
+
+@pytest.mark.parametrize("direction", ["up", "both"])
+@pytest.mark.parametrize("team", ["ardupilot", "px4"])
+def test_a_team_that_moves_to_a_landing_leaves_no_vehicle_behind(team, direction):
+    # A vehicle stops after half a second without setpoints, and lands by itself after T.
+    flight = moving_to_a_landing(team)
+    loses_setpoints(flight, direction, at=flight.now + 0.3)
+    assert longest_chord_until_down(flight) < 0.9
+
+
+@pytest.mark.parametrize("direction", ["up", "both"])
+@pytest.mark.parametrize("team", ["ardupilot", "px4"])
+def test_a_team_that_descends_leaves_no_vehicle_above_it(team, direction):
+    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, team), seed=2)
+    while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 3.0:
+        flight.step()
+    flight.conductor.request("land")
+    while not flight.conductor.state.guidance.descending:
+        flight.step()
+    loses_setpoints(flight, direction, at=flight.now + 1.0)
+    assert longest_chord_until_down(flight) < 0.9
+    words = [event.message for event in flight.events if event.kind == "contingency"]
+    assert words[-1] == "vehicle 2 stays above the others, which wait for it"
+
+
+@pytest.mark.parametrize("team", ["ardupilot", "px4"])
+def test_a_cable_that_a_pilot_keeps_aloft_is_released_after_t(team):
+    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, team), seed=2)
+    while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 3.0:
+        flight.step()
+    flight.conductor.request("land")
+    while not flight.conductor.state.guidance.descending:
+        flight.step()
+    fault = {"at": flight.now + 1.0, "vehicle": 2, "kind": "pilot", "duration": 30.0}
+    flight.emulator.inject(Fault.model_validate(fault))
+    taken = flight.now
+    while not (released := [event for event in flight.events if event.kind == "release"]):
+        position = flight.emulator.truth().position
+        lengths = np.linalg.norm(np.diff(position, axis=0), axis=1)
+        assert (lengths < 0.9 * PLAN.plan.layout.lengths).all()
+        flight.step()
+    assert released[0].message == "releasing all together"
+    assert 10.0 < released[0].time - taken < 20.0
 
 
 @pytest.mark.parametrize("team", ["ardupilot", "px4"])

@@ -128,6 +128,7 @@ def test_going_down_together_keeps_levels_until_the_floor():
     last = guidance.state(clock, 10.0)
     assert last.position == pytest.approx(LINE)
     for now in np.arange(10.02, 30.0, 0.02):
+        guidance.go_down(float(now), 1.0)
         state = guidance.state(clock, float(now))
         assert state.position[:, :2] == pytest.approx(LINE[:, :2])
         aloft = state.position[:, 2] > 0.0
@@ -138,6 +139,26 @@ def test_going_down_together_keeps_levels_until_the_floor():
         last = state
     assert last.position[:, 2] == pytest.approx(0.0)
     assert not last.velocity.any()
+
+
+def test_a_descent_pauses_and_goes_on_without_a_jump():
+    guidance, clock = Guidance(MOTION), MissionClock(LIMITS)
+    assert guidance.at_rest
+    guidance.descend(LINE + np.array([0.0, 0.0, 10.0]), 0.5, now=0.0)
+    last = guidance.state(clock, 0.0)
+    for now in np.arange(0.02, 12.0, 0.02):
+        guidance.go_down(float(now), 0.0 if 4.0 < now < 8.0 else 1.0)
+        state = guidance.state(clock, float(now))
+        change = (state.position - last.position) / 0.02
+        assert change == pytest.approx(0.5 * (state.velocity + last.velocity), abs=1e-9)
+        if not 4.9 < now < 5.1:
+            assert guidance.at_rest == (5.0 < now < 8.0)
+        assert np.abs(state.velocity - last.velocity).max() <= 0.5 * 0.02 + 1e-9
+        last = state
+    # 0.5 s of a second's ramp are lost at each of three changes
+    assert LINE[:, 2] + 10.0 - last.position[:, 2] == pytest.approx(
+        0.5 * (11.98 - 4.0 - 0.5), abs=0.02
+    )
 
 
 def test_a_detour_runs_in_real_time():

@@ -14,8 +14,10 @@ from swarm.flight.ending import finish, mark_failed
 from swarm.flight.modes.approach import at_rest, contingency_of, move_on, stopped
 from swarm.flight.modes.transitions import change_stage
 from swarm.flight.modes.windows import (
+    LONGEST_HOVER,
     nearest_open,
     not_following,
+    stays_above,
     unanswering,
     waits_to_land,
     windows,
@@ -213,9 +215,10 @@ def _open_grippers(flight: FlightState, order: Sequence[int]) -> None:
 
 
 def _release(flight: FlightState) -> None:
-    """Wait until the grippers are open and the clock is at rest."""
+    """Wait until the grippers are open and the team is at rest, in the plan or in its descent."""
     flight.clock.target = 0.0
     advance_clock(flight)
+    flight.guidance.go_down(flight.timing.moving, 0.0)
     contingency, fallen = contingency_of(flight), flight.streams.fallen
     holding = [
         vehicle
@@ -228,7 +231,8 @@ def _release(flight: FlightState) -> None:
         if not silent or waited > FALLEN_RELEASE_TIMEOUT:
             _release_all(flight)
         return
-    if not flight.clock.stopped and waited < RELEASE_TIMEOUT:
+    at_rest = flight.clock.stopped and flight.guidance.at_rest
+    if not at_rest and waited < RELEASE_TIMEOUT:
         return
     if not holding:
         _begin_separation(flight)
@@ -287,13 +291,34 @@ def _begin_descent(flight: FlightState, trigger: StepTrigger) -> None:
 
 
 def _descend(flight: FlightState) -> None:
-    """Command each vehicle to land when its setpoint has come down, and to disarm after that."""
+    """Command each vehicle to land when its setpoint has come down, and to disarm after that.
+
+    For a vehicle that stays above, the descent pauses for T; then the cable is released if it may.
+    """
+    above, longest = stays_above(flight), flight.setup.fleet.limits.hold + LONGEST_HOVER
+    if above is not None and contingency_of(flight).waited > longest:
+        above = None
+        release_if_open(flight)
+        if contingency_of(flight).step is not Step.DESCEND:
+            return
+    if above is not None:
+        _note_waiting(flight, above)
+    flight.guidance.go_down(flight.timing.moving, 1.0 if above is None else 0.0)
     for k, vehicle in enumerate(flight.roster.vehicles):
         if not vehicle.armed:
             stop_stream(flight, k)
         elif not vehicle.in_manual_mode:
             _land(flight, k, vehicle)
     stop_streams_of_landing(flight)
+
+
+def _note_waiting(flight: FlightState, above: Vehicle) -> None:
+    contingency = contingency_of(flight)
+    if contingency.waited == 0.0:
+        words = f"{flight.name(above)} stays above the others, which wait for it"
+        flight.report("contingency", words)
+    waited = contingency.waited + flight.timing.elapsed
+    flight.contingency = replace(contingency, waited=waited)
 
 
 def _land(flight: FlightState, k: int, vehicle: Vehicle) -> None:
@@ -330,7 +355,7 @@ def _finished(flight: FlightState) -> bool:
     blind = down_since is not None and flight.now - down_since > BLIND
     if not armed or (blind and not received):
         return True
-    if flight.now - contingency.since > GIVE_UP + limits.hold:
+    if flight.now - contingency.step_since > GIVE_UP + limits.hold:
         names = ", ".join(flight.name(vehicle) for vehicle in armed)
         mark_failed(flight, f"still armed long after landing began: {names}")
         return True

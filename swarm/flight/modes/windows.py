@@ -17,6 +17,9 @@ LONGEST_HOVER, DESCENT_SPEED = 5.0, 0.2
 """Seconds for which the team waits until a vehicle that lands alone descends, and the speed in m/s
 from which it does: ArduPilot hovers for 4 s before the landing of a failsafe (LAND_WITH_DELAY_MS in
 its source). In a simulated flight, a team that descended at once pulled the cable taut there."""
+LAG = 0.5
+"""Metres by which a vehicle may stay above its place in a common descent: the largest tracking
+error of a vehicle that follows is 0.2 m in winds that plans allow for."""
 
 
 def windows(flight: FlightState) -> Windows:
@@ -70,6 +73,22 @@ def waits_to_land(flight: FlightState, since: float) -> bool:
     landing = all(vehicle.in_mode("land") for vehicle in hovering)
     longest = LONGEST_HOVER + (0.0 if landing else limits.hold)
     return bool(hovering) and flight.now - since <= longest
+
+
+def stays_above(flight: FlightState) -> Vehicle | None:
+    """Return a vehicle on the cable that hovers LAG or more above its place in the team's descent.
+
+    Of a silent one the last position counts, until it lands by itself T after it was received. One
+    on the ground reports a height above it where its barometer drifts.
+    """
+    seen, longest = flight.observation, flight.setup.fleet.limits.hold
+    above = seen.position[:, 2] - flight.streams.setpoint[:, 2]
+    for k, vehicle in enumerate(flight.roster.vehicles):
+        flies = vehicle.armed and not vehicle.on_ground and k not in flight.streams.fallen
+        descends = flight.received(vehicle) and seen.velocity[k, 2] < -DESCENT_SPEED
+        if flies and above[k] > LAG and flight.received(vehicle, longest) and not descends:
+            return vehicle if flight.attached else None
+    return None
 
 
 def nearest_open(flight: FlightState, response: Response) -> float | None:
