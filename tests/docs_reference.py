@@ -26,7 +26,7 @@ _GENERATED = (
 )
 _TITLES = {
     "mission": ("Mission files", "`swarm plan`, `swarm fly`, `swarm dry-run` and others"),
-    "fleet": ("Fleet files", "`swarm check --fleet` and `swarm fly --fleet`"),
+    "fleet": ("Fleet files", "`swarm plan`, `swarm check` and `swarm fly` with `--fleet`"),
     "scenario": ("Scenario files", "`swarm trials --scenario` and `swarm sitl --scenario`"),
     "world": ("World files", "`swarm sitl --world`"),
 }

@@ -15,7 +15,8 @@ from swarm import verify
 from swarm.cli.main import COMMANDS, _report_bug
 from swarm.errors import reason
 from swarm.files import write_bytes
-from swarm.front.plan_files import certified_plan_file
+from swarm.front.plan_files import certified_plan_file, load_certified
+from swarm.mission.fleet import with_tracking
 from tests.command import run
 from tests.overhand import OVERHAND as OVERHAND_FILE
 from tests.overhand import planned_overhand
@@ -30,6 +31,33 @@ def swarm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]
     return subprocess.run(
         [SWARM, *arguments], capture_output=True, text=True, check=False, cwd=cwd, timeout=280
     )
+
+
+def test_a_plan_for_a_fleet_has_its_measured_tracking_error(tmp_path: Path) -> None:
+    fleet = tmp_path / "measured.yaml"
+    fleet.write_text(with_tracking((ROOT / "missions/fleets/emulator.yaml").read_text(), 0.13))
+    said = run("plan", HOVER, "--fleet", str(fleet), "--json", "--save", str(tmp_path / "a.plan"))
+    assert said.returncode == 0, said.stderr
+    assert said.stderr.startswith(
+        "Planned for a tracking error of 0.13 m, as measured for fleet emulator; hover has 0.1 m"
+    )
+    assert load_certified(str(tmp_path / "a.plan")).plan.mission.vehicles.tracking == 0.13
+    again = run("plan", str(tmp_path / "a.plan"), "--fleet", str(fleet))
+    assert again.returncode == 2
+    assert f"--fleet: {tmp_path / 'a.plan'} is a plan file, which is not planned again" in (
+        again.stderr.replace("\n", "")
+    )
+
+
+def test_a_fleet_with_larger_errors_than_certified_is_refused(tmp_path: Path) -> None:
+    fleet, plan = tmp_path / "measured.yaml", tmp_path / "carry.plan"
+    fleet.write_text(with_tracking((ROOT / "missions/fleets/emulator.yaml").read_text(), 0.9))
+    carry = str(ROOT / "missions" / "first-steps" / "two_carry.yaml")
+    assert run("plan", carry, "--save", str(plan)).returncode == 0
+    refused = run("fly", str(plan), "--fleet", str(fleet), "--record", str(tmp_path / "record"))
+    assert refused.returncode == 1
+    assert "vehicles were measured with a tracking error of 0.9 m" in refused.stderr
+    assert not (tmp_path / "record" / "flight.tlog").exists()
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,14 @@ from pathlib import Path
 import pytest
 
 from swarm.errors import InputError
-from swarm.mission.fleet import emulated_fleet, fleet_schema, parse_fleet
+from swarm.mission import mission_for_knot
+from swarm.mission.fleet import (
+    emulated_fleet,
+    fleet_schema,
+    mission_for,
+    parse_fleet,
+    with_tracking,
+)
 
 READY_MADE = sorted((Path(__file__).parent.parent / "missions" / "fleets").glob("*.yaml"))
 
@@ -75,6 +82,32 @@ def test_errors_are_reported_with_their_place(change, message):
 def test_overrides_reach_every_key():
     fleet = parse_fleet(GOOD, "fleet.yaml", ["rates.setpoint=50", "limits.hold=20"])
     assert (fleet.rates.setpoint, fleet.limits.hold) == (50, 20)
+
+
+def test_a_larger_measured_tracking_error_replaces_the_missions():
+    mission = mission_for_knot("3_1", ())
+    for measured, planned in ((None, 0.1), (0.06, 0.1), (0.1, 0.1), (0.13, 0.13)):
+        fleet = emulated_fleet(9).model_copy(update={"tracking": measured})
+        assert mission_for(mission, fleet).vehicles.tracking == planned
+    other = mission_for(mission, fleet)
+    assert other == mission_for_knot("3_1", ("vehicles.tracking=0.13",))
+
+
+@pytest.mark.parametrize("path", READY_MADE, ids=lambda path: path.stem)
+def test_a_measured_tracking_error_is_written_into_a_copy(path):
+    text = path.read_text()
+    written = with_tracking(text, 0.12)
+    assert written == f"{text}tracking: 0.12\n"
+    measured = parse_fleet(written, path.name)
+    assert measured.tracking == 0.12
+    assert measured.model_copy(update={"tracking": None}) == parse_fleet(text, path.name)
+    assert parse_fleet(with_tracking(written, 0.2), path.name).tracking == 0.2
+
+
+def test_the_signing_key_of_a_copy_has_the_path_that_is_given():
+    text = GOOD + "signing_key: keys/two.key\n"
+    copy = parse_fleet(with_tracking(text, 0.1, "/home/lab/keys/two.key"), "copy.yaml")
+    assert copy.signing_key == "/home/lab/keys/two.key"
 
 
 def test_every_key_has_a_sentence_in_the_schema():

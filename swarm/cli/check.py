@@ -13,9 +13,10 @@ from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
 from swarm.cli.inputs import JSON, REPLAN, SET, ProgressLine, print_json, progress_bar
 from swarm.cli.planning import load_source
-from swarm.errors import InputError, Problem, VehicleError
-from swarm.files import write_text
-from swarm.flight.hop import hop
+from swarm.errors import InputError, Problem, Refused, VehicleError
+from swarm.files import read_text, write_text
+from swarm.flight.flight_plan import basis_of, require_tracking
+from swarm.flight.hop import Hover, hop, tracking_to_plan_with
 from swarm.flight.parameters import ParameterResult
 from swarm.front.files import load_fleet
 from swarm.ground.callbacks import FlightCallbacks
@@ -24,7 +25,8 @@ from swarm.ground.commissioning.check import check as check_fleet
 from swarm.ground.commissioning.logs import download_logs
 from swarm.ground.hop import HopResult, fly_hop, hop_question
 from swarm.ground.record_folder import new_check_folder
-from swarm.mission.fleet import Fleet, emulated_fleet
+from swarm.mission.fleet import Fleet, emulated_fleet, with_tracking
+from swarm.mission.validation import LARGEST_FILE
 from swarm.reports.check_json import check_object
 from swarm.reports.check_text import logs_table, parameter_table, print_check
 from swarm.reports.flight_json import logs_object
@@ -96,7 +98,8 @@ class Options:
     "--hop",
     "with_hop",
     is_flag=True,
-    help="Fly a test hop, measure hover errors, and recommend a vehicles.tracking.",
+    help="Fly a test hop, measure hover errors, and write them into a copy of the fleet file, "
+    "with which swarm plan --fleet plans.",
 )
 @click.option(
     "--sheet",
@@ -142,7 +145,9 @@ def check(context: click.Context, /, **options: Any) -> None:
     flight_plan = None
     if given.mission is not None:
         flight_plan = (
-            load_source(given.mission, given.overrides, replan=given.replan).planned().certified()
+            load_source(given.mission, given.overrides, replan=given.replan, fleet=fleet)
+            .planned()
+            .certified()
         )
     if fleet is None:
         fleet = emulated_fleet(flight_plan.plan.vehicles if flight_plan else EMULATED_VEHICLES)
@@ -155,24 +160,34 @@ def check(context: click.Context, /, **options: Any) -> None:
             fleet, folder, flight_plan,
             CheckOptions(given.soak, confirm_fix, given.restore, progress),
         )  # fmt: skip
-    hop_result = None
+    hop_result, measured = None, None
     if flight_plan is not None:
-        report = report.with_findings(_plan_finding(flight_plan))
+        report = report.with_findings(_plan_finding(flight_plan, fleet))
         if given.with_hop:
             ready = report.passed or fleet.emulated is not None
             hop_result = _fly_hop(flight_plan, fleet, folder / "hop", given, ready=ready)
             report = report.with_findings(*hop_result.findings)
+            vehicles = flight_plan.plan.vehicles
+            measured = _write_measured(given.fleet_file, fleet, folder, hop_result.hovers, vehicles)
         if given.sheet:
             write_text(given.sheet, layout_sheet(flight_plan.plan, fleet, report.order))
     if given.as_json:
-        print_json(check_object(report, hop_result, folder))
+        print_json(check_object(report, hop_result, folder, measured))
     else:
         print_check(report, console)
         console.print(f"Parameters saved in {folder}", soft_wrap=True, highlight=False)
+        if measured is not None:
+            words = f"Fleet with its measured tracking error: {measured}; plan with swarm plan "
+            words += f"{given.mission} --fleet {measured}"
+            console.print(words, soft_wrap=True, highlight=False)
     context.exit(0 if report.passed else 1)
 
 
-def _plan_finding(flight_plan: CertifiedPlan) -> Finding:
+def _plan_finding(flight_plan: CertifiedPlan, fleet: Fleet) -> Finding:
+    try:
+        require_tracking(basis_of(flight_plan, cable=fleet.gripper != "none"), fleet)
+    except Refused as refusal:
+        return Finding("error", "plan", str(refusal))
     plan, limit = flight_plan.plan, flight_plan.assessment.robustness.tracking
     words = f"{plan.mission.name}, {plan.vehicles} vehicles, certified for tracking errors of "
     words += f"{plan.mission.vehicles.tracking:g} m"
@@ -213,6 +228,22 @@ def _fly_hop(
             speed=given.speed,
             callbacks=FlightCallbacks(on_snapshot=screen.show, on_event=screen.event),
         )
+
+
+def _write_measured(
+    file: Path | None, fleet: Fleet, folder: Path, hovers: Sequence[Hover], vehicles: int
+) -> Path | None:
+    """Write a copy of the fleet file with the tracking error of a hop, and return its path.
+
+    None without a fleet file, and where not all vehicles were measured.
+    """
+    tracking = tracking_to_plan_with(hovers)
+    if file is None or tracking is None or len(hovers) < vehicles:
+        return None
+    key = str(Path(fleet.signing_key).resolve()) if fleet.signing_key else None
+    path = folder / "fleet.yaml"
+    write_text(path, with_tracking(read_text(file, LARGEST_FILE), tracking, key))
+    return path
 
 
 def _fetch_logs(given: Options, folder: Path) -> int:

@@ -221,8 +221,10 @@ def fly(context: click.Context, /, **options: Any) -> None:
     if given.mission is None:
         raise click.UsageError("Missing argument 'MISSION'.")
     refuse_option_conflicts(options, _NEEDS, [])
-    source = load_source(given.mission, given.overrides, replan=given.replan, flight=True)
     fleet = load_fleet(given.fleet) if given.fleet else None
+    source = load_source(
+        given.mission, given.overrides, replan=given.replan, flight=True, fleet=fleet
+    )
     if given.mocap and fleet is not None and fleet.frame != "shared":
         raise InputError(f"--mocap: expected a fleet with frame: shared, got {fleet.frame}")
     console = Console(quiet=given.as_json)

@@ -19,10 +19,12 @@ from swarm.cli.inputs import (
     progress_bar,
 )
 from swarm.cli.planning import load_source
-from swarm.errors import Refused
+from swarm.errors import InputError, Problem, Refused
 from swarm.files import write_bytes, write_text
+from swarm.front.files import load_fleet
 from swarm.front.plan_files import certified_plan_file
 from swarm.mission import Mission
+from swarm.planning.estimates import require_fleet
 from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.studies_text import print_front
 
@@ -54,6 +56,12 @@ from swarm.reports.studies_text import print_front
     metavar="N|fewest|auto",
     help="Number of vehicles, in place of vehicles.count: fewest searches for the smallest.",
 )
+@click.option(
+    "--fleet",
+    "fleet_file",
+    type=FILE,
+    help="Fleet file: plan for its tracking error, as swarm check --hop measured it.",
+)
 @click.option("--report", type=FILE, help="Write a report (one HTML file).")
 @click.option(
     "--sheet",
@@ -77,6 +85,7 @@ def plan(
     verbose: bool,
     front: bool,
     vehicles: str | None,
+    fleet_file: Path | None,
     **files: Path | None,
 ) -> None:
     """Plan MISSION (a mission or plan file, or the name of a knot), check the plan, and print it.
@@ -95,7 +104,13 @@ def plan(
         overrides = (*overrides, f"vehicles.count={vehicles}")
     if files["export"]:
         require_suffix(files["export"], PLANNED)
-    source = load_source(mission, overrides, replan=replan)
+    fleet = load_fleet(fleet_file) if fleet_file else None
+    source = load_source(mission, overrides, replan=replan, fleet=fleet)
+    if fleet is not None:
+        if not isinstance(source.given, Mission):
+            message = f"{mission} is a plan file, which is not planned again"
+            raise InputError([Problem("--fleet", message)])
+        require_fleet(source.given, fleet)
     if front:
         others = (files[name] for name in ("save", "export", "report", "sheet"))
         if any(others) or replan or not isinstance(source.given, Mission):

@@ -12,6 +12,7 @@ from swarm.front import plan_cache
 from swarm.front.files import is_plan_file, load_mission
 from swarm.front.plan_files import load_certified
 from swarm.mission import Mission
+from swarm.mission.fleet import Fleet, mission_for
 from swarm.planning.searched_foldings import may_search
 from swarm.reports.findings_text import print_verdict
 from swarm.reports.plan_summary import print_plan_summary
@@ -38,19 +39,38 @@ class Source:
 
 
 def load_source(
-    name: str, overrides: tuple[str, ...], *, replan: bool = False, flight: bool = False
+    name: str,
+    overrides: tuple[str, ...],
+    *,
+    replan: bool = False,
+    flight: bool = False,
+    fleet: Fleet | None = None,
 ) -> Source:
     """Return the mission of a file or of a knot, or a plan file.
+
+    A mission is planned for the tracking error of the ``fleet``, where that was measured and is
+    larger than its own.
 
     Raises :class:`InputError` for a wrong mission, and for options that a plan file does not take.
     """
     if not is_plan_file(name):
-        return Source(load_mission(name, overrides), replan, flight)
+        mission = load_mission(name, overrides)
+        return Source(mission if fleet is None else _for_fleet(mission, fleet), replan, flight)
     given = [option for option, value in (("--set", overrides), ("--replan", replan)) if value]
     if given:
         message = f"{name} is a plan file, which is not planned again"
         raise InputError([Problem(option, message) for option in given])
     return Source(name, replan, flight)
+
+
+def _for_fleet(mission: Mission, fleet: Fleet) -> Mission:
+    """Return the mission to plan for a fleet, and say so where that is another one."""
+    planned = mission_for(mission, fleet)
+    if planned is not mission:
+        words = f"Planned for a tracking error of {planned.vehicles.tracking:g} m, as measured for "
+        words += f"fleet {fleet.name}; {mission.name} has {mission.vehicles.tracking:g} m"
+        Console(stderr=True).print(words, style="dim", highlight=False, soft_wrap=True)
+    return planned
 
 
 def plan_mission(

@@ -18,6 +18,7 @@ from swarm.certification.certificate import (
 )
 from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
+from swarm.mission.fleet import Fleet
 from swarm.planning import Plan, digest
 
 Kind = Literal["certified", "hop", "raised", "resumed", "comparison"]
@@ -176,6 +177,19 @@ def _resumed(before: Basis, *, cable: bool) -> Basis:
 
 
 _NOT_AGAIN = ", before it was interrupted; not checked again"
+
+
+def require_tracking(basis: Basis, fleet: Fleet) -> None:
+    """Raise :class:`Refused` where cable is carried by vehicles that err by more than certified.
+
+    Their error is the one that a hop measured, as the fleet file states it.
+    """
+    measured, most = fleet.tracking, basis.max_tracking_error
+    if basis.cable and measured is not None and most is not None and measured > most:
+        raise Refused(
+            f"fleet {fleet.name}: vehicles were measured with a tracking error of {measured:g} m, "
+            f"the plan is certified for {most:.2f} m: plan again with swarm plan --fleet"
+        )
 
 
 def max_tracking_error(plan: Plan, found: Assessment) -> float:

@@ -16,7 +16,7 @@ from swarm import precompile
 from swarm.errors import InputError, Problem, Refused
 from swarm.flight.adherence import adherence
 from swarm.flight.conductor import Conductor
-from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
+from swarm.flight.flight_plan import ComparisonFlight, FlightPlan, require_tracking
 from swarm.flight.parameters import plan_requirements, required_values
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
@@ -163,6 +163,8 @@ def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, speed: float) -> No
 def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Conductor:
     setup = Options(no_cable=options.no_cable, error_limit=options.error_limit, speed=options.speed)
     conductor = Conductor(flight_plan, fleet, setup, left=options.left, then=options.then)
+    if options.left is None:
+        require_tracking(conductor.basis, fleet)
     precompile.load()
     return conductor
 

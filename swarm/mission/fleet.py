@@ -4,13 +4,16 @@ Parses text to a frozen :class:`Fleet`. Errors name the key path. The default fl
 emulator.
 """
 
+import io
 import re
 from collections import Counter
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
+from ruamel.yaml import YAML
 
+from swarm.mission.mission import Mission
 from swarm.mission.validation import Section, apply_overrides, number, parse_yaml, validate
 
 Autopilot = Literal["px4", "ardupilot", "detect"]
@@ -21,6 +24,9 @@ _URL = re.compile(
     r"(?:(?P<udp>udpin|udpout|tcp)://(?P<host>[^/:\s]+|\[[0-9a-fA-F:]+\]):(?P<port>\d{1,5})"
     r"|serial://(?P<device>[^:\s]+):(?P<baud>\d{3,7}))"
 )
+
+_WIDTH = 10_000
+"""Columns at which lines of a file that is written again are broken: none is."""
 
 
 class FleetVehicle(Section, title="Vehicle"):
@@ -195,6 +201,12 @@ class Fleet(Section):
         None,
         description="Path of the file with the MAVLink 2 signing key; only its owner may read it.",
     )
+    tracking: float | None = number(
+        None, "metres",
+        "Tracking error of these vehicles, as `swarm check --hop` measured it: plans for the fleet "
+        "are certified for it, where the mission's own `vehicles.tracking` is smaller.",
+        above=0.0, most=5.0,
+    )  # fmt: skip
     rates: Rates = Field(Rates(), description="Rates of messages.")
     limits: Limits = Field(Limits(), description="Limits of the flight.")
     emulated: Emulated | None = Field(
@@ -267,6 +279,36 @@ def parse_fleet(text: str, source: str, overrides: Iterable[str] = ()) -> Fleet:
     overrides = tuple(overrides)
     document = apply_overrides(parse_yaml(text, source), overrides)
     return validate(Fleet, document, source, text, overrides)
+
+
+def with_tracking(text: str, tracking: float, signing_key: str | None = None) -> str:
+    """Return the text of a valid fleet file with its measured tracking error, metres.
+
+    All else stays as it is written. ``signing_key`` replaces a given path, which starts at the
+    folder of the file.
+    """
+    yaml = YAML()
+    yaml.width, yaml.preserve_quotes = _WIDTH, True
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    document = yaml.load(text)
+    document["tracking"] = tracking
+    if signing_key is not None:
+        document["signing_key"] = signing_key
+    written = io.StringIO()
+    yaml.dump(document, written)
+    return written.getvalue()
+
+
+def mission_for(mission: Mission, fleet: Fleet) -> Mission:
+    """Return the mission to plan for a fleet: with its measured tracking error, if that is larger.
+
+    Otherwise the mission itself is returned: a mission may ask for more than was measured.
+    """
+    measured = fleet.tracking
+    if measured is None or measured <= mission.vehicles.tracking:
+        return mission
+    vehicles = mission.vehicles.model_copy(update={"tracking": measured})
+    return mission.model_copy(update={"vehicles": vehicles})
 
 
 def emulated_fleet(

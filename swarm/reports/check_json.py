@@ -11,8 +11,13 @@ from swarm.ground.commissioning.check import CheckReport
 from swarm.ground.hop import HopResult
 
 
-def check_object(report: CheckReport, hop: HopResult | None, folder: Path) -> dict[str, Any]:
-    """Return the go/no-go list, vehicles, links, findings and the hover errors of a check."""
+def check_object(
+    report: CheckReport, hop: HopResult | None, folder: Path, measured: Path | None = None
+) -> dict[str, Any]:
+    """Return the go/no-go list, vehicles, links, findings and the hover errors of a check.
+
+    ``measured`` is the fleet file with the tracking error of the hop.
+    """
     return {
         "go": report.passed,
         "checklist": [
@@ -36,6 +41,7 @@ def check_object(report: CheckReport, hop: HopResult | None, folder: Path) -> di
         "findings": [finding_object(finding) for finding in report.findings],
         "record": str(folder),
         "hop": hop_object(hop) if hop else None,
+        "measured_fleet": str(measured) if measured else None,
     }
 
 

@@ -20,7 +20,12 @@ from swarm.errors import Refused
 from swarm.flight.bench_flight import raised
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
-from swarm.flight.flight_plan import CableFreeFlight, ComparisonFlight, basis_of
+from swarm.flight.flight_plan import (
+    CableFreeFlight,
+    ComparisonFlight,
+    basis_of,
+    require_tracking,
+)
 from swarm.flight.hop import hop
 from swarm.geometry.motion import Motion
 from swarm.mission.fleet import emulated_fleet
@@ -140,6 +145,20 @@ def test_a_hop_carries_no_cable_and_names_its_check():
     assert not Conductor(flight, emulated_fleet(3)).state.setup.carries_cable
     checks = {finding.check for finding in flight.certificate.findings}
     assert "scope" in checks
+
+
+def test_vehicles_that_were_measured_with_larger_errors_fly_no_cable():
+    measured = emulated_fleet(3).model_copy(update={"tracking": 0.14})
+    carrying, without = (basis_of(CERTIFIED, cable=cable) for cable in (True, False))
+    message = (
+        "fleet emulator: vehicles were measured with a tracking error of 0.14 m, the plan is "
+        "certified for 0.10 m: plan again with swarm plan --fleet"
+    )
+    with pytest.raises(Refused, match=message):
+        require_tracking(carrying, measured)
+    require_tracking(without, measured)
+    for enough in (None, 0.05, carrying.max_tracking_error):
+        require_tracking(carrying, measured.model_copy(update={"tracking": enough}))
 
 
 def test_a_raised_flight_gets_a_new_certificate():
