@@ -12,21 +12,13 @@ import numpy as np
 
 from sitl.emulator import Emulator
 
-DELAY = 0.02
-"""Seconds from capture to sending; laboratories have 5 to 20 ms."""
-NOISE = 0.0005
-"""Standard deviation of positions, metres; calibrated systems have 0.2 to 1 mm."""
-
 
 class MotionCapture:
-    """Frames of a world; `send` is called after each of its steps."""
+    """Frames of a world, late and noisy as it says; `send` is called after each of its steps."""
 
-    def __init__(
-        self, emulator: Emulator, target: tuple[str, int], delay: float = DELAY,
-        noise: float = NOISE,
-    ) -> None:  # fmt: skip
+    def __init__(self, emulator: Emulator, target: tuple[str, int]) -> None:
         self._emulator, self._target = emulator, target
-        self._delay, self._noise = delay, noise
+        self._delay, self._noise = emulator.world.capture.delay, emulator.world.capture.noise
         self._rng = np.random.default_rng([emulator.world.seed, len(emulator.vehicles)])
         self._waiting: deque[tuple[float, bytes]] = deque()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -55,6 +55,19 @@ class Wind(_Strict):
     gust: NotNegative = Field(default=0.0, description="Dryden intensity of gusts, m/s")
 
 
+class Capture(_Strict):
+    """The motion capture system of an emulated laboratory."""
+
+    delay: Annotated[float, Field(ge=0, le=0.5)] = Field(
+        default=0.02, description="from capture to sending, s; laboratories have 0.005 to 0.02"
+    )
+    noise: Annotated[float, Field(ge=0, le=0.1)] = Field(
+        default=0.0005,
+        description="standard deviation of positions, metres; calibrated systems have 0.0002 to "
+        "0.001",
+    )
+
+
 class VehicleSpec(_Strict):
     """One vehicle: system id, pad, capabilities (SI units, ENU)."""
 
@@ -129,6 +142,9 @@ class World(_Strict):
     indoor: bool = Field(
         default=False,
         description="no GPS: position from VISION_POSITION_ESTIMATE or ODOMETRY",
+    )
+    capture: Capture = Field(
+        default=Capture(), description="the motion capture system, where one sends the poses"
     )
     vehicles: Annotated[list[VehicleSpec], Field(min_length=1, max_length=250)] = Field(
         description="the vehicles"

@@ -74,6 +74,7 @@ def test_a_fleet_with_larger_errors_than_certified_is_refused(tmp_path: Path) ->
             "knot.gauss: crossing 3 is passed once (expected twice)",
         ),
         (["fly", "3_1", "--fleet", "nosuch.yaml"], "nosuch.yaml: no such file or directory"),
+        (["check", "3_1", "--clock", "clock.bin", "--hop"], "--clock: expected --fleet and --hop"),
         (["plan", "3_1", "--colour"], "--colour"),
         (["nonsense"], "No such command 'nonsense'."),
         (["plam", "3_1"], "No such command 'plam': did you mean plan?"),

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Literal
 
+from sitl.world import Capture, Kind
+
 Positioning = Literal["gps", "rtk", "mocap"]
 
 _RECEIVER: dict[str, float] = {
@@ -10,7 +12,7 @@ _RECEIVER: dict[str, float] = {
     # delay in the estimate.
     "GPS1_DELAY_MS": 160,
 }
-ARDUPILOT: Mapping[Positioning, Mapping[str, float]] = {
+_ARDUPILOT: Mapping[Positioning, Mapping[str, float]] = {
     # ArduPilot's simulated receiver as it is: 5 Hz, and an estimator that trusts it little. With
     # it, the drift of the simulated gyroscopes makes velocities wrong by 0.025 m/s.
     "gps": _RECEIVER,
@@ -32,12 +34,10 @@ ARDUPILOT: Mapping[Positioning, Mapping[str, float]] = {
         "EK3_SRC1_VELZ": 0,
         "EK3_SRC1_YAW": 6,
         "VISO_TYPE": 1,  # MAVLink
-        "VISO_DELAY_MS": 20,  # `sitl.capture.DELAY`
-        "VISO_POS_M_NSE": 0.05,
         "VISO_YAW_M_NSE": 0.05,
     },
 }
-PX4: Mapping[Positioning, Mapping[str, float]] = {
+_PX4: Mapping[Positioning, Mapping[str, float]] = {
     # PX4's defaults are those of a receiver without correction data; the simulated one has no delay
     "rtk": {"EKF2_GPS_P_NOISE": 0.02, "EKF2_GPS_V_NOISE": 0.1, "EKF2_GPS_DELAY": 0},
     "mocap": {
@@ -47,9 +47,26 @@ PX4: Mapping[Positioning, Mapping[str, float]] = {
         "EKF2_MAG_TYPE": 5,  # none: the heading comes from motion capture
         "EKF2_HGT_REF": 3,
         "EKF2_EV_CTRL": 11,  # position, height and yaw
-        "EKF2_EV_DELAY": 20,  # `sitl.capture.DELAY`
         "EKF2_EV_NOISE_MD": 1,  # the poses have no covariance
-        "EKF2_EVP_NOISE": 0.01,
         "EKF2_EVA_NOISE": 0.05,
     },
 }
+
+_TRUSTED: dict[Kind, float] = {"ardupilot": 0.05, "px4": 0.01}
+"""Least noise of positions that an estimator is told, metres: the attitude of a pose errs too."""
+
+
+def usable(kind: Kind, positioning: Positioning) -> bool:
+    """Return whether vehicles with this firmware can know their position so."""
+    return positioning in (_PX4 if kind == "px4" else _ARDUPILOT)
+
+
+def parameters(kind: Kind, positioning: Positioning, capture: Capture) -> dict[str, float]:
+    """Return the parameters for a source of positions; ``capture`` is the world's system."""
+    if kind == "px4":
+        values, delay, noise = dict(_PX4[positioning]), "EKF2_EV_DELAY", "EKF2_EVP_NOISE"
+    else:
+        values, delay, noise = dict(_ARDUPILOT[positioning]), "VISO_DELAY_MS", "VISO_POS_M_NSE"
+    if positioning == "mocap":
+        values |= {delay: round(1e3 * capture.delay), noise: max(_TRUSTED[kind], capture.noise)}
+    return values

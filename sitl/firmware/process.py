@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sitl.firmware.positioning import ARDUPILOT, Positioning
-from sitl.world import Origin
+from sitl.firmware import positioning as sources
+from sitl.firmware.positioning import Positioning
+from sitl.world import Capture, Origin
 
 _STOP_TIMEOUT = 0.5
 """Seconds in which all processes may end by themselves; then they are killed."""
@@ -87,6 +88,7 @@ class Start:
     parameters: Mapping[str, float]
     target: str | None
     positioning: Positioning = "rtk"
+    capture: Capture = field(default_factory=Capture)
 
 
 def command(start: Start, origin: Origin) -> list[str]:
@@ -101,7 +103,7 @@ def command(start: Start, origin: Origin) -> list[str]:
 
 def parameters(start: Start) -> str:
     """Return the text of the file of default parameters."""
-    values = _PARAMETERS | dict(ARDUPILOT[start.positioning])
+    values = _PARAMETERS | sources.parameters("ardupilot", start.positioning, start.capture)
     values |= (_GRIPPER if start.gripper else {}) | dict(start.parameters)
     return "".join(f"{name} {value:g}\n" for name, value in values.items())
 

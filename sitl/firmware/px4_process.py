@@ -3,7 +3,7 @@
 import math
 import os
 
-from sitl.firmware.positioning import PX4
+from sitl.firmware import positioning
 from sitl.firmware.process import Launch, Start
 from sitl.firmware.selection import PX4_PROGRAM
 
@@ -53,7 +53,7 @@ def launch(start: Start, radius: float) -> Launch:
     build, instance = start.binary, start.instance
     values = (
         _PARAMETERS
-        | dict(PX4[start.positioning])
+        | positioning.parameters("px4", start.positioning, start.capture)
         | _rotors(radius)
         | (_GRIPPER if start.gripper else {})
     )

@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from sitl.firmware.positioning import PX4, Positioning
+from sitl.firmware.positioning import Positioning, usable
 from sitl.world import Kind, World
 
 PX4_PROGRAM = "bin/px4"
@@ -64,7 +64,7 @@ def _program(kind: Kind, given: str) -> Path:
 
 def check_positioning(parts: list[Firmware], positioning: Positioning) -> None:
     """Raise `FirmwareError` for firmware that cannot know its position in this way here."""
-    if positioning not in PX4 and any(part.kind == "px4" for part in parts):
+    if any(not usable(part.kind, positioning) for part in parts):
         raise FirmwareError(f"--positioning: expected rtk or mocap with px4, got {positioning}")
 
 

@@ -52,7 +52,9 @@ def flying(
             # PX4 derives its system id from its instance
             instance = vehicle.system - 1 if kind == "px4" else row
             start = _start(vehicle, firmware[vehicle.system], instance, target, folder)
-            start = dataclasses.replace(start, positioning=positioning)
+            start = dataclasses.replace(
+                start, positioning=positioning, capture=emulator.world.capture
+            )
             port = _port(emulator, vehicle, row, start)
             stack.callback(port.close)
             ports.append(port)

@@ -54,10 +54,13 @@ class Options:
     logs: Path | None
     record: Path | None
     speed: float
+    clock: Path | None
     yes: bool
 
-    def require_mission(self) -> None:
-        """Raise :class:`InputError` for options that need a mission, without one."""
+    def require_others(self) -> None:
+        """Raise :class:`InputError` for options that need a mission or others, without them."""
+        if self.clock is not None and not (self.fleet_file and self.with_hop):
+            raise InputError([Problem("--clock", "expected --fleet and --hop")])
         given = {
             "--hop": self.with_hop,
             "--sheet": self.sheet,
@@ -124,6 +127,11 @@ class Options:
     show_default=True,
     help="Multiple of real time of the hop; for emulated vehicles only.",
 )
+@click.option(
+    "--clock",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The hop follows the time in this file, as `swarm fly --clock`.",
+)
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation; errors still refuse.")
 @click.pass_context
 def check(context: click.Context, /, **options: Any) -> None:
@@ -140,7 +148,7 @@ def check(context: click.Context, /, **options: Any) -> None:
     given = Options(**options)
     if given.logs is not None:
         context.exit(_fetch_logs(given, given.logs))
-    given.require_mission()
+    given.require_others()
     fleet = load_fleet(given.fleet_file) if given.fleet_file else None
     flight_plan = None
     if given.mission is not None:
@@ -226,6 +234,7 @@ def _fly_hop(
             fleet,
             folder,
             speed=given.speed,
+            world_clock=given.clock,
             callbacks=FlightCallbacks(on_snapshot=screen.show, on_event=screen.event),
         )
 

@@ -44,6 +44,8 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
     }
     if origin is not None:
         world["origin"] = _origin(origin)
+    if fleet.emulated is not None:
+        world["capture"] = fleet.emulated.capture.model_dump()
     gripped = next((gate.time for gate in plan.gates if gate.condition == "gripped"), None)
     if with_cable and gripped is not None:
         points = _laid(plan.motion.at(gripped)[0], plan.layout.lengths)

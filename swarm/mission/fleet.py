@@ -141,6 +141,17 @@ class Limits(Section):
 CableModel = Literal["swinging", "static"]
 
 
+class Capture(Section):
+    """The motion capture system of emulated vehicles that know their positions by one."""
+
+    delay: float = number(
+        0.02, "s", "Time from the capture of a pose until it is sent.", least=0.0, most=0.5
+    )
+    noise: float = number(
+        0.0005, "metres", "Standard deviation of captured positions.", least=0.0, most=0.1
+    )
+
+
 class Emulated(Section):
     """Settings of the built-in emulator."""
 
@@ -156,6 +167,9 @@ class Emulated(Section):
         "swinging",
         description="Model of the cable: swinging: a chain of masses with drag; static: catenaries "
         "without inertia.",
+    )
+    capture: Capture = Field(
+        Capture(), description="The motion capture system (`--positioning mocap`)."
     )
 
 

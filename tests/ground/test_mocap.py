@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 from scipy.spatial.transform import Rotation
 
-from sitl.capture import DELAY, MotionCapture
+from sitl.capture import MotionCapture
 from sitl.emulator import Emulator
-from sitl.world import default_world
+from sitl.world import Capture, default_world
 from swarm.errors import VehicleError
 from swarm.flight.router import Team
 from swarm.ground.mocap import (
@@ -174,10 +174,11 @@ def test_each_vehicle_gets_its_newest_pose_and_ardupilot_an_origin():
         data = beat.heartbeat_encode(2, kind, 0, 0, 3).pack(beat)
         assert team.receive(link, ("127.0.0.1", 5000 + system), data, 0.0)
     capture = DatagramCapture("127.0.0.1", 0)
-    world = Emulator(default_world(3, ["px4"]))
-    source = MotionCapture(world, ("127.0.0.1", capture.port), noise=0.0)
-    steps = round(DELAY / 0.02) + 2
-    for _ in range(steps):
+    laboratory = Capture(delay=0.04, noise=0.0)
+    described = default_world(3, ["px4"]).model_copy(update={"capture": laboratory})
+    world = Emulator(described)
+    source = MotionCapture(world, ("127.0.0.1", capture.port))
+    for _ in range(4):
         world.advance(world.time + 0.02)
         source.send()
     bridge = MocapBridge(capture, team)

@@ -212,9 +212,9 @@ ROWS: dict[str, Callable[[Flight], None]] = {
 
 def fly(kind: Kind, row: str, program: Path | None) -> dict[str, Any]:
     """Fly one vehicle until `AFTER` the failure; return what was seen."""
-    with _flight(kind, program, radio=row == "radio") as (one, step):
+    with one_vehicle(kind, program, radio=row == "radio") as (one, step):
         one.sticks = row == "radio" and one.real and kind == "px4"
-        seen = _Seen(one)
+        seen = Watch(one)
         at, count = MODE_AT[kind], 0
         failure = at + BEFORE
         configured = list(settings(kind)) if program is None else []
@@ -226,7 +226,7 @@ def fly(kind: Kind, row: str, program: Path | None) -> dict[str, Any]:
             now = one.emulator.time
             if count % 5 == 0 and configured:
                 one.send(configured.pop(0).pack(one.out))
-            _ground(one, count, now - at)
+            ground_station(one, count, now - at)
             if not failed and now >= failure:
                 failed = True
                 seen.begin(now)
@@ -239,7 +239,7 @@ def fly(kind: Kind, row: str, program: Path | None) -> dict[str, Any]:
         return {"row": row, "kind": kind, "real": one.real, **seen.result()}
 
 
-def _ground(one: Flight, count: int, since: float) -> None:
+def ground_station(one: Flight, count: int, since: float) -> None:
     """Send what the ground station sends at a step, ``since`` seconds after the mode change."""
     out = one.out
     if one.beats and count % 50 == 0:
@@ -262,7 +262,7 @@ def _ground(one: Flight, count: int, since: float) -> None:
                 one.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, number, 100_000)
 
 
-class _Seen:
+class Watch:
     """What the vehicle said and did after the failure."""
 
     def __init__(self, one: Flight) -> None:
@@ -357,7 +357,7 @@ class _Seen:
 
 
 @contextmanager
-def _flight(
+def one_vehicle(
     kind: Kind, program: Path | None, *, radio: bool
 ) -> Iterator[tuple[Flight, Callable[[], list[bytes]]]]:
     world = default_world(1, [kind])

@@ -5,8 +5,9 @@ import stat
 import pytest
 
 from sitl.__main__ import main
+from sitl.firmware.positioning import parameters
 from sitl.firmware.selection import Firmware, FirmwareError, assign, check_positioning, parse
-from sitl.world import CableSpec, default_world
+from sitl.world import CableSpec, Capture, default_world
 
 
 @pytest.fixture
@@ -94,6 +95,15 @@ def test_a_cable_without_inertia_is_refused(program):
     assert str(caught.value) == (
         "--firmware: expected a world with cable.model: swinging, got static"
     )
+
+
+def test_estimators_are_told_the_delay_and_the_noise_of_the_motion_capture():
+    laboratory = Capture(delay=0.045, noise=0.02)
+    px4 = parameters("px4", "mocap", laboratory)
+    assert (px4["EKF2_EV_DELAY"], px4["EKF2_EVP_NOISE"]) == (45, 0.02)
+    ardupilot = parameters("ardupilot", "mocap", laboratory)
+    assert (ardupilot["VISO_DELAY_MS"], ardupilot["VISO_POS_M_NSE"]) == (45, 0.05)
+    assert "VISO_DELAY_MS" not in parameters("ardupilot", "rtk", laboratory)
 
 
 def test_px4_has_no_plain_receiver(program):
