@@ -358,10 +358,12 @@ class Watch:
 
 @contextmanager
 def one_vehicle(
-    kind: Kind, program: Path | None, *, radio: bool
+    kind: Kind, program: Path | None, *, radio: bool, values: dict[str, float] | None = None
 ) -> Iterator[tuple[Flight, Callable[[], list[bytes]]]]:
+    """Run one vehicle with the audit's parameters and ``values``; yield it, and how to step it."""
     world = default_world(1, [kind])
-    spec = world.vehicles[0].model_copy(update={"parameters": parameters(kind), "radio": radio})
+    start = parameters(kind) | (values or {})
+    spec = world.vehicles[0].model_copy(update={"parameters": start, "radio": radio})
     world = world.model_copy(update={"vehicles": [spec]})
     if program is None:
         emulator = Emulator(world)
