@@ -194,3 +194,13 @@ def test_a_height_that_is_set_anew_after_disarming_is_no_drift(armed, found):
     motors = np.array([True, armed, True])
     moved = seen(now=12.0, height_gap=np.array([0.0, 2.0, 0.0]), armed=motors)
     assert len(detector.detect(moved, expected())) == found
+
+
+@pytest.mark.parametrize("commanded", [False, True])
+def test_a_height_that_drifts_after_the_command_to_land_is_no_failure(commanded):
+    # a real PX4 whose estimate sank by 1.2 m on the ground, in the four seconds before it disarmed
+    detector = HeightDetector(3, Latch())
+    assert not detector.detect(seen(now=10.0), expected())
+    moved = seen(now=12.0, height_gap=np.array([0.0, 1.2, 0.0]))
+    found = detector.detect(moved, expected(may_land=np.full(3, commanded)))
+    assert len(found) == (not commanded)
