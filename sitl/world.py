@@ -58,7 +58,8 @@ class Wind(_Strict):
 class Capture(_Strict):
     """The motion capture system of an emulated laboratory."""
 
-    delay: Annotated[float, Field(ge=0, le=0.5)] = Field(
+    # 0.25 s: the largest that ArduPilot's estimator can take into account
+    delay: Annotated[float, Field(ge=0, le=0.25)] = Field(
         default=0.02, description="from capture to sending, s; laboratories have 0.005 to 0.02"
     )
     noise: Annotated[float, Field(ge=0, le=0.1)] = Field(

@@ -16,7 +16,7 @@ from swarm.cli.planning import load_source
 from swarm.errors import InputError, Problem, Refused, VehicleError
 from swarm.files import read_text, write_text
 from swarm.flight.flight_plan import basis_of, require_tracking
-from swarm.flight.hop import Hover, hop, tracking_to_plan_with
+from swarm.flight.hop import hop
 from swarm.flight.parameters import ParameterResult
 from swarm.front.files import load_fleet
 from swarm.ground.callbacks import FlightCallbacks
@@ -26,6 +26,7 @@ from swarm.ground.commissioning.logs import download_logs
 from swarm.ground.hop import HopResult, fly_hop, hop_question
 from swarm.ground.record_folder import new_check_folder
 from swarm.mission.fleet import Fleet, emulated_fleet, with_tracking
+from swarm.mission.sections import LARGEST_TRACKING
 from swarm.mission.validation import LARGEST_FILE
 from swarm.reports.check_json import check_object
 from swarm.reports.check_text import logs_table, parameter_table, print_check
@@ -59,17 +60,18 @@ class Options:
 
     def require_others(self) -> None:
         """Raise :class:`InputError` for options that need a mission or others, without them."""
-        if self.clock is not None and not (self.fleet_file and self.with_hop):
-            raise InputError([Problem("--clock", "expected --fleet and --hop")])
         given = {
             "--hop": self.with_hop,
             "--sheet": self.sheet,
             "--set": self.overrides,
             "--replan": self.replan,
         }
-        if self.mission is None and any(given.values()):
-            name = next(name for name, value in given.items() if value)
-            raise InputError([Problem(name, "expected a MISSION")])
+        missing = [name for name, value in given.items() if value and self.mission is None]
+        problems = [Problem(name, "expected a MISSION") for name in missing]
+        if self.clock is not None and not (self.fleet_file and self.with_hop):
+            problems.append(Problem("--clock", "expected --fleet and --hop"))
+        if problems:
+            raise InputError(problems)
 
 
 @click.command()
@@ -101,8 +103,8 @@ class Options:
     "--hop",
     "with_hop",
     is_flag=True,
-    help="Fly a test hop, measure hover errors, and write them into a copy of the fleet file, "
-    "with which swarm plan --fleet plans.",
+    help="Fly a test hop, measure hover errors, and write the tracking error to plan with into a "
+    "copy of the fleet file, for swarm plan --fleet.",
 )
 @click.option(
     "--sheet",
@@ -150,13 +152,13 @@ def check(context: click.Context, /, **options: Any) -> None:
         context.exit(_fetch_logs(given, given.logs))
     given.require_others()
     fleet = load_fleet(given.fleet_file) if given.fleet_file else None
+    before = read_text(given.fleet_file, LARGEST_FILE) if given.fleet_file else None
+    # a hop measures anew: an earlier measurement must not prevent it
+    known = None if given.with_hop else fleet
     flight_plan = None
     if given.mission is not None:
-        flight_plan = (
-            load_source(given.mission, given.overrides, replan=given.replan, fleet=fleet)
-            .planned()
-            .certified()
-        )
+        source = load_source(given.mission, given.overrides, replan=given.replan, fleet=known)
+        flight_plan = source.planned().certified()
     if fleet is None:
         fleet = emulated_fleet(flight_plan.plan.vehicles if flight_plan else EMULATED_VEHICLES)
     console = Console(quiet=given.as_json)
@@ -170,13 +172,12 @@ def check(context: click.Context, /, **options: Any) -> None:
         )  # fmt: skip
     hop_result, measured = None, None
     if flight_plan is not None:
-        report = report.with_findings(_plan_finding(flight_plan, fleet))
+        report = report.with_findings(_plan_finding(flight_plan, known))
         if given.with_hop:
             ready = report.passed or fleet.emulated is not None
             hop_result = _fly_hop(flight_plan, fleet, folder / "hop", given, ready=ready)
             report = report.with_findings(*hop_result.findings)
-            vehicles = flight_plan.plan.vehicles
-            measured = _write_measured(given.fleet_file, fleet, folder, hop_result.hovers, vehicles)
+            measured = _write_measured(before, fleet, folder, hop_result)
         if given.sheet:
             write_text(given.sheet, layout_sheet(flight_plan.plan, fleet, report.order))
     if given.as_json:
@@ -185,17 +186,19 @@ def check(context: click.Context, /, **options: Any) -> None:
         print_check(report, console)
         console.print(f"Parameters saved in {folder}", soft_wrap=True, highlight=False)
         if measured is not None:
-            words = f"Fleet with its measured tracking error: {measured}; plan with swarm plan "
-            words += f"{given.mission} --fleet {measured}"
+            words = f"Fleet with its measured tracking error, for swarm plan --fleet: {measured}"
             console.print(words, soft_wrap=True, highlight=False)
     context.exit(0 if report.passed else 1)
 
 
-def _plan_finding(flight_plan: CertifiedPlan, fleet: Fleet) -> Finding:
-    try:
-        require_tracking(basis_of(flight_plan, cable=fleet.gripper != "none"), fleet)
-    except Refused as refusal:
-        return Finding("error", "plan", str(refusal))
+def _plan_finding(flight_plan: CertifiedPlan, fleet: Fleet | None) -> Finding:
+    """Return what the plan is certified for; an error where ``fleet`` was measured with more."""
+    if fleet is not None:
+        held = fleet.gripper != "none" and len(flight_plan.plan.layout.lengths) > 0
+        try:
+            require_tracking(basis_of(flight_plan, cable=held), fleet)
+        except Refused as refusal:
+            return Finding("error", "plan", str(refusal))
     plan, limit = flight_plan.plan, flight_plan.assessment.robustness.tracking
     words = f"{plan.mission.name}, {plan.vehicles} vehicles, certified for tracking errors of "
     words += f"{plan.mission.vehicles.tracking:g} m"
@@ -240,24 +243,27 @@ def _fly_hop(
 
 
 def _write_measured(
-    file: Path | None, fleet: Fleet, folder: Path, hovers: Sequence[Hover], vehicles: int
+    before: str | None, fleet: Fleet, folder: Path, hop_result: HopResult
 ) -> Path | None:
-    """Write a copy of the fleet file with the tracking error of a hop, and return its path.
+    """Write the text of a fleet file with the tracking error of a hop, and return its path.
 
-    None without a fleet file, and where not all vehicles were measured.
+    None without a fleet file, and where not all vehicles were measured or one was too far off.
     """
-    tracking = tracking_to_plan_with(hovers)
-    if file is None or tracking is None or len(hovers) < vehicles:
+    tracking = hop_result.tracking
+    if before is None or tracking is None or tracking > LARGEST_TRACKING:
         return None
     key = str(Path(fleet.signing_key).resolve()) if fleet.signing_key else None
-    path = folder / "fleet.yaml"
-    write_text(path, with_tracking(read_text(file, LARGEST_FILE), tracking, key))
+    path = folder / "measured-fleet.yaml"
+    write_text(path, with_tracking(before, tracking, key))
     return path
 
 
 def _fetch_logs(given: Options, folder: Path) -> int:
     """Fetch every vehicle's newest log, print the paths, and return the exit code."""
-    checks = (given.mission, given.fix, given.restore, given.soak, given.with_hop, given.sheet)
+    checks = (
+        given.mission, given.fix, given.restore, given.soak, given.with_hop, given.sheet,
+        given.clock,
+    )  # fmt: skip
     if any(checks) or given.record:
         raise click.UsageError("--logs can be combined with --fleet and --json only")
     fleet = load_fleet(given.fleet_file) if given.fleet_file else emulated_fleet(EMULATED_VEHICLES)

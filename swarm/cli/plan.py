@@ -114,7 +114,9 @@ def plan(
     if front:
         others = (files[name] for name in ("save", "export", "report", "sheet"))
         if any(others) or replan or not isinstance(source.given, Mission):
-            raise click.UsageError("--front can be combined with --plot, --set and --json only")
+            raise click.UsageError(
+                "--front can be combined with --plot, --set, --vehicles, --fleet and --json only"
+            )
         context.exit(_front(source.given, as_json, files["plot"]))
     try:
         planned = source.planned()

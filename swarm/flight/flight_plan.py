@@ -5,6 +5,7 @@ their own: a hop and a raised flight carry no cable, a resumed flight was certif
 interrupted, and a comparison stays in the emulator.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -188,7 +189,8 @@ def require_tracking(basis: Basis, fleet: Fleet) -> None:
     if basis.cable and measured is not None and most is not None and measured > most:
         raise Refused(
             f"fleet {fleet.name}: vehicles were measured with a tracking error of {measured:g} m, "
-            f"the plan is certified for {most:.2f} m: plan again with swarm plan --fleet"
+            f"the plan holds up to {math.floor(1e3 * most) / 1e3:g} m: plan again with swarm plan "
+            "--fleet"
         )
 
 

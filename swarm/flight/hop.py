@@ -156,12 +156,12 @@ def _spread(sizes: Floats) -> Spread:
     return Spread(float(np.sqrt(np.mean(sizes**2))), float(sizes.max()))
 
 
-def tracking_to_plan_with(measured: Sequence[Hover]) -> float | None:
+def tracking_to_plan_with(measured: Sequence[Hover], vehicles: int) -> float | None:
     """Return the `vehicles.tracking` that the worst vehicle needs, metres, rounded up to 0.01.
 
-    None where a vehicle was not measured for all of HOVER.
+    None where one of the ``vehicles`` was not measured for all of HOVER.
     """
-    if not measured or min(one.seconds for one in measured) < 0.9 * HOVER:
+    if len(measured) < vehicles or min(one.seconds for one in measured) < 0.9 * HOVER:
         return None
     return math.ceil(100.0 * max(one.tracking for one in measured) - 1e-9) / 100.0
 
@@ -177,7 +177,7 @@ def hover_findings(trace: Trace, flight_plan: CertifiedPlan) -> list[Finding]:
     tracking = flight_plan.plan.mission.vehicles.tracking
     limit = flight_plan.assessment.robustness.tracking
     most = tracking if limit is None else max(tracking, limit)
-    found = [_advice(measured if len(measured) == vehicles else (), tracking, most)]
+    found = [_advice(measured, tracking_to_plan_with(measured, vehicles), tracking, most)]
     for one in measured:
         words = (
             f"vehicle {one.vehicle}: level {one.level.rms:.3f} m RMS, {one.level.largest:.3f} m at "
@@ -194,9 +194,10 @@ def hover_findings(trace: Trace, flight_plan: CertifiedPlan) -> list[Finding]:
     return found
 
 
-def _advice(measured: Sequence[Hover], tracking: float, most: float) -> Finding:
-    """Return the `vehicles.tracking` to plan with, and whether the plan has it."""
-    needed = tracking_to_plan_with(measured)
+def _advice(
+    measured: Sequence[Hover], needed: float | None, tracking: float, most: float
+) -> Finding:
+    """Return the `vehicles.tracking` that is needed to plan with, and whether the plan has it."""
     if needed is None:
         words = f"not all vehicles hovered for {HOVER:g} s: no vehicles.tracking to plan with"
         return Finding("error", "hop", words)

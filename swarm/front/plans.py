@@ -16,9 +16,11 @@ from swarm.files import read_bytes, write_bytes
 from swarm.front.plan_files import LARGEST_PLAN, certified_plan_file
 from swarm.front.recordings import Recording
 from swarm.mission import Mission
+from swarm.mission.fleet import Fleet, mission_for
 from swarm.notebook import table
 from swarm.planning.archive import plan_file, read_plan_file
 from swarm.planning.cable_shape import cable_shape
+from swarm.planning.estimates import require_fleet
 from swarm.planning.searched_foldings import may_search
 
 if TYPE_CHECKING:
@@ -130,19 +132,24 @@ class Plan(planning.Plan):
         return table(f"Plan {self.mission.name}", self.figures().items())
 
 
-def plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
+def plan(mission: Mission, *, fleet: Fleet | None = None, progress: Progress | None = None) -> Plan:
     """Plan a mission and return the first plan that the checks clear.
 
+    With a ``fleet`` that was measured (``tracking`` in metres, by ``swarm check --hop``) the plan
+    is certified for that tracking error, where the mission's own is smaller.
     ``progress(stage, share)`` is called with the name of a stage and its completed share, 0…1. The
     same mission gives the same plan.
 
-    Raises :class:`swarm.Refused` with every reason where no motion exists;
-    :class:`swarm.NotCleared`, with a plan and its certificate, where no plan is cleared; and
+    Raises :class:`swarm.Refused` with every reason where no motion exists, or the fleet is too
+    small; :class:`swarm.NotCleared`, with a plan and its certificate, where no plan is cleared; and
     :class:`swarm.InputError` for a knot that does not exist.
 
     Source: :func:`swarm.planner.plan`, which certifies and repairs the candidates of
     :mod:`swarm.planning.candidates` (grid diagram, layout, folding).
     """
+    if fleet is not None:
+        require_fleet(mission, fleet)
+        mission = mission_for(mission, fleet)
     precompile.prepare(precompile.PLANNING, progress)
     if may_search(mission):
         precompile.prepare(precompile.SEARCH, progress)

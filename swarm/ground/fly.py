@@ -97,7 +97,7 @@ def fly(
     :class:`swarm.errors.InputError` for a record that cannot be written.
     """
     options, callbacks = options or FlyOptions(), callbacks or FlightCallbacks()
-    _refuse_unflyable(flight_plan, fleet, options.speed)
+    _refuse_unflyable(flight_plan, fleet, options)
     conductor = _conductor(flight_plan, fleet, options)
     with ExitStack() as resources:
         links = open_links(fleet.links)
@@ -153,11 +153,13 @@ def fly(
         return result
 
 
-def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, speed: float) -> None:
+def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> None:
     if isinstance(flight_plan, ComparisonFlight):
         raise Refused("a comparison is flown by swarm dry-run only: its plan is not certified")
-    if fleet.emulated is None and speed != 1.0:
+    if fleet.emulated is None and options.speed != 1.0:
         raise Refused("only emulated vehicles fly faster or slower than real time")
+    if fleet.emulated is not None and options.world_clock is not None and options.left is None:
+        raise Refused("the built-in emulator keeps its own clock: --clock is for other worlds")
 
 
 def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Conductor:

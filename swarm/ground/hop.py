@@ -13,6 +13,7 @@ from swarm.flight.hop import (
     Hover,
     hover_findings,
     hovers,
+    tracking_to_plan_with,
 )
 from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.fly import FlyOptions, fly
@@ -21,10 +22,14 @@ from swarm.mission.fleet import Fleet
 
 @dataclass(frozen=True)
 class HopResult:
-    """The findings of a hop, and the hover errors; none if the vehicles did not hover."""
+    """The findings of a hop, and the hover errors; none if the vehicles did not hover.
+
+    ``tracking`` is the tracking error to plan with, metres; None where not all were measured.
+    """
 
     findings: tuple[Finding, ...]
     hovers: tuple[Hover, ...] = ()
+    tracking: float | None = None
 
 
 def hop_question(flight_plan: CertifiedPlan) -> str:
@@ -59,4 +64,5 @@ def fly_hop(
     if result.outcome.word != "done":
         text = f"the hop ended as {result.outcome.word}: {result.outcome.explanation}"
         found = [Finding("error", "hop", text), *(found if measured else ())]
-    return HopResult(tuple(found), measured)
+    needed = tracking_to_plan_with(measured, flight_plan.plan.vehicles)
+    return HopResult(tuple(found), measured, needed)

@@ -4,17 +4,23 @@ Parses text to a frozen :class:`Fleet`. Errors name the key path. The default fl
 emulator.
 """
 
-import io
 import re
 from collections import Counter
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
-from ruamel.yaml import YAML
 
 from swarm.mission.mission import Mission
-from swarm.mission.validation import Section, apply_overrides, number, parse_yaml, validate
+from swarm.mission.sections import LARGEST_TRACKING
+from swarm.mission.validation import (
+    Section,
+    apply_overrides,
+    number,
+    parse_yaml,
+    validate,
+    with_values,
+)
 
 Autopilot = Literal["px4", "ardupilot", "detect"]
 SystemId = Annotated[int, Field(strict=True, ge=1, le=250)]
@@ -24,9 +30,6 @@ _URL = re.compile(
     r"(?:(?P<udp>udpin|udpout|tcp)://(?P<host>[^/:\s]+|\[[0-9a-fA-F:]+\]):(?P<port>\d{1,5})"
     r"|serial://(?P<device>[^:\s]+):(?P<baud>\d{3,7}))"
 )
-
-_WIDTH = 10_000
-"""Columns at which lines of a file that is written again are broken: none is."""
 
 
 class FleetVehicle(Section, title="Vehicle"):
@@ -145,7 +148,7 @@ class Capture(Section):
     """The motion capture system of emulated vehicles that know their positions by one."""
 
     delay: float = number(
-        0.02, "s", "Time from the capture of a pose until it is sent.", least=0.0, most=0.5
+        0.02, "s", "Time from the capture of a pose until it is sent.", least=0.0, most=0.25
     )
     noise: float = number(
         0.0005, "metres", "Standard deviation of captured positions.", least=0.0, most=0.1
@@ -219,7 +222,7 @@ class Fleet(Section):
         None, "metres",
         "Tracking error of these vehicles, as `swarm check --hop` measured it: plans for the fleet "
         "are certified for it, where the mission's own `vehicles.tracking` is smaller.",
-        above=0.0, most=5.0,
+        above=0.0, most=LARGEST_TRACKING,
     )  # fmt: skip
     rates: Rates = Field(Rates(), description="Rates of messages.")
     limits: Limits = Field(Limits(), description="Limits of the flight.")
@@ -298,19 +301,10 @@ def parse_fleet(text: str, source: str, overrides: Iterable[str] = ()) -> Fleet:
 def with_tracking(text: str, tracking: float, signing_key: str | None = None) -> str:
     """Return the text of a valid fleet file with its measured tracking error, metres.
 
-    All else stays as it is written. ``signing_key`` replaces a given path, which starts at the
-    folder of the file.
+    ``signing_key`` replaces a given path, which starts at the folder of the file.
     """
-    yaml = YAML()
-    yaml.width, yaml.preserve_quotes = _WIDTH, True
-    yaml.indent(mapping=2, sequence=4, offset=2)
-    document = yaml.load(text)
-    document["tracking"] = tracking
-    if signing_key is not None:
-        document["signing_key"] = signing_key
-    written = io.StringIO()
-    yaml.dump(document, written)
-    return written.getvalue()
+    values: dict[str, Any] = {"tracking": tracking}
+    return with_values(text, values | ({"signing_key": signing_key} if signing_key else {}))
 
 
 def mission_for(mission: Mission, fleet: Fleet) -> Mission:

@@ -12,6 +12,9 @@ Number = Annotated[float, Field(strict=True)]
 _LARGEST_SIZE = 200.0
 """Largest size of a knot's layout, in metres: the overhand has cells of 1.5 m."""
 
+LARGEST_TRACKING = 5.0
+"""Largest tracking error in metres that missions and fleets may have."""
+
 _FARTHEST = 10_000.0
 """Largest coordinate in metres: farther away than an operator sees a vehicle."""
 
@@ -140,7 +143,7 @@ class Vehicles(Section):
         0.1,
         "Largest tracking error: distance of a grip point from its setpoint.",
         least=0,
-        most=5.0,
+        most=LARGEST_TRACKING,
     )
     endurance: Number = number(
         600.0, "s", "Flight time on one battery, with payload.", least=60.0, most=86_400.0

@@ -5,6 +5,7 @@ refused, NaN and infinities refused. Errors read ``file:line: key.path: expected
 ``--set`` override gives has no line.
 """
 
+import io
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -98,6 +99,22 @@ def parse_yaml(text: str, source: str) -> Any:
         raise InputError([Problem(place, f"not valid YAML: {problem}")]) from None
     except (YAMLError, ValueError) as error:
         raise InputError([Problem(source, f"not valid YAML: {error}")]) from None
+
+
+def with_values(text: str, values: Mapping[str, Any]) -> str:
+    """Return valid YAML text with other values of keys at its top.
+
+    Comments and the other values stay; line breaks and indents may change.
+    """
+    yaml = YAML()
+    yaml.Resolver = _KnotNameResolver
+    yaml.width, yaml.preserve_quotes = LARGEST_FILE, True
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    document = yaml.load(text)
+    document.update(values)
+    written = io.StringIO()
+    yaml.dump(document, written)
+    return written.getvalue()
 
 
 class _KnotNameResolver(VersionedResolver):  # type: ignore[misc]

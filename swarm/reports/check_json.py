@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from swarm.exports import finding_object
-from swarm.flight.hop import tracking_to_plan_with
 from swarm.ground.commissioning.audit import VehicleAudit
 from swarm.ground.commissioning.check import CheckReport
 from swarm.ground.hop import HopResult
@@ -48,7 +47,7 @@ def check_object(
 def hop_object(hop: HopResult) -> dict[str, Any]:
     """Return the hover errors of a hop, and the tracking error to plan with, in metres."""
     return {
-        "recommended_tracking": tracking_to_plan_with(hop.hovers),
+        "recommended_tracking": hop.tracking,
         "vehicles": [asdict(hover) for hover in hop.hovers],
     }
 

@@ -60,7 +60,7 @@ def test_vehicles_that_wander_are_measured_for_the_whole_time(autopilot: str) ->
     measured = hovers(result.trace)
     assert [one.vehicle for one in measured] == list(range(1, 10))
     assert all(HOVER - 0.3 <= one.seconds <= HOVER + 0.3 for one in measured)
-    needed = tracking_to_plan_with(measured)
+    needed = tracking_to_plan_with(measured, len(measured))
     assert needed is not None
     assert needed >= max(one.both.largest for one in measured) > 0.5
     advice, *each = hover_findings(result.trace, PLAN)
@@ -81,7 +81,7 @@ def test_the_emulator_wanders_as_px4_was_recorded_to() -> None:
 def test_a_team_that_hovers_well_may_fly_the_plan() -> None:
     result = flown(0.0)
     assert {finding.severity for finding in hover_findings(result.trace, PLAN)} == {"info"}
-    needed = tracking_to_plan_with(hovers(result.trace))
+    needed = tracking_to_plan_with(hovers(result.trace), 3)
     assert needed is not None
     assert needed <= PLAN.plan.mission.vehicles.tracking
 
@@ -135,7 +135,8 @@ def test_horizontal_and_vertical_errors_are_separate(error: np.ndarray) -> None:
         assert one.up.largest == pytest.approx(np.abs(own[:, 2]).max())
         assert max(one.level.largest, one.up.largest) <= one.both.largest + 1e-12
         assert one.tracking >= max(one.both.largest, SPREAD * one.both.rms)
-    needed = tracking_to_plan_with(hovers(trace))
+    assert tracking_to_plan_with(hovers(trace), 3) is None
+    needed = tracking_to_plan_with(hovers(trace), 2)
     assert needed is not None
     largest = max(one.tracking for one in hovers(trace))
     assert largest - 1e-6 <= needed <= largest + 0.01

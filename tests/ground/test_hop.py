@@ -2,17 +2,29 @@
 
 import io
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
+from swarm.cli.check import _plan_finding, _write_measured
 from swarm.flight.hop import HOVER, hop
 from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.hop import fly_hop
-from swarm.mission.fleet import emulated_fleet
+from swarm.mission.fleet import emulated_fleet, parse_fleet
 from swarm.reports.check_json import hop_object
 from swarm.reports.terminal import FlightScreen
 from tests.network import small_plan
+
+FLEET = """\
+schema: 1
+name: 12_3  # a text, not a number
+links: {radio: "udpin://127.0.0.1:14550"}
+vehicles:
+  - {sysid: 1, links: [radio]}
+  - {sysid: 2, links: [radio]}
+"""
 
 
 @pytest.mark.usefixtures("in_real_time")
@@ -42,3 +54,26 @@ def test_a_hop_reports_hover_errors_and_the_tracking_error_to_plan_with(tmp_path
         assert 0.0 < one["up"]["rms"] <= one["up"]["largest"]
     assert "phase hold" in console.file.getvalue()
     assert (tmp_path / "hop" / "summary.json").exists()
+    key = "signing_key: keys/team.key\n"
+    before = f"# in the hall\n{FLEET}{key}"
+    fleet = parse_fleet(before, "hall.yaml").model_copy(
+        update={"signing_key": "hall/keys/team.key"}
+    )
+    written = _write_measured(before, fleet, tmp_path, result)
+    assert written == tmp_path / "measured-fleet.yaml"
+    assert written.read_text() == before.replace(
+        key, f"signing_key: {Path('hall/keys/team.key').resolve()}\ntracking: {result.tracking}\n"
+    )
+    assert _write_measured(None, fleet, tmp_path, result) is None
+    assert _write_measured(before, fleet, tmp_path, replace(result, tracking=None)) is None
+    assert _write_measured(before, fleet, tmp_path, replace(result, tracking=6.0)) is None
+
+
+def test_a_plan_for_less_than_was_measured_is_a_no_go():
+    plan = small_plan()
+    measured = emulated_fleet(3).model_copy(update={"tracking": 0.9})
+    finding = _plan_finding(plan, measured)
+    assert (finding.severity, finding.check) == ("error", "plan")
+    assert "vehicles were measured with a tracking error of 0.9 m" in finding.message
+    for fleet in (None, measured.model_copy(update={"gripper": "none"}), emulated_fleet(3)):
+        assert _plan_finding(plan, fleet).severity == "info"

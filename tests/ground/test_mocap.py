@@ -17,9 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from sitl.capture import MotionCapture
 from sitl.emulator import Emulator
-from sitl.world import Capture, default_world
+from sitl.world import Capture, World, default_world
 from swarm.errors import VehicleError
 from swarm.flight.router import Team
+from swarm.flight.world import emulated_world
 from swarm.ground.mocap import (
     ANYWHERE,
     UNSEEN,
@@ -33,8 +34,10 @@ from swarm.ground.mocap import (
     parse_url,
 )
 from swarm.ground.mocap_child import named_bodies
+from swarm.mission import fleet as fleets
 from swarm.mission.fleet import emulated_fleet
 from tests.children import children
+from tests.network import small_plan
 
 NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """ENU to NED; FLU to FRD is diag(1, −1, −1)."""
@@ -202,6 +205,36 @@ def test_each_vehicle_gets_its_newest_pose_and_ardupilot_an_origin():
     east, north, up = world.bodies.position[1]
     assert (second.x, second.y, second.z) == pytest.approx((north, east, -up), abs=1e-6)
     assert found[2][1].latitude == round(ANYWHERE.latitude * 1e7)
+
+
+def test_the_world_of_an_emulated_fleet_has_its_motion_capture():
+    fleet = emulated_fleet(3)
+    settings = fleet.emulated.model_copy(
+        update={"capture": fleets.Capture(delay=0.01, noise=0.002)}
+    )
+    fleet = fleet.model_copy(update={"emulated": settings})
+    world = emulated_world(small_plan().plan, fleet, with_cable=False, seed=1)
+    assert World.model_validate(world).capture == Capture(delay=0.01, noise=0.002)
+
+
+def test_frames_are_as_late_and_as_noisy_as_the_world_says():
+    laboratory = Capture(delay=0.06, noise=0.01)
+    described = default_world(100, ["px4"]).model_copy(update={"capture": laboratory})
+    world = Emulator(described)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        source = MotionCapture(world, receiver.getsockname())
+        for _ in range(5):
+            world.advance(world.time + 0.02)
+            source.send()
+        source.close()
+        frames = [json.loads(receiver.recv(65535)) for _ in range(2)]
+        receiver.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            receiver.recv(65535)
+    assert [frame["time"] for frame in frames] == pytest.approx([0.02, 0.04])
+    captured = np.array([frames[0]["bodies"][str(k)][:3] for k in range(1, 101)])
+    assert (captured - world.bodies.position).std() == pytest.approx(0.01, rel=0.2)
 
 
 def test_a_frame_has_the_heading_of_emulated_and_the_attitude_of_rigid_vehicles():

@@ -9,6 +9,7 @@ are the world's. Without ``--firmware`` the emulated autopilot flies.
 """
 
 import argparse
+import itertools
 import json
 import os
 import signal
@@ -214,19 +215,11 @@ def fly(kind: Kind, row: str, program: Path | None) -> dict[str, Any]:
     """Fly one vehicle until `AFTER` the failure; return what was seen."""
     with one_vehicle(kind, program, radio=row == "radio") as (one, step):
         one.sticks = row == "radio" and one.real and kind == "px4"
-        seen = Watch(one)
-        at, count = MODE_AT[kind], 0
-        failure = at + BEFORE
-        configured = list(settings(kind)) if program is None else []
+        seen, failure = Watch(one), MODE_AT[kind] + BEFORE
         failed = False
-        while one.emulator.time < failure + AFTER:
-            count += 1
-            for data in step():
-                seen.take(data)
-            now = one.emulator.time
-            if count % 5 == 0 and configured:
-                one.send(configured.pop(0).pack(one.out))
-            ground_station(one, count, now - at)
+        for now in flown(one, step, seen):
+            if now >= failure + AFTER:
+                break
             if not failed and now >= failure:
                 failed = True
                 seen.begin(now)
@@ -237,6 +230,18 @@ def fly(kind: Kind, row: str, program: Path | None) -> dict[str, Any]:
             if failed:
                 seen.watch(now)
         return {"row": row, "kind": kind, "real": one.real, **seen.result()}
+
+
+def flown(one: Flight, step: Callable[[], list[bytes]], seen: "Watch") -> Iterator[float]:
+    """Step the flight without end, and yield the world's time after each step."""
+    configured = [] if one.real else list(settings(one.kind))
+    for count in itertools.count(1):
+        for data in step():
+            seen.take(data)
+        if count % 5 == 0 and configured:
+            one.send(configured.pop(0).pack(one.out))
+        ground_station(one, count, one.emulator.time - MODE_AT[one.kind])
+        yield one.emulator.time
 
 
 def ground_station(one: Flight, count: int, since: float) -> None:
@@ -416,9 +421,11 @@ def _bound() -> Iterator[socket.socket]:
 
 
 def _children() -> list[int]:
-    """Return the ids of this process's children: the autopilot's."""
+    """Return the ids of this process's children that run: the autopilot's."""
     me = os.getpid()
-    return [int(one) for one in Path(f"/proc/{me}/task/{me}/children").read_text().split()]
+    children = Path(f"/proc/{me}/task/{me}/children").read_text().split()
+    states = {int(one): Path(f"/proc/{one}/stat").read_text() for one in children}
+    return [one for one, state in states.items() if state.rpartition(")")[2].split()[0] != "Z"]
 
 
 def main() -> None:

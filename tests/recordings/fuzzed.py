@@ -19,8 +19,7 @@ from typing import Any
 
 from sitl.physics.dynamics import STEP
 from sitl.world import Kind
-from tests.recordings.alone import BEFORE, MODE_AT, Watch, ground_station, one_vehicle
-from tests.recordings.silence import settings
+from tests.recordings.alone import BEFORE, MODE_AT, Watch, flown, one_vehicle
 from tests.sitl.random_packets import COMMANDS, messages, spoil
 
 RATE = 2000
@@ -48,17 +47,9 @@ def fuzz(kind: Kind, count: int, program: Path | None, *, valid: bool, seed: int
     source = packets(random.Random(seed), valid=valid)
     values = FLOATS if kind == "ardupilot" and program else {}
     with one_vehicle(kind, program, radio=False, values=values) as (one, step):
-        seen, at = Watch(one), MODE_AT[kind]
-        configured = list(settings(kind)) if program is None else []
-        sent, each = 0, round(RATE * STEP)
-        for number in itertools.count(1):
-            for data in step():
-                seen.take(data)
-            now = one.emulator.time
-            if number % 5 == 0 and configured:
-                one.send(configured.pop(0).pack(one.out))
-            ground_station(one, number, now - at)
-            if now < at + BEFORE:
+        seen, sent, each = Watch(one), 0, round(RATE * STEP)
+        for now in flown(one, step, seen):
+            if now < MODE_AT[kind] + BEFORE:
                 continue
             if not sent:
                 seen.begin(now)
