@@ -35,6 +35,13 @@ _GRIPPER = 0.1
 
 Without it, that end would have 0.03 kg of inertia against a pull from the side, less than a strand
 has, and steps that exchange forces with the cable would not be stable."""
+SAG = 0.003
+"""Metres by which the weight of a vehicle compresses its legs, which touch the floor so much above
+the height at which it stands. They are critically damped: one that touches down at 0.6 m/s stops
+within 0.05 s, with at most 8 g. Accelerometers measure that: the estimate of a PX4 that was stopped
+without it sank on, by 0.35 m/s, on the ground."""
+_STIFFNESS, _DAMPING = GRAVITY / SAG, 2.0 * math.sqrt(GRAVITY / SAG)
+"""Of the legs, over the mass: 1/s² and 1/s."""
 _ARM = 0.7
 """Distance of a motor from the centre over the radius of the vehicle's disc."""
 _CURVE = 0.65
@@ -86,18 +93,19 @@ def step(
         for k in range(3):
             air = frame.drag[i] * (outside[i, 3 + k] - body[3 + k])
             total[k] = (rotation[k, 2] * lift + outside[i, k]) / frame.mass[i] + air
-        standing = body[2] <= floor + frame.offset[i] and total[2] < GRAVITY
+        sunk = floor + frame.offset[i] + SAG - body[2]
+        standing = sunk >= 0.0 and total[2] < GRAVITY
+        if sunk >= 0.0:
+            total[2] += max(_STIFFNESS * sunk - _DAMPING * body[5], 0.0)
         if standing:
-            _stand(body, floor + frame.offset[i])
+            _level(body)
             _rotation(body, rotation)
-            total[0], total[1], total[2] = 0.0, 0.0, GRAVITY
+            total[0] = total[1] = 0.0
         else:
-            for k in range(3):
-                body[3 + k] += interval * (total[k] - (GRAVITY if k == 2 else 0.0))
-                body[k] += interval * body[3 + k]
-            if body[2] < floor + frame.offset[i]:
-                body[2], body[5] = floor + frame.offset[i], max(body[5], 0.0)
             _turn(body, rotation, frame, i, outside[i], interval)
+        for k in range(3):
+            body[3 + k] += interval * (total[k] - (GRAVITY if k == 2 else 0.0))
+            body[k] += interval * body[3 + k]
         for k in range(3):
             measured[i, k] = (
                 rotation[0, k] * total[0] + rotation[1, k] * total[1] + rotation[2, k] * total[2]
@@ -151,11 +159,10 @@ def _turn(
 
 
 @compiled
-def _stand(body: Array, height: float) -> None:
-    """Put one vehicle level and at rest on its legs; its heading stays."""
+def _level(body: Array) -> None:
+    """Put one vehicle level on its legs, which do not slide or turn; its heading stays."""
     w, x, y, z = body[6], body[7], body[8], body[9]
     yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    body[2] = height
-    body[3] = body[4] = body[5] = 0.0
+    body[3] = body[4] = 0.0
     body[6], body[7], body[8], body[9] = math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
     body[10] = body[11] = body[12] = 0.0

@@ -80,6 +80,26 @@ def test_a_vehicle_without_thrust_falls_measures_nothing_and_stands_up():
     np.testing.assert_allclose(measured, [0.0, 0.0, GRAVITY])
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.05, 0.8), st.floats(0.0, 0.95))
+def test_accelerometers_measure_a_touchdown(speed, share):
+    # an estimator that integrates them would otherwise sink on below the floor
+    state = flying()
+    state[0, 2], state[0, 5] = 0.65, -speed
+    wanted = share * HOVER
+    state[:, 13:] = wanted
+    estimated, largest = -speed, 0.0
+    for _ in range(400):
+        up = float(advance(state, wanted)[2])
+        estimated += STEP * (up - GRAVITY)
+        largest = max(largest, up)
+    assert 0.6 - 1e-9 <= state[0, 2] <= 0.6 + rigid.SAG
+    assert state[0, 5] == pytest.approx(0.0, abs=1e-6)
+    assert estimated == pytest.approx(0.0, abs=1e-6)
+    # most inertial sensors measure up to 16 g
+    assert largest < 16.0 * GRAVITY
+
+
 @settings(max_examples=50, deadline=None)
 @given(st.tuples(ANGLE, ANGLE, ANGLE), st.lists(st.floats(0.0, 9.0), min_size=4, max_size=4))
 def test_attitudes_stay_rotations(angles, motors):
