@@ -36,10 +36,10 @@ _GRIPPER = 0.1
 Without it, that end would have 0.03 kg of inertia against a pull from the side, less than a strand
 has, and steps that exchange forces with the cable would not be stable."""
 SAG = 0.003
-"""Metres by which the weight of a vehicle compresses its legs, which touch the floor so much above
-the height at which it stands. They are critically damped: one that touches down at 0.6 m/s stops
-within 0.05 s, with at most 8 g. Accelerometers measure that: the estimate of a PX4 that was stopped
-without it sank on, by 0.35 m/s, on the ground."""
+"""Metres by which the weight of a vehicle compresses its legs. They are critically damped: one that
+touches down at 0.6 m/s stops within 0.05 s, with at most 8 g. Accelerometers measure that: the
+estimate of a PX4 that was stopped without it sank on, by 0.35 m/s, on the ground. Grips are closed
+at half the diameter of the cable above the floor: legs must not touch it there."""
 _STIFFNESS, _DAMPING = GRAVITY / SAG, 2.0 * math.sqrt(GRAVITY / SAG)
 """Of the legs, over the mass: 1/s² and 1/s."""
 _ARM = 0.7
@@ -93,7 +93,7 @@ def step(
         for k in range(3):
             air = frame.drag[i] * (outside[i, 3 + k] - body[3 + k])
             total[k] = (rotation[k, 2] * lift + outside[i, k]) / frame.mass[i] + air
-        sunk = floor + frame.offset[i] + SAG - body[2]
+        sunk = floor + frame.offset[i] - body[2]
         standing = sunk >= 0.0 and total[2] < GRAVITY
         if sunk >= 0.0:
             total[2] += max(_STIFFNESS * sunk - _DAMPING * body[5], 0.0)

@@ -77,5 +77,5 @@ class RigidBodies:
         lift = state[:, 13:17].sum(axis=1) / self.frame.mass
         bodies.thrust[rows] = np.maximum(lift, _LEAST_THRUST)[:, None] * self._axes()
         bodies.yaw[rows] = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        bodies.landed[rows] = state[:, 2] <= self.floor + self.frame.offset + rigid.SAG
+        bodies.landed[rows] = state[:, 2] <= self.floor + self.frame.offset + 1e-6
         bodies.armed[rows] = lift > _LEAST_THRUST
