@@ -18,10 +18,10 @@ from swarm.cli.inputs import (
     print_json,
     progress_bar,
 )
-from swarm.cli.planning import load_source
-from swarm.errors import InputError, Problem, Refused
+from swarm.cli.planning import load_source, refuse_with_plan_file
+from swarm.errors import Refused
 from swarm.files import write_bytes, write_text
-from swarm.front.files import load_fleet
+from swarm.front.files import is_plan_file, load_fleet
 from swarm.front.plan_files import certified_plan_file
 from swarm.mission import Mission
 from swarm.planning.estimates import require_fleet
@@ -104,12 +104,11 @@ def plan(
         overrides = (*overrides, f"vehicles.count={vehicles}")
     if files["export"]:
         require_suffix(files["export"], PLANNED)
+    if is_plan_file(mission):
+        refuse_with_plan_file(mission, {"--fleet": fleet_file})
     fleet = load_fleet(fleet_file) if fleet_file else None
     source = load_source(mission, overrides, replan=replan, fleet=fleet)
-    if fleet is not None:
-        if not isinstance(source.given, Mission):
-            message = f"{mission} is a plan file, which is not planned again"
-            raise InputError([Problem("--fleet", message)])
+    if fleet is not None and isinstance(source.given, Mission):
         require_fleet(source.given, fleet)
     if front:
         others = (files[name] for name in ("save", "export", "report", "sheet"))

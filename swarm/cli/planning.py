@@ -1,5 +1,6 @@
 """Planning with a progress line, shared by the commands that need a plan."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import click
@@ -56,11 +57,16 @@ def load_source(
     if not is_plan_file(name):
         mission = load_mission(name, overrides)
         return Source(mission if fleet is None else _for_fleet(mission, fleet), replan, flight)
-    given = [option for option, value in (("--set", overrides), ("--replan", replan)) if value]
-    if given:
-        message = f"{name} is a plan file, which is not planned again"
-        raise InputError([Problem(option, message) for option in given])
+    refuse_with_plan_file(name, {"--set": overrides, "--replan": replan})
     return Source(name, replan, flight)
+
+
+def refuse_with_plan_file(name: str, options: Mapping[str, object]) -> None:
+    """Raise :class:`InputError` for the options that are given, none of which a plan file takes."""
+    message = f"{name} is a plan file, which is not planned again"
+    problems = [Problem(option, message) for option, value in options.items() if value]
+    if problems:
+        raise InputError(problems)
 
 
 def _for_fleet(mission: Mission, fleet: Fleet) -> Mission:
