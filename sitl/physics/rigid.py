@@ -42,6 +42,10 @@ estimate of a PX4 that was stopped without it sank on, by 0.35 m/s, on the groun
 at half the diameter of the cable above the floor: legs must not touch it there."""
 _STIFFNESS, _DAMPING = GRAVITY / SAG, 2.0 * math.sqrt(GRAVITY / SAG)
 """Of the legs, over the mass: 1/s² and 1/s."""
+_FRICTION = 0.7
+"""Friction of the legs over the force that presses them; 0.5 to 0.9 are usual of rubber."""
+_LEVELLING = 0.05
+"""Time constant in which legs level a vehicle that stands on them, seconds: as they are damped."""
 _ARM = 0.7
 """Distance of a motor from the centre over the radius of the vehicle's disc."""
 _CURVE = 0.65
@@ -94,18 +98,19 @@ def step(
             air = frame.drag[i] * (outside[i, 3 + k] - body[3 + k])
             total[k] = (rotation[k, 2] * lift + outside[i, k]) / frame.mass[i] + air
         sunk = floor + frame.offset[i] - body[2]
-        standing = sunk >= 0.0 and total[2] < GRAVITY
+        pressed = 0.0
         if sunk >= 0.0:
-            total[2] += max(_STIFFNESS * sunk - _DAMPING * body[5], 0.0)
-        if standing:
-            _level(body)
-            _rotation(body, rotation)
-            total[0] = total[1] = 0.0
-        else:
-            _turn(body, rotation, frame, i, outside[i], interval)
+            pressed = max(_STIFFNESS * sunk - _DAMPING * body[5], 0.0)
+        total[2] += pressed
         for k in range(3):
             body[3 + k] += interval * (total[k] - (GRAVITY if k == 2 else 0.0))
+        _spin(body, rotation, frame, i, outside[i], interval)
+        if pressed > 0.0:
+            _rub(body, total, pressed, interval)
+            _level(body, rotation, frame, i, pressed * interval)
+        for k in range(3):
             body[k] += interval * body[3 + k]
+        _turn(body, interval)
         for k in range(3):
             measured[i, k] = (
                 rotation[0, k] * total[0] + rotation[1, k] * total[1] + rotation[2, k] * total[2]
@@ -125,10 +130,19 @@ def _rotation(body: Array, rotation: Array) -> None:
 
 
 @compiled
-def _turn(
+def _inertia(frame: Frame, i: int) -> tuple[float, float, float]:
+    """Return the moments of inertia of vehicle ``i`` about its axes, kg m²."""
+    scale = frame.mass[i] * frame.radius[i] ** 2
+    gripper = min(_GRIPPER, 0.1 * frame.mass[i]) * frame.offset[i] ** 2
+    about_x, about_y = scale * _GYRATION[0] ** 2 + gripper, scale * _GYRATION[1] ** 2 + gripper
+    return about_x, about_y, scale * _GYRATION[2] ** 2
+
+
+@compiled
+def _spin(
     body: Array, rotation: Array, frame: Frame, i: int, outside: Array, interval: float
 ) -> None:
-    """Advance the rates and the attitude of vehicle ``i``: Euler's equations, body axes.
+    """Advance the rates of vehicle ``i``: Euler's equations, body axes.
 
     The cable pulls at the end of a stiff dropper below the centre.
     """
@@ -137,16 +151,18 @@ def _turn(
     ahead = rotation[0, 0] * outside[0] + rotation[1, 0] * outside[1] + rotation[2, 0] * outside[2]
     left = rotation[0, 1] * outside[0] + rotation[1, 1] * outside[1] + rotation[2, 1] * outside[2]
     p, q, r = body[10], body[11], body[12]
-    scale = frame.mass[i] * frame.radius[i] ** 2
-    gripper = min(_GRIPPER, 0.1 * frame.mass[i]) * frame.offset[i] ** 2
-    inertia_x, inertia_y = scale * _GYRATION[0] ** 2 + gripper, scale * _GYRATION[1] ** 2 + gripper
-    inertia_z = scale * _GYRATION[2] ** 2
+    inertia_x, inertia_y, inertia_z = _inertia(frame, i)
     torque_x = arm * (two + three - one - four) + frame.offset[i] * left - _RATE_DRAG * p
     torque_y = arm * (two + four - one - three) - frame.offset[i] * ahead - _RATE_DRAG * q
     torque_z = _TORQUE * (three + four - one - two) - _RATE_DRAG * r
     body[10] += interval * (torque_x + (inertia_y - inertia_z) * q * r) / inertia_x
     body[11] += interval * (torque_y + (inertia_z - inertia_x) * r * p) / inertia_y
     body[12] += interval * (torque_z + (inertia_x - inertia_y) * p * q) / inertia_z
+
+
+@compiled
+def _turn(body: Array, interval: float) -> None:
+    """Advance the attitude of one vehicle by its rates."""
     p, q, r = 0.5 * interval * body[10], 0.5 * interval * body[11], 0.5 * interval * body[12]
     w, x, y, z = body[6], body[7], body[8], body[9]
     body[6] = w - p * x - q * y - r * z
@@ -159,10 +175,32 @@ def _turn(
 
 
 @compiled
-def _level(body: Array) -> None:
-    """Put one vehicle level on its legs, which do not slide or turn; its heading stays."""
-    w, x, y, z = body[6], body[7], body[8], body[9]
-    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    body[3] = body[4] = 0.0
-    body[6], body[7], body[8], body[9] = math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
-    body[10] = body[11] = body[12] = 0.0
+def _rub(body: Array, total: Array, pressed: float, interval: float) -> None:
+    """Slow one vehicle on the floor by friction, at most to rest; add it to what is measured.
+
+    ``total`` (3,) are the forces over the mass, and ``pressed`` that of the floor, m/s².
+    """
+    slip = math.hypot(body[3], body[4])
+    stopped = min(1.0, _FRICTION * pressed * interval / slip) if slip > 0.0 else 0.0
+    for k in range(2):
+        total[k] -= stopped * body[3 + k] / interval
+        body[3 + k] *= 1.0 - stopped
+
+
+@compiled
+def _level(body: Array, rotation: Array, frame: Frame, i: int, impulse: float) -> None:
+    """Turn the rates of vehicle ``i`` to those that level it on its legs, heading kept.
+
+    The legs stand as far from the centre as the motors: their torque is at most what presses them
+    times that arm, or its friction about the vertical. ``impulse`` is of the pressing force over
+    the mass, m/s. A vehicle that was levelled at once, by 0.3 rad, took the end of its dropper with
+    it, at 60 m/s, and the cable all others.
+    """
+    torque = impulse * frame.mass[i] * _ARM * frame.radius[i]
+    inertia_x, inertia_y, inertia_z = _inertia(frame, i)
+    roll = -rotation[2, 1] / _LEVELLING - body[10]
+    pitch = rotation[2, 0] / _LEVELLING - body[11]
+    body[10] += min(max(roll, -torque / inertia_x), torque / inertia_x)
+    body[11] += min(max(pitch, -torque / inertia_y), torque / inertia_y)
+    yaw = _FRICTION * torque / inertia_z
+    body[12] -= min(max(body[12], -yaw), yaw)

@@ -100,6 +100,46 @@ def test_accelerometers_measure_a_touchdown(speed, share):
     assert largest < 16.0 * GRAVITY
 
 
+@settings(max_examples=30, deadline=None)
+@given(
+    st.tuples(*[st.floats(-0.5, 0.5)] * 3), st.tuples(*[st.floats(-0.5, 0.5)] * 2),
+    st.floats(0.0, 0.9),
+)  # fmt: skip
+def test_inertial_sensors_measure_how_legs_level_and_stop_a_vehicle(angles, drift, share):
+    turn = Rotation.from_euler("zyx", angles)
+    state = flying(turn)
+    state[0, 2], state[0, 3:5] = 0.602, drift
+    wanted = share * HOVER
+    state[:, 13:] = wanted
+    estimated, speed = turn, np.array([*drift, 0.0])
+    end, fastest = state[0, :3] - 0.6 * turn.as_matrix()[:, 2], 0.0
+    for _ in range(2000):
+        measured = advance(state, wanted)
+        speed = speed + STEP * (estimated.apply(measured) - [0.0, 0.0, GRAVITY])
+        estimated = estimated * Rotation.from_rotvec(STEP * state[0, 10:13])
+        w, x, y, z = state[0, 6:10]
+        axis = Rotation.from_quat([x, y, z, w]).as_matrix()[:, 2]
+        before, end = end, state[0, :3] - 0.6 * axis
+        fastest = max(fastest, np.linalg.norm(end - before) / STEP)
+    np.testing.assert_allclose(speed, state[0, 3:6], atol=0.02)
+    np.testing.assert_allclose(axis, [0.0, 0.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(estimated.as_matrix()[:, 2], axis, atol=0.01)
+    np.testing.assert_allclose(state[0, 3:6], 0.0, atol=1e-6)
+    # the end of the dropper, which may hold cable
+    assert fastest < 6.0
+
+
+@pytest.mark.parametrize(("pull", "slides"), [(4.0, False), (12.0, True)])
+def test_legs_hold_a_vehicle_against_the_cable_up_to_their_friction(pull, slides):
+    state = flying()
+    state[0, 2] = 0.6 - rigid.SAG
+    state[:, 13:] = 0.0
+    advance(state, np.zeros((1, 4)), force=(pull, 0.0, 0.0), steps=400)
+    assert (state[0, 0] > 0.1) == slides
+    if not slides:
+        np.testing.assert_allclose(state[0, [0, 1, 3, 4]], 0.0, atol=1e-9)
+
+
 @settings(max_examples=50, deadline=None)
 @given(st.tuples(ANGLE, ANGLE, ANGLE), st.lists(st.floats(0.0, 9.0), min_size=4, max_size=4))
 def test_attitudes_stay_rotations(angles, motors):
