@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarm.certification.stream_loss import sampled_rates
 from swarm.mission.mission import mission_for_knot
 from swarm.planner.pacing import PacedPlan, Pacing, slowed_for_swing, timed_for_losses
 from swarm.planning.candidates import make_plan
@@ -58,6 +59,30 @@ def test_no_round_raises_a_rate_that_another_lowered_further() -> None:
     again = slowest.slowed_for_swing(times, everywhere, 0.3)
     assert slowest.swing == pytest.approx(0.2)
     assert again.swing == pytest.approx(0.2)
+
+
+def test_slowing_that_lost_setpoints_do_not_need_is_undone_where_it_was_slowed() -> None:
+    before, times = pacing(), np.arange(0.0, 60.0, 0.25)
+    slow = before.slowed_for_loss(times, np.full(len(times), 0.3))
+    as_allowed = slow.quicker_for_loss(times, np.ones(len(times)))
+    assert as_allowed.loss == pytest.approx(slow.loss)
+    slower = slow.quicker_for_loss(times, np.full(len(times), 0.9))
+    assert slower.loss == pytest.approx(0.9 * slow.loss)
+    quick = slow
+    for _ in range(4):
+        quick = quick.quicker_for_loss(times, np.full(len(times), 2.0))
+        assert quick.loss.max() <= 1.0
+    assert quick.loss == pytest.approx(1.0)
+
+
+def test_a_fold_beyond_the_endurance_is_slowed_no_more_than_losses_need() -> None:
+    plan = make_plan(mission_for_knot("4_1"))
+    usual = timed_for_losses(plan).plan
+    vehicles = plan.mission.vehicles.model_copy(update={"endurance": usual.flight_duration - 0.1})
+    mission = plan.mission.model_copy(update={"vehicles": vehicles})
+    quick = timed_for_losses(replace(plan, mission=mission)).plan
+    assert quick.flight_duration < vehicles.endurance
+    assert sampled_rates(quick, 0.25, 0.02)[1].min() == 1.0
 
 
 def test_a_slowed_motion_is_as_smooth_and_ends_at_the_same_place() -> None:

@@ -37,7 +37,7 @@ STEP = 0.5
 """Seconds of mission time between samples; the certificate covers the times between."""
 RATES = (1.0, 0.85, 0.72, 0.61, 0.52, 0.45, 0.38, 0.34, 0.3)
 """Clock rates that are tried, fastest first: each is about 85 % of the one before."""
-_FINE_RATES = tuple(float(rate) for rate in np.linspace(1.0, 0.3, 8))
+FINE_RATES = tuple(float(rate) for rate in np.linspace(1.0, 0.3, 8))
 """Clock rates that are tried for plans' own timing."""
 BRAKING_TIME = 0.3
 """Seconds for which a vehicle that is commanded to stop continues at its speed: both autopilots
@@ -214,17 +214,20 @@ def _lower(bound: StreamLossBound, times: Floats, rates: Floats, lost: Flags) ->
     return unshown
 
 
-def sampled_rates(plan: Plan, step: float, margin: float) -> tuple[Floats, Floats]:
+def sampled_rates(
+    plan: Plan, step: float, margin: float, tried: Sequence[float] = FINE_RATES
+) -> tuple[Floats, Floats]:
     """Return mission times (k,) of the fold, and the largest rates (k,) with a margin in metres.
 
-    By samples ``step`` seconds apart alone, for vehicles with the default behaviour: certificates
-    need :func:`certify_stream_loss`.
+    Of the rates ``tried``, fastest first; the slowest where none has the margin. By samples
+    ``step`` seconds apart alone, for vehicles with the default behaviour: certificates need
+    :func:`certify_stream_loss`.
     """
     fold = plan.phase("fold")
     times = np.append(np.arange(fold.start, fold.end, step), fold.end)
     overrun = StreamLossModel().overrun(plan)
-    rates = _sampled_rates(plan, overrun, times, _FINE_RATES, _Accepted(margin, margin))[0]
-    return times, np.nan_to_num(rates, nan=_FINE_RATES[-1])
+    rates = _sampled_rates(plan, overrun, times, tried, _Accepted(margin, margin))[0]
+    return times, np.nan_to_num(rates, nan=tried[-1])
 
 
 class _Accepted(NamedTuple):
