@@ -32,7 +32,7 @@ def test_a_lower_rate_holds_where_it_was_asked_for_and_time_goes_on(
     times = np.arange(0.0, 15.0, 0.25)
     asked = np.where(np.abs(times - moment) < 0.3, rate, 1.0)
     after = before.slowed_for_loss(times, asked)
-    first, last = before.paced(), after.paced()
+    first, last = before.paced, after.paced
     assert (np.diff(last.time) > 0.0).all()
     assert (last.rate <= first.rate + 1e-12).all()
     assert (last.rate >= 0.2 - 1e-9).all()
@@ -48,8 +48,8 @@ def test_slowing_for_the_swing_acts_before_the_swing_only() -> None:
     after = before.slowed_for_swing(times, np.where(times > 12.0, 2.0, 0.5), 0.3)
     early = before.at < 12.0 - SHAPER.delays[-1] - 6.1
     assert early.sum() > 10
-    assert after.paced().rate[early] == pytest.approx(1.0, abs=1e-6)
-    assert after.paced().rate[-1] < 0.7
+    assert after.paced.rate[early] == pytest.approx(1.0, abs=1e-6)
+    assert after.paced.rate[-1] < 0.7
 
 
 def test_no_round_raises_a_rate_that_another_lowered_further() -> None:
@@ -89,7 +89,7 @@ def test_a_slowed_motion_is_as_smooth_and_ends_at_the_same_place() -> None:
     before = pacing()
     times = np.arange(0.0, 15.0, 0.25)
     after = before.slowed_for_loss(times, np.where(np.abs(times - 6.0) < 1.0, 0.5, 1.0))
-    fast, slow = (shape(one.paced(), one.shaper) for one in (before, after))
+    fast, slow = (shape(one.paced, one.shaper) for one in (before, after))
     assert slow.times[-1] > fast.times[-1]
     assert slow.at(np.inf)[0] == pytest.approx(fast.at(np.inf)[0])
     joints = slow.times[1:-1]

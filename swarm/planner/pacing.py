@@ -6,6 +6,7 @@ neither is so: then the mission clock runs at rate 1 in an undisturbed flight.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -85,11 +86,17 @@ class Pacing:
     loss: Floats
     swing: Floats
 
+    @cached_property
     def paced(self) -> PacedMotion:
-        """Return the base at the product of both rates, smoothed."""
+        """The base at the product of both rates, smoothed."""
         loss = _smooth(self.loss, _LOSS_AROUND, _LOSS_SMOOTHING)
         swing = _smooth(self.swing, _SWING_AROUND, _SWING_SMOOTHING)
         return PacedMotion(self.base, self.at, loss * swing)
+
+    @cached_property
+    def shaped(self) -> Motion:
+        """The motion that is flown, but for limits of speed and acceleration."""
+        return shape(self.paced, self.shaper)
 
     def slowed_for_loss(self, times: Floats, rates: Floats) -> "Pacing":
         """Return the pacing that is slower where ``rates`` (m,) at times (m,) are below 1."""
@@ -121,10 +128,14 @@ class Pacing:
 
         At most ``most``.
         """
-        reached = self.paced().time
+        reached = self.paced.time
         first = np.searchsorted(times, reached)
         last = np.searchsorted(times, reached + self.shaper.delays[-1] + after) + 1
-        return np.array([values[a:b].min(initial=most) for a, b in zip(first, last, strict=True)])
+        # pairs of first and last, of which every other result is of the values between them
+        windows = np.column_stack([first, np.minimum(last, len(values))]).ravel()
+        least = np.minimum.reduceat(np.append(values, most), windows)[::2]
+        found: Floats = np.where(first < len(values), np.minimum(least, most), most)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,9 +277,8 @@ def _rates(plan: Plan, pacing: Pacing, tried: tuple[float, ...]) -> tuple[Floats
 
 
 def _fold(plan: Plan, pacing: Pacing) -> Motion:
-    shaped = shape(pacing.paced(), pacing.shaper)
     limits = plan.mission.vehicles.max_speed, usable_acceleration(plan.mission)
-    return slow_to_limits(shaped, *limits)
+    return slow_to_limits(pacing.shaped, *limits)
 
 
 def _smooth(rate: Floats, around: int, deviation: float) -> Floats:
