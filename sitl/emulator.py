@@ -29,6 +29,7 @@ from sitl.physics.geodesy import Geodesy
 from sitl.protocol import wire
 from sitl.protocol.incoming import Incoming, Received
 from sitl.protocol.links import Link
+from sitl.protocol.start_parameters import start_with_given
 from sitl.protocol.vehicle import Environment, Vehicle
 from sitl.truth import Truth
 from sitl.world import World
@@ -47,7 +48,8 @@ class Emulator:
     """The emulated team.
 
     ``kinds`` are the links that every vehicle has from the start ("onboard" or "gcs"). ``outside``
-    are the system ids of vehicles that real autopilots control: they have no links here.
+    are the system ids of vehicles that real autopilots control: they have no links here. Raises
+    `WorldError` for parameters that an emulated autopilot does not have.
     """
 
     def __init__(
@@ -107,6 +109,7 @@ class Emulator:
         for vehicle in self.vehicles:
             vehicle.inject = functools.partial(self.injector.inject, vehicle)
             vehicle.on_sim_parameter = functools.partial(self.injector.apply_parameter, vehicle)
+        start_with_given(self.vehicles)
 
     def sign_with(self, key: bytes, unix_time: float) -> None:
         """Sign all frames with a key, and drop frames that are not signed with it.

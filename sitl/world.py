@@ -95,7 +95,7 @@ class VehicleSpec(_Strict):
         description="grip: a gripper that obeys MAVLink, cable that is tied on, or none",
     )
     parameters: dict[str, Number] = Field(
-        default={}, description="values that real firmware starts with, beside its defaults"
+        default={}, description="values that the autopilot starts with, beside its defaults"
     )
     radio: bool = Field(default=False, description="a pilot's transmitter is switched on")
     gps_noise: NotNegative = Field(

@@ -47,8 +47,10 @@ _LOSS_EXPONENT, _SWING_EXPONENT = 1.0, 0.7
 neighbours are reduced too."""
 
 _QUICKER_RATES = (2.0, 1.6, 1.35, 1.2, 1.1, *FINE_RATES)
+"""Rates that are tried where a fold is made quicker again, at closer steps near 1."""
+
 _QUICKER_EXPONENT, _QUICKER_ROUNDS = 0.7, 4
-"""Rates that are tried, their power and the rounds where a fold is made quicker again. Rounds that
+"""Power of the allowed rate by which one is raised in a round, and number of rounds. Rounds that
 slow multiply: where the first found no rate, 10_50 was slowed to 0.2 and took 482 s, with half of
 the slowed moments allowing 1.5 times their speed and more. Four rounds lead to 380 s."""
 

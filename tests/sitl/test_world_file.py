@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from sitl import Emulator, WorldError, default_world, load_world, parse_world
 from sitl.autopilots.telemetry import local_ned
-from sitl.world import schema
+from sitl.world import World, schema
+from swarm.flight.parameters import Requirements, required_values
 
 GOOD = """
 schema: 1
@@ -97,6 +98,47 @@ def test_default_vehicles_start_at_local_zero() -> None:
         assert max(map(abs, local_ned(vehicle)[:3])) < 0.15
     anywhere = default_world(4).model_copy(update={"local_origin": "anywhere"})
     assert any(abs(local_ned(vehicle)[2]) > 1.0 for vehicle in Emulator(anywhere).vehicles)
+
+
+def given_parameters(px4: dict[str, float], ardupilot: dict[str, float]) -> World:
+    world = default_world(2, ["px4", "ardupilot"])
+    vehicles = [
+        vehicle.model_copy(update={"parameters": given})
+        for vehicle, given in zip(world.vehicles, (px4, ardupilot), strict=True)
+    ]
+    return world.model_copy(update={"vehicles": vehicles})
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_emulated_vehicles_start_with_all_parameters_that_a_flight_requires(kind: int) -> None:
+    flight = Requirements(2.0, 1.5, 1.0, 3.0, 60.0, 0.5, 5.0, global_position=True)
+    wanted = [required_values(name, flight) for name in ("px4", "ardupilot")]
+    emulator = Emulator(given_parameters(*wanted))
+    table = emulator.vehicles[kind].parameters
+    assert wanted[kind]
+    assert {name: table[name] for name in wanted[kind]} == wanted[kind]
+    assert emulator.vehicles[0].parameters.integer("COM_OBL_RC_ACT") == 5
+    # a parameter of real firmware is its own affair
+    assert Emulator(given_parameters({"ANY": 1.0}, {}), outside=[1]).vehicles[0].frozen
+
+
+def test_given_gains_are_those_of_the_controller() -> None:
+    usual, given = (
+        Emulator(given_parameters(px4, {})).bodies.position_gain for px4 in ({}, {"MPC_XY_P": 1.5})
+    )
+    assert given[0, 0] == 1.5 != usual[0, 0]
+
+
+def test_parameters_that_an_emulated_autopilot_has_not_are_all_reported() -> None:
+    with pytest.raises(WorldError) as error:
+        Emulator(given_parameters({"MPC_XY": 1.0, "COM_OBL_RC_ACT": 4.5}, {"MPC_XY_P": 1.0}))
+    assert str(error.value).splitlines() == [
+        "vehicle 1: parameters.MPC_XY: expected a parameter of the emulated px4, got an unknown "
+        "one",
+        "vehicle 1: parameters.COM_OBL_RC_ACT: expected an integer, got 4.5",
+        "vehicle 2: parameters.MPC_XY_P: expected a parameter of the emulated ardupilot, got an "
+        "unknown one",
+    ]
 
 
 VALUES = st.recursive(
