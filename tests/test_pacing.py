@@ -11,7 +11,7 @@ from swarm.certification.stream_loss import sampled_rates
 from swarm.mission.mission import mission_for_knot
 from swarm.planner.pacing import PacedPlan, Pacing, slowed_for_swing, timed_for_losses
 from swarm.planning.candidates import make_plan
-from swarm.planning.shaping import shape, shaper_for
+from swarm.planning.shaping import shaper_for
 from tests.test_shaping import carry
 
 SHAPER = shaper_for(np.array([0.6, 1.4]))
@@ -89,7 +89,7 @@ def test_a_slowed_motion_is_as_smooth_and_ends_at_the_same_place() -> None:
     before = pacing()
     times = np.arange(0.0, 15.0, 0.25)
     after = before.slowed_for_loss(times, np.where(np.abs(times - 6.0) < 1.0, 0.5, 1.0))
-    fast, slow = (shape(one.paced, one.shaper) for one in (before, after))
+    fast, slow = before.shaped, after.shaped
     assert slow.times[-1] > fast.times[-1]
     assert slow.at(np.inf)[0] == pytest.approx(fast.at(np.inf)[0])
     joints = slow.times[1:-1]

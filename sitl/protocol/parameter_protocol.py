@@ -90,6 +90,14 @@ def _param_read(v: Vehicle, message: Any, link: Link) -> None:
         _send_hash(v, link)
 
 
+def set_parameter(v: Vehicle, name: str, value: float) -> None:
+    """Set a parameter that the vehicle has; its autopilot and injected faults follow."""
+    v.parameters.values[name] = value
+    v.autopilot.parameter_changed(name)
+    if name.startswith("SIM_") and v.on_sim_parameter is not None:
+        v.on_sim_parameter(name, v.parameters.values)
+
+
 def _param_set(v: Vehicle, message: Any, _: Link) -> None:
     if not addressed(v, message):
         return
@@ -100,10 +108,7 @@ def _param_set(v: Vehicle, message: Any, _: Link) -> None:
     body = bytes(message.get_msgbuf())[10:]
     value = p.decode(name, body[:4].ljust(4, b"\0"), message.param_type)
     if value is not None:
-        p.values[name] = value
-        v.autopilot.parameter_changed(name)
-        if name.startswith("SIM_") and v.on_sim_parameter is not None:
-            v.on_sim_parameter(name, p.values)
+        set_parameter(v, name, value)
     for target in v.links:
         _send_changed(v, target, name)
 

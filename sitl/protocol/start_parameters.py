@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+from sitl.protocol.parameter_protocol import set_parameter
 from sitl.protocol.parameters import REAL32
 from sitl.protocol.vehicle import Vehicle
 from sitl.world import WorldError
@@ -11,7 +12,7 @@ def start_with_given(vehicles: Iterable[Vehicle]) -> None:
     """Set the parameters of the world's vehicles, but those of real firmware, which reads them.
 
     Raises `WorldError` with every parameter that the emulated autopilot does not have, and every
-    integer that is none.
+    value with a fraction for an integer parameter.
     """
     errors: list[str] = []
     for vehicle in vehicles:
@@ -23,17 +24,10 @@ def start_with_given(vehicles: Iterable[Vehicle]) -> None:
                     f"{place}: expected a parameter of the emulated {kind}, got an unknown one"
                 )
             elif vehicle.parameters.kinds[name] == REAL32:
-                _set(vehicle, name, value)
+                set_parameter(vehicle, name, value)
             elif value == round(value):
-                _set(vehicle, name, round(value))
+                set_parameter(vehicle, name, round(value))
             else:
                 errors.append(f"{place}: expected an integer, got {value:g}")
     if errors:
         raise WorldError("\n".join(errors))
-
-
-def _set(vehicle: Vehicle, name: str, value: float) -> None:
-    vehicle.parameters.values[name] = value
-    vehicle.autopilot.parameter_changed(name)
-    if name.startswith("SIM_") and vehicle.on_sim_parameter is not None:
-        vehicle.on_sim_parameter(name, vehicle.parameters.values)
