@@ -14,8 +14,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from swarm import planner
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot, parse_mission
+from swarm.planner.repairs import repair
 from swarm.planning import Plan, digest
-from swarm.planning.candidates import make_plan
+from swarm.planning.candidates import candidates, make_plan
 
 ROOT = Path(__file__).parents[1]
 STILL = ("takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land")
@@ -182,3 +183,24 @@ def test_a_motion_that_exceeds_the_endurance_is_noted_in_the_plan_of_the_next() 
     # the shortest motion is returned, so that the noted ones took no less
     assert durations
     assert min(durations) >= round(result.plan.flight_duration) > 60
+
+
+def test_a_folding_whose_repairs_ran_out_can_be_repaired_further() -> None:
+    mission = mission_for_knot("3_1", ["limits.accept_negative_budget=true"])
+    with planner.one_thread():
+        last = replace(next(candidates(mission)), attempt=8)
+        ended = repair(last, (), frozenset(), 64)
+        assert not ended.kept
+        assert ended.attempts == 1
+        assert ended.unfinished is not None
+        assert 0.0 < ended.unfinished.short < 1.0
+        assert repair(replace(ended.unfinished.candidate, attempt=0), (), frozenset(), 3).kept
+
+
+@pytest.mark.full
+def test_repairs_that_ran_out_go_on_where_no_folding_is_cleared() -> None:
+    """Each folding of 10_35 was refused after its eighth repair, by 7 to 14 mm."""
+    mission = mission_for_knot("10_35", ["limits.accept_negative_budget=true"])
+    result = planner.plan(mission, robustness=False)
+    assert result.certificate.cleared
+    assert "repaired further" in result.plan.notes

@@ -67,16 +67,26 @@ class Kept:
 
 
 @dataclass(frozen=True)
+class Unfinished:
+    """The last repair of a folding, and the sum of what it is short of clearances, metres."""
+
+    candidate: Candidate
+    short: float
+
+
+@dataclass(frozen=True)
 class Repairs:
     """What became of a candidate and its repairs.
 
     ``kept`` are those that keep all clearances; ``first`` is the first that was checked, of
-    ``attempts``; plans ``too_long`` were not.
+    ``attempts``; plans ``too_long`` were not. ``unfinished`` is what was left where the repairs ran
+    out.
     """
 
     kept: Sequence[Kept]
     first: PacedPlan | None
     too_long: Sequence[Plan]
+    unfinished: Unfinished | None
     attempts: int
     notes: tuple[str, ...]
     failed_checks: frozenset[str]
@@ -99,6 +109,7 @@ def repair(
     failures: tuple[Moment, ...] = ()
     attempts = 0
     tried: Candidate | None = candidate
+    last = candidate
     while tried is not None and attempts < allowed:
         notes += tried.notes
         paced, failures = _checked(replace(tried.plan, notes=notes), failed_checks)
@@ -112,6 +123,7 @@ def repair(
             first = first or paced
             if failures:
                 failed_checks = frozenset(moment.check for moment in failures)
+                last = tried
                 tried = repaired(tried, [_shortfall(moment) for moment in failures])
             else:
                 if not kept or _fold_time(paced.plan) <= longer * _fold_time(kept[0].paced.plan):
@@ -120,7 +132,10 @@ def repair(
         if tried is None and kept and len(kept) <= _rounds(kept[-1]) and not _idle(kept):
             tried, kept[-1] = _led_apart(kept[-1])
     notes += _why_not(failures) if candidate.searched and failures and not kept else ()
-    return Repairs(kept, first, too_long, attempts, notes, failed_checks)
+    unfinished = None
+    if failures and not kept and last.last_attempt:
+        unfinished = Unfinished(last, -sum(moment.margin for moment in failures))
+    return Repairs(kept, first, too_long, unfinished, attempts, notes, failed_checks)
 
 
 def _rounds(kept: Kept) -> int:

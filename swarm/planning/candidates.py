@@ -71,6 +71,11 @@ class Candidate:
         """Whether the motion was searched, see :mod:`swarm.untangling`."""
         return self.folding is not None and isinstance(self.folding.schedule.path, WaypointPaths)
 
+    @property
+    def last_attempt(self) -> bool:
+        """Whether it is the last candidate that :func:`repaired` makes of this folding."""
+        return self.attempt >= (_ATTEMPTS_SEARCHED if self.searched else _ATTEMPTS)
+
 
 def make_plan(mission: Mission, *, progress: Progress | None = None) -> Plan:
     """Return the plan of the first candidate, before its certification.
@@ -135,7 +140,7 @@ def repaired(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> Candidate
         folding is None
         or not shortfalls
         or any(shortfall.check not in REPAIRABLE for shortfall in shortfalls)
-        or candidate.attempt >= (_ATTEMPTS_SEARCHED if candidate.searched else _ATTEMPTS)
+        or candidate.last_attempt
     ):
         return None
     schedule = improve(with_larger_margins(folding, candidate.plan, shortfalls))
