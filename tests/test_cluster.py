@@ -1,13 +1,16 @@
 """Work on a Dask cluster: the file in missions/, knots and failure tests on its workers."""
 
+import inspect
 import json
 import os
 import signal
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
+from joblib.externals.loky import process_executor
 
 from swarm.errors import SwarmError
 from swarm.simulation.fault_injection import FAILURE_CASES, FailureTestSettings, run_failure_tests
@@ -65,3 +68,12 @@ def test_a_scheduler_that_does_not_answer_is_an_error():
     said = run("knots", "--plan", "--filter", "^3_1$", "--scheduler", "tcq://nowhere:1")
     assert (said.returncode, said.stdout) == (1, "")
     assert "no Dask scheduler at tcq://nowhere:1: " in said.stderr
+
+
+def test_a_worker_that_is_replaced_because_its_memory_grew_is_no_warning_of_the_command():
+    about = "A worker stopped while some jobs were given to the "
+    assert f'"{about}"' in inspect.getsource(process_executor)
+    with parallel_workers(1, None):
+        warnings.warn(f"{about}executor.", UserWarning, stacklevel=1)
+    with pytest.raises(UserWarning, match=about):
+        warnings.warn(f"{about}executor.", UserWarning, stacklevel=1)

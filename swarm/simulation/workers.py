@@ -2,6 +2,7 @@
 
 import os
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
@@ -25,7 +26,9 @@ def parallel_workers(jobs: int | None, scheduler: str | None) -> Iterator[None]:
     this machine is killed, the cluster's packages are missing, or its scheduler does not answer.
     """
     if scheduler is None:
-        with parallel_config(backend="loky", n_jobs=process_count(jobs)):
+        with parallel_config(backend="loky", n_jobs=process_count(jobs)), warnings.catch_warnings():
+            # a process whose memory grew is replaced between tasks, which loses nothing
+            warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
             try:
                 yield
             except TerminatedWorkerError:
