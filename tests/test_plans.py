@@ -194,7 +194,9 @@ def test_a_folding_whose_repairs_ran_out_can_be_repaired_further() -> None:
         assert ended.attempts == 1
         assert ended.unfinished is not None
         assert 0.0 < ended.unfinished.short < 1.0
-        assert repair(replace(ended.unfinished.candidate, attempt=0), (), frozenset(), 3).kept
+        further = ended.unfinished.repaired()
+        assert further is not None
+        assert repair(further, (), frozenset(), 3).kept
 
 
 @pytest.mark.full

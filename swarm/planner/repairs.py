@@ -68,10 +68,20 @@ class Kept:
 
 @dataclass(frozen=True)
 class Unfinished:
-    """The last repair of a folding, and the sum of what it is short of clearances, metres."""
+    """The last candidate of a folding, timed, and where it is short of clearances."""
 
     candidate: Candidate
-    short: float
+    shortfalls: Sequence[Shortfall]
+
+    @property
+    def short(self) -> float:
+        """The sum of what it is short of, metres."""
+        return _total(self.shortfalls)
+
+    def repaired(self) -> Candidate | None:
+        """Return the next candidate of the folding, whose repairs are counted anew."""
+        found = repaired(replace(self.candidate, attempt=0), self.shortfalls)
+        return found and replace(found, notes=("repaired further",))
 
 
 @dataclass(frozen=True)
@@ -134,7 +144,7 @@ def repair(
     notes += _why_not(failures) if candidate.searched and failures and not kept else ()
     unfinished = None
     if failures and not kept and last.last_attempt:
-        unfinished = Unfinished(last, -sum(moment.margin for moment in failures))
+        unfinished = Unfinished(last, [_shortfall(moment) for moment in failures])
     return Repairs(kept, first, too_long, unfinished, attempts, notes, failed_checks)
 
 
