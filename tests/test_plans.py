@@ -206,3 +206,12 @@ def test_repairs_that_ran_out_go_on_where_no_folding_is_cleared() -> None:
     result = planner.plan(mission, robustness=False)
     assert result.certificate.cleared
     assert "repaired further" in result.plan.notes
+
+
+@pytest.mark.full
+def test_a_plan_with_fewer_repairs_is_cleared_where_the_best_exceeds_the_endurance() -> None:
+    """Repairs for jets led 10_102 to 601 of 600 s of flight, which only the certificate counts."""
+    mission = mission_for_knot("10_102", ["limits.accept_negative_budget=true"])
+    result = planner.plan(mission, robustness=False)
+    assert result.certificate.cleared
+    assert result.plan.flight_duration < 590.0
