@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from swarm.certification.cable_spans import cable_spans
-from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
+from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.lumped_mass import SwingModel, at_rest, cable_model, swing_on, swing_on_each
 from swarm.planning import Plan
 from swarm.planning.clock_limits import COURSE_STEP, clock_limits
@@ -25,11 +26,17 @@ STEP = COURSE_STEP
 """Seconds of a step of the simulation: strays of shaped default missions differ by less than 0.5 mm
 from those with half of it."""
 
-EVERY = 5
-"""Steps between compared moments: 0.1 s."""
+SAMPLE = 0.1
+"""Seconds between compared moments."""
 
-_LINKS = (24, 16, 8)
+_LINKS = (48, 40, 32, 24, 16, 8)
 """Links of a strand, most first, in equal numbers for each of the tube's eighths."""
+
+_FEWER, _COARSEST = 24, 0.1
+"""Links that are enough where none is farther than the second, in metres, from the catenary that it
+stands for. As the cable runs through a narrow bend, each link turns over with a jolt: a strand of
+the Carrick mat, 12.5 m long with ends 2 to 4.5 m apart, strayed by 0.14 m with 24 links, 0.08 m
+with 36, and 0.03 m with 48 or more, and its fold was slowed to 0.3 for that."""
 
 _BETWEEN = 0.5
 """Seconds of mission time between the moments whose tensions determine the links: places move by a
@@ -106,7 +113,7 @@ def aloft(plan: Plan) -> tuple[float, float] | None:
     if not folds or spans.problems or not spans.aloft:
         return None
     span = spans.aloft[0][0], spans.aloft[-1][1]
-    ends = plan.motion.at(_times(span))[0]
+    ends = plan.motion.at(_times(span, STEP))[0]
     taut = (np.linalg.norm(np.diff(ends, axis=1), axis=2) > plan.layout.lengths).any()
     return None if taut else span
 
@@ -115,7 +122,9 @@ def model_of(plan: Plan) -> SwingModel:
     """Return the model of a plan's cable, with as many links as the step permits.
 
     The stiffest mode of a chain of N links of l metres under tension T per mass per length moves
-    its joints against each other, ω = 2√T/l, and Verlet's method is stable for ω·step < 2.
+    its joints against each other, ω = 2√T/l, and Verlet's method is stable for ω·step < 2. Where
+    few links would swing by their length alone, there are twice as many, with half the step; not
+    where the mission accepts a negative budget, because few links swing too far, not too little.
     """
     cable, fold = plan.mission.cable, plan.phase("fold")
     places = plan.motion.at(np.arange(fold.start, fold.end, _BETWEEN))[0]
@@ -125,9 +134,20 @@ def model_of(plan: Plan) -> SwingModel:
     arc = np.abs(strands.slope * strands.parameter)
     farthest = np.maximum(arc, np.abs(strands.length - arc))
     waves = np.sqrt(STANDARD_GRAVITY * np.hypot(strands.parameter, farthest))
-    most = float((plan.layout.lengths / (waves * STEP)).min())
-    links = next((links for links in _LINKS if links < most), _LINKS[-1])
-    return replace(cable_model(cable.mass_per_length, cable.diameter), step=STEP, links=links)
+    coarse = _farthest_link(strands) > _COARSEST
+    finer = coarse and not plan.mission.limits.accept_negative_budget
+    step, wanted = (0.5 * STEP, _LINKS[0]) if finer else (STEP, _FEWER)
+    most = float((plan.layout.lengths / (waves * step)).min())
+    links = next((links for links in _LINKS if links <= wanted and links < most), _LINKS[-1])
+    return replace(cable_model(cable.mass_per_length, cable.diameter), step=step, links=links)
+
+
+def _farthest_link(strands: Catenaries) -> float:
+    """Return how far one of few links is from its catenary where that turns over, metres."""
+    lowest = -strands.slope * strands.parameter
+    bent = (lowest > 0.0) & (lowest < strands.length)
+    apart = (strands.length / _FEWER) ** 2 / (8.0 * strands.parameter)
+    return float(np.where(bent, apart, 0.0).max())
 
 
 def _chords(places: Floats) -> Floats:
@@ -144,7 +164,7 @@ def swings(plan: Plan, span: tuple[float, float]) -> Iterator[Swung]:
 
 @dataclass(frozen=True, eq=False)
 class PlannedSwing:
-    """The swing in the planned motion, and the ``states`` (k, …) every EVERY steps of ``times``."""
+    """The swing in the planned motion, and the ``states`` (k, …) of ``times``, SAMPLE apart."""
 
     swung: Swung
     times: Floats
@@ -155,48 +175,63 @@ class PlannedSwing:
 def planned_swing(plan: Plan, span: tuple[float, float]) -> PlannedSwing:
     """Return the swing in the planned motion between the times of :func:`aloft`."""
     lengths, model = plan.layout.lengths, model_of(plan)
-    times = _times(span)
+    times, every = _times(span, model.step), _every(model)
     ends = plan.motion.places(times)
-    states = swing_on(at_rest(ends[0], lengths, model), ends, lengths, model, EVERY)
-    strays = _strays(states[:, 1], ends[::EVERY], lengths)
-    return PlannedSwing(Swung(times[None, ::EVERY], strays[None], None), times, states, model)
+    states = swing_on(at_rest(ends[0], lengths, model), ends, lengths, model, every)
+    strays = _strays(states[:, 1], ends[::every], lengths)
+    return PlannedSwing(Swung(times[None, ::every], strays[None], None), times, states, model)
 
 
 def swings_after(plan: Plan, span: tuple[float, float], planned: PlannedSwing) -> Iterator[Swung]:
     """Yield the swings after all changes of the clock's rate, several courses together."""
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     lengths, model = plan.layout.lengths, planned.model
-    certified = plan.mission.fold.certifies_swing
+    certified, every = plan.mission.fold.certifies_swing, _every(model)
 
     def groups() -> Iterator[tuple[Course, Floats, Floats]]:
         for course in COURSES:
             apart = course.apart
             if certified and not course.urgent:
                 apart = min(apart, _CERTIFIED_APART)
-            steps = EVERY * round(apart / (EVERY * STEP))
+            steps = every * round(apart / SAMPLE)
             chosen = np.arange(0, len(planned.times) - 1, steps)
             times = limits.course(
                 planned.times[chosen], course.rate, course.target, course.duration,
                 urgent=course.urgent,
             )  # fmt: skip
-            times = np.clip(times, span[0], span[1])
+            times = np.clip(_with_step(times, model.step), span[0], span[1])
             for first in range(0, len(chosen), _TOGETHER):
                 some = slice(first, first + _TOGETHER)
-                yield course, times[some], planned.states[chosen[some] // EVERY]
+                yield course, times[some], planned.states[chosen[some] // every]
 
     def swung(group: tuple[Course, Floats, Floats]) -> Swung:
         course, times, begun = group
         moved = plan.motion.places(times)
         if course.rate == 0.0:
             begun = np.stack([at_rest(first, lengths, model) for first in moved[:, 0]])
-        joints = swing_on_each(begun, moved, lengths, model, EVERY)
-        return Swung(times[:, ::EVERY], _strays(joints, moved[:, ::EVERY], lengths), course)
+        joints = swing_on_each(begun, moved, lengths, model, every)
+        return Swung(times[:, ::every], _strays(joints, moved[:, ::every], lengths), course)
 
     return side_by_side(swung, groups())
 
 
-def _times(span: tuple[float, float]) -> Floats:
-    found: Floats = np.minimum(np.arange(span[0], span[1] + STEP, STEP), span[1])
+def _every(model: SwingModel) -> int:
+    """Return the number of steps between compared moments."""
+    return round(SAMPLE / model.step)
+
+
+def _with_step(times: Floats, step: float) -> Floats:
+    """Return mission times (c, k) of courses, COURSE_STEP apart, ``step`` seconds apart."""
+    if step == COURSE_STEP:
+        return times
+    given = COURSE_STEP * np.arange(times.shape[1])
+    count = round(given[-1] / step)
+    found: Floats = scipy.interpolate.CubicSpline(given, times, axis=1)(step * np.arange(count + 1))
+    return found
+
+
+def _times(span: tuple[float, float], step: float) -> Floats:
+    found: Floats = np.minimum(np.arange(span[0], span[1] + step, step), span[1])
     return found
 
 

@@ -27,9 +27,8 @@ from swarm.certification.approaches import (
 from swarm.certification.compared_pairs import exempt_length
 from swarm.certification.swing_runs import (
     COURSES,
-    EVERY,
+    SAMPLE,
     SETTLING,
-    STEP,
     aloft,
     planned_swing,
     swings_after,
@@ -57,7 +56,7 @@ _PLANNED = "planned motion"
 
 _ORDINARY = tuple(course.name for course in COURSES if not course.urgent)
 
-_LAST = round(SETTLING / (EVERY * STEP))
+_LAST = round(SETTLING / SAMPLE)
 """Compared moments at the end of a stop that show the amplitudes."""
 
 

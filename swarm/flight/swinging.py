@@ -26,9 +26,9 @@ Flags = npt.NDArray[np.bool_]
 INTERVAL = 0.1
 """Seconds between estimates: a tenth of the period of a strand with a sag of 0.3 m."""
 
-STEP = 0.01
-"""Seconds of a step of the masses, half of the certificate's: stable up to four times the planned
-tension, which tracking errors can cause in a strand that is nearly taut."""
+STEPS = 2
+"""Steps of the masses in one of the certificate's: stable up to four times the planned tension,
+which tracking errors can cause in a strand that is nearly taut."""
 
 RECENT = 2.0
 """Seconds in which the largest stray counts: half the period of a sag of 4 m, so that a strand has
@@ -104,14 +104,15 @@ class SwingEstimator:
         folds = any(phase.name == "fold" for phase in plan.phases)
         if not folds or not len(plan.layout.lengths):
             return None
-        return cls(plan.layout.lengths, replace(model_of(plan), step=STEP))
+        model = model_of(plan)
+        return cls(plan.layout.lengths, replace(model, step=model.step / STEPS))
 
     def begin(self, reports: Reports) -> Swing:
         """Return the estimate for strands at rest."""
         grips = reports.position + reports.lean
         states = np.full((2, len(self.lengths), self.model.links + 1, 3), np.nan)
         return Swing(
-            reports.now, STEP, reports.position, grips, reports.velocity, states,
+            reports.now, self.model.step, reports.position, grips, reports.velocity, states,
             self._strays(grips, states)[None],
         )  # fmt: skip
 
@@ -124,7 +125,7 @@ class SwingEstimator:
         followed = before.followed + 0.5 * duration * (before.velocity + reports.velocity)
         followed += share * (reports.position - followed)
         grips = followed + reports.lean
-        steps = max(1, round(duration / STEP))
+        steps = max(1, round(duration / self.model.step))
         step = duration / steps
         along = np.linspace(0.0, 1.0, steps + 1)[:, None, None]
         ends = before.grips + along * (grips - before.grips)

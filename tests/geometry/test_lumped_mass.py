@@ -15,10 +15,13 @@ from swarm.geometry.catenary import (
     solve_catenaries,
 )
 from swarm.geometry.hanging_links import hang_links
-from swarm.geometry.lumped_mass import SwingModel, at_rest, stray, swing
+from swarm.geometry.lumped_mass import SwingModel, at_rest, cable_model, stray, swing
 
 STILL = SwingModel(links=24, step=0.004, normal_drag=0.0)
 """Without air: an oscillation is not damped."""
+
+AIR = cable_model(0.012, 0.006)
+"""The cable of the default missions."""
 
 MOVING = 0.4
 """Seconds: short against the periods that are measured, long against those of single links."""
@@ -171,3 +174,19 @@ def test_results_do_not_depend_on_samples_kept_or_on_other_strands() -> None:
     assert np.array_equal(whole[::10], swing(ends, lengths, STILL, every=10))
     alone = swing(np.ascontiguousarray(ends[:, 1:]), lengths[1:], STILL)
     assert np.array_equal(whole[:, 1:], alone)
+
+
+def test_few_links_swing_by_their_own_length_where_the_cable_runs_through_a_narrow_bend() -> None:
+    # one end of a deep and narrow strand rises by 4 m in 16 s: each link turns over at the bottom
+    def swung(links: int, step: float) -> float:
+        model = replace(AIR, links=links, step=step)
+        share = np.clip(np.arange(0.0, 20.0, step) / 16.0, 0.0, 1.0)
+        ends, length, every = np.zeros((len(share), 2, 3)), np.array([12.5]), round(0.1 / step)
+        ends[:, 1, 0] = 1.5
+        ends[:, 1, 2] = 4.0 * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        return float(stray(swing(ends, length, model, every), ends[::every], length).max())
+
+    assert swung(24, 0.02) == pytest.approx(swung(24, 0.01), rel=0.01)  # not for the step
+    assert swung(24, 0.02) > 0.15
+    assert swung(48, 0.01) < 0.04
+    assert swung(96, 0.005) < 0.01
