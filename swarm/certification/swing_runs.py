@@ -18,6 +18,7 @@ from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenari
 from swarm.geometry.lumped_mass import SwingModel, at_rest, cable_model, swing_on, swing_on_each
 from swarm.planning import Plan
 from swarm.planning.clock_limits import COURSE_STEP, clock_limits
+from swarm.planning.shaping import COMPARED, steps_between_compared
 from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
@@ -25,9 +26,6 @@ Floats = npt.NDArray[np.float64]
 STEP = COURSE_STEP
 """Seconds of a step of the simulation: strays of shaped default missions differ by less than 0.5 mm
 from those with half of it."""
-
-SAMPLE = 0.1
-"""Seconds between compared moments."""
 
 _LINKS = (48, 40, 32, 24, 16, 8)
 """Links of a strand, most first, in equal numbers for each of the tube's eighths."""
@@ -164,7 +162,7 @@ def swings(plan: Plan, span: tuple[float, float]) -> Iterator[Swung]:
 
 @dataclass(frozen=True, eq=False)
 class PlannedSwing:
-    """The swing in the planned motion, and the ``states`` (k, …) of ``times``, SAMPLE apart."""
+    """The swing in the planned motion, and the ``states`` (k, …) of ``times``, COMPARED apart."""
 
     swung: Swung
     times: Floats
@@ -175,7 +173,7 @@ class PlannedSwing:
 def planned_swing(plan: Plan, span: tuple[float, float]) -> PlannedSwing:
     """Return the swing in the planned motion between the times of :func:`aloft`."""
     lengths, model = plan.layout.lengths, model_of(plan)
-    times, every = _times(span, model.step), _every(model)
+    times, every = _times(span, model.step), steps_between_compared(model)
     ends = plan.motion.places(times)
     states = swing_on(at_rest(ends[0], lengths, model), ends, lengths, model, every)
     strays = _strays(states[:, 1], ends[::every], lengths)
@@ -186,14 +184,14 @@ def swings_after(plan: Plan, span: tuple[float, float], planned: PlannedSwing) -
     """Yield the swings after all changes of the clock's rate, several courses together."""
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     lengths, model = plan.layout.lengths, planned.model
-    certified, every = plan.mission.fold.certifies_swing, _every(model)
+    certified, every = plan.mission.fold.certifies_swing, steps_between_compared(model)
 
     def groups() -> Iterator[tuple[Course, Floats, Floats]]:
         for course in COURSES:
             apart = course.apart
             if certified and not course.urgent:
                 apart = min(apart, _CERTIFIED_APART)
-            steps = every * round(apart / SAMPLE)
+            steps = every * round(apart / COMPARED)
             chosen = np.arange(0, len(planned.times) - 1, steps)
             times = limits.course(
                 planned.times[chosen], course.rate, course.target, course.duration,
@@ -213,11 +211,6 @@ def swings_after(plan: Plan, span: tuple[float, float], planned: PlannedSwing) -
         return Swung(times[:, ::every], _strays(joints, moved[:, ::every], lengths), course)
 
     return side_by_side(swung, groups())
-
-
-def _every(model: SwingModel) -> int:
-    """Return the number of steps between compared moments."""
-    return round(SAMPLE / model.step)
 
 
 def _with_step(times: Floats, step: float) -> Floats:

@@ -27,7 +27,6 @@ from swarm.certification.approaches import (
 from swarm.certification.compared_pairs import exempt_length
 from swarm.certification.swing_runs import (
     COURSES,
-    SAMPLE,
     SETTLING,
     aloft,
     planned_swing,
@@ -35,6 +34,7 @@ from swarm.certification.swing_runs import (
 )
 from swarm.certification.tube_radii import BIN, LEAVES, TubeRadii
 from swarm.planning import Plan, digest
+from swarm.planning.shaping import COMPARED
 from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
@@ -56,7 +56,7 @@ _PLANNED = "planned motion"
 
 _ORDINARY = tuple(course.name for course in COURSES if not course.urgent)
 
-_LAST = round(SETTLING / SAMPLE)
+_LAST = round(SETTLING / COMPARED)
 """Compared moments at the end of a stop that show the amplitudes."""
 
 

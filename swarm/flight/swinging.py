@@ -26,7 +26,7 @@ Flags = npt.NDArray[np.bool_]
 INTERVAL = 0.1
 """Seconds between estimates: a tenth of the period of a strand with a sag of 0.3 m."""
 
-STEPS = 2
+_STEPS = 2
 """Steps of the masses in one of the certificate's: stable up to four times the planned tension,
 which tracking errors can cause in a strand that is nearly taut."""
 
@@ -105,7 +105,7 @@ class SwingEstimator:
         if not folds or not len(plan.layout.lengths):
             return None
         model = model_of(plan)
-        return cls(plan.layout.lengths, replace(model, step=model.step / STEPS))
+        return cls(plan.layout.lengths, replace(model, step=model.step / _STEPS))
 
     def begin(self, reports: Reports) -> Swing:
         """Return the estimate for strands at rest."""

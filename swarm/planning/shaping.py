@@ -37,8 +37,8 @@ _SAMPLE = 0.2
 _SETTLING = 4.0
 """Seconds after the motion in which swing counts, too."""
 
-_STORED = 0.1
-"""Seconds between the compared moments."""
+COMPARED = 0.1
+"""Seconds between the moments at which strands are compared with their catenaries."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ def largest_stray(motion: Motion, lengths: Floats, model: SwingModel) -> tuple[F
 
     The cable is at rest when the motion begins; the moments last until four seconds after its end.
     """
-    every = max(1, round(_STORED / model.step))
+    every = steps_between_compared(model)
     times = np.arange(motion.times[0], motion.times[-1] + _SETTLING, model.step)
     ends = motion.places(times)
 
@@ -141,3 +141,8 @@ def largest_stray(motion: Motion, lengths: Floats, model: SwingModel) -> tuple[F
 
     groups = (slice(k, min(k + TOGETHER, len(lengths))) for k in range(0, len(lengths), TOGETHER))
     return times[::every], np.concatenate(list(side_by_side(strays, groups)), axis=1)
+
+
+def steps_between_compared(model: SwingModel) -> int:
+    """Return the number of steps of a model between compared moments."""
+    return max(1, round(COMPARED / model.step))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm.certification.swing_runs import SAMPLE, STEP, aloft, model_of, swings
+from swarm.certification.swing_runs import STEP, aloft, model_of, swings
 from swarm.certification.swing_tube import swing_tube
 from swarm.flight.swinging import SwingEstimator
 from swarm.geometry.lumped_mass import cable_model, stray, swing
@@ -14,6 +14,7 @@ from swarm.mission import mission_for_knot, parse_mission
 from swarm.planner.pacing import slowed_for_swing, timed_for_losses
 from swarm.planning import Plan
 from swarm.planning.candidates import make_plan
+from swarm.planning.shaping import COMPARED
 from tests.shared import shared
 
 FIVE = Path(__file__).parents[2] / "missions" / "overhand_five.yaml"
@@ -61,7 +62,7 @@ def test_swings_are_compared_at_the_same_moments_with_either_step(bent: Plan) ->
     finer = next(swings(bent, span))
     coarser = next(swings(accepting(bent), span))
     assert finer.times == pytest.approx(coarser.times)
-    assert np.diff(finer.times[0])[:-1] == pytest.approx(SAMPLE)
+    assert np.diff(finer.times[0])[:-1] == pytest.approx(COMPARED)
 
 
 def test_the_tube_of_finer_chains_contains_still_finer_ones(bent: Plan) -> None:
@@ -70,7 +71,7 @@ def test_the_tube_of_finer_chains_contains_still_finer_ones(bent: Plan) -> None:
     cable = bent.mission.cable
     model = replace(cable_model(cable.mass_per_length, cable.diameter), links=96, step=0.0025)
     times = np.arange(fold.start, fold.end, model.step)
-    ends, every = bent.motion.at(times)[0], round(SAMPLE / model.step)
+    ends, every = bent.motion.at(times)[0], round(COMPARED / model.step)
     strays = stray(swing(ends, lengths, model, every), ends[::every], lengths)
     allowed = np.array([tube.ordinary.strands(float(time)) for time in times[::every]])
     assert (strays <= allowed).all(), (strays - allowed).max()
