@@ -11,7 +11,13 @@ from swarm.knots.catalog import lookup_knot
 from swarm.knots.grid import openings
 from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.planning.candidates import make_plan
-from swarm.planning.foldings import fit_to_cable, lay_out_apart, layout_sizes, planning_margins
+from swarm.planning.foldings import (
+    fit_to_cable,
+    grid_margins,
+    lay_out_apart,
+    layout_sizes,
+    planning_margins,
+)
 
 
 def refusal(*overrides: str) -> str:
@@ -69,3 +75,36 @@ def test_a_given_layout_that_exceeds_the_endurance_is_refused_with_that_error() 
     errors = [found.check for found in result.certificate.findings if found.severity == "error"]
     assert "endurance" in errors
     assert result.plan.flight_duration > 60.0
+
+
+@pytest.mark.parametrize(
+    ("keys", "margin"),
+    [([], 0.22), (["layout.chord_margin=0.47"], 0.47), (["layout.chord_margin=0"], 0.0)],
+)
+def test_ends_can_be_farther_apart_than_their_corners_by_the_chord_margin(
+    keys: list[str], margin: float
+) -> None:
+    mission = mission_for_knot("overhand", [*keys, "layout.cell=3"])
+    margins = planning_margins(mission)
+    diagram = openings(lookup_knot("overhand").grid)[0]
+    layout = lay_out_apart(diagram, next(layout_sizes(mission, margins)), margins)
+    spans = np.linalg.norm(np.diff(layout.corners, axis=0), axis=1)
+    # as little as needed: the slack of each segment and the distances at crossings may give more
+    farther = 0.98 * 0.985 * layout.lengths - spans
+    assert farther.min() >= margin - 1e-9
+    if margin > 0.22:
+        assert farther.min() == pytest.approx(margin, abs=1e-6)
+
+
+def test_strands_have_room_only_where_the_planner_chooses_and_the_budget_has_to_close() -> None:
+    def room(*keys: str) -> float:
+        mission = mission_for_knot("overhand", keys)
+        return grid_margins(mission).cable - planning_margins(mission).cable
+
+    assert room() == pytest.approx(0.1)
+    assert room("fold.swing=0.06") == 0.0
+    assert room("limits.accept_negative_budget=true") == 0.0
+    assert room("cable.length=50") == 0.0
+    wide = mission_for_knot("overhand")
+    as_wide = next(layout_sizes(wide, planning_margins(wide))).cell
+    assert next(layout_sizes(wide, grid_margins(wide))).cell == as_wide

@@ -154,6 +154,18 @@ def test_a_knot_name_with_an_underscore_is_a_word() -> None:
             "layout={corners: [[0,0],[1,0],[1,1]], sags: [1,1], sag_over: 1.0}",
             "m.yaml: layout: expected no sag_over together with corners",
         ),
+        (
+            "layout={chord_margin: 0.5, sag_over: 1.0}",
+            "m.yaml: layout: expected no chord_margin together with sag_over, which decides it",
+        ),
+        (
+            "layout={corners: [[0,0],[1,0],[1,1]], sags: [1,1], chord_margin: 1.0}",
+            "m.yaml: layout: expected no chord_margin together with corners",
+        ),
+        (
+            "layout.chord_margin=-0.1",
+            "m.yaml: layout.chord_margin: expected auto or a length >= 0 in metres, got -0.1",
+        ),
         ("layout.sags=[1]", "m.yaml: layout: expected sags only together with corners"),
         ("layout.cell", "--set: expected key.path=value, got 'layout.cell'"),
         (

@@ -202,6 +202,14 @@ class Layout(Section):
         most=_LARGEST_SIZE,
         auto=True,
     )
+    chord_margin: NotNegative | Auto = _length(
+        "auto",
+        "How much farther apart than its corners the ends of a segment can be; auto: 2.2 tracking "
+        "errors. More lets vehicles fly faster: without setpoints, one moves on before it stops.",
+        least=0,
+        most=10.0,
+        auto=True,
+    )
     height: Positive | Auto = _length(
         "auto",
         "Height of the knot's plane above the floor.",
@@ -218,12 +226,14 @@ class Layout(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        if self.sag_over != "auto" and self.chord_margin != "auto":
+            raise ValueError("expected no chord_margin together with sag_over, which decides it")
         if self.sags is not None and self.corners is None:
             raise ValueError("expected sags only together with corners")
         if self.corners is not None:
             unused = [
                 name
-                for name in ("sag_over", "sag_under", "lane_over", "lane_under")
+                for name in ("sag_over", "sag_under", "lane_over", "lane_under", "chord_margin")
                 if getattr(self, name) != "auto"
             ]
             if unused:

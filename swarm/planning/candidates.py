@@ -28,6 +28,7 @@ from swarm.planning.foldings import (
     distinct_openings,
     fit_to_cable,
     fold_diagram,
+    grid_margins,
     layout_sizes,
     planning_margins,
     rank_openings,
@@ -122,6 +123,7 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
         if count != "fewest":
             return
         notes += ("no motion with fewer vehicles was cleared: the grid diagram is folded",)
+    margins = grid_margins(mission)
     _refuse_crowding(mission, knot, opened, margins)
     refuse_overload(mission, _smallest_layouts(mission, opened, margins))
     for candidate in _folded_grids(mission, knot, opened, margins, progress):

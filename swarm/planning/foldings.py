@@ -44,6 +44,17 @@ _STEP = 0.4
 _SCALES = (1.0, 1.3, 1.7, 2.3)
 """Cell widths that are tried, over the width that clearances suggest."""
 
+_ROOM = 0.1
+"""Metres by which strands keep farther apart where the budget has to close: swing and stops take
+0.15 m of it. Without, 1,500 moments of the Carrick mat were short, and repairs led from a fold of
+254 s to 272, 291 or 339 s, as the last digit of a length decided; with it, 20 to 150 moments are,
+and folds take 260 to 270 s."""
+
+_CHORD_MARGIN = 2.2
+"""Tracking errors by which the ends of a segment can be farther apart than its corners. With 0.2 m
+more, the fold of the Carrick mat takes 265 s instead of 284 s, since one short segment limited its
+speed; but no chord limits that of the overhand, whose cable would only be longer."""
+
 _SMALLEST = 0.05
 """Least factor by which a layout is scaled to fit a cable."""
 
@@ -63,7 +74,8 @@ def layout_sizes(mission: Mission, margins: Margins) -> Iterator[LayoutParameter
     """Yield layouts to try, the smallest first. Numbers in the mission replace the defaults."""
     section = mission.layout
     strand = margins.cable + 5.0 * margins.tracking
-    least = max(2.2 * strand, 1.25 * (margins.vehicle + 2.0 * margins.tracking))
+    usual = planning_margins(mission).cable + 5.0 * margins.tracking
+    least = max(2.2 * usual, 1.25 * (margins.vehicle + 2.0 * margins.tracking))
     for scale in _SCALES if section.cell == "auto" else (1.0,):
         cell = scale * least if section.cell == "auto" else section.cell
         yield LayoutParameters(
@@ -75,7 +87,11 @@ def layout_sizes(mission: Mission, margins: Margins) -> Iterator[LayoutParameter
             lane_under=section.lane_under if section.lane_under != "auto" else 0.5 * cell,
             slope=_SLOPE * cell,
             rounding=_ROUNDING * cell,
-            chord_margin=2.2 * margins.tracking,
+            chord_margin=(
+                section.chord_margin
+                if section.chord_margin != "auto"
+                else _CHORD_MARGIN * margins.tracking
+            ),
             max_chord_ratio=0.98 * margins.max_chord_ratio,
             sag_over=None if section.sag_over == "auto" else section.sag_over,
             sag_under=None if section.sag_under == "auto" else section.sag_under,
@@ -214,6 +230,20 @@ def _room_to_swing(mission: Mission) -> float:
     the cable of the default overhand (0.06 m) is 7 % longer, and its fold takes 5 s more.
     """
     return 0.0 if mission.fold.swing == "auto" else mission.fold.swing
+
+
+def grid_margins(mission: Mission) -> Margins:
+    """Return the margins with which a grid diagram is folded: more where the budget has to close.
+
+    Only where ``fold.swing`` is ``auto``: limits in metres are small, and their missions close with
+    repairs alone. Nor where the cable's length is given, of which the room would take a part. The
+    cells are as wide as without.
+    """
+    margins = planning_margins(mission)
+    closes = not mission.limits.accept_negative_budget
+    if mission.fold.swing != "auto" or mission.cable.length is not None or not closes:
+        return margins
+    return margins._replace(cable=margins.cable + _ROOM)
 
 
 def lay_out_apart(diagram: OpenGrid, parameters: LayoutParameters, margins: Margins) -> KnotLayout:
