@@ -205,7 +205,7 @@ class Layout(Section):
     chord_margin: NotNegative | Auto = _length(
         "auto",
         "How much farther apart than its corners the ends of a segment can be; auto: 2.2 tracking "
-        "errors. More lets vehicles fly faster: without setpoints, one moves on before it stops.",
+        "errors. More lets a team fly faster: a vehicle without setpoints moves on until it stops.",
         least=0,
         most=10.0,
         auto=True,

@@ -240,8 +240,8 @@ def grid_margins(mission: Mission) -> Margins:
     cells are as wide as without.
     """
     margins = planning_margins(mission)
-    closes = not mission.limits.accept_negative_budget
-    if mission.fold.swing != "auto" or mission.cable.length is not None or not closes:
+    chosen = mission.fold.swing != "auto" or mission.cable.length is not None
+    if chosen or mission.limits.accept_negative_budget:
         return margins
     return margins._replace(cable=margins.cable + _ROOM)
 

@@ -14,7 +14,7 @@ from swarm.mission import mission_for_knot, parse_mission
 from swarm.planner.pacing import slowed_for_swing, timed_for_losses
 from swarm.planning import Plan
 from swarm.planning.candidates import make_plan
-from swarm.planning.shaping import COMPARED
+from swarm.planning.shaping import COMPARED, steps_between_compared
 from tests.shared import shared
 
 FIVE = Path(__file__).parents[2] / "missions" / "overhand_five.yaml"
@@ -71,7 +71,7 @@ def test_the_tube_of_finer_chains_contains_still_finer_ones(bent: Plan) -> None:
     cable = bent.mission.cable
     model = replace(cable_model(cable.mass_per_length, cable.diameter), links=96, step=0.0025)
     times = np.arange(fold.start, fold.end, model.step)
-    ends, every = bent.motion.at(times)[0], round(COMPARED / model.step)
+    ends, every = bent.motion.at(times)[0], steps_between_compared(model)
     strays = stray(swing(ends, lengths, model, every), ends[::every], lengths)
     allowed = np.array([tube.ordinary.strands(float(time)) for time in times[::every]])
     assert (strays <= allowed).all(), (strays - allowed).max()
