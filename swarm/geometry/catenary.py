@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from swarm.errors import SwarmError
-from swarm.geometry.catenary_kernel import arc_offset, solve
+from swarm.geometry.catenary_kernel import arc_offset, arc_start, offset_from, solve
 from swarm.geometry.catenary_shape import (
     SMALLEST_HALF_ANGLE,
     half_angle_for_drop,
@@ -329,10 +329,9 @@ def _solve_all(span: Floats1, rise: Floats1, length: Floats1, solved: Floats2) -
 def _write_points(fractions: Floats1, arcs: _Arcs, vectors: _Vectors, points: Floats3) -> None:
     """Write points (q, k, 3) of strands (q,) at fractions (k,) of their arcs."""
     for q in range(len(arcs.length)):
+        first, turning = arc_start(arcs.slope[q]), arcs.length[q] / arcs.parameter[q]
         for k in range(len(fractions)):
-            angle, height = arc_offset(
-                fractions[k], arcs.length[q], arcs.parameter[q], arcs.slope[q]
-            )
+            angle, height = offset_from(first, fractions[k], turning)
             for axis in range(3):
                 moved = angle * vectors.per_angle[q, axis] + height * vectors.per_height[q, axis]
                 points[q, k, axis] = vectors.start[q, axis] + moved
@@ -344,10 +343,9 @@ def _write_distances(
 ) -> None:
     """Write the distances (q, k) of points (q, k, 3) from those of :func:`_write_points`."""
     for q in range(len(arcs.length)):
+        first, turning = arc_start(arcs.slope[q]), arcs.length[q] / arcs.parameter[q]
         for k in range(len(fractions)):
-            angle, height = arc_offset(
-                fractions[k], arcs.length[q], arcs.parameter[q], arcs.slope[q]
-            )
+            angle, height = offset_from(first, fractions[k], turning)
             square = 0.0
             for axis in range(3):
                 moved = angle * vectors.per_angle[q, axis] + height * vectors.per_height[q, axis]

@@ -79,20 +79,38 @@ def arc_offset(
 ) -> tuple[float, float]:
     """Return the angle θ − θ₀ and the height over length gained up to a fraction of the arc.
 
-    With slopes A = ``first`` at the start and B at the point, and C = √(1 + slope²): the height is
+    ``first`` is the slope at the start.
+    """
+    return offset_from(arc_start(first), fraction, length / parameter)
+
+
+@compiled
+def arc_start(first: float) -> tuple[float, float, float]:
+    """Return the slope ``first`` at the start, √(1 + slope²), and arsinh of the slope."""
+    cosh = np.sqrt(1.0 + first * first)
+    return first, cosh, np.copysign(np.log(abs(first) + cosh), first)
+
+
+@compiled
+def offset_from(
+    start: tuple[float, float, float], fraction: float, turning: float
+) -> tuple[float, float]:
+    """Return :func:`arc_offset` from :func:`arc_start`; ``turning`` is length over parameter.
+
+    With slopes A at the start and B at the point, and C = √(1 + slope²): the height is
     arc · (A + B)/(C_A + C_B), which does not cancel. The angle is arsinh B − arsinh A, or where it
     is small, from tanh(Δθ/2) = (B − A)/(C_A + C_B).
     """
-    turned = fraction * (length / parameter)
+    first, cosh_first, angle_first = start
+    turned = fraction * turning
     slope = first + turned
-    cosh_first, cosh = np.sqrt(1.0 + first * first), np.sqrt(1.0 + slope * slope)
+    cosh = np.sqrt(1.0 + slope * slope)
     total = cosh_first + cosh
-    if parameter * 1e-3 > length:
+    if turning < 1e-3:
         half = turned / total
         angle = half * (2.0 + half * half * (2 / 3 + half * half * (2 / 5)))
     else:
-        angle = np.copysign(np.log(abs(slope) + cosh), slope)
-        angle -= np.copysign(np.log(abs(first) + cosh_first), first)
+        angle = np.copysign(np.log(abs(slope) + cosh), slope) - angle_first
     return angle, fraction * ((slope + first) / total)
 
 
@@ -101,8 +119,9 @@ def sample_strand(start: Floats, end: Floats, length: float, points: Floats) -> 
     """Write points (k, 3) of a strand at equal distances along its arc, both ends included."""
     strand = solve_catenary(start, end, length, _SMALLEST_HALF_ANGLE)
     last = len(points) - 1
+    first, turning = arc_start(strand.slope), length / strand.parameter
     for k in range(last + 1):
-        angle, height = arc_offset(k / last, length, strand.parameter, strand.slope)
+        angle, height = offset_from(first, k / last, turning)
         along = strand.parameter / strand.span * angle
         points[k, 0] = start[0] + along * (end[0] - start[0])
         points[k, 1] = start[1] + along * (end[1] - start[1])
