@@ -41,6 +41,10 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
 
+_FEW = 64
+"""Strands below which solving all takes less time than finding the distinct ones."""
+
+
 @dataclass(frozen=True, eq=False)
 class HeldCable:
     """A cable held by a moving team: n grip points and n − 1 segments.
@@ -249,11 +253,10 @@ def pieces(
     """Return the selected pieces with bounds of the movement of their grip points."""
     instant, segment = selection.instant, selection.segment
     strands = _strands(team, cable, instant, segment)
-    begin, end = (
-        np.clip(edge, selection.limits[:, 0], selection.limits[:, 1])
-        for edge in (selection.middle - selection.half, selection.middle + selection.half)
-    )
-    ends = np.stack([strands.points_at(begin), strands.points_at(end)], axis=1)
+    edges = np.stack([selection.middle - selection.half, selection.middle + selection.half])
+    edges = np.minimum(np.maximum(edges, selection.limits[:, 0]), selection.limits[:, 1])
+    begin, end = edges
+    ends = np.stack([*strands.points_at(edges)], axis=1)
     across = norms(ends[:, 1] - ends[:, 0])
     arc = strands.length * (end - begin)
     number = _heap_number(selection.middle, selection.half)
@@ -286,17 +289,21 @@ def _heap_number(middle: Floats, half: Floats) -> Ints:
 
 
 def _strands(team: TeamStates, cable: HeldCable, instant: Ints, segment: Ints) -> Catenaries:
-    """The strands (b,) of segments at instants; each catenary is computed once.
+    """The strands (b,) of segments at instants; of many each catenary is computed once.
 
     Over-stretched segments are drawn with a length that reaches: the taut check refuses them.
     """
+    if len(segment) < _FEW:
+        return _solved(team, cable, instant, segment)
     count = len(cable.lengths)
     distinct, index = np.unique(instant * count + segment, return_inverse=True)
-    when, number = distinct // count, distinct % count
-    start, end = team.position[when, number], team.position[when, number + 1]
-    chord = norms(end - start)
-    length = np.maximum(cable.lengths[number], chord / LARGEST_RATIO)
-    return _taken(solve_catenaries(start, end, length, down=cable.down), index)
+    return _taken(_solved(team, cable, distinct // count, distinct % count), index)
+
+
+def _solved(team: TeamStates, cable: HeldCable, instant: Ints, segment: Ints) -> Catenaries:
+    start, end = team.position[instant, segment], team.position[instant, segment + 1]
+    length = np.maximum(cable.lengths[segment], norms(end - start) / LARGEST_RATIO)
+    return solve_catenaries(start, end, length, down=cable.down)
 
 
 def _taken(strands: Catenaries, where: Ints) -> Catenaries:

@@ -7,6 +7,7 @@ less their movement along n: the bow of each piece over its chord, the movement 
 """
 
 from dataclasses import dataclass
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ from swarm.certification.strand_pieces import (
 from swarm.geometry.distance import norms, segment_segment
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 
+Array = TypeVar("Array", bound=npt.NDArray[Any])
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
@@ -56,21 +58,27 @@ class StrandPairs:
         tracking = np.where(neighbours, 2.0 * self.cable.tracking, self.cable.tracking)
         # The shared grip rests in its frame, but the frame itself deviates from uniform motion.
         deviation = np.where(neighbours, team.deviation[instant, second], 0.0)
-        parts = self.parts[boxes.group]
-        a, b = (
-            pieces(
-                team,
-                self.cable,
-                Selection(
-                    instant, segment, boxes.middle[:, 1 + side], boxes.half[:, 1 + side],
-                    parts[:, side],
-                ),
-                Displacement(frame, np.where(neighbours, ends, BOTH_ENDS), tracking, deviation),
-            )
-            for side, (segment, ends) in enumerate(((first, NEAR_END), (second, FAR_END)))
-        )  # fmt: skip
-        found = _distance(a, b, self.diameter + self.required)
-        counts = (a.shapes.begin < a.shapes.end) & (b.shapes.begin < b.shapes.end)
+        # One call for both strands: most batches are so small that the calls take longer than the
+        # computation.
+        both = pieces(
+            team,
+            self.cable,
+            Selection(
+                _twice(instant),
+                np.concatenate([first, second]),
+                boxes.middle[:, 1:].T.ravel(),
+                boxes.half[:, 1:].T.ravel(),
+                self.parts[boxes.group].swapaxes(0, 1).reshape(-1, 2),
+            ),
+            Displacement(
+                _twice(frame),
+                np.concatenate([np.where(neighbours, end, BOTH_ENDS) for end in _OTHER_ENDS]),
+                _twice(tracking),
+                _twice(deviation),
+            ),
+        )
+        found = _distance(both, self.diameter + self.required)
+        counts = (both.shapes.begin < both.shapes.end).reshape(2, -1).all(axis=0)
         return Enclosure(
             np.where(counts, found.low, np.inf),
             np.where(counts, found.high, np.inf),
@@ -79,33 +87,47 @@ class StrandPairs:
         )
 
 
-def _distance(a: Pieces, b: Pieces, required: float) -> Enclosure:
-    closest = segment_segment(a.ends, b.ends)
-    at_a = a.ends[:, 0] + closest.first[:, None] * (a.ends[:, 1] - a.ends[:, 0])
-    at_b = b.ends[:, 0] + closest.second[:, None] * (b.ends[:, 1] - b.ends[:, 0])
+_OTHER_ENDS = (NEAR_END, FAR_END)
+"""Ends of the first and of the second neighbour that do not rest in the frame of their grip."""
+
+
+def _twice(values: Array) -> Array:
+    """Return the values (b, …) for the first strands, and again for the second ones."""
+    return cast("Array", np.concatenate([values, values]))
+
+
+def _distance(both: Pieces, required: float) -> Enclosure:
+    """Enclose the distances less the required one of pieces (2b,), b first and b second ones."""
+    a, b = both.ends.reshape(2, -1, 2, 3)
+    closest = segment_segment(a, b)
+    at_a = a[:, 0] + closest.first[:, None] * (a[:, 1] - a[:, 0])
+    at_b = b[:, 0] + closest.second[:, None] * (b[:, 1] - b[:, 0])
     normal = unit(at_a - at_b)
     # Any unit vector gives a true bound: rounding in the closest points does no harm.
-    reach_a = np.minimum(*np.einsum("bki,bi->kb", a.ends, normal))
-    reach_b = np.maximum(*np.einsum("bki,bi->kb", b.ends, normal))
-    moved_a = a.movement(closest.first, normal)
-    moved_b = b.movement(closest.second, normal)
-    bows = a.bow + b.bow
-    moved = moved_a.piece + moved_b.piece + a.swing.most + b.swing.most
-    in_ball = moved_a.tracking + moved_b.tracking + a.swing.least + b.swing.least
-    in_time = moved_a.point - moved_a.tracking + moved_b.point - moved_b.tracking
+    reach_a = np.minimum(*np.einsum("bki,bi->kb", a, normal))
+    reach_b = np.maximum(*np.einsum("bki,bi->kb", b, normal))
+    moved = both.movement(np.concatenate([closest.first, closest.second]), _twice(normal))
+    bow_a, bow_b = _halves(both.bow)
+    piece_a, piece_b = _halves(moved.piece)
+    point_a, point_b = _halves(moved.point)
+    tracking_a, tracking_b = _halves(moved.tracking)
+    most_a, most_b = _halves(both.swing.most)
+    least_a, least_b = _halves(both.swing.least)
+    in_time_a, in_time_b = _halves(both.swing.in_time)
+    in_time = point_a - tracking_a + point_b - tracking_b + in_time_a + in_time_b
+    in_piece = 2.0 * both.bow + moved.piece - moved.point + both.swing.in_piece
+    bows = bow_a + bow_b
     return Enclosure(
-        low=reach_a - reach_b - bows - moved - required,
-        high=closest.distance + bows - in_ball - required,
-        doubts=np.stack(
-            [
-                in_time + a.swing.in_time + b.swing.in_time,
-                2.0 * a.bow + moved_a.piece - moved_a.point + a.swing.in_piece,
-                2.0 * b.bow + moved_b.piece - moved_b.point + b.swing.in_piece,
-            ],
-            axis=1,
-        ),
+        low=reach_a - reach_b - bows - (piece_a + piece_b + most_a + most_b) - required,
+        high=closest.distance + bows - (tracking_a + tracking_b + least_a + least_b) - required,
+        doubts=np.stack([in_time, *_halves(in_piece)], axis=1),
         place=0.5 * (at_a + at_b),
     )
+
+
+def _halves(values: Floats) -> Floats:
+    """Return the values (2b,) of the first and of the second strands: (2, b)."""
+    return values.reshape(2, -1)
 
 
 def unit(vector: Floats) -> Floats:

@@ -64,7 +64,7 @@ class TubeRadii:
 
         ``segment``, ``time``, ``half`` and ``number``, the heap numbers of the pieces, are (b,).
         """
-        first, last = self._bins(time - half), self._bins(time + half)
+        first, middle, last = self._bins(np.stack([time - half, time, time + half]))
         level = np.frexp(last - first + 1)[1] - 1
         piece = _coarser(number)
         size = np.left_shift(1, level)
@@ -72,12 +72,11 @@ class TubeRadii:
             self._most[level, first, segment, piece],
             self._most[level, last - size + 1, segment, piece],
         )
-        middle = self._bins(time)
         return Radii(most, self.pieces[middle, segment, piece], self._least[middle, segment, piece])
 
     def _bins(self, time: Floats) -> Ints:
         number = np.floor((time - self.start) / BIN).astype(np.intp)
-        found: Ints = np.clip(number, 0, len(self.pieces) - 1)
+        found: Ints = np.minimum(np.maximum(number, 0), len(self.pieces) - 1)
         return found
 
 
