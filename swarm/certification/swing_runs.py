@@ -6,7 +6,7 @@ backwards (a rewind), and, from rest, a start (a resume). Vehicles are exactly o
 trajectories, the air is still, and the cable is at rest when it comes aloft.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,13 +15,16 @@ import scipy
 
 from swarm.certification.cable_spans import cable_spans
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
-from swarm.geometry.lumped_mass import SwingModel, at_rest, cable_model, swing_on, swing_on_each
+from swarm.geometry.lumped_mass import Strands, SwingModel, cable_model
+from swarm.jit import compiled
 from swarm.planning import Plan
 from swarm.planning.clock_limits import COURSE_STEP, clock_limits
 from swarm.planning.shaping import COMPARED, steps_between_compared
+from swarm.signatures import Floats4, Ints1
 from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
 
 STEP = COURSE_STEP
 """Seconds of a step of the simulation: strays of shaped default missions differ by less than 0.5 mm
@@ -116,36 +119,60 @@ def aloft(plan: Plan) -> tuple[float, float] | None:
     return None if taut else span
 
 
-def model_of(plan: Plan) -> SwingModel:
-    """Return the model of a plan's cable, with as many links as the step permits.
+def strands_of(plan: Plan) -> tuple[Strands, ...]:
+    """Return the strands of a plan's cable with their models, the finest last.
+
+    Strands of which few links would swing by their length alone have twice as many, with half the
+    step; not where the mission accepts a negative budget, because few links swing too far, not too
+    little.
+    """
+    fold, lengths = plan.phase("fold"), plan.layout.lengths
+    places = plan.motion.at(np.arange(fold.start, fold.end, _BETWEEN))[0]
+    hanging = solve_catenaries(
+        places[:, :-1], places[:, 1:], np.maximum(lengths, _chords(places) / _TAUT)
+    )
+    finer = _farthest_link(hanging) > _COARSEST
+    if plan.mission.limits.accept_negative_budget:
+        finer = np.zeros(len(lengths), dtype=np.bool_)
+    fine = _with_links(plan, hanging, np.flatnonzero(finer), _LINKS, 0.5 * STEP)
+    most = fine.model.links if finer.any() else _LINKS[0]
+    # few links have a joint at every second, or n-th, one of the many
+    few = tuple(links for links in _LINKS if links <= _FEWER and most % links == 0)
+    coarse = _with_links(plan, hanging, np.flatnonzero(~finer), few, STEP)
+    return tuple(strands for strands in (coarse, fine) if len(strands.segments))
+
+
+def _with_links(
+    plan: Plan, hanging: Catenaries, segments: Ints, links: Sequence[int], step: float
+) -> Strands:
+    """Return segments as strands of as many of these numbers of links as the step permits.
 
     The stiffest mode of a chain of N links of l metres under tension T per mass per length moves
-    its joints against each other, ω = 2√T/l, and Verlet's method is stable for ω·step < 2. Where
-    few links would swing by their length alone, there are twice as many, with half the step; not
-    where the mission accepts a negative budget, because few links swing too far, not too little.
+    its joints against each other, ω = 2√T/l, and Verlet's method is stable for ω·step < 2.
     """
-    cable, fold = plan.mission.cable, plan.phase("fold")
-    places = plan.motion.at(np.arange(fold.start, fold.end, _BETWEEN))[0]
-    strands = solve_catenaries(
-        places[:, :-1], places[:, 1:], np.maximum(plan.layout.lengths, _chords(places) / _TAUT)
-    )
-    arc = np.abs(strands.slope * strands.parameter)
-    farthest = np.maximum(arc, np.abs(strands.length - arc))
-    waves = np.sqrt(STANDARD_GRAVITY * np.hypot(strands.parameter, farthest))
-    coarse = _farthest_link(strands) > _COARSEST
-    finer = coarse and not plan.mission.limits.accept_negative_budget
-    step, wanted = (0.5 * STEP, _LINKS[0]) if finer else (STEP, _FEWER)
-    most = float((plan.layout.lengths / (waves * step)).min())
-    links = next((links for links in _LINKS if links <= wanted and links < most), _LINKS[-1])
-    return replace(cable_model(cable.mass_per_length, cable.diameter), step=step, links=links)
+    cable = plan.mission.cable
+    lengths = plan.layout.lengths[segments]
+    arc = np.abs(hanging.slope * hanging.parameter)
+    farthest = np.maximum(arc, np.abs(hanging.length - arc))
+    waves = np.sqrt(STANDARD_GRAVITY * np.hypot(hanging.parameter, farthest))[:, segments]
+    most = float((lengths / (waves * step)).min(initial=np.inf))
+    allowed = next((number for number in links if number < most), links[-1])
+    model = cable_model(cable.mass_per_length, cable.diameter)
+    return Strands(segments, lengths, replace(model, step=step, links=allowed))
 
 
-def _farthest_link(strands: Catenaries) -> float:
-    """Return how far one of few links is from its catenary where that turns over, metres."""
-    lowest = -strands.slope * strands.parameter
-    bent = (lowest > 0.0) & (lowest < strands.length)
-    apart = (strands.length / _FEWER) ** 2 / (8.0 * strands.parameter)
-    return float(np.where(bent, apart, 0.0).max())
+def model_of(plan: Plan) -> SwingModel:
+    """Return the finest of the models of a plan's strands."""
+    return strands_of(plan)[-1].model
+
+
+def _farthest_link(hanging: Catenaries) -> Floats:
+    """Return how far one of few links is from its catenary where that turns over, (n − 1,)."""
+    lowest = -hanging.slope * hanging.parameter
+    bent = (lowest > 0.0) & (lowest < hanging.length)
+    apart = (hanging.length / _FEWER) ** 2 / (8.0 * hanging.parameter)
+    found: Floats = np.where(bent, apart, 0.0).max(axis=0)
+    return found
 
 
 def _chords(places: Floats) -> Floats:
@@ -162,36 +189,46 @@ def swings(plan: Plan, span: tuple[float, float]) -> Iterator[Swung]:
 
 @dataclass(frozen=True, eq=False)
 class PlannedSwing:
-    """The swing in the planned motion, and the ``states`` (k, …) of ``times``, COMPARED apart."""
+    """The swing in the planned motion, at ``times`` (k,) a step of the finest strands apart.
+
+    ``states`` (m, …) are those of each of ``strands``, COMPARED seconds apart.
+    """
 
     swung: Swung
     times: Floats
-    states: Floats
-    model: SwingModel
+    strands: tuple[Strands, ...]
+    states: tuple[Floats, ...]
 
 
 def planned_swing(plan: Plan, span: tuple[float, float]) -> PlannedSwing:
     """Return the swing in the planned motion between the times of :func:`aloft`."""
-    lengths, model = plan.layout.lengths, model_of(plan)
-    times, every = _times(span, model.step), steps_between_compared(model)
+    strands = strands_of(plan)
+    model = strands[-1].model
+    times, compared = _times(span, model.step), steps_between_compared(model)
     ends = plan.motion.places(times)
-    states = swing_on(at_rest(ends[0], lengths, model), ends, lengths, model, every)
-    strays = _strays(states[:, 1], ends[::every], lengths)
-    return PlannedSwing(Swung(times[None, ::every], strays[None], None), times, states, model)
+
+    def states_of(some: Strands) -> Floats:
+        moved = ends[:: round(some.model.step / model.step)]
+        return some.swing_on(some.at_rest(ends[0]), moved, steps_between_compared(some.model))
+
+    states = tuple(side_by_side(states_of, strands))
+    joints = [states_of[:, 1] for states_of in states]
+    strays = _strays(strands, joints, ends[::compared])
+    return PlannedSwing(Swung(times[None, ::compared], strays[None], None), times, strands, states)
 
 
 def swings_after(plan: Plan, span: tuple[float, float], planned: PlannedSwing) -> Iterator[Swung]:
     """Yield the swings after all changes of the clock's rate, several courses together."""
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
-    lengths, model = plan.layout.lengths, planned.model
-    certified, every = plan.mission.fold.certifies_swing, steps_between_compared(model)
+    strands, model = planned.strands, planned.strands[-1].model
+    certified, compared = plan.mission.fold.certifies_swing, steps_between_compared(model)
 
-    def groups() -> Iterator[tuple[Course, Floats, Floats]]:
+    def groups() -> Iterator[tuple[Course, Floats, Ints]]:
         for course in COURSES:
             apart = course.apart
             if certified and not course.urgent:
                 apart = min(apart, _CERTIFIED_APART)
-            steps = every * round(apart / COMPARED)
+            steps = compared * round(apart / COMPARED)
             chosen = np.arange(0, len(planned.times) - 1, steps)
             times = limits.course(
                 planned.times[chosen], course.rate, course.target, course.duration,
@@ -200,15 +237,20 @@ def swings_after(plan: Plan, span: tuple[float, float], planned: PlannedSwing) -
             times = np.clip(_with_step(times, model.step), span[0], span[1])
             for first in range(0, len(chosen), _TOGETHER):
                 some = slice(first, first + _TOGETHER)
-                yield course, times[some], planned.states[chosen[some] // every]
+                yield course, times[some], chosen[some] // compared
 
-    def swung(group: tuple[Course, Floats, Floats]) -> Swung:
-        course, times, begun = group
-        moved = plan.motion.places(times)
-        if course.rate == 0.0:
-            begun = np.stack([at_rest(first, lengths, model) for first in moved[:, 0]])
-        joints = swing_on_each(begun, moved, lengths, model, every)
-        return Swung(times[:, ::every], _strays(joints, moved[:, ::every], lengths), course)
+    def swung(group: tuple[Course, Floats, Ints]) -> Swung:
+        course, times, first = group
+        ends = plan.motion.places(times)
+        joints = []
+        for some, states in zip(strands, planned.states, strict=True):
+            begun = states[first]
+            if course.rate == 0.0:
+                begun = np.stack([some.at_rest(places) for places in ends[:, 0]])
+            moved = ends[:, :: round(some.model.step / model.step)]
+            joints.append(some.swing_on_each(begun, moved, steps_between_compared(some.model)))
+        strays = _strays(strands, joints, ends[:, ::compared])
+        return Swung(times[:, ::compared], strays, course)
 
     return side_by_side(swung, groups())
 
@@ -228,9 +270,44 @@ def _times(span: tuple[float, float], step: float) -> Floats:
     return found
 
 
-def _strays(joints: Floats, ends: Floats, lengths: Floats) -> Floats:
-    """Return the strays (…, n − 1, links + 1, 3) of joints from their catenaries, metres."""
-    fractions = np.linspace(0.0, 1.0, joints.shape[-2])
-    still = solve_catenaries(ends[..., :-1, :], ends[..., 1:, :], lengths).points(fractions)
-    found: Floats = np.subtract(joints, still, out=still)
+def _strays(strands: Sequence[Strands], joints: Sequence[Floats], ends: Floats) -> Floats:
+    """Return the strays (…, n − 1, links + 1, 3) of joints from their catenaries, metres.
+
+    ``joints`` (…, s, links + 1, 3) are those of each of ``strands``, the finest last: the strays of
+    few links are interpolated where there is no joint.
+    """
+    links = strands[-1].model.links
+    found = np.empty((*ends.shape[:-2], ends.shape[-2] - 1, links + 1, 3))
+    for some, swung in zip(strands, joints, strict=True):
+        begin, fractions = some.segments, np.linspace(0.0, 1.0, some.model.links + 1)
+        still = solve_catenaries(ends[..., begin, :], ends[..., begin + 1, :], some.lengths)
+        _write_strays(
+            _moments(swung), _moments(still.points(fractions)), begin, links // some.model.links,
+            _moments(found),
+        )  # fmt: skip
     return found
+
+
+def _moments(points: Floats) -> Floats:
+    """Return points (…, s, joints, 3) with one axis of moments, as the kernel requires."""
+    return np.require(points.reshape(-1, *points.shape[-3:]), requirements=["C", "W"])
+
+
+@compiled
+def _write_strays(
+    joints: Floats4, still: Floats4, segments: Ints1, parts: int, found: Floats4
+) -> None:
+    """Write the strays (k, n − 1, parts · links + 1, 3) of strands with joints (k, s, links + 1, 3)
+    from those that hang ``still``, interpolated within links of ``parts``."""
+    last = joints.shape[2] - 1
+    for k in range(len(joints)):
+        for s in range(len(segments)):
+            for i in range(last + 1):
+                for x in range(3):
+                    here = joints[k, s, i, x] - still[k, s, i, x]
+                    found[k, segments[s], parts * i, x] = here
+                    if parts == 1 or i == last:
+                        continue
+                    step = (joints[k, s, i + 1, x] - still[k, s, i + 1, x] - here) / parts
+                    for part in range(1, parts):
+                        found[k, segments[s], parts * i + part, x] = here + part * step

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from swarm.certification.swing_runs import model_of
 from swarm.geometry.catenary_kernel import sample_strand
 from swarm.geometry.distance import point_distance
-from swarm.geometry.lumped_mass import SwingModel, swing_on
+from swarm.geometry.lumped_mass import Strands, SwingModel
 from swarm.jit import compiled
 from swarm.planning import Plan
 from swarm.signatures import Floats1, Floats2, Floats4
@@ -132,7 +132,7 @@ class SwingEstimator:
         earlier, now = before.states
         states = np.stack([now - step / before.step * (now - earlier), now])
         model = replace(self.model, step=step)
-        states = swing_on(states, ends, self.lengths, model, steps)[-1]
+        states = Strands.whole_chain(self.lengths, model).swing_on(states, ends, steps)[-1]
         strays = self._strays(grips, states)
         kept = before.recent[-round(RECENT / INTERVAL) + 1 :]
         return Swing(

@@ -26,19 +26,18 @@ _CLOSED = 1e-12
 """Distance from the last joint to the end, over the length, at which the chain is closed."""
 
 
-def hung_strands(ends: Floats, lengths: Floats, links: int) -> Floats:
-    """Return the joints (n − 1, links + 1, 3) of strands at rest between grip points (n, 3).
+def hung_strands(starts: Floats, ends: Floats, lengths: Floats, links: int) -> Floats:
+    """Return the joints (s, links + 1, 3) of strands at rest between grip points (s, 3) each.
 
     Where a strand's span is less than a link there may be no chain at rest: its joints are on the
     catenary. Raises :class:`swarm.geometry.catenary.OverStretched` where a chord is longer than its
     strand.
     """
-    places = np.ascontiguousarray(ends, dtype=np.float64)
-    curves = solve_catenaries(places[:-1], places[1:], lengths)
-    joints = curves.points(np.linspace(0.0, 1.0, links + 1))
+    starts, ends = (np.ascontiguousarray(one, dtype=np.float64) for one in (starts, ends))
+    joints = solve_catenaries(starts, ends, lengths).points(np.linspace(0.0, 1.0, links + 1))
     hung = np.empty(joints.shape[1:])
     for k, length in enumerate(lengths.tolist()):
-        if hang_links(places[k], places[k + 1], length, hung):
+        if hang_links(starts[k], ends[k], length, hung):
             joints[k] = hung
     return joints
 

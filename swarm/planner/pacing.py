@@ -13,7 +13,7 @@ import numpy.typing as npt
 import scipy
 
 from swarm.certification.stream_loss import FINE_RATES, StreamLossCertificate, sampled_rates
-from swarm.certification.swing_runs import model_of
+from swarm.certification.swing_runs import strands_of
 from swarm.certification.tube_radii import BIN
 from swarm.geometry.motion import Motion
 from swarm.planning import Plan
@@ -176,9 +176,9 @@ def slowed_for_swing(paced: PacedPlan) -> PacedPlan:
         return paced
     plan, limit = paced.plan, swing_limit(paced.plan)
     pacing = best = paced.pacing
-    least, model = np.inf, model_of(plan)
+    least, strands = np.inf, strands_of(plan)
     for _ in range(_SWING_ROUNDS):
-        times, stray = largest_stray(_fold(plan, pacing), plan.layout.lengths, model)
+        times, stray = largest_stray(_fold(plan, pacing), strands)
         worst = stray.max(axis=1)
         if worst.max() < least:
             best, least = pacing, float(worst.max())

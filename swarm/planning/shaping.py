@@ -9,7 +9,8 @@ a whole; there the motion is slowed until the simulated swing keeps the limit.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -17,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import STANDARD_GRAVITY
-from swarm.geometry.lumped_mass import TOGETHER, SwingModel, stray, swing
+from swarm.geometry.lumped_mass import Strands, SwingModel
+from swarm.geometry.lumped_mass_kernel import TOGETHER
 from swarm.geometry.motion import Motion, through_states
 from swarm.threads import side_by_side
 
@@ -126,21 +128,35 @@ def shape(paced: PacedMotion, shaper: Shaper) -> Motion:
     return through_states(times, place, velocity, acceleration)
 
 
-def largest_stray(motion: Motion, lengths: Floats, model: SwingModel) -> tuple[Floats, Floats]:
+def largest_stray(motion: Motion, strands: Sequence[Strands]) -> tuple[Floats, Floats]:
     """Return times (k,) and how far strands (k, n − 1) are from their catenaries then, metres.
 
-    The cable is at rest when the motion begins; the moments last until four seconds after its end.
+    ``strands`` are all of the cable, each with its model. The cable is at rest when the motion
+    begins; the moments last until four seconds after its end.
     """
-    every = steps_between_compared(model)
-    times = np.arange(motion.times[0], motion.times[-1] + _SETTLING, model.step)
+    step = min(some.model.step for some in strands)
+    times = np.arange(motion.times[0], motion.times[-1] + _SETTLING, step)
     ends = motion.places(times)
+    compared = round(COMPARED / step)
+    found = np.empty((len(times[::compared]), ends.shape[1] - 1))
 
-    def strays(some: slice) -> Floats:
-        held = ends[:, some.start : some.stop + 1]
-        return stray(swing(held, lengths[some], model, every), held[::every], lengths[some])
+    def write(some: Strands) -> None:
+        moved = ends[:: round(some.model.step / step)]
+        every = steps_between_compared(some.model)
+        joints = some.swing_on_each(some.at_rest(ends[0])[None], moved[None], every)[0]
+        found[:, some.segments] = some.strays(joints, moved[::every])
 
-    groups = (slice(k, min(k + TOGETHER, len(lengths))) for k in range(0, len(lengths), TOGETHER))
-    return times[::every], np.concatenate(list(side_by_side(strays, groups)), axis=1)
+    for _ in side_by_side(write, _side_by_side(strands)):
+        pass
+    return times[::compared], found
+
+
+def _side_by_side(strands: Sequence[Strands]) -> Iterator[Strands]:
+    """Yield the strands in groups that are stepped together."""
+    for some in strands:
+        for first in range(0, len(some.segments), TOGETHER):
+            part = slice(first, first + TOGETHER)
+            yield replace(some, segments=some.segments[part], lengths=some.lengths[part])
 
 
 def steps_between_compared(model: SwingModel) -> int:

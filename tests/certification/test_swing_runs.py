@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm.certification.swing_runs import STEP, aloft, model_of, swings
+from swarm.certification.swing_runs import STEP, aloft, model_of, strands_of, swings
 from swarm.certification.swing_tube import swing_tube
 from swarm.flight.swinging import SwingEstimator
 from swarm.geometry.lumped_mass import cable_model, stray, swing
@@ -43,6 +43,10 @@ def test_narrow_bends_have_twice_the_links_at_half_the_step(bent: Plan) -> None:
     estimator = SwingEstimator.of(bent)
     assert estimator is not None
     assert (estimator.model.links, estimator.model.step) == (48, STEP / 4)
+    few, many = strands_of(bent)
+    assert (few.model.links, few.model.step) == (24, STEP)
+    assert sorted([*few.segments, *many.segments]) == list(range(bent.vehicles - 1))
+    assert int(bent.layout.lengths.argmax()) in many.segments
 
 
 def test_few_links_are_kept_where_a_negative_budget_is_accepted(bent: Plan) -> None:
@@ -63,6 +67,18 @@ def test_swings_are_compared_at_the_same_moments_with_either_step(bent: Plan) ->
     coarser = next(swings(accepting(bent), span))
     assert finer.times == pytest.approx(coarser.times)
     assert np.diff(finer.times[0])[:-1] == pytest.approx(COMPARED)
+    few = strands_of(bent)[0].segments
+    assert finer.strays[..., few, ::2, :] == pytest.approx(coarser.strays[..., few, :, :], abs=1e-5)
+
+
+def test_strays_are_interpolated_between_the_joints_of_few_links(bent: Plan) -> None:
+    span = aloft(bent)
+    assert span is not None
+    few, many = (strands.segments for strands in strands_of(bent))
+    strays = next(swings(bent, span)).strays
+    within = 0.5 * (strays[..., :-2:2, :] + strays[..., 2::2, :])
+    assert strays[..., 1::2, :][:, :, few] == pytest.approx(within[:, :, few], abs=1e-12)
+    assert np.abs(strays[..., 1::2, :] - within)[:, :, many].max() > 1e-3
 
 
 def test_the_tube_of_finer_chains_contains_still_finer_ones(bent: Plan) -> None:

@@ -15,7 +15,7 @@ from swarm.geometry.catenary import (
     solve_catenaries,
 )
 from swarm.geometry.hanging_links import hang_links
-from swarm.geometry.lumped_mass import SwingModel, at_rest, cable_model, stray, swing
+from swarm.geometry.lumped_mass import Strands, SwingModel, cable_model, stray, swing
 
 STILL = SwingModel(links=24, step=0.004, normal_drag=0.0)
 """Without air: an oscillation is not damped."""
@@ -110,7 +110,8 @@ def test_links_at_rest_have_their_length_and_balance_their_tensions(
         sizes = np.linalg.norm(np.diff(joints, axis=0), axis=1)
         assert sizes == pytest.approx(length / links, rel=1e-6)
         model = replace(STILL, links=links)
-        state = at_rest(np.stack([start, end]), np.array([length]), model)
+        strands = Strands.whole_chain(np.array([length]), model)
+        state = strands.at_rest(np.stack([start, end]))
         assert np.array_equal(state[:, 0], [joints, joints])
         along = np.diff(joints, axis=0)
         # equal weights at the joints: slopes that rise by equal steps, over the level tension
@@ -174,6 +175,10 @@ def test_results_do_not_depend_on_samples_kept_or_on_other_strands() -> None:
     assert np.array_equal(whole[::10], swing(ends, lengths, STILL, every=10))
     alone = swing(np.ascontiguousarray(ends[:, 1:]), lengths[1:], STILL)
     assert np.array_equal(whole[:, 1:], alone)
+    chosen = Strands(np.array([1]), lengths[1:], STILL)
+    states = chosen.swing_on(chosen.at_rest(ends[0]), ends, every=10)
+    assert np.array_equal(whole[::10, 1:], states[:, 1])
+    assert np.array_equal(stray(whole, ends, lengths)[:, 1:], chosen.strays(whole[:, 1:], ends))
 
 
 def test_few_links_swing_by_their_own_length_where_the_cable_runs_through_a_narrow_bend() -> None:
