@@ -12,11 +12,14 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from swarm import planner
+from swarm.certification.air import deepest_sinking
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot, parse_mission
-from swarm.planner.repairs import repair
+from swarm.planner.pacing import timed_for_losses
+from swarm.planner.repairs import Kept, least_short, repair
 from swarm.planning import Plan, digest
 from swarm.planning.candidates import candidates, make_plan
+from swarm.planning.repair import Shortfall
 
 ROOT = Path(__file__).parents[1]
 STILL = ("takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land")
@@ -197,6 +200,32 @@ def test_a_folding_whose_repairs_ran_out_can_be_repaired_further() -> None:
         further = ended.unfinished.repaired()
         assert further is not None
         assert repair(further, (), frozenset(), 3).kept
+
+
+def test_a_closed_budget_counts_first_and_then_the_least_sinking() -> None:
+    mission = mission_for_knot("3_1", ["limits.accept_negative_budget=true"])
+    with planner.one_thread():
+        first = next(candidates(mission))
+        paced = timed_for_losses(first.plan)
+        low, deep = ([Shortfall("downwash", 60.0, metres)] for metres in (0.01, 0.02))
+        short = Kept(first, paced, [Shortfall("cable clearance", 60.0, 0.001)], ())
+        sinks, sinks_deep = Kept(first, paced, (), low), Kept(first, paced, (), deep)
+        assert least_short([short, sinks_deep, sinks]) is sinks
+        assert least_short([short]) is short
+        later = Kept(first, paced, None, ())
+        assert least_short([short, sinks, later]).budget == [], "the budget counts once computed"
+
+
+@pytest.mark.full
+def test_repairs_for_jets_go_on_after_a_budget_was_closed_by_slowing() -> None:
+    """The Carrick mat's stays 0.1 m short, in sum; slowed, one vehicle still sinks by 0.13 m."""
+    path = ROOT / "missions" / "carrick_mat.yaml"
+    mission = parse_mission(path.read_text(encoding="utf-8"), str(path))
+    result = planner.plan(mission, robustness=False)
+    assert result.certificate.cleared
+    deepest = deepest_sinking(result.plan)
+    assert deepest is not None
+    assert deepest.depth <= mission.vehicles.tracking
 
 
 @pytest.mark.full

@@ -40,14 +40,12 @@ def robustness_of(
     """Return e* and w* of a plan with its tightest moments; ``progress`` is called for both."""
     moments = tuple(moments)
     if progress:
-        progress("largest tracking error", 0.0)
-    tracking = largest_tracking(plan, moments)
+        progress("largest tracking error and steady wind", 0.0)
+    searches = partial(largest_tracking, plan, moments), partial(largest_wind, plan, moments)
+    tracking, wind = side_by_side(lambda search: search(), searches)
     if progress:
-        progress("largest steady wind", 0.2)
-    found = Robustness(tracking, largest_wind(plan, moments))
-    if progress:
-        progress("largest steady wind", 1.0)
-    return found
+        progress("largest tracking error and steady wind", 1.0)
+    return Robustness(tracking, wind)
 
 
 def largest_tracking(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
