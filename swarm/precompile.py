@@ -172,22 +172,38 @@ def _files(packages: Iterable[str]) -> dict[str, str]:
 def main(taken: str, packages: Sequence[str]) -> None:
     """Compile the declared functions of packages that no other process compiles.
 
-    A process takes a function by creating a file in the folder ``taken``. Writes the number of all
-    functions to standard output, and a line for each that is compiled here.
+    A process takes a module or a function by creating a file in the folder ``taken``. It takes
+    whole modules while there are any, because their functions call the same others, and then helps
+    with what is left of those of other processes. In a module those that others call come last.
+    Writes the number of all functions to standard output, and a line for each that is compiled
+    here.
     """
     modules = list(_files(packages))
     for module in modules:
         importlib.import_module(module)
-    pending = [function for function in functions(modules) if declared(function) is not None]
-    sys.stdout.write(f"{len(pending)}\n")
-    for number, function in enumerate(pending):
-        try:
-            Path(taken, str(number)).touch(exist_ok=False)
-        except FileExistsError:
-            continue
-        function.compile(declared(function))
-        sys.stdout.write("\n")
-        sys.stdout.flush()
+    pending = {
+        module: [one for one in functions([module]) if declared(one) is not None][::-1]
+        for module in modules
+    }
+    sys.stdout.write(f"{sum(map(len, pending.values()))}\n")
+    for only_new in (True, False):
+        for module in modules:
+            if only_new and not _take(taken, module):
+                continue
+            for number, function in enumerate(pending[module]):
+                if _take(taken, f"{module}-{number}"):
+                    function.compile(declared(function))
+                    sys.stdout.write("\n")
+                    sys.stdout.flush()
+
+
+def _take(taken: str, name: str) -> bool:
+    """Return whether this process is the first to take a module or a function."""
+    try:
+        Path(taken, name).touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
 
 
 if __name__ == "__main__":
