@@ -32,7 +32,7 @@ from swarm.certification.minima import (
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.strand_pieces import HeldCable
 from swarm.certification.strands import StrandPairs
-from swarm.certification.swing_tube import swing_tube
+from swarm.certification.swing_tube import ordinary_tube
 from swarm.certification.tube_radii import TubeRadii
 from swarm.planning import Plan
 from swarm.threads import side_by_side
@@ -207,8 +207,7 @@ def certified_tube(plan: Plan) -> TubeRadii | None:
     rewinds, for strands. With ``fold.swing: auto`` the swing is not certified, since no limit was
     asked for.
     """
-    tube = swing_tube(plan) if plan.mission.fold.certifies_swing else None
-    return tube.ordinary if tube is not None else None
+    return ordinary_tube(plan) if plan.mission.fold.certifies_swing else None
 
 
 def _always(plan: Plan) -> Spans:

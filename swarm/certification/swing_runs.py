@@ -184,7 +184,7 @@ def swings(plan: Plan, span: tuple[float, float]) -> Iterator[Swung]:
     """Yield all simulated swings of a plan between the times of :func:`aloft`."""
     planned = planned_swing(plan, span)
     yield planned.swung
-    yield from swings_after(plan, span, planned)
+    yield from swings_after(plan, span, planned, COURSES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,14 +217,16 @@ def planned_swing(plan: Plan, span: tuple[float, float]) -> PlannedSwing:
     return PlannedSwing(Swung(times[None, ::compared], strays[None], None), times, strands, states)
 
 
-def swings_after(plan: Plan, span: tuple[float, float], planned: PlannedSwing) -> Iterator[Swung]:
-    """Yield the swings after all changes of the clock's rate, several courses together."""
+def swings_after(
+    plan: Plan, span: tuple[float, float], planned: PlannedSwing, changes: Sequence[Course]
+) -> Iterator[Swung]:
+    """Yield the swings after changes of the clock's rate, several courses together."""
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     strands, model = planned.strands, planned.strands[-1].model
     certified, compared = plan.mission.fold.certifies_swing, steps_between_compared(model)
 
     def groups() -> Iterator[tuple[Course, Floats, Ints]]:
-        for course in COURSES:
+        for course in changes:
             apart = course.apart
             if certified and not course.urgent:
                 apart = min(apart, _CERTIFIED_APART)

@@ -8,7 +8,7 @@ two to three times as far: in the tube with them, no plan of the figure-eight wa
 counts all of them, for strands.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import chain
@@ -28,6 +28,8 @@ from swarm.certification.compared_pairs import exempt_length
 from swarm.certification.swing_runs import (
     COURSES,
     SETTLING,
+    PlannedSwing,
+    Swung,
     aloft,
     planned_swing,
     swings_after,
@@ -53,8 +55,6 @@ missions with ``fold.swing`` in metres, 6 mm in the overhand without."""
 
 _PLANNED = "planned motion"
 """Name of the motion without a change of the clock's rate, beside those of courses."""
-
-_ORDINARY = tuple(course.name for course in COURSES if not course.urgent)
 
 _LAST = round(SETTLING / COMPARED)
 """Compared moments at the end of a stop that show the amplitudes."""
@@ -95,6 +95,11 @@ def swing_tube(plan: Plan) -> SwingTube | None:
     return _tube_of(_Named(digest(plan), plan))
 
 
+def ordinary_tube(plan: Plan) -> TubeRadii | None:
+    """Return :attr:`SwingTube.ordinary` of a plan's tube, without the other changes."""
+    return _ordinary_radii_of(_Named(digest(plan), plan))
+
+
 @dataclass(frozen=True)
 class _Named:
     digest: str
@@ -104,40 +109,81 @@ class _Named:
 @lru_cache(maxsize=8)
 def _tube_of(named: _Named) -> SwingTube | None:
     """Every call of the certificate's search needs the tube; its plan is told by its digest."""
+    ordinary, swings = _ordinary_radii_of(named), _ordinary_of(named)
+    _ordinary_of.cache_clear()
+    if swings is None or ordinary is None:
+        return None
+    urgent = tuple(course for course in COURSES if course.urgent)
+    swings.collect(swings_after(named.plan, swings.span, swings.planned, urgent))
+    found, start = swings.found, swings.span[0]
+    names = dict.fromkeys(course.name for course in COURSES)
+    return SwingTube(
+        start=start,
+        planned=found[_PLANNED].max(axis=2),
+        changed={name: float(found[name].max()) for name in names},
+        all_changes=_radii(start, list(found.values())),
+        ordinary=ordinary,
+        close=swings.close,
+        approach=(1.0 + BETWEEN_SAMPLES) * swings.approach + 2.0 * (BETWEEN_STOPS + MODEL_ERROR),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Swings:
+    """Largest strays ``found`` (k, n − 1, links + 1) in each interval, by the name of the change,
+    and the ``approach`` (r,) of ``close`` pairs, metres."""
+
+    span: tuple[float, float]
+    planned: PlannedSwing = field(repr=False)
+    close: ClosePairs = field(repr=False)
+    found: dict[str, Floats] = field(repr=False)
+    approach: Floats = field(repr=False)
+
+    def collect(self, swings: Iterable[Swung]) -> None:
+        """Add the swings."""
+        start, count = self.span[0], _intervals(self.span)
+        for swung in swings:
+            bins = np.minimum(((swung.times - start) / BIN).astype(np.intp), count - 1)
+            strays = swung.strays.reshape(-1, *swung.strays.shape[2:])
+            name = swung.course.name if swung.course else _PLANNED
+            most = self.found.setdefault(name, np.zeros((count, *strays.shape[1:3])))
+            collect_distances(bins.ravel(), strays, most)
+            collect_approaches(self.close, bins.ravel(), strays, self.approach)
+            if swung.course is not None and swung.course.target == 0.0:
+                for last, strays in zip(
+                    bins[:, -1].tolist(), swung.strays[:, -_LAST:], strict=True
+                ):
+                    collect_settling(self.close, last, strays, self.approach)
+
+
+def _intervals(span: tuple[float, float]) -> int:
+    return int(np.ceil((span[1] - span[0]) / BIN))
+
+
+@lru_cache(maxsize=8)
+def _ordinary_radii_of(named: _Named) -> TubeRadii | None:
+    swings = _ordinary_of(named)
+    return None if swings is None else _radii(swings.span[0], list(swings.found.values()))
+
+
+@lru_cache(maxsize=1)
+def _ordinary_of(named: _Named) -> _Swings | None:
+    """The planned motion, ordinary stops and resumes: a third of the swings, which show whether
+    the clearances are kept. Kept, 0.1 GB for the Carrick mat, until the others are added."""
     plan = named.plan
     span = aloft(plan)
     if span is None:
         return None
-    count = int(np.ceil((span[1] - span[0]) / BIN))
-    middles = np.asarray(span[0] + BIN * (np.arange(count) + 0.5), dtype=np.float64)
+    middles = np.asarray(span[0] + BIN * (np.arange(_intervals(span)) + 0.5), dtype=np.float64)
     tasks: tuple[Callable[[], Any], ...] = (
         partial(close_pairs, plan, middles, exempt_length(plan)),
         partial(planned_swing, plan, span),
     )
-    close, without_stops = side_by_side(lambda task: task(), tasks)
-    approach = np.zeros(len(close.bins))
-    found: dict[str, Floats] = {}
-    for swung in chain([without_stops.swung], swings_after(plan, span, without_stops)):
-        bins = np.minimum(((swung.times - span[0]) / BIN).astype(np.intp), count - 1)
-        strays = swung.strays.reshape(-1, *swung.strays.shape[2:])
-        name = swung.course.name if swung.course else _PLANNED
-        most = found.setdefault(name, np.zeros((count, *strays.shape[1:3])))
-        collect_distances(bins.ravel(), strays, most)
-        collect_approaches(close, bins.ravel(), strays, approach)
-        if swung.course is not None and swung.course.target == 0.0:
-            for last, strays in zip(bins[:, -1].tolist(), swung.strays[:, -_LAST:], strict=True):
-                collect_settling(close, last, strays, approach)
-    ordinary = [found[name] for name in (_PLANNED, *_ORDINARY)]
-    changed = {name: float(strays.max()) for name, strays in found.items() if name != _PLANNED}
-    return SwingTube(
-        start=span[0],
-        planned=found[_PLANNED].max(axis=2),
-        changed=changed,
-        all_changes=_radii(span[0], list(found.values())),
-        ordinary=_radii(span[0], ordinary),
-        close=close,
-        approach=(1.0 + BETWEEN_SAMPLES) * approach + 2.0 * (BETWEEN_STOPS + MODEL_ERROR),
-    )
+    close, planned = side_by_side(lambda task: task(), tasks)
+    swings = _Swings(span, planned, close, {}, np.zeros(len(close.bins)))
+    ordinary = tuple(course for course in COURSES if not course.urgent)
+    swings.collect(chain([planned.swung], swings_after(plan, span, planned, ordinary)))
+    return swings
 
 
 def _radii(start: float, found: list[Floats]) -> TubeRadii:
