@@ -173,8 +173,8 @@ def measure_strays(
 ) -> None:
     """Write the distances (n − 1,) of strands from their catenaries between grip points (n, 3).
 
-    ``states`` (2, n − 1, k, 3) as of :func:`swarm.geometry.lumped_mass.swing_on`. Strands that are
-    straight or unknown (NaN) are put to rest. ``still`` (k, 3) is working memory.
+    ``states`` (2, n − 1, k, 3) as of :meth:`swarm.geometry.lumped_mass.Strands.swing_on`. Strands
+    that are straight or unknown (NaN) are put to rest. ``still`` (k, 3) is working memory.
     """
     for s in range(len(lengths)):
         chord = point_distance(grips[s], grips[s + 1])
