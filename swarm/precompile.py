@@ -20,6 +20,7 @@ from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
+from swarm.child_modules import module_command
 from swarm.jit import cache, declared, key
 
 Progress = Callable[[str, float], None]
@@ -95,7 +96,7 @@ def compiling(packages: Sequence[str]) -> Iterator[Callable[[Progress | None], N
         yield lambda _progress: None
         return
     with tempfile.TemporaryDirectory(prefix="swarm-") as taken:
-        command = [sys.executable, "-m", __name__, taken, *packages]
+        command = module_command(__name__, taken, *packages)
         reading, writing = os.pipe()
         processes = [
             subprocess.Popen(  # noqa: S603

@@ -5,6 +5,8 @@ import sys
 
 import click
 
+from swarm.child_modules import module_command
+
 
 @click.command(
     context_settings={"ignore_unknown_options": True, "help_option_names": []},
@@ -12,4 +14,4 @@ import click
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 def sitl(arguments: tuple[str, ...]) -> None:
     """Run the emulator, a program of its own (`python -m sitl`), with ARGUMENTS."""
-    os.execv(sys.executable, [sys.executable, "-m", "sitl", *arguments])  # noqa: S606
+    os.execv(sys.executable, module_command("sitl", *arguments))  # noqa: S606

@@ -7,11 +7,12 @@ import ctypes
 import signal
 import socket
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
+
+from swarm.child_modules import module_command
 
 _SET_PARENT_DEATH_SIGNAL = 1
 _EXIT_TIMEOUT = 0.5
@@ -23,12 +24,12 @@ class ChildError(Exception):
 
 
 class ChildProcess:
-    """A module that runs with ``python -m`` and gets the descriptor of its pipe as argument."""
+    """A module that runs by itself and gets the descriptor of its pipe as argument."""
 
     def __init__(self, module: str) -> None:
         ours, theirs = socket.socketpair()
         self._process = subprocess.Popen(  # noqa: S603
-            [sys.executable, "-m", module, str(theirs.fileno())],
+            module_command(module, str(theirs.fileno())),
             pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

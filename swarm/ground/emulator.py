@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from swarm.child_modules import module_command
 from swarm.errors import VehicleError
 from swarm.ground.child_process import exit_reason
 from swarm.ground.world_clock import WorldClock, create_clock
@@ -62,7 +62,7 @@ class EmulatorProcess:
             errors = self._errors.open("wb")
         except OSError as error:
             raise VehicleError(f"the emulator's world cannot be written: {error}") from None
-        command = [sys.executable, "-m", "sitl", "--world", str(path), "--speed", f"{speed:g}"]
+        command = module_command("sitl", "--world", str(path), "--speed", f"{speed:g}")
         command += ["--target", f"127.0.0.1:{port}", "--clock", str(clock)]
         if signing_key is not None:
             command += ["--signing-key", signing_key]

@@ -19,6 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from swarm.child_modules import module_command
 from swarm.errors import SwarmError, VehicleError
 from swarm.flight.clearance import Audit
 from swarm.flight.flight_plan import FlightPlan
@@ -62,7 +63,7 @@ def fly_in_process(
     """
     ours, theirs = socket.socketpair()
     process = subprocess.Popen(  # noqa: S603
-        [sys.executable, "-m", "swarm.ground.flight_process", str(theirs.fileno())],
+        module_command("swarm.ground.flight_process", str(theirs.fileno())),
         pass_fds=[theirs.fileno()],
         stdin=subprocess.DEVNULL,
         start_new_session=True,

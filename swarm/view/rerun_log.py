@@ -9,7 +9,6 @@ import os
 import pickle
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections import deque
@@ -17,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final, Literal, cast
 
+from swarm.child_modules import module_command
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.priority import lower_priority
@@ -118,8 +118,8 @@ class Feed:
         self._finished = False
         # A new session: an interrupt from the keyboard ends the flight, and the recording must be
         # completed after that.
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "swarm.view.rerun_sink"],
+        self._process = subprocess.Popen(  # noqa: S603
+            module_command("swarm.view.rerun_sink"),
             stdin=subprocess.PIPE,
             bufsize=0,
             stdout=subprocess.DEVNULL,
