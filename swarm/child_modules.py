@@ -9,8 +9,9 @@ def module_command(module: str, *arguments: str) -> list[str]:
     ``python -m`` alone would import from the current folder first: from a checkout beside the
     installed version, or from whatever else lies in a folder with one of these names.
     """
+    # the module first, where lists of processes show it
     code = (
-        f"import runpy, sys; sys.path[:] = {sys.path!r}; "
-        f"runpy.run_module({module!r}, run_name='__main__', alter_sys=True)"
+        f"module = {module!r}; import runpy, sys; sys.path[:] = {sys.path!r}; "
+        "runpy.run_module(module, run_name='__main__', alter_sys=True)"
     )
     return [sys.executable, "-P", "-c", code, *arguments]

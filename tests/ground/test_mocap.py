@@ -111,7 +111,7 @@ def connect(kind, options):
 
 def test_the_process_of_a_system_is_started_again_when_it_ends(tmp_path, monkeypatch):
     (tmp_path / "motioncapture.py").write_text(STAND_IN)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.syspath_prepend(tmp_path)
     capture = open_capture("vrpn://127.0.0.1")
     first = next_pose(capture)
     (process,) = children("mocap_child")
