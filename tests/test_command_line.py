@@ -220,7 +220,7 @@ def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None
         if "phase takeoff" in line:
             break
     listed = subprocess.run(
-        ["ps", "-o", "pid=,ppid=,args=", "-e"], capture_output=True, text=True, check=True
+        ["ps", "-ww", "-o", "pid=,ppid=,args=", "-e"], capture_output=True, text=True, check=True
     ).stdout
     rows = [row.split(maxsplit=2) for row in listed.splitlines()]
     (pilot,) = [
