@@ -1,4 +1,4 @@
-"""Modules of this project that run in a process of their own."""
+"""Commands that start modules of this project as child processes."""
 
 import sys
 

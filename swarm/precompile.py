@@ -187,15 +187,20 @@ def main(taken: str, packages: Sequence[str]) -> None:
         for module in modules
     }
     sys.stdout.write(f"{sum(map(len, pending.values()))}\n")
-    for only_new in (True, False):
-        for module in modules:
-            if only_new and not _take(taken, module):
-                continue
-            for number, function in enumerate(pending[module]):
-                if _take(taken, f"{module}-{number}"):
-                    function.compile(declared(function))
-                    sys.stdout.write("\n")
-                    sys.stdout.flush()
+    for module in modules:
+        if _take(taken, module):
+            _compile(taken, module, pending[module])
+    for module in modules:
+        _compile(taken, module, pending[module])
+
+
+def _compile(taken: str, module: str, pending: Sequence[Any]) -> None:
+    """Compile those functions of a module that no other process has taken."""
+    for number, function in enumerate(pending):
+        if _take(taken, f"{module}-{number}"):
+            function.compile(declared(function))
+            sys.stdout.write("\n")
+            sys.stdout.flush()
 
 
 def _take(taken: str, name: str) -> bool:

@@ -1,4 +1,4 @@
-"""Modules in processes of their own: the same code as in this process, wherever they are started."""
+"""Child processes import the same code as their parent, whatever the current folder is."""
 
 import os
 import subprocess

@@ -39,12 +39,16 @@ def robustness_of(
 ) -> Robustness:
     """Return e* and w* of a plan with its tightest moments; ``progress`` is called for both."""
     moments = tuple(moments)
+    stage = "largest tracking error and steady wind"
     if progress:
-        progress("largest tracking error and steady wind", 0.0)
-    searches = partial(largest_tracking, plan, moments), partial(largest_wind, plan, moments)
-    tracking, wind = side_by_side(lambda search: search(), searches)
-    if progress:
-        progress("largest tracking error and steady wind", 1.0)
+        progress(stage, 0.0)
+    found: list[float | None] = []
+    searches = largest_tracking, largest_wind
+    for value in side_by_side(lambda search: search(plan, moments), searches):
+        found.append(value)
+        if progress:
+            progress(stage, len(found) / len(searches))
+    tracking, wind = found
     return Robustness(tracking, wind)
 
 

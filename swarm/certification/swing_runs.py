@@ -131,9 +131,8 @@ def strands_of(plan: Plan) -> tuple[Strands, ...]:
     hanging = solve_catenaries(
         places[:, :-1], places[:, 1:], np.maximum(lengths, _chords(places) / _TAUT)
     )
-    finer = _farthest_link(hanging) > _COARSEST
-    if plan.mission.limits.accept_negative_budget:
-        finer = np.zeros(len(lengths), dtype=np.bool_)
+    accepted = plan.mission.limits.accept_negative_budget
+    finer = (_farthest_link(hanging) > _COARSEST) & (not accepted)
     fine = _with_links(plan, hanging, np.flatnonzero(finer), _LINKS, 0.5 * STEP)
     most = fine.model.links if finer.any() else _LINKS[0]
     # few links have a joint at every second, or n-th, one of the many
@@ -212,7 +211,7 @@ def planned_swing(plan: Plan, span: tuple[float, float]) -> PlannedSwing:
         return some.swing_on(some.at_rest(ends[0]), moved, steps_between_compared(some.model))
 
     states = tuple(side_by_side(states_of, strands))
-    joints = [states_of[:, 1] for states_of in states]
+    joints = [each[:, 1] for each in states]
     strays = _strays(strands, joints, ends[::compared])
     return PlannedSwing(Swung(times[None, ::compared], strays[None], None), times, strands, states)
 

@@ -131,17 +131,16 @@ def shape(paced: PacedMotion, shaper: Shaper) -> Motion:
 def largest_stray(motion: Motion, strands: Sequence[Strands]) -> tuple[Floats, Floats]:
     """Return times (k,) and how far strands (k, n − 1) are from their catenaries then, metres.
 
-    ``strands`` are all of the cable, each with its model. The cable is at rest when the motion
-    begins; the moments last until four seconds after its end.
+    ``strands`` are all of the cable, each with its model, the finest last. The cable is at rest
+    when the motion begins; the moments last until four seconds after its end.
     """
-    step = min(some.model.step for some in strands)
-    times = np.arange(motion.times[0], motion.times[-1] + _SETTLING, step)
-    ends = motion.places(times)
-    compared = round(COMPARED / step)
+    finest = strands[-1].model
+    times = np.arange(motion.times[0], motion.times[-1] + _SETTLING, finest.step)
+    ends, compared = motion.places(times), steps_between_compared(finest)
     found = np.empty((len(times[::compared]), ends.shape[1] - 1))
 
     def write(some: Strands) -> None:
-        moved = ends[:: round(some.model.step / step)]
+        moved = ends[:: round(some.model.step / finest.step)]
         every = steps_between_compared(some.model)
         joints = some.swing_on_each(some.at_rest(ends[0])[None], moved[None], every)[0]
         found[:, some.segments] = some.strays(joints, moved[::every])
