@@ -7,7 +7,7 @@ need no such annotations: their types follow from their callers'.
 
 import inspect
 from collections.abc import Callable
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +35,17 @@ Bytes2 = Annotated[npt.NDArray[np.uint8], types.uint8[:, ::1]]
 Bytes3 = Annotated[npt.NDArray[np.uint8], types.uint8[:, :, ::1]]
 Columns2 = Annotated[npt.NDArray[np.float64], _f[:, :]]
 """Parts of larger arrays, with gaps between their rows."""
+
+Contents = TypeVar("Contents", bound=np.generic)
+
+
+def contiguous(array: npt.NDArray[Contents]) -> npt.NDArray[Contents]:
+    """Return the array, or a copy where it has gaps or cannot be written: as declared above."""
+    # The question alone: most arrays are so, and np.require takes longer than the kernels of few.
+    if array.flags.c_contiguous and array.flags.writeable:
+        return array
+    return np.require(array, requirements=["C", "W"])
+
 
 _SCALARS = {
     float: types.float64,

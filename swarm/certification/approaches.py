@@ -15,7 +15,7 @@ from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import norms, polyline_polyline
 from swarm.jit import compiled
 from swarm.planning import Plan
-from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1, Ints2
+from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1, Ints2, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -95,7 +95,7 @@ def collect_distances(bins: Ints, strays: Floats, most: Floats) -> None:
     ``strays`` (m, n − 1, links + 1, 3) at moments in the intervals ``bins`` (m,); a stray that is
     not a number has no bound.
     """
-    _raise_distances(bins, np.require(strays, requirements=["C", "W"]), most)
+    _raise_distances(bins, contiguous(strays), most)
 
 
 @compiled
@@ -120,7 +120,7 @@ def collect_approaches(close: ClosePairs, bins: Ints, strays: Floats, most: Floa
     first = np.searchsorted(close.bins, bins - 1, side="left")
     last = np.searchsorted(close.bins, bins + 1, side="right")
     which = _Rows(first, last, close.pairs, joints)
-    _raise_approaches(which, close.normal, np.require(strays, requirements=["C", "W"]), most)
+    _raise_approaches(which, close.normal, contiguous(strays), most)
 
 
 class _Rows(NamedTuple):

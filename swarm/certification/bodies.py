@@ -12,14 +12,28 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.branch_and_bound import Boxes, Enclosure
-from swarm.certification.motion_bounds import BoundedMotion, TeamStates
-from swarm.certification.strand_pieces import Displacement, HeldCable, Selection, pieces
-from swarm.certification.strands import unit
-from swarm.geometry.distance import norms
+from swarm.certification.branch_and_bound import BoxArrays, Boxes, Enclosure, EnclosureArrays
+from swarm.certification.motion_bounds import (
+    BoundedMotion,
+    Grip,
+    TeamStates,
+    ends_at,
+    grip_at,
+    instant_at,
+)
+from swarm.certification.strand_pieces import (
+    CableTables,
+    Displacement,
+    HeldCable,
+    Part,
+    Piece,
+    held_piece,
+    piece_movement,
+)
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
+from swarm.geometry.vectors import Vector, difference, dot, moved, size, unit
 from swarm.jit import compiled
-from swarm.signatures import Floats1, Floats2, Floats3
+from swarm.signatures import Floats1, Floats2, Floats3, Ints2, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -75,49 +89,13 @@ class VehicleStrands:
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box; coordinates are time and the strand's fraction."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.cable.motion, time, half)
-        vehicle, segment = self.pairs[boxes.group].T
-        own_start, own_end = segment == vehicle, segment == vehicle - 1
-        own = own_start | own_end
-        tracking = self.cable.tracking
-        strand = pieces(
-            team,
-            self.cable,
-            Selection.unlimited(instant, segment, boxes.middle[:, 1], boxes.half[:, 1]),
-            Displacement(
-                team.velocity[instant, vehicle],
-                np.where(own_start, FAR_END, np.where(own_end, NEAR_END, BOTH_ENDS)),
-                np.where(own, 2.0 * tracking, tracking),
-                team.deviation[instant, vehicle],
-            ),
-        )
-        grip = team.position[instant, vehicle]
-        tip = np.where(own, self.body.grip_offset, 0.0)
-        at_strand, along, at_body = self.body.closest(strand.ends - grip[:, None], tip)
-        normal = unit(at_strand - at_body)
-        reach = np.minimum(*np.einsum("bki,bi->kb", strand.ends - grip[:, None], normal))
-        moved = strand.movement(along, normal)
-        shift = np.where(own, 0.0, tracking) + 0.5 * self.diameter + self.required[boxes.group]
-        low = reach - self.body.support(normal, tip) - strand.bow - moved.piece - shift
-        low -= strand.swing.most
-        distance = norms(at_strand - at_body)
-        high = distance + strand.bow - moved.tracking - shift - strand.swing.least
-        in_time = moved.point - moved.tracking + strand.swing.in_time
-        size = high - low - in_time
-        # Surfaces are never nearer than touching, also where an over-stretched strand is bounded
-        # poorly.
-        touching = -0.5 * self.diameter - self.required[boxes.group]
-        return Enclosure(
-            np.maximum(low, np.minimum(high, touching)),
-            high,
-            np.stack([in_time, size], axis=1),
-            grip + at_strand,
-        )
+        found = Enclosure.not_found(boxes)
+        kept = _Kept(contiguous(self.pairs), contiguous(self.required), self.diameter)
+        _write_margins(self.cable.tables, kept, self.body, boxes.arrays(), found.arrays())
+        return found
 
 
-@dataclass(frozen=True)
-class Body:
+class Body(NamedTuple):
     """The cone below a rotor disc, its tip at the origin; metres."""
 
     radius: float
@@ -130,83 +108,139 @@ class Body:
         alone. Returns the chords' points (b, 3), their fractions (b,), the body's points (b, 3).
         """
         found = np.empty((len(chord), 7))
-        _write_closest(np.ascontiguousarray(chord), _plain(tip), self._cone, found)
-        return found[:, :3], np.ascontiguousarray(found[:, 3]), found[:, 4:]
+        _write_closest(contiguous(chord), contiguous(tip), self, found)
+        return found[:, 1:4], np.ascontiguousarray(found[:, 0]), found[:, 4:]
 
     def projected(self, point: Floats, tip: Floats) -> Floats:
         """Return the points (b, 3) of the bodies that are closest to the given points (b, 3)."""
         found = np.empty((len(point), 3))
-        _write_projected(np.ascontiguousarray(point), _plain(tip), self._cone, found)
+        _write_projected(contiguous(point), contiguous(tip), self, found)
         return found
 
-    @property
-    def _cone(self) -> "_Cone":
-        return _Cone(self.radius, self.grip_offset)
 
-    def support(self, normal: Floats, tip: Floats) -> Floats:
-        """Return the support function (b,) of the bodies in directions (b, 3)."""
-        across = np.hypot(normal[:, 0], normal[:, 1])
-        disc = self.radius * across + self.grip_offset * normal[:, 2]
-        reach: Floats = np.maximum(disc, tip * normal[:, 2])
-        return reach
+class _Kept(NamedTuple):
+    """Pairs (q, 2) of a vehicle and a segment, their required distances, and the diameter."""
 
-
-class _Cone(NamedTuple):
-    """Radius of the rotor disc, and its height above the grip point, metres."""
-
-    radius: float
-    height: float
+    pairs: Ints2
+    required: Floats1
+    diameter: float
 
 
 @compiled
-def _write_closest(chord: Floats3, tip: Floats1, cone: _Cone, found: Floats2) -> None:
-    """Write the chord's point, its fraction and the body's point (b, 7) for chords (b, 2, 3)."""
+def _write_margins(
+    cable: CableTables, kept: _Kept, body: Body, boxes: BoxArrays, found: EnclosureArrays
+) -> None:
+    """Write the margins of vehicles and pieces of strands in boxes."""
+    for b in range(len(boxes.group)):
+        middle, half = boxes.middle[b], boxes.half[b]
+        vehicle, segment = kept.pairs[boxes.group[b]]
+        instant = instant_at(cable.motion, middle[0], half[0])
+        grip = grip_at(cable.motion, instant, vehicle)
+        ends = BOTH_ENDS
+        if segment == vehicle:
+            ends = FAR_END
+        elif segment == vehicle - 1:
+            ends = NEAR_END
+        tracking = cable.tracking if ends == BOTH_ENDS else 2.0 * cable.tracking
+        grips = ends_at(cable.motion, instant, segment)
+        piece = held_piece(
+            cable, segment, grips, instant, Part(middle[1], half[1], 0.0, 1.0),
+            Displacement(grip.velocity, ends, tracking, grip.deviation),
+        )  # fmt: skip
+        distances = 0.5 * kept.diameter, kept.required[boxes.group[b]]
+        _write_margin(cable, piece, (grip, body), distances, b, found)
+
+
+@compiled
+def _write_margin(
+    cable: CableTables,
+    piece: Piece,
+    vehicle: tuple[Grip, Body],
+    distances: tuple[float, float],
+    b: int,
+    found: EnclosureArrays,
+) -> None:
+    """Write the margin of a vehicle and a piece of a strand to the sum of two ``distances``."""
+    (grip, body), own = vehicle, piece.end_motion.ends != BOTH_ENDS
+    tip = body.grip_offset if own else 0.0
+    near, far = difference(piece.near, grip.place), difference(piece.far, grip.place)
+    along, at_strand, at_body = _closest(near, far, body, tip)
+    apart = difference(at_strand, at_body)
+    normal = unit(apart)
+    reach = min(dot(near, normal), dot(far, normal))
+    moves, swing = piece_movement(cable, piece, normal, along), piece.swing
+    shift = (0.0 if own else cable.tracking) + distances[0] + distances[1]
+    low = reach - _support(body, normal, tip) - piece.bow - moves.piece - shift - swing.most
+    high = size(apart) + piece.bow - moves.tracking - shift - swing.least
+    in_time = moves.point - moves.tracking + (swing.most - swing.now)
+    found.doubts[b, 0], found.doubts[b, 1] = in_time, high - low - in_time
+    touching = -distances[0] - distances[1]
+    # Surfaces are never nearer than touching, also where an over-stretched strand is bounded poorly
+    found.low[b], found.high[b] = max(low, min(high, touching)), high
+    for axis in range(3):
+        found.place[b, axis] = grip.place[axis] + at_strand[axis]
+
+
+@compiled
+def _closest(near: Vector, far: Vector, body: Body, tip: float) -> tuple[float, Vector, Vector]:
+    """Return nearly closest points of a chord and of a body, by projections.
+
+    The fraction of the chord, the point on the chord, and that on the body.
+    """
+    (x, y, z), (east, north, up) = near, difference(far, near)
+    square = east * east + north * north + up * up
+    along, at_strand, at_body = 0.0, near, (0.0, 0.0, body.grip_offset)
+    for _ in range(_PROJECTIONS):
+        ahead = east * (at_body[0] - x) + north * (at_body[1] - y) + up * (at_body[2] - z)
+        if square > 0.0:
+            along = min(max(ahead / square, 0.0), 1.0)
+        at_strand = moved(near, along, (east, north, up))
+        at_body = _project(at_strand, tip, body)
+    return along, at_strand, at_body
+
+
+@compiled
+def _support(body: Body, normal: Vector, tip: float) -> float:
+    """Return the support function of a body in a direction."""
+    disc = body.radius * math.hypot(normal[0], normal[1]) + body.grip_offset * normal[2]
+    return max(disc, tip * normal[2])
+
+
+@compiled
+def _write_closest(chord: Floats3, tip: Floats1, body: Body, found: Floats2) -> None:
+    """Write :func:`_closest` of chords (b, 2, 3): (b, 7)."""
     for b in range(len(found)):
-        at_strand, at_body = found[b, :3], found[b, 4:]
-        at_body[0], at_body[1], at_body[2] = 0.0, 0.0, cone.height
-        for _ in range(_PROJECTIONS):
-            square = ahead = 0.0
-            for axis in range(3):
-                step = chord[b, 1, axis] - chord[b, 0, axis]
-                square += step * step
-                ahead += step * (at_body[axis] - chord[b, 0, axis])
-            along = 0.0
-            if square > 0.0:
-                along = min(max(ahead / square, 0.0), 1.0)
-            for axis in range(3):
-                step = chord[b, 1, axis] - chord[b, 0, axis]
-                at_strand[axis] = chord[b, 0, axis] + along * step
-            found[b, 3] = along
-            _project(at_strand, tip[b], cone, at_body)
+        near = chord[b, 0, 0], chord[b, 0, 1], chord[b, 0, 2]
+        far = chord[b, 1, 0], chord[b, 1, 1], chord[b, 1, 2]
+        found[b, 0], at_strand, at_body = _closest(near, far, body, tip[b])
+        for axis in range(3):
+            found[b, 1 + axis], found[b, 4 + axis] = at_strand[axis], at_body[axis]
 
 
 @compiled
-def _write_projected(point: Floats2, tip: Floats1, cone: _Cone, found: Floats2) -> None:
+def _write_projected(point: Floats2, tip: Floats1, body: Body, found: Floats2) -> None:
     """Write the points (b, 3) of bodies that are closest to points (b, 3)."""
     for b in range(len(found)):
-        _project(point[b], tip[b], cone, found[b])
+        here = point[b, 0], point[b, 1], point[b, 2]
+        found[b, 0], found[b, 1], found[b, 2] = _project(here, tip[b], body)
 
 
 @compiled
-def _project(point: Floats, tip: float, cone: _Cone, found: Floats) -> None:
-    """Write the point (3,) of a body that is closest to a point, in the plane of its axis."""
+def _project(point: Vector, tip: float, body: Body) -> Vector:
+    """Return the point of a body that is closest to a point, in the plane of its axis."""
     out, up = math.hypot(point[0], point[1]), point[2]
-    rise = cone.height - tip
-    share = out * cone.radius + (up - tip) * rise
-    share = min(max(share / (cone.radius * cone.radius + rise * rise), 0.0), 1.0)
-    side_out, side_up = share * cone.radius, tip + share * rise
-    top_out = min(out, cone.radius)
-    from_top = np.sqrt((out - top_out) ** 2 + (up - cone.height) ** 2)
+    rise = body.grip_offset - tip
+    share = out * body.radius + (up - tip) * rise
+    share = min(max(share / (body.radius * body.radius + rise * rise), 0.0), 1.0)
+    side_out, side_up = share * body.radius, tip + share * rise
+    top_out, top_up = min(out, body.radius), body.grip_offset
+    from_top = np.sqrt((out - top_out) ** 2 + (up - top_up) ** 2)
     from_side = np.sqrt((out - side_out) ** 2 + (up - side_up) ** 2)
-    at_out, at_up = (top_out, cone.height) if from_top <= from_side else (side_out, side_up)
-    if tip <= up <= cone.height and out <= cone.radius and cone.radius * (up - tip) >= rise * out:
+    at_out, at_up = (top_out, top_up) if from_top <= from_side else (side_out, side_up)
+    if tip <= up <= top_up and out <= body.radius and body.radius * (up - tip) >= rise * out:
         at_out, at_up = out, up
     ratio = at_out / max(out, 1e-12)
-    found[0], found[1], found[2] = point[0] * ratio, point[1] * ratio, at_up
-
-
-def _plain(array: Floats) -> Floats:
-    return np.require(array, requirements=["C", "W"])
+    return point[0] * ratio, point[1] * ratio, at_up
 
 
 def vehicle_segments(vehicles: int) -> tuple[Ints, Ints]:

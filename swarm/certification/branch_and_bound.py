@@ -8,9 +8,12 @@ Undecided boxes are halved in the coordinates that cause most of the uncertainty
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from swarm.signatures import Floats1, Floats2, Ints1, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -43,11 +46,23 @@ class Boxes:
         """Return some of the boxes."""
         return Boxes(self.group[where], self.middle[where], self.half[where], self.known[where])
 
+    def arrays(self) -> "BoxArrays":
+        """Return the boxes for compiled code."""
+        return BoxArrays(contiguous(self.group), contiguous(self.middle), contiguous(self.half))
+
     def instants(self) -> tuple[Floats, Floats, Ints]:
         """Return the distinct middles of the first coordinate, their half widths, and the index of
         each box's."""
         time, first, index = np.unique(self.middle[:, 0], return_index=True, return_inverse=True)
         return time, self.half[first, 0], index
+
+
+class BoxArrays(NamedTuple):
+    """Group (m,), middle and half width (m, d) of boxes, for compiled code."""
+
+    group: Ints1
+    middle: Floats2
+    half: Floats2
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +78,29 @@ class Enclosure:
     place: Floats
 
     @staticmethod
+    def not_found(boxes: Boxes) -> "Enclosure":
+        """Return the enclosure of boxes without any value, in which compiled code writes some."""
+        count, coordinates = boxes.middle.shape
+        low, high = np.full((2, count), np.inf)
+        return Enclosure(low, high, np.zeros((count, coordinates)), np.zeros((count, 3)))
+
+    def arrays(self) -> "EnclosureArrays":
+        """Return the arrays, which compiled code may change."""
+        return EnclosureArrays(self.low, self.high, self.doubts, self.place)
+
+    @staticmethod
     def over_time(high: Floats, doubt: Floats, place: Floats) -> "Enclosure":
         """Return the enclosure of values (m,) whose only coordinate is time."""
         return Enclosure(high - doubt, high, doubt[:, None], place)
+
+
+class EnclosureArrays(NamedTuple):
+    """Arrays of an :class:`Enclosure`, for compiled code."""
+
+    low: Floats1
+    high: Floats1
+    doubts: Floats2
+    place: Floats2
 
 
 Evaluator = Callable[[Boxes], Enclosure]

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from swarm.certification.branch_and_bound import Boxes, Enclosure
 from swarm.certification.motion_bounds import TeamStates
 from swarm.certification.strand_pieces import HeldCable
-from swarm.certification.strands import unit
-from swarm.geometry.distance import point_segment, segment_segment
+from swarm.geometry.distance import norms, point_segment, segment_segment
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -58,7 +57,7 @@ class ReachPairs:
                 (ends_first, lengths[first] + ball + spare_first),
                 (ends_second, lengths[second] + ball + spare_second),
             )
-            for direction in (unit(towards) for towards in directions)
+            for direction in (_unit(towards) for towards in directions)
             for spare_first, spare_second in ((drift_first, drift_second), (0.0, 0.0))
         ]
         shift = self.diameter + self.required
@@ -121,3 +120,9 @@ def _ends(team: TeamStates, instant: Ints, segment: Ints) -> Floats:
 
 def _at(ends: Floats, along: Floats) -> Floats:
     return ends[:, 0] + along[:, None] * (ends[:, 1] - ends[:, 0])
+
+
+def _unit(vector: Floats) -> Floats:
+    """Return unit vectors (b, 3); straight up for a vector of no length."""
+    size = norms(vector)[..., None]
+    return np.where(size > 1e-12, vector / np.maximum(size, 1e-12), [0.0, 0.0, 1.0])

@@ -18,7 +18,7 @@ from swarm.certification.strand_pieces import HeldCable
 from swarm.geometry.catenary_kernel import max_depth
 from swarm.geometry.sensitivity import LARGEST_RATIO
 from swarm.jit import compiled
-from swarm.signatures import Bools1, Floats1, Floats2, Floats3, Ints1, Ints2
+from swarm.signatures import Bools1, Floats1, Floats2, Floats3, Ints1, Ints2, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -95,7 +95,7 @@ def _team_of(cable: HeldCable, boxes: Boxes) -> tuple[_Team, Ints]:
     time, half, instant = boxes.instants()
     team = TeamStates.at(cable.motion, time, half)
     arrays = (half, team.position, team.velocity, team.deviation)
-    return _Team(*(np.require(values, requirements=["C", "W"]) for values in arrays)), instant
+    return _Team(*(contiguous(values) for values in arrays)), instant
 
 
 def _cable_of(cable: HeldCable) -> _Cable:

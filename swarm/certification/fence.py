@@ -5,11 +5,22 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.branch_and_bound import Boxes, Enclosure
-from swarm.certification.motion_bounds import BoundedMotion, TeamStates
-from swarm.certification.strand_pieces import Displacement, HeldCable, Pieces, Selection, pieces
-from swarm.certification.strands import unit
-from swarm.geometry.distance import segment_segment
+from swarm.certification.branch_and_bound import BoxArrays, Boxes, Enclosure, EnclosureArrays
+from swarm.certification.motion_bounds import BoundedMotion, TeamStates, ends_at, instant_at
+from swarm.certification.strand_pieces import (
+    CableTables,
+    Displacement,
+    HeldCable,
+    Part,
+    Piece,
+    held_piece,
+    piece_movement,
+)
+from swarm.geometry.distance import segment_distance, segment_segment
+from swarm.geometry.sensitivity import BOTH_ENDS
+from swarm.geometry.vectors import Vector, difference, dot, moved, unit
+from swarm.jit import compiled
+from swarm.signatures import Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -64,44 +75,11 @@ class InsideFenceInWind:
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box; coordinates are time and the strand's fraction."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.cable.motion, time, half)
-        segment = boxes.group
-        strand = pieces(
-            team,
-            self.cable,
-            Selection.unlimited(instant, segment, boxes.middle[:, 1], boxes.half[:, 1]),
-            Displacement.of_both_ends(np.zeros((len(boxes), 3)), self.cable.tracking),
-        )
-        flat = strand.ends * [1.0, 1.0, 0.0]
-        sides = _sides(self.fence)
-        walls = [self._from_wall(strand, flat, side) for side in sides]
-        low, high = (np.min([wall[k] for wall in walls], axis=0) for k in (0, 1))
-        in_time = np.max([wall[2] for wall in walls], axis=0)
-        grips = team.position[instant, segment], team.position[instant, segment + 1]
-        inside = _inside(grips[0], sides) & _inside(grips[1], sides)
-        # A strand with a grip outside is outside, at whatever distance.
-        high = np.where(inside, high, np.minimum(high, -_OUTSIDE))
-        low = np.where(inside, low, np.minimum(low, -_OUTSIDE))
-        size = np.maximum(high - low - in_time, 0.0)
-        return Enclosure(low, high, np.stack([in_time, size], axis=1), strand.ends.mean(axis=1))
-
-    def _from_wall(
-        self, strand: Pieces, flat: Floats, side: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """Bounds (b,) of pieces' distances from a side (2, 3), and their doubt from time."""
-        walls = np.broadcast_to(side, (len(flat), 2, 3))
-        closest = segment_segment(flat, walls)
-        at_strand = flat[:, 0] + closest.first[:, None] * (flat[:, 1] - flat[:, 0])
-        at_wall = side[0] + closest.second[:, None] * (side[1] - side[0])
-        normal = unit(at_strand - at_wall)
-        reach = np.einsum("bki,bi->bk", flat, normal).min(axis=1)
-        wall = np.einsum("ki,bi->bk", side, normal).max(axis=1)
-        moved = strand.movement(closest.first, normal)
+        found = Enclosure.not_found(boxes)
+        sides = contiguous(_sides(self.fence))
         half = 0.5 * self.diameter
-        low = reach - wall - strand.bow - moved.piece - half - strand.swing.most
-        high = closest.distance + strand.bow - moved.tracking - half - strand.swing.least
-        return low, high, moved.point - moved.tracking + strand.swing.in_time
+        _write_margins(self.cable.tables, sides, half, boxes.arrays(), found.arrays())
+        return found
 
 
 def _sides(fence: Floats) -> Floats:
@@ -118,4 +96,65 @@ def _inside(point: Floats, sides: Floats) -> npt.NDArray[np.bool_]:
     rise = np.where(y1 == y0, 1.0, y1 - y0)
     crossed = straddles & (x < x0 + (y - y0) / rise * (x1 - x0))
     inside: npt.NDArray[np.bool_] = np.count_nonzero(crossed, axis=1) % 2 == 1
+    return inside
+
+
+@compiled
+def _write_margins(
+    cable: CableTables, sides: Floats3, radius: float, boxes: BoxArrays, found: EnclosureArrays
+) -> None:
+    """Write the margins of strands of a radius to the sides (m, 2, 3) of a fence, in boxes."""
+    chord = np.zeros((2, 3))
+    for b in range(len(boxes.group)):
+        middle, half, segment = boxes.middle[b], boxes.half[b], boxes.group[b]
+        instant = instant_at(cable.motion, middle[0], half[0])
+        grips = ends_at(cable.motion, instant, segment)
+        piece = held_piece(
+            cable, segment, grips, instant, Part(middle[1], half[1], 0.0, 1.0),
+            Displacement((0.0, 0.0, 0.0), BOTH_ENDS, cable.tracking, 0.0),
+        )  # fmt: skip
+        low, high, in_time = np.inf, np.inf, 0.0
+        for side in sides:
+            to_low, to_high, doubt = _from_wall(cable, piece, side, chord, radius)
+            low, high, in_time = min(low, to_low), min(high, to_high), max(in_time, doubt)
+        if not (_within(grips[0].place, sides) and _within(grips[1].place, sides)):
+            # A strand with a grip outside is outside, at whatever distance.
+            low, high = min(low, -_OUTSIDE), min(high, -_OUTSIDE)
+        found.low[b], found.high[b] = low, high
+        found.doubts[b, 0], found.doubts[b, 1] = in_time, max(high - low - in_time, 0.0)
+        for axis in range(3):
+            found.place[b, axis] = 0.5 * (piece.near[axis] + piece.far[axis])
+
+
+@compiled
+def _from_wall(
+    cable: CableTables, piece: Piece, side: Floats, chord: Floats, radius: float
+) -> tuple[float, float, float]:
+    """Return bounds of a piece's distance from a side (2, 3), and their doubt from time.
+
+    ``chord`` (2, 3) is memory.
+    """
+    near, far = (piece.near[0], piece.near[1], 0.0), (piece.far[0], piece.far[1], 0.0)
+    begin, end = (side[0, 0], side[0, 1], 0.0), (side[1, 0], side[1, 1], 0.0)
+    chord[0, 0], chord[0, 1], chord[1, 0], chord[1, 1] = near[0], near[1], far[0], far[1]
+    square, here, there = segment_distance(chord, 0, side, 0)
+    at_strand = moved(near, here, difference(far, near))
+    normal = unit(difference(at_strand, moved(begin, there, difference(end, begin))))
+    reach = min(dot(near, normal), dot(far, normal))
+    wall = max(dot(begin, normal), dot(end, normal))
+    moves, swing = piece_movement(cable, piece, normal, here), piece.swing
+    low = reach - wall - piece.bow - moves.piece - radius - swing.most
+    high = np.sqrt(square) + piece.bow - moves.tracking - radius - swing.least
+    return low, high, moves.point - moves.tracking + (swing.most - swing.now)
+
+
+@compiled
+def _within(point: Vector, sides: Floats3) -> bool:
+    """Return whether a point lies within the polygon with sides (m, 2, 3), in plan view."""
+    inside = False
+    for side in sides:
+        if (side[0, 1] > point[1]) != (side[1, 1] > point[1]):
+            share = (point[1] - side[0, 1]) / (side[1, 1] - side[0, 1])
+            if point[0] < side[0, 0] + share * (side[1, 0] - side[0, 0]):
+                inside = not inside
     return inside

@@ -6,10 +6,28 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.branch_and_bound import Boxes, Enclosure
-from swarm.certification.motion_bounds import BoundedMotion, TeamStates
-from swarm.certification.strand_pieces import Displacement, HeldCable, Selection, pieces
+from swarm.certification.branch_and_bound import BoxArrays, Boxes, Enclosure, EnclosureArrays
+from swarm.certification.motion_bounds import (
+    BoundedMotion,
+    Grip,
+    Instant,
+    TeamStates,
+    ends_at,
+    instant_at,
+)
+from swarm.certification.strand_pieces import (
+    CableTables,
+    Displacement,
+    HeldCable,
+    Part,
+    held_piece,
+    piece_movement,
+    strand_point,
+)
 from swarm.geometry.catenary import MAX_CHORD_RATIO
+from swarm.geometry.sensitivity import BOTH_ENDS
+from swarm.geometry.vectors import Vector
+from swarm.jit import compiled
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -45,32 +63,10 @@ class AboveFloor:
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        motion = self.cable.motion
-        moved, _ = self._movement(boxes, TeamStates.at(motion, time, half), instant)
-        still_team = TeamStates.at(motion, time, np.zeros_like(half))
-        still, lowest = self._movement(boxes, still_team, instant)
-        high = lowest[:, 2] - still - 0.5 * self.diameter - self.required
-        # The whole strand's sensitivity bounds the lowest point's: only time is halved.
-        return Enclosure.over_time(high, np.maximum(moved - still, 0.0), lowest)
-
-    def _movement(self, boxes: Boxes, team: TeamStates, instant: Ints) -> tuple[Floats, Floats]:
-        """Bounds of the vertical movement of strands (m,), and their lowest points (m, 3)."""
-        segment = boxes.group
-        level = 0.5 * (team.velocity[instant, segment] + team.velocity[instant, segment + 1])
-        level[:, 2] = 0.0
-        strand = pieces(
-            team, self.cable, Selection.whole(instant, segment),
-            Displacement.of_both_ends(level, self.cable.tracking),
-        )  # fmt: skip
-        # The lowest point is where the tangent is level; in wind, gravity is not vertical.
-        strands = strand.strands
-        level_slope = strands.heading[:, 2] / strands.down[:, 2]
-        along = (level_slope - strands.slope) * strands.parameter / strands.length
-        along = np.clip(along, 0.0, 1.0)
-        up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(boxes), 3))
-        moved = strand.movement(along, up).piece + strand.swing.most
-        return moved, strands.points_at(along)
+        found = Enclosure.not_found(boxes)
+        heights = 0.5 * self.diameter, self.required
+        _write_heights(self.cable.tables, heights, boxes.arrays(), found.arrays())
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,3 +110,44 @@ class DerivativeLimit:
         size = np.linalg.norm(state[self.order][instant, boxes.group], axis=-1)
         place = state[0][instant, boxes.group]
         return Enclosure.over_time(self.largest - size, bound * boxes.half[:, 0], place)
+
+
+@compiled
+def _write_heights(
+    cable: CableTables, heights: tuple[float, float], boxes: BoxArrays, found: EnclosureArrays
+) -> None:
+    """Write the margins of strands' lowest points to the sum of two ``heights``."""
+    for b in range(len(boxes.group)):
+        segment, time, half = boxes.group[b], boxes.middle[b, 0], boxes.half[b, 0]
+        during, at_once = instant_at(cable.motion, time, half), instant_at(cable.motion, time, 0.0)
+        moved, _ = _lowest(cable, segment, during)
+        still, lowest = _lowest(cable, segment, at_once)
+        high = lowest[2] - still - heights[0] - heights[1]
+        # The whole strand's sensitivity bounds the lowest point's: only time is halved.
+        doubt = max(moved - still, 0.0)
+        found.low[b], found.high[b], found.doubts[b, 0] = high - doubt, high, doubt
+        found.place[b, 0], found.place[b, 1], found.place[b, 2] = lowest
+
+
+@compiled
+def _lowest(cable: CableTables, segment: int, instant: Instant) -> tuple[float, Vector]:
+    """Return a bound of the vertical movement of a strand, and its lowest point."""
+    grips = ends_at(cable.motion, instant, segment)
+    piece = held_piece(
+        cable, segment, grips, instant, Part(0.5, 0.5, 0.0, 1.0),
+        Displacement(_level_velocity(grips), BOTH_ENDS, cable.tracking, 0.0),
+    )  # fmt: skip
+    # The lowest point is where the tangent is level; in wind, gravity is not vertical.
+    strand = piece.strand
+    catenary, level_slope = strand.catenary, strand.heading[2] / cable.down[2]
+    along = (level_slope - catenary.slope) * catenary.parameter / catenary.length
+    along = min(max(along, 0.0), 1.0)
+    moved = piece_movement(cable, piece, (0.0, 0.0, 1.0), along).piece + piece.swing.most
+    return moved, strand_point(strand, cable.down, along)
+
+
+@compiled
+def _level_velocity(grips: tuple[Grip, Grip]) -> Vector:
+    """Return the mean velocity of two grip points without its vertical part."""
+    one, other = grips[0].velocity, grips[1].velocity
+    return 0.5 * (one[0] + other[0]), 0.5 * (one[1] + other[1]), 0.0

@@ -3,17 +3,28 @@
 from dataclasses import dataclass
 from functools import cached_property
 from math import comb, perm
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.distance import norms
-from swarm.geometry.motion import Motion
+from swarm.geometry.motion import Motion, find_piece, place_in_piece, speed_in_piece
+from swarm.geometry.vectors import Vector
 from swarm.jit import compiled
-from swarm.signatures import Floats1, Floats2, Floats3
+from swarm.signatures import Floats1, Floats2, Floats3, Floats4, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
+
+
+class MotionTables(NamedTuple):
+    """A motion for compiled code, its joints between pieces, and bounds of its accelerations."""
+
+    times: Floats1
+    joints: Floats1
+    coefficients: Floats4
+    accelerations: Floats3
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +32,13 @@ class BoundedMotion:
     """A motion of n grip points with upper bounds of its accelerations and jerks."""
 
     motion: Motion
+
+    @cached_property
+    def tables(self) -> MotionTables:
+        """The motion for compiled code."""
+        times, motion = self.motion.times, self.motion
+        tables = times, times[1:-1], motion.coefficients, self.accelerations
+        return MotionTables(*(contiguous(each) for each in tables))
 
     def at(self, time: Floats) -> tuple[Floats, Floats, Floats]:
         """Return positions, velocities and accelerations, each (m, n, 3), at times (m,)."""
@@ -79,9 +97,8 @@ class BoundedMotion:
 
     def _over(self, tables: Floats, start: Floats, end: Floats) -> Floats:
         bound = np.empty((len(start), tables.shape[2]))
-        joints = np.require(self.motion.times[1:-1], requirements=["C", "W"])
-        start, end = np.ascontiguousarray(start), np.ascontiguousarray(end)
-        _bounds_between(tables, joints, start, end, bound)
+        start, end = contiguous(start), contiguous(end)
+        _bounds_between(tables, self.tables.joints, start, end, bound)
         return bound
 
 
@@ -111,6 +128,59 @@ class TeamStates:
         speed = norms(self.velocity[instant, vehicle] - frame)
         bound: Floats = speed * self.half[instant] + self.deviation[instant, vehicle]
         return bound
+
+
+class Instant(NamedTuple):
+    """A time and the ``half`` width of an interval around it, seconds.
+
+    The time lies ``since`` seconds into a ``piece`` of the motion; ``moving`` is 0 outside of it.
+    ``pieces`` cover the interval: see :func:`pieces_between`.
+    """
+
+    time: float
+    half: float
+    piece: int
+    since: float
+    moving: float
+    pieces: tuple[int, int, int]
+
+
+class Grip(NamedTuple):
+    """A grip point at an instant; ``deviation`` bounds its distance from uniform motion, metres."""
+
+    place: Vector
+    velocity: Vector
+    deviation: float
+
+
+@compiled
+def instant_at(motion: MotionTables, time: float, half: float) -> Instant:
+    """Return an instant of a motion, with the interval around it."""
+    piece, since, moving = find_piece(motion.times, time)
+    covering = pieces_between(motion.joints, time - half, time + half)
+    return Instant(time, half, piece, since, moving, covering)
+
+
+@compiled
+def grip_at(motion: MotionTables, instant: Instant, i: int) -> Grip:
+    """Return grip point i at an instant."""
+    c, u, moving = motion.coefficients[instant.piece], instant.since, instant.moving
+    bound = largest_between(motion.accelerations, instant.pieces, i)
+    return Grip(
+        (place_in_piece(c, i, 0, u), place_in_piece(c, i, 1, u), place_in_piece(c, i, 2, u)),
+        (
+            moving * speed_in_piece(c, i, 0, u),
+            moving * speed_in_piece(c, i, 1, u),
+            moving * speed_in_piece(c, i, 2, u),
+        ),
+        0.5 * bound * (instant.half * instant.half),
+    )
+
+
+@compiled
+def ends_at(motion: MotionTables, instant: Instant, segment: int) -> tuple[Grip, Grip]:
+    """Return both grip points of a segment at an instant."""
+    return grip_at(motion, instant, segment), grip_at(motion, instant, segment + 1)
 
 
 @compiled

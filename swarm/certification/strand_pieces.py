@@ -1,21 +1,28 @@
-"""Pieces of strands at an instant: their chords, and bounds of their movement around it.
+"""Pieces of strands at an instant: their chords, and bounds of their movement around it; compiled.
 
 The movement of a piece is that of its grip points within the interval of time and the tracking
 radius, multiplied by the sensitivity of the strand. It is counted in a frame that moves with the
 team, since motion that all share changes no distance.
 """
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.motion_bounds import BoundedMotion, TeamStates
-from swarm.certification.tube_radii import Radii, TubeRadii
-from swarm.geometry.catenary import Catenaries, solve_catenaries
-from swarm.geometry.catenary_kernel import Catenary, max_elevation_sine
-from swarm.geometry.distance import norms
+from swarm.certification.motion_bounds import BoundedMotion, Grip, Instant, MotionTables
+from swarm.certification.tube_radii import Radii, TubeRadii, TubeTables, radii_over
+from swarm.geometry.catenary_kernel import (
+    Catenary,
+    arc_start,
+    max_elevation_sine,
+    offset_from,
+    solve,
+)
+from swarm.geometry.catenary_shape import SMALLEST_HALF_ANGLE
 from swarm.geometry.linear_response import (
     curvature_table,
     movement,
@@ -34,15 +41,26 @@ from swarm.geometry.sensitivity import (
     ratio_range,
     sensitivity_tables,
 )
+from swarm.geometry.vectors import Vector, difference, dot, moved, size
 from swarm.jit import compiled
-from swarm.signatures import Floats1, Floats2, Floats3, Ints1
+from swarm.signatures import Floats1, Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.intp]
+
+_VERTICAL = 1e-80
+"""Smallest span per length: vertical to any accuracy, and no figure overflows."""
 
 
-_FEW = 64
-"""Strands below which solving all takes less time than finding the distinct ones."""
+class CableTables(NamedTuple):
+    """A :class:`HeldCable` for compiled code, with the tables of what strands do."""
+
+    motion: MotionTables
+    lengths: Floats1
+    tracking: float
+    down: tuple[float, float, float]
+    tube: TubeTables
+    curvature: Floats3
+    sensitivity: Sensitivity
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,280 +78,232 @@ class HeldCable:
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
     tube: TubeRadii | None = None
 
-
-@dataclass(frozen=True, eq=False)
-class Selection:
-    """Pieces (b,) of segments at instants, by indices.
-
-    ``middle`` and ``half`` (b,) are the dyadic interval of fractions of each piece. Only the part
-    of it within ``limits`` (b, 2) counts.
-    """
-
-    instant: Ints
-    segment: Ints
-    middle: Floats
-    half: Floats
-    limits: Floats
-
-    @staticmethod
-    def whole(instant: Ints, segment: Ints) -> "Selection":
-        """Return the selection of whole strands."""
-        half = np.full(len(segment), 0.5)
-        return Selection.unlimited(instant, segment, half, half)
-
-    @staticmethod
-    def unlimited(instant: Ints, segment: Ints, middle: Floats, half: Floats) -> "Selection":
-        """Return the selection of pieces that count completely."""
-        limits = np.broadcast_to(np.array([0.0, 1.0]), (len(segment), 2))
-        return Selection(instant, segment, middle, half, limits)
-
-
-@dataclass(frozen=True, eq=False)
-class Displacement:
-    """Displacement of the grip points of pieces (b,), in a frame for each.
-
-    ``frame`` (b, 3) is the frame's velocity; ``ends`` (b,) which ends move (BOTH_ENDS, FAR_END,
-    NEAR_END); ``tracking`` (b,) the displacement by tracking errors, metres; ``deviation`` (b,) the
-    frame's own deviation from uniform motion.
-    """
-
-    frame: Floats
-    ends: Ints
-    tracking: Floats
-    deviation: Floats
-
-    @staticmethod
-    def of_both_ends(frame: Floats, tracking: float) -> "Displacement":
-        """Return the displacement of both ends in frames (b, 3) of uniform motion."""
-        count = len(frame)
-        return Displacement(
-            frame, np.full(count, BOTH_ENDS), np.full(count, tracking), np.zeros(count)
+    @cached_property
+    def tables(self) -> CableTables:
+        """The cable for compiled code."""
+        east, north, up = (np.asarray(self.down) / np.linalg.norm(self.down)).tolist()
+        return CableTables(
+            self.motion.tables,
+            contiguous(self.lengths),
+            self.tracking,
+            (east, north, up),
+            TubeTables.none() if self.tube is None else self.tube.tables,
+            curvature_table(),
+            sensitivity_tables(),
         )
 
 
-class _Shapes(NamedTuple):
-    """Figures (b,) of strands and their pieces; ``number`` is the piece's heap number."""
+class Part(NamedTuple):
+    """A dyadic interval of fractions of a strand, of which only that from ``low`` to ``high``
+    counts."""
 
-    length: Floats1
-    parameter: Floats1
-    slope: Floats1
-    span: Floats1
-    rise: Floats1
-    ratio: Floats1
-    begin: Floats1
-    end: Floats1
-    number: Ints1
+    middle: float
+    half: float
+    low: float
+    high: float
+
+
+@compiled
+def counted(part: Part) -> tuple[float, float]:
+    """Return the interval of fractions that counts; its end is not above its begin if none does."""
+    return (
+        min(max(part.middle - part.half, part.low), part.high),
+        min(max(part.middle + part.half, part.low), part.high),
+    )
+
+
+class Displacement(NamedTuple):
+    """Displacement of the grip points of a piece, in a frame with velocity ``frame``.
+
+    ``ends`` tells which ends move (BOTH_ENDS, FAR_END, NEAR_END); ``tracking`` is the displacement
+    by tracking errors, metres; ``deviation`` that of the frame itself from uniform motion.
+    """
+
+    frame: Vector
+    ends: int
+    tracking: float
+    deviation: float
+
+
+class Strand(NamedTuple):
+    """A hanging strand: its start, the horizontal unit vector to its end, and its catenary.
+
+    ``arc`` is :func:`.catenary_kernel.arc_start` of its slope.
+    """
+
+    start: Vector
+    heading: Vector
+    catenary: Catenary
+    arc: tuple[float, float, float]
 
 
 class _EndMotion(NamedTuple):
-    """Bounds (b,) of the movement of grip points.
+    """Bounds of the movement of grip points, metres.
 
     ``total`` within interval and tracking radius, ``tracking`` within the tracking radius alone;
     ``relative`` and ``relative_tracking`` of the ends relative to each other. ``ends`` tells which
     ends move.
     """
 
-    total: Floats1
-    tracking: Floats1
-    relative: Floats1
-    relative_tracking: Floats1
-    ends: Ints1
+    ends: int
+    total: float
+    tracking: float
+    relative: float
+    relative_tracking: float
 
 
-class _Direction(NamedTuple):
-    """Normals' components (b,) along the heading and up, and the fraction of a point's chord."""
+class Piece(NamedTuple):
+    """A piece of a strand, from ``begin`` to ``end``, at the middle instant.
 
-    ahead: Floats1
-    up: Floats1
-    along: Floats1
+    ``near`` and ``far`` are the ends of its chord; ``bow`` is the largest distance of the piece
+    from its chord; ``swing`` the radii of the tube around it; ``number`` its heap number.
+    """
 
-
-class _Tables(NamedTuple):
-    """Tables of largest second derivatives, and of the sensitivity of all shapes."""
-
-    curvature: Floats3
-    sensitivity: Sensitivity
+    strand: Strand
+    begin: float
+    end: float
+    number: int
+    near: Vector
+    far: Vector
+    bow: float
+    end_motion: _EndMotion
+    swing: Radii
 
 
 class Movement(NamedTuple):
-    """Bounds (b,) of the movement along a normal.
+    """Bounds of the movement along a normal.
 
     ``piece`` of any point of the piece; ``point`` of one point, and ``tracking`` of that point by
     tracking errors alone.
     """
 
-    piece: Floats
-    point: Floats
-    tracking: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Pieces:
-    """A piece of a strand for each box (b,).
-
-    ``ends`` (b, 2, 3) of its chord at the middle instant; ``bow`` (b,) the largest distance of the
-    piece from its chord; ``swing`` the radii of the tube around it.
-    """
-
-    strands: Catenaries
-    ends: Floats
-    bow: Floats
-    shapes: _Shapes
-    end_motion: _EndMotion
-    swing: Radii
-
-    def movement(self, along: Floats, normal: Floats) -> Movement:
-        """Return bounds of the movement along unit vectors ``normal`` (b, 3).
-
-        ``along`` (b,) is the fraction of the chord at which the single point lies. Its bounds
-        separate the uncertainty of the piece's size from that of the interval. Each bound is the
-        smaller of two: by the sensitivity of all shapes, and by the strand's own linear response.
-        """
-        strands = self.strands
-        up = -np.einsum("bi,bi->b", normal, strands.down)
-        ahead = np.einsum("bi,bi->b", normal, strands.heading)
-        found = np.empty((3, len(along)))
-        direction = _Direction(ahead, up, along)
-        _write_movement(
-            self.shapes,
-            self.end_motion,
-            direction,
-            _Tables(curvature_table(), sensitivity_tables()),
-            found,
-        )
-        return Movement(found[0], found[1], found[2])
+    piece: float
+    point: float
+    tracking: float
 
 
 @compiled
-def _write_movement(
-    shapes: _Shapes,
-    motion: _EndMotion,
-    direction: _Direction,
-    tables: _Tables,
-    found: Floats2,
-) -> None:
-    """Write :class:`Movement` of pieces into ``found`` (3, b)."""
-    for k in range(len(shapes.length)):
-        length, begin, end = shapes.length[k], shapes.begin[k], shapes.end[k]
-        ends, relative = motion.ends[k], motion.relative[k]
-        fraction = begin + direction.along[k] * (end - begin)
-        strand = Catenary(
-            length, shapes.parameter[k], shapes.slope[k], shapes.span[k], shapes.rise[k]
-        )
-        at_point, per_arc, curvature = strand_response(
-            strand, (direction.ahead[k], direction.up[k]), fraction, (begin, end),
-            EndMovement(ends, motion.total[k], relative), tables.curvature,
-        )  # fmt: skip
-        upright = min(abs(direction.up[k]), 1.0)
-        across = np.sqrt(1.0 - upright * upright)
-        steep = elevation_class(max_elevation_sine(shapes.rise[k], shapes.span[k], relative))
-        point = finest_piece(shapes.number[k], fraction)
-        ratios = ratio_range(shapes.ratio[k], relative / length)
-        ratios_tracking = ratio_range(shapes.ratio[k], motion.relative_tracking[k] / length)
-        for which in range(3):
-            size = motion.total[k] if which < 2 else motion.tracking[k]
-            apart = relative if which < 2 else motion.relative_tracking[k]
-            level, rising = movement_bound(
-                tables.sensitivity, steep, ends,
-                shapes.number[k] if which == 0 else point, ratios if which < 2 else ratios_tracking,
-            )  # fmt: skip
-            worst = (across * level + upright * rising) * size
-            if at_point < np.inf:
-                bound = movement(at_point, curvature, size, apart)
-                if which == 0:
-                    arc = length * max(fraction - begin, end - fraction)
-                    bound += movement_difference(per_arc, arc, relative)
-                worst = min(worst, bound)
-            found[which, k] = worst
-
-
-def pieces(
-    team: TeamStates, cable: HeldCable, selection: Selection, displacement: Displacement
-) -> Pieces:
-    """Return the selected pieces with bounds of the movement of their grip points."""
-    instant, segment = selection.instant, selection.segment
-    strands = _strands(team, cable, instant, segment)
-    edges = np.stack([selection.middle - selection.half, selection.middle + selection.half])
-    edges = np.minimum(np.maximum(edges, selection.limits[:, 0]), selection.limits[:, 1])
-    begin, end = edges
-    ends = np.stack([*strands.points_at(edges)], axis=1)
-    across = norms(ends[:, 1] - ends[:, 0])
-    arc = strands.length * (end - begin)
-    number = _heap_number(selection.middle, selection.half)
-    swing = Radii.none(len(segment))
-    if cable.tube is not None:
-        swing = cable.tube.over(segment, team.time[instant], team.half[instant], number)
-    return Pieces(
-        strands=strands,
-        ends=ends,
-        bow=0.5 * np.sqrt(np.maximum(arc * arc - across * across, 0.0)),
-        shapes=_Shapes(
-            length=strands.length,
-            parameter=strands.parameter,
-            slope=strands.slope,
-            span=strands.span,
-            rise=strands.rise,
-            ratio=np.hypot(strands.span, strands.rise) / strands.length,
-            begin=begin,
-            end=end,
-            number=number,
-        ),
-        end_motion=_end_motion(team, selection, displacement, cable.tracking),
-        swing=swing,
-    )
-
-
-def _heap_number(middle: Floats, half: Floats) -> Ints:
-    """Numbers (b,) of dyadic intervals in the binary heap of pieces; 1 is the whole strand."""
-    return np.rint((1.0 + middle - half) / (2.0 * half)).astype(np.intp)
-
-
-def _strands(team: TeamStates, cable: HeldCable, instant: Ints, segment: Ints) -> Catenaries:
-    """The strands (b,) of segments at instants; of many each catenary is computed once.
+def strand_between(cable: CableTables, segment: int, start: Vector, end: Vector) -> Strand:
+    """Return the strand of a segment between two points.
 
     Over-stretched segments are drawn with a length that reaches: the taut check refuses them.
     """
-    if len(segment) < _FEW:
-        return _solved(team, cable, instant, segment)
-    count = len(cable.lengths)
-    distinct, index = np.unique(instant * count + segment, return_inverse=True)
-    return _taken(_solved(team, cable, distinct // count, distinct % count), index)
+    across, down = difference(end, start), cable.down
+    length = max(cable.lengths[segment], size(across) / LARGEST_RATIO)
+    rise = -dot(across, down)
+    level = moved(across, rise, down)
+    span = math.sqrt(dot(level, level))
+    wide = max(span, _VERTICAL * length)
+    _, parameter, slope = solve(wide, rise, length, SMALLEST_HALF_ANGLE)
+    heading = level[0] / wide, level[1] / wide, level[2] / wide
+    catenary = Catenary(length, parameter, slope, span, rise)
+    return Strand(start, heading, catenary, arc_start(slope))
 
 
-def _solved(team: TeamStates, cable: HeldCable, instant: Ints, segment: Ints) -> Catenaries:
-    start, end = team.position[instant, segment], team.position[instant, segment + 1]
-    length = np.maximum(cable.lengths[segment], norms(end - start) / LARGEST_RATIO)
-    return solve_catenaries(start, end, length, down=cable.down)
+@compiled
+def strand_point(strand: Strand, down: Vector, fraction: float) -> Vector:
+    """Return the point of a strand at a fraction of its arc."""
+    catenary, heading = strand.catenary, strand.heading
+    turning = catenary.length / catenary.parameter
+    angle, height = offset_from(strand.arc, fraction, turning)
+    a, length = catenary.parameter, -catenary.length
+    ahead = a * heading[0], a * heading[1], a * heading[2]
+    up = length * down[0], length * down[1], length * down[2]
+    return moved(moved(strand.start, angle, ahead), height, up)
 
 
-def _taken(strands: Catenaries, where: Ints) -> Catenaries:
-    names = (
-        "start", "end", "length", "down", "heading", "span", "rise", "half_angle", "parameter",
-        "slope",
-    )  # fmt: skip
-    return replace(strands, **{name: getattr(strands, name)[where] for name in names})
+@compiled
+def held_piece(
+    cable: CableTables,
+    segment: int,
+    grips: tuple[Grip, Grip],
+    instant: Instant,
+    part: Part,
+    displacement: Displacement,
+) -> Piece:
+    """Return a piece of a segment with bounds of the movement of its grip points."""
+    strand = strand_between(cable, segment, grips[0].place, grips[1].place)
+    begin, end = counted(part)
+    near, far = strand_point(strand, cable.down, begin), strand_point(strand, cable.down, end)
+    across, arc = size(difference(far, near)), strand.catenary.length * (end - begin)
+    number = int(np.rint((1.0 + part.middle - part.half) / (2.0 * part.half)))
+    return Piece(
+        strand,
+        begin,
+        end,
+        number,
+        near,
+        far,
+        0.5 * math.sqrt(max(arc * arc - across * across, 0.0)),
+        _end_motion(grips, instant.half, displacement, 2.0 * cable.tracking),
+        radii_over(cable.tube, segment, number, (instant.time, instant.half)),
+    )
 
 
+@compiled
+def drift(grip: Grip, half: float, frame: Vector) -> float:
+    """Bound the movement of a grip point within ``half`` seconds, in a frame with a velocity."""
+    return size(difference(grip.velocity, frame)) * half + grip.deviation
+
+
+@compiled
 def _end_motion(
-    team: TeamStates, selection: Selection, displacement: Displacement, tracking: float
+    grips: tuple[Grip, Grip], half: float, displacement: Displacement, ball: float
 ) -> _EndMotion:
-    instant, first, last = selection.instant, selection.segment, selection.segment + 1
-    ends = displacement.ends
-    drift_first, drift_last = (
-        team.drift(instant, vehicle, displacement.frame) for vehicle in (first, last)
-    )
-    drift = np.where(
-        ends == BOTH_ENDS, np.maximum(drift_first, drift_last),
-        np.where(ends == FAR_END, drift_last, drift_first),
+    """Return the movement of both grip points; ``ball`` is that by tracking errors, metres."""
+    first, last = grips
+    ends, frame = displacement.ends, displacement.frame
+    if ends == BOTH_ENDS:
+        drifted = max(drift(first, half, frame), drift(last, half, frame))
+    else:
+        drifted = drift(last if ends == FAR_END else first, half, frame)
+    apart = size(difference(last.velocity, first.velocity))
+    relative = apart * half + first.deviation + last.deviation
+    total = drifted + displacement.deviation + displacement.tracking
+    return _EndMotion(ends, total, displacement.tracking, relative + ball, ball)
+
+
+@compiled
+def piece_movement(cable: CableTables, piece: Piece, normal: Vector, along: float) -> Movement:
+    """Return bounds of the movement of a piece along a unit vector.
+
+    ``along`` is the fraction of the chord at which the single point lies. Its bounds separate the
+    uncertainty of the piece's size from that of the interval. Each bound is the smaller of two: by
+    the sensitivity of all shapes, and by the strand's own linear response.
+    """
+    strand, motion, begin, end = piece.strand.catenary, piece.end_motion, piece.begin, piece.end
+    ahead, up = dot(normal, piece.strand.heading), -dot(normal, cable.down)
+    fraction = begin + along * (end - begin)
+    at_point, per_arc, curvature = strand_response(
+        strand, (ahead, up), fraction, (begin, end),
+        EndMovement(motion.ends, motion.total, motion.relative), cable.curvature,
     )  # fmt: skip
-    apart = norms(team.velocity[instant, last] - team.velocity[instant, first])
-    deviation = team.deviation
-    relative = apart * team.half[instant] + deviation[instant, first] + deviation[instant, last]
-    ball = 2.0 * tracking
-    return _EndMotion(
-        total=drift + displacement.deviation + displacement.tracking,
-        tracking=displacement.tracking,
-        relative=relative + ball,
-        relative_tracking=np.full_like(relative, ball),
-        ends=ends,
-    )
+    length, relative = strand.length, motion.relative
+    ratio = math.hypot(strand.span, strand.rise) / length
+    ratios = ratio_range(ratio, relative / length)
+    ratios_tracking = ratio_range(ratio, motion.relative_tracking / length)
+    steep = elevation_class(max_elevation_sine(strand.rise, strand.span, relative))
+    number, finest = piece.number, finest_piece(piece.number, fraction)
+    upright = min(abs(up), 1.0)
+    of_piece = of_point = of_tracking = 0.0
+    for which in range(3):
+        moved_by = motion.total if which < 2 else motion.tracking
+        apart = relative if which < 2 else motion.relative_tracking
+        level, rising = movement_bound(
+            cable.sensitivity, steep, motion.ends,
+            number if which == 0 else finest, ratios if which < 2 else ratios_tracking,
+        )  # fmt: skip
+        worst = (math.sqrt(1.0 - upright * upright) * level + upright * rising) * moved_by
+        if at_point < np.inf:
+            bound = movement(at_point, curvature, moved_by, apart)
+            if which == 0:
+                arc = length * max(fraction - begin, end - fraction)
+                bound += movement_difference(per_arc, arc, relative)
+            worst = min(worst, bound)
+        if which == 0:
+            of_piece = worst
+        elif which == 1:
+            of_point = worst
+        else:
+            of_tracking = worst
+    return Movement(of_piece, of_point, of_tracking)

@@ -7,26 +7,38 @@ less their movement along n: the bow of each piece over its chord, the movement 
 """
 
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.branch_and_bound import Boxes, Enclosure
-from swarm.certification.motion_bounds import TeamStates
+from swarm.certification.branch_and_bound import BoxArrays, Boxes, Enclosure, EnclosureArrays
+from swarm.certification.motion_bounds import Grip, ends_at, grip_at, instant_at
 from swarm.certification.strand_pieces import (
+    CableTables,
     Displacement,
     HeldCable,
-    Pieces,
-    Selection,
-    pieces,
+    Part,
+    Piece,
+    counted,
+    held_piece,
+    piece_movement,
 )
-from swarm.geometry.distance import norms, segment_segment
+from swarm.geometry.distance import segment_distance
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
+from swarm.geometry.vectors import Vector, difference, dot, moved, unit
+from swarm.jit import compiled
+from swarm.signatures import Floats3, Ints2, contiguous
 
-Array = TypeVar("Array", bound=npt.NDArray[Any])
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
+
+
+class _Pairs(NamedTuple):
+    """Pairs (q, 2) of segments, and the fractions (q, 2, 2) between which each is compared."""
+
+    segments: Ints2
+    parts: Floats3
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,91 +58,103 @@ class StrandPairs:
 
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box; coordinates are time and both fractions."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.cable.motion, time, half)
-        first, second = self.pairs[boxes.group].T
-        neighbours = second == first + 1
-        velocity = team.velocity
-        shared = velocity[instant, second]
-        mean = 0.25 * (velocity[instant, first] + velocity[instant, first + 1])
-        mean += 0.25 * (shared + velocity[instant, second + 1])
-        frame = np.where(neighbours[:, None], shared, mean)
-        tracking = np.where(neighbours, 2.0 * self.cable.tracking, self.cable.tracking)
-        # The shared grip rests in its frame, but the frame itself deviates from uniform motion.
-        deviation = np.where(neighbours, team.deviation[instant, second], 0.0)
-        # One call for both strands: most batches are so small that the calls take longer than the
-        # computation.
-        both = pieces(
-            team,
-            self.cable,
-            Selection(
-                _twice(instant),
-                np.concatenate([first, second]),
-                boxes.middle[:, 1:].T.ravel(),
-                boxes.half[:, 1:].T.ravel(),
-                self.parts[boxes.group].swapaxes(0, 1).reshape(-1, 2),
-            ),
-            Displacement(
-                _twice(frame),
-                np.concatenate([np.where(neighbours, end, BOTH_ENDS) for end in _OTHER_ENDS]),
-                _twice(tracking),
-                _twice(deviation),
-            ),
-        )
-        found = _distance(both, self.diameter + self.required)
-        counts = (both.shapes.begin < both.shapes.end).reshape(2, -1).all(axis=0)
-        return Enclosure(
-            np.where(counts, found.low, np.inf),
-            np.where(counts, found.high, np.inf),
-            found.doubts,
-            found.place,
-        )
+        found = Enclosure.not_found(boxes)
+        pairs = _Pairs(contiguous(self.pairs), contiguous(self.parts))
+        required = self.diameter + self.required
+        _write_margins(self.cable.tables, pairs, required, boxes.arrays(), found.arrays())
+        return found
 
 
-_OTHER_ENDS = (NEAR_END, FAR_END)
-"""Ends of the first and of the second neighbour that do not rest in the frame of their grip."""
+@compiled
+def _write_margins(
+    cable: CableTables, pairs: _Pairs, required: float, boxes: BoxArrays, found: EnclosureArrays
+) -> None:
+    """Write the margins of pairs in the boxes whose pieces count."""
+    chords = np.empty((2, 2, 3))
+    for b in range(len(boxes.group)):
+        middle, half, parts = boxes.middle[b], boxes.half[b], pairs.parts[boxes.group[b]]
+        part = Part(middle[1], half[1], parts[0, 0], parts[0, 1])
+        other_part = Part(middle[2], half[2], parts[1, 0], parts[1, 1])
+        (begin, end), (other_begin, other_end) = counted(part), counted(other_part)
+        if begin >= end or other_begin >= other_end:
+            continue
+        first, second = pairs.segments[boxes.group[b]]
+        instant = instant_at(cable.motion, middle[0], half[0])
+        grips = ends_at(cable.motion, instant, first)
+        if second == first + 1:
+            others, far_end = (grips[1], grip_at(cable.motion, instant, second + 1)), FAR_END
+            near_end = NEAR_END
+        else:
+            others, near_end, far_end = ends_at(cable.motion, instant, second), BOTH_ENDS, BOTH_ENDS
+        displacement = _displacement(cable.tracking, grips, others, near_end)
+        one = held_piece(cable, first, grips, instant, part, displacement)
+        displacement = _displacement(cable.tracking, grips, others, far_end)
+        other = held_piece(cable, second, others, instant, other_part, displacement)
+        _write_margin(cable, (one, other), required, chords, b, found)
 
 
-def _twice(values: Array) -> Array:
-    """Return the values (b, …) for the first strands, and again for the second ones."""
-    return cast("Array", np.concatenate([values, values]))
+@compiled
+def _displacement(
+    tracking: float, grips: tuple[Grip, Grip], others: tuple[Grip, Grip], ends: int
+) -> Displacement:
+    """Return the displacement of a strand of two; ``ends`` are those that neighbours do not share.
+
+    BOTH_ENDS for strands that are no neighbours.
+    """
+    if ends == BOTH_ENDS:
+        return Displacement(_mean_velocity(grips, others), BOTH_ENDS, tracking, 0.0)
+    # The shared grip rests in its frame, but the frame itself deviates from uniform motion.
+    shared = others[0]
+    return Displacement(shared.velocity, ends, 2.0 * tracking, shared.deviation)
 
 
-def _distance(both: Pieces, required: float) -> Enclosure:
-    """Enclose the distances less the required one of pieces (2b,), b first and b second ones."""
-    a, b = both.ends.reshape(2, -1, 2, 3)
-    closest = segment_segment(a, b)
-    at_a = a[:, 0] + closest.first[:, None] * (a[:, 1] - a[:, 0])
-    at_b = b[:, 0] + closest.second[:, None] * (b[:, 1] - b[:, 0])
-    normal = unit(at_a - at_b)
-    # Any unit vector gives a true bound: rounding in the closest points does no harm.
-    reach_a = np.minimum(*np.einsum("bki,bi->kb", a, normal))
-    reach_b = np.maximum(*np.einsum("bki,bi->kb", b, normal))
-    moved = both.movement(np.concatenate([closest.first, closest.second]), _twice(normal))
-    bow_a, bow_b = _halves(both.bow)
-    piece_a, piece_b = _halves(moved.piece)
-    point_a, point_b = _halves(moved.point)
-    tracking_a, tracking_b = _halves(moved.tracking)
-    most_a, most_b = _halves(both.swing.most)
-    least_a, least_b = _halves(both.swing.least)
-    in_time_a, in_time_b = _halves(both.swing.in_time)
-    in_time = point_a - tracking_a + point_b - tracking_b + in_time_a + in_time_b
-    in_piece = 2.0 * both.bow + moved.piece - moved.point + both.swing.in_piece
-    bows = bow_a + bow_b
-    return Enclosure(
-        low=reach_a - reach_b - bows - (piece_a + piece_b + most_a + most_b) - required,
-        high=closest.distance + bows - (tracking_a + tracking_b + least_a + least_b) - required,
-        doubts=np.stack([in_time, *_halves(in_piece)], axis=1),
-        place=0.5 * (at_a + at_b),
+@compiled
+def _mean_velocity(grips: tuple[Grip, Grip], others: tuple[Grip, Grip]) -> Vector:
+    """Return the mean of four velocities."""
+    u, v = grips[0].velocity, grips[1].velocity
+    w, x = others[0].velocity, others[1].velocity
+    return (
+        0.25 * (u[0] + v[0]) + 0.25 * (w[0] + x[0]),
+        0.25 * (u[1] + v[1]) + 0.25 * (w[1] + x[1]),
+        0.25 * (u[2] + v[2]) + 0.25 * (w[2] + x[2]),
     )
 
 
-def _halves(values: Floats) -> Floats:
-    """Return the values (2b,) of the first and of the second strands: (2, b)."""
-    return values.reshape(2, -1)
-
-
-def unit(vector: Floats) -> Floats:
-    """Return unit vectors (b, 3); straight up for a vector of no length."""
-    size = norms(vector)[..., None]
-    return np.where(size > 1e-12, vector / np.maximum(size, 1e-12), [0.0, 0.0, 1.0])
+@compiled
+def _write_margin(
+    cable: CableTables,
+    pieces: tuple[Piece, Piece],
+    required: float,
+    chords: Floats,
+    b: int,
+    found: EnclosureArrays,
+) -> None:
+    """Write the margin of two pieces to a required distance; ``chords`` (2, 2, 3) is memory."""
+    one, other = pieces
+    for axis in range(3):
+        chords[0, 0, axis], chords[0, 1, axis] = one.near[axis], one.far[axis]
+        chords[1, 0, axis], chords[1, 1, axis] = other.near[axis], other.far[axis]
+    square, here, there = segment_distance(chords[0], 0, chords[1], 0)
+    at_one = moved(one.near, here, difference(one.far, one.near))
+    at_other = moved(other.near, there, difference(other.far, other.near))
+    # Any unit vector gives a true bound: rounding in the closest points does no harm.
+    normal = unit(difference(at_one, at_other))
+    reach = min(dot(one.near, normal), dot(one.far, normal))
+    reach_other = max(dot(other.near, normal), dot(other.far, normal))
+    moves = piece_movement(cable, one, normal, here)
+    moves_other = piece_movement(cable, other, normal, there)
+    swing, swing_other = one.swing, other.swing
+    bows = one.bow + other.bow
+    most = moves.piece + moves_other.piece + swing.most + swing_other.most
+    least = moves.tracking + moves_other.tracking + swing.least + swing_other.least
+    found.low[b] = reach - reach_other - bows - most - required
+    found.high[b] = np.sqrt(square) + bows - least - required
+    in_time = moves.point - moves.tracking + moves_other.point - moves_other.tracking
+    found.doubts[b, 0] = in_time + (swing.most - swing.now) + (swing_other.most - swing_other.now)
+    found.doubts[b, 1] = 2.0 * one.bow + moves.piece - moves.point + (swing.now - swing.least)
+    found.doubts[b, 2] = (
+        2.0 * other.bow + moves_other.piece - moves_other.point
+        + (swing_other.now - swing_other.least)
+    )  # fmt: skip
+    for axis in range(3):
+        found.place[b, axis] = 0.5 * (at_one[axis] + at_other[axis])

@@ -20,7 +20,7 @@ from swarm.jit import compiled
 from swarm.planning import Plan
 from swarm.planning.clock_limits import COURSE_STEP, clock_limits
 from swarm.planning.shaping import COMPARED, steps_between_compared
-from swarm.signatures import Floats4, Ints1
+from swarm.signatures import Floats4, Ints1, contiguous
 from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
@@ -291,7 +291,7 @@ def _strays(strands: Sequence[Strands], joints: Sequence[Floats], ends: Floats) 
 
 def _moments(points: Floats) -> Floats:
     """Return points (…, s, joints, 3) with one axis of moments, as the kernel requires."""
-    return np.require(points.reshape(-1, *points.shape[-3:]), requirements=["C", "W"])
+    return contiguous(points.reshape(-1, *points.shape[-3:]))
 
 
 @compiled

@@ -5,9 +5,13 @@ eighths.
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from swarm.jit import compiled
+from swarm.signatures import Floats3, Floats4
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -59,20 +63,10 @@ class TubeRadii:
         found: Floats = self.whole[self._bins(np.array(time))]
         return found
 
-    def over(self, segment: Ints, time: Floats, half: Floats, number: Ints) -> "Radii":
-        """Return bounds of the radii (b,) of pieces of segments during ``time`` ± ``half`` seconds.
-
-        ``segment``, ``time``, ``half`` and ``number``, the heap numbers of the pieces, are (b,).
-        """
-        first, middle, last = self._bins(np.stack([time - half, time, time + half]))
-        level = np.frexp(last - first + 1)[1] - 1
-        piece = _coarser(number)
-        size = np.left_shift(1, level)
-        most = np.maximum(
-            self._most[level, first, segment, piece],
-            self._most[level, last - size + 1, segment, piece],
-        )
-        return Radii(most, self.pieces[middle, segment, piece], self._least[middle, segment, piece])
+    @property
+    def tables(self) -> "TubeTables":
+        """The radii for compiled code."""
+        return TubeTables(self.start, self.pieces, self._most, self._least)
 
     def _bins(self, time: Floats) -> Ints:
         number = np.floor((time - self.start) / BIN).astype(np.intp)
@@ -80,32 +74,61 @@ class TubeRadii:
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class Radii:
-    """Radii (b,) of pieces: the ``most`` in an interval of time, that ``now`` at its middle.
+class TubeTables(NamedTuple):
+    """Radii as of :class:`TubeRadii`: of pieces, the ``most`` in runs of intervals, the ``least``.
+
+    Empty where strands do not swing.
+    """
+
+    start: float
+    pieces: Floats3
+    most: Floats4
+    least: Floats3
+
+    @staticmethod
+    def none() -> "TubeTables":
+        """Return the tables of strands that do not swing."""
+        return TubeTables(0.0, np.empty((0, 0, 0)), np.empty((0, 0, 0, 0)), np.empty((0, 0, 0)))
+
+
+class Radii(NamedTuple):
+    """Radii of a piece: the ``most`` in an interval of time, that ``now`` at its middle.
 
     ``least`` is the smallest of the parts of the piece at the middle.
     """
 
-    most: Floats
-    now: Floats
-    least: Floats
+    most: float
+    now: float
+    least: float
 
-    @property
-    def in_time(self) -> Floats:
-        """The part of the uncertainty that the interval causes."""
-        return self.most - self.now
 
-    @property
-    def in_piece(self) -> Floats:
-        """The part of the uncertainty that the size of the piece causes."""
-        return self.now - self.least
+@compiled
+def radii_over(tube: TubeTables, segment: int, number: int, interval: tuple[float, float]) -> Radii:
+    """Return bounds of the radii of a piece with a heap number, in an interval of time.
 
-    @staticmethod
-    def none(count: int) -> "Radii":
-        """Return the radii of strands without swing."""
-        zero = np.zeros(count)
-        return Radii(zero, zero, zero)
+    ``interval`` is its middle and its half width, seconds.
+    """
+    if len(tube.pieces) == 0:
+        return Radii(0.0, 0.0, 0.0)
+    time, half = interval
+    first, last = _bin(tube, time - half), _bin(tube, time + half)
+    level, count = 0, 1
+    while 2 * count <= last - first + 1:
+        level, count = level + 1, 2 * count
+    while number >= 2 * LEAVES:
+        number //= 2
+    most = max(
+        tube.most[level, first, segment, number],
+        tube.most[level, last - count + 1, segment, number],
+    )
+    middle = _bin(tube, time)
+    return Radii(most, tube.pieces[middle, segment, number], tube.least[middle, segment, number])
+
+
+@compiled
+def _bin(tube: TubeTables, time: float) -> int:
+    """Return the interval of the tube in which a time lies; the nearest one outside of all."""
+    return min(max(int(np.floor((time - tube.start) / BIN)), 0), len(tube.pieces) - 1)
 
 
 def _range_maxima(values: Floats) -> Floats:
@@ -117,10 +140,3 @@ def _range_maxima(values: Floats) -> Floats:
         found.append(np.maximum(before, shifted))
         size *= 2
     return np.stack(found)
-
-
-def _coarser(number: Ints) -> Ints:
-    """Return the heap numbers of the eighths that contain finer pieces."""
-    depth = np.frexp(number)[1] - 4
-    found: Ints = np.right_shift(number, np.maximum(depth, 0))
-    return found

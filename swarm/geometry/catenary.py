@@ -28,7 +28,7 @@ from swarm.geometry.catenary_shape import (
     sag_per_span,
 )
 from swarm.jit import compiled
-from swarm.signatures import Floats1, Floats2, Floats3
+from swarm.signatures import Floats1, Floats2, Floats3, contiguous
 
 Floats = NDArray[np.float64]
 
@@ -364,11 +364,7 @@ def _write_offsets(fraction: Floats1, arcs: _Arcs, angle: Floats1, height: Float
 
 def _flat(array: Floats, *last: int) -> Floats:
     """Return the array as a row of numbers or vectors, contiguous and writable for the kernels."""
-    flat = array.reshape(-1, *last)
-    # The question alone: most arrays are so, and np.require takes longer than the kernels of few.
-    if flat.flags.c_contiguous and flat.flags.writeable:
-        return flat
-    return np.require(flat, requirements=["C", "W"])
+    return contiguous(array.reshape(-1, *last))
 
 
 def _common_shape(first: tuple[int, ...], *others: tuple[int, ...]) -> tuple[int, ...]:

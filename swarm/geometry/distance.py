@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from swarm.jit import compiled
-from swarm.signatures import Floats2, Floats3, Floats4, Ints2
+from swarm.signatures import Floats2, Floats3, Floats4, Ints2, contiguous
 
 Floats = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def polyline_polyline(first: ArrayLike, second: ArrayLike) -> Closest:
     a = first.reshape(-1, *first.shape[-2:])
     b = second.reshape(-1, *second.shape[-2:])
     found = np.empty((3, len(a)))
-    _write_closest(_plain(a), _plain(b), found)
+    _write_closest(contiguous(a), contiguous(b), found)
     distance, at_first, at_second = found.reshape(3, *shape)
     return Closest(distance, at_first, at_second)
 
@@ -80,16 +80,9 @@ def strand_strand(strands: ArrayLike, pairs: ArrayLike) -> Closest:
     strands, pairs = np.asarray(strands, dtype=np.float64), np.asarray(pairs, dtype=np.intp)
     flat = strands.reshape(-1, *strands.shape[-3:])
     found = np.empty((3, len(flat), len(pairs)))
-    _write_chosen(_plain(flat), pairs.reshape(-1, 2), found)
+    _write_chosen(contiguous(flat), pairs.reshape(-1, 2), found)
     distance, at_first, at_second = found.reshape(3, *strands.shape[:-3], len(pairs))
     return Closest(distance, at_first, at_second)
-
-
-def _plain(array: Floats) -> Floats:
-    """Return the array, or a copy that is contiguous and writable, as the kernels require."""
-    if array.flags.c_contiguous and array.flags.writeable:
-        return array
-    return np.require(array, requirements=["C", "W"])
 
 
 @compiled

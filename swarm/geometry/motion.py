@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.jit import compiled
-from swarm.signatures import Floats1, Floats4
+from swarm.signatures import Floats1, Floats4, contiguous
 
 Floats = npt.NDArray[np.float64]
 
@@ -54,8 +54,7 @@ class Motion:
         moments = np.asarray(times, dtype=np.float64)
         states = np.empty((orders, moments.size, *self.coefficients.shape[2:]))
         breaks, coefficients, flat = (
-            np.require(values, requirements=["C", "W"])
-            for values in (self.times, self.coefficients, moments.reshape(-1))
+            contiguous(values) for values in (self.times, self.coefficients, moments.reshape(-1))
         )
         _evaluate(breaks, coefficients, flat, states)
         return states.reshape(orders, *moments.shape, *states.shape[2:])
@@ -86,11 +85,25 @@ def evaluate_piece(c: Floats, i: int, u: float, moving: float, state: Floats) ->
     With (1, 3) the position alone.
     """
     for x in range(3):
-        c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
-        state[0, x] = c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+        state[0, x] = place_in_piece(c, i, x, u)
         if len(state) > 1:
-            state[1, x] = moving * (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5))))
+            c2, c3, c4, c5 = c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
+            state[1, x] = moving * speed_in_piece(c, i, x, u)
             state[2, x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
+
+
+@compiled
+def place_in_piece(c: Floats, i: int, x: int, u: float) -> float:
+    """Return coordinate ``x`` of point ``i``, ``u`` seconds into a piece ``c`` (6, n, 3)."""
+    c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
+    return float(c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5)))))
+
+
+@compiled
+def speed_in_piece(c: Floats, i: int, x: int, u: float) -> float:
+    """Return the derivative of :func:`place_in_piece` by time."""
+    c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
+    return float(c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5))))
 
 
 def through_states(

@@ -16,7 +16,7 @@ from swarm.certification.clearances import certified_tube, tightest_moments
 from swarm.certification.swing_findings import swing_findings
 from swarm.certification.swing_runs import COURSES, STEP, Course, aloft, model_of, swings
 from swarm.certification.swing_tube import SwingTube, _tube_of, swing_tube
-from swarm.certification.tube_radii import BIN
+from swarm.certification.tube_radii import BIN, radii_over
 from swarm.flight.clock import MissionClock
 from swarm.flight.flight_plan import basis_of
 from swarm.geometry.catenary import solve_catenaries
@@ -199,17 +199,14 @@ def test_the_cable_does_not_swing_before_it_is_aloft(shaped: Plan) -> None:
 def test_bounds_over_an_interval_are_those_of_its_moments(
     tube: SwingTube, segment: int, time: float, half: float, depth: int, where: float
 ) -> None:
-    number = np.array([2**depth + int(where * 2**depth)])
-    found = tube.all_changes.over(np.array([segment]), np.array([time]), np.array([half]), number)
+    tables, number = tube.all_changes.tables, 2**depth + int(where * 2**depth)
+    found = radii_over(tables, segment, number, (time, half))
     inside = np.arange(time - half, time + half + 0.5 * BIN, 0.5 * BIN).clip(max=time + half)
-    values = [
-        tube.all_changes.over(np.array([segment]), np.array([t]), np.zeros(1), number).now[0]
-        for t in inside
-    ]
-    assert found.most[0] == max(values)
-    assert found.least[0] <= found.now[0] <= found.most[0]
-    whole = tube.all_changes.over(np.array([segment]), np.array([time]), np.zeros(1), np.array([1]))
-    assert found.now[0] <= whole.now[0] == tube.all_changes.strands(time)[segment]
+    values = [radii_over(tables, segment, number, (float(t), 0.0)).now for t in inside]
+    assert found.most == max(values)
+    assert found.least <= found.now <= found.most
+    whole = radii_over(tables, segment, 1, (time, 0.0))
+    assert found.now <= whole.now == tube.all_changes.strands(time)[segment]
 
 
 def test_the_default_overhand_is_certified_for_a_swinging_cable() -> None:
