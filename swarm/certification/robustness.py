@@ -142,26 +142,34 @@ class _Search:
         self._tight = tight
         self._failed: dict[tuple[int, int], set[tuple[int, float]]] = {}
         self._worst = (0, 0)
+        self._held: dict[tuple[int, int], float] = {}
 
     def narrowed(self, good: float, bad: float, most: float, step: float) -> tuple[float, float]:
         """Return the largest value that holds in the tight boxes, and a value ``step`` above it.
 
-        ``good`` holds everywhere, ``bad`` fails or is above ``most``. A family of a case is
-        bisected only where it fails for the value that holds for the families before it.
+        ``good`` holds everywhere, ``bad`` fails or is above ``most``.
         """
-        least = good
-        for number, which in enumerate(self._likely_first(0.5 * (good + bad))):
-            if number:
-                if least == good or self._holds_in_tight_boxes(which, least):
-                    continue
-                bad = least
-            least = good
-            while bad - least > step:
-                middle = 0.5 * (least + bad)
-                fine = middle <= most and self._holds_in_tight_boxes(which, middle)
-                least, bad = (middle, bad) if fine else (least, middle)
-            self._worst = which
-        return least, bad
+        while bad - good > step:
+            middle = 0.5 * (good + bad)
+            if middle <= most and self._hold_in_tight_boxes(middle):
+                good = middle
+            else:
+                bad = middle
+        return good, bad
+
+    def _hold_in_tight_boxes(self, value: float) -> bool:
+        """Return whether all families hold there; the one that does not comes first from then.
+
+        One that held for a larger value is taken to hold: the result is certified in all boxes.
+        """
+        for which in self._likely_first(value):
+            if value <= self._held.get(which, -math.inf):
+                continue
+            if not self._holds_in_tight_boxes(which, value):
+                self._worst = which
+                return False
+            self._held[which] = value
+        return True
 
     def _holds_in_tight_boxes(self, which: tuple[int, int], value: float) -> bool:
         case, index = which
